@@ -1,0 +1,178 @@
+"""Options that every command shares, and options made from a configuration class."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import types
+import typing
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import click
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+class FiniteFloat(click.ParamType):  # type: ignore[type-arg, unused-ignore]
+    """A float that is neither NaN nor infinite."""
+
+    name = "float"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse the text; refuse what is not a finite number."""
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            self.fail(f"{value!r} is not a number", param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not finite", param, ctx)
+        return number
+
+
+class Point(click.ParamType):  # type: ignore[type-arg, unused-ignore]
+    """A point written as one argument: "x y z" or "x,y,z"."""
+
+    name = "xyz"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float, float]:
+        """Parse three finite numbers."""
+        if isinstance(value, tuple):
+            return typing.cast(tuple[float, float, float], value)
+        parts = str(value).replace(",", " ").split()
+        if len(parts) != 3:
+            self.fail(f'{value!r} is not a point; write "x y z"', param, ctx)
+        x, y, z = (FINITE_FLOAT.convert(part, param, ctx) for part in parts)
+        return x, y, z
+
+
+FINITE_FLOAT = FiniteFloat()
+POINT = Point()
+
+
+@dataclass(frozen=True, slots=True)
+class Common:
+    """The options that every command that writes a file has."""
+
+    output: Path
+    force: bool
+    dry_run: bool
+    json: bool
+    quiet: bool
+    verbose: int
+    seed: int
+    jobs: int
+    depfile: Path | None
+
+
+def reporting(function: F) -> F:
+    """Add -q, -v and --json, for commands that write no file; the function takes them by name."""
+    for option in (
+        click.option("--json", "json", is_flag=True, help="Print the result as JSON."),
+        click.option("-q", "--quiet", is_flag=True, help="No progress, no notes."),
+        click.option("-v", "--verbose", count=True, help="More notes; -vv shows tracebacks."),
+    ):
+        function = option(function)
+    return function
+
+
+def output(suffix: str) -> Callable[[F], F]:
+    """Add the common options; the function gets them as one argument `common`."""
+
+    def decorate(function: F) -> F:
+        def collect(*args: Any, **kwargs: Any) -> Any:
+            fields = {f.name: kwargs.pop(f.name) for f in dataclasses.fields(Common)}
+            return function(*args, common=Common(**fields), **kwargs)
+
+        collect.__name__, collect.__doc__ = function.__name__, function.__doc__
+        collect.__dict__.update(function.__dict__)
+        path = click.Path(path_type=Path)
+        for option in (
+            click.option("--depfile", type=path, help="Also write Make dependencies to this file."),
+            click.option(
+                "--jobs",
+                type=click.IntRange(0, 256),
+                default=0,
+                help="Threads; 0 is all processors. Results do not depend on it.",
+            ),
+            click.option(
+                "--seed", type=click.IntRange(0, 2**63 - 1), default=0, help="Seed of all randomness."
+            ),
+            click.option("-n", "--dry-run", is_flag=True, help="Read and check everything, write nothing."),
+            click.option("-f", "--force", is_flag=True, help="Replace an output of other provenance."),
+            click.option("-o", "--output", type=path, required=True, help=f"File to write ({suffix})."),
+        ):
+            collect = option(collect)
+        return typing.cast(F, reporting(collect))
+
+    return decorate
+
+
+def from_config(config: type[Any]) -> Callable[[F], F]:
+    """One option per field of a configuration dataclass; the function gets it as `config`.
+
+    Metadata of a field: `help`; `option` when the name differs; `metavar`; `hidden_default`.
+    """
+
+    def decorate(function: F) -> F:
+        hints = typing.get_type_hints(config)
+        fields = [f for f in dataclasses.fields(config) if not f.metadata.get("internal")]
+
+        def collect(*args: Any, **kwargs: Any) -> Any:
+            values = {f.name: kwargs.pop(f.name) for f in fields}
+            return function(*args, config=config(**values), **kwargs)
+
+        collect.__name__, collect.__doc__ = function.__name__, function.__doc__
+        collect.__dict__.update(function.__dict__)
+        for field in reversed(fields):
+            name = field.metadata.get("option", "--" + field.name.replace("_", "-"))
+            keywords: dict[str, Any] = {"help": field.metadata.get("help"), **_type_of(hints[field.name])}
+            if "metavar" in field.metadata:
+                keywords["metavar"] = field.metadata["metavar"]
+            if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+                keywords["required"] = True
+            else:
+                default = (
+                    field.default
+                    if field.default is not dataclasses.MISSING
+                    else typing.cast(Callable[[], Any], field.default_factory)()
+                )
+                keywords.update(default=default, show_default=default is not None and default != ())
+            collect = click.option(name, field.name, **keywords)(collect)
+        return typing.cast(F, collect)
+
+    return decorate
+
+
+def _type_of(hint: Any) -> dict[str, Any]:
+    """Click's keywords for a type annotation."""
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        inner = [a for a in typing.get_args(hint) if a is not type(None)]
+        return _type_of(inner[0])
+    if typing.get_origin(hint) is Literal:
+        return {"type": click.Choice([str(choice) for choice in typing.get_args(hint)])}
+    if typing.get_origin(hint) is tuple:
+        arguments = typing.get_args(hint)
+        if arguments[-1] is Ellipsis:
+            return {**_type_of(arguments[0]), "multiple": True}
+        if arguments == (float, float, float):
+            return {"type": POINT}
+        return {"type": FINITE_FLOAT, "nargs": len(arguments)}
+    if hint is bool:
+        return {"is_flag": True}
+    if hint is float:
+        return {"type": FINITE_FLOAT}
+    if hint is int:
+        return {"type": int}
+    if hint is Path:
+        return {"type": click.Path(path_type=Path)}
+    return {"type": str}
+
+
+def input_path() -> click.Path:
+    """A file to read; that it exists and is a file is checked by the reader, with exit code 3."""
+    return click.Path(path_type=Path)

@@ -1,0 +1,181 @@
+"""What every command that writes a file does around its stage: provenance, skipping, writing."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+import msgspec
+
+from alula.cli.options import Common
+from alula.schemas.artifact import Artifact, file_hash, write_artifact
+from alula.schemas.atomic import write_text
+from alula.schemas.errors import InputError, OutputError, UsageError
+from alula.schemas.kinds import Kind
+from alula.schemas.manifest import InputRef
+from alula.schemas.provenance import Provenance, differences, read_provenance
+
+Progress = Callable[[int, int], None]
+
+
+def parameters_of(config: Any) -> dict[str, Any]:
+    """A configuration as the plain JSON values that a manifest records."""
+    return dict(msgspec.to_builtins(dataclasses.asdict(config)))
+
+
+def input_ref(role: str, path: Path) -> InputRef:
+    """Describe an input file; its kind and version when it is an artifact.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, not a file")
+    sha256 = file_hash(path)
+    recorded = read_provenance(path)
+    schema, version = (recorded.schema, recorded.version) if recorded else ("", "")
+    return InputRef(role, schema, version, sha256, path.name)
+
+
+def run_stage(
+    common: Common,
+    kind: Kind,
+    config: Any,
+    inputs: Mapping[str, Path],
+    build: Callable[[Progress], Artifact],
+    *,
+    seed: int | None = None,
+) -> None:
+    """Run a stage whose output is an array artifact, unless the output is already there."""
+
+    def make(provenance: Provenance, progress: Progress) -> tuple[Callable[[], None], dict[str, Any]]:
+        artifact = build(progress)
+        manifest = msgspec.structs.replace(
+            artifact.manifest, inputs=provenance.inputs, parameters=provenance.parameters, seed=seed
+        )
+        finished = Artifact(manifest, artifact.arrays)
+        return lambda: write_artifact(common.output, finished), manifest.summary
+
+    if not common.output.name.endswith(".npz"):
+        raise UsageError(f"{common.output}: the output must end in .npz (usually {kind.suffix})")
+    run(common, kind.name, kind.version, parameters_of(config), inputs, make, seed=seed)
+
+
+def run(
+    common: Common,
+    schema: str,
+    version: str,
+    parameters: dict[str, Any],
+    inputs: Mapping[str, Path],
+    make: Callable[[Provenance, Progress], tuple[Callable[[], None], dict[str, Any]]],
+    *,
+    seed: int | None = None,
+) -> None:
+    """Produce one output file of any kind.
+
+    Args:
+        common: the shared options.
+        schema: kind of the output; with `version` it is part of the provenance.
+        version: version of that kind.
+        parameters: everything that shapes the output, as plain JSON values.
+        inputs: role to path of all files that the output depends on.
+        make: given the provenance to record and a progress callback, computes everything and
+            returns a function that writes the file atomically, and the summary to print.
+        seed: the seed, when the output depends on one.
+
+    Raises:
+        UsageError: the output exists with other provenance and --force is not given, or is an input.
+        OutputError: the output's folder does not exist or the file cannot be written.
+    """
+    check_output(common.output, inputs)
+    provenance = Provenance.now(
+        schema, version, parameters, seed, [input_ref(role, path) for role, path in inputs.items()]
+    )
+    status = "written"
+    summary: dict[str, Any] = {}
+    if common.output.exists():
+        recorded = read_provenance(common.output, verify=True)
+        changed = ["it is not a file of alula's"] if recorded is None else differences(recorded, provenance)
+        if recorded is not None and not changed:
+            status, summary = "unchanged", recorded.summary
+            if not common.dry_run:
+                os.utime(common.output)
+        elif not common.force:
+            raise UsageError(f"{common.output}: exists, but {'; '.join(changed)}; -f replaces it")
+    if status != "unchanged":
+        with progress_bar(common) as progress:
+            write, summary = make(provenance, progress)
+        if common.dry_run:
+            status = "dry-run"
+        else:
+            write()
+    if common.depfile is not None and not common.dry_run:
+        names = " ".join(_make_escape(path) for path in inputs.values())
+        write_text(common.depfile, f"{_make_escape(common.output)}: {names}\n")
+    show(common, status, summary)
+
+
+def check_output(output: Path, inputs: Mapping[str, Path]) -> None:
+    """Refuse an output that cannot be written, before any work is done."""
+    if output.is_dir():
+        raise OutputError(f"{output}: is a folder, not a file to write")
+    if not output.parent.is_dir():
+        raise OutputError(f"{output}: the folder {output.parent} does not exist")
+    if not os.access(output.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{output}: the folder {output.parent} is not writable")
+    for path in inputs.values():
+        if output.exists() and path.exists() and output.samefile(path):
+            raise UsageError(f"{output}: is also an input")
+
+
+def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:
+    """Print the result on stdout: one JSON object, or a line per number."""
+    if common.json:
+        record = {"output": str(common.output), "status": status, "summary": summary}
+        click.echo(json.dumps(record, indent=2, sort_keys=True))
+        return
+    if common.quiet:
+        return
+    click.echo(f"{common.output}: {status}")
+    width = max((len(key) for key in summary), default=0)
+    for key, value in summary.items():
+        click.echo(f"  {key:<{width}}  {plain(value)}")
+
+
+def plain(value: Any) -> str:
+    """A value as a person reads it: short floats, sequences without brackets."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return " ".join(plain(item) for item in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {plain(item)}" for key, item in value.items())
+    return str(value)
+
+
+@contextmanager
+def progress_bar(common: Common) -> Iterator[Progress]:
+    """A progress callback; it draws on stderr when that is a terminal, else does nothing."""
+    if common.quiet or common.json or not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(common.output.name), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+        task = bars.add_task("", total=None)
+        yield lambda done, total: bars.update(task, completed=done, total=total)
+
+
+def _make_escape(path: Path) -> str:
+    return str(path).replace("$", "$$").replace("#", "\\#").replace(" ", "\\ ")

@@ -1,0 +1,37 @@
+// Typed NumPy arrays in and out of the bindings, without silent copies.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <cstddef>
+#include <span>
+#include <utility>
+#include <vector>
+
+namespace alula {
+
+// A read-only C-contiguous array on the CPU; anything else is refused by nanobind.
+template <class T, class Shape>
+using In = nanobind::ndarray<const T, Shape, nanobind::c_contig, nanobind::device::cpu>;
+template <class T>
+using InRows3 = In<T, nanobind::shape<-1, 3>>;
+template <class T>
+using InRows4 = In<T, nanobind::shape<-1, 4>>;
+template <class T>
+using InVector = In<T, nanobind::shape<-1>>;
+
+template <class T, class Shape>
+std::span<const T> as_span(const In<T, Shape>& array) {
+  return {array.data(), array.size()};
+}
+
+// Hands a vector to NumPy; the array owns it.
+template <class T>
+nanobind::ndarray<nanobind::numpy, T> to_numpy(std::vector<T>&& values, std::initializer_list<std::size_t> shape) {
+  auto* owned = new std::vector<T>(std::move(values));
+  nanobind::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+  return nanobind::ndarray<nanobind::numpy, T>(owned->data(), shape, owner);
+}
+
+}  // namespace alula

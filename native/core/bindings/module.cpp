@@ -1,0 +1,26 @@
+// The extension module alula._core: one bind_* function per header of native/core.
+#include <nanobind/nanobind.h>
+
+namespace nb = nanobind;
+
+void bind_voxelize(nb::module_& m);
+void bind_separation(nb::module_& m);
+void bind_merge(nb::module_& m);
+void bind_cover_check(nb::module_& m);
+void bind_polytope_cbf(nb::module_& m);
+void bind_rollout(nb::module_& m);
+void bind_clearance(nb::module_& m);
+void bind_search(nb::module_& m);
+
+NB_MODULE(_core, m) {
+  m.doc() = "Hot loops of alula, in C++20 and C99.";
+  m.attr("commit") = ALULA_COMMIT;
+  bind_voxelize(m);
+  bind_separation(m);
+  bind_merge(m);
+  bind_cover_check(m);
+  bind_polytope_cbf(m);
+  bind_rollout(m);
+  bind_clearance(m);
+  bind_search(m);
+}

@@ -1,0 +1,1 @@
+"""Artifact kinds, manifests, configurations and errors."""

@@ -1,0 +1,300 @@
+"""Reading and writing of array artifacts: a stored ZIP of a manifest and one NPY per array.
+
+Equal content is equal bytes: fixed order, fixed dates, sorted keys. Every array starts at a
+multiple of 64 bytes, so that it can be memory-mapped. No pickle is read or written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import struct
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import msgspec
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from alula.schemas.atomic import atomic_output
+from alula.schemas.checks import check_arrays, check_shapes
+from alula.schemas.errors import ArtifactError, DamagedError, InputError, VersionError, WrongKindError
+from alula.schemas.kinds import KINDS, Kind
+from alula.schemas.manifest import ArraySpec, Manifest, parse_version, producer
+
+ALIGNMENT = 64
+_EPOCH = (1980, 1, 1, 0, 0, 0)
+_MANIFEST_LIMIT = 64 * 2**20
+_PADDING_ID = 0xD935  # the extra field that zipalign uses
+_LOCAL_HEADER = struct.Struct("<4s5H3I2H")
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Artifact:
+    """A manifest with its arrays, in memory or mapped from a file."""
+
+    manifest: Manifest
+    arrays: Arrays
+
+    @property
+    def kind(self) -> Kind:
+        """The kind that the manifest names."""
+        return KINDS[self.manifest.schema]
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.arrays[name]
+
+
+def array_hash(array: NDArray[Any]) -> str:
+    """SHA-256 of an array's C-order bytes."""
+    return hashlib.sha256(_bytes_of(array)).hexdigest()
+
+
+def _bytes_of(array: NDArray[Any]) -> memoryview:
+    return np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror}") from error
+
+
+def describe_arrays(kind: Kind, frame: str, unit: str, arrays: Arrays) -> dict[str, ArraySpec]:
+    """The manifest's description of arrays; `unit` replaces the unit "frame" of the kind."""
+    described = {}
+    for rule in kind.arrays:
+        array = arrays[rule.name]
+        described[rule.name] = ArraySpec(
+            dtype=rule.dtype,
+            shape=list(array.shape),
+            frame=frame,
+            unit=unit if rule.unit == "frame" else rule.unit,
+            meaning=rule.meaning,
+            sha256=array_hash(array),
+        )
+    return described
+
+
+def make_artifact(kind: Kind, arrays: Arrays, **fields: Any) -> Artifact:
+    """Build and check an artifact; `fields` are those of the kind's manifest.
+
+    `producer` is this program and `inputs` are empty unless given; the command line fills them in.
+
+    Raises:
+        ArtifactError: an array is missing, of another type or shape, or has values out of range.
+    """
+    fitted = {}
+    for rule in kind.arrays:
+        if rule.name not in arrays:
+            raise ArtifactError(f"{kind.name}: array {rule.name} is missing")
+        fitted[rule.name] = np.ascontiguousarray(arrays[rule.name], dtype=np.dtype(rule.dtype))
+    check_shapes(kind, fitted)
+    check_arrays(kind, fitted)
+    fields.setdefault("producer", producer())
+    fields.setdefault("inputs", [])
+    manifest = kind.manifest(
+        schema=kind.name,
+        version=kind.version,
+        arrays=describe_arrays(kind, fields["frame"], fields["unit"], fitted),
+        **fields,
+    )
+    return Artifact(manifest, fitted)
+
+
+def encode_manifest(manifest: Manifest) -> bytes:
+    """Canonical JSON of a manifest: sorted keys, two spaces, a final newline."""
+    return msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=2) + b"\n"
+
+
+def write_artifact(path: Path, artifact: Artifact) -> None:
+    """Write an artifact atomically.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with atomic_output(path) as file:
+        _write_members(file, artifact)
+
+
+def _write_members(file: BinaryIO, artifact: Artifact) -> None:
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+        _write_member(archive, file, "manifest.json", [encode_manifest(artifact.manifest)])
+        for name in sorted(artifact.arrays):
+            array = np.ascontiguousarray(artifact.arrays[name])
+            header = io.BytesIO()
+            npy.write_array_header_1_0(header, npy.header_data_from_array_1_0(array))
+            _write_member(archive, file, f"{name}.npy", [header.getvalue(), _bytes_of(array)])
+
+
+def _write_member(
+    archive: zipfile.ZipFile, file: BinaryIO, name: str, parts: list[bytes | memoryview]
+) -> None:
+    info = zipfile.ZipInfo(name, _EPOCH)
+    info.create_system = 3
+    info.external_attr = 0o644 << 16
+    info.file_size = sum(len(part) for part in parts)
+    zip64 = info.file_size >= 2**31 - 1
+    start = file.tell() + _LOCAL_HEADER.size + len(name) + (20 if zip64 else 0) + 4
+    padding = -start % ALIGNMENT
+    info.extra = struct.pack("<HH", _PADDING_ID, padding) + bytes(padding)
+    with archive.open(info, "w", force_zip64=zip64) as member:
+        for part in parts:
+            for begin in range(0, len(part), 2**24):
+                member.write(part[begin : begin + 2**24])
+
+
+def read_manifest(path: Path) -> Manifest:
+    """The manifest of an artifact file, typed by its kind; the arrays are not looked at.
+
+    Raises:
+        ArtifactError: the file is not an artifact, or of a version that this program cannot read.
+    """
+    with _open_archive(path) as archive:
+        return _decode_manifest(path, archive)
+
+
+def read_artifact(path: Path, kind: Kind | None = None) -> Artifact:
+    """Map an artifact's arrays into memory, after checking all that its manifest says.
+
+    Args:
+        path: the file.
+        kind: the kind that is needed; None for any.
+
+    Returns:
+        The artifact; its arrays are read-only memory maps.
+
+    Raises:
+        WrongKindError: it is of another kind.
+        VersionError: it is of a higher major version, or requires what this program lacks.
+        DamagedError: truncated, or a hash, type, shape or value does not hold.
+        InputError: the file cannot be read at all.
+    """
+    with _open_archive(path) as archive:
+        manifest = _decode_manifest(path, archive)
+        if kind is not None and manifest.schema != kind.name:
+            raise WrongKindError(f"{path}: is {manifest.schema}, but {kind.name} is needed")
+        found = KINDS[manifest.schema]
+        names = {info.filename for info in archive.infolist()}
+        expected = {"manifest.json"} | {f"{rule.name}.npy" for rule in found.arrays}
+        if missing := sorted(expected - names):
+            raise DamagedError(f"{path}: member {missing[0]} is missing")
+        if extra := sorted(names - expected):
+            raise DamagedError(f"{path}: unexpected member {extra[0]!r}")
+        arrays = {rule.name: _map_member(path, archive, f"{rule.name}.npy") for rule in found.arrays}
+    for rule in found.arrays:
+        array, spec = arrays[rule.name], manifest.arrays.get(rule.name)
+        if spec is None:
+            raise DamagedError(f"{path}: the manifest does not describe array {rule.name}")
+        if array.dtype.str != rule.dtype or spec.dtype != rule.dtype:
+            raise DamagedError(f"{path}: array {rule.name} is {array.dtype.str}, not {rule.dtype}")
+        if list(array.shape) != spec.shape:
+            raise DamagedError(
+                f"{path}: array {rule.name} has shape {list(array.shape)}, the manifest says {spec.shape}"
+            )
+        if array_hash(array) != spec.sha256:
+            raise DamagedError(f"{path}: array {rule.name} does not match its SHA-256")
+    try:
+        check_shapes(found, arrays)
+        check_arrays(found, arrays)
+    except ArtifactError as error:
+        raise DamagedError(f"{path}: {error}") from error
+    return Artifact(manifest, arrays)
+
+
+def _open_archive(path: Path) -> zipfile.ZipFile:
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder, not an artifact")
+        if not path.exists():
+            raise InputError(f"{path}: does not exist")
+        if path.stat().st_size == 0:
+            raise ArtifactError(f"{path}: is empty")
+        return zipfile.ZipFile(path)
+    except zipfile.BadZipFile as error:
+        with path.open("rb") as file:
+            is_zip = file.read(4) == b"PK\x03\x04"
+        if is_zip:
+            raise DamagedError(f"{path}: truncated or corrupt artifact ({error})") from error
+        raise ArtifactError(f"{path}: is not an alula artifact") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+
+
+def _decode_manifest(path: Path, archive: zipfile.ZipFile) -> Manifest:
+    infos = archive.infolist()
+    if not infos or infos[0].filename != "manifest.json":
+        raise ArtifactError(f"{path}: is not an alula artifact (a ZIP without a leading manifest.json)")
+    if infos[0].compress_type != zipfile.ZIP_STORED or infos[0].file_size > _MANIFEST_LIMIT:
+        raise DamagedError(f"{path}: manifest.json is compressed or too large")
+    try:
+        raw = archive.read(infos[0])
+        head = msgspec.json.decode(raw, type=_Head)
+    except (zipfile.BadZipFile, msgspec.MsgspecError, ValueError, EOFError, OSError) as error:
+        raise DamagedError(f"{path}: manifest.json is damaged ({error})") from error
+    kind = KINDS.get(head.schema)
+    if kind is None:
+        raise WrongKindError(f"{path}: unknown kind of artifact {head.schema!r}")
+    try:
+        major, _ = parse_version(head.version)
+    except ValueError as error:
+        raise DamagedError(f"{path}: {error}") from error
+    if major > parse_version(kind.version)[0]:
+        raise VersionError(
+            f"{path}: {head.schema} version {head.version} is newer than {kind.version}; update alula"
+        )
+    if head.requires:
+        raise VersionError(
+            f"{path}: needs {', '.join(head.requires)}, which this version lacks; update alula"
+        )
+    try:
+        return msgspec.json.decode(raw, type=kind.manifest)
+    except msgspec.MsgspecError as error:
+        raise DamagedError(f"{path}: manifest.json is not valid ({error})") from error
+
+
+class _Head(msgspec.Struct):
+    schema: str
+    version: str
+    requires: list[str] = []
+
+
+def _map_member(path: Path, archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
+    info = archive.getinfo(name)
+    if info.compress_type != zipfile.ZIP_STORED:
+        raise DamagedError(f"{path}: member {name} is compressed")
+    try:
+        with path.open("rb") as file:
+            file.seek(info.header_offset)
+            header = _LOCAL_HEADER.unpack(file.read(_LOCAL_HEADER.size))
+            data_start = info.header_offset + _LOCAL_HEADER.size + header[9] + header[10]
+            file.seek(data_start)
+            if npy.read_magic(file) != (1, 0):
+                raise DamagedError(f"{path}: member {name} is not NPY 1.0")
+            shape, fortran, dtype = npy.read_array_header_1_0(file)
+            offset = file.tell()
+    except (ValueError, struct.error) as error:
+        raise DamagedError(f"{path}: member {name} is not a NPY array ({error})") from error
+    if dtype.hasobject or fortran:
+        raise DamagedError(f"{path}: member {name} is not a plain C-order array")
+    size = dtype.itemsize * int(np.prod(shape, dtype=object))
+    if size != info.file_size - (offset - data_start):
+        raise DamagedError(f"{path}: member {name} has {info.file_size} bytes, its header says otherwise")
+    if offset + size > path.stat().st_size:
+        raise DamagedError(f"{path}: truncated in member {name}")
+    if size == 0:
+        return np.empty(shape, dtype)
+    return np.memmap(path, dtype, "r", offset, shape)

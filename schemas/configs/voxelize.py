@@ -1,0 +1,51 @@
+"""Parameters of `voxelize`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from alula.schemas.errors import UsageError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VoxelizeConfig:
+    """Parameters of `voxelize`; `confidence` overrides `sigma` when given."""
+
+    size_m: float = field(default=0.05, metadata={"help": "Edge of a voxel [m].", "option": "--size"})
+    sigma: float = field(default=1.0, metadata={"help": "Level of the ellipsoids, in standard deviations."})
+    confidence: float | None = field(
+        default=None, metadata={"help": "Probability inside the ellipsoid; sets sigma by the chi-square law."}
+    )
+    min_overlap: int = field(
+        default=1, metadata={"help": "Keep voxels that at least this many ellipsoids touch."}
+    )
+    crop: tuple[float, float, float, float, float, float] | None = field(
+        default=None,
+        metadata={
+            "help": "Keep voxels that touch the box XMIN YMIN ZMIN XMAX YMAX ZMAX [m].",
+            "metavar": "BOX",
+        },
+    )
+    inflation_m: float | None = field(
+        default=None,
+        metadata={
+            "help": "Grow ellipsoids by this [m]; default: what the alignment suggests.",
+            "option": "--inflate",
+        },
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse values that mean nothing."""
+        if not (1e-4 <= self.size_m <= 1e3):
+            raise UsageError(f"--size must be between 0.0001 and 1000 m, not {self.size_m}")
+        if not (0.01 <= self.sigma <= 100):
+            raise UsageError(f"--sigma must be between 0.01 and 100, not {self.sigma}")
+        if self.confidence is not None and not (0 < self.confidence < 1):
+            raise UsageError(f"--confidence must be between 0 and 1, not {self.confidence}")
+        if self.min_overlap < 1:
+            raise UsageError(f"--min-overlap must be at least 1, not {self.min_overlap}")
+        if self.crop is not None and not all(self.crop[i] < self.crop[i + 3] for i in range(3)):
+            raise UsageError("--crop needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
+        if self.inflation_m is not None and not (0 <= self.inflation_m < math.inf):
+            raise UsageError(f"--inflate must not be negative, not {self.inflation_m}")

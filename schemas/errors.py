@@ -1,0 +1,75 @@
+"""Everything that can go wrong for a user, each class with its exit code."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """Exit codes of the command line; part of its contract."""
+
+    DONE = 0
+    INTERNAL = 1
+    USAGE = 2
+    INPUT = 3
+    CHECK = 4
+    INFEASIBLE = 5
+    LINK = 6
+    INTERRUPTED = 130
+    BROKEN_PIPE = 141
+
+
+class AlulaError(Exception):
+    """Base of all errors that a user can do something about; one line of text."""
+
+    exit_code = ExitCode.INTERNAL
+
+
+class UsageError(AlulaError):
+    """An option or a combination of options makes no sense."""
+
+    exit_code = ExitCode.USAGE
+
+
+class InputError(AlulaError):
+    """An input cannot be read, is damaged or does not fit."""
+
+    exit_code = ExitCode.INPUT
+
+
+class ArtifactError(InputError):
+    """An artifact is not a valid one."""
+
+
+class WrongKindError(ArtifactError):
+    """An artifact is of another kind than the command needs."""
+
+
+class VersionError(ArtifactError):
+    """An artifact was written by a newer, incompatible version."""
+
+
+class DamagedError(ArtifactError):
+    """An artifact's bytes are not what its manifest says."""
+
+
+class OutputError(InputError):
+    """An output cannot be written."""
+
+
+class CheckError(AlulaError):
+    """A check or gate that the user asked for does not hold."""
+
+    exit_code = ExitCode.CHECK
+
+
+class InfeasibleError(AlulaError):
+    """There is no answer within what was asked: no plan, no cover within the budget."""
+
+    exit_code = ExitCode.INFEASIBLE
+
+
+class LinkError(AlulaError):
+    """A link or a vehicle does not answer as it must."""
+
+    exit_code = ExitCode.LINK

@@ -1,0 +1,109 @@
+"""The artifact kinds that are stored as arrays: names, types, ranges and meanings of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from alula.schemas.manifest import (
+    VERSION,
+    CoverManifest,
+    Manifest,
+    PlanManifest,
+    SceneManifest,
+    VoxelsManifest,
+)
+
+Rule = Literal["finite", "positive", "unit_interval", "unit_norm", "starts", "strictly_increasing", "any"]
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayRule:
+    """One array of a kind.
+
+    `shape` mixes numbers and names; equal names are equal lengths, "N+1" is one more than "N".
+    `indexes` names the array whose first axis the values index.
+    """
+
+    name: str
+    dtype: str
+    shape: tuple[int | str, ...]
+    unit: str
+    meaning: str
+    rule: Rule = "any"
+    indexes: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """One artifact kind."""
+
+    name: str
+    suffix: str
+    manifest: type[Manifest]
+    arrays: tuple[ArrayRule, ...]
+    version: str = VERSION
+
+
+SCENE = Kind(
+    "alula/scene",
+    ".scene.npz",
+    SceneManifest,
+    (
+        ArrayRule("mean", "<f4", ("N", 3), "frame", "centre of each Gaussian", "finite"),
+        ArrayRule("scale", "<f4", ("N", 3), "frame", "one-sigma semi-axes", "positive"),
+        ArrayRule("quat_wxyz", "<f4", ("N", 4), "1", "unit quaternion, local to frame", "unit_norm"),
+        ArrayRule("opacity", "<f4", ("N",), "1", "alpha", "unit_interval"),
+        ArrayRule("color", "|u1", ("N", 3), "1", "base colour, red green blue"),
+    ),
+)
+
+VOXELS = Kind(
+    "alula/voxels",
+    ".voxels.npz",
+    VoxelsManifest,
+    (
+        ArrayRule(
+            "index", "<i4", ("M", 3), "voxel", "lower corner, sorted and unique", "strictly_increasing"
+        ),
+        ArrayRule("overlap", "<u4", ("M",), "1", "number of ellipsoids that touch the voxel"),
+    ),
+)
+
+COVER = Kind(
+    "alula/cover",
+    ".cover.npz",
+    CoverManifest,
+    (
+        ArrayRule("vertex", "<i4", ("V", 3), "voxel", "vertices of all hulls"),
+        ArrayRule("vertex_start", "<i8", ("n+1",), "1", "first vertex of each hull", "starts", "vertex"),
+        ArrayRule("plane_normal", "<i8", ("F", 3), "1", "outward primitive normals"),
+        ArrayRule("plane_offset", "<i8", ("F",), "voxel", "normal . x <= offset"),
+        ArrayRule("plane_start", "<i8", ("n+1",), "1", "first plane of each hull", "starts", "plane_normal"),
+        ArrayRule("member_index", "<i4", ("W", 3), "voxel", "voxels that each hull was built from"),
+        ArrayRule(
+            "member_start", "<i8", ("n+1",), "1", "first member of each hull", "starts", "member_index"
+        ),
+        ArrayRule("history", "<f8", ("H", 3), "1", "merges: left, right, weight [voxels]", "finite"),
+    ),
+)
+
+PLAN = Kind(
+    "alula/plan",
+    ".plan.npz",
+    PlanManifest,
+    (
+        ArrayRule("time", "<f8", ("K+1",), "s", "knots, strictly increasing from 0", "strictly_increasing"),
+        ArrayRule(
+            "coefficient",
+            "<f8",
+            ("K", 4, 8),
+            "m, rad",
+            "x, y, z, yaw: coefficient of (t - t_k)^j",
+            "finite",
+        ),
+        ArrayRule("waypoint", "<f8", ("W", 4), "m, rad", "x, y, z, yaw passed through", "finite"),
+    ),
+)
+
+KINDS: dict[str, Kind] = {kind.name: kind for kind in (SCENE, VOXELS, COVER, PLAN)}

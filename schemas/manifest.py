@@ -1,0 +1,162 @@
+"""Manifests: what an artifact is, where it came from and what it guarantees."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from alula import __version__
+
+VERSION = "1.0"
+
+
+class Producer(msgspec.Struct, frozen=True):
+    """The program that wrote an artifact."""
+
+    name: str
+    version: str
+    commit: str
+
+
+class InputRef(msgspec.Struct, frozen=True, order=True):
+    """A file that an artifact was made from.
+
+    `schema` and `version` are empty for files that are not artifacts; `name` is the file's name
+    without its folder, so that equal content stays equal bytes wherever it is made.
+    """
+
+    role: str
+    schema: str
+    version: str
+    sha256: str
+    name: str
+
+
+class ArraySpec(msgspec.Struct, frozen=True):
+    """One array: its type, shape, meaning and hash (of the little-endian C-order bytes)."""
+
+    dtype: str
+    shape: list[int]
+    frame: str
+    unit: str
+    meaning: str
+    sha256: str
+
+
+class Guarantee(msgspec.Struct, frozen=True):
+    """What the artifact promises: a sentence, and the same as machine-readable claims."""
+
+    statement: str
+    claims: dict[str, Any] = {}
+
+
+class Similarity(msgspec.Struct, frozen=True):
+    """p_world = scale * rotation @ p_scene + translation_m; rotation row-major, det +1."""
+
+    scale: float
+    rotation: list[list[float]]
+    translation_m: list[float]
+
+
+class Manifest(msgspec.Struct, frozen=True, kw_only=True):
+    """Fields that every artifact has."""
+
+    schema: str
+    version: str
+    producer: Producer
+    parameters: dict[str, Any]
+    inputs: list[InputRef]
+    frame: str
+    unit: str
+    arrays: dict[str, ArraySpec]
+    summary: dict[str, Any]
+    seed: int | None = None
+    guarantee: Guarantee | None = None
+    requires: list[str] = []
+
+
+class SceneManifest(Manifest, frozen=True, kw_only=True):
+    """Manifest of `alula/scene`.
+
+    `world_from_scene` is None until `scale-align` has run; `suggested_inflation_m` then bounds the
+    position error at the scene's bounds that the alignment leaves. `source` describes the splat
+    file: format, row counts, rows removed by each rule, bounds of the format's own loss.
+    """
+
+    source: dict[str, Any]
+    world_from_scene: Similarity | None = None
+    alignment: dict[str, Any] | None = None
+    suggested_inflation_m: float = 0.0
+
+
+class VoxelsManifest(Manifest, frozen=True, kw_only=True):
+    """Manifest of `alula/voxels`: voxel i is the closed cube [i g, (i + 1) g]."""
+
+    voxel_size_m: float
+    sigma: float
+    min_overlap: int
+    inflation_m: float = 0.0
+    crop: list[float] | None = None
+
+
+class CoverManifest(Manifest, frozen=True, kw_only=True):
+    """Manifest of `alula/cover`: polytopes {x : normal . x <= offset} in units of voxel_size_m."""
+
+    voxel_size_m: float
+    conservativeness: float
+    certificate: dict[str, Any]
+
+
+class PlanManifest(Manifest, frozen=True, kw_only=True):
+    """Manifest of `alula/plan`: piecewise degree-7 polynomials of local time."""
+
+    radius_m: float
+    speed_m_s: float
+    certificate: dict[str, Any]
+
+
+def native_commit() -> str:
+    """The commit baked into the extension module; empty in an editable build."""
+    from alula._core import commit
+
+    return commit
+
+
+@cache
+def producer() -> Producer:
+    """This program: its version, and the commit it was built from or runs from.
+
+    A wheel carries its commit. In a checkout git is asked; 'unknown' when neither can say.
+    """
+    commit = native_commit()
+    if not commit:
+        root = Path(__file__).resolve().parents[1]
+        try:
+            done = subprocess.run(
+                ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],
+                capture_output=True,
+                text=True,
+                timeout=10,
+                check=True,
+            )
+            commit = done.stdout.strip()
+        except (OSError, subprocess.SubprocessError):
+            commit = ""
+    return Producer("alula", __version__, commit or "unknown")
+
+
+def parse_version(text: str) -> tuple[int, int]:
+    """MAJOR, MINOR of a version string.
+
+    Raises:
+        ValueError: the text is not of the form MAJOR.MINOR.
+    """
+    match = re.fullmatch(r"(\d{1,6})\.(\d{1,6})", text)
+    if match is None:
+        raise ValueError(f"not a MAJOR.MINOR version: {text!r}")
+    return int(match[1]), int(match[2])

@@ -1,0 +1,151 @@
+"""Where an output came from, whatever its format, and whether it is still current."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from alula.schemas.errors import InputError
+from alula.schemas.manifest import InputRef, Producer, producer
+
+MARK = "alula-provenance: "
+RUN_METADATA = "alula/summary"
+_SEARCHED_BYTES = 2**20
+
+
+class Provenance(msgspec.Struct, frozen=True, kw_only=True):
+    """What an output was made of; equal provenance means an equal output.
+
+    Text formats carry it as one line that holds `MARK` and this as JSON; JSON files under the key
+    `provenance`; array artifacts in their manifest; MCAP logs in their metadata.
+    """
+
+    schema: str
+    version: str
+    producer: Producer
+    parameters: dict[str, Any]
+    seed: int | None
+    inputs: list[InputRef]
+    summary: dict[str, Any] = {}
+
+    @classmethod
+    def now(
+        cls,
+        schema: str,
+        version: str,
+        parameters: dict[str, Any],
+        seed: int | None,
+        inputs: Sequence[InputRef],
+    ) -> Provenance:
+        """The provenance of an output that this program makes now."""
+        return cls(
+            schema=schema,
+            version=version,
+            producer=producer(),
+            parameters=parameters,
+            seed=seed,
+            inputs=sorted(inputs),
+        )
+
+    def line(self, summary: dict[str, Any] | None = None) -> str:
+        """One line of text that `read_provenance` finds again."""
+        record = msgspec.structs.replace(self, summary=summary or {})
+        return MARK + msgspec.json.encode(record, order="sorted").decode()
+
+
+def differences(recorded: Provenance, wanted: Provenance) -> list[str]:
+    """In a few words each, what differs; empty when the recorded output is current.
+
+    The producer's commit does not count, its version does. File names do not count, hashes do.
+    """
+    found = []
+    if recorded.schema != wanted.schema:
+        return [f"it is {recorded.schema}, not {wanted.schema}"]
+    if (recorded.version, recorded.producer.version) != (wanted.version, wanted.producer.version):
+        found.append(f"it was written by version {recorded.producer.version}")
+    for key in sorted(recorded.parameters.keys() | wanted.parameters.keys()):
+        old, new = recorded.parameters.get(key), wanted.parameters.get(key)
+        if old != new:
+            found.append(f"{key} was {json.dumps(old)}, now {json.dumps(new)}")
+    if recorded.seed != wanted.seed:
+        found.append(f"seed was {recorded.seed}, now {wanted.seed}")
+    old_inputs = [(ref.role, ref.sha256) for ref in recorded.inputs]
+    if old_inputs != [(ref.role, ref.sha256) for ref in wanted.inputs]:
+        found.append("its inputs were others")
+    return found
+
+
+def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
+    """The provenance that a file carries, or None when it carries none that can be read.
+
+    With `verify` the content of an array artifact is checked too, and a damaged one counts as none.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(8)
+            if head.startswith(b"PK\x03\x04"):
+                return _of_artifact(path, verify)
+            if head == b"\x89MCAP0\r\n":
+                return _of_mcap(path)
+            rest = file.read(_SEARCHED_BYTES)
+    except (OSError, InputError):
+        return None
+    raw = head + rest
+    if path.suffix == ".json":
+        return _of_json(path)
+    mark = raw.find(MARK.encode())
+    if mark < 0:
+        return None
+    line = raw[mark + len(MARK) :].splitlines()[0]
+    end = line.rfind(b"}") + 1
+    return _decode(line[:end])
+
+
+def _of_artifact(path: Path, verify: bool) -> Provenance | None:
+    from alula.schemas.artifact import read_artifact, read_manifest
+
+    manifest = read_artifact(path).manifest if verify else read_manifest(path)
+    return Provenance(
+        schema=manifest.schema,
+        version=manifest.version,
+        producer=manifest.producer,
+        parameters=manifest.parameters,
+        seed=manifest.seed,
+        inputs=manifest.inputs,
+        summary=manifest.summary,
+    )
+
+
+def _of_json(path: Path) -> Provenance | None:
+    try:
+        record = msgspec.json.decode(path.read_bytes())
+    except (OSError, msgspec.MsgspecError):
+        return None
+    if not isinstance(record, dict) or not isinstance(record.get("provenance"), dict):
+        return None
+    return _decode(msgspec.json.encode(record["provenance"]))
+
+
+def _of_mcap(path: Path) -> Provenance | None:
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    try:
+        with path.open("rb") as file:
+            for record in make_reader(file).iter_metadata():
+                if record.name == RUN_METADATA:
+                    return _decode(record.metadata.get("provenance", "").encode())
+    except (McapError, OSError, ValueError, EOFError):
+        return None
+    return None
+
+
+def _decode(raw: bytes) -> Provenance | None:
+    try:
+        return msgspec.json.decode(raw, type=Provenance)
+    except msgspec.MsgspecError:
+        return None

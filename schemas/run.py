@@ -1,0 +1,113 @@
+"""What a run says of itself: one record per flight, beside and inside the MCAP log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from alula.schemas.errors import ArtifactError, DamagedError, InputError
+from alula.schemas.manifest import VERSION, Guarantee
+from alula.schemas.provenance import RUN_METADATA, Provenance
+
+RUN_SCHEMA = "alula/run"
+RUN_VERSION = VERSION
+RUN_SUFFIX = ".run.mcap"
+
+Outcome = Literal["reached", "stuck", "timeout", "refused"]
+
+
+class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
+    """How one flight ended.
+
+    Clearances are those of the vehicle's sphere, so negative means collision; they are computed
+    after the flight, independently of the filter, over the continuous path. `map_clearance_m` is
+    against the hulls of the cover, `scene_clearance_m` against the ellipsoids when a scene was given.
+    """
+
+    index: int
+    start_m: list[float]
+    goal_m: list[float]
+    outcome: Outcome
+    collision: bool
+    steps: int
+    duration_s: float
+    path_length_m: float
+    straight_length_m: float
+    map_clearance_m: float | None
+    scene_clearance_m: float | None
+    max_speed_m_s: float
+    filtered_steps: int
+    shortened_steps: int
+    infeasible_steps: int
+    fallback_steps: int
+    mean_jerk_m_s3: float
+    max_jerk_m_s3: float
+
+
+class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """The whole of a run's summary; `timing` is measured and so differs from run to run.
+
+    `summary` holds at least: trials, success_rate, success_interval (95 % Wilson), collisions,
+    reached, stuck, timeout, refused, min_map_clearance_m, min_scene_clearance_m, mean_path_ratio
+    (path over straight line, successful flights only).
+    """
+
+    schema: str
+    version: str
+    provenance: Provenance
+    name: str
+    filter: str
+    vehicle: str
+    trials: list[TrialResult]
+    summary: dict[str, Any]
+    guarantee: Guarantee
+    timing: dict[str, Any] | None = None
+
+
+def record_path(log: Path) -> Path:
+    """Where the summary beside a log lies: R.run.mcap has R.run.json."""
+    return log.with_suffix(".json")
+
+
+def read_run(log: Path) -> RunRecord:
+    """The summary of a run, from the log's metadata; timing comes from the file beside it.
+
+    Raises:
+        InputError: the log cannot be read.
+        ArtifactError: it is not a run of alula's.
+        DamagedError: truncated or corrupt.
+    """
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    if log.is_dir():
+        raise InputError(f"{log}: is a folder, not a run")
+    try:
+        with log.open("rb") as file:
+            magic = file.read(8)
+            if not magic:
+                raise ArtifactError(f"{log}: is empty")
+            if magic != b"\x89MCAP0\r\n":
+                raise ArtifactError(f"{log}: is not an MCAP log")
+            file.seek(0)
+            raw = [r.metadata for r in make_reader(file).iter_metadata() if r.name == RUN_METADATA]
+    except OSError as error:
+        raise InputError(f"{log}: cannot read: {error.strerror or error}") from error
+    except (McapError, ValueError, EOFError) as error:
+        raise DamagedError(f"{log}: truncated or corrupt MCAP log ({error})") from error
+    if not raw or "record" not in raw[0]:
+        raise ArtifactError(f"{log}: is an MCAP log, but not a run of alula's")
+    try:
+        record = msgspec.json.decode(raw[0]["record"], type=RunRecord)
+    except msgspec.MsgspecError as error:
+        raise DamagedError(f"{log}: its summary is not valid ({error})") from error
+    return msgspec.structs.replace(record, timing=_timing_beside(log))
+
+
+def _timing_beside(log: Path) -> dict[str, Any] | None:
+    try:
+        return msgspec.json.decode(record_path(log).read_bytes(), type=RunRecord).timing
+    except (OSError, msgspec.MsgspecError):
+        return None

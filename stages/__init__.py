@@ -1,0 +1,1 @@
+"""The stages: pure functions from artifacts to artifacts."""

@@ -1,0 +1,1 @@
+"""Metric alignment of a scene by a similarity."""

@@ -1,0 +1,1 @@
+"""Scene to voxels to convex cover, and the certificate of coverage."""

@@ -1,0 +1,1 @@
+"""Barriers and safety filters behind one protocol."""

@@ -1,0 +1,1 @@
+"""Vehicles, trajectories, planning and simulation."""
