@@ -105,9 +105,17 @@ class VoxelsManifest(Manifest, frozen=True, kw_only=True):
 
 
 class CoverManifest(Manifest, frozen=True, kw_only=True):
-    """Manifest of `alula/cover`: polytopes {x : normal . x <= offset} in units of voxel_size_m."""
+    """Manifest of `alula/cover`: polytopes {x : normal . x <= offset} in units of voxel_size_m.
+
+    `sigma`, `min_overlap`, `inflation_m` and `crop` are those of the voxels it covers, so that a
+    scene can be checked against the cover alone.
+    """
 
     voxel_size_m: float
+    sigma: float
+    min_overlap: int
+    inflation_m: float = 0.0
+    crop: list[float] | None = None
     conservativeness: float
     certificate: dict[str, Any]
 
