@@ -23,9 +23,8 @@ test: setup ## install what the tests need and run them
 setup: .venv/.installed ## make the environment in .venv/
 
 .venv/.dependencies: pyproject.toml $(CONSTRAINTS)
-	python=$$(.ci/find-python)
-	.ci/system-packages $$python
-	$$python -m venv .venv
+	.ci/system-packages "$$(.ci/find-python)"
+	"$$(.ci/find-python)" -m venv .venv
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
 	$(BIN)/pip install -q -c $(CONSTRAINTS) --group dev
 	touch $@
