@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +47,6 @@ def command(
     Beside the page, report.md holds the same tables and report.csv one row per trial.
     """
     from alula.cli.runner import parameters_of, run
-    from alula.schemas.atomic import write_text
     from alula.schemas.errors import UsageError
     from alula.schemas.run import record_path
     from alula.stages.reporting.figures import all_figures
@@ -87,12 +88,17 @@ def command(
         progress(3, 3)
 
         def write() -> None:
-            write_text(markdown, to_markdown(config.title, tables, comment(line)))
-            write_text(table, to_csv(material))
-            write_text(common.output, html)
+            _write_all(
+                {
+                    common.output: html,
+                    table: to_csv(material),
+                    markdown: to_markdown(config.title, tables, comment(line)),
+                }
+            )
 
         return write, {**summary, "bytes": len(html.encode())}
 
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns when it cannot cache its fonts
     run(common, "alula/report", "1.0", parameters_of(config), inputs, make)
 
 
@@ -132,6 +138,17 @@ def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenanc
         inputs=tuple(provenance.inputs),
         file_bytes={role: path.stat().st_size for role, path in inputs.items()},
     )
+
+
+def _write_all(texts: dict[Path, str]) -> None:
+    """Write files so that all appear or none; the first appears last, for it is the Make target."""
+    from alula.schemas.atomic import atomic_output
+
+    with ExitStack() as stack:
+        for path, text in texts.items():
+            file = stack.enter_context(atomic_output(path))
+            file.write(text.encode())
+            file.flush()
 
 
 def _check_beside(markdown: Path, table: Path, inputs: dict[str, Path], common: Common) -> None:

@@ -16,6 +16,7 @@ from alula.stages.reporting.tables import path_ratio
 
 Floats = NDArray[np.float64]
 
+_QUIET = ("", "ok", "filtered")  # what a filter does all the time
 _PLAN_SAMPLES = 400
 _DRAWN_POINTS = 600  # per path; more are not told apart on a page
 
@@ -63,7 +64,11 @@ class Compression:
 
 @dataclass(frozen=True, slots=True)
 class WorstFlight:
-    """The margin over time of the flight that came closest."""
+    """The margin over time of the flight that came closest.
+
+    `trouble` marks the margins where the filter had to do more than change the input; `statuses` are
+    the words for it.
+    """
 
     label: str
     trial: int
@@ -72,7 +77,8 @@ class WorstFlight:
     margin_m: Floats
     speed_time_s: Floats
     speed_m_s: Floats
-    troubled_s: Floats
+    trouble: NDArray[np.bool_]
+    statuses: tuple[str, ...]
 
 
 def distribution(label: str, values: Iterable[float | None]) -> Distribution:
@@ -217,7 +223,7 @@ def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:
         return None
     least, _, index, run, _ = min(candidates, key=lambda c: c[:3])
     flight = run.flights[index]
-    trouble = np.array([status not in ("", "ok", "optimal", "passed") for status in flight.status], np.bool_)
+    trouble = [status.lower() not in _QUIET for status in flight.status]
     return WorstFlight(
         run.label,
         index,
@@ -226,5 +232,6 @@ def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:
         flight.margin_m,
         flight.time_s,
         flight.speed_m_s,
-        flight.margin_time_s[trouble],
+        np.array(trouble, np.bool_),
+        tuple(sorted({s.lower() for s, bad in zip(flight.status, trouble, strict=True) if bad})),
     )

@@ -74,7 +74,9 @@ def _axes(width: float, height: float, rows: int = 1) -> Iterator[tuple[Any, Cal
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure as Canvas
 
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context():
+        mpl.rcdefaults()  # whatever style the user has
+        mpl.rcParams.update(_STYLE)
         figure = Canvas(figsize=(width, height), layout="constrained")
         FigureCanvasSVG(figure)
         axes = figure.subplots(rows, 1, sharex=rows > 1)
@@ -193,14 +195,13 @@ def _worst_figure(worst: curves.WorstFlight) -> Figure:
     with _axes(6.2, 4.2, rows=2) as ((top, bottom), render):
         top.axhline(0, color=COLORS["collision"], linewidth=1.2)
         top.plot(worst.margin_time_s, worst.margin_m, color=_RUN_COLORS[0], linewidth=1.6)
-        if len(worst.troubled_s):
-            at = np.isin(worst.margin_time_s, worst.troubled_s)
+        if worst.trouble.any():
             top.plot(
-                worst.margin_time_s[at],
-                worst.margin_m[at],
+                worst.margin_time_s[worst.trouble],
+                worst.margin_m[worst.trouble],
                 ".",
                 color=COLORS["stuck"],
-                label="filter not at an optimum",
+                label=", ".join(worst.statuses),
             )
             top.legend(fontsize=10)
         top.set(ylabel="margin [m]")
@@ -209,8 +210,9 @@ def _worst_figure(worst: curves.WorstFlight) -> Figure:
         svg = render()
     alt = (
         f"Margin that the filter reported and speed over time, {worst.label}, trial {worst.trial}, "
-        f"whose least clearance was {text(worst.clearance_m)} m; "
-        f"{len(worst.troubled_s)} of {len(worst.margin_time_s)} steps were not solved to an optimum."
+        f"whose least clearance was {text(worst.clearance_m)} m; in {int(worst.trouble.sum())} of "
+        f"{len(worst.trouble)} logged steps the filter had to do more than change the input"
+        f"{' (' + ', '.join(worst.statuses) + ')' if worst.statuses else ''}."
     )
     return Figure("worst", f"The closest flight: {worst.label}, trial {worst.trial}", alt, svg)
 
@@ -231,6 +233,10 @@ def _compression_figure(curve: curves.Compression) -> Figure:
             one.set(xscale="log", ylabel=label)
         last = axes[-1] if len(shown) > 1 else axes
         last.set(xlabel="hulls")
+        ticks = [c * 10**p for p in range(8) for c in (1, 2, 5)]
+        ticks = [t for t in ticks if curve.hulls.min() <= t <= curve.hulls.max()]
+        last.set_xticks(ticks, [text(t) for t in ticks])
+        last.minorticks_off()
         svg = render()
     ends = ", ".join(
         f"{label} from {text(float(values[0]))} to {text(float(values[-1]))}" for values, label in shown

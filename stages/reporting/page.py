@@ -16,6 +16,11 @@ from alula.stages.reporting.view3d import View
 
 _FOLDED_ROWS = 15  # longer tables are folded
 
+# Nothing may be fetched, whatever a page of k3d tries; its code and workers are inside the page.
+_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
+    "script-src 'unsafe-inline' 'unsafe-eval' blob:; worker-src blob:; connect-src data: blob:"
+)
 _STYLE = """
 :root { --ink: #1c2430; --soft: #5b6673; --line: #e2e6ea; --back: #f6f7f9; --accent: #0072b2; }
 * { box-sizing: border-box; }
@@ -56,15 +61,16 @@ iframe {
 }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; width: 100%; font-size: 13.5px; }
+.narrow { width: fit-content; max-width: 100%; }
 th, td {
   text-align: left; padding: 6px 12px; vertical-align: top;
-  border-bottom: 1px solid var(--line); overflow-wrap: anywhere;
+  border-bottom: 1px solid var(--line); overflow-wrap: break-word;
 }
 thead th { color: var(--soft); font-weight: 600; border-bottom-width: 2px; }
 tbody th { font-weight: 500; }
 tbody tr:last-child > * { border-bottom: 0; }
 tbody tr:hover { background: #f8fafb; }
-.number { text-align: right; font-variant-numeric: tabular-nums; overflow-wrap: normal; }
+.number { text-align: right; font-variant-numeric: tabular-nums; }
 td.number { white-space: nowrap; }
 summary { cursor: pointer; padding: 10px 12px; color: var(--accent); font-weight: 600; font-size: 14px; }
 @media (max-width: 800px) {
@@ -99,6 +105,7 @@ def page(
         "<!doctype html>",
         '<html lang="en"><head><meta charset="utf-8">',
         f"<!-- {comment(provenance_line)} -->" if provenance_line else "",
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>{escape(material.title)}</title>",
         f"<style>{_STYLE}</style></head><body><main>",
@@ -130,7 +137,9 @@ def _subtitle(material: Material) -> str:
     if material.runs:
         filters = ", ".join(dict.fromkeys(run.record.filter for run in material.runs))
         vehicles = ", ".join(dict.fromkeys(run.record.vehicle for run in material.runs))
-        parts.append(f"{text(trials)} trials in {text(len(material.runs))} run(s)")
+        parts.append(
+            f"{text(trials)} trials in {len(material.runs)} {'run' if len(material.runs) == 1 else 'runs'}"
+        )
         parts += [f"filter {filters}", f"vehicle {vehicles}"]
     if material.cover is not None:
         parts.append(f"voxels of {text(material.cover.manifest.voxel_size_m)} m")  # type: ignore[attr-defined]
@@ -187,8 +196,7 @@ def _view(view: View) -> str:
 
 def _table(table: Table) -> str:
     numeric = [
-        any(_is_number(row[column]) for row in table.rows)
-        and all(_is_number(row[column]) or row[column] is None for row in table.rows)
+        all(_is_number(row[column]) or row[column] is None for row in table.rows)
         for column in range(len(table.columns))
     ]
 
@@ -206,12 +214,14 @@ def _table(table: Table) -> str:
         + "</tr>"
         for row in table.rows
     )
-    whole = f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+    inner = f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody>"
+    whole = f'<div class="scroll"><table>{inner}</table></div>'
     if len(table.rows) > _FOLDED_ROWS and table.name != "runs":
         whole = f"<details><summary>{len(table.rows)} rows</summary>{whole}</details>"
     note = f'<p class="soft">{escape(table.note)}</p>' if table.note else ""
     title = f"<h2>{escape(table.title)}</h2>"
-    return f'<section id="{escape(table.name)}">{title}<div class="panel">{whole}</div>{note}</section>'
+    panel = "panel narrow" if len(table.columns) <= 4 else "panel"
+    return f'<section id="{escape(table.name)}">{title}<div class="{panel}">{whole}</div>{note}</section>'
 
 
 def _is_number(value: Any) -> bool:

@@ -81,7 +81,8 @@ def _polymerge_sizes(material: Material) -> Parts:
         "bytes per half-plane",
     )
     note = (
-        "Published half-planes are printed in thousands; published bytes are 235 per half-plane, as stated. "
+        "Published half-planes are printed in thousands; their bytes are computed from the "
+        "235 per half-plane that the paper states. "
         "Scenes differ, so only counts per hull and bytes per half-plane compare."
     )
     return "polymerge-1", "PolyMerge, Table I: size of the map", columns, tuple(rows), note

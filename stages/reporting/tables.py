@@ -252,7 +252,7 @@ def cover_table(material: Material) -> Table:
 def _plain(record: dict[str, Any]) -> Iterable[tuple[str, Any]]:
     """Entries that fit into a cell."""
     for key, value in record.items():
-        if not isinstance(value, list) or len(value) <= 6:
+        if not isinstance(value, list) or (len(value) <= 6 and not any(isinstance(v, dict) for v in value)):
             yield key, value
 
 
@@ -279,9 +279,9 @@ def _map_cards(material: Material) -> list[Card]:
     covered = is_covered(material.certificate, material.cover)
     found = [
         Card(
-            "covered",
+            "obstacles covered",
             text(covered) if covered is not None else "not verified",
-            "every obstacle inside a hull",
+            "every obstacle lies inside a hull",
             covered,
         )
     ]

@@ -177,6 +177,7 @@ def _page(objects: Sequence[Any]) -> str:
         item.id = number
         plot += item
     plot.camera = plot.get_auto_camera(yaw=-60, pitch=50, factor=0.9)
-    return re.sub(
-        r"<title>.*?</title>", "<title>3D view</title>", plot.get_snapshot(), count=1, flags=re.DOTALL
-    )
+    page: str = plot.get_snapshot()
+    # k3d's style sheet names fallback fonts beside the page; browsers look for them, in vain.
+    page = page.replace("eval(k3dSource);", "eval(k3dSource.split('url(fonts/').join('url(data:,'));")
+    return re.sub(r"<title>.*?</title>", "<title>3D view</title>", page, count=1, flags=re.DOTALL)
