@@ -6,8 +6,10 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 
-#include <cmath>
+#include <memory>
+#include <string>
 #include <stdexcept>
+#include <tuple>
 
 #include "alula/parallel.hpp"
 #include "arrays.hpp"
@@ -17,6 +19,9 @@ using namespace nb::literals;
 
 namespace alula {
 namespace {
+
+template <class T>
+using Out = nb::ndarray<nb::numpy, T>;
 
 alula_smoothing smoothing_of(const std::string& name) {
   if (name == "sound") return ALULA_SMOOTHING_SOUND;
@@ -39,15 +44,14 @@ void construct(PolytopeCbf* self, const InRows3<double>& normal, const InVector<
   new (self) PolytopeCbf(std::move(map), config);
 }
 
-nb::tuple filter(PolytopeCbf& self, const Vec3& x, const Vec3& u_nom) {
+std::tuple<Vec3, int, double, double, std::int64_t> filter(PolytopeCbf& self, const Vec3& x, const Vec3& u_nom) {
   const FilterOutput output = self.filter(x, u_nom);
   const auto active = output.detail.active;
-  return nb::make_tuple(output.u, static_cast<int>(output.status), static_cast<double>(output.detail.margin_m),
-                        static_cast<double>(output.detail.hard_margin_m),
-                        active == ALULA_NO_HULL ? -1 : static_cast<std::int64_t>(active));
+  return {output.u, static_cast<int>(output.status), output.detail.margin_m, output.detail.hard_margin_m,
+          active == ALULA_NO_HULL ? -1 : static_cast<std::int64_t>(active)};
 }
 
-nb::tuple psi(const PolytopeCbf& self, const InRows3<double>& points, unsigned jobs) {
+std::tuple<Out<double>, Out<double>, Out<double>> psi(const PolytopeCbf& self, const InRows3<double>& points, unsigned jobs) {
   const std::size_t count = points.shape(0);
   std::vector<double> smooth(count), hard(count), gradient(3 * count);
   {
@@ -64,17 +68,19 @@ nb::tuple psi(const PolytopeCbf& self, const InRows3<double>& points, unsigned j
       }
     });
   }
-  return nb::make_tuple(to_numpy(std::move(smooth), {count}), to_numpy(std::move(hard), {count}),
-                        to_numpy(std::move(gradient), {count, 3}));
+  return {to_numpy(std::move(smooth), {count}), to_numpy(std::move(hard), {count}),
+          to_numpy(std::move(gradient), {count, 3})};
 }
 
-nb::tuple map_arrays(const PolytopeCbf& self) {
+std::tuple<Out<float>, Out<std::uint32_t>, Out<float>, Out<float>, double, double> map_arrays(const PolytopeCbf& self) {
   const PolytopeMap& map = self.map();
   const std::size_t hulls = map.plane_start.size() - 1;
-  return nb::make_tuple(to_numpy(std::vector(map.plane), {map.plane.size() / 4, 4}),
-                        to_numpy(std::vector(map.plane_start), {hulls + 1}), to_numpy(std::vector(map.lower), {hulls, 3}),
-                        to_numpy(std::vector(map.upper), {hulls, 3}), static_cast<double>(map.extent_m),
-                        static_cast<double>(map.slack_m));
+  return {to_numpy(std::vector(map.plane), {map.plane.size() / 4, 4}),
+          to_numpy(std::vector(map.plane_start), {hulls + 1}),
+          to_numpy(std::vector(map.lower), {hulls, 3}),
+          to_numpy(std::vector(map.upper), {hulls, 3}),
+          map.extent_m,
+          map.slack_m};
 }
 
 }  // namespace
@@ -98,14 +104,14 @@ void bind_polytope_cbf(nb::module_& m) {
 
   m.def(
       "onboard_exp_log",
-      [](const InVector<float>& x) {
+      [](const InVector<float>& x) -> std::tuple<Out<float>, Out<float>> {
         std::vector<float> exponential, logarithm;
         for (const float value : as_span(x)) {
           exponential.push_back(alula_expf(value));
           logarithm.push_back(alula_logf(value));
         }
         const std::size_t count = exponential.size();
-        return nb::make_tuple(to_numpy(std::move(exponential), {count}), to_numpy(std::move(logarithm), {count}));
+        return {to_numpy(std::move(exponential), {count}), to_numpy(std::move(logarithm), {count})};
       },
       "x"_a, "The onboard exponential and logarithm, for checking their error bounds.");
 }

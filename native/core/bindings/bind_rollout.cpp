@@ -4,7 +4,6 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 
-#include <cstring>
 #include <memory>
 #include <stdexcept>
 
@@ -39,9 +38,11 @@ struct SteppedTrial {
   SteppedTrial(const SteppedTrial&) = delete;
 };
 
-nb::dict to_dict(TrialLog&& log) {
+using LogDict = nb::typed<nb::dict, nb::str, nb::any>;
+
+LogDict to_dict(TrialLog&& log) {
   const std::size_t steps = log.status.size();
-  nb::dict result;
+  LogDict result;
   result["position"] = to_numpy(std::move(log.position), {steps + 1, 3});
   result["u_nom"] = to_numpy(std::move(log.u_nom), {steps, 3});
   result["u"] = to_numpy(std::move(log.u), {steps, 3});
@@ -52,7 +53,7 @@ nb::dict to_dict(TrialLog&& log) {
   return result;
 }
 
-nb::list run(const PolytopeCbf& cbf, const InRows3<double>& start, const InRows3<double>& goal,
+nb::typed<nb::list, LogDict> run(const PolytopeCbf& cbf, const InRows3<double>& start, const InRows3<double>& goal,
              const TrialRules& rules, const InRows3<double>& reference_position,
              const InRows3<double>& reference_velocity, bool use_filter, unsigned jobs, nb::object progress) {
   const auto starts = points_of(start), goals = points_of(goal);
@@ -63,7 +64,7 @@ nb::list run(const PolytopeCbf& cbf, const InRows3<double>& start, const InRows3
     const nb::gil_scoped_release release;
     logs = rollout(cbf, starts, goals, rules, reference, use_filter, jobs, control);
   }
-  nb::list result;
+  nb::typed<nb::list, LogDict> result;
   for (TrialLog& log : logs) result.append(to_dict(std::move(log)));
   return result;
 }

@@ -28,7 +28,7 @@ Trial::Trial(const Vec3& start, const Vec3& goal, const TrialRules& rules, Refer
       goal_(goal),
       rules_(rules),
       reference_(reference),
-      stop_distance_(rules.stop_fraction * distance(start, goal)) {
+      stop_distance_(std::max(rules.stop_fraction * distance(start, goal), 1e-3)) {
   const bool good = rules.dt_s > 0 && rules.gain > 0 && rules.v_max > 0 && rules.stop_fraction >= 0 &&
                     rules.stuck_speed >= 0 && rules.stuck_steps > 0 && rules.max_steps > 0 &&
                     rules.gain / 2 * rules.dt_s <= 1 && reference.position.size() == reference.velocity.size();

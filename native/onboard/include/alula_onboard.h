@@ -41,12 +41,12 @@ typedef enum {
   ALULA_FILTER_REFUSED     /* no safe input is known: zero */
 } alula_filter_status;
 
-/* e^x with a relative error below 1.2e-7 where the result is a normal number; smaller results are 0,
+/* e^x with a relative error below 1e-7 where the result is a normal number; smaller results are 0,
  * larger ones infinity, and NaN gives NaN. */
 ALULA_MUST_USE float alula_expf(float x);
 
-/* Natural logarithm with an absolute error below 1.2e-7 * max(|log x|, 1e-30) for finite x > 0; 0 gives
- * -infinity, negative numbers and NaN give NaN. */
+/* Natural logarithm with a relative error below 1e-7 for finite x > 0; 0 gives -infinity, infinity
+ * gives infinity, negative numbers and NaN give NaN. */
 ALULA_MUST_USE float alula_logf(float x);
 
 /* False for NaN and both infinities. */

@@ -16,7 +16,7 @@ struct TrialRules {
   double dt_s = 0.01;
   double gain = 2;              // c of the control Lyapunov function [1/s]
   double v_max = 1;             // the nominal input is scaled down to this [m/s]
-  double stop_fraction = 0.01;  // reached within this part of the start-goal distance
+  double stop_fraction = 0.01;  // reached within this part of the start-goal distance, or a millimetre
   double stuck_speed = 1e-3;    // [m/s]
   std::int64_t stuck_steps = 100;
   std::int64_t max_steps = 0;
