@@ -118,7 +118,8 @@ def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenanc
         label = log.name.removesuffix(".run.mcap").removesuffix(".mcap")
         if any(label == other.label for other in flown):
             label = f"{label} ({len(flown) + 1})"
-        flown.append(Run(label, record, read_flights(log)))
+        flights = read_flights(log)
+        flown.append(Run(label, record, flights.by_trial, flights.hulls))
     artifacts = {
         kind.name.removeprefix("alula/"): read_artifact(inputs[kind.name.removeprefix("alula/")], kind)
         for kind in (COVER, SCENE, PLAN)

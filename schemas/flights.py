@@ -1,8 +1,8 @@
-"""What a run's log holds of each flight: states and safety margins over time."""
+"""What a run's log holds: states and safety margins of each flight over time, and its channels."""
 
 from __future__ import annotations
 
-import math
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError, DamagedError, InputError
 
+MAP_TOPIC = "/map"
 STATE_TOPIC = "/state"
 SAFETY_TOPIC = "/safety"
 
@@ -37,22 +38,49 @@ class Flight:
     status: tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class Flights:
+    """The flights of a run by trial, and the hulls of the map that it flew through, when it says."""
+
+    by_trial: dict[int, Flight]
+    hulls: int | None
+
+
+class _Vector(msgspec.Struct, gc=False):
+    x: float
+    y: float
+    z: float
+
+
 class _State(msgspec.Struct, gc=False):
     trial: int
     time_s: float
-    position_m: tuple[float, float, float]
-    velocity_m_s: tuple[float, float, float]
+    position_m: _Vector
+    velocity_m_s: _Vector
 
 
 class _Safety(msgspec.Struct, gc=False):
     trial: int
     time_s: float
-    margin_m: float | None = None
-    status: str = ""
+    h_m: float | None = None
+    status_name: str = ""
 
 
-def read_flights(log: Path) -> dict[int, Flight]:
-    """The flights in a run's log, by trial; empty when it holds no states.
+class _Pair(msgspec.Struct):
+    key: str
+    value: str
+
+
+class _Entity(msgspec.Struct):
+    metadata: list[_Pair] = []
+
+
+class _Map(msgspec.Struct):
+    entities: list[_Entity] = []
+
+
+def read_flights(log: Path) -> Flights:
+    """The flights in a run's log; none when it holds no states.
 
     Raises:
         InputError: the log cannot be read.
@@ -63,18 +91,21 @@ def read_flights(log: Path) -> dict[int, Flight]:
 
     states: dict[int, list[_State]] = {}
     safety: dict[int, list[_Safety]] = {}
+    hulls = None
     decode_state = msgspec.json.Decoder(_State).decode
     decode_safety = msgspec.json.Decoder(_Safety).decode
     try:
         with log.open("rb") as file:
             for _, channel, message in make_reader(file).iter_messages(
-                topics=[STATE_TOPIC, SAFETY_TOPIC], log_time_order=False
+                topics=[MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC], log_time_order=False
             ):
                 if channel.message_encoding != "json":
                     raise ArtifactError(f"{log}: channel {channel.topic} is not JSON")
                 if channel.topic == STATE_TOPIC:
                     state = decode_state(message.data)
                     states.setdefault(state.trial, []).append(state)
+                elif channel.topic == MAP_TOPIC:
+                    hulls = _hull_count(msgspec.json.decode(message.data, type=_Map))
                 else:
                     answer = decode_safety(message.data)
                     safety.setdefault(answer.trial, []).append(answer)
@@ -84,18 +115,58 @@ def read_flights(log: Path) -> dict[int, Flight]:
         raise DamagedError(f"{log}: a message is not as documented ({error})") from error
     except (McapError, ValueError, EOFError) as error:
         raise DamagedError(f"{log}: truncated or corrupt MCAP log ({error})") from error
-    return {trial: _flight(states[trial], safety.get(trial, [])) for trial in sorted(states)}
+    flights = {trial: _flight(states[trial], safety.get(trial, [])) for trial in sorted(states)}
+    return Flights(flights, hulls)
+
+
+def _hull_count(message: _Map) -> int | None:
+    for entity in message.entities:
+        for pair in entity.metadata:
+            if pair.key == "hulls" and pair.value.isdecimal():
+                return int(pair.value)
+    return None
 
 
 def _flight(states: list[_State], safety: list[_Safety]) -> Flight:
     states.sort(key=lambda state: state.time_s)
     safety.sort(key=lambda answer: answer.time_s)
-    velocity = np.array([state.velocity_m_s for state in states]).reshape(-1, 3)
+    position = [(v.x, v.y, v.z) for v in (state.position_m for state in states)]
+    velocity = [(v.x, v.y, v.z) for v in (state.velocity_m_s for state in states)]
+    square = np.square(np.array(velocity, np.float64).reshape(-1, 3)).sum(axis=1)
     return Flight(
         time_s=np.array([state.time_s for state in states]),
-        position_world=np.array([state.position_m for state in states]).reshape(-1, 3),
-        speed_m_s=np.sqrt((velocity * velocity).sum(axis=1)),
+        position_world=np.array(position, np.float64).reshape(-1, 3),
+        speed_m_s=np.sqrt(square),
         margin_time_s=np.array([answer.time_s for answer in safety], np.float64),
-        margin_m=np.array([math.nan if a.margin_m is None else a.margin_m for a in safety], np.float64),
-        status=tuple(answer.status for answer in safety),
+        margin_m=np.array([answer.h_m for answer in safety], np.float64),  # None becomes NaN
+        status=tuple(answer.status_name for answer in safety),
     )
+
+
+def count_messages(log: Path) -> tuple[dict[str, int], bool]:
+    """Messages per topic as far as a log can be read, and whether that is to its end.
+
+    Raises:
+        InputError: the log cannot be opened.
+    """
+    from mcap.exceptions import McapError
+    from mcap.records import Channel, Footer, Message
+    from mcap.stream_reader import StreamReader
+
+    topics: dict[int, str] = {}
+    counts: dict[str, int] = {}
+    try:
+        with log.open("rb") as file:
+            for record in StreamReader(file).records:
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+                elif isinstance(record, Message):
+                    topic = topics.get(record.channel_id, "?")
+                    counts[topic] = counts.get(topic, 0) + 1
+                elif isinstance(record, Footer):
+                    return counts, True
+    except OSError as error:
+        raise InputError(f"{log}: cannot read: {error.strerror or error}") from error
+    except (McapError, ValueError, EOFError, struct.error):
+        pass
+    return counts, False

@@ -184,7 +184,7 @@ def make_record(trials, name="tiny", filter_name="polytope-cbf", summary=None, *
     )
 
 
-def write_run(log: Path, record: RunRecord, steps=60, timing=None) -> None:
+def write_run(log: Path, record: RunRecord, steps=60, timing=None, hulls=None) -> None:
     """An MCAP log with the channels of a run: sine-shaped paths, margins that dip in the middle."""
     from mcap.writer import Writer
 
@@ -192,9 +192,16 @@ def write_run(log: Path, record: RunRecord, steps=60, timing=None) -> None:
         writer = Writer(file)
         writer.start()
         channels = {}
-        for topic, schema in (("/state", "alula.State"), ("/safety", "alula.Safety")):
+        for topic, schema in (
+            ("/map", "foxglove.SceneUpdate"),
+            ("/state", "alula.State"),
+            ("/safety", "alula.Safety"),
+        ):
             number = writer.register_schema(schema, "jsonschema", b"{}")
             channels[topic] = writer.register_channel(topic, "json", number)
+        if hulls is not None:
+            entity = {"id": "map", "metadata": [{"key": "hulls", "value": str(hulls)}], "triangles": []}
+            writer.add_message(channels["/map"], 0, json.dumps({"entities": [entity]}).encode(), 0)
         for trial in record.trials:
             share = np.linspace(0, 1, steps)
             start, goal = np.array(trial.start_m), np.array(trial.goal_m)
@@ -202,13 +209,18 @@ def write_run(log: Path, record: RunRecord, steps=60, timing=None) -> None:
                 time = float(s * trial.duration_s)
                 position = start + s * (goal - start) + [0, 0.3 * np.sin(3 * s), 0.1 * np.sin(9 * s)]
                 least = trial.map_clearance_m or 0.0
+                velocity = {"x": 1.0, "y": 0.0, "z": 0.0}
                 messages = {
-                    "/state": {"position_m": position.tolist(), "velocity_m_s": [1.0, 0.0, 0.0]},
+                    "/state": {
+                        "position_m": dict(zip("xyz", position.tolist(), strict=True)),
+                        "velocity_m_s": velocity,
+                    },
                     "/safety": {
-                        "margin_m": least + abs(s - 0.5),
-                        "status": "recovering" if step == 3 else "ok",
-                        "u_nom": [0.0] * 3,
-                        "u_safe": [0.0] * 3,
+                        "h_m": None if step == 5 else least + abs(s - 0.5),
+                        "status": 3 if step == 3 else 0,
+                        "status_name": "recovering" if step == 3 else "ok",
+                        "u_nom_m_s": velocity,
+                        "u_safe_m_s": velocity,
                     },
                 }
                 for topic, fields in messages.items():

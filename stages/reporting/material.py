@@ -16,11 +16,12 @@ OUTCOMES = ("reached", "stuck", "timeout", "refused", "collision")
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One log: its label (unique in the report), its summary and its flights by trial."""
+    """One log: its label (unique in the report), its summary, its flights by trial, hulls of its map."""
 
     label: str
     record: RunRecord
     flights: Mapping[int, Flight] = field(default_factory=dict)
+    hulls: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

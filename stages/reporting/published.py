@@ -129,9 +129,8 @@ def _flown(run: Run | None) -> tuple[Any, ...]:
 
 def hulls_of(run: Run, material: Material) -> int | None:
     """Hulls of the map that a run flew through: as it says, or of the given cover when it was its input."""
-    said = run.record.summary.get("hulls")
-    if isinstance(said, int):
-        return said
+    if run.hulls is not None:
+        return run.hulls
     cover_hash = next((ref.sha256 for ref in material.inputs if ref.role == "cover"), None)
     if material.cover is not None and cover_hash is not None:
         used = {ref.sha256 for ref in run.record.provenance.inputs}

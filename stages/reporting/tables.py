@@ -132,6 +132,7 @@ def _summary_of(run: Run) -> dict[str, Any]:
     return {
         "filter": record.filter,
         "vehicle": record.vehicle,
+        "hulls of the map": run.hulls,
         "trials": len(trials),
         "success rate": summary.get("success_rate"),
         "success rate, 95 % low": interval[0] if interval else None,
