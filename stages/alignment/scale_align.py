@@ -216,7 +216,7 @@ def _guarantee(manifest: SceneManifest, known: float | None, inflation: float) -
     else:
         error = (
             f"with {CONFIDENCE:.0%} confidence no point is off by more than {inflation:.3g} m, if the "
-            "reference has no error in common."
+            "errors of the correspondences are independent."
         )
     return Guarantee(
         statement=f"{before.statement} It was mapped by one similarity; {error}".strip(),
