@@ -4,6 +4,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/tuple.h>
 
 #include "arrays.hpp"
 #include "python_control.hpp"
@@ -24,7 +25,7 @@ void bind_voxelize(nb::module_& m) {
           found = alula::voxelize(splats, {sigma, inflation}, voxel_size, crop, jobs, control);
         }
         const std::size_t count = found.voxels.count.size();
-        return nb::make_tuple(alula::to_numpy(std::move(found.voxels.index), {count, 3}),
+        return std::make_tuple(alula::to_numpy(std::move(found.voxels.index), {count, 3}),
                               alula::to_numpy(std::move(found.voxels.count), {count}), found.outside, found.cut);
       },
       "mean"_a, "scale"_a, "quat_wxyz"_a, "sigma"_a, "voxel_size"_a, "inflation"_a = 0.0, "crop"_a = nb::none(),
