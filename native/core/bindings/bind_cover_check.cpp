@@ -1,6 +1,8 @@
 // Bindings of alula/cover_check.hpp.
 #include <nanobind/nanobind.h>
 
+#include <stdexcept>
+
 #include "alula/cover_check.hpp"
 #include "arrays.hpp"
 #include "python_control.hpp"
@@ -52,6 +54,36 @@ Violations check_cover_occupied(const InRows3<std::int32_t>& member_index, const
   return to_rows(found);
 }
 
+const char* fault_text(std::int32_t fault) {
+  switch (static_cast<Fault>(fault)) {
+    case Fault::kEmptyHull:
+      return "hull is empty";
+    case Fault::kBadNormal:
+      return "normal is zero or not primitive";
+    case Fault::kRepeated:
+      return "planes or vertices are not sorted and unique";
+    case Fault::kVertexOutside:
+      return "vertex is outside its hull";
+    case Fault::kUnsupportedPlane:
+      return "plane is no facet of its hull";
+    case Fault::kOpenEdge:
+      return "hull is not closed";
+    case Fault::kIdleVertex:
+      return "vertex is not extreme";
+    case Fault::kMemberOrder:
+      return "members are not sorted and unique";
+    case Fault::kMemberOutside:
+      return "member is outside its hull";
+    case Fault::kLooseVertex:
+      return "vertex is no corner of a member";
+    case Fault::kNotCovered:
+      return "voxel is not covered";
+    case Fault::kNotOccupied:
+      return "member is not an occupied voxel";
+  }
+  throw std::invalid_argument("no such fault");
+}
+
 }  // namespace
 }  // namespace alula
 
@@ -61,10 +93,5 @@ void bind_cover_check(nb::module_& m) {
         "Exact check of each hull of a cover. Returns rows (fault, hull, row, other), ordered by hull.");
   m.def("check_cover_occupied", &alula::check_cover_occupied, "member_index"_a, "member_start"_a, "occupied"_a,
         "Whether the members of a cover are exactly the occupied voxels. Returns rows as check_cover_hulls.");
-  m.attr("COVER_FAULTS") = nb::make_tuple("hull is empty", "normal is zero or not primitive",
-                                          "planes or vertices are not sorted and unique", "vertex is outside its hull",
-                                          "plane is no facet of its hull", "hull is not closed", "vertex is not extreme",
-                                          "members are not sorted and unique", "member is outside its hull",
-                                          "vertex is no corner of a member", "voxel is not covered",
-                                          "member is not an occupied voxel");
+  m.def("cover_fault", &alula::fault_text, "fault"_a, "What a fault number of the checks above means.");
 }

@@ -17,6 +17,8 @@ std::span<const Lattice> as_lattice(const InRows3<std::int32_t>& rows) {
   return {reinterpret_cast<const Lattice*>(rows.data()), rows.shape(0)};
 }
 
+using Result = nb::typed<nb::dict, nb::str, nb::any>;
+
 struct Flat {
   std::vector<std::int32_t> vertex;
   std::vector<std::int64_t> vertex_start{0}, normal, offset, plane_start{0};
@@ -33,7 +35,7 @@ struct Flat {
     }
   }
 
-  void put(nb::dict& result) {
+  void put(Result& result) {
     const std::size_t vertices = vertex.size() / 3, planes = offset.size(), starts = vertex_start.size();
     result["vertex"] = to_numpy(std::move(vertex), {vertices, 3});
     result["vertex_start"] = to_numpy(std::move(vertex_start), {starts});
@@ -43,7 +45,7 @@ struct Flat {
   }
 };
 
-nb::dict lattice_hull(const InRows3<std::int32_t>& points) {
+Result lattice_hull(const InRows3<std::int32_t>& points) {
   std::vector<LatticePolytope> hulls;
   {
     const nb::gil_scoped_release release;
@@ -51,12 +53,12 @@ nb::dict lattice_hull(const InRows3<std::int32_t>& points) {
     builder.build(as_lattice(points));
     hulls.push_back(builder.polytope());
   }
-  nb::dict result;
+  Result result;
   Flat(hulls).put(result);
   return result;
 }
 
-nb::dict merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint32_t>& member,
+Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint32_t>& member,
                      const InVector<std::int64_t>& member_start, int block, bool is_paper, std::size_t max_hulls,
                      std::size_t max_planes, double max_growth, unsigned jobs, nb::object progress) {
   PythonControl control(std::move(progress));
@@ -86,7 +88,7 @@ nb::dict merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::ui
       }
     }
   }
-  nb::dict result;
+  Result result;
   Flat(cover.hull).put(result);
   const std::size_t members = member_index.size() / 3, merges = cover.history.size(), points = cover.curve.size();
   result["member_index"] = to_numpy(std::move(member_index), {members, 3});
