@@ -299,7 +299,7 @@ def test_far_from_the_origin_it_stays_safe():
     shift = np.array([9e5, -8e5, 7e5])
     planes = boxes(shift, shift + 10.0)
     cbf = make(planes, extent_m=1e6, radius_m=1.0, v_max=5.0, dt_s=0.1)
-    x = shift + [-8.0, 5.0, 5.0]
+    x = shift + np.array([-8.0, 5.0, 5.0])
     for _ in range(300):
         u, status, *_ = cbf.filter(x, [5.0, 0.0, 0.0])
         assert status in (OK, FILTERED, SHORTENED, RECOVERING)
@@ -361,7 +361,9 @@ def test_exponential_and_logarithm_keep_their_stated_errors_over_all_floats():
             assert np.isnan(logarithm[x < 0]).all()
     special = np.array([0, np.inf, -np.inf, np.nan], np.float32)
     assert np.array_equal(_core.onboard_exp_log(special)[0], [1, np.inf, 0, np.nan], equal_nan=True)
-    assert np.array_equal(_core.onboard_exp_log(special)[1], [-np.inf, np.inf, np.nan, np.nan], equal_nan=True)
+    assert np.array_equal(
+        _core.onboard_exp_log(special)[1], [-np.inf, np.inf, np.nan, np.nan], equal_nan=True
+    )
 
 
 @pytest.mark.skipif(not (shutil.which("cc") and shutil.which("nm")), reason="needs a C compiler and nm")

@@ -248,9 +248,7 @@ def test_pairs_are_clear_apart_uniform_and_counted():
     def psi(points):
         return np.abs(points[:, 0] - 0.5) - 0.1  # a slab in the middle
 
-    pairs = sample_pairs(
-        400, 7, (np.zeros(3), np.ones(3)), 0.5, psi, lambda points, hard: hard >= 0.05
-    )
+    pairs = sample_pairs(400, 7, (np.zeros(3), np.ones(3)), 0.5, psi, lambda points, hard: hard >= 0.05)
     assert (np.linalg.norm(pairs.goal - pairs.start, axis=1) >= 0.5).all()
     for points in (pairs.start, pairs.goal):
         assert (psi(points) >= 0.05).all()
