@@ -1,0 +1,38 @@
+// Exact signed distances of points and segments to one ellipsoid.
+#pragma once
+
+#include "alula/vec3.hpp"
+
+namespace alula::geometry {
+
+// {mu + sum_i z_i axis[i] : sum_i (z_i / semi[i])^2 <= 1}; orthonormal axes, semi-axes > 0.
+struct Ellipsoid {
+  Vec3 centre;
+  Vec3 axis[3];
+  Vec3 semi;
+};
+
+// The ellipsoid of a Gaussian at level k: semi-axes k * scale, axes the columns of the rotation
+// of the quaternion (w, x, y, z), which is normalised here.
+Ellipsoid gaussian_ellipsoid(const float* mean, const float* scale, const float* quat_wxyz, double k);
+
+// Its exact axis-aligned bounds, rounded outward.
+Box bounds(const Ellipsoid& ellipsoid);
+
+struct SignedDistance {
+  double value;  // negative inside: minus the distance to the surface
+  Vec3 normal;   // unit outward normal at the closest point, the gradient of `value`
+};
+
+// Signed Euclidean distance of a point. The closest point y solves
+//   y_i = semi_i^2 z_i / (lambda + semi_i^2),   sum_i (y_i / semi_i)^2 = 1,
+// with lambda > 0 outside and -min(semi)^2 <= lambda <= 0 inside. Newton's iteration on
+// 1 / |y / semi|, which is concave in lambda, converges from the left without overshoot; inside
+// it runs on lambda + min(semi)^2, so that an axis of 1e-9 loses no digits.
+SignedDistance signed_distance(const Ellipsoid& ellipsoid, Vec3 point);
+
+// Minimum of the signed distance over the segment from a to b: convex in the parameter, bracketed
+// by tangents until the bracket is below rounding. Any value >= enough stands for one >= enough.
+double signed_distance(const Ellipsoid& ellipsoid, Vec3 a, Vec3 b, double enough);
+
+}  // namespace alula::geometry
