@@ -75,6 +75,20 @@ std::uint32_t Occupancy::lower(const Column& column, std::int32_t z) const {
   return static_cast<std::uint32_t>(found - voxel_.begin());
 }
 
+std::size_t Occupancy::count(const LatticeBox& box) const {
+  std::size_t total = 0;
+  auto column = column_.begin();
+  for (std::int32_t x = box.lower[0]; x < box.upper[0]; ++x) {
+    column = std::partition_point(column, column_.end(), [&](const Column& c) {
+      return c.x < x || (c.x == x && c.y < box.lower[1]);
+    });
+    if (column == column_.end()) break;
+    for (; column != column_.end() && column->x == x && column->y < box.upper[1]; ++column)
+      total += lower(*column, box.upper[2]) - lower(*column, box.lower[2]);
+  }
+  return total;
+}
+
 double Occupancy::filled_sparse(const Column& column, std::int32_t k, double fraction) const {
   const std::uint32_t at = lower(column, k);
   const double whole = static_cast<double>(at - column.begin);
@@ -134,17 +148,20 @@ void ZBounds::row(double x, std::span<const double> y, double* low, double* high
 
 double ExcessMeter::operator()(const HullBuilder& hull) {
   bounds_.assign(hull.local_planes(), hull.box());
-  return measure(hull.box());
+  return measure(hull.box(), hull.local_planes().size() == 6);
 }
 
 double ExcessMeter::operator()(const LatticePolytope& polytope) {
   const LatticeBox box = bounds(polytope.vertex);
   bounds_.assign(polytope, box);
-  return measure(box);
+  return measure(box, polytope.plane.size() == 6);
 }
 
-double ExcessMeter::measure(const LatticeBox& box) {
+double ExcessMeter::measure(const LatticeBox& box, bool is_box) {
   const std::int32_t ex = box.upper[0] - box.lower[0], ey = box.upper[1] - box.lower[1];
+  const double volume = static_cast<double>(ex) * ey * (box.upper[2] - box.lower[2]);
+  // A hull of voxels has a facet on each side of its bounding box; six facets are that box.
+  if (is_box) return volume - static_cast<double>(occupancy_->count(box));
   const int nx = lines(ex), ny = lines(ey);
   const double step_x = static_cast<double>(ex) / nx, step_y = static_cast<double>(ey) / ny;
   y_.resize(static_cast<std::size_t>(ny)), low_.resize(y_.size()), high_.resize(y_.size());
@@ -167,7 +184,9 @@ double ExcessMeter::measure(const LatticeBox& box) {
     }
     total += sum;
   }
-  return std::max(0.0, total * step_x * step_y);
+  total *= step_x * step_y;
+  if (total >= kLeast) return total;
+  return static_cast<double>(occupancy_->count(box)) == volume ? 0 : kLeast;
 }
 
 }  // namespace alula

@@ -35,6 +35,9 @@ class Occupancy {
   // Number of the column's first voxel with z >= the given one.
   std::uint32_t lower(const Column& column, std::int32_t z) const;
 
+  // Number of voxels in a box of corners.
+  std::size_t count(const LatticeBox& box) const;
+
   // Occupied length of the column below height z.
   double filled(const Column& column, double z) const {
     const double base = std::floor(z);
@@ -83,8 +86,9 @@ class ZBounds {
 
 // Measures W = Vol(polytope \ occupied) [voxels], by exact z-intervals over a midpoint grid of the
 // bounding box: 4 x 4 lines per voxel column for small boxes, at most 48 x 48 lines in all for
-// large ones. A box of voxels measures exactly zero. It ranks merges and decides nothing else.
-// One per thread.
+// large ones. Boxes are counted exactly; any other polytope measures zero only when its bounding box
+// is full, and at least kLeast otherwise, so that W = 0 always means no excess. It ranks merges and
+// decides nothing else. One per thread.
 class ExcessMeter {
  public:
   explicit ExcessMeter(const Occupancy& occupancy) : occupancy_(&occupancy) {}
@@ -92,7 +96,9 @@ class ExcessMeter {
   double operator()(const LatticePolytope& polytope);
 
  private:
-  double measure(const LatticeBox& box);
+  static constexpr double kLeast = 1e-6;  // [voxels]
+
+  double measure(const LatticeBox& box, bool is_box);
 
   const Occupancy* occupancy_;
   ZBounds bounds_;
