@@ -91,7 +91,7 @@ def scale_align(
         report(alignment)
     _check_gates(config, alignment)
 
-    whole, inflation = similarity, float(found["position_error_m"])
+    whole, inflation = similarity, float(found["position_error_m"] or 0.0)
     if manifest.world_from_scene is not None:
         whole = compose(similarity, manifest.world_from_scene)
         inflation += similarity.scale * manifest.suggested_inflation_m
@@ -107,7 +107,6 @@ def scale_align(
     }
     if alignment["warnings"]:
         summary["warnings"] = alignment["warnings"]
-    before = manifest.guarantee.statement if manifest.guarantee is not None else ""
     return make_artifact(
         SCENE,
         arrays,
@@ -115,12 +114,7 @@ def scale_align(
         unit="m",
         parameters={},
         summary=summary,
-        guarantee=Guarantee(
-            statement=f"{before} It was mapped by one similarity; with {CONFIDENCE:.0%} confidence no point "
-            f"is off by more than {inflation:.3g} m, if the reference has no common error.".strip(),
-            claims=(dict(manifest.guarantee.claims) if manifest.guarantee is not None else {})
-            | {"position_error_m": inflation, "confidence": CONFIDENCE},
-        ),
+        guarantee=_guarantee(manifest, found["position_error_m"], inflation),
         source=manifest.source,
         world_from_scene=whole,
         alignment=alignment,
@@ -180,7 +174,7 @@ def _by_distances(distances: Sequence[Distance], corners: Array) -> tuple[Simila
             for i, r in enumerate(residual)
         ],
         "scale_sigma": None,
-        "position_error_m": 0.0,
+        "position_error_m": None,
         "warnings": ["one distance: how well the scale is known is unknown"],
     }
     freedom = len(metres) - 1
@@ -209,9 +203,26 @@ def _exact(config: ScaleAlignConfig) -> dict[str, Any]:
     return {
         "method": "given",
         "scale_sigma": None,
-        "position_error_m": 0.0,
+        "position_error_m": None,
         "warnings": ["the similarity was given: nothing checks it"],
     }
+
+
+def _guarantee(manifest: SceneManifest, known: float | None, inflation: float) -> Guarantee:
+    """What was promised before, and how far the alignment may be off."""
+    before = manifest.guarantee or Guarantee(statement="")
+    if known is None:
+        error = "how far that is off is not known."
+    else:
+        error = (
+            f"with {CONFIDENCE:.0%} confidence no point is off by more than {inflation:.3g} m, if the "
+            "errors of the correspondences are independent."
+        )
+    return Guarantee(
+        statement=f"{before.statement} It was mapped by one similarity; {error}".strip(),
+        claims=before.claims
+        | {"position_error_m": None if known is None else inflation, "confidence": CONFIDENCE},
+    )
 
 
 def _check_gates(config: ScaleAlignConfig, alignment: dict[str, Any]) -> None:

@@ -20,7 +20,8 @@ T_SCENE = np.array([0.84, -1.37, 2.05])  # the world's origin in scene units
 _SIZES = 200_000  # the count that the sizes below belong to
 
 _FLOATER_SHARE = 0.01
-_BLOB = 25  # Gaussians per isolated blob, a third of all floaters
+_BLOB = 25  # Gaussians per isolated blob
+_BLOBS = 16  # at most; they take up to a third of the floaters
 _NEEDLE_SHARE = 0.01
 _FAINT_SHARE = 0.04
 
@@ -41,8 +42,8 @@ def world_from_scene() -> Similarity:
 def demo_scene(config: DemoSceneConfig, seed: int) -> Splats:
     """Cover the room with flat Gaussians, add floaters, and leave the metric frame.
 
-    Of all Gaussians 1 % are floaters: two thirds faint haze (opacity below 0.1), one third isolated
-    blobs of 25 in free space, away from the hoops' openings. Of the others 4 % are faint (opacity
+    Of all Gaussians 1 % are floaters: faint haze (opacity below 0.1) and up to 16 isolated blobs of
+    25 in free space, away from the hoops' openings. Of the others 4 % are faint (opacity
     below 0.1) and 1 % needles. Semi-axes along the surface are 5 to 20 mm, across it 0.5 to 2 mm, at
     200,000 Gaussians; they grow with the inverse square root of the number, so that surfaces stay
     closed. Quaternions are not normalised.
@@ -124,10 +125,10 @@ def _cover(surface: Surface, count: int, growth: float, rng: np.random.Generator
 
 def _floaters(count: int, surface_points: Array, rng: np.random.Generator) -> dict[str, Any]:
     """Haze everywhere and small solid blobs in free space."""
-    n_blob = count // 3
+    places = _free_places(min(_BLOBS, -(-count // (3 * _BLOB))), surface_points, rng)
+    n_blob = min(count // 3, _BLOB * len(places))
     haze = rng.uniform(0.0, 1.0, (count - n_blob, 3)) * np.array(SIZE)
-    n_centres = -(-n_blob // _BLOB)
-    centres = np.repeat(_free_places(n_centres, surface_points, rng), _BLOB, axis=0)[:n_blob]
+    centres = np.repeat(places, _BLOB, axis=0)[:n_blob]
     blob = centres + np.clip(0.03 * rng.standard_normal((n_blob, 3)), -0.07, 0.07)
     quat = rng.standard_normal((count, 4))
     return {
@@ -140,14 +141,14 @@ def _floaters(count: int, surface_points: Array, rng: np.random.Generator) -> di
 
 
 def _free_places(count: int, surface_points: Array, rng: np.random.Generator) -> Array:
-    """Points at least 0.5 m from every surface and 1 m from the centre of every hoop."""
+    """Up to so many points, 0.5 m from every surface, 1 m from every hoop's centre, 0.6 m apart."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(surface_points[:: max(1, len(surface_points) // 50_000)])
     hoops = cKDTree(np.array([hoop.centre for hoop in HOOPS]))
+    tried = rng.uniform(0.0, 1.0, (20_000, 3)) * np.array(SIZE)
     found: list[Array] = []
-    while sum(map(len, found)) < count:
-        tried = rng.uniform(0.4, 1.0, (64 + 4 * count, 3)) * (np.array(SIZE) - 0.4)
-        good = (tree.query(tried)[0] > 0.5) & (hoops.query(tried)[0] > 1.0)
-        found.append(tried[good])
-    return np.vstack(found)[:count]
+    for place in tried[(tree.query(tried)[0] > 0.5) & (hoops.query(tried)[0] > 1.0)]:
+        if len(found) < count and all(np.linalg.norm(place - other) > 0.6 for other in found):
+            found.append(place)
+    return np.array(found).reshape(-1, 3)

@@ -3,6 +3,11 @@
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/pair.h>
+
+#include <array>
+#include <utility>
 
 #include "arrays.hpp"
 #include "python_control.hpp"
@@ -44,6 +49,14 @@ void bind_clearance(nb::module_& m) {
           "normals"_a, "offsets"_a, "plane_start"_a, "vertices"_a, "vertex_start"_a,
           "Copy the polytopes {x : normal . x <= offset}, unit normals, with their vertices.")
       .def("__len__", &PolytopeSet::size)
+      .def(
+          "bounds",
+          [](const PolytopeSet& self) {
+            const geometry::Box box = self.size() > 0 ? *self.tree().bounds() : geometry::Box{{}, {}};
+            return std::pair(std::array{box.lower.x, box.lower.y, box.lower.z},
+                             std::array{box.upper.x, box.upper.y, box.upper.z});
+          },
+          "Lower and upper corner of the box around all polytopes; zeros when there are none.")
       .def("clearance", &clearance<PolytopeSet>, "start"_a, "end"_a, "cap"_a, "jobs"_a = 0,
            "progress"_a = nb::none(), kClearanceDoc);
   nb::class_<EllipsoidSet>(m, "EllipsoidSet", "Ellipsoids of Gaussians in a bounding-volume hierarchy.")

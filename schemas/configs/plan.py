@@ -1,0 +1,73 @@
+"""Parameters of `plan`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from alula.schemas.errors import UsageError
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanConfig:
+    """Parameters of `plan`; points in the world frame [m]."""
+
+    start: Point = field(metadata={"help": "Where the flight begins.", "metavar": "POINT"})
+    goal: Point = field(metadata={"help": "Where it ends.", "metavar": "POINT"})
+    via: tuple[Point, ...] = field(
+        default=(),
+        metadata={"help": "Fly through this point on the way; may be repeated.", "metavar": "POINT"},
+    )
+    radius_m: float = field(
+        default=0.15, metadata={"help": "Distance to keep from every hull [m].", "option": "--radius"}
+    )
+    speed_m_s: float = field(default=1.0, metadata={"help": "Largest speed [m/s].", "option": "--speed"})
+    acceleration_m_s2: float = field(
+        default=3.0, metadata={"help": "Largest acceleration [m/s^2].", "option": "--acceleration"}
+    )
+    resolution_m: float | None = field(
+        default=None,
+        metadata={
+            "help": "Spacing of the search lattice [m]; default: from radius and size of the world.",
+            "option": "--resolution",
+        },
+    )
+    bounds: tuple[float, float, float, float, float, float] | None = field(
+        default=None,
+        metadata={
+            "help": "Stay in the box XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; default: around hulls and points.",
+            "metavar": "BOX",
+        },
+    )
+    yaw_rad: float = field(default=0.0, metadata={"help": "Constant heading [rad].", "option": "--yaw"})
+
+    def __post_init__(self) -> None:
+        """Refuse values that mean nothing."""
+        for option, value, least, most in (
+            ("--radius", self.radius_m, 1e-3, 1e3),
+            ("--speed", self.speed_m_s, 1e-3, 1e3),
+            ("--acceleration", self.acceleration_m_s2, 1e-3, 1e4),
+            ("--resolution", self.resolution_m, 1e-4, 1e3),
+        ):
+            if value is not None and not (least <= value <= most):
+                raise UsageError(f"{option} must be between {least:g} and {most:g}, not {value:g}")
+        if not (-7 <= self.yaw_rad <= 7):
+            raise UsageError(f"--yaw is in radians, not {self.yaw_rad:g}")
+        points = self.points
+        for before, after in pairwise(points):
+            if before == after:
+                raise UsageError("two consecutive points of the flight are the same")
+        if self.bounds is not None:
+            lower, upper = self.bounds[:3], self.bounds[3:]
+            if not all(a < b for a, b in zip(lower, upper, strict=True)):
+                raise UsageError("--bounds needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
+            for point in points:
+                if not all(a <= x <= b for a, x, b in zip(lower, point, upper, strict=True)):
+                    raise UsageError(f"the point {' '.join(f'{x:g}' for x in point)} is outside --bounds")
+
+    @property
+    def points(self) -> list[Point]:
+        """Start, the points on the way, goal."""
+        return [self.start, *self.via, self.goal]
