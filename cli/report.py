@@ -112,11 +112,12 @@ def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenanc
     import msgspec
 
     from alula.schemas.artifact import read_artifact
-    from alula.schemas.errors import ArtifactError
+    from alula.schemas.errors import ArtifactError, InputError
     from alula.schemas.flights import read_flights
     from alula.schemas.kinds import COVER, PLAN, SCENE
+    from alula.schemas.provenance import read_provenance
     from alula.schemas.run import read_run
-    from alula.stages.reporting.material import Material, Run
+    from alula.stages.reporting.material import Material, Run, cover_hash
 
     flown: list[Run] = []
     for log in runs:
@@ -137,6 +138,11 @@ def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenanc
             certificate = msgspec.json.decode(inputs["certificate"].read_bytes(), type=dict[str, Any])
         except msgspec.MsgspecError as error:
             raise ArtifactError(f"{inputs['certificate']}: is not a certificate ({error})") from error
+        made = read_provenance(inputs["certificate"])
+        if made is None or not isinstance(certificate.get("covered"), bool):
+            raise ArtifactError(f"{inputs['certificate']}: is not a certificate that alula verify wrote")
+        if "cover" in artifacts and cover_hash(made.inputs) != cover_hash(provenance.inputs):
+            raise InputError(f"{inputs['certificate']}: is the certificate of another cover")
     return Material(
         title=title,
         runs=tuple(flown),

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.run import TrialResult
-from alula.stages.reporting.material import Material, Run, clearance_of, outcome_of
-from alula.stages.reporting.tables import path_ratio
+from alula.stages.reporting.material import OUTCOMES, Material, Run, clearance_of, flew_through, outcome_of
+from alula.stages.reporting.tables import path_ratio, voxel_count
 
 Floats = NDArray[np.float64]
 
 _QUIET = ("", "ok", "filtered")  # what a filter does all the time
 _PLAN_SAMPLES = 400
+_DRAWN_PATHS = 300  # per run; those that ended badly first
 _DRAWN_POINTS = 600  # per path; more are not told apart on a page
 
 
@@ -55,11 +56,11 @@ class FlightMap:
 
 @dataclass(frozen=True, slots=True)
 class Compression:
-    """Conservativeness and half-planes over the number of hulls; one of them may be missing."""
+    """Growth, the sum of all hulls' volumes over that of the voxels, and half-planes, over hulls."""
 
     hulls: Floats
-    conservativeness: Floats | None
-    planes: Floats | None
+    growth: Floats
+    planes: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,12 +125,9 @@ def thin(points: Floats, most: int = _DRAWN_POINTS) -> Floats:
 
 def paths_of(run: Run) -> list[Path]:
     """What was flown in a run; a straight line to the goal is never drawn for what was not logged."""
-    results = {trial.index: trial for trial in run.record.trials}
-    return [
-        Path(run.label, outcome_of(results[index]), thin(flight.position_world))
-        for index, flight in sorted(run.flights.items())
-        if index in results
-    ]
+    ends = {trial.index: outcome_of(trial) for trial in run.record.trials if trial.index in run.flights}
+    order = sorted(ends, key=lambda index: (-OUTCOMES.index(ends[index]), index))[:_DRAWN_PATHS]
+    return [Path(run.label, ends[index], thin(run.flights[index].position_world)) for index in sorted(order)]
 
 
 def flight_maps(material: Material) -> list[FlightMap]:
@@ -141,7 +139,8 @@ def flight_maps(material: Material) -> list[FlightMap]:
     for run in material.runs:
         flown = paths_of(run)
         if flown:
-            maps.append(_flight_map(material.cover, run.label, planned + flown))
+            cover = material.cover if flew_through(run, material) is not False else None
+            maps.append(_flight_map(cover, run.label, planned + flown))
     if not maps and (material.cover is not None or planned):
         maps.append(_flight_map(material.cover, "plan" if planned else "cover", planned))
     return maps
@@ -189,23 +188,19 @@ def _chain(ordered: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def compression(cover: Artifact | None) -> Compression | None:
-    """The curve that merging left in the cover's summary, or else None.
+    """The curve that merging left in the cover's certificate; None without one.
 
-    The summary's `curve` is a list of records with `hulls`, `conservativeness` and `planes`.
+    Growth is 1 + (sum over hulls of the volume without voxels) / voxels, before hulls were
+    tightened; where hulls overlap it is more than the growth of their union.
     """
-    rows: Any = cover.manifest.summary.get("curve") if cover is not None else None
-    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
+    curve: Any = cover.manifest.certificate.get("curve") if cover is not None else None  # type: ignore[attr-defined]
+    if cover is None or not isinstance(curve, dict):
         return None
-    hulls = _column(rows, "hulls")
-    if hulls is None:
+    columns = [curve.get(key) for key in ("hulls", "excess_sum_voxels", "half_planes")]
+    if not all(isinstance(column, list) and column for column in columns):
         return None
-    return Compression(hulls, _column(rows, "conservativeness"), _column(rows, "planes"))
-
-
-def _column(rows: Sequence[dict[str, Any]], key: str) -> Floats | None:
-    if not all(isinstance(row.get(key), int | float) for row in rows):
-        return None
-    return np.array([row[key] for row in rows], np.float64)
+    hulls, excess, planes = (np.array(column, np.float64) for column in columns)
+    return Compression(hulls, 1 + excess / max(voxel_count(cover), 1), planes)
 
 
 def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:

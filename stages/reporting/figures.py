@@ -39,6 +39,8 @@ _STYLE = {
 }
 _VECTOR_FOOTPRINTS = 1500  # more are drawn as an image inside the figure
 _MOST_MAPS = 4
+_FEW_PATHS = 40  # more are drawn thinner
+_DOTTED = 40  # distributions of more values are drawn without their dots
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +111,8 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
                 rasterized=len(shown.footprints) > _VECTOR_FOOTPRINTS,
             )
         )
+        few = len(shown.paths) <= _FEW_PATHS
+        size_of_end = 22 if few else 11
         for outcome in (*OUTCOMES, "planned"):
             paths = [p.position_world for p in shown.paths if p.outcome == outcome and len(p.position_world)]
             if not paths:
@@ -117,15 +121,19 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
                 LineCollection(
                     [p[:, :2] for p in paths],
                     colors=COLORS[outcome],
-                    linewidths=2.2 if outcome in ("collision", "planned") else 1.4,
+                    linewidths=(1.4 if few else 0.9) * (1.6 if outcome in ("collision", "planned") else 1),
                     linestyles=_DASHES[outcome],
                     label=f"{outcome} ({len(paths)})",
                     zorder=3,
                 )
             )
             ends = np.array([(p[0, :2], p[-1, :2]) for p in paths])
-            axes.scatter(*ends[:, 0].T, s=22, facecolors="white", edgecolors=COLORS[outcome], zorder=4)
-            axes.scatter(*ends[:, 1].T, s=22, color=COLORS[outcome], marker="X", linewidths=0, zorder=4)
+            axes.scatter(
+                *ends[:, 0].T, s=size_of_end, facecolors="white", edgecolors=COLORS[outcome], zorder=4
+            )
+            axes.scatter(
+                *ends[:, 1].T, s=size_of_end, color=COLORS[outcome], marker="X", linewidths=0, zorder=4
+            )
         margin = 0.02 * size.max()
         axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
         axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
@@ -154,7 +162,8 @@ def _steps(axes: Any, shown: Sequence[curves.Distribution]) -> None:
     for number, one in enumerate(shown):
         color = _RUN_COLORS[number % len(_RUN_COLORS)]
         axes.step(one.value, one.share, where="post", color=color, linewidth=2, label=one.label)
-        axes.plot(one.value, one.share, ".", color=color, markersize=5)
+        if len(one.value) <= _DOTTED:
+            axes.plot(one.value, one.share, ".", color=color, markersize=5)
     axes.set(ylim=(0, 1.03), ylabel="share of trials")
     if len(shown) > 1:
         axes.legend(fontsize=10)
@@ -218,28 +227,22 @@ def _worst_figure(worst: curves.WorstFlight) -> Figure:
 
 
 def _compression_figure(curve: curves.Compression) -> Figure:
-    shown = [
-        (values, label)
-        for values, label in (
-            (curve.conservativeness, "volume of hulls / voxels"),
-            (curve.planes, "half-planes"),
-        )
-        if values is not None
-    ]
-    with _axes(6.2, 2.1 * max(len(shown), 1) + 0.4, rows=max(len(shown), 1)) as (axes, render):
+    shown = ((curve.growth, "sum of hulls / voxels"), (curve.planes, "half-planes"))
+    with _axes(6.2, 4.6, rows=2) as (axes, render):
         for place, (values, label) in enumerate(shown):
-            one = axes[place] if len(shown) > 1 else axes
-            one.plot(curve.hulls, values, ".-", color=_RUN_COLORS[place], linewidth=1.6)
-            one.set(xscale="log", ylabel=label)
-        last = axes[-1] if len(shown) > 1 else axes
-        last.set(xlabel="hulls")
+            axes[place].plot(curve.hulls, values, ".-", color=_RUN_COLORS[place], linewidth=1.6)
+            axes[place].set(xscale="log", ylabel=label)
+        axes[1].set(xlabel="hulls")
         ticks = [c * 10**p for p in range(8) for c in (1, 2, 5)]
         ticks = [t for t in ticks if curve.hulls.min() <= t <= curve.hulls.max()]
-        last.set_xticks(ticks, [text(t) for t in ticks])
-        last.minorticks_off()
+        axes[1].set_xticks(ticks, [text(t) for t in ticks])
+        axes[1].minorticks_off()
         svg = render()
     ends = ", ".join(
         f"{label} from {text(float(values[0]))} to {text(float(values[-1]))}" for values, label in shown
     )
-    alt = f"From {text(int(curve.hulls[0]))} to {text(int(curve.hulls[-1]))} hulls: {ends}."
+    alt = (
+        f"From {text(int(curve.hulls[0]))} to {text(int(curve.hulls[-1]))} hulls while merging: {ends}. "
+        "Volumes are summed over hulls, before they were tightened."
+    )
     return Figure("compression", "What fewer hulls cost", alt, svg)

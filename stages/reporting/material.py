@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -52,13 +52,29 @@ def clearance_of(trial: TrialResult) -> float | None:
     return min(known, default=None)
 
 
-def is_covered(certificate: Mapping[str, Any] | None, cover: Artifact | None) -> bool | None:
-    """What a certificate, or else the cover itself, says about coverage; None when neither does."""
-    for claims in (certificate, getattr(cover.manifest, "certificate", None) if cover else None):
-        if claims is None:
-            continue
-        found = [claims] + [claims[key] for key in ("summary", "claims") if isinstance(claims.get(key), dict)]
-        for record in found:
-            if isinstance(record.get("covered"), bool):
-                return bool(record["covered"])
-    return None
+def is_covered(certificate: Mapping[str, Any] | None) -> bool | None:
+    """What a certificate of `verify` says; None without one."""
+    found = certificate.get("covered") if certificate is not None else None
+    return found if isinstance(found, bool) else None
+
+
+def proof(certificate: Mapping[str, Any] | None) -> str:
+    """What a certificate proves, in words: coverage of the ellipsoids only when they were checked."""
+    if certificate is None:
+        return "alula verify has not checked this map"
+    checks = [check for check in certificate.get("checks", []) if isinstance(check, dict)]
+    if any("ellipsoid" in str(check.get("name")) for check in checks):
+        return "ellipsoids in voxels, voxels in hulls: checked again"
+    return "voxels in hulls: checked again; ellipsoids were not"
+
+
+def flew_through(run: Run, material: Material) -> bool | None:
+    """Whether a run flew through the cover that is shown; None when one of them is not known."""
+    flown = cover_hash(run.record.provenance.inputs)
+    shown = cover_hash(material.inputs)
+    return None if flown is None or shown is None else flown == shown
+
+
+def cover_hash(inputs: Iterable[InputRef]) -> str | None:
+    """SHA-256 of the cover among input files."""
+    return next((ref.sha256 for ref in inputs if ref.role == "cover"), None)

@@ -167,6 +167,8 @@ def _promise(material: Material) -> str:
     said = []
     if material.cover is not None and material.cover.manifest.guarantee is not None:
         said.append(("The map", material.cover.manifest.guarantee.statement))
+    if material.certificate is not None and (left_out := material.certificate.get("left_out")):
+        said.append(("Outside the proof", f"{left_out}."))
     for run in material.runs:
         said.append((run.label, run.record.guarantee.statement))
     lines = "".join(f"<p><b>{escape(who)}:</b> {escape(what)}</p>" for who, what in said if what)

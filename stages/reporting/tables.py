@@ -12,14 +12,16 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.run import TrialResult
-from alula.stages.reporting.material import Material, Run, is_covered
+from alula.stages.reporting.material import Material, Run, flew_through, is_covered, outcome_of, proof
 from alula.stages.reporting.published import paper_tables
 
 BYTES_PER_GAUSSIAN = 40  # centre, semi-axes, quaternion in single precision
 BYTES_PER_VOXEL = 12  # three 32-bit integers
 BYTES_PER_HALF_PLANE = 16  # normal and offset in single precision
+_LISTED_TRIALS = 500  # per run; the CSV has them all
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +70,7 @@ def all_tables(material: Material, names: Sequence[str] = (), paper: str | None 
     """
     tables = []
     if material.runs:
-        tables.append(runs_table(material.runs))
+        tables.append(runs_table(material))
     if material.cover is not None or material.scene is not None:
         tables += [compression_table(material), cover_table(material)]
     if paper is not None:
@@ -149,10 +151,15 @@ def _summary_of(run: Run) -> dict[str, Any]:
     }
 
 
-def runs_table(runs: Sequence[Run]) -> Table:
+def runs_table(material: Material) -> Table:
     """The runs side by side."""
+
+    def values(run: Run) -> dict[str, Any]:
+        known = flew_through(run, material)
+        return _summary_of(run) | ({} if known is None else {"flew through the cover shown": known})
+
     note = "Clearances are of the vehicle's sphere, computed after the flight; below zero is a collision."
-    return _beside("runs", "Flights", runs, _summary_of, note)
+    return _beside("runs", "Flights", material.runs, values, note)
 
 
 def trials_table(run: Run, name: str) -> Table:
@@ -172,8 +179,14 @@ def trials_table(run: Run, name: str) -> Table:
         "infeasible": lambda t: t.infeasible_steps,
         "fallback": lambda t: t.fallback_steps,
     }
-    rows = tuple(tuple(get(trial) for get in columns.values()) for trial in run.record.trials)
-    return Table(name, f"Trials of {run.label}", tuple(columns), rows)
+    trials = run.record.trials
+    rows = tuple(tuple(get(trial) for get in columns.values()) for trial in trials[:_LISTED_TRIALS])
+    note = (
+        f"The first {len(rows)} of {len(trials)}; the CSV beside has them all."
+        if len(rows) < len(trials)
+        else ""
+    )
+    return Table(name, f"Trials of {run.label}", tuple(columns), rows, note)
 
 
 def path_ratio(trial: TrialResult) -> float | None:
@@ -190,7 +203,7 @@ def compression_table(material: Material) -> Table:
         size = material.file_bytes.get("scene") if scene is not None else None
         rows.append(("Gaussians", gaussians, None, gaussians * BYTES_PER_GAUSSIAN, size))
     if cover is not None:
-        voxels, planes = voxel_count(material), len(cover["plane_offset"])
+        voxels, planes = voxel_count(cover), len(cover["plane_offset"])
         rows.append(("voxels", voxels, None, voxels * BYTES_PER_VOXEL, None))
         hulls = len(cover["plane_start"]) - 1
         size = material.file_bytes.get("cover")
@@ -211,14 +224,10 @@ def gaussian_count(material: Material) -> int | None:
     return found if isinstance(found, int) else None
 
 
-def voxel_count(material: Material) -> int:
+def voxel_count(cover: Artifact) -> int:
     """Voxels that a cover was built from, each counted once."""
-    if material.cover is None:
-        return 0
-    found = material.cover.manifest.summary.get("voxels")
-    if isinstance(found, int):
-        return found
-    return len(np.unique(np.asarray(material.cover["member_index"]), axis=0))
+    found = cover.manifest.summary.get("voxels")
+    return found if isinstance(found, int) else len(np.unique(np.asarray(cover["member_index"]), axis=0))
 
 
 def cover_table(material: Material) -> Table:
@@ -238,15 +247,20 @@ def cover_table(material: Material) -> Table:
             ("half-planes per hull, most", int(planes.max()) if len(planes) else None),
         ]
         rows += [(f"summary: {key}", value) for key, value in _plain(flat(manifest.summary))]
-        rows += [(f"certificate: {key}", value) for key, value in _plain(flat(manifest.certificate))]
+        rows += [(f"construction: {key}", value) for key, value in _plain(flat(manifest.certificate))]
         if manifest.guarantee is not None:
             rows.append(("guarantee", manifest.guarantee.statement))
     if material.certificate is not None:
-        own = {k: v for k, v in material.certificate.items() if k != "provenance"}
-        rows += [(f"verification: {key}", value) for key, value in _plain(flat(own))]
+        own = {k: v for k, v in material.certificate.items() if k not in ("provenance", "checks", "covered")}
+        for check in material.certificate.get("checks", []):
+            words = (
+                f"{'holds' if check.get('ok') else 'DOES NOT HOLD'} ({text(check.get('checked'))} checked)"
+            )
+            rows.append((f"verified: {check.get('name')}", words))
+        rows += [(f"verified: {key}", value) for key, value in _plain(flat(own))]
     if material.scene is not None:
         rows += [(f"scene: {key}", value) for key, value in _plain(flat(material.scene.manifest.summary))]
-    rows.append(("certified to contain every obstacle", is_covered(material.certificate, cover)))
+    rows.append(("verified: covered", is_covered(material.certificate)))
     return Table("cover", "Map", ("", "value"), tuple(rows))
 
 
@@ -277,15 +291,9 @@ def cards(material: Material) -> list[tuple[str, list[Card]]]:
 
 
 def _map_cards(material: Material) -> list[Card]:
-    covered = is_covered(material.certificate, material.cover)
-    found = [
-        Card(
-            "obstacles covered",
-            text(covered) if covered is not None else "not verified",
-            "every obstacle lies inside a hull",
-            covered,
-        )
-    ]
+    covered = is_covered(material.certificate)
+    shown = text(covered) if covered is not None else "not verified"
+    found = [Card("obstacles covered", shown, proof(material.certificate), covered)]
     if material.cover is not None:
         value = float(material.cover.manifest.conservativeness)  # type: ignore[attr-defined]
         found.insert(0, Card("conservativeness", text(value), "volume of hulls / volume of voxels"))
@@ -296,7 +304,8 @@ def _run_cards(run: Run) -> list[Card]:
     summary, trials = run.record.summary, run.record.trials
     interval = success_interval(run)
     rate, collisions = summary.get("success_rate"), summary.get("collisions")
-    detail = f"{text(summary.get('reached'))} of {text(len(trials))} reached the goal"
+    good = sum(outcome_of(trial) == "reached" for trial in trials)
+    detail = f"{text(good)} of {text(len(trials))} reached the goal unharmed"
     if interval:
         detail += f"; 95 %: {text(interval[0])} to {text(interval[1])}"
     found = [
@@ -321,7 +330,7 @@ def chain(material: Material) -> list[tuple[str, str]]:
     if material.cover is not None:
         planes = len(material.cover["plane_offset"])
         found += [
-            (text(voxel_count(material)), "voxels"),
+            (text(voxel_count(material.cover)), "voxels"),
             (text(len(material.cover["plane_start"]) - 1), "hulls"),
             (text(planes), "half-planes"),
             (text(planes * BYTES_PER_HALF_PLANE), "bytes of half-planes"),

@@ -41,30 +41,35 @@ def view(material: Material) -> View | None:
     paths = [path for path in paths if len(path.position_world)]
     if material.cover is None and material.scene is None and not paths:
         return None
+    top = max((float(path.position_world[:, 2].max()) for path in paths), default=np.inf)
     objects, notes = [], []
     if material.cover is not None:
+        edge = float(material.cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
         solid, shown = merged(mesh(material.cover))
         hulls = len(material.cover["plane_start"]) - 1
         if shown < hulls:
             notes.append(f"the {shown:,} largest of {hulls:,} hulls")
-        edge = float(material.cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
-        objects += _hull_objects(solid, edge)
+        objects += _hull_objects(solid, edge, top)
     if material.scene is not None:
         points, colors = sample(material.scene)
         if len(points) < len(material.scene["mean"]):
             notes.append(f"{len(points):,} of {len(material.scene['mean']):,} Gaussians")
-        objects += _cloud_objects(points, colors)
+        objects += _cloud_objects(points, colors, top)
     objects += _path_objects(paths)
-    return View(_page(objects), f"Shown: {' and '.join(notes)}." if notes else "")
+    note = f"Shown: {' and '.join(notes)}." if notes else ""
+    if any(not item.visible for item in objects):
+        note += " What lies above the flights is there, but hidden at first: see Objects in the panel."
+    return View(_page(objects), note.strip())
 
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """Meshes of many hulls as one: points in voxels, triangles, a colour per point."""
+    """Meshes of many hulls as one: points in voxels, triangles, and per point a colour and a height."""
 
     points_voxel: NDArray[np.float64]
     triangles: NDArray[np.int64]
     colors: NDArray[np.uint32]
+    bottom_voxel: NDArray[np.float64]  # lowest z of the hull that each point belongs to
 
 
 def merged(meshes: Mesh, most: int = _MOST_TRIANGLES) -> tuple[Solid, int]:
@@ -73,9 +78,9 @@ def merged(meshes: Mesh, most: int = _MOST_TRIANGLES) -> tuple[Solid, int]:
     hull = np.repeat(np.arange(len(counts)), counts)
     owner = np.repeat(np.arange(len(meshes)), np.diff(meshes.point_start))
     keep = np.ones(len(counts), np.bool_)
+    starts = meshes.point_start[:-1]
+    low = np.minimum.reduceat(meshes.points_voxel, starts, axis=0) if len(counts) else np.empty((0, 3))
     if counts.sum() > most:
-        starts = meshes.point_start[:-1]
-        low = np.minimum.reduceat(meshes.points_voxel, starts, axis=0)
         high = np.maximum.reduceat(meshes.points_voxel, starts, axis=0)
         order = np.argsort(-np.prod(high - low, axis=1), kind="stable")
         keep[order] = np.cumsum(counts[order]) <= most
@@ -86,6 +91,7 @@ def merged(meshes: Mesh, most: int = _MOST_TRIANGLES) -> tuple[Solid, int]:
             meshes.points_voxel[kept_points],
             renumber[meshes.triangles[keep[hull]]],
             _HULL_COLORS[owner[kept_points] % len(_HULL_COLORS)],
+            low[owner[kept_points], 2],
         ),
         int(keep.sum()),
     )
@@ -101,32 +107,43 @@ def sample(scene: Artifact, most: int = _MOST_POINTS) -> tuple[NDArray[np.float3
     return mean[rows], packed
 
 
-def _hull_objects(solid: Solid, edge: float) -> list[Any]:
+def _hull_objects(solid: Solid, edge: float, top: float) -> list[Any]:
     import k3d
 
-    if len(solid.triangles) == 0:
-        return []
-    return [
-        k3d.mesh(
-            (solid.points_voxel * edge).astype(np.float32),
-            solid.triangles.astype(np.uint32),
-            colors=solid.colors,
-            opacity=0.35,
-            flat_shading=True,
-            name="hulls",
+    objects = []
+    above = solid.bottom_voxel * edge >= top
+    for name, hidden in (("hulls", False), ("hulls above the flights", True)):
+        rows = above[solid.triangles[:, 0]] == hidden
+        if not rows.any():
+            continue
+        used = np.flatnonzero(above == hidden)
+        renumber = np.zeros(len(above), np.uint32)
+        renumber[used] = np.arange(len(used))
+        objects.append(
+            k3d.mesh(
+                (solid.points_voxel[used] * edge).astype(np.float32),
+                renumber[solid.triangles[rows]],
+                colors=solid.colors[used],
+                opacity=0.3,
+                flat_shading=True,
+                name=name,
+                visible=not hidden,
+            )
         )
-    ]
+    return objects
 
 
-def _cloud_objects(points: NDArray[np.float32], colors: NDArray[np.uint32]) -> list[Any]:
+def _cloud_objects(points: NDArray[np.float32], colors: NDArray[np.uint32], top: float) -> list[Any]:
     import k3d
 
-    if len(points) == 0:
-        return []
-    extent = float(np.median(np.ptp(points, axis=0))) if len(points) > 1 else 1.0
-    return [
-        k3d.points(points, colors=colors, point_size=max(extent, 1e-3) / 350, shader="flat", name="Gaussians")
-    ]
+    size = max(float(np.median(np.ptp(points, axis=0))) if len(points) > 1 else 1.0, 1e-3) / 350
+    objects = []
+    for name, hidden in (("Gaussians", False), ("Gaussians above the flights", True)):
+        rows = (points[:, 2] >= top) == hidden
+        if rows.any():
+            shown = {"point_size": size, "shader": "flat", "name": name, "visible": not hidden}
+            objects.append(k3d.points(points[rows], colors=colors[rows], **shown))
+    return objects
 
 
 def _path_objects(paths: Sequence[Path]) -> list[Any]:

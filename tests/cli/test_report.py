@@ -7,14 +7,16 @@ import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
+import msgspec
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial, write_run
 
 from alula.cli.main import run
+from alula.cli.runner import input_ref
 from alula.schemas.artifact import write_artifact
-from alula.schemas.provenance import read_provenance
+from alula.schemas.provenance import Provenance, read_provenance
 from alula.stages.reporting.tables import text
 
 EVIL = 'x"><script>alert(1)</script><img src=http://evil.example/a.png>'
@@ -53,7 +55,10 @@ def folder(tmp_path_factory) -> Path:
     trials = [make_trial(i, clearance=0.1 * i - 0.05) for i in range(3)]
     write_run(folder / "a.run.mcap", make_record(trials), timing={"filter_p50_s": 0.00021}, hulls=2)
     write_run(folder / "b.run.mcap", make_record(trials[1:], filter_name=EVIL, name=EVIL), hulls=2)
-    (folder / "c.json").write_text(json.dumps({"covered": True, "hulls_checked": 2}))
+    for name, of in (("c.json", "m.cover.npz"), ("other.json", "m.plan.npz")):
+        made = Provenance.now("alula/certificate", "1.0", {}, None, [input_ref("cover", folder / of)])
+        record = {"covered": True, "checks": [], "left_out": "dust", "provenance": msgspec.to_builtins(made)}
+        (folder / name).write_text(json.dumps(record))
     return folder
 
 
@@ -186,6 +191,7 @@ def test_a_report_without_runs_shows_the_map(report):
         (["m.cover.npz"], 3, "not an MCAP log"),
         (["a.run.mcap", "--cover", "m.scene.npz"], 3, "alula/cover is needed"),
         (["a.run.mcap", "--certificate", "a.run.mcap"], 3, "not a certificate"),
+        (["a.run.mcap", "--cover", "m.cover.npz", "--certificate", "other.json"], 3, "of another cover"),
         (["a.run.mcap", "--title", " "], 2, "must not be empty"),
     ],
 )

@@ -15,13 +15,14 @@ from alula.schemas.errors import UsageError
 from alula.schemas.flights import Flight
 from alula.schemas.manifest import InputRef
 from alula.stages.reporting import curves
-from alula.stages.reporting.material import Material, Run, is_covered
+from alula.stages.reporting.material import Material, Run, is_covered, proof
 from alula.stages.reporting.tables import (
     CSV_COLUMNS,
     all_tables,
     cards,
     chain,
     compression_table,
+    cover_table,
     runs_table,
     text,
     to_csv,
@@ -54,7 +55,7 @@ def row_of(table, key):
 
 def test_the_table_of_runs_repeats_the_summaries():
     runs = [run_of("a", hulls=12), run_of("b", TRIALS[:2])]
-    table = runs_table(runs)
+    table = runs_table(Material("t", runs=tuple(runs)))
     assert table.columns == ("", "a", "b")
     for key, name in [
         ("success_rate", "success rate"),
@@ -96,12 +97,22 @@ def test_voxels_are_counted_from_the_members_when_the_summary_does_not_say():
     assert compression_table(Material("t", cover=cover)).rows[0][:2] == ("voxels", 1)
 
 
-def test_a_certificate_counts_before_what_the_cover_says():
-    assert is_covered(None, None) is None
-    assert is_covered(None, COVER) is True
-    assert is_covered({"covered": False}, COVER) is False
-    assert is_covered({"summary": {"covered": True}}, None) is True
-    assert is_covered({"note": 1}, make_cover([], certificate={})) is None
+def test_only_a_certificate_says_that_a_map_is_covered():
+    groups = dict(cards(Material("t", cover=COVER)))
+    assert [(c.value, c.good) for c in groups["Map"] if c.label == "obstacles covered"] == [
+        ("not verified", None)
+    ]
+    assert is_covered({"covered": False}) is False
+    assert is_covered({"covered": "yes"}) is None
+    ellipsoids = {"covered": True, "checks": [{"name": "every ellipsoid lies in the voxels", "ok": True}]}
+    assert proof(ellipsoids).startswith("ellipsoids in voxels")
+    assert "ellipsoids were not" in proof({"covered": True, "checks": [{"name": "every voxel is a member"}]})
+    rows = dict(cover_table(Material("t", cover=COVER, certificate=ellipsoids)).rows)
+    assert rows["verified: covered"] is True
+    assert rows["verified: every ellipsoid lies in the voxels"].startswith("holds")
+    ellipsoids["checks"][0]["ok"] = False
+    rows = dict(cover_table(Material("t", cover=COVER, certificate=ellipsoids)).rows)
+    assert rows["verified: every ellipsoid lies in the voxels"].startswith("DOES NOT HOLD")
 
 
 @pytest.mark.parametrize(
@@ -178,8 +189,15 @@ def test_a_run_is_matched_to_the_cover_that_it_flew_through():
     ref = InputRef("cover", "alula/cover", "1.0", "ab" * 32, "x.cover.npz")
     run = run_of()
     assert hulls_of(run, Material("t", cover=COVER, inputs=(ref,))) is None
-    run.record.provenance.inputs.append(InputRef("map", "alula/cover", "1.0", "ab" * 32, "x.cover.npz"))
-    assert hulls_of(run, Material("t", cover=COVER, inputs=(ref,))) == 2
+    run.record.provenance.inputs.append(InputRef("cover", "alula/cover", "1.0", "ab" * 32, "x.cover.npz"))
+    material = Material("t", runs=(run,), cover=COVER, inputs=(ref,))
+    assert hulls_of(run, material) == 2
+    assert row_of(runs_table(material), "flew through the cover shown") == (True,)
+    other = Material("t", runs=(run,), cover=COVER, inputs=(InputRef("cover", "", "", "cd" * 32, "y"),))
+    assert hulls_of(run, other) is None
+    assert row_of(runs_table(other), "flew through the cover shown") == (False,)
+    assert curves.flight_maps(material)[0].hulls == 2
+    assert curves.flight_maps(other)[0].hulls == 0
 
 
 def test_distributions_are_sorted_and_end_at_one():
@@ -233,14 +251,29 @@ def test_plans_are_sampled_by_their_polynomials():
     assert (np.diff(points[:, 0]) >= 0).all()
 
 
-def test_the_compression_curve_comes_from_the_summary():
-    rows = [{"hulls": 9, "conservativeness": 1.5, "planes": 90}, {"hulls": 3, "conservativeness": 2.5}]
-    curve = curves.compression(make_cover([], summary={"curve": rows}))
+def test_the_compression_curve_comes_from_the_certificate():
+    stored = {"hulls": [9, 3], "excess_sum_voxels": [0.0, 350.0], "half_planes": [90, 20]}
+    curve = curves.compression(make_cover([], summary={"voxels": 700}, certificate={"curve": stored}))
     assert curve.hulls.tolist() == [9, 3]
-    assert curve.conservativeness.tolist() == [1.5, 2.5]
-    assert curve.planes is None
+    assert curve.growth.tolist() == [1.0, 1.5]
+    assert curve.planes.tolist() == [90, 20]
     assert curves.compression(COVER) is None
-    assert curves.compression(make_cover([], summary={"curve": [{"n": 1}]})) is None
+    assert curves.compression(make_cover([], certificate={"curve": {"hulls": [1]}})) is None
+
+
+def test_drawn_paths_are_few_and_the_bad_ones_are_among_them():
+    trials = [make_trial(i, clearance=-0.1 if i == 555 else 0.1) for i in range(600)]
+    paths = curves.paths_of(run_of(trials=trials))
+    assert len(paths) == 300
+    assert [path.outcome for path in paths].count("collision") == 1
+
+
+def test_long_runs_are_listed_in_part():
+    trials = [make_trial(i) for i in range(501)]
+    table = all_tables(Material("t", runs=(run_of(trials=trials),)), ["trials"])[0]
+    assert len(table.rows) == 500
+    assert "first 500 of 501" in table.note
+    assert to_csv(Material("t", runs=(run_of(trials=trials),))).count("\n") == 502
 
 
 def test_thinning_keeps_the_ends():
@@ -267,3 +300,19 @@ def test_the_merged_mesh_leaves_out_the_smallest_hulls_when_there_are_too_many()
     points, colors = sample(scene, most=7)
     assert len(points) == len(colors) == 7
     assert colors[0] == int.from_bytes(bytes(scene["color"][0]), "big")
+
+
+def test_what_lies_above_the_flights_is_hidden_at_first():
+    from alula.stages.compression.facets import mesh
+    from alula.stages.reporting import view3d
+
+    solid, _ = view3d.merged(mesh(make_cover([box((0, 0, 0), (9, 9, 9)), box((0, 0, 60), (9, 9, 61))])))
+    low, high = view3d._hull_objects(solid, 0.05, top=2.9)
+    assert (low.visible, high.visible) == (True, False)
+    assert (low.vertices[:, 2].max(), high.vertices[:, 2].min()) == pytest.approx((0.45, 3.0))
+    assert len(low.indices.reshape(-1, 3)) == len(high.indices.reshape(-1, 3)) == 12
+    (only,) = view3d._hull_objects(solid, 0.05, top=np.inf)
+    assert only.visible
+    points = np.array([[0, 0, 0], [1, 1, 3]], np.float32)
+    clouds = view3d._cloud_objects(points, np.array([1, 2], np.uint32), top=2.0)
+    assert [cloud.visible for cloud in clouds] == [True, False]
