@@ -84,7 +84,7 @@ def _polymerge_sizes(material: Material) -> Parts:
     note = (
         "Published half-planes are printed in thousands; their bytes are computed from the 235 per "
         f"half-plane that the paper states, beside {POLYMERGE_BYTES_PER_SPLAT} per splat. Our file holds "
-        "vertices, members and provenance too; the table above has the geometry alone. Scenes differ, so only "
+        "vertices, members and provenance too; the table above has the geometry. Scenes differ, so only "
         "ratios compare."
     )
     return "polymerge-1", "PolyMerge, Table I: size of the map", columns, tuple(rows), note
