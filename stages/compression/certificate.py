@@ -179,13 +179,14 @@ def _scene_check(
 ) -> Check:
     from alula.stages.compression.ellipsoids import unproven_voxels
 
-    total, voxel, gaussian = unproven_voxels(
+    crop = manifest.crop
+    missing = unproven_voxels(
         scene,
         index,
         voxel_size_m=manifest.voxel_size_m,
         sigma=manifest.sigma,
         inflation_m=manifest.inflation_m,
-        crop=manifest.crop,
+        crop=None if crop is None else (crop[0], crop[1], crop[2], crop[3], crop[4], crop[5]),
         min_overlap=manifest.min_overlap,
         jobs=jobs,
         progress=progress,
@@ -196,10 +197,10 @@ def _scene_check(
             gaussian=int(g),
             place_m=_place(np.asarray(v) + 0.5, manifest.voxel_size_m),
         )
-        for v, g in zip(voxel[:LISTED], gaussian[:LISTED], strict=True)
+        for v, g in zip(missing.voxel[:LISTED], missing.ellipsoid[:LISTED], strict=True)
     ]
     count = len(scene["mean"])
-    return _check("every ellipsoid lies in the voxels", count, first, int(total), "separating planes")
+    return _check("every ellipsoid lies in the voxels", count, first, missing.total, "separating planes")
 
 
 def _fault_check(
