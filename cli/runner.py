@@ -27,7 +27,7 @@ Progress = Callable[[int, int], None]
 
 def parameters_of(config: Any) -> dict[str, Any]:
     """A configuration as the plain JSON values that a manifest records."""
-    return dict(msgspec.to_builtins(dataclasses.asdict(config)))
+    return dict(msgspec.json.decode(msgspec.json.encode(dataclasses.asdict(config))))  # tuples become lists
 
 
 def input_ref(role: str, path: Path) -> InputRef:
