@@ -27,7 +27,8 @@ Progress = Callable[[int, int], None]
 
 def parameters_of(config: Any) -> dict[str, Any]:
     """A configuration as the plain JSON values that a manifest records."""
-    return dict(msgspec.json.decode(msgspec.json.encode(dataclasses.asdict(config))))  # tuples become lists
+    # By way of JSON, so that tuples are the lists that are read back and compared.
+    return msgspec.json.decode(msgspec.json.encode(dataclasses.asdict(config)), type=dict[str, Any])
 
 
 def input_ref(role: str, path: Path) -> InputRef:

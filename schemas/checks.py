@@ -79,7 +79,7 @@ def _first_offence(rule: ArrayRule, arrays: Mapping[str, NDArray[Any]]) -> str |
 
 
 def _lexicographically_increasing(array: NDArray[Any]) -> NDArray[np.bool_]:
-    rows = array.reshape(len(array), -1)
+    rows = array[:, None] if array.ndim == 1 else array
     before, after = rows[:-1], rows[1:]
     result = np.zeros(max(len(rows) - 1, 0), np.bool_)
     undecided = np.ones_like(result)

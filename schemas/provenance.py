@@ -15,13 +15,15 @@ from alula.schemas.manifest import InputRef, Producer, producer
 MARK = "alula-provenance: "
 RUN_METADATA = "alula/summary"
 _SEARCHED_BYTES = 2**20
+_MANIFEST_LIMIT = 2**26
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     """What an output was made of; equal provenance means an equal output.
 
     Text formats carry it as one line that holds `MARK` and this as JSON; JSON files under the key
-    `provenance`; array artifacts in their manifest; MCAP logs in their metadata.
+    `provenance`, GLB files under `asset.extras.provenance`; array artifacts in
+    their manifest; MCAP logs in their metadata.
     """
 
     schema: str
@@ -91,11 +93,13 @@ def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
                 return _of_artifact(path, verify)
             if head == b"\x89MCAP0\r\n":
                 return _of_mcap(path)
+            if head.startswith(b"glTF"):
+                return _of_glb(path)
             rest = file.read(_SEARCHED_BYTES)
     except (OSError, InputError):
         return None
     raw = head + rest
-    if path.suffix == ".json":
+    if path.suffix == ".json" or head.startswith(b"{"):
         return _of_json(path)
     mark = raw.find(MARK.encode())
     if mark < 0:
@@ -128,6 +132,18 @@ def _of_json(path: Path) -> Provenance | None:
     if not isinstance(record, dict) or not isinstance(record.get("provenance"), dict):
         return None
     return _decode(msgspec.json.encode(record["provenance"]))
+
+
+def _of_glb(path: Path) -> Provenance | None:
+    with path.open("rb") as file:
+        length = int.from_bytes(file.read(20)[12:16], "little")
+        if length > _MANIFEST_LIMIT:
+            return None
+        try:
+            tree = msgspec.json.decode(file.read(length))
+            return _decode(msgspec.json.encode(tree["asset"]["extras"]["provenance"]))
+        except (msgspec.MsgspecError, KeyError, TypeError):
+            return None
 
 
 def _of_mcap(path: Path) -> Provenance | None:

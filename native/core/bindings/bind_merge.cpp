@@ -1,6 +1,123 @@
-// Bindings of alula/merge.hpp.
+// Bindings of alula/merge.hpp and alula/lattice_hull.hpp.
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/string.h>
+
+#include "alula/merge.hpp"
+#include "arrays.hpp"
+#include "python_control.hpp"
 
 namespace nb = nanobind;
+using namespace nb::literals;
 
-void bind_merge(nb::module_& m) { (void)m; }
+namespace alula {
+namespace {
+
+std::span<const Lattice> as_lattice(const InRows3<std::int32_t>& rows) {
+  static_assert(sizeof(Lattice) == 3 * sizeof(std::int32_t));
+  return {reinterpret_cast<const Lattice*>(rows.data()), rows.shape(0)};
+}
+
+using Result = nb::typed<nb::dict, nb::str, nb::any>;
+
+struct Flat {
+  std::vector<std::int32_t> vertex;
+  std::vector<std::int64_t> vertex_start{0}, normal, offset, plane_start{0};
+
+  explicit Flat(const std::vector<LatticePolytope>& hulls) {
+    for (const LatticePolytope& hull : hulls) {
+      for (const Lattice& v : hull.vertex) vertex.insert(vertex.end(), v.begin(), v.end());
+      for (const LatticePlane& p : hull.plane) {
+        normal.insert(normal.end(), p.normal.begin(), p.normal.end());
+        offset.push_back(p.offset);
+      }
+      vertex_start.push_back(static_cast<std::int64_t>(vertex.size() / 3));
+      plane_start.push_back(static_cast<std::int64_t>(offset.size()));
+    }
+  }
+
+  void put(Result& result) {
+    const std::size_t vertices = vertex.size() / 3, planes = offset.size(), starts = vertex_start.size();
+    result["vertex"] = to_numpy(std::move(vertex), {vertices, 3});
+    result["vertex_start"] = to_numpy(std::move(vertex_start), {starts});
+    result["plane_normal"] = to_numpy(std::move(normal), {planes, 3});
+    result["plane_offset"] = to_numpy(std::move(offset), {planes});
+    result["plane_start"] = to_numpy(std::move(plane_start), {starts});
+  }
+};
+
+Result lattice_hull(const InRows3<std::int32_t>& points) {
+  std::vector<LatticePolytope> hulls;
+  {
+    const nb::gil_scoped_release release;
+    HullBuilder builder;
+    builder.build(as_lattice(points));
+    hulls.push_back(builder.polytope());
+  }
+  Result result;
+  Flat(hulls).put(result);
+  return result;
+}
+
+Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint32_t>& member,
+                     const InVector<std::int64_t>& member_start, int block, bool is_paper, std::size_t max_hulls,
+                     std::size_t max_planes, double max_growth, unsigned jobs, nb::object progress) {
+  PythonControl control(std::move(progress));
+  Cover cover;
+  UnionVolume volume{};
+  std::vector<std::int32_t> member_index;
+  {
+    const nb::gil_scoped_release release;
+    const Occupancy occupancy(as_lattice(voxels));
+    VoxelSets sets;
+    if (member_start.size() > 1) {
+      sets.member.assign(member.data(), member.data() + member.size());
+      sets.start.assign(member_start.data(), member_start.data() + member_start.size());
+    } else {
+      sets = subcover(occupancy, block, jobs, control);
+    }
+    const MergeOptions options{is_paper ? MergeRule::kPaper : MergeRule::kIncrease, max_hulls, max_planes, max_growth};
+    cover = merge(occupancy, sets, options, jobs, control);
+    if (cover.within_budget) {
+      if (!is_paper) retighten(occupancy, cover, max_planes, control);
+      sort_hulls(cover);
+      volume = union_excess(occupancy, cover.hull, jobs, control);
+      member_index.reserve(3 * cover.members.member.size());
+      for (const std::uint32_t v : cover.members.member) {
+        const Lattice& voxel = occupancy.voxels()[v];
+        member_index.insert(member_index.end(), voxel.begin(), voxel.end());
+      }
+    }
+  }
+  Result result;
+  Flat(cover.hull).put(result);
+  const std::size_t members = member_index.size() / 3, merges = cover.history.size(), points = cover.curve.size();
+  result["member_index"] = to_numpy(std::move(member_index), {members, 3});
+  std::vector<std::int64_t> start(cover.members.start.begin(), cover.members.start.end());
+  const std::size_t starts = start.size();
+  result["member_start"] = to_numpy(std::move(start), {starts});
+  std::vector<double> history, curve;
+  for (const Merge& m : cover.history)
+    history.insert(history.end(), {static_cast<double>(m.left), static_cast<double>(m.right), m.weight});
+  for (const CurvePoint& c : cover.curve)
+    curve.insert(curve.end(), {static_cast<double>(c.hulls), c.excess, static_cast<double>(c.planes)});
+  result["history"] = to_numpy(std::move(history), {merges, 3});
+  result["curve"] = to_numpy(std::move(curve), {points, 3});
+  result["within_budget"] = cover.within_budget;
+  result["union_excess"] = volume.excess;
+  result["lines"] = volume.lines;
+  result["stride"] = volume.stride;
+  return result;
+}
+
+}  // namespace
+}  // namespace alula
+
+void bind_merge(nb::module_& m) {
+  m.def("lattice_hull", &alula::lattice_hull, "points"_a,
+        "Exact hull of integer points (N, 3): sorted vertices and primitive planes, as a cover of one hull.");
+  m.def("merge_cover", &alula::merge_cover, "voxels"_a, "member"_a, "member_start"_a, "block"_a, "is_paper"_a,
+        "max_hulls"_a, "max_planes"_a, "max_growth"_a, "jobs"_a, "progress"_a.none(),
+        "Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets, or an\n"
+        "empty `member_start` asks for the set cover by clusters. A limit of 0 is none. Returns the arrays of\n"
+        "an alula/cover, the curve (hulls, sum of W, planes), the excess of the union [voxels] and its grid.");
+}

@@ -14,4 +14,14 @@ class Control {
   virtual void poll(std::size_t done, std::size_t total) { (void)done, (void)total; }
 };
 
+// Lets a preparatory loop be stopped without reporting its own progress.
+class InterruptOnly final : public Control {
+ public:
+  explicit InterruptOnly(Control& outer) : outer_(outer) {}
+  void poll(std::size_t, std::size_t) override { outer_.poll(0, 1); }
+
+ private:
+  Control& outer_;
+};
+
 }  // namespace alula

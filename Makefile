@@ -1,0 +1,82 @@
+# make help lists the targets.
+SHELL := bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DELETE_ON_ERROR:
+MAKEFLAGS += --no-builtin-rules
+
+BIN := .venv/bin
+VIEW := build/typing/alula
+NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
+CONSTRAINTS := .ci/constraints.txt
+
+.PHONY: help demo test setup lint format typecheck typing-view test-native test-wheel wheel examples bench docs schemas clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
+
+demo: setup ## fly the built-in scene end to end and leave a report
+	@$(MAKE) --no-print-directory -C examples/room ALULA=$(CURDIR)/$(BIN)/alula
+
+test: setup ## install what the tests need and run them
+	$(BIN)/pytest tests
+
+setup: .venv/.installed ## make the environment in .venv/
+
+.venv/.dependencies: pyproject.toml $(CONSTRAINTS)
+	.ci/system-packages "$$(.ci/find-python)"
+	"$$(.ci/find-python)" -m venv .venv
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
+	$(BIN)/pip install -q -c $(CONSTRAINTS) --group dev
+	touch $@
+
+.venv/.installed: .venv/.dependencies $(NATIVE) native/python/alula/__init__.py
+	$(BIN)/pip install -q -c $(CONSTRAINTS) --no-build-isolation -e .
+	touch $@
+
+format: setup ## format all sources
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+lint: setup ## check style and formatting
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+
+typing-view: setup ## link the sources under one namespace for static tools
+	@mkdir -p $(VIEW)
+	@for part in cli stages schemas; do ln -sfn $(CURDIR)/$$part $(VIEW)/$$part; done
+	@for file in __init__.py py.typed _core.pyi; do ln -sfn $(CURDIR)/native/python/alula/$$file $(VIEW)/$$file; done
+
+typecheck: typing-view ## check types, strictly
+	$(BIN)/mypy -p alula
+
+test-native: setup ## build the native tests with sanitizers and run them
+	$(BIN)/cmake -S . -B build/native -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja \
+	  -DALULA_PYTHON=OFF -DALULA_TESTS=ON -DALULA_SANITIZE=ON >/dev/null
+	$(BIN)/cmake --build build/native
+	$(BIN)/ctest --test-dir build/native --output-on-failure
+
+wheel: setup ## build the wheel and the sdist into dist/
+	rm -rf dist
+	$(BIN)/python -m build -q --no-isolation --outdir dist .
+	@ls -l dist
+
+test-wheel: wheel ## run the tests against the built wheel in an environment of its own
+	$$($(BIN)/python -c 'import sys; print(sys._base_executable)') -m venv --clear build/wheel-venv
+	build/wheel-venv/bin/pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
+	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) dist/*.whl --group dev
+	build/wheel-venv/bin/pytest tests
+
+examples: demo ## run every example
+
+bench: setup ## time the pipeline's stages side by side
+	$(BIN)/python -P benchmarks/pipeline.py
+
+docs: setup ## regenerate the command reference
+	$(BIN)/python -P -m alula.cli.reference docs/commands.md
+
+schemas: setup ## regenerate the JSON Schemas and the type stub of the native module
+	$(BIN)/python -P -m alula.schemas.generate schemas/json
+	$(BIN)/python -P -m nanobind.stubgen -q -m alula._core -o native/python/alula/_core.pyi
+
+clean: ## remove everything that was made
+	rm -rf build dist .venv examples/*/out .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,60 @@
+"""`alula export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from alula.cli import options
+from alula.cli.options import Common
+from alula.schemas.configs.export import ExportConfig
+
+if TYPE_CHECKING:
+    from alula.cli.runner import Progress
+    from alula.schemas.provenance import Provenance
+
+EXAMPLES = """\b
+Examples:
+  alula export room.cover.npz -o room.glb
+  alula export room.scene.npz -o room.ply
+"""
+
+
+@click.command(epilog=EXAMPLES)
+@click.argument("artifact", metavar="INPUT", type=options.input_path())
+@options.from_config(ExportConfig)
+@options.output(".glb .obj .json .ply .stl")
+def command(artifact: Path, config: ExportConfig, common: Common) -> None:
+    """Convert a cover or a scene for other programs.
+
+    A cover becomes GLB, OBJ, STL (one mesh per hull) or JSON (the exact integers); a scene becomes
+    PLY (Gaussians), GLB or OBJ (points).
+    """
+    from alula.cli.runner import run
+    from alula.schemas.artifact import read_artifact
+    from alula.schemas.atomic import atomic_output
+    from alula.schemas.errors import WrongKindError
+    from alula.stages.reporting.export import export
+
+    name = config.resolved(common.output)
+
+    def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
+        found = read_artifact(artifact)
+        try:
+            parts = list(export(found, name, provenance))
+        except WrongKindError as error:
+            raise WrongKindError(f"{artifact}: {error}") from error
+
+        def write() -> None:
+            with atomic_output(common.output) as file:
+                file.writelines(parts)
+
+        what = {"hulls": "plane_start", "gaussians": "mean"}
+        counts = {word: len(found[array]) for word, array in what.items() if array in found.arrays}
+        if "hulls" in counts:
+            counts["hulls"] -= 1
+        return write, {"format": name, **counts, "bytes": sum(map(len, parts))}
+
+    run(common, "alula/export", "1.0", {"format": name}, {"input": artifact}, make)

@@ -1,0 +1,154 @@
+"""`alula info`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from alula.cli import options
+
+if TYPE_CHECKING:
+    from alula.schemas.errors import AlulaError
+
+EXAMPLES = """\b
+Examples:
+  alula info room.cover.npz
+  alula info scan.ply --json
+"""
+
+Explained = tuple[dict[str, Any], "AlulaError | None"]
+
+
+@click.command(epilog=EXAMPLES)
+@click.argument("file", type=options.input_path())
+@options.reporting
+def command(file: Path, json: bool, quiet: bool, verbose: int) -> None:
+    """Explain an artifact or a splat file.
+
+    Of a damaged file it prints what can still be read, and ends with exit code 3.
+    """
+    from alula.cli.present import print_json, print_sections
+
+    facts, error = _explain(file)
+    facts = {"file": file.name, "bytes": file.stat().st_size, "whole": error is None, **facts}
+    if json:
+        print_json(facts)
+    elif not quiet:
+        print_sections(facts)
+    if error is not None:
+        raise error
+
+
+def _explain(path: Path) -> Explained:
+    """The facts of a file, and the error that reading all of it ends with.
+
+    Raises:
+        InputError: the file cannot be opened, or is nothing that alula knows.
+    """
+    from alula.schemas.errors import ArtifactError, InputError
+    from alula.schemas.provenance import read_provenance
+    from alula.schemas.salvage import is_artifact_like
+    from alula.stages.reporting.inspect import provenance_facts
+
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, not a file")
+    try:
+        with path.open("rb") as file:
+            head = file.read(4096)
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    if not head:
+        raise ArtifactError(f"{path}: is empty")
+    if head.startswith(b"\x89MCAP0\r\n"):
+        return _run(path)
+    if is_artifact_like(path):
+        return _artifact(path)
+    if path.suffix == ".toml":
+        return _scenario(path)
+    if head.startswith(b"ply") or (made := read_provenance(path)) is None:
+        return _splat(path)
+    return provenance_facts(made), None
+
+
+def _artifact(path: Path) -> Explained:
+    from alula.schemas.artifact import read_artifact
+    from alula.schemas.errors import ArtifactError, DamagedError
+    from alula.schemas.salvage import salvage
+    from alula.stages.reporting.inspect import artifact_facts, manifest_facts
+
+    try:
+        return artifact_facts(read_artifact(path)), None
+    except DamagedError as error:
+        left = salvage(path)
+        facts = manifest_facts(left.manifest) if left.manifest is not None else {"kind": "unknown"}
+        return {"damage": left.words(), **facts}, DamagedError(f"{error}; {left.words()}")
+    except ArtifactError as error:
+        left = salvage(path)
+        return (manifest_facts(left.manifest) if left.manifest is not None else {}), error
+
+
+def _run(path: Path) -> Explained:
+    from alula.schemas.errors import DamagedError
+    from alula.schemas.flights import count_messages
+    from alula.schemas.run import read_run
+    from alula.stages.reporting.inspect import about, run_facts
+
+    messages, complete = count_messages(path)
+    try:
+        facts = run_facts(read_run(path), messages)
+    except DamagedError as error:
+        readable = f"{sum(messages.values())} messages can still be read"
+        facts = {"damage": readable, **about("alula/run", ""), "messages": dict(sorted(messages.items()))}
+        return facts, DamagedError(f"{error}; {readable}")
+    if not complete:
+        return facts, DamagedError(f"{path}: truncated or corrupt MCAP log; its summary is readable")
+    return facts, None
+
+
+def _scenario(path: Path) -> Explained:
+    import msgspec
+
+    from alula.schemas.scenario import read_scenario
+    from alula.stages.reporting.inspect import about
+
+    scenario = msgspec.to_builtins(read_scenario(path))
+    return {**about("alula/scenario", ""), **scenario}, None
+
+
+def _splat(path: Path) -> Explained:
+    import mmap
+
+    from alula.schemas.errors import ArtifactError
+    from alula.schemas.provenance import read_provenance
+    from alula.stages.reconstruction.formats import recognise
+    from alula.stages.reporting.inspect import provenance_facts, splat_facts
+
+    with path.open("rb") as file:
+        buffer = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    try:
+        found = recognise(buffer, path.suffix.lower())
+    except ArtifactError as error:
+        if foreign := _foreign(error):
+            return foreign, None
+        known = "an artifact, a run, a scenario, or a splat or other file of a known format"
+        raise ArtifactError(f"{path}: is not {known}") from error
+    try:
+        facts = splat_facts(found.decode(buffer, None))
+    except ArtifactError as error:
+        if foreign := _foreign(error):
+            return foreign, None
+        return {"kind": f"splat file: {found.name}", "damage": str(error)}, ArtifactError(f"{path}: {error}")
+    made = read_provenance(path)
+    return facts | ({"written by": provenance_facts(made)} if made is not None else {}), None
+
+
+def _foreign(error: Exception) -> dict[str, Any] | None:
+    """The facts of a file that the readers recognise, but do not read."""
+    words = str(error)
+    for mark in ("recognised as ", "PLY: an ordinary "):
+        if words.startswith(mark):
+            name = words.removeprefix("recognised as ").removeprefix("PLY: ")
+            return {"kind": name.split(";")[0], "version": "", "what": f"{name}."}
+    return None

@@ -1,0 +1,41 @@
+"""`alula merge`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from alula.cli import options
+from alula.schemas.configs.merge import MergeConfig
+
+EXAMPLES = """\b
+Examples:
+  alula merge room.voxels.npz -o room.cover.npz --hulls 300
+  alula merge room.cover.npz -o small.cover.npz --max-planes 1500
+"""
+
+
+@click.command(epilog=EXAMPLES)
+@click.argument("source", type=options.input_path(), metavar="VOXELS|COVER")
+@options.from_config(MergeConfig)
+@options.output(".cover.npz")
+def command(source: Path, config: MergeConfig, common: options.Common) -> None:
+    """Cover voxels with convex polytopes, as few as asked.
+
+    Every occupied voxel ends up inside a hull, exactly. Hulls are merged greedily where that encloses
+    least free space, until the limits hold. A cover as input is merged further.
+    """
+    from alula.cli.runner import Progress, run_stage
+    from alula.schemas.artifact import Artifact, read_artifact
+    from alula.schemas.errors import WrongKindError
+    from alula.schemas.kinds import COVER, VOXELS
+    from alula.stages.compression.merge import merge
+
+    def build(progress: Progress) -> Artifact:
+        artifact = read_artifact(source)
+        if artifact.kind not in (VOXELS, COVER):
+            raise WrongKindError(f"{source}: is {artifact.manifest.schema}, but voxels or a cover are needed")
+        return merge(config, artifact, jobs=common.jobs, progress=progress)
+
+    run_stage(common, COVER, config, {"source": source}, build)

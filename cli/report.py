@@ -1,0 +1,173 @@
+"""`alula report`."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from alula.cli import options
+from alula.cli.options import Common
+from alula.schemas.configs.report import ReportConfig
+
+if TYPE_CHECKING:
+    from alula.cli.runner import Progress
+    from alula.schemas.provenance import Provenance
+    from alula.stages.reporting.material import Material
+
+EXAMPLES = """\b
+Examples:
+  alula report room.run.mcap --cover room.cover.npz -o report.html
+  alula report a.run.mcap b.run.mcap --cover c.cover.npz --paper polymerge -o table.html
+"""
+
+
+@click.command(epilog=EXAMPLES)
+@click.argument("runs", nargs=-1, type=options.input_path())
+@click.option("--cover", type=options.input_path(), help="Cover that was flown through (.cover.npz).")
+@click.option("--scene", type=options.input_path(), help="Scene that the cover was made from (.scene.npz).")
+@click.option("--plan", type=options.input_path(), help="Plan that was flown (.plan.npz).")
+@click.option("--certificate", type=options.input_path(), help="What `verify` wrote (.json).")
+@options.from_config(ReportConfig)
+@options.output(".html")
+def command(
+    runs: tuple[Path, ...],
+    cover: Path | None,
+    scene: Path | None,
+    plan: Path | None,
+    certificate: Path | None,
+    config: ReportConfig,
+    common: Common,
+) -> None:
+    """Turn runs into tables, figures and one HTML page.
+
+    Beside the page, report.md holds the same tables and report.csv one row per trial.
+    """
+    from alula.cli.runner import parameters_of, run
+    from alula.schemas.errors import UsageError
+    from alula.schemas.run import record_path
+    from alula.stages.reporting.figures import all_figures
+    from alula.stages.reporting.page import comment, page
+    from alula.stages.reporting.tables import all_tables, to_csv, to_markdown
+    from alula.stages.reporting.view3d import view
+
+    named = {"cover": cover, "scene": scene, "plan": plan, "certificate": certificate}
+    inputs: dict[str, Path] = {}
+    for number, log in enumerate(runs, 1):
+        inputs[f"run-{number:03d}"] = log
+        if record_path(log).is_file():
+            inputs[f"timing-{number:03d}"] = record_path(log)
+    inputs |= {role: path for role, path in named.items() if path is not None}
+    if not inputs:
+        raise UsageError("report needs a run, or one of --cover, --scene, --plan")
+    if common.output.suffix not in (".html", ".htm"):
+        raise UsageError(f"{common.output}: the output must end in .html")
+    markdown, table = common.output.with_suffix(".md"), common.output.with_suffix(".csv")
+    _check_beside(markdown, table, inputs, common)
+
+    def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
+        material = _read(config.title, runs, inputs, provenance)
+        tables = all_tables(material, config.table, config.paper)
+        progress(1, 3)
+        figures = all_figures(material)
+        progress(2, 3)
+        shown = view(material)
+        summary = {
+            "runs": len(material.runs),
+            "trials": sum(len(run.record.trials) for run in material.runs),
+            "tables": len(tables),
+            "figures": len(figures),
+            "markdown": markdown.name,
+            "csv": table.name,
+        }
+        line = provenance.line(summary)
+        html = page(material, tables, figures, shown, line)
+        progress(3, 3)
+
+        def write() -> None:
+            _write_all(
+                {
+                    common.output: html,
+                    table: to_csv(material),
+                    markdown: to_markdown(config.title, tables, comment(line)),
+                }
+            )
+
+        return write, {**summary, "bytes": len(html.encode())}
+
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns when it cannot cache its fonts
+    run(common, "alula/report", "1.0", parameters_of(config), inputs, make)
+
+
+def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenance: Provenance) -> Material:
+    import msgspec
+
+    from alula.schemas.artifact import read_artifact
+    from alula.schemas.errors import ArtifactError
+    from alula.schemas.flights import read_flights
+    from alula.schemas.kinds import COVER, PLAN, SCENE
+    from alula.schemas.run import read_run
+    from alula.stages.reporting.material import Material, Run
+
+    flown: list[Run] = []
+    for log in runs:
+        record = read_run(log)
+        label = log.name.removesuffix(".run.mcap").removesuffix(".mcap")
+        if any(label == other.label for other in flown):
+            label = f"{label} ({len(flown) + 1})"
+        flights = read_flights(log)
+        flown.append(Run(label, record, flights.by_trial, flights.hulls))
+    artifacts = {
+        kind.name.removeprefix("alula/"): read_artifact(inputs[kind.name.removeprefix("alula/")], kind)
+        for kind in (COVER, SCENE, PLAN)
+        if kind.name.removeprefix("alula/") in inputs
+    }
+    certificate = None
+    if "certificate" in inputs:
+        try:
+            certificate = msgspec.json.decode(inputs["certificate"].read_bytes(), type=dict[str, Any])
+        except msgspec.MsgspecError as error:
+            raise ArtifactError(f"{inputs['certificate']}: is not a certificate ({error})") from error
+    return Material(
+        title=title,
+        runs=tuple(flown),
+        **artifacts,
+        certificate=certificate,
+        inputs=tuple(provenance.inputs),
+        file_bytes={role: path.stat().st_size for role, path in inputs.items()},
+    )
+
+
+def _write_all(texts: dict[Path, str]) -> None:
+    """Write files so that all appear or none; the first appears last, for it is the Make target."""
+    from alula.schemas.atomic import atomic_output
+
+    with ExitStack() as stack:
+        for path, text in texts.items():
+            file = stack.enter_context(atomic_output(path))
+            file.write(text.encode())
+            file.flush()
+
+
+def _check_beside(markdown: Path, table: Path, inputs: dict[str, Path], common: Common) -> None:
+    """Refuse to replace a file of someone else's beside the page."""
+    from alula.cli.runner import check_output
+    from alula.schemas.errors import UsageError
+    from alula.schemas.provenance import read_provenance
+    from alula.stages.reporting.tables import CSV_COLUMNS
+
+    for path in (markdown, table):
+        check_output(path, inputs)
+        if not path.exists() or common.force:
+            continue
+        if path == markdown:
+            recorded = read_provenance(path)
+            ours = recorded is not None and recorded.schema == "alula/report"
+        else:
+            with path.open(encoding="utf-8", errors="replace") as file:
+                ours = file.readline().strip() == ",".join(CSV_COLUMNS)
+        if not ours:
+            raise UsageError(f"{path}: exists, but it is not a file of alula's; -f replaces it")

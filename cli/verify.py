@@ -1,0 +1,121 @@
+"""`alula verify`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from alula.cli import options
+
+if TYPE_CHECKING:
+    from alula.stages.compression.certificate import Certificate
+
+EXAMPLES = """\b
+Examples:
+  alula verify room.cover.npz --voxels room.voxels.npz --scene room.metric.scene.npz
+  alula verify room.cover.npz --voxels room.voxels.npz -o room.certificate.json
+"""
+
+
+@click.command(epilog=EXAMPLES)
+@click.argument("cover", type=options.input_path())
+@click.option("--voxels", type=options.input_path(), help="The voxels that the cover must contain.")
+@click.option("--scene", type=options.input_path(), help="The scene that the voxels must contain.")
+@click.option(
+    "-o", "--output", type=options.input_path(), help="Certificate to write when all holds (.json)."
+)
+@click.option("-f", "--force", is_flag=True, help="Replace an output of other provenance.")
+@click.option("-n", "--dry-run", is_flag=True, help="Check everything, write nothing.")
+@click.option("--jobs", type=click.IntRange(0, 256), default=0, help="Threads; 0 is all processors.")
+@options.reporting
+def command(
+    cover: Path,
+    voxels: Path | None,
+    scene: Path | None,
+    output: Path | None,
+    force: bool,
+    dry_run: bool,
+    jobs: int,
+    json: bool,
+    quiet: bool,
+    verbose: int,
+) -> None:
+    """Prove again that a cover contains every obstacle.
+
+    Uses the files alone and other algorithms than those that made them: hulls and voxels in exact
+    integers, ellipsoids by separating planes. Exit code 4 and the first place when something is not
+    proven; then no certificate is written.
+    """
+    import dataclasses
+
+    import msgspec
+
+    from alula.cli import runner
+    from alula.schemas.artifact import read_artifact
+    from alula.schemas.atomic import write_text
+    from alula.schemas.errors import CheckError, DamagedError, UsageError
+    from alula.schemas.kinds import COVER, SCENE, VOXELS
+    from alula.schemas.provenance import Provenance
+    from alula.stages.compression.certificate import SCHEMA, VERSION, Certificate, verify
+
+    if output is not None and output.suffix != ".json":
+        raise UsageError(f"{output}: the certificate must end in .json")
+    target = output if output is not None else Path("certificate")
+    common = options.Common(target, force, dry_run, json, quiet, verbose, 0, jobs, None)
+    inputs = {"cover": cover}
+    inputs |= {"voxels": voxels} if voxels is not None else {}
+    inputs |= {"scene": scene} if scene is not None else {}
+    made: list[Certificate] = []
+
+    def check() -> Certificate:
+        with runner.progress_bar(common) as progress:
+            certificate = verify(
+                read_artifact(cover, COVER),
+                voxels=None if voxels is None else read_artifact(voxels, VOXELS),
+                scene=None if scene is None else read_artifact(scene, SCENE),
+                jobs=jobs,
+                progress=progress,
+            )
+        if not certificate.covered:
+            _show(common, "failed", certificate)
+            raise CheckError(f"{cover}: {certificate.complaint()}")
+        made.append(certificate)
+        return certificate
+
+    def make(provenance: Provenance, _: runner.Progress) -> tuple[Any, dict[str, Any]]:
+        record = {"schema": SCHEMA, "version": VERSION, **msgspec.to_builtins(check())}
+        record["provenance"] = provenance
+        text = msgspec.json.format(msgspec.json.encode(record, order="sorted"), indent=2).decode() + "\n"
+        return lambda: write_text(target, text), {}
+
+    if output is None:
+        _show(common, "checked", check())
+        return
+    silent = dataclasses.replace(common, quiet=True, json=False)
+    runner.run(silent, SCHEMA, VERSION, {}, inputs, make)
+    if made:
+        _show(common, "dry-run" if dry_run else "written", made[0])
+        return
+    try:
+        _show(common, "unchanged", msgspec.json.decode(output.read_bytes(), type=Certificate))
+    except msgspec.MsgspecError as error:
+        raise DamagedError(f"{output}: is no certificate ({error}); -f replaces it") from error
+
+
+def _show(common: options.Common, status: str, certificate: Certificate) -> None:
+    """Print the answer on stdout: one JSON object, or a line per check."""
+    import msgspec
+
+    if common.json:
+        record = {"status": status, **msgspec.to_builtins(certificate)}
+        click.echo(json.dumps(record, indent=2, sort_keys=True))
+    elif not common.quiet:
+        click.echo("covered" if certificate.covered else "not covered")
+        width = max(len(check.name) for check in certificate.checks)
+        for check in certificate.checks:
+            answer = "ok" if check.ok else f"{check.failed} failed"
+            click.echo(f"  {check.name:<{width}}  {answer:<10} {check.checked:>9}  {check.detail}")
+        click.echo(f"  outside the proof: {certificate.left_out}")

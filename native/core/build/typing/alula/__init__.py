@@ -1,0 +1,1 @@
+/work/wt/voxelize/native/core/native/python/alula/__init__.py

@@ -1,0 +1,67 @@
+// Ellipsoids of a splat at a level, as affine images of the unit ball.
+//
+// A Gaussian with centre c, one-sigma semi-axes s and orientation R (rotation of its quaternion) is
+// at level k the set {c + R diag(k s) u : |u| <= 1}. Its Minkowski sum with a ball of radius r lies
+// in the ellipsoid with the same axes and semi-axes
+//   a_j^2 = (1 + 1/p) (k s_j)^2 + (1 + p) r^2,   p = sqrt(sum_j (k s_j)^2 / (3 r^2)),
+// whatever the rounding of p, because any p > 0 gives an outer ellipsoid.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <limits>
+#include <span>
+
+namespace alula {
+
+using Vec3 = std::array<double, 3>;
+
+// Rows of a scene: centres (N, 3), one-sigma semi-axes (N, 3), quaternions w x y z (N, 4) of any
+// positive norm; all in the unit of the scene.
+struct Splats {
+  std::span<const float> mean, scale, quat_wxyz;
+  std::size_t size() const { return mean.size() / 3; }
+};
+
+// The level k and the radius r of the ball that is added.
+struct Level {
+  double sigma = 1.0;
+  double inflation = 0.0;
+};
+
+// Throws std::invalid_argument when lengths do not agree, a value is not finite, a semi-axis is not
+// positive or a quaternion is zero, naming the row; or when the level means nothing.
+void check_splats(const Splats& splats, const Level& level, double voxel_size);
+
+// {c + A u : |u| <= 1}; `row` are the rows of A, so |row i| is the half-width along axis i.
+//
+// Rounding: with u = 2^-53 every entry of R is off by at most 10 u (numerator four products of which
+// the absolute values sum to at most |q|^2; then one division by |q|^2), every semi-axis by 6 u
+// relative, so each row is off by at most 17 u `reach` in norm, and so is every point of the set.
+struct Ellipsoid {
+  Vec3 centre{};
+  std::array<Vec3, 3> row{};
+  Vec3 half{};         // half-widths along the axes
+  double reach = 0.0;  // sum of the semi-axes; no point is farther from the centre
+
+  // Bound of all coordinates of the set and of the voxels of edge g that it touches.
+  double extent(double g) const;
+};
+
+Ellipsoid outer_ellipsoid(const Splats& splats, std::size_t i, const Level& level);
+
+// Lower triangular L with L u over the unit ball the same set as the rows first, second, third of A
+// times u: (x1, x2, x3) = (l11 u1, l21 u1 + l22 u2, l31 u1 + l32 u2 + l33 u3), diagonal positive.
+// Made by three plane rotations in u-space, so row i is that of a matrix whose row differs from A's
+// by at most 20 u |row i|: backward stable whatever the ratio of the semi-axes. Diagonal entries
+// below `floor` are raised to it, which moves no point by more than that.
+struct Factor {
+  double l11, l21, l22, l31, l32, l33;
+};
+Factor lower_factor(const Vec3& first, const Vec3& second, const Vec3& third, double floor);
+// The same set with the first two coordinates exchanged, from its factor: one more rotation.
+Factor exchanged(const Factor& f, double floor);
+
+inline constexpr double kEps = std::numeric_limits<double>::epsilon();  // 2 u
+
+}  // namespace alula

@@ -1,0 +1,75 @@
+// Covering voxels with a given number of convex polytopes by greedy merging.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "alula/control.hpp"
+#include "alula/subcover.hpp"
+
+namespace alula {
+
+// Which pair merges next. With W(C) = Vol(Hull(C) \ occupied):
+enum class MergeRule {
+  kPaper,     // least W(i u j) among pairs whose boxes touch; the nearest boxes when none do
+  kIncrease,  // least W(i u j) - W(i) - W(j); a polytope that touches none is paired with its nearest
+};
+
+struct MergeOptions {
+  MergeRule rule = MergeRule::kIncrease;
+  std::size_t max_hulls = 0;   // 0: no limit
+  std::size_t max_planes = 0;  // 0: no limit
+  double max_growth = 0;       // limit of 1 + sum W / voxels; 0: no limit
+};
+
+struct Merge {
+  std::uint32_t left, right;  // start sets are 0 .. N - 1, the k-th merge makes N + k
+  double weight;              // W of the result [voxels]
+};
+
+struct CurvePoint {
+  std::size_t hulls;
+  double excess;  // sum of W [voxels], at least the excess of the union
+  std::size_t planes;
+};
+
+struct Cover {
+  std::vector<LatticePolytope> hull;
+  VoxelSets members;  // Hull(members) is the hull
+  std::vector<Merge> history;
+  std::vector<CurvePoint> curve;  // after each merge, the start first
+  bool within_budget = true;      // false: max_growth, or n = 1, was reached before the others held
+};
+
+// Merges pairs of sets until at most max_hulls polytopes with at most max_planes half-planes in
+// all remain. Without either limit, merges as long as max_growth allows.
+//
+// Guarantee: every voxel of `sets` stays a member of a hull that contains it; weights only rank.
+// Deterministic. A merged hull contains the hulls of all pairs it came from, so W(i u j u k) is at
+// least W(i u j), W(i u k) and W(j u k): candidates carry that bound and are evaluated only when
+// it reaches the top of the heap. Time O(n log n) queue operations for n sets with a bounded
+// number of neighbours.
+// Source: Hong et al. 2026 (arXiv 2606.16232), eqs. 11-15.
+Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
+            Control& control);
+
+// Replaces each hull, the one with most excess first, by the hull of the voxels that no other hull
+// contains, and drops hulls that have none; hulls only shrink and the union never grows. Afterwards
+// the members partition the voxels. With max_planes > 0 a hull is kept when its replacement would
+// take the number of half-planes beyond that.
+void retighten(const Occupancy& occupancy, Cover& cover, std::size_t max_planes, Control& control);
+
+// Orders hulls by their members, lexicographically.
+void sort_hulls(Cover& cover);
+
+struct UnionVolume {
+  double excess;     // Vol(union of hulls \ occupied) [voxels]
+  int lines, stride; // lines x lines per sampled voxel column, every stride-th column per axis
+};
+
+// Volume of the union outside the voxels by exact z-intervals over a regular grid of lines; every
+// voxel must be inside a hull. Deterministic for any number of threads.
+UnionVolume union_excess(const Occupancy& occupancy, const std::vector<LatticePolytope>& hulls, unsigned jobs,
+                         Control& control);
+
+}  // namespace alula

@@ -1,0 +1,106 @@
+#include "alula/ellipsoid.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <stdexcept>
+#include <string>
+
+namespace alula {
+
+void check_splats(const Splats& splats, const Level& level, double voxel_size) {
+  const std::size_t n = splats.size();
+  if (splats.mean.size() != 3 * n || splats.scale.size() != 3 * n || splats.quat_wxyz.size() != 4 * n)
+    throw std::invalid_argument("mean, scale and quat_wxyz do not have the same number of rows");
+  if (n >= std::numeric_limits<std::uint32_t>::max())
+    throw std::invalid_argument("more ellipsoids than 32 bits can count");
+  const auto finite_positive = [](double v) { return std::isfinite(v) && v > 0; };
+  if (!finite_positive(level.sigma)) throw std::invalid_argument("sigma is not a positive number");
+  if (!std::isfinite(level.inflation) || level.inflation < 0)
+    throw std::invalid_argument("inflation is not a number of at least 0");
+  if (!finite_positive(voxel_size)) throw std::invalid_argument("voxel_size is not a positive number");
+  for (std::size_t i = 0; i < n; ++i) {
+    bool good = true;
+    for (std::size_t a = 0; a < 3; ++a)
+      good &= std::isfinite(splats.mean[3 * i + a]) && finite_positive(splats.scale[3 * i + a]);
+    double norm = 0;
+    for (std::size_t a = 0; a < 4; ++a) norm += double(splats.quat_wxyz[4 * i + a]) * splats.quat_wxyz[4 * i + a];
+    if (!good || !finite_positive(norm))
+      throw std::invalid_argument("row " + std::to_string(i) + " is not an ellipsoid");
+  }
+}
+
+double Ellipsoid::extent(double g) const {
+  return std::max({std::abs(centre[0]), std::abs(centre[1]), std::abs(centre[2])}) + reach + g;
+}
+
+Ellipsoid outer_ellipsoid(const Splats& splats, std::size_t i, const Level& level) {
+  Ellipsoid e;
+  Vec3 axis;
+  for (std::size_t a = 0; a < 3; ++a) {
+    e.centre[a] = splats.mean[3 * i + a];
+    axis[a] = level.sigma * splats.scale[3 * i + a];
+  }
+  if (level.inflation > 0) {
+    const double r = level.inflation;
+    const double p = std::sqrt((axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]) / 3) / r;
+    for (double& a : axis) a = std::sqrt((1 + 1 / p) * a * a + (1 + p) * r * r);
+  }
+  const float* q = &splats.quat_wxyz[4 * i];
+  const double w = q[0], x = q[1], y = q[2], z = q[3];
+  const double ww = w * w, xx = x * x, yy = y * y, zz = z * z;
+  const double inverse = 1 / (ww + xx + yy + zz);
+  const std::array<Vec3, 3> rotation{
+      Vec3{(ww + xx - yy - zz) * inverse, 2 * (x * y - w * z) * inverse, 2 * (x * z + w * y) * inverse},
+      Vec3{2 * (x * y + w * z) * inverse, (ww - xx + yy - zz) * inverse, 2 * (y * z - w * x) * inverse},
+      Vec3{2 * (x * z - w * y) * inverse, 2 * (y * z + w * x) * inverse, (ww - xx - yy + zz) * inverse}};
+  for (std::size_t a = 0; a < 3; ++a) {
+    for (std::size_t j = 0; j < 3; ++j) e.row[a][j] = rotation[a][j] * axis[j];
+    e.half[a] = std::sqrt(e.row[a][0] * e.row[a][0] + e.row[a][1] * e.row[a][1] + e.row[a][2] * e.row[a][2]);
+  }
+  e.reach = axis[0] + axis[1] + axis[2];
+  return e;
+}
+
+namespace {
+
+// The rotation of two columns that turns (a, b) into (length, 0).
+struct Rotation {
+  double c = 1, s = 0;
+  Rotation(double a, double b) {
+    const double length = std::sqrt(a * a + b * b);
+    if (length > 0) c = a / length, s = b / length;
+  }
+  void operator()(double& a, double& b) const {
+    const double kept = c * a + s * b;
+    b = c * b - s * a;
+    a = kept;
+  }
+};
+
+}  // namespace
+
+Factor lower_factor(const Vec3& first, const Vec3& second, const Vec3& third, double floor) {
+  Vec3 p = first, q = second, r = third;
+  for (const std::size_t j : {1u, 2u}) {
+    const Rotation turn(p[0], p[j]);
+    turn(p[0], p[j]);
+    turn(q[0], q[j]);
+    turn(r[0], r[j]);
+  }
+  const Rotation turn(q[1], q[2]);
+  turn(q[1], q[2]);
+  turn(r[1], r[2]);
+  return {std::max(p[0], floor), q[0], std::max(q[1], floor), r[0], r[1], std::max(std::abs(r[2]), floor)};
+}
+
+Factor exchanged(const Factor& f, double floor) {
+  const Rotation turn(f.l21, f.l22);
+  double lead = f.l21, rest = f.l22, l21 = f.l11, l22 = 0, l31 = f.l31, l32 = f.l32;
+  turn(lead, rest);
+  turn(l21, l22);
+  turn(l31, l32);
+  return {std::max(lead, floor), l21, std::max(-l22, floor), l31, -l32, f.l33};
+}
+
+}  // namespace alula

@@ -1,0 +1,322 @@
+#include "alula/merge.hpp"
+
+#include <algorithm>
+#include <optional>
+#include <queue>
+
+#include "alula/box_tree.hpp"
+#include "alula/parallel.hpp"
+
+namespace alula {
+
+namespace {
+
+struct Link {
+  std::uint32_t other;
+  double bound;  // W of the merged hull is at least this; equal once evaluated
+};
+
+struct Element {
+  LatticePolytope hull;
+  double weight = 0;
+  bool alive = true;
+  std::vector<Link> links;
+};
+
+struct Candidate {
+  double key;
+  std::uint32_t left, right;  // left < right
+  bool evaluated;
+  bool is_nearest;  // paired because `left` or `right` touches nothing
+  bool operator<(const Candidate& other) const {  // the best is the top of a heap
+    if (key != other.key) return key > other.key;
+    if (left != other.left) return left > other.left;
+    return right > other.right;
+  }
+};
+
+struct Gap {
+  std::int64_t squared_distance;
+  std::uint32_t item, nearest;
+  bool operator<(const Gap& other) const {
+    if (squared_distance != other.squared_distance) return squared_distance > other.squared_distance;
+    if (item != other.item) return item > other.item;
+    return nearest > other.nearest;
+  }
+};
+
+// A fixed order without spatial pattern, so that the box tree stays shallow.
+std::vector<std::uint32_t> scattered(std::size_t count) {
+  std::vector<std::uint32_t> order(count);
+  for (std::uint32_t i = 0; i < count; ++i) order[i] = i;
+  std::uint64_t state = 1;
+  for (std::size_t i = count; i > 1; --i) {
+    state = state * 6364136223846793005u + 1442695040888963407u;
+    std::swap(order[i - 1], order[(state >> 33) % i]);
+  }
+  return order;
+}
+
+class Merger {
+ public:
+  Merger(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
+         Control& control)
+      : occupancy_(occupancy), sets_(sets), options_(options), excess_(occupancy) {
+    element_.resize(sets.size());
+    InterruptOnly quiet(control);
+    parallel_chunks(sets.size(), 256, jobs, quiet, [&](std::size_t begin, std::size_t end) {
+      HullBuilder hull;
+      ExcessMeter excess(occupancy);
+      std::vector<Lattice> voxels;
+      for (std::size_t i = begin; i < end; ++i) {
+        voxels.clear();
+        for (const std::uint32_t v : sets[i]) voxels.push_back(occupancy.voxels()[v]);
+        std::sort(voxels.begin(), voxels.end());
+        hull.build_voxels(voxels);
+        element_[i].hull = hull.polytope();
+        element_[i].weight = excess(hull);
+      }
+    });
+    for (const Element& e : element_) total_weight_ += e.weight, planes_ += e.hull.plane.size();
+    hulls_ = element_.size();
+  }
+
+  Cover run(Control& control) {
+    Cover cover;
+    cover.curve.push_back({hulls_, total_weight_, planes_});
+    if (!is_done()) link_all();
+    const std::size_t start = hulls_, goal = std::max<std::size_t>(options_.max_hulls, 1);
+    while (!is_done()) {
+      const std::optional<Merge> best = hulls_ > 1 ? next() : std::nullopt;
+      if (!best || !may_grow(*best)) {
+        cover.within_budget = options_.max_hulls == 0 && options_.max_planes == 0;
+        break;
+      }
+      join(*best);
+      cover.history.push_back(*best);
+      cover.curve.push_back({hulls_, total_weight_, planes_});
+      control.poll(start - hulls_, start > goal ? start - goal : start - hulls_);
+    }
+    collect(cover);
+    return cover;
+  }
+
+ private:
+  bool is_done() const {
+    if (options_.max_hulls == 0 && options_.max_planes == 0) return false;
+    return (options_.max_hulls == 0 || hulls_ <= options_.max_hulls) &&
+           (options_.max_planes == 0 || planes_ <= options_.max_planes);
+  }
+
+  bool may_grow(const Merge& best) const {
+    if (options_.max_growth <= 0) return true;
+    const double total = total_weight_ - element_[best.left].weight - element_[best.right].weight + best.weight;
+    return 1 + total / static_cast<double>(occupancy_.size()) <= options_.max_growth;
+  }
+
+  double weight_of(std::uint32_t left, std::uint32_t right) const {
+    for (const Link& link : element_[left].links)
+      if (link.other == right) return link.bound;
+    return 0;
+  }
+
+  // Builds the hull of a pair; returns its weight.
+  double evaluate(std::uint32_t left, std::uint32_t right) {
+    point_.clear();
+    for (const std::uint32_t e : {left, right})
+      point_.insert(point_.end(), element_[e].hull.vertex.begin(), element_[e].hull.vertex.end());
+    hull_.build(point_);
+    return std::max({excess_(hull_), weight_of(left, right), element_[left].weight, element_[right].weight});
+  }
+
+  double key(std::uint32_t left, std::uint32_t right, double weight) const {
+    if (options_.rule == MergeRule::kPaper) return weight;
+    return weight - element_[left].weight - element_[right].weight;
+  }
+
+  void link(std::uint32_t a, std::uint32_t b, double bound, bool is_nearest) {
+    element_[a].links.push_back({b, bound});
+    element_[b].links.push_back({a, bound});
+    queue_.push({key(a, b, bound), std::min(a, b), std::max(a, b), false, is_nearest});
+  }
+
+  void set_bound(std::uint32_t a, std::uint32_t b, double bound) {
+    for (Link& link : element_[a].links)
+      if (link.other == b) link.bound = bound;
+  }
+
+  void link_all() {
+    for (const std::uint32_t i : scattered(element_.size())) tree_.insert(i, bounds(element_[i].hull.vertex));
+    for (std::uint32_t i = 0; i < element_.size(); ++i) {
+      tree_.touching(tree_.box(i), touching_);
+      for (const std::uint32_t j : touching_)
+        if (j > i) link(i, j, std::max(element_[i].weight, element_[j].weight), false);
+      if (touching_.size() == 1) pair_with_nearest(i);
+    }
+  }
+
+  // Pairs an element that touches none with the nearest one.
+  void pair_with_nearest(std::uint32_t i) {
+    const BoxTree::Neighbour near = tree_.nearest(i);
+    if (near.item == BoxTree::kNone) return;
+    if (options_.rule == MergeRule::kPaper) {
+      gaps_.push({near.squared_distance, i, near.item});
+    } else if (!is_linked(i, near.item)) {
+      link(i, near.item, std::max(element_[i].weight, element_[near.item].weight), true);
+    }
+  }
+
+  bool is_linked(std::uint32_t a, std::uint32_t b) const {
+    for (const Link& link : element_[a].links)
+      if (link.other == b) return true;
+    return false;
+  }
+
+  // The best pair, evaluated; nothing when one element is left.
+  std::optional<Merge> next() {
+    while (!queue_.empty()) {
+      Candidate top = queue_.top();
+      queue_.pop();
+      const bool left = element_[top.left].alive, right = element_[top.right].alive;
+      if (!left || !right) {
+        if (top.is_nearest && left) repair(top.left);
+        if (top.is_nearest && right) repair(top.right);
+        continue;
+      }
+      if (top.evaluated) return Merge{top.left, top.right, weight_of(top.left, top.right)};
+      const double weight = evaluate(top.left, top.right);
+      set_bound(top.left, top.right, weight), set_bound(top.right, top.left, weight);
+      top.key = key(top.left, top.right, weight);
+      top.evaluated = true;
+      if (queue_.empty() || !(top < queue_.top())) return Merge{top.left, top.right, weight};
+      queue_.push(top);
+    }
+    while (!gaps_.empty()) {
+      const Gap gap = gaps_.top();
+      gaps_.pop();
+      if (!element_[gap.item].alive) continue;
+      if (!element_[gap.nearest].alive) {
+        pair_with_nearest(gap.item);
+        continue;
+      }
+      const auto [left, right] = std::minmax(gap.item, gap.nearest);
+      return Merge{left, right, evaluate(left, right)};
+    }
+    return std::nullopt;
+  }
+
+  // An element whose nearest one was merged away: unless something touches it now, look again.
+  void repair(std::uint32_t i) {
+    tree_.touching(tree_.box(i), touching_);
+    if (touching_.size() == 1) pair_with_nearest(i);
+  }
+
+  // Replaces two elements by their union.
+  void join(const Merge& pair) {
+    const auto [left, right, weight] = pair;
+    const std::uint32_t made = static_cast<std::uint32_t>(element_.size());
+    evaluate(left, right);
+    Element merged;
+    merged.hull = hull_.polytope();
+    merged.weight = weight;
+    merged_links_.clear();
+    for (const std::uint32_t old : {pair.left, pair.right}) {
+      tree_.remove(old);
+      for (const Link& link : element_[old].links)
+        if (link.other != pair.left && link.other != pair.right && element_[link.other].alive)
+          merged_links_.push_back(link);
+      total_weight_ -= element_[old].weight;
+      planes_ -= element_[old].hull.plane.size();
+      element_[old] = Element{};
+      element_[old].alive = false;
+    }
+    total_weight_ += weight;
+    planes_ += merged.hull.plane.size();
+    --hulls_;
+    const LatticeBox box = bounds(merged.hull.vertex);
+    tree_.touching(box, touching_);
+    for (const std::uint32_t other : touching_) merged_links_.push_back({other, element_[other].weight});
+    std::sort(merged_links_.begin(), merged_links_.end(), [](const Link& a, const Link& b) {
+      return a.other != b.other ? a.other < b.other : a.bound > b.bound;
+    });
+    tree_.insert(made, box);
+    element_.push_back(std::move(merged));
+    for (std::size_t i = 0; i < merged_links_.size(); ++i) {
+      const Link& l = merged_links_[i];
+      if (i > 0 && merged_links_[i - 1].other == l.other) continue;
+      std::erase_if(element_[l.other].links,
+                    [&](const Link& x) { return x.other == pair.left || x.other == pair.right; });
+      if (std::binary_search(touching_.begin(), touching_.end(), l.other))
+        link(made, l.other, std::max(l.bound, weight), false);
+    }
+    if (touching_.empty()) pair_with_nearest(made);
+  }
+
+  void collect(Cover& cover) {
+    const std::size_t leaves = sets_.size();
+    std::vector<std::uint32_t> stack, members;
+    for (std::uint32_t e = 0; e < element_.size(); ++e) {
+      if (!element_[e].alive) continue;
+      members.clear();
+      stack.assign(1, e);
+      while (!stack.empty()) {
+        const std::uint32_t id = stack.back();
+        stack.pop_back();
+        if (id < leaves) {
+          members.insert(members.end(), sets_[id].begin(), sets_[id].end());
+        } else {
+          stack.push_back(cover.history[id - leaves].left), stack.push_back(cover.history[id - leaves].right);
+        }
+      }
+      std::sort(members.begin(), members.end());
+      members.erase(std::unique(members.begin(), members.end()), members.end());
+      cover.members.member.insert(cover.members.member.end(), members.begin(), members.end());
+      cover.members.close();
+      cover.hull.push_back(std::move(element_[e].hull));
+    }
+  }
+
+  const Occupancy& occupancy_;
+  const VoxelSets& sets_;
+  MergeOptions options_;
+  std::vector<Element> element_;
+  double total_weight_ = 0;
+  std::size_t planes_ = 0, hulls_ = 0;
+  std::priority_queue<Candidate> queue_;
+  std::priority_queue<Gap> gaps_;
+  BoxTree tree_;
+  HullBuilder hull_;
+  ExcessMeter excess_;
+  std::vector<Lattice> point_;
+  std::vector<std::uint32_t> touching_;
+  std::vector<Link> merged_links_;
+};
+
+}  // namespace
+
+Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
+            Control& control) {
+  return Merger(occupancy, sets, options, jobs, control).run(control);
+}
+
+void sort_hulls(Cover& cover) {
+  std::vector<std::size_t> order(cover.hull.size());
+  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
+  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+    const auto left = cover.members[a], right = cover.members[b];
+    if (!std::equal(left.begin(), left.end(), right.begin(), right.end()))
+      return std::lexicographical_compare(left.begin(), left.end(), right.begin(), right.end());
+    return a < b;
+  });
+  std::vector<LatticePolytope> hull;
+  VoxelSets members;
+  for (const std::size_t i : order) {
+    hull.push_back(std::move(cover.hull[i]));
+    members.member.insert(members.member.end(), cover.members[i].begin(), cover.members[i].end());
+    members.close();
+  }
+  cover.hull = std::move(hull);
+  cover.members = std::move(members);
+}
+
+}  // namespace alula

@@ -1,0 +1,110 @@
+/* Safety filter for a velocity-controlled vehicle among convex polytopes, in freestanding C99.
+ *
+ * Obstacle k is {p : n_kl . p <= d_kl, l = 1..L_k} with unit outward normals n_kl.
+ *
+ *   psi_k(p) = max_l (n_kl . p - d_kl)        psi(p) = min_k psi_k(p)
+ *
+ * psi never exceeds the Euclidean distance to the obstacles and is 1-Lipschitz. The smooth version
+ *
+ *   s_k = (1/kappa) (log sum_l exp(kappa a_kl) - log L_k),  s = -(1/kappa) log sum_k exp(-kappa s_k)
+ *
+ * satisfies s <= psi everywhere; without the term log L_k (the printed form) it does not.
+ * The filter returns the u nearest to u_nom with grad s . u >= -beta (s - r) and |u| <= v_max, and
+ * then clips the step x + t u, 0 <= t <= dt, against every polytope grown by r (psi_k < r): what
+ * is left of it keeps psi >= r at all times, not only at the samples.
+ *
+ * Source: PolyMerge (arXiv 2606.16232), eq. 2, 3, 17; Molnar, CCTA 2025.
+ * Frames and units: positions, planes and velocities in the map's frame; metres, seconds.
+ * Cost: O(hulls) box tests and O(planes) of the hulls near enough to matter; at worst three passes
+ * over all planes and two exponentials per plane.
+ */
+#ifndef ALULA_POLYTOPE_CBF_H
+#define ALULA_POLYTOPE_CBF_H
+
+#include "alula_onboard.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define ALULA_NO_HULL 0xFFFFFFFFU
+#define ALULA_MAX_PLANES 16777216U /* counts must be exact in float */
+
+/* Read-only arrays of the caller's, in flash on a microcontroller.
+ *
+ * `plane` holds rows n_x, n_y, n_z, d whose offsets are so far outward that the float value of
+ * n . p - d, for any p with |p_i| <= extent_m given rounded to float, is at most the true one.
+ * `lower` and `upper` hold, per hull and axis, the offset of a plane of that hull whose normal is
+ * -e_i or e_i (as -d and d); where there is none, -FLT_MAX and FLT_MAX. So the larger of
+ * lower - p and p - upper bounds psi_k from below; a box that is only known to contain the hull
+ * would not. `slack_m` bounds how much two float evaluations of psi at equally rounded positions
+ * may differ. */
+typedef struct {
+  const float *plane;          /* plane_start[hull_count] rows of 4 */
+  const uint32_t *plane_start; /* hull_count + 1 */
+  const float *lower;          /* hull_count rows of 3 */
+  const float *upper;          /* hull_count rows of 3 */
+  uint32_t hull_count;
+  float extent_m;
+  float slack_m;
+} alula_polytope_map;
+
+typedef enum {
+  ALULA_SMOOTHING_SOUND = 0, /* s <= psi; steps are checked */
+  ALULA_SMOOTHING_PAPER = 1  /* as printed: s may exceed psi by log(L_k)/kappa, no step check. UNSAFE. */
+} alula_smoothing;
+
+typedef struct {
+  float radius_m; /* r >= 0, of the vehicle's sphere */
+  float beta;     /* > 0, at most 1 / dt [1/s] */
+  float kappa;    /* > 0 [1/m] */
+  float dt_s;     /* how long a command is held */
+  float v_max;    /* speed limit of the command [m/s] */
+  alula_smoothing smoothing;
+  int brute_force; /* nonzero: look at every plane; the results are the same, bit by bit */
+} alula_polytope_cbf_config;
+
+/* Made by alula_polytope_cbf_init; the fields are not for the caller. */
+typedef struct {
+  alula_polytope_map map;
+  alula_polytope_cbf_config config;
+  float inverse_kappa;
+  float cutoff_m;      /* hulls this much farther than the nearest do not count */
+  float max_lowering_m; /* largest log(L_k) / kappa */
+  float *hull_value;   /* workspace, hull_count */
+} alula_polytope_cbf;
+
+typedef struct {
+  float hard;        /* psi [m]; FLT_MAX without hulls */
+  float smooth;      /* s [m] */
+  float gradient[3]; /* of s */
+  uint32_t nearest;  /* hull where psi is attained, the first of equals; ALULA_NO_HULL without hulls */
+} alula_polytope_value;
+
+typedef struct {
+  float u[3];
+  float margin_m;      /* s - r */
+  float hard_margin_m; /* psi - r */
+  float fraction;      /* of the command that the step check left, 1 when untouched */
+  uint32_t active;     /* as `nearest` */
+} alula_polytope_result;
+
+/* Check a map and parameters and set up a filter.
+ *
+ * `hull_value` is room for hull_count floats that live as long as the filter; one filter per thread.
+ * Reads the whole map once. */
+ALULA_MUST_USE alula_status alula_polytope_cbf_init(alula_polytope_cbf *cbf, const alula_polytope_map *map,
+                                                    const alula_polytope_cbf_config *config, float *hull_value);
+
+/* psi, its smooth version and gradient at x; ALULA_BAD_INPUT when x is not finite or beyond extent_m. */
+ALULA_MUST_USE alula_status alula_polytope_cbf_evaluate(alula_polytope_cbf *cbf, const float x[3],
+                                                        alula_polytope_value *value);
+
+/* The safe velocity nearest to u_nom. Whatever is not finite or beyond the map is refused: u = 0. */
+ALULA_MUST_USE alula_filter_status alula_polytope_cbf_filter(alula_polytope_cbf *cbf, const float x[3],
+                                                             const float u_nom[3], alula_polytope_result *result);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,113 @@
+"""Parameters of `simulate`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from alula.schemas.errors import UsageError
+
+DEFAULT_RADIUS_M = 0.1
+DEFAULT_SPEED_M_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulateConfig:
+    """Parameters of `simulate`; None stands for what the plan says or for the documented default."""
+
+    name: str = field(default="run", metadata={"help": "Name of the run, for reports."})
+    filter: str = field(
+        default="polytope-cbf", metadata={"help": "Safety filter, or none.", "metavar": "NAME"}
+    )
+    radius_m: float | None = field(
+        default=None,
+        metadata={
+            "help": f"Radius of the vehicle [m]; default: the plan's, else {DEFAULT_RADIUS_M}.",
+            "option": "--radius",
+        },
+    )
+    speed_m_s: float | None = field(
+        default=None,
+        metadata={
+            "help": f"Speed limit [m/s]; default: {DEFAULT_SPEED_M_S}, or 1.5 times a plan's.",
+            "option": "--speed",
+        },
+    )
+    gain: float = field(default=2.0, metadata={"help": "Gain c of the nominal controller [1/s]."})
+    beta: float = field(default=2.0, metadata={"help": "Gain of the barrier [1/s], at most 1 / dt."})
+    kappa_per_m: float = field(
+        default=100.0, metadata={"help": "Sharpness of the smoothing [1/m].", "option": "--kappa"}
+    )
+    smoothing: Literal["sound", "paper"] = field(
+        default="sound",
+        metadata={"help": "paper: smoothing and steps as printed, which is UNSAFE; for comparison."},
+    )
+    trials: int | None = field(
+        default=None, metadata={"help": "Number of random start-goal pairs; default 100."}
+    )
+    bounds: tuple[float, float, float, float, float, float] | None = field(
+        default=None,
+        metadata={
+            "help": "Box for starts and goals, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; "
+            "default: the central 98 % of the hulls' vertices on each axis.",
+            "metavar": "BOX",
+        },
+    )
+    margin_m: float = field(
+        default=0.05,
+        metadata={"help": "Starts and goals are this much clearer than needed [m].", "option": "--margin"},
+    )
+    separation: float = field(
+        default=0.3, metadata={"help": "Least start-goal distance, as a part of the box's diagonal."}
+    )
+    stop_fraction: float = field(
+        default=0.01, metadata={"help": "Reached within this part of the start-goal distance, or 1 mm."}
+    )
+    dt_s: float = field(
+        default=0.01, metadata={"help": "Time step of filter and vehicle [s].", "option": "--dt"}
+    )
+    max_time_s: float | None = field(
+        default=None,
+        metadata={
+            "help": "A flight that takes longer has failed [s]; default: 10 s, and five times the "
+            "box's diagonal at the speed limit, or a plan's duration.",
+            "option": "--max-time",
+        },
+    )
+    log_rate_hz: float = field(
+        default=20.0, metadata={"help": "Samples per second in the log.", "option": "--log-rate"}
+    )
+    seed: int = field(default=0, metadata={"internal": True})
+    filter_parameters: Mapping[str, Any] = field(default_factory=dict, metadata={"internal": True})
+
+    def __post_init__(self) -> None:
+        """Refuse values that mean nothing."""
+        _between("--dt", self.dt_s, 1e-5, 1.0)
+        if self.radius_m is not None:
+            _between("--radius", self.radius_m, 0.0, 1e3)
+        if self.speed_m_s is not None:
+            _between("--speed", self.speed_m_s, 1e-3, 1e3)
+        _between("--gain", self.gain, 1e-6, 2 / self.dt_s)
+        _between("--beta", self.beta, 1e-6, 1 / self.dt_s)
+        _between("--kappa", self.kappa_per_m, 1e-2, 1e5)
+        _between("--margin", self.margin_m, 0.0, 1e3)
+        _between("--separation", self.separation, 0.0, 0.9)
+        _between("--stop-fraction", self.stop_fraction, 1e-6, 0.5)
+        _between("--log-rate", self.log_rate_hz, 0.01, 1e5)
+        if self.trials is not None:
+            _between("--trials", self.trials, 1, 1_000_000)
+        if self.max_time_s is not None:
+            _between("--max-time", self.max_time_s, self.dt_s, 1e5)
+        if self.bounds is not None and not all(self.bounds[i] < self.bounds[i + 3] for i in range(3)):
+            raise UsageError("--bounds needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
+        if self.smoothing not in ("sound", "paper"):
+            raise UsageError(f"--smoothing must be sound or paper, not {self.smoothing!r}")
+        if not self.name.strip():
+            raise UsageError("--name must not be empty")
+
+
+def _between(option: str, value: float, low: float, high: float) -> None:
+    if not (low <= value <= high) or not math.isfinite(value):
+        raise UsageError(f"{option} must be between {low:g} and {high:g}, not {value:g}")

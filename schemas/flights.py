@@ -1,0 +1,172 @@
+"""What a run's log holds: states and safety margins of each flight over time, and its channels."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.errors import ArtifactError, DamagedError, InputError
+
+MAP_TOPIC = "/map"
+STATE_TOPIC = "/state"
+SAFETY_TOPIC = "/safety"
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One trial of a run, as logged.
+
+    Attributes:
+        time_s: times of the states, shape (n,) [s].
+        position_world: shape (n, 3) [m].
+        speed_m_s: shape (n,) [m/s].
+        margin_time_s: times of the filter's answers, shape (m,) [s].
+        margin_m: margin that the filter reported, NaN where it had none, shape (m,) [m].
+        status: status that the filter reported, m words.
+    """
+
+    time_s: NDArray[np.float64]
+    position_world: NDArray[np.float64]
+    speed_m_s: NDArray[np.float64]
+    margin_time_s: NDArray[np.float64]
+    margin_m: NDArray[np.float64]
+    status: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Flights:
+    """The flights of a run by trial, and the hulls of the map that it flew through, when it says."""
+
+    by_trial: dict[int, Flight]
+    hulls: int | None
+
+
+class _Vector(msgspec.Struct, gc=False):
+    x: float
+    y: float
+    z: float
+
+
+class _State(msgspec.Struct, gc=False):
+    trial: int
+    time_s: float
+    position_m: _Vector
+    velocity_m_s: _Vector
+
+
+class _Safety(msgspec.Struct, gc=False):
+    trial: int
+    time_s: float
+    h_m: float | None = None
+    status_name: str = ""
+
+
+class _Pair(msgspec.Struct):
+    key: str
+    value: str
+
+
+class _Entity(msgspec.Struct):
+    metadata: list[_Pair] = []
+
+
+class _Map(msgspec.Struct):
+    entities: list[_Entity] = []
+
+
+def read_flights(log: Path) -> Flights:
+    """The flights in a run's log; none when it holds no states.
+
+    Raises:
+        InputError: the log cannot be read.
+        DamagedError: truncated or corrupt, or a message does not have the documented fields.
+    """
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    states: dict[int, list[_State]] = {}
+    safety: dict[int, list[_Safety]] = {}
+    hulls = None
+    decode_state = msgspec.json.Decoder(_State).decode
+    decode_safety = msgspec.json.Decoder(_Safety).decode
+    try:
+        with log.open("rb") as file:
+            for _, channel, message in make_reader(file).iter_messages(
+                topics=[MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC], log_time_order=False
+            ):
+                if channel.message_encoding != "json":
+                    raise ArtifactError(f"{log}: channel {channel.topic} is not JSON")
+                if channel.topic == STATE_TOPIC:
+                    state = decode_state(message.data)
+                    states.setdefault(state.trial, []).append(state)
+                elif channel.topic == MAP_TOPIC:
+                    hulls = _hull_count(msgspec.json.decode(message.data, type=_Map))
+                else:
+                    answer = decode_safety(message.data)
+                    safety.setdefault(answer.trial, []).append(answer)
+    except OSError as error:
+        raise InputError(f"{log}: cannot read: {error.strerror or error}") from error
+    except msgspec.MsgspecError as error:
+        raise DamagedError(f"{log}: a message is not as documented ({error})") from error
+    except (McapError, ValueError, EOFError) as error:
+        raise DamagedError(f"{log}: truncated or corrupt MCAP log ({error})") from error
+    flights = {trial: _flight(states[trial], safety.get(trial, [])) for trial in sorted(states)}
+    return Flights(flights, hulls)
+
+
+def _hull_count(message: _Map) -> int | None:
+    for entity in message.entities:
+        for pair in entity.metadata:
+            if pair.key == "hulls" and pair.value.isdecimal():
+                return int(pair.value)
+    return None
+
+
+def _flight(states: list[_State], safety: list[_Safety]) -> Flight:
+    states.sort(key=lambda state: state.time_s)
+    safety.sort(key=lambda answer: answer.time_s)
+    position = [(v.x, v.y, v.z) for v in (state.position_m for state in states)]
+    velocity = [(v.x, v.y, v.z) for v in (state.velocity_m_s for state in states)]
+    square = np.square(np.array(velocity, np.float64).reshape(-1, 3)).sum(axis=1)
+    return Flight(
+        time_s=np.array([state.time_s for state in states]),
+        position_world=np.array(position, np.float64).reshape(-1, 3),
+        speed_m_s=np.sqrt(square),
+        margin_time_s=np.array([answer.time_s for answer in safety], np.float64),
+        margin_m=np.array([answer.h_m for answer in safety], np.float64),  # None becomes NaN
+        status=tuple(answer.status_name for answer in safety),
+    )
+
+
+def count_messages(log: Path) -> tuple[dict[str, int], bool]:
+    """Messages per topic as far as a log can be read, and whether that is to its end.
+
+    Raises:
+        InputError: the log cannot be opened.
+    """
+    from mcap.exceptions import McapError
+    from mcap.records import Channel, Footer, Message
+    from mcap.stream_reader import StreamReader
+
+    topics: dict[int, str] = {}
+    counts: dict[str, int] = {}
+    try:
+        with log.open("rb") as file:
+            for record in StreamReader(file).records:
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+                elif isinstance(record, Message):
+                    topic = topics.get(record.channel_id, "?")
+                    counts[topic] = counts.get(topic, 0) + 1
+                elif isinstance(record, Footer):
+                    return counts, True
+    except OSError as error:
+        raise InputError(f"{log}: cannot read: {error.strerror or error}") from error
+    except (McapError, ValueError, EOFError, struct.error):
+        pass
+    return counts, False

@@ -1,0 +1,161 @@
+"""Scenarios: a whole simulation in one TOML file, `alula/scenario`.
+
+    name = "room, 150 hulls"
+
+    [map]
+    cover = "room.cover.npz"      # relative to this file
+    scene = "room.scene.npz"      # optional: also judge the flights against its ellipsoids
+    plan = "room.plan.npz"        # optional: fly this instead of random pairs
+
+    [vehicle]
+    radius_m = 0.1
+    v_max_m_s = 1.0
+
+    [filter]
+    name = "polytope-cbf"
+    parameters = { beta = 2.0, kappa_per_m = 100.0, smoothing = "sound" }
+
+    [controller]
+    gain = 2.0
+
+    [trials]
+    count = 100
+    seed = 0
+    bounds_m = [-3.0, -3.0, 0.2, 3.0, 3.0, 2.0]
+
+    [run]
+    dt_s = 0.01
+    max_time_s = 60.0
+
+Only `[map] cover` is required. What is left out has the default of the command's option.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from alula.schemas.errors import InputError, UsageError
+
+_BUILT_IN_PARAMETERS = ("beta", "kappa_per_m", "smoothing")
+
+
+class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A table of the file: unknown keys are refused, absent ones stay None."""
+
+
+class MapTable(_Table, frozen=True, kw_only=True):
+    """Files, relative to the scenario's folder."""
+
+    cover: str
+    scene: str | None = None
+    plan: str | None = None
+
+
+class VehicleTable(_Table, frozen=True, kw_only=True):
+    """The sphere that flies."""
+
+    radius_m: float | None = None
+    v_max_m_s: float | None = None
+
+
+class FilterTable(_Table, frozen=True, kw_only=True):
+    """The filter and its parameters; those of a filter from another package are its own."""
+
+    name: str | None = None
+    parameters: dict[str, Any] = {}
+
+
+class ControllerTable(_Table, frozen=True, kw_only=True):
+    """The nominal controller."""
+
+    gain: float | None = None
+
+
+class TrialsTable(_Table, frozen=True, kw_only=True):
+    """Random start-goal pairs."""
+
+    count: int | None = None
+    seed: int | None = None
+    bounds_m: tuple[float, float, float, float, float, float] | None = None
+    margin_m: float | None = None
+    separation: float | None = None
+    stop_fraction: float | None = None
+
+
+class RunTable(_Table, frozen=True, kw_only=True):
+    """Time."""
+
+    dt_s: float | None = None
+    max_time_s: float | None = None
+    log_rate_hz: float | None = None
+
+
+class Scenario(_Table, frozen=True, kw_only=True):
+    """A scenario file."""
+
+    map: MapTable
+    name: str | None = None
+    vehicle: VehicleTable = VehicleTable()
+    filter: FilterTable = FilterTable()
+    controller: ControllerTable = ControllerTable()
+    trials: TrialsTable = TrialsTable()
+    run: RunTable = RunTable()
+
+    def settings(self) -> dict[str, Any]:
+        """Fields of `SimulateConfig` that the file sets."""
+        own = self.filter.name in (None, "polytope-cbf")
+        values: dict[str, Any] = {
+            "name": self.name,
+            "filter": self.filter.name,
+            "radius_m": self.vehicle.radius_m,
+            "speed_m_s": self.vehicle.v_max_m_s,
+            "gain": self.controller.gain,
+            "trials": self.trials.count,
+            "seed": self.trials.seed,
+            "bounds": self.trials.bounds_m,
+            "margin_m": self.trials.margin_m,
+            "separation": self.trials.separation,
+            "stop_fraction": self.trials.stop_fraction,
+            "dt_s": self.run.dt_s,
+            "max_time_s": self.run.max_time_s,
+            "log_rate_hz": self.run.log_rate_hz,
+            **(self.filter.parameters if own else {"filter_parameters": self.filter.parameters or None}),
+        }
+        return {key: value for key, value in values.items() if value is not None}
+
+
+def read_scenario(path: Path) -> Scenario:
+    """Read a scenario.
+
+    Raises:
+        InputError: the file cannot be read or is not TOML.
+        UsageError: a key is unknown, missing or of the wrong type; the message has its path.
+    """
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    try:
+        scenario = msgspec.toml.decode(raw, type=Scenario)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"{path}: {error}") from error
+    except (msgspec.DecodeError, UnicodeDecodeError, ValueError) as error:
+        raise InputError(f"{path}: is not TOML ({error})") from error
+    if scenario.filter.name in (None, "polytope-cbf"):
+        _check_built_in_parameters(path, scenario.filter.parameters)
+    elif scenario.filter.name == "none" and scenario.filter.parameters:
+        raise UsageError(f"{path}: `$.filter.parameters`: the filter none has no parameters")
+    return scenario
+
+
+def _check_built_in_parameters(path: Path, parameters: dict[str, Any]) -> None:
+    for key, value in parameters.items():
+        where = f"{path}: `$.filter.parameters.{key}`"
+        if key not in _BUILT_IN_PARAMETERS:
+            raise UsageError(f"{where}: unknown; polytope-cbf has {', '.join(_BUILT_IN_PARAMETERS)}")
+        wanted = str if key == "smoothing" else float | int
+        if not isinstance(value, wanted) or isinstance(value, bool):
+            raise UsageError(f"{where}: Expected `{'str' if key == 'smoothing' else 'float'}`")

@@ -1,0 +1,266 @@
+"""Prove again, by other means than `merge` and `voxelize`, that a cover contains every obstacle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.manifest import CoverManifest, SceneManifest, VoxelsManifest
+
+SCHEMA, VERSION = "alula/certificate", "1.0"
+LISTED = 100  # offenders of one check
+
+Progress = Callable[[int, int], None] | None
+
+# What each fault of native/core/include/alula/cover_check.hpp is about.
+_POLYTOPES = (0, 1, 2, 3, 4, 5, 6, 9)
+_MEMBERS = (7, 8)
+_VERTEX_FAULTS, _PLANE_FAULTS = (3, 6, 9), (1, 4, 5)
+_NOT_COVERED, _NOT_OCCUPIED = 10, 11
+_GEOMETRY = (
+    *("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start"),
+    *("member_index", "member_start"),
+)
+
+
+class Offence(msgspec.Struct, frozen=True, kw_only=True):
+    """One place where a check fails.
+
+    `place_m` is the offending vertex, the first vertex of the hull of an offending plane or the
+    centre of an offending voxel, in the cover's frame; None for what has no place.
+    """
+
+    fault: str
+    hull: int | None = None
+    place_m: tuple[float, float, float] | None = None
+    gaussian: int | None = None
+
+    def text(self) -> str:
+        """One phrase: what, where."""
+        words = self.fault
+        if self.hull is not None:
+            words += f", hull {self.hull}"
+        if self.gaussian is not None:
+            words += f", Gaussian {self.gaussian}"
+        if self.place_m is not None:
+            words += " at (" + ", ".join(f"{c:.4g}" for c in self.place_m) + ") m"
+        return words
+
+
+class Check(msgspec.Struct, frozen=True, kw_only=True):
+    """One fact: how many things were checked and how many failed; the first offenders."""
+
+    name: str
+    ok: bool
+    checked: int
+    failed: int
+    detail: str
+    first: list[Offence]
+
+
+class Certificate(msgspec.Struct, frozen=True, kw_only=True):
+    """What was proved about a cover, and what lies outside the proof."""
+
+    covered: bool
+    checks: list[Check]
+    left_out: str
+
+    def complaint(self) -> str:
+        """The first check that fails and its first offender; empty when covered."""
+        for check in self.checks:
+            if not check.ok:
+                place = check.first[0].text() if check.first else check.detail
+                more = f" (and {check.failed - 1} more)" if check.failed > 1 else ""
+                return f"not proven: {check.name}: {place}{more}"
+        return ""
+
+
+def verify(
+    cover: Artifact,
+    *,
+    voxels: Artifact | None = None,
+    scene: Artifact | None = None,
+    jobs: int = 0,
+    progress: Progress = None,
+) -> Certificate:
+    """Check a cover from its arrays alone, against the voxels and the scene it was made from.
+
+    Hulls are checked in integers without tolerance and without the code that built them: vertices
+    and planes describe the same bounded polytope, each member voxel v has
+    normal . v + sum of positive normal components <= offset for all planes, and each vertex is a
+    corner of a member. Every occupied voxel must be a member. With a scene, each ellipsoid
+    {x : (x - mean)' inv(Sigma) (x - mean) <= sigma^2}, grown by the inflation, must lie in the
+    occupied voxels, except where the recorded crop and overlap exclude it.
+
+    Args:
+        cover: an `alula/cover`.
+        voxels: the `alula/voxels` it must cover; without it, the union of its members is taken.
+        scene: the `alula/scene` that the voxels must contain.
+        jobs: threads, 0 for all processors; the result does not depend on it.
+        progress: called with (done, total) now and then.
+
+    Returns:
+        The certificate; `covered` when every check holds.
+    """
+    manifest = cover.manifest
+    assert isinstance(manifest, CoverManifest)
+    checks = [_files_agree(cover, voxels, scene)] if voxels is not None or scene is not None else []
+    checks += _hull_checks(cover, jobs, progress)
+    checks.append(_occupied_check(cover, voxels))
+    if scene is not None:
+        index = cover["member_index"] if voxels is None else voxels["index"]
+        checks.append(_scene_check(manifest, scene, index, jobs, progress))
+    return Certificate(
+        covered=all(check.ok for check in checks), checks=checks, left_out=_left_out(manifest, voxels, scene)
+    )
+
+
+def _files_agree(cover: Artifact, voxels: Artifact | None, scene: Artifact | None) -> Check:
+    """Lattice, level and frame of the cover are those of the other files."""
+    mine = cover.manifest
+    assert isinstance(mine, CoverManifest)
+    offences = []
+    names = ["frame"]
+    if voxels is not None:
+        assert isinstance(voxels.manifest, VoxelsManifest)
+        names += ["voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop"]
+        offences += [
+            Offence(fault=f"{name} of the cover is {getattr(mine, name)}, of the voxels {theirs}")
+            for name in names
+            if (theirs := getattr(voxels.manifest, name)) != getattr(mine, name)
+        ]
+    if scene is not None and scene.manifest.frame != mine.frame:
+        offences.append(
+            Offence(fault=f"frame of the cover is {mine.frame}, of the scene {scene.manifest.frame}")
+        )
+    return _check("files agree", len(names), offences, len(offences), "size, level and frame")
+
+
+def _hull_checks(cover: Artifact, jobs: int, progress: Progress) -> list[Check]:
+    vertex, vertex_start, normal, offset, plane_start, member, member_start = (
+        np.ascontiguousarray(cover[name]) for name in _GEOMETRY
+    )
+    found = _core.check_cover_hulls(
+        vertex, vertex_start, normal, offset, plane_start, member, member_start, jobs, progress
+    )
+    hulls, members = len(cover["plane_start"]) - 1, len(cover["member_index"])
+    return [
+        _fault_check(
+            cover, "hulls are exact polytopes", hulls, found, _POLYTOPES, "planes are the facets of vertices"
+        ),
+        _fault_check(cover, "members lie in their hulls", members, found, _MEMBERS, "integer containment"),
+    ]
+
+
+def _occupied_check(cover: Artifact, voxels: Artifact | None) -> Check:
+    members = np.ascontiguousarray(cover["member_index"])
+    occupied = members if voxels is None else np.ascontiguousarray(voxels["index"])
+    found = _core.check_cover_occupied(members, np.ascontiguousarray(cover["member_start"]), occupied)
+    detail = "members are the voxels of the file" if voxels is not None else "no voxels file: its own members"
+    return _fault_check(
+        cover,
+        "every voxel is a member",
+        len(occupied),
+        found,
+        (_NOT_COVERED, _NOT_OCCUPIED),
+        detail,
+        occupied,
+    )
+
+
+def _scene_check(
+    manifest: CoverManifest, scene: Artifact, index: NDArray[np.int32], jobs: int, progress: Progress
+) -> Check:
+    from alula.stages.compression.ellipsoids import unproven_voxels
+
+    found = unproven_voxels(
+        scene,
+        index,
+        voxel_size_m=manifest.voxel_size_m,
+        sigma=manifest.sigma,
+        inflation_m=manifest.inflation_m,
+        crop=None if manifest.crop is None else tuple(manifest.crop),  # type: ignore[arg-type]
+        min_overlap=manifest.min_overlap,
+        jobs=jobs,
+        progress=progress,
+    )
+    first = [
+        Offence(
+            fault="an ellipsoid may touch an unmarked voxel",
+            gaussian=int(g),
+            place_m=_place(np.asarray(v) + 0.5, manifest.voxel_size_m),
+        )
+        for v, g in zip(found.voxel[:LISTED], found.ellipsoid[:LISTED], strict=True)
+    ]
+    count = len(scene["mean"])
+    return _check("every ellipsoid lies in the voxels", count, first, found.total, "separating planes")
+
+
+def _fault_check(
+    cover: Artifact,
+    name: str,
+    checked: int,
+    found: NDArray[np.int64],
+    faults: tuple[int, ...],
+    detail: str,
+    occupied: NDArray[np.int32] | None = None,
+) -> Check:
+    mine = found[np.isin(found[:, 0], faults)]
+    first = [_offence(cover, row, occupied) for row in mine[:LISTED].tolist()]
+    return _check(name, checked, first, len(mine), detail)
+
+
+def _check(name: str, checked: int, first: list[Offence], failed: int, detail: str) -> Check:
+    return Check(name=name, ok=failed == 0, checked=checked, failed=failed, detail=detail, first=first)
+
+
+def _offence(cover: Artifact, row: list[int], occupied: NDArray[np.int32] | None) -> Offence:
+    """A row (fault, hull, row, other) of the native checker with its place."""
+    fault, hull, at, _ = row
+    point: Any = None
+    if fault in _VERTEX_FAULTS:
+        point = cover["vertex"][at]
+    elif fault == _NOT_COVERED:
+        assert occupied is not None
+        point = occupied[at] + 0.5
+    elif fault in (*_MEMBERS, _NOT_OCCUPIED):
+        point = cover["member_index"][at] + 0.5
+    elif (first := int(cover["vertex_start"][hull])) < int(cover["vertex_start"][hull + 1]):
+        point = cover["vertex"][first]
+    size: float = cover.manifest.voxel_size_m  # type: ignore[attr-defined]
+    return Offence(
+        fault=_core.cover_fault(fault),
+        hull=hull if hull >= 0 else None,
+        place_m=None if point is None else _place(point, size),
+    )
+
+
+def _place(lattice: NDArray[Any], size: float) -> tuple[float, float, float]:
+    x, y, z = (float(c) * size for c in lattice)
+    return x, y, z
+
+
+def _left_out(manifest: CoverManifest, voxels: Artifact | None, scene: Artifact | None) -> str:
+    """What the files themselves do not promise to contain."""
+    parts = [f"ellipsoids beyond {manifest.sigma:g} sigma"]
+    if manifest.min_overlap > 1:
+        parts.append(f"voxels that fewer than {manifest.min_overlap} ellipsoids touch")
+    if manifest.crop is not None:
+        parts.append("what lies outside the crop " + " ".join(f"{c:g}" for c in manifest.crop) + " m")
+    if scene is None:
+        parts.append("the scene itself, which was not given")
+    else:
+        assert isinstance(scene.manifest, SceneManifest)
+        removed = scene.manifest.source.get("removed", {})
+        parts += [
+            f"{count} Gaussians removed by {reason}" for reason, count in sorted(removed.items()) if count
+        ]
+    if voxels is None:
+        parts.append("voxels that the cover does not list, as no voxels file was given")
+    return "; ".join(parts)

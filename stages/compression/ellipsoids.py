@@ -1,0 +1,83 @@
+"""The ellipsoids of a scene against a set of voxels: proof that nothing is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import InputError
+
+Box = tuple[float, float, float, float, float, float]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class UnprovenVoxels:
+    """Voxels that a set lacks, or that could not be proven unneeded.
+
+    Attributes:
+        total: how many there are; 0 means that the set is proven to contain the ellipsoids.
+        voxel: the first 100 of them in lexicographic order, shape (K, 3).
+        ellipsoid: the first row of the scene that touches each, shape (K,).
+    """
+
+    total: int
+    voxel: NDArray[np.int32]
+    ellipsoid: NDArray[np.int64]
+
+
+def unproven_voxels(
+    scene: Artifact,
+    index: NDArray[np.int32],
+    *,
+    voxel_size_m: float,
+    sigma: float,
+    inflation_m: float = 0.0,
+    crop: Box | None = None,
+    min_overlap: int = 1,
+    jobs: int = 0,
+    progress: Progress | None = None,
+) -> UnprovenVoxels:
+    """Prove, by another method than `voxelize`, that voxels contain the ellipsoids of a scene.
+
+    Each voxel i = [i g, (i + 1) g] that is not in `index` and touches the crop is proven to be touched
+    by fewer than `min_overlap` of the sets {c + R diag(k s) u + b : |u| <= 1, |b| <= r}, each time by
+    a plane n with n.c + |diag(k s) R' n| + r |n| < min n.x over the voxel, both sides evaluated with
+    rigorous rounding bounds. A voxel is never passed wrongly.
+
+    Args:
+        scene: an `alula/scene`, in the frame and unit of the voxels.
+        index: the voxels, shape (M, 3), in any order; repetitions are allowed.
+        voxel_size_m: g [m].
+        sigma: k, level of the ellipsoids.
+        inflation_m: r [m], radius of the ball added to each ellipsoid.
+        crop: XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; voxels that do not touch it do not count.
+        min_overlap: voxels touched by fewer ellipsoids may be missing.
+        jobs: threads; the result does not depend on it.
+        progress: called with (done, total) ellipsoids.
+
+    Raises:
+        InputError: the touched voxels that are missing exceed the memory budget.
+    """
+    try:
+        total, voxel, ellipsoid = _core.unproven_voxels(
+            scene["mean"],
+            scene["scale"],
+            scene["quat_wxyz"],
+            sigma,
+            voxel_size_m,
+            inflation_m,
+            crop,
+            min_overlap,
+            np.ascontiguousarray(index, np.int32),
+            jobs,
+            progress,
+        )
+    except OverflowError as error:
+        raise InputError(f"the voxels are not those of this scene: {error}") from error
+    return UnprovenVoxels(total, voxel, ellipsoid)

@@ -1,0 +1,218 @@
+"""The facets of a cover's polytopes as triangles, found with integers only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import ArtifactError
+
+Ints = NDArray[np.int64]
+
+_CHUNK = 2**20  # pairs looked at together
+
+
+@dataclass(frozen=True, slots=True)
+class Mesh:
+    """Closed triangle meshes, one per hull, row-compressed.
+
+    Attributes:
+        points_voxel: corners, shape (P, 3) [voxel edges]; integers wherever `exact`.
+        point_start: first point of each hull and the end, shape (n + 1,).
+        triangles: rows of `points_voxel`, counter-clockwise from outside, shape (T, 3).
+        triangle_start: first triangle of each hull and the end, shape (n + 1,).
+        exact: whether the mesh is the hull exactly; otherwise its corners are not lattice points
+            and were computed in double precision, shape (n,).
+    """
+
+    points_voxel: NDArray[np.float64]
+    point_start: Ints
+    triangles: Ints
+    triangle_start: Ints
+    exact: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.point_start) - 1
+
+
+def mesh(cover: Artifact) -> Mesh:
+    """The boundary of every polytope {x : normal . x <= offset} of an `alula/cover`.
+
+    A hull whose planes meet in its lattice vertices is triangulated exactly by `triangles`. One
+    with fewer planes than the hull of its vertices (a facet cap) has corners off the lattice; they
+    are found from the planes in double precision.
+
+    Raises:
+        ArtifactError: the planes of a hull bound no solid.
+    """
+    found, start = triangles(cover)
+    vertex_start = np.asarray(cover["vertex_start"], np.int64)
+    vertices = np.asarray(cover["vertex"], np.float64)
+    exact = np.diff(start) > 0
+    if exact.all():
+        return Mesh(vertices, vertex_start, found, start, exact)
+    points, corners = [], []
+    at = 0
+    for hull in range(len(exact)):
+        rows = slice(vertex_start[hull], vertex_start[hull + 1])
+        if exact[hull]:
+            points.append(vertices[rows])
+            corners.append(found[start[hull] : start[hull + 1]] - (vertex_start[hull] - at))
+        else:
+            own, faces = _solid_of_planes(cover, hull, vertices[rows].mean(axis=0))
+            points.append(own)
+            corners.append(faces + at)
+        at += len(points[-1])
+    return Mesh(
+        np.concatenate(points),
+        _starts(np.array([len(p) for p in points])),
+        np.concatenate(corners),
+        _starts(np.array([len(c) for c in corners])),
+        exact,
+    )
+
+
+def triangles(cover: Artifact) -> tuple[Ints, Ints]:
+    """Triangulate each hull of an `alula/cover` over its own vertices.
+
+    The corners of a facet are the vertices v with normal . v = offset. Seen along the axis of the
+    normal's largest component they are sorted by angle around the least of them; all comparisons
+    are signs of 2x2 determinants of differences, exact in 64 bits for hulls up to 2^30 voxels wide.
+
+    Returns:
+        Rows of `vertex`, counter-clockwise from outside, shape (T, 3), and the first triangle of
+        each hull and the end, shape (n + 1,). A hull whose facets do not close over its vertices
+        has no triangles (see `mesh`).
+    """
+    plane_start = np.asarray(cover["plane_start"], np.int64)
+    vertex_start = np.asarray(cover["vertex_start"], np.int64)
+    vertex = np.asarray(cover["vertex"], np.int64)
+    normal = np.asarray(cover["plane_normal"], np.int64)
+    n = len(plane_start) - 1
+    hull_of_plane = np.repeat(np.arange(n), np.diff(plane_start))
+    plane, corner = _incidences(vertex, vertex_start, normal, cover["plane_offset"], hull_of_plane)
+    # A point on fewer than three planes is inside a facet or an edge, not a corner.
+    keep = np.bincount(corner, minlength=len(vertex))[corner] >= 3
+    plane, corner = plane[keep], corner[keep]
+    keep = np.bincount(plane, minlength=len(normal))[plane] >= 3
+    plane, corner = plane[keep], corner[keep]
+    fans, fan_plane = _fans(vertex, normal, plane, corner)
+    hull = hull_of_plane[fan_plane]
+    closed = _closed(fans, hull, n, len(vertex))
+    fans, hull = fans[closed[hull]], hull[closed[hull]]
+    return fans, _starts(np.bincount(hull, minlength=n))
+
+
+def _starts(counts: NDArray[np.int64]) -> Ints:
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def _groups(counts: Ints) -> Iterator[slice]:
+    """Consecutive slices of rows whose counts add up to about `_CHUNK`."""
+    total = np.cumsum(counts)
+    begin = 0
+    while begin < len(counts):
+        done = total[begin - 1] if begin else 0
+        end = max(begin + 1, int(np.searchsorted(total, done + _CHUNK, side="right")))
+        yield slice(begin, end)
+        begin = end
+
+
+def _expand(counts: Ints) -> tuple[Ints, Ints]:
+    """For each row, `counts` copies of its number, and 0, 1, ... beside them."""
+    row = np.repeat(np.arange(len(counts)), counts)
+    return row, np.arange(len(row)) - np.repeat(_starts(counts)[:-1], counts)
+
+
+def _incidences(
+    vertex: Ints, vertex_start: Ints, normal: Ints, offset: NDArray[np.int64], hull_of_plane: Ints
+) -> tuple[Ints, Ints]:
+    """All pairs of a plane and a vertex of its hull on it, sorted.
+
+    Offsets and products may wrap around 2^64; their difference, the slack, is small and so exact.
+    """
+    candidates = np.diff(vertex_start)[hull_of_plane]
+    first = vertex_start[hull_of_plane]
+    planes, corners = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    for rows in _groups(candidates):
+        row, place = _expand(candidates[rows])
+        at = first[rows][row] + place
+        slack = np.asarray(offset[rows], np.int64)[row]
+        for axis in range(3):
+            slack -= normal[rows, axis][row] * vertex[at, axis]
+        on = np.flatnonzero(slack == 0)
+        planes.append(row[on] + rows.start)
+        corners.append(at[on])
+    return np.concatenate(planes), np.concatenate(corners)
+
+
+def _fans(vertex: Ints, normal: Ints, plane: Ints, corner: Ints) -> tuple[Ints, Ints]:
+    """Each facet as a fan of triangles around its least corner, and the plane of each triangle."""
+    if len(plane) == 0:
+        return np.empty((0, 3), np.int64), np.empty(0, np.int64)
+    facet_plane, begin, size = np.unique(plane, return_index=True, return_counts=True)
+    facet = np.repeat(np.arange(len(size)), size)
+    direction = normal[facet_plane]
+    axis = np.abs(direction).argmax(axis=1)
+    mirrored = np.take_along_axis(direction, axis[:, None], 1)[:, 0] < 0
+    u = vertex[corner, ((axis + 1) % 3)[facet]]
+    w = vertex[corner, ((axis + 2) % 3)[facet]] * np.where(mirrored, -1, 1)[facet]
+    order = np.lexsort((corner, w, u, facet))
+    corner, u, w = corner[order], u[order], w[order]
+    u, w = u - u[begin][facet], w - w[begin][facet]
+    rank = np.empty_like(corner)
+    for rows in _groups(size * size):
+        count = size[rows]
+        row, place = _expand(count * count)
+        a = begin[rows][row] + place // count[row]
+        b = begin[rows][row] + place % count[row]
+        turn = u[b] * w[a] - w[b] * u[a]
+        before = (turn > 0) | ((turn == 0) & (b < a))
+        here = slice(begin[rows][0], begin[rows][-1] + count[-1])
+        rank[here] = np.bincount(a - here.start, weights=before, minlength=here.stop - here.start)
+    around = np.empty_like(corner)
+    around[begin[facet] + rank] = corner
+    row, place = _expand(size - 2)
+    first = begin[row]
+    fans = np.stack([around[first], around[first + place + 1], around[first + place + 2]], axis=1)
+    return fans, facet_plane[row]
+
+
+def _closed(fans: Ints, hull: Ints, n: int, vertices: int) -> NDArray[np.bool_]:
+    """Whether the triangles of each hull meet edge to edge, each edge once in each direction."""
+    ahead, back = (fans, np.roll(fans, -1, axis=1))
+    forward = np.sort((ahead * vertices + back).reshape(-1))
+    backward = np.sort((back * vertices + ahead).reshape(-1))
+    edge_hull = np.repeat(hull, 3)  # the keys sort by vertex, the vertices by hull
+    bad = forward != backward
+    bad[1:] |= forward[1:] == forward[:-1]
+    closed = np.bincount(hull, minlength=n) > 0
+    closed[edge_hull[bad]] = False
+    return closed
+
+
+def _solid_of_planes(
+    cover: Artifact, hull: int, inside: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], Ints]:
+    """Corners and outward triangles of one hull from its planes, in double precision."""
+    from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+
+    rows = slice(int(cover["plane_start"][hull]), int(cover["plane_start"][hull + 1]))
+    normal = np.asarray(cover["plane_normal"][rows], np.float64)
+    slack = np.asarray(cover["plane_offset"][rows], np.float64) - normal @ inside
+    length = np.linalg.norm(normal, axis=1)
+    planes = np.column_stack([normal / length[:, None], -slack / length])
+    try:
+        solid = ConvexHull(HalfspaceIntersection(planes, np.zeros(3)).intersections)
+    except (QhullError, ValueError) as error:
+        raise ArtifactError(f"hull {hull}: its planes bound no solid") from error
+    used, faces = np.unique(solid.simplices, return_inverse=True)
+    points, faces = solid.points[used], faces.reshape(-1, 3).astype(np.int64)
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    inward = ((np.cross(b - a, c - a)) * solid.equations[:, :3]).sum(axis=1) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return points + inside, faces

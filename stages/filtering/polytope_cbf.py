@@ -1,0 +1,72 @@
+"""The filters that run natively: `polytope-cbf`, and `none` with the same margins."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from alula import _core
+from alula.schemas.errors import UsageError
+from alula.stages.filtering.protocol import FilterResult, FilterStatus, FloatArray, World
+
+
+class NativeFilter:
+    """The onboard polytope filter behind the common protocol.
+
+    u is the velocity nearest to u_nom with grad s . u >= -beta (s - r) and |u| <= v_max, where
+    s <= psi(p) = min_k max_l (n_kl . p - d_kl); the step held for dt is then clipped against every
+    hull grown by r. So a flight that starts with psi >= r keeps psi >= r at all times, between
+    samples too, and stays at least r away from every hull. With smoothing "paper" nothing of
+    this is guaranteed. Source: PolyMerge (arXiv 2606.16232), eq. 2, 3, 17;
+    native/onboard/include/alula_polytope_cbf.h.
+
+    Args:
+        world: obstacles, vehicle and rate.
+        parameters: `beta` [1/s], `kappa_per_m` [1/m], `smoothing` "sound" or "paper".
+        enabled: False returns the nominal input always and only tells the margin.
+
+    Raises:
+        UsageError: a parameter is unknown or has no meaning.
+    """
+
+    def __init__(self, world: World, parameters: Mapping[str, Any], *, enabled: bool = True) -> None:
+        known = {"beta": 2.0, "kappa_per_m": 100.0, "smoothing": "sound"}
+        if unknown := sorted(parameters.keys() - known.keys()):
+            raise UsageError(f"polytope-cbf: unknown parameter {unknown[0]!r}; it has {', '.join(known)}")
+        values = {**known, **parameters}
+        hulls = world.hulls
+        try:
+            self.native = _core.PolytopeCbf(
+                np.ascontiguousarray(hulls.normal_world),
+                np.ascontiguousarray(hulls.offset_m),
+                np.ascontiguousarray(hulls.plane_start),
+                extent_m=world.extent_m,
+                radius_m=world.radius_m,
+                beta=float(values["beta"]),
+                kappa=float(values["kappa_per_m"]),
+                dt_s=world.dt_s,
+                v_max=world.speed_m_s,
+                smoothing=str(values["smoothing"]),
+            )
+        except ValueError as error:
+            raise UsageError(f"polytope-cbf: {error}") from error
+        self.enabled = enabled
+
+    def __call__(self, x: FloatArray, u_nom: FloatArray) -> FilterResult:
+        """See `Filter`; the margin is s - r."""
+        u, status, margin, _, active = self.native.filter(x.tolist(), u_nom.tolist())
+        if not self.enabled:
+            return FilterResult(u_nom, FilterStatus.OK, margin, active)
+        return FilterResult(np.array(u), FilterStatus(status), margin, active)
+
+
+def polytope_cbf(world: World, parameters: Mapping[str, Any]) -> NativeFilter:
+    """The filter `polytope-cbf`."""
+    return NativeFilter(world, parameters)
+
+
+def no_filter(world: World, parameters: Mapping[str, Any]) -> NativeFilter:
+    """The filter `none`: flies the nominal input."""
+    return NativeFilter(world, parameters, enabled=False)

@@ -1,0 +1,72 @@
+"""JSON Schemas of the channels in a log; those named foxglove.* follow Foxglove's own definitions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def _object(**properties: Any) -> dict[str, Any]:
+    return {"type": "object", "properties": properties}
+
+
+def _array(items: Any) -> dict[str, Any]:
+    return {"type": "array", "items": items}
+
+
+_NUMBER = {"type": "number"}
+_INTEGER = {"type": "integer"}
+_TEXT = {"type": "string"}
+_TIME = {**_object(sec=_INTEGER, nsec=_INTEGER), "title": "time"}
+_DURATION = {**_object(sec=_INTEGER, nsec=_INTEGER), "title": "duration"}
+_VECTOR = {**_object(x=_NUMBER, y=_NUMBER, z=_NUMBER), "title": "foxglove.Vector3"}
+_POINT = {**_VECTOR, "title": "foxglove.Point3"}
+_QUATERNION = {**_object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER), "title": "foxglove.Quaternion"}
+_POSE = {**_object(position=_VECTOR, orientation=_QUATERNION), "title": "foxglove.Pose"}
+_COLOR = {**_object(r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER), "title": "foxglove.Color"}
+_TRIANGLES = {
+    **_object(
+        pose=_POSE, points=_array(_POINT), color=_COLOR, colors=_array(_COLOR), indices=_array(_INTEGER)
+    ),
+    "title": "foxglove.TriangleListPrimitive",
+}
+_ENTITY = {
+    **_object(
+        timestamp=_TIME,
+        frame_id=_TEXT,
+        id=_TEXT,
+        lifetime=_DURATION,
+        frame_locked={"type": "boolean"},
+        metadata=_array(_object(key=_TEXT, value=_TEXT)),
+        triangles=_array(_TRIANGLES),
+    ),
+    "title": "foxglove.SceneEntity",
+}
+
+SCHEMAS: dict[str, dict[str, Any]] = {
+    name: {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": name, **schema}
+    for name, schema in {
+        "alula.State": {
+            **_object(trial=_INTEGER, time_s=_NUMBER, position_m=_VECTOR, velocity_m_s=_VECTOR),
+            "description": "Position and velocity in the world frame; time_s counts from the trial's start.",
+        },
+        "alula.Safety": {
+            **_object(
+                trial=_INTEGER,
+                time_s=_NUMBER,
+                h_m=_NUMBER,
+                status=_INTEGER,
+                status_name=_TEXT,
+                u_nom_m_s=_VECTOR,
+                u_safe_m_s=_VECTOR,
+            ),
+            "description": "The filter's margin h and status, the nominal and the filtered input.",
+        },
+        "foxglove.PosesInFrame": _object(timestamp=_TIME, frame_id=_TEXT, poses=_array(_POSE)),
+        "foxglove.SceneUpdate": _object(
+            deletions=_array(_object(timestamp=_TIME, type=_INTEGER, id=_TEXT)), entities=_array(_ENTITY)
+        ),
+        "foxglove.Log": _object(
+            timestamp=_TIME, level=_INTEGER, message=_TEXT, name=_TEXT, file=_TEXT, line=_INTEGER
+        ),
+    }.items()
+}

@@ -1,0 +1,90 @@
+"""Small groups of Gaussians that hang in the air, far from everything else."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+SMALLEST_GROUP = 50
+NEIGHBOUR = 8
+REACH = 2.0  # standard deviations
+_SAMPLE = 20_000
+_BITS = 21
+_HALF = 2 ** (_BITS - 1)
+
+
+def floaters(
+    mean: NDArray[np.float32], scale: NDArray[np.float32], axes: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], float]:
+    """Mark the Gaussians of small, isolated groups.
+
+    Space is divided into cubes with an edge of twice the median distance from a Gaussian to its
+    8th nearest neighbour. Two Gaussians belong together when a cube that one touches equals or
+    neighbours (26 of them) a cube that the other touches; a Gaussian touches the cubes of its centre
+    and of the six points 2 standard deviations along its axes. A group is what can be reached from one to the
+    next. Groups of fewer than 50 are floaters, except the largest group of all. So a sparse but
+    large surface stays, and so does whatever is in contact with it.
+
+    Args:
+        mean: centres, shape (N, 3).
+        scale: one-sigma semi-axes, shape (N, 3).
+        axes: rotation matrices whose columns are the local axes, shape (N, 3, 3).
+
+    Returns:
+        Whether each one is a floater, shape (N,), and the edge of the cubes.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(mean)
+    edge = _edge(mean)
+    if edge == 0.0:
+        return np.zeros(count, np.bool_), edge
+    centre = np.median(mean.astype(np.float64), axis=0)
+    points = np.empty((7, count), np.int64)
+    points[0] = _cells(mean - centre, edge)
+    for axis in range(3):
+        arm = axes[:, :, axis] * (REACH * scale[:, axis, None].astype(np.float64))
+        points[1 + 2 * axis] = _cells(mean + arm - centre, edge)
+        points[2 + 2 * axis] = _cells(mean - arm - centre, edge)
+    cells, index = np.unique(points, return_inverse=True)
+    index = index.reshape(points.shape)
+
+    left, right = [np.repeat(index[0][None], 6, axis=0).ravel()], [index[1:].ravel()]
+    for offset in _half_neighbourhood():
+        at = np.searchsorted(cells, cells + offset)
+        at[at == len(cells)] = 0
+        found = np.flatnonzero(cells[at] == cells + offset)
+        left.append(found)
+        right.append(at[found])
+    rows, columns = np.concatenate(left), np.concatenate(right)
+    graph = coo_matrix((np.ones(len(rows), np.bool_), (rows, columns)), shape=(len(cells), len(cells)))
+    group = connected_components(graph, directed=False)[1][index[0]]
+    size = np.bincount(group)
+    small = size < SMALLEST_GROUP
+    small[np.argmax(size)] = False
+    return small[group], edge
+
+
+def _edge(mean: NDArray[np.float32]) -> float:
+    """Twice the median distance to the 8th neighbour, of at most 20,000 rows at equal steps."""
+    from scipy.spatial import cKDTree
+
+    if len(mean) <= NEIGHBOUR:
+        return 0.0
+    sample = mean[:: -(-len(mean) // _SAMPLE)]
+    distance, _ = cKDTree(mean).query(sample, [NEIGHBOUR + 1])
+    return 2.0 * float(np.median(distance))
+
+
+def _cells(position: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
+    """One integer per cube; positions beyond a million cubes from the centre share the outermost ones."""
+    cell = np.clip(np.floor(position / edge), 1 - _HALF, _HALF - 2).astype(np.int64) + _HALF
+    key: NDArray[np.int64] = (cell[:, 0] << (2 * _BITS)) | (cell[:, 1] << _BITS) | cell[:, 2]
+    return key
+
+
+def _half_neighbourhood() -> list[int]:
+    """Differences of keys to 13 of the 26 neighbours; the other 13 are their negatives."""
+    steps = [(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)]
+    return [(i << (2 * _BITS)) + (j << _BITS) + k for i, j, k in steps if (i, j, k) > (0, 0, 0)]

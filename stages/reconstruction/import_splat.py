@@ -1,0 +1,158 @@
+"""`import-splat`: from what a splat file holds to a checked scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.artifact import Artifact, make_artifact
+from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.errors import InputError
+from alula.schemas.kinds import SCENE
+from alula.schemas.manifest import Guarantee
+from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters
+from alula.stages.reconstruction.splats import Splats
+from alula.stages.rotation import matrix_from_quat_wxyz
+
+SCALE_FLOOR = 1e-9  # file units; a disc of no thickness must have some
+
+
+def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
+    """Keep the Gaussians that are usable and wanted, and count the others by the reason.
+
+    Unusable: a NaN, an infinite mean, scale or rotation, a quaternion of no length. Unwanted: what
+    the configuration says. A row counts for the first reason that it meets, in the order of
+    `summary["removed"]`. Scales below 1e-9 file units become that, quaternions are normalised;
+    nothing else is changed, so the ellipsoids of the scene are those of the file.
+
+    Args:
+        config: see `ImportSplatConfig`.
+        splats: a decoded file, file frame and units.
+
+    Returns:
+        An `alula/scene`, frame `scene`, unit `arbitrary`, rows in the order of the file.
+
+    Raises:
+        InputError: no Gaussian is left.
+    """
+    norm: NDArray[np.float64] = np.linalg.norm(splats.quat_wxyz.astype(np.float64), axis=1)
+    keep = np.ones(len(splats), np.bool_)
+    removed: dict[str, int] = {}
+
+    def remove(reason: str, bad: NDArray[np.bool_] | np.bool_) -> None:
+        count = int((keep & bad).sum())
+        keep[bad] = False
+        if count or reason in wanted:
+            removed[reason] = count
+
+    wanted = {"min_opacity"}
+    nan = np.isnan(splats.opacity)
+    for values in (splats.mean, splats.scale, splats.quat_wxyz):
+        nan |= np.isnan(values).any(axis=1)
+    remove("not_a_number", nan)
+    remove("infinite_mean", np.isinf(splats.mean).any(axis=1))
+    remove("infinite_scale", np.isinf(splats.scale).any(axis=1))
+    remove("infinite_rotation", np.isinf(norm))
+    remove("zero_rotation", norm == 0)
+    remove("min_opacity", splats.opacity < config.min_opacity)
+    if config.crop is not None:
+        wanted.add("crop")
+        lower, upper = np.array(config.crop[:3]), np.array(config.crop[3:])
+        remove("crop", ~((splats.mean >= lower) & (splats.mean <= upper)).all(axis=1))
+    if config.max_scale is not None:
+        wanted.add("max_scale")
+        remove("max_scale", splats.scale.max(axis=1) > config.max_scale)
+    _check_some_left(keep, removed)
+
+    scale_floored = int((splats.scale[keep] < SCALE_FLOOR).any(axis=1).sum())
+    quat = (splats.quat_wxyz[keep] / norm[keep, None]).astype(np.float32)
+    rules: dict[str, Any] = {}
+    if config.drop_floaters:
+        wanted.add("floaters")
+        drop, edge = floaters(splats.mean[keep], splats.scale[keep], matrix_from_quat_wxyz(quat))
+        rows = np.flatnonzero(keep)
+        quat = quat[~drop]
+        far = np.zeros_like(keep)
+        far[rows[drop]] = True
+        remove("floaters", far)
+        rules["floaters"] = {
+            "cell": edge, "smallest_group": SMALLEST_GROUP, "neighbour": NEIGHBOUR, "reach_sigma": REACH
+        }  # fmt: skip
+        _check_some_left(keep, removed)
+
+    arrays = {
+        "mean": splats.mean[keep],
+        "scale": np.maximum(splats.scale[keep], np.float32(SCALE_FLOOR)),
+        "quat_wxyz": quat,
+        "opacity": splats.opacity[keep],
+        "color": splats.color[keep],
+    }
+    kept = int(keep.sum())
+    bounds = {
+        "lower": arrays["mean"].min(axis=0).tolist(),
+        "upper": arrays["mean"].max(axis=0).tolist(),
+    }
+    longest = arrays["scale"].max(axis=1)
+    summary = {
+        "gaussians": kept,
+        "rows": len(splats),
+        "removed": removed,
+        "format": splats.format,
+        "lower": bounds["lower"],
+        "upper": bounds["upper"],
+        "opacity_median": float(np.median(arrays["opacity"])),
+        "scale_median": float(np.median(longest)),
+        "scale_max": float(longest.max()),
+    }
+    if splats.notes:
+        summary["notes"] = list(splats.notes)
+    return make_artifact(
+        SCENE,
+        arrays,
+        frame="scene",
+        unit="arbitrary",
+        parameters={},
+        summary=summary,
+        guarantee=_guarantee(config, removed, splats),
+        source={
+            "format": splats.format,
+            "rows": len(splats),
+            "kept": kept,
+            "removed": removed,
+            "rules": rules,
+            "scale_floor": SCALE_FLOOR,
+            "scale_floored": scale_floored,
+            "bounds": bounds,
+            "loss": {"position": 0.0, "scale_relative": 0.0, "rotation_rad": 0.0, "opacity": 0.0}
+            | splats.loss,
+            "comments": list(splats.comments),
+            "tags": splats.tags,
+            "notes": list(splats.notes),
+        },
+    )
+
+
+def _guarantee(config: ImportSplatConfig, removed: dict[str, int], splats: Splats) -> Guarantee:
+    left_out = {reason: count for reason, count in removed.items() if count}
+    what = ", ".join(f"{count} by {reason}" for reason, count in left_out.items()) or "none"
+    lossy = f" The format lost up to {splats.loss} against its own source." if splats.loss else ""
+    return Guarantee(
+        statement="Every Gaussian of the file is in the scene with its own ellipsoid, except those left "
+        f"out: {what}.{lossy}",
+        claims={
+            "left_out": left_out,
+            "min_opacity": config.min_opacity,
+            "crop": list(config.crop) if config.crop is not None else None,
+            "max_scale": config.max_scale,
+            "drop_floaters": config.drop_floaters,
+            "loss": splats.loss,
+        },
+    )
+
+
+def _check_some_left(keep: NDArray[np.bool_], removed: dict[str, int]) -> None:
+    if not keep.any():
+        reasons = ", ".join(f"{count} by {reason}" for reason, count in removed.items() if count)
+        raise InputError(f"no Gaussian is left of {len(keep)}: removed {reasons or 'none'}")

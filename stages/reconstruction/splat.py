@@ -1,0 +1,68 @@
+"""antimatter15's `.splat`: 32-byte records without a header."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from alula.schemas.errors import ArtifactError
+from alula.stages.reconstruction.splats import Progress, Splats
+
+RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
+_CHUNK = 2**18
+
+# Writers truncate or round, with 128 or 127.5 as the middle: a component read as b / 127.5 - 1 is off
+# by at most 2/255 whoever wrote it. Four of them turn a unit quaternion by at most asin(4/255), and
+# the rotation by twice that.
+ROTATION_LOSS_RAD = 2.0 * math.asin(4.0 / 255.0)
+OPACITY_LOSS = 1.0 / 255.0
+
+
+def decode_splat(buffer: memoryview, progress: Progress | None = None) -> Splats:
+    """Decode a `.splat` file: position, linear scale, colour with alpha, quaternion bytes w, x, y, z.
+
+    Position and scale are exact; the loss of rotation and opacity is recorded. A negative scale
+    renders like its absolute value and is read as that.
+
+    Args:
+        buffer: the whole file.
+        progress: called with the rows done and the rows in all.
+
+    Raises:
+        ArtifactError: empty, or not a whole number of records.
+    """
+    if len(buffer) == 0:
+        raise ArtifactError(".splat: is empty")
+    if len(buffer) % RECORD.itemsize:
+        raise ArtifactError(
+            f".splat: truncated, or of another format: {len(buffer)} bytes are no whole number of "
+            f"{RECORD.itemsize}-byte records"
+        )
+    rows = np.frombuffer(buffer, RECORD)
+    count = len(rows)
+    mean, scale = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    quat, color = np.empty((count, 4), np.float32), np.empty((count, 3), np.uint8)
+    opacity = np.empty(count, np.float32)
+    negative = 0
+    for start in range(0, count, _CHUNK):
+        part = slice(start, min(start + _CHUNK, count))
+        chunk = rows[part]
+        mean[part] = chunk["mean"]
+        scale[part] = np.abs(chunk["scale"])
+        negative += int((chunk["scale"] < 0).any(axis=1).sum())
+        quat[part] = chunk["quat"] / 127.5 - 1.0
+        color[part] = chunk["rgba"][:, :3]
+        opacity[part] = chunk["rgba"][:, 3] / 255.0
+        if progress is not None:
+            progress(part.stop, count)
+    return Splats(
+        format="splat",
+        mean=mean,
+        scale=scale,
+        quat_wxyz=quat,
+        opacity=opacity,
+        color=color,
+        loss={"rotation_rad": ROTATION_LOSS_RAD, "opacity": OPACITY_LOSS},
+        notes=(f"{negative} rows with a negative scale, read as positive",) if negative else (),
+    )

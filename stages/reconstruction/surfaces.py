@@ -1,0 +1,152 @@
+"""Painted surfaces that can be sampled evenly: the building blocks of the built-in scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Sampler = Callable[[Array, Array], tuple[Array, Array]]
+Paint = Callable[[Array, Array], Array]
+Vector = tuple[float, float, float]
+Color = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """One patch.
+
+    Attributes:
+        area: [m^2].
+        sample: from u, v in [0, 1), each of shape (n,), to points and outward unit normals, each of
+            shape (n, 3), evenly over the area.
+        paint: from u, v to red, green, blue in [0, 1], shape (n, 3).
+        density: Gaussians per area, relative to a wall.
+        detail: size of the Gaussians, relative to those of a wall.
+    """
+
+    area: float
+    sample: Sampler
+    paint: Paint
+    density: float = 1.0
+    detail: float = 1.0
+
+
+def plain(color: Color) -> Paint:
+    """One colour all over."""
+    return lambda u, v: np.broadcast_to(np.array(color), (len(u), 3))
+
+
+def striped(first: Color, second: Color, count: int, *, along_u: bool = True) -> Paint:
+    """Stripes in two colours that alternate irregularly, like planks or the spines of books."""
+
+    def paint(u: Array, v: Array) -> Array:
+        stripe = np.floor((v if along_u else u) * count)
+        mix = (np.sin(stripe * 12.9898) * 43758.5453 % 1.0)[:, None]
+        return np.array(first) * (1 - mix) + np.array(second) * mix
+
+    return paint
+
+
+def framed(inner: Paint, outer: Color, border: float) -> Paint:
+    """A border around another paint; `border` is a share of each edge."""
+
+    def paint(u: Array, v: Array) -> Array:
+        inside = (np.minimum(u, 1 - u) > border) & (np.minimum(v, 1 - v) > border)
+        return np.where(inside[:, None], inner(u, v), np.array(outer))
+
+    return paint
+
+
+def rectangle(corner: Vector, edge_u: Vector, edge_v: Vector, paint: Paint, **looks: float) -> Surface:
+    """A parallelogram; its normal is edge_u x edge_v."""
+    start, a, b = np.array(corner), np.array(edge_u), np.array(edge_v)
+    cross = np.cross(a, b)
+    area = float(np.linalg.norm(cross))
+
+    def sample(u: Array, v: Array) -> tuple[Array, Array]:
+        points = start + u[:, None] * a + v[:, None] * b
+        return points, np.broadcast_to(cross / area, points.shape)
+
+    return Surface(area, sample, paint, **looks)
+
+
+def box(lower: Vector, upper: Vector, paint: Paint, **looks: float) -> list[Surface]:
+    """The six faces of an axis-aligned box."""
+    (x0, y0, z0), (x1, y1, z1) = lower, upper
+    x, y, z = (x1 - x0, 0.0, 0.0), (0.0, y1 - y0, 0.0), (0.0, 0.0, z1 - z0)
+    return [
+        rectangle((x0, y0, z0), y, x, paint, **looks),
+        rectangle((x0, y0, z1), x, y, paint, **looks),
+        rectangle((x0, y0, z0), x, z, paint, **looks),
+        rectangle((x0, y1, z0), z, x, paint, **looks),
+        rectangle((x0, y0, z0), z, y, paint, **looks),
+        rectangle((x1, y0, z0), y, z, paint, **looks),
+    ]
+
+
+def tube(
+    centre: Vector, radius: float, height: float, paint: Paint, *, top: float | None = None, **looks: float
+) -> Surface:
+    """The side of an upright cylinder or, with another radius at the top, of a cone's frustum."""
+    x0, y0, z0 = centre
+    end = radius if top is None else top
+    slope = (radius - end) / height
+    slant = float(np.hypot(height, radius - end))
+
+    def sample(u: Array, v: Array) -> tuple[Array, Array]:
+        angle = 2 * np.pi * u
+        across = np.sqrt(radius**2 + v * (end**2 - radius**2))  # even over the area
+        rise = v * height if end == radius else (radius - across) / slope
+        points = np.stack([x0 + across * np.cos(angle), y0 + across * np.sin(angle), z0 + rise], axis=1)
+        normals = np.stack([np.cos(angle), np.sin(angle), np.full_like(angle, slope)], axis=1)
+        return points, normals / np.hypot(1.0, slope)
+
+    return Surface(np.pi * (radius + end) * slant, sample, paint, **looks)
+
+
+def disc(centre: Vector, radius: float, paint: Paint, **looks: float) -> Surface:
+    """A horizontal disc that looks up."""
+
+    def sample(u: Array, v: Array) -> tuple[Array, Array]:
+        angle, across = 2 * np.pi * u, radius * np.sqrt(v)
+        flat = np.stack([across * np.cos(angle), across * np.sin(angle), np.zeros_like(u)], axis=1)
+        return np.array(centre) + flat, np.broadcast_to(np.array([0.0, 0.0, 1.0]), flat.shape)
+
+    return Surface(np.pi * radius**2, sample, paint, **looks)
+
+
+def sphere(centre: Vector, radius: float, paint: Paint, **looks: float) -> Surface:
+    """A ball's surface."""
+
+    def sample(u: Array, v: Array) -> tuple[Array, Array]:
+        z, angle = 2 * v - 1, 2 * np.pi * u
+        across = np.sqrt(np.maximum(1 - z * z, 0.0))
+        normals = np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
+        return np.array(centre) + radius * normals, normals
+
+    return Surface(4 * np.pi * radius**2, sample, paint, **looks)
+
+
+def torus(
+    centre: Vector, axis: Vector, radius: float, thickness: float, paint: Paint, **looks: float
+) -> Surface:
+    """A ring around a horizontal axis; `radius` to the middle of the tube, `thickness` its radius."""
+    forward = np.array(axis) / np.linalg.norm(axis)
+    up = np.array([0.0, 0.0, 1.0])
+    side = np.cross(up, forward)
+    ratio = thickness / radius
+
+    def sample(u: Array, v: Array) -> tuple[Array, Array]:
+        around, wanted = 2 * np.pi * u, 2 * np.pi * v
+        angle = wanted.copy()
+        for _ in range(6):  # Newton: angle + ratio sin(angle) = wanted makes it even over the area
+            angle -= (angle + ratio * np.sin(angle) - wanted) / (1 + ratio * np.cos(angle))
+        radial = np.cos(around)[:, None] * side + np.sin(around)[:, None] * up
+        normals = np.cos(angle)[:, None] * radial + np.sin(angle)[:, None] * forward
+        return np.array(centre) + radius * radial + thickness * normals, normals
+
+    return Surface(4 * np.pi**2 * radius * thickness, sample, paint, **looks)

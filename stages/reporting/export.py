@@ -1,0 +1,199 @@
+"""Covers and scenes in the formats of other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import UsageError, WrongKindError
+from alula.schemas.provenance import Provenance
+from alula.stages.compression.facets import Mesh, mesh
+from alula.stages.compression.hulls import Hulls
+from alula.stages.reconstruction.ply import encode_ply
+from alula.stages.reconstruction.splats import Splats
+
+ROUNDED = (
+    "Rounded coordinates: the exact guarantee of the cover does not carry over to this file; "
+    "the cover itself and its JSON export keep it."
+)
+COPIED = "A copy for other programs; sizes computed from it are not certified."
+_COLORS = np.array(
+    [[143, 166, 191], [169, 184, 160], [194, 174, 148], [167, 155, 189], [147, 181, 181], [191, 156, 156]],
+    np.uint8,
+)
+_UP_IN_GLTF = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # ours is z, theirs y
+_LOGIT_ROOM = 2.0**-24  # an opacity of exactly 0 or 1 has no finite logit
+
+Encoder = Callable[[Artifact, Provenance], Iterator[bytes]]
+
+
+def export(artifact: Artifact, format_name: str, provenance: Provenance) -> Iterator[bytes]:
+    """A cover or a scene in another format, in parts.
+
+    JSON holds the exact integers of a cover. All other formats hold rounded numbers, and say so.
+    Hulls keep their order and are named hull-00000, hull-00001, ... wherever a format has names.
+
+    Args:
+        artifact: an `alula/cover` or `alula/scene`.
+        format_name: `glb`, `obj`, `json` or `stl` for a cover; `ply`, `glb` or `obj` for a scene.
+        provenance: recorded in the file.
+
+    Raises:
+        WrongKindError: the artifact is of another kind.
+        UsageError: the kind cannot be written in that format.
+    """
+    encoders = ENCODERS.get(artifact.manifest.schema)
+    if encoders is None:
+        raise WrongKindError(f"is {artifact.manifest.schema}; only alula/cover and alula/scene are exported")
+    if format_name not in encoders:
+        what = artifact.manifest.schema.removeprefix("alula/")
+        raise UsageError(f"a {what} is exported as {', '.join(encoders)}, not as {format_name}")
+    return encoders[format_name](artifact, provenance)
+
+
+def hull_name(number: int) -> str:
+    """The name of a hull, the same in every format."""
+    return f"hull-{number:05d}"
+
+
+def _pieces(cover: Artifact) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.int64]]]:
+    """Name, points [m] and triangles of each hull."""
+    solid: Mesh = mesh(cover)
+    edge = float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
+    for hull in range(len(solid)):
+        points = slice(solid.point_start[hull], solid.point_start[hull + 1])
+        faces = slice(solid.triangle_start[hull], solid.triangle_start[hull + 1])
+        yield (
+            hull_name(hull),
+            solid.points_voxel[points] * edge,
+            solid.triangles[faces] - solid.point_start[hull],
+        )
+
+
+def _cover_json(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
+    manifest: Any = cover.manifest
+    hulls = Hulls.from_cover(cover)
+    integer = np.column_stack([cover["plane_normal"], cover["plane_offset"]])
+    records = []
+    for number in range(len(hulls)):
+        planes = slice(hulls.plane_start[number], hulls.plane_start[number + 1])
+        corners = slice(hulls.vertex_start[number], hulls.vertex_start[number + 1])
+        metres = np.column_stack([hulls.normal_world[planes], hulls.offset_m[planes]])
+        records.append(
+            {
+                "name": hull_name(number),
+                "vertices": np.asarray(cover["vertex"][corners]).tolist(),
+                "planes": integer[planes].tolist(),
+                "vertices_m": hulls.vertices_world[corners].tolist(),
+                "planes_m": metres.tolist(),
+            }
+        )
+    document = {
+        "schema": "alula/cover-json",
+        "about": "normal . x <= offset for each plane [nx, ny, nz, offset]; planes and vertices are exact "
+        "integers in units of voxel_size_m, planes_m has unit normals and is rounded outward",
+        "frame": manifest.frame,
+        "voxel_size_m": manifest.voxel_size_m,
+        "sigma": manifest.sigma,
+        "conservativeness": manifest.conservativeness,
+        "certificate": manifest.certificate,
+        "guarantee": manifest.guarantee,
+        "hulls": records,
+        "provenance": provenance,
+    }
+    yield msgspec.json.encode(document, order="sorted") + b"\n"
+
+
+def _cover_obj(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
+    yield _comment(provenance, ROUNDED, "Metres, z up; one object per hull.")
+    first = 1
+    for name, points, faces in _pieces(cover):
+        lines = [f"o {name}"]
+        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
+        lines += [f"f {a} {b} {c}" for a, b, c in (faces + first).tolist()]
+        yield ("\n".join(lines) + "\n").encode()
+        first += len(points)
+
+
+def _scene_obj(scene: Artifact, provenance: Provenance) -> Iterator[bytes]:
+    yield _comment(provenance, COPIED, f"Centres of Gaussians, {scene.manifest.unit}, with colours.")
+    color = np.asarray(scene["color"]) / 255.0
+    for (x, y, z), (r, g, b) in zip(np.asarray(scene["mean"]).tolist(), color.tolist(), strict=True):
+        yield f"v {x:.9g} {y:.9g} {z:.9g} {r:.4f} {g:.4f} {b:.4f}\n".encode()
+
+
+def _comment(provenance: Provenance, *notes: str) -> bytes:
+    return "".join(f"# {line}\n" for line in (provenance.line(), *notes)).encode()
+
+
+def _cover_stl(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
+    """Text, one solid per hull; the name of the first carries the provenance."""
+    note = provenance.line({"note": ROUNDED})
+    for word in ("solid", "facet"):  # words that readers split the text at
+        note = note.replace(word, f"\\u{ord(word[0]):04x}{word[1:]}")
+    if len(cover["plane_start"]) == 1:
+        yield f"solid empty {note}\nendsolid empty\n".encode()
+    for number, (name, points, faces) in enumerate(_pieces(cover)):
+        corners = points[faces]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.finfo(float).tiny)
+        lines = [f"solid {name}" + (f" {note}" if number == 0 else "")]
+        for n, triangle in zip(normal.tolist(), corners.tolist(), strict=True):
+            lines.append("facet normal {:.9g} {:.9g} {:.9g}\nouter loop".format(*n))
+            lines += ["vertex {!r} {!r} {!r}".format(*corner) for corner in triangle]
+            lines.append("endloop\nendfacet")
+        yield ("\n".join([*lines, f"endsolid {name}"]) + "\n").encode()
+
+
+def _scene_ply(scene: Artifact, provenance: Provenance) -> Iterator[bytes]:
+    opacity = np.clip(np.asarray(scene["opacity"]), _LOGIT_ROOM, 1 - _LOGIT_ROOM)
+    splats = Splats(
+        format="ply",
+        mean=np.asarray(scene["mean"]),
+        scale=np.asarray(scene["scale"]),
+        quat_wxyz=np.asarray(scene["quat_wxyz"]),
+        opacity=opacity.astype(np.float32),
+        color=np.asarray(scene["color"]),
+    )
+    yield from encode_ply(splats, [provenance.line(), COPIED])
+
+
+def _cover_glb(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
+    import trimesh
+
+    scene = trimesh.Scene()
+    for number, (name, points, faces) in enumerate(_pieces(cover)):
+        solid = trimesh.Trimesh(points, faces, process=False)
+        solid.visual.vertex_colors = np.append(_COLORS[number % len(_COLORS)], 255)
+        scene.add_geometry(solid, node_name=name, geom_name=name, transform=_UP_IN_GLTF)
+    yield _glb(scene, provenance, ROUNDED)
+
+
+def _scene_glb(scene: Artifact, provenance: Provenance) -> Iterator[bytes]:
+    import trimesh
+
+    color = np.column_stack([scene["color"], np.full(len(scene["color"]), 255, np.uint8)])
+    cloud = trimesh.PointCloud(np.asarray(scene["mean"], np.float64), color)
+    graph = trimesh.Scene()
+    graph.add_geometry(cloud, node_name="gaussians", geom_name="gaussians", transform=_UP_IN_GLTF)
+    yield _glb(graph, provenance, COPIED)
+
+
+def _glb(scene: Any, provenance: Provenance, note: str) -> bytes:
+    from trimesh.exchange.gltf import export_glb
+
+    def describe(tree: dict[str, Any]) -> None:
+        tree["asset"]["extras"] = {"provenance": msgspec.to_builtins(provenance), "note": note}
+
+    return bytes(export_glb(scene, include_normals=False, tree_postprocessor=describe))
+
+
+ENCODERS: dict[str, dict[str, Encoder]] = {
+    "alula/cover": {"glb": _cover_glb, "obj": _cover_obj, "json": _cover_json, "stl": _cover_stl},
+    "alula/scene": {"ply": _scene_ply, "glb": _scene_glb, "obj": _scene_obj},
+}

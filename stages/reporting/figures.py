@@ -1,0 +1,245 @@
+"""The figures of a report: each drawn from the arrays of `curves`, as SVG text."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from alula.stages.reporting import curves
+from alula.stages.reporting.material import OUTCOMES, Material
+from alula.stages.reporting.tables import text
+
+COLORS = {
+    "reached": "#0072b2",
+    "stuck": "#e69f00",
+    "timeout": "#8c6bb1",
+    "refused": "#7f7f7f",
+    "collision": "#d7301f",
+    "planned": "#222222",
+}
+_DASHES = {"reached": "-", "stuck": "--", "timeout": "-.", "refused": ":", "collision": "-", "planned": "-"}
+_RUN_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#222222")
+_STYLE = {
+    "svg.hashsalt": "alula",
+    "svg.fonttype": "none",
+    "font.size": 11,
+    "font.family": "sans-serif",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e6e8eb",
+    "axes.edgecolor": "#8a9099",
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+}
+_VECTOR_FOOTPRINTS = 1500  # more are drawn as an image inside the figure
+_MOST_MAPS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One figure: SVG text, a caption, and what it shows in words for who cannot see it."""
+
+    name: str
+    title: str
+    alt: str
+    svg: str
+
+
+def all_figures(material: Material) -> list[Figure]:
+    """The figures that the material has data for, in reading order."""
+    found = []
+    for number, shown in enumerate(curves.flight_maps(material)[:_MOST_MAPS], 1):
+        found.append(_map_figure(shown, f"map-{number}"))
+    if clearances := curves.clearances(material.runs):
+        found.append(_clearance_figure(clearances))
+    if ratios := curves.path_ratios(material.runs):
+        found.append(_ratio_figure(ratios))
+    if (worst := curves.worst_flight(material.runs)) is not None:
+        found.append(_worst_figure(worst))
+    if (curve := curves.compression(material.cover)) is not None:
+        found.append(_compression_figure(curve))
+    return found
+
+
+@contextmanager
+def _axes(width: float, height: float, rows: int = 1) -> Iterator[tuple[Any, Callable[[], str]]]:
+    """Axes of a new figure, and a function that renders it; equal data gives equal text."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure as Canvas
+
+    with mpl.rc_context():
+        mpl.rcdefaults()  # whatever style the user has
+        mpl.rcParams.update(_STYLE)
+        figure = Canvas(figsize=(width, height), layout="constrained")
+        FigureCanvasSVG(figure)
+        axes = figure.subplots(rows, 1, sharex=rows > 1)
+
+        def render() -> str:
+            out = io.StringIO()
+            figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+            return out.getvalue()
+
+        yield axes, render
+
+
+def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    points = [p.position_world[:, :2] for p in shown.paths] + list(shown.footprints)
+    points = [p for p in points if len(p)]
+    low = np.min([p.min(axis=0) for p in points], axis=0) if points else np.zeros(2)
+    high = np.max([p.max(axis=0) for p in points], axis=0) if points else np.ones(2)
+    size = np.maximum(high - low, 1e-3)
+    height = float(np.clip(9.5 * size[1] / size[0] + 0.9, 3.0, 9.5))
+    with _axes(9.5, height) as (axes, render):
+        axes.grid(visible=False)
+        axes.add_collection(
+            PolyCollection(
+                shown.footprints,
+                facecolors=(0.36, 0.41, 0.47, 0.22),
+                edgecolors=(0.27, 0.32, 0.38, 0.45),
+                linewidths=0.5,
+                rasterized=len(shown.footprints) > _VECTOR_FOOTPRINTS,
+            )
+        )
+        for outcome in (*OUTCOMES, "planned"):
+            paths = [p.position_world for p in shown.paths if p.outcome == outcome and len(p.position_world)]
+            if not paths:
+                continue
+            axes.add_collection(
+                LineCollection(
+                    [p[:, :2] for p in paths],
+                    colors=COLORS[outcome],
+                    linewidths=2.2 if outcome in ("collision", "planned") else 1.4,
+                    linestyles=_DASHES[outcome],
+                    label=f"{outcome} ({len(paths)})",
+                    zorder=3,
+                )
+            )
+            ends = np.array([(p[0, :2], p[-1, :2]) for p in paths])
+            axes.scatter(*ends[:, 0].T, s=22, facecolors="white", edgecolors=COLORS[outcome], zorder=4)
+            axes.scatter(*ends[:, 1].T, s=22, color=COLORS[outcome], marker="X", linewidths=0, zorder=4)
+        margin = 0.02 * size.max()
+        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+        axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+        if shown.paths:
+            axes.legend(loc="upper left", bbox_to_anchor=(0, -0.08), ncols=5, fontsize=10)
+        svg = render()
+    counts = ", ".join(
+        f"{sum(p.outcome == o for p in shown.paths)} {o}"
+        for o in (*OUTCOMES, "planned")
+        if any(p.outcome == o for p in shown.paths)
+    )
+    where = ""
+    if shown.hulls:
+        where = f" over the footprints of {len(shown.footprints)} of {shown.hulls} hulls"
+        if shown.band_m is not None:
+            where += (
+                f", those between the flown heights {text(shown.band_m[0])} m and {text(shown.band_m[1])} m"
+            )
+    alt = (
+        f"Map from above of {shown.label}: paths {counts or 'none'}{where}. Circles are starts, crosses ends."
+    )
+    return Figure(name, f"From above: {shown.label}", alt, svg)
+
+
+def _steps(axes: Any, shown: Sequence[curves.Distribution]) -> None:
+    for number, one in enumerate(shown):
+        color = _RUN_COLORS[number % len(_RUN_COLORS)]
+        axes.step(one.value, one.share, where="post", color=color, linewidth=2, label=one.label)
+        axes.plot(one.value, one.share, ".", color=color, markersize=5)
+    axes.set(ylim=(0, 1.03), ylabel="share of trials")
+    if len(shown) > 1:
+        axes.legend(fontsize=10)
+
+
+def _spread(shown: Sequence[curves.Distribution], unit: str) -> str:
+    return "; ".join(
+        f"{one.label}: least {text(float(one.value[0]))}{unit}, "
+        f"median {text(float(np.median(one.value)))}{unit}, most {text(float(one.value[-1]))}{unit}"
+        for one in shown
+    )
+
+
+def _clearance_figure(shown: Sequence[curves.Distribution]) -> Figure:
+    with _axes(6.2, 3.6) as (axes, render):
+        axes.axvline(0, color=COLORS["collision"], linewidth=1.2)
+        least = min(float(one.value[0]) for one in shown)
+        if least < 0:
+            axes.axvspan(least, 0, color=COLORS["collision"], alpha=0.08, linewidth=0)
+        _steps(axes, shown)
+        axes.set(xlabel="least clearance of a trial [m]")
+        svg = render()
+    spread = _spread(shown, " m")
+    alt = f"Share of trials whose least clearance is at most a value. {spread}. Below 0 is a collision."
+    return Figure("clearance", "Least clearance of each trial", alt, svg)
+
+
+def _ratio_figure(shown: Sequence[curves.Distribution]) -> Figure:
+    with _axes(6.2, 3.6) as (axes, render):
+        _steps(axes, shown)
+        axes.set(xlabel="path flown / straight line")
+        svg = render()
+    alt = f"Share of successful trials whose path is at most so many straight lines. {_spread(shown, '')}."
+    return Figure("path-ratio", "How much longer than a straight line", alt, svg)
+
+
+def _worst_figure(worst: curves.WorstFlight) -> Figure:
+    with _axes(6.2, 4.2, rows=2) as ((top, bottom), render):
+        top.axhline(0, color=COLORS["collision"], linewidth=1.2)
+        top.plot(worst.margin_time_s, worst.margin_m, color=_RUN_COLORS[0], linewidth=1.6)
+        if worst.trouble.any():
+            top.plot(
+                worst.margin_time_s[worst.trouble],
+                worst.margin_m[worst.trouble],
+                ".",
+                color=COLORS["stuck"],
+                label=", ".join(worst.statuses),
+            )
+            top.legend(fontsize=10)
+        top.set(ylabel="margin [m]")
+        bottom.plot(worst.speed_time_s, worst.speed_m_s, color=_RUN_COLORS[2], linewidth=1.6)
+        bottom.set(xlabel="time [s]", ylabel="speed [m/s]")
+        svg = render()
+    alt = (
+        f"Margin that the filter reported and speed over time, {worst.label}, trial {worst.trial}, "
+        f"whose least clearance was {text(worst.clearance_m)} m; in {int(worst.trouble.sum())} of "
+        f"{len(worst.trouble)} logged steps the filter had to do more than change the input"
+        f"{' (' + ', '.join(worst.statuses) + ')' if worst.statuses else ''}."
+    )
+    return Figure("worst", f"The closest flight: {worst.label}, trial {worst.trial}", alt, svg)
+
+
+def _compression_figure(curve: curves.Compression) -> Figure:
+    shown = [
+        (values, label)
+        for values, label in (
+            (curve.conservativeness, "volume of hulls / voxels"),
+            (curve.planes, "half-planes"),
+        )
+        if values is not None
+    ]
+    with _axes(6.2, 2.1 * max(len(shown), 1) + 0.4, rows=max(len(shown), 1)) as (axes, render):
+        for place, (values, label) in enumerate(shown):
+            one = axes[place] if len(shown) > 1 else axes
+            one.plot(curve.hulls, values, ".-", color=_RUN_COLORS[place], linewidth=1.6)
+            one.set(xscale="log", ylabel=label)
+        last = axes[-1] if len(shown) > 1 else axes
+        last.set(xlabel="hulls")
+        ticks = [c * 10**p for p in range(8) for c in (1, 2, 5)]
+        ticks = [t for t in ticks if curve.hulls.min() <= t <= curve.hulls.max()]
+        last.set_xticks(ticks, [text(t) for t in ticks])
+        last.minorticks_off()
+        svg = render()
+    ends = ", ".join(
+        f"{label} from {text(float(values[0]))} to {text(float(values[-1]))}" for values, label in shown
+    )
+    alt = f"From {text(int(curve.hulls[0]))} to {text(int(curve.hulls[-1]))} hulls: {ends}."
+    return Figure("compression", "What fewer hulls cost", alt, svg)

@@ -1,0 +1,167 @@
+"""What a file is, as plain facts that a person or a program can read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from alula.schemas.artifact import Artifact
+from alula.schemas.provenance import Provenance
+from alula.schemas.run import RunRecord
+from alula.stages.reconstruction.splats import Splats
+
+Facts = dict[str, Any]
+
+WHAT = {
+    "alula/scene": "Gaussians of a splat: ellipsoids with opacity and colour, the obstacles.",
+    "alula/voxels": "Voxels that obstacles touch; voxel i is the closed cube [i g, (i + 1) g].",
+    "alula/cover": "Convex polytopes with integer planes, which together contain the voxels.",
+    "alula/plan": "A trajectory: polynomials of degree 7 in time for x, y, z and yaw, piece by piece.",
+    "alula/run": "Flights behind a safety filter: states, margins and how each flight ended.",
+    "alula/scenario": "A simulation to be: map, vehicle, filter and trials.",
+    "alula/report": "A report on runs, to be opened in a browser.",
+    "alula/export": "A copy of a cover or a scene for another program.",
+    "alula/certificate": "The result of checking again that a cover contains every obstacle.",
+    "alula/demo-scene": "The built-in scene as a splat file.",
+}
+_COMMON = ("schema", "version", "summary", "frame", "unit", "arrays", "guarantee", "producer")
+_LAST = ("parameters", "seed", "inputs", "requires")
+
+
+def about(kind: str, version: str) -> Facts:
+    """Kind, version and one sentence."""
+    return {
+        "kind": kind,
+        "version": version,
+        "what": WHAT.get(kind, "A kind that this version does not know."),
+    }
+
+
+def manifest_facts(raw: Mapping[str, Any]) -> Facts:
+    """The facts in a manifest as stored, whatever its version; the kind's own fields before the rest."""
+    own = {key: value for key, value in raw.items() if key not in (*_COMMON, *_LAST)}
+    arrays = {
+        str(name): {key: spec.get(key) for key in ("dtype", "shape", "unit", "meaning")}
+        for name, spec in (raw.get("arrays") or {}).items()
+        if isinstance(spec, dict)
+    }
+    facts: Facts = {
+        **about(str(raw.get("schema", "")), str(raw.get("version", ""))),
+        "summary": raw.get("summary", {}),
+        "properties": own,
+        "frame": raw.get("frame"),
+        "unit": raw.get("unit"),
+        "arrays": arrays,
+        "guarantee": raw.get("guarantee"),
+        "producer": raw.get("producer"),
+    }
+    return facts | {key: raw.get(key) for key in _LAST if raw.get(key)}
+
+
+def artifact_facts(artifact: Artifact) -> Facts:
+    """The facts in an artifact's manifest, and a few that its arrays say themselves."""
+    facts = manifest_facts(msgspec.to_builtins(artifact.manifest))
+    measured = _MEASURES[artifact.manifest.schema](artifact)
+    return _after(facts, "summary", {"measured": measured})
+
+
+def _after(facts: Facts, key: str, more: Facts) -> Facts:
+    items = list(facts.items())
+    place = list(facts).index(key) + 1
+    return dict([*items[:place], *more.items(), *items[place:]])
+
+
+def _bounds(points: Any, factor: float = 1.0) -> Facts:
+    if len(points) == 0:
+        return {"lower": None, "upper": None}
+    # Single-precision values as they read, without the digits that doubles would add.
+    low, high = (np.asarray(edge * factor) for edge in (points.min(axis=0), points.max(axis=0)))
+    return {name: [float(str(value)) for value in edge] for name, edge in (("lower", low), ("upper", high))}
+
+
+def _scene(scene: Artifact) -> Facts:
+    opacity = np.asarray(scene["opacity"], np.float64)
+    scale = np.asarray(scene["scale"], np.float64).max(axis=1, initial=0.0)
+    return {
+        "gaussians": len(opacity),
+        **_bounds(np.asarray(scene["mean"])),
+        "median opacity": float(np.median(opacity)) if len(opacity) else None,
+        "median longest semi-axis": float(np.median(scale)) if len(scale) else None,
+    }
+
+
+def _voxels(voxels: Artifact) -> Facts:
+    index, edge = np.asarray(voxels["index"], np.int64), float(voxels.manifest.voxel_size_m)  # type: ignore[attr-defined]
+    facts = _bounds(np.vstack([index, index + 1]), edge)
+    return {"voxels": len(index), "volume_m3": len(index) * edge**3, **facts}
+
+
+def _cover(cover: Artifact) -> Facts:
+    edge = float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
+    planes = np.diff(np.asarray(cover["plane_start"]))
+    return {
+        "hulls": len(planes),
+        "half-planes": int(planes.sum()),
+        "half-planes per hull, most": int(planes.max(initial=0)),
+        "vertices": len(cover["vertex"]),
+        **_bounds(np.asarray(cover["vertex"], np.int64), edge),
+    }
+
+
+def _plan(plan: Artifact) -> Facts:
+    time = np.asarray(plan["time"])
+    return {
+        "pieces": len(plan["coefficient"]),
+        "duration_s": float(time[-1]) if len(time) else 0.0,
+        "waypoints": len(plan["waypoint"]),
+        **_bounds(np.asarray(plan["waypoint"])[:, :3]),
+    }
+
+
+_MEASURES = {"alula/scene": _scene, "alula/voxels": _voxels, "alula/cover": _cover, "alula/plan": _plan}
+
+
+def provenance_facts(found: Provenance) -> Facts:
+    """The facts of a file that carries provenance and is no array artifact."""
+    facts: Facts = {**about(found.schema, found.version), "summary": found.summary}
+    facts |= {"producer": msgspec.to_builtins(found.producer), "parameters": found.parameters}
+    facts |= {"seed": found.seed, "inputs": msgspec.to_builtins(found.inputs)}
+    return facts
+
+
+def run_facts(record: RunRecord, messages: Mapping[str, int]) -> Facts:
+    """The facts of a run, from its summary and the number of messages per channel."""
+    facts: Facts = {**about(record.schema, record.version), "summary": record.summary}
+    facts |= {"properties": {"name": record.name, "filter": record.filter, "vehicle": record.vehicle}}
+    facts |= {"timing": record.timing} if record.timing else {}
+    facts |= {"messages": dict(sorted(messages.items()))}
+    facts |= {"guarantee": msgspec.to_builtins(record.guarantee)}
+    made = provenance_facts(record.provenance)
+    return facts | {key: made[key] for key in ("producer", "parameters", "seed", "inputs")}
+
+
+def splat_facts(splats: Splats) -> Facts:
+    """The facts of a splat file."""
+    finite = np.isfinite(splats.mean).all(axis=1) & np.isfinite(splats.scale).all(axis=1)
+    finite &= np.isfinite(splats.quat_wxyz).all(axis=1) & np.isfinite(splats.opacity)
+    opacity = splats.opacity[finite].astype(np.float64)
+    return {
+        "kind": f"splat file: {splats.format}",
+        "version": "",
+        "what": "Gaussians as a training or an editor left them; import-splat makes a scene of it.",
+        "summary": {
+            "gaussians": len(splats),
+            "not finite": int(len(splats) - finite.sum()),
+            **_bounds(splats.mean[finite]),
+            "median opacity": float(np.median(opacity)) if len(opacity) else None,
+        },
+        "frame": "scene",
+        "unit": "arbitrary",
+        "lost by the format": splats.loss,
+        "tags": splats.tags,
+        "comments": list(splats.comments),
+        "notes": list(splats.notes),
+    }

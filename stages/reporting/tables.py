@@ -1,0 +1,374 @@
+"""Every number of a report, as tables; the page, the Markdown and the CSV only arrange them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from alula.schemas.errors import UsageError
+from alula.schemas.run import TrialResult
+from alula.stages.reporting.material import Material, Run, is_covered
+from alula.stages.reporting.published import paper_tables
+
+BYTES_PER_GAUSSIAN = 40  # centre, semi-axes, quaternion in single precision
+BYTES_PER_VOXEL = 12  # three 32-bit integers
+BYTES_PER_HALF_PLANE = 16  # normal and offset in single precision
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of raw values; `text` says how they read."""
+
+    name: str
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """A number that matters: `good` is None when it is neither good nor bad."""
+
+    label: str
+    value: str
+    detail: str = ""
+    good: bool | None = None
+
+
+def text(value: Any) -> str:
+    """A value as a person reads it: four digits of a float, thousands of an integer apart."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:,.0f}"
+    if isinstance(value, list | tuple):
+        return ", ".join(text(item) for item in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {text(item)}" for key, item in value.items())
+    return str(value)
+
+
+def all_tables(material: Material, names: Sequence[str] = (), paper: str | None = None) -> list[Table]:
+    """The tables of a report, in reading order; only those named when any are.
+
+    Raises:
+        UsageError: a name is not that of a table.
+    """
+    tables = []
+    if material.runs:
+        tables.append(runs_table(material.runs))
+    if material.cover is not None or material.scene is not None:
+        tables += [compression_table(material), cover_table(material)]
+    if paper is not None:
+        tables += [Table(*parts) for parts in paper_tables(paper, material)]
+    timed = [run for run in material.runs if run.record.timing]
+    if timed:
+        tables.append(_beside("timing", "Measured times", timed, lambda run: flat(run.record.timing)))
+    if material.runs:
+        tables.append(
+            _beside("parameters", "Parameters", material.runs, lambda r: flat(r.record.provenance.parameters))
+        )
+    many = len(material.runs) > 1
+    for number, run in enumerate(material.runs, 1):
+        tables.append(trials_table(run, f"trials-{number}" if many else "trials"))
+    tables.append(inputs_table(material))
+    known = [table.name for table in tables]
+    if missing := [name for name in names if name not in known]:
+        raise UsageError(f"--table {missing[0]}: this report has {', '.join(known)}")
+    return [table for table in tables if not names or table.name in names]
+
+
+def flat(record: Any, prefix: str = "") -> dict[str, Any]:
+    """A nested record as one level of dotted keys."""
+    if not isinstance(record, dict):
+        return {prefix: record}
+    result: dict[str, Any] = {}
+    for key in sorted(record):
+        result |= flat(record[key], f"{prefix}.{key}" if prefix else str(key))
+    return result
+
+
+def _beside(
+    name: str, title: str, runs: Sequence[Run], values: Callable[[Run], dict[str, Any]], note: str = ""
+) -> Table:
+    """One row per key, one column per run."""
+    found = [values(run) for run in runs]
+    keys = list(dict.fromkeys(key for record in found for key in record))
+    rows = tuple((key, *(record.get(key) for record in found)) for key in keys)
+    return Table(name, title, ("", *(run.label for run in runs)), rows, note)
+
+
+def success_interval(run: Run) -> tuple[float, float] | None:
+    """The 95 % interval of the success rate that the run states."""
+    match run.record.summary.get("success_interval"):
+        case [float() | int() as low, float() | int() as high]:
+            return float(low), float(high)
+    return None
+
+
+def _summary_of(run: Run) -> dict[str, Any]:
+    record, summary = run.record, run.record.summary
+    interval = success_interval(run)
+    trials = record.trials
+    steps = sum(trial.steps for trial in trials)
+    shares = {
+        "share of steps the filter changed": sum(trial.filtered_steps for trial in trials),
+        "share of steps shortened": sum(trial.shortened_steps for trial in trials),
+        "share of steps infeasible": sum(trial.infeasible_steps for trial in trials),
+        "share of steps on the fallback": sum(trial.fallback_steps for trial in trials),
+    }
+    return {
+        "filter": record.filter,
+        "vehicle": record.vehicle,
+        "hulls of the map": run.hulls,
+        "trials": len(trials),
+        "success rate": summary.get("success_rate"),
+        "success rate, 95 % low": interval[0] if interval else None,
+        "success rate, 95 % high": interval[1] if interval else None,
+        **{key: summary.get(key) for key in ("reached", "stuck", "timeout", "refused", "collisions")},
+        "least clearance to the hulls [m]": summary.get("min_map_clearance_m"),
+        "least clearance to the splats [m]": summary.get("min_scene_clearance_m"),
+        "path / straight line, mean of successes": summary.get("mean_path_ratio"),
+        "top speed [m/s]": max((trial.max_speed_m_s for trial in trials), default=None),
+        "largest jerk [m/s³]": max((trial.max_jerk_m_s3 for trial in trials), default=None),
+        "mean jerk [m/s³]": float(np.mean([t.mean_jerk_m_s3 for t in trials])) if trials else None,
+        "steps": steps,
+        **{key: count / steps if steps else None for key, count in shares.items()},
+    }
+
+
+def runs_table(runs: Sequence[Run]) -> Table:
+    """The runs side by side."""
+    note = "Clearances are of the vehicle's sphere, computed after the flight; below zero is a collision."
+    return _beside("runs", "Flights", runs, _summary_of, note)
+
+
+def trials_table(run: Run, name: str) -> Table:
+    """One row per trial of a run."""
+    columns: dict[str, Callable[[TrialResult], Any]] = {
+        "trial": lambda t: t.index,
+        "outcome": lambda t: t.outcome,
+        "collision": lambda t: t.collision,
+        "clearance to hulls [m]": lambda t: t.map_clearance_m,
+        "clearance to splats [m]": lambda t: t.scene_clearance_m,
+        "duration [s]": lambda t: t.duration_s,
+        "path [m]": lambda t: t.path_length_m,
+        "path / straight": path_ratio,
+        "top speed [m/s]": lambda t: t.max_speed_m_s,
+        "steps": lambda t: t.steps,
+        "changed": lambda t: t.filtered_steps,
+        "infeasible": lambda t: t.infeasible_steps,
+        "fallback": lambda t: t.fallback_steps,
+    }
+    rows = tuple(tuple(get(trial) for get in columns.values()) for trial in run.record.trials)
+    return Table(name, f"Trials of {run.label}", tuple(columns), rows)
+
+
+def path_ratio(trial: TrialResult) -> float | None:
+    """Length flown over the straight line from start to goal."""
+    return trial.path_length_m / trial.straight_length_m if trial.straight_length_m > 0 else None
+
+
+def compression_table(material: Material) -> Table:
+    """Gaussians, voxels and hulls: how many, and what they weigh."""
+    cover, scene = material.cover, material.scene
+    rows: list[tuple[Any, ...]] = []
+    gaussians = gaussian_count(material)
+    if gaussians is not None:
+        size = material.file_bytes.get("scene") if scene is not None else None
+        rows.append(("Gaussians", gaussians, None, gaussians * BYTES_PER_GAUSSIAN, size))
+    if cover is not None:
+        voxels, planes = voxel_count(material), len(cover["plane_offset"])
+        rows.append(("voxels", voxels, None, voxels * BYTES_PER_VOXEL, None))
+        hulls = len(cover["plane_start"]) - 1
+        size = material.file_bytes.get("cover")
+        rows.append(("hulls", hulls, planes, planes * BYTES_PER_HALF_PLANE, size))
+    columns = ("representation", "primitives", "half-planes", "geometry [bytes]", "file [bytes]")
+    note = (
+        f"Geometry counts {BYTES_PER_GAUSSIAN} bytes per Gaussian, {BYTES_PER_VOXEL} per voxel and "
+        f"{BYTES_PER_HALF_PLANE} per half-plane; the file also holds vertices, members and provenance."
+    )
+    return Table("compression", "From Gaussians to half-planes", columns, tuple(rows), note)
+
+
+def gaussian_count(material: Material) -> int | None:
+    """Gaussians of the scene, or as many as the cover's summary says it was made of."""
+    if material.scene is not None:
+        return len(material.scene["mean"])
+    found = material.cover.manifest.summary.get("gaussians") if material.cover is not None else None
+    return found if isinstance(found, int) else None
+
+
+def voxel_count(material: Material) -> int:
+    """Voxels that a cover was built from, each counted once."""
+    if material.cover is None:
+        return 0
+    found = material.cover.manifest.summary.get("voxels")
+    if isinstance(found, int):
+        return found
+    return len(np.unique(np.asarray(material.cover["member_index"]), axis=0))
+
+
+def cover_table(material: Material) -> Table:
+    """What the cover's manifest and the certificate say."""
+    rows: list[tuple[Any, ...]] = []
+    cover = material.cover
+    if cover is not None:
+        manifest: Any = cover.manifest
+        planes = np.diff(np.asarray(cover["plane_start"]))
+        rows += [
+            ("voxel edge [m]", manifest.voxel_size_m),
+            ("level of the ellipsoids [σ]", manifest.sigma),
+            ("ellipsoids that make a voxel", manifest.min_overlap),
+            ("inflation [m]", manifest.inflation_m),
+            ("conservativeness (volume of hulls / voxels)", manifest.conservativeness),
+            ("half-planes per hull, mean", float(planes.mean()) if len(planes) else None),
+            ("half-planes per hull, most", int(planes.max()) if len(planes) else None),
+        ]
+        rows += [(f"summary: {key}", value) for key, value in _plain(flat(manifest.summary))]
+        rows += [(f"certificate: {key}", value) for key, value in _plain(flat(manifest.certificate))]
+        if manifest.guarantee is not None:
+            rows.append(("guarantee", manifest.guarantee.statement))
+    if material.certificate is not None:
+        own = {k: v for k, v in material.certificate.items() if k != "provenance"}
+        rows += [(f"verification: {key}", value) for key, value in _plain(flat(own))]
+    if material.scene is not None:
+        rows += [(f"scene: {key}", value) for key, value in _plain(flat(material.scene.manifest.summary))]
+    rows.append(("certified to contain every obstacle", is_covered(material.certificate, cover)))
+    return Table("cover", "Map", ("", "value"), tuple(rows))
+
+
+def _plain(record: dict[str, Any]) -> Iterable[tuple[str, Any]]:
+    """Entries that fit into a cell."""
+    for key, value in record.items():
+        if not isinstance(value, list) or (len(value) <= 6 and not any(isinstance(v, dict) for v in value)):
+            yield key, value
+
+
+def inputs_table(material: Material) -> Table:
+    """The files that the report was made from."""
+    rows = tuple(
+        (ref.role, ref.name, f"{ref.schema} {ref.version}".strip() or None, ref.sha256[:16])
+        for ref in material.inputs
+    )
+    return Table("inputs", "Made from", ("role", "file", "kind", "SHA-256 begins"), rows)
+
+
+def cards(material: Material) -> list[tuple[str, list[Card]]]:
+    """The numbers that matter, in groups: the map, then each run."""
+    groups: list[tuple[str, list[Card]]] = []
+    if material.cover is not None or material.certificate is not None:
+        groups.append(("Map", _map_cards(material)))
+    for run in material.runs:
+        groups.append((run.label if len(material.runs) > 1 else "Flights", _run_cards(run)))
+    return groups
+
+
+def _map_cards(material: Material) -> list[Card]:
+    covered = is_covered(material.certificate, material.cover)
+    found = [
+        Card(
+            "obstacles covered",
+            text(covered) if covered is not None else "not verified",
+            "every obstacle lies inside a hull",
+            covered,
+        )
+    ]
+    if material.cover is not None:
+        value = float(material.cover.manifest.conservativeness)  # type: ignore[attr-defined]
+        found.insert(0, Card("conservativeness", text(value), "volume of hulls / volume of voxels"))
+    return found
+
+
+def _run_cards(run: Run) -> list[Card]:
+    summary, trials = run.record.summary, run.record.trials
+    interval = success_interval(run)
+    rate, collisions = summary.get("success_rate"), summary.get("collisions")
+    detail = f"{text(summary.get('reached'))} of {text(len(trials))} reached the goal"
+    if interval:
+        detail += f"; 95 %: {text(interval[0])} to {text(interval[1])}"
+    found = [
+        Card("success rate", text(rate), detail),
+        Card("collisions", text(collisions), "after the flight, continuous path", collisions == 0),
+    ]
+    for key, what in (("map", "hulls"), ("scene", "splats")):
+        least = summary.get(f"min_{key}_clearance_m")
+        if least is not None:
+            found.append(Card(f"least clearance to {what}", f"{text(least)} m", "", least >= 0))
+    found.append(
+        Card("path length", text(summary.get("mean_path_ratio")), "× straight line, mean of successes")
+    )
+    return found
+
+
+def chain(material: Material) -> list[tuple[str, str]]:
+    """The compression as a chain: count and what is counted."""
+    found = []
+    if (gaussians := gaussian_count(material)) is not None:
+        found.append((text(gaussians), "Gaussians"))
+    if material.cover is not None:
+        planes = len(material.cover["plane_offset"])
+        found += [
+            (text(voxel_count(material)), "voxels"),
+            (text(len(material.cover["plane_start"]) - 1), "hulls"),
+            (text(planes), "half-planes"),
+            (text(planes * BYTES_PER_HALF_PLANE), "bytes of half-planes"),
+        ]
+    return found
+
+
+CSV_COLUMNS = ("run", "filter", "vehicle", *(f.name for f in msgspec.structs.fields(TrialResult)))
+
+
+def to_csv(material: Material) -> str:
+    """One row per trial of every run, with all digits; points are x y z, an unknown value is empty."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(CSV_COLUMNS)
+    for run in material.runs:
+        for trial in run.record.trials:
+            values = msgspec.structs.asdict(trial).values()
+            writer.writerow([run.label, run.record.filter, run.record.vehicle, *map(_csv_cell, values)])
+    return out.getvalue()
+
+
+def _csv_cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list):
+        return " ".join(repr(item) for item in value)
+    return value if isinstance(value, str) else repr(value)
+
+
+def to_markdown(title: str, tables: Sequence[Table], first_line: str) -> str:
+    """The tables as Markdown; `first_line` is put into a comment at the top."""
+    parts = [f"<!-- {first_line} -->" if first_line else "", f"# {_cell(title)}"]
+    for table in tables:
+        head = "| " + " | ".join(_cell(name) for name in table.columns) + " |"
+        rule = "|" + " --- |" * len(table.columns)
+        rows = ["| " + " | ".join(_cell(text(value)) for value in row) + " |" for row in table.rows]
+        parts.append("\n".join([f"## {_cell(table.title)}", "", head, rule, *rows]))
+        if table.note:
+            parts.append(table.note)
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _cell(word: str) -> str:
+    """Text that stays one cell: no line breaks, no markup of Markdown or HTML."""
+    for mark in "\\|`*_<>[]":
+        word = word.replace(mark, f"\\{mark}" if mark not in "<>" else {"<": "&lt;", ">": "&gt;"}[mark])
+    return " ".join(word.split())

@@ -1,0 +1,183 @@
+"""The 3D view of a report: hulls, Gaussians and paths as one self-contained page."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.artifact import Artifact
+from alula.stages.compression.facets import Mesh, mesh
+from alula.stages.reporting.curves import Path, paths_of, plan_positions, thin
+from alula.stages.reporting.figures import COLORS
+from alula.stages.reporting.material import OUTCOMES, Material
+
+_MOST_POINTS = 100_000
+_MOST_TRIANGLES = 300_000
+_HULL_COLORS = np.array([0x8FA6BF, 0xA9B8A0, 0xC2AE94, 0xA79BBD, 0x93B5B5, 0xBF9C9C], np.uint32)
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A page that shows the scene in 3D, and what it had to leave out, in words."""
+
+    html: str
+    note: str
+
+
+def view(material: Material) -> View | None:
+    """The 3D view; None when there is nothing to show.
+
+    The same material gives the same text: object numbers and the title, which k3d takes from
+    memory addresses and the clock, are replaced.
+    """
+    paths = [path for run in material.runs for path in paths_of(run)]
+    if material.plan is not None:
+        paths.append(Path("plan", "planned", thin(plan_positions(material.plan))))
+    paths = [path for path in paths if len(path.position_world)]
+    if material.cover is None and material.scene is None and not paths:
+        return None
+    objects, notes = [], []
+    if material.cover is not None:
+        solid, shown = merged(mesh(material.cover))
+        hulls = len(material.cover["plane_start"]) - 1
+        if shown < hulls:
+            notes.append(f"the {shown:,} largest of {hulls:,} hulls")
+        edge = float(material.cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
+        objects += _hull_objects(solid, edge)
+    if material.scene is not None:
+        points, colors = sample(material.scene)
+        if len(points) < len(material.scene["mean"]):
+            notes.append(f"{len(points):,} of {len(material.scene['mean']):,} Gaussians")
+        objects += _cloud_objects(points, colors)
+    objects += _path_objects(paths)
+    return View(_page(objects), f"Shown: {' and '.join(notes)}." if notes else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Solid:
+    """Meshes of many hulls as one: points in voxels, triangles, a colour per point."""
+
+    points_voxel: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+    colors: NDArray[np.uint32]
+
+
+def merged(meshes: Mesh, most: int = _MOST_TRIANGLES) -> tuple[Solid, int]:
+    """All hulls as one mesh, and how many of them fit into `most` triangles, the largest first."""
+    counts = np.diff(meshes.triangle_start)
+    hull = np.repeat(np.arange(len(counts)), counts)
+    owner = np.repeat(np.arange(len(meshes)), np.diff(meshes.point_start))
+    keep = np.ones(len(counts), np.bool_)
+    if counts.sum() > most:
+        starts = meshes.point_start[:-1]
+        low = np.minimum.reduceat(meshes.points_voxel, starts, axis=0)
+        high = np.maximum.reduceat(meshes.points_voxel, starts, axis=0)
+        order = np.argsort(-np.prod(high - low, axis=1), kind="stable")
+        keep[order] = np.cumsum(counts[order]) <= most
+    kept_points = keep[owner]
+    renumber = np.cumsum(kept_points) - 1
+    return (
+        Solid(
+            meshes.points_voxel[kept_points],
+            renumber[meshes.triangles[keep[hull]]],
+            _HULL_COLORS[owner[kept_points] % len(_HULL_COLORS)],
+        ),
+        int(keep.sum()),
+    )
+
+
+def sample(scene: Artifact, most: int = _MOST_POINTS) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Centres and colours (0xRRGGBB) of at most `most` Gaussians, evenly over the rows."""
+    mean, color = np.asarray(scene["mean"]), np.asarray(scene["color"]).astype(np.uint32)
+    rows = np.arange(len(mean))
+    if len(mean) > most:
+        rows = np.linspace(0, len(mean) - 1, most).round().astype(np.int64)
+    packed = (color[rows, 0] << 16) | (color[rows, 1] << 8) | color[rows, 2]
+    return mean[rows], packed
+
+
+def _hull_objects(solid: Solid, edge: float) -> list[Any]:
+    import k3d
+
+    if len(solid.triangles) == 0:
+        return []
+    return [
+        k3d.mesh(
+            (solid.points_voxel * edge).astype(np.float32),
+            solid.triangles.astype(np.uint32),
+            colors=solid.colors,
+            opacity=0.35,
+            flat_shading=True,
+            name="hulls",
+        )
+    ]
+
+
+def _cloud_objects(points: NDArray[np.float32], colors: NDArray[np.uint32]) -> list[Any]:
+    import k3d
+
+    if len(points) == 0:
+        return []
+    extent = float(np.median(np.ptp(points, axis=0))) if len(points) > 1 else 1.0
+    return [
+        k3d.points(points, colors=colors, point_size=max(extent, 1e-3) / 350, shader="flat", name="Gaussians")
+    ]
+
+
+def _path_objects(paths: Sequence[Path]) -> list[Any]:
+    import k3d
+
+    objects = []
+    for outcome in (*OUTCOMES, "planned"):
+        own = [path.position_world.astype(np.float32) for path in paths if path.outcome == outcome]
+        if not own:
+            continue
+        color = int(COLORS[outcome][1:], 16)
+        segments = _segments([len(points) for points in own])
+        if len(segments):
+            objects.append(
+                k3d.lines(
+                    np.concatenate(own),
+                    segments,
+                    indices_type="segment",
+                    color=color,
+                    width=0.02,
+                    shader="mesh",
+                    name=f"paths: {outcome}",
+                )
+            )
+        for what, row in (("starts", 0), ("ends", -1)):
+            ends = np.array([points[row] for points in own])
+            objects.append(
+                k3d.points(ends, color=color, point_size=0.08, shader="3d", name=f"{what}: {outcome}")
+            )
+    return objects
+
+
+def _segments(lengths: Iterable[int]) -> NDArray[np.uint32]:
+    """Pairs of consecutive rows of paths that are stored one after the other."""
+    pairs, at = [np.empty((0, 2), np.uint32)], 0
+    for length in lengths:
+        rows = np.arange(at, at + length, dtype=np.uint32)
+        pairs.append(np.stack([rows[:-1], rows[1:]], axis=1))
+        at += length
+    return np.concatenate(pairs)
+
+
+def _page(objects: Sequence[Any]) -> str:
+    import k3d
+
+    plot = k3d.plot(snapshot_type="full", background_color=0xFAFBFC, grid_visible=True, camera_auto_fit=False)
+    for number, item in enumerate(objects, 1):
+        item.id = number
+        plot += item
+    plot.camera = plot.get_auto_camera(yaw=-60, pitch=50, factor=0.9)
+    page: str = plot.get_snapshot()
+    # k3d's style sheet names fallback fonts beside the page; browsers look for them, in vain.
+    page = page.replace("eval(k3dSource);", "eval(k3dSource.split('url(fonts/').join('url(data:,'));")
+    return re.sub(r"<title>.*?</title>", "<title>3D view</title>", page, count=1, flags=re.DOTALL)

@@ -1,0 +1,83 @@
+"""Quaternions in the order w, x, y, z and rotation matrices, one or many at a time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def matrix_from_quat_wxyz(quat_wxyz: NDArray[Any]) -> Array:
+    """Rotation matrices of unit quaternions; column i is the image of axis i.
+
+    Args:
+        quat_wxyz: unit quaternions, shape (..., 4).
+
+    Returns:
+        Shape (..., 3, 3), in double precision.
+    """
+    w, x, y, z = np.moveaxis(np.asarray(quat_wxyz, np.float64), -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quat_wxyz_from_matrix(matrix: NDArray[Any]) -> Array:
+    """Unit quaternions of rotation matrices, with w >= 0; accurate for every angle.
+
+    The largest of the four squared components is found from the diagonal and divides the others.
+    Source: Shepperd 1978.
+
+    Args:
+        matrix: rotation matrices, shape (..., 3, 3).
+
+    Returns:
+        Shape (..., 4).
+    """
+    m = np.asarray(matrix, np.float64)
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    xy, xz, yz = m[..., 1, 0] + m[..., 0, 1], m[..., 2, 0] + m[..., 0, 2], m[..., 2, 1] + m[..., 1, 2]
+    candidates = np.stack(  # row i is 4 q_i q, for each i
+        [
+            np.stack([1 + xx + yy + zz, wx, wy, wz], axis=-1),
+            np.stack([wx, 1 + xx - yy - zz, xy, xz], axis=-1),
+            np.stack([wy, xy, 1 - xx + yy - zz, yz], axis=-1),
+            np.stack([wz, xz, yz, 1 - xx - yy + zz], axis=-1),
+        ],
+        axis=-2,
+    )
+    best = np.argmax(np.diagonal(candidates, axis1=-2, axis2=-1), axis=-1)
+    quat = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
+    quat = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+    signed: Array = np.where(quat[..., :1] < 0, -quat, quat)
+    return signed
+
+
+def multiply_quat_wxyz(left: NDArray[Any], right: NDArray[Any]) -> Array:
+    """Hamilton products; the rotation `right` first, then `left`.
+
+    Args:
+        left: shape (..., 4).
+        right: shape (..., 4).
+
+    Returns:
+        Shape (..., 4), not renormalised.
+    """
+    a, b, c, d = np.moveaxis(np.asarray(left, np.float64), -1, 0)
+    e, f, g, h = np.moveaxis(np.asarray(right, np.float64), -1, 0)
+    return np.stack(
+        [
+            a * e - b * f - c * g - d * h,
+            a * f + b * e + c * h - d * g,
+            a * g - b * h + c * e + d * f,
+            a * h + b * g - c * f + d * e,
+        ],
+        axis=-1,
+    )

@@ -1,0 +1,13 @@
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of real scenes; tests that need it are skipped without it."""
+    folder = os.environ.get("ALULA_DATA")
+    if not folder or not Path(folder).is_dir():
+        pytest.skip("real data: set ALULA_DATA to the folder of scenes")
+    return Path(folder)

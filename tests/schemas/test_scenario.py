@@ -1,0 +1,110 @@
+"""Scenario files: what they set, and errors that name the key."""
+
+import pytest
+
+from alula.schemas.configs.simulate import SimulateConfig
+from alula.schemas.errors import InputError, UsageError
+from alula.schemas.scenario import read_scenario
+
+WHOLE = """
+name = "room"
+[map]
+cover = "a.cover.npz"
+scene = "a.scene.npz"
+plan = "a.plan.npz"
+[vehicle]
+radius_m = 0.2
+v_max_m_s = 3
+[filter]
+name = "polytope-cbf"
+parameters = { beta = 5, kappa_per_m = 50.0, smoothing = "paper" }
+[controller]
+gain = 1.5
+[trials]
+count = 7
+seed = 9
+bounds_m = [0, 0, 0, 1, 2, 3]
+margin_m = 0.1
+separation = 0.4
+stop_fraction = 0.02
+[run]
+dt_s = 0.02
+max_time_s = 30
+log_rate_hz = 10
+"""
+
+
+def read(tmp_path, text):
+    path = tmp_path / "s.toml"
+    path.write_text(text)
+    return read_scenario(path)
+
+
+def test_every_key_sets_its_parameter(tmp_path):
+    scenario = read(tmp_path, WHOLE)
+    assert (scenario.map.cover, scenario.map.scene, scenario.map.plan) == (
+        "a.cover.npz",
+        "a.scene.npz",
+        "a.plan.npz",
+    )
+    assert SimulateConfig(**scenario.settings()) == SimulateConfig(
+        name="room",
+        filter="polytope-cbf",
+        radius_m=0.2,
+        speed_m_s=3.0,
+        gain=1.5,
+        beta=5.0,
+        kappa_per_m=50.0,
+        smoothing="paper",
+        trials=7,
+        seed=9,
+        bounds=(0.0, 0.0, 0.0, 1.0, 2.0, 3.0),
+        margin_m=0.1,
+        separation=0.4,
+        stop_fraction=0.02,
+        dt_s=0.02,
+        max_time_s=30.0,
+        log_rate_hz=10.0,
+    )
+
+
+def test_only_the_cover_is_required(tmp_path):
+    assert SimulateConfig(**read(tmp_path, '[map]\ncover = "c"').settings()) == SimulateConfig()
+
+
+def test_parameters_of_a_foreign_filter_are_its_own(tmp_path):
+    text = '[map]\ncover = "c"\n[filter]\nname = "mine"\nparameters = { depth = 3, mode = "x" }'
+    assert read(tmp_path, text).settings()["filter_parameters"] == {"depth": 3, "mode": "x"}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "`map`"),
+        ("[map]", "`cover`"),
+        ('map = "c"', r"\$\.map"),
+        ('[map]\ncover = "c"\ncolour = 1', r"`colour` - at `\$\.map`"),
+        ('[map]\ncover = "c"\n[vehicle]\nradius = 1', r"`radius` - at `\$\.vehicle`"),
+        ('[map]\ncover = "c"\n[vehicle]\nradius_m = "big"', r"\$\.vehicle\.radius_m"),
+        ('[map]\ncover = "c"\n[trials]\ncount = 1.5', r"\$\.trials\.count"),
+        ('[map]\ncover = "c"\n[trials]\nbounds_m = [1, 2]', r"\$\.trials\.bounds_m"),
+        ('[map]\ncover = "c"\n[filter.parameters]\nbta = 1', r"\$\.filter\.parameters\.bta`: unknown"),
+        ('[map]\ncover = "c"\n[filter.parameters]\nbeta = "x"', r"\$\.filter\.parameters\.beta"),
+        ('[map]\ncover = "c"\n[filter.parameters]\nsmoothing = 1', r"\$\.filter\.parameters\.smoothing"),
+        ('[map]\ncover = "c"\n[filter]\nname = "none"\nparameters = { beta = 1 }', "none has no parameters"),
+        ('speed = 1\n[map]\ncover = "c"', "`speed`"),
+    ],
+)
+def test_a_wrong_key_is_named_with_its_path(tmp_path, text, message):
+    with pytest.raises(UsageError, match=message):
+        read(tmp_path, text)
+
+
+@pytest.mark.parametrize("content", [b"[map", b"\xff\xfe\x00", b"a = 1\na = 2"])
+def test_what_is_not_toml_is_bad_input(tmp_path, content):
+    path = tmp_path / "s.toml"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="not TOML"):
+        read_scenario(path)
+    with pytest.raises(InputError, match="cannot read"):
+        read_scenario(tmp_path / "absent.toml")

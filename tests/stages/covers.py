@@ -1,0 +1,79 @@
+"""Voxel scenes, covers of them, and what must hold for a cover, in plain Python integers."""
+
+from math import gcd
+
+import numpy as np
+
+from alula.schemas.artifact import Artifact, make_artifact
+from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.kinds import VOXELS
+from alula.stages.compression.merge import merge
+
+SIZE_M = 0.1
+
+
+def voxels_of(index, **fields) -> Artifact:
+    """An alula/voxels of the given rows, in any order."""
+    index = np.unique(np.asarray(index, np.int32).reshape(-1, 3), axis=0)
+    level = {"voxel_size_m": SIZE_M, "sigma": 1.0, "min_overlap": 1} | fields
+    arrays = {"index": index, "overlap": np.ones(len(index))}
+    return make_artifact(VOXELS, arrays, frame="world", unit="m", parameters={}, summary={}, **level)
+
+
+def furniture(seed: int = 0, extent: int = 24) -> np.ndarray:
+    """A floor, two walls, boxes, a slanted sheet, a hoop and a few single voxels far from all else."""
+    rng = np.random.default_rng(seed)
+    grid = np.stack(np.meshgrid(*3 * [np.arange(extent)], indexing="ij"), -1).reshape(-1, 3)
+    x, y, z = grid.T
+    solid = (z == 0) | (x == 0) | (y == extent - 1)
+    for _ in range(4):
+        low = rng.integers(2, extent - 6, 3)
+        solid |= ((grid >= low) & (grid < low + rng.integers(1, 6, 3))).all(axis=1)
+    solid |= (np.abs(x + 2 * y - z - extent // 2) <= 1) & (z < 9)
+    ring = np.hypot(y - extent / 2, z - extent / 2)
+    solid |= (np.abs(ring - 6) < 0.8) & (x == extent // 2)
+    return np.concatenate([grid[solid] - extent // 2, rng.integers(60, 90, (5, 3))])
+
+
+def cover_of(voxels: Artifact, **config) -> Artifact:
+    return merge(MergeConfig(**config), voxels, jobs=1)
+
+
+def rows(cover: Artifact, hull: int, name: str) -> list[tuple[int, ...]]:
+    """Rows of one array of one hull, as Python integers."""
+    starts = {"vertex": "vertex_start", "member_index": "member_start"}.get(name, "plane_start")
+    begin, end = cover[starts][hull : hull + 2]
+    return [tuple(np.atleast_1d(row).tolist()) for row in cover[name][begin:end]]
+
+
+def planes(cover: Artifact, hull: int) -> list[tuple[tuple[int, ...], int]]:
+    offsets = [offset for (offset,) in rows(cover, hull, "plane_offset")]
+    return list(zip(rows(cover, hull, "plane_normal"), offsets, strict=True))
+
+
+def holds_voxel(half_spaces, voxel) -> bool:
+    """Whether all eight corners of a voxel satisfy all half-spaces."""
+    return all(
+        sum(n * (v + (corner >> axis & 1)) for axis, (n, v) in enumerate(zip(normal, voxel, strict=True)))
+        <= offset
+        for normal, offset in half_spaces
+        for corner in range(8)
+    )
+
+
+def assert_covers(cover: Artifact, voxels: Artifact) -> None:
+    """Every voxel is a member of a hull that holds it; the arrays are sorted and primitive."""
+    members = set()
+    for hull in range(len(cover["plane_start"]) - 1):
+        half_spaces = planes(cover, hull)
+        mine = rows(cover, hull, "member_index")
+        assert mine == sorted(set(mine))
+        assert all(holds_voxel(half_spaces, voxel) for voxel in mine)
+        assert all(gcd(*normal) == 1 for normal, _ in half_spaces)
+        assert len(set(half_spaces)) == len(half_spaces)
+        members |= set(mine)
+    assert members == {tuple(row) for row in voxels["index"].tolist()}
+
+
+def excess(cover: Artifact) -> float:
+    return float(cover.manifest.conservativeness) - 1

@@ -1,0 +1,252 @@
+"""`verify`: what holds is certified, what does not is caught and placed."""
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from covers import SIZE_M, cover_of, furniture, holds_voxel, planes, voxels_of
+
+from alula.stages.compression.certificate import verify
+
+VOXELS = voxels_of(furniture(1, 14))
+COVERS = {method: cover_of(VOXELS, method=method, hulls=12) for method in ("default", "paper")}
+COVER = COVERS["default"]
+
+
+def changed(cover, **arrays):
+    """The cover with some arrays replaced, as a file with a matching manifest could hold them."""
+    return dataclasses.replace(cover, arrays={**cover.arrays, **arrays})
+
+
+def with_row(cover, name, row, value):
+    array = cover[name].copy()
+    array[row] = value
+    return changed(cover, **{name: array})
+
+
+def failing(certificate) -> list[str]:
+    assert certificate.covered == all(check.ok for check in certificate.checks)
+    return [check.name for check in certificate.checks if not check.ok]
+
+
+def offences(certificate):
+    return [offence for check in certificate.checks for offence in check.first]
+
+
+def is_covered_by_brute_force(cover, voxels) -> bool:
+    """Every voxel has its eight corners in one polytope of the cover's planes."""
+    hulls = [planes(cover, hull) for hull in range(len(cover["plane_start"]) - 1)]
+    hulls = [half_spaces for half_spaces in hulls if half_spaces]
+    left = voxels["index"].astype(object)
+    for half_spaces in hulls:
+        held = np.ones(len(left), bool)
+        for normal, offset in half_spaces:
+            far = left @ np.array(normal, object) + sum(max(n, 0) for n in normal)
+            held &= np.array(far <= offset, bool)
+        left = left[~held]
+    return len(left) == 0
+
+
+@pytest.mark.parametrize("method", COVERS)
+def test_a_good_cover_is_certified(method):
+    certificate = verify(COVERS[method], voxels=VOXELS)
+    assert certificate.covered
+    assert certificate.complaint() == ""
+    assert [check.checked for check in certificate.checks[1:]] == [
+        len(COVERS[method]["plane_start"]) - 1,
+        len(COVERS[method]["member_index"]),
+        len(VOXELS["index"]),
+    ]
+    assert verify(COVERS[method]).covered
+    assert certificate == verify(COVERS[method], voxels=VOXELS, jobs=4)
+
+
+@pytest.mark.parametrize("row", range(0, len(COVER["plane_offset"]), 7))
+def test_a_plane_moved_by_one_unit_is_caught(row):
+    for step in (-1, 1):
+        bad = with_row(COVER, "plane_offset", row, COVER["plane_offset"][row] + step)
+        hull = int(np.searchsorted(COVER["plane_start"], row, "right")) - 1
+        certificate = verify(bad, voxels=VOXELS)
+        assert "hulls are exact polytopes" in failing(certificate)
+        assert {offence.hull for offence in offences(certificate)} == {hull}
+        if step < 0:
+            assert "members lie in their hulls" in failing(certificate)
+
+
+@pytest.mark.parametrize("change", ["scaled", "flipped", "zero", "huge", "smallest"])
+def test_a_bad_normal_is_caught(change):
+    for row in (0, len(COVER["plane_offset"]) // 2, len(COVER["plane_offset"]) - 1):
+        normal, offset = COVER["plane_normal"][row], COVER["plane_offset"][row]
+        lowest = np.iinfo(np.int64).min
+        bad = {
+            "scaled": (2 * normal, 2 * offset),
+            "flipped": (-normal, -offset),
+            "zero": (0 * normal, offset),
+            "huge": (normal + 2**62, offset),
+            "smallest": (np.full(3, lowest), lowest),
+        }[change]
+        cover = with_row(with_row(COVER, "plane_normal", row, bad[0]), "plane_offset", row, bad[1])
+        assert "hulls are exact polytopes" in failing(verify(cover, voxels=VOXELS))
+
+
+def test_a_missing_hull_is_caught():
+    for hull in range(len(COVER["plane_start"]) - 1):
+        arrays = {}
+        for rows, starts in (
+            (("vertex",), "vertex_start"),
+            (("plane_normal", "plane_offset"), "plane_start"),
+            (("member_index",), "member_start"),
+        ):
+            begin, end = COVER[starts][hull : hull + 2]
+            arrays |= {name: np.delete(COVER[name], slice(begin, end), axis=0) for name in rows}
+            start = np.delete(COVER[starts], hull + 1)
+            start[hull + 1 :] -= end - begin
+            arrays[starts] = start
+        certificate = verify(changed(COVER, **arrays), voxels=VOXELS)
+        assert failing(certificate) == ["every voxel is a member"]
+        begin, end = COVER["member_start"][hull : hull + 2]
+        lost = {tuple(v) for v in COVER["member_index"][begin:end].tolist()}
+        for offence in offences(certificate):
+            assert tuple(int(np.floor(c / SIZE_M)) for c in offence.place_m) in lost
+        assert certificate.checks[-1].failed == len(lost)
+
+
+def test_a_missing_plane_is_caught():
+    for row in range(0, len(COVER["plane_offset"]), 11):
+        hull = int(np.searchsorted(COVER["plane_start"], row, "right")) - 1
+        start = COVER["plane_start"].copy()
+        start[hull + 1 :] -= 1
+        bad = changed(
+            COVER,
+            plane_normal=np.delete(COVER["plane_normal"], row, axis=0),
+            plane_offset=np.delete(COVER["plane_offset"], row),
+            plane_start=start,
+        )
+        certificate = verify(bad, voxels=VOXELS)
+        assert offences(certificate)[0].fault == "hull is not closed"
+
+
+def test_a_missing_member_or_voxel_is_caught_and_placed():
+    row = len(COVER["member_index"]) // 3
+    voxel = COVER["member_index"][row]
+    hull = int(np.searchsorted(COVER["member_start"], row, "right")) - 1
+    start = COVER["member_start"].copy()
+    start[hull + 1 :] -= 1
+    bad = changed(COVER, member_index=np.delete(COVER["member_index"], row, axis=0), member_start=start)
+    certificate = verify(bad, voxels=VOXELS)
+    assert "every voxel is a member" in failing(certificate)
+    assert certificate.checks[-1].first[0].place_m == pytest.approx((voxel + 0.5) * SIZE_M)
+    assert "voxel is not covered at" in certificate.complaint()
+
+    keep = (VOXELS["index"] != voxel).any(axis=1)
+    fewer = dataclasses.replace(VOXELS, arrays={"index": VOXELS["index"][keep], "overlap": VOXELS["overlap"]})
+    certificate = verify(COVER, voxels=fewer)
+    assert certificate.checks[-1].first[0].fault == "member is not an occupied voxel"
+    assert certificate.checks[-1].first[0].hull == hull
+
+
+def test_a_moved_vertex_is_caught():
+    for row in range(0, len(COVER["vertex"]), 5):
+        for axis in range(3):
+            bad = COVER["vertex"].copy()
+            bad[row, axis] += 1 if row % 2 else -1
+            certificate = verify(changed(COVER, vertex=bad), voxels=VOXELS)
+            assert failing(certificate) == ["hulls are exact polytopes"]
+
+
+def test_a_hull_that_holds_more_than_its_members_is_caught():
+    """A valid polytope, one voxel too large: no obstacle is lost, but it is not the hull of its members."""
+    from alula import _core
+
+    cube = voxels_of([(0, 0, 0)])
+    cover = cover_of(cube)
+    large = _core.lattice_hull(
+        np.array([(x, y, z) for x in (0, 2) for y in (0, 1) for z in (0, 1)], np.int32)
+    )
+    certificate = verify(changed(cover, **large), voxels=cube)
+    assert {offence.fault for offence in offences(certificate)} == {"vertex is no corner of a member"}
+
+
+@pytest.mark.parametrize("method", COVERS)
+def test_random_changes_are_harmless_or_caught(method):
+    cover = COVERS[method]
+    rng = np.random.default_rng(5)
+    names = ("vertex", "plane_normal", "plane_offset", "member_index")
+    caught = 0
+    for trial in range(300):
+        name = names[trial % len(names)]
+        array = cover[name].copy()
+        at = tuple(rng.integers(0, extent) for extent in array.shape)
+        limits = np.iinfo(array.dtype)
+        value = rng.choice([array[at] + 1, array[at] - 1, -array[at], 0, limits.max, limits.min])
+        if value == array[at]:
+            continue
+        array[at] = value
+        bad = changed(cover, **{name: array})
+        certificate = verify(bad, voxels=VOXELS)
+        if certificate.covered:
+            assert name == "member_index"
+            assert is_covered_by_brute_force(bad, VOXELS)
+        else:
+            caught += 1
+            assert certificate.complaint().startswith("not proven: ")
+    assert caught > 200
+
+
+def test_changed_starts_are_caught():
+    for name in ("vertex_start", "plane_start", "member_start"):
+        for hull in range(1, len(COVER[name]) - 1):
+            start = COVER[name].copy()
+            start[hull] += 1
+            assert not verify(changed(COVER, **{name: start}), voxels=VOXELS).covered
+            start[hull] = start[hull - 1]
+            assert not verify(changed(COVER, **{name: start}), voxels=VOXELS).covered
+
+
+def test_flat_and_empty_hulls_are_caught():
+    flat = changed(
+        cover_of(voxels_of([(0, 0, 0)])),
+        vertex=np.array([(0, 0, 0), (0, 1, 0), (1, 0, 0), (1, 1, 0)], np.int32),
+        vertex_start=np.array([0, 4]),
+        plane_normal=np.array([(0, 0, -1), (0, 0, 1)]),
+        plane_offset=np.array([0, 0]),
+        plane_start=np.array([0, 2]),
+    )
+    assert "plane is no facet of its hull" in {offence.fault for offence in offences(verify(flat))}
+    nothing = changed(flat, vertex=np.empty((0, 3), np.int32), vertex_start=np.array([0, 0]))
+    assert {offence.fault for offence in offences(verify(nothing))} == {"hull is empty"}
+
+
+def test_brute_force_sees_what_it_must():
+    assert is_covered_by_brute_force(COVER, VOXELS)
+    widest = int(np.argmax(np.diff(COVER["member_start"])))
+    row = COVER["plane_start"][widest]
+    bad = with_row(COVER, "plane_offset", row, COVER["plane_offset"][row] - 10**6)
+    assert not is_covered_by_brute_force(bad, VOXELS)
+    assert not holds_voxel(planes(bad, widest), COVER["member_index"][COVER["member_start"][widest]].tolist())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("voxel_size_m", 0.2), ("sigma", 2.0), ("min_overlap", 3), ("inflation_m", 0.1), ("frame", "scene")],
+)
+def test_files_of_another_level_are_caught(name, value):
+    other = dataclasses.replace(VOXELS, manifest=msgspec.structs.replace(VOXELS.manifest, **{name: value}))
+    certificate = verify(COVER, voxels=other)
+    assert failing(certificate) == ["files agree"]
+    assert name in certificate.complaint()
+
+
+def test_what_is_left_out_is_named():
+    crop = [-1.0, -1.0, -1.0, 1.0, 1.0, 1.0]
+    voxels = voxels_of([(0, 0, 0)], min_overlap=4, crop=crop, sigma=2.5)
+    text = verify(cover_of(voxels), voxels=voxels).left_out
+    assert "beyond 2.5 sigma" in text
+    assert "fewer than 4 ellipsoids" in text
+    assert "crop -1 -1 -1 1 1 1" in text
+    assert "scene itself" in text

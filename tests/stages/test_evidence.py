@@ -1,0 +1,183 @@
+"""Tables, COLMAP models and matrices that a scene is aligned by; and what is wrong with them."""
+
+import json
+import os
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from alula.schemas.errors import AlulaError, InputError
+from alula.stages.alignment.evidence import (
+    match,
+    model_files,
+    parse_pairs,
+    parse_positions,
+    parse_transform,
+    read_model,
+)
+from alula.stages.alignment.similarity import transform_points
+
+
+def test_columns_are_found_by_name():
+    text = '\ufeffz, image ,note,X,y\r\n3,a.jpg,,1,2\r\n\r\n6,"b,c.jpg",hello,4,5\r\n'
+    found = parse_positions(text, "t.csv")
+    assert found.names == ("a.jpg", "b,c.jpg")
+    np.testing.assert_array_equal(found.position, [[1, 2, 3], [4, 5, 6]])
+    assert found.rows[1] == "t.csv row 4 (b,c.jpg)"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "t.csv: is empty"),
+        ("image,x,y,z\n", "t.csv: has no rows"),
+        ("image,x,y\na,1,2\n", "no column 'z' in the first line; it must be image,x,y,z"),
+        ("a.jpg,1,2,3\n", "no column 'image'"),
+        ("image,lat,lon,alt\na,1,2,3\n", "GPS positions are not supported"),
+        ("image,x,y,z\na,1,2,3\nb,1,2\n", "t.csv row 3: has 3 values, not 4"),
+        ("image,x,y,z\na,1,2,3\nb,1,two,3\n", "t.csv row 3: y is 'two', not a finite number"),
+        ("image,x,y,z\na,1,nan,3\n", "t.csv row 2: y is 'nan'"),
+        ("image,x,y,z\na,1,2,inf\n", "t.csv row 2: z is 'inf'"),
+        ("image,x,y,z\na,1,2,3\na,4,5,6\n", "t.csv row 3: image 'a' occurs twice"),
+        ("image,x,y,z\n,1,2,3\n", "t.csv row 2: the image has no name"),
+        ('image,x,y,z\n"a,1,2,3\n', "t.csv: is not CSV"),
+    ],
+)
+def test_wrong_tables_are_refused_by_row(text, message):
+    with pytest.raises(InputError, match=message):
+        parse_positions(text, "t.csv")
+
+
+def positions(*names, start=0.0):
+    rows = [f"{name},{start + i},{start + i * i},0" for i, name in enumerate(names)]
+    return parse_positions("\n".join(["image,x,y,z", *rows]), "t.csv")
+
+
+def test_cameras_are_matched_by_name_in_the_order_of_the_reference():
+    found = match(positions("a", "b", "c", "d"), positions("c", "a", start=5.0))
+    np.testing.assert_array_equal(found.scene[:, 0], [2, 0])
+    np.testing.assert_array_equal(found.world[:, 0], [5, 6])
+    assert found.unused == 2
+    with pytest.raises(InputError, match=r"t.csv row 3 \(e\): no camera has an image of that name"):
+        match(positions("a", "b"), positions("a", "e"))
+
+
+def test_equal_points_are_refused_by_row():
+    head = "sx,sy,sz,wx,wy,wz\n0,0,0,0,0,0\n1,0,0,2,0,0\n"
+    assert len(parse_pairs(head, "p.csv").rows) == 2
+    with pytest.raises(InputError, match=r"p.csv row 4: the same point in the scene as p.csv row 3"):
+        parse_pairs(head + "1,0,0,3,0,0\n", "p.csv")
+    with pytest.raises(InputError, match=r"p.csv row 4: the same point in the world as p.csv row 2"):
+        parse_pairs(head + "3,0,0,0,0,-0.0\n", "p.csv")
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.binary(max_size=80).map(lambda raw: raw.decode("latin-1")),
+    st.sampled_from(["", "image,x,y,z\n", "sx,sy,sz,wx,wy,wz\n"]),
+)
+def test_any_text_is_a_table_or_refused(text, head):
+    for parse in (parse_positions, parse_pairs, parse_transform):
+        with suppress(AlulaError):  # anything else fails the test
+            parse(head + text, "t")
+
+
+MATRIX = [[0, -2, 0, 1], [2, 0, 0, 2], [0, 0, 2, 3], [0, 0, 0, 1]]
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        MATRIX,
+        {"matrix": MATRIX},
+        {"scale": 2, "rotation": [[0, -1, 0], [1, 0, 0], [0, 0, 1]], "translation_m": [1, 2, 3]},
+    ],
+)
+def test_a_transform_has_three_forms(form):
+    found = parse_transform(json.dumps(form), "t.json")
+    np.testing.assert_allclose(transform_points(found, np.array([[1.0, 1, 1]])), [[-1, 4, 5]], atol=1e-12)
+    assert found.scale == pytest.approx(2)
+
+
+@pytest.mark.parametrize(
+    ("form", "message"),
+    [
+        ("{", "is not JSON"),
+        ("[" * 100_000, "is not JSON"),
+        ("[[1, 2], [3, 4]]", "4x4 matrix"),
+        ("[[1, 2], [3]]", "4x4 matrix"),
+        ("3", "4x4 matrix"),
+        (json.dumps([*MATRIX[:3], [0, 0, 0, 2]]), "last row 0 0 0 1"),
+        (json.dumps([[-row[0], *row[1:]] for row in MATRIX]), "reflection"),
+        (json.dumps([MATRIX[0], MATRIX[1], [0, 0, 2.01, 0], MATRIX[3]]), "not a rotation times a scale"),
+        (json.dumps([[0, 0, 0, 0]] * 3 + [MATRIX[3]]), "the scale is 0"),
+        (json.dumps([[float("nan")] * 4] * 3 + [MATRIX[3]]), "not finite"),
+        ('{"scale": 2}', "needs a 4x4 matrix, or scale"),
+        ('{"scale": -2, "rotation": [[1]], "translation_m": [0]}', "scale must be positive"),
+        ('{"scale": 2, "rotation": [[1]], "translation_m": [0]}', "rotation must be 3x3"),
+    ],
+)
+def test_transforms_that_are_no_similarity_are_refused(form, message):
+    with pytest.raises(InputError, match=message):
+        parse_transform(form, "t.json")
+
+
+def data(name):
+    pytest.importorskip("pycolmap")
+    root = os.environ.get("ALULA_DATA")
+    if not root:
+        pytest.skip("ALULA_DATA is not set")
+    return Path(root) / name
+
+
+def centres_of_text(folder):
+    """Camera centres by the text format's definition: -R' t."""
+    centres = {}
+    for line in (folder / "images.txt").read_text().splitlines():
+        words = line.split()
+        if len(words) != 10 or line.startswith("#"):  # lines of pixels have a multiple of three words
+            continue
+        q, t = np.array(words[1:5], float), np.array(words[5:8], float)
+        w, v = q[0], q[1:]
+        rotate = 2 * np.cross(v, np.cross(v, t) - w * t)  # q* t q - t
+        centres[words[9]] = -(t + rotate)
+    return centres
+
+
+@pytest.mark.parametrize(
+    "name", ["colmap-sceaux/colmap_example_model_txt", "colmap-unsorted-tiny", "colmap-maupertuis"]
+)
+def test_colmap_models_have_the_centres_of_their_text(name):
+    folder = data(name)
+    found, expected = read_model(folder), centres_of_text(folder)
+    assert list(found.names) == sorted(expected)
+    for image, position in zip(found.names, found.position, strict=True):
+        np.testing.assert_allclose(position, expected[image], atol=1e-4)
+
+
+def test_binary_and_text_models_agree():
+    root = data("colmap-sceaux")
+    text, binary = (read_model(root / f"colmap_example_model_{kind}") for kind in ("txt", "bin"))
+    assert text.names == binary.names
+    assert len(text.names) == 11
+    np.testing.assert_allclose(text.position, binary.position, atol=6e-6)
+    assert {p.suffix for p in model_files(root / "colmap_example_model_bin").values()} == {".bin"}
+
+
+def test_folders_that_are_no_model_are_refused(tmp_path):
+    with pytest.raises(InputError, match="is no COLMAP model: does not exist"):
+        model_files(tmp_path / "none")
+    with pytest.raises(InputError, match=r"is no COLMAP model: no cameras\.bin or cameras.txt"):
+        model_files(tmp_path)
+    pytest.importorskip("pycolmap")
+    for name in ("cameras.txt", "images.txt", "points3D.txt"):
+        (tmp_path / name).write_text("# nothing\n")
+    with pytest.raises(InputError, match="no image of the COLMAP model is registered"):
+        read_model(tmp_path)
+    (tmp_path / "images.txt").write_text("1 what is this\n\n")
+    with pytest.raises(InputError, match="is no readable COLMAP model"):
+        read_model(tmp_path)

@@ -1,0 +1,201 @@
+"""The rules that decide which Gaussians enter a scene."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.errors import InputError, UsageError
+from alula.stages.reconstruction.floaters import SMALLEST_GROUP, floaters
+from alula.stages.reconstruction.import_splat import SCALE_FLOOR, import_splat
+from alula.stages.reconstruction.splats import Splats
+from alula.stages.rotation import matrix_from_quat_wxyz
+
+
+def splats(rows=12, **changes):
+    rng = np.random.default_rng(1)
+    values = {
+        "mean": rng.normal(size=(rows, 3)),
+        "scale": rng.uniform(0.01, 0.02, (rows, 3)),
+        "quat_wxyz": rng.normal(size=(rows, 4)) * 2,
+        "opacity": rng.uniform(0.5, 1, rows),
+    }
+    for name, edits in changes.items():
+        for row, value in edits.items():
+            values[name][row] = value
+    return Splats(
+        format="ply",
+        color=np.arange(rows * 3, dtype=np.uint8).reshape(rows, 3),
+        **{name: value.astype(np.float32) for name, value in values.items()},
+    )
+
+
+def removed(result):
+    return {reason: count for reason, count in result.manifest.source["removed"].items() if count}
+
+
+def test_clean_rows_are_kept_bit_by_bit_and_in_order():
+    given_ = splats()
+    scene = import_splat(ImportSplatConfig(), given_)
+    for name in ("mean", "scale", "opacity", "color"):
+        np.testing.assert_array_equal(scene[name], getattr(given_, name))
+    norm = np.linalg.norm(given_.quat_wxyz, axis=1, keepdims=True)
+    np.testing.assert_allclose(scene["quat_wxyz"], given_.quat_wxyz / norm, atol=2e-7)
+    manifest = scene.manifest
+    assert (manifest.frame, manifest.unit) == ("scene", "arbitrary")
+    assert manifest.source["rows"] == manifest.source["kept"] == 12
+    assert manifest.world_from_scene is None
+    assert manifest.guarantee.claims["left_out"] == {}
+
+
+@pytest.mark.parametrize(
+    ("reason", "changes"),
+    [
+        ("not_a_number", {"mean": {3: (0, np.nan, 0)}}),
+        ("not_a_number", {"scale": {3: (1, 1, np.nan)}}),
+        ("not_a_number", {"quat_wxyz": {3: (np.nan, 0, 0, 0)}}),
+        ("not_a_number", {"opacity": {3: np.nan}}),
+        ("infinite_mean", {"mean": {3: (-np.inf, 0, 0)}}),
+        ("infinite_scale", {"scale": {3: (np.inf, 1, 1)}}),
+        ("infinite_rotation", {"quat_wxyz": {3: (np.inf, 0, 0, 1)}}),
+        ("zero_rotation", {"quat_wxyz": {3: (0, 0, 0, 0)}}),
+        ("min_opacity", {"opacity": {3: 0.05}}),
+        ("crop", {"mean": {3: (50, 0, 0)}}),
+        ("max_scale", {"scale": {3: (0.1, 3.0, 0.1)}}),
+    ],
+)
+def test_each_rule_removes_its_row_and_counts_it(reason, changes):
+    config = ImportSplatConfig(crop=(-9, -9, -9, 9, 9, 9), max_scale=2.0)
+    given_ = splats(**changes)
+    scene = import_splat(config, given_)
+    assert removed(scene) == {reason: 1}
+    np.testing.assert_array_equal(scene["mean"], np.delete(given_.mean, 3, axis=0))
+    assert scene.manifest.guarantee.claims["left_out"] == {reason: 1}
+    assert f"1 by {reason}" in scene.manifest.guarantee.statement
+
+
+def test_a_row_counts_once_and_counts_add_up():
+    given_ = splats(mean={0: np.nan, 1: np.inf}, opacity={0: 0.0, 1: 0.0, 2: 0.0}, scale={0: np.inf})
+    scene = import_splat(ImportSplatConfig(), given_)
+    assert removed(scene) == {"not_a_number": 1, "infinite_mean": 1, "min_opacity": 1}
+    assert scene.manifest.source["rows"] == scene.manifest.source["kept"] + 3
+
+
+def test_no_thickness_becomes_the_floor_and_certain_opacities_stay():
+    given_ = splats(scale={2: (0, 1, 1)}, opacity={2: 1.0, 4: 0.0})
+    scene = import_splat(ImportSplatConfig(min_opacity=0.0), given_)
+    assert scene["scale"][2].tolist() == [np.float32(SCALE_FLOOR), 1, 1]
+    assert scene["opacity"][4] == 0
+    assert scene.manifest.source["scale_floored"] == 1
+    assert removed(scene) == {}
+
+
+def test_a_scene_without_gaussians_is_refused_with_the_reasons():
+    with pytest.raises(InputError, match="no Gaussian is left of 12: removed 1 by infinite_mean, 11 by crop"):
+        import_splat(ImportSplatConfig(crop=(90, 90, 90, 91, 91, 91)), splats(mean={0: np.inf}))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"min_opacity": 1.1}, {"min_opacity": -0.1}, {"max_scale": 0.0}, {"crop": (0, 0, 0, 1, 0, 1)}],
+)
+def test_parameters_that_mean_nothing_are_refused(wrong):
+    with pytest.raises(UsageError):
+        ImportSplatConfig(**wrong)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32), st.floats(0, 1))
+def test_whatever_is_kept_is_a_valid_scene(seed, min_opacity):
+    rng = np.random.default_rng(seed)
+    odd = np.array([np.nan, np.inf, -np.inf, 0.0, 1e-38, 3e38, 1.0, -2.0, 0.5], np.float32)
+    given_ = Splats(
+        format="ply",
+        mean=rng.choice(odd, (40, 3)),
+        scale=np.abs(rng.choice(odd, (40, 3))),
+        quat_wxyz=rng.choice(odd, (40, 4)),
+        opacity=rng.choice(np.float32([0, 1, 0.5, np.nan]), 40),
+        color=np.zeros((40, 3), np.uint8),
+    )
+    try:
+        scene = import_splat(ImportSplatConfig(min_opacity=min_opacity), given_)  # checks what it makes
+    except InputError:
+        return
+    assert scene.manifest.source["kept"] + sum(removed(scene).values()) == 40
+
+
+def sheet(count, size, rng, z=0.0):
+    points = rng.uniform(0, size, (count, 3))
+    points[:, 2] = z
+    return points
+
+
+def marked(mean, scale, quat=None):
+    quat = np.tile([1.0, 0, 0, 0], (len(mean), 1)) if quat is None else quat
+    return floaters(mean.astype(np.float32), scale.astype(np.float32), matrix_from_quat_wxyz(quat))[0]
+
+
+def test_isolated_groups_are_floaters_and_surfaces_are_not():
+    rng = np.random.default_rng(0)
+    floor = sheet(4000, 5, rng)
+    blob = np.array([2.0, 2.0, 2.0]) + 0.02 * rng.normal(size=(SMALLEST_GROUP - 1, 3))
+    single = rng.uniform(0, 5, (20, 3)) + np.array([0, 0, 4])
+    mean = np.vstack([floor, blob, single])
+    found = marked(mean, np.full_like(mean, 0.02))
+    assert not found[:4000].any()
+    assert found[4000:].all()
+    bigger = np.vstack([floor, blob, blob[:5] + 0.01])
+    assert not marked(bigger, np.full_like(bigger, 0.02)).any()
+
+
+def test_a_sparse_surface_of_large_gaussians_is_kept():
+    rng = np.random.default_rng(0)
+    dense = sheet(4000, 2, rng)
+    corners = np.stack(np.meshgrid(np.arange(6), np.arange(6)), -1).reshape(-1, 2).astype(float)
+    wall = np.column_stack([corners * 0.8 + [0, 4.0], np.full(36, 1.5)])  # fewer than 50, 0.8 apart
+    mean = np.vstack([dense, wall])
+    small = np.vstack([np.full((4000, 3), 0.01), np.full((36, 3), 0.01)])
+    large = small.copy()
+    large[4000:, :2] = 0.4  # overlapping discs
+    assert marked(mean, small)[4000:].all()
+    bridge = np.column_stack([np.full(9, 1.0), np.linspace(1.9, 4.0, 9), np.linspace(0, 1.5, 9)])
+    mean = np.vstack([mean, bridge])
+    large = np.vstack([large, np.full((9, 3), 0.15)])
+    assert not marked(mean, large).any()
+
+
+def test_the_marks_do_not_depend_on_order_or_unit():
+    rng = np.random.default_rng(3)
+    mean = np.vstack([sheet(2000, 3, rng), rng.uniform(0, 3, (30, 3)) + np.array([0, 0, 1])])
+    scale = np.full_like(mean, 0.01)
+    found = marked(mean, scale)
+    order = rng.permutation(len(mean))
+    np.testing.assert_array_equal(marked(mean[order], scale[order]), found[order])
+    np.testing.assert_array_equal(marked(mean * 128, scale * 128), found)
+
+
+def test_few_or_equal_points_have_no_floaters():
+    assert not marked(np.random.default_rng(0).normal(size=(5, 3)), np.ones((5, 3))).any()
+    assert not marked(np.zeros((100, 3)), np.ones((100, 3))).any()
+    far = np.vstack([np.random.default_rng(0).normal(size=(100, 3)), [[1e30, 0, 0]]])
+    assert marked(far, np.ones_like(far)).tolist() == [False] * 100 + [True]
+
+
+def test_dropped_floaters_are_counted_and_the_rule_is_recorded():
+    rng = np.random.default_rng(0)
+    mean = np.vstack([sheet(2000, 3, rng), [[1, 1, 2]]]).astype(np.float32)
+    given_ = Splats(
+        format="ply",
+        mean=mean,
+        scale=np.full_like(mean, 0.01),
+        quat_wxyz=np.tile(np.float32([1, 0, 0, 0]), (2001, 1)),
+        opacity=np.ones(2001, np.float32),
+        color=np.zeros((2001, 3), np.uint8),
+    )
+    scene = import_splat(ImportSplatConfig(drop_floaters=True), given_)
+    assert removed(scene) == {"floaters": 1}
+    assert len(scene["quat_wxyz"]) == 2000
+    rule = scene.manifest.source["rules"]["floaters"]
+    assert rule["smallest_group"] == SMALLEST_GROUP
+    assert 0.1 < rule["cell"] < 0.4

@@ -1,0 +1,213 @@
+"""`.splat` records, and telling formats apart."""
+
+import gzip
+import json
+import os
+import struct
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from alula.schemas.errors import AlulaError, ArtifactError, InputError, UsageError
+from alula.stages.reconstruction import formats
+from alula.stages.reconstruction.formats import SplatFormat, read_splats
+from alula.stages.reconstruction.ply import encode_ply
+from alula.stages.reconstruction.splat import OPACITY_LOSS, ROTATION_LOSS_RAD, decode_splat
+
+
+def record(mean=(1, 2, 3), scale=(0.1, 0.2, 0.3), rgba=(10, 20, 30, 255), quat=(255, 128, 128, 128)):
+    return struct.pack("<6f8B", *mean, *scale, *rgba, *quat)
+
+
+def test_a_record_is_read_field_by_field():
+    splats = decode_splat(memoryview(record() + record(rgba=(1, 2, 3, 51))))
+    np.testing.assert_array_equal(splats.mean[0], [1, 2, 3])
+    np.testing.assert_array_equal(splats.scale[0], np.float32([0.1, 0.2, 0.3]))
+    np.testing.assert_array_equal(splats.color, [[10, 20, 30], [1, 2, 3]])
+    np.testing.assert_allclose(splats.opacity, [1, 0.2], rtol=1e-7)
+    assert splats.quat_wxyz[0, 0] == 1
+
+
+def test_negative_scales_are_read_as_their_absolute_value():
+    splats = decode_splat(memoryview(record(scale=(-0.1, 0.2, 0.3)) + record()))
+    assert (splats.scale > 0).all()
+    assert "1 rows with a negative scale" in splats.notes[0]
+
+
+WRITERS = {
+    "reference": lambda q: np.clip(np.floor(q * 128 + 128), 0, 255),
+    "rounding": lambda q: np.clip(np.rint(q * 128 + 128), 0, 255),
+    "whole range": lambda q: np.rint((q + 1) * 127.5),
+}
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_the_rotation_is_lost_by_no_more_than_recorded(writer):
+    rng = np.random.default_rng(0)
+    q = rng.normal(size=(20_000, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    stored = WRITERS[writer](q).astype(np.uint8)
+    read = decode_splat(memoryview(b"".join(record(quat=row) for row in stored))).quat_wxyz.astype(np.float64)
+    read /= np.linalg.norm(read, axis=1, keepdims=True)
+    angle = 2 * np.arccos(np.clip(np.abs((read * q).sum(axis=1)), 0, 1))
+    assert 0.3 * ROTATION_LOSS_RAD < angle.max() <= ROTATION_LOSS_RAD
+    assert np.degrees(ROTATION_LOSS_RAD) == pytest.approx(1.8, abs=0.01)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(0, 1))
+def test_the_opacity_is_lost_by_no_more_than_recorded(alpha):
+    for stored in (int(alpha * 255), round(alpha * 255)):
+        read = decode_splat(memoryview(record(rgba=(0, 0, 0, stored)))).opacity[0]
+        assert abs(read - alpha) <= OPACITY_LOSS + 1e-7
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=200))
+def test_any_bytes_are_records_or_refused(raw):
+    try:
+        splats = decode_splat(memoryview(raw))
+    except AlulaError:
+        assert len(raw) == 0 or len(raw) % 32
+    else:
+        assert len(splats) == len(raw) // 32
+
+
+def some_ply():
+    return b"".join(encode_ply(decode_splat(memoryview(record()))))
+
+
+def zipped(path, member):
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(member, "{}")
+
+
+def test_the_content_decides_before_the_suffix(tmp_path):
+    path = tmp_path / "named.splat"
+    path.write_bytes(some_ply())
+    assert read_splats(path).format == "ply"
+    path.write_bytes(record())
+    assert read_splats(path).format == "splat"
+    bare = tmp_path / "bare"
+    bare.write_bytes(record())
+    with pytest.raises(ArtifactError, match="--format forces one"):
+        read_splats(bare)
+    assert len(read_splats(bare, "splat")) == 1
+    with pytest.raises(ArtifactError, match="not a PLY file"):
+        read_splats(bare, "ply")
+
+
+FOREIGN = {
+    "a.spz": (b"NGSP" + bytes(28), "SPZ"),
+    "b.spz": (gzip.compress(b"NGSP" + bytes(28)), "SPZ"),
+    "c.glb": (b"glTF" + bytes(28), "GLB"),
+    "d.gltf": (b'{"asset": {}}', "glTF"),
+    "meta.json": (json.dumps({"version": 2, "means": {}}).encode(), "SOG"),
+    "e.ksplat": (b"\x00\x01" + bytes(5000), "KSPLAT"),
+    "spz.splat": (b"NGSP" + bytes(28), "SPZ"),
+}
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_other_formats_are_refused_by_name(tmp_path, name):
+    raw, title = FOREIGN[name]
+    path = tmp_path / name
+    path.write_bytes(raw)
+    with pytest.raises(
+        ArtifactError, match=f"{name}: recognised as {title}.*; not supported by this version"
+    ):
+        read_splats(path)
+
+
+def test_archives_are_told_apart(tmp_path):
+    zipped(tmp_path / "a.sog", "meta.json")
+    with pytest.raises(ArtifactError, match="recognised as SOG"):
+        read_splats(tmp_path / "a.sog")
+    zipped(tmp_path / "b.npz", "manifest.json")
+    with pytest.raises(ArtifactError, match="is an artifact of alula"):
+        read_splats(tmp_path / "b.npz")
+    for raw in (b"PK\x03\x04 broken", b"\x1f\x8b broken", gzip.compress(b"text"), b"{}", b"\x00"):
+        (tmp_path / "c").write_bytes(raw)
+        with pytest.raises(ArtifactError, match="not a splat file"):
+            read_splats(tmp_path / "c")
+
+
+def test_files_that_cannot_be_opened(tmp_path):
+    (tmp_path / "empty.ply").touch()
+    with pytest.raises(ArtifactError, match="is empty"):
+        read_splats(tmp_path / "empty.ply")
+    with pytest.raises(InputError, match="No such file"):
+        read_splats(tmp_path / "none.ply")
+    with pytest.raises(InputError, match="directory"):
+        read_splats(tmp_path)
+    with pytest.raises(UsageError, match="--format must be auto, ply, splat, not 'obj'"):
+        read_splats(tmp_path / "empty.ply", "obj")
+
+
+class Entry:
+    def __init__(self, name, value):
+        self.name, self.value = name, "somewhere"
+        self.load = lambda: value
+
+
+def test_other_packages_can_add_a_format(tmp_path, monkeypatch):
+    added = SplatFormat("tiny", lambda head, suffix: head[:4] == b"TINY", lambda b, p: decode_splat(b[4:]))
+    monkeypatch.setattr(formats, "entry_points", lambda group: [Entry("tiny", added)])
+    path = tmp_path / "x.splat"
+    path.write_bytes(b"TINY" + record())
+    np.testing.assert_array_equal(read_splats(path).mean, [[1, 2, 3]])
+    assert len(read_splats(path, "tiny")) == 1
+    monkeypatch.setattr(formats, "entry_points", lambda group: [Entry("bad", 3)])
+    with pytest.raises(InputError, match="entry point bad"):
+        read_splats(path)
+
+
+def data(name):
+    root = os.environ.get("ALULA_DATA")
+    if not root:
+        pytest.skip("ALULA_DATA is not set")
+    return Path(root) / name
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "lower", "upper", "opacity"),
+    [
+        ("tile_x000_y003", 53474, [-2.048, -17.717, -5.234], [39.735, 11.531, 11.124], 0.122),
+        ("tile_x001_y000", 33620, [29.006, -101.669, -10.823], [77.854, -58.775, 14.309], 0.392),
+        ("tile_x001_y001", 88325, [18.639, -77.511, -10.398], [70.004, -30.108, 14.309], 0.804),
+    ],
+)
+def test_the_street_has_the_recorded_counts_and_bounds(name, count, lower, upper, opacity):
+    splats = read_splats(data(f"istanbul-outdoor/{name}.splat"))
+    assert len(splats) == count
+    np.testing.assert_allclose(splats.mean.min(0), lower, atol=5.1e-4)
+    np.testing.assert_allclose(splats.mean.max(0), upper, atol=5.1e-4)
+    assert np.median(splats.opacity) == pytest.approx(opacity, abs=5.1e-4)
+
+
+def test_ply_and_splat_of_one_scene_agree():
+    stem = "tiny-conformance/test-splat.3-points-from-train"
+    exact, lossy = read_splats(data(stem + ".ply")), read_splats(data(stem + ".splat"))
+    nearest = np.linalg.norm(exact.mean[:, None] - lossy.mean, axis=2).argmin(axis=1)  # the order differs
+    np.testing.assert_array_equal(exact.mean, lossy.mean[nearest])
+    np.testing.assert_allclose(exact.scale, lossy.scale[nearest], rtol=1e-6)
+    np.testing.assert_allclose(exact.opacity, lossy.opacity[nearest], atol=OPACITY_LOSS)
+    q = exact.quat_wxyz / np.linalg.norm(exact.quat_wxyz, axis=1, keepdims=True)
+    r = lossy.quat_wxyz[nearest]
+    r = r / np.linalg.norm(r, axis=1, keepdims=True)
+    angle = 2 * np.arccos(np.clip(np.abs((q * r).sum(axis=1)), 0, 1))
+    assert angle.max() <= ROTATION_LOSS_RAD
+
+
+@pytest.mark.parametrize("folder", ["tiny-conformance", "usd3dgs-fixtures-spz", "cc0-corpus"])
+def test_every_other_public_file_is_read_or_refused_in_words(folder):
+    for path in sorted(data(folder).iterdir()):
+        try:
+            assert len(read_splats(path)) > 0
+        except AlulaError as error:
+            message = str(error)
+            assert message.startswith(str(path))
