@@ -62,12 +62,12 @@ def find_polyline(
     """
     _check_points(config, obstacles)
     lower, upper = _bounds(config, obstacles)
-    spacing, count = _lattice(config, lower, upper)
+    origin, spacing, count = _lattice(config, lower, upper)
     names = ["--start", *(f"--via {i + 1}" for i in range(len(config.via))), "--goal"]
     legs, visited = [np.array([config.start])], 0
     for i, ends in enumerate(pairwise(config.points)):
         leg, expanded = _leg(
-            config, obstacles, lower, spacing, count, ends, (names[i], names[i + 1]), jobs, progress
+            config, obstacles, origin, spacing, count, ends, (names[i], names[i + 1]), jobs, progress
         )
         legs.append(_rounded(config, obstacles, leg, jobs)[1:])
         visited += expanded
@@ -102,20 +102,23 @@ def _bounds(config: PlanConfig, obstacles: PolytopeSet) -> tuple[FloatArray, Flo
     return every.min(axis=0) - room, every.max(axis=0) + room
 
 
-def _lattice(config: PlanConfig, lower: FloatArray, upper: FloatArray) -> tuple[float, tuple[int, int, int]]:
-    """Spacing and number of points of the search lattice, whose first point is `lower`."""
+def _lattice(
+    config: PlanConfig, lower: FloatArray, upper: FloatArray
+) -> tuple[FloatArray, float, tuple[int, int, int]]:
+    """First point, spacing and number of points of the search lattice; the start lies on it."""
     size = upper - lower
     spacing = config.resolution_m
     if spacing is None:
         spacing = max(config.radius_m / 2, float(np.prod(size) / _DEFAULT_LATTICE) ** (1 / 3))
-    steps = np.floor(size / spacing * (1 + 1e-12))
+    before = np.floor((np.array(config.start) - lower) / spacing)
+    steps = before + np.floor((upper - np.array(config.start)) / spacing)
     if not np.prod(steps + 1) <= MAX_LATTICE_POINTS:
         raise UsageError(
             f"a resolution of {spacing:g} m needs {np.prod(steps + 1):.3g} lattice points, more than "
             f"{MAX_LATTICE_POINTS:,}; use a larger --resolution"
         )
     nx, ny, nz = (int(n) + 1 for n in steps)
-    return spacing, (nx, ny, nz)
+    return np.array(config.start) - before * spacing, spacing, (nx, ny, nz)
 
 
 def _leg(
