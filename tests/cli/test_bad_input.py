@@ -225,7 +225,8 @@ def test_a_full_disk_leaves_nothing(name, here, tmp_path_factory):
         capture_output=True,
         text=True,
         preexec_fn=small_files,
-        env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "MPLCONFIGDIR": str(tmp_path_factory.mktemp("fonts"))},
+        env=os.environ
+        | {"PYTHONDONTWRITEBYTECODE": "1", "MPLCONFIGDIR": str(tmp_path_factory.mktemp("fonts"))},
     )
     if done.returncode == 0:  # the output is smaller than the limit
         assert (here / WRITERS[name].out).stat().st_size <= 2048
