@@ -40,7 +40,8 @@ class SimulateConfig:
     kappa_per_m: float = field(
         default=100.0,
         metadata={
-            "help": "Sharpness of the smoothing [1/m]; with speed * dt * kappa above 1 many steps are cut short.",
+            "help": "Sharpness of the smoothing [1/m]; with speed * dt * kappa above 1 many steps are "
+            "cut short.",
             "option": "--kappa",
         },
     )
