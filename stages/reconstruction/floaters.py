@@ -21,9 +21,9 @@ def floaters(
     Space is divided into cubes with an edge of twice the median distance from a Gaussian to its
     8th nearest neighbour. Two Gaussians belong together when a cube that one touches equals or
     neighbours (26 of them) a cube that the other touches; a Gaussian touches the cubes of its centre
-    and of the six points 2 standard deviations along its axes. A group is what can be reached from one to the
-    next. Groups of fewer than 50 are floaters, except the largest group of all. So a sparse but
-    large surface stays, and so does whatever is in contact with it.
+    and of the six points 2 standard deviations along its axes. A group is what can be reached from
+    one to the next. Groups of fewer than 50 are floaters, except the largest group of all. So a
+    sparse but large surface stays, and so does whatever is in contact with it.
 
     Args:
         mean: centres, shape (N, 3).
@@ -40,7 +40,8 @@ def floaters(
     edge = _edge(mean)
     if edge == 0.0:
         return np.zeros(count, np.bool_), edge
-    centred = mean.astype(np.float64) - np.median(mean, axis=0)
+    centred = mean.astype(np.float64)
+    centred -= np.median(centred, axis=0)
     touched = [np.unique(_cells(centred, edge), return_inverse=True)]
     for axis in range(3):
         arm = axes[:, :, axis] * (REACH * scale[:, axis, None].astype(np.float64))
