@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -48,6 +49,7 @@ def command(
     """
     from alula.cli.runner import parameters_of, run
     from alula.schemas.errors import UsageError
+    from alula.schemas.provenance import read_provenance
     from alula.schemas.run import record_path
     from alula.stages.reporting.figures import all_figures
     from alula.stages.reporting.page import comment, page
@@ -68,7 +70,7 @@ def command(
     markdown, table = common.output.with_suffix(".md"), common.output.with_suffix(".csv")
     _check_beside(markdown, table, inputs, common)
 
-    def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
+    def build(provenance: Provenance, progress: Progress) -> tuple[dict[Path, str], dict[str, Any]]:
         material = _read(config.title, runs, inputs, provenance)
         tables = all_tables(material, config.table, config.paper)
         progress(1, 3)
@@ -86,20 +88,24 @@ def command(
         line = provenance.line(summary)
         html = page(material, tables, figures, shown, line)
         progress(3, 3)
+        texts = {
+            common.output: html,
+            table: to_csv(material),
+            markdown: to_markdown(config.title, tables, comment(line)),
+        }
+        return texts, {**summary, "bytes": len(html.encode())}
 
-        def write() -> None:
-            _write_all(
-                {
-                    common.output: html,
-                    table: to_csv(material),
-                    markdown: to_markdown(config.title, tables, comment(line)),
-                }
-            )
-
-        return write, {**summary, "bytes": len(html.encode())}
+    def make(provenance: Provenance, progress: Progress) -> tuple[Callable[[], None], dict[str, Any]]:
+        texts, summary = build(provenance, progress)
+        return lambda: _write_all(texts), summary
 
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns when it cannot cache its fonts
     run(common, "alula/report", "1.0", parameters_of(config), inputs, make)
+    if not common.dry_run and not (markdown.exists() and table.exists()):  # lost beside an unchanged page
+        recorded = read_provenance(common.output)
+        assert recorded is not None
+        texts, _ = build(recorded, lambda done, total: None)
+        _write_all({path: texts[path] for path in (table, markdown) if not path.exists()})
 
 
 def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenance: Provenance) -> Material:

@@ -227,7 +227,7 @@ def _open_archive(path: Path) -> zipfile.ZipFile:
         if path.stat().st_size == 0:
             raise ArtifactError(f"{path}: is empty")
         return zipfile.ZipFile(path)
-    except zipfile.BadZipFile as error:
+    except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
         with path.open("rb") as file:
             is_zip = file.read(4) == b"PK\x03\x04"
         if is_zip:
@@ -246,7 +246,7 @@ def _decode_manifest(path: Path, archive: zipfile.ZipFile) -> Manifest:
     try:
         raw = archive.read(infos[0])
         head = msgspec.json.decode(raw, type=_Head)
-    except (zipfile.BadZipFile, msgspec.MsgspecError, ValueError, EOFError, OSError) as error:
+    except (zipfile.BadZipFile, msgspec.MsgspecError, ValueError, RuntimeError, EOFError, OSError) as error:
         raise DamagedError(f"{path}: manifest.json is damaged ({error})") from error
     kind = KINDS.get(head.schema)
     if kind is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import struct
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +10,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.schemas.errors import ArtifactError, DamagedError, InputError
+from alula.schemas.errors import DamagedError
+from alula.schemas.run import open_log
 
 MAP_TOPIC = "/map"
 STATE_TOPIC = "/state"
@@ -86,7 +87,6 @@ def read_flights(log: Path) -> Flights:
         InputError: the log cannot be read.
         DamagedError: truncated or corrupt, or a message does not have the documented fields.
     """
-    from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
     states: dict[int, list[_State]] = {}
@@ -94,27 +94,18 @@ def read_flights(log: Path) -> Flights:
     hulls = None
     decode_state = msgspec.json.Decoder(_State).decode
     decode_safety = msgspec.json.Decoder(_Safety).decode
-    try:
-        with log.open("rb") as file:
-            for _, channel, message in make_reader(file).iter_messages(
-                topics=[MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC], log_time_order=False
-            ):
-                if channel.message_encoding != "json":
-                    raise ArtifactError(f"{log}: channel {channel.topic} is not JSON")
-                if channel.topic == STATE_TOPIC:
-                    state = decode_state(message.data)
-                    states.setdefault(state.trial, []).append(state)
-                elif channel.topic == MAP_TOPIC:
-                    hulls = _hull_count(msgspec.json.decode(message.data, type=_Map))
-                else:
-                    answer = decode_safety(message.data)
-                    safety.setdefault(answer.trial, []).append(answer)
-    except OSError as error:
-        raise InputError(f"{log}: cannot read: {error.strerror or error}") from error
-    except msgspec.MsgspecError as error:
-        raise DamagedError(f"{log}: a message is not as documented ({error})") from error
-    except (McapError, ValueError, EOFError) as error:
-        raise DamagedError(f"{log}: truncated or corrupt MCAP log ({error})") from error
+    with open_log(log) as file:
+        for _, channel, message in make_reader(file, validate_crcs=True).iter_messages(
+            topics=[MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC], log_time_order=False
+        ):
+            if channel.topic == STATE_TOPIC:
+                state = decode_state(message.data)
+                states.setdefault(state.trial, []).append(state)
+            elif channel.topic == MAP_TOPIC:
+                hulls = _hull_count(msgspec.json.decode(message.data, type=_Map))
+            else:
+                answer = decode_safety(message.data)
+                safety.setdefault(answer.trial, []).append(answer)
     flights = {trial: _flight(states[trial], safety.get(trial, [])) for trial in sorted(states)}
     return Flights(flights, hulls)
 
@@ -149,24 +140,18 @@ def count_messages(log: Path) -> tuple[dict[str, int], bool]:
     Raises:
         InputError: the log cannot be opened.
     """
-    from mcap.exceptions import McapError
     from mcap.records import Channel, Footer, Message
     from mcap.stream_reader import StreamReader
 
     topics: dict[int, str] = {}
     counts: dict[str, int] = {}
-    try:
-        with log.open("rb") as file:
-            for record in StreamReader(file).records:
-                if isinstance(record, Channel):
-                    topics[record.id] = record.topic
-                elif isinstance(record, Message):
-                    topic = topics.get(record.channel_id, "?")
-                    counts[topic] = counts.get(topic, 0) + 1
-                elif isinstance(record, Footer):
-                    return counts, True
-    except OSError as error:
-        raise InputError(f"{log}: cannot read: {error.strerror or error}") from error
-    except (McapError, ValueError, EOFError, struct.error):
-        pass
+    with suppress(DamagedError), open_log(log) as file:
+        for record in StreamReader(file, validate_crcs=True).records:
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Message):
+                topic = topics.get(record.channel_id, "?")
+                counts[topic] = counts.get(topic, 0) + 1
+            elif isinstance(record, Footer):
+                return counts, True
     return counts, False

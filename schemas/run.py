@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, BinaryIO, Literal
 
 import msgspec
 
-from alula.schemas.errors import ArtifactError, DamagedError, InputError
+from alula.schemas.errors import AlulaError, ArtifactError, DamagedError, InputError
 from alula.schemas.manifest import VERSION, Guarantee
 from alula.schemas.provenance import RUN_METADATA, Provenance
 
@@ -71,17 +74,15 @@ def record_path(log: Path) -> Path:
     return log.with_suffix(".json")
 
 
-def read_run(log: Path) -> RunRecord:
-    """The summary of a run, from the log's metadata; timing comes from the file beside it.
+@contextmanager
+def open_log(log: Path) -> Iterator[BinaryIO]:
+    """An MCAP log, opened; whatever its reader or its codecs raise in the block says that it is damaged.
 
     Raises:
         InputError: the log cannot be read.
-        ArtifactError: it is not a run of alula's.
+        ArtifactError: it is not an MCAP log.
         DamagedError: truncated or corrupt.
     """
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
-
     if log.is_dir():
         raise InputError(f"{log}: is a folder, not a run")
     try:
@@ -92,11 +93,34 @@ def read_run(log: Path) -> RunRecord:
             if magic != b"\x89MCAP0\r\n":
                 raise ArtifactError(f"{log}: is not an MCAP log")
             file.seek(0)
-            raw = [r.metadata for r in make_reader(file).iter_metadata() if r.name == RUN_METADATA]
+            yield file
+    except AlulaError:
+        raise
     except OSError as error:
-        raise InputError(f"{log}: cannot read: {error.strerror or error}") from error
-    except (McapError, ValueError, EOFError) as error:
-        raise DamagedError(f"{log}: truncated or corrupt MCAP log ({error})") from error
+        if error.errno != errno.EINVAL:  # what a footer that points before the start leads to
+            raise InputError(f"{log}: cannot read: {error.strerror or error}") from error
+        raise DamagedError(f"{log}: truncated or corrupt MCAP log (its footer is wrong)") from error
+    except Exception as error:
+        what = str(error) or type(error).__name__
+        raise DamagedError(f"{log}: truncated or corrupt MCAP log ({what})") from error
+
+
+def read_run(log: Path) -> RunRecord:
+    """The summary of a run, from the log's metadata; timing comes from the file beside it.
+
+    Raises:
+        InputError: the log cannot be read.
+        ArtifactError: it is not a run of alula's.
+        DamagedError: truncated or corrupt.
+    """
+    from mcap.reader import make_reader
+
+    with open_log(log) as file:
+        raw = [
+            r.metadata
+            for r in make_reader(file, validate_crcs=True).iter_metadata()
+            if r.name == RUN_METADATA
+        ]
     if not raw or "record" not in raw[0]:
         raise ArtifactError(f"{log}: is an MCAP log, but not a run of alula's")
     try:

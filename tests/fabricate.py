@@ -167,7 +167,9 @@ def make_record(trials, name="tiny", filter_name="polytope-cbf", summary=None, *
         **{outcome: count(outcome) for outcome in ("reached", "stuck", "timeout", "refused")},
         "min_map_clearance_m": min(t.map_clearance_m for t in trials),
         "min_scene_clearance_m": None,
-        "mean_path_ratio": float(np.mean([t.path_length_m / t.straight_length_m for t in good])),
+        "mean_path_ratio": float(np.mean([t.path_length_m / t.straight_length_m for t in good]))
+        if good
+        else None,
     }
     provenance = Provenance.now(RUN_SCHEMA, RUN_VERSION, {"vehicle": {"radius_m": 0.1}}, 4, [])
     return RunRecord(

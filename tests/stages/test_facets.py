@@ -1,10 +1,9 @@
 """Triangles of covers against Qhull, trimesh and the definition of a closed surface."""
 
-from __future__ import annotations
-
+import sys
 from fractions import Fraction
 from itertools import pairwise, product
-from math import gcd
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,55 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from alula.schemas.artifact import Artifact, make_artifact
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from fabricate import exact_hull, make_cover
+
 from alula.schemas.errors import ArtifactError
-from alula.schemas.kinds import COVER
 from alula.stages.compression.facets import mesh, triangles
-
-
-def exact_hull(points):
-    """Vertices and primitive planes of integer points, by Qhull for the facets and integers for the rest."""
-    points = np.unique(np.asarray(points, np.int64), axis=0)
-    solid = ConvexHull(points)
-    planes = set()
-    for a, b, c in solid.simplices:
-        normal = np.cross(points[b] - points[a], points[c] - points[a])
-        sides = (points - points[a]) @ normal
-        assert (sides <= 0).all() or (sides >= 0).all()
-        normal = normal if (sides <= 0).all() else -normal
-        normal = normal // gcd(*(int(x) for x in normal))
-        planes.add((*map(int, normal), int(normal @ points[a])))
-    return points[solid.vertices], np.array(sorted(planes))
-
-
-def make_cover(hulls, g=0.05, offset=(0, 0, 0)):
-    vertices = [v + np.asarray(offset) for v, _ in hulls]
-    planes = [np.column_stack([p[:, :3], p[:, 3] + p[:, :3] @ np.asarray(offset)]) for _, p in hulls]
-    starts = lambda parts: np.concatenate([[0], np.cumsum([len(p) for p in parts])])  # noqa: E731
-    cat = lambda parts, w: np.concatenate(parts) if parts else np.empty((0, w))  # noqa: E731
-    all_planes = cat(planes, 4)
-    return make_artifact(
-        COVER,
-        {
-            "vertex": cat(vertices, 3),
-            "vertex_start": starts(vertices),
-            "plane_normal": all_planes[:, :3],
-            "plane_offset": all_planes[:, 3],
-            "plane_start": starts(planes),
-            "member_index": cat([v[:1] for v in vertices], 3),
-            "member_start": np.arange(len(hulls) + 1),
-            "history": np.empty((0, 3)),
-        },
-        frame="world",
-        unit="m",
-        parameters={},
-        summary={},
-        voxel_size_m=g,
-        sigma=1.0,
-        min_overlap=1,
-        conservativeness=1.0,
-        certificate={},
-    )
 
 
 def exact_volume(points, faces):
@@ -167,4 +122,3 @@ def test_an_empty_cover_has_no_triangles():
 def test_the_result_is_typed_as_documented():
     faces, start = triangles(make_cover([exact_hull(list(product((0, 1), repeat=3)))]))
     assert faces.dtype == start.dtype == np.int64
-    assert isinstance(make_cover([]), Artifact)

@@ -15,8 +15,8 @@
  *
  * Source: PolyMerge (arXiv 2606.16232), eq. 2, 3, 17; Molnar, CCTA 2025.
  * Frames and units: positions, planes and velocities in the map's frame; metres, seconds.
- * Cost: O(hulls) box tests and O(planes) of the hulls near enough to matter; at worst three passes
- * over all planes and two exponentials per plane.
+ * Cost: O(hulls) box tests, and O(planes) of the hulls near enough to matter; at worst each plane is
+ * evaluated seven times, with two exponentials.
  */
 #ifndef ALULA_POLYTOPE_CBF_H
 #define ALULA_POLYTOPE_CBF_H

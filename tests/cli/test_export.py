@@ -1,0 +1,198 @@
+"""Exports, read back by other readers: the same solids, the same integers, and where they came from."""
+
+import io
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from fabricate import box, exact_hull, make_cover, make_plan, make_scene, make_voxels
+
+from alula.cli.main import run
+from alula.schemas.artifact import write_artifact
+from alula.schemas.provenance import read_provenance
+
+G = 0.05
+
+
+@pytest.fixture(scope="module")
+def hulls():
+    rng = np.random.default_rng(4)
+    round_ones = [exact_hull(rng.integers(-20, 20, (n, 3)) + np.array([50, 0, 7])) for n in (12, 60)]
+    return [box((0, 0, 0), (3, 4, 5)), *round_ones]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, hulls) -> Path:
+    folder = tmp_path_factory.mktemp("export")
+    write_artifact(folder / "solid facet.cover.npz", make_cover(hulls, g=G))
+    write_artifact(folder / "empty.cover.npz", make_cover([]))
+    write_artifact(folder / "m.scene.npz", make_scene(400))
+    write_artifact(folder / "v.voxels.npz", make_voxels())
+    write_artifact(folder / "p.plan.npz", make_plan())
+    return folder
+
+
+def export(source: Path, out: Path, *words, code=0) -> Path:
+    assert run(["export", str(source), "-o", str(out), *words]) == code
+    return out
+
+
+@pytest.fixture
+def cover(folder) -> Path:
+    return folder / "solid facet.cover.npz"
+
+
+def volumes(hulls):
+    return [ConvexHull(v).volume * G**3 for v, _ in hulls]
+
+
+@pytest.mark.parametrize("suffix", ["glb", "obj"])
+def test_named_solids_come_back_with_their_volumes(cover, hulls, tmp_path, suffix):
+    import trimesh
+
+    loaded = trimesh.load_scene(export(cover, tmp_path / f"c.{suffix}"), process=False)
+    parts = {name: loaded.geometry[name] for name in loaded.geometry}
+    if suffix == "obj":  # trimesh joins the objects of an OBJ
+        (solid,) = parts.values()
+        found = sorted(piece.volume for piece in solid.split())
+        assert found == pytest.approx(sorted(volumes(hulls)), rel=1e-9)
+        names = [line[2:] for line in (tmp_path / "c.obj").read_text().splitlines() if line.startswith("o ")]
+        assert names == ["hull-00000", "hull-00001", "hull-00002"]
+        return
+    assert sorted(parts) == ["hull-00000", "hull-00001", "hull-00002"]
+    for name, volume in zip(sorted(parts), volumes(hulls), strict=True):
+        solid = parts[name]
+        solid.merge_vertices()
+        assert solid.is_watertight
+        assert solid.volume == pytest.approx(volume, rel=1e-5)  # single precision
+
+
+def test_z_points_up_where_the_format_says_y_does(cover, hulls, tmp_path):
+    import trimesh
+
+    loaded = trimesh.load_scene(export(cover, tmp_path / "c.glb"))
+    transform, name = loaded.graph["hull-00000"]
+    points = trimesh.transform_points(loaded.geometry[name].vertices, transform)
+    assert np.ptp(points, axis=0) == pytest.approx([3 * G, 5 * G, 4 * G], rel=1e-6)  # x, up, y
+    assert np.linalg.det(transform) == pytest.approx(1)
+
+
+def test_stl_keeps_the_coordinates_and_survives_hostile_names(cover, hulls, tmp_path):
+    import trimesh
+
+    path = export(cover, tmp_path / "c.stl")
+    text = path.read_text()
+    assert [line.split()[1] for line in text.splitlines() if line.startswith("solid ")] == [
+        f"hull-{i:05d}" for i in range(3)
+    ]
+    loaded = trimesh.load_mesh(io.BytesIO(text.encode()), file_type="stl")
+    loaded = loaded if isinstance(loaded, trimesh.Trimesh) else loaded.to_geometry()
+    assert loaded.volume == pytest.approx(sum(volumes(hulls)), rel=1e-12)
+    assert read_provenance(path).inputs[0].name == "solid facet.cover.npz"
+    assert "guarantee of the cover does not carry over" in text
+
+
+def test_json_holds_the_exact_integers(cover, hulls, tmp_path):
+    record = json.loads(export(cover, tmp_path / "c.json").read_text())
+    assert record["voxel_size_m"] == G
+    assert record["guarantee"]["statement"]
+    assert len(record["hulls"]) == len(hulls)
+    for found, (vertices, planes) in zip(record["hulls"], hulls, strict=True):
+        assert found["vertices"] == vertices.tolist()
+        assert found["planes"] == planes.tolist()
+        metres = np.array(found["planes_m"])
+        assert np.linalg.norm(metres[:, :3], axis=1) == pytest.approx(np.ones(len(planes)))
+        slack = metres[:, 3] - (np.array(found["vertices_m"]) @ metres[:, :3].T).max(axis=0)
+        assert (slack >= 0).all()
+        assert (slack < 1e-12).all()
+
+
+def test_ply_is_a_splat_file_again(folder, tmp_path):
+    path = export(folder / "m.scene.npz", tmp_path / "s.ply")
+    assert run(["import-splat", str(path), "-o", str(tmp_path / "s.scene.npz"), "--min-opacity", "0"]) == 0
+    from alula.schemas.artifact import read_artifact
+
+    first, second = read_artifact(folder / "m.scene.npz"), read_artifact(tmp_path / "s.scene.npz")
+    assert len(second["mean"]) == 400
+    assert (first["mean"] == second["mean"]).all()
+    assert (first["color"] == second["color"]).all()
+    for name in ("scale", "opacity"):
+        assert second[name] == pytest.approx(first[name], rel=2e-6)
+
+
+def test_an_opaque_gaussian_gets_a_finite_logit(tmp_path):
+    scene = make_scene(3)
+    scene.arrays["opacity"][:] = [0.0, 0.5, 1.0]
+    from alula.schemas.provenance import Provenance
+    from alula.stages.reporting.export import export as stage
+
+    raw = b"".join(stage(scene, "ply", Provenance.now("alula/export", "1.0", {}, None, [])))
+    body = raw[raw.index(b"end_header\n") + len(b"end_header\n") :]
+    rows = np.frombuffer(body, "<f4").reshape(3, -1)
+    assert np.isfinite(rows).all()
+
+
+@pytest.mark.parametrize("suffix", ["glb", "obj"])
+def test_a_scene_becomes_coloured_points(folder, tmp_path, suffix):
+    import trimesh
+
+    path = export(folder / "m.scene.npz", tmp_path / f"s.{suffix}")
+    from alula.schemas.artifact import read_artifact
+
+    scene = read_artifact(folder / "m.scene.npz")
+    if suffix == "glb":
+        (cloud,) = trimesh.load_scene(path).geometry.values()
+        points, colors = cloud.vertices, cloud.colors[:, :3]
+    else:
+        rows = [line.split()[1:] for line in path.read_text().splitlines() if line.startswith("v ")]
+        table = np.array(rows, float)
+        points, colors = table[:, :3], np.rint(table[:, 3:] * 255)
+    assert (points.astype(np.float32) == scene["mean"]).all()
+    assert (colors == scene["color"]).all()
+
+
+@pytest.mark.parametrize("suffix", ["glb", "obj", "json", "stl"])
+def test_equal_inputs_give_equal_bytes_and_are_skipped(cover, tmp_path, suffix, capsys):
+    first = export(cover, tmp_path / f"a.{suffix}")
+    second = export(cover, tmp_path / f"b.{suffix}")
+    assert first.read_bytes() == second.read_bytes()
+    capsys.readouterr()
+    export(cover, first)
+    assert "unchanged" in capsys.readouterr().out
+    found = read_provenance(first)
+    assert (found.schema, found.parameters) == ("alula/export", {"format": suffix})
+
+
+@pytest.mark.parametrize("suffix", ["glb", "obj", "json", "stl"])
+def test_an_empty_cover_is_exported(folder, tmp_path, suffix):
+    path = export(folder / "empty.cover.npz", tmp_path / f"e.{suffix}")
+    assert path.stat().st_size > 0
+
+
+def test_a_format_can_be_forced(cover, tmp_path):
+    path = export(cover, tmp_path / "c.txt", "--format", "json")
+    assert json.loads(path.read_text())["schema"] == "alula/cover-json"
+    export(cover, path, "--format", "json")  # recognised as unchanged
+
+
+@pytest.mark.parametrize(
+    ("source", "out", "code", "said"),
+    [
+        ("solid facet.cover.npz", "c.ply", 2, "a cover is exported as glb, obj, json, stl"),
+        ("m.scene.npz", "s.stl", 2, "a scene is exported as ply, glb, obj"),
+        ("m.scene.npz", "s.docx", 2, "must end in one of"),
+        ("v.voxels.npz", "v.glb", 3, "is alula/voxels"),
+        ("p.plan.npz", "p.json", 3, "is alula/plan"),
+    ],
+)
+def test_what_cannot_be_exported_is_refused(folder, tmp_path, capsys, source, out, code, said):
+    export(folder / source, tmp_path / out, code=code)
+    error = capsys.readouterr().err
+    assert said in error
+    assert len(error.splitlines()) == 1
+    assert not list(tmp_path.iterdir())
