@@ -18,7 +18,7 @@ from alula.stages.reporting.metrics import path_clearance, segment_clearance
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
-_MARGIN_M = 1e-6  # paths keep this much more than the radius, so that the proof of a line is never marginal
+_MARGIN_M = 1e-9  # paths keep this much more than the radius, so that the proof of a line is never marginal
 _DEFAULT_LATTICE = 4_000_000  # points of the lattice when its spacing is not given
 _COMFORT = 1.0  # distance beyond the radius that paths pay for not having, in radii
 _TIGHTEN_ROUNDS = 3
@@ -88,7 +88,7 @@ def _check_points(config: PlanConfig, obstacles: PolytopeSet) -> None:
         if distance <= 0:
             raise InfeasibleError(f"{where} is inside an obstacle, {-distance:.3g} m deep")
         raise InfeasibleError(
-            f"{where} is {distance:.6g} m from an obstacle, nearer than the radius {config.radius_m:g} m"
+            f"{where} is {distance:.6g} m from an obstacle, too near for the radius {config.radius_m:g} m"
         )
 
 
