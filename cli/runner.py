@@ -9,18 +9,20 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
 
 from alula.cli.options import Common
-from alula.schemas.artifact import Artifact, file_hash, write_artifact
 from alula.schemas.atomic import write_text
 from alula.schemas.errors import InputError, OutputError, UsageError
-from alula.schemas.kinds import Kind
-from alula.schemas.manifest import InputRef
 from alula.schemas.provenance import Provenance, differences, read_provenance
+
+if TYPE_CHECKING:
+    from alula.schemas.artifact import Artifact
+    from alula.schemas.kinds import Kind
+    from alula.schemas.manifest import InputRef
 
 Progress = Callable[[int, int], None]
 
@@ -37,6 +39,9 @@ def input_ref(role: str, path: Path) -> InputRef:
     Raises:
         InputError: it cannot be read.
     """
+    from alula.schemas.artifact import file_hash
+    from alula.schemas.manifest import InputRef
+
     if path.is_dir():
         raise InputError(f"{path}: is a folder, not a file")
     sha256 = file_hash(path)
@@ -55,6 +60,7 @@ def run_stage(
     seed: int | None = None,
 ) -> None:
     """Run a stage whose output is an array artifact, unless the output is already there."""
+    from alula.schemas.artifact import Artifact, write_artifact
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Callable[[], None], dict[str, Any]]:
         artifact = build(progress)

@@ -164,17 +164,21 @@ def _timing(result: RunResult) -> dict[str, Any]:
 
     import numpy as np
 
-    p50, p99, longest = np.percentile(result.filter_s, [50, 99, 100]).tolist()
-    return {
-        "filter_calls": len(result.filter_s),
-        "filter_p50_s": p50,
-        "filter_p99_s": p99,
-        "filter_max_s": longest,
-        "filter_total_s": float(result.filter_s.sum(dtype=np.float64)),
+    timing: dict[str, Any] = {
         "cpu_count": os.cpu_count(),
         "machine": platform.machine(),
         "system": platform.system(),
     }
+    if result.filter != "none":
+        p50, p99, longest = np.percentile(result.filter_s, [50, 99, 100]).tolist()
+        timing |= {
+            "filter_calls": len(result.filter_s),
+            "filter_p50_s": p50,
+            "filter_p99_s": p99,
+            "filter_max_s": longest,
+            "filter_total_s": float(result.filter_s.sum(dtype=np.float64)),
+        }
+    return timing
 
 
 def _check(output: Path, trials: list[Any]) -> None:

@@ -138,6 +138,8 @@ def read_scenario(path: Path) -> Scenario:
         raw = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    if not raw.strip():
+        raise InputError(f"{path}: is empty")
     try:
         scenario = msgspec.toml.decode(raw, type=Scenario)
     except msgspec.ValidationError as error:

@@ -38,7 +38,12 @@ class SimulateConfig:
     gain: float = field(default=2.0, metadata={"help": "Gain c of the nominal controller [1/s]."})
     beta: float = field(default=2.0, metadata={"help": "Gain of the barrier [1/s], at most 1 / dt."})
     kappa_per_m: float = field(
-        default=100.0, metadata={"help": "Sharpness of the smoothing [1/m].", "option": "--kappa"}
+        default=100.0,
+        metadata={
+            "help": "Sharpness of the smoothing [1/m]; with speed * dt * kappa above 1 many steps are "
+            "cut short.",
+            "option": "--kappa",
+        },
     )
     smoothing: Literal["sound", "paper"] = field(
         default="sound",

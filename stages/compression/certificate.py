@@ -179,13 +179,14 @@ def _scene_check(
 ) -> Check:
     from alula.stages.compression.ellipsoids import unproven_voxels
 
-    found = unproven_voxels(
+    crop = manifest.crop
+    missing = unproven_voxels(
         scene,
         index,
         voxel_size_m=manifest.voxel_size_m,
         sigma=manifest.sigma,
         inflation_m=manifest.inflation_m,
-        crop=None if manifest.crop is None else tuple(manifest.crop),  # type: ignore[arg-type]
+        crop=None if crop is None else (crop[0], crop[1], crop[2], crop[3], crop[4], crop[5]),
         min_overlap=manifest.min_overlap,
         jobs=jobs,
         progress=progress,
@@ -196,10 +197,10 @@ def _scene_check(
             gaussian=int(g),
             place_m=_place(np.asarray(v) + 0.5, manifest.voxel_size_m),
         )
-        for v, g in zip(found.voxel[:LISTED], found.ellipsoid[:LISTED], strict=True)
+        for v, g in zip(missing.voxel[:LISTED], missing.ellipsoid[:LISTED], strict=True)
     ]
     count = len(scene["mean"])
-    return _check("every ellipsoid lies in the voxels", count, first, found.total, "separating planes")
+    return _check("every ellipsoid lies in the voxels", count, first, missing.total, "separating planes")
 
 
 def _fault_check(

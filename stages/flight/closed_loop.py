@@ -98,6 +98,8 @@ def _fly_in_python(safety_filter: Filter, trial: _core.Trial) -> Flown:
         before = time.perf_counter()
         result = safety_filter(x, u_nom.copy())
         seconds = time.perf_counter() - before
+        if np.isfinite(result.solve_time):
+            seconds = result.solve_time
         status = FilterStatus(result.status)
         u = np.zeros(3) if status is FilterStatus.REFUSED else np.asarray(result.u, np.float64)
         if u.shape != (3,) or not np.isfinite(u).all():

@@ -18,7 +18,7 @@ from alula.stages.reporting.metrics import path_clearance, segment_clearance
 FloatArray = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
-_MARGIN_M = 1e-6  # paths keep this much more than the radius, so that the proof of a line is never marginal
+_MARGIN_M = 1e-9  # paths keep this much more than the radius, so that the proof of a line is never marginal
 _DEFAULT_LATTICE = 4_000_000  # points of the lattice when its spacing is not given
 _COMFORT = 1.0  # distance beyond the radius that paths pay for not having, in radii
 _TIGHTEN_ROUNDS = 3
@@ -62,12 +62,12 @@ def find_polyline(
     """
     _check_points(config, obstacles)
     lower, upper = _bounds(config, obstacles)
-    spacing, count = _lattice(config, lower, upper)
+    origin, spacing, count = _lattice(config, lower, upper)
     names = ["--start", *(f"--via {i + 1}" for i in range(len(config.via))), "--goal"]
     legs, visited = [np.array([config.start])], 0
     for i, ends in enumerate(pairwise(config.points)):
         leg, expanded = _leg(
-            config, obstacles, lower, spacing, count, ends, (names[i], names[i + 1]), jobs, progress
+            config, obstacles, origin, spacing, count, ends, (names[i], names[i + 1]), jobs, progress
         )
         legs.append(_rounded(config, obstacles, leg, jobs)[1:])
         visited += expanded
@@ -88,7 +88,7 @@ def _check_points(config: PlanConfig, obstacles: PolytopeSet) -> None:
         if distance <= 0:
             raise InfeasibleError(f"{where} is inside an obstacle, {-distance:.3g} m deep")
         raise InfeasibleError(
-            f"{where} is {distance:.6g} m from an obstacle, nearer than the radius {config.radius_m:g} m"
+            f"{where} is {distance:.6g} m from an obstacle, too near for the radius {config.radius_m:g} m"
         )
 
 
@@ -102,20 +102,23 @@ def _bounds(config: PlanConfig, obstacles: PolytopeSet) -> tuple[FloatArray, Flo
     return every.min(axis=0) - room, every.max(axis=0) + room
 
 
-def _lattice(config: PlanConfig, lower: FloatArray, upper: FloatArray) -> tuple[float, tuple[int, int, int]]:
-    """Spacing and number of points of the search lattice, whose first point is `lower`."""
+def _lattice(
+    config: PlanConfig, lower: FloatArray, upper: FloatArray
+) -> tuple[FloatArray, float, tuple[int, int, int]]:
+    """First point, spacing and number of points of the search lattice; the start lies on it."""
     size = upper - lower
     spacing = config.resolution_m
     if spacing is None:
         spacing = max(config.radius_m / 2, float(np.prod(size) / _DEFAULT_LATTICE) ** (1 / 3))
-    steps = np.floor(size / spacing * (1 + 1e-12))
+    before = np.floor((np.array(config.start) - lower) / spacing)
+    steps = before + np.floor((upper - np.array(config.start)) / spacing)
     if not np.prod(steps + 1) <= MAX_LATTICE_POINTS:
         raise UsageError(
             f"a resolution of {spacing:g} m needs {np.prod(steps + 1):.3g} lattice points, more than "
             f"{MAX_LATTICE_POINTS:,}; use a larger --resolution"
         )
     nx, ny, nz = (int(n) + 1 for n in steps)
-    return spacing, (nx, ny, nz)
+    return np.array(config.start) - before * spacing, spacing, (nx, ny, nz)
 
 
 def _leg(

@@ -102,8 +102,8 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         "format": splats.format,
         "lower": bounds["lower"],
         "upper": bounds["upper"],
-        "opacity_median": float(np.median(arrays["opacity"])),
-        "scale_median": float(np.median(longest)),
+        "opacity_median": float(np.median(arrays["opacity"].astype(np.float64))),
+        "scale_median": float(np.median(longest.astype(np.float64))),
         "scale_max": float(longest.max()),
     }
     if splats.notes:

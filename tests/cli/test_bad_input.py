@@ -98,7 +98,6 @@ CASES = {
 WRITERS = {name: case for name, case in CASES.items() if case.out} | {
     "demo-scene": Case("demo-scene --seed 3 -o OUT", {}, out="out.ply")
 }
-# how a command that writes can be told to take its time, so that a signal finds it at work
 DAMAGED = [
     (name, file, how) for name, case in CASES.items() for file, ways in case.inputs.items() for how in ways
 ]
@@ -219,14 +218,15 @@ def small_files() -> None:
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_full_disk_leaves_nothing(name, here):
+def test_a_full_disk_leaves_nothing(name, here, tmp_path_factory):
     before = names(here)
     done = subprocess.run(
-        [sys.executable, "-P", "-m", "alula.cli", *words_of(WRITERS[name])],
+        [sys.executable, "-P", "-m", "alula.cli", *words_of(WRITERS[name]), "-q"],
         capture_output=True,
         text=True,
         preexec_fn=small_files,
-        env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "MPLCONFIGDIR": str(here)},
+        env=os.environ
+        | {"PYTHONDONTWRITEBYTECODE": "1", "MPLCONFIGDIR": str(tmp_path_factory.mktemp("fonts"))},
     )
     if done.returncode == 0:  # the output is smaller than the limit
         assert (here / WRITERS[name].out).stat().st_size <= 2048

@@ -80,7 +80,7 @@ def test_parameters_of_a_foreign_filter_are_its_own(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "`map`"),
+        ("# nothing", "`map`"),
         ("[map]", "`cover`"),
         ('map = "c"', r"\$\.map"),
         ('[map]\ncover = "c"\ncolour = 1', r"`colour` - at `\$\.map`"),

@@ -1,10 +1,7 @@
 """The onboard polytope filter against double-precision brute force, exact arithmetic and a QP solver."""
 
-import shutil
-import subprocess
 from fractions import Fraction
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +11,6 @@ from hypothesis import strategies as st
 from alula import _core
 from alula.stages.filtering.protocol import FilterStatus
 
-ROOT = Path(__file__).resolve().parents[2]
 OK, FILTERED, SHORTENED, RECOVERING, REFUSED = FilterStatus
 LARGEST_FLOAT = float(np.finfo(np.float32).max)
 
@@ -342,42 +338,3 @@ def test_maps_that_do_not_fit_together_are_refused():
     ]:
         with pytest.raises(ValueError):
             make(planes)
-
-
-def test_exponential_and_logarithm_keep_their_stated_errors_over_all_floats():
-    bits = np.arange(0, 0x7F800000, 1021, dtype=np.uint32)
-    for sign in (0, 1 << 31):
-        x = (bits | np.uint32(sign)).view(np.float32)
-        exponential, logarithm = _core.onboard_exp_log(x)
-        with np.errstate(all="ignore"):
-            true = np.exp(x.astype(np.float64))
-            normal = (true >= 1.18e-38) & (true <= 3.4028e38)
-            assert (np.abs(exponential[normal] / true[normal] - 1) < 1e-7).all()
-            assert (exponential[true < 1.17e-38] == 0).all()
-            assert np.isinf(exponential[true > 3.4029e38]).all()
-            positive = x > 0
-            true_log = np.log(x[positive].astype(np.float64))
-            assert (np.abs(logarithm[positive] - true_log) <= 1e-7 * np.abs(true_log)).all()
-            assert np.isnan(logarithm[x < 0]).all()
-    special = np.array([0, np.inf, -np.inf, np.nan], np.float32)
-    assert np.array_equal(_core.onboard_exp_log(special)[0], [1, np.inf, 0, np.nan], equal_nan=True)
-    assert np.array_equal(
-        _core.onboard_exp_log(special)[1], [-np.inf, np.inf, np.nan, np.nan], equal_nan=True
-    )
-
-
-@pytest.mark.skipif(not (shutil.which("cc") and shutil.which("nm")), reason="needs a C compiler and nm")
-def test_the_onboard_objects_need_no_library(tmp_path):
-    flags = "-std=c99 -O2 -ffreestanding -ffp-contract=off -fno-math-errno -Wall -Wextra -Wconversion -Werror"
-    sources = sorted((ROOT / "native/onboard/src").glob("*.c"))
-    assert sources
-    defined, undefined = set(), set()
-    for source in sources:
-        target = tmp_path / f"{source.stem}.o"
-        include = f"-I{ROOT / 'native/onboard/include'}"
-        subprocess.run(["cc", *flags.split(), include, "-c", str(source), "-o", str(target)], check=True)
-        listing = subprocess.run(["nm", str(target)], capture_output=True, text=True, check=True).stdout
-        for line in listing.splitlines():
-            (undefined if line.split()[-2] == "U" else defined).add(line.split()[-1])
-    assert undefined <= defined
-    assert all(name.startswith("alula_") for name in undefined)

@@ -41,14 +41,19 @@ std::vector<double> clearance_of_all(const Set& obstacles, std::span<const doubl
                                      std::span<const double> end, double cap, unsigned jobs, Control& control) {
   if (start.size() != end.size()) throw std::invalid_argument("start and end differ in length");
   std::vector<double> result(start.size() / 3);
-  parallel_chunks(result.size(), kChunk, jobs, control, [&](std::size_t first, std::size_t last) {
+  const auto chunk = [&](std::size_t first, std::size_t last) {
     std::uint32_t nearest = kNone;
     std::vector<double> scratch;
     for (std::size_t i = first; i < last; ++i) {
       result[i] =
           obstacles.clearance(from_rows(&start[3 * i]), from_rows(&end[3 * i]), cap, nearest, scratch);
     }
-  });
+  };
+  if (result.size() <= kChunk) {
+    chunk(0, result.size());  // not worth a thread
+  } else {
+    parallel_chunks(result.size(), kChunk, jobs, control, chunk);
+  }
   return result;
 }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <numbers>
 #include <stdexcept>
 #include <string>
 
@@ -32,6 +33,18 @@ void check_splats(const Splats& splats, const Level& level, double voxel_size) {
 
 double Ellipsoid::extent(double g) const {
   return std::max({std::abs(centre[0]), std::abs(centre[1]), std::abs(centre[2])}) + reach + g;
+}
+
+double Ellipsoid::least_voxels(double g) const {
+  const auto cross = [&](std::size_t a, std::size_t b) {
+    return Vec3{row[a][1] * row[b][2] - row[a][2] * row[b][1], row[a][2] * row[b][0] - row[a][0] * row[b][2],
+                row[a][0] * row[b][1] - row[a][1] * row[b][0]};
+  };
+  const Vec3 xy = cross(0, 1), yz = cross(1, 2), zx = cross(2, 0);
+  const auto length = [](const Vec3& v) { return std::sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]); };
+  const double volume = std::abs(xy[0] * row[2][0] + xy[1] * row[2][1] + xy[2] * row[2][2]);
+  const double area = std::max({length(xy), length(yz), length(zx)});
+  return std::numbers::pi * std::max(4.0 / 3.0 * volume / (g * g * g), area / (g * g));
 }
 
 Ellipsoid outer_ellipsoid(const Splats& splats, std::size_t i, const Level& level) {

@@ -107,6 +107,8 @@ class Search {
 
   const Prover& prover() const { return prover_; }
 
+  double least_voxels() const { return outer_.least_voxels(g_); }
+
   bool separated(const Block& block, bool single) {
     Vec3 lower, upper;
     bool around = true;
@@ -116,27 +118,31 @@ class Search {
       around &= lower[a] <= 0 && upper[a] >= 0;
     }
     if (around) return false;
-    if (descend(block, lower, upper)) return true;
-    return single && by_features(block, lower, upper);
+    const Verdict verdict = descend(block, lower, upper);
+    if (verdict != Verdict::kUnknown || !single) return verdict == Verdict::kSeparated;
+    return by_features(block, lower, upper);
   }
 
  private:
+  enum class Verdict { kSeparated, kTouching, kUnknown };
+
   // Coordinate descent to the point of the block that is nearest in the metric.
-  bool descend(const Block& block, const Vec3& lower, const Vec3& upper) const {
+  Verdict descend(const Block& block, const Vec3& lower, const Vec3& upper) const {
     Vec3 x;
     for (std::size_t a = 0; a < 3; ++a) x[a] = std::clamp(0.0, lower[a], upper[a]);
     for (int sweep = 0; sweep < 3; ++sweep) {
       Vec3 n;
-      for (std::size_t a = 0; a < 3; ++a) n[a] = dot(metric_[a], x);
-      if (dot(n, x) <= 1) return false;
+      double scale = 0;  // of the terms of n.x, for its rounding
+      for (std::size_t a = 0; a < 3; ++a) n[a] = dot(metric_[a], x), scale += metric_[a][a] * x[a] * x[a];
+      if (dot(n, x) + 16 * kEps * scale <= 1) return Verdict::kTouching;
       Vec3 pushed = n;
       for (std::size_t a = 0; a < 3; ++a)
         if ((n[a] > 0 && x[a] > lower[a]) || (n[a] < 0 && x[a] < upper[a])) pushed[a] = 0;
-      if (prover_.separates(pushed, block)) return true;
+      if (prover_.separates(pushed, block)) return Verdict::kSeparated;
       for (std::size_t a = 0; a < 3; ++a)
         x[a] = std::clamp(x[a] - dot(metric_[a], x) / metric_[a][a], lower[a], upper[a]);
     }
-    return false;
+    return Verdict::kUnknown;
   }
 
   // Normals at all vertices, edges and faces of the grown voxel.
@@ -330,6 +336,7 @@ Unproven unproven_voxels(const Splats& splats, const Level& level, double voxel_
       Search search(splats, i, level, voxel_size);
       const Block block = clipped_block(search.prover().lower(), search.prover().upper(), voxel_size, range);
       if (block.empty()) continue;
+      if (!crop) check_voxel_budget(search.least_voxels());
       const auto touched = [&](const Index3& v) { writer.add({v[0], v[1], v[2], v[2]}); };
       Visitor(set, search, touched).visit(block);
     }

@@ -97,10 +97,23 @@ void BrickMap::grow() {
     if (slot.number != kNone) slots_[place(slot.brick)] = slot;
 }
 
-void throw_too_many_voxels(double at_least, const char* qualifier) {
+namespace {
+
+[[noreturn]] void throw_too_many(const char* qualifier, double voxels) {
   throw std::overflow_error("the scene would need " + std::string(qualifier) + " " +
-                            std::to_string(static_cast<long long>(at_least)) + " voxels");
+                            std::to_string(static_cast<long long>(std::min(voxels, 1e18))) + " voxels");
 }
+
+}  // namespace
+
+void check_voxel_budget(double least_voxels) {
+  if (least_voxels > double(OverlapGrid::kMaxVoxels)) throw_too_many("at least", least_voxels);
+}
+
+struct OverlapGrid::Budget {
+  std::size_t max_voxels = 0, max_bricks = 0;
+  std::atomic<std::size_t> voxels{0}, bricks{0};
+};
 
 // Bricks that share a column of bricks are in one shard.
 struct OverlapGrid::Shard {
@@ -112,15 +125,14 @@ struct OverlapGrid::Shard {
   std::mutex mutex;
   BrickMap map;
   std::vector<std::unique_ptr<Brick[]>> pages;
-  std::size_t voxels = 0;
-  std::shared_ptr<std::atomic<std::size_t>> all_voxels, all_bricks;
+  Budget* budget = nullptr;
 
   Brick& brick(std::uint32_t number) const { return pages[number / kPage][number % kPage]; }
 
   Brick& brick_at(const Index3& key) {
     const std::uint32_t number = map.insert(key);
     while (number >= pages.size() * kPage) {
-      if ((*all_bricks += kPage) > kMaxBricks) throw_too_many_voxels(double(*all_voxels), "more than");
+      if ((budget->bricks += kPage) > budget->max_bricks) throw_too_many("more than", double(budget->voxels));
       pages.push_back(std::make_unique<Brick[]>(kPage));
     }
     return brick(number);
@@ -142,17 +154,17 @@ struct OverlapGrid::Shard {
         z = stop + 1;
       }
     }
-    if ((*all_voxels += fresh) > kMaxVoxels) throw_too_many_voxels(double(kMaxVoxels), "more than");
+    if ((budget->voxels += fresh) > budget->max_voxels) throw_too_many("more than", double(budget->max_voxels));
   }
 };
 
-OverlapGrid::OverlapGrid() {
-  const auto voxels = std::make_shared<std::atomic<std::size_t>>(0);
-  const auto bricks = std::make_shared<std::atomic<std::size_t>>(0);
+OverlapGrid::OverlapGrid(std::size_t max_voxels, std::size_t max_bricks)
+    : budget_(std::make_unique<Budget>()) {
+  budget_->max_voxels = max_voxels;
+  budget_->max_bricks = max_bricks;
   for (auto& shard : shards_) {
     shard = std::make_unique<Shard>();
-    shard->all_voxels = voxels;
-    shard->all_bricks = bricks;
+    shard->budget = budget_.get();
   }
 }
 

@@ -4,7 +4,6 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
-#include <numbers>
 
 #include "alula/parallel.hpp"
 
@@ -116,11 +115,7 @@ class Marker {
       ++outside;
       return;
     }
-    if (whole) {
-      // Closed cubes cover what they touch: the voxels are at least the volume.
-      const double volume = 4.0 / 3.0 * std::numbers::pi * volume_root(e) / (g_ * g_ * g_);
-      if (volume > double(OverlapGrid::kMaxVoxels)) throw_too_many_voxels(volume, "at least");
-    }
+    if (whole) check_voxel_budget(e.least_voxels(g_));
     const std::size_t marked = columns(e, block, pad);
     outside += marked == 0;
     cut += marked != 0 && !whole;
@@ -131,13 +126,6 @@ class Marker {
   std::size_t outside = 0, cut = 0;
 
  private:
-  // Product of the semi-axes: |det A|.
-  static double volume_root(const Ellipsoid& e) {
-    const auto& [a, b, c] = e.row;
-    return std::abs(a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0]) +
-                    a[2] * (b[0] * c[1] - b[1] * c[0]));
-  }
-
   std::size_t columns(const Ellipsoid& e, const Block& block, double pad) {
     if (block.lower[0] == block.upper[0] && block.lower[1] == block.upper[1] && within_column(e, block, pad)) {
       writer_.add({block.lower[0], block.lower[1], block.lower[2], block.upper[2]});

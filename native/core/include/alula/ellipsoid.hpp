@@ -46,6 +46,8 @@ struct Ellipsoid {
 
   // Bound of all coordinates of the set and of the voxels of edge g that it touches.
   double extent(double g) const;
+  // No fewer closed voxels of edge g touch the set: its volume and its shadows along the axes.
+  double least_voxels(double g) const;
 };
 
 Ellipsoid outer_ellipsoid(const Splats& splats, std::size_t i, const Level& level);

@@ -20,7 +20,8 @@
 //
 // A single voxel that is neither in the set nor discarded counts as touched. The set is proven when
 // no voxel outside it is touched by `min_overlap` ellipsoids or more. A voxel may be reported without
-// need (when it is closer than about 1e-13 E), it is never passed wrongly.
+// need (when it is closer than about 1e-13 E, or for r > 0 when the outer ellipsoid of
+// `ellipsoid.hpp` touches it, whose metric guides the search); it is never passed wrongly.
 //
 // Cost: O(volume / 512 + boundary voxels outside the set) per ellipsoid; memory 64 bytes per brick of
 // 8^3 voxels of the set, and counters for touched voxels outside it.

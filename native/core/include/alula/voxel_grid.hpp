@@ -92,17 +92,20 @@ class OverlapGrid {
     std::array<std::vector<Run>, 64> pending_;
   };
 
-  OverlapGrid();
+  explicit OverlapGrid(std::size_t max_voxels = kMaxVoxels, std::size_t max_bricks = kMaxBricks);
   ~OverlapGrid();
   // All voxels added at least `min_count` times.
   VoxelCounts collect(std::uint32_t min_count, unsigned jobs, Control& control) const;
 
  private:
   struct Shard;
+  struct Budget;
+  std::unique_ptr<Budget> budget_;
   std::array<std::unique_ptr<Shard>, 64> shards_;
 };
 
-[[noreturn]] void throw_too_many_voxels(double at_least, const char* qualifier);
+// Throws std::overflow_error when one ellipsoid alone exceeds OverlapGrid::kMaxVoxels.
+void check_voxel_budget(double least_voxels);
 
 // A set of voxels as bricks of 8 x 8 x 8 bits.
 class VoxelSet {

@@ -1,1 +1,0 @@
-/work/wt/voxelize/native/core/native/python/alula/__init__.py

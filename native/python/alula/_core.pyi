@@ -1,0 +1,171 @@
+"""Hot loops of alula, in C++20 and C99."""
+
+from collections.abc import Sequence
+import enum
+from typing import Annotated, Any
+
+import numpy
+from numpy.typing import NDArray
+
+
+commit: str = ''
+
+def voxelize(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float = 0.0, crop: Sequence[float] | None = None, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.uint32], int, int]:
+    """
+    Voxels that ellipsoids touch: (index i32 (M, 3) sorted, overlap u32 (M,), ellipsoids outside the crop,
+    ellipsoids that the crop cuts). Voxel i is the closed cube [i g, (i + 1) g]; ellipsoids are at level
+    sigma, grown by a ball of radius inflation (outer ellipsoid), all lengths in the unit of mean.
+    Every touched voxel is marked; a voxel farther than 2e-13 of the coordinates' size is not.
+    Raises ValueError for malformed input, OverflowError when the voxels exceed the memory budget.
+    """
+
+def unproven_voxels(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float, crop: Sequence[float] | None, min_overlap: int, index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], jobs: int = 0, progress: object | None = None) -> tuple[int, NDArray[numpy.int32], NDArray[numpy.int64]]:
+    """
+    Voxels outside `index` (M, 3) that are not proven to be touched by fewer than min_overlap ellipsoids:
+    (total, the first 100 of them i32 (K, 3) in lexicographic order, an ellipsoid that touches each i64 (K,)).
+    Voxel i is the closed cube [i g, (i + 1) g]; ellipsoids are at level sigma plus a ball of radius inflation,
+    voxels those that touch the crop. Every voxel not reported is proven by a separating plane with rigorous
+    rounding bounds. Raises ValueError for malformed input, OverflowError when the memory budget is exceeded.
+    """
+
+def lattice_hull(points: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> dict[str, Any]:
+    """
+    Exact hull of integer points (N, 3): sorted vertices and primitive planes, as a cover of one hull.
+    """
+
+def merge_cover(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], block: int, is_paper: bool, max_hulls: int, max_planes: int, max_growth: float, jobs: int, progress: object | None) -> dict[str, Any]:
+    """
+    Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets, or an
+    empty `member_start` asks for the set cover by clusters. A limit of 0 is none. Returns the arrays of
+    an alula/cover, the curve (hulls, sum of W, planes), the excess of the union [voxels] and its grid.
+    """
+
+def check_cover_hulls(vertex: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], vertex_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_normal: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], plane_offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], member_index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], jobs: int, progress: object | None) -> NDArray[numpy.int64]:
+    """
+    Exact check of each hull of a cover. Returns rows (fault, hull, row, other), ordered by hull.
+    """
+
+def check_cover_occupied(member_index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], occupied: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> NDArray[numpy.int64]:
+    """
+    Whether the members of a cover are exactly the occupied voxels. Returns rows as check_cover_hulls.
+    """
+
+def cover_fault(fault: int) -> str:
+    """What a fault number of the checks above means."""
+
+class PolytopeCbf:
+    """
+    The onboard safety filter among convex polytopes {x : normal . x <= offset}.
+
+    Normals are outward unit vectors (F, 3), offsets in metres, world frame; extent_m bounds
+    the coordinates of all positions. Raises ValueError for what the filter does not accept.
+    """
+
+    def __init__(self, normal: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], *, extent_m: float, radius_m: float, beta: float = 2.0, kappa: float = 100.0, dt_s: float = 0.01, v_max: float = 1.0, smoothing: str = 'sound', brute_force: bool = False) -> None: ...
+
+    def filter(self, x: Sequence[float], u_nom: Sequence[float]) -> tuple[list[float], int, float, float, int]:
+        """
+        (u, status, margin of the smooth psi, margin of the hard psi, nearest hull or -1); margins in metres.
+        """
+
+    def psi(self, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], *, jobs: int = 0) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64]]:
+        """
+        Smooth psi (N), hard psi (N) and the gradient of the smooth one (N, 3) at points (N, 3) [m].
+        """
+
+    def map_arrays(self) -> tuple[NDArray[numpy.float32], NDArray[numpy.uint32], NDArray[numpy.float32], NDArray[numpy.float32], float, float]:
+        """
+        The single-precision map: plane (F, 4), plane_start (n + 1), lower and upper (n, 3), extent and slack [m].
+        """
+
+def onboard_exp_log(x: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[NDArray[numpy.float32], NDArray[numpy.float32]]:
+    """
+    The onboard exponential and logarithm, for checking their error bounds.
+    """
+
+class TrialRules:
+    """When a flight ends, and its nominal controller."""
+
+    def __init__(self, *, dt_s: float, gain: float, v_max: float, stop_fraction: float, stuck_speed: float, stuck_steps: int, max_steps: int) -> None: ...
+
+class Trial:
+    """
+    One flight a step at a time: nominal(), then advance() with the input that is flown.
+    The reference arrays (K, 3) hold a row every dt; without rows the goal is flown to.
+    """
+
+    def __init__(self, start: Sequence[float], goal: Sequence[float], rules: TrialRules, reference_position: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], reference_velocity: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> None: ...
+
+    def nominal(self) -> list[float]: ...
+
+    def advance(self, u: Sequence[float], refused: bool) -> int:
+        """
+        The outcome after the step: 0 flying, 1 reached, 2 stuck, 3 timeout, 4 refused.
+        """
+
+    @property
+    def position(self) -> list[float]: ...
+
+def rollout(cbf: PolytopeCbf, start: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], goal: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], rules: TrialRules, reference_position: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], reference_velocity: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], *, use_filter: bool, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
+    """
+    Fly all trials on threads; per trial a dict of position (steps + 1, 3), u_nom and u (steps, 3), margin, status and filter_s (steps), and the outcome.
+    """
+
+class PolytopeSet:
+    """Convex polytopes in a bounding-volume hierarchy."""
+
+    def __init__(self, normals: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offsets: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], vertices: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], vertex_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
+        """
+        Copy the polytopes {x : normal . x <= offset}, unit normals, with their vertices.
+        """
+
+    def __len__(self) -> int: ...
+
+    def bounds(self) -> tuple[list[float], list[float]]:
+        """
+        Lower and upper corner of the box around all polytopes; zeros when there are none.
+        """
+
+    def clearance(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], cap: float, jobs: int = 0, progress: object | None = None) -> NDArray[numpy.float64]:
+        """
+        Signed distance of each segment start[i]..end[i] to the nearest obstacle, at most `cap`; negative inside.
+        """
+
+class EllipsoidSet:
+    """Ellipsoids of Gaussians in a bounding-volume hierarchy."""
+
+    def __init__(self, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], k: float) -> None:
+        """Copy the Gaussians; the ellipsoids are at level k."""
+
+    def __len__(self) -> int: ...
+
+    def clearance(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], end: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], cap: float, jobs: int = 0, progress: object | None = None) -> NDArray[numpy.float64]:
+        """
+        Signed distance of each segment start[i]..end[i] to the nearest obstacle, at most `cap`; negative inside.
+        """
+
+class SearchStatus(enum.Enum):
+    """Outcome of `find_path`."""
+
+    found = 0
+
+    no_path = 1
+
+    start_isolated = 2
+
+    goal_isolated = 3
+
+MAX_LATTICE_POINTS: int = 33554432
+
+def find_path(obstacles: PolytopeSet, origin: Sequence[float], spacing: float, count: Sequence[int], start: Sequence[float], goal: Sequence[float], radius: float, comfort: float, progress: object | None = None) -> tuple[SearchStatus, NDArray[numpy.float64], int]:
+    """
+    Lattice path of a ball among polytopes: status, points (W, 3), lattice points expanded.
+    """
+
+def tighten_path(obstacles: PolytopeSet, path: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], radius: float, comfort: float, spacing: float, rounds: int, jobs: int = 0, progress: object | None = None) -> NDArray[numpy.float64]:
+    """Shortcut a free path along proven straight segments."""
+
+def check_curves(obstacles: PolytopeSet, control_points: Annotated[NDArray[numpy.float64], dict(shape=(None, 8, 3), order='C', device='cpu', writable=False)], slack: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], radius: float, max_depth: int, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.uint8], NDArray[numpy.float64], int, int]:
+    """
+    Prove that curves, shape (P, 8, 3) in Bernstein form, keep `radius` from all polytopes: per piece proven (u8) and clearance, then the pairs decided and the deepest subdivision.
+    """

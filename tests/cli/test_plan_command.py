@@ -1,0 +1,126 @@
+"""The command `alula plan`: outputs, exit codes, messages."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from alula.cli.main import COMMANDS, run
+from alula.cli.plan import command
+from alula.schemas.artifact import make_artifact, read_artifact, write_artifact
+from alula.schemas.kinds import COVER, PLAN
+
+
+@pytest.fixture
+def cover(tmp_path):
+    """One cube of 1 m between (0, 0, 0) and (1, 1, 1)."""
+    corners = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)]) * 10
+    path = tmp_path / "cube.cover.npz"
+    arrays = {
+        "vertex": corners,
+        "vertex_start": [0, 8],
+        "plane_normal": np.vstack([np.eye(3), -np.eye(3)]),
+        "plane_offset": [10, 10, 10, 0, 0, 0],
+        "plane_start": [0, 6],
+        "member_index": np.zeros((1, 3)),
+        "member_start": [0, 1],
+        "history": np.empty((0, 3)),
+    }
+    fields = {"voxel_size_m": 0.1, "sigma": 1.0, "min_overlap": 1, "conservativeness": 0.0, "certificate": {}}
+    write_artifact(
+        path, make_artifact(COVER, arrays, frame="world", unit="m", parameters={}, summary={}, **fields)
+    )
+    return path
+
+
+def plan(cover, output, *words):
+    return run(["plan", str(cover), "-o", str(output), *words])
+
+
+def test_a_plan_is_written_with_its_provenance(cover, tmp_path, capsys):
+    output = tmp_path / "p.plan.npz"
+    words = ["--start", "-1 0.5 0.5", "--goal", "2,-0.25,0.5", "--radius", "0.2", "--json"]
+    assert plan(cover, output, *words) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["status"] == "written"
+    assert report["summary"]["min_clearance_m"] >= 0.2
+    assert report["summary"]["max_speed_m_s"] <= 1.0
+    manifest = read_artifact(output, PLAN).manifest
+    assert manifest.parameters["start"] == [-1.0, 0.5, 0.5]
+    assert manifest.parameters["via"] == []
+    assert manifest.radius_m == 0.2
+    assert [ref.name for ref in manifest.inputs] == ["cube.cover.npz"]
+    assert manifest.certificate["min_proven_clearance_m"] >= 0.2
+    assert plan(cover, output, *words) == 0
+    assert json.loads(capsys.readouterr().out)["status"] == "unchanged"
+
+
+def test_via_points_and_threads(cover, tmp_path):
+    words = ["--start", "-1 -1 -1", "--goal", "-1 -1 2", "--via", "0.5 0.5 1.5", "--via", "2 2 2"]
+    one, four = tmp_path / "one.plan.npz", tmp_path / "four.plan.npz"
+    assert plan(cover, one, *words, "--jobs", "1") == 0
+    assert plan(cover, four, *words, "--jobs", "4") == 0
+    assert one.read_bytes() == four.read_bytes()
+    waypoints = read_artifact(one, PLAN)["waypoint"][:, :3].tolist()
+    assert waypoints.index([0.5, 0.5, 1.5]) < waypoints.index([2, 2, 2])
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (
+            ["--start", "0.5 0.5 0.5", "--goal", "2 2 2"],
+            5,
+            "the start (0.5 0.5 0.5) is inside an obstacle, 0.5 m deep",
+        ),
+        (
+            ["--start", "2 2 2", "--goal", "1.1 0.5 0.5"],
+            5,
+            "the goal (1.1 0.5 0.5) is 0.1 m from an obstacle",
+        ),
+        (["--start", "2 2 2", "--goal", "2 2 2"], 2, "two consecutive points of the flight are the same"),
+        (["--start", "2 2", "--goal", "2 2 2"], 2, 'write "x y z"'),
+        (["--start", "2 2 nan", "--goal", "2 2 2"], 2, "not finite"),
+        (["--goal", "2 2 2"], 2, "--start"),
+        (["--start", "2 2 2", "--goal", "-1 0 0", "--radius", "0"], 2, "--radius must be between"),
+        (["--start", "2 2 2", "--goal", "-1 0 0", "--resolution", "0.0002"], 2, "use a larger --resolution"),
+        (
+            ["--start", "2 2 2", "--goal", "-1 0 0", "--bounds", "0", "0", "0", "3", "3", "3"],
+            2,
+            "outside --bounds",
+        ),
+        (
+            ["--start", "0.5 0.5 1.2", "--goal", "0.5 0.5 -0.3", "--bounds", "0", "0", "-1", "1", "1", "2"],
+            5,
+            "no path from --start to --goal keeps the radius; a --resolution below",
+        ),
+    ],
+)
+def test_failures_are_one_line_with_their_code_and_leave_nothing(
+    cover, tmp_path, capsys, words, code, message
+):
+    output = tmp_path / "p.plan.npz"
+    assert plan(cover, output, *words) == code
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cube.cover.npz"]
+
+
+def test_a_file_of_another_kind_is_refused(cover, tmp_path, capsys):
+    output = tmp_path / "p.plan.npz"
+    assert plan(cover, output, "--start", "2 2 2", "--goal", "-1 -1 -1") == 0
+    assert plan(output, tmp_path / "q.plan.npz", "--start", "2 2 2", "--goal", "-1 -1 -1") == 3
+    assert "alula/plan" in capsys.readouterr().err
+
+
+def test_help_shows_the_line_of_the_command_list_and_examples():
+    assert command.help.splitlines()[0] == COMMANDS["plan"][1]
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "alula.cli", "plan", "-h"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.count("alula plan room.cover.npz") == 2
+    assert "--via" in done.stdout
