@@ -9,7 +9,9 @@ from typing import Any
 import msgspec
 
 from alula.schemas.kinds import KINDS
+from alula.schemas.manifest import VERSION
 from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
+from alula.schemas.scenario import SCENARIO_SCHEMA, Scenario
 
 
 def documents() -> dict[str, bytes]:
@@ -18,6 +20,7 @@ def documents() -> dict[str, bytes]:
         kind.name: (kind.version, kind.manifest) for kind in KINDS.values()
     }
     types[RUN_SCHEMA] = (RUN_VERSION, RunRecord)
+    types[SCENARIO_SCHEMA] = (VERSION, Scenario)
     result = {}
     for name, (version, struct) in types.items():
         schema = msgspec.json.schema(struct)

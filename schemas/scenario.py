@@ -1,5 +1,7 @@
 """Scenarios: a whole simulation in one TOML file, `alula/scenario`.
 
+    schema = "alula/scenario"     # optional, as is the version
+    version = "1.0"
     name = "room, 150 hulls"
 
     [map]
@@ -33,11 +35,14 @@ Only `[map] cover` is required. What is left out has the default of the command'
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
-from alula.schemas.errors import InputError, UsageError
+from alula.schemas.errors import InputError, UsageError, VersionError
+from alula.schemas.manifest import VERSION, parse_version
+
+SCENARIO_SCHEMA: Literal["alula/scenario"] = "alula/scenario"
 
 _BUILT_IN_PARAMETERS = ("beta", "kappa_per_m", "smoothing")
 
@@ -97,6 +102,8 @@ class Scenario(_Table, frozen=True, kw_only=True):
     """A scenario file."""
 
     map: MapTable
+    schema: Literal["alula/scenario"] = SCENARIO_SCHEMA
+    version: str = VERSION
     name: str | None = None
     vehicle: VehicleTable = VehicleTable()
     filter: FilterTable = FilterTable()
@@ -132,6 +139,7 @@ def read_scenario(path: Path) -> Scenario:
 
     Raises:
         InputError: the file cannot be read or is not TOML.
+        VersionError: it was written for a later major version.
         UsageError: a key is unknown, missing or of the wrong type; the message has its path.
     """
     try:
@@ -141,6 +149,7 @@ def read_scenario(path: Path) -> Scenario:
     if not raw.strip():
         raise InputError(f"{path}: is empty")
     try:
+        _check_version(path, raw)
         scenario = msgspec.toml.decode(raw, type=Scenario)
     except msgspec.ValidationError as error:
         raise UsageError(f"{path}: {error}") from error
@@ -151,6 +160,16 @@ def read_scenario(path: Path) -> Scenario:
     elif scenario.filter.name == "none" and scenario.filter.parameters:
         raise UsageError(f"{path}: `$.filter.parameters`: the filter none has no parameters")
     return scenario
+
+
+def _check_version(path: Path, raw: bytes) -> None:
+    """Look at the version alone first: later versions may have keys that this one calls unknown."""
+    head = msgspec.toml.decode(raw)
+    version = head.get("version", VERSION)
+    if parse_version(str(version))[0] > parse_version(VERSION)[0]:
+        raise VersionError(
+            f"{path}: {SCENARIO_SCHEMA} version {version} is newer than {VERSION}; update alula"
+        )
 
 
 def _check_built_in_parameters(path: Path, parameters: dict[str, Any]) -> None:

@@ -65,6 +65,10 @@ def huge_ply(path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"element vertex 800", b"element vertex 4000000000"))
 
 
+def newer_toml(path: Path) -> None:
+    path.write_text('version = "9.0"\n' + path.read_text())
+
+
 def not_a_number_csv(path: Path) -> None:
     path.write_text(path.read_text().replace("1,0,0", "nan,0,0"))
 

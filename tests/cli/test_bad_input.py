@@ -82,7 +82,9 @@ CASES = {
         wrong_kind={"tiny.plan.npz": "tiny.voxels.npz", "tiny.cover.npz": "tiny.voxels.npz"},
     ),
     "simulate a scenario": Case(
-        "simulate tiny.toml -o OUT", {"tiny.toml": TEXT, "tiny.cover.npz": FLOATS}, out="out.run.mcap"
+        "simulate tiny.toml -o OUT",
+        {"tiny.toml": (*TEXT, damage.newer_toml), "tiny.cover.npz": FLOATS},
+        out="out.run.mcap",
     ),
     "report": Case(
         "report tiny.run.mcap --cover tiny.cover.npz --scene tiny.metric.scene.npz -o OUT",
