@@ -193,7 +193,7 @@ def _page(objects: Sequence[Any]) -> str:
     for number, item in enumerate(objects, 1):
         item.id = number
         plot += item
-    plot.camera = plot.get_auto_camera(yaw=-60, pitch=50, factor=0.9)
+    plot.camera = plot.get_auto_camera(yaw=-60, pitch=50, factor=1.1)
     page: str = plot.get_snapshot()
     # k3d's style sheet names fallback fonts beside the page; browsers look for them, in vain.
     page = page.replace("eval(k3dSource);", "eval(k3dSource.split('url(fonts/').join('url(data:,'));")
