@@ -52,6 +52,7 @@ def command(
     from alula.schemas.provenance import read_provenance
     from alula.schemas.run import record_path
     from alula.stages.reporting.figures import all_figures
+    from alula.stages.reporting.headline import headline
     from alula.stages.reporting.page import comment, page
     from alula.stages.reporting.tables import all_tables, to_csv, to_markdown
     from alula.stages.reporting.view3d import view
@@ -77,23 +78,16 @@ def command(
         figures = all_figures(material)
         progress(2, 3)
         shown = view(material)
-        summary = {
-            "runs": len(material.runs),
-            "trials": sum(len(run.record.trials) for run in material.runs),
-            "tables": len(tables),
-            "figures": len(figures),
-            "markdown": markdown.name,
-            "csv": table.name,
-        }
+        summary = headline(material)
         line = provenance.line(summary)
         html = page(material, tables, figures, shown, line)
         progress(3, 3)
         texts = {
             common.output: html,
             table: to_csv(material),
-            markdown: to_markdown(config.title, tables, comment(line)),
+            markdown: to_markdown(config.title, summary, tables, comment(line)),
         }
-        return texts, {**summary, "bytes": len(html.encode())}
+        return texts, summary
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Callable[[], None], dict[str, Any]]:
         texts, summary = build(provenance, progress)

@@ -153,7 +153,7 @@ def _write(
     timed = msgspec.structs.replace(record, timing=_timing(result))
     text = msgspec.json.format(msgspec.json.encode(timed, order="sorted"), indent=2) + b"\n"
     with atomic_output(output) as log, atomic_output(record_path(output)) as beside:
-        write_log(log, record, result.flights, result.hulls, frame)
+        write_log(log, record, result.flights, result.cover, frame)
         beside.write(text)
 
 

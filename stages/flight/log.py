@@ -8,9 +8,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.artifact import Artifact
 from alula.schemas.provenance import RUN_METADATA
 from alula.schemas.run import RunRecord, TrialResult
-from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.facets import mesh
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.log_schemas import SCHEMAS
 from alula.stages.flight.simulate import FlightLog
@@ -30,7 +31,7 @@ _MAP_COLOR = {"r": 0.55, "g": 0.6, "b": 0.68, "a": 0.6}
 
 
 def write_log(
-    stream: BinaryIO, record: RunRecord, flights: list[FlightLog], hulls: Hulls, frame: str
+    stream: BinaryIO, record: RunRecord, flights: list[FlightLog], cover: Artifact, frame: str
 ) -> None:
     """Write a log; equal arguments give equal bytes.
 
@@ -42,7 +43,7 @@ def write_log(
         stream: where to write; the caller makes the file appear.
         record: the summary.
         flights: the samples of each trial, in the order of `record.trials`.
-        hulls: the map.
+        cover: the map, an `alula/cover`.
         frame: name of the frame of all positions.
     """
     from mcap.writer import Writer
@@ -59,7 +60,7 @@ def write_log(
         nanoseconds = _nanoseconds(time_s)
         writer.add_message(channels[topic], nanoseconds, msgspec.json.encode(message), nanoseconds)
 
-    send("/map", 0.0, _map_message(hulls, frame))
+    send("/map", 0.0, _map_message(cover, frame))
     begin_s = 0.0
     for trial, flight in zip(record.trials, flights, strict=True):
         send("/path", begin_s, _path_message(flight, frame, begin_s))
@@ -136,32 +137,30 @@ def _log_message(trial: TrialResult, time_s: float) -> dict[str, Any]:
     }
 
 
-def _map_message(hulls: Hulls, frame: str) -> dict[str, Any]:
+def _map_message(cover: Artifact, frame: str) -> dict[str, Any]:
+    """The surface of each hull as a triangle list, counter-clockwise from outside."""
+    surface = mesh(cover)
+    points = surface.points_voxel * float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
+    triangles = []
+    for k in range(len(surface)):
+        first, end = surface.point_start[k], surface.point_start[k + 1]
+        rows = surface.triangles[surface.triangle_start[k] : surface.triangle_start[k + 1]] - first
+        triangles.append(
+            {
+                "pose": {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": _UPRIGHT},
+                "points": [_xyz(point) for point in points[first:end]],
+                "color": _MAP_COLOR,
+                "colors": [],
+                "indices": rows.ravel().tolist(),
+            }
+        )
     entity = {
         "timestamp": _stamp(0.0),
         "frame_id": frame,
         "id": "map",
         "lifetime": _stamp(0.0),
         "frame_locked": True,
-        "metadata": [{"key": "hulls", "value": str(len(hulls))}],
-        "triangles": [_triangle_list(hulls, k) for k in range(len(hulls))],
+        "metadata": [{"key": "hulls", "value": str(len(surface))}],
+        "triangles": triangles,
     }
     return {"deletions": [], "entities": [entity]}
-
-
-def _triangle_list(hulls: Hulls, k: int) -> dict[str, Any]:
-    """The surface of one hull: the convex hull of its vertices, triangles counter-clockwise from outside."""
-    from scipy.spatial import ConvexHull
-
-    vertices = hulls.vertices_world[hulls.vertex_start[k] : hulls.vertex_start[k + 1]]
-    hull = ConvexHull(vertices)
-    a, b, c = (vertices[hull.simplices[:, j]] for j in range(3))
-    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
-    triangles = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
-    return {
-        "pose": {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": _UPRIGHT},
-        "points": [_xyz(vertex) for vertex in vertices],
-        "color": _MAP_COLOR,
-        "colors": [],
-        "indices": triangles.ravel().tolist(),
-    }

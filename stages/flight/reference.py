@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
+from alula.stages.flight.trajectory import evaluate
 
 FloatArray = NDArray[np.float64]
 
@@ -35,10 +36,5 @@ def sample_plan(plan: Artifact, dt_s: float) -> Reference:
     coefficient = np.asarray(plan["coefficient"], np.float64)[:, :3]
     steps = int(np.ceil(knots[-1] / dt_s - 1e-9))
     time = np.minimum(np.arange(steps + 1) * dt_s, knots[-1])
-    segment = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, len(coefficient) - 1)
-    power = np.arange(coefficient.shape[-1])
-    local = (time - knots[segment])[:, None]
-    position = np.einsum("tij,tj->ti", coefficient[segment], local**power)
-    derivative = coefficient[..., 1:] * power[1:]
-    velocity = np.einsum("tij,tj->ti", derivative[segment], local ** power[:-1])
+    position, velocity = (evaluate(knots, coefficient, time, derivative) for derivative in (0, 1))
     return Reference(position, velocity)

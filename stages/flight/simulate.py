@@ -68,7 +68,7 @@ class RunResult:
     summary: dict[str, Any]
     guarantee: Guarantee
     flights: list[FlightLog]
-    hulls: Hulls
+    cover: Artifact
     filter_s: NDArray[np.float32]
 
 
@@ -185,7 +185,7 @@ def simulate(
         summary=_summary(trials, pairs, safety_filter),
         guarantee=_guarantee(config, cover, trials, safety_filter),
         flights=flights,
-        hulls=hulls,
+        cover=cover,
         filter_s=np.concatenate(seconds),
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.run import TrialResult
-from alula.stages.reporting.material import Material, Run, flew_through, is_covered, outcome_of, proof
+from alula.stages.reporting.material import Material, Run, flew_through, is_covered
 from alula.stages.reporting.published import paper_tables
 
 BYTES_PER_GAUSSIAN = 40  # centre, semi-axes, quaternion in single precision
@@ -33,16 +33,6 @@ class Table:
     columns: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
     note: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Card:
-    """A number that matters: `good` is None when it is neither good nor bad."""
-
-    label: str
-    value: str
-    detail: str = ""
-    good: bool | None = None
 
 
 def text(value: Any) -> str:
@@ -280,64 +270,6 @@ def inputs_table(material: Material) -> Table:
     return Table("inputs", "Made from", ("role", "file", "kind", "SHA-256 begins"), rows)
 
 
-def cards(material: Material) -> list[tuple[str, list[Card]]]:
-    """The numbers that matter, in groups: the map, then each run."""
-    groups: list[tuple[str, list[Card]]] = []
-    if material.cover is not None or material.certificate is not None:
-        groups.append(("Map", _map_cards(material)))
-    for run in material.runs:
-        groups.append((run.label if len(material.runs) > 1 else "Flights", _run_cards(run)))
-    return groups
-
-
-def _map_cards(material: Material) -> list[Card]:
-    covered = is_covered(material.certificate)
-    shown = text(covered) if covered is not None else "not verified"
-    found = [Card("obstacles covered", shown, proof(material.certificate), covered)]
-    if material.cover is not None:
-        value = float(material.cover.manifest.conservativeness)  # type: ignore[attr-defined]
-        found.insert(0, Card("conservativeness", text(value), "volume of hulls / volume of voxels"))
-    return found
-
-
-def _run_cards(run: Run) -> list[Card]:
-    summary, trials = run.record.summary, run.record.trials
-    interval = success_interval(run)
-    rate, collisions = summary.get("success_rate"), summary.get("collisions")
-    good = sum(outcome_of(trial) == "reached" for trial in trials)
-    detail = f"{text(good)} of {text(len(trials))} reached the goal unharmed"
-    if interval:
-        detail += f"; 95 %: {text(interval[0])} to {text(interval[1])}"
-    found = [
-        Card("success rate", text(rate), detail),
-        Card("collisions", text(collisions), "after the flight, continuous path", collisions == 0),
-    ]
-    for key, what in (("map", "hulls"), ("scene", "splats")):
-        least = summary.get(f"min_{key}_clearance_m")
-        if least is not None:
-            found.append(Card(f"least clearance to {what}", f"{text(least)} m", "", least >= 0))
-    found.append(
-        Card("path length", text(summary.get("mean_path_ratio")), "× straight line, mean of successes")
-    )
-    return found
-
-
-def chain(material: Material) -> list[tuple[str, str]]:
-    """The compression as a chain: count and what is counted."""
-    found = []
-    if (gaussians := gaussian_count(material)) is not None:
-        found.append((text(gaussians), "Gaussians"))
-    if material.cover is not None:
-        planes = len(material.cover["plane_offset"])
-        found += [
-            (text(voxel_count(material.cover)), "voxels"),
-            (text(len(material.cover["plane_start"]) - 1), "hulls"),
-            (text(planes), "half-planes"),
-            (text(planes * BYTES_PER_HALF_PLANE), "bytes of half-planes"),
-        ]
-    return found
-
-
 CSV_COLUMNS = ("run", "filter", "vehicle", *(f.name for f in msgspec.structs.fields(TrialResult)))
 
 
@@ -363,9 +295,12 @@ def _csv_cell(value: Any) -> str:
     return value if isinstance(value, str) else repr(value)
 
 
-def to_markdown(title: str, tables: Sequence[Table], first_line: str) -> str:
-    """The tables as Markdown; `first_line` is put into a comment at the top."""
+def to_markdown(title: str, facts: Mapping[str, Any], tables: Sequence[Table], first_line: str) -> str:
+    """The facts in short, then the tables, as Markdown; `first_line` is put into a comment at the top."""
     parts = [f"<!-- {first_line} -->" if first_line else "", f"# {_cell(title)}"]
+    if facts:
+        items = [f"- {key.replace('_', ' ')}: {_cell(text(value))}" for key, value in facts.items()]
+        parts.append("\n".join(["## In short", "", *items]))
     for table in tables:
         head = "| " + " | ".join(_cell(name) for name in table.columns) + " |"
         rule = "|" + " --- |" * len(table.columns)

@@ -15,12 +15,11 @@ from alula.schemas.errors import UsageError
 from alula.schemas.flights import Flight
 from alula.schemas.manifest import InputRef
 from alula.stages.reporting import curves
+from alula.stages.reporting.headline import cards, chain, headline
 from alula.stages.reporting.material import Material, Run, is_covered, proof
 from alula.stages.reporting.tables import (
     CSV_COLUMNS,
     all_tables,
-    cards,
-    chain,
     compression_table,
     cover_table,
     runs_table,
@@ -150,12 +149,26 @@ def test_csv_has_a_row_per_trial_with_all_digits():
 def test_markdown_holds_the_same_cells_and_no_markup_of_names():
     run = run_of("evil | <b>*x*</b>\nnext")
     tables = all_tables(Material("t", runs=(run,)))
-    shown = to_markdown("A <title>", tables, "alula-provenance: {}")
+    shown = to_markdown("A <title>", headline(Material("t", cover=COVER)), tables, "alula-provenance: {}")
     assert shown.startswith("<!-- alula-provenance: {} -->")
     assert "<b>" not in shown
     assert "evil \\| &lt;b&gt;\\*x\\*&lt;/b&gt; next" in shown
     body = [line for line in shown.splitlines() if line.startswith("| ") and "---" not in line]
     assert len(body) == sum(1 + len(table.rows) for table in tables)
+
+
+def test_the_headline_adds_up_the_runs():
+    runs = (run_of("a"), run_of("b"))
+    facts = headline(Material("t", runs=runs, cover=COVER))
+    trials = [trial for run in runs for trial in run.record.trials]
+    reached = sum(trial.outcome == "reached" and not trial.collision for trial in trials)
+    collisions = sum(trial.collision for trial in trials)
+    assert facts["flights"] == f"{reached} of {len(trials)} reached the goal, {collisions} collided"
+    assert facts["least_clearance_m"] == min(t.map_clearance_m for t in trials)
+    assert facts["obstacles_covered"] == "not verified"
+    assert facts["compression"].endswith("bytes of half-planes")
+    shown = to_markdown("t", facts, [], "")
+    assert f"- flights: {facts['flights']}" in shown
 
 
 def test_only_the_named_tables_are_kept():

@@ -1,0 +1,102 @@
+"""The numbers that matter: the head of the report, and what the command prints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from alula.stages.reporting.material import Material, Run, clearance_of, is_covered, outcome_of, proof
+from alula.stages.reporting.tables import (
+    BYTES_PER_HALF_PLANE,
+    gaussian_count,
+    success_interval,
+    text,
+    voxel_count,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """A number that matters: `good` is None when it is neither good nor bad."""
+
+    label: str
+    value: str
+    detail: str = ""
+    good: bool | None = None
+
+
+def headline(material: Material) -> dict[str, Any]:
+    """Five facts as plain values: compression, conservativeness, coverage, success, least clearance."""
+    found: dict[str, Any] = {}
+    if counted := chain(material):
+        found["compression"] = " → ".join(f"{count} {what}" for count, what in counted)
+    if material.cover is not None:
+        found["conservativeness"] = float(material.cover.manifest.conservativeness)  # type: ignore[attr-defined]
+    covered = is_covered(material.certificate)
+    found["obstacles_covered"] = "not verified" if covered is None else covered
+    trials = [(run.label, trial) for run in material.runs for trial in run.record.trials]
+    if trials:
+        reached = sum(outcome_of(trial) == "reached" for _, trial in trials)
+        collisions = sum(trial.collision for _, trial in trials)
+        found["flights"] = f"{reached} of {len(trials)} reached the goal, {collisions} collided"
+    if known := [c for _, trial in trials if (c := clearance_of(trial)) is not None]:
+        found["least_clearance_m"] = min(known)
+    return found
+
+
+def cards(material: Material) -> list[tuple[str, list[Card]]]:
+    """The numbers that matter, in groups: the map, then each run."""
+    groups: list[tuple[str, list[Card]]] = []
+    if material.cover is not None or material.certificate is not None:
+        groups.append(("Map", _map_cards(material)))
+    for run in material.runs:
+        groups.append((run.label if len(material.runs) > 1 else "Flights", _run_cards(run)))
+    return groups
+
+
+def _map_cards(material: Material) -> list[Card]:
+    covered = is_covered(material.certificate)
+    shown = text(covered) if covered is not None else "not verified"
+    found = [Card("obstacles covered", shown, proof(material.certificate), covered)]
+    if material.cover is not None:
+        value = float(material.cover.manifest.conservativeness)  # type: ignore[attr-defined]
+        found.insert(0, Card("conservativeness", text(value), "volume of hulls / volume of voxels"))
+    return found
+
+
+def _run_cards(run: Run) -> list[Card]:
+    summary, trials = run.record.summary, run.record.trials
+    interval = success_interval(run)
+    rate, collisions = summary.get("success_rate"), summary.get("collisions")
+    good = sum(outcome_of(trial) == "reached" for trial in trials)
+    detail = f"{text(good)} of {text(len(trials))} reached the goal unharmed"
+    if interval:
+        detail += f"; 95 %: {text(interval[0])} to {text(interval[1])}"
+    found = [
+        Card("success rate", text(rate), detail),
+        Card("collisions", text(collisions), "after the flight, continuous path", collisions == 0),
+    ]
+    for key, what in (("map", "hulls"), ("scene", "splats")):
+        least = summary.get(f"min_{key}_clearance_m")
+        if least is not None:
+            found.append(Card(f"least clearance to {what}", f"{text(least)} m", "", least >= 0))
+    found.append(
+        Card("path length", text(summary.get("mean_path_ratio")), "× straight line, mean of successes")
+    )
+    return found
+
+
+def chain(material: Material) -> list[tuple[str, str]]:
+    """The compression as a chain: count and what is counted."""
+    found = []
+    if (gaussians := gaussian_count(material)) is not None:
+        found.append((text(gaussians), "Gaussians"))
+    if material.cover is not None:
+        planes = len(material.cover["plane_offset"])
+        found += [
+            (text(voxel_count(material.cover)), "voxels"),
+            (text(len(material.cover["plane_start"]) - 1), "hulls"),
+            (text(planes), "half-planes"),
+            (text(planes * BYTES_PER_HALF_PLANE), "bytes of half-planes"),
+        ]
+    return found
