@@ -103,6 +103,7 @@ class ExcessMeter {
   const Occupancy* occupancy_;
   ZBounds bounds_;
   std::vector<double> y_, low_, high_;
+  std::vector<const Occupancy::Column*> column_;
 };
 
 }  // namespace alula
