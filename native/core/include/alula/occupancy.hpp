@@ -85,9 +85,10 @@ class ZBounds {
 };
 
 // Measures W = Vol(polytope \ occupied) [voxels], by exact z-intervals over a midpoint grid of the
-// bounding box, per axis four lines per voxel up to 3 voxels, two up to 8, then one, at most 24. Boxes are counted exactly; any other polytope measures zero only when its bounding box
-// is full, and at least kLeast otherwise, so that W = 0 always means no excess. It ranks merges and
-// decides nothing else. One per thread.
+// bounding box: per axis four lines per voxel up to 3 voxels, two up to 8, then one, at most 24.
+// Boxes are counted exactly; any other polytope measures zero only when its bounding box is full, and
+// at least kLeast otherwise, so that W = 0 always means no excess. It ranks merges and decides
+// nothing else. One per thread.
 class ExcessMeter {
  public:
   explicit ExcessMeter(const Occupancy& occupancy) : occupancy_(&occupancy) {}
