@@ -65,11 +65,27 @@ def cli() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the documented code."""
-    signal.signal(signal.SIGTERM, _interrupt)
-    sys.exit(run(arguments))
+    interruption = _Interruption()
+    signal.signal(signal.SIGINT, interruption)
+    signal.signal(signal.SIGTERM, interruption)
+    code = run(arguments, interruption)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # what is left is to exit with this code
+    sys.exit(code)
 
 
-def run(arguments: list[str] | None = None) -> int:
+class _Interruption:
+    """Signal handler that raises KeyboardInterrupt and remembers it: some libraries wrap or drop it."""
+
+    def __init__(self) -> None:
+        self.came = False
+
+    def __call__(self, signum: int, frame: FrameType | None) -> None:
+        self.came = True
+        raise KeyboardInterrupt
+
+
+def run(arguments: list[str] | None = None, interruption: _Interruption | None = None) -> int:
     """Run the command line; every error becomes one line on stderr and a code."""
     words = sys.argv[1:] if arguments is None else arguments
     try:
@@ -91,6 +107,8 @@ def run(arguments: list[str] | None = None) -> int:
     except MemoryError:
         return _fail("out of memory", ExitCode.INTERNAL, words)
     except Exception as error:  # noqa: BLE001  the last resort: no traceback reaches a user unasked
+        if interruption is not None and interruption.came:
+            return _fail("interrupted", ExitCode.INTERRUPTED, [])
         return _fail(
             f"internal error: {type(error).__name__}: {error} (-vv shows where)", ExitCode.INTERNAL, words
         )
@@ -104,10 +122,6 @@ def _fail(message: str, code: ExitCode, words: list[str]) -> int:
     line = " ".join(message.split())
     click.echo(f"alula: {line}", err=True)
     return code
-
-
-def _interrupt(signum: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":
