@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
-import signal
 import sys
-from types import FrameType
 from typing import Any
 
 import click
@@ -65,27 +63,18 @@ def cli() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the documented code."""
-    interruption = _Interruption()
-    signal.signal(signal.SIGINT, interruption)
-    signal.signal(signal.SIGTERM, interruption)
-    code = run(arguments, interruption)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # what is left is to exit with this code
+    from alula.cli.interruption import Interruption
+    from alula.schemas import atomic
+
+    interruption = Interruption()
+    interruption.install()
+    atomic.appearing = interruption.appearing
+    code = run(arguments)
+    interruption.ignore()
     sys.exit(code)
 
 
-class _Interruption:
-    """Signal handler that raises KeyboardInterrupt and remembers it: some libraries wrap or drop it."""
-
-    def __init__(self) -> None:
-        self.came = False
-
-    def __call__(self, signum: int, frame: FrameType | None) -> None:
-        self.came = True
-        raise KeyboardInterrupt
-
-
-def run(arguments: list[str] | None = None, interruption: _Interruption | None = None) -> int:
+def run(arguments: list[str] | None = None) -> int:
     """Run the command line; every error becomes one line on stderr and a code."""
     words = sys.argv[1:] if arguments is None else arguments
     try:
@@ -107,8 +96,6 @@ def run(arguments: list[str] | None = None, interruption: _Interruption | None =
     except MemoryError:
         return _fail("out of memory", ExitCode.INTERNAL, words)
     except Exception as error:  # noqa: BLE001  the last resort: no traceback reaches a user unasked
-        if interruption is not None and interruption.came:
-            return _fail("interrupted", ExitCode.INTERRUPTED, [])
         return _fail(
             f"internal error: {type(error).__name__}: {error} (-vv shows where)", ExitCode.INTERNAL, words
         )

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from alula.schemas.errors import OutputError
+
+# Entered around the moment when an output appears; the command line holds interruptions back there.
+appearing: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
 @contextmanager
@@ -35,8 +38,9 @@ def atomic_output(path: Path) -> Iterator[BinaryIO]:
             os.umask(umask)
             os.fchmod(file.fileno(), 0o666 & ~umask)
             os.fsync(file.fileno())
-        temporary.replace(path)
-        temporary = None
+        with appearing():
+            temporary.replace(path)
+            temporary = None
         _sync_folder(path.parent)
     except OSError as error:
         raise OutputError(f"{path}: cannot write: {error.strerror or error}") from error
