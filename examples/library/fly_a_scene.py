@@ -1,0 +1,31 @@
+"""The pipeline as a library: from a splat file to judged flights.
+
+Usage: python fly_a_scene.py point_cloud.ply METRES_PER_UNIT VOXEL_SIZE_M
+"""
+
+import sys
+from pathlib import Path
+
+from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.configs.scale_align import ScaleAlignConfig
+from alula.schemas.configs.simulate import SimulateConfig
+from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.stages.alignment.scale_align import scale_align, scale_only
+from alula.stages.compression.certificate import verify
+from alula.stages.compression.merge import merge
+from alula.stages.compression.voxelize import voxelize
+from alula.stages.flight.simulate import simulate
+from alula.stages.reconstruction.formats import read_splats
+from alula.stages.reconstruction.import_splat import import_splat
+
+file, scale, size_m = Path(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3])
+scene = import_splat(ImportSplatConfig(), read_splats(file))
+scene = scale_align(ScaleAlignConfig(), scene, scale_only(scale), seed=0)
+voxels = voxelize(VoxelizeConfig(size_m=size_m), scene)
+cover = merge(MergeConfig(hulls=100), voxels)
+assert verify(cover, voxels=voxels, scene=scene).covered
+run = simulate(SimulateConfig(trials=20), cover, scene=scene)
+print(
+    f"{len(scene['mean'])} Gaussians, {cover.manifest.summary['hulls']} hulls,", run.summary["success_rate"]
+)

@@ -1,0 +1,124 @@
+"""The examples run, and their Makefiles behave as Make users expect."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+FILES = [
+    *("room.ply", "room.scene.npz", "room.metric.scene.npz", "room.voxels.npz", "room.cover.npz"),
+    *("room.certificate.json", "room.plan.npz", "hoops.run.mcap", "pairs.run.mcap", "room.report.html"),
+]
+
+
+def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    alula = f"{sys.executable} -P -m alula.cli"
+    command = [
+        "make",
+        "-C",
+        str(folder),
+        f"ALULA={alula}",
+        "GAUSSIANS=30000",
+        "VOXEL=0.1",
+        "TRIALS=5",
+        *words,
+    ]
+    return subprocess.run(command, capture_output=True, text=True)
+
+
+def commands_in(done: subprocess.CompletedProcess[str]) -> list[str]:
+    """Which alula commands make ran."""
+    assert done.returncode == 0, done.stderr + done.stdout
+    lines = [line for line in done.stdout.splitlines() if " -m alula.cli " in line]
+    return [line.split(" -m alula.cli ")[1].split()[0] for line in lines]
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory) -> Path:
+    """The room example, built once in a copy of its folder, by two jobs."""
+    folder = tmp_path_factory.mktemp("example") / "room"
+    shutil.copytree(EXAMPLES / "room", folder, ignore=shutil.ignore_patterns("out"))
+    done = make(folder, "-j2")
+    assert len(commands_in(done)) == 10
+    assert "report: " in done.stdout
+    return folder
+
+
+@pytest.fixture
+def room(built, tmp_path) -> Path:
+    """A private copy of the built example, times kept."""
+    return Path(shutil.copytree(built, tmp_path / "room"))
+
+
+def test_everything_is_there_and_nothing_half_made(built):
+    found = {file.name for file in (built / "out").iterdir()}
+    assert found >= set(FILES)
+    assert not [name for name in found if name.endswith(".tmp")]
+
+
+def test_the_second_time_nothing_is_done_but_the_result_is_shown(room):
+    done = make(room)
+    assert commands_in(done) == []
+    assert "report: " in done.stdout
+    assert "- obstacles covered: yes" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("touched", "rerun"),
+    [
+        ("scenario.toml", ["simulate", "report"]),
+        ("out/room.plan.npz", ["simulate", "report"]),
+        ("out/room.cover.npz", ["verify", "plan", "simulate", "simulate", "report"]),
+    ],
+)
+def test_touching_a_file_reruns_what_depends_on_it_and_that_finds_itself_current(room, touched, rerun):
+    before = {name: (room / "out" / name).stat().st_ino for name in FILES}
+    time.sleep(0.01)
+    (room / touched).touch()
+    done = make(room)
+    assert sorted(commands_in(done)) == sorted(rerun)
+    assert done.stdout.count(": unchanged") >= len(rerun) - 1  # verify prints its table instead
+    assert {name: (room / "out" / name).stat().st_ino for name in FILES} == before
+    assert commands_in(make(room)) == []
+
+
+def test_a_changed_parameter_is_taken_up(room):
+    (room / "out/room.cover.npz").unlink()
+    done = make(room, "HULLS=250")
+    assert "merge" in commands_in(done)
+    assert commands_in(make(room, "HULLS=250")) == []
+
+
+def test_an_interrupted_run_leaves_whole_files_and_resumes(room):
+    for name in FILES[1:]:
+        (room / "out" / name).unlink()
+    alula = f"{sys.executable} -P -m alula.cli"
+    process = subprocess.Popen(
+        ["make", "-C", str(room), f"ALULA={alula}", "GAUSSIANS=30000", "VOXEL=0.1", "TRIALS=5"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    while not (room / "out/room.metric.scene.npz").exists():
+        assert process.poll() is None
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.wait(60) != 0
+    assert not [file for file in (room / "out").iterdir() if file.suffix == ".tmp"]
+    rest = commands_in(make(room))
+    assert "import-splat" not in rest
+    assert rest[-1] == "report"
+
+
+def test_the_library_script_flies_a_scene(built):
+    script = EXAMPLES / "library/fly_a_scene.py"
+    words = [sys.executable, "-P", str(script), str(built / "out/room.ply"), "2.7", "0.1"]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "hulls" in done.stdout

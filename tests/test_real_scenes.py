@@ -1,0 +1,71 @@
+"""Every real scene that the readers take, from the splat to judged flights."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from alula.cli.main import run
+from alula.schemas.artifact import read_artifact
+from alula.schemas.run import read_run
+
+# file: metres per unit where nothing better is known, voxel size [m], hulls, extra options of the import
+SCENES = {
+    "istanbul-outdoor/tile_x000_y003.splat": (1.0, 0.5, 200, ()),
+    "istanbul-outdoor/tile_x001_y000.splat": (1.0, 0.5, 200, ()),
+    "istanbul-outdoor/tile_x001_y001.splat": (1.0, 0.5, 200, ()),
+    "cc0-corpus/leica-sofort-top8192.ply": (1.0, 0.3, 150, ("--drop-floaters",)),
+    "inria-ply/train-1000.ply": (1.0, 0.2, 50, ()),
+    "tiny-conformance/splatapult-axes-test.ply": (1.0, 0.1, 8, ("--min-opacity", "0")),
+    "tiny-conformance/test-splat.3-points-from-train.ply": (1.0, 0.05, 3, ("--min-opacity", "0")),
+    "tiny-conformance/test-splat.3-points-from-train.splat": (1.0, 0.05, 3, ("--min-opacity", "0")),
+    "tiny-conformance/splat-transform-minimal.splat": (1.0, 0.1, 4, ("--min-opacity", "0")),
+    "tiny-conformance/gsplat-rs-minimal_binary.ply": (1.0, 0.1, 4, ("--min-opacity", "0")),
+    "tiny-conformance/gsplat-rs-minimal_ascii.ply": (1.0, 0.1, 4, ("--min-opacity", "0")),
+    "tiny-conformance/epfl-pc_short-trailing-bytes.ply": (1.0, 0.1, 20, ("--min-opacity", "0")),
+    "usd3dgs-fixtures-ply/three-gaussian-binary-le.ply": (1.0, 0.5, 3, ("--min-opacity", "0")),
+}
+
+
+@pytest.mark.parametrize("file", SCENES)
+def test_a_real_scene_is_covered_and_flown_without_collision(file, data, tmp_path, monkeypatch, capsys):
+    scale, size, hulls, options = SCENES[file]
+    monkeypatch.chdir(tmp_path)
+    steps = [
+        ["import-splat", str(data / file), "-o", "s.scene.npz", *options],
+        ["scale-align", "s.scene.npz", "-o", "m.scene.npz", "--scale", str(scale)],
+        ["voxelize", "m.scene.npz", "-o", "v.voxels.npz", "--size", str(size)],
+        ["merge", "v.voxels.npz", "-o", "c.cover.npz", "--hulls", str(hulls)],
+        ["verify", "c.cover.npz", "--voxels", "v.voxels.npz", "--scene", "m.scene.npz", "-o", "cert.json"],
+        [
+            "simulate",
+            "c.cover.npz",
+            "--scene",
+            "m.scene.npz",
+            "-o",
+            "r.run.mcap",
+            "--trials",
+            "10",
+            "--bounds",
+        ],
+        ["report", "r.run.mcap", "--cover", "c.cover.npz", "--certificate", "cert.json", "-o", "r.html"],
+    ]
+    steps[5] += bounds_around(steps, tmp_path)
+    for step in steps[4:]:
+        assert run([*step, "-q"]) == 0, (step, capsys.readouterr().err)
+    certificate = json.loads(Path("cert.json").read_text())
+    assert certificate["covered"] is True
+    assert len(certificate["checks"]) == 5
+    record = read_run(Path("r.run.mcap"))
+    assert record.summary["collisions"] == 0
+    assert record.summary["min_scene_clearance_m"] > 0
+    assert record.summary["trials"] == 10
+
+
+def bounds_around(steps: list[list[str]], folder: Path) -> list[str]:
+    """Make the cover, and find a box with room around it to fly in."""
+    for step in steps[:4]:
+        assert run([*step, "-q"]) == 0, step
+    cover = read_artifact(folder / "c.cover.npz")
+    vertices = cover["vertex"] * cover.manifest.voxel_size_m
+    return [str(x) for x in (*(vertices.min(axis=0) - 1.0), *(vertices.max(axis=0) + 1.0))]
