@@ -107,15 +107,10 @@ def run(
     )
     status = "written"
     summary: dict[str, Any] = {}
-    if common.output.exists():
-        recorded = read_provenance(common.output, verify=True)
-        changed = ["it is not a file of alula's"] if recorded is None else differences(recorded, provenance)
-        if recorded is not None and not changed:
-            status, summary = "unchanged", recorded.summary
-            if not common.dry_run:
-                os.utime(common.output)
-        elif not common.force:
-            raise UsageError(f"{common.output}: exists, but {'; '.join(changed)}; -f replaces it")
+    if (recorded := current(common.output, provenance, force=common.force)) is not None:
+        status, summary = "unchanged", recorded.summary
+        if not common.dry_run:
+            os.utime(common.output)
     if status != "unchanged":
         with progress_bar(common) as progress:
             write, summary = make(provenance, progress)
@@ -127,6 +122,21 @@ def run(
         names = " ".join(_make_escape(path) for path in inputs.values())
         write_text(common.depfile, f"{_make_escape(common.output)}: {names}\n")
     show(common, status, summary)
+
+
+def current(output: Path, provenance: Provenance, *, force: bool) -> Provenance | None:
+    """What an existing output records of itself when that is as wanted; None when it is to be made.
+
+    Raises:
+        UsageError: it exists with other provenance, or is a foreign file, and `force` is not given.
+    """
+    if not output.exists():
+        return None
+    recorded = read_provenance(output, verify=True)
+    changed = ["it is not a file of alula's"] if recorded is None else differences(recorded, provenance)
+    if changed and not force:
+        raise UsageError(f"{output}: exists, but {'; '.join(changed)}; -f replaces it")
+    return None if changed else recorded
 
 
 def check_output(output: Path, inputs: Mapping[str, Path]) -> None:

@@ -30,6 +30,7 @@ from alula.schemas.manifest import ArraySpec, Manifest, parse_version, producer
 ALIGNMENT = 64
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _MANIFEST_LIMIT = 64 * 2**20
+_LARGEST_EXTENT = 2**48
 _PADDING_ID = 0xD935  # the extra field that zipalign uses
 _DTYPES = {rule.dtype for kind in KINDS.values() for rule in kind.arrays}
 _NPY_HEADER = re.compile(rb"\{'descr': '([^']{1,9})', 'fortran_order': False, 'shape': \(([\d, ]*)\), \}\s*")
@@ -197,6 +198,8 @@ def read_artifact(path: Path, kind: Kind | None = None) -> Artifact:
             raise DamagedError(f"{path}: member {missing[0]} is missing")
         if extra := sorted(names - expected):
             raise DamagedError(f"{path}: unexpected member {extra[0]!r}")
+        if len(archive.infolist()) != len(expected):  # other programs would read the other one
+            raise DamagedError(f"{path}: a member is there twice")
         arrays = {rule.name: _map_member(path, archive, f"{rule.name}.npy") for rule in found.arrays}
     for rule in found.arrays:
         array, spec = arrays[rule.name], manifest.arrays.get(rule.name)
@@ -284,6 +287,8 @@ def _npy_header(file: BinaryIO) -> tuple[tuple[int, ...], np.dtype[Any]]:
     if header is None or (text := header[1].decode()) not in _DTYPES:
         raise ValueError("not a C-order array of a known type")
     shape = tuple(int(extent) for extent in header[2].split(b",") if extent.strip())
+    if max(shape, default=0) > _LARGEST_EXTENT:  # also beside a zero, where no size shows it
+        raise ValueError("not a size that an array can have")
     return shape, np.dtype(text)
 
 
@@ -295,11 +300,13 @@ def _map_member(path: Path, archive: zipfile.ZipFile, name: str) -> NDArray[Any]
         with path.open("rb") as file:
             file.seek(info.header_offset)
             header = _LOCAL_HEADER.unpack(file.read(_LOCAL_HEADER.size))
+            if header[0] != b"PK\x03\x04":
+                raise ValueError("no local header")
             data_start = info.header_offset + _LOCAL_HEADER.size + header[9] + header[10]
             file.seek(data_start)
             shape, dtype = _npy_header(file)
             offset = file.tell()
-    except (ValueError, struct.error) as error:
+    except (ValueError, struct.error, OSError) as error:  # OSError: an offset that no file has
         raise DamagedError(f"{path}: member {name} is not a plain NPY array") from error
     size = dtype.itemsize * int(np.prod(shape, dtype=object))
     if size != info.file_size - (offset - data_start):

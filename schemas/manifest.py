@@ -6,13 +6,21 @@ import re
 import subprocess
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 
 from alula import __version__
 
 VERSION = "1.0"
+
+# What readers accept; wide enough for everything the commands write, narrow enough that lengths in
+# double precision neither overflow nor lose their sign.
+Length = Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)]
+Margin = Annotated[float, msgspec.Meta(ge=0, le=1e12)]
+Level = Annotated[float, msgspec.Meta(gt=0, le=1e4)]
+Count = Annotated[int, msgspec.Meta(ge=1, le=2**32 - 1)]
+Box = Annotated[list[float], msgspec.Meta(min_length=6, max_length=6)]
 
 
 class Producer(msgspec.Struct, frozen=True):
@@ -58,7 +66,7 @@ class Guarantee(msgspec.Struct, frozen=True):
 class Similarity(msgspec.Struct, frozen=True):
     """p_world = scale * rotation @ p_scene + translation_m; rotation row-major, det +1."""
 
-    scale: float
+    scale: Annotated[float, msgspec.Meta(gt=0)]
     rotation: list[list[float]]
     translation_m: list[float]
 
@@ -91,17 +99,22 @@ class SceneManifest(Manifest, frozen=True, kw_only=True):
     source: dict[str, Any]
     world_from_scene: Similarity | None = None
     alignment: dict[str, Any] | None = None
-    suggested_inflation_m: float = 0.0
+    suggested_inflation_m: Margin = 0.0
 
 
 class VoxelsManifest(Manifest, frozen=True, kw_only=True):
     """Manifest of `alula/voxels`: voxel i is the closed cube [i g, (i + 1) g]."""
 
-    voxel_size_m: float
-    sigma: float
-    min_overlap: int
-    inflation_m: float = 0.0
-    crop: list[float] | None = None
+    unit: Literal["m"]
+    voxel_size_m: Length
+    sigma: Level
+    min_overlap: Count
+    inflation_m: Margin = 0.0
+    crop: Box | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a crop that contains nothing."""
+        _check_crop(self.crop)
 
 
 class CoverManifest(Manifest, frozen=True, kw_only=True):
@@ -111,21 +124,32 @@ class CoverManifest(Manifest, frozen=True, kw_only=True):
     scene can be checked against the cover alone.
     """
 
-    voxel_size_m: float
-    sigma: float
-    min_overlap: int
-    inflation_m: float = 0.0
-    crop: list[float] | None = None
+    unit: Literal["m"]
+    voxel_size_m: Length
+    sigma: Level
+    min_overlap: Count
+    inflation_m: Margin = 0.0
+    crop: Box | None = None
     conservativeness: float
     certificate: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        """Refuse a crop that contains nothing."""
+        _check_crop(self.crop)
 
 
 class PlanManifest(Manifest, frozen=True, kw_only=True):
     """Manifest of `alula/plan`: piecewise degree-7 polynomials of local time."""
 
-    radius_m: float
-    speed_m_s: float
+    unit: Literal["m"]
+    radius_m: Length
+    speed_m_s: Length
     certificate: dict[str, Any]
+
+
+def _check_crop(crop: list[float] | None) -> None:
+    if crop is not None and not all(low < high for low, high in zip(crop[:3], crop[3:], strict=True)):
+        raise ValueError("`crop` needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
 
 
 def native_commit() -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 from alula.schemas.errors import UsageError
@@ -47,5 +46,5 @@ class VoxelizeConfig:
             raise UsageError(f"--min-overlap must be at least 1, not {self.min_overlap}")
         if self.crop is not None and not all(self.crop[i] < self.crop[i + 3] for i in range(3)):
             raise UsageError("--crop needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
-        if self.inflation_m is not None and not (0 <= self.inflation_m < math.inf):
-            raise UsageError(f"--inflate must not be negative, not {self.inflation_m}")
+        if self.inflation_m is not None and not (0 <= self.inflation_m <= 1e6):
+            raise UsageError(f"--inflate must be between 0 and 1e6 m, not {self.inflation_m}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgspec
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.manifest import CoverManifest, SceneManifest, VoxelsManifest
+from alula.stages.compression.ellipsoids import lost_before, unproven_voxels
 
 SCHEMA, VERSION = "alula/certificate", "1.0"
 LISTED = 100  # offenders of one check
@@ -23,6 +24,7 @@ _POLYTOPES = (0, 1, 2, 3, 4, 5, 6, 9)
 _MEMBERS = (7, 8)
 _VERTEX_FAULTS, _PLANE_FAULTS = (3, 6, 9), (1, 4, 5)
 _NOT_COVERED, _NOT_OCCUPIED = 10, 11
+_LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop")
 _GEOMETRY = (
     *("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start"),
     *("member_index", "member_start"),
@@ -65,11 +67,12 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Certificate(msgspec.Struct, frozen=True, kw_only=True):
-    """What was proved about a cover, and what lies outside the proof."""
+    """What was proved about a cover, what lies outside the proof, and what else to know."""
 
     covered: bool
     checks: list[Check]
     left_out: str
+    notes: list[str] = []
 
     def complaint(self) -> str:
         """The first check that fails and its first offender; empty when covered."""
@@ -86,6 +89,7 @@ def verify(
     *,
     voxels: Artifact | None = None,
     scene: Artifact | None = None,
+    sha256: Mapping[str, str] | None = None,
     jobs: int = 0,
     progress: Progress = None,
 ) -> Certificate:
@@ -102,6 +106,8 @@ def verify(
         cover: an `alula/cover`.
         voxels: the `alula/voxels` it must cover; without it, the union of its members is taken.
         scene: the `alula/scene` that the voxels must contain.
+        sha256: of the files "voxels" and "scene", to be compared with those that the manifests name as
+            inputs. Others are noted, not refused: the proof rests on the content alone.
         jobs: threads, 0 for all processors; the result does not depend on it.
         progress: called with (done, total) now and then.
 
@@ -110,36 +116,52 @@ def verify(
     """
     manifest = cover.manifest
     assert isinstance(manifest, CoverManifest)
-    checks = [_files_agree(cover, voxels, scene)] if voxels is not None or scene is not None else []
+    checks = [_files_agree(cover, voxels, scene)]
     checks += _hull_checks(cover, jobs, progress)
     checks.append(_occupied_check(cover, voxels))
     if scene is not None:
         index = cover["member_index"] if voxels is None else voxels["index"]
         checks.append(_scene_check(manifest, scene, index, jobs, progress))
     return Certificate(
-        covered=all(check.ok for check in checks), checks=checks, left_out=_left_out(manifest, voxels, scene)
+        covered=all(check.ok for check in checks),
+        checks=checks,
+        left_out=_left_out(manifest, voxels, scene),
+        notes=_notes(cover, voxels, scene, sha256 or {}),
     )
 
 
 def _files_agree(cover: Artifact, voxels: Artifact | None, scene: Artifact | None) -> Check:
-    """Lattice, level and frame of the cover are those of the other files."""
+    """Lattice, level, frame and unit of the cover are those of the other files, and of its own claims."""
     mine = cover.manifest
     assert isinstance(mine, CoverManifest)
-    offences = []
-    names = ["frame"]
+    offences = _unclaimed(mine, "cover")
+    names = ["frame", "unit"]
     if voxels is not None:
         assert isinstance(voxels.manifest, VoxelsManifest)
-        names += ["voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop"]
+        offences += _unclaimed(voxels.manifest, "voxels")
+        names += _LEVEL
         offences += [
             Offence(fault=f"{name} of the cover is {getattr(mine, name)}, of the voxels {theirs}")
             for name in names
             if (theirs := getattr(voxels.manifest, name)) != getattr(mine, name)
         ]
-    if scene is not None and scene.manifest.frame != mine.frame:
-        offences.append(
-            Offence(fault=f"frame of the cover is {mine.frame}, of the scene {scene.manifest.frame}")
-        )
-    return _check("files agree", len(names), offences, len(offences), "size, level and frame")
+    if scene is not None:
+        offences += [
+            Offence(fault=f"{name} of the cover is {getattr(mine, name)}, of the scene {theirs}")
+            for name in ("frame", "unit")
+            if (theirs := getattr(scene.manifest, name)) != getattr(mine, name)
+        ]
+    return _check("files agree", len(names), offences, len(offences), "size, level, frame and unit")
+
+
+def _unclaimed(manifest: CoverManifest | VoxelsManifest, what: str) -> list[Offence]:
+    """Where a manifest's guarantee speaks of another level than its fields, by which all is checked."""
+    claims = manifest.guarantee.claims if manifest.guarantee is not None else {}
+    return [
+        Offence(fault=f"{name} of the {what} is {value}, but its guarantee claims {claims[name]}")
+        for name in _LEVEL
+        if name in claims and claims[name] != (value := getattr(manifest, name))
+    ]
 
 
 def _hull_checks(cover: Artifact, jobs: int, progress: Progress) -> list[Check]:
@@ -150,10 +172,13 @@ def _hull_checks(cover: Artifact, jobs: int, progress: Progress) -> list[Check]:
         vertex, vertex_start, normal, offset, plane_start, member, member_start, jobs, progress
     )
     hulls, members = len(cover["plane_start"]) - 1, len(cover["member_index"])
+    exact = _fault_check(
+        cover, "hulls are exact polytopes", hulls, found, _POLYTOPES, "planes are the facets of vertices"
+    )
+    if hulls == 0:  # nothing is no proof: neither voxelize nor merge writes an empty file
+        exact = _check(exact.name, 0, [Offence(fault="there is no hull")], 1, exact.detail)
     return [
-        _fault_check(
-            cover, "hulls are exact polytopes", hulls, found, _POLYTOPES, "planes are the facets of vertices"
-        ),
+        exact,
         _fault_check(cover, "members lie in their hulls", members, found, _MEMBERS, "integer containment"),
     ]
 
@@ -177,8 +202,6 @@ def _occupied_check(cover: Artifact, voxels: Artifact | None) -> Check:
 def _scene_check(
     manifest: CoverManifest, scene: Artifact, index: NDArray[np.int32], jobs: int, progress: Progress
 ) -> Check:
-    from alula.stages.compression.ellipsoids import unproven_voxels
-
     crop = manifest.crop
     missing = unproven_voxels(
         scene,
@@ -258,10 +281,21 @@ def _left_out(manifest: CoverManifest, voxels: Artifact | None, scene: Artifact 
         parts.append("the scene itself, which was not given")
     else:
         assert isinstance(scene.manifest, SceneManifest)
-        removed = scene.manifest.source.get("removed", {})
-        parts += [
-            f"{count} Gaussians removed by {reason}" for reason, count in sorted(removed.items()) if count
-        ]
+        parts += lost_before(scene.manifest, manifest.inflation_m)
     if voxels is None:
         parts.append("voxels that the cover does not list, as no voxels file was given")
     return "; ".join(parts)
+
+
+def _notes(
+    cover: Artifact, voxels: Artifact | None, scene: Artifact | None, sha256: Mapping[str, str]
+) -> list[str]:
+    """Where the files are not those that the manifests name as inputs."""
+    notes = []
+    for what, maker, role, given in (("cover", cover, "voxels", voxels), ("voxels", voxels, "scene", scene)):
+        if maker is None or given is None or role not in sha256:
+            continue
+        made_from = [ref for ref in maker.manifest.inputs if ref.schema == given.manifest.schema]
+        if made_from and sha256[role] not in {ref.sha256 for ref in made_from}:
+            notes.append(f"the {what} was made from another {role} file, {made_from[0].name}")
+    return notes

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import InputError
+from alula.schemas.manifest import SceneManifest
 
 Box = tuple[float, float, float, float, float, float]
 Progress = Callable[[int, int], None]
@@ -29,6 +30,30 @@ class UnprovenVoxels:
     total: int
     voxel: NDArray[np.int32]
     ellipsoid: NDArray[np.int64]
+
+
+def lost_before(scene: SceneManifest, inflation_m: float) -> list[str]:
+    """What separates the ellipsoids of a scene from the true ones and no inflation makes up for, in words."""
+    source, parts = scene.source, []
+    removed = source.get("removed")
+    if isinstance(removed, dict):
+        parts += [
+            f"{count} Gaussians removed by {reason}" for reason, count in sorted(removed.items()) if count
+        ]
+    loss = source.get("loss")
+    losses = sorted(loss.items()) if isinstance(loss, dict) else []
+    if words := ", ".join(
+        f"{key} {value:.3g}" for key, value in losses if isinstance(value, float) and value
+    ):
+        parts.append(f"what the splat file's format lost against its own source, up to {words}")
+    if inflation_m < scene.suggested_inflation_m:
+        parts.append(
+            f"an error of the alignment beyond {inflation_m:g} m, where it suggests"
+            f" {scene.suggested_inflation_m:.3g} m"
+        )
+    elif (scene.alignment or {}).get("position_error_m", 0.0) is None:
+        parts.append("the error of the alignment, which is not known")
+    return parts
 
 
 def unproven_voxels(

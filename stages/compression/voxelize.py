@@ -15,6 +15,7 @@ from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.kinds import VOXELS
 from alula.schemas.manifest import Guarantee, SceneManifest
+from alula.stages.compression.ellipsoids import lost_before
 
 Progress = Callable[[int, int], None]
 
@@ -103,7 +104,7 @@ def voxelize(
         unit="m",
         parameters={},
         summary=_summary(config, index, overlap, len(scene["mean"]), left_out, sigma, inflation),
-        guarantee=_guarantee(config, sigma, inflation, left_out),
+        guarantee=_guarantee(config, sigma, inflation, left_out, lost_before(manifest, inflation)),
         voxel_size_m=config.size_m,
         sigma=sigma,
         min_overlap=config.min_overlap,
@@ -138,7 +139,9 @@ def _summary(
     }
 
 
-def _guarantee(config: VoxelizeConfig, sigma: float, inflation: float, left_out: dict[str, Any]) -> Guarantee:
+def _guarantee(
+    config: VoxelizeConfig, sigma: float, inflation: float, left_out: dict[str, Any], before: list[str]
+) -> Guarantee:
     what = f"the {sigma:.6g}-sigma ellipsoid of a Gaussian of the input scene"
     if inflation > 0:
         what += f", grown by {inflation:.6g} m,"
@@ -154,6 +157,8 @@ def _guarantee(config: VoxelizeConfig, sigma: float, inflation: float, left_out:
             f", as far as it touches the crop; {left_out['gaussians_outside_crop']} Gaussians lie outside "
             f"and {left_out['gaussians_cut_by_crop']} in part"
         )
+    if before:
+        statement += ". Not included: " + "; ".join(before)
     claims = {
         "sigma": sigma,
         "inflation_m": inflation,

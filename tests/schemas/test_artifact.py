@@ -231,3 +231,72 @@ def test_every_kind_has_a_schema_its_manifest_satisfies(path):
 def test_unzip_lists_only_plain_names(path):
     listing = subprocess.run(["python3", "-m", "zipfile", "-l", str(path)], capture_output=True, text=True)
     assert "index.npy" in listing.stdout
+
+
+def npy(shape: str, data: bytes = b"") -> bytes:
+    header = f"{{'descr': '<i4', 'fortran_order': False, 'shape': {shape}, }}".encode()
+    header += b" " * (63 - (10 + len(header)) % 64) + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + data
+
+
+@pytest.mark.parametrize(
+    "shape", ["(0, 1000000000000000000000000)", "(4000000000, 3)", "()", "(" + "0, " * 40 + ")"]
+)
+def test_a_shape_that_no_array_can_have_is_refused(path, shape):
+    with zipfile.ZipFile(path) as archive:
+        members = {info.filename: archive.read(info) for info in archive.infolist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in {**members, "index.npy": npy(shape)}.items():
+            archive.writestr(name, content)
+    with pytest.raises(errors.DamagedError):
+        read_artifact(path)
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+@pytest.mark.parametrize("name", ["index.npy", "manifest.json"])
+def test_a_member_that_is_there_twice_is_refused(path, name):
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(name, archive.read(name))
+    with pytest.raises(errors.DamagedError, match="twice"):
+        read_artifact(path)
+
+
+@pytest.mark.parametrize("offset", [0, 2**32 - 2, 2**62, 2**63 - 1, 2**64 - 1])
+def test_a_member_that_lies_nowhere_is_refused(path, offset):
+    """The second entry of the central directory, with a 64-bit offset."""
+    raw = bytearray(path.read_bytes())
+    entry = raw.index(b"PK\x01\x02", raw.index(b"PK\x01\x02") + 4)
+    name = int.from_bytes(raw[entry + 28 : entry + 30], "little")
+    extra = int.from_bytes(raw[entry + 30 : entry + 32], "little")
+    wide = b"\x01\x00\x08\x00" + offset.to_bytes(8, "little")
+    raw[entry + 42 : entry + 46] = b"\xff" * 4
+    raw[entry + 30 : entry + 32] = (extra + len(wide)).to_bytes(2, "little")
+    raw[entry + 46 + name : entry + 46 + name] = wide
+    end = raw.rindex(b"PK\x05\x06")
+    size = int.from_bytes(raw[end + 12 : end + 16], "little")
+    raw[end + 12 : end + 16] = (size + len(wide)).to_bytes(4, "little")
+    path.write_bytes(raw)
+    with pytest.raises(errors.DamagedError):
+        read_artifact(path)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        {"voxel_size_m": 0.0},
+        {"voxel_size_m": -0.1},
+        {"sigma": 0.0},
+        {"sigma": 1e300},
+        {"min_overlap": 0},
+        {"min_overlap": 2**32},
+        {"inflation_m": -1.0},
+        {"crop": []},
+        {"crop": [1, 1, 1, -1, -1, -1]},
+        {"unit": "furlong"},
+    ],
+)
+def test_a_manifest_whose_numbers_mean_nothing_is_refused(path, edit):
+    """Any of them would let a check of the obstacles pass because there is nothing to check."""
+    rewrite(path, lambda m: m.update(edit))
+    with pytest.raises(errors.DamagedError, match=next(iter(edit))):
+        read_artifact(path)

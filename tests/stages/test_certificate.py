@@ -11,6 +11,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from covers import SIZE_M, cover_of, furniture, holds_voxel, planes, voxels_of
 
+from alula.schemas.artifact import make_artifact
+from alula.schemas.kinds import SCENE
+from alula.schemas.manifest import Guarantee, InputRef
 from alula.stages.compression.certificate import verify
 
 VOXELS = voxels_of(furniture(1, 14))
@@ -250,3 +253,81 @@ def test_what_is_left_out_is_named():
     assert "fewer than 4 ellipsoids" in text
     assert "crop -1 -1 -1 1 1 1" in text
     assert "scene itself" in text
+
+
+def with_manifest(artifact, **fields):
+    return dataclasses.replace(artifact, manifest=msgspec.structs.replace(artifact.manifest, **fields))
+
+
+def test_an_empty_cover_proves_nothing():
+    """Even when the voxels are empty too, as no command writes them."""
+    nothing = {
+        **{name: COVER[name][:0] for name in ("vertex", "plane_normal", "plane_offset", "member_index")},
+        **{name: np.zeros(1, np.int64) for name in ("vertex_start", "plane_start", "member_start")},
+    }
+    none = dataclasses.replace(VOXELS, arrays={name: VOXELS[name][:0] for name in ("index", "overlap")})
+    for voxels in (None, none):
+        certificate = verify(changed(COVER, **nothing), voxels=voxels)
+        assert failing(certificate) == ["hulls are exact polytopes"]
+        assert certificate.complaint() == "not proven: hulls are exact polytopes: there is no hull"
+
+
+@pytest.mark.parametrize("name", ["sigma", "inflation_m", "min_overlap", "voxel_size_m", "crop"])
+def test_a_level_other_than_the_guarantee_claims_is_caught(name):
+    claims = {"sigma": 1.0, "inflation_m": 0.02, "min_overlap": 1, "voxel_size_m": SIZE_M, "crop": None}
+    honest = {"sigma": 1.0, "inflation_m": 0.02, "min_overlap": 1, "voxel_size_m": SIZE_M, "crop": None}
+    cover = with_manifest(COVER, guarantee=Guarantee("", claims), **honest)
+    assert verify(cover).covered
+    other = {
+        "sigma": 0.01,
+        "inflation_m": 0.0,
+        "min_overlap": 9,
+        "voxel_size_m": 1.0,
+        "crop": [0, 0, 0, 1, 1, 1],
+    }
+    certificate = verify(with_manifest(cover, **{name: other[name]}))
+    assert failing(certificate) == ["files agree"]
+    assert f"{name} of the cover is" in certificate.complaint()
+
+
+def one_gaussian(**fields):
+    arrays = {
+        "mean": [[0.05, 0.05, 0.05]],
+        "scale": [[0.01, 0.01, 0.01]],
+        "quat_wxyz": [[1, 0, 0, 0]],
+        "opacity": [1],
+        "color": [[0, 0, 0]],
+    }
+    known = {"frame": "world", "unit": "m", "parameters": {}, "summary": {}, "source": {}}
+    return make_artifact(SCENE, {name: np.array(rows) for name, rows in arrays.items()}, **(known | fields))
+
+
+def test_a_scene_in_another_unit_or_frame_is_caught():
+    voxels = voxels_of([(0, 0, 0)])
+    cover = cover_of(voxels)
+    assert verify(cover, voxels=voxels, scene=one_gaussian()).covered
+    for field, value in (("unit", "arbitrary"), ("frame", "scene")):
+        certificate = verify(cover, scene=one_gaussian(**{field: value}))
+        assert failing(certificate) == ["files agree"]
+        assert f"{field} of the cover" in certificate.complaint()
+
+
+def test_what_was_lost_before_the_scene_is_named():
+    voxels = voxels_of([(0, 0, 0)])
+    source = {"removed": {"min_opacity": 7, "crop": 0}, "loss": {"rotation_rad": 0.03, "position": 0.0}}
+    scene = one_gaussian(source=source, suggested_inflation_m=0.02)
+    text = verify(cover_of(voxels), voxels=voxels, scene=scene).left_out
+    assert "7 Gaussians removed by min_opacity" in text
+    assert "lost against its own source, up to rotation_rad 0.03" in text
+    assert "beyond 0 m, where it suggests 0.02 m" in text
+    unknown = one_gaussian(alignment={"position_error_m": None})
+    assert "alignment, which is not known" in verify(cover_of(voxels), scene=unknown).left_out
+
+
+def test_files_other_than_those_it_was_made_from_are_noted():
+    ref = InputRef("source", "alula/voxels", "1.0", "a" * 64, "room.voxels.npz")
+    cover = with_manifest(COVER, inputs=[ref])
+    assert verify(cover, voxels=VOXELS, sha256={"voxels": "a" * 64}).notes == []
+    certificate = verify(cover, voxels=VOXELS, sha256={"voxels": "b" * 64})
+    assert certificate.covered
+    assert certificate.notes == ["the cover was made from another voxels file, room.voxels.npz"]

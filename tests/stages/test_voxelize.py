@@ -346,3 +346,45 @@ def test_a_real_street_is_voxelized_and_proven():
     fewer = np.delete(voxels["index"], [10, 5000], axis=0)
     found = unproven_voxels(scene, fewer, **options)
     np.testing.assert_array_equal(found.voxel, voxels["index"][[10, 5000]])
+
+
+@pytest.mark.parametrize(("k", "scale", "r"), [(1e308, 1e30, 0.0), (1e300, 1e20, 0.0), (1.0, 1.0, 1e200)])
+@pytest.mark.parametrize("crop", [None, (-1.0, -1.0, -1.0, 1.0, 1.0, 1.0)])
+def test_an_ellipsoid_without_finite_bounds_is_refused_not_skipped(k, scale, r, crop):
+    splats = rows([0, 0, 0], [scale] * 3, [1, 0, 0, 0])
+    with pytest.raises(OverflowError):
+        _core.voxelize(*splats, k, 0.1, r, crop)
+    if r == 0:
+        with pytest.raises(OverflowError):
+            _core.unproven_voxels(*splats, k, 0.1, r, crop, 1, np.empty((0, 3), np.int32))
+
+
+def test_an_inflation_near_zero_changes_nothing():
+    """The ratio of semi-axis and inflation overflows."""
+    splats = rows([[0, 0, 0], [0.01, 0, 0]], [[0.3, 0.2, 0.1], [1e-30, 1e-30, 1e-30]], [[1, 0, 0, 0]] * 2)
+    index, overlap, outside, _ = _core.voxelize(*splats, 1.0, 0.1)
+    assert outside == 0
+    for r in (5e-324, 1e-320, 1e-300, 1e-160):
+        found = _core.voxelize(*splats, 1.0, 0.1, r)
+        np.testing.assert_array_equal(found[0], index)
+        np.testing.assert_array_equal(found[1], overlap)
+
+
+def test_the_guarantee_says_what_was_lost_before():
+    scene = scene_of(
+        [0, 0, 0],
+        [0.1, 0.1, 0.1],
+        [1, 0, 0, 0],
+        source={"removed": {"floaters": 3}, "loss": {"rotation_rad": 0.0314}},
+        suggested_inflation_m=0.04,
+    )
+    statement = voxelize(VoxelizeConfig(inflation_m=0.01), scene).manifest.guarantee.statement
+    assert "3 Gaussians removed by floaters" in statement
+    assert "rotation_rad 0.0314" in statement
+    assert "beyond 0.01 m, where it suggests 0.04 m" in statement
+    assert (
+        "Not included"
+        not in voxelize(
+            VoxelizeConfig(), scene_of([0, 0, 0], [0.1] * 3, [1, 0, 0, 0])
+        ).manifest.guarantee.statement
+    )

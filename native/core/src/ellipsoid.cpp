@@ -56,8 +56,8 @@ Ellipsoid outer_ellipsoid(const Splats& splats, std::size_t i, const Level& leve
   }
   if (level.inflation > 0) {
     const double r = level.inflation;
-    const double p = std::sqrt((axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]) / 3) / r;
-    for (double& a : axis) a = std::sqrt((1 + 1 / p) * a * a + (1 + p) * r * r);
+    const double mean = std::sqrt((axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]) / 3);  // p r
+    for (double& a : axis) a = std::sqrt((1 + r / mean) * a * a + (r + mean) * r);  // p itself may overflow
   }
   const float* q = &splats.quat_wxyz[4 * i];
   const double w = q[0], x = q[1], y = q[2], z = q[3];

@@ -58,6 +58,9 @@ Block clipped_block(const std::array<double, 3>& lower, const std::array<double,
   Block block{{0, 0, 0}, {-1, -1, -1}};
   std::array<double, 3> low, high;
   for (std::size_t a = 0; a < 3; ++a) {
+    // What has no bounds would compare as lying nowhere.
+    if (!std::isfinite(lower[a]) || !std::isfinite(upper[a]))
+      throw std::overflow_error("an ellipsoid has no finite bounds in double precision");
     low[a] = std::max(std::floor(lower[a] / g), crop.lower[a]);
     high[a] = std::min(std::floor(upper[a] / g), crop.upper[a]);
     if (!(low[a] <= high[a])) return block;

@@ -31,7 +31,8 @@ struct CropRange {
 CropRange crop_range(const std::optional<Box6>& crop, double voxel_size);
 
 // The part within the crop of the voxels floor(lower / g) ... floor(upper / g); lower and upper in
-// the unit of the grid. Throws std::overflow_error when it does not fit 32-bit indices.
+// the unit of the grid. Throws std::overflow_error when it does not fit 32-bit indices, or when a
+// bound is infinite or NaN.
 Block clipped_block(const std::array<double, 3>& lower, const std::array<double, 3>& upper, double voxel_size,
                     const CropRange& crop);
 
