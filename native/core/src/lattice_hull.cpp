@@ -40,7 +40,7 @@ Point cross(const Point& a, const Point& b) {
 
 std::int64_t dot(const Point& a, const Point& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-constexpr std::size_t kOrderFrom = 24;  // fewer points are inserted in the order they come
+constexpr std::size_t kOrderFrom = 48;  // fewer points are inserted in the order they come
 
 // Brings points that are extreme in the 26 directions of a cube to the front: a large first hull
 // leaves most of the others inside.
@@ -59,10 +59,6 @@ void extremes_first(std::vector<Point>& points) {
 }
 
 }  // namespace
-
-bool HullBuilder::is_above(std::int32_t f, const Point& p) const {
-  return nx_[f] * p[0] + ny_[f] * p[1] + nz_[f] * p[2] > offset_[f];
-}
 
 std::int32_t HullBuilder::add_facet(std::int32_t a, std::int32_t b, std::int32_t c) {
   const Point n = cross(minus(point_[b], point_[a]), minus(point_[c], point_[a]));
@@ -117,12 +113,13 @@ void HullBuilder::start() {
 }
 
 void HullBuilder::insert(std::int32_t p) {
-  const Point& x = point_[p];
+  const auto [x, y, z] = point_[p];
   visible_.clear();
   const std::int32_t count = static_cast<std::int32_t>(facet_.size());
   ++round_;
+  const std::int64_t *nx = nx_.data(), *ny = ny_.data(), *nz = nz_.data(), *offset = offset_.data();
   for (std::int32_t f = 0; f < count; ++f)
-    if (is_above(f, x)) visible_.push_back(f), stamp_[f] = round_;
+    if (nx[f] * x + ny[f] * y + nz[f] * z > offset[f]) visible_.push_back(f), stamp_[f] = round_;
   if (visible_.empty()) return;
   fresh_.clear();
   for (const std::int32_t f : visible_) {
@@ -161,6 +158,7 @@ void HullBuilder::group_facets() {
     if (group_[seed] >= 0 || facet_[seed].vertex[0] < 0) continue;
     const std::int32_t id = static_cast<std::int32_t>(group_facet_.size());
     const Point n{nx_[seed], ny_[seed], nz_[seed]};
+    const auto height = [&n, o = offset_[seed]](const Point& p) { return static_cast<std::uint64_t>(dot(n, p) - o); };
     group_facet_.push_back(seed);
     local_.push_back({static_cast<double>(n[0]), static_cast<double>(n[1]), static_cast<double>(n[2]),
                       static_cast<double>(offset_[seed])});
@@ -172,9 +170,9 @@ void HullBuilder::group_facets() {
       for (int e = 0; e < 3; ++e) {
         const std::int32_t g = facet.neighbour[e];
         if (group_[g] >= 0) continue;
-        const std::array<std::int32_t, 3>& v = facet_[g].vertex;
-        if (dot(n, point_[v[0]]) == offset_[seed] && dot(n, point_[v[1]]) == offset_[seed] &&
-            dot(n, point_[v[2]]) == offset_[seed]) {
+        const auto& [a, b, c] = facet_[g].vertex;
+        // Two of the three are on the plane; the sum wraps around, the third one's distance does not.
+        if (height(point_[a]) + height(point_[b]) + height(point_[c]) == 0) {
           group_[g] = id;
           stack_.push_back(g);
         }

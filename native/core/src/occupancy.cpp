@@ -15,9 +15,9 @@ std::size_t hash_column(std::int32_t x, std::int32_t y) {
 
 // Lines per axis of a box that is `extent` voxels long.
 int lines(std::int32_t extent) {
-  if (extent <= 8) return 4 * extent;
-  if (extent <= 16) return 2 * extent;
-  return std::min(extent, 48);
+  if (extent <= 3) return 4 * extent;
+  if (extent <= 8) return 2 * extent;
+  return std::min(extent, 24);
 }
 
 }  // namespace
@@ -165,22 +165,30 @@ double ExcessMeter::measure(const LatticeBox& box, bool is_box) {
   const int nx = lines(ex), ny = lines(ey);
   const double step_x = static_cast<double>(ex) / nx, step_y = static_cast<double>(ey) / ny;
   y_.resize(static_cast<std::size_t>(ny)), low_.resize(y_.size()), high_.resize(y_.size());
+  column_.resize(y_.size());
   for (int j = 0; j < ny; ++j) y_[static_cast<std::size_t>(j)] = (j + 0.5) * step_y;
   double total = 0;
+  std::int32_t known_x = INT32_MIN;
   for (int i = 0; i < nx; ++i) {
     const double x = (i + 0.5) * step_x;
     const std::int32_t column_x = box.lower[0] + static_cast<std::int32_t>(x);
+    if (column_x != known_x) {
+      known_x = column_x;
+      std::int32_t known_y = INT32_MIN;
+      for (std::size_t j = 0; j < y_.size(); ++j) {
+        const std::int32_t column_y = box.lower[1] + static_cast<std::int32_t>(y_[j]);
+        column_[j] = column_y == known_y ? column_[j - 1] : occupancy_->find(column_x, column_y);
+        known_y = column_y;
+      }
+    }
     bounds_.row(x, y_, low_.data(), high_.data());
-    const Occupancy::Column* column = nullptr;
-    std::int32_t column_y = INT32_MIN;
     double sum = 0;
     for (std::size_t j = 0; j < y_.size(); ++j) {
       if (high_[j] <= low_[j]) continue;
-      const std::int32_t at = box.lower[1] + static_cast<std::int32_t>(y_[j]);
-      if (at != column_y) column = occupancy_->find(column_x, at), column_y = at;
       sum += high_[j] - low_[j];
-      if (column != nullptr)
-        sum -= occupancy_->filled(*column, box.lower[2] + high_[j]) - occupancy_->filled(*column, box.lower[2] + low_[j]);
+      if (column_[j] != nullptr)
+        sum -= occupancy_->filled(*column_[j], box.lower[2] + high_[j]) -
+               occupancy_->filled(*column_[j], box.lower[2] + low_[j]);
     }
     total += sum;
   }

@@ -79,7 +79,6 @@ class HullBuilder {
   void start();
   void insert(std::int32_t p);
   void group_facets();
-  bool is_above(std::int32_t facet, const Point& p) const;
 
   LatticeBox box_{};
   std::vector<Point> point_;

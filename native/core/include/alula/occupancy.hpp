@@ -85,8 +85,7 @@ class ZBounds {
 };
 
 // Measures W = Vol(polytope \ occupied) [voxels], by exact z-intervals over a midpoint grid of the
-// bounding box: 4 x 4 lines per voxel column for small boxes, at most 48 x 48 lines in all for
-// large ones. Boxes are counted exactly; any other polytope measures zero only when its bounding box
+// bounding box, per axis four lines per voxel up to 3 voxels, two up to 8, then one, at most 24. Boxes are counted exactly; any other polytope measures zero only when its bounding box
 // is full, and at least kLeast otherwise, so that W = 0 always means no excess. It ranks merges and
 // decides nothing else. One per thread.
 class ExcessMeter {
@@ -103,6 +102,7 @@ class ExcessMeter {
   const Occupancy* occupancy_;
   ZBounds bounds_;
   std::vector<double> y_, low_, high_;
+  std::vector<const Occupancy::Column*> column_;
 };
 
 }  // namespace alula

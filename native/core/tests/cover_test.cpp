@@ -1,0 +1,68 @@
+// Covers built by merge() pass check_hulls(), at the ends of the exact range too.
+#include "alula/cover_check.hpp"
+#include "alula/merge.hpp"
+#include "check.hpp"
+
+namespace {
+
+using namespace alula;
+
+struct Arrays {
+  std::vector<std::int32_t> vertex, member;
+  std::vector<std::int64_t> normal, offset, vertex_start{0}, plane_start{0}, member_start{0};
+
+  Arrays(const Occupancy& occupancy, const Cover& cover) {
+    for (std::size_t h = 0; h < cover.hull.size(); ++h) {
+      for (const Lattice& v : cover.hull[h].vertex) vertex.insert(vertex.end(), v.begin(), v.end());
+      for (const LatticePlane& p : cover.hull[h].plane) {
+        normal.insert(normal.end(), p.normal.begin(), p.normal.end());
+        offset.push_back(p.offset);
+      }
+      for (const std::uint32_t m : cover.members[h])
+        member.insert(member.end(), occupancy.voxels()[m].begin(), occupancy.voxels()[m].end());
+      vertex_start.push_back(static_cast<std::int64_t>(vertex.size() / 3));
+      plane_start.push_back(static_cast<std::int64_t>(offset.size()));
+      member_start.push_back(static_cast<std::int64_t>(member.size() / 3));
+    }
+  }
+  CoverView view() const { return {vertex, vertex_start, normal, offset, plane_start, member, member_start}; }
+};
+
+void check_cover(const std::vector<Lattice>& voxels, std::size_t hulls, MergeRule rule) {
+  Control control;
+  const Occupancy occupancy(voxels);
+  MergeOptions options;
+  options.rule = rule;
+  options.max_hulls = hulls;
+  Cover cover = merge(occupancy, subcover(occupancy, 1, 2, control), options, 2, control);
+  CHECK(cover.within_budget);
+  CHECK(cover.hull.size() <= hulls);
+  for (const bool tighten : {false, true}) {
+    if (tighten) retighten(occupancy, cover, 0, control);
+    sort_hulls(cover);
+    const Arrays arrays(occupancy, cover);
+    CHECK(check_hulls(arrays.view(), 2, control).empty());
+    const auto flat = std::span(reinterpret_cast<const std::int32_t*>(voxels.data()), 3 * voxels.size());
+    CHECK(check_occupied(arrays.member, arrays.member_start, flat).empty());
+    CHECK(union_excess(occupancy, cover.hull, 1, control).excess == union_excess(occupancy, cover.hull, 3, control).excess);
+  }
+}
+
+}  // namespace
+
+int main() {
+  std::vector<Lattice> scattered;
+  std::uint32_t state = 1;
+  for (std::int32_t x = 0; x < 12; ++x)
+    for (std::int32_t y = 0; y < 12; ++y)
+      for (std::int32_t z = -6; z < 6; ++z) {
+        state = state * 1664525u + 1013904223u;
+        if (state >> 29 == 0) scattered.push_back({x, y, z});
+      }
+  const std::vector<Lattice> far{{-(1 << 19), 5, 5}, {0, -(1 << 19), 0}, {7, 0, (1 << 19) - 1}, {(1 << 19) - 1, 0, 0}};
+  for (const MergeRule rule : {MergeRule::kPaper, MergeRule::kIncrease}) {
+    for (const std::size_t hulls : {1u, 5u, 30u, 1000u}) check_cover(scattered, hulls, rule);
+    for (const std::size_t hulls : {1u, 2u, 4u}) check_cover(far, hulls, rule);
+  }
+  return alula_failures != 0;
+}
