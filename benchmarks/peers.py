@@ -90,7 +90,7 @@ def voxel_keys(index: NDArray[Any]) -> NDArray[np.int64]:
 class NumpyFilter:
     """The filter `polytope-cbf`, sound smoothing, in double precision; see native/onboard.
 
-    The obstacles are a few units in the last place larger on board (`slack_m`), so answers differ by about as much.
+    On board the obstacles are larger by the rounding to single precision, so answers differ by about that.
     """
 
     def __init__(
