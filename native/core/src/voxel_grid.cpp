@@ -28,11 +28,6 @@ std::uint64_t hash_of(const Index3& b) {
   return mixed((word(b[0]) | word(b[1]) << 32) ^ (word(b[2]) * 0x9e3779b97f4a7c15u));
 }
 
-// std::array compares by a library call.
-bool same(const Index3& a, const Index3& b) {
-  return ((a[0] ^ b[0]) | (a[1] ^ b[1]) | (a[2] ^ b[2])) == 0;
-}
-
 }  // namespace
 
 CropRange crop_range(const std::optional<Box6>& crop, double g) {
@@ -83,7 +78,7 @@ Block clipped_block(const std::array<double, 3>& lower, const std::array<double,
 std::size_t BrickMap::place(const Index3& brick) const {
   const std::size_t mask = slots_.size() - 1;
   std::size_t at = hash_of(brick) & mask;
-  while (slots_[at].number != kNone && !same(slots_[at].brick, brick)) at = (at + 1) & mask;
+  while (slots_[at].number != kNone && slots_[at].brick != brick) at = (at + 1) & mask;
   return at;
 }
 
@@ -156,7 +151,7 @@ struct OverlapGrid::Shard {
       for (std::int32_t z = run.first; z <= run.last;) {
         const std::int32_t stop = std::min(run.last, z | (kZ - 1));
         const Index3 key{run.x >> kShiftXY, run.y >> kShiftXY, z >> kShiftZ};
-        if (last == nullptr || !same(key, at)) last = &brick_at(key), at = key;
+        if (last == nullptr || key != at) last = &brick_at(key), at = key;
         std::uint32_t* counts = last->data() + column;
         for (std::int32_t i = z & (kZ - 1), end = stop & (kZ - 1); i <= end; ++i) fresh += counts[i]++ == 0;
         z = stop + 1;
@@ -180,13 +175,12 @@ OverlapGrid::~OverlapGrid() = default;
 
 void OverlapGrid::Writer::add(const Run& run) {
   constexpr std::size_t full = 256;
-  const Index3 key{run.x >> Shard::kShiftXY, run.y >> Shard::kShiftXY, 0};
-  if (!same(key, last_)) last_ = key, shard_ = hash_of(key) >> 58;
-  std::vector<Run>& runs = pending_[shard_];
+  const std::size_t s = hash_of({run.x >> Shard::kShiftXY, run.y >> Shard::kShiftXY, 0}) >> 58;
+  std::vector<Run>& runs = pending_[s];
   if (runs.empty()) runs.reserve(full);
   runs.push_back(run);
   if (runs.size() == full) {
-    grid_.shards_[shard_]->apply(runs);
+    grid_.shards_[s]->apply(runs);
     runs.clear();
   }
 }
@@ -255,7 +249,7 @@ VoxelSet::VoxelSet(std::span<const std::int32_t> index) {
   Bits* last = nullptr;
   for (std::size_t i = 0; i + 2 < index.size(); i += 3) {
     const Index3 key{index[i] >> 3, index[i + 1] >> 3, index[i + 2] >> 3};
-    if (last == nullptr || !same(key, at)) {
+    if (last == nullptr || key != at) {
       const std::uint32_t number = map_.insert(key);
       if (number == bits_.size()) bits_.push_back({});
       last = &bits_[number];

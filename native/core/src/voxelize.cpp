@@ -98,27 +98,24 @@ double height(const Side& x_side, const Cut& x, const Span& x_span, const Side& 
 
 class Marker {
  public:
-  Marker(OverlapGrid& grid, double g, const CropRange& crop, bool is_cropped)
-      : writer_(grid), g_(g), crop_(crop), is_cropped_(is_cropped) {}
+  Marker(OverlapGrid& grid, double g, const CropRange& crop) : writer_(grid), g_(g), crop_(crop) {}
 
   // Adds the voxels of one ellipsoid within the crop.
   void mark(const Ellipsoid& e) {
     const double pad = kPad * e.extent(g_);
     Vec3 lower, upper;
+    bool whole = true;
     for (std::size_t a = 0; a < 3; ++a) {
       lower[a] = e.centre[a] - e.half[a] - pad;
       upper[a] = e.centre[a] + e.half[a] + pad;
+      whole &= std::floor(lower[a] / g_) >= crop_.lower[a] && std::floor(upper[a] / g_) <= crop_.upper[a];
     }
     const Block block = clipped_block(lower, upper, g_, crop_);
     if (block.empty()) {
       ++outside;
       return;
     }
-    bool whole = true;
-    for (std::size_t a = 0; is_cropped_ && a < 3; ++a)
-      whole &= std::floor(lower[a] / g_) >= crop_.lower[a] && std::floor(upper[a] / g_) <= crop_.upper[a];
-    // The block has all voxels that it touches.
-    if (whole && volume(block) > double(OverlapGrid::kMaxVoxels)) check_voxel_budget(e.least_voxels(g_));
+    if (whole) check_voxel_budget(e.least_voxels(g_));
     const std::size_t marked = columns(e, block, pad);
     outside += marked == 0;
     cut += marked != 0 && !whole;
@@ -158,16 +155,10 @@ class Marker {
     return marked;
   }
 
-  static double volume(const Block& block) {
-    double product = 1;
-    for (std::size_t a = 0; a < 3; ++a) product *= double(block.upper[a]) - block.lower[a] + 1;
-    return product;
-  }
-
   // Whether nothing was cropped away beside the only column.
   bool within_column(const Ellipsoid& e, const Block& block, double pad) const {
     bool within = true;
-    for (std::size_t a = 0; is_cropped_ && a < 2; ++a)
+    for (std::size_t a = 0; a < 2; ++a)
       within &= std::floor((e.centre[a] - e.half[a] - pad) / g_) == block.lower[a] &&
                 std::floor((e.centre[a] + e.half[a] + pad) / g_) == block.upper[a];
     return within;
@@ -176,7 +167,6 @@ class Marker {
   OverlapGrid::Writer writer_;
   double g_;
   CropRange crop_;
-  bool is_cropped_;
   Edges x_, y_;
 };
 
@@ -189,7 +179,7 @@ Voxelized voxelize(const Splats& splats, const Level& level, double voxel_size, 
   OverlapGrid grid;
   std::atomic<std::size_t> outside{0}, cut{0};
   parallel_chunks(splats.size(), 1024, jobs, control, [&](std::size_t begin, std::size_t end) {
-    Marker marker(grid, voxel_size, range, crop.has_value());
+    Marker marker(grid, voxel_size, range);
     for (std::size_t i = begin; i < end; ++i) marker.mark(outer_ellipsoid(splats, i, level));
     marker.finish();
     outside += marker.outside;

@@ -91,8 +91,6 @@ class OverlapGrid {
    private:
     OverlapGrid& grid_;
     std::array<std::vector<Run>, 64> pending_;
-    Index3 last_{0, 0, 1};  // column of bricks of the last run, of no run at first
-    std::size_t shard_ = 0;
   };
 
   explicit OverlapGrid(std::size_t max_voxels = kMaxVoxels, std::size_t max_bricks = kMaxBricks);
