@@ -66,6 +66,8 @@ def main(arguments: list[str] | None = None) -> None:
     from alula.cli.interruption import Interruption
     from alula.schemas import atomic
 
+    # One thread: the sums of linear algebra must not depend on the machine, and idle ones cost.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     interruption = Interruption()
     interruption.install()
     atomic.appearing = interruption.appearing
