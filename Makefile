@@ -57,7 +57,8 @@ test-native: setup ## build the native tests with sanitizers and run them
 
 wheel: setup ## build the wheel and the sdist into dist/
 	rm -rf dist
-	$(BIN)/python -m build -q --no-isolation --outdir dist .
+	ALULA_COMMIT=$$(git describe --always --dirty --abbrev=12 --exclude='*' 2>/dev/null || true) \
+	  $(BIN)/python -m build -q --no-isolation --outdir dist .
 	@ls -l dist
 
 test-wheel: wheel ## run the tests against the built wheel in an environment of its own

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
-import signal
 import sys
-from types import FrameType
 from typing import Any
 
 import click
@@ -65,8 +63,17 @@ def cli() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the documented code."""
-    signal.signal(signal.SIGTERM, _interrupt)
-    sys.exit(run(arguments))
+    from alula.cli.interruption import Interruption
+    from alula.schemas import atomic
+
+    # One thread: the sums of linear algebra must not depend on the machine, and idle ones cost.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    interruption = Interruption()
+    interruption.install()
+    atomic.appearing = interruption.appearing
+    code = run(arguments)
+    interruption.ignore()
+    sys.exit(code)
 
 
 def run(arguments: list[str] | None = None) -> int:
@@ -104,10 +111,6 @@ def _fail(message: str, code: ExitCode, words: list[str]) -> int:
     line = " ".join(message.split())
     click.echo(f"alula: {line}", err=True)
     return code
-
-
-def _interrupt(signum: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-
-import click
+from typing import Any
 
 from alula.cli.main import COMMANDS, cli
 
@@ -16,14 +15,17 @@ Made from the parsers by `make docs`; do not edit.
 """
 
 
+WIDTH: dict[str, Any] = {"terminal_width": 100, "max_content_width": 100}
+
+
 def reference() -> str:
     """The help of every command, as Markdown."""
-    top = click.Context(cli, info_name="alula", max_content_width=100, terminal_width=100)
+    top = cli.make_context("alula", [], resilient_parsing=True, **WIDTH)
     parts = [HEADER + f"```\n{cli.get_help(top)}\n```\n"]
     for name in COMMANDS:
         command = cli.get_command(top, name)
         assert command is not None
-        context = click.Context(command, top, info_name=name, max_content_width=100, terminal_width=100)
+        context = command.make_context(name, [], top, resilient_parsing=True, **WIDTH)
         parts.append(f"## alula {name}\n\n```\n{command.get_help(context)}\n```\n")
     return "\n".join(parts)
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+import secrets
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from alula.schemas.errors import OutputError
+
+# Entered around the moment when an output appears; the command line holds interruptions back there.
+appearing: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
 @contextmanager
@@ -22,21 +25,19 @@ def atomic_output(path: Path) -> Iterator[BinaryIO]:
     Raises:
         OutputError: the file cannot be made, written or renamed.
     """
-    temporary: Path | None = None
+    # The name is known before the file exists, so that no interruption can come in between.
+    temporary: Path | None = path.parent / f".{path.name}.{secrets.token_hex(6)}.tmp"
     try:
         if path.is_dir():
             raise OutputError(f"{path}: is a folder, not a file to write")
-        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-        temporary = Path(name)
-        with os.fdopen(descriptor, "w+b") as file:
+        assert temporary is not None
+        with temporary.open("x+b") as file:
             yield file
             file.flush()
-            umask = os.umask(0)
-            os.umask(umask)
-            os.fchmod(file.fileno(), 0o666 & ~umask)
             os.fsync(file.fileno())
-        temporary.replace(path)
-        temporary = None
+        with appearing():
+            temporary.replace(path)
+            temporary = None
         _sync_folder(path.parent)
     except OSError as error:
         raise OutputError(f"{path}: cannot write: {error.strerror or error}") from error

@@ -166,8 +166,8 @@ def producer() -> Producer:
     A wheel carries its commit. In a checkout git is asked; 'unknown' when neither can say.
     """
     commit = native_commit()
-    if not commit:
-        root = Path(__file__).resolve().parents[1]
+    root = Path(__file__).resolve().parents[1]
+    if not commit and (root / ".git").exists():  # never that of a repository around an installation
         try:
             done = subprocess.run(
                 ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],

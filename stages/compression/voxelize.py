@@ -89,7 +89,8 @@ def voxelize(
         raise InfeasibleError(
             f"no voxel is touched by {config.min_overlap} Gaussians; the most is {int(overlap.max())}"
         )
-    index, overlap = index[kept], overlap[kept]
+    if not kept.all():
+        index, overlap = index[kept], overlap[kept]
     dropped = touched - len(index)
     left_out = {
         "removed_from_splat": dict(manifest.source.get("removed", {})),

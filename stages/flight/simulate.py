@@ -331,7 +331,7 @@ def _guarantee(
         head = "UNSAFE: the smoothing as printed may exceed the true barrier and steps are not checked."
     else:
         head = f"What the filter {config.filter!r} guarantees is its own claim."
-    found = f"{hits} of {len(trials)} flights came closer to a hull than the radius" if hits else "none did"
+    found = f"{hits or 'none'} of {len(trials)} flights came closer to a hull than the radius"
     body = (
         f"Judged afterwards over the continuous path against the cover's hulls: {found}. This holds for a "
         "velocity-controlled point with exact state, and for the real scene only as far as the cover does."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -50,23 +51,23 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     wanted = {"min_opacity"}
     nan = np.isnan(splats.opacity)
     for values in (splats.mean, splats.scale, splats.quat_wxyz):
-        nan |= np.isnan(values).any(axis=1)
+        nan |= _any(np.isnan(values))
     remove("not_a_number", nan)
-    remove("infinite_mean", np.isinf(splats.mean).any(axis=1))
-    remove("infinite_scale", np.isinf(splats.scale).any(axis=1))
+    remove("infinite_mean", _any(np.isinf(splats.mean)))
+    remove("infinite_scale", _any(np.isinf(splats.scale)))
     remove("infinite_rotation", np.isinf(norm))
     remove("zero_rotation", norm == 0)
     remove("min_opacity", splats.opacity < config.min_opacity)
     if config.crop is not None:
         wanted.add("crop")
         lower, upper = np.array(config.crop[:3]), np.array(config.crop[3:])
-        remove("crop", ~((splats.mean >= lower) & (splats.mean <= upper)).all(axis=1))
+        remove("crop", _any(~((splats.mean >= lower) & (splats.mean <= upper))))
     if config.max_scale is not None:
         wanted.add("max_scale")
-        remove("max_scale", splats.scale.max(axis=1) > config.max_scale)
+        remove("max_scale", _any(splats.scale > config.max_scale))
     _check_some_left(keep, removed)
 
-    scale_floored = int((splats.scale[keep] < SCALE_FLOOR).any(axis=1).sum())
+    scale_floored = int(_any(splats.scale[keep] < SCALE_FLOOR).sum())
     quat = (splats.quat_wxyz[keep] / norm[keep, None]).astype(np.float32)
     rules: dict[str, Any] = {}
     if config.drop_floaters:
@@ -91,10 +92,10 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     }
     kept = int(keep.sum())
     bounds = {
-        "lower": arrays["mean"].min(axis=0).tolist(),
-        "upper": arrays["mean"].max(axis=0).tolist(),
+        "lower": [float(column.min()) for column in arrays["mean"].T],
+        "upper": [float(column.max()) for column in arrays["mean"].T],
     }
-    longest = arrays["scale"].max(axis=1)
+    longest = reduce(np.maximum, arrays["scale"].T)
     summary = {
         "gaussians": kept,
         "rows": len(splats),
@@ -132,6 +133,12 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
             "notes": list(splats.notes),
         },
     )
+
+
+def _any(rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """`any(axis=1)` by columns: many times faster where rows are short."""
+    found: NDArray[np.bool_] = reduce(np.logical_or, rows.T)
+    return found
 
 
 def _guarantee(config: ImportSplatConfig, removed: dict[str, int], splats: Splats) -> Guarantee:

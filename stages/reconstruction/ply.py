@@ -14,7 +14,7 @@ from alula.schemas.provenance import MARK
 from alula.stages.reconstruction.ply_header import HEADER_LIMIT, Element, Header, parse_header
 from alula.stages.reconstruction.splats import Progress, Splats, color_from_sh0, sh0_from_color
 
-_CHUNK = 2**17
+_CHUNK = 2**13  # rows of up to 248 bytes: a chunk stays in the cache while its columns are taken
 _ASCII_CHUNK = 2**13
 _POSITION = ("x", "y", "z")
 _SCALE = ("scale_0", "scale_1", "scale_2")

@@ -236,17 +236,29 @@ def test_a_full_disk_leaves_nothing(name, here, tmp_path_factory):
     expect(3, done.returncode, before, here, done.stderr)
 
 
+TELL_WHEN_READY = """
+import sys
+from alula.cli.interruption import Interruption
+from alula.cli.main import main
+
+install = Interruption.install
+
+def install_and_tell(self):
+    install(self)
+    print("ready", flush=True)
+
+Interruption.install = install_and_tell
+main(sys.argv[1:])
+"""
+
+
 @pytest.mark.parametrize("name", WRITERS)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_command_leaves_nothing(name, number, here):
     before = names(here)
-    code = (
-        "import sys, signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "from alula.cli.main import main; print('ready', flush=True); main(sys.argv[1:])"
-    )
     for delay in (0.0, 0.1, 0.3):
         process = subprocess.Popen(
-            [sys.executable, "-P", "-c", code, *words_of(WRITERS[name])],
+            [sys.executable, "-P", "-c", TELL_WHEN_READY, *words_of(WRITERS[name]), "-q"],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

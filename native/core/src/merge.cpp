@@ -1,6 +1,7 @@
 #include "alula/merge.hpp"
 
 #include <algorithm>
+#include <array>
 #include <optional>
 #include <queue>
 
@@ -120,12 +121,19 @@ class Merger {
     return 0;
   }
 
-  // Builds the hull of a pair; returns its weight.
-  double evaluate(std::uint32_t left, std::uint32_t right) {
+  // Builds the hull of a pair, unless it is there already; numbers of elements are never used again.
+  void build(std::uint32_t left, std::uint32_t right) {
+    const std::array pair{left, right};
+    if (built_ == pair) return;
     point_.clear();
-    for (const std::uint32_t e : {left, right})
+    for (const std::uint32_t e : pair)
       point_.insert(point_.end(), element_[e].hull.vertex.begin(), element_[e].hull.vertex.end());
     hull_.build(point_);
+    built_ = pair;
+  }
+
+  double evaluate(std::uint32_t left, std::uint32_t right) {
+    build(left, right);
     return std::max({excess_(hull_), weight_of(left, right), element_[left].weight, element_[right].weight});
   }
 
@@ -215,7 +223,7 @@ class Merger {
   void join(const Merge& pair) {
     const auto [left, right, weight] = pair;
     const std::uint32_t made = static_cast<std::uint32_t>(element_.size());
-    evaluate(left, right);
+    build(left, right);
     Element merged;
     merged.hull = hull_.polytope();
     merged.weight = weight;
@@ -286,6 +294,7 @@ class Merger {
   std::priority_queue<Gap> gaps_;
   BoxTree tree_;
   HullBuilder hull_;
+  std::array<std::uint32_t, 2> built_{0, 0};  // the pair that hull_ is of; none at first
   ExcessMeter excess_;
   std::vector<Lattice> point_;
   std::vector<std::uint32_t> touching_;

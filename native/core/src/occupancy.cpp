@@ -13,6 +13,8 @@ std::size_t hash_column(std::int32_t x, std::int32_t y) {
   return static_cast<std::size_t>((key * 0x9E3779B97F4A7C15u) >> 20);
 }
 
+const Occupancy::Column kUnknown{};  // stands for a column that was not looked up yet
+
 // Lines per axis of a box that is `extent` voxels long.
 int lines(std::int32_t extent) {
   if (extent <= 3) return 4 * extent;
@@ -174,18 +176,21 @@ double ExcessMeter::measure(const LatticeBox& box, bool is_box) {
     const std::int32_t column_x = box.lower[0] + static_cast<std::int32_t>(x);
     if (column_x != known_x) {
       known_x = column_x;
-      std::int32_t known_y = INT32_MIN;
-      for (std::size_t j = 0; j < y_.size(); ++j) {
-        const std::int32_t column_y = box.lower[1] + static_cast<std::int32_t>(y_[j]);
-        column_[j] = column_y == known_y ? column_[j - 1] : occupancy_->find(column_x, column_y);
-        known_y = column_y;
-      }
+      std::fill(column_.begin(), column_.end(), &kUnknown);
     }
     bounds_.row(x, y_, low_.data(), high_.data());
     double sum = 0;
+    std::int32_t known_y = INT32_MIN;
+    const Occupancy::Column* column = nullptr;
     for (std::size_t j = 0; j < y_.size(); ++j) {
       if (high_[j] <= low_[j]) continue;
       sum += high_[j] - low_[j];
+      if (column_[j] == &kUnknown) {  // looked up only where the polytope is
+        const std::int32_t column_y = box.lower[1] + static_cast<std::int32_t>(y_[j]);
+        column_[j] = column_y == known_y ? column : occupancy_->find(column_x, column_y);
+        known_y = column_y;
+        column = column_[j];
+      }
       if (column_[j] != nullptr)
         sum -= occupancy_->filled(*column_[j], box.lower[2] + high_[j]) -
                occupancy_->filled(*column_[j], box.lower[2] + low_[j]);

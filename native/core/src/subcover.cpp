@@ -1,6 +1,7 @@
 #include "alula/subcover.hpp"
 
 #include <algorithm>
+#include <array>
 #include <queue>
 
 #include "alula/parallel.hpp"
@@ -91,20 +92,63 @@ struct Candidate {
   }
 };
 
+// The runs of voxel numbers in each voxel's neighbourhood; stored for the common block of 1, where
+// they are at most nine, because the greedy cover asks for each many times.
+class Neighbourhoods {
+ public:
+  Neighbourhoods(const Occupancy& occupancy, int block, unsigned jobs, Control& control)
+      : occupancy_(occupancy), block_(block) {
+    if (block != 1) return;
+    runs_.resize(occupancy.size());
+    parallel_chunks(runs_.size(), 4096, jobs, control, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t v = begin; v < end; ++v) {
+        Runs& runs = runs_[v];
+        for_runs(occupancy, static_cast<std::uint32_t>(v), 1, [&](std::uint32_t first, std::uint32_t last, int, int) {
+          runs.first[runs.count] = first;
+          runs.length[runs.count++] = static_cast<std::uint8_t>(last - first);
+        });
+      }
+    });
+  }
+
+  // Calls visit(number) for the voxels around one, itself among them.
+  template <class Visit>
+  void each(std::uint32_t voxel, Visit&& visit) const {
+    if (block_ == 1) {
+      const Runs& runs = runs_[voxel];
+      for (std::size_t i = 0; i < runs.count; ++i)
+        for (std::uint32_t u = runs.first[i]; u < runs.first[i] + runs.length[i]; ++u) visit(u);
+    } else {
+      for_runs(occupancy_, voxel, block_, [&](std::uint32_t first, std::uint32_t last, int, int) {
+        for (std::uint32_t u = first; u < last; ++u) visit(u);
+      });
+    }
+  }
+
+ private:
+  struct Runs {
+    std::array<std::uint32_t, 9> first;
+    std::array<std::uint8_t, 9> length;
+    std::uint8_t count = 0;
+  };
+  const Occupancy& occupancy_;
+  int block_;
+  std::vector<Runs> runs_;
+};
+
 }  // namespace
 
 VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control& control) {
   const std::vector<double> weight = cluster_weights(occupancy, block, jobs, control);
   std::vector<std::uint8_t> covered(occupancy.size(), 0);
+  InterruptOnly quiet(control);
+  const Neighbourhoods around(occupancy, block, jobs, quiet);
   auto candidate = [&](std::uint32_t v) {
     std::uint32_t fresh = 0;
-    for_runs(occupancy, v, block, [&](std::uint32_t first, std::uint32_t last, int, int) {
-      for (std::uint32_t u = first; u < last; ++u) fresh += covered[u] == 0;
-    });
+    around.each(v, [&](std::uint32_t u) { fresh += covered[u] == 0; });
     return Candidate{fresh == 0 ? 0 : weight[v] / fresh, fresh, v};
   };
   std::vector<Candidate> all(occupancy.size());
-  InterruptOnly quiet(control);
   parallel_chunks(all.size(), 4096, jobs, quiet, [&](std::size_t begin, std::size_t end) {
     for (std::size_t v = begin; v < end; ++v) all[v] = candidate(static_cast<std::uint32_t>(v));
   });
@@ -122,11 +166,9 @@ VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control
       queue.push(now);
       continue;
     }
-    for_runs(occupancy, now.voxel, block, [&](std::uint32_t first, std::uint32_t last, int, int) {
-      for (std::uint32_t u = first; u < last; ++u) {
-        result.member.push_back(u);
-        covered[u] = 1;
-      }
+    around.each(now.voxel, [&](std::uint32_t u) {
+      result.member.push_back(u);
+      covered[u] = 1;
     });
     result.close();
     left -= now.fresh;
