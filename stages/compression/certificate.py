@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
+from alula.schemas.errors import ArtifactError
 from alula.schemas.manifest import CoverManifest, SceneManifest, VoxelsManifest
 from alula.stages.compression.ellipsoids import lost_before, unproven_voxels
 
@@ -22,6 +23,7 @@ Progress = Callable[[int, int], None] | None
 # What each fault of native/core/include/alula/cover_check.hpp is about.
 _POLYTOPES = (0, 1, 2, 3, 4, 5, 6, 9)
 _MEMBERS = (7, 8)
+_NOT_SOLID = (0, 3, 4, 5)
 _VERTEX_FAULTS, _PLANE_FAULTS = (3, 6, 9), (1, 4, 5)
 _NOT_COVERED, _NOT_OCCUPIED = 10, 11
 _LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop")
@@ -130,6 +132,21 @@ def verify(
     )
 
 
+def require_solid_hulls(cover: Artifact, *, jobs: int = 0) -> None:
+    """Refuse a cover whose planes and vertices do not describe the same bounded polytopes.
+
+    Filters read the planes, planners and judges the vertices; each relies on this, and no more: that
+    the hulls hold all voxels is for `verify` to say.
+
+    Raises:
+        ArtifactError: naming the first hull and what is wrong with it.
+    """
+    found = _check_hulls(cover, jobs, None)
+    if len(wrong := found[np.isin(found[:, 0], _NOT_SOLID)]):
+        first = _offence(cover, wrong[0].tolist(), None)
+        raise ArtifactError(f"the cover is not sound: {first.text()}; make it again with merge")
+
+
 def _files_agree(cover: Artifact, voxels: Artifact | None, scene: Artifact | None) -> Check:
     """Lattice, level, frame and unit of the cover are those of the other files, and of its own claims."""
     mine = cover.manifest
@@ -164,13 +181,18 @@ def _unclaimed(manifest: CoverManifest | VoxelsManifest, what: str) -> list[Offe
     ]
 
 
-def _hull_checks(cover: Artifact, jobs: int, progress: Progress) -> list[Check]:
+def _check_hulls(cover: Artifact, jobs: int, progress: Progress) -> NDArray[np.int64]:
+    """Rows (fault, hull, row, other) of the native checker."""
     vertex, vertex_start, normal, offset, plane_start, member, member_start = (
         np.ascontiguousarray(cover[name]) for name in _GEOMETRY
     )
-    found = _core.check_cover_hulls(
+    return _core.check_cover_hulls(
         vertex, vertex_start, normal, offset, plane_start, member, member_start, jobs, progress
     )
+
+
+def _hull_checks(cover: Artifact, jobs: int, progress: Progress) -> list[Check]:
+    found = _check_hulls(cover, jobs, progress)
     hulls, members = len(cover["plane_start"]) - 1, len(cover["member_index"])
     exact = _fault_check(
         cover, "hulls are exact polytopes", hulls, found, _POLYTOPES, "planes are the facets of vertices"

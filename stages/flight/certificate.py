@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 
 METHOD = "separating planes of Bernstein control hulls, by subdivision"
 _DEPTH = 14  # of the subdivision of a piece
+_JOINED_M = 1e-6  # consecutive pieces meet up to this
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,8 @@ def certify(plan: Artifact, hulls: Hulls, radius_m: float, *, jobs: int = 0) -> 
     Each piece lies in the convex hull of its Bernstein control points; a sub-piece is clear of a
     hull when a plane separates its control points from the hull's vertices with a gap of at least
     the radius plus a bound on all rounding errors. Sub-pieces are halved until that decides. A
-    proof is never wrong; a curve within about 1e-9 m of the radius may stay unproven.
+    proof is never wrong; a curve within about 1e-9 m of the radius may stay unproven. A piece that
+    ends more than 1e-6 m from where the next begins is not proven.
 
     Args:
         plan: an `alula/plan`.
@@ -59,7 +61,7 @@ def certify(plan: Artifact, hulls: Hulls, radius_m: float, *, jobs: int = 0) -> 
         jobs: threads; the result does not depend on it.
 
     Raises:
-        InputError: the radius is not positive.
+        InputError: the radius is not positive, or the trajectory leaves all bounds.
     """
     return certify_curve(plan["time"], plan["coefficient"], hull_obstacles(hulls), radius_m, jobs=jobs)
 
@@ -83,7 +85,14 @@ def certify_curve(
     powers = np.diff(knots)[:, None] ** np.arange(DEGREE + 1)
     size = (np.abs(c) * powers[:, None, :]).sum(axis=2).max(axis=1) + reach
     points = np.ascontiguousarray(control_points(knots, c).transpose(0, 2, 1))
-    proven, clearance, pairs, depth = check_curves(
-        obstacles, points, 1e-12 + 2.0**-44 * size, radius_m, _DEPTH, jobs
+    slack = 1e-12 + 2.0**-44 * size
+    if not (np.isfinite(points).all() and np.isfinite(slack).all()):
+        raise InputError("the trajectory has no finite bounds in double precision")
+    proven, clearance, pairs, depth = check_curves(obstacles, points, slack, radius_m, _DEPTH, jobs)
+    # A jump between pieces is no part of any of them.
+    jump = (
+        np.abs(points[1:, 0] - points[:-1, -1]).max(axis=1, initial=0.0) > _JOINED_M + slack[1:] + slack[:-1]
     )
-    return Certificate(proven.astype(np.bool_), clearance, pairs, depth)
+    clear = proven.astype(np.bool_)
+    clear[:-1] &= ~jump
+    return Certificate(clear, clearance, pairs, depth)

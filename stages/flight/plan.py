@@ -15,6 +15,7 @@ from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import InfeasibleError
 from alula.schemas.kinds import PLAN
 from alula.schemas.manifest import Guarantee
+from alula.stages.compression.certificate import require_solid_hulls
 from alula.stages.compression.hulls import Hulls
 from alula.stages.flight.certificate import METHOD, Certificate, certify_curve
 from alula.stages.flight.path import Polyline, find_polyline
@@ -52,9 +53,11 @@ def plan(
         progress: called with (done, total) of the search.
 
     Raises:
+        ArtifactError: planes and vertices of the cover do not describe the same polytopes.
         InfeasibleError: a point is too close to a hull, or there is no path at this resolution.
         UsageError: the lattice would be too large.
     """
+    require_solid_hulls(cover, jobs=jobs)
     obstacles = hull_obstacles(Hulls.from_cover(cover))
     path = find_polyline(config, obstacles, jobs=jobs, progress=progress)
     waypoint, rest, time, coefficient, proof = _smooth(config, obstacles, path, jobs)
@@ -71,7 +74,7 @@ def plan(
             "coefficient": np.concatenate([coefficient, yaw], axis=1),
             "waypoint": np.column_stack([waypoint, np.full(len(waypoint), config.yaw_rad)]),
         },
-        frame="world",
+        frame=cover.manifest.frame,
         unit="m",
         parameters={},
         radius_m=config.radius_m,

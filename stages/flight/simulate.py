@@ -17,6 +17,7 @@ from alula.schemas.configs.simulate import DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S, 
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import TrialResult
+from alula.stages.compression.certificate import require_solid_hulls
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.polytope_cbf import NativeFilter
 from alula.stages.filtering.protocol import Filter, FilterStatus, World
@@ -117,6 +118,7 @@ def simulate(
         progress: called with (trials done, trials).
 
     Raises:
+        ArtifactError: planes and vertices of the cover do not describe the same polytopes.
         UsageError: the filter is unknown or a parameter has no meaning.
         InputError: scene or plan do not fit the cover.
         InfeasibleError: no clear start-goal pairs were found.
@@ -129,6 +131,7 @@ def simulate(
     assert config.trials is not None
     _check_fit(cover, "scene", scene)
     _check_fit(cover, "plan", plan)
+    require_solid_hulls(cover, jobs=jobs)
     hulls = Hulls.from_cover(cover)
     judge = _Judge(hulls, scene, float(cover.manifest.sigma), config.radius_m, jobs)  # type: ignore[attr-defined]
     reference = NO_REFERENCE if plan is None else sample_plan(plan, config.dt_s)

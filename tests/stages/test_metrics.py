@@ -140,6 +140,22 @@ def test_closed_forms_for_a_box():
     assert between([1e6, 0.5, 0.5], [1e6 + 1, 0.5, 0.5]) == 1e6 - 2
 
 
+@pytest.mark.parametrize("width", [2, 100_000])
+def test_beside_a_corner_no_clearance_exceeds_the_distance_to_it(width):
+    """Long or large hulls almost in contact, where the closest points are found least well."""
+    rng = np.random.default_rng(width)
+    most = 0.0
+    for _ in range(200):
+        cloud = np.column_stack([rng.integers(0, 100_000, 12), rng.integers(0, width, (12, 2))]) * 0.05
+        hulls = hulls_of([cloud])
+        corner = hulls.vertices_world[rng.integers(len(hulls.vertices_world))]
+        a = corner + rng.standard_normal(3) * 10.0 ** rng.uniform(-11, -3)
+        b = a + rng.standard_normal(3) * 10.0 ** rng.uniform(-11, -3)
+        found = clearance_to_hulls(np.array([a, b]), hulls)[0]
+        most = max(most, found - min(np.linalg.norm(a - corner), np.linalg.norm(b - corner)))
+    assert most <= 1e-11  # a few roundings of 5 km
+
+
 @given(st.integers(0, 2**32 - 1), st.floats(-9, -3))
 @settings(deadline=None, max_examples=60)
 def test_close_to_contact_the_sign_is_right_and_the_distance_accurate(seed, exponent):

@@ -1,5 +1,6 @@
 """Plans: always proven, within limits, refused with a reason; the proof against independent sampling."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from alula._core import SearchStatus, find_path
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.plan import PlanConfig
-from alula.schemas.errors import InfeasibleError, InputError, UsageError
+from alula.schemas.errors import ArtifactError, InfeasibleError, InputError, UsageError
 from alula.schemas.kinds import COVER, PLAN
 from alula.stages.compression.hulls import Hulls
 from alula.stages.flight.certificate import certify, certify_curve
@@ -313,3 +314,39 @@ def test_a_certificate_needs_a_radius():
     empty: Artifact = boxes_cover([])
     with pytest.raises(InputError, match="radius"):
         certify_curve([0, 1], np.zeros((1, 3, 8)), hull_obstacles(Hulls.from_cover(empty)), 0.0)
+
+
+def constant(position, end=1.0):
+    """A plan's arrays that rest at one point for one piece."""
+    coefficient = np.zeros((1, 4, 8))
+    coefficient[0, :3, 0] = position
+    return np.array([0.0, end]), coefficient
+
+
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning", "ignore:overflow:RuntimeWarning")
+@pytest.mark.parametrize("end", [1e45, 1e50])
+def test_a_curve_without_finite_bounds_is_not_proven(end):
+    """0 times an overflown power of time is no number, and compares as lying nowhere."""
+    obstacles = hull_obstacles(Hulls.from_cover(boxes_cover([[0, 0, 0, 4, 4, 4]])))
+    assert not certify_curve(*constant([0.2, 0.2, 0.2]), obstacles, 0.1).holds
+    with pytest.raises(InputError, match="no finite bounds"):
+        certify_curve(*constant([0.2, 0.2, 0.2], end), obstacles, 0.1)
+
+
+def test_a_jump_over_a_wall_is_not_proven():
+    obstacles = hull_obstacles(Hulls.from_cover(boxes_cover([[10, 0, 0, 12, 30, 30]])))
+    coefficient = np.concatenate([constant([x, 1.5, 1.5])[1] for x in (0.5, 2.0)])
+    found = certify_curve([0.0, 1.0, 2.0], coefficient, obstacles, 0.1)
+    assert found.proven.tolist() == [False, True]
+    coefficient[1, 0, 0] = 0.5 + 1e-9
+    assert certify_curve([0.0, 1.0, 2.0], coefficient, obstacles, 0.1).holds
+
+
+@pytest.mark.parametrize("spoil", ["vertex", "plane_offset", "plane_normal"])
+def test_a_cover_whose_planes_and_vertices_disagree_is_not_planned_in(spoil):
+    cover = boxes_cover(WALL_WITH_HOLE)
+    array = cover[spoil].copy()
+    array[5] += 3
+    bad = dataclasses.replace(cover, arrays={**cover.arrays, spoil: array})
+    with pytest.raises(ArtifactError, match=r"the cover is not sound: .*hull 0"):
+        plan(PlanConfig(start=(0.5, 1.5, 1.5), goal=(2.5, 1.5, 1.5)), bad)

@@ -271,6 +271,25 @@ def test_inside_it_drives_out_and_then_stays_out():
     assert x[0] >= 1.1
 
 
+@pytest.mark.parametrize("kappa", [1.0, 30.0, 100.0])
+def test_a_step_out_never_leads_deeper(kappa):
+    """Into this hull or another; the smooth gradient alone does, by centimetres."""
+    rng = np.random.default_rng(11)
+    steps = 0
+    for _ in range(40):
+        planes = polytopes(rng, 4, spread=0.6)
+        cbf = make(planes, kappa=kappa, dt_s=0.1, v_max=0.5)
+        for x in rng.uniform(-1, 1, (40, 3)):
+            u, status, *_ = cbf.filter(x.tolist(), [1.0, 0.0, 0.0])
+            if status != RECOVERING:
+                continue
+            steps += 1
+            along = x + np.linspace(0, 0.1, 20)[:, None] * np.array(u)
+            psi = reference(planes, along, kappa)[0]
+            assert psi.min() >= min(psi[0], 0.1) - 1e-4  # what rounding the map outward may cost at 20 m
+    assert steps > 300
+
+
 def test_where_no_direction_leads_out_it_refuses():
     assert make(boxes([-1, -1, -1], [1, 1, 1])).filter([0, 0, 0], [1, 0, 0])[:2] == ([0, 0, 0], REFUSED)
 

@@ -147,7 +147,7 @@ double signed_distance(const PolytopeView& polytope, Vec3 a, Vec3 b, double enou
   const double depth = minimum_of_maximum(value, slope);
   if (depth <= 0 || depth >= enough) return depth;
   const Vec3 ends[2] = {a, b};
-  return std::max(depth, hull_distance(ends, polytope.vertices, enough).upper);
+  return std::max(depth, hull_distance(ends, polytope.vertices, enough).lower);
 }
 
 }  // namespace alula::geometry

@@ -11,13 +11,14 @@
  * satisfies s <= psi everywhere; without the term log L_k (the printed form) it does not.
  * The filter returns the u nearest to u_nom with grad s . u >= -beta (s - r) and |u| <= v_max, and
  * then clips the step x + t u, 0 <= t <= dt, against every polytope grown by r (psi_k < r): what
- * is left of it keeps psi >= r at all times, not only at the samples. With v_max dt kappa above 1 the
+ * is left of it keeps psi >= r at all times, not only at the samples. Where psi < r already, the step
+ * out is clipped so that psi never becomes smaller than it is. With v_max dt kappa above 1 the
  * gradient turns within a step: still safe, but many steps are cut short near edges.
  *
  * Source: PolyMerge (arXiv 2606.16232), eq. 2, 3, 17; Molnar, CCTA 2025.
  * Frames and units: positions, planes and velocities in the map's frame; metres, seconds.
  * Cost: O(hulls) box tests, and O(planes) of the hulls near enough to matter; at worst each plane is
- * evaluated seven times, with two exponentials.
+ * evaluated twelve times, with two exponentials.
  */
 #ifndef ALULA_POLYTOPE_CBF_H
 #define ALULA_POLYTOPE_CBF_H

@@ -184,19 +184,19 @@ alula_status alula_polytope_cbf_evaluate(alula_polytope_cbf *cbf, const float x[
   return ALULA_READY;
 }
 
-/* The part of the step from x to end that provably keeps psi_k >= r for all k, in [0, 1].
+/* The part of the step from x to end that provably keeps psi_k >= least for all k, in [0, 1].
  *
  * Along the step each plane's value is linear, so hull k is entered between the last plane that
  * goes below the threshold and the first that comes back above it: the step is clear when that
  * interval is empty. The float values are at most the true ones at both ends, hence in between. */
-static float clear_fraction(const alula_polytope_cbf *cbf, const float x[3], const float end[3], float reach) {
+static float clear_fraction(const alula_polytope_cbf *cbf, const float x[3], const float end[3], float reach,
+                            float least) {
   const alula_polytope_map *map = &cbf->map;
-  const float radius = cbf->config.radius_m + map->slack_m;
   float fraction = 1.0F;
   for (uint32_t k = 0; k < map->hull_count; ++k) {
-    if (!cbf->config.brute_force && box_value(map, k, x) - reach > radius) continue;
+    if (!cbf->config.brute_force && box_value(map, k, x) - reach > least) continue;
     const float hard = hard_value(map, k, x);
-    const float threshold = hard < radius ? hard : radius; /* already closer: at least no closer */
+    const float threshold = hard < least ? hard : least; /* already closer: at least no closer */
     const uint32_t plane_end = map->plane_start[k + 1U];
     float enter = 0.0F, leave = 2.0F;
     int separated = 0;
@@ -278,15 +278,45 @@ static alula_filter_status project(const alula_polytope_cbf *cbf, const alula_po
   return ALULA_FILTER_FILTERED;
 }
 
+/* The part of the command u, held for dt from x, that keeps psi_k >= least for all k. */
+static float checked(const alula_polytope_cbf *cbf, const float x[3], const float u[3], float least) {
+  float end[3];
+  for (int i = 0; i < 3; ++i) end[i] = x[i] + u[i] * cbf->config.dt_s;
+  const float reach = __builtin_sqrtf(dot(u, u)) * cbf->config.dt_s * SPEED_ROUNDING + cbf->map.slack_m;
+  return clear_fraction(cbf, x, end, reach, least);
+}
+
 static alula_filter_status check_step(const alula_polytope_cbf *cbf, const float x[3], alula_filter_status status,
                                       alula_polytope_result *result) {
-  float end[3];
-  for (int i = 0; i < 3; ++i) end[i] = x[i] + result->u[i] * cbf->config.dt_s;
-  const float reach = __builtin_sqrtf(dot(result->u, result->u)) * cbf->config.dt_s * SPEED_ROUNDING + cbf->map.slack_m;
-  result->fraction = clear_fraction(cbf, x, end, reach);
+  result->fraction = checked(cbf, x, result->u, cbf->config.radius_m + cbf->map.slack_m);
   if (result->fraction >= 1.0F) return status;
   for (int i = 0; i < 3; ++i) result->u[i] *= result->fraction;
   return status == ALULA_FILTER_RECOVERING ? status : ALULA_FILTER_SHORTENED;
+}
+
+/* A step out must not lead deeper, into this hull or another. The gradient of s may: it is a mean of
+ * normals, near edges and for a small kappa of many. Then the normal of the plane that decides psi,
+ * along which psi_k grows, may allow more. */
+static void check_recovery(const alula_polytope_cbf *cbf, const float x[3], const alula_polytope_value *value,
+                           alula_polytope_result *result) {
+  const alula_polytope_map *map = &cbf->map;
+  result->fraction = checked(cbf, x, result->u, value->hard);
+  if (result->fraction < 1.0F) {
+    const float *nearest = map->plane + 4U * map->plane_start[value->nearest];
+    const float *const end = map->plane + 4U * map->plane_start[value->nearest + 1U];
+    for (const float *plane = nearest; plane < end; plane += 4) {
+      if (plane_value(plane, x) > plane_value(nearest, x)) nearest = plane;
+    }
+    const float speed = __builtin_sqrtf(dot(result->u, result->u));
+    const float straight[3] = {speed * nearest[0], speed * nearest[1], speed * nearest[2]};
+    const float fraction = checked(cbf, x, straight, value->hard);
+    if (fraction > result->fraction) {
+      result->fraction = fraction;
+      for (int i = 0; i < 3; ++i) result->u[i] = straight[i];
+    }
+  }
+  if (result->fraction >= 1.0F) return;
+  for (int i = 0; i < 3; ++i) result->u[i] *= result->fraction;
 }
 
 alula_filter_status alula_polytope_cbf_filter(alula_polytope_cbf *cbf, const float x[3], const float u_nom[3],
@@ -310,7 +340,11 @@ alula_filter_status alula_polytope_cbf_filter(alula_polytope_cbf *cbf, const flo
 
   const float row = -cbf->config.beta * result->margin_m;
   const int sound = cbf->config.smoothing == ALULA_SMOOTHING_SOUND;
-  if (sound && result->hard_margin_m < 0.0F) return recover(cbf, &value, row, result->u);
+  if (sound && result->hard_margin_m < 0.0F) {
+    const alula_filter_status out = recover(cbf, &value, row, result->u);
+    if (out == ALULA_FILTER_RECOVERING) check_recovery(cbf, x, &value, result);
+    return out;
+  }
   const int limited = limit_speed(result->u, cbf->config.v_max);
   alula_filter_status status = project(cbf, &value, row, result->u);
   if (status == ALULA_FILTER_OK && limited) status = ALULA_FILTER_FILTERED;

@@ -19,8 +19,9 @@ namespace alula {
 // everything at least that far away (infinity when there are no obstacles and no cap).
 //
 // Signs are exact for polytopes (decided by their planes). Errors are a few roundings of the
-// coordinates, except for polytopes closer than 1e-6 times their size, where they stay below 1e-9
-// times that size. All lengths in one unit and frame.
+// coordinates, except for polytopes closer than 1e-6 times their size: there the result is a gap
+// between separating planes that may be below the true distance, by less than 1e-7 times that size,
+// and is still not above it. All lengths in one unit and frame.
 
 // Convex polytopes, row-compressed: the planes n . x <= d with unit outward normals, and the vertices.
 class PolytopeSet {

@@ -34,7 +34,7 @@ struct PolytopeView {
 
 // Signed distance of the segment from a to b: the minimum over its points p of
 //   max_l (n_l . p - d_l)   when that is <= 0 for some p: the deepest penetration, negative;
-//   the Euclidean distance  otherwise.
+//   the Euclidean distance  otherwise, as the lower end of its bracket: never too much.
 // Once the exact value is known to be >= enough, some value >= enough is returned.
 // `scratch` only saves allocations.
 double signed_distance(const PolytopeView& polytope, Vec3 a, Vec3 b, double enough, std::vector<double>& scratch);
