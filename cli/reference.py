@@ -18,7 +18,10 @@ Made from the parsers by `make docs`; do not edit.
 
 def reference() -> str:
     """The help of every command, as Markdown."""
-    top = click.Context(cli, info_name="alula", max_content_width=100, terminal_width=100)
+    names = ["-h", "--help"]
+    top = click.Context(
+        cli, info_name="alula", max_content_width=100, terminal_width=100, help_option_names=names
+    )
     parts = [HEADER + f"```\n{cli.get_help(top)}\n```\n"]
     for name in COMMANDS:
         command = cli.get_command(top, name)
