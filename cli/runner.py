@@ -165,7 +165,7 @@ def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:
 
 @contextmanager
 def progress_bar(common: Common) -> Iterator[Progress]:
-    """A progress callback (done, total), total 0 if unknown; it draws on stderr if that is a terminal."""
+    """A progress callback (done, total), total 0 or 1 if unknown; it draws on stderr if that is a terminal."""
     if common.quiet or common.json or not sys.stderr.isatty():
         yield lambda done, total: None
         return
@@ -175,7 +175,7 @@ def progress_bar(common: Common) -> Iterator[Progress]:
     columns = (TextColumn(common.output.name), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
         task = bars.add_task("", total=None)
-        yield lambda done, total: bars.update(task, completed=done, total=total or None)
+        yield lambda done, total: bars.update(task, completed=done, total=total if total > 1 else None)
 
 
 def _make_escape(path: Path, special: str = " \t#:*?[") -> str:
