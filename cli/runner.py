@@ -165,7 +165,7 @@ def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:
 
 @contextmanager
 def progress_bar(common: Common) -> Iterator[Progress]:
-    """A progress callback (done, total), total 0 or 1 if unknown; it draws on stderr if that is a terminal."""
+    """A progress callback (done, total; up to 1: unknown), drawn on stderr when that is a terminal."""
     if common.quiet or common.json or not sys.stderr.isatty():
         yield lambda done, total: None
         return
