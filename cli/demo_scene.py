@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from alula.cli import options, runner
-from alula.cli.options import Common
+from alula.cli.options import PATH, Common
 from alula.schemas.configs.demo_scene import DemoSceneConfig
 
 EXAMPLES = """\b
@@ -18,7 +18,6 @@ Examples:
   alula demo-scene -o room.ply --colmap sparse --reference poses.csv --cameras cameras.csv"""
 
 SCHEMA = "alula/demo-scene"
-PATH = click.Path(path_type=Path)
 
 
 @click.command("demo-scene", epilog=EXAMPLES)
@@ -51,11 +50,17 @@ def command(
     from alula.stages.reconstruction.room import hoop_centres
     from alula.stages.reconstruction.splats import Splats
 
+    if common.output.suffix.lower() != ".ply":
+        raise UsageError(f"{common.output}: the output must end in .ply")
     sides = [path for path in (cameras, reference) if path is not None]
     if len({path.absolute() for path in (*sides, common.output)}) <= len(sides):
         raise UsageError("--output, --cameras and --reference must be different files")
     for path in sides:
         runner.check_output(path, {})
+    if colmap is not None and colmap.absolute() in {path.absolute() for path in (*sides, common.output)}:
+        raise UsageError(f"{colmap}: --colmap is a folder, which is also an output file")
+    if colmap is not None and colmap.exists() and not colmap.is_dir():
+        raise OutputError(f"{colmap}: is a file, but --colmap is a folder to write")
     walk = demo_cameras(config.images, common.seed)
 
     def missing() -> bool:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
+import json
 import os
 import sys
+from contextlib import suppress
 from typing import Any
 
 import click
 
 from alula import __version__
+from alula.cli.streams import ClosedPipeError, discard_stdout, open_streams, pipe
 from alula.schemas.errors import AlulaError, ExitCode
 
 # name: (module, first line of its help); a test holds the lines against the commands.
@@ -31,6 +35,33 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 class LazyGroup(click.Group):
     """A group whose commands are imported only when they run."""
+
+    def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
+        """Parse the options of the group itself, of which some print."""
+        with pipe():
+            return super().make_context(*args, **kwargs)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command."""
+        with pipe():
+            return super().invoke(ctx)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Without any word the help is the complaint."""
+        if not args and not ctx.resilient_parsing:
+            click.echo(ctx.get_help(), err=True)
+            ctx.exit(ExitCode.USAGE)
+        return super().parse_args(ctx, args)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find a command; name the one that was probably meant."""
+        if args[0] not in COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
+            near = difflib.get_close_matches(args[0], COMMANDS, 1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise click.UsageError(f"no command is called {args[0]!r}{hint}", ctx)
+        return super().resolve_command(ctx, args)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """All commands, in the order of the pipeline."""
@@ -71,45 +102,67 @@ def main(arguments: list[str] | None = None) -> None:
     interruption = Interruption()
     interruption.install()
     atomic.appearing = interruption.appearing
+    open_streams()
     code = run(arguments)
     interruption.ignore()
     sys.exit(code)
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run the command line; every error becomes one line on stderr and a code."""
+    """Run the command line; every error becomes one line on stderr and a code.
+
+    With --json, stdout holds one JSON object even then: `error` and `exit_code`, unless the command has
+    printed a result before it failed.
+    """
     words = sys.argv[1:] if arguments is None else arguments
+    answer: dict[str, bool] = {}
     try:
-        result: Any = cli.main(args=words, prog_name="alula", standalone_mode=False)
+        result: Any = cli.main(args=list(words), prog_name="alula", standalone_mode=False, obj=answer)
         sys.stdout.flush()
         return result if isinstance(result, int) else ExitCode.DONE
-    except AlulaError as error:
-        return _fail(str(error), error.exit_code, words)
-    except click.UsageError as error:
-        hint = f" (see 'alula {error.ctx.info_name} -h')" if error.ctx and error.ctx.parent else ""
-        return _fail(error.format_message() + hint, ExitCode.USAGE, words)
-    except click.ClickException as error:
-        return _fail(error.format_message(), ExitCode.USAGE, words)
-    except (KeyboardInterrupt, click.Abort):
-        return _fail("interrupted", ExitCode.INTERRUPTED, [])
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (ClosedPipeError, BrokenPipeError):
+        discard_stdout()
         return ExitCode.BROKEN_PIPE
-    except MemoryError:
-        return _fail("out of memory", ExitCode.INTERNAL, words)
+    except (KeyboardInterrupt, click.Abort):
+        return _fail("interrupted", ExitCode.INTERRUPTED, [], answered=False)
     except Exception as error:  # noqa: BLE001  the last resort: no traceback reaches a user unasked
-        return _fail(
-            f"internal error: {type(error).__name__}: {error} (-vv shows where)", ExitCode.INTERNAL, words
-        )
+        if isinstance(error, OSError):
+            discard_stdout()
+        return _fail(*_worded(error), words, answered=bool(answer))
 
 
-def _fail(message: str, code: ExitCode, words: list[str]) -> int:
-    if "-vv" in words or words.count("-v") + words.count("--verbose") >= 2:
-        import traceback
+def _worded(error: Exception) -> tuple[str, ExitCode]:
+    """What an error says to a person, and its exit code."""
+    match error:
+        case AlulaError():
+            return str(error), error.exit_code
+        case click.UsageError():
+            name = error.ctx.command_path if error.ctx else "alula"
+            return f"{error.format_message().rstrip('.')} (see '{name} -h')", ExitCode.USAGE
+        case click.ClickException():
+            return error.format_message(), ExitCode.USAGE
+        case MemoryError():
+            return "out of memory", ExitCode.INTERNAL
+        case OSError(strerror=str(reason)):
+            # Files are read and written where their own errors are worded: this is stdout.
+            where = os.fsdecode(error.filename) if error.filename else "cannot write the result"
+            return f"{where}: {reason}", ExitCode.INPUT
+    return f"internal error: {type(error).__name__}: {error} (-vv shows where)", ExitCode.INTERNAL
 
-        traceback.print_exc()
+
+def _fail(message: str, code: ExitCode, words: list[str], *, answered: bool) -> int:
+    """Print an error, in the block that caught it."""
+    options = words[: words.index("--")] if "--" in words else words
     line = " ".join(message.split())
-    click.echo(f"alula: {line}", err=True)
+    with suppress(OSError):
+        if "-vv" in options or options.count("-v") + options.count("--verbose") >= 2:
+            import traceback
+
+            traceback.print_exc()
+        click.echo(f"alula: {line}", err=True)
+    with suppress(OSError):
+        if "--json" in options and not answered:
+            click.echo(json.dumps({"error": line, "exit_code": code}, indent=2))
     return code
 
 

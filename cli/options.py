@@ -50,8 +50,47 @@ class Point(click.ParamType):  # type: ignore[type-arg, unused-ignore]
         return x, y, z
 
 
+class Whole(click.ParamType):  # type: ignore[type-arg, unused-ignore]
+    """A whole number within limits; those that hold for all others keep it exact in JSON and in C++."""
+
+    name = "integer"
+
+    def __init__(self, least: int = -(2**53), most: int = 2**53) -> None:
+        self.least, self.most = least, most
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Parse the text; refuse what is no whole number within the limits."""
+        try:
+            number = int(value)
+        except (TypeError, ValueError):
+            self.fail(f"{value!r} is not a whole number", param, ctx)
+        if not (self.least <= number <= self.most):
+            limits = f"not between {self.least} and {self.most}" if self.least == 0 else "out of range"
+            self.fail(f"{number} is {limits}", param, ctx)
+        return number
+
+
+class FilePath(click.Path):
+    """A file or folder by its name; whether it is there and of use is checked where it is used."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Refuse what names no file."""
+        if value == "":
+            self.fail("the name of the file is empty", param, ctx)
+        if value == "-":
+            self.fail("artifacts are files, not streams (./- is a file of that name)", param, ctx)
+        if isinstance(value, str) and any(character in value for character in "\0\r\n"):
+            self.fail("the name of the file has a line break", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 FINITE_FLOAT = FiniteFloat()
 POINT = Point()
+PATH = FilePath()
+JOBS = Whole(0, 256)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +111,9 @@ class Common:
 def reporting(function: F) -> F:
     """Add -q, -v and --json, for commands that write no file; the function takes them by name."""
     for option in (
-        click.option("--json", "json", is_flag=True, help="Print the result as JSON."),
-        click.option("-q", "--quiet", is_flag=True, help="No progress, no notes."),
         click.option("-v", "--verbose", count=True, help="More notes; -vv shows tracebacks."),
+        click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
+        click.option("--json", "json", is_flag=True, help="Print the result, or the error, as JSON."),
     ):
         function = option(function)
     return function
@@ -90,24 +129,29 @@ def output(suffix: str) -> Callable[[F], F]:
 
         collect.__name__, collect.__doc__ = function.__name__, function.__doc__
         collect.__dict__.update(function.__dict__)
-        path = click.Path(path_type=Path)
+        decorated = reporting(collect)
         for option in (
-            click.option("--depfile", type=path, help="Also write Make dependencies to this file."),
+            click.option("--depfile", type=PATH, help="Also write Make dependencies to this file."),
             click.option(
                 "--jobs",
-                type=click.IntRange(0, 256),
+                type=JOBS,
                 default=0,
                 help="Threads; 0 is all processors. Results do not depend on it.",
+                show_default=True,
             ),
             click.option(
-                "--seed", type=click.IntRange(0, 2**63 - 1), default=0, help="Seed of all randomness."
+                "--seed",
+                type=Whole(0, 2**63 - 1),
+                default=0,
+                help="Seed of all randomness.",
+                show_default=True,
             ),
             click.option("-n", "--dry-run", is_flag=True, help="Read and check everything, write nothing."),
             click.option("-f", "--force", is_flag=True, help="Replace an output of other provenance."),
-            click.option("-o", "--output", type=path, required=True, help=f"File to write ({suffix})."),
+            click.option("-o", "--output", type=PATH, required=True, help=f"File to write ({suffix})."),
         ):
-            collect = option(collect)
-        return typing.cast(F, reporting(collect))
+            decorated = option(decorated)
+        return typing.cast(F, decorated)
 
     return decorate
 
@@ -167,12 +211,17 @@ def _type_of(hint: Any) -> dict[str, Any]:
     if hint is float:
         return {"type": FINITE_FLOAT}
     if hint is int:
-        return {"type": int}
+        return {"type": Whole()}
     if hint is Path:
-        return {"type": click.Path(path_type=Path)}
+        return {"type": PATH}
     return {"type": str}
 
 
-def input_path() -> click.Path:
+def is_given(context: click.Context, name: str) -> bool:
+    """Whether an option is on the command line, as against its default."""
+    return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+
+
+def input_path() -> FilePath:
     """A file to read; that it exists and is a file is checked by the reader, with exit code 3."""
-    return click.Path(path_type=Path)
+    return PATH

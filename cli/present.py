@@ -9,16 +9,44 @@ from typing import Any
 
 import click
 
-from alula.cli.runner import plain
+LONGEST = 12  # numbers of a sequence that are printed one by one
+_HASH_DIGITS = 12
 
 
 def print_json(facts: Mapping[str, Any]) -> None:
-    """One JSON object on stdout."""
+    """One JSON object on stdout: the answer of this command, whatever happens afterwards."""
+    context = click.get_current_context(silent=True)
+    if context is not None and isinstance(context.obj, dict):
+        context.obj["answered"] = True
     click.echo(json.dumps(facts, indent=2))
 
 
+def plain(value: Any) -> str:
+    """A value as a person reads it: short floats, sequences without brackets, long ones in brief."""
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        if len(value) <= LONGEST:
+            return ("; " if any(isinstance(item, list | tuple | dict) for item in value) else " ").join(
+                plain(item) for item in value
+            )
+        if all(isinstance(item, int | float) for item in value):
+            low, high = plain(min(value)), plain(max(value))
+            return (
+                f"{len(value)} numbers from {plain(value[0])} to {plain(value[-1])}, within {low} and {high}"
+            )
+        return f"{len(value)} entries"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {plain(item)}" for key, item in value.items())
+    return str(value)
+
+
 def print_sections(facts: Mapping[str, Any]) -> None:
-    """Plain facts first, then a section per nested one."""
+    """Plain facts first, then a section per nested one; what is deeper is named by its path."""
     simple = {key: value for key, value in facts.items() if not _nested(value) and not _blank(value)}
     _pairs("", simple)
     for title, value in facts.items():
@@ -28,9 +56,19 @@ def print_sections(facts: Mapping[str, Any]) -> None:
         if rows is not None:
             print_table(title, *rows)
         elif isinstance(value, Mapping):
-            _pairs(title, {key: item for key, item in value.items() if not _blank(item)})
+            _pairs(title, _flat(value))
         else:
             _pairs(title, {str(number): item for number, item in enumerate(value, 1)})
+
+
+def _flat(facts: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in facts.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{path}{key}.")
+        elif not _blank(value):
+            found[f"{path}{key}"] = value
+    return found
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -40,12 +78,19 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
         from rich.markup import escape
         from rich.table import Table
 
-        table = Table(title=escape(title) or None, title_justify="left", title_style="bold")
+        console = Console()
+        if title:
+            console.print(f"\n{title}", style="bold", markup=False)
+        table = Table(
+            box=None,
+            show_header=any(columns),
+            pad_edge=False,
+        )
         for name in columns:
             table.add_column(escape(name), overflow="fold")
         for row in rows:
             table.add_row(*map(escape, row))
-        Console().print(table)
+        console.print(table)
         return
     widths = [max(len(row[i]) for row in [columns, *rows]) for i in range(len(columns))]
     if title:
@@ -93,4 +138,10 @@ def _table(value: Any) -> tuple[list[str], list[list[str]]] | None:
 
 
 def _cell(key: str, value: Any) -> str:
-    return " × ".join(map(str, value)) if key == "shape" and isinstance(value, list) else _words(value)
+    if key == "shape" and isinstance(value, list):
+        return " x ".join(map(str, value))
+    if (
+        key == "dtype" and isinstance(value, str) and value[2:].isdigit()
+    ):  # "<f4" as the documentation says it: f32
+        return f"{value[1]}{8 * int(value[2:])}"
+    return _words(value)[:_HASH_DIGITS] if key == "sha256" else _words(value)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,6 +15,7 @@ import click
 import msgspec
 
 from alula.cli.options import Common
+from alula.cli.present import plain, print_json
 from alula.schemas.atomic import write_text
 from alula.schemas.errors import InputError, OutputError, UsageError
 from alula.schemas.provenance import Provenance, differences, read_provenance
@@ -102,6 +103,8 @@ def run(
         OutputError: the output's folder does not exist or the file cannot be written.
     """
     check_output(common.output, inputs)
+    if common.depfile is not None:
+        check_output(common.depfile, {**inputs, "output": common.output})
     provenance = Provenance.now(
         schema, version, parameters, seed, [input_ref(role, path) for role, path in inputs.items()]
     )
@@ -119,8 +122,8 @@ def run(
         else:
             write()
     if common.depfile is not None and not common.dry_run:
-        names = " ".join(_make_escape(path) for path in inputs.values())
-        write_text(common.depfile, f"{_make_escape(common.output)}: {names}\n")
+        names = " ".join(["", *map(_make_escape, inputs.values())])
+        write_text(common.depfile, _make_escape(common.output, " \t#:*?[%") + f":{names}\n")
     show(common, status, summary)
 
 
@@ -147,41 +150,32 @@ def check_output(output: Path, inputs: Mapping[str, Path]) -> None:
         raise OutputError(f"{output}: the folder {output.parent} does not exist")
     if not os.access(output.parent, os.W_OK | os.X_OK):
         raise OutputError(f"{output}: the folder {output.parent} is not writable")
-    for path in inputs.values():
-        if output.exists() and path.exists() and output.samefile(path):
-            raise UsageError(f"{output}: is also an input")
+    for role, path in inputs.items():
+        if path.absolute() == output.absolute() or (
+            output.exists() and path.exists() and output.samefile(path)
+        ):
+            raise UsageError(
+                f"{output}: is also an input" if role != "output" else f"{output}: is also the output"
+            )
 
 
 def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:
     """Print the result on stdout: one JSON object, or a line per number."""
     if common.json:
-        record = {"output": str(common.output), "status": status, "summary": summary}
-        click.echo(json.dumps(record, indent=2, sort_keys=True))
+        print_json({"output": str(common.output), "status": status, "summary": summary})
         return
     if common.quiet:
         return
     click.echo(f"{common.output}: {status}")
-    width = max((len(key) for key in summary), default=0)
-    for key, value in summary.items():
+    shown = {key: value for key, value in summary.items() if value is not None}
+    width = max((len(key) for key in shown), default=0)
+    for key, value in shown.items():
         click.echo(f"  {key:<{width}}  {plain(value)}")
-
-
-def plain(value: Any) -> str:
-    """A value as a person reads it: short floats, sequences without brackets."""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    if isinstance(value, list | tuple):
-        return " ".join(plain(item) for item in value)
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {plain(item)}" for key, item in value.items())
-    return str(value)
 
 
 @contextmanager
 def progress_bar(common: Common) -> Iterator[Progress]:
-    """A progress callback; it draws on stderr when that is a terminal, else does nothing."""
+    """A progress callback (done, total; up to 1: unknown), drawn on stderr when that is a terminal."""
     if common.quiet or common.json or not sys.stderr.isatty():
         yield lambda done, total: None
         return
@@ -191,8 +185,9 @@ def progress_bar(common: Common) -> Iterator[Progress]:
     columns = (TextColumn(common.output.name), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
         task = bars.add_task("", total=None)
-        yield lambda done, total: bars.update(task, completed=done, total=total)
+        yield lambda done, total: bars.update(task, completed=done, total=total if total > 1 else None)
 
 
-def _make_escape(path: Path) -> str:
-    return str(path).replace("$", "$$").replace("#", "\\#").replace(" ", "\\ ")
+def _make_escape(path: Path, special: str = " \t#:*?[") -> str:
+    """A file name as GNU Make reads it back; a target needs % escaped too, a prerequisite must not."""
+    return re.sub(rf"(\\*)([{re.escape(special)}])", r"\1\1\\\2", str(path)).replace("$", "$$")

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from alula.cli import options, runner
-from alula.cli.options import FINITE_FLOAT, POINT, Common
+from alula.cli.options import FINITE_FLOAT, PATH, POINT, Common
+from alula.cli.present import plain
 from alula.schemas.configs.scale_align import Distance, ScaleAlignConfig
 from alula.schemas.errors import InputError, UsageError
 
@@ -20,8 +21,6 @@ EXAMPLES = """\b
 Examples:
   alula scale-align room.scene.npz -o metric.scene.npz --colmap sparse/0 --reference poses.csv --max-rms 0.02
   alula scale-align room.scene.npz -o metric.scene.npz --distance "0.1 0 0" "0.9 0 0" 2.04"""
-
-PATH = click.Path(path_type=Path)
 
 
 @click.command("scale-align", epilog=EXAMPLES)
@@ -113,7 +112,7 @@ def _text(path: Path) -> str:
 
 
 def _show(alignment: dict[str, Any], verbose: int) -> None:
-    """The alignment on stderr; the ten worst items, all of them with -v."""
+    """The alignment on stderr: its ten worst items and warnings; with -v all of it."""
     items = sorted(alignment.get("items", []), key=lambda item: -item["residual_m"])
     shown = items if verbose else items[:10]
     for item in shown:
@@ -121,8 +120,8 @@ def _show(alignment: dict[str, Any], verbose: int) -> None:
         click.echo(f"{item['residual_m']:12.4f} m  {item['item']}{mark}", err=True)
     if len(shown) < len(items):
         click.echo(f"{'':14}  and {len(items) - len(shown)} better ones (-v shows them)", err=True)
-    for key, value in alignment.items():
+    for key, value in alignment.items() if verbose else ():
         if key not in ("items", "matrix", "warnings") and value is not None:
-            click.echo(f"  {key:<20}  {runner.plain(value)}", err=True)
+            click.echo(f"  {key:<20}  {plain(value)}", err=True)
     for warning in alignment["warnings"]:
         click.echo(f"warning: {warning}", err=True)

@@ -115,13 +115,14 @@ def _configured(context: click.Context, source: Path, config: SimulateConfig, se
     """The scenario's settings, replaced by what was given on the command line."""
     from alula.schemas.scenario import read_scenario
 
-    def is_given(name: str) -> bool:
-        return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-
     if source.suffix != ".toml":
         return dataclasses.replace(config, seed=seed)
-    given = {f.name: getattr(config, f.name) for f in dataclasses.fields(config) if is_given(f.name)}
-    if is_given("seed"):
+    given = {
+        f.name: getattr(config, f.name)
+        for f in dataclasses.fields(config)
+        if options.is_given(context, f.name)
+    }
+    if options.is_given(context, "seed"):
         given["seed"] = seed
     try:
         return SimulateConfig(**{**read_scenario(source).settings(), **given})

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from alula.cli import options
+from alula.cli.present import print_json
 
 if TYPE_CHECKING:
     from alula.stages.compression.certificate import Certificate
@@ -24,12 +24,11 @@ Examples:
 @click.argument("cover", type=options.input_path())
 @click.option("--voxels", type=options.input_path(), help="The voxels that the cover must contain.")
 @click.option("--scene", type=options.input_path(), help="The scene that the voxels must contain.")
-@click.option(
-    "-o", "--output", type=options.input_path(), help="Certificate to write when all holds (.json)."
-)
+@click.option("-o", "--output", type=options.PATH, help="Certificate to write when all holds (.json).")
 @click.option("-f", "--force", is_flag=True, help="Replace an output of other provenance.")
 @click.option("-n", "--dry-run", is_flag=True, help="Check everything, write nothing.")
-@click.option("--jobs", type=click.IntRange(0, 256), default=0, help="Threads; 0 is all processors.")
+@click.option("--jobs", type=options.JOBS, default=0, help="Threads; 0 is all processors.", show_default=True)
+@click.option("--depfile", type=options.PATH, help="Also write Make dependencies to this file.")
 @options.reporting
 def command(
     cover: Path,
@@ -39,6 +38,7 @@ def command(
     force: bool,
     dry_run: bool,
     jobs: int,
+    depfile: Path | None,
     json: bool,
     quiet: bool,
     verbose: int,
@@ -63,8 +63,10 @@ def command(
 
     if output is not None and output.suffix != ".json":
         raise UsageError(f"{output}: the certificate must end in .json")
+    if output is None and depfile is not None:
+        raise UsageError("--depfile needs a certificate to write; give -o")
     target = output if output is not None else Path("certificate")
-    common = options.Common(target, force, dry_run, json, quiet, verbose, 0, jobs, None)
+    common = options.Common(target, force, dry_run, json, quiet, verbose, 0, jobs, depfile)
     inputs = {"cover": cover}
     inputs |= {"voxels": voxels} if voxels is not None else {}
     inputs |= {"scene": scene} if scene is not None else {}
@@ -111,8 +113,7 @@ def _show(common: options.Common, status: str, certificate: Certificate) -> None
     import msgspec
 
     if common.json:
-        record = {"status": status, **msgspec.to_builtins(certificate)}
-        click.echo(json.dumps(record, indent=2, sort_keys=True))
+        print_json({"status": status, **msgspec.to_builtins(certificate)})
     elif not common.quiet:
         click.echo("covered" if certificate.covered else "not covered")
         width = max(len(check.name) for check in certificate.checks)

@@ -20,7 +20,8 @@ Examples:
 @click.argument("scene", type=options.input_path())
 @options.from_config(VoxelizeConfig)
 @options.output(".voxels.npz")
-def command(scene: Path, config: VoxelizeConfig, common: options.Common) -> None:
+@click.pass_context
+def command(context: click.Context, scene: Path, config: VoxelizeConfig, common: options.Common) -> None:
     """Mark every voxel that an obstacle touches.
 
     SCENE is a metric scene. A voxel is marked when the ellipsoid of a Gaussian at the chosen level,
@@ -28,9 +29,12 @@ def command(scene: Path, config: VoxelizeConfig, common: options.Common) -> None
     """
     from alula.cli.runner import Progress, run_stage
     from alula.schemas.artifact import Artifact, read_artifact
-    from alula.schemas.errors import InfeasibleError, InputError
+    from alula.schemas.errors import InfeasibleError, InputError, UsageError
     from alula.schemas.kinds import SCENE, VOXELS
     from alula.stages.compression.voxelize import voxelize
+
+    if config.confidence is not None and options.is_given(context, "sigma"):
+        raise UsageError("--confidence sets sigma: give one of the two, not both")
 
     def build(progress: Progress) -> Artifact:
         metric = read_artifact(scene, SCENE)

@@ -39,12 +39,31 @@ from typing import Any, Literal
 
 import msgspec
 
+from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import InputError, UsageError, VersionError
 from alula.schemas.manifest import VERSION, parse_version
 
 SCENARIO_SCHEMA: Literal["alula/scenario"] = "alula/scenario"
 
 _BUILT_IN_PARAMETERS = ("beta", "kappa_per_m", "smoothing")
+# Where a scenario says what an option of `simulate` says.
+_KEYS = {
+    "--name": "name",
+    "--radius": "vehicle.radius_m",
+    "--speed": "vehicle.v_max_m_s",
+    "--beta": "filter.parameters.beta",
+    "--kappa": "filter.parameters.kappa_per_m",
+    "--smoothing": "filter.parameters.smoothing",
+    "--gain": "controller.gain",
+    "--trials": "trials.count",
+    "--bounds": "trials.bounds_m",
+    "--margin": "trials.margin_m",
+    "--separation": "trials.separation",
+    "--stop-fraction": "trials.stop_fraction",
+    "--dt": "run.dt_s",
+    "--max-time": "run.max_time_s",
+    "--log-rate": "run.log_rate_hz",
+}
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -140,7 +159,7 @@ def read_scenario(path: Path) -> Scenario:
     Raises:
         InputError: the file cannot be read or is not TOML.
         VersionError: it was written for a later major version.
-        UsageError: a key is unknown, missing or of the wrong type; the message has its path.
+        UsageError: a key is unknown, missing, of the wrong type or out of range; the message has its path.
     """
     try:
         raw = path.read_bytes()
@@ -159,6 +178,12 @@ def read_scenario(path: Path) -> Scenario:
         _check_built_in_parameters(path, scenario.filter.parameters)
     elif scenario.filter.name == "none" and scenario.filter.parameters:
         raise UsageError(f"{path}: `$.filter.parameters`: the filter none has no parameters")
+    try:
+        SimulateConfig(**scenario.settings())
+    except UsageError as error:
+        option, _, rest = str(error).partition(" ")
+        where = f"`$.{_KEYS[option]}`" if option in _KEYS else option
+        raise UsageError(f"{path}: {where} {rest}") from error
     return scenario
 
 

@@ -13,6 +13,7 @@ Distance = tuple[tuple[float, float, float], tuple[float, float, float], float]
 class ScaleAlignConfig:
     """Parameters of `scale-align`; what it aligns by is an input, except distances and a plain scale."""
 
+    scale: float | None = field(default=None, metadata={"help": "Metres per unit of the scene."})
     threshold_m: float = field(
         default=0.1,
         metadata={
@@ -30,7 +31,6 @@ class ScaleAlignConfig:
     min_inliers: int | None = field(
         default=None, metadata={"help": "Fail with fewer inliers; default: more than half of all."}
     )
-    scale: float | None = field(default=None, metadata={"help": "Metres per unit of the scene."})
     distances: tuple[Distance, ...] = field(default=(), metadata={"internal": True})
 
     def __post_init__(self) -> None:

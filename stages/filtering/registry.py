@@ -32,7 +32,7 @@ def make_filter(name: str, world: World, parameters: Mapping[str, Any]) -> Filte
     if factory is None:
         points = [point for point in entry_points(group=ENTRY_POINTS) if point.name == name]
         if not points:
-            raise UsageError(f"no filter is called {name!r}; there are {', '.join(filter_names())}")
+            raise UsageError(f"no filter is called {name!r}; known: {', '.join(filter_names())}")
         try:
             factory = points[0].load()
         except (ImportError, AttributeError) as error:

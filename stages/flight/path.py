@@ -136,8 +136,10 @@ def _leg(
     radius, comfort = config.radius_m + _MARGIN_M, _COMFORT * config.radius_m
     if path_clearance(ends, obstacles, cap_m=radius + comfort)[0] >= radius + comfort:
         return np.array(ends), 0
+    # How many lattice points the search will visit is not known; it is far from all of them.
+    visited = None if progress is None else lambda done, _: progress(done, 0)
     status, path, expanded = find_path(
-        obstacles, origin.tolist(), spacing, count, *ends, radius, comfort, progress
+        obstacles, origin.tolist(), spacing, count, *ends, radius, comfort, visited
     )
     finer = f"a --resolution below {spacing:.3g} m may find one"
     if status == SearchStatus.start_isolated:

@@ -50,7 +50,7 @@ def plan(
         config: see `PlanConfig`.
         cover: an `alula/cover`.
         jobs: threads; the result does not depend on it.
-        progress: called with (done, total) of the search.
+        progress: called with (points visited, 0) by the search; 0 stands for an unknown total.
 
     Raises:
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.

@@ -85,7 +85,9 @@ def _foreign(head: bytes, suffix: str, buffer: memoryview) -> str | None:
             name = "glTF"
     elif suffix == ".ksplat" and len(buffer) >= _HEAD and head[0] == 0 and head[1] >= 1:
         name = "KSPLAT"
-    return f"recognised as {name}; not supported by this version" if name else None
+    return (
+        f"recognised as {name}; not supported by this version, convert it to .ply or .splat" if name else None
+    )
 
 
 def _inflated(head: bytes) -> bytes:

@@ -110,7 +110,10 @@ def _gaussians(header: Header) -> Element:
     if vertex is None:
         raise ArtifactError("PLY: no element vertex, so no Gaussian splat")
     if header.element("chunk") is not None and vertex.column("packed_position") is not None:
-        raise ArtifactError("recognised as compressed PLY (PlayCanvas); not supported by this version")
+        raise ArtifactError(
+            "recognised as compressed PLY (PlayCanvas); not supported by this version, "
+            "convert it to an ordinary .ply"
+        )
     required = (*_POSITION, *_SCALE[:2], *_ROTATION, "opacity")
     missing = [name for name in required if vertex.column(name) is None]
     if {"opacity", "scale_0", "rot_0"} <= set(missing):

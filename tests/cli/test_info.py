@@ -116,7 +116,7 @@ def test_splat_files_are_named_by_content(data, name, kind, capsys):
 
 def test_names_of_arrays_and_units_are_shown_as_text(folder, capsys):
     text = plain(folder / "a.cover.npz", capsys)
-    assert "plane_normal  <i8    6 × 3  1      outward primitive normals" in text
+    assert "plane_normal  i64    6 x 3  1      outward primitive normals" in text
     assert "\x1b" not in text
 
 
@@ -137,7 +137,7 @@ def test_a_truncated_artifact_is_explained_as_far_as_it_goes(folder, capsys):
         facts, error = info(path, capsys, code=3)
         assert len(error.strip().splitlines()) == 1
         assert path.name in error
-        assert not facts or facts["whole"] is False
+        assert facts.get("exit_code") == 3 or facts["whole"] is False
         if size >= end_of_manifest:
             assert facts["kind"] == "alula/cover"
             assert facts["arrays"]["vertex"]["shape"] == [8, 3]

@@ -68,8 +68,9 @@ def test_the_table_goes_to_stderr_and_json_to_stdout(demo, tmp_path, capsys):
     assert run(words) == 0
     out, err = capsys.readouterr()
     assert "poses.csv row 14 (walk_0012.jpg)  outlier" in err
-    assert "scale_interval" in err
     assert "position_error_m" in out
+    assert run([*words, "-v", "-f", "--max-rms", "1"]) == 0
+    assert "scale_interval" in capsys.readouterr().err
     assert run([*words, "--json", "--force"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["summary"]["inliers"] == 58
@@ -172,7 +173,7 @@ def test_the_demo_refuses_equal_outputs_and_writes_nothing_when_dry(tmp_path, ca
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "sparse").touch()
     assert run(["demo-scene", "-o", same, *words]) == 3
-    assert "cannot make the folder" in error(capsys)
+    assert "is a file, but --colmap is a folder" in error(capsys)
 
 
 def test_import_names_the_file_and_the_reason(tmp_path, capsys, demo):

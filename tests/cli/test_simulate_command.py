@@ -170,7 +170,7 @@ def test_a_scenario_flies_and_options_replace_its_values(cover, tmp_path, capsys
     assert [ref.role for ref in record.provenance.inputs] == ["cover", "scenario"]
     scenario.write_text('[map]\ncover = "../two.cover.npz"\n[run]\ndt_s = 0\n')
     assert run(["simulate", str(scenario), "-o", str(out), "-f"]) == 2
-    assert f"{scenario}: --dt must be between" in capsys.readouterr().err
+    assert f"{scenario}: `$.run.dt_s` must be between" in capsys.readouterr().err
 
 
 def test_a_filtered_collision_is_written_and_exits_with_4(cover, tmp_path, capsys):
@@ -195,7 +195,7 @@ def test_a_filtered_collision_is_written_and_exits_with_4(cover, tmp_path, capsy
     [
         (["COVER", "-o", "r.npz"], 2, "must end in .mcap"),
         (["COVER", "--map", "COVER"], 2, "is a cover already"),
-        (["COVER", "--filter", "nome"], 2, "no filter is called 'nome'; there are none, polytope-cbf"),
+        (["COVER", "--filter", "nome"], 2, "no filter is called 'nome'; known: none, polytope-cbf"),
         (["COVER", "--beta", "101"], 2, "--beta must be between"),
         (["COVER", "--bounds", "0", "0", "0", "1", "0", "1"], 2, "XMIN < XMAX"),
         (["COVER", "--radius", "3"], 5, "trial 0: no start and goal"),

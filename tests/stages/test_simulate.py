@@ -233,7 +233,7 @@ def test_inputs_that_do_not_fit_are_refused():
         simulate(SimulateConfig(), cover, plan=line_plan([0, 0, 0], [1, 0, 0], frame="other"))
     with pytest.raises(UsageError, match="flown once"):
         simulate(quick(trials=3), cover, plan=line_plan([0, 0, 0], [1, 0, 0]))
-    with pytest.raises(UsageError, match=r"'cbf'; there are none, polytope-cbf"):
+    with pytest.raises(UsageError, match=r"'cbf'; known: none, polytope-cbf"):
         simulate(quick(filter="cbf"), cover)
     with pytest.raises(UsageError, match="--bounds"):
         simulate(SimulateConfig(trials=1), box_cover([]))
