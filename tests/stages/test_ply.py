@@ -322,18 +322,6 @@ def test_two_writers_of_one_scene_agree():
 
 
 @pytest.mark.parametrize("name", ["inria-ply/train-1000.ply", "cc0-corpus/leica-sofort-top8192.ply"])
-def test_gsply_reads_the_same(name):
-    gsply = pytest.importorskip("gsply")
-    path = data(name)
-    theirs, ours = gsply.plyread(str(path)), read_splats(path)
-    np.testing.assert_array_equal(ours.mean, theirs.means)
-    np.testing.assert_allclose(ours.scale, np.exp(theirs.scales), rtol=1e-6)
-    np.testing.assert_array_equal(ours.quat_wxyz, theirs.quats)
-    np.testing.assert_allclose(ours.opacity, 1 / (1 + np.exp(-np.ravel(theirs.opacities))), rtol=1e-6)
-    np.testing.assert_array_equal(ours.color, color_from_sh0(theirs.sh0))
-
-
-@pytest.mark.parametrize("name", ["inria-ply/train-1000.ply", "cc0-corpus/leica-sofort-top8192.ply"])
 def test_open3d_reads_the_same(name, capfd):
     o3d = pytest.importorskip("open3d")
     path = data(name)

@@ -1,6 +1,4 @@
 // Bindings of alula/clearance.hpp.
-#include "alula/clearance.hpp"
-
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
@@ -9,6 +7,7 @@
 #include <array>
 #include <utility>
 
+#include "alula/clearance.hpp"
 #include "arrays.hpp"
 #include "python_control.hpp"
 
@@ -19,8 +18,8 @@ using namespace alula;
 namespace {
 
 template <class Set>
-nb::ndarray<nb::numpy, double> clearance(const Set& obstacles, InRows3<double> start, InRows3<double> end,
-                                         double cap, unsigned jobs, nb::object progress) {
+nb::ndarray<nb::numpy, double> clearance(const Set& obstacles, InRows3<double> start, InRows3<double> end, double cap,
+                                         unsigned jobs, nb::object progress) {
   PythonControl control(std::move(progress));
   std::vector<double> result;
   {
@@ -41,8 +40,8 @@ void bind_clearance(nb::module_& m) {
   nb::class_<PolytopeSet>(m, "PolytopeSet", "Convex polytopes in a bounding-volume hierarchy.")
       .def(
           "__init__",
-          [](PolytopeSet* self, InRows3<double> normals, InVector<double> offsets,
-             InVector<std::int64_t> plane_start, InRows3<double> vertices, InVector<std::int64_t> vertex_start) {
+          [](PolytopeSet* self, InRows3<double> normals, InVector<double> offsets, InVector<std::int64_t> plane_start,
+             InRows3<double> vertices, InVector<std::int64_t> vertex_start) {
             new (self) PolytopeSet(as_span(normals), as_span(offsets), as_span(plane_start), as_span(vertices),
                                    as_span(vertex_start));
           },
@@ -57,8 +56,8 @@ void bind_clearance(nb::module_& m) {
                              std::array{box.upper.x, box.upper.y, box.upper.z});
           },
           "Lower and upper corner of the box around all polytopes; zeros when there are none.")
-      .def("clearance", &clearance<PolytopeSet>, "start"_a, "end"_a, "cap"_a, "jobs"_a = 0,
-           "progress"_a = nb::none(), kClearanceDoc);
+      .def("clearance", &clearance<PolytopeSet>, "start"_a, "end"_a, "cap"_a, "jobs"_a = 0, "progress"_a = nb::none(),
+           kClearanceDoc);
   nb::class_<EllipsoidSet>(m, "EllipsoidSet", "Ellipsoids of Gaussians in a bounding-volume hierarchy.")
       .def(
           "__init__",

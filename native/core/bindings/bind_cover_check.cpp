@@ -18,7 +18,8 @@ using Violations = nb::ndarray<nb::numpy, std::int64_t>;
 Violations to_rows(const std::vector<Violation>& found) {
   std::vector<std::int64_t> rows;
   rows.reserve(4 * found.size());
-  for (const Violation& v : found) rows.insert(rows.end(), {static_cast<std::int64_t>(v.fault), v.hull, v.row, v.other});
+  for (const Violation& v : found)
+    rows.insert(rows.end(), {static_cast<std::int64_t>(v.fault), v.hull, v.row, v.other});
   return to_numpy(std::move(rows), {found.size(), 4});
 }
 
@@ -38,8 +39,9 @@ Violations check_cover_hulls(const InRows3<std::int32_t>& vertex, const InVector
   std::vector<Violation> found;
   {
     const nb::gil_scoped_release release;
-    found = check_hulls(view(vertex, vertex_start, plane_normal, plane_offset, plane_start, member_index, member_start),
-                        jobs, control);
+    found =
+        check_hulls(view(vertex, vertex_start, plane_normal, plane_offset, plane_start, member_index, member_start),
+                    jobs, control);
   }
   return to_rows(found);
 }

@@ -59,8 +59,8 @@ Result lattice_hull(const InRows3<std::int32_t>& points) {
 }
 
 Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint32_t>& member,
-                     const InVector<std::int64_t>& member_start, int block, bool is_paper, std::size_t max_hulls,
-                     std::size_t max_planes, double max_growth, unsigned jobs, nb::object progress) {
+                   const InVector<std::int64_t>& member_start, int block, bool is_paper, std::size_t max_hulls,
+                   std::size_t max_planes, double max_growth, unsigned jobs, nb::object progress) {
   PythonControl control(std::move(progress));
   Cover cover;
   UnionVolume volume{};
@@ -75,7 +75,8 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
     } else {
       sets = subcover(occupancy, block, jobs, control);
     }
-    const MergeOptions options{is_paper ? MergeRule::kPaper : MergeRule::kIncrease, max_hulls, max_planes, max_growth};
+    const MergeOptions options{is_paper ? MergeRule::kPaper : MergeRule::kIncrease, max_hulls, max_planes,
+                               max_growth};
     cover = merge(occupancy, sets, options, jobs, control);
     if (cover.within_budget) {
       if (!is_paper) retighten(occupancy, cover, max_planes, control);

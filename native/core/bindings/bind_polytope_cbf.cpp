@@ -1,17 +1,16 @@
 // Bindings of alula/polytope_cbf.hpp.
-#include "alula/polytope_cbf.hpp"
-
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 
 #include <memory>
-#include <string>
 #include <stdexcept>
+#include <string>
 #include <tuple>
 
 #include "alula/parallel.hpp"
+#include "alula/polytope_cbf.hpp"
 #include "arrays.hpp"
 
 namespace nb = nanobind;
@@ -51,7 +50,8 @@ std::tuple<Vec3, int, double, double, std::int64_t> filter(PolytopeCbf& self, co
           active == ALULA_NO_HULL ? -1 : static_cast<std::int64_t>(active)};
 }
 
-std::tuple<Out<double>, Out<double>, Out<double>> psi(const PolytopeCbf& self, const InRows3<double>& points, unsigned jobs) {
+std::tuple<Out<double>, Out<double>, Out<double>> psi(const PolytopeCbf& self, const InRows3<double>& points,
+                                                      unsigned jobs) {
   const std::size_t count = points.shape(0);
   std::vector<double> smooth(count), hard(count), gradient(3 * count);
   {
@@ -72,7 +72,8 @@ std::tuple<Out<double>, Out<double>, Out<double>> psi(const PolytopeCbf& self, c
           to_numpy(std::move(gradient), {count, 3})};
 }
 
-std::tuple<Out<float>, Out<std::uint32_t>, Out<float>, Out<float>, double, double> map_arrays(const PolytopeCbf& self) {
+std::tuple<Out<float>, Out<std::uint32_t>, Out<float>, Out<float>, double, double> map_arrays(
+    const PolytopeCbf& self) {
   const PolytopeMap& map = self.map();
   const std::size_t hulls = map.plane_start.size() - 1;
   return {to_numpy(std::vector(map.plane), {map.plane.size() / 4, 4}),
@@ -100,7 +101,8 @@ void bind_polytope_cbf(nb::module_& m) {
       .def("psi", &psi, "points"_a, nb::kw_only(), "jobs"_a = 0,
            "Smooth psi (N), hard psi (N) and the gradient of the smooth one (N, 3) at points (N, 3) [m].")
       .def("map_arrays", &map_arrays,
-           "The single-precision map: plane (F, 4), plane_start (n + 1), lower and upper (n, 3), extent and slack [m].");
+           "The single-precision map: plane (F, 4), plane_start (n + 1), lower and upper (n, 3), extent and slack "
+           "[m].");
 
   m.def(
       "onboard_exp_log",

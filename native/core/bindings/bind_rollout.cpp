@@ -1,12 +1,11 @@
 // Bindings of alula/rollout.hpp.
-#include "alula/rollout.hpp"
-
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 
 #include <memory>
 #include <stdexcept>
 
+#include "alula/rollout.hpp"
 #include "arrays.hpp"
 #include "python_control.hpp"
 
@@ -30,8 +29,8 @@ struct SteppedTrial {
   std::vector<double> position, velocity;
   Trial trial;
 
-  SteppedTrial(const Vec3& start, const Vec3& goal, const TrialRules& rules, const InRows3<double>& reference_position,
-               const InRows3<double>& reference_velocity)
+  SteppedTrial(const Vec3& start, const Vec3& goal, const TrialRules& rules,
+               const InRows3<double>& reference_position, const InRows3<double>& reference_velocity)
       : position(reference_position.data(), reference_position.data() + reference_position.size()),
         velocity(reference_velocity.data(), reference_velocity.data() + reference_velocity.size()),
         trial(start, goal, rules, {position, velocity}) {}
@@ -54,8 +53,9 @@ LogDict to_dict(TrialLog&& log) {
 }
 
 nb::typed<nb::list, LogDict> run(const PolytopeCbf& cbf, const InRows3<double>& start, const InRows3<double>& goal,
-             const TrialRules& rules, const InRows3<double>& reference_position,
-             const InRows3<double>& reference_velocity, bool use_filter, unsigned jobs, nb::object progress) {
+                                 const TrialRules& rules, const InRows3<double>& reference_position,
+                                 const InRows3<double>& reference_velocity, bool use_filter, unsigned jobs,
+                                 nb::object progress) {
   const auto starts = points_of(start), goals = points_of(goal);
   const Reference reference{as_span(reference_position), as_span(reference_velocity)};
   PythonControl control(std::move(progress));

@@ -1,6 +1,4 @@
 // Bindings of alula/search.hpp and alula/curve_check.hpp.
-#include "alula/search.hpp"
-
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
@@ -10,6 +8,7 @@
 #include <tuple>
 
 #include "alula/curve_check.hpp"
+#include "alula/search.hpp"
 #include "arrays.hpp"
 #include "python_control.hpp"
 
@@ -35,8 +34,9 @@ Doubles rows(const std::vector<Vec3>& points) {
   return to_numpy(std::move(flat), {points.size(), 3});
 }
 
-std::tuple<SearchStatus, Doubles, std::size_t> find(const PolytopeSet& obstacles, Triple origin, double spacing, std::array<std::int64_t, 3> count,
-               Triple start, Triple goal, double radius, double comfort, nb::object progress) {
+std::tuple<SearchStatus, Doubles, std::size_t> find(const PolytopeSet& obstacles, Triple origin, double spacing,
+                                                    std::array<std::int64_t, 3> count, Triple start, Triple goal,
+                                                    double radius, double comfort, nb::object progress) {
   const Lattice lattice{vector_of(origin), spacing, {count[0], count[1], count[2]}};
   PythonControl control(std::move(progress));
   SearchResult result;
@@ -47,9 +47,8 @@ std::tuple<SearchStatus, Doubles, std::size_t> find(const PolytopeSet& obstacles
   return {result.status, rows(result.path), result.expanded};
 }
 
-Doubles tighten(const PolytopeSet& obstacles, InRows3<double> path, double radius,
-                                       double comfort, double spacing, int rounds, unsigned jobs,
-                                       nb::object progress) {
+Doubles tighten(const PolytopeSet& obstacles, InRows3<double> path, double radius, double comfort, double spacing,
+                int rounds, unsigned jobs, nb::object progress) {
   PythonControl control(std::move(progress));
   std::vector<Vec3> points;
   {
@@ -60,8 +59,10 @@ Doubles tighten(const PolytopeSet& obstacles, InRows3<double> path, double radiu
   return rows(points);
 }
 
-std::tuple<Bytes, Doubles, std::size_t, std::uint32_t> check(const PolytopeSet& obstacles, InCurves control_points, InVector<double> slack, double radius,
-                std::uint32_t max_depth, unsigned jobs, nb::object progress) {
+std::tuple<Bytes, Doubles, std::size_t, std::uint32_t> check(const PolytopeSet& obstacles, InCurves control_points,
+                                                             InVector<double> slack, double radius,
+                                                             std::uint32_t max_depth, unsigned jobs,
+                                                             nb::object progress) {
   PythonControl control(std::move(progress));
   std::vector<std::uint8_t> proven;
   std::vector<double> clearance;
@@ -69,8 +70,8 @@ std::tuple<Bytes, Doubles, std::size_t, std::uint32_t> check(const PolytopeSet& 
   std::uint32_t depth = 0;
   {
     const nb::gil_scoped_release release;
-    for (const CurveProof& proof : check_curves(obstacles, as_span(control_points), as_span(slack), radius,
-                                                max_depth, jobs, control)) {
+    for (const CurveProof& proof :
+         check_curves(obstacles, as_span(control_points), as_span(slack), radius, max_depth, jobs, control)) {
       proven.push_back(proof.proven ? 1 : 0);
       clearance.push_back(proof.clearance);
       pairs += proof.pairs;
@@ -95,8 +96,8 @@ void bind_search(nb::module_& m) {
         "Lattice path of a ball among polytopes: status, points (W, 3), lattice points expanded.");
   m.def("tighten_path", &tighten, "obstacles"_a, "path"_a, "radius"_a, "comfort"_a, "spacing"_a, "rounds"_a,
         "jobs"_a = 0, "progress"_a = nb::none(), "Shortcut a free path along proven straight segments.");
-  m.def("check_curves", &check, "obstacles"_a, "control_points"_a, "slack"_a, "radius"_a, "max_depth"_a,
-        "jobs"_a = 0, "progress"_a = nb::none(),
+  m.def("check_curves", &check, "obstacles"_a, "control_points"_a, "slack"_a, "radius"_a, "max_depth"_a, "jobs"_a = 0,
+        "progress"_a = nb::none(),
         "Prove that curves, shape (P, 8, 3) in Bernstein form, keep `radius` from all polytopes: per piece "
         "proven (u8) and clearance, then the pairs decided and the deepest subdivision.");
 }

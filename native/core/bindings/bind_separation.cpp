@@ -1,11 +1,10 @@
 // Bindings of alula/separation.hpp.
-#include "alula/separation.hpp"
-
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 
+#include "alula/separation.hpp"
 #include "arrays.hpp"
 #include "python_control.hpp"
 
@@ -29,7 +28,7 @@ void bind_separation(nb::module_& m) {
         }
         const std::size_t count = found.ellipsoid.size();
         return std::make_tuple(found.total, alula::to_numpy(std::move(found.voxel), {count, 3}),
-                              alula::to_numpy(std::move(found.ellipsoid), {count}));
+                               alula::to_numpy(std::move(found.ellipsoid), {count}));
       },
       "mean"_a, "scale"_a, "quat_wxyz"_a, "sigma"_a, "voxel_size"_a, "inflation"_a, "crop"_a.none(), "min_overlap"_a,
       "index"_a, "jobs"_a = 0, "progress"_a = nb::none(),

@@ -1,11 +1,10 @@
 // Bindings of alula/voxelize.hpp.
-#include "alula/voxelize.hpp"
-
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 
+#include "alula/voxelize.hpp"
 #include "arrays.hpp"
 #include "python_control.hpp"
 
@@ -26,7 +25,7 @@ void bind_voxelize(nb::module_& m) {
         }
         const std::size_t count = found.voxels.count.size();
         return std::make_tuple(alula::to_numpy(std::move(found.voxels.index), {count, 3}),
-                              alula::to_numpy(std::move(found.voxels.count), {count}), found.outside, found.cut);
+                               alula::to_numpy(std::move(found.voxels.count), {count}), found.outside, found.cut);
       },
       "mean"_a, "scale"_a, "quat_wxyz"_a, "sigma"_a, "voxel_size"_a, "inflation"_a = 0.0, "crop"_a = nb::none(),
       "jobs"_a = 0, "progress"_a = nb::none(),

@@ -37,16 +37,15 @@ Bvh tree_over(const std::vector<Box>& boxes) {
 }
 
 template <class Set>
-std::vector<double> clearance_of_all(const Set& obstacles, std::span<const double> start,
-                                     std::span<const double> end, double cap, unsigned jobs, Control& control) {
+std::vector<double> clearance_of_all(const Set& obstacles, std::span<const double> start, std::span<const double> end,
+                                     double cap, unsigned jobs, Control& control) {
   if (start.size() != end.size()) throw std::invalid_argument("start and end differ in length");
   std::vector<double> result(start.size() / 3);
   const auto chunk = [&](std::size_t first, std::size_t last) {
     std::uint32_t nearest = kNone;
     std::vector<double> scratch;
     for (std::size_t i = first; i < last; ++i) {
-      result[i] =
-          obstacles.clearance(from_rows(&start[3 * i]), from_rows(&end[3 * i]), cap, nearest, scratch);
+      result[i] = obstacles.clearance(from_rows(&start[3 * i]), from_rows(&end[3 * i]), cap, nearest, scratch);
     }
   };
   if (result.size() <= kChunk) {
@@ -116,8 +115,8 @@ double EllipsoidSet::clearance(Vec3 a, Vec3 b, double cap, std::uint32_t& neares
                                std::vector<double>& scratch) const {
   (void)scratch;
   return tree_.minimum(a, b - a, cap, nearest, [&](std::uint32_t i, double best) {
-    return geometry::signed_distance(
-        geometry::gaussian_ellipsoid(&mean_[3 * i], &scale_[3 * i], &quat_[4 * i], k_), a, b, best);
+    return geometry::signed_distance(geometry::gaussian_ellipsoid(&mean_[3 * i], &scale_[3 * i], &quat_[4 * i], k_),
+                                     a, b, best);
   });
 }
 

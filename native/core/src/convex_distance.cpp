@@ -24,7 +24,8 @@ class Simplex {
     for (unsigned subset = 0; subset < (1u << count_); ++subset) {
       Simplex face(p);
       for (int i = 0; i < count_; ++i) {
-        if (subset >> i & 1u) face.points_[static_cast<std::size_t>(face.count_++)] = points_[static_cast<std::size_t>(i)];
+        if (subset >> i & 1u)
+          face.points_[static_cast<std::size_t>(face.count_++)] = points_[static_cast<std::size_t>(i)];
       }
       if (!face.project()) continue;
       const double squared = dot(face.closest_, face.closest_);
@@ -70,9 +71,7 @@ class Simplex {
     return true;
   }
 
-  static Vec3 cross(Vec3 a, Vec3 b) {
-    return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
-  }
+  static Vec3 cross(Vec3 a, Vec3 b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
 
   std::array<Vec3, 4> points_{};
   int count_ = 1;
@@ -123,8 +122,8 @@ double minimum_of_maximum(std::span<const double> value, std::span<const double>
   if (left.slope >= 0) return left.height;
   if (right.slope <= 0) return right.height;
   for (std::size_t step = 0; step < 2 * value.size() + 2; ++step) {
-    const double t = (left.height - right.height - left.slope * left.t + right.slope * right.t) /
-                     (right.slope - left.slope);
+    const double t =
+        (left.height - right.height - left.slope * left.t + right.slope * right.t) / (right.slope - left.slope);
     if (!(t > left.t && t < right.t)) break;
     const Line middle = active(t, true);
     if (middle.slope == 0 || middle.slope == right.slope) return middle.height;

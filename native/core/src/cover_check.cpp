@@ -81,7 +81,8 @@ class HullCheck {
   void check_order() {
     for (std::size_t i = 0; i < plane_.size(); ++i) {
       if (!plane_[i].is_primitive()) report(Fault::kBadNormal, first_plane_ + static_cast<std::int64_t>(i));
-      if (i > 0 && !(plane_[i - 1] < plane_[i])) report(Fault::kRepeated, first_plane_ + static_cast<std::int64_t>(i));
+      if (i > 0 && !(plane_[i - 1] < plane_[i]))
+        report(Fault::kRepeated, first_plane_ + static_cast<std::int64_t>(i));
     }
     for (std::size_t i = 1; i < vertex_.size(); ++i)
       if (!(vertex_[i - 1] < vertex_[i])) report(Fault::kRepeated, first_vertex_ + static_cast<std::int64_t>(i));
@@ -126,7 +127,8 @@ class HullCheck {
   // dropping the axis along which the normal is longest, which keeps the plane one to one.
   std::vector<std::size_t> polygon(const HalfSpace& plane, std::vector<std::size_t> on) const {
     const std::array<std::uint64_t, 3> length{magnitude(plane.x), magnitude(plane.y), magnitude(plane.z)};
-    const std::size_t drop = static_cast<std::size_t>(std::max_element(length.begin(), length.end()) - length.begin());
+    const std::size_t drop =
+        static_cast<std::size_t>(std::max_element(length.begin(), length.end()) - length.begin());
     const std::size_t a = (drop + 1) % 3, b = (drop + 2) % 3;
     std::sort(on.begin(), on.end(), [&](std::size_t i, std::size_t j) {
       return std::pair(vertex_[i][a], vertex_[i][b]) < std::pair(vertex_[j][a], vertex_[j][b]);
@@ -163,9 +165,8 @@ class HullCheck {
       }
     } else {
       for (std::size_t m = 0; m < member_.size(); ++m) {
-        const auto crossed = std::find_if(plane_.begin(), plane_.end(), [&](const HalfSpace& h) {
-          return h.voxel_excess(member_[m]) > 0;
-        });
+        const auto crossed = std::find_if(plane_.begin(), plane_.end(),
+                                          [&](const HalfSpace& h) { return h.voxel_excess(member_[m]) > 0; });
         if (crossed != plane_.end()) report_member(m, static_cast<std::size_t>(crossed - plane_.begin()));
       }
     }
@@ -199,7 +200,8 @@ class HullCheck {
 };
 
 void require_partition(std::span<const std::int64_t> start, std::size_t hulls, std::size_t rows) {
-  bool holds = start.size() == hulls + 1 && !start.empty() && start.front() == 0 && start.back() == static_cast<std::int64_t>(rows);
+  bool holds = start.size() == hulls + 1 && !start.empty() && start.front() == 0 &&
+               start.back() == static_cast<std::int64_t>(rows);
   for (std::size_t i = 1; holds && i < start.size(); ++i) holds = start[i - 1] <= start[i];
   if (!holds) throw std::invalid_argument("starts do not partition the rows");
 }
@@ -235,7 +237,9 @@ std::vector<Violation> check_occupied(std::span<const std::int32_t> member_index
   struct Entry {
     Position position;
     std::int64_t row;
-    bool operator<(const Entry& other) const { return std::pair(position, row) < std::pair(other.position, other.row); }
+    bool operator<(const Entry& other) const {
+      return std::pair(position, row) < std::pair(other.position, other.row);
+    }
   };
   auto entries = [](std::span<const std::int32_t> rows) {
     std::vector<Entry> result(rows.size() / 3);

@@ -120,8 +120,8 @@ double signed_distance(const Ellipsoid& ellipsoid, Vec3 a, Vec3 b, double enough
   }
   for (int step = 0; step < 80; ++step) {
     const double width = right.t - left.t;
-    const double meet = (right.value - left.value + left.slope * left.t - right.slope * right.t) /
-                        (left.slope - right.slope);
+    const double meet =
+        (right.value - left.value + left.slope * left.t - right.slope * right.t) / (left.slope - right.slope);
     const double lower = left.value + left.slope * (meet - left.t);
     const double upper = std::min(left.value, right.value);
     if (lower >= enough) return lower;

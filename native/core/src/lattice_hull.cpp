@@ -271,7 +271,8 @@ void extreme_corners(std::span<const Lattice> voxels, std::vector<Lattice>& corn
         const std::array<std::int32_t, 2> p{merged[i].y, side > 0 ? merged[i].high : merged[i].low};
         while (chain.size() >= 2) {
           const auto &a = chain[chain.size() - 2], &b = chain.back();
-          const std::int64_t turn = std::int64_t{b[0] - a[0]} * (p[1] - a[1]) - std::int64_t{b[1] - a[1]} * (p[0] - a[0]);
+          const std::int64_t turn =
+              std::int64_t{b[0] - a[0]} * (p[1] - a[1]) - std::int64_t{b[1] - a[1]} * (p[0] - a[0]);
           if (side * turn < 0) break;
           chain.pop_back();
         }

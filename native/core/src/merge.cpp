@@ -28,7 +28,7 @@ struct Candidate {
   double key;
   std::uint32_t left, right;  // left < right
   bool evaluated;
-  bool is_nearest;  // paired because `left` or `right` touches nothing
+  bool is_nearest;                                // paired because `left` or `right` touches nothing
   bool operator<(const Candidate& other) const {  // the best is the top of a heap
     if (key != other.key) return key > other.key;
     if (left != other.left) return left > other.left;

@@ -43,7 +43,8 @@ Occupancy::Occupancy(std::span<const Lattice> voxels) : voxel_(voxels.begin(), v
       word_.resize(word_.size() + words, Word{0, 0});
       for (std::uint32_t v = i; v < column.end; ++v) {
         const std::int32_t z = voxel_[v][2];
-        word_[column.word + static_cast<std::uint32_t>((z >> 6) - column.first_word)].bits |= std::uint64_t{1} << (z & 63);
+        word_[column.word + static_cast<std::uint32_t>((z >> 6) - column.first_word)].bits |= std::uint64_t{1}
+                                                                                              << (z & 63);
       }
       std::uint32_t before = 0;
       for (std::uint32_t w = column.word; w < word_.size(); ++w) {
@@ -81,9 +82,8 @@ std::size_t Occupancy::count(const LatticeBox& box) const {
   std::size_t total = 0;
   auto column = column_.begin();
   for (std::int32_t x = box.lower[0]; x < box.upper[0]; ++x) {
-    column = std::partition_point(column, column_.end(), [&](const Column& c) {
-      return c.x < x || (c.x == x && c.y < box.lower[1]);
-    });
+    column = std::partition_point(column, column_.end(),
+                                  [&](const Column& c) { return c.x < x || (c.x == x && c.y < box.lower[1]); });
     if (column == column_.end()) break;
     for (; column != column_.end() && column->x == x && column->y < box.upper[1]; ++column)
       total += lower(*column, box.upper[2]) - lower(*column, box.lower[2]);

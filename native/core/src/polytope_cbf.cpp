@@ -47,7 +47,8 @@ FilterOutput PolytopeCbf::filter(const Vec3& x, const Vec3& u_nom) {
 alula_polytope_value PolytopeCbf::evaluate(const Vec3& x) {
   alula_polytope_value value;
   const auto position = to_float(x);
-  if (alula_polytope_cbf_evaluate(&cbf_, position.data(), &value) != ALULA_READY) value.hard = value.smooth = -FLT_MAX;
+  if (alula_polytope_cbf_evaluate(&cbf_, position.data(), &value) != ALULA_READY)
+    value.hard = value.smooth = -FLT_MAX;
   return value;
 }
 

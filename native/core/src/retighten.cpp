@@ -63,9 +63,8 @@ void retighten(const Occupancy& occupancy, Cover& cover, std::size_t max_planes,
     planes += cover.hull[h].plane.size();
     quiet.poll(0, 1);
   }
-  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
-    return excess[a] != excess[b] ? excess[a] > excess[b] : a < b;
-  });
+  std::sort(order.begin(), order.end(),
+            [&](std::size_t a, std::size_t b) { return excess[a] != excess[b] ? excess[a] > excess[b] : a < b; });
 
   HullBuilder builder;
   std::vector<Lattice> needed;

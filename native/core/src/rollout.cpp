@@ -57,8 +57,8 @@ Outcome Trial::advance(const Vec3& u, bool refused) {
   const auto rows = static_cast<std::int64_t>(reference_.size());
   // On a reference that rests, resting is right: only a vehicle that is left behind is stuck.
   const bool behind =
-      rows == 0 || distance(x_, row(reference_.position, static_cast<std::size_t>(std::min(step_, rows - 1)))) >
-                       stop_distance_;
+      rows == 0 ||
+      distance(x_, row(reference_.position, static_cast<std::size_t>(std::min(step_, rows - 1)))) > stop_distance_;
   still_ = norm(u) < rules_.stuck_speed && behind ? still_ + 1 : 0;
   if (refused) {
     outcome_ = Outcome::refused;

@@ -323,9 +323,9 @@ std::vector<std::int64_t> first_touching(const Splats& splats, const Level& leve
 
 }  // namespace
 
-Unproven unproven_voxels(const Splats& splats, const Level& level, double voxel_size,
-                         const std::optional<Box6>& crop, std::uint32_t min_overlap,
-                         std::span<const std::int32_t> index, unsigned jobs, Control& control) {
+Unproven unproven_voxels(const Splats& splats, const Level& level, double voxel_size, const std::optional<Box6>& crop,
+                         std::uint32_t min_overlap, std::span<const std::int32_t> index, unsigned jobs,
+                         Control& control) {
   check_splats(splats, level, voxel_size);
   const CropRange range = crop_range(crop, voxel_size);
   const VoxelSet set(index);

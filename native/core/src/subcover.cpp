@@ -57,9 +57,8 @@ std::vector<double> cluster_weights(const Occupancy& occupancy, int block, unsig
     });
     std::vector<std::uint32_t> order(count);
     for (std::uint32_t v = 0; v < count; ++v) order[v] = v;
-    std::sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) {
-      return mask[a] != mask[b] ? mask[a] < mask[b] : a < b;
-    });
+    std::sort(order.begin(), order.end(),
+              [&](std::uint32_t a, std::uint32_t b) { return mask[a] != mask[b] ? mask[a] < mask[b] : a < b; });
     for (std::size_t i = 0; i < count; ++i) {
       if (i == 0 || mask[order[i]] != mask[order[i - 1]]) sample.push_back(order[i]);
       pattern[order[i]] = static_cast<std::uint32_t>(sample.size() - 1);

@@ -66,8 +66,8 @@ UnionVolume union_excess(const Occupancy& occupancy, const std::vector<LatticePo
           shape[h].row(x - box[h].lower[0], y, low.data(), high.data());
           for (std::size_t k = 0; k < y.size(); ++k) {
             if (high[k] > low[k])
-              interval.push_back({from * lines + static_cast<std::int32_t>(k), box[h].lower[2] + low[k],
-                                  box[h].lower[2] + high[k]});
+              interval.push_back(
+                  {from * lines + static_cast<std::int32_t>(k), box[h].lower[2] + low[k], box[h].lower[2] + high[k]});
           }
         }
         std::sort(interval.begin(), interval.end(), [](const Interval& a, const Interval& b) {

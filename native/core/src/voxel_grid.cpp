@@ -161,8 +161,7 @@ struct OverlapGrid::Shard {
   }
 };
 
-OverlapGrid::OverlapGrid(std::size_t max_voxels, std::size_t max_bricks)
-    : budget_(std::make_unique<Budget>()) {
+OverlapGrid::OverlapGrid(std::size_t max_voxels, std::size_t max_bricks) : budget_(std::make_unique<Budget>()) {
   budget_->max_voxels = max_voxels;
   budget_->max_bricks = max_bricks;
   for (auto& shard : shards_) {
@@ -199,9 +198,8 @@ VoxelCounts OverlapGrid::collect(std::uint32_t min_count, unsigned jobs, Control
   };
   std::vector<Entry> entries;
   for (const auto& shard : shards_)
-    shard->map.each([&](const Index3& key, std::uint32_t number) {
-      entries.push_back({key, &shard->brick(number)});
-    });
+    shard->map.each(
+        [&](const Index3& key, std::uint32_t number) { entries.push_back({key, &shard->brick(number)}); });
   std::sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) { return a.key < b.key; });
 
   // Slabs of equal brick x; within a slab lexicographic order interleaves the bricks' columns.
@@ -256,7 +254,7 @@ VoxelSet::VoxelSet(std::span<const std::int32_t> index) {
       at = key;
     }
     (*last)[static_cast<std::size_t>(index[i] & 7)] |= std::uint64_t{1}
-                                                        << ((index[i + 1] & 7) * kEdge + (index[i + 2] & 7));
+                                                       << ((index[i + 1] & 7) * kEdge + (index[i + 2] & 7));
   }
 }
 

@@ -11,8 +11,8 @@ namespace alula {
 
 namespace {
 
-constexpr double kPad = 256 * kEps;          // q / E
-constexpr double kRadius = 1 + 4 * kEps;     // of the ball, so that w is never rounded below the true one
+constexpr double kPad = 256 * kEps;       // q / E
+constexpr double kRadius = 1 + 4 * kEps;  // of the ball, so that w is never rounded below the true one
 constexpr double kMiss = -std::numeric_limits<double>::infinity();
 
 // The plane over one edge of a column, first coordinate fixed: an arc of the upper surface.
@@ -142,8 +142,7 @@ class Marker {
       for (std::size_t j = 0; j < y_.span.size(); ++j) {
         const double top = height(x_up, x_.top[i], x_.span[i], y_up, y_.top[j], y_.span[j], e.half[2]);
         if (top == kMiss) continue;
-        const double bottom =
-            height(x_down, x_.bottom[i], x_.span[i], y_down, y_.bottom[j], y_.span[j], e.half[2]);
+        const double bottom = height(x_down, x_.bottom[i], x_.span[i], y_down, y_.bottom[j], y_.span[j], e.half[2]);
         if (bottom == kMiss) continue;
         const double first = std::max(std::floor((e.centre[2] - bottom - pad) / g_), double(block.lower[2]));
         const double last = std::min(std::floor((e.centre[2] + top + pad) / g_), double(block.upper[2]));

@@ -5,10 +5,10 @@
 
 inline int alula_failures = 0;
 
-#define CHECK(condition)                                                              \
-  do {                                                                                \
-    if (!(condition)) {                                                               \
+#define CHECK(condition)                                                                 \
+  do {                                                                                   \
+    if (!(condition)) {                                                                  \
       std::fprintf(stderr, "%s:%d: CHECK(%s) failed\n", __FILE__, __LINE__, #condition); \
-      ++alula_failures;                                                               \
-    }                                                                                 \
+      ++alula_failures;                                                                  \
+    }                                                                                    \
   } while (false)

@@ -44,7 +44,8 @@ void check_cover(const std::vector<Lattice>& voxels, std::size_t hulls, MergeRul
     CHECK(check_hulls(arrays.view(), 2, control).empty());
     const auto flat = std::span(reinterpret_cast<const std::int32_t*>(voxels.data()), 3 * voxels.size());
     CHECK(check_occupied(arrays.member, arrays.member_start, flat).empty());
-    CHECK(union_excess(occupancy, cover.hull, 1, control).excess == union_excess(occupancy, cover.hull, 3, control).excess);
+    CHECK(union_excess(occupancy, cover.hull, 1, control).excess ==
+          union_excess(occupancy, cover.hull, 3, control).excess);
   }
 }
 
@@ -59,7 +60,8 @@ int main() {
         state = state * 1664525u + 1013904223u;
         if (state >> 29 == 0) scattered.push_back({x, y, z});
       }
-  const std::vector<Lattice> far{{-(1 << 19), 5, 5}, {0, -(1 << 19), 0}, {7, 0, (1 << 19) - 1}, {(1 << 19) - 1, 0, 0}};
+  const std::vector<Lattice> far{
+      {-(1 << 19), 5, 5}, {0, -(1 << 19), 0}, {7, 0, (1 << 19) - 1}, {(1 << 19) - 1, 0, 0}};
   for (const MergeRule rule : {MergeRule::kPaper, MergeRule::kIncrease}) {
     for (const std::size_t hulls : {1u, 5u, 30u, 1000u}) check_cover(scattered, hulls, rule);
     for (const std::size_t hulls : {1u, 2u, 4u}) check_cover(far, hulls, rule);

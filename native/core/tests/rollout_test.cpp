@@ -42,8 +42,9 @@ void test_threads_change_nothing() {
 }
 
 void test_rules_without_meaning_throw() {
-  for (const TrialRules& rules : {TrialRules{}, TrialRules{.dt_s = 0, .max_steps = 1},
-                                  TrialRules{.gain = std::nan(""), .max_steps = 1}, TrialRules{.gain = 300, .max_steps = 1}}) {
+  for (const TrialRules& rules :
+       {TrialRules{}, TrialRules{.dt_s = 0, .max_steps = 1}, TrialRules{.gain = std::nan(""), .max_steps = 1},
+        TrialRules{.gain = 300, .max_steps = 1}}) {
     bool thrown = false;
     try {
       const Trial trial({0, 0, 0}, {1, 0, 0}, rules);

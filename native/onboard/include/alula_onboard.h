@@ -24,13 +24,7 @@ extern "C" {
 #endif
 
 /* How a set-up call ended. */
-typedef enum {
-  ALULA_READY = 0,
-  ALULA_BAD_POINTER,
-  ALULA_BAD_PARAMETER,
-  ALULA_BAD_MAP,
-  ALULA_BAD_INPUT
-} alula_status;
+typedef enum { ALULA_READY = 0, ALULA_BAD_POINTER, ALULA_BAD_PARAMETER, ALULA_BAD_MAP, ALULA_BAD_INPUT } alula_status;
 
 /* What a filter did with the nominal input. In all cases but REFUSED the result may be flown. */
 typedef enum {

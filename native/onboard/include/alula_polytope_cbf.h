@@ -42,10 +42,10 @@ extern "C" {
  * would not. `slack_m` bounds how much two float evaluations of psi at equally rounded positions
  * may differ. */
 typedef struct {
-  const float *plane;          /* plane_start[hull_count] rows of 4 */
-  const uint32_t *plane_start; /* hull_count + 1 */
-  const float *lower;          /* hull_count rows of 3 */
-  const float *upper;          /* hull_count rows of 3 */
+  const float* plane;          /* plane_start[hull_count] rows of 4 */
+  const uint32_t* plane_start; /* hull_count + 1 */
+  const float* lower;          /* hull_count rows of 3 */
+  const float* upper;          /* hull_count rows of 3 */
   uint32_t hull_count;
   float extent_m;
   float slack_m;
@@ -71,9 +71,9 @@ typedef struct {
   alula_polytope_map map;
   alula_polytope_cbf_config config;
   float inverse_kappa;
-  float cutoff_m;      /* hulls this much farther than the nearest do not count */
+  float cutoff_m;       /* hulls this much farther than the nearest do not count */
   float max_lowering_m; /* largest log(L_k) / kappa */
-  float *hull_value;   /* workspace, hull_count */
+  float* hull_value;    /* workspace, hull_count */
 } alula_polytope_cbf;
 
 typedef struct {
@@ -95,16 +95,16 @@ typedef struct {
  *
  * `hull_value` is room for hull_count floats that live as long as the filter; one filter per thread.
  * Reads the whole map once. */
-ALULA_MUST_USE alula_status alula_polytope_cbf_init(alula_polytope_cbf *cbf, const alula_polytope_map *map,
-                                                    const alula_polytope_cbf_config *config, float *hull_value);
+ALULA_MUST_USE alula_status alula_polytope_cbf_init(alula_polytope_cbf* cbf, const alula_polytope_map* map,
+                                                    const alula_polytope_cbf_config* config, float* hull_value);
 
 /* psi, its smooth version and gradient at x; ALULA_BAD_INPUT when x is not finite or beyond extent_m. */
-ALULA_MUST_USE alula_status alula_polytope_cbf_evaluate(alula_polytope_cbf *cbf, const float x[3],
-                                                        alula_polytope_value *value);
+ALULA_MUST_USE alula_status alula_polytope_cbf_evaluate(alula_polytope_cbf* cbf, const float x[3],
+                                                        alula_polytope_value* value);
 
 /* The safe velocity nearest to u_nom. Whatever is not finite or beyond the map is refused: u = 0. */
-ALULA_MUST_USE alula_filter_status alula_polytope_cbf_filter(alula_polytope_cbf *cbf, const float x[3],
-                                                             const float u_nom[3], alula_polytope_result *result);
+ALULA_MUST_USE alula_filter_status alula_polytope_cbf_filter(alula_polytope_cbf* cbf, const float x[3],
+                                                             const float u_nom[3], alula_polytope_result* result);
 
 #ifdef __cplusplus
 }

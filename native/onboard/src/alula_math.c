@@ -4,7 +4,7 @@
 #define LOG2_E 1.44269504F
 #define LN2_HIGH 0.693359375F /* 355 / 512: k * LN2_HIGH is exact for |k| < 2^15 */
 #define LN2_LOW (-2.12194440e-4F)
-#define EXP_LARGEST 88.7228317F   /* log FLT_MAX, rounded down */
+#define EXP_LARGEST 88.7228317F     /* log FLT_MAX, rounded down */
 #define EXP_SMALLEST (-87.3365448F) /* log FLT_MIN, rounded up */
 
 typedef union {
@@ -26,7 +26,8 @@ float alula_expf(float x) {
   const int32_t k = (int32_t)(x * LOG2_E + (x < 0.0F ? -0.5F : 0.5F));
   const float r = (x - (float)k * LN2_HIGH) - (float)k * LN2_LOW; /* |r| <= 0.3467 */
   const float tail =
-      0.5F + r * (1.0F / 6.0F + r * (1.0F / 24.0F + r * (1.0F / 120.0F + r * (1.0F / 720.0F + r * (1.0F / 5040.0F)))));
+      0.5F +
+      r * (1.0F / 6.0F + r * (1.0F / 24.0F + r * (1.0F / 120.0F + r * (1.0F / 720.0F + r * (1.0F / 5040.0F)))));
   const float y = (r * r * tail + r) + 1.0F;
   const int32_t half = k / 2; /* 2^128 is no float, its square root is */
   return y * power_of_two(half) * power_of_two(k - half);

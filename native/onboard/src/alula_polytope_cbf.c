@@ -6,21 +6,21 @@
 #define CUTOFF 18.0F
 #define KAPPA_MAX 1.0e5F
 #define SPEED_MAX 1.0e6F
-#define FLAT 1.0e-6F          /* squared gradient below which there is no direction to leave in */
+#define FLAT 1.0e-6F           /* squared gradient below which there is no direction to leave in */
 #define DIVISION_ERROR 2.4e-7F /* 4 units in the last place: two subtractions and a division */
 #define SPEED_ROUNDING 1.000001F
 
 static float dot(const float a[3], const float b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-static float plane_value(const float *plane, const float x[3]) {
+static float plane_value(const float* plane, const float x[3]) {
   return ((plane[0] * x[0] + plane[1] * x[1]) + plane[2] * x[2]) - plane[3];
 }
 
 /* Lower bound of psi_k from the planes of hull k that are parallel to the axes. The arithmetic is
  * that of plane_value for such a plane, so the bound also holds for the rounded values. */
-static float box_value(const alula_polytope_map *map, uint32_t hull, const float x[3]) {
-  const float *lower = map->lower + 3U * hull;
-  const float *upper = map->upper + 3U * hull;
+static float box_value(const alula_polytope_map* map, uint32_t hull, const float x[3]) {
+  const float* lower = map->lower + 3U * hull;
+  const float* upper = map->upper + 3U * hull;
   float value = -FLT_MAX;
   for (int i = 0; i < 3; ++i) {
     const float below = lower[i] - x[i];
@@ -31,7 +31,7 @@ static float box_value(const alula_polytope_map *map, uint32_t hull, const float
   return value;
 }
 
-static float hard_value(const alula_polytope_map *map, uint32_t hull, const float x[3]) {
+static float hard_value(const alula_polytope_map* map, uint32_t hull, const float x[3]) {
   float value = -FLT_MAX;
   const uint32_t end = map->plane_start[hull + 1U];
   for (uint32_t l = map->plane_start[hull]; l < end; ++l) {
@@ -41,21 +41,21 @@ static float hard_value(const alula_polytope_map *map, uint32_t hull, const floa
   return value;
 }
 
-static float lowering(const alula_polytope_cbf *cbf, uint32_t hull) {
+static float lowering(const alula_polytope_cbf* cbf, uint32_t hull) {
   if (cbf->config.smoothing == ALULA_SMOOTHING_PAPER) return 0.0F;
   const uint32_t planes = cbf->map.plane_start[hull + 1U] - cbf->map.plane_start[hull];
   return alula_logf((float)planes) * cbf->inverse_kappa;
 }
 
 /* s_k and its gradient, given psi_k. */
-static float smooth_value(const alula_polytope_cbf *cbf, uint32_t hull, const float x[3], float hard,
+static float smooth_value(const alula_polytope_cbf* cbf, uint32_t hull, const float x[3], float hard,
                           float gradient[3]) {
-  const alula_polytope_map *map = &cbf->map;
+  const alula_polytope_map* map = &cbf->map;
   const uint32_t end = map->plane_start[hull + 1U];
   float sum = 0.0F;
   gradient[0] = gradient[1] = gradient[2] = 0.0F;
   for (uint32_t l = map->plane_start[hull]; l < end; ++l) {
-    const float *plane = map->plane + 4U * l;
+    const float* plane = map->plane + 4U * l;
     const float exponent = cbf->config.kappa * (plane_value(plane, x) - hard);
     if (exponent < -CUTOFF) continue;
     const float weight = alula_expf(exponent);
@@ -69,14 +69,14 @@ static float smooth_value(const alula_polytope_cbf *cbf, uint32_t hull, const fl
   return hard - (raised < down ? down - raised : 0.0F);
 }
 
-static int inside_extent(const alula_polytope_map *map, const float x[3]) {
+static int inside_extent(const alula_polytope_map* map, const float x[3]) {
   for (int i = 0; i < 3; ++i) {
     if (!(x[i] >= -map->extent_m && x[i] <= map->extent_m)) return 0; /* also NaN */
   }
   return 1;
 }
 
-static int map_is_valid(const alula_polytope_map *map) {
+static int map_is_valid(const alula_polytope_map* map) {
   if (map->plane_start[0] != 0U || !(map->extent_m > 0.0F) || !(map->extent_m < 1.0e12F)) return 0;
   if (!(map->slack_m >= 0.0F) || !alula_is_finite(map->slack_m)) return 0;
   for (uint32_t k = 0; k < map->hull_count; ++k) {
@@ -92,15 +92,15 @@ static int map_is_valid(const alula_polytope_map *map) {
   return 1;
 }
 
-alula_status alula_polytope_cbf_init(alula_polytope_cbf *cbf, const alula_polytope_map *map,
-                                     const alula_polytope_cbf_config *config, float *hull_value) {
+alula_status alula_polytope_cbf_init(alula_polytope_cbf* cbf, const alula_polytope_map* map,
+                                     const alula_polytope_cbf_config* config, float* hull_value) {
   if (!cbf || !map || !config || !map->plane_start) return ALULA_BAD_POINTER;
   if (map->hull_count > 0U && (!map->plane || !map->lower || !map->upper || !hull_value)) return ALULA_BAD_POINTER;
   if (map->hull_count > ALULA_MAX_PLANES || !map_is_valid(map)) return ALULA_BAD_MAP;
   const int good = config->radius_m >= 0.0F && config->radius_m <= map->extent_m && config->beta > 0.0F &&
                    config->dt_s > 0.0F && config->beta * config->dt_s <= SPEED_ROUNDING && config->kappa > 0.0F &&
-                   config->kappa <= KAPPA_MAX && config->v_max > 0.0F &&
-                   config->v_max <= SPEED_MAX && config->v_max * config->dt_s <= map->extent_m &&
+                   config->kappa <= KAPPA_MAX && config->v_max > 0.0F && config->v_max <= SPEED_MAX &&
+                   config->v_max * config->dt_s <= map->extent_m &&
                    (config->smoothing == ALULA_SMOOTHING_SOUND || config->smoothing == ALULA_SMOOTHING_PAPER);
   if (!good) return ALULA_BAD_PARAMETER;
   cbf->map = *map;
@@ -118,7 +118,7 @@ alula_status alula_polytope_cbf_init(alula_polytope_cbf *cbf, const alula_polyto
 }
 
 /* The hull whose box is nearest: a good guess for the nearest hull, so that most others are skipped. */
-static uint32_t first_guess(const alula_polytope_map *map, const float x[3]) {
+static uint32_t first_guess(const alula_polytope_map* map, const float x[3]) {
   uint32_t guess = 0U;
   float least = FLT_MAX;
   for (uint32_t k = 0; k < map->hull_count; ++k) {
@@ -134,8 +134,8 @@ static uint32_t first_guess(const alula_polytope_map *map, const float x[3]) {
 /* psi and all s_k that can matter; the least s_k. A hull is skipped when its lower bound shows both
  * that it is not the nearest and that its term is left out by rule. Every operation in these
  * comparisons is monotone also after rounding, so brute force comes to the same result. */
-static float first_pass(alula_polytope_cbf *cbf, const float x[3], alula_polytope_value *value) {
-  const alula_polytope_map *map = &cbf->map;
+static float first_pass(alula_polytope_cbf* cbf, const float x[3], alula_polytope_value* value) {
+  const alula_polytope_map* map = &cbf->map;
   const int brute_force = cbf->config.brute_force;
   const uint32_t guess = brute_force ? 0U : first_guess(map, x);
   float least = FLT_MAX, unused[3];
@@ -161,7 +161,7 @@ static float first_pass(alula_polytope_cbf *cbf, const float x[3], alula_polytop
   return least;
 }
 
-alula_status alula_polytope_cbf_evaluate(alula_polytope_cbf *cbf, const float x[3], alula_polytope_value *value) {
+alula_status alula_polytope_cbf_evaluate(alula_polytope_cbf* cbf, const float x[3], alula_polytope_value* value) {
   if (!cbf || !x || !value) return ALULA_BAD_POINTER;
   value->hard = value->smooth = FLT_MAX;
   value->gradient[0] = value->gradient[1] = value->gradient[2] = 0.0F;
@@ -189,9 +189,9 @@ alula_status alula_polytope_cbf_evaluate(alula_polytope_cbf *cbf, const float x[
  * Along the step each plane's value is linear, so hull k is entered between the last plane that
  * goes below the threshold and the first that comes back above it: the step is clear when that
  * interval is empty. The float values are at most the true ones at both ends, hence in between. */
-static float clear_fraction(const alula_polytope_cbf *cbf, const float x[3], const float end[3], float reach,
+static float clear_fraction(const alula_polytope_cbf* cbf, const float x[3], const float end[3], float reach,
                             float least) {
-  const alula_polytope_map *map = &cbf->map;
+  const alula_polytope_map* map = &cbf->map;
   float fraction = 1.0F;
   for (uint32_t k = 0; k < map->hull_count; ++k) {
     if (!cbf->config.brute_force && box_value(map, k, x) - reach > least) continue;
@@ -236,7 +236,7 @@ static int limit_speed(float u[3], float v_max) {
 }
 
 /* Drive out along the gradient, as fast as the row asks but within the speed limit. */
-static alula_filter_status recover(const alula_polytope_cbf *cbf, const alula_polytope_value *value, float row,
+static alula_filter_status recover(const alula_polytope_cbf* cbf, const alula_polytope_value* value, float row,
                                    float u[3]) {
   const float square = dot(value->gradient, value->gradient);
   if (square < FLAT) {
@@ -251,9 +251,9 @@ static alula_filter_status recover(const alula_polytope_cbf *cbf, const alula_po
 }
 
 /* The u with gradient . u >= row and |u| <= v_max that is nearest to the given one (which keeps the limit). */
-static alula_filter_status project(const alula_polytope_cbf *cbf, const alula_polytope_value *value, float row,
+static alula_filter_status project(const alula_polytope_cbf* cbf, const alula_polytope_value* value, float row,
                                    float u[3]) {
-  const float *gradient = value->gradient;
+  const float* gradient = value->gradient;
   const float v_max = cbf->config.v_max;
   const float along = dot(gradient, u);
   if (along >= row) return ALULA_FILTER_OK;
@@ -279,15 +279,15 @@ static alula_filter_status project(const alula_polytope_cbf *cbf, const alula_po
 }
 
 /* The part of the command u, held for dt from x, that keeps psi_k >= least for all k. */
-static float checked(const alula_polytope_cbf *cbf, const float x[3], const float u[3], float least) {
+static float checked(const alula_polytope_cbf* cbf, const float x[3], const float u[3], float least) {
   float end[3];
   for (int i = 0; i < 3; ++i) end[i] = x[i] + u[i] * cbf->config.dt_s;
   const float reach = __builtin_sqrtf(dot(u, u)) * cbf->config.dt_s * SPEED_ROUNDING + cbf->map.slack_m;
   return clear_fraction(cbf, x, end, reach, least);
 }
 
-static alula_filter_status check_step(const alula_polytope_cbf *cbf, const float x[3], alula_filter_status status,
-                                      alula_polytope_result *result) {
+static alula_filter_status check_step(const alula_polytope_cbf* cbf, const float x[3], alula_filter_status status,
+                                      alula_polytope_result* result) {
   result->fraction = checked(cbf, x, result->u, cbf->config.radius_m + cbf->map.slack_m);
   if (result->fraction >= 1.0F) return status;
   for (int i = 0; i < 3; ++i) result->u[i] *= result->fraction;
@@ -297,14 +297,14 @@ static alula_filter_status check_step(const alula_polytope_cbf *cbf, const float
 /* A step out must not lead deeper, into this hull or another. The gradient of s may: it is a mean of
  * normals, near edges and for a small kappa of many. Then the normal of the plane that decides psi,
  * along which psi_k grows, may allow more. */
-static void check_recovery(const alula_polytope_cbf *cbf, const float x[3], const alula_polytope_value *value,
-                           alula_polytope_result *result) {
-  const alula_polytope_map *map = &cbf->map;
+static void check_recovery(const alula_polytope_cbf* cbf, const float x[3], const alula_polytope_value* value,
+                           alula_polytope_result* result) {
+  const alula_polytope_map* map = &cbf->map;
   result->fraction = checked(cbf, x, result->u, value->hard);
   if (result->fraction < 1.0F) {
-    const float *nearest = map->plane + 4U * map->plane_start[value->nearest];
-    const float *const end = map->plane + 4U * map->plane_start[value->nearest + 1U];
-    for (const float *plane = nearest; plane < end; plane += 4) {
+    const float* nearest = map->plane + 4U * map->plane_start[value->nearest];
+    const float* const end = map->plane + 4U * map->plane_start[value->nearest + 1U];
+    for (const float* plane = nearest; plane < end; plane += 4) {
       if (plane_value(plane, x) > plane_value(nearest, x)) nearest = plane;
     }
     const float speed = __builtin_sqrtf(dot(result->u, result->u));
@@ -319,8 +319,8 @@ static void check_recovery(const alula_polytope_cbf *cbf, const float x[3], cons
   for (int i = 0; i < 3; ++i) result->u[i] *= result->fraction;
 }
 
-alula_filter_status alula_polytope_cbf_filter(alula_polytope_cbf *cbf, const float x[3], const float u_nom[3],
-                                              alula_polytope_result *result) {
+alula_filter_status alula_polytope_cbf_filter(alula_polytope_cbf* cbf, const float x[3], const float u_nom[3],
+                                              alula_polytope_result* result) {
   if (!result) return ALULA_FILTER_REFUSED;
   result->u[0] = result->u[1] = result->u[2] = 0.0F;
   result->margin_m = result->hard_margin_m = -FLT_MAX;

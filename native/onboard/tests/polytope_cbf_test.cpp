@@ -1,11 +1,10 @@
 // The onboard filter as firmware calls it: what it refuses, and that a flight past a block stays clear.
-#include "alula_polytope_cbf.h"
-
 #include <array>
 #include <cmath>
 #include <cstdint>
 #include <limits>
 
+#include "alula_polytope_cbf.h"
 #include "check.hpp"
 
 namespace {
@@ -14,8 +13,8 @@ constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 // The unit cube, its planes a little outward, as a map in flash would be.
-constexpr std::array<float, 24> kPlane{1, 0, 0, 1.0001F, -1, 0, 0, 0.0001F, 0, 1, 0, 1.0001F,
-                                       0, -1, 0, 0.0001F, 0, 0, 1, 1.0001F, 0, 0, -1, 0.0001F};
+constexpr std::array<float, 24> kPlane{1, 0,  0, 1.0001F, -1, 0, 0, 0.0001F, 0, 1, 0,  1.0001F,
+                                       0, -1, 0, 0.0001F, 0,  0, 1, 1.0001F, 0, 0, -1, 0.0001F};
 constexpr std::array<std::uint32_t, 2> kStart{0, 6};
 constexpr std::array<float, 3> kLower{-0.0001F, -0.0001F, -0.0001F}, kUpper{1.0001F, 1.0001F, 1.0001F};
 

@@ -52,8 +52,7 @@ class PolytopeSet {
 class EllipsoidSet {
  public:
   // Copies the arrays: mean (3 per Gaussian), scale (3, one-sigma semi-axes > 0), quat_wxyz (4).
-  EllipsoidSet(std::span<const float> mean, std::span<const float> scale, std::span<const float> quat_wxyz,
-               double k);
+  EllipsoidSet(std::span<const float> mean, std::span<const float> scale, std::span<const float> quat_wxyz, double k);
 
   std::size_t size() const { return mean_.size() / 3; }
   double clearance(geometry::Vec3 a, geometry::Vec3 b, double cap, std::uint32_t& nearest,

@@ -14,10 +14,10 @@ namespace alula {
 // What is known about one piece of a curve.
 struct CurveProof {
   bool proven = false;
-  double clearance = 0;      // proven lower bound, at most twice the radius; when not proven, the
-                             // distance of a point of the curve or of its control hull that fell short
-  std::uint32_t pairs = 0;   // pairs of a sub-piece and a polytope that were decided
-  std::uint32_t depth = 0;   // of the deepest subdivision
+  double clearance = 0;     // proven lower bound, at most twice the radius; when not proven, the
+                            // distance of a point of the curve or of its control hull that fell short
+  std::uint32_t pairs = 0;  // pairs of a sub-piece and a polytope that were decided
+  std::uint32_t depth = 0;  // of the deepest subdivision
 };
 
 // Checks curves given by the control points of their Bernstein form, 8 points (24 numbers) each.

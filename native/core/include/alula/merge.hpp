@@ -63,8 +63,8 @@ void retighten(const Occupancy& occupancy, Cover& cover, std::size_t max_planes,
 void sort_hulls(Cover& cover);
 
 struct UnionVolume {
-  double excess;     // Vol(union of hulls \ occupied) [voxels]
-  int lines, stride; // lines x lines per sampled voxel column, every stride-th column per axis
+  double excess;      // Vol(union of hulls \ occupied) [voxels]
+  int lines, stride;  // lines x lines per sampled voxel column, every stride-th column per axis
 };
 
 // Volume of the union outside the voxels by exact z-intervals over a regular grid of lines; every

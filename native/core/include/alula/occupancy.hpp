@@ -17,9 +17,9 @@ class Occupancy {
  public:
   struct Column {
     std::int32_t x, y;
-    std::uint32_t begin, end;  // its voxels
-    std::int32_t first_word;   // z >> 6 of its first word
-    std::uint32_t word, words; // none when the column is sparse
+    std::uint32_t begin, end;   // its voxels
+    std::int32_t first_word;    // z >> 6 of its first word
+    std::uint32_t word, words;  // none when the column is sparse
   };
 
   // Throws std::invalid_argument when not sorted and unique by x, y, z, or out of range.
@@ -48,7 +48,8 @@ class Occupancy {
     if (w >= static_cast<std::int32_t>(column.words)) return static_cast<double>(column.end - column.begin);
     const Word& word = word_[column.word + static_cast<std::uint32_t>(w)];
     const std::uint64_t bit = std::uint64_t{1} << (k & 63);
-    const double whole = static_cast<double>(word.before + static_cast<std::uint32_t>(std::popcount(word.bits & (bit - 1))));
+    const double whole =
+        static_cast<double>(word.before + static_cast<std::uint32_t>(std::popcount(word.bits & (bit - 1))));
     return (word.bits & bit) != 0 ? whole + (z - base) : whole;
   }
 

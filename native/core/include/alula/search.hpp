@@ -50,7 +50,7 @@ SearchResult find_path(const PolytopeSet& obstacles, const Lattice& lattice, geo
 // most `spacing` apart and that skip at most 128 of them; repeated `rounds` times. Each segment of
 // `path` must itself be free.
 std::vector<geometry::Vec3> tighten_path(const PolytopeSet& obstacles, const std::vector<geometry::Vec3>& path,
-                                         double radius, double comfort, double spacing, int rounds,
-                                         unsigned jobs, Control& control);
+                                         double radius, double comfort, double spacing, int rounds, unsigned jobs,
+                                         Control& control);
 
 }  // namespace alula

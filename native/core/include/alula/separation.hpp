@@ -41,8 +41,8 @@ struct Unproven {
 };
 
 // `index` (M, 3) is the set, in any order. Throws as `voxelize` does.
-Unproven unproven_voxels(const Splats& splats, const Level& level, double voxel_size,
-                         const std::optional<Box6>& crop, std::uint32_t min_overlap,
-                         std::span<const std::int32_t> index, unsigned jobs, Control& control);
+Unproven unproven_voxels(const Splats& splats, const Level& level, double voxel_size, const std::optional<Box6>& crop,
+                         std::uint32_t min_overlap, std::span<const std::int32_t> index, unsigned jobs,
+                         Control& control);
 
 }  // namespace alula

@@ -70,8 +70,8 @@ inline double squared_distance_bound(const Box& box, Vec3 a, Vec3 d) {
     if (middle.slope == 0) return middle.value;
     (middle.slope < 0 ? left : right) = middle;
   }
-  const double meet = (right.value - left.value + left.slope * left.t - right.slope * right.t) /
-                      (left.slope - right.slope);
+  const double meet =
+      (right.value - left.value + left.slope * left.t - right.slope * right.t) / (left.slope - right.slope);
   return std::max(0.0, left.value + left.slope * (meet - left.t));
 }
 

@@ -32,9 +32,9 @@
 namespace alula {
 
 struct Voxelized {
-  VoxelCounts voxels;          // how many ellipsoids touch each voxel
-  std::size_t outside = 0;     // ellipsoids that touch no voxel of the crop
-  std::size_t cut = 0;         // ellipsoids that may touch voxels in and out of the crop
+  VoxelCounts voxels;       // how many ellipsoids touch each voxel
+  std::size_t outside = 0;  // ellipsoids that touch no voxel of the crop
+  std::size_t cut = 0;      // ellipsoids that may touch voxels in and out of the crop
 };
 
 // All voxels that an ellipsoid touches and that touch the crop box, in lexicographic order; the same
