@@ -36,12 +36,12 @@ setup: .venv/.installed ## make the environment in .venv/
 format: setup ## format all sources
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
-	$(BIN)/clang-format -i $(filter-out CMakeLists.txt,$(NATIVE))
+	@$(BIN)/clang-format -i $(filter-out CMakeLists.txt,$(NATIVE))
 
 lint: setup ## check style and formatting
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/clang-format --dry-run -Werror $(filter-out CMakeLists.txt,$(NATIVE))
+	@$(BIN)/clang-format --dry-run -Werror $(filter-out CMakeLists.txt,$(NATIVE))
 
 typing-view: setup ## link the sources under one namespace for static tools
 	@mkdir -p $(VIEW)
