@@ -3,6 +3,9 @@ from pathlib import Path
 
 import pytest
 
+for name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS"):  # `make test` runs tests that run make
+    os.environ.pop(name, None)
+
 
 @pytest.fixture(scope="session")
 def data() -> Path:
