@@ -171,12 +171,12 @@ def test_an_output_that_is_a_folder_is_refused(name, here, capsys):
 
 
 @pytest.mark.parametrize("name", WRITERS)
-@pytest.mark.parametrize("parent", ["nowhere", "pairs.csv"])
+@pytest.mark.parametrize("parent", ["nowhere", "pairs.csv", "/proc"])
 def test_an_output_in_no_folder_is_refused(name, parent, here, capsys):
     before = names(here)
     line = expect(
         3,
-        run(words_of(WRITERS[name], f"{parent}/{WRITERS[name].out}")),
+        run([*words_of(WRITERS[name], f"{parent}/{WRITERS[name].out}"), "-q"]),
         before,
         here,
         capsys.readouterr().err,
