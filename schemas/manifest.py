@@ -156,7 +156,7 @@ def native_commit() -> str:
     """The commit baked into the extension module; empty in an editable build."""
     from alula._core import commit
 
-    return commit
+    return commit()
 
 
 @cache

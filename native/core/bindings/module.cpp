@@ -14,7 +14,7 @@ void bind_search(nb::module_& m);
 
 NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
-  m.attr("commit") = ALULA_COMMIT;
+  m.def("commit", [] { return ALULA_COMMIT; }, "The commit that a wheel was built from; empty in an editable build.");
   bind_voxelize(m);
   bind_separation(m);
   bind_merge(m);

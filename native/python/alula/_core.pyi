@@ -8,7 +8,8 @@ import numpy
 from numpy.typing import NDArray
 
 
-commit: str = ''
+def commit() -> str:
+    """The commit that a wheel was built from; empty in an editable build."""
 
 def voxelize(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float = 0.0, crop: Sequence[float] | None = None, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.uint32], int, int]:
     """
