@@ -43,7 +43,7 @@ def command(
     from alula.schemas.atomic import atomic_output, write_text
     from alula.schemas.errors import OutputError, UsageError
     from alula.schemas.manifest import VERSION
-    from alula.schemas.provenance import Provenance
+    from alula.schemas.provenance import Provenance, parameters_of
     from alula.stages.reconstruction.demo_cameras import colmap_model, demo_cameras, positions_csv
     from alula.stages.reconstruction.demo_scene import demo_scene
     from alula.stages.reconstruction.ply import encode_ply
@@ -96,7 +96,7 @@ def command(
 
         return write, summary
 
-    parameters = runner.parameters_of(config)
+    parameters = parameters_of(config)
     runner.run(common, SCHEMA, VERSION, parameters, {}, make, seed=common.seed)
     if not common.dry_run and missing():  # the .ply was there already, but not all that goes with it
         write_sides(demo_scene(config, common.seed))

@@ -47,9 +47,9 @@ def command(
 
     Beside the page, report.md holds the same tables and report.csv one row per trial.
     """
-    from alula.cli.runner import parameters_of, run
+    from alula.cli.runner import run
     from alula.schemas.errors import UsageError
-    from alula.schemas.provenance import read_provenance
+    from alula.schemas.provenance import parameters_of, read_provenance
     from alula.schemas.run import record_path
     from alula.stages.reporting.figures import all_figures
     from alula.stages.reporting.headline import headline

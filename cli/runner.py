@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import re
 import sys
@@ -18,7 +17,7 @@ from alula.cli.options import Common
 from alula.cli.present import plain, print_json
 from alula.schemas.atomic import write_text
 from alula.schemas.errors import InputError, OutputError, UsageError
-from alula.schemas.provenance import Provenance, differences, read_provenance
+from alula.schemas.provenance import Provenance, differences, parameters_of, read_provenance
 
 if TYPE_CHECKING:
     from alula.schemas.artifact import Artifact
@@ -26,12 +25,6 @@ if TYPE_CHECKING:
     from alula.schemas.manifest import InputRef
 
 Progress = Callable[[int, int], None]
-
-
-def parameters_of(config: Any) -> dict[str, Any]:
-    """A configuration as the plain JSON values that a manifest records."""
-    # By way of JSON, so that tuples are the lists that are read back and compared.
-    return msgspec.json.decode(msgspec.json.encode(dataclasses.asdict(config)), type=dict[str, Any])
 
 
 def input_ref(role: str, path: Path) -> InputRef:
@@ -65,9 +58,7 @@ def run_stage(
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Callable[[], None], dict[str, Any]]:
         artifact = build(progress)
-        manifest = msgspec.structs.replace(
-            artifact.manifest, inputs=provenance.inputs, parameters=provenance.parameters, seed=seed
-        )
+        manifest = msgspec.structs.replace(artifact.manifest, inputs=provenance.inputs, seed=seed)
         finished = Artifact(manifest, artifact.arrays)
         return lambda: write_artifact(common.output, finished), manifest.summary
 

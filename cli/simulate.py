@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from alula.cli import options
-from alula.cli.runner import parameters_of, run
+from alula.cli.runner import run
 from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import CheckError, UsageError, WrongKindError
+from alula.schemas.provenance import parameters_of
 
 if TYPE_CHECKING:
     from alula.cli.runner import Progress

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -57,6 +58,12 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
         """One line of text that `read_provenance` finds again."""
         record = msgspec.structs.replace(self, summary=summary or {})
         return MARK + msgspec.json.encode(record, order="sorted").decode()
+
+
+def parameters_of(config: Any) -> dict[str, Any]:
+    """A configuration dataclass as the plain JSON values that a manifest records."""
+    # By way of JSON, so that tuples are the lists that are read back and compared.
+    return msgspec.json.decode(msgspec.json.encode(dataclasses.asdict(config)), type=dict[str, Any])
 
 
 def differences(recorded: Provenance, wanted: Provenance) -> list[str]:

@@ -13,6 +13,7 @@ from alula.schemas.configs.scale_align import Distance, ScaleAlignConfig
 from alula.schemas.errors import CheckError, InputError, UsageError
 from alula.schemas.kinds import SCENE
 from alula.schemas.manifest import Guarantee, SceneManifest, Similarity
+from alula.schemas.provenance import parameters_of
 from alula.stages.alignment.evidence import Correspondences
 from alula.stages.alignment.similarity import (
     CONFIDENCE,
@@ -112,7 +113,7 @@ def scale_align(
         arrays,
         frame="world",
         unit="m",
-        parameters={},
+        parameters=parameters_of(config),
         summary=summary,
         guarantee=_guarantee(manifest, found["position_error_m"], inflation),
         source=manifest.source,

@@ -14,6 +14,7 @@ from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.kinds import COVER
 from alula.schemas.manifest import CoverManifest, Guarantee, VoxelsManifest
+from alula.schemas.provenance import parameters_of
 
 LATTICE_LIMIT = 2**20  # voxel corners must lie within: integer predicates are exact in 64 bits
 _FEWEST_PLANES = 6  # the hull of voxels has a facet on each side of its bounding box
@@ -109,7 +110,7 @@ def merge(
         {name: found[name] for name in _ARRAYS},
         frame=manifest.frame,
         unit=manifest.unit,
-        parameters={},
+        parameters=parameters_of(config),
         summary=summary,
         guarantee=Guarantee(
             " ".join(

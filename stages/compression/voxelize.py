@@ -15,6 +15,7 @@ from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.kinds import VOXELS
 from alula.schemas.manifest import Guarantee, SceneManifest
+from alula.schemas.provenance import parameters_of
 from alula.stages.compression.ellipsoids import lost_before
 
 Progress = Callable[[int, int], None]
@@ -103,7 +104,7 @@ def voxelize(
         {"index": index, "overlap": overlap},
         frame=manifest.frame,
         unit="m",
-        parameters={},
+        parameters=parameters_of(config),
         summary=_summary(config, index, overlap, len(scene["mean"]), left_out, sigma, inflation),
         guarantee=_guarantee(config, sigma, inflation, left_out, lost_before(manifest, inflation)),
         voxel_size_m=config.size_m,

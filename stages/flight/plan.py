@@ -15,6 +15,7 @@ from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import InfeasibleError
 from alula.schemas.kinds import PLAN
 from alula.schemas.manifest import Guarantee
+from alula.schemas.provenance import parameters_of
 from alula.stages.compression.certificate import require_solid_hulls
 from alula.stages.compression.hulls import Hulls
 from alula.stages.flight.certificate import METHOD, Certificate, certify_curve
@@ -76,7 +77,7 @@ def plan(
         },
         frame=cover.manifest.frame,
         unit="m",
-        parameters={},
+        parameters=parameters_of(config),
         radius_m=config.radius_m,
         speed_m_s=config.speed_m_s,
         certificate={

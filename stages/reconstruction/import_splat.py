@@ -13,6 +13,7 @@ from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import InputError
 from alula.schemas.kinds import SCENE
 from alula.schemas.manifest import Guarantee
+from alula.schemas.provenance import parameters_of
 from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters
 from alula.stages.reconstruction.splats import Splats
 from alula.stages.rotation import matrix_from_quat_wxyz
@@ -114,7 +115,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         arrays,
         frame="scene",
         unit="arbitrary",
-        parameters={},
+        parameters=parameters_of(config),
         summary=summary,
         guarantee=_guarantee(config, removed, splats),
         source={
