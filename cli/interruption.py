@@ -24,9 +24,10 @@ class Interruption:
         self._too_late = False
 
     def install(self) -> None:
-        """Take over SIGINT and SIGTERM."""
+        """Take over SIGINT and SIGTERM, but leave ignored what a background job was told to ignore."""
         for number in (*_SIGNALS, signal.SIGALRM):
-            signal.signal(number, self)
+            if signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, self)
 
     def ignore(self) -> None:
         """Let nothing disturb the exit; Python would restore the default handlers while it ends."""

@@ -104,6 +104,7 @@ def test_an_interrupted_run_leaves_whole_files_and_resumes(room):
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs ignore it
     )
     while not (room / "out/room.metric.scene.npz").exists():
         assert process.poll() is None

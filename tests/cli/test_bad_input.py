@@ -262,6 +262,7 @@ def test_an_interrupted_command_leaves_nothing(name, number, here):
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs ignore it
         )
         assert process.stdout.readline() == "ready\n"
         time.sleep(0.02 + delay)
