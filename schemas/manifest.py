@@ -102,26 +102,11 @@ class SceneManifest(Manifest, frozen=True, kw_only=True):
     suggested_inflation_m: Margin = 0.0
 
 
-class VoxelsManifest(Manifest, frozen=True, kw_only=True):
-    """Manifest of `alula/voxels`: voxel i is the closed cube [i g, (i + 1) g]."""
+class LevelManifest(Manifest, frozen=True, kw_only=True):
+    """What counts as an obstacle on the lattice: shared by voxels and the cover made from them.
 
-    unit: Literal["m"]
-    voxel_size_m: Length
-    sigma: Level
-    min_overlap: Count
-    inflation_m: Margin = 0.0
-    crop: Box | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse a crop that contains nothing."""
-        _check_crop(self.crop)
-
-
-class CoverManifest(Manifest, frozen=True, kw_only=True):
-    """Manifest of `alula/cover`: polytopes {x : normal . x <= offset} in units of voxel_size_m.
-
-    `sigma`, `min_overlap`, `inflation_m` and `crop` are those of the voxels it covers, so that a
-    scene can be checked against the cover alone.
+    Every voxel of edge `voxel_size_m` that touches `crop` and is touched by at least `min_overlap`
+    ellipsoids of level `sigma`, grown by `inflation_m`.
     """
 
     unit: Literal["m"]
@@ -130,12 +115,24 @@ class CoverManifest(Manifest, frozen=True, kw_only=True):
     min_overlap: Count
     inflation_m: Margin = 0.0
     crop: Box | None = None
-    conservativeness: float
-    certificate: dict[str, Any]
 
     def __post_init__(self) -> None:
         """Refuse a crop that contains nothing."""
         _check_crop(self.crop)
+
+
+class VoxelsManifest(LevelManifest, frozen=True, kw_only=True):
+    """Manifest of `alula/voxels`: voxel i is the closed cube [i g, (i + 1) g]."""
+
+
+class CoverManifest(LevelManifest, frozen=True, kw_only=True):
+    """Manifest of `alula/cover`: polytopes {x : normal . x <= offset} in units of voxel_size_m.
+
+    It carries the level of the voxels it covers, so that a scene can be checked against the cover alone.
+    """
+
+    conservativeness: float
+    certificate: dict[str, Any]
 
 
 class PlanManifest(Manifest, frozen=True, kw_only=True):
