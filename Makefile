@@ -52,10 +52,13 @@ typecheck: typing-view ## check types, strictly
 	$(BIN)/mypy -p alula
 
 test-native: setup ## build the native tests with sanitizers and run them
-	$(BIN)/cmake -S . -B build/native -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja \
-	  -DALULA_PYTHON=OFF -DALULA_TESTS=ON -DALULA_SANITIZE=ON >/dev/null
-	$(BIN)/cmake --build build/native
-	$(BIN)/ctest --test-dir build/native --output-on-failure
+	@for sanitizers in address,undefined thread; do \
+	  build=build/native-$${sanitizers%%,*}; \
+	  $(BIN)/cmake -S . -B $$build -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja \
+	    -DALULA_PYTHON=OFF -DALULA_TESTS=ON -DALULA_SANITIZE=$$sanitizers >/dev/null; \
+	  $(BIN)/cmake --build $$build; \
+	  .ci/fixed-addresses $(BIN)/ctest --test-dir $$build --output-on-failure; \
+	done
 
 wheel: setup ## build the wheel and the sdist into dist/
 	rm -rf dist
