@@ -2,6 +2,8 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 
+#include <algorithm>
+
 #include "alula/fitting.hpp"
 #include "alula/merge.hpp"
 #include "arrays.hpp"
@@ -87,11 +89,17 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
       cover = merge(occupancy, sets, options, jobs, control);
       if (cover.within_budget && !is_paper) retighten(occupancy, cover, form.is_outer() ? Budget{} : options.budget, control);
       if (cover.within_budget && form.is_outer())
-        make_outer(occupancy, cover, form, options.budget.planes_for(cover.hull.size()), !is_paper, jobs, control);
+        make_outer(occupancy, cover, options.budget, !is_paper, jobs, control);
     }
     if (cover.within_budget) {
       sort_hulls(cover);
-      volume = union_excess(occupancy, cover.hull, jobs, control);
+      if (!is_fitted) {
+        volume = union_excess(occupancy, cover.hull, jobs, control);
+        measured.push_back({cover.hull.size(), planes_of(cover.hull), volume});
+      } else {
+        const auto less = [](const Measured& a, const Measured& b) { return a.volume.excess < b.volume.excess; };
+        volume = std::min_element(measured.begin(), measured.end(), less)->volume;
+      }
       member_index.reserve(3 * cover.members.member.size());
       for (const std::uint32_t v : cover.members.member) {
         const Lattice& voxel = occupancy.voxels()[v];
@@ -100,8 +108,6 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
     }
   }
   Result result;
-  std::size_t planes = 0;
-  for (const LatticePolytope& hull : cover.hull) planes += hull.plane.size();
   Flat(cover.hull).put(result);
   const std::size_t members = member_index.size() / 3, merges = cover.history.size(), points = cover.curve.size();
   result["member_index"] = to_numpy(std::move(member_index), {members, 3});
@@ -115,19 +121,43 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
   for (const CurvePoint& c : cover.curve)
     curve.insert(curve.end(), {static_cast<double>(c.hulls), c.excess, static_cast<double>(c.planes),
                                static_cast<double>(written.bytes(c.hulls, c.planes))});
-  if (cover.within_budget && measured.empty())
-    measured.push_back({cover.hull.size(), planes, volume});
   for (const Measured& m : measured)
     measure.insert(measure.end(), {static_cast<double>(m.hulls), static_cast<double>(m.planes),
                                    static_cast<double>(written.bytes(m.hulls, m.planes)), m.volume.excess});
   result["history"] = to_numpy(std::move(history), {merges, 3});
   result["curve"] = to_numpy(std::move(curve), {points, 4});
   result["measured"] = to_numpy(std::move(measure), {measured.size(), 4});
+  result["onboard_bytes"] = written.bytes(cover.hull.size(), planes_of(cover.hull));
   result["within_budget"] = cover.within_budget;
   result["union_excess"] = volume.excess;
   result["lines"] = volume.lines;
   result["stride"] = volume.stride;
   return result;
+}
+
+double cover_excess(const InRows3<std::int32_t>& voxels, const InRows3<std::int32_t>& vertex,
+                    const InVector<std::int64_t>& vertex_start, const InRows3<std::int64_t>& normal,
+                    const InVector<std::int64_t>& offset, const InVector<std::int64_t>& plane_start, unsigned jobs,
+                    nb::object progress) {
+  if (vertex_start.size() == 0 || vertex_start.size() != plane_start.size() || normal.shape(0) != offset.size())
+    throw std::invalid_argument("arrays of a cover do not fit together");
+  PythonControl control(std::move(progress));
+  const nb::gil_scoped_release release;
+  std::vector<LatticePolytope> hulls(vertex_start.size() - 1);
+  const std::span<const Lattice> vertices = as_lattice(vertex);
+  for (std::size_t h = 0; h < hulls.size(); ++h) {
+    const auto begin = [&](const auto& start) { return static_cast<std::size_t>(start.data()[h]); };
+    const auto end = [&](const auto& start) { return static_cast<std::size_t>(start.data()[h + 1]); };
+    if (begin(vertex_start) > end(vertex_start) || end(vertex_start) > vertices.size() ||
+        begin(plane_start) > end(plane_start) || end(plane_start) > offset.size())
+      throw std::invalid_argument("starts do not partition the rows");
+    hulls[h].vertex.assign(vertices.begin() + begin(vertex_start), vertices.begin() + end(vertex_start));
+    for (std::size_t i = begin(plane_start); i < end(plane_start); ++i) {
+      const std::int64_t* n = normal.data() + 3 * i;
+      hulls[h].plane.push_back({{n[0], n[1], n[2]}, offset.data()[i]});
+    }
+  }
+  return union_excess(Occupancy(as_lattice(voxels)), hulls, jobs, control).excess;
 }
 
 }  // namespace
@@ -136,6 +166,9 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
 void bind_merge(nb::module_& m) {
   m.def("lattice_hull", &alula::lattice_hull, "points"_a,
         "Exact hull of integer points (N, 3): sorted vertices and primitive planes, as a cover of one hull.");
+  m.def("cover_excess", &alula::cover_excess, "voxels"_a, "vertex"_a, "vertex_start"_a, "plane_normal"_a,
+        "plane_offset"_a, "plane_start"_a, "jobs"_a, "progress"_a.none(),
+        "Volume [voxels] of the union of polytopes outside sorted voxels (M, 3), all of which they contain.");
   m.def("merge_cover", &alula::merge_cover, "voxels"_a, "member"_a, "member_start"_a, "block"_a, "is_paper"_a,
         "max_hulls"_a, "max_planes"_a, "max_bytes"_a, "facet_cap"_a, "kdop"_a, "is_fitted"_a, "max_growth"_a, "jobs"_a,
         "progress"_a.none(),

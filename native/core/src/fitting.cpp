@@ -34,11 +34,12 @@ std::vector<LatticePolytope> hulls_of(const Occupancy& occupancy, const VoxelSet
   return hulls;
 }
 
-void shape(const Occupancy& occupancy, std::vector<LatticePolytope>& hulls, const Form& form, std::size_t planes,
-           unsigned jobs, Control& control) {
+void shape(const Occupancy& occupancy, std::vector<LatticePolytope>& hulls, const Budget& budget, unsigned jobs,
+           Control& control) {
+  const Form& form = budget.form;
+  const std::size_t planes = std::min(budget.planes_for(hulls.size()), kNoLimit);
   if (form.kdop == 0) {
-    cap_facets(occupancy, hulls, form.facet_cap > 0 ? form.facet_cap : kNoLimit, std::min(planes, kNoLimit), jobs,
-               control);
+    cap_facets(occupancy, hulls, form.facet_cap > 0 ? form.facet_cap : kNoLimit, planes, jobs, control);
   } else {
     for (LatticePolytope& hull : hulls) hull = kdop(hull, form.kdop);
   }
@@ -114,6 +115,12 @@ std::size_t hulls_of_tenths(const Budget& budget, std::size_t tenths, std::size_
 
 }  // namespace
 
+std::size_t planes_of(const std::vector<LatticePolytope>& hulls) {
+  std::size_t planes = 0;
+  for (const LatticePolytope& hull : hulls) planes += hull.plane.size();
+  return planes;
+}
+
 Cover replay(const Occupancy& occupancy, const VoxelSets& sets, const Cover& whole, std::size_t merges, unsigned jobs,
              Control& control) {
   const std::size_t leaves = sets.size();
@@ -143,12 +150,12 @@ Cover replay(const Occupancy& occupancy, const VoxelSets& sets, const Cover& who
   return cover;
 }
 
-void make_outer(const Occupancy& occupancy, Cover& cover, const Form& form, std::size_t planes, bool tighten,
-                unsigned jobs, Control& control) {
-  shape(occupancy, cover.hull, form, planes, jobs, control);
+void make_outer(const Occupancy& occupancy, Cover& cover, const Budget& budget, bool tighten, unsigned jobs,
+                Control& control) {
+  shape(occupancy, cover.hull, budget, jobs, control);
   if (!tighten) return;
-  tighten_outer(occupancy, cover, form, jobs, control);
-  shape(occupancy, cover.hull, form, planes, jobs, control);
+  tighten_outer(occupancy, cover, budget.form, jobs, control);
+  shape(occupancy, cover.hull, budget, jobs, control);
 }
 
 Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions options, unsigned jobs, Control& control,
@@ -178,24 +185,25 @@ Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions option
   first = std::min(first, trial.size() - 1);
 
   Cover best;
+  std::size_t merges = 0;
   double least = std::numeric_limits<double>::infinity();
   const auto improves = [&](std::size_t i) {
     Cover one = replay(occupancy, sets, whole, sets.size() - trial[i], jobs, control);
     if (options.rule != MergeRule::kPaper) retighten(occupancy, one, {}, control);
-    make_outer(occupancy, one, {}, budget.planes_for(one.hull.size()), options.rule != MergeRule::kPaper, jobs, control);
-    std::size_t planes = 0;
-    for (const LatticePolytope& hull : one.hull) planes += hull.plane.size();
+    make_outer(occupancy, one, budget, options.rule != MergeRule::kPaper, jobs, control);
     const UnionVolume volume = union_excess(occupancy, one.hull, jobs, control);
-    measured.push_back({one.hull.size(), planes, volume});
+    measured.push_back({one.hull.size(), planes_of(one.hull), volume});
     if (!(volume.excess < least)) return false;
     least = volume.excess;
     best = std::move(one);
+    merges = sets.size() - trial[i];
     return true;
   };
   improves(first);
   bool is_more = false;
   for (std::size_t i = first; i > 0 && improves(i - 1); --i) is_more = true;
   for (std::size_t i = first + 1; !is_more && i < trial.size() && improves(i); ++i) continue;
+  whole.history.resize(merges);
   whole.hull = std::move(best.hull), whole.members = std::move(best.members);
   return whole;
 }

@@ -33,8 +33,10 @@ struct Form {
 
   std::size_t bytes(std::size_t hulls, std::size_t planes) const {
     const std::size_t oblique = planes - std::min(planes, kBoxPlanes * hulls);
-    return kHeaderBytes + kHullBytes * hulls + (kdop > 0 ? kFixedObliqueBytes : kObliqueBytes) * oblique;
+    return kHeaderBytes + kHullBytes * hulls + oblique_bytes() * oblique;
   }
+
+  std::size_t oblique_bytes() const { return kdop > 0 ? kFixedObliqueBytes : kObliqueBytes; }
 };
 
 // Limits of what is written; 0 is none.
@@ -52,7 +54,7 @@ struct Budget {
     if (max_bytes == 0) return most;
     const std::size_t fixed = kHeaderBytes + kHullBytes * hulls;
     if (max_bytes < fixed) return 0;
-    return std::min(most, kBoxPlanes * hulls + (max_bytes - fixed) / kObliqueBytes);
+    return std::min(most, kBoxPlanes * hulls + (max_bytes - fixed) / form.oblique_bytes());
   }
 };
 
