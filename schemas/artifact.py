@@ -263,9 +263,7 @@ def _decode_manifest(path: Path, archive: zipfile.ZipFile) -> Manifest:
             f"{path}: {head.schema} version {head.version} is newer than {kind.version}; update alula"
         )
     if unknown := [feature for feature in head.requires if feature not in FEATURES]:
-        raise VersionError(
-            f"{path}: needs {', '.join(unknown)}, which this version lacks; update alula"
-        )
+        raise VersionError(f"{path}: needs {', '.join(unknown)}, which this version lacks; update alula")
     try:
         return msgspec.json.decode(raw, type=kind.manifest)
     except msgspec.MsgspecError as error:

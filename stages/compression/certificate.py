@@ -29,6 +29,7 @@ _NOT_BOUNDED = (0, 1, 3, 13, 14)  # of outer polytopes
 _VERTEX_FAULTS, _PLANE_FAULTS = (3, 6, 9), (1, 4, 5, 12, 13)
 _OTHER_IS_PLANE, _OTHER_IS_VERTEX = (3, 8), (12,)
 _NOT_COVERED, _NOT_OCCUPIED = 10, 11
+_LATTICE_LIMIT = 2**20  # volumes are measured within; nothing else here depends on it
 _VOLUME_TOLERANCE = 0.02  # of the excess: earlier versions measured it along sampled lines
 _LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop")
 _GEOMETRY = (
@@ -130,7 +131,7 @@ def verify(
     assert isinstance(manifest, CoverManifest)
     checks = [_files_agree(cover, voxels, scene), _history_check(cover)]
     proof = [*_hull_checks(cover, jobs, progress), _occupied_check(cover, voxels)]
-    if all(check.ok for check in proof):
+    if all(check.ok for check in proof) and np.abs(cover["vertex"]).max() <= _LATTICE_LIMIT:
         checks.append(_volume_check(cover, jobs, progress))
     checks += proof
     if scene is not None:
@@ -265,9 +266,10 @@ def _history_check(cover: Artifact) -> Check:
 def _volume_check(cover: Artifact, jobs: int, progress: Progress) -> Check:
     """The recorded conservativeness is that of the polytopes; what was sampled once may be off a little."""
     voxels = np.unique(np.asarray(cover["member_index"], np.int32), axis=0)
-    excess = _core.cover_excess(
-        *(voxels, *(np.ascontiguousarray(cover[name]) for name in _GEOMETRY[:5]), jobs, progress)
+    vertex, vertex_start, normal, offset, plane_start = (
+        np.ascontiguousarray(cover[name]) for name in _GEOMETRY[:5]
     )
+    excess = _core.cover_excess(voxels, vertex, vertex_start, normal, offset, plane_start, jobs, progress)
     found = 1.0 + excess / len(voxels)
     recorded: float = cover.manifest.conservativeness  # type: ignore[attr-defined]
     offences = []

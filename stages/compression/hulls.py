@@ -77,7 +77,7 @@ class Hulls:
 def outer_solids(cover: Artifact, *, jobs: int = 0) -> dict[str, NDArray[Any]]:
     """Corners and triangles of the polytopes that the planes of a cover bound, in voxel edges.
 
-    Found exactly in 128-bit integers and rounded in the end; see native/core/include/alula/solid.hpp.
+    Found exactly in 128-bit integers and rounded in the end; see native/core/include/alula/outer_solid.hpp.
 
     Returns:
         `point` (P, 3), `point_start` (n + 1,), `triangle` (T, 3), counter-clockwise from outside,
@@ -89,7 +89,7 @@ def outer_solids(cover: Artifact, *, jobs: int = 0) -> dict[str, NDArray[Any]]:
     names = ("plane_normal", "plane_offset", "plane_start")
     normal, offset, start = (np.ascontiguousarray(cover[name], np.int64) for name in names)
     try:
-        found: dict[str, NDArray[Any]] = _core.solids(normal, offset, start, jobs)
+        found: dict[str, NDArray[Any]] = _core.outer_solids(normal, offset, start, jobs)
     except ValueError as error:
         raise ArtifactError(f"the cover is not sound: {error}") from error
     return found

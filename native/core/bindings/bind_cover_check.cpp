@@ -40,9 +40,9 @@ Violations check_cover_hulls(const InRows3<std::int32_t>& vertex, const InVector
   std::vector<Violation> found;
   {
     const nb::gil_scoped_release release;
-    found = check_hulls(view(vertex, vertex_start, plane_normal, plane_offset, plane_start, member_index,
-                             member_start, is_outer),
-                        jobs, control);
+    found = check_hulls(
+        view(vertex, vertex_start, plane_normal, plane_offset, plane_start, member_index, member_start, is_outer),
+        jobs, control);
   }
   return to_rows(found);
 }

@@ -63,8 +63,8 @@ Result lattice_hull(const InRows3<std::int32_t>& points) {
 
 Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint32_t>& member,
                    const InVector<std::int64_t>& member_start, int block, bool is_paper, std::size_t max_hulls,
-                   std::size_t max_planes, std::size_t max_bytes, std::size_t facet_cap, std::size_t kdop, bool is_fitted,
-                   double max_growth, unsigned jobs, nb::object progress) {
+                   std::size_t max_planes, std::size_t max_bytes, std::size_t facet_cap, std::size_t kdop,
+                   bool is_fitted, double max_growth, unsigned jobs, nb::object progress) {
   PythonControl control(std::move(progress));
   Cover cover;
   UnionVolume volume{};
@@ -87,7 +87,8 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
       cover = fit(occupancy, sets, options, jobs, control, measured);
     } else {
       cover = merge(occupancy, sets, options, jobs, control);
-      if (cover.within_budget && !is_paper) retighten(occupancy, cover, form.is_outer() ? Budget{} : options.budget, control);
+      if (cover.within_budget && !is_paper)
+        retighten(occupancy, cover, form.is_outer() ? Budget{} : options.budget, control);
       if (cover.within_budget && form.is_outer())
         make_outer(occupancy, cover, options.budget, !is_paper, jobs, control);
     }
@@ -170,8 +171,8 @@ void bind_merge(nb::module_& m) {
         "plane_offset"_a, "plane_start"_a, "jobs"_a, "progress"_a.none(),
         "Volume [voxels] of the union of polytopes outside sorted voxels (M, 3), all of which they contain.");
   m.def("merge_cover", &alula::merge_cover, "voxels"_a, "member"_a, "member_start"_a, "block"_a, "is_paper"_a,
-        "max_hulls"_a, "max_planes"_a, "max_bytes"_a, "facet_cap"_a, "kdop"_a, "is_fitted"_a, "max_growth"_a, "jobs"_a,
-        "progress"_a.none(),
+        "max_hulls"_a, "max_planes"_a, "max_bytes"_a, "facet_cap"_a, "kdop"_a, "is_fitted"_a, "max_growth"_a,
+        "jobs"_a, "progress"_a.none(),
         "Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets, or an\n"
         "empty `member_start` asks for the set cover by clusters. A limit of 0 is none. `facet_cap` and `kdop`\n"
         "ask for outer polytopes; `is_fitted` for as many hulls as make the least of the budget. Returns the\n"

@@ -108,7 +108,8 @@ class HullCheck {
       const std::array<std::uint64_t, 3> length{magnitude(n[0]), magnitude(n[1]), magnitude(n[2])};
       if (*std::max_element(length.begin(), length.end()) > kLongest) report(Fault::kLongNormal, at);
       for (std::size_t i = 0; i < 3; ++i)
-        if (length[i] == 1 && length[(i + 1) % 3] == 0 && length[(i + 2) % 3] == 0) is_found[n[i] > 0 ? i : i + 3] = true;
+        if (length[i] == 1 && length[(i + 1) % 3] == 0 && length[(i + 2) % 3] == 0)
+          is_found[n[i] > 0 ? i : i + 3] = true;
     }
     if (!std::all_of(is_found.begin(), is_found.end(), [](bool found) { return found; })) report(Fault::kOpenBox, -1);
   }

@@ -80,8 +80,7 @@ LatticePolytope outer(LatticePolytope hull, std::span<const RankedPlane> oblique
 
 LatticePlane supporting_plane(const Normal& normal, std::span<const Lattice> points) {
   std::int64_t offset = INT64_MIN;
-  for (const Lattice& p : points)
-    offset = std::max(offset, normal[0] * p[0] + normal[1] * p[1] + normal[2] * p[2]);
+  for (const Lattice& p : points) offset = std::max(offset, normal[0] * p[0] + normal[1] * p[1] + normal[2] * p[2]);
   return {normal, offset};
 }
 
@@ -210,7 +209,8 @@ LatticePolytope capped(FacetRanker& rank, LatticePolytope hull, std::size_t cap)
 
 void cap_facets(const Occupancy& occupancy, std::vector<LatticePolytope>& hulls, std::size_t cap, std::size_t planes,
                 unsigned jobs, Control& control) {
-  if (cap < kBoxPlanes || planes / kBoxPlanes < hulls.size()) throw std::invalid_argument("a polytope needs six planes");
+  if (cap < kBoxPlanes || planes / kBoxPlanes < hulls.size())
+    throw std::invalid_argument("a polytope needs six planes");
   std::vector<std::vector<RankedPlane>> ranked(hulls.size());
   InterruptOnly quiet(control);
   parallel_chunks(hulls.size(), 8, jobs, quiet, [&](std::size_t begin, std::size_t end) {

@@ -125,7 +125,8 @@ Cover replay(const Occupancy& occupancy, const VoxelSets& sets, const Cover& who
              Control& control) {
   const std::size_t leaves = sets.size();
   std::vector<bool> is_merged(leaves + merges, false);
-  for (std::size_t k = 0; k < merges; ++k) is_merged[whole.history[k].left] = is_merged[whole.history[k].right] = true;
+  for (std::size_t k = 0; k < merges; ++k)
+    is_merged[whole.history[k].left] = is_merged[whole.history[k].right] = true;
   Cover cover;
   std::vector<std::uint32_t> stack, members;
   for (std::size_t e = 0; e < is_merged.size(); ++e) {

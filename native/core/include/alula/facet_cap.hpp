@@ -22,7 +22,8 @@ inline constexpr std::int64_t kShortNormal = 127;            // |n_i| at most, o
 LatticePlane supporting_plane(const std::array<std::int64_t, 3>& normal, std::span<const Lattice> points);
 
 // The k-DOP of a hull: k = 6, 14, 18 or 26: the axes, with the corners, the edges or both of a cube
-// as further normals. All k planes are there; vertices stay those of the hull. Throws std::invalid_argument for another k.
+// as further normals. All k planes are there; vertices stay those of the hull. Throws std::invalid_argument for
+// another k.
 LatticePolytope kdop(const LatticePolytope& hull, std::size_t k);
 
 // Oblique planes of a hull, the most useful first: each next one removes the most free volume,

@@ -12,9 +12,9 @@ Cover replay(const Occupancy& occupancy, const VoxelSets& sets, const Cover& who
              Control& control);
 
 // Gives the hulls of a cover their outer polytopes: k-DOPs, or at most budget.form.facet_cap planes
-// each (0: no cap) and no more in all than the budget allows, which must allow six for each hull. With `tighten`, each polytope is first rebuilt from the voxels
-// that no other one contains, the one with most excess first, and kept where that encloses less;
-// those without such voxels are dropped. Then the members partition the voxels.
+// each (0: no cap) and no more in all than the budget allows, which must allow six for each hull. With `tighten`,
+// each polytope is first rebuilt from the voxels that no other one contains, the one with most excess first, and kept
+// where that encloses less; those without such voxels are dropped. Then the members partition the voxels.
 //
 // Guarantee: every voxel is a member of a polytope that contains it; its vertices are those of the
 // hull of its members, which all its planes support.

@@ -30,7 +30,7 @@ struct Merge {
 
 struct CurvePoint {
   std::size_t hulls;
-  double excess;  // sum of W [voxels], at least the excess of the union
+  double excess;       // sum of W [voxels], at least the excess of the union
   std::size_t planes;  // as they are written
 };
 

@@ -1,4 +1,4 @@
-#include "alula/solid.hpp"
+#include "alula/outer_solid.hpp"
 
 #include <algorithm>
 #include <array>
@@ -42,11 +42,11 @@ class Enumerator {
  public:
   explicit Enumerator(std::span<const LatticePlane> planes) { localise(planes); }
 
-  Solid run() {
+  OuterSolid run() {
     edge_.resize(plane_.size());
     for (std::size_t p = 0; p < plane_.size(); ++p)
       for (std::size_t q = p + 1; q < plane_.size(); ++q) add_edge(p, q);
-    Solid result;
+    OuterSolid result;
     for (std::size_t p = 0; p < plane_.size(); ++p) {
       const bool is_first = result.triangle.empty();
       add_facet(p, result);
@@ -146,7 +146,7 @@ class Enumerator {
   }
 
   // Fans the facet of a plane, whose edges run counter-clockwise.
-  void add_facet(std::size_t p, Solid& result) {
+  void add_facet(std::size_t p, OuterSolid& result) {
     std::map<const Corner*, const Corner*> next;
     for (const auto& [from, to] : edge_[p]) next[from] = to;
     if (next.size() < 3) return;
@@ -154,8 +154,8 @@ class Enumerator {
     std::vector<const Corner*> loop;
     for (const Corner* at = first; loop.empty() || at != first; at = next.at(at)) loop.push_back(at);
     // Start from the least corner, so that the result does not depend on addresses.
-    std::rotate(loop.begin(), std::min_element(loop.begin(), loop.end(),
-                                               [](const Corner* a, const Corner* b) { return *a < *b; }),
+    std::rotate(loop.begin(),
+                std::min_element(loop.begin(), loop.end(), [](const Corner* a, const Corner* b) { return *a < *b; }),
                 loop.end());
     for (const Corner* c : loop) {
       std::int64_t& id = corner_.at(*c);
@@ -174,6 +174,6 @@ class Enumerator {
 
 }  // namespace
 
-Solid solid(std::span<const LatticePlane> planes) { return Enumerator(planes).run(); }
+OuterSolid outer_solid(std::span<const LatticePlane> planes) { return Enumerator(planes).run(); }
 
 }  // namespace alula

@@ -1,11 +1,11 @@
-// Bindings of alula/solid.hpp.
+// Bindings of alula/outer_solid.hpp.
 #include <nanobind/nanobind.h>
 
 #include <stdexcept>
 #include <string>
 
+#include "alula/outer_solid.hpp"
 #include "alula/parallel.hpp"
-#include "alula/solid.hpp"
 #include "arrays.hpp"
 
 namespace nb = nanobind;
@@ -16,8 +16,8 @@ namespace {
 
 using Result = nb::typed<nb::dict, nb::str, nb::any>;
 
-Result solids(const InRows3<std::int64_t>& normal, const InVector<std::int64_t>& offset,
-              const InVector<std::int64_t>& plane_start, unsigned jobs) {
+Result outer_solids(const InRows3<std::int64_t>& normal, const InVector<std::int64_t>& offset,
+                    const InVector<std::int64_t>& plane_start, unsigned jobs) {
   const std::span<const std::int64_t> start = as_span(plane_start);
   bool is_partition = !start.empty() && start.front() == 0 && normal.shape(0) == offset.size() &&
                       start.back() == static_cast<std::int64_t>(offset.size());
@@ -28,7 +28,7 @@ Result solids(const InRows3<std::int64_t>& normal, const InVector<std::int64_t>&
   std::vector<std::uint8_t> is_lattice;
   {
     const nb::gil_scoped_release release;
-    std::vector<Solid> found(start.size() - 1);
+    std::vector<OuterSolid> found(start.size() - 1);
     Control quiet;
     parallel_chunks(found.size(), 16, jobs, quiet, [&](std::size_t begin, std::size_t end) {
       std::vector<LatticePlane> planes;
@@ -39,13 +39,13 @@ Result solids(const InRows3<std::int64_t>& normal, const InVector<std::int64_t>&
           planes.push_back({{n[0], n[1], n[2]}, offset.data()[i]});
         }
         try {
-          found[h] = solid(planes);
+          found[h] = outer_solid(planes);
         } catch (const std::invalid_argument& error) {
           throw std::invalid_argument("hull " + std::to_string(h) + ": " + error.what());
         }
       }
     });
-    for (const Solid& solid : found) {
+    for (const OuterSolid& solid : found) {
       for (const std::int64_t row : solid.triangle) triangle.push_back(row + point_start.back());
       point.insert(point.end(), solid.point.begin(), solid.point.end());
       point_start.push_back(static_cast<std::int64_t>(point.size() / 3));
@@ -66,7 +66,7 @@ Result solids(const InRows3<std::int64_t>& normal, const InVector<std::int64_t>&
 }  // namespace
 }  // namespace alula
 
-void bind_solid(nb::module_& m) {
-  m.def("solids", &alula::solids, "normal"_a, "offset"_a, "plane_start"_a, "jobs"_a,
+void bind_outer_solid(nb::module_& m) {
+  m.def("outer_solids", &alula::outer_solids, "normal"_a, "offset"_a, "plane_start"_a, "jobs"_a,
         "Corners and outward triangles of the polytopes normal . x <= offset, found exactly, rounded in the end.");
 }

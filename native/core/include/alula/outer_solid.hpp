@@ -11,7 +11,7 @@ namespace alula {
 
 // The boundary of {x : normal . x <= offset}: corners in double precision and outward triangles
 // (counter-clockwise from outside) that close over them.
-struct Solid {
+struct OuterSolid {
   std::vector<double> point;           // (P, 3)
   std::vector<std::int64_t> triangle;  // (T, 3), rows of point
   bool is_lattice = true;              // every corner is integer
@@ -26,6 +26,6 @@ struct Solid {
 //
 // Throws std::invalid_argument when the axis planes do not bound a box within kLatticeLimit, a normal
 // is longer, or the planes leave no volume. Time O(F^3) for F planes.
-Solid solid(std::span<const LatticePlane> planes);
+OuterSolid outer_solid(std::span<const LatticePlane> planes);
 
 }  // namespace alula
