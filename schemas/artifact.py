@@ -25,7 +25,7 @@ from alula.schemas.atomic import atomic_output
 from alula.schemas.checks import check_arrays, check_shapes
 from alula.schemas.errors import ArtifactError, DamagedError, InputError, VersionError, WrongKindError
 from alula.schemas.kinds import KINDS, Kind
-from alula.schemas.manifest import ArraySpec, Manifest, parse_version, producer
+from alula.schemas.manifest import FEATURES, ArraySpec, Manifest, parse_version, producer
 
 ALIGNMENT = 64
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -262,10 +262,8 @@ def _decode_manifest(path: Path, archive: zipfile.ZipFile) -> Manifest:
         raise VersionError(
             f"{path}: {head.schema} version {head.version} is newer than {kind.version}; update alula"
         )
-    if head.requires:
-        raise VersionError(
-            f"{path}: needs {', '.join(head.requires)}, which this version lacks; update alula"
-        )
+    if unknown := [feature for feature in head.requires if feature not in FEATURES]:
+        raise VersionError(f"{path}: needs {', '.join(unknown)}, which this version lacks; update alula")
     try:
         return msgspec.json.decode(raw, type=kind.manifest)
     except msgspec.MsgspecError as error:

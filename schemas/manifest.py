@@ -14,6 +14,10 @@ from alula import __version__
 
 VERSION = "1.0"
 
+# What a manifest's `requires` may name and this program knows.
+OUTER_POLYTOPES = "outer-polytopes"
+FEATURES = frozenset({OUTER_POLYTOPES})
+
 # What readers accept; wide enough for everything the commands write, narrow enough that lengths in
 # double precision neither overflow nor lose their sign.
 Length = Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)]
@@ -129,10 +133,19 @@ class CoverManifest(LevelManifest, frozen=True, kw_only=True):
     """Manifest of `alula/cover`: polytopes {x : normal . x <= offset} in units of voxel_size_m.
 
     It carries the level of the voxels it covers, so that a scene can be checked against the cover alone.
+    With `polytopes` "hull" they are the convex hulls of their members. With "outer" they contain those:
+    planes that support the hull, with those of its bounding box among them; `requires` says so too.
     """
 
     conservativeness: float
     certificate: dict[str, Any]
+    polytopes: Literal["hull", "outer"] = "hull"
+
+    def __post_init__(self) -> None:
+        """Refuse outer polytopes that older readers would take for hulls."""
+        super().__post_init__()
+        if (self.polytopes == "outer") != (OUTER_POLYTOPES in self.requires):
+            raise ValueError(f"`polytopes` is {self.polytopes}, but `requires` says otherwise")
 
 
 class PlanManifest(Manifest, frozen=True, kw_only=True):

@@ -55,7 +55,7 @@ def test_a_real_scene_is_covered_and_flown_without_collision(file, data, tmp_pat
         assert run([*step, "-q"]) == 0, (step, capsys.readouterr().err)
     certificate = json.loads(Path("cert.json").read_text())
     assert certificate["covered"] is True
-    assert len(certificate["checks"]) == 5
+    assert len(certificate["checks"]) == 7
     record = read_run(Path("r.run.mcap"))
     assert record.summary["collisions"] == 0
     assert record.summary["min_scene_clearance_m"] > 0

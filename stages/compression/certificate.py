@@ -14,6 +14,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError
 from alula.schemas.manifest import CoverManifest, SceneManifest, VoxelsManifest
 from alula.stages.compression.ellipsoids import lost_before, unproven_voxels
+from alula.stages.compression.hulls import is_outer
 
 SCHEMA, VERSION = "alula/certificate", "1.0"
 LISTED = 100  # offenders of one check
@@ -21,11 +22,15 @@ LISTED = 100  # offenders of one check
 Progress = Callable[[int, int], None] | None
 
 # What each fault of native/core/include/alula/cover_check.hpp is about.
-_POLYTOPES = (0, 1, 2, 3, 4, 5, 6, 9)
+_POLYTOPES = (0, 1, 2, 3, 4, 5, 6, 9, 12, 13, 14)
 _MEMBERS = (7, 8)
 _NOT_SOLID = (0, 3, 4, 5)
-_VERTEX_FAULTS, _PLANE_FAULTS = (3, 6, 9), (1, 4, 5)
+_NOT_BOUNDED = (0, 1, 3, 13, 14)  # of outer polytopes
+_VERTEX_FAULTS, _PLANE_FAULTS = (3, 6, 9), (1, 4, 5, 12, 13)
+_OTHER_IS_PLANE, _OTHER_IS_VERTEX = (3, 8), (12,)
 _NOT_COVERED, _NOT_OCCUPIED = 10, 11
+_LATTICE_LIMIT = 2**20  # volumes are measured within; nothing else here depends on it
+_VOLUME_TOLERANCE = 0.02  # of the excess: earlier versions measured it along sampled lines
 _LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop")
 _GEOMETRY = (
     *("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start"),
@@ -36,22 +41,25 @@ _GEOMETRY = (
 class Offence(msgspec.Struct, frozen=True, kw_only=True):
     """One place where a check fails.
 
-    `place_m` is the offending vertex, the first vertex of the hull of an offending plane or the
-    centre of an offending voxel, in the cover's frame; None for what has no place.
+    `place_m` is the offending vertex, a vertex of the hull of an offending plane or the centre of an
+    offending voxel, in the cover's frame; None for what has no place. `plane` and `vertex` are rows of
+    the cover's arrays, `voxel` is a lower corner on the lattice, `gaussian` a row of the scene.
     """
 
     fault: str
     hull: int | None = None
     place_m: tuple[float, float, float] | None = None
     gaussian: int | None = None
+    plane: int | None = None
+    vertex: int | None = None
+    voxel: tuple[int, int, int] | None = None
 
     def text(self) -> str:
         """One phrase: what, where."""
         words = self.fault
-        if self.hull is not None:
-            words += f", hull {self.hull}"
-        if self.gaussian is not None:
-            words += f", Gaussian {self.gaussian}"
+        for name, row in (("hull", self.hull), ("plane", self.plane), ("Gaussian", self.gaussian)):
+            if row is not None:
+                words += f", {name} {row}"
         if self.place_m is not None:
             words += " at (" + ", ".join(f"{c:.4g}" for c in self.place_m) + ") m"
         return words
@@ -100,7 +108,10 @@ def verify(
     Hulls are checked in integers without tolerance and without the code that built them: vertices
     and planes describe the same bounded polytope, each member voxel v has
     normal . v + sum of positive normal components <= offset for all planes, and each vertex is a
-    corner of a member. Every occupied voxel must be a member. With a scene, each ellipsoid
+    corner of a member. Outer polytopes need not be described by the vertices, but each of their planes
+    must support them, offset = max normal . vertex, and those of the bounding box must be there. Every
+    occupied voxel must be a member. Merges recorded in `history` must refer to earlier elements, and
+    `conservativeness` must be the volume of the union, which is measured again. With a scene, each ellipsoid
     {x : (x - mean)' inv(Sigma) (x - mean) <= sigma^2}, grown by the inflation, must lie in the
     occupied voxels, except where the recorded crop and overlap exclude it.
 
@@ -118,9 +129,11 @@ def verify(
     """
     manifest = cover.manifest
     assert isinstance(manifest, CoverManifest)
-    checks = [_files_agree(cover, voxels, scene)]
-    checks += _hull_checks(cover, jobs, progress)
-    checks.append(_occupied_check(cover, voxels))
+    checks = [_files_agree(cover, voxels, scene), _history_check(cover)]
+    proof = [*_hull_checks(cover, jobs, progress), _occupied_check(cover, voxels)]
+    if all(check.ok for check in proof) and np.abs(cover["vertex"]).max() <= _LATTICE_LIMIT:
+        checks.append(_volume_check(cover, jobs, progress))
+    checks += proof
     if scene is not None:
         index = cover["member_index"] if voxels is None else voxels["index"]
         checks.append(_scene_check(manifest, scene, index, jobs, progress))
@@ -135,14 +148,14 @@ def verify(
 def require_solid_hulls(cover: Artifact, *, jobs: int = 0) -> None:
     """Refuse a cover whose planes and vertices do not describe the same bounded polytopes.
 
-    Filters read the planes, planners and judges the vertices; each relies on this, and no more: that
-    the hulls hold all voxels is for `verify` to say.
+    Filters read the planes, planners and judges the vertices, which for outer polytopes are found from
+    the planes; each relies on this, and no more: that the hulls hold all voxels is for `verify` to say.
 
     Raises:
         ArtifactError: naming the first hull and what is wrong with it.
     """
     found = _check_hulls(cover, jobs, None)
-    if len(wrong := found[np.isin(found[:, 0], _NOT_SOLID)]):
+    if len(wrong := found[np.isin(found[:, 0], _NOT_BOUNDED if is_outer(cover) else _NOT_SOLID)]):
         first = _offence(cover, wrong[0].tolist(), None)
         raise ArtifactError(f"the cover is not sound: {first.text()}; make it again with merge")
 
@@ -187,16 +200,18 @@ def _check_hulls(cover: Artifact, jobs: int, progress: Progress) -> NDArray[np.i
         np.ascontiguousarray(cover[name]) for name in _GEOMETRY
     )
     return _core.check_cover_hulls(
-        vertex, vertex_start, normal, offset, plane_start, member, member_start, jobs, progress
+        *(vertex, vertex_start, normal, offset, plane_start, member, member_start),
+        is_outer(cover),
+        jobs,
+        progress,
     )
 
 
 def _hull_checks(cover: Artifact, jobs: int, progress: Progress) -> list[Check]:
     found = _check_hulls(cover, jobs, progress)
     hulls, members = len(cover["plane_start"]) - 1, len(cover["member_index"])
-    exact = _fault_check(
-        cover, "hulls are exact polytopes", hulls, found, _POLYTOPES, "planes are the facets of vertices"
-    )
+    detail = "planes support the vertices" if is_outer(cover) else "planes are the facets of vertices"
+    exact = _fault_check(cover, "hulls are exact polytopes", hulls, found, _POLYTOPES, detail)
     if hulls == 0:  # nothing is no proof: neither voxelize nor merge writes an empty file
         exact = _check(exact.name, 0, [Offence(fault="there is no hull")], 1, exact.detail)
     return [
@@ -221,6 +236,48 @@ def _occupied_check(cover: Artifact, voxels: Artifact | None) -> Check:
     )
 
 
+def _history_check(cover: Artifact) -> Check:
+    """Each merge joins two elements that are there and were not joined before.
+
+    Start elements are 0 .. N - 1 and merge k makes N + k; N is `start_hulls` of the summary.
+    """
+    history = np.asarray(cover["history"], np.float64)
+    merges, hulls = len(history), len(cover["plane_start"]) - 1
+    start = cover.manifest.summary.get("start_hulls")
+    offences = []
+    if merges and not (isinstance(start, int) and start >= merges + hulls):
+        offences.append(Offence(fault=f"{merges} merges of {start} elements do not leave {hulls} hulls"))
+    else:
+        joined = history[:, :2]
+        last = (start or 0) + np.arange(merges)[:, None]
+        known = (joined >= 0) & (joined < last) & (joined == np.floor(joined))
+        _, first, number = np.unique(joined, return_index=True, return_inverse=True)
+        again = first[number].reshape(joined.shape) != np.arange(joined.size).reshape(joined.shape)
+        for fault, wrong in (
+            ("joins an element that is not there yet", ~known.all(axis=1)),
+            ("joins an element that was joined before", again.any(axis=1)),
+            ("has a negative weight", history[:, 2] < 0),
+        ):
+            offences += [Offence(fault=f"merge {k} {fault}") for k in np.flatnonzero(wrong).tolist()]
+    detail = "merges join earlier elements"
+    return _check("history is consistent", merges, offences[:LISTED], len(offences), detail)
+
+
+def _volume_check(cover: Artifact, jobs: int, progress: Progress) -> Check:
+    """The recorded conservativeness is that of the polytopes; what was sampled once may be off a little."""
+    voxels = np.unique(np.asarray(cover["member_index"], np.int32), axis=0)
+    vertex, vertex_start, normal, offset, plane_start = (
+        np.ascontiguousarray(cover[name]) for name in _GEOMETRY[:5]
+    )
+    excess = _core.cover_excess(voxels, vertex, vertex_start, normal, offset, plane_start, jobs, progress)
+    found = 1.0 + excess / len(voxels)
+    recorded: float = cover.manifest.conservativeness  # type: ignore[attr-defined]
+    offences = []
+    if not abs(recorded - found) <= _VOLUME_TOLERANCE * max(recorded - 1, found - 1) + 1e-6:
+        offences.append(Offence(fault=f"conservativeness is {found:.6g}, but recorded as {recorded:.6g}"))
+    return _check("volume is as recorded", 1, offences, len(offences), f"conservativeness {found:.6g}")
+
+
 def _scene_check(
     manifest: CoverManifest, scene: Artifact, index: NDArray[np.int32], jobs: int, progress: Progress
 ) -> Check:
@@ -240,6 +297,7 @@ def _scene_check(
         Offence(
             fault="an ellipsoid may touch an unmarked voxel",
             gaussian=int(g),
+            voxel=_voxel(np.asarray(v)),
             place_m=_place(np.asarray(v) + 0.5, manifest.voxel_size_m),
         )
         for v, g in zip(missing.voxel[:LISTED], missing.ellipsoid[:LISTED], strict=True)
@@ -268,23 +326,34 @@ def _check(name: str, checked: int, first: list[Offence], failed: int, detail: s
 
 def _offence(cover: Artifact, row: list[int], occupied: NDArray[np.int32] | None) -> Offence:
     """A row (fault, hull, row, other) of the native checker with its place."""
-    fault, hull, at, _ = row
-    point: Any = None
-    if fault in _VERTEX_FAULTS:
-        point = cover["vertex"][at]
-    elif fault == _NOT_COVERED:
+    fault, hull, at, other = row
+    plane = at if fault in _PLANE_FAULTS else other if fault in _OTHER_IS_PLANE else None
+    vertex = at if fault in _VERTEX_FAULTS else other if fault in _OTHER_IS_VERTEX else None
+    voxel: Any = None
+    if fault == _NOT_COVERED:
         assert occupied is not None
-        point = occupied[at] + 0.5
+        voxel = occupied[at]
     elif fault in (*_MEMBERS, _NOT_OCCUPIED):
-        point = cover["member_index"][at] + 0.5
-    elif (first := int(cover["vertex_start"][hull])) < int(cover["vertex_start"][hull + 1]):
+        voxel = cover["member_index"][at]
+    point = None if voxel is None else voxel + 0.5
+    if vertex is not None:
+        point = cover["vertex"][vertex]
+    elif point is None and (first := int(cover["vertex_start"][hull])) < int(cover["vertex_start"][hull + 1]):
         point = cover["vertex"][first]
     size: float = cover.manifest.voxel_size_m  # type: ignore[attr-defined]
     return Offence(
         fault=_core.cover_fault(fault),
         hull=hull if hull >= 0 else None,
         place_m=None if point is None else _place(point, size),
+        plane=plane,
+        vertex=vertex,
+        voxel=None if voxel is None else _voxel(voxel),
     )
+
+
+def _voxel(index: NDArray[np.int32]) -> tuple[int, int, int]:
+    x, y, z = index.tolist()
+    return x, y, z
 
 
 def _place(lattice: NDArray[Any], size: float) -> tuple[float, float, float]:

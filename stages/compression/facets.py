@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError
+from alula.stages.compression.hulls import is_outer, outer_solids
 
 Ints = NDArray[np.int64]
 
@@ -26,7 +27,7 @@ class Mesh:
         triangles: rows of `points_voxel`, counter-clockwise from outside, shape (T, 3).
         triangle_start: first triangle of each hull and the end, shape (n + 1,).
         exact: whether the mesh is the hull exactly; otherwise its corners are not lattice points
-            and were computed in double precision, shape (n,).
+            and were rounded, shape (n,).
     """
 
     points_voxel: NDArray[np.float64]
@@ -42,38 +43,28 @@ class Mesh:
 def mesh(cover: Artifact) -> Mesh:
     """The boundary of every polytope {x : normal . x <= offset} of an `alula/cover`.
 
-    A hull whose planes meet in its lattice vertices is triangulated exactly by `triangles`. One
-    with fewer planes than the hull of its vertices (a facet cap) has corners off the lattice; they
-    are found from the planes in double precision.
+    A hull whose planes meet in its lattice vertices is triangulated over them by `triangles`. The
+    corners of one with other planes (an outer polytope) are found from the planes, exactly, and
+    rounded.
 
     Raises:
         ArtifactError: the planes of a hull bound no solid.
     """
+    if is_outer(cover):
+        solid = outer_solids(cover)
+        return Mesh(
+            solid["point"],
+            solid["point_start"],
+            solid["triangle"],
+            solid["triangle_start"],
+            solid["is_lattice"].astype(np.bool_),
+        )
     found, start = triangles(cover)
+    if len(open_hulls := np.flatnonzero(np.diff(start) == 0)):
+        raise ArtifactError(f"hull {open_hulls[0]}: its planes are not the facets of its vertices")
     vertex_start = np.asarray(cover["vertex_start"], np.int64)
-    vertices = np.asarray(cover["vertex"], np.float64)
-    exact = np.diff(start) > 0
-    if exact.all():
-        return Mesh(vertices, vertex_start, found, start, exact)
-    points, corners = [], []
-    at = 0
-    for hull in range(len(exact)):
-        rows = slice(vertex_start[hull], vertex_start[hull + 1])
-        if exact[hull]:
-            points.append(vertices[rows])
-            corners.append(found[start[hull] : start[hull + 1]] - (vertex_start[hull] - at))
-        else:
-            own, faces = _solid_of_planes(cover, hull, vertices[rows].mean(axis=0))
-            points.append(own)
-            corners.append(faces + at)
-        at += len(points[-1])
-    return Mesh(
-        np.concatenate(points),
-        _starts(np.array([len(p) for p in points])),
-        np.concatenate(corners),
-        _starts(np.array([len(c) for c in corners])),
-        exact,
-    )
+    exact = np.ones(len(start) - 1, np.bool_)
+    return Mesh(np.asarray(cover["vertex"], np.float64), vertex_start, found, start, exact)
 
 
 def triangles(cover: Artifact) -> tuple[Ints, Ints]:
@@ -193,26 +184,3 @@ def _closed(fans: Ints, hull: Ints, n: int, vertices: int) -> NDArray[np.bool_]:
     closed = np.bincount(hull, minlength=n) > 0
     closed[edge_hull[bad]] = False
     return closed
-
-
-def _solid_of_planes(
-    cover: Artifact, hull: int, inside: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], Ints]:
-    """Corners and outward triangles of one hull from its planes, in double precision."""
-    from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
-
-    rows = slice(int(cover["plane_start"][hull]), int(cover["plane_start"][hull + 1]))
-    normal = np.asarray(cover["plane_normal"][rows], np.float64)
-    slack = np.asarray(cover["plane_offset"][rows], np.float64) - normal @ inside
-    length = np.linalg.norm(normal, axis=1)
-    planes = np.column_stack([normal / length[:, None], -slack / length])
-    try:
-        solid = ConvexHull(HalfspaceIntersection(planes, np.zeros(3)).intersections)
-    except (QhullError, ValueError) as error:
-        raise ArtifactError(f"hull {hull}: its planes bound no solid") from error
-    used, faces = np.unique(solid.simplices, return_inverse=True)
-    points, faces = solid.points[used], faces.reshape(-1, 3).astype(np.int64)
-    a, b, c = (points[faces[:, i]] for i in range(3))
-    inward = ((np.cross(b - a, c - a)) * solid.equations[:, :3]).sum(axis=1) < 0
-    faces[inward] = faces[inward][:, ::-1]
-    return points + inside, faces

@@ -13,11 +13,12 @@ from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.kinds import COVER
-from alula.schemas.manifest import CoverManifest, Guarantee, VoxelsManifest
+from alula.schemas.manifest import OUTER_POLYTOPES, CoverManifest, Guarantee, VoxelsManifest
 from alula.schemas.provenance import parameters_of
 
 LATTICE_LIMIT = 2**20  # voxel corners must lie within: integer predicates are exact in 64 bits
 _FEWEST_PLANES = 6  # the hull of voxels has a facet on each side of its bounding box
+_FEWEST_BYTES = 64 + 14  # see native/core/include/alula/budget.hpp
 _CURVE_POINTS = 60
 _GROWTH_ATTEMPTS = 4
 _ARRAYS = tuple(rule.name for rule in COVER.arrays)
@@ -45,6 +46,12 @@ def merge(
       other is paired with its nearest; at the end rebuild each hull from the voxels that no other
       holds and drop hulls without any, which never enlarges the cover.
 
+    With `facet_cap` or `kdop` each hull becomes an outer polytope that contains it, with the planes of
+    its bounding box and few others, each supporting the hull exactly; then those planes come first that
+    remove most free volume, and polytopes are tightened to what no other one holds. With "auto" the
+    number of hulls is the one of least union among some of the same merge history, and all planes of
+    the budget are shared out. `max_planes` and `max_bytes` count what is written.
+
     `max_growth` is held by the sum of W, which bounds the excess of the union from above, and checked
     on the measured union.
 
@@ -68,6 +75,10 @@ def merge(
         raise InfeasibleError(
             f"no cover has {config.max_planes} half-planes: one hull needs {_FEWEST_PLANES}"
         )
+    if config.max_bytes is not None and config.max_bytes < _FEWEST_BYTES:
+        raise InfeasibleError(f"no cover has {config.max_bytes} bytes: one hull needs {_FEWEST_BYTES}")
+    is_fitted = config.facet_cap == "auto"
+    cap = config.facet_cap if isinstance(config.facet_cap, int) else 0
     manifest = source.manifest
     assert isinstance(manifest, VoxelsManifest | CoverManifest)
     voxels, member, member_start = _voxels_and_sets(source)
@@ -81,16 +92,21 @@ def merge(
             config.method == "paper",
             config.hulls or 0,
             config.max_planes or 0,
+            config.max_bytes or 0,
+            cap,
+            config.kdop or 0,
+            is_fitted,
             limit,
             jobs,
             progress,
         )
         growth = 1.0 + float(found["union_excess"]) / len(voxels)
-        if config.max_growth is None or growth <= config.max_growth or limit <= 1.0:
+        if config.max_growth is None or growth <= config.max_growth or limit <= 1.0 or is_fitted:
             break
         limit = max(1.0, limit - 2 * (growth - config.max_growth))  # W of large hulls is a coarser measure
     _check_feasible(config, found, growth)
     hulls, planes = len(found["plane_start"]) - 1, len(found["plane_offset"])
+    is_outer = is_fitted or cap > 0 or config.kdop is not None
     summary = {
         "voxels": len(voxels),
         "hulls": hulls,
@@ -99,6 +115,7 @@ def merge(
         "conservativeness": growth,
         "most_half_planes_of_a_hull": int(np.diff(found["plane_start"]).max()),
         "start_hulls": int(found["curve"][0, 0]),
+        "onboard_bytes": int(found["onboard_bytes"]),
         "geometry_bytes": sum(
             found[name].nbytes
             for name in ("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start")
@@ -115,13 +132,16 @@ def merge(
         guarantee=Guarantee(
             " ".join(
                 [
-                    f"Each of the {len(voxels)} occupied voxels lies in a hull that lists it as a member,"
+                    f"Each of the {len(voxels)} occupied voxels lies in"
+                    f" {'an outer polytope' if is_outer else 'a hull'} that lists it as a member,"
                     " exactly, in integers.",
                     _statement_of_voxels(earlier),
                 ]
             ).strip(),
             {**earlier.claims, "covered_voxels": len(voxels), "uncovered_voxels": 0},
         ),
+        polytopes="outer" if is_outer else "hull",
+        requires=[OUTER_POLYTOPES] if is_outer else [],
         voxel_size_m=manifest.voxel_size_m,
         sigma=manifest.sigma,
         min_overlap=manifest.min_overlap,
@@ -135,7 +155,7 @@ def merge(
                 "lines_per_voxel_column": int(found["lines"]) ** 2,
                 "every_nth_column": int(found["stride"]),
             },
-            "curve": _curve(found["curve"]),
+            "curve": _curve(found["curve"], found["measured"], len(voxels)),
         },
     )
 
@@ -168,14 +188,15 @@ def _voxels_and_sets(
 
 
 def _check_feasible(config: MergeConfig, found: dict[str, Any], growth: float) -> None:
-    hulls, _, planes = found["curve"][-1]
+    hulls, _, planes, size = found["curve"][-1]
     if not found["within_budget"]:
         wanted = [f"{config.hulls} hulls"] * (config.hulls is not None)
         wanted += [f"{config.max_planes} half-planes"] * (config.max_planes is not None)
+        wanted += [f"{config.max_bytes} bytes"] * (config.max_bytes is not None)
         limit = "" if config.max_growth is None else f" at a growth of at most {config.max_growth:g}"
         raise InfeasibleError(
             f"no cover with {' and '.join(wanted)}{limit}: merging ends at {hulls:.0f} hulls with"
-            f" {planes:.0f} half-planes; relax a limit"
+            f" {planes:.0f} half-planes and {size:.0f} bytes; relax a limit"
         )
     if config.max_growth is not None and growth > config.max_growth:
         raise InfeasibleError(
@@ -190,8 +211,11 @@ def _statement_of_voxels(guarantee: Guarantee) -> str:
     return rest.strip() if mark else guarantee.statement
 
 
-def _curve(rows: NDArray[np.float64]) -> dict[str, list[Any]]:
-    """At most about sixty points of n against the sum of W and half-planes, evenly in log n."""
+def _curve(rows: NDArray[np.float64], measured: NDArray[np.float64], voxels: int) -> dict[str, Any]:
+    """At most about sixty points of n against the sum of W, half-planes and bytes, evenly in log n.
+
+    `measured` beside them are the covers whose union was measured, after tightening and capping.
+    """
     count = rows[:, 0]
     wanted = np.geomspace(count[0], count[-1], _CURVE_POINTS)
     chosen = np.unique(np.clip(np.rint(count[0] - wanted), 0, len(rows) - 1).astype(np.int64))
@@ -199,4 +223,11 @@ def _curve(rows: NDArray[np.float64]) -> dict[str, list[Any]]:
         "hulls": [int(n) for n in rows[chosen, 0]],
         "excess_sum_voxels": [float(w) for w in rows[chosen, 1]],
         "half_planes": [int(p) for p in rows[chosen, 2]],
+        "bytes": [int(b) for b in rows[chosen, 3]],
+        "measured": {
+            "hulls": [int(n) for n in measured[:, 0]],
+            "half_planes": [int(p) for p in measured[:, 1]],
+            "bytes": [int(b) for b in measured[:, 2]],
+            "conservativeness": [float(1.0 + w / voxels) for w in measured[:, 3]],
+        },
     }

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.run import TrialResult
+from alula.stages.compression.hulls import Hulls
 from alula.stages.reporting.material import OUTCOMES, Material, Run, clearance_of, flew_through, outcome_of
 from alula.stages.reporting.tables import path_ratio, voxel_count
 
@@ -153,30 +154,30 @@ def _flight_map(cover: Artifact | None, label: str, paths: list[Path]) -> Flight
         band = (float(min(h.min() for h in heights)), float(max(h.max() for h in heights)))
     if cover is None:
         return FlightMap(label, (), tuple(paths), band, 0)
-    edge = float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
-    vertex, start = np.asarray(cover["vertex"], np.int64), np.asarray(cover["vertex_start"])
+    hulls = Hulls.from_cover(cover)
+    vertex, start = hulls.vertices_world, hulls.vertex_start
     shown: list[Floats] = []
     for hull in range(len(start) - 1):
         own = vertex[start[hull] : start[hull + 1]]
-        low, high = own[:, 2].min() * edge, own[:, 2].max() * edge
+        low, high = own[:, 2].min(), own[:, 2].max()
         if band is None or (low <= band[1] and high >= band[0]):
-            shown.append(np.asarray(footprint(own[:, :2]) * edge, np.float64))
+            shown.append(footprint(own[:, :2]))
     return FlightMap(label, tuple(shown), tuple(paths), band, len(start) - 1)
 
 
-def footprint(points: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Convex hull of integer points in the plane, counter-clockwise from the least, exact.
+def footprint(points: Floats) -> Floats:
+    """Convex hull of points in the plane, counter-clockwise from the least; exact for small integers.
 
     Source: Andrew 1979, monotone chain.
     """
-    ordered: list[tuple[int, int]] = sorted({(int(x), int(y)) for x, y in points})
-    if len(ordered) < 3:
-        return np.array(ordered, np.int64).reshape(-1, 2)
-    return np.array(_chain(ordered)[:-1] + _chain(ordered[::-1])[:-1], np.int64)
+    ordered: list[tuple[float, float]] = sorted({(x, y) for x, y in points.tolist()})
+    if len(ordered) >= 3:
+        ordered = _chain(ordered)[:-1] + _chain(ordered[::-1])[:-1]
+    return np.array(ordered, np.float64).reshape(-1, 2)
 
 
-def _chain(ordered: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    chain: list[tuple[int, int]] = []
+def _chain(ordered: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    chain: list[tuple[float, float]] = []
     for x, y in ordered:
         while len(chain) > 1:
             (ax, ay), (bx, by) = chain[-2], chain[-1]

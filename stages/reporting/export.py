@@ -81,13 +81,14 @@ def _cover_json(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
     integer = np.column_stack([cover["plane_normal"], cover["plane_offset"]])
     records = []
     for number in range(len(hulls)):
+        members = slice(*cover["vertex_start"][number : number + 2].tolist())
         planes = slice(hulls.plane_start[number], hulls.plane_start[number + 1])
         corners = slice(hulls.vertex_start[number], hulls.vertex_start[number + 1])
         metres = np.column_stack([hulls.normal_world[planes], hulls.offset_m[planes]])
         records.append(
             {
                 "name": hull_name(number),
-                "vertices": np.asarray(cover["vertex"][corners]).tolist(),
+                "vertices": np.asarray(cover["vertex"][members]).tolist(),
                 "planes": integer[planes].tolist(),
                 "vertices_m": hulls.vertices_world[corners].tolist(),
                 "planes_m": metres.tolist(),
@@ -96,7 +97,10 @@ def _cover_json(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
     document = {
         "schema": "alula/cover-json",
         "about": "normal . x <= offset for each plane [nx, ny, nz, offset]; planes and vertices are exact "
-        "integers in units of voxel_size_m, planes_m has unit normals and is rounded outward",
+        "integers in units of voxel_size_m, planes_m has unit normals and is rounded outward; vertices_m are "
+        "the corners of the polytope, rounded, vertices those of the hull of its voxels: the same, unless "
+        "polytopes is outer",
+        "polytopes": manifest.polytopes,
         "frame": manifest.frame,
         "voxel_size_m": manifest.voxel_size_m,
         "sigma": manifest.sigma,

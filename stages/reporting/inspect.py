@@ -11,6 +11,7 @@ import numpy as np
 from alula.schemas.artifact import Artifact
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import RunRecord
+from alula.stages.compression.hulls import is_outer
 from alula.stages.reconstruction.splats import Splats
 
 Facts = dict[str, Any]
@@ -104,6 +105,7 @@ def _cover(cover: Artifact) -> Facts:
     planes = np.diff(np.asarray(cover["plane_start"]))
     return {
         "hulls": len(planes),
+        "polytopes": "outer" if is_outer(cover) else "hulls",
         "half-planes": int(planes.sum()),
         "half-planes per hull, most": int(planes.max(initial=0)),
         "vertices": len(cover["vertex"]),

@@ -156,6 +156,6 @@ def test_the_whole_chain_is_proven_on_a_real_scene(data, tmp_path, monkeypatch):
         assert run([*step, "-q"]) == 0, step
     smaller = read_artifact(tmp_path / "c.cover.npz")
     record = json.loads((tmp_path / "c.json").read_text())
-    assert [check["ok"] for check in record["checks"]] == [True] * 5
+    assert [check["ok"] for check in record["checks"]] == [True] * 7
     assert record["checks"][-1]["checked"] == len(read_artifact(tmp_path / "m.scene.npz")["mean"])
     assert smaller.manifest.conservativeness >= 1

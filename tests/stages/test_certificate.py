@@ -12,6 +12,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from covers import SIZE_M, cover_of, furniture, holds_voxel, planes, voxels_of
 
 from alula.schemas.artifact import make_artifact
+from alula.schemas.checks import check_arrays
+from alula.schemas.errors import ArtifactError
+from alula.schemas.kinds import COVER as COVER_KIND
 from alula.schemas.kinds import SCENE
 from alula.schemas.manifest import Guarantee, InputRef
 from alula.stages.compression.certificate import verify
@@ -19,6 +22,8 @@ from alula.stages.compression.certificate import verify
 VOXELS = voxels_of(furniture(1, 14))
 COVERS = {method: cover_of(VOXELS, method=method, hulls=12) for method in ("default", "paper")}
 COVER = COVERS["default"]
+COVERS |= {"capped": cover_of(VOXELS, max_planes=90), "kdop": cover_of(VOXELS, hulls=12, kdop=14)}
+OUTER = COVERS["capped"]
 
 
 def changed(cover, **arrays):
@@ -60,7 +65,7 @@ def test_a_good_cover_is_certified(method):
     certificate = verify(COVERS[method], voxels=VOXELS)
     assert certificate.covered
     assert certificate.complaint() == ""
-    assert [check.checked for check in certificate.checks[1:]] == [
+    assert [check.checked for check in certificate.checks[3:]] == [
         len(COVERS[method]["plane_start"]) - 1,
         len(COVERS[method]["member_index"]),
         len(VOXELS["index"]),
@@ -193,7 +198,10 @@ def test_random_changes_are_harmless_or_caught(method):
         bad = changed(cover, **{name: array})
         certificate = verify(bad, voxels=VOXELS)
         if certificate.covered:
-            assert name == "member_index"
+            # The vertices of outer polytopes only witness that planes are tight.
+            assert (
+                name in ("member_index", "vertex") if method in ("capped", "kdop") else name == "member_index"
+            )
             assert is_covered_by_brute_force(bad, VOXELS)
         else:
             caught += 1
@@ -331,3 +339,86 @@ def test_files_other_than_those_it_was_made_from_are_noted():
     certificate = verify(cover, voxels=VOXELS, sha256={"voxels": "b" * 64})
     assert certificate.covered
     assert certificate.notes == ["the cover was made from another voxels file, room.voxels.npz"]
+
+
+@pytest.mark.parametrize("method", COVERS)
+def test_no_change_of_any_array_or_field_passes_for_a_cover_that_is_none(method):
+    """What is called covered holds every voxel by an independent check in Python's integers."""
+    cover, rng, refused = COVERS[method], np.random.default_rng(11), 0
+    names = [name for name in cover.arrays if cover[name].size]
+    for trial in range(40 * len(names)):
+        bad, changes = cover, rng.integers(1, 4)
+        for name in [names[trial % len(names)], *rng.choice(names, changes - 1)]:
+            array = bad[name].copy()
+            at = tuple(rng.integers(0, extent) for extent in array.shape)
+            limits = np.iinfo(array.dtype) if array.dtype.kind == "i" else np.finfo(array.dtype)
+            other = array.reshape(-1)[rng.integers(array.size)]
+            value = array[at].item()
+            choice = [value + 1, value - 1, other.item(), 0, limits.max, limits.min][rng.integers(6)]
+            array[at] = min(max(choice, limits.min), limits.max)
+            bad = changed(bad, **{name: array})
+        if trial % 3 == 0:
+            other = "hull" if cover.manifest.polytopes == "outer" else "outer"
+            requires = ["outer-polytopes"] if other == "outer" else []
+            bad = with_manifest(bad, polytopes=other, requires=requires)
+        try:
+            check_arrays(COVER_KIND, bad.arrays)  # as every reader does
+        except ArtifactError:
+            refused += 1
+            continue
+        certificate = verify(bad, voxels=VOXELS)
+        if certificate.covered:
+            assert is_covered_by_brute_force(bad, VOXELS)
+        else:
+            refused += 1
+            assert certificate.complaint().startswith("not proven: ")
+    assert refused > 20 * len(names)
+    assert verify(cover, voxels=VOXELS).covered
+
+
+def test_each_plane_of_an_outer_polytope_must_touch_it():
+    for row in range(0, len(OUTER["plane_offset"]), 5):
+        hull = int(np.searchsorted(OUTER["plane_start"], row, "right")) - 1
+        looser = verify(with_row(OUTER, "plane_offset", row, OUTER["plane_offset"][row] + 1), voxels=VOXELS)
+        assert [o.fault for o in offences(looser)] == ["plane does not touch its hull"]
+        assert (offences(looser)[0].plane, offences(looser)[0].hull) == (row, hull)
+        assert f"hull {hull}, plane {row} at (" in looser.complaint()
+        tighter = verify(with_row(OUTER, "plane_offset", row, OUTER["plane_offset"][row] - 1), voxels=VOXELS)
+        assert {"vertex is outside its hull", "member is outside its hull"} == {
+            o.fault for o in offences(tighter)
+        }
+        assert {(o.plane, o.hull) for o in offences(tighter)} == {(row, hull)}
+        first = next(o for o in offences(tighter) if o.voxel is not None)
+        assert first.place_m == pytest.approx((np.array(first.voxel) + 0.5) * SIZE_M)
+
+
+def test_a_recorded_volume_that_is_not_that_of_the_cover_is_caught():
+    for cover in (COVER, OUTER):
+        for factor in (0.5, 0.9, 1.1, 1e9):
+            certificate = verify(
+                with_manifest(cover, conservativeness=cover.manifest.conservativeness * factor)
+            )
+            assert failing(certificate) == ["volume is as recorded"]
+            assert "conservativeness is" in certificate.complaint()
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (lambda h: h.__setitem__((3, 0), 10**6), "merge 3 joins an element that is not there yet"),
+        (lambda h: h.__setitem__((0, 1), -1), "merge 0 joins an element that is not there yet"),
+        (lambda h: h.__setitem__((0, 1), 0.5), "merge 0 joins an element that is not there yet"),
+        (lambda h: h.__setitem__((2, 1), h[0, 0]), "merge 2 joins an element that was joined before"),
+        (lambda h: h.__setitem__((1, 0), h[1, 1]), "merge 1 joins an element that was joined before"),
+        (lambda h: h.__setitem__((1, 2), -1), "merge 1 has a negative weight"),
+    ],
+)
+def test_a_history_that_cannot_be_is_caught(change, fault):
+    for cover in (COVER, OUTER):
+        history = cover["history"].copy()
+        change(history)
+        certificate = verify(changed(cover, history=history), voxels=VOXELS)
+        assert failing(certificate) == ["history is consistent"]
+        assert fault in {o.fault for o in offences(certificate)}
+    lost = dict(COVER.manifest.summary) | {"start_hulls": len(COVER["history"])}
+    assert failing(verify(with_manifest(COVER, summary=lost))) == ["history is consistent"]

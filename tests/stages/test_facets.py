@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from fabricate import box as fabricated_box
 from fabricate import exact_hull, make_cover
 
 from alula.schemas.errors import ArtifactError
@@ -83,18 +84,16 @@ def test_points_inside_edges_and_facets_are_not_corners():
     assert exact_volume(surface, faces) == 6 * 8
 
 
-def test_a_capped_hull_is_meshed_from_its_planes():
+def test_an_outer_polytope_is_meshed_from_its_planes():
     vertices, _ = exact_hull(np.random.default_rng(1).integers(-9, 10, (40, 3)))
     box = np.array(
         [(*(s * np.eye(3, dtype=int)[i]), int((s * vertices[:, i]).max())) for i in range(3) for s in (-1, 1)]
     )
     cut = np.vstack([box, [(1, 1, 1, int(vertices.sum(axis=1).max()))]])
-    cover = make_cover([(vertices, cut), exact_hull(vertices)])
-    faces, start = triangles(cover)
-    assert start[1] == 0
-    assert len(faces) > 0
+    hulls = [(vertices, cut), fabricated_box((0, -4, 2), (5, 3, 9))]
+    cover = make_cover(hulls, polytopes="outer", requires=["outer-polytopes"])
     result = mesh(cover)
-    assert result.exact.tolist() == [False, True]
+    assert result.exact.tolist() == [True, True]
     own = result.points_voxel[: result.point_start[1]]
     assert (own @ cut[:, :3].T <= cut[:, 3] + 1e-9).all()
     assert ((own @ cut[:, :3].T >= cut[:, 3] - 1e-9).sum(axis=1) >= 3).all()
@@ -110,6 +109,8 @@ def test_planes_that_bound_no_solid_are_refused():
     vertices, planes = exact_hull(list(product((0, 1), repeat=3)))
     with pytest.raises(ArtifactError, match="hull 0"):
         mesh(make_cover([(vertices, planes[:2])]))
+    with pytest.raises(ArtifactError, match="hull 0"):
+        mesh(make_cover([(vertices, planes[:5])], polytopes="outer", requires=["outer-polytopes"]))
 
 
 def test_an_empty_cover_has_no_triangles():

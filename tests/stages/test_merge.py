@@ -234,7 +234,12 @@ def test_growth_of_one_encloses_no_free_space():
 
 @pytest.mark.parametrize(
     "config",
-    [{"max_planes": 3}, {"hulls": 2, "max_growth": 1.01}, {"max_growth": 1.0}, {"max_planes": 7}],
+    [
+        {"max_planes": 3},
+        {"hulls": 2, "max_growth": 1.01},
+        {"max_growth": 1.0},
+        {"max_planes": 7, "facet_cap": "none"},
+    ],
 )
 def test_contradicting_limits_are_infeasible(config):
     with pytest.raises(InfeasibleError):

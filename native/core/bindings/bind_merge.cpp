@@ -1,7 +1,10 @@
-// Bindings of alula/merge.hpp and alula/lattice_hull.hpp.
+// Bindings of alula/merge.hpp, alula/fitting.hpp and alula/lattice_hull.hpp.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 
+#include <algorithm>
+
+#include "alula/fitting.hpp"
 #include "alula/merge.hpp"
 #include "arrays.hpp"
 #include "python_control.hpp"
@@ -60,10 +63,12 @@ Result lattice_hull(const InRows3<std::int32_t>& points) {
 
 Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint32_t>& member,
                    const InVector<std::int64_t>& member_start, int block, bool is_paper, std::size_t max_hulls,
-                   std::size_t max_planes, double max_growth, unsigned jobs, nb::object progress) {
+                   std::size_t max_planes, std::size_t max_bytes, std::size_t facet_cap, std::size_t kdop,
+                   bool is_fitted, double max_growth, unsigned jobs, nb::object progress) {
   PythonControl control(std::move(progress));
   Cover cover;
   UnionVolume volume{};
+  std::vector<Measured> measured;
   std::vector<std::int32_t> member_index;
   {
     const nb::gil_scoped_release release;
@@ -75,13 +80,27 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
     } else {
       sets = subcover(occupancy, block, jobs, control);
     }
-    const MergeOptions options{is_paper ? MergeRule::kPaper : MergeRule::kIncrease, max_hulls, max_planes,
-                               max_growth};
-    cover = merge(occupancy, sets, options, jobs, control);
+    const Form form{facet_cap, kdop};
+    const MergeOptions options{is_paper ? MergeRule::kPaper : MergeRule::kIncrease, max_hulls,
+                               Budget{max_planes, max_bytes, form}, max_growth};
+    if (is_fitted) {
+      cover = fit(occupancy, sets, options, jobs, control, measured);
+    } else {
+      cover = merge(occupancy, sets, options, jobs, control);
+      if (cover.within_budget && !is_paper)
+        retighten(occupancy, cover, form.is_outer() ? Budget{} : options.budget, control);
+      if (cover.within_budget && form.is_outer())
+        make_outer(occupancy, cover, options.budget, !is_paper, jobs, control);
+    }
     if (cover.within_budget) {
-      if (!is_paper) retighten(occupancy, cover, max_planes, control);
       sort_hulls(cover);
-      volume = union_excess(occupancy, cover.hull, jobs, control);
+      if (!is_fitted) {
+        volume = union_excess(occupancy, cover.hull, jobs, control);
+        measured.push_back({cover.hull.size(), planes_of(cover.hull), volume});
+      } else {
+        const auto less = [](const Measured& a, const Measured& b) { return a.volume.excess < b.volume.excess; };
+        volume = std::min_element(measured.begin(), measured.end(), less)->volume;
+      }
       member_index.reserve(3 * cover.members.member.size());
       for (const std::uint32_t v : cover.members.member) {
         const Lattice& voxel = occupancy.voxels()[v];
@@ -96,18 +115,50 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
   std::vector<std::int64_t> start(cover.members.start.begin(), cover.members.start.end());
   const std::size_t starts = start.size();
   result["member_start"] = to_numpy(std::move(start), {starts});
-  std::vector<double> history, curve;
+  std::vector<double> history, curve, measure;
   for (const Merge& m : cover.history)
     history.insert(history.end(), {static_cast<double>(m.left), static_cast<double>(m.right), m.weight});
+  const Form written{facet_cap, kdop};
   for (const CurvePoint& c : cover.curve)
-    curve.insert(curve.end(), {static_cast<double>(c.hulls), c.excess, static_cast<double>(c.planes)});
+    curve.insert(curve.end(), {static_cast<double>(c.hulls), c.excess, static_cast<double>(c.planes),
+                               static_cast<double>(written.bytes(c.hulls, c.planes))});
+  for (const Measured& m : measured)
+    measure.insert(measure.end(), {static_cast<double>(m.hulls), static_cast<double>(m.planes),
+                                   static_cast<double>(written.bytes(m.hulls, m.planes)), m.volume.excess});
   result["history"] = to_numpy(std::move(history), {merges, 3});
-  result["curve"] = to_numpy(std::move(curve), {points, 3});
+  result["curve"] = to_numpy(std::move(curve), {points, 4});
+  result["measured"] = to_numpy(std::move(measure), {measured.size(), 4});
+  result["onboard_bytes"] = written.bytes(cover.hull.size(), planes_of(cover.hull));
   result["within_budget"] = cover.within_budget;
   result["union_excess"] = volume.excess;
   result["lines"] = volume.lines;
   result["stride"] = volume.stride;
   return result;
+}
+
+double cover_excess(const InRows3<std::int32_t>& voxels, const InRows3<std::int32_t>& vertex,
+                    const InVector<std::int64_t>& vertex_start, const InRows3<std::int64_t>& normal,
+                    const InVector<std::int64_t>& offset, const InVector<std::int64_t>& plane_start, unsigned jobs,
+                    nb::object progress) {
+  if (vertex_start.size() == 0 || vertex_start.size() != plane_start.size() || normal.shape(0) != offset.size())
+    throw std::invalid_argument("arrays of a cover do not fit together");
+  PythonControl control(std::move(progress));
+  const nb::gil_scoped_release release;
+  std::vector<LatticePolytope> hulls(vertex_start.size() - 1);
+  const std::span<const Lattice> vertices = as_lattice(vertex);
+  for (std::size_t h = 0; h < hulls.size(); ++h) {
+    const auto begin = [&](const auto& start) { return static_cast<std::size_t>(start.data()[h]); };
+    const auto end = [&](const auto& start) { return static_cast<std::size_t>(start.data()[h + 1]); };
+    if (begin(vertex_start) > end(vertex_start) || end(vertex_start) > vertices.size() ||
+        begin(plane_start) > end(plane_start) || end(plane_start) > offset.size())
+      throw std::invalid_argument("starts do not partition the rows");
+    hulls[h].vertex.assign(vertices.begin() + begin(vertex_start), vertices.begin() + end(vertex_start));
+    for (std::size_t i = begin(plane_start); i < end(plane_start); ++i) {
+      const std::int64_t* n = normal.data() + 3 * i;
+      hulls[h].plane.push_back({{n[0], n[1], n[2]}, offset.data()[i]});
+    }
+  }
+  return union_excess(Occupancy(as_lattice(voxels)), hulls, jobs, control).excess;
 }
 
 }  // namespace
@@ -116,9 +167,15 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
 void bind_merge(nb::module_& m) {
   m.def("lattice_hull", &alula::lattice_hull, "points"_a,
         "Exact hull of integer points (N, 3): sorted vertices and primitive planes, as a cover of one hull.");
+  m.def("cover_excess", &alula::cover_excess, "voxels"_a, "vertex"_a, "vertex_start"_a, "plane_normal"_a,
+        "plane_offset"_a, "plane_start"_a, "jobs"_a, "progress"_a.none(),
+        "Volume [voxels] of the union of polytopes outside sorted voxels (M, 3), all of which they contain.");
   m.def("merge_cover", &alula::merge_cover, "voxels"_a, "member"_a, "member_start"_a, "block"_a, "is_paper"_a,
-        "max_hulls"_a, "max_planes"_a, "max_growth"_a, "jobs"_a, "progress"_a.none(),
+        "max_hulls"_a, "max_planes"_a, "max_bytes"_a, "facet_cap"_a, "kdop"_a, "is_fitted"_a, "max_growth"_a,
+        "jobs"_a, "progress"_a.none(),
         "Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets, or an\n"
-        "empty `member_start` asks for the set cover by clusters. A limit of 0 is none. Returns the arrays of\n"
-        "an alula/cover, the curve (hulls, sum of W, planes), the excess of the union [voxels] and its grid.");
+        "empty `member_start` asks for the set cover by clusters. A limit of 0 is none. `facet_cap` and `kdop`\n"
+        "ask for outer polytopes; `is_fitted` for as many hulls as make the least of the budget. Returns the\n"
+        "arrays of an alula/cover, the curve (hulls, sum of W, planes, bytes), what was measured (hulls, planes,\n"
+        "bytes, excess [voxels]), the excess of the union [voxels] and its grid.");
 }

@@ -11,6 +11,7 @@ void bind_polytope_cbf(nb::module_& m);
 void bind_rollout(nb::module_& m);
 void bind_clearance(nb::module_& m);
 void bind_search(nb::module_& m);
+void bind_outer_solid(nb::module_& m);
 
 NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
@@ -23,4 +24,5 @@ NB_MODULE(_core, m) {
   bind_rollout(m);
   bind_clearance(m);
   bind_search(m);
+  bind_outer_solid(m);
 }

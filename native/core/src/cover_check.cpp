@@ -16,6 +16,8 @@ namespace {
 __extension__ using Wide = __int128;
 using Position = std::array<std::int32_t, 3>;
 
+constexpr std::uint64_t kLongest = (1 << 15) - 1;  // entry of a normal of an outer polytope
+
 Position row(std::span<const std::int32_t> rows, std::size_t i) {
   return {rows[3 * i], rows[3 * i + 1], rows[3 * i + 2]};
 }
@@ -51,7 +53,7 @@ bool fits_64_bits(std::span<const HalfSpace> planes, std::span<const Position> p
 class HullCheck {
  public:
   HullCheck(const CoverView& cover, std::size_t hull, std::vector<Violation>& found)
-      : hull_(static_cast<std::int64_t>(hull)), found_(found) {
+      : hull_(static_cast<std::int64_t>(hull)), is_outer_(cover.is_outer), found_(found) {
     first_vertex_ = cover.vertex_start[hull], first_plane_ = cover.plane_start[hull];
     first_member_ = cover.member_start[hull];
     for (std::int64_t i = first_vertex_; i < cover.vertex_start[hull + 1]; ++i)
@@ -71,7 +73,7 @@ class HullCheck {
       return;
     }
     check_order();
-    check_facets();
+    is_outer_ ? check_supports() : check_facets();
     check_members();
   }
 
@@ -88,6 +90,28 @@ class HullCheck {
       if (!(vertex_[i - 1] < vertex_[i])) report(Fault::kRepeated, first_vertex_ + static_cast<std::int64_t>(i));
     for (std::size_t i = 1; i < member_.size(); ++i)
       if (!(member_[i - 1] < member_[i])) report(Fault::kMemberOrder, first_member_ + static_cast<std::int64_t>(i));
+  }
+
+  void check_supports() {
+    std::array<bool, 6> is_found{};
+    for (std::size_t p = 0; p < plane_.size(); ++p) {
+      const HalfSpace& plane = plane_[p];
+      const std::int64_t at = first_plane_ + static_cast<std::int64_t>(p);
+      std::size_t farthest = 0;
+      for (std::size_t v = 1; v < vertex_.size(); ++v)
+        if (plane.excess(vertex_[v]) > plane.excess(vertex_[farthest])) farthest = v;
+      const Wide excess = plane.excess(vertex_[farthest]);
+      const std::int64_t vertex = first_vertex_ + static_cast<std::int64_t>(farthest);
+      if (excess > 0) report(Fault::kVertexOutside, vertex, at);
+      if (excess < 0) report(Fault::kLoosePlane, at, vertex);
+      const std::array<std::int64_t, 3> n{plane.x, plane.y, plane.z};
+      const std::array<std::uint64_t, 3> length{magnitude(n[0]), magnitude(n[1]), magnitude(n[2])};
+      if (*std::max_element(length.begin(), length.end()) > kLongest) report(Fault::kLongNormal, at);
+      for (std::size_t i = 0; i < 3; ++i)
+        if (length[i] == 1 && length[(i + 1) % 3] == 0 && length[(i + 2) % 3] == 0)
+          is_found[n[i] > 0 ? i : i + 3] = true;
+    }
+    if (!std::all_of(is_found.begin(), is_found.end(), [](bool found) { return found; })) report(Fault::kOpenBox, -1);
   }
 
   void check_facets() {
@@ -193,7 +217,9 @@ class HullCheck {
            first_plane_ + static_cast<std::int64_t>(p));
   }
 
-  std::int64_t hull_, first_vertex_ = 0, first_plane_ = 0, first_member_ = 0;
+  std::int64_t hull_;
+  bool is_outer_;
+  std::int64_t first_vertex_ = 0, first_plane_ = 0, first_member_ = 0;
   std::vector<Violation>& found_;
   std::vector<Position> vertex_, member_;
   std::vector<HalfSpace> plane_;

@@ -78,7 +78,7 @@ class Merger {
         element_[i].weight = excess(hull);
       }
     });
-    for (const Element& e : element_) total_weight_ += e.weight, planes_ += e.hull.plane.size();
+    for (const Element& e : element_) total_weight_ += e.weight, planes_ += written(e);
     hulls_ = element_.size();
   }
 
@@ -90,7 +90,7 @@ class Merger {
     while (!is_done()) {
       const std::optional<Merge> best = hulls_ > 1 ? next() : std::nullopt;
       if (!best || !may_grow(*best)) {
-        cover.within_budget = options_.max_hulls == 0 && options_.max_planes == 0;
+        cover.within_budget = !is_limited();
         break;
       }
       join(*best);
@@ -103,10 +103,13 @@ class Merger {
   }
 
  private:
+  std::size_t written(const Element& e) const { return options_.budget.form.planes(e.hull.plane.size()); }
+
+  bool is_limited() const { return options_.max_hulls > 0 || options_.budget.is_limit(); }
+
   bool is_done() const {
-    if (options_.max_hulls == 0 && options_.max_planes == 0) return false;
-    return (options_.max_hulls == 0 || hulls_ <= options_.max_hulls) &&
-           (options_.max_planes == 0 || planes_ <= options_.max_planes);
+    return is_limited() && (options_.max_hulls == 0 || hulls_ <= options_.max_hulls) &&
+           options_.budget.holds(hulls_, planes_);
   }
 
   bool may_grow(const Merge& best) const {
@@ -234,12 +237,12 @@ class Merger {
         if (link.other != pair.left && link.other != pair.right && element_[link.other].alive)
           merged_links_.push_back(link);
       total_weight_ -= element_[old].weight;
-      planes_ -= element_[old].hull.plane.size();
+      planes_ -= written(element_[old]);
       element_[old] = Element{};
       element_[old].alive = false;
     }
     total_weight_ += weight;
-    planes_ += merged.hull.plane.size();
+    planes_ += written(merged);
     --hulls_;
     const LatticeBox box = bounds(merged.hull.vertex);
     tree_.touching(box, touching_);

@@ -11,7 +11,8 @@ std::int64_t floor_div(std::int64_t a, std::int64_t b) {
   return q - (a % b != 0 && (a < 0) != (b < 0));
 }
 
-// Appends the numbers of the voxels inside a hull, ascending: normal . v + sum max(normal, 0) <= offset.
+}  // namespace
+
 void voxels_inside(const Occupancy& occupancy, const LatticePolytope& hull, std::vector<std::uint32_t>& inside) {
   inside.clear();
   const LatticeBox box = bounds(hull.vertex);
@@ -45,15 +46,13 @@ void voxels_inside(const Occupancy& occupancy, const LatticePolytope& hull, std:
   }
 }
 
-}  // namespace
-
-void retighten(const Occupancy& occupancy, Cover& cover, std::size_t max_planes, Control& control) {
+void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, Control& control) {
   const std::size_t count = cover.hull.size();
   InterruptOnly quiet(control);
   std::vector<std::uint32_t> holders(occupancy.size(), 0), inside, shrunk;
   std::vector<double> excess(count);
   std::vector<std::size_t> order(count);
-  std::size_t planes = 0;
+  std::size_t planes = 0, kept = count;
   ExcessMeter meter(occupancy);
   for (std::size_t h = 0; h < count; ++h) {
     voxels_inside(occupancy, cover.hull[h], inside);
@@ -80,11 +79,12 @@ void retighten(const Occupancy& occupancy, Cover& cover, std::size_t max_planes,
       tight = builder.polytope();
     }
     const std::size_t after = planes - cover.hull[h].plane.size() + tight.plane.size();
-    if (max_planes > 0 && after > std::max(planes, max_planes)) {
+    const std::size_t left = kept - (needed.empty() ? 1 : 0);
+    if (after > planes && !budget.holds(left, after)) {
       is_tight[h] = false;
       continue;
     }
-    planes = after;
+    planes = after, kept = left;
     shrunk.clear();
     if (!needed.empty()) voxels_inside(occupancy, tight, shrunk);
     for (const std::uint32_t v : inside) --holders[v];

@@ -38,7 +38,7 @@ void check_cover(const std::vector<Lattice>& voxels, std::size_t hulls, MergeRul
   CHECK(cover.within_budget);
   CHECK(cover.hull.size() <= hulls);
   for (const bool tighten : {false, true}) {
-    if (tighten) retighten(occupancy, cover, 0, control);
+    if (tighten) retighten(occupancy, cover, {}, control);
     sort_hulls(cover);
     const Arrays arrays(occupancy, cover);
     CHECK(check_hulls(arrays.view(), 2, control).empty());

@@ -13,6 +13,11 @@
 //   7. every vertex is a corner of a member voxel, so the hull is the hull of its members.
 // For the whole cover: the members are exactly the occupied voxels.
 //
+// Where polytopes are outer ones (P contains Q), 3 to 5 are replaced:
+//   3. every plane touches a vertex, so its offset is exactly the support of the vertices;
+//   4. the six planes of the bounding box are there, so P is bounded;
+//   5. |n_i| <= 2^15 - 1, so that readers find the corners of P in 128 bits.
+//
 // All integers of the arrays are taken as they come: 64-bit normals and offsets, 32-bit positions.
 // Products are formed in 128 bits, where |n . x + ...| < 2^98; nothing can overflow.
 #pragma once
@@ -38,6 +43,9 @@ enum class Fault : std::int32_t {
   kLooseVertex,       // row: vertex; not a corner of a member
   kNotCovered,        // row: occupied voxel that is no hull's member
   kNotOccupied,       // row: member that is not an occupied voxel
+  kLoosePlane,        // row: plane of an outer polytope that touches no vertex; other: a vertex
+  kLongNormal,        // row: plane of an outer polytope; a normal that is too long
+  kOpenBox,           // an outer polytope without one of the planes of its bounding box
 };
 
 struct Violation {
@@ -55,6 +63,7 @@ struct CoverView {
   std::span<const std::int64_t> plane_offset, plane_start;
   std::span<const std::int32_t> member_index;  // (W, 3)
   std::span<const std::int64_t> member_start;
+  bool is_outer = false;
 };
 
 // Faults ordered by hull; of a plane only the first vertex outside, of a member only the first plane

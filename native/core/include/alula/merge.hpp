@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "alula/budget.hpp"
 #include "alula/control.hpp"
 #include "alula/subcover.hpp"
 
@@ -17,9 +18,9 @@ enum class MergeRule {
 
 struct MergeOptions {
   MergeRule rule = MergeRule::kIncrease;
-  std::size_t max_hulls = 0;   // 0: no limit
-  std::size_t max_planes = 0;  // 0: no limit
-  double max_growth = 0;       // limit of 1 + sum W / voxels; 0: no limit
+  std::size_t max_hulls = 0;  // 0: no limit
+  Budget budget;              // of what is written in the end
+  double max_growth = 0;      // limit of 1 + sum W / voxels; 0: no limit
 };
 
 struct Merge {
@@ -29,20 +30,20 @@ struct Merge {
 
 struct CurvePoint {
   std::size_t hulls;
-  double excess;  // sum of W [voxels], at least the excess of the union
-  std::size_t planes;
+  double excess;       // sum of W [voxels], at least the excess of the union
+  std::size_t planes;  // as they are written
 };
 
 struct Cover {
   std::vector<LatticePolytope> hull;
-  VoxelSets members;  // Hull(members) is the hull
+  VoxelSets members;  // Hull(members) has the vertices of the hull, and its planes unless those are outer ones
   std::vector<Merge> history;
   std::vector<CurvePoint> curve;  // after each merge, the start first
   bool within_budget = true;      // false: max_growth, or n = 1, was reached before the others held
 };
 
-// Merges pairs of sets until at most max_hulls polytopes with at most max_planes half-planes in
-// all remain. Without either limit, merges as long as max_growth allows.
+// Merges pairs of sets until at most max_hulls polytopes remain and what is written of them is
+// within the budget. Without either limit, merges as long as max_growth allows.
 //
 // Guarantee: every voxel of `sets` stays a member of a hull that contains it; weights only rank.
 // Deterministic. A merged hull contains the hulls of all pairs it came from, so W(i u j u k) is at
@@ -55,9 +56,13 @@ Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOption
 
 // Replaces each hull, the one with most excess first, by the hull of the voxels that no other hull
 // contains, and drops hulls that have none; hulls only shrink and the union never grows. Afterwards
-// the members partition the voxels. With max_planes > 0 a hull is kept when its replacement would
-// take the number of half-planes beyond that.
-void retighten(const Occupancy& occupancy, Cover& cover, std::size_t max_planes, Control& control);
+// the members partition the voxels. A hull is kept when its replacement would take what is written
+// beyond the budget.
+void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, Control& control);
+
+// The numbers of the voxels inside a polytope, ascending, by integers alone:
+// normal . v + sum max(normal, 0) <= offset. The box of its vertices must be that of its planes.
+void voxels_inside(const Occupancy& occupancy, const LatticePolytope& hull, std::vector<std::uint32_t>& inside);
 
 // Orders hulls by their members, lexicographically.
 void sort_hulls(Cover& cover);
