@@ -104,9 +104,7 @@ def measure_points(
     all_planes = np.concatenate([*planes, np.empty((0, 4))])
     start = np.concatenate([[0], np.cumsum([len(p) for p in planes], dtype=np.int64)]).astype(np.int64)
     lower, upper = (np.array([box[side] for box in boxes], np.float64).reshape(-1, 3) for side in (0, 1))
-    return _measure(
-        all_planes[:, :3], -all_planes[:, 3], start, lower, upper, index, sliver, jobs, progress
-    )
+    return _measure(all_planes[:, :3], -all_planes[:, 3], start, lower, upper, index, sliver, jobs, progress)
 
 
 def _boxes(normal: Floats, offset: Floats, start: NDArray[np.int64]) -> tuple[Floats, Floats]:

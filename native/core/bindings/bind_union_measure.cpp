@@ -2,6 +2,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 
+#include <cmath>
 #include <stdexcept>
 
 #include "alula/union_measure.hpp"
@@ -25,6 +26,9 @@ Result measure(const InRows3<double>& normal, const InVector<double>& offset, co
     throw std::invalid_argument("the arrays of the polytopes do not fit each other");
   for (std::size_t h = 0; h < count; ++h)
     if (start(h) > start(h + 1)) throw std::invalid_argument("`start` decreases");
+  for (std::size_t i = 0; i < 3 * count; ++i)
+    if (!(std::abs(lower.data()[i]) <= kLatticeLimit && std::abs(upper.data()[i]) <= kLatticeLimit))
+      throw std::invalid_argument("a polytope lies out of range");
   PythonControl control(std::move(progress));
   UnionMeasure found;
   {

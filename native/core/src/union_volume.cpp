@@ -8,7 +8,6 @@ namespace alula {
 
 namespace {
 
-constexpr std::size_t kMostCuts = 1'000'000;  // per part of the space: about a second
 constexpr double kMostLines = 2e7;  // times about 30 half-planes: a fraction of a second
 
 struct Interval {
@@ -130,12 +129,12 @@ UnionVolume by_lines(const Occupancy& occupancy, const std::vector<LatticePolyto
 }  // namespace
 
 UnionVolume union_excess(const Occupancy& occupancy, const std::vector<LatticePolytope>& hulls, unsigned jobs,
-                         Control& control) {
+                         Control& control, std::size_t most_cuts) {
   std::vector<LatticeBox> box;
   for (const LatticePolytope& hull : hulls) box.push_back(box_of(hull));
   InterruptOnly quiet(control);
   MeasureOptions options;
-  options.cuts_per_part = kMostCuts;
+  options.cuts_per_part = most_cuts;
   const UnionMeasure found = union_measure(convex_sets(hulls, box), nullptr, options, jobs, quiet);
   if (!found.is_complete) return by_lines(occupancy, hulls, box, jobs, control);
   return {std::max(0.0, found.volume - static_cast<double>(occupancy.size())), found.error, 0, 0};
