@@ -1,13 +1,17 @@
 """Volumes of unions of polytopes against rational arithmetic, sampling and each other."""
 
+import sys
 from fractions import Fraction
-from itertools import combinations, product
+from itertools import combinations, pairwise, product
+from pathlib import Path
 
 import numpy as np
 import pytest
-from covers import furniture, planes, voxels_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+sys.path.insert(0, str(Path(__file__).parent))
+from covers import furniture, planes, voxels_of
 
 from alula import _core
 from alula.schemas.configs.merge import MergeConfig
@@ -176,7 +180,7 @@ def test_a_cover_states_its_exact_volume_and_fills_every_voxel(scene, method):
 def test_hulls_of_other_tools_are_measured_from_their_points(scene):
     cover = merge(MergeConfig(hulls=12), scene)
     start = cover["vertex_start"]
-    parts = [cover["vertex"][a:b].astype(np.float64) for a, b in zip(start[:-1], start[1:], strict=True)]
+    parts = [cover["vertex"][a:b].astype(np.float64) for a, b in pairwise(start)]
     flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     found = measure_points([*parts, flat], scene["index"])
     assert found.union == pytest.approx(measure_cover(cover).union, abs=1e-8)

@@ -89,7 +89,11 @@ class Measurer {
         planes = begin;
         continue;
       }
-      if (planes == begin) return Kind::kFull;
+      if (planes == begin) {
+        part.reach.assign(1, {reach.set, 0, 0});
+        part.plane.clear();
+        return Kind::kFull;
+      }
       part.reach[reaches++] = {reach.set, static_cast<std::uint32_t>(begin), static_cast<std::uint32_t>(planes)};
     }
     part.reach.resize(reaches);
