@@ -9,6 +9,8 @@ namespace alula {
 namespace {
 
 constexpr double kMostLines = 2e7;  // times about 30 half-planes: a fraction of a second
+// Lines through the very middle would run in diagonal planes of the lattice, and count as inside.
+constexpr double kOffMiddleX = 0.53, kOffMiddleY = 0.48;
 
 struct Interval {
   std::int32_t line;
@@ -86,7 +88,7 @@ UnionVolume by_lines(const Occupancy& occupancy, const std::vector<LatticePolyto
     for (std::size_t slab = begin; slab < end; ++slab) {
       const std::int32_t column_x = origin_x + stride * static_cast<std::int32_t>(slab);
       for (std::int32_t sub = 0; sub < lines; ++sub) {
-        const double x = column_x + (sub + 0.5) / lines;
+        const double x = column_x + (sub + kOffMiddleX) / lines;
         interval.clear();
         for (const std::size_t h : starting[slab]) {
           const std::int32_t from = first(box[h].lower[1], origin_y), to = first(box[h].upper[1], origin_y);
@@ -94,7 +96,7 @@ UnionVolume by_lines(const Occupancy& occupancy, const std::vector<LatticePolyto
           y.resize(static_cast<std::size_t>((to - from) * lines)), low.resize(y.size()), high.resize(y.size());
           for (std::size_t k = 0; k < y.size(); ++k) {
             const std::int32_t at = static_cast<std::int32_t>(k);
-            y[k] = origin_y + stride * (from + at / lines) + (at % lines + 0.5) / lines - box[h].lower[1];
+            y[k] = origin_y + stride * (from + at / lines) + (at % lines + kOffMiddleY) / lines - box[h].lower[1];
           }
           shape[h].row(x - box[h].lower[0], y, low.data(), high.data());
           for (std::size_t k = 0; k < y.size(); ++k) {
