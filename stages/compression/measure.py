@@ -90,21 +90,31 @@ def measure_points(
     Raises:
         InputError: a coordinate is not finite.
     """
-    from scipy.spatial import ConvexHull, QhullError
-
     planes, boxes = [], []
     for points in parts:
-        if not np.isfinite(points).all():
-            raise InputError("a hull has a coordinate that is not finite")
-        try:
-            planes.append(np.unique(ConvexHull(points).equations, axis=0))
-        except QhullError:  # no volume
-            continue
-        boxes.append((points.min(axis=0), points.max(axis=0)))
+        if len(found := half_spaces(points)):
+            planes.append(found)
+            boxes.append((points.min(axis=0), points.max(axis=0)))
     all_planes = np.concatenate([*planes, np.empty((0, 4))])
     start = np.concatenate([[0], np.cumsum([len(p) for p in planes], dtype=np.int64)]).astype(np.int64)
     lower, upper = (np.array([box[side] for box in boxes], np.float64).reshape(-1, 3) for side in (0, 1))
     return _measure(all_planes[:, :3], -all_planes[:, 3], start, lower, upper, index, sliver, jobs, progress)
+
+
+def half_spaces(points: Floats) -> Floats:
+    """The facets of the convex hull of points, (k, 3): rows (normal, -offset), (F, 4); none when it is flat.
+
+    Raises:
+        InputError: a coordinate is not finite.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    if not np.isfinite(points).all():
+        raise InputError("a hull has a coordinate that is not finite")
+    try:
+        return np.unique(ConvexHull(points).equations, axis=0)
+    except (QhullError, ValueError):
+        return np.empty((0, 4))
 
 
 def _boxes(normal: Floats, offset: Floats, start: NDArray[np.int64]) -> tuple[Floats, Floats]:

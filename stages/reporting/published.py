@@ -9,7 +9,7 @@ from alula.stages.reporting.material import Material, Run, flew_through
 
 Parts = tuple[str, str, tuple[str, ...], tuple[tuple[Any, ...], ...], str]
 
-# PolyMerge, Table I: hulls and half-planes (in thousands as printed) per scene.
+# PolyMerge, Table I: scene, hulls and half-planes (in thousands as printed).
 POLYMERGE_SCENES = (
     ("Bicycle", 3296, 258_000),
     ("Flowers", 2624, 209_000),
@@ -20,6 +20,19 @@ POLYMERGE_SCENES = (
     ("Counter", 1367, 82_000),
     ("Kitchen", 901, 69_000),
     ("Bonsai", 2080, 172_000),
+)
+# The rest of it, in the same order: ellipsoids, their file [MB], half-planes of SuGaR + CoACD, its
+# file [MB], the hulls' file [MB].
+POLYMERGE_SIZES = (
+    (1_500_000, 671.1, 189_000, 13.5, 60.7),
+    (1_540_000, 692.0, 149_000, 10.6, 49.8),
+    (1_610_000, 718.7, 58_000, 4.2, 20.1),
+    (1_470_000, 659.8, 150_000, 10.7, 67.3),
+    (1_440_000, 644.2, 150_000, 10.7, 58.8),
+    (1_060_000, 473.6, 26_000, 1.8, 8.5),
+    (1_430_000, 640.3, 76_000, 5.6, 10.6),
+    (1_370_000, 612.5, 53_000, 3.8, 17.4),
+    (1_400_000, 626.7, 119_000, 8.5, 39.4),
 )
 # PolyMerge, Table II: hulls, control rate [Hz], success, minimum distance [m].
 POLYMERGE_FLIGHTS = (
