@@ -77,10 +77,10 @@ def sizes_table(scenes: Sequence[SceneMaps]) -> Table:
             f"{method}: {what}" for what in ("primitives", "half-planes", "file [MB]", "geometry [MB]")
         ]
     note = (
-        f"Geometry counts {BYTES_PER_GAUSSIAN} bytes per ellipsoid and {BYTES_PER_HALF_PLANE} per half-plane, "
-        "in the published rows too. Our files also hold vertices, members and provenance, compressed. "
-        "Published: CoACD of SuGaR's mesh, half-planes and ellipsoids rounded as printed; ours: CoACD of the "
-        "surface of the voxels. Scenes differ, so only ratios compare."
+        f"Geometry counts {BYTES_PER_GAUSSIAN} bytes per ellipsoid and {BYTES_PER_HALF_PLANE} per half-plane,"
+        " in the published rows too. Our files also hold vertices, members and provenance, compressed. "
+        "Published: CoACD of SuGaR's mesh, half-planes and ellipsoids rounded as printed; in our rows CoACD "
+        "is of the surface of the voxels. Scenes differ, so only ratios compare."
     )
     return Table("table-1", "Table I: size of the map", tuple(columns), tuple(rows), note)
 
@@ -112,8 +112,8 @@ def volumes_table(scenes: Sequence[SceneMaps]) -> Table:
         *("voxels not filled", "voxels", "voxel edge [m]"),
     )
     note = (
-        "Volumes of unions, each cut into convex pieces: exact up to rounding. A voxel is not filled when more "
-        "than 1e-9 of it is left out."
+        "Volumes of unions, each cut into convex pieces: exact up to rounding. A voxel is not filled when "
+        "more than 1e-9 of it is left out."
     )
     return Table("figure-4a", "Figure 4a: conservativeness", columns, tuple(rows), note)
 
@@ -144,7 +144,7 @@ def volumes_figure(scenes: Sequence[SceneMaps]) -> Drawn:
 
     methods = [m for m in _METHODS if any(m in scene.same_count for scene in scenes)]
     width = 0.8 / len(methods)
-    with drawing(2.4 + 1.5 * len(scenes), 3.9) as (axes, render):
+    with drawing(max(6.2, 2.4 + 1.5 * len(scenes)), 4.0) as (axes, render):
         for place, scene in enumerate(scenes):
             for number, method in enumerate(methods):
                 if method not in scene.same_count:
@@ -180,7 +180,7 @@ def volumes_figure(scenes: Sequence[SceneMaps]) -> Drawn:
         axes.margins(y=0.1)
         keys = [Patch(facecolor=_COLORS[m], alpha=0.55, label=_METHODS[m]) for m in methods]
         keys.append(Patch(fill=False, hatch="////", edgecolor="#33404d", lw=0, label="inside voxels"))
-        axes.legend(handles=keys, loc="upper left", bbox_to_anchor=(0, 1.16), ncols=len(keys), fontsize=10)
+        axes.figure.legend(handles=keys, loc="outside upper center", ncols=len(keys), fontsize=10)
         image, svg = _png(axes), render()
     said = "; ".join(
         f"{scene.name}: "
@@ -211,11 +211,15 @@ def curve_figure(scenes: Sequence[SceneMaps]) -> Drawn:
         counts = sorted({found.hulls for scene in scenes for c in scene.curves.values() for found in c})
         ticks = [c * 10**p for p in range(7) for c in (1, 3)]
         ticks = [t for t in ticks if counts[0] <= t <= counts[-1]]
-        axes.set(xscale="log", xlabel="hulls", ylabel="volume of hulls / volume of voxels")
+        axes.set(xscale="log", yscale="log", xlabel="hulls", ylabel="volume of hulls / volume of voxels")
         axes.set_xticks(ticks, [text(t) for t in ticks])
+        bottom, top = axes.get_ylim()
+        rungs = [c * 10.0**p for p in range(7) for c in (1, 1.2, 1.5, 2, 3, 5)]
+        rungs = [t for t in rungs if t <= top]
+        axes.set_yticks(rungs, [text(t) for t in rungs])
+        axes.set_ylim(min(0.97, bottom), top)
         axes.minorticks_off()
         axes.axhline(1, color="#33404d", linewidth=1)
-        axes.set_ylim(bottom=min(1.0, axes.get_ylim()[0]))
         keys = [
             Line2D([], [], color=c, linewidth=1.6, label=s.name)
             for s, c in zip(scenes, _SCENE_COLORS * len(scenes), strict=False)
