@@ -18,7 +18,7 @@ from alula.stages.compression.voxel_mesh import voxel_mesh
 
 
 def decompose(source: Path) -> list[np.ndarray]:
-    """The points of each part, by CoACD's defaults."""
+    """The points of each part, by CoACD's defaults but for its remeshing, which fills closed rooms."""
     try:
         import coacd
     except ImportError:
@@ -27,7 +27,7 @@ def decompose(source: Path) -> list[np.ndarray]:
     corners, triangles = voxel_mesh(read_artifact(source)["index"])
     coacd.set_log_level("error")
     mesh = coacd.Mesh(corners.astype(np.float64), triangles)
-    return [points for points, _ in coacd.run_coacd(mesh, seed=0)]
+    return [points for points, _ in coacd.run_coacd(mesh, preprocess_mode="off", seed=0)]
 
 
 if sys.argv[1] == "--count":

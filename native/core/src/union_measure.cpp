@@ -191,6 +191,7 @@ class Measurer {
   // Volume of the part of solid_[s] that the polytopes reach_[begin .. end) fill. Solids, reaches and
   // planes beyond those are scratch.
   double united(std::size_t s, std::size_t begin, std::size_t end) {
+    if (!result.is_complete) return 0;
     const std::size_t reaches = reach_.size(), planes = plane_.size();
     for (std::size_t r = begin; r < end; ++r) {
       const std::uint32_t first = static_cast<std::uint32_t>(plane_.size());
