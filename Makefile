@@ -73,6 +73,7 @@ test-wheel: wheel ## run the tests against the built wheel in an environment of 
 	build/wheel-venv/bin/pytest tests
 
 examples: demo ## run every example
+	@$(MAKE) --no-print-directory -C examples/polymerge ALULA=$(CURDIR)/$(BIN)/alula PYTHON=$(CURDIR)/$(BIN)/python
 
 bench: setup ## time the pipeline's stages side by side
 	$(BIN)/python -P benchmarks/pipeline.py

@@ -123,3 +123,30 @@ def test_the_library_script_flies_a_scene(built):
     done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "hulls" in done.stdout
+
+
+def test_polymerge_sets_our_maps_beside_the_published_ones(tmp_path):
+    folder = tmp_path / "polymerge"
+    shutil.copytree(EXAMPLES / "polymerge", folder, ignore=shutil.ignore_patterns("out"))
+    words = [f"PYTHON={sys.executable} -P", "VOXEL=0.15", "COUNTS=10 30", "FLIGHTS=10", "HULLS=40"]
+    words += ["TRIALS=2", "COACD=", "ALULA_DATA=", "-j2"]
+    done = make(folder, *words)
+    assert commands_in(done).count("merge") == 6
+    assert "- room: " in done.stdout
+    assert "ellipsoids → " in done.stdout
+    out = folder / "out"
+    table = (out / "table-1.csv").read_text().splitlines()
+    assert len(table) == 1 + 1 + 9
+    assert table[2].startswith("published: Bicycle,1500000,671.1,")
+    rows = [line.split(",") for line in (out / "figure-4a.csv").read_text().splitlines()[1:]]
+    assert [row[1] for row in rows] == ["ours", "paper's rule"]
+    for row in rows:
+        assert float(row[4]) >= 1
+        assert float(row[5]) == pytest.approx(1, abs=1e-9)  # every voxel is inside
+        assert row[6] == "0"
+    assert (out / "figure-4b.png").read_bytes().startswith(b"\x89PNG")
+    assert "Figure 4b" in (out / "polymerge.html").read_text()
+    assert "| 10 | 500 | 0.7 | 0.268 | 10 | room.10 | 2 |" in (out / "flights.md").read_text()
+    again = make(folder, *words)
+    assert commands_in(again) == []
+    assert "- room: " in again.stdout

@@ -150,11 +150,7 @@ def merge(
         conservativeness=growth,
         certificate={
             "containment": "normal . v + sum of positive normal components <= offset, for each member v",
-            "conservativeness": {
-                "method": "exact z-intervals of the union of hulls along a midpoint grid of vertical lines",
-                "lines_per_voxel_column": int(found["lines"]) ** 2,
-                "every_nth_column": int(found["stride"]),
-            },
+            "conservativeness": _volume_method(found),
             "curve": _curve(found["curve"], found["measured"], len(voxels)),
         },
     )
@@ -203,6 +199,21 @@ def _check_feasible(config: MergeConfig, found: dict[str, Any], growth: float) -
             f"the cover grows the voxels by {growth:.6g} already with {hulls:.0f} hulls, more than"
             f" {config.max_growth:g}; a smaller --block starts finer"
         )
+
+
+def _volume_method(found: dict[str, Any]) -> dict[str, Any]:
+    """How the volume of the union was found, and how far off it can be."""
+    if found["lines"] == 0:
+        return {
+            "method": "exact volume of the union, cut into convex pieces",
+            "rounding_error_voxels": float(found["union_error"]),
+        }
+    return {
+        "method": "estimate: z-intervals of the union of hulls along a midpoint grid of vertical lines,"
+        " as cutting it into convex pieces would have taken too long",
+        "lines_per_voxel_column": int(found["lines"]) ** 2,
+        "every_nth_column": int(found["stride"]),
+    }
 
 
 def _statement_of_voxels(guarantee: Guarantee) -> str:

@@ -51,6 +51,7 @@ class Figure:
     title: str
     alt: str
     svg: str
+    wide: bool = False  # takes the whole width of the page
 
 
 def all_figures(material: Material) -> list[Figure]:
@@ -70,7 +71,7 @@ def all_figures(material: Material) -> list[Figure]:
 
 
 @contextmanager
-def _axes(width: float, height: float, rows: int = 1) -> Iterator[tuple[Any, Callable[[], str]]]:
+def drawing(width: float, height: float, rows: int = 1) -> Iterator[tuple[Any, Callable[[], str]]]:
     """Axes of a new figure, and a function that renders it; equal data gives equal text."""
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -100,7 +101,7 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
     high = np.max([p.max(axis=0) for p in points], axis=0) if points else np.ones(2)
     size = np.maximum(high - low, 1e-3)
     height = float(np.clip(9.5 * size[1] / size[0] + 0.9, 3.0, 9.5))
-    with _axes(9.5, height) as (axes, render):
+    with drawing(9.5, height) as (axes, render):
         axes.grid(visible=False)
         axes.add_collection(
             PolyCollection(
@@ -155,7 +156,7 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
     alt = (
         f"Map from above of {shown.label}: paths {counts or 'none'}{where}. Circles are starts, crosses ends."
     )
-    return Figure(name, f"From above: {shown.label}", alt, svg)
+    return Figure(name, f"From above: {shown.label}", alt, svg, wide=True)
 
 
 def _steps(axes: Any, shown: Sequence[curves.Distribution]) -> None:
@@ -178,7 +179,7 @@ def _spread(shown: Sequence[curves.Distribution], unit: str) -> str:
 
 
 def _clearance_figure(shown: Sequence[curves.Distribution]) -> Figure:
-    with _axes(6.2, 3.6) as (axes, render):
+    with drawing(6.2, 3.6) as (axes, render):
         axes.axvline(0, color=COLORS["collision"], linewidth=1.2)
         least = min(float(one.value[0]) for one in shown)
         if least < 0:
@@ -192,7 +193,7 @@ def _clearance_figure(shown: Sequence[curves.Distribution]) -> Figure:
 
 
 def _ratio_figure(shown: Sequence[curves.Distribution]) -> Figure:
-    with _axes(6.2, 3.6) as (axes, render):
+    with drawing(6.2, 3.6) as (axes, render):
         _steps(axes, shown)
         axes.set(xlabel="path flown / straight line")
         svg = render()
@@ -201,7 +202,7 @@ def _ratio_figure(shown: Sequence[curves.Distribution]) -> Figure:
 
 
 def _worst_figure(worst: curves.WorstFlight) -> Figure:
-    with _axes(6.2, 4.2, rows=2) as ((top, bottom), render):
+    with drawing(6.2, 4.2, rows=2) as ((top, bottom), render):
         top.axhline(0, color=COLORS["collision"], linewidth=1.2)
         top.plot(worst.margin_time_s, worst.margin_m, color=_RUN_COLORS[0], linewidth=1.6)
         if worst.trouble.any():
@@ -228,7 +229,7 @@ def _worst_figure(worst: curves.WorstFlight) -> Figure:
 
 def _compression_figure(curve: curves.Compression) -> Figure:
     shown = ((curve.growth, "sum of hulls / voxels"), (curve.planes, "half-planes"))
-    with _axes(6.2, 4.6, rows=2) as (axes, render):
+    with drawing(6.2, 4.6, rows=2) as (axes, render):
         for place, (values, label) in enumerate(shown):
             axes[place].plot(curve.hulls, values, ".-", color=_RUN_COLORS[place], linewidth=1.6)
             axes[place].set(xscale="log", ylabel=label)

@@ -178,7 +178,7 @@ def _promise(material: Material) -> str:
 
 def _figure(figure: Figure) -> str:
     data = base64.b64encode(figure.svg.encode()).decode()
-    wide = ' class="wide"' if figure.name.startswith("map") else ""
+    wide = ' class="wide"' if figure.wide else ""
     return (
         f'<figure{wide}><h3>{escape(figure.title)}</h3><img src="data:image/svg+xml;base64,{data}" '
         f'alt="{escape(figure.alt)}"><figcaption>{escape(figure.alt)}</figcaption></figure>'

@@ -270,6 +270,15 @@ def inputs_table(material: Material) -> Table:
     return Table("inputs", "Made from", ("role", "file", "kind", "SHA-256 begins"), rows)
 
 
+def table_csv(table: Table) -> str:
+    """A table with all digits; an unknown value is empty."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(table.columns)
+    writer.writerows([_csv_cell(value) for value in row] for row in table.rows)
+    return out.getvalue()
+
+
 CSV_COLUMNS = ("run", "filter", "vehicle", *(f.name for f in msgspec.structs.fields(TrialResult)))
 
 

@@ -190,8 +190,8 @@ def test_the_paper_stands_beside_ours():
     assert len(sizes) == 10
     flights = tables["polymerge-2"].rows
     assert [row[0] for row in flights] == [10, 30, 50, 77, 100, 150]
-    assert flights[2] == (50, 250, 1.0, 0.098, "a", 4, 0.25, 0.3125, 0.9375, -0.03125)
-    assert flights[3][1:5] == (None, None, None, "b")
+    assert flights[2] == (50, 250, 1.0, 0.098, 50, "a", 4, 0.25, 0.3125, 0.9375, -0.03125)
+    assert flights[3][1:6] == (None, None, None, 77, "b")
     with pytest.raises(UsageError, match="needs a run or --cover"):
         all_tables(Material("t"), paper="polymerge")
 

@@ -131,6 +131,7 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
   result["onboard_bytes"] = written.bytes(cover.hull.size(), planes_of(cover.hull));
   result["within_budget"] = cover.within_budget;
   result["union_excess"] = volume.excess;
+  result["union_error"] = volume.error;
   result["lines"] = volume.lines;
   result["stride"] = volume.stride;
   return result;

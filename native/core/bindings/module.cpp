@@ -6,6 +6,7 @@ namespace nb = nanobind;
 void bind_voxelize(nb::module_& m);
 void bind_separation(nb::module_& m);
 void bind_merge(nb::module_& m);
+void bind_union_measure(nb::module_& m);
 void bind_cover_check(nb::module_& m);
 void bind_polytope_cbf(nb::module_& m);
 void bind_rollout(nb::module_& m);
@@ -19,6 +20,7 @@ NB_MODULE(_core, m) {
   bind_voxelize(m);
   bind_separation(m);
   bind_merge(m);
+  bind_union_measure(m);
   bind_cover_check(m);
   bind_polytope_cbf(m);
   bind_rollout(m);

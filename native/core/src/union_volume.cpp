@@ -2,12 +2,15 @@
 
 #include "alula/merge.hpp"
 #include "alula/parallel.hpp"
+#include "alula/union_measure.hpp"
 
 namespace alula {
 
 namespace {
 
 constexpr double kMostLines = 2e7;  // times about 30 half-planes: a fraction of a second
+// Lines through the very middle would run in diagonal planes of the lattice, and count as inside.
+constexpr double kOffMiddleX = 0.53, kOffMiddleY = 0.48;
 
 struct Interval {
   std::int32_t line;
@@ -16,24 +19,56 @@ struct Interval {
 
 std::int32_t ceil_div(std::int32_t a, std::int32_t b) { return a / b + (a % b != 0 && (a < 0) == (b < 0)); }
 
-}  // namespace
+// The box of a polytope by its planes, which may lie beyond its vertices; by those where a side has none.
+LatticeBox box_of(const LatticePolytope& hull) {
+  LatticeBox box = bounds(hull.vertex);
+  for (const LatticePlane& plane : hull.plane) {
+    for (int i = 0; i < 3; ++i) {
+      if (plane.normal[(i + 1) % 3] != 0 || plane.normal[(i + 2) % 3] != 0) continue;
+      (plane.normal[i] > 0 ? box.upper : box.lower)[i] = static_cast<std::int32_t>(plane.offset / plane.normal[i]);
+    }
+  }
+  return box;
+}
 
-UnionVolume union_excess(const Occupancy& occupancy, const std::vector<LatticePolytope>& hulls, unsigned jobs,
-                         Control& control) {
+// The same polytopes relative to the middle of all, so that coordinates are as small as can be.
+ConvexSets convex_sets(const std::vector<LatticePolytope>& hulls, const std::vector<LatticeBox>& box) {
   LatticeBox all = LatticeBox::empty();
-  std::vector<LatticeBox> box;
+  for (const LatticeBox& b : box) all.add(b);
+  Lattice middle;
+  for (int i = 0; i < 3; ++i) middle[i] = all.lower[i] + (all.upper[i] - all.lower[i]) / 2;
+  const auto local = [&](const Lattice& p) {
+    return geometry::Vec3{static_cast<double>(p[0] - middle[0]), static_cast<double>(p[1] - middle[1]),
+                          static_cast<double>(p[2] - middle[2])};
+  };
+  ConvexSets sets;
+  for (std::size_t h = 0; h < hulls.size(); ++h) {
+    for (const LatticePlane& plane : hulls[h].plane) {
+      const auto& n = plane.normal;
+      const geometry::Vec3 normal{static_cast<double>(n[0]), static_cast<double>(n[1]), static_cast<double>(n[2])};
+      const double length = norm(normal);
+      const std::int64_t offset = plane.offset - n[0] * middle[0] - n[1] * middle[1] - n[2] * middle[2];
+      sets.plane.push_back({{normal.x / length, normal.y / length, normal.z / length},
+                            static_cast<double>(offset) / length});
+    }
+    sets.close({local(box[h].lower), local(box[h].upper)});
+  }
+  return sets;
+}
+
+UnionVolume by_lines(const Occupancy& occupancy, const std::vector<LatticePolytope>& hulls,
+                     const std::vector<LatticeBox>& box, unsigned jobs, Control& control) {
+  LatticeBox all = LatticeBox::empty();
   std::vector<ZBounds> shape(hulls.size());
   double area = 0;
   for (std::size_t h = 0; h < hulls.size(); ++h) {
-    box.push_back(bounds(hulls[h].vertex));
     shape[h].assign(hulls[h], box[h]);
     all.add(box[h]);
     area += (static_cast<double>(box[h].upper[0]) - box[h].lower[0]) * (box[h].upper[1] - box[h].lower[1]);
   }
-  UnionVolume result{0, 4, 1};
+  UnionVolume result{0, 0, 4, 1};
   while (result.lines > 1 && area * result.lines * result.lines > kMostLines) result.lines /= 2;
   while (area / (static_cast<double>(result.stride) * result.stride) > kMostLines) ++result.stride;
-  if (hulls.empty()) return result;
 
   // Sampled columns have x = all.lower + offset + stride * i; likewise y.
   const std::int32_t stride = result.stride, lines = result.lines, offset = stride / 2;
@@ -53,7 +88,7 @@ UnionVolume union_excess(const Occupancy& occupancy, const std::vector<LatticePo
     for (std::size_t slab = begin; slab < end; ++slab) {
       const std::int32_t column_x = origin_x + stride * static_cast<std::int32_t>(slab);
       for (std::int32_t sub = 0; sub < lines; ++sub) {
-        const double x = column_x + (sub + 0.5) / lines;
+        const double x = column_x + (sub + kOffMiddleX) / lines;
         interval.clear();
         for (const std::size_t h : starting[slab]) {
           const std::int32_t from = first(box[h].lower[1], origin_y), to = first(box[h].upper[1], origin_y);
@@ -61,7 +96,7 @@ UnionVolume union_excess(const Occupancy& occupancy, const std::vector<LatticePo
           y.resize(static_cast<std::size_t>((to - from) * lines)), low.resize(y.size()), high.resize(y.size());
           for (std::size_t k = 0; k < y.size(); ++k) {
             const std::int32_t at = static_cast<std::int32_t>(k);
-            y[k] = origin_y + stride * (from + at / lines) + (at % lines + 0.5) / lines - box[h].lower[1];
+            y[k] = origin_y + stride * (from + at / lines) + (at % lines + kOffMiddleY) / lines - box[h].lower[1];
           }
           shape[h].row(x - box[h].lower[0], y, low.data(), high.data());
           for (std::size_t k = 0; k < y.size(); ++k) {
@@ -91,6 +126,20 @@ UnionVolume union_excess(const Occupancy& occupancy, const std::vector<LatticePo
   for (const double e : excess) result.excess += e;
   result.excess *= static_cast<double>(stride) * stride / (static_cast<double>(lines) * lines);
   return result;
+}
+
+}  // namespace
+
+UnionVolume union_excess(const Occupancy& occupancy, const std::vector<LatticePolytope>& hulls, unsigned jobs,
+                         Control& control, std::size_t most_cuts) {
+  std::vector<LatticeBox> box;
+  for (const LatticePolytope& hull : hulls) box.push_back(box_of(hull));
+  InterruptOnly quiet(control);
+  MeasureOptions options;
+  options.cuts_per_part = most_cuts;
+  const UnionMeasure found = union_measure(convex_sets(hulls, box), nullptr, options, jobs, quiet);
+  if (!found.is_complete) return by_lines(occupancy, hulls, box, jobs, control);
+  return {std::max(0.0, found.volume - static_cast<double>(occupancy.size())), found.error, 0, 0};
 }
 
 }  // namespace alula

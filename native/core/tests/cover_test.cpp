@@ -1,4 +1,6 @@
 // Covers built by merge() pass check_hulls(), at the ends of the exact range too.
+#include <cmath>
+
 #include "alula/cover_check.hpp"
 #include "alula/merge.hpp"
 #include "check.hpp"
@@ -44,8 +46,11 @@ void check_cover(const std::vector<Lattice>& voxels, std::size_t hulls, MergeRul
     CHECK(check_hulls(arrays.view(), 2, control).empty());
     const auto flat = std::span(reinterpret_cast<const std::int32_t*>(voxels.data()), 3 * voxels.size());
     CHECK(check_occupied(arrays.member, arrays.member_start, flat).empty());
-    CHECK(union_excess(occupancy, cover.hull, 1, control).excess ==
-          union_excess(occupancy, cover.hull, 3, control).excess);
+    const UnionVolume volume = union_excess(occupancy, cover.hull, 1, control);
+    CHECK(volume.lines == 0 && volume.excess >= 0 && volume.error > 0);
+    CHECK(volume.excess == union_excess(occupancy, cover.hull, 3, control).excess);
+    const UnionVolume by_lines = union_excess(occupancy, cover.hull, 2, control, 0);
+    if (by_lines.lines == 4) CHECK(std::abs(by_lines.excess - volume.excess) < 0.03 * (volume.excess + 1));
   }
 }
 

@@ -1,0 +1,157 @@
+"""Volumes of unions of convex polytopes, exact up to rounding, and of voxels they leave open."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import InputError
+
+Floats = NDArray[np.float64]
+_SLIVER = 1e-9  # of a voxel's volume; roundings of planes stay far below
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """A union of polytopes against occupied voxels; volumes in voxels.
+
+    Attributes:
+        voxels: how many are occupied.
+        union: volume of the union.
+        intersection: volume of the union inside occupied voxels.
+        open_voxels: occupied voxels that the union does not fill, but for the `sliver` allowed.
+        error: bound on the rounding error of each volume.
+    """
+
+    voxels: int
+    union: float
+    intersection: float
+    open_voxels: int
+    error: float
+
+    @property
+    def conservativeness(self) -> float:
+        """Volume of the union over that of the voxels."""
+        return self.union / self.voxels
+
+    @property
+    def filled(self) -> float:
+        """Share of the voxels' volume that the union fills."""
+        return self.intersection / self.voxels
+
+
+def measure_cover(
+    cover: Artifact,
+    index: NDArray[np.integer[Any]] | None = None,
+    *,
+    jobs: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Measure:
+    """Measure the polytopes of an `alula/cover`, as their planes bound them, against voxels.
+
+    Args:
+        cover: the cover.
+        index: occupied voxels, shape (M, 3), in any order; None: the cover's members.
+        jobs: threads, 0 for all processors; the result does not depend on it.
+        progress: called with (done, total) now and then.
+    """
+    integer = np.asarray(cover["plane_normal"], np.float64)
+    length = np.sqrt((integer * integer).sum(axis=1))
+    start = np.asarray(cover["plane_start"], np.int64)
+    normal, offset = integer / length[:, None], np.asarray(cover["plane_offset"], np.float64) / length
+    lower, upper = _boxes(normal, offset, start)
+    voxels = cover["member_index"] if index is None else index
+    return _measure(normal, offset, start, lower, upper, voxels, _SLIVER, jobs, progress)
+
+
+def measure_points(
+    parts: Sequence[Floats],
+    index: NDArray[np.integer[Any]],
+    *,
+    sliver: float = _SLIVER,
+    jobs: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> Measure:
+    """Measure the union of convex hulls of points, as other tools give them, against voxels.
+
+    Args:
+        parts: the points of each hull, shape (k, 3) [voxel edges]; flat ones have no volume.
+        index: occupied voxels, shape (M, 3), in any order.
+        sliver: a voxel with no more than this share of it missing counts as filled.
+        jobs: threads, 0 for all processors; the result does not depend on it.
+        progress: called with (done, total) now and then.
+
+    Raises:
+        InputError: a coordinate is not finite.
+    """
+    planes, boxes = [], []
+    for points in parts:
+        if len(found := half_spaces(points)):
+            planes.append(found)
+            boxes.append((points.min(axis=0), points.max(axis=0)))
+    all_planes = np.concatenate([*planes, np.empty((0, 4))])
+    start = np.concatenate([[0], np.cumsum([len(p) for p in planes], dtype=np.int64)]).astype(np.int64)
+    lower, upper = (np.array([box[side] for box in boxes], np.float64).reshape(-1, 3) for side in (0, 1))
+    return _measure(all_planes[:, :3], -all_planes[:, 3], start, lower, upper, index, sliver, jobs, progress)
+
+
+def half_spaces(points: Floats) -> Floats:
+    """The facets of the convex hull of points, (k, 3): rows (normal, -offset), (F, 4); none when it is flat.
+
+    Raises:
+        InputError: a coordinate is not finite.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    if not np.isfinite(points).all():
+        raise InputError("a hull has a coordinate that is not finite")
+    try:
+        return np.unique(ConvexHull(points).equations, axis=0)
+    except (QhullError, ValueError):
+        return np.empty((0, 4))
+
+
+def _boxes(normal: Floats, offset: Floats, start: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Bounding boxes from the planes that have them as facets."""
+    hull = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    sides = np.full((2, len(start) - 1, 3), np.nan)
+    for axis in range(3):
+        for side, sign in enumerate((-1.0, 1.0)):
+            at = np.flatnonzero(normal[:, axis] == sign)
+            sides[side, hull[at], axis] = sign * offset[at]
+    if np.isnan(sides).any():
+        raise InputError("a polytope of the cover has no facets along its bounding box")
+    return sides[0], sides[1]
+
+
+def _measure(
+    normal: Floats,
+    offset: Floats,
+    start: NDArray[np.int64],
+    lower: Floats,
+    upper: Floats,
+    index: NDArray[np.integer[Any]],
+    sliver: float,
+    jobs: int,
+    progress: Callable[[int, int], None] | None,
+) -> Measure:
+    voxels = np.unique(np.asarray(index, np.int32).reshape(-1, 3), axis=0)
+    if len(voxels) == 0:
+        raise InputError("there is no occupied voxel to measure against")
+    arrays = [np.ascontiguousarray(a, np.float64) for a in (normal, offset, lower, upper)]
+    found = _core.union_measure(
+        arrays[0], arrays[1], start, arrays[2], arrays[3], voxels, sliver, jobs, progress
+    )
+    return Measure(
+        voxels=len(voxels),
+        union=float(found["volume"]),
+        intersection=float(found["intersection"]),
+        open_voxels=len(voxels) - int(found["whole"]),
+        error=float(found["error"]),
+    )
