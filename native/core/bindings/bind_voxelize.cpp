@@ -15,6 +15,7 @@ using namespace nb::literals;
 void bind_voxelize(nb::module_& m) {
   using Floats3 = alula::InRows3<float>;
   using Floats4 = alula::InRows4<float>;
+  m.attr("MAX_VOXELS") = alula::OverlapGrid::kMaxVoxels;
   m.def(
       "voxelize",
       [](Floats3 mean, Floats3 scale, Floats4 quat_wxyz, double sigma, double voxel_size, double inflation,
