@@ -111,7 +111,7 @@ def test_each_tile_lists_the_ellipsoids_whose_boxes_meet_it():
         for t in itertools.product(*(range(a, b + 1) for a, b in zip(low, high, strict=True))):
             expected.setdefault(t, []).append(i)
     assert found == expected
-    assert tile.tolist() == sorted(expected)
+    assert [tuple(t) for t in tile.tolist()] == sorted(expected)
 
 
 def scene_of(n=300, **fields):
