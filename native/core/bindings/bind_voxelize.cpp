@@ -28,8 +28,7 @@ void bind_voxelize(nb::module_& m) {
         alula::Voxelized found;
         {
           const nb::gil_scoped_release release;
-          found =
-              alula::voxelize(splats, {sigma, inflation}, voxel_size, crop, block, min_overlap, jobs, control);
+          found = alula::voxelize(splats, {sigma, inflation}, voxel_size, crop, block, min_overlap, jobs, control);
         }
         alula::VoxelCounts& voxels = found.voxels;
         const std::size_t count = voxels.count.size(), rows = found.reach.size();
@@ -74,7 +73,8 @@ void bind_voxelize(nb::module_& m) {
         const auto starts = alula::as_span(start);
         std::int64_t last = 0;
         for (const std::int64_t s : starts) {
-          if (s < last || s > static_cast<std::int64_t>(count.size())) throw nb::value_error("start is not ascending");
+          if (s < last || s > static_cast<std::int64_t>(count.size()))
+            throw nb::value_error("start is not ascending");
           last = s;
         }
         if (index.size() != 3 * count.size()) throw nb::value_error("index and count differ in length");

@@ -79,10 +79,9 @@ Ellipsoid outer_ellipsoid(const Splats& splats, std::size_t i, const Level& leve
   const double w = q[0], x = q[1], y = q[2], z = q[3];
   const double ww = w * w, xx = x * x, yy = y * y, zz = z * z;
   const double inverse = 1 / (ww + xx + yy + zz), twice = 2 * inverse;
-  e.rotation = {
-      Vec3{balance(ww, xx, yy, zz) * inverse, (x * y - w * z) * twice, (x * z + w * y) * twice},
-      Vec3{(x * y + w * z) * twice, balance(ww, yy, xx, zz) * inverse, (y * z - w * x) * twice},
-      Vec3{(x * z - w * y) * twice, (y * z + w * x) * twice, balance(ww, zz, xx, yy) * inverse}};
+  e.rotation = {Vec3{balance(ww, xx, yy, zz) * inverse, (x * y - w * z) * twice, (x * z + w * y) * twice},
+                Vec3{(x * y + w * z) * twice, balance(ww, yy, xx, zz) * inverse, (y * z - w * x) * twice},
+                Vec3{(x * z - w * y) * twice, (y * z + w * x) * twice, balance(ww, zz, xx, yy) * inverse}};
   for (std::size_t a = 0; a < 3; ++a) {
     for (std::size_t j = 0; j < 3; ++j) e.row[a][j] = e.rotation[a][j] * axis[j];
     e.half[a] = std::sqrt(e.row[a][0] * e.row[a][0] + e.row[a][1] * e.row[a][1] + e.row[a][2] * e.row[a][2]);

@@ -66,7 +66,8 @@ Block clipped_block(const std::array<double, 3>& lower, const std::array<double,
   if (!finite) throw std::overflow_error("an ellipsoid has no finite bounds in double precision");
   if (empty) return block;
   if (!fits)
-    throw std::overflow_error("voxel indices would not fit 32 bits: an ellipsoid reaches too far for this voxel size");
+    throw std::overflow_error(
+        "voxel indices would not fit 32 bits: an ellipsoid reaches too far for this voxel size");
   for (std::size_t a = 0; a < 3; ++a) {
     block.lower[a] = static_cast<std::int32_t>(low[a]);
     block.upper[a] = static_cast<std::int32_t>(high[a]);
@@ -125,7 +126,7 @@ struct OverlapGrid::Shard {
   static constexpr std::int32_t kX = 1 << kShiftXY, kZ = 1 << kShiftZ;
   using Row = std::array<std::uint32_t, kZ>;
   using Brick = std::array<Row, kX * kX>;  // (x * 4) + y
-  static constexpr std::size_t kPage = 64;
+  static constexpr std::size_t kPage = 8;
 
   // Part of a run within a brick: first ... last of a row.
   struct Piece {
@@ -185,7 +186,8 @@ struct OverlapGrid::Shard {
 
   // Without branches, so that it takes a few wide instructions.
   static void count(Row& row, const Piece& piece) {
-    const Row &from = kFrom[static_cast<std::size_t>(piece.first)], &to = kFrom[static_cast<std::size_t>(piece.last + 1)];
+    const Row &from = kFrom[static_cast<std::size_t>(piece.first)],
+              &to = kFrom[static_cast<std::size_t>(piece.last + 1)];
     for (std::size_t i = 0; i < from.size(); ++i) row[i] += from[i] - to[i];
   }
 
@@ -216,8 +218,7 @@ std::size_t OverlapGrid::shard_of(const Column& column) {
 }
 
 void OverlapGrid::Writer::flush(std::size_t shard) {
-  const std::span all(pending_);
-  grid_.shards_[shard]->apply(all.subspan(shard * kFull, size_[shard]));
+  grid_.shards_[shard]->apply({&pending_[shard * kFull], size_[shard]});
   size_[shard] = 0;
 }
 
@@ -252,7 +253,8 @@ VoxelCounts OverlapGrid::collect(std::uint32_t min_count, unsigned jobs, Control
     for (std::size_t i = slab[s]; i < slab[s + 1]; ++i) {
       std::uint32_t any = 0, enough = 0;
       for (const Shard::Row& row : *entries[i].brick)
-        for (const std::uint32_t count : row) any += count > 0, enough += count >= least, highest = std::max(highest, count);
+        for (const std::uint32_t count : row)
+          any += count > 0, enough += count >= least, highest = std::max(highest, count);
       all += any, kept += enough;
     }
     start[s + 1] = kept, below[s] = all - kept, most[s] = highest;

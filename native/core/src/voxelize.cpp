@@ -15,13 +15,14 @@ namespace {
 
 constexpr double kPad = 256 * kEps;       // q / E
 constexpr double kRadius = 1 + 4 * kEps;  // of the ball, so that w is never rounded below the true one
+constexpr double kNear = 1e9;             // an index well within 32 bits
 constexpr double kMiss = -std::numeric_limits<double>::infinity();
 
 double dot(const Vec3& a, const Vec3& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 // An ellipsoid with its outward box in whole voxels, before any clipping.
 struct Boxed {
-  Ellipsoid e;
+  const Ellipsoid& e;
   double pad;
   Vec3 lower, upper;
 
@@ -32,8 +33,17 @@ struct Boxed {
     }
   }
 
-  // The part of the box within a range.
-  Block clipped(const CropRange& range) const { return clipped_block(lower, upper, range); }
+  // The part of the box within a range; of most boxes all, without more ado.
+  Block clipped(const CropRange& range) const {
+    bool all = true;
+    for (std::size_t a = 0; a < 3; ++a)
+      all &= (lower[a] >= std::max(range.lower[a], -kNear)) & (upper[a] <= std::min(range.upper[a], kNear));
+    if (!all) return clipped_block(lower, upper, range);
+    Block block;
+    for (std::size_t a = 0; a < 3; ++a)
+      block.lower[a] = static_cast<std::int32_t>(lower[a]), block.upper[a] = static_cast<std::int32_t>(upper[a]);
+    return block;
+  }
 
   bool within(const CropRange& range) const {
     bool within = true;
@@ -41,9 +51,7 @@ struct Boxed {
     return within;
   }
 
-  double voxels() const {
-    return (upper[0] - lower[0] + 1) * (upper[1] - lower[1] + 1) * (upper[2] - lower[2] + 1);
-  }
+  double voxels() const { return (upper[0] - lower[0] + 1) * (upper[1] - lower[1] + 1) * (upper[2] - lower[2] + 1); }
 
   // Along how many axes it is one voxel thick; two: the set touches every voxel of it.
   int thin() const { return (lower[0] == upper[0]) + (lower[1] == upper[1]) + (lower[2] == upper[2]); }
@@ -120,8 +128,7 @@ class Side {
     double l11, l21, l31, l22, l32, l33, rise, slope, apex;  // rise = |(l32, l33)|, slope = l32 / rise
   };
 
-  Side(const Shape& s, double sign, double pad)
-      : s_(s), pad_(pad), inverse_l11_(1 / s.l11), inverse_l22_(1 / s.l22) {
+  Side(const Shape& s, double sign, double pad) : s_(s), pad_(pad), inverse_l11_(1 / s.l11), inverse_l22_(1 / s.l22) {
     s_.l31 *= sign, s_.l32 *= sign, s_.slope *= sign, s_.apex *= sign;
   }
 
@@ -188,8 +195,8 @@ class Surfaces {
       const auto shape = [&](std::size_t i, std::size_t j) {
         const double inverse = 1 / e.half[i], third = dot(e.row[i], e.row[2]);
         const double rise = length[j] * inverse, slope = -dot(c[j], c[2]) / (length[j] * length[2]);
-        return Side::Shape{e.half[i],     xy * inverse, third * inverse, length[2] * inverse, slope * rise, l33,
-                           rise, slope, third / e.half[2]};
+        return Side::Shape{e.half[i], xy * inverse, third * inverse, length[2] * inverse, slope * rise,
+                           l33,       rise,         slope,           third / e.half[2]};
       };
       x = shape(0, 1), y = shape(1, 0);
     }
@@ -271,7 +278,8 @@ class Marker {
     const Surfaces surfaces(e, boxed.pad);
     bool marked = false;
     y_.clear();
-    for (std::int32_t y = block.lower[1]; y <= block.upper[1]; ++y) y_.push_back(surfaces.y_edge(span(y, e.centre[1])));
+    for (std::int32_t y = block.lower[1]; y <= block.upper[1]; ++y)
+      y_.push_back(surfaces.y_edge(span(y, e.centre[1])));
     for (std::int32_t x = block.lower[0]; x <= block.upper[0]; ++x) {
       const Surfaces::Edge x_edge = surfaces.x_edge(span(x, e.centre[0]));
       for (std::int32_t y = block.lower[1]; y <= block.upper[1]; ++y) {
@@ -280,8 +288,10 @@ class Marker {
         if (top == kMiss) continue;
         const double bottom = surfaces.bottom(x_edge, y_edge);
         if (bottom == kMiss) continue;
-        const double first = std::max(std::floor((e.centre[2] - bottom - boxed.pad) * inverse_g_), double(block.lower[2]));
-        const double last = std::min(std::floor((e.centre[2] + top + boxed.pad) * inverse_g_), double(block.upper[2]));
+        const double first =
+            std::max(std::floor((e.centre[2] - bottom - boxed.pad) * inverse_g_), double(block.lower[2]));
+        const double last =
+            std::min(std::floor((e.centre[2] + top + boxed.pad) * inverse_g_), double(block.upper[2]));
         if (!(first <= last)) continue;
         writer_.add({x, y, static_cast<std::int32_t>(first), static_cast<std::int32_t>(last)});
         marked = true;
@@ -348,7 +358,8 @@ Tiles tiles_of(const Splats& splats, const Level& level, double voxel_size, cons
   BrickMap map;
   for (std::size_t i = 0; i < splats.size(); ++i) {
     if (i % kChunk == 0) control.poll(i, splats.size());
-    const Block block = Boxed(outer_ellipsoid(splats, i, level), voxel_size, inverse_g).clipped(range);
+    const Ellipsoid e = outer_ellipsoid(splats, i, level);
+    const Block block = Boxed(e, voxel_size, inverse_g).clipped(range);
     if (block.empty()) continue;
     Index3 first, last;
     double count = 1;

@@ -99,7 +99,8 @@ class OverlapGrid {
   // Collects the runs of one thread; `finish` must be called at the end.
   class Writer {
    public:
-    explicit Writer(OverlapGrid& grid) : grid_(grid), pending_(kShards * kFull) {}
+    explicit Writer(OverlapGrid& grid)
+        : grid_(grid), pending_(std::make_unique_for_overwrite<Run[]>(kShards * kFull)) {}
     void add(const Run& run) {
       // Neighbours share a column of bricks, and so a shard.
       if (const Column column{run.x >> kShiftXY, run.y >> kShiftXY}; column != column_)
@@ -118,7 +119,7 @@ class OverlapGrid {
     Column column_{};
     std::size_t shard_ = shard_of(Column{});
     std::array<std::uint32_t, kShards> size_{};
-    std::vector<Run> pending_;
+    std::unique_ptr<Run[]> pending_;
   };
 
   explicit OverlapGrid(std::size_t max_voxels = kMaxVoxels, std::size_t max_bricks = kMaxBricks);

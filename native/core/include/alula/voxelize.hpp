@@ -62,9 +62,9 @@ struct Tiles {
   static constexpr std::size_t kMaxTiles = std::size_t{1} << 20;
   static constexpr std::size_t kMaxEntries = std::size_t{1} << 27;
 
-  std::vector<std::int32_t> tile;    // (T, 3) t, in lexicographic order
-  std::vector<std::int64_t> start;   // (T + 1): rows of tile i are row[start[i]] ... row[start[i + 1] - 1]
-  std::vector<std::uint32_t> row;    // ellipsoids, ascending within a tile
+  std::vector<std::int32_t> tile;   // (T, 3) t, in lexicographic order
+  std::vector<std::int64_t> start;  // (T + 1): rows of tile i are row[start[i]] ... row[start[i + 1] - 1]
+  std::vector<std::uint32_t> row;   // ellipsoids, ascending within a tile
 };
 
 // Throws as `voxelize` does; std::overflow_error too when there would be more than kMaxTiles tiles or
