@@ -24,6 +24,7 @@ Length = Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)]
 Margin = Annotated[float, msgspec.Meta(ge=0, le=1e12)]
 Level = Annotated[float, msgspec.Meta(gt=0, le=1e4)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=2**32 - 1)]
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Box = Annotated[list[float], msgspec.Meta(min_length=6, max_length=6)]
 
 
@@ -110,7 +111,7 @@ class LevelManifest(Manifest, frozen=True, kw_only=True):
     """What counts as an obstacle on the lattice: shared by voxels and the cover made from them.
 
     Every voxel of edge `voxel_size_m` that touches `crop` and is touched by at least `min_overlap`
-    ellipsoids of level `sigma`, grown by `inflation_m`.
+    ellipsoids of level `sigma`, grown by `inflation_m`, of Gaussians of at least `min_opacity`.
     """
 
     unit: Literal["m"]
@@ -119,6 +120,7 @@ class LevelManifest(Manifest, frozen=True, kw_only=True):
     min_overlap: Count
     inflation_m: Margin = 0.0
     crop: Box | None = None
+    min_opacity: Share = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a crop that contains nothing."""

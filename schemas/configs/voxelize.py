@@ -26,6 +26,10 @@ class VoxelizeConfig:
             "metavar": "BOX",
         },
     )
+    min_opacity: float = field(
+        default=0.0,
+        metadata={"help": "Leave out Gaussians with a lower opacity, beside those that the import left out."},
+    )
     inflation_m: float | None = field(
         default=None,
         metadata={
@@ -46,5 +50,7 @@ class VoxelizeConfig:
             raise UsageError(f"--min-overlap must be at least 1, not {self.min_overlap}")
         if self.crop is not None and not all(self.crop[i] < self.crop[i + 3] for i in range(3)):
             raise UsageError("--crop needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
+        if not (0 <= self.min_opacity <= 1):
+            raise UsageError(f"--min-opacity must be between 0 and 1, not {self.min_opacity}")
         if self.inflation_m is not None and not (0 <= self.inflation_m <= 1e6):
             raise UsageError(f"--inflate must be between 0 and 1e6 m, not {self.inflation_m}")

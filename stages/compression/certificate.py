@@ -13,7 +13,7 @@ from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError
 from alula.schemas.manifest import CoverManifest, SceneManifest, VoxelsManifest
-from alula.stages.compression.ellipsoids import lost_before, unproven_voxels
+from alula.stages.compression.ellipsoids import lost_before, retained, unproven_voxels
 from alula.stages.compression.hulls import is_outer
 
 SCHEMA, VERSION = "alula/certificate", "1.0"
@@ -31,7 +31,7 @@ _OTHER_IS_PLANE, _OTHER_IS_VERTEX = (3, 8), (12,)
 _NOT_COVERED, _NOT_OCCUPIED = 10, 11
 _LATTICE_LIMIT = 2**20  # volumes are measured within; nothing else here depends on it
 _VOLUME_TOLERANCE = 0.02  # of the excess: earlier versions measured it along sampled lines
-_LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop")
+_LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "min_opacity")
 _GEOMETRY = (
     *("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start"),
     *("member_index", "member_start"),
@@ -113,7 +113,7 @@ def verify(
     occupied voxel must be a member. Merges recorded in `history` must refer to earlier elements, and
     `conservativeness` must be the volume of the union, which is measured again. With a scene, each ellipsoid
     {x : (x - mean)' inv(Sigma) (x - mean) <= sigma^2}, grown by the inflation, must lie in the
-    occupied voxels, except where the recorded crop and overlap exclude it.
+    occupied voxels, except where the recorded crop, overlap and opacity exclude it.
 
     Args:
         cover: an `alula/cover`.
@@ -290,6 +290,7 @@ def _scene_check(
         inflation_m=manifest.inflation_m,
         crop=None if crop is None else (crop[0], crop[1], crop[2], crop[3], crop[4], crop[5]),
         min_overlap=manifest.min_overlap,
+        min_opacity=manifest.min_opacity,
         jobs=jobs,
         progress=progress,
     )
@@ -302,7 +303,7 @@ def _scene_check(
         )
         for v, g in zip(missing.voxel[:LISTED], missing.ellipsoid[:LISTED], strict=True)
     ]
-    count = len(scene["mean"])
+    count = len(retained(scene, manifest.min_opacity))
     return _check("every ellipsoid lies in the voxels", count, first, missing.total, "separating planes")
 
 
@@ -366,6 +367,9 @@ def _left_out(manifest: CoverManifest, voxels: Artifact | None, scene: Artifact 
     parts = [f"ellipsoids beyond {manifest.sigma:g} sigma"]
     if manifest.min_overlap > 1:
         parts.append(f"voxels that fewer than {manifest.min_overlap} ellipsoids touch")
+    if manifest.min_opacity > 0:
+        some = "" if scene is None else f"{len(scene['mean']) - len(retained(scene, manifest.min_opacity))} "
+        parts.append(f"{some}Gaussians of opacity below {manifest.min_opacity:g}")
     if manifest.crop is not None:
         parts.append("what lies outside the crop " + " ".join(f"{c:g}" for c in manifest.crop) + " m")
     if scene is None:

@@ -32,6 +32,17 @@ class UnprovenVoxels:
     ellipsoid: NDArray[np.int64]
 
 
+def retained(scene: Artifact, min_opacity: float) -> NDArray[np.intp]:
+    """Rows of the Gaussians that count: those of at least this opacity."""
+    return np.flatnonzero(scene["opacity"] >= np.float32(min_opacity))
+
+
+def rows_of(scene: Artifact, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], ...]:
+    """Mean, scale and quaternion of rows that are given in ascending order; no copy when that is all."""
+    arrays = tuple(scene[name] for name in ("mean", "scale", "quat_wxyz"))
+    return arrays if len(rows) == len(arrays[0]) else tuple(array[rows] for array in arrays)
+
+
 def lost_before(scene: SceneManifest, inflation_m: float) -> list[str]:
     """What separates the ellipsoids of a scene from the true ones and no inflation makes up for, in words."""
     source, parts = scene.source, []
@@ -65,6 +76,7 @@ def unproven_voxels(
     inflation_m: float = 0.0,
     crop: Box | None = None,
     min_overlap: int = 1,
+    min_opacity: float = 0.0,
     jobs: int = 0,
     progress: Progress | None = None,
 ) -> UnprovenVoxels:
@@ -83,17 +95,20 @@ def unproven_voxels(
         inflation_m: r [m], radius of the ball added to each ellipsoid.
         crop: XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; voxels that do not touch it do not count.
         min_overlap: voxels touched by fewer ellipsoids may be missing.
+        min_opacity: ellipsoids of Gaussians below it do not count.
         jobs: threads; the result does not depend on it.
         progress: called with (done, total) ellipsoids.
 
     Raises:
         InputError: the touched voxels that are missing exceed the memory budget.
     """
+    rows = retained(scene, min_opacity)
+    mean, scale, quat_wxyz = rows_of(scene, rows)
     try:
         total, voxel, ellipsoid = _core.unproven_voxels(
-            scene["mean"],
-            scene["scale"],
-            scene["quat_wxyz"],
+            mean,
+            scale,
+            quat_wxyz,
             sigma,
             voxel_size_m,
             inflation_m,
@@ -105,4 +120,4 @@ def unproven_voxels(
         )
     except OverflowError as error:
         raise InputError(f"the voxels are not those of this scene: {error}") from error
-    return UnprovenVoxels(total, voxel, ellipsoid)
+    return UnprovenVoxels(total, voxel, rows[ellipsoid].astype(np.int64))

@@ -147,6 +147,7 @@ def merge(
         min_overlap=manifest.min_overlap,
         inflation_m=manifest.inflation_m,
         crop=manifest.crop,
+        min_opacity=manifest.min_opacity,
         conservativeness=growth,
         certificate={
             "containment": "normal . v + sum of positive normal components <= offset, for each member v",

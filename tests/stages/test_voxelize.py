@@ -157,8 +157,9 @@ def test_overlap_counts_agree_with_brute_force():
     for i in range(25):
         cell, touched = touched_table(mean[i], scale[i], quat[i], 2.0, g, lower, upper)
         total = total + touched.astype(int)
-    index, overlap, outside, cut = _core.voxelize(mean, scale, quat, 2.0, g)
-    assert (outside, cut) == (0, 0)
+    index, overlap, reach, below, most = _core.voxelize(mean, scale, quat, 2.0, g)
+    assert (reach == 1).all()
+    assert (below, most) == (0, total.max())
     np.testing.assert_array_equal(index, cell[total > 0])
     np.testing.assert_array_equal(overlap, total[total > 0])
 
@@ -211,12 +212,10 @@ def test_a_crop_keeps_the_voxels_that_touch_the_box(crop):
         low, high = (next(i for i in range(-40, 40) if exact[i + 41] >= Fraction(crop[a])) for _ in range(2))
         high = max(i for i in range(-40, 40) if exact[i + 40] <= Fraction(crop[a + 3]))
         keep &= (index[:, a] >= low) & (index[:, a] <= high)
-    cropped, counts, outside, cut = _core.voxelize(*splats, 1.0, g, 0.0, crop)
+    cropped, counts, reach, *_ = _core.voxelize(*splats, 1.0, g, 0.0, crop)
     np.testing.assert_array_equal(cropped, index[keep])
     np.testing.assert_array_equal(counts, overlap[keep])
-    assert outside + cut < len(splats[0])
-    assert outside > 0
-    assert cut > 0
+    assert set(reach) == {0, 1, 2}
 
 
 def test_results_do_not_depend_on_jobs():
@@ -234,10 +233,10 @@ def test_a_huge_splat_costs_nothing_outside_the_crop():
     huge = rows(
         [[0, 0, 0], [500, 0, 0]], [[100, 120, 80], [100, 100, 1e-9]], [[1, 0.2, 0.1, 0], [1, 0, 0, 0]]
     )
-    index, overlap, outside, cut = _core.voxelize(*huge, 1.0, 0.05, 0.0, (-0.2, -0.2, -0.2, 0.21, 0.2, 0.2))
+    index, overlap, reach, *_ = _core.voxelize(*huge, 1.0, 0.05, 0.0, (-0.2, -0.2, -0.2, 0.21, 0.2, 0.2))
     assert len(index) == 10 * 10 * 10  # g is above 1/20, so -0.2 / g is inside voxel -4, not on its face
     assert (overlap == 1).all()
-    assert (outside, cut) == (1, 1)
+    assert reach.tolist() == [2, 0]
 
 
 @pytest.mark.parametrize(
@@ -283,7 +282,7 @@ def test_the_artifact_says_what_was_done_and_left_out():
     config = VoxelizeConfig(size_m=0.1, confidence=0.9, min_overlap=2, crop=(-1, -1, -1, 1, 1, 1))
     voxels = voxelize(config, scene)
     sigma = sigma_of_confidence(0.9)
-    index, overlap, outside, cut = _core.voxelize(mean, scale, quat, sigma, 0.1, 0.01, config.crop)
+    index, overlap, reach, *_ = _core.voxelize(mean, scale, quat, sigma, 0.1, 0.01, config.crop)
     np.testing.assert_array_equal(voxels["index"], index[overlap >= 2])
     np.testing.assert_array_equal(voxels["overlap"], overlap[overlap >= 2])
     manifest = voxels.manifest
@@ -298,9 +297,11 @@ def test_the_artifact_says_what_was_done_and_left_out():
         "left_out": {
             "removed_from_splat": {"min-opacity": 12},
             "voxels_below_min_overlap": int((overlap < 2).sum()),
-            "gaussians_outside_crop": outside,
-            "gaussians_cut_by_crop": cut,
+            "gaussians_below_opacity": 0,
+            "gaussians_outside_crop": (reach == 0).sum(),
+            "gaussians_cut_by_crop": (reach == 2).sum(),
         },
+        "min_opacity": 0.0,
     }
     assert manifest.summary["volume_m3"] == pytest.approx(len(voxels["index"]) * 1e-3)
     assert manifest.summary["lower_m"] == pytest.approx(voxels["index"].min(axis=0) * 0.1)
@@ -362,8 +363,8 @@ def test_an_ellipsoid_without_finite_bounds_is_refused_not_skipped(k, scale, r, 
 def test_an_inflation_near_zero_changes_nothing():
     """The ratio of semi-axis and inflation overflows."""
     splats = rows([[0, 0, 0], [0.01, 0, 0]], [[0.3, 0.2, 0.1], [1e-30, 1e-30, 1e-30]], [[1, 0, 0, 0]] * 2)
-    index, overlap, outside, _ = _core.voxelize(*splats, 1.0, 0.1)
-    assert outside == 0
+    index, overlap, reach, *_ = _core.voxelize(*splats, 1.0, 0.1)
+    assert (reach == 1).all()
     for r in (5e-324, 1e-320, 1e-300, 1e-160):
         found = _core.voxelize(*splats, 1.0, 0.1, r)
         np.testing.assert_array_equal(found[0], index)

@@ -47,9 +47,23 @@ double Ellipsoid::least_voxels(double g) const {
   return std::numbers::pi * std::max(4.0 / 3.0 * volume / (g * g * g), area / (g * g));
 }
 
+namespace {
+
+// a + b - c - d of four exact squares, to one rounding: what the sums lose is added at the end.
+double balance(double a, double b, double c, double d) {
+  const auto lost = [](double x, double y, double sum) {
+    const double other = sum - x;
+    return (x - (sum - other)) + (y - other);
+  };
+  const double first = a - c, second = b - d, sum = first + second;
+  return sum + (lost(a, -c, first) + lost(b, -d, second) + lost(first, second, sum));
+}
+
+}  // namespace
+
 Ellipsoid outer_ellipsoid(const Splats& splats, std::size_t i, const Level& level) {
   Ellipsoid e;
-  Vec3 axis;
+  Vec3& axis = e.axis;
   for (std::size_t a = 0; a < 3; ++a) {
     e.centre[a] = splats.mean[3 * i + a];
     axis[a] = level.sigma * splats.scale[3 * i + a];
@@ -59,16 +73,17 @@ Ellipsoid outer_ellipsoid(const Splats& splats, std::size_t i, const Level& leve
     const double mean = std::sqrt((axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]) / 3);  // p r
     for (double& a : axis) a = std::sqrt((1 + r / mean) * a * a + (r + mean) * r);  // p itself may overflow
   }
+  const double least = kEps * (axis[0] + axis[1] + axis[2]);
+  for (double& a : axis) a = std::max(a, least);
   const float* q = &splats.quat_wxyz[4 * i];
   const double w = q[0], x = q[1], y = q[2], z = q[3];
   const double ww = w * w, xx = x * x, yy = y * y, zz = z * z;
-  const double inverse = 1 / (ww + xx + yy + zz);
-  const std::array<Vec3, 3> rotation{
-      Vec3{(ww + xx - yy - zz) * inverse, 2 * (x * y - w * z) * inverse, 2 * (x * z + w * y) * inverse},
-      Vec3{2 * (x * y + w * z) * inverse, (ww - xx + yy - zz) * inverse, 2 * (y * z - w * x) * inverse},
-      Vec3{2 * (x * z - w * y) * inverse, 2 * (y * z + w * x) * inverse, (ww - xx - yy + zz) * inverse}};
+  const double inverse = 1 / (ww + xx + yy + zz), twice = 2 * inverse;
+  e.rotation = {Vec3{balance(ww, xx, yy, zz) * inverse, (x * y - w * z) * twice, (x * z + w * y) * twice},
+                Vec3{(x * y + w * z) * twice, balance(ww, yy, xx, zz) * inverse, (y * z - w * x) * twice},
+                Vec3{(x * z - w * y) * twice, (y * z + w * x) * twice, balance(ww, zz, xx, yy) * inverse}};
   for (std::size_t a = 0; a < 3; ++a) {
-    for (std::size_t j = 0; j < 3; ++j) e.row[a][j] = rotation[a][j] * axis[j];
+    for (std::size_t j = 0; j < 3; ++j) e.row[a][j] = e.rotation[a][j] * axis[j];
     e.half[a] = std::sqrt(e.row[a][0] * e.row[a][0] + e.row[a][1] * e.row[a][1] + e.row[a][2] * e.row[a][2]);
   }
   e.reach = axis[0] + axis[1] + axis[2];
@@ -105,15 +120,6 @@ Factor lower_factor(const Vec3& first, const Vec3& second, const Vec3& third, do
   turn(q[1], q[2]);
   turn(r[1], r[2]);
   return {std::max(p[0], floor), q[0], std::max(q[1], floor), r[0], r[1], std::max(std::abs(r[2]), floor)};
-}
-
-Factor exchanged(const Factor& f, double floor) {
-  const Rotation turn(f.l21, f.l22);
-  double lead = f.l21, rest = f.l22, l21 = f.l11, l22 = 0, l31 = f.l31, l32 = f.l32;
-  turn(lead, rest);
-  turn(l21, l22);
-  turn(l31, l32);
-  return {std::max(lead, floor), l21, std::max(-l22, floor), l31, -l32, f.l33};
 }
 
 }  // namespace alula

@@ -105,7 +105,12 @@ class Search {
     }
   }
 
-  const Prover& prover() const { return prover_; }
+  // The voxels of a range beyond which none is touched.
+  Block bounds(const CropRange& range) const {
+    Vec3 lower = prover_.lower(), upper = prover_.upper();
+    for (std::size_t a = 0; a < 3; ++a) lower[a] = std::floor(lower[a] / g_), upper[a] = std::floor(upper[a] / g_);
+    return clipped_block(lower, upper, range);
+  }
 
   double least_voxels() const { return outer_.least_voxels(g_); }
 
@@ -305,7 +310,7 @@ std::vector<std::int64_t> first_touching(const Splats& splats, const Level& leve
   parallel_chunks(splats.size(), 1024, jobs, control, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       Search search(splats, i, level, g);
-      const Block bounds = clipped_block(search.prover().lower(), search.prover().upper(), g, listed);
+      const Block bounds = search.bounds(listed);
       if (bounds.empty()) continue;
       for (std::size_t v = 0; v < first.size(); ++v) {
         const Index3 at{voxel[3 * v], voxel[3 * v + 1], voxel[3 * v + 2]};
@@ -334,7 +339,7 @@ Unproven unproven_voxels(const Splats& splats, const Level& level, double voxel_
     OverlapGrid::Writer writer(grid);
     for (std::size_t i = begin; i < end; ++i) {
       Search search(splats, i, level, voxel_size);
-      const Block block = clipped_block(search.prover().lower(), search.prover().upper(), voxel_size, range);
+      const Block block = search.bounds(range);
       if (block.empty()) continue;
       if (!crop) check_voxel_budget(search.least_voxels());
       const auto touched = [&](const Index3& v) { writer.add({v[0], v[1], v[2], v[2]}); };

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <stdexcept>
 #include <string>
 
@@ -15,18 +16,15 @@ namespace {
 
 constexpr double kLargestIndex = 2147483646.0;  // one less than 2^31 - 1, so that i + 1 fits too
 
-std::uint64_t mixed(std::uint64_t h) {
-  h ^= h >> 32;
-  h *= 0x9fb21c651e98df25u;
-  h ^= h >> 29;
-  h *= 0xd6e8feb86659fd93u;
-  return h ^ (h >> 32);
-}
-
+// The high bits depend on all bits of the three coordinates.
 std::uint64_t hash_of(const Index3& b) {
   const auto word = [](std::int32_t v) { return std::uint64_t{static_cast<std::uint32_t>(v)}; };
-  return mixed((word(b[0]) | word(b[1]) << 32) ^ (word(b[2]) * 0x9e3779b97f4a7c15u));
+  const std::uint64_t h =
+      word(b[0]) * 0x9fb21c651e98df25u ^ word(b[1]) * 0xd6e8feb86659fd93u ^ word(b[2]) * 0x9e3779b97f4a7c15u;
+  return (h ^ (h >> 32)) * 0x9fb21c651e98df25u;
 }
+
+bool same(const Index3& a, const Index3& b) { return ((a[0] ^ b[0]) | (a[1] ^ b[1]) | (a[2] ^ b[2])) == 0; }
 
 }  // namespace
 
@@ -53,22 +51,24 @@ CropRange crop_range(const std::optional<Box6>& crop, double g) {
   return range;
 }
 
-Block clipped_block(const std::array<double, 3>& lower, const std::array<double, 3>& upper, double g,
-                    const CropRange& crop) {
+Block clipped_block(const std::array<double, 3>& lower, const std::array<double, 3>& upper, const CropRange& range) {
   Block block{{0, 0, 0}, {-1, -1, -1}};
   std::array<double, 3> low, high;
+  bool finite = true, empty = false, fits = true;
   for (std::size_t a = 0; a < 3; ++a) {
-    // What has no bounds would compare as lying nowhere.
-    if (!std::isfinite(lower[a]) || !std::isfinite(upper[a]))
-      throw std::overflow_error("an ellipsoid has no finite bounds in double precision");
-    low[a] = std::max(std::floor(lower[a] / g), crop.lower[a]);
-    high[a] = std::min(std::floor(upper[a] / g), crop.upper[a]);
-    if (!(low[a] <= high[a])) return block;
+    finite &= std::isfinite(lower[a]) && std::isfinite(upper[a]);
+    low[a] = std::max(lower[a], range.lower[a]);
+    high[a] = std::min(upper[a], range.upper[a]);
+    empty |= !(low[a] <= high[a]);
+    fits &= low[a] >= -kLargestIndex && high[a] <= kLargestIndex;
   }
+  // What has no bounds would compare as lying nowhere.
+  if (!finite) throw std::overflow_error("an ellipsoid has no finite bounds in double precision");
+  if (empty) return block;
+  if (!fits)
+    throw std::overflow_error(
+        "voxel indices would not fit 32 bits: an ellipsoid reaches too far for this voxel size");
   for (std::size_t a = 0; a < 3; ++a) {
-    if (low[a] < -kLargestIndex || high[a] > kLargestIndex)
-      throw std::overflow_error(
-          "voxel indices would not fit 32 bits: an ellipsoid reaches too far for this voxel size");
     block.lower[a] = static_cast<std::int32_t>(low[a]);
     block.upper[a] = static_cast<std::int32_t>(high[a]);
   }
@@ -77,9 +77,13 @@ Block clipped_block(const std::array<double, 3>& lower, const std::array<double,
 
 std::size_t BrickMap::place(const Index3& brick) const {
   const std::size_t mask = slots_.size() - 1;
-  std::size_t at = hash_of(brick) & mask;
-  while (slots_[at].number != kNone && slots_[at].brick != brick) at = (at + 1) & mask;
+  std::size_t at = (hash_of(brick) >> 24) & mask;
+  while (slots_[at].number != kNone && !same(slots_[at].brick, brick)) at = (at + 1) & mask;
   return at;
+}
+
+void BrickMap::prefetch(const Index3& brick) const {
+  if (!slots_.empty()) __builtin_prefetch(&slots_[(hash_of(brick) >> 24) & (slots_.size() - 1)]);
 }
 
 std::uint32_t BrickMap::find(const Index3& brick) const {
@@ -103,31 +107,42 @@ void BrickMap::grow() {
 namespace {
 
 [[noreturn]] void throw_too_many(const char* qualifier, double voxels) {
-  throw std::overflow_error("the scene would need " + std::string(qualifier) + " " +
+  throw std::overflow_error("the scene would need " + std::string(qualifier) +
                             std::to_string(static_cast<long long>(std::min(voxels, 1e18))) + " voxels");
 }
 
 }  // namespace
 
 void check_voxel_budget(double least_voxels) {
-  if (least_voxels > double(OverlapGrid::kMaxVoxels)) throw_too_many("at least", least_voxels);
+  if (least_voxels > double(OverlapGrid::kMaxVoxels)) throw_too_many("at least ", least_voxels);
 }
 
 struct OverlapGrid::Budget {
   std::size_t max_voxels = 0, max_bricks = 0;
-  std::atomic<std::size_t> voxels{0}, bricks{0};
+  std::atomic<std::size_t> bricks{0};
 };
 
-// Bricks that share a column of bricks are in one shard.
 struct OverlapGrid::Shard {
-  static constexpr int kShiftXY = 2, kShiftZ = 3;
   static constexpr std::int32_t kX = 1 << kShiftXY, kZ = 1 << kShiftZ;
-  using Brick = std::array<std::uint32_t, kX * kX * kZ>;  // ((x * 4) + y) * 8 + z
-  static constexpr std::size_t kPage = 64;
+  using Row = std::array<std::uint32_t, kZ>;
+  using Brick = std::array<Row, kX * kX>;  // (x * 4) + y
+  static constexpr std::size_t kPage = 8;
+
+  // Part of a run within a brick: first ... last of a row.
+  struct Piece {
+    std::uint32_t brick, column;  // position in `touched`
+    std::int32_t first, last;
+  };
+  struct Touched {
+    Index3 key;
+    Brick* brick;
+  };
 
   std::mutex mutex;
   BrickMap map;
   std::vector<std::unique_ptr<Brick[]>> pages;
+  std::vector<Piece> pieces;
+  std::vector<Touched> touched;
   Budget* budget = nullptr;
 
   Brick& brick(std::uint32_t number) const { return pages[number / kPage][number % kPage]; }
@@ -135,30 +150,56 @@ struct OverlapGrid::Shard {
   Brick& brick_at(const Index3& key) {
     const std::uint32_t number = map.insert(key);
     while (number >= pages.size() * kPage) {
-      if ((budget->bricks += kPage) > budget->max_bricks) throw_too_many("more than", double(budget->voxels));
+      if ((budget->bricks += kPage) > budget->max_bricks) throw_too_many("more than ", double(budget->max_bricks));
       pages.push_back(std::make_unique<Brick[]>(kPage));
     }
     return brick(number);
   }
 
+  // Memory is asked for well before it is used: first all places in the map, then all rows.
   void apply(std::span<const Run> runs) {
     const std::lock_guard lock(mutex);
-    Index3 at{};
-    Brick* last = nullptr;
-    std::size_t fresh = 0;
-    for (const Run& run : runs) {
-      const std::int32_t column = ((run.x & (kX - 1)) * kX + (run.y & (kX - 1))) * kZ;
-      for (std::int32_t z = run.first; z <= run.last;) {
-        const std::int32_t stop = std::min(run.last, z | (kZ - 1));
-        const Index3 key{run.x >> kShiftXY, run.y >> kShiftXY, z >> kShiftZ};
-        if (last == nullptr || key != at) last = &brick_at(key), at = key;
-        std::uint32_t* counts = last->data() + column;
-        for (std::int32_t i = z & (kZ - 1), end = stop & (kZ - 1); i <= end; ++i) fresh += counts[i]++ == 0;
-        z = stop + 1;
-      }
-    }
-    if ((budget->voxels += fresh) > budget->max_voxels) throw_too_many("more than", double(budget->max_voxels));
+    pieces.clear(), touched.clear();
+    recent.fill(0);
+    for (const Run& run : runs) cut(run);
+    for (Touched& t : touched) t.brick = &brick_at(t.key);
+    for (const Piece& piece : pieces) __builtin_prefetch(&(*touched[piece.brick].brick)[piece.column], 1);
+    for (const Piece& piece : pieces) count((*touched[piece.brick].brick)[piece.column], piece);
   }
+
+ private:
+  void cut(const Run& run) {
+    const auto column = static_cast<std::uint32_t>((run.x & (kX - 1)) * kX + (run.y & (kX - 1)));
+    const std::int32_t x = run.x >> kShiftXY, y = run.y >> kShiftXY, end = run.last >> kShiftZ;
+    for (std::int32_t z = run.first >> kShiftZ; z <= end; ++z) {
+      std::uint32_t& guess = recent[static_cast<std::size_t>(x + 2 * y + 4 * z) % recent.size()];
+      const Index3 key{x, y, z};
+      if (guess >= touched.size() || !same(touched[guess].key, key)) {
+        guess = static_cast<std::uint32_t>(touched.size());
+        touched.push_back({key, nullptr});
+        map.prefetch(key);
+      }
+      const std::int32_t base = z * kZ;
+      pieces.push_back({guess, column, std::max(run.first - base, 0), std::min(run.last - base, kZ - 1)});
+    }
+  }
+
+  // Without branches, so that it takes a few wide instructions.
+  static void count(Row& row, const Piece& piece) {
+    const Row &from = kFrom[static_cast<std::size_t>(piece.first)],
+              &to = kFrom[static_cast<std::size_t>(piece.last + 1)];
+    for (std::size_t i = 0; i < from.size(); ++i) row[i] += from[i] - to[i];
+  }
+
+  // Row i: 1 from place i on.
+  static constexpr auto kFrom = [] {
+    std::array<Row, kZ + 1> rows{};
+    for (std::size_t i = 0; i < rows.size(); ++i)
+      for (std::size_t j = i; j < rows[i].size(); ++j) rows[i][j] = 1;
+    return rows;
+  }();
+
+  std::array<std::uint32_t, 16> recent{};  // positions in `touched`, to find neighbours without the map
 };
 
 OverlapGrid::OverlapGrid(std::size_t max_voxels, std::size_t max_bricks) : budget_(std::make_unique<Budget>()) {
@@ -172,26 +213,22 @@ OverlapGrid::OverlapGrid(std::size_t max_voxels, std::size_t max_bricks) : budge
 
 OverlapGrid::~OverlapGrid() = default;
 
-void OverlapGrid::Writer::add(const Run& run) {
-  constexpr std::size_t full = 256;
-  const std::size_t s = hash_of({run.x >> Shard::kShiftXY, run.y >> Shard::kShiftXY, 0}) >> 58;
-  std::vector<Run>& runs = pending_[s];
-  if (runs.empty()) runs.reserve(full);
-  runs.push_back(run);
-  if (runs.size() == full) {
-    grid_.shards_[s]->apply(runs);
-    runs.clear();
-  }
+std::size_t OverlapGrid::shard_of(const Column& column) {
+  return static_cast<std::size_t>(hash_of({column.x, column.y, 0}) >> 58);
+}
+
+void OverlapGrid::Writer::flush(std::size_t shard) {
+  grid_.shards_[shard]->apply({&pending_[shard * kFull], size_[shard]});
+  size_[shard] = 0;
 }
 
 void OverlapGrid::Writer::finish() {
-  for (std::size_t s = 0; s < pending_.size(); ++s) {
-    if (!pending_[s].empty()) grid_.shards_[s]->apply(pending_[s]);
-    pending_[s].clear();
-  }
+  for (std::size_t s = 0; s < kShards; ++s)
+    if (size_[s] > 0) flush(s);
 }
 
 VoxelCounts OverlapGrid::collect(std::uint32_t min_count, unsigned jobs, Control& control) const {
+  const std::uint32_t least = std::max(min_count, 1u);
   struct Entry {
     Index3 key;
     const Shard::Brick* brick;
@@ -207,19 +244,29 @@ VoxelCounts OverlapGrid::collect(std::uint32_t min_count, unsigned jobs, Control
   for (std::size_t i = 1; i <= entries.size(); ++i)
     if (i == entries.size() || entries[i].key[0] != entries[i - 1].key[0]) slab.push_back(i);
   const std::size_t slabs = slab.size() - 1;
-  std::vector<std::size_t> start(slabs + 1, 0);
+  std::vector<std::size_t> start(slabs + 1, 0), below(slabs, 0);
+  std::vector<std::uint32_t> most(slabs, 0);
   Control quiet;
   parallel_chunks(slabs, 1, jobs, quiet, [&](std::size_t s, std::size_t) {
-    std::size_t total = 0;
-    for (std::size_t i = slab[s]; i < slab[s + 1]; ++i)
-      for (const std::uint32_t count : *entries[i].brick) total += count >= min_count && count > 0;
-    start[s + 1] = total;
+    std::size_t all = 0, kept = 0;
+    std::uint32_t highest = 0;
+    for (std::size_t i = slab[s]; i < slab[s + 1]; ++i) {
+      std::uint32_t any = 0, enough = 0;
+      for (const Shard::Row& row : *entries[i].brick)
+        for (const std::uint32_t count : row)
+          any += count > 0, enough += count >= least, highest = std::max(highest, count);
+      all += any, kept += enough;
+    }
+    start[s + 1] = kept, below[s] = all - kept, most[s] = highest;
   });
   for (std::size_t s = 0; s < slabs; ++s) start[s + 1] += start[s];
+  if (start[slabs] > budget_->max_voxels) throw_too_many("", double(start[slabs]));
 
   VoxelCounts out;
   out.index.resize(3 * start[slabs]);
   out.count.resize(start[slabs]);
+  out.below = std::accumulate(below.begin(), below.end(), std::size_t{0});
+  out.most = slabs == 0 ? 0 : *std::max_element(most.begin(), most.end());
   parallel_chunks(slabs, 1, jobs, control, [&](std::size_t s, std::size_t) {
     std::size_t to = start[s];
     for (std::int32_t x = 0; x < Shard::kX; ++x)
@@ -228,9 +275,10 @@ VoxelCounts OverlapGrid::collect(std::uint32_t min_count, unsigned jobs, Control
         for (std::int32_t y = 0; y < Shard::kX; ++y)
           for (std::size_t i = row; i < end; ++i) {
             const auto& [key, brick] = entries[i];
+            const Shard::Row& counts = (*brick)[static_cast<std::size_t>(x * Shard::kX + y)];
             for (std::int32_t z = 0; z < Shard::kZ; ++z) {
-              const std::uint32_t count = (*brick)[static_cast<std::size_t>((x * Shard::kX + y) * Shard::kZ + z)];
-              if (count < min_count || count == 0) continue;
+              const std::uint32_t count = counts[static_cast<std::size_t>(z)];
+              if (count < least) continue;
               out.index[3 * to] = key[0] * Shard::kX + x;
               out.index[3 * to + 1] = key[1] * Shard::kX + y;
               out.index[3 * to + 2] = key[2] * Shard::kZ + z;
@@ -239,6 +287,38 @@ VoxelCounts OverlapGrid::collect(std::uint32_t min_count, unsigned jobs, Control
           }
       }
   });
+  return out;
+}
+
+VoxelCounts joined(std::span<const std::int32_t> index, std::span<const std::uint32_t> count,
+                   std::span<const std::int64_t> start) {
+  struct Head {
+    std::size_t at, end;
+  };
+  const auto before = [&](std::size_t a, std::size_t b) {
+    return std::lexicographical_compare(&index[3 * a], &index[3 * a] + 3, &index[3 * b], &index[3 * b] + 3);
+  };
+  const auto later = [&](const Head& a, const Head& b) { return before(b.at, a.at); };
+  std::vector<Head> heads;  // a heap, first list on top
+  for (std::size_t i = 0; i + 1 < start.size(); ++i)
+    if (start[i] < start[i + 1])
+      heads.push_back({static_cast<std::size_t>(start[i]), static_cast<std::size_t>(start[i + 1])});
+  std::make_heap(heads.begin(), heads.end(), later);
+  VoxelCounts out;
+  out.index.reserve(index.size());
+  out.count.reserve(count.size());
+  while (!heads.empty()) {
+    std::pop_heap(heads.begin(), heads.end(), later);
+    Head& first = heads.back();
+    do {
+      out.index.insert(out.index.end(), &index[3 * first.at], &index[3 * first.at] + 3);
+      out.count.push_back(count[first.at]);
+    } while (++first.at < first.end && (heads.size() == 1 || before(first.at, heads.front().at)));
+    if (first.at == first.end)
+      heads.pop_back();
+    else
+      std::push_heap(heads.begin(), heads.end(), later);
+  }
   return out;
 }
 

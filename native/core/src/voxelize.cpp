@@ -1,9 +1,11 @@
 #include "alula/voxelize.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <limits>
+#include <numeric>
+#include <stdexcept>
+#include <utility>
 
 #include "alula/parallel.hpp"
 
@@ -13,7 +15,102 @@ namespace {
 
 constexpr double kPad = 256 * kEps;       // q / E
 constexpr double kRadius = 1 + 4 * kEps;  // of the ball, so that w is never rounded below the true one
+constexpr double kNear = 1e9;             // an index well within 32 bits
 constexpr double kMiss = -std::numeric_limits<double>::infinity();
+
+double dot(const Vec3& a, const Vec3& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+// An ellipsoid with its outward box in whole voxels, before any clipping.
+struct Boxed {
+  const Ellipsoid& e;
+  double pad;
+  Vec3 lower, upper;
+
+  Boxed(const Ellipsoid& ellipsoid, double g, double inverse_g) : e(ellipsoid), pad(kPad * e.extent(g)) {
+    for (std::size_t a = 0; a < 3; ++a) {
+      lower[a] = std::floor((e.centre[a] - e.half[a] - pad) * inverse_g);
+      upper[a] = std::floor((e.centre[a] + e.half[a] + pad) * inverse_g);
+    }
+  }
+
+  // The part of the box within a range; of most boxes all, without more ado.
+  Block clipped(const CropRange& range) const {
+    bool all = true;
+    for (std::size_t a = 0; a < 3; ++a)
+      all &= (lower[a] >= std::max(range.lower[a], -kNear)) & (upper[a] <= std::min(range.upper[a], kNear));
+    if (!all) return clipped_block(lower, upper, range);
+    Block block;
+    for (std::size_t a = 0; a < 3; ++a)
+      block.lower[a] = static_cast<std::int32_t>(lower[a]), block.upper[a] = static_cast<std::int32_t>(upper[a]);
+    return block;
+  }
+
+  bool within(const CropRange& range) const {
+    bool within = true;
+    for (std::size_t a = 0; a < 3; ++a) within &= lower[a] >= range.lower[a] && upper[a] <= range.upper[a];
+    return within;
+  }
+
+  double voxels() const { return (upper[0] - lower[0] + 1) * (upper[1] - lower[1] + 1) * (upper[2] - lower[2] + 1); }
+
+  // Along how many axes it is one voxel thick; two: the set touches every voxel of it.
+  int thin() const { return (lower[0] == upper[0]) + (lower[1] == upper[1]) + (lower[2] == upper[2]); }
+};
+
+struct Span {
+  double lower, upper;  // extent of voxels along an axis, relative to the centre
+};
+
+// The shadow of an ellipsoid along axis k on the plane of two others: it reaches a rectangle that does
+// not hold the centre across one of the at most two edges that face it.
+class Shadow {
+ public:
+  Shadow(const Ellipsoid& e, double pad, std::size_t i, std::size_t j, std::size_t k) : pad_(pad) {
+    const double product = dot(e.row[i], e.row[j]);
+    const Vec3 c{e.rotation[k][0] * e.axis[1] * e.axis[2], e.rotation[k][1] * e.axis[0] * e.axis[2],
+                 e.rotation[k][2] * e.axis[0] * e.axis[1]};
+    const double inverse_length = 1 / std::sqrt(dot(c, c));
+    const auto side = [&](std::size_t a) {
+      const double inverse = 1 / e.half[a];
+      return Side{inverse, product * inverse, e.half[a] * inverse_length};
+    };
+    first_ = side(i), second_ = side(j);
+  }
+
+  // The chord of the shadow on the edge of a row of voxels that faces the centre.
+  struct Chord {
+    Span span;
+    bool inside;  // no edge: the row holds the centre
+    double middle, w;
+  };
+  Chord first(const Span& span) const { return chord(first_, span); }
+  Chord second(const Span& span) const { return chord(second_, span); }
+
+  bool reaches(const Chord& x, const Chord& y) const {
+    return (x.inside && y.inside) || crosses(first_, x, y.span) || crosses(second_, y, x.span);
+  }
+
+ private:
+  struct Side {
+    double inverse_l11, l21, inverse_l22;
+  };
+
+  Chord chord(const Side& side, const Span& s) const {
+    const bool right = s.lower > 2 * pad_, left = s.upper < -2 * pad_;
+    const double t = (right ? s.lower - pad_ : s.upper + pad_) * side.inverse_l11;
+    const double square = (kRadius - t) * (kRadius + t);
+    return {s, !right && !left, side.l21 * t, square > 0 ? std::sqrt(square) : -1};
+  }
+
+  bool crosses(const Side& side, const Chord& c, const Span& s) const {
+    const double a = (s.lower - 4 * pad_ - c.middle) * side.inverse_l22;
+    const double b = (s.upper + 4 * pad_ - c.middle) * side.inverse_l22;
+    return !c.inside & (c.w >= 0) & (a <= c.w) & (b >= -c.w);
+  }
+
+  double pad_;
+  Side first_, second_;
+};
 
 // The plane over one edge of a column, first coordinate fixed: an arc of the upper surface.
 struct Cut {
@@ -24,23 +121,21 @@ struct Cut {
   double best;   // u2 of the arc's highest point
 };
 
-// One horizontal axis, for the upper (sign 1) or the lower surface mirrored upward (sign -1).
+// One horizontal axis, for the upper or the lower surface mirrored upward.
 class Side {
  public:
-  Side(const Factor& f, double sign, double pad)
-      : f_(f),
-        sign_(sign),
-        pad_(pad),
-        inverse_l11_(1 / f.l11),
-        inverse_l22_(1 / f.l22),
-        l32_(sign * f.l32),
-        rise_(std::sqrt(f.l32 * f.l32 + f.l33 * f.l33)),
-        apex_(sign * f.l11 * f.l31 / std::sqrt(f.l31 * f.l31 + rise_ * rise_)) {}
+  struct Shape {
+    double l11, l21, l31, l22, l32, l33, rise, slope, apex;  // rise = |(l32, l33)|, slope = l32 / rise
+  };
+
+  Side(const Shape& s, double sign, double pad) : s_(s), pad_(pad), inverse_l11_(1 / s.l11), inverse_l22_(1 / s.l22) {
+    s_.l31 *= sign, s_.l32 *= sign, s_.slope *= sign, s_.apex *= sign;
+  }
 
   // The edge that faces the apex, of the columns between lower and upper along this axis.
   Cut cut(double lower, double upper) const {
-    if (lower > apex_ + 2 * pad_) return edge(lower - pad_);
-    if (upper < apex_ - 2 * pad_) return edge(upper + pad_);
+    if (lower > s_.apex + 2 * pad_) return edge(lower - pad_);
+    if (upper < s_.apex - 2 * pad_) return edge(upper + pad_);
     return {true, 0, 0, 0, 0};
   }
 
@@ -50,9 +145,9 @@ class Side {
     const double a = (lower - 4 * pad_ - cut.shift) * inverse_l22_;
     const double b = (upper + 4 * pad_ - cut.shift) * inverse_l22_;
     if (a > cut.w || b < -cut.w) return kMiss;
-    if (cut.best >= a && cut.best <= b) return cut.lift + cut.w * rise_;
+    if (cut.best >= a && cut.best <= b) return cut.lift + cut.w * s_.rise;
     const double u = cut.best < a ? a : b;
-    return cut.lift + l32_ * u + f_.l33 * std::sqrt(std::max(0.0, (cut.w - u) * (cut.w + u)));
+    return cut.lift + s_.l32 * u + s_.l33 * std::sqrt(std::max(0.0, (cut.w - u) * (cut.w + u)));
   }
 
  private:
@@ -60,132 +155,244 @@ class Side {
     const double t = at * inverse_l11_;
     if (!(std::abs(t) < kRadius)) return {false, 0, 0, -1, 0};
     const double w = std::sqrt((kRadius - t) * (kRadius + t));
-    return {false, f_.l21 * t, sign_ * f_.l31 * t, w, w * l32_ / rise_};
+    return {false, s_.l21 * t, s_.l31 * t, w, w * s_.slope};
   }
 
-  Factor f_;
-  double sign_, pad_, inverse_l11_, inverse_l22_, l32_, rise_, apex_;
+  Shape s_;
+  double pad_, inverse_l11_, inverse_l22_;
 };
 
-struct Span {
-  double lower, upper;  // a column's extent along an axis, relative to the centre
-};
+// Both surfaces over the columns along the two horizontal axes.
+class Surfaces {
+ public:
+  Surfaces(const Ellipsoid& e, double pad) : Surfaces(e, pad, Shapes(e)) {}
 
-// Edges of all columns along one axis, for the upper and the lower surface.
-struct Edges {
-  std::vector<Span> span;
-  std::vector<Cut> top, bottom;
+  struct Edge {
+    Span span;
+    Cut top, bottom;
+  };
+  Edge x_edge(const Span& s) const { return {s, x_up_.cut(s.lower, s.upper), x_down_.cut(s.lower, s.upper)}; }
+  Edge y_edge(const Span& s) const { return {s, y_up_.cut(s.lower, s.upper), y_down_.cut(s.lower, s.upper)}; }
 
-  void fill(const Side& up, const Side& down, std::int32_t first, std::int32_t last, double g, double centre) {
-    span.clear(), top.clear(), bottom.clear();
-    for (std::int64_t i = first; i <= last; ++i) {
-      const Span s{double(i) * g - centre, double(i + 1) * g - centre};
-      span.push_back(s);
-      top.push_back(up.cut(s.lower, s.upper));
-      bottom.push_back(down.cut(s.lower, s.upper));
+  // Highest and mirrored lowest point over a column; kMiss when the set does not reach it.
+  double top(const Edge& x, const Edge& y) const { return height(x_up_, x.top, x.span, y_up_, y.top, y.span); }
+  double bottom(const Edge& x, const Edge& y) const {
+    return height(x_down_, x.bottom, x.span, y_down_, y.bottom, y.span);
+  }
+
+ private:
+  struct Shapes {
+    Side::Shape x, y;
+    explicit Shapes(const Ellipsoid& e) {
+      const Vec3 pair{e.axis[1] * e.axis[2], e.axis[0] * e.axis[2], e.axis[0] * e.axis[1]};
+      std::array<Vec3, 3> c;
+      Vec3 length;
+      for (std::size_t a = 0; a < 3; ++a) {
+        for (std::size_t j = 0; j < 3; ++j) c[a][j] = e.rotation[a][j] * pair[j];
+        length[a] = std::sqrt(dot(c[a], c[a]));
+      }
+      const double xy = dot(e.row[0], e.row[1]), l33 = pair[0] * e.axis[0] / length[2];
+      const auto shape = [&](std::size_t i, std::size_t j) {
+        const double inverse = 1 / e.half[i], third = dot(e.row[i], e.row[2]);
+        const double rise = length[j] * inverse, slope = -dot(c[j], c[2]) / (length[j] * length[2]);
+        return Side::Shape{e.half[i], xy * inverse, third * inverse, length[2] * inverse, slope * rise,
+                           l33,       rise,         slope,           third / e.half[2]};
+      };
+      x = shape(0, 1), y = shape(1, 0);
     }
-  }
-};
+  };
 
-double height(const Side& x_side, const Cut& x, const Span& x_span, const Side& y_side, const Cut& y,
-              const Span& y_span, double apex) {
-  if (x.inside && y.inside) return apex;
-  double best = kMiss;
-  if (!x.inside) best = x_side.highest(x, y_span.lower, y_span.upper);
-  if (!y.inside) best = std::max(best, y_side.highest(y, x_span.lower, x_span.upper));
-  return best;
-}
+  Surfaces(const Ellipsoid& e, double pad, const Shapes& s)
+      : apex_(e.half[2]), x_up_(s.x, 1, pad), x_down_(s.x, -1, pad), y_up_(s.y, 1, pad), y_down_(s.y, -1, pad) {}
+
+  double height(const Side& x_side, const Cut& x, const Span& x_span, const Side& y_side, const Cut& y,
+                const Span& y_span) const {
+    if (x.inside && y.inside) return apex_;
+    double best = kMiss;
+    if (!x.inside) best = x_side.highest(x, y_span.lower, y_span.upper);
+    if (!y.inside) best = std::max(best, y_side.highest(y, x_span.lower, x_span.upper));
+    return best;
+  }
+
+  double apex_;
+  Side x_up_, x_down_, y_up_, y_down_;
+};
 
 class Marker {
  public:
-  Marker(OverlapGrid& grid, double g, const CropRange& crop) : writer_(grid), g_(g), crop_(crop) {}
+  Marker(OverlapGrid& grid, double g, const CropRange& crop, const CropRange& range)
+      : writer_(grid), g_(g), inverse_g_(1 / g), crop_(crop), range_(range) {}
 
-  // Adds the voxels of one ellipsoid within the crop.
-  void mark(const Ellipsoid& e) {
-    const double pad = kPad * e.extent(g_);
-    Vec3 lower, upper;
-    bool whole = true;
-    for (std::size_t a = 0; a < 3; ++a) {
-      lower[a] = e.centre[a] - e.half[a] - pad;
-      upper[a] = e.centre[a] + e.half[a] + pad;
-      whole &= std::floor(lower[a] / g_) >= crop_.lower[a] && std::floor(upper[a] / g_) <= crop_.upper[a];
+  // Adds the voxels of one ellipsoid within the range.
+  Reach mark(const Ellipsoid& e) {
+    const Boxed boxed(e, g_, inverse_g_);
+    const Block block = boxed.clipped(range_);
+    if (block.empty()) return Reach::kOutside;
+    const bool whole = boxed.within(crop_);
+    if (whole && boxed.voxels() > double(OverlapGrid::kMaxVoxels)) check_voxel_budget(e.least_voxels(g_));
+    const int thin = boxed.thin();
+    bool marked = true;
+    if (thin >= 2) {
+      for (std::int32_t x = block.lower[0]; x <= block.upper[0]; ++x)
+        for (std::int32_t y = block.lower[1]; y <= block.upper[1]; ++y)
+          writer_.add({x, y, block.lower[2], block.upper[2]});
+    } else {
+      marked = thin == 1 ? plane(boxed, block) : columns(boxed, block);
     }
-    const Block block = clipped_block(lower, upper, g_, crop_);
-    if (block.empty()) {
-      ++outside;
-      return;
-    }
-    if (whole) check_voxel_budget(e.least_voxels(g_));
-    const std::size_t marked = columns(e, block, pad);
-    outside += marked == 0;
-    cut += marked != 0 && !whole;
+    return !marked ? Reach::kOutside : whole ? Reach::kWithin : Reach::kCut;
   }
 
   void finish() { writer_.finish(); }
 
-  std::size_t outside = 0, cut = 0;
-
  private:
-  std::size_t columns(const Ellipsoid& e, const Block& block, double pad) {
-    if (block.lower[0] == block.upper[0] && block.lower[1] == block.upper[1] && within_column(e, block, pad)) {
-      writer_.add({block.lower[0], block.lower[1], block.lower[2], block.upper[2]});
-      return 1;
-    }
-    const double floor = kEps * e.reach;
-    const Factor xy = lower_factor(e.row[0], e.row[1], e.row[2], floor);
-    const Factor yx = exchanged(xy, floor);
-    const Side x_up(xy, 1, pad), x_down(xy, -1, pad), y_up(yx, 1, pad), y_down(yx, -1, pad);
-    x_.fill(x_up, x_down, block.lower[0], block.upper[0], g_, e.centre[0]);
-    y_.fill(y_up, y_down, block.lower[1], block.upper[1], g_, e.centre[1]);
-    std::size_t marked = 0;
-    for (std::size_t i = 0; i < x_.span.size(); ++i)
-      for (std::size_t j = 0; j < y_.span.size(); ++j) {
-        const double top = height(x_up, x_.top[i], x_.span[i], y_up, y_.top[j], y_.span[j], e.half[2]);
-        if (top == kMiss) continue;
-        const double bottom = height(x_down, x_.bottom[i], x_.span[i], y_down, y_.bottom[j], y_.span[j], e.half[2]);
-        if (bottom == kMiss) continue;
-        const double first = std::max(std::floor((e.centre[2] - bottom - pad) / g_), double(block.lower[2]));
-        const double last = std::min(std::floor((e.centre[2] + top + pad) / g_), double(block.upper[2]));
-        if (!(first <= last)) continue;
-        writer_.add({block.lower[0] + static_cast<std::int32_t>(i), block.lower[1] + static_cast<std::int32_t>(j),
-                     static_cast<std::int32_t>(first), static_cast<std::int32_t>(last)});
-        ++marked;
+  // A box that is one voxel thick along axis k: a voxel is touched when the shadow reaches its side.
+  bool plane(const Boxed& boxed, const Block& block) {
+    const std::size_t k = boxed.lower[2] == boxed.upper[2] ? 2 : boxed.lower[1] == boxed.upper[1] ? 1 : 0;
+    const std::size_t i = k == 0 ? 1 : 0, j = k == 2 ? 1 : 2;
+    const Shadow shadow(boxed.e, boxed.pad, i, j, k);
+    chords_.clear();
+    for (std::int32_t v = block.lower[j]; v <= block.upper[j]; ++v)
+      chords_.push_back(shadow.second(span(v, boxed.e.centre[j])));
+    bool marked = false;
+    Index3 at = block.lower;
+    for (at[i] = block.lower[i]; at[i] <= block.upper[i]; ++at[i]) {
+      const Shadow::Chord chord = shadow.first(span(at[i], boxed.e.centre[i]));
+      std::int32_t first = 0, last = -1;  // what is reached of a row is one run
+      for (at[j] = block.lower[j]; at[j] <= block.upper[j]; ++at[j]) {
+        if (!shadow.reaches(chord, chords_[static_cast<std::size_t>(at[j] - block.lower[j])])) continue;
+        marked = true;
+        if (j == 1) {
+          writer_.add({at[0], at[1], at[2], at[2]});
+        } else {
+          if (first > last) first = at[j];
+          last = at[j];
+        }
       }
+      if (first <= last) writer_.add({at[0], at[1], first, last});
+    }
     return marked;
   }
 
-  // Whether nothing was cropped away beside the only column.
-  bool within_column(const Ellipsoid& e, const Block& block, double pad) const {
-    bool within = true;
-    for (std::size_t a = 0; a < 2; ++a)
-      within &= std::floor((e.centre[a] - e.half[a] - pad) / g_) == block.lower[a] &&
-                std::floor((e.centre[a] + e.half[a] + pad) / g_) == block.upper[a];
-    return within;
+  bool columns(const Boxed& boxed, const Block& block) {
+    const Ellipsoid& e = boxed.e;
+    const Surfaces surfaces(e, boxed.pad);
+    bool marked = false;
+    y_.clear();
+    for (std::int32_t y = block.lower[1]; y <= block.upper[1]; ++y)
+      y_.push_back(surfaces.y_edge(span(y, e.centre[1])));
+    for (std::int32_t x = block.lower[0]; x <= block.upper[0]; ++x) {
+      const Surfaces::Edge x_edge = surfaces.x_edge(span(x, e.centre[0]));
+      for (std::int32_t y = block.lower[1]; y <= block.upper[1]; ++y) {
+        const Surfaces::Edge& y_edge = y_[static_cast<std::size_t>(y - block.lower[1])];
+        const double top = surfaces.top(x_edge, y_edge);
+        if (top == kMiss) continue;
+        const double bottom = surfaces.bottom(x_edge, y_edge);
+        if (bottom == kMiss) continue;
+        const double first =
+            std::max(std::floor((e.centre[2] - bottom - boxed.pad) * inverse_g_), double(block.lower[2]));
+        const double last =
+            std::min(std::floor((e.centre[2] + top + boxed.pad) * inverse_g_), double(block.upper[2]));
+        if (!(first <= last)) continue;
+        writer_.add({x, y, static_cast<std::int32_t>(first), static_cast<std::int32_t>(last)});
+        marked = true;
+      }
+    }
+    return marked;
   }
 
+  Span span(std::int32_t i, double centre) const { return {double(i) * g_ - centre, (double(i) + 1) * g_ - centre}; }
+
   OverlapGrid::Writer writer_;
-  double g_;
-  CropRange crop_;
-  Edges x_, y_;
+  double g_, inverse_g_;
+  CropRange crop_, range_;
+  std::vector<Surfaces::Edge> y_;
+  std::vector<Shadow::Chord> chords_;
 };
+
+constexpr std::size_t kChunk = 4096;  // ellipsoids between two polls of a thread
+
+std::int32_t floor_divided(std::int32_t a, std::int32_t b) { return a / b - (a % b < 0); }
+
+[[noreturn]] void throw_too_many_tiles() {
+  throw std::overflow_error("the scene would fall into too many tiles of this size");
+}
+
+CropRange within_tile(CropRange range, const std::optional<Block>& tile) {
+  for (std::size_t a = 0; tile && a < 3; ++a) {
+    range.lower[a] = std::max(range.lower[a], double(tile->lower[a]));
+    range.upper[a] = std::min(range.upper[a], double(tile->upper[a]));
+  }
+  return range;
+}
 
 }  // namespace
 
 Voxelized voxelize(const Splats& splats, const Level& level, double voxel_size, const std::optional<Box6>& crop,
-                   unsigned jobs, Control& control) {
+                   const std::optional<Block>& tile, std::uint32_t min_overlap, unsigned jobs, Control& control) {
   check_splats(splats, level, voxel_size);
-  const CropRange range = crop_range(crop, voxel_size);
+  const CropRange outer = crop_range(crop, voxel_size), range = within_tile(outer, tile);
+  Voxelized out;
+  out.reach.resize(splats.size());
   OverlapGrid grid;
-  std::atomic<std::size_t> outside{0}, cut{0};
-  parallel_chunks(splats.size(), 1024, jobs, control, [&](std::size_t begin, std::size_t end) {
-    Marker marker(grid, voxel_size, range);
-    for (std::size_t i = begin; i < end; ++i) marker.mark(outer_ellipsoid(splats, i, level));
+  parallel_chunks(splats.size(), kChunk, jobs, control, [&](std::size_t begin, std::size_t end) {
+    Marker marker(grid, voxel_size, outer, range);
+    for (std::size_t i = begin; i < end; ++i)
+      out.reach[i] = static_cast<std::uint8_t>(marker.mark(outer_ellipsoid(splats, i, level)));
     marker.finish();
-    outside += marker.outside;
-    cut += marker.cut;
   });
   Control quiet;
-  return {grid.collect(1, jobs, quiet), outside, cut};
+  out.voxels = grid.collect(min_overlap, jobs, quiet);
+  return out;
+}
+
+Tiles tiles_of(const Splats& splats, const Level& level, double voxel_size, const std::optional<Box6>& crop,
+               std::int32_t edge, Control& control) {
+  check_splats(splats, level, voxel_size);
+  if (edge < 1) throw std::invalid_argument("a tile has no voxels");
+  const CropRange range = crop_range(crop, voxel_size);
+  const double inverse_g = 1 / voxel_size;
+  struct Entry {
+    std::uint32_t tile, row;
+  };
+  std::vector<Entry> entries;
+  BrickMap map;
+  for (std::size_t i = 0; i < splats.size(); ++i) {
+    if (i % kChunk == 0) control.poll(i, splats.size());
+    const Ellipsoid e = outer_ellipsoid(splats, i, level);
+    const Block block = Boxed(e, voxel_size, inverse_g).clipped(range);
+    if (block.empty()) continue;
+    Index3 first, last;
+    double count = 1;
+    for (std::size_t a = 0; a < 3; ++a) {
+      first[a] = floor_divided(block.lower[a], edge), last[a] = floor_divided(block.upper[a], edge);
+      count *= double(last[a]) - double(first[a]) + 1;
+    }
+    if (double(entries.size()) + count > double(Tiles::kMaxEntries)) throw_too_many_tiles();
+    for (std::int32_t x = first[0]; x <= last[0]; ++x)
+      for (std::int32_t y = first[1]; y <= last[1]; ++y)
+        for (std::int32_t z = first[2]; z <= last[2]; ++z) {
+          entries.push_back({map.insert({x, y, z}), static_cast<std::uint32_t>(i)});
+          if (map.size() > Tiles::kMaxTiles) throw_too_many_tiles();
+        }
+  }
+  control.poll(splats.size(), splats.size());
+
+  std::vector<std::pair<Index3, std::uint32_t>> tiles;
+  map.each([&](const Index3& tile, std::uint32_t number) { tiles.emplace_back(tile, number); });
+  std::sort(tiles.begin(), tiles.end());
+  std::vector<std::uint32_t> place(tiles.size());
+  Tiles out;
+  for (std::uint32_t t = 0; t < tiles.size(); ++t) {
+    place[tiles[t].second] = t;
+    out.tile.insert(out.tile.end(), tiles[t].first.begin(), tiles[t].first.end());
+  }
+  out.start.assign(tiles.size() + 1, 0);
+  for (const Entry& entry : entries) ++out.start[place[entry.tile] + 1];
+  std::partial_sum(out.start.begin(), out.start.end(), out.start.begin());
+  std::vector<std::int64_t> next(out.start.begin(), out.start.end() - 1);
+  out.row.resize(entries.size());
+  for (const Entry& entry : entries) out.row[static_cast<std::size_t>(next[place[entry.tile]]++)] = entry.row;
+  return out;
 }
 
 }  // namespace alula

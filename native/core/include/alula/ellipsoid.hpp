@@ -33,13 +33,19 @@ struct Level {
 // positive or a quaternion is zero, naming the row; or when the level means nothing.
 void check_splats(const Splats& splats, const Level& level, double voxel_size);
 
-// {c + A u : |u| <= 1}; `row` are the rows of A, so |row i| is the half-width along axis i.
+// {c + A u : |u| <= 1} with A = R diag(axis); `row` are the rows of A, so |row i| is the half-width
+// along axis i.
 //
-// Rounding: with u = 2^-53 every entry of R is off by at most 10 u (numerator four products of which
-// the absolute values sum to at most |q|^2; then one division by |q|^2), every semi-axis by 6 u
-// relative, so each row is off by at most 17 u `reach` in norm, and so is every point of the set.
+// Rounding, u = 2^-53: every entry of R is off by at most 6 u of itself, whatever cancels in it (the
+// products of 32-bit floats are exact, the four terms of the diagonal are summed with their
+// remainders, |q|^2 takes 3 u and a division), and by no more than u^2 beside that. A semi-axis is off by at
+// most 6 u of itself. Those below 2 u of their sum are raised to that, which moves no point farther
+// and keeps what u^2 does to a thin ellipsoid below u. Entries of `row` are so off by at most 13 u of
+// themselves, and every point of the set by at most 17 u `reach`.
 struct Ellipsoid {
   Vec3 centre{};
+  std::array<Vec3, 3> rotation{};  // rows of R
+  Vec3 axis{};                     // semi-axes
   std::array<Vec3, 3> row{};
   Vec3 half{};         // half-widths along the axes
   double reach = 0.0;  // sum of the semi-axes; no point is farther from the centre
@@ -61,8 +67,6 @@ struct Factor {
   double l11, l21, l22, l31, l32, l33;
 };
 Factor lower_factor(const Vec3& first, const Vec3& second, const Vec3& third, double floor);
-// The same set with the first two coordinates exchanged, from its factor: one more rotation.
-Factor exchanged(const Factor& f, double floor);
 
 inline constexpr double kEps = std::numeric_limits<double>::epsilon();  // 2 u
 

@@ -30,11 +30,9 @@ struct CropRange {
 };
 CropRange crop_range(const std::optional<Box6>& crop, double voxel_size);
 
-// The part within the crop of the voxels floor(lower / g) ... floor(upper / g); lower and upper in
-// the unit of the grid. Throws std::overflow_error when it does not fit 32-bit indices, or when a
-// bound is infinite or NaN.
-Block clipped_block(const std::array<double, 3>& lower, const std::array<double, 3>& upper, double voxel_size,
-                    const CropRange& crop);
+// The part within the range of the voxels lower ... upper, whole numbers. Throws std::overflow_error when
+// that does not fit 32-bit indices, or when a bound is infinite or NaN.
+Block clipped_block(const std::array<double, 3>& lower, const std::array<double, 3>& upper, const CropRange& range);
 
 // Open-addressing map from brick coordinates to consecutive numbers 0, 1, 2, ...
 class BrickMap {
@@ -43,6 +41,8 @@ class BrickMap {
   std::uint32_t find(const Index3& brick) const;
   // The number of a brick, the next unused one when it is new.
   std::uint32_t insert(const Index3& brick);
+  // Asks for the memory that a search for the brick will read.
+  void prefetch(const Index3& brick) const;
   std::size_t size() const { return size_; }
   // Calls visit(brick, number) for all bricks, in no particular order.
   template <class Visit>
@@ -62,11 +62,17 @@ class BrickMap {
   std::size_t size_ = 0;
 };
 
-// Voxels in lexicographic order with a count each.
+// Voxels in lexicographic order with a count each, of all that were counted those with a least count.
 struct VoxelCounts {
   std::vector<std::int32_t> index;  // (M, 3)
   std::vector<std::uint32_t> count;
+  std::size_t below = 0;   // voxels with a lower count
+  std::uint32_t most = 0;  // highest count of all
 };
+
+// One list of the given lists of voxels, (M_i, 3), each in lexicographic order and disjoint from the others.
+VoxelCounts joined(std::span<const std::int32_t> index, std::span<const std::uint32_t> count,
+                   std::span<const std::int64_t> start);
 
 // How often each voxel was added; sparse bricks of 4 x 4 x 8 counters. Runs may be added from
 // several threads; sums, and so the result, do not depend on their order.
@@ -75,6 +81,15 @@ class OverlapGrid {
   // 2^27 voxels (2 GiB as index and count) and 2^22 bricks (2 GiB): beyond, std::overflow_error.
   static constexpr std::size_t kMaxVoxels = std::size_t{1} << 27;
   static constexpr std::size_t kMaxBricks = std::size_t{1} << 22;
+  static constexpr int kShiftXY = 2, kShiftZ = 3;  // of a brick
+
+  // A column of bricks; all of it is in one shard, so that threads seldom wait for each other.
+  struct Column {
+    std::int32_t x = 0, y = 0;
+    bool operator==(const Column&) const = default;
+  };
+  static constexpr std::size_t kShards = 64;
+  static std::size_t shard_of(const Column& column);
 
   // Voxels (x, y, first) ... (x, y, last).
   struct Run {
@@ -84,13 +99,27 @@ class OverlapGrid {
   // Collects the runs of one thread; `finish` must be called at the end.
   class Writer {
    public:
-    explicit Writer(OverlapGrid& grid) : grid_(grid) {}
-    void add(const Run& run);
+    explicit Writer(OverlapGrid& grid)
+        : grid_(grid), pending_(std::make_unique_for_overwrite<Run[]>(kShards * kFull)) {}
+    void add(const Run& run) {
+      // Neighbours share a column of bricks, and so a shard.
+      if (const Column column{run.x >> kShiftXY, run.y >> kShiftXY}; column != column_)
+        column_ = column, shard_ = shard_of(column);
+      std::uint32_t& size = size_[shard_];
+      pending_[shard_ * kFull + size] = run;
+      if (++size == kFull) flush(shard_);
+    }
     void finish();
 
    private:
+    static constexpr std::size_t kFull = 64;
+    void flush(std::size_t shard);
+
     OverlapGrid& grid_;
-    std::array<std::vector<Run>, 64> pending_;
+    Column column_{};
+    std::size_t shard_ = shard_of(Column{});
+    std::array<std::uint32_t, kShards> size_{};
+    std::unique_ptr<Run[]> pending_;
   };
 
   explicit OverlapGrid(std::size_t max_voxels = kMaxVoxels, std::size_t max_bricks = kMaxBricks);
@@ -102,7 +131,7 @@ class OverlapGrid {
   struct Shard;
   struct Budget;
   std::unique_ptr<Budget> budget_;
-  std::array<std::unique_ptr<Shard>, 64> shards_;
+  std::array<std::unique_ptr<Shard>, kShards> shards_;
 };
 
 // Throws std::overflow_error when one ellipsoid alone exceeds OverlapGrid::kMaxVoxels.

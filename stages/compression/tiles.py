@@ -1,0 +1,185 @@
+"""Voxels of ellipsoids, tile by tile: less memory at a time, and more than one machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.stages.distribute import distribute
+
+Box = tuple[float, float, float, float, float, float]
+Floats = NDArray[np.float32]
+Progress = Callable[[int, int], None]
+
+LONGEST_EDGE = 2**20  # of a tile, in voxels
+CHUNK = 1 << 16  # ellipsoids of the tiles that are sent together: 2.6 MB
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ellipsoids:
+    """Which sets are marked on which lattice: all that a voxel's mark depends on.
+
+    Attributes:
+        mean: shape (N, 3) [m].
+        scale: one-sigma semi-axes, shape (N, 3) [m].
+        quat_wxyz: shape (N, 4).
+        sigma: level k.
+        inflation_m: radius of the ball added to each.
+        voxel_size_m: edge of a voxel g.
+        crop: only voxels that touch this box [m].
+        min_overlap: only voxels that so many touch.
+    """
+
+    mean: Floats
+    scale: Floats
+    quat_wxyz: Floats
+    sigma: float
+    inflation_m: float
+    voxel_size_m: float
+    crop: Box | None
+    min_overlap: int
+
+    def level(self) -> tuple[Floats, Floats, Floats, float, float, float, Box | None]:
+        """The leading arguments of the native functions."""
+        level = (self.sigma, self.voxel_size_m, self.inflation_m, self.crop)
+        return (self.mean, self.scale, self.quat_wxyz, *level)
+
+
+@dataclass(frozen=True, slots=True)
+class Marked:
+    """Voxels and what became of each ellipsoid.
+
+    Attributes:
+        index: sorted, shape (M, 3).
+        overlap: ellipsoids that touch each, shape (M,).
+        reach: per ellipsoid 0 when it marks nothing, 2 when its box exceeds the crop, else 1; shape (N,).
+        below: touched voxels left out by `min_overlap`.
+        most: the highest overlap.
+    """
+
+    index: NDArray[np.int32]
+    overlap: NDArray[np.uint32]
+    reach: NDArray[np.uint8]
+    below: int
+    most: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    """Some tiles with the ellipsoids that may touch them: rows start[t] ... start[t + 1] - 1."""
+
+    ellipsoids: Ellipsoids
+    start: NDArray[np.int64]
+    lower: NDArray[np.int64]  # lowest voxel of each tile
+    edge: int
+
+
+def mark(ellipsoids: Ellipsoids, jobs: int, progress: Progress | None) -> Marked:
+    """All voxels at once."""
+    found = _core.voxelize(
+        *ellipsoids.level(), min_overlap=ellipsoids.min_overlap, jobs=jobs, progress=progress
+    )
+    return Marked(*found)
+
+
+def mark_tiles(
+    ellipsoids: Ellipsoids, edge: int, jobs: int, scheduler: str | None, progress: Progress | None
+) -> Marked:
+    """The same voxels by cubes of edge^3, on threads or on the workers of a scheduler.
+
+    Whether an ellipsoid touches a voxel is decided alike in every tile, and tiles do not share voxels,
+    so the result is that of `mark`, to the bit, for every edge and number of workers.
+
+    Args:
+        ellipsoids: what to mark.
+        edge: of a tile, in voxels; tiles begin at multiples of it.
+        jobs: threads; each holds the counters of one tile at a time.
+        scheduler: address of a `dask.distributed` scheduler, instead of threads.
+        progress: called with (done, total) ellipsoids, counted once per tile that they may touch.
+
+    Raises:
+        OverflowError: there are too many tiles, or too many voxels in a tile or in all.
+        UsageError, LinkError: see `distribute`.
+    """
+    tile, start, row = _core.tiles_of(*ellipsoids.level(), edge)
+    parts: list[tuple[NDArray[np.int32], NDArray[np.uint32]]] = []
+    reach = np.zeros(len(ellipsoids.mean), np.uint8)
+    below = most = done = voxels = 0
+    work = distribute(
+        _mark_chunk, _chunks(ellipsoids, edge, tile, start, row), jobs=jobs, scheduler=scheduler
+    )
+    for marked in work:
+        here = row[done : done + len(marked.reach)]
+        np.maximum.at(reach, here, marked.reach)
+        parts.append((marked.index, marked.overlap))
+        below, most = below + marked.below, max(most, marked.most)
+        done, voxels = done + len(here), voxels + len(marked.index)
+        if voxels > _core.MAX_VOXELS:
+            raise OverflowError(f"the scene would need more than {_core.MAX_VOXELS} voxels")
+        if progress is not None:
+            progress(done, len(row))
+    index, overlap = _joined(parts)
+    return Marked(index, overlap, reach, below, most)
+
+
+def _chunks(
+    ellipsoids: Ellipsoids,
+    edge: int,
+    tile: NDArray[np.int32],
+    start: NDArray[np.int64],
+    row: NDArray[np.uint32],
+) -> Iterator[_Chunk]:
+    """Tiles in order, as many together as have at most CHUNK ellipsoids, at least one."""
+    first = 0
+    while first < len(tile):
+        end = int(np.searchsorted(start, start[first] + CHUNK, side="right")) - 1
+        end = max(end, first + 1)
+        rows = row[start[first] : start[end]]
+        mine = replace(
+            ellipsoids,
+            mean=ellipsoids.mean[rows],
+            scale=ellipsoids.scale[rows],
+            quat_wxyz=ellipsoids.quat_wxyz[rows],
+        )
+        yield _Chunk(
+            mine, start[first : end + 1] - start[first], tile[first:end].astype(np.int64) * edge, edge
+        )
+        first = end
+
+
+def _mark_chunk(chunk: _Chunk) -> Marked:
+    """The voxels of the tiles of one chunk; `reach` once per tile and ellipsoid."""
+    all_of = chunk.ellipsoids
+    parts, reach, below, most = [], [], 0, 0
+    lowest, highest = np.iinfo(np.int32).min, np.iinfo(np.int32).max
+    for t, lower in enumerate(chunk.lower):
+        rows = slice(int(chunk.start[t]), int(chunk.start[t + 1]))
+        mine = replace(
+            all_of, mean=all_of.mean[rows], scale=all_of.scale[rows], quat_wxyz=all_of.quat_wxyz[rows]
+        )
+        corners = np.clip([lower, lower + chunk.edge - 1], lowest, highest).tolist()
+        index, overlap, mine_reach, mine_below, mine_most = _core.voxelize(
+            *mine.level(), tile=corners, min_overlap=all_of.min_overlap, jobs=1
+        )
+        parts.append((index, overlap))
+        reach.append(mine_reach)
+        below, most = below + mine_below, max(most, mine_most)
+    index, overlap = _joined(parts)
+    return Marked(index, overlap, np.concatenate(reach), below, most)
+
+
+def _joined(
+    parts: list[tuple[NDArray[np.int32], NDArray[np.uint32]]],
+) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
+    """One sorted list of disjoint sorted lists."""
+    if len(parts) == 1:
+        return parts[0]
+    start = np.cumsum([0, *(len(overlap) for _, overlap in parts)], dtype=np.int64)
+    index = np.concatenate([index for index, _ in parts] or [np.zeros((0, 3), np.int32)])
+    overlap = np.concatenate([overlap for _, overlap in parts] or [np.zeros(0, np.uint32)])
+    parts.clear()
+    return _core.joined_voxels(index, overlap, start)

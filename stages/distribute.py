@@ -1,0 +1,166 @@
+"""The same function over many chunks, on threads, processes or a `dask.distributed` scheduler."""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any, Protocol, TypeVar
+
+from alula.schemas.errors import LinkError, UsageError
+from alula.schemas.manifest import producer
+
+Chunk = TypeVar("Chunk")
+Result = TypeVar("Result")
+TIMEOUT_S = 10.0  # for a scheduler to answer and to have a worker
+
+
+class _Future(Protocol):
+    def result(self) -> Any: ...
+
+    def cancel(self) -> Any: ...
+
+
+class _Workers(Protocol):
+    """Where chunks go, and how many may be under way: enough that no worker waits for the next."""
+
+    def submit(self, function: Callable[[Any], Any], chunk: Any) -> _Future: ...
+
+    def under_way(self) -> int: ...
+
+
+def distribute(
+    function: Callable[[Chunk], Result],
+    chunks: Iterable[Chunk],
+    *,
+    jobs: int = 0,
+    processes: bool = False,
+    scheduler: str | None = None,
+    timeout_s: float = TIMEOUT_S,
+) -> Iterator[Result]:
+    """Yield function(chunk) for every chunk, in the order of the chunks.
+
+    Results do not depend on where and on how many workers they are computed, as long as `function`
+    depends on its chunk alone. Chunks are taken from the iterable when a worker is about to be free,
+    so neither all chunks nor all results are in memory at once. A chunk of a worker that is lost is
+    computed again by another. When the caller stops early, or is interrupted, what has not begun is dropped.
+
+    Args:
+        function: for processes and a scheduler one that is found by its name in a module of `alula`, or
+            can be pickled.
+        chunks: large enough that a few milliseconds of overhead do not matter, below about 100 MB each.
+        jobs: threads or processes; 0 is one per processor. Not used with a scheduler.
+        processes: for functions that hold the interpreter's lock.
+        scheduler: address of a `dask.distributed` scheduler, tcp://host:port.
+        timeout_s: how long the scheduler may take to answer and to have a worker.
+
+    Raises:
+        UsageError: the address is none, or `distributed` is not installed.
+        LinkError: the scheduler does not answer, has no worker, or its workers run another version.
+        Exception: what `function` raises, for the first chunk in order.
+    """
+    pool = _local(jobs, processes) if scheduler is None else _cluster(scheduler, timeout_s)
+    with pool as workers:
+        waiting: deque[_Future] = deque()
+        try:
+            for chunk in chunks:
+                waiting.append(workers.submit(function, chunk))
+                while len(waiting) >= workers.under_way():
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+class _Pool:
+    def __init__(self, executor: Executor, jobs: int) -> None:
+        self._executor, self._jobs = executor, jobs
+
+    def submit(self, function: Callable[[Any], Any], chunk: Any) -> _Future:
+        return self._executor.submit(function, chunk)
+
+    def under_way(self) -> int:
+        return self._jobs + 1
+
+
+@contextmanager
+def _local(jobs: int, processes: bool) -> Iterator[_Workers]:
+    import multiprocessing
+    import os
+
+    jobs = jobs or os.cpu_count() or 1
+    # Not forked: a copy of a process with threads may hang.
+    context = multiprocessing.get_context("spawn")
+    executor = ProcessPoolExecutor(jobs, mp_context=context) if processes else ThreadPoolExecutor(jobs)
+    try:
+        yield _Pool(executor, jobs)
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)
+
+
+class _Cluster:
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def submit(self, function: Callable[[Any], Any], chunk: Any) -> _Future:
+        future: _Future = self._client.submit(function, chunk, pure=False)
+        return future
+
+    def under_way(self) -> int:
+        """Two per thread of the workers there are just now."""
+        threads: int = sum(self._client.nthreads().values())
+        return 2 * max(1, threads)
+
+
+@contextmanager
+def _cluster(address: str, timeout_s: float) -> Iterator[_Workers]:
+    if not re.fullmatch(r"(tcp|tls|ucx|ws|wss)://\S+:\d{1,5}", address):
+        raise UsageError(f"--scheduler must be an address like tcp://host:8786, not {address!r}")
+    try:
+        import dask
+        import distributed
+    except ImportError as error:
+        raise UsageError(
+            "--scheduler needs dask.distributed, which is not installed: pip install 'alula[cluster]'"
+        ) from error
+    # Chunks are sent with their tasks on purpose: a scheduler that holds them can send them again.
+    with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"}):
+        try:
+            client = distributed.Client(address, timeout=timeout_s, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise LinkError(f"no scheduler answers at {address} within {timeout_s:g} s") from error
+        with client:
+            _check_workers(client, address, timeout_s)
+            try:
+                yield _Cluster(client)
+            except distributed.KilledWorker as error:
+                raise LinkError(f"several workers of {address} were lost over the same chunk") from error
+            except CancelledError as error:
+                raise LinkError(f"the connection to the scheduler at {address} was lost") from error
+
+
+def _check_workers(client: Any, address: str, timeout_s: float) -> None:
+    """Refuse workers without this version: what they compute would not be what is recorded.
+
+    Raises:
+        LinkError: there is no worker, or one has another alula.
+    """
+    try:
+        client.wait_for_workers(1, timeout=timeout_s)
+    except TimeoutError as error:
+        raise LinkError(f"the scheduler at {address} has no workers") from error
+    try:
+        found = client.run(_version)
+    except Exception as error:  # whatever the worker raised where it has no alula, or an older one
+        raise LinkError(f"a worker of {address} cannot run alula: {error}") from error
+    for worker, theirs in sorted(found.items()):
+        if theirs != _version():
+            raise LinkError(f"the worker {worker} of {address} runs alula {theirs}, not {_version()}")
+
+
+def _version() -> str:
+    return f"{producer().version} ({producer().commit})"
