@@ -8,6 +8,7 @@ void bind_separation(nb::module_& m);
 void bind_merge(nb::module_& m);
 void bind_cover_check(nb::module_& m);
 void bind_polytope_cbf(nb::module_& m);
+void bind_onboard_map(nb::module_& m);
 void bind_rollout(nb::module_& m);
 void bind_clearance(nb::module_& m);
 void bind_search(nb::module_& m);
@@ -20,6 +21,7 @@ NB_MODULE(_core, m) {
   bind_merge(m);
   bind_cover_check(m);
   bind_polytope_cbf(m);
+  bind_onboard_map(m);
   bind_rollout(m);
   bind_clearance(m);
   bind_search(m);
