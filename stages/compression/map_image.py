@@ -91,7 +91,9 @@ def decode_map(raw: bytes) -> MapImage:
         raise WrongKindError("is not an onboard map")
     if len(raw) < HEADER_BYTES:
         raise DamagedError("truncated in the header of an onboard map")
-    _, major, minor, header_bytes, flags, largest, zero, hulls, total, body_crc, *rest = HEADER.unpack_from(raw)
+    _, major, minor, header_bytes, flags, largest, zero, hulls, total, body_crc, *rest = HEADER.unpack_from(
+        raw
+    )
     origin, (size_f32, size, margin, cover_hash) = rest[:3], rest[3:]
     if major != 1:
         raise VersionError(f"{SCHEMA} version {major}.{minor} is newer than {VERSION}; update alula")
@@ -122,7 +124,9 @@ def decode_map(raw: bytes) -> MapImage:
     reach = (normal * np.where(normal > 0, upper[hull], lower[hull])).sum(axis=1)
     span = (np.abs(normal) * (upper - lower)[hull]).sum(axis=1)
     oblique = np.count_nonzero(normal, axis=1) >= 2
-    if not (oblique & (np.abs(normal).max(axis=1, initial=0) <= largest) & (depth > 0) & (depth < span)).all():
+    if not (
+        oblique & (np.abs(normal).max(axis=1, initial=0) <= largest) & (depth > 0) & (depth < span)
+    ).all():
         raise DamagedError("a plane of the onboard map has an impossible normal or depth")
     return MapImage(
         voxel_size_m=size,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError, InfeasibleError, InputError
+from alula.schemas.provenance import Provenance
 from alula.stages.compression.map_image import HEADER, HEADER_BYTES, KDOP, MAGIC, MARGIN_OF_EXTENT, MapImage
 
 LARGEST_NORMAL = 127
@@ -94,6 +95,37 @@ def _margin_m(extent_m: float) -> np.float32:
     for _ in range(3):
         margin = np.nextafter(margin, np.float32(np.inf))
     return margin
+
+
+def _image(cover: Artifact, provenance: Provenance) -> bytes:
+    made_from = [ref.sha256 for ref in provenance.inputs if ref.schema == cover.manifest.schema]
+    return encode_map(
+        cover,
+        largest_normal=int(provenance.parameters.get("largest_normal", LARGEST_NORMAL)),
+        cover_sha256=made_from[0] if made_from else "",
+    )
+
+
+def map_binary(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
+    """The image, then a line with the provenance, which need not go into flash."""
+    yield _image(cover, provenance)
+    yield f"\n{provenance.line()}\n".encode()
+
+
+def map_c_header(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
+    """The image as a constant array in C, aligned to 8 bytes, in a guarded header."""
+    image, name = _image(cover, provenance), str(provenance.parameters.get("name", "map"))
+    guard = f"{name.upper()}_H"
+    yield (
+        f"/* An onboard map of {len(cover['vertex_start']) - 1} hulls, {len(image)} bytes; read it with"
+        f" alula_map_open(). */\n// {provenance.line()}\n#ifndef {guard}\n#define {guard}\n\n"
+        f"#include <stdint.h>\n\n#define {name.upper()}_BYTES {len(image)}U\n\n"
+        "#if defined(__GNUC__)\n__attribute__((aligned(8)))\n#endif\n"
+        f"static const uint8_t {name}[{name.upper()}_BYTES] = {{\n"
+    ).encode()
+    for begin in range(0, len(image), 16):
+        yield ("    " + ", ".join(f"0x{byte:02X}" for byte in image[begin : begin + 16]) + ",\n").encode()
+    yield f"}};\n\n#endif /* {guard} */\n".encode()
 
 
 def map_facts(image: MapImage) -> dict[str, Any]:
