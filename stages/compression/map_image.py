@@ -107,7 +107,7 @@ def decode_map(raw: bytes) -> MapImage:
         raise DamagedError(f"truncated: {len(raw)} bytes of an onboard map of {total}")
     if zlib.crc32(raw[HEADER_BYTES:total]) != body_crc:
         raise DamagedError("the onboard map does not match its CRC-32")
-    plausible = 1e-6 <= size <= 1e6 and size_f32 == np.float32(size)
+    plausible = 1e-6 <= size <= 1e5 and size_f32 == np.float32(size)
     if not plausible or not size_f32 <= margin / MARGIN_OF_EXTENT <= 1e12:
         raise DamagedError("the onboard map has an impossible voxel size or margin")
     boxes, counts, shifts, starts, end = _records(raw, hulls, total, bool(flags & KDOP))

@@ -15,7 +15,7 @@ from alula.schemas.provenance import Provenance
 from alula.stages.compression.map_image import HEADER, HEADER_BYTES, KDOP, MAGIC, MARGIN_OF_EXTENT, MapImage
 
 LARGEST_NORMAL = 127
-_SMALLEST_M, _LARGEST_M = 1e-6, 1e6
+_SMALLEST_M, _LARGEST_M = 1e-6, 1e5
 _MOST_BYTES, _MOST_HULLS = 2**32 - 1, 2**24
 
 Progress = Callable[[int, int], None] | None
@@ -44,12 +44,12 @@ def encode_map(
 
     Raises:
         InfeasibleError: the cover is wider than 65,535 voxels, or too large for 32-bit lengths.
-        InputError: its voxels are smaller than a micrometre or larger than 1,000 km.
+        InputError: its voxels are smaller than a micrometre or larger than 100 km.
         ArtifactError: a hull has no volume.
     """
     size = float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
     if not _SMALLEST_M <= size <= _LARGEST_M:
-        raise InputError(f"an onboard map takes voxels of 1e-6 m to 1e6 m, not {size:g} m")
+        raise InputError(f"an onboard map takes voxels of 1e-6 m to 1e5 m, not {size:g} m")
     vertex = np.ascontiguousarray(cover["vertex"], np.int32)
     low, high = (
         (vertex.min(axis=0).astype(np.int64), vertex.max(axis=0).astype(np.int64))

@@ -4,7 +4,7 @@
 #define MARGIN_OF_EXTENT (1.0F / EXTENT_OF_MARGIN)
 #define LARGEST_POSITION 1.0e12F
 #define SMALLEST_VOXEL 1.0e-6F
-#define LARGEST_VOXEL 1.0e6F
+#define LARGEST_VOXEL 1.0e5F
 #define LARGEST_ORIGIN (1 << 22) /* so that floats hold all coordinates exactly */
 #define LARGEST_SHIFT 16U
 #define DIRECTION_BITS 5U
