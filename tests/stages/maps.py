@@ -7,11 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 DIRECTIONS = [
-    (x, y, z)
-    for x in (-1, 0, 1)
-    for y in (-1, 0, 1)
-    for z in (-1, 0, 1)
-    if (x, y, z).count(0) <= 1
+    (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z).count(0) <= 1
 ]
 
 

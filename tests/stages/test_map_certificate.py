@@ -9,7 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parent))
 from covers import SIZE_M, cover_of, furniture, holds_voxel, voxels_of
 from fabricate import box, make_cover, make_scene
 from maps import decode, half_spaces, sealed

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parent))
 from covers import cover_of, furniture, voxels_of
 from fabricate import box, exact_hull, make_cover
 from maps import decode, is_at_least, psi, sealed
@@ -153,7 +154,10 @@ def test_psi_never_exceeds_the_exact_value_and_misses_it_by_little(scene, larges
         reach = max(float(np.abs(p).max()), native.extent_m)
         margin = reach * 2.0**-18
         for shift in ((0, 0, 0), rng.choice([-1, 1], 3)):  # three roundings in the worst directions
-            moved = [Fraction(float(c)) + int(s) * Fraction(3 * reach) / 2**24 for c, s in zip(p, shift, strict=True)]
+            moved = [
+                Fraction(float(c)) + int(s) * Fraction(3 * reach) / 2**24
+                for c, s in zip(p, shift, strict=True)
+            ]
             assert is_at_least(hulls, g, moved, float(v))
         exact = psi(hulls, g, p.astype(float))
         assert v >= exact - 2 * margin

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parent))
 from covers import cover_of, furniture, holds_voxel, rows, voxels_of
 from fabricate import box, exact_hull, make_cover
 from maps import decode, half_spaces, holds
@@ -65,7 +66,9 @@ def test_each_hull_contains_its_own_and_has_its_box(cover, largest):
     for hull in hulls:
         for normal, offset in hull["planes"]:
             assert max(map(abs, normal)) <= largest
-            corner = [hi if n > 0 else lo for n, lo, hi in zip(normal, hull["lower"], hull["upper"], strict=True)]
+            corner = [
+                hi if n > 0 else lo for n, lo, hi in zip(normal, hull["lower"], hull["upper"], strict=True)
+            ]
             assert offset < sum(n * c for n, c in zip(normal, corner, strict=True)), "it cuts its box"
     count = sum(len(hull["planes"]) for hull in hulls)
     assert len(raw) == 64 + 14 * len(hulls) + (2 if largest == 1 else 5) * count or raw[8] & 1
@@ -77,8 +80,16 @@ def test_three_decoders_agree(cover):
     raw = encode_map(cover)
     ours, image, c = decode(raw), decode_map(raw), _core.OnboardMap(raw)
     lower, upper, count, normal, depth = c.records()
-    assert [h["lower"] for h in ours] == [tuple(x) for x in lower.tolist()] == [tuple(x) for x in image.lower.tolist()]
-    assert [h["upper"] for h in ours] == [tuple(x) for x in upper.tolist()] == [tuple(x) for x in image.upper.tolist()]
+    assert (
+        [h["lower"] for h in ours]
+        == [tuple(x) for x in lower.tolist()]
+        == [tuple(x) for x in image.lower.tolist()]
+    )
+    assert (
+        [h["upper"] for h in ours]
+        == [tuple(x) for x in upper.tolist()]
+        == [tuple(x) for x in image.upper.tolist()]
+    )
     assert [len(h["planes"]) for h in ours] == count.tolist() == np.diff(image.plane_start).tolist()
     assert [n for h in ours for n, _ in h["planes"]] == [tuple(n) for n in image.normal.tolist()]
     assert [d for h in ours for _, d in h["planes"]] == image.offset.tolist()
