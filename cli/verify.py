@@ -73,9 +73,7 @@ def command(
         raise UsageError("--depfile needs a certificate to write; give -o")
     target = output if output is not None else Path("certificate")
     common = options.Common(target, force, dry_run, json, quiet, verbose, 0, jobs, depfile)
-    is_map = _is_map(proven)
-    if not is_map and cover is not None:
-        raise UsageError(f"--cover is for onboard maps, and {proven} is none")
+    is_map = cover is not None or _is_map(proven)
     inputs = {"map" if is_map else "cover": proven}
     inputs |= {"cover": cover} if cover is not None else {}
     inputs |= {"voxels": voxels} if voxels is not None else {}
