@@ -68,6 +68,7 @@ class ExportConfig:
 
 
 def c_name(output: Path) -> str:
-    """The C identifier for a file: its name without the last suffix."""
+    """The C identifier for a file: its name without the last suffix, ending in map: no keyword does."""
     name = re.sub(r"\W", "_", output.name.removesuffix(output.suffix), flags=re.ASCII)
-    return name if re.match(r"[A-Za-z]", name) else f"map_{name}"
+    name = name if re.match(r"[A-Za-z]", name) else f"map_{name}"
+    return name if name.lower().endswith("map") else f"{name}_map"

@@ -92,7 +92,7 @@ def encode_map(
 def _margin_m(extent_m: float) -> np.float32:
     """The margin for an extent, at least; rounded up by more than the reader's own roundings."""
     margin = np.float32(extent_m * MARGIN_OF_EXTENT)
-    for _ in range(3):
+    for _ in range(4):
         margin = np.nextafter(margin, np.float32(np.inf))
     return margin
 

@@ -12,6 +12,7 @@ import pytest
 from alula import _core
 from alula.cli.main import run
 from alula.schemas.artifact import read_artifact
+from alula.schemas.configs.export import c_name
 from alula.schemas.provenance import read_provenance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.map_image import decode_map
@@ -155,6 +156,19 @@ def test_the_c_header_compiles_and_is_the_same_map(here):
     value, hull, _ = _core.OnboardMap(raw).psi(np.array([[2, 1.5, 1]], np.float32))
     assert printed[:2] == ["12", str(hull[0])]
     assert np.float32(printed[2]) == value[0]
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("room.map.h", "room_map"),
+        ("int.h", "int_map"),
+        ("4 räume.h", "map_4_r_ume_map"),
+        ("_Map.h", "map__Map"),
+    ],
+)
+def test_the_array_is_named_after_the_file(file, name):
+    assert c_name(Path("folder") / file) == name
 
 
 def check_scene(voxels: Path, scene: Path, hulls: int, folder: Path) -> dict:

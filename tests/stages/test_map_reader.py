@@ -160,7 +160,8 @@ def test_psi_never_exceeds_the_exact_value_and_misses_it_by_little(scene, larges
             ]
             assert is_at_least(hulls, g, moved, float(v))
         exact = psi(hulls, g, p.astype(float))
-        assert v >= exact - 2 * margin
+        # At p itself all roundings but those of the position, at most 42 of the margin's 64, can raise it.
+        assert exact - 2 * margin <= v <= exact - 0.3 * margin
         assert psi([hulls[hull]], g, p.astype(float)) <= exact + 2 * margin
         assert np.linalg.norm(n) == pytest.approx(1, abs=1e-6)
         if exact > 0:  # not farther than any point of any hull
