@@ -19,26 +19,31 @@ EXAMPLES = """\b
 Examples:
   alula export room.cover.npz -o room.glb
   alula export room.scene.npz -o room.ply
+  alula export room.cover.npz -o room.map.bin
 """
 
 
 @click.command(epilog=EXAMPLES)
 @click.argument("artifact", metavar="INPUT", type=options.input_path())
 @options.from_config(ExportConfig)
-@options.output(".glb .obj .json .ply .stl")
+@options.output(".glb .obj .json .ply .stl .bin .h")
 def command(artifact: Path, config: ExportConfig, common: Common) -> None:
     """Convert a cover or a scene for other programs.
 
-    A cover becomes GLB, OBJ, STL (one mesh per hull) or JSON (the exact integers); a scene becomes
-    PLY (Gaussians), GLB or OBJ (points).
+    A cover becomes GLB, OBJ, STL (one mesh per hull), JSON (the exact integers), or an onboard map that
+    a microcontroller reads in place (.bin; the same as a C array in .h); a scene becomes PLY (Gaussians),
+    GLB or OBJ (points).
     """
     from alula.cli.runner import run
     from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import atomic_output
     from alula.schemas.errors import WrongKindError
+    from alula.stages.compression.map_image import decode_map
+    from alula.stages.compression.onboard import map_facts
     from alula.stages.reporting.export import export
 
-    name = config.resolved(common.output)
+    parameters = config.parameters(common.output)
+    name = str(parameters["format"])
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
         found = read_artifact(artifact)
@@ -55,6 +60,8 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
         counts = {word: len(found[array]) for word, array in what.items() if array in found.arrays}
         if "hulls" in counts:
             counts["hulls"] -= 1
+        if name == "onboard":
+            counts |= map_facts(decode_map(parts[0]))
         return write, {"format": name, **counts, "bytes": sum(map(len, parts))}
 
-    run(common, "alula/export", "1.0", {"format": name}, {"input": artifact}, make)
+    run(common, "alula/export", "1.0", parameters, {"input": artifact}, make)

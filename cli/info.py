@@ -50,6 +50,7 @@ def _explain(path: Path) -> Explained:
     from alula.schemas.errors import ArtifactError, InputError
     from alula.schemas.provenance import read_provenance
     from alula.schemas.salvage import is_artifact_like
+    from alula.stages.compression.map_image import is_map
     from alula.stages.reporting.inspect import provenance_facts
 
     if path.is_dir():
@@ -63,6 +64,8 @@ def _explain(path: Path) -> Explained:
         raise ArtifactError(f"{path}: is empty")
     if head.startswith(b"\x89MCAP0\r\n"):
         return _run(path)
+    if is_map(head):
+        return _map(path)
     if is_artifact_like(path):
         return _artifact(path)
     if path.suffix == ".toml":
@@ -105,6 +108,20 @@ def _run(path: Path) -> Explained:
     if not complete:
         return facts, DamagedError(f"{path}: truncated or corrupt MCAP log; its summary is readable")
     return facts, None
+
+
+def _map(path: Path) -> Explained:
+    from alula.schemas.errors import ArtifactError
+    from alula.schemas.provenance import read_provenance
+    from alula.stages.compression.map_image import SCHEMA, VERSION, read_map
+    from alula.stages.reporting.inspect import about, map_image_facts, provenance_facts
+
+    made = read_provenance(path)
+    written = {"written by": provenance_facts(made)} if made is not None else {}
+    try:
+        return map_image_facts(read_map(path.read_bytes(), path)) | written, None
+    except ArtifactError as error:
+        return {**about(SCHEMA, VERSION), **written}, error
 
 
 def _scenario(path: Path) -> Explained:

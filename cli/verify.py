@@ -17,11 +17,13 @@ EXAMPLES = """\b
 Examples:
   alula verify room.cover.npz --voxels room.voxels.npz --scene room.metric.scene.npz
   alula verify room.cover.npz --voxels room.voxels.npz -o room.certificate.json
+  alula verify room.map.bin --cover room.cover.npz --voxels room.voxels.npz
 """
 
 
 @click.command(epilog=EXAMPLES)
-@click.argument("cover", type=options.input_path())
+@click.argument("proven", metavar="COVER", type=options.input_path())
+@click.option("--cover", type=options.input_path(), help="The cover that an onboard map must contain.")
 @click.option("--voxels", type=options.input_path(), help="The voxels that the cover must contain.")
 @click.option("--scene", type=options.input_path(), help="The scene that the voxels must contain.")
 @click.option("-o", "--output", type=options.PATH, help="Certificate to write when all holds (.json).")
@@ -31,7 +33,8 @@ Examples:
 @click.option("--depfile", type=options.PATH, help="Also write Make dependencies to this file.")
 @options.reporting
 def command(
-    cover: Path,
+    proven: Path,
+    cover: Path | None,
     voxels: Path | None,
     scene: Path | None,
     output: Path | None,
@@ -47,7 +50,8 @@ def command(
 
     Uses the files alone and other algorithms than those that made them: hulls and voxels in exact
     integers, ellipsoids by separating planes. Exit code 4 and the first place when something is not
-    proven; then no certificate is written.
+    proven; then no certificate is written. An onboard map (.bin) is proven from its own bytes, against
+    voxels or a cover.
     """
     import os
 
@@ -60,6 +64,8 @@ def command(
     from alula.schemas.kinds import COVER, SCENE, VOXELS
     from alula.schemas.provenance import Provenance
     from alula.stages.compression.certificate import SCHEMA, VERSION, verify
+    from alula.stages.compression.map_certificate import verify_map
+    from alula.stages.compression.map_image import read_map
 
     if output is not None and output.suffix != ".json":
         raise UsageError(f"{output}: the certificate must end in .json")
@@ -67,7 +73,9 @@ def command(
         raise UsageError("--depfile needs a certificate to write; give -o")
     target = output if output is not None else Path("certificate")
     common = options.Common(target, force, dry_run, json, quiet, verbose, 0, jobs, depfile)
-    inputs = {"cover": cover}
+    is_map = cover is not None or _is_map(proven)
+    inputs = {"map" if is_map else "cover": proven}
+    inputs |= {"cover": cover} if cover is not None else {}
     inputs |= {"voxels": voxels} if voxels is not None else {}
     inputs |= {"scene": scene} if scene is not None else {}
     if output is not None:
@@ -77,17 +85,24 @@ def command(
     )
     known = output is not None and runner.current(output, provenance, force=force) is not None
     with runner.progress_bar(common) as progress:
-        certificate = verify(
-            read_artifact(cover, COVER),
-            voxels=None if voxels is None else read_artifact(voxels, VOXELS),
-            scene=None if scene is None else read_artifact(scene, SCENE),
-            sha256={ref.role: ref.sha256 for ref in provenance.inputs},
-            jobs=jobs,
-            progress=progress,
-        )
+        sha256 = {ref.role: ref.sha256 for ref in provenance.inputs}
+        others = {
+            "voxels": None if voxels is None else read_artifact(voxels, VOXELS),
+            "scene": None if scene is None else read_artifact(scene, SCENE),
+        }
+        if is_map:
+            image = read_map(proven.read_bytes(), proven)
+            origin = None if cover is None else read_artifact(cover, COVER)
+            certificate = verify_map(
+                image, cover=origin, **others, sha256=sha256, jobs=jobs, progress=progress
+            )
+        else:
+            certificate = verify(
+                read_artifact(proven, COVER), **others, sha256=sha256, jobs=jobs, progress=progress
+            )
     if not certificate.covered:
         _show(common, "failed", certificate)
-        raise CheckError(f"{cover}: {certificate.complaint()}")
+        raise CheckError(f"{proven}: {certificate.complaint()}")
     status = "checked"
     if output is not None:
         record = {"schema": SCHEMA, "version": VERSION, **msgspec.to_builtins(certificate)}
@@ -106,6 +121,17 @@ def command(
         elif status == "unchanged":
             os.utime(output)
     _show(common, status, certificate)
+
+
+def _is_map(path: Path) -> bool:
+    """Whether a file begins as an onboard map; what cannot be read is refused by its reader."""
+    from alula.stages.compression.map_image import is_map
+
+    try:
+        with path.open("rb") as file:
+            return is_map(file.read(4))
+    except OSError:
+        return False
 
 
 def _show(common: options.Common, status: str, certificate: Certificate) -> None:

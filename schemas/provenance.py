@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
 
     Text formats carry it as one line that holds `MARK` and this as JSON; JSON files under the key
     `provenance`, GLB files under `asset.extras.provenance`; array artifacts in
-    their manifest; MCAP logs in their metadata.
+    their manifest; MCAP logs in their metadata; onboard maps in a line after the image.
     """
 
     schema: str
@@ -102,12 +103,18 @@ def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
                 return _of_mcap(path)
             if head.startswith(b"glTF"):
                 return _of_glb(path)
+            if head.startswith(b"ALMP"):
+                return _of_map(path, verify)
             rest = file.read(_SEARCHED_BYTES)
     except (OSError, InputError):
         return None
     raw = head + rest
     if path.suffix == ".json" or head.startswith(b"{"):
         return _of_json(path)
+    return _of_text(raw)
+
+
+def _of_text(raw: bytes) -> Provenance | None:
     mark = raw.find(MARK.encode())
     if mark < 0:
         return None
@@ -151,6 +158,18 @@ def _of_glb(path: Path) -> Provenance | None:
             return _decode(msgspec.json.encode(tree["asset"]["extras"]["provenance"]))
         except (msgspec.MsgspecError, KeyError, TypeError):
             return None
+
+
+def _of_map(path: Path, verify: bool) -> Provenance | None:
+    """After the image of an onboard map; its length and the CRC-32 of its parts are in its header."""
+    raw = path.read_bytes()
+    total = int.from_bytes(raw[16:20], "little")
+    if len(raw) < total or total < 64:
+        return None
+    parts = ((raw[:60], raw[60:64]), (raw[64:total], raw[20:24]))
+    if verify and any(zlib.crc32(part) != int.from_bytes(crc, "little") for part, crc in parts):
+        return None
+    return _of_text(raw[total:])
 
 
 def _of_mcap(path: Path) -> Provenance | None:

@@ -2,22 +2,45 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from alula.schemas.errors import UsageError
 
-FORMATS = ("glb", "obj", "json", "ply", "stl")
+SUFFIXES = {
+    ".glb": "glb",
+    ".obj": "obj",
+    ".json": "json",
+    ".ply": "ply",
+    ".stl": "stl",
+    ".bin": "onboard",
+    ".h": "c-header",
+}
+ONBOARD = ("onboard", "c-header")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportConfig:
     """Parameters of `export`."""
 
-    format: Literal["auto", "glb", "obj", "json", "ply", "stl"] = field(
+    format: Literal["auto", "glb", "obj", "json", "ply", "stl", "onboard", "c-header"] = field(
         default="auto", metadata={"help": "Format to write; auto goes by the output's suffix."}
     )
+    largest_normal: int = field(
+        default=127,
+        metadata={
+            "metavar": "Q",
+            "help": "Onboard map: bound of the components of normals, 1 to 127. Only 1 makes it smaller: 2"
+            " bytes per oblique plane, all of 26 directions.",
+        },
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse a bound that a signed byte does not hold."""
+        if not 1 <= self.largest_normal <= 127:
+            raise UsageError(f"--largest-normal is 1 to 127, not {self.largest_normal}")
 
     def resolved(self, output: Path) -> str:
         """The format for an output file.
@@ -25,8 +48,27 @@ class ExportConfig:
         Raises:
             UsageError: `auto`, and the suffix is not that of a format.
         """
-        name = self.format if self.format != "auto" else output.suffix.lower().removeprefix(".")
-        if name not in FORMATS:
-            suffixes = ", ".join(f".{known}" for known in FORMATS)
-            raise UsageError(f"{output}: the output must end in one of {suffixes}, or give --format")
+        if self.format != "auto":
+            return self.format
+        if (name := SUFFIXES.get(output.suffix.lower())) is None:
+            raise UsageError(
+                f"{output}: the output must end in one of {', '.join(SUFFIXES)}, or give --format"
+            )
         return name
+
+    def parameters(self, output: Path) -> dict[str, Any]:
+        """Everything that shapes the output, apart from the input."""
+        name = self.resolved(output)
+        shaping: dict[str, Any] = {"format": name}
+        if name in ONBOARD:
+            shaping["largest_normal"] = self.largest_normal
+        if name == "c-header":
+            shaping["name"] = c_name(output)
+        return shaping
+
+
+def c_name(output: Path) -> str:
+    """The C identifier for a file: its name without the last suffix, ending in map: no keyword does."""
+    name = re.sub(r"\W", "_", output.name.removesuffix(output.suffix), flags=re.ASCII)
+    name = name if re.match(r"[A-Za-z]", name) else f"map_{name}"
+    return name if name.lower().endswith("map") else f"{name}_map"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError
-from alula.schemas.manifest import CoverManifest, SceneManifest, VoxelsManifest
+from alula.schemas.manifest import CoverManifest, LevelManifest, SceneManifest, VoxelsManifest
 from alula.stages.compression.ellipsoids import lost_before, retained, unproven_voxels
 from alula.stages.compression.hulls import is_outer
 
@@ -279,7 +279,7 @@ def _volume_check(cover: Artifact, jobs: int, progress: Progress) -> Check:
 
 
 def _scene_check(
-    manifest: CoverManifest, scene: Artifact, index: NDArray[np.int32], jobs: int, progress: Progress
+    manifest: LevelManifest, scene: Artifact, index: NDArray[np.int32], jobs: int, progress: Progress
 ) -> Check:
     crop = manifest.crop
     missing = unproven_voxels(
@@ -362,7 +362,7 @@ def _place(lattice: NDArray[Any], size: float) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _left_out(manifest: CoverManifest, voxels: Artifact | None, scene: Artifact | None) -> str:
+def _left_out(manifest: LevelManifest, voxels: Artifact | None, scene: Artifact | None) -> str:
     """What the files themselves do not promise to contain."""
     parts = [f"ellipsoids beyond {manifest.sigma:g} sigma"]
     if manifest.min_overlap > 1:

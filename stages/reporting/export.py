@@ -14,6 +14,7 @@ from alula.schemas.errors import UsageError, WrongKindError
 from alula.schemas.provenance import Provenance
 from alula.stages.compression.facets import Mesh, mesh
 from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.onboard import map_binary, map_c_header
 from alula.stages.reconstruction.ply import encode_ply
 from alula.stages.reconstruction.splats import Splats
 
@@ -35,13 +36,15 @@ Encoder = Callable[[Artifact, Provenance], Iterator[bytes]]
 def export(artifact: Artifact, format_name: str, provenance: Provenance) -> Iterator[bytes]:
     """A cover or a scene in another format, in parts.
 
-    JSON holds the exact integers of a cover. All other formats hold rounded numbers, and say so.
-    Hulls keep their order and are named hull-00000, hull-00001, ... wherever a format has names.
+    JSON holds the exact integers of a cover, an onboard map (also as a C header) integers rounded
+    outward, which contain the cover. All other formats hold rounded numbers, and say so. But in onboard
+    maps, hulls keep their order and are named hull-00000, hull-00001, ... wherever a format has names.
 
     Args:
         artifact: an `alula/cover` or `alula/scene`.
-        format_name: `glb`, `obj`, `json` or `stl` for a cover; `ply`, `glb` or `obj` for a scene.
-        provenance: recorded in the file.
+        format_name: `glb`, `obj`, `json`, `stl`, `onboard` or `c-header` for a cover; `ply`, `glb` or
+            `obj` for a scene.
+        provenance: recorded in the file; its parameters `largest_normal` and `name` shape an onboard map.
 
     Raises:
         WrongKindError: the artifact is of another kind.
@@ -198,6 +201,13 @@ def _glb(scene: Any, provenance: Provenance, note: str) -> bytes:
 
 
 ENCODERS: dict[str, dict[str, Encoder]] = {
-    "alula/cover": {"glb": _cover_glb, "obj": _cover_obj, "json": _cover_json, "stl": _cover_stl},
+    "alula/cover": {
+        "glb": _cover_glb,
+        "obj": _cover_obj,
+        "json": _cover_json,
+        "stl": _cover_stl,
+        "onboard": map_binary,
+        "c-header": map_c_header,
+    },
     "alula/scene": {"ply": _scene_ply, "glb": _scene_glb, "obj": _scene_obj},
 }

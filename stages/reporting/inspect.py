@@ -12,6 +12,8 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import RunRecord
 from alula.stages.compression.hulls import is_outer
+from alula.stages.compression.map_image import SCHEMA, VERSION, MapImage
+from alula.stages.compression.onboard import map_facts
 from alula.stages.reconstruction.splats import Splats
 
 Facts = dict[str, Any]
@@ -25,6 +27,7 @@ WHAT = {
     "alula/scenario": "A simulation to be: map, vehicle, filter and trials.",
     "alula/report": "A report on runs, to be opened in a browser.",
     "alula/export": "A copy of a cover or a scene for another program.",
+    "alula/onboard-map": "A cover as a microcontroller reads it in place from flash.",
     "alula/certificate": "The result of checking again that a cover contains every obstacle.",
     "alula/demo-scene": "The built-in scene as a splat file.",
 }
@@ -132,6 +135,23 @@ def provenance_facts(found: Provenance) -> Facts:
     facts |= {"producer": msgspec.to_builtins(found.producer), "parameters": found.parameters}
     facts |= {"seed": found.seed, "inputs": msgspec.to_builtins(found.inputs)}
     return facts
+
+
+def map_image_facts(image: MapImage) -> Facts:
+    """The facts of an onboard map."""
+    edges = np.vstack([image.lower, image.upper])
+    return {
+        **about(SCHEMA, VERSION),
+        "summary": {**map_facts(image), **_bounds(edges, image.voxel_size_m)},
+        "properties": {
+            "voxel_size_m": image.voxel_size_m,
+            "extent_m": image.extent_m,
+            "index_bytes": image.index_bytes,
+            "cover sha256 begins with": image.cover_hash.hex(),
+        },
+        "unit": "m",
+        "guarantee": "Each hull contains one of the cover; verify proves it of these bytes.",
+    }
 
 
 def run_facts(record: RunRecord, messages: Mapping[str, int]) -> Facts:

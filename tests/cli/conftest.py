@@ -51,6 +51,7 @@ def pipeline(tmp_path_factory) -> Path:
         ["voxelize", f("tiny.metric.scene.npz"), "-o", f("tiny.voxels.npz"), "--size", "0.2"],
         ["merge", f("tiny.voxels.npz"), "-o", f("tiny.cover.npz"), "--hulls", "12"],
         ["verify", f("tiny.cover.npz"), "--voxels", f("tiny.voxels.npz"), "-o", f("tiny.certificate.json")],
+        ["export", f("tiny.cover.npz"), "-o", f("tiny.map.bin")],
         [
             "plan",
             f("tiny.cover.npz"),

@@ -41,6 +41,41 @@ def newer(path: Path) -> None:
     _rewrite(path, lambda manifest, arrays: manifest.update(version="9.0"))
 
 
+def truncated_map(path: Path) -> None:
+    """An onboard map without the end of its image."""
+    raw = path.read_bytes()
+    path.write_bytes(raw[: int.from_bytes(raw[16:20], "little") * 2 // 3])
+
+
+def flipped_map(path: Path) -> None:
+    """One bit of the image changed."""
+    raw = bytearray(path.read_bytes())
+    raw[int.from_bytes(raw[16:20], "little") // 2] ^= 0x40
+    path.write_bytes(raw)
+
+
+def flipped_map_header(path: Path) -> None:
+    raw = bytearray(path.read_bytes())
+    raw[30] ^= 0x01
+    path.write_bytes(raw)
+
+
+def newer_map(path: Path) -> None:
+    raw = bytearray(path.read_bytes())
+    raw[4] = 9
+    path.write_bytes(raw)
+
+
+def longer_map(path: Path) -> None:
+    """A header that claims four billion hulls, with the sum that it needs."""
+    import zlib
+
+    raw = bytearray(path.read_bytes())
+    raw[12:16] = b"\xff" * 4
+    raw[60:64] = zlib.crc32(raw[:60]).to_bytes(4, "little")
+    path.write_bytes(raw)
+
+
 def not_a_number(path: Path) -> None:
     """All floating-point arrays NaN, with hashes that match."""
     import hashlib

@@ -29,6 +29,17 @@ NPZ = (
 FLOATS = (*NPZ, damage.not_a_number)
 PLY = (damage.truncated, damage.empty, damage.garbage, damage.missing, damage.folder)
 LOG = (damage.truncated, damage.empty, damage.garbage, damage.missing, damage.folder)
+MAP = (
+    damage.truncated_map,
+    damage.flipped_map,
+    damage.flipped_map_header,
+    damage.newer_map,
+    damage.longer_map,
+    damage.empty,
+    damage.garbage,
+    damage.missing,
+    damage.folder,
+)
 TEXT = (damage.empty, damage.garbage, damage.missing, damage.folder)
 
 
@@ -70,6 +81,16 @@ CASES = {
         out="out.json",
         wrong_kind={"tiny.cover.npz": "tiny.voxels.npz", "tiny.voxels.npz": "tiny.cover.npz"},
     ),
+    "verify a map": Case(
+        "verify tiny.map.bin --voxels tiny.voxels.npz --cover tiny.cover.npz -o OUT",
+        {"tiny.map.bin": MAP, "tiny.voxels.npz": NPZ, "tiny.cover.npz": FLOATS},
+        out="out.json",
+        wrong_kind={
+            "tiny.map.bin": "tiny.run.mcap",
+            "tiny.voxels.npz": "tiny.cover.npz",
+            "tiny.cover.npz": "tiny.map.bin",
+        },
+    ),
     "plan": Case(
         "plan tiny.cover.npz --start=0.5,1.5,1 --goal=3.5,1.5,1 -o OUT",
         {"tiny.cover.npz": FLOATS},
@@ -93,8 +114,11 @@ CASES = {
         wrong_kind={"tiny.run.mcap": "tiny.cover.npz", "tiny.cover.npz": "tiny.plan.npz"},
     ),
     "export": Case("export tiny.cover.npz -o OUT", {"tiny.cover.npz": FLOATS}, out="out.glb"),
+    "export a map": Case("export tiny.cover.npz -o OUT", {"tiny.cover.npz": FLOATS}, out="out.map.bin"),
+    "export a map in C": Case("export tiny.cover.npz -o OUT", {"tiny.cover.npz": NPZ}, out="out.map.h"),
     "info": Case("info tiny.cover.npz", {"tiny.cover.npz": FLOATS}, out=""),
     "info on a run": Case("info tiny.run.mcap", {"tiny.run.mcap": LOG}, out=""),
+    "info on a map": Case("info tiny.map.bin", {"tiny.map.bin": MAP}, out=""),
     "info on a splat": Case("info tiny.ply", {"tiny.ply": PLY}, out=""),
 }
 WRITERS = {name: case for name, case in CASES.items() if case.out} | {
