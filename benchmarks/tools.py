@@ -1,0 +1,205 @@
+"""Tools that cover voxels by convex parts, each run in a process of its own and judged alike.
+
+CPU and wall time are of the tool's call alone, without starting Python or reading the input; CPU time
+counts all threads. Peak memory is of the whole process.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from solids import Solids, boundary_mesh, measure, onboard_bytes, outside_every_hull
+
+from alula.schemas.artifact import Artifact, read_artifact
+from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.kinds import VOXELS
+from alula.stages.compression.merge import merge
+
+HERE = str(Path(__file__).resolve().parent)
+_START = "import sys; sys.path.append(sys.argv[1]); import {module}; {module}.child(sys.argv[2:])"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What one process came to: `note` is empty when it is done, else says why not."""
+
+    note: str = ""
+    figures: dict[str, Any] = field(default_factory=dict)
+
+
+class Clock:
+    """Wall and CPU seconds of this process since it was made."""
+
+    def __init__(self) -> None:
+        self._wall, self._cpu = time.perf_counter(), self._used()
+
+    @staticmethod
+    def _used() -> float:
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        return used.ru_utime + used.ru_stime
+
+    def seconds(self) -> dict[str, float]:
+        """Figures `wall_s` and `cpu_s`."""
+        return {"wall_s": time.perf_counter() - self._wall, "cpu_s": self._used() - self._cpu}
+
+
+def peak_mb() -> float:
+    """Largest resident memory of this process so far [MB], without what its parent had before it."""
+    try:
+        status = Path("/proc/self/status").read_text()
+        return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
+    except (OSError, IndexError):
+        unit = 1 if sys.platform == "darwin" else 1024
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def run_child(module: str, arguments: dict[str, Any], limit_s: float) -> Outcome:
+    """Call `module.child` in a new process and read the figures that it leaves."""
+    with tempfile.TemporaryDirectory(prefix="alula-bench-") as folder:
+        asked, answer = Path(folder, "asked.json"), Path(folder, "figures.json")
+        asked.write_text(json.dumps(arguments))
+        code = _START.format(module=module)
+        command = [sys.executable, "-P", "-c", code, HERE, str(asked), str(answer)]
+        try:
+            done = subprocess.run(
+                command,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+                timeout=limit_s,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            return Outcome(note=f"over {limit_s:.0f} s")
+        if not answer.exists():
+            last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+            return Outcome(note=f"failed: {last}")
+        figures = json.loads(answer.read_text())
+        return Outcome(note=figures.pop("note", ""), figures=figures)
+
+
+def child(paths: list[str]) -> None:
+    """In the new process: run one tool on the voxels of a file, write its polytopes and figures."""
+    asked, answer = (Path(path) for path in paths)
+    given = json.loads(asked.read_text())
+    voxels = read_artifact(Path(given["voxels"]), VOXELS)
+    try:
+        solids, figures = TOOLS[given["tool"]](voxels, given["options"])
+    except ModuleNotFoundError as error:
+        answer.write_text(json.dumps({"note": f"{error.name} is not installed"}))
+        return
+    arrays = {name: getattr(solids, name) for name in Solids.__dataclass_fields__}
+    np.savez(given["output"], **arrays)
+    answer.write_text(json.dumps(figures))
+
+
+def run_tool(
+    tool: str,
+    voxels: Path,
+    limit_s: float,
+    *,
+    judged: bool = True,
+    **options: Any,
+) -> Outcome:
+    """Run one tool on an `alula/voxels` file; figures are those of `judge` besides times and memory."""
+    with tempfile.TemporaryDirectory(prefix="alula-bench-") as folder:
+        output = Path(folder) / "solids.npz"
+        outcome = run_child(
+            "tools", {"tool": tool, "voxels": str(voxels), "output": str(output), "options": options}, limit_s
+        )
+        if outcome.note or not judged:
+            return outcome
+        with np.load(output) as arrays:
+            solids = Solids(**{name: arrays[name] for name in arrays.files})
+    outcome.figures.update(judge(solids, np.asarray(read_artifact(voxels, VOXELS)["index"])))
+    return outcome
+
+
+def judge(solids: Solids, voxels: np.ndarray) -> dict[str, Any]:
+    """Everything that is said of a cover, from its planes and vertices alone."""
+    found = measure(solids, voxels)
+    size = onboard_bytes(solids)
+    return {
+        "hulls": len(solids),
+        "flat_parts": int(solids.flat),
+        "half_planes": len(solids.offset),
+        "bytes": size,
+        "bytes_per_half_plane": size / max(1, len(solids.offset)),
+        "union_ratio": found.union_ratio,
+        "union_ratio_error": found.error,
+        "excess": found.union_ratio - (1 - found.uncovered_volume),
+        "uncovered_volume": found.uncovered_volume,
+        "voxels_with_gap": found.voxels_with_gap,
+        "voxels_outside_every_hull": outside_every_hull(solids, voxels),
+    }
+
+
+def _merge(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
+    config = MergeConfig(**options)
+    start_mb = peak_mb()
+    clock = Clock()
+    cover = merge(config, voxels)
+    figures: dict[str, Any] = {**clock.seconds(), "peak_mb": peak_mb(), "start_mb": start_mb}
+    figures["union_ratio_stated"] = cover.manifest.conservativeness  # type: ignore[attr-defined]
+    return Solids.from_cover(cover), figures
+
+
+def _coacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
+    """CoACD with its defaults and a fixed seed on the surface of the voxels."""
+    coacd = importlib.import_module("coacd")
+    corner, triangles = boundary_mesh(voxels["index"])
+    origin = corner.min(axis=0)
+    with _Silence():
+        coacd.set_log_level("off")
+        clock = Clock()
+        parts = coacd.run_coacd(coacd.Mesh(corner - origin, triangles), seed=0, **options)
+        figures = {**clock.seconds(), "peak_mb": peak_mb()}
+    return Solids.from_points([points + origin for points, _ in parts]), figures
+
+
+def _vhacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
+    """V-HACD 4 with its defaults on the surface of the voxels."""
+    vhacdx = importlib.import_module("vhacdx")
+    corner, triangles = boundary_mesh(voxels["index"])
+    origin = corner.min(axis=0)
+    with _Silence():
+        clock = Clock()
+        parts = vhacdx.compute_vhacd(corner - origin, triangles.astype(np.uint32), **options)
+        figures = {**clock.seconds(), "peak_mb": peak_mb()}
+    return Solids.from_points([np.asarray(points) + origin for points, _ in parts]), figures
+
+
+TOOLS: dict[str, Callable[[Artifact, dict[str, Any]], tuple[Solids, dict[str, Any]]]] = {
+    "merge": _merge,
+    "coacd": _coacd,
+    "vhacd": _vhacd,
+}
+
+
+class _Silence:
+    """Nothing on stdout and stderr, also not from C, which writes past `sys.stdout`."""
+
+    def __enter__(self) -> None:
+        sys.stdout.flush()
+        self._saved = [os.dup(1), os.dup(2)]
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, 1)
+        os.dup2(nothing, 2)
+        os.close(nothing)
+
+    def __exit__(self, *_: object) -> None:
+        for target, saved in enumerate(self._saved, start=1):
+            os.dup2(saved, target)
+            os.close(saved)
