@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its idle threads count as CPU time
-_HERE = os.path.dirname(os.path.abspath(__file__))  # noqa: PTH100, PTH120
-sys.path[:] = [p for p in sys.path if os.path.abspath(p) != _HERE] + [_HERE]  # noqa: PTH100
-# At the end, because the standard library has a package `compression` too.
+sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.sort(key=sys.path[-1].__eq__)  # last: newer standard libraries have a package `compression`
 
 import argparse
 import json
@@ -21,7 +21,6 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import growth
@@ -37,7 +36,7 @@ Figures = dict[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sizes:
-    """How much is measured; `hulls` is the number of each ladder, and for scenes that CoACD does not finish."""
+    """How much is measured; `fallback` is the number of hulls where CoACD finds none in time."""
 
     hoops: tuple[int, int, float]  # hoops, Gaussians, voxel edge [m]
     room: int = 0  # Gaussians; 0 is none
@@ -189,6 +188,7 @@ def main() -> int:
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--quick", action="store_true", help="one scene and CoACD alone, half a minute")
     size.add_argument("--tiny", action="store_true", help="inputs too small to tell anything, for tests")
+    parser.add_argument("--only", metavar="TEXT", help="only scenes with this in their name, or growth")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
     options = parser.parse_args()
@@ -207,6 +207,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="alula-bench-") as folder:
         path = Path(folder, "scene.voxels.npz")
         for name, edge, make in inputs(sizes):
+            if options.only is not None and options.only not in name:
+                continue
             voxels = scenes.voxels_of(make(), edge)
             write_artifact(path, voxels)
             scene: Figures = {"name": name, "voxel_size_m": edge, "voxels": len(voxels["index"])}
@@ -214,10 +216,11 @@ def main() -> int:
             scene["ladder"] = list(ladder(sizes, path)) if name in ("room", "garden") else []
             result["scenes"].append(scene)
             show(tables.scene(scene))
-    result["growth"] = list(growth.rows(sizes.growth, sizes.limit_s))
+    grown = sizes.growth if options.only in (None, "growth") else ()
+    result["growth"] = list(growth.rows(grown, sizes.limit_s))
     result["exponents"] = growth.exponents(result["growth"])
     result["targets"] = tables.targets(result)
-    result = contract(result["scenes"][0]["tools"]) | result
+    result = contract(result["scenes"][0]["tools"] if result["scenes"] else {}) | result
     show(tables.growth(result))
     show(tables.verdicts(result))
     if options.json:

@@ -20,13 +20,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from solids import Solids, boundary_mesh, measure, onboard_bytes, outside_every_hull
+from solids import Solids, boundary_mesh, measure, measure_along_lines, onboard_bytes, outside_every_hull
 
 from alula.schemas.artifact import Artifact, read_artifact
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.kinds import VOXELS
 from alula.stages.compression.merge import merge
 
+_ERRORS = 8  # standard errors of four draws: chance exceeds it once in some hundred
 HERE = str(Path(__file__).resolve().parent)
 _START = "import sys; sys.path.append(sys.argv[1]); import {module}; {module}.child(sys.argv[2:])"
 
@@ -129,7 +130,7 @@ def run_tool(
 
 def judge(solids: Solids, voxels: np.ndarray) -> dict[str, Any]:
     """Everything that is said of a cover, from its planes and vertices alone."""
-    found = measure(solids, voxels)
+    found, lines = measure(solids, voxels), measure_along_lines(solids, voxels)
     size = onboard_bytes(solids)
     return {
         "hulls": len(solids),
@@ -139,6 +140,8 @@ def judge(solids: Solids, voxels: np.ndarray) -> dict[str, Any]:
         "bytes_per_half_plane": size / max(1, len(solids.offset)),
         "union_ratio": found.union_ratio,
         "union_ratio_error": found.error,
+        "union_ratio_along_lines": lines.union_ratio,
+        "agrees": abs(found.union_ratio - lines.union_ratio) < _ERRORS * lines.error + found.error + 1e-5,
         "excess": found.union_ratio - (1 - found.uncovered_volume),
         "uncovered_volume": found.uncovered_volume,
         "voxels_with_gap": found.voxels_with_gap,
