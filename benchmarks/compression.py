@@ -56,7 +56,7 @@ FULL = Sizes(
     real=True,
     peers=("coacd", "coacd_remesh", "vhacd"),
     ladder=(50, 150, 300, 1000, 3000),
-    growth=(50_000, 150_000, 500_000, 1_500_000),
+    growth=(50_000, 150_000, 500_000, 1_500_000, 2_250_000),
     fallback=100,
 )
 QUICK = Sizes(hoops=(2, 60_000, 0.024), peers=("coacd",), growth=(50_000, 150_000), limit_s=32.0)

@@ -26,7 +26,7 @@ from alula.stages.rotation import quat_wxyz_from_matrix
 MIN_OPACITY, MIN_OVERLAP = 0.1, 3
 METRIC = Similarity(scale=1.0, rotation=np.eye(3).tolist(), translation_m=[0.0, 0.0, 0.0])
 
-_GARDEN_PER_M2 = 2700.0  # Gaussians over ground: 1.5 million are a garden of 23.6 m x 23.6 m
+_GARDEN_PER_M2 = 5200.0  # Gaussians over ground: 1.5 million are a garden of 17 m x 17 m
 _TREE_M2 = 12.0
 _CLUMPS = 40  # of leaves in a crown
 _SHARES = {"terrain": 0.5, "trunk": 0.05, "leaf": 0.44, "haze": 0.01}
@@ -112,7 +112,7 @@ def garden(gaussians: int) -> Splats:
     crown *= rng.uniform(0.9, 1.4, (trees, 1, 1)) * np.array([1.0, 1.0, 0.8])
     crown += np.column_stack([foot, base + tall + 0.5])[:, None, :]
     tree, clump = rng.integers(trees, size=leaf), rng.integers(_CLUMPS, size=leaf)
-    leaves = crown[tree, clump] + 0.11 * rng.normal(size=(leaf, 3))
+    leaves = crown[tree, clump] + 0.09 * rng.normal(size=(leaf, 3))
     parts.append((leaves, rng.normal(size=(leaf, 3)), 0.008, 0.030))
 
     air = rng.uniform(0, 1, (haze, 3)) * np.array([side, side, 6.0])

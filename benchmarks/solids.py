@@ -235,10 +235,10 @@ def outside_every_hull(solids: Solids, voxels: NDArray[np.int32]) -> int:
     return int((~found).sum())
 
 
-def onboard_bytes(solids: Solids) -> int:
-    """Bytes of the map on board: a header of 64, 14 per hull with its box, 5 per oblique plane.
+def mesh_bytes(solids: Solids) -> int:
+    """Bytes of an onboard map if planes were quantised like those of covers, whether or not they can be.
 
-    Planes along the axes come with the box. What a mesh would take if its planes were quantised alike.
+    A header of 64, 14 per hull with its box, 5 per oblique plane; planes along the axes come with the box.
     """
     unit = np.abs(solids.normal / np.linalg.norm(solids.normal, axis=1, keepdims=True)).max(axis=1)
     return 64 + 14 * len(solids) + 5 * int((unit < 1 - 1e-9).sum())

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from solids import Solids, boundary_mesh, measure, measure_along_lines, onboard_bytes, outside_every_hull
+from solids import Solids, boundary_mesh, measure, measure_along_lines, mesh_bytes, outside_every_hull
 
 from alula.schemas.artifact import Artifact, read_artifact
 from alula.schemas.configs.merge import MergeConfig
@@ -124,20 +124,19 @@ def run_tool(
             return outcome
         with np.load(output) as arrays:
             solids = Solids(**{name: arrays[name] for name in arrays.files})
-    outcome.figures.update(judge(solids, np.asarray(read_artifact(voxels, VOXELS)["index"])))
-    return outcome
+    figures = judge(solids, np.asarray(read_artifact(voxels, VOXELS)["index"])) | outcome.figures
+    figures["bytes_per_half_plane"] = figures["bytes"] / max(1, figures["half_planes"])
+    return Outcome(figures=figures)
 
 
 def judge(solids: Solids, voxels: np.ndarray) -> dict[str, Any]:
-    """Everything that is said of a cover, from its planes and vertices alone."""
+    """What is said of a cover from its planes and vertices alone."""
     found, lines = measure(solids, voxels), measure_along_lines(solids, voxels)
-    size = onboard_bytes(solids)
     return {
         "hulls": len(solids),
         "flat_parts": int(solids.flat),
         "half_planes": len(solids.offset),
-        "bytes": size,
-        "bytes_per_half_plane": size / max(1, len(solids.offset)),
+        "bytes": mesh_bytes(solids),
         "union_ratio": found.union_ratio,
         "union_ratio_error": found.error,
         "union_ratio_along_lines": lines.union_ratio,
@@ -149,6 +148,15 @@ def judge(solids: Solids, voxels: np.ndarray) -> dict[str, Any]:
     }
 
 
+def onboard_bytes(cover: Artifact) -> int:
+    """Size of the map that a cover becomes on board."""
+    try:
+        onboard = importlib.import_module("alula.stages.compression.onboard")
+    except ModuleNotFoundError:
+        return mesh_bytes(Solids.from_cover(cover))
+    return len(onboard.encode_map(cover))
+
+
 def _merge(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
     config = MergeConfig(**options)
     start_mb = peak_mb()
@@ -156,6 +164,7 @@ def _merge(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str,
     cover = merge(config, voxels)
     figures: dict[str, Any] = {**clock.seconds(), "peak_mb": peak_mb(), "start_mb": start_mb}
     figures["union_ratio_stated"] = cover.manifest.conservativeness  # type: ignore[attr-defined]
+    figures["bytes"] = onboard_bytes(cover)
     return Solids.from_cover(cover), figures
 
 
