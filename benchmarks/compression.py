@@ -16,10 +16,12 @@ sys.path.sort(key=sys.path[-1].__eq__)  # last: newer standard libraries have a 
 
 import argparse
 import json
+import math
 import platform
 import tempfile
+import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
@@ -46,7 +48,8 @@ class Sizes:
     ladder: tuple[int, ...] = ()
     growth: tuple[int, ...] = ()
     fallback: int = 30
-    limit_s: float = 240.0
+    limit_s: float = 240.0  # of one tool
+    budget_s: float = math.inf  # of the whole; growth is cut short by it
 
 
 FULL = Sizes(
@@ -59,7 +62,9 @@ FULL = Sizes(
     growth=(50_000, 150_000, 500_000, 1_500_000, 2_250_000),
     fallback=100,
 )
-QUICK = Sizes(hoops=(2, 60_000, 0.024), peers=("coacd",), growth=(50_000, 150_000), limit_s=32.0)
+QUICK = Sizes(
+    hoops=(2, 40_000, 0.03), peers=("coacd",), growth=(50_000, 150_000), limit_s=32.0, budget_s=45.0
+)
 TINY = Sizes(hoops=(1, 20_000, 0.05), peers=("coacd",), growth=(4_000, 8_000), limit_s=32.0)
 
 PEERS: dict[str, tuple[str, str, Figures]] = {
@@ -159,6 +164,7 @@ def contract(rows: dict[str, Figures]) -> Figures:
     return {
         "ours_cpu_s": ours.get("cpu_s"),
         "coacd_cpu_s": coacd.get("cpu_s"),
+        "coacd_note": coacd.get("note", "not run"),  # empty when done; else its CPU time is a lower bound
         "coacd_over_ours": coacd["cpu_s"] / ours["cpu_s"] if both else None,
         "uncovered_voxels": ours.get("voxels_outside_every_hull"),
         "union_ratio_ours": ours.get("union_ratio"),
@@ -184,15 +190,19 @@ def is_covered(result: Figures) -> bool:
 
 def main() -> int:
     """Measure everything; 1 when a cover of ours leaves out a voxel."""
+    start = time.monotonic()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--quick", action="store_true", help="one scene and CoACD alone, half a minute")
     size.add_argument("--tiny", action="store_true", help="inputs too small to tell anything, for tests")
     parser.add_argument("--only", metavar="TEXT", help="only scenes with this in their name, or growth")
+    parser.add_argument("--limit", type=float, metavar="S", help="wall seconds that each tool may take")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
     options = parser.parse_args()
     sizes = QUICK if options.quick else TINY if options.tiny else FULL
+    if options.limit is not None:
+        sizes = replace(sizes, limit_s=options.limit)
 
     def show(text: str) -> None:
         if not options.json:
@@ -217,7 +227,7 @@ def main() -> int:
             result["scenes"].append(scene)
             show(tables.scene(scene))
     grown = sizes.growth if options.only in (None, "growth") else ()
-    result["growth"] = list(growth.rows(grown, sizes.limit_s))
+    result["growth"] = list(growth.rows(grown, sizes.limit_s, start + sizes.budget_s))
     result["exponents"] = growth.exponents(result["growth"])
     result["targets"] = tables.targets(result)
     result = contract(result["scenes"][0]["tools"] if result["scenes"] else {}) | result

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -72,23 +73,29 @@ def _pipeline(given: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def rows(gaussians: Sequence[int], limit_s: float) -> Iterator[dict[str, Any]]:
-    """One row per size; `paper_*` are the published rule on the same voxels."""
+def rows(gaussians: Sequence[int], limit_s: float, deadline: float) -> Iterator[dict[str, Any]]:
+    """One row per size; `paper_*` are the published rule on the same voxels.
+
+    No process takes longer than the limit or beyond the deadline, a time of the monotonic clock.
+    """
+
+    def left_s() -> float:
+        return max(0.0, min(limit_s, deadline - time.monotonic()))
+
     with tempfile.TemporaryDirectory(prefix="alula-bench-") as folder:
+        ply, voxels = Path(folder, "garden.ply"), Path(folder, "garden.voxels.npz")
         for count in gaussians:
-            ply, voxels = Path(folder, "garden.ply"), Path(folder, "garden.voxels.npz")
-            given = {"ply": str(ply), "voxels": str(voxels), "gaussians": count}
             row: dict[str, Any] = {"gaussians": count, "hulls_asked": max(1, count // GAUSSIANS_PER_HULL)}
-            made = run_child("growth", given | {"make": True}, limit_s)
-            ours = made
+            given = {"ply": str(ply), "voxels": str(voxels), "gaussians": count, "hulls": row["hulls_asked"]}
+            made = ours = run_child("growth", given | {"make": True}, left_s())
             if not made.note:
-                row |= made.figures
-                ours = run_child("growth", given | {"make": False, "hulls": row["hulls_asked"]}, limit_s)
-            row |= {"note": ours.note} | ours.figures
-            paper = Outcome(note="no voxels")
+                ours = run_child("growth", given | {"make": False}, left_s())
+            row |= made.figures | ours.figures | {"note": ours.note}
+            paper = Outcome(note="not tried")
             if not ours.note:
-                paper = run_tool("merge", voxels, limit_s, judged=False, hulls=row["hulls"], method="paper")
-            yield row | {f"paper_{k}": v for k, v in ({"note": paper.note} | paper.figures).items()}
+                options = {"hulls": row["hulls"], "method": "paper"}
+                paper = run_tool("merge", voxels, left_s(), judged=False, **options)
+            yield row | {f"paper_{k}": v for k, v in (paper.figures | {"note": paper.note}).items()}
             ply.unlink(missing_ok=True)
 
 
@@ -106,12 +113,11 @@ def exponents(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
         return float(np.polyfit(np.log(count), np.log(np.maximum(values, 1e-9)), 1)[0])
 
     found = {"n_log_n": slope(count * np.log(count))}
-    for name in (*(f"{step}_cpu_s" for step in (*STEPS, "cover")), "paper_cpu_s"):
-        if all(name in row for row in done):
-            found[name] = slope(np.array([row[name] for row in done]))
-    for who in ("", "paper_"):
-        if all(f"{who}peak_mb" in row for row in done):
-            found[f"{who}memory"] = slope(
-                np.array([row[f"{who}peak_mb"] - row[f"{who}start_mb"] for row in done])
-            )
+    names = [f"{step}_cpu_s" for step in (*STEPS, "cover")]
+    is_whole = all(row["paper_note"] == "" for row in done)
+    for name in names + ["paper_cpu_s"] * is_whole:
+        found[name] = slope(np.array([row[name] for row in done]))
+    for who in ["", *["paper_"] * is_whole]:
+        taken = [row[f"{who}peak_mb"] - row[f"{who}start_mb"] for row in done]
+        found[f"{who}memory"] = slope(np.array(taken))
     return found

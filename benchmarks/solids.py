@@ -103,9 +103,12 @@ class Measured:
     error: float
 
 
+IS_EXACT = hasattr(_core, "union_measure")
+
+
 def measure(solids: Solids, voxels: NDArray[np.int32]) -> Measured:
     """Exact volumes, up to a bound on rounding; a gap is more than a millionth of a voxel."""
-    if not hasattr(_core, "union_measure"):
+    if not IS_EXACT:
         return measure_along_lines(solids, voxels)
     length = np.linalg.norm(solids.normal, axis=1)
     ends = [(vertex.min(axis=0), vertex.max(axis=0)) for _, _, vertex in solids]

@@ -34,26 +34,30 @@ _START = "import sys; sys.path.append(sys.argv[1]); import {module}; {module}.ch
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What one process came to: `note` is empty when it is done, else says why not."""
+    """What one process came to: `note` is empty when it is done, else says why not.
+
+    When it took too long, `cpu_s` is what it had used by then.
+    """
 
     note: str = ""
     figures: dict[str, Any] = field(default_factory=dict)
+
+
+def _cpu_s(who: int) -> float:
+    used = resource.getrusage(who)
+    return used.ru_utime + used.ru_stime
 
 
 class Clock:
     """Wall and CPU seconds of this process since it was made."""
 
     def __init__(self) -> None:
-        self._wall, self._cpu = time.perf_counter(), self._used()
-
-    @staticmethod
-    def _used() -> float:
-        used = resource.getrusage(resource.RUSAGE_SELF)
-        return used.ru_utime + used.ru_stime
+        self._wall, self._cpu = time.perf_counter(), _cpu_s(resource.RUSAGE_SELF)
 
     def seconds(self) -> dict[str, float]:
         """Figures `wall_s` and `cpu_s`."""
-        return {"wall_s": time.perf_counter() - self._wall, "cpu_s": self._used() - self._cpu}
+        spent = _cpu_s(resource.RUSAGE_SELF) - self._cpu
+        return {"wall_s": time.perf_counter() - self._wall, "cpu_s": spent}
 
 
 def peak_mb() -> float:
@@ -73,6 +77,7 @@ def run_child(module: str, arguments: dict[str, Any], limit_s: float) -> Outcome
         asked.write_text(json.dumps(arguments))
         code = _START.format(module=module)
         command = [sys.executable, "-P", "-c", code, HERE, str(asked), str(answer)]
+        before = _cpu_s(resource.RUSAGE_CHILDREN)
         try:
             done = subprocess.run(
                 command,
@@ -83,7 +88,8 @@ def run_child(module: str, arguments: dict[str, Any], limit_s: float) -> Outcome
                 check=False,
             )
         except subprocess.TimeoutExpired:
-            return Outcome(note=f"over {limit_s:.0f} s")
+            spent = _cpu_s(resource.RUSAGE_CHILDREN) - before
+            return Outcome(note=f"over {limit_s:.0f} s", figures={"cpu_s": spent})
         if not answer.exists():
             last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
             return Outcome(note=f"failed: {last}")
