@@ -35,7 +35,6 @@ _SHARES = {"terrain": 0.5, "trunk": 0.05, "leaf": 0.44, "haze": 0.01}
 REAL = {
     "istanbul-outdoor/tile_x000_y003.splat": (1.0, 0.25),
     "istanbul-outdoor/tile_x001_y000.splat": (1.0, 0.25),
-    "istanbul-outdoor/tile_x001_y001.splat": (1.0, 0.25),
     "cc0-corpus/leica-sofort-top8192.ply": (1.0, 0.1),
 }
 

@@ -29,8 +29,8 @@ class Solids:
         normal: outward, shape (F, 3); integers when exact.
         offset: shape (F,); integers when exact.
         plane_start: first plane of each polytope and the end, shape (n + 1,).
-        vertex: shape (V, 3).
-        vertex_start: first vertex of each polytope and the end, shape (n + 1,).
+        vertex: points with the same bounding box as the polytope, such as its corners, shape (V, 3).
+        vertex_start: first point of each polytope and the end, shape (n + 1,).
         flat: parts of a mesh that have no volume and are left out.
     """
 
