@@ -75,7 +75,7 @@ bench: setup ## time the stages, and covers against those of other tools, side b
 	$(BIN)/python -P benchmarks/pipeline.py
 	$(BIN)/python -P benchmarks/compression.py --quick
 
-bench-compression: setup ## the latter in full, some twenty minutes, into docs/benchmarks.md
+bench-compression: setup ## the latter in full, up to half an hour, into docs/benchmarks.md
 	$(BIN)/python -P benchmarks/compression.py --markdown docs/benchmarks.md
 
 docs: setup ## regenerate the command reference

@@ -92,11 +92,41 @@ def test_the_page_has_a_line_for_each_row_and_target(tiny_run):
         assert len({line.count(" | ") for line in (lines[0], *lines[2:])}) == 1
 
 
-def test_meshes_measure_like_covers_of_the_same_polytopes():
+def in_benchmarks(code, *arguments):
     if not (ROOT / "benchmarks").is_dir():
         pytest.skip("not a checkout")
-    code = """
-import sys; sys.path.append(sys.argv[1])
+    code = "import sys; sys.path.append(sys.argv[1])\n" + code
+    command = [sys.executable, "-P", "-c", code, str(ROOT / "benchmarks"), *map(str, arguments)]
+    subprocess.run(command, check=True)
+
+
+def test_a_tool_that_is_absent_slow_or_fails_is_a_row_that_says_so(tmp_path):
+    in_benchmarks(
+        """
+import json
+from pathlib import Path
+import scenes, tools
+from alula.schemas.artifact import write_artifact
+folder = Path(sys.argv[2])
+voxels, answer = folder / "hoop.voxels.npz", folder / "answer.json"
+write_artifact(voxels, scenes.voxels_of(scenes.hoops(1, 5000), 0.1))
+slow = tools.run_tool("merge", voxels, 0.0, hulls=3)
+assert slow.note == "over 0 s" and slow.figures["cpu_s"] >= 0
+wrong = tools.run_tool("merge", voxels, 60.0, hulls=-3)
+assert wrong.note.startswith("failed: ") and "--hulls" in wrong.note, wrong
+sys.modules["coacd"] = None
+asked = folder / "asked.json"
+given = {"tool": "coacd", "voxels": str(voxels), "output": str(folder / "solids.npz"), "options": {}}
+asked.write_text(json.dumps(given))
+tools.child([str(asked), str(answer)])
+assert json.loads(answer.read_text()) == {"note": "coacd is not installed"}
+""",
+        tmp_path,
+    )
+
+
+def test_meshes_measure_like_covers_of_the_same_polytopes():
+    in_benchmarks("""
 import numpy as np
 from solids import Solids, boundary_mesh, measure, measure_along_lines, outside_every_hull
 cube = np.array(np.meshgrid([0.0, 2.0], [0.0, 1.0], [0.0, 1.0])).reshape(3, -1).T
@@ -114,5 +144,4 @@ corner, triangles = boundary_mesh(voxels)
 a, b, c = corner[triangles].transpose(1, 0, 2)
 assert abs(np.einsum("ij,ij->", a, np.cross(b, c)) / 6 - 3) < 1e-12
 assert len(triangles) == 2 * (10 + 6)
-"""
-    subprocess.run([sys.executable, "-P", "-c", code, str(ROOT / "benchmarks")], check=True)
+""")
