@@ -9,10 +9,10 @@ VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
 CONSTRAINTS := .ci/constraints.txt
 
-.PHONY: help demo test setup lint format typecheck typing-view test-native test-wheel wheel examples bench docs schemas clean
+.PHONY: help demo test setup lint format typecheck typing-view test-native test-wheel wheel examples bench bench-compression docs schemas clean
 
 help: ## list the targets
-	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
 
 demo: setup ## fly the built-in scene end to end and leave a report
 	@$(MAKE) --no-print-directory -C examples/room ALULA=$(CURDIR)/$(BIN)/alula
@@ -75,8 +75,12 @@ test-wheel: wheel ## run the tests against the built wheel in an environment of 
 examples: demo ## run every example
 	@$(MAKE) --no-print-directory -C examples/polymerge ALULA=$(CURDIR)/$(BIN)/alula PYTHON=$(CURDIR)/$(BIN)/python
 
-bench: setup ## time the pipeline's stages side by side
+bench: setup ## time the stages, and covers against those of other tools, side by side
 	$(BIN)/python -P benchmarks/pipeline.py
+	$(BIN)/python -P benchmarks/compression.py --quick
+
+bench-compression: setup ## the latter in full, up to half an hour, into docs/benchmarks.md
+	$(BIN)/python -P benchmarks/compression.py --markdown docs/benchmarks.md
 
 docs: setup ## regenerate the command reference
 	$(BIN)/python -P -m alula.cli.reference docs/commands.md

@@ -1,0 +1,250 @@
+"""Covers of the same voxels by this library, the paper's rule, CoACD and V-HACD, side by side in one run.
+
+CPU and wall seconds are of the tool's call alone and count all threads; peak memory is of the whole
+process. Nothing is asserted about time; an obstacle voxel that our cover leaves out fails the run.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its idle threads count as CPU time
+sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.sort(key=sys.path[-1].__eq__)  # last: newer standard libraries have a package `compression`
+
+import argparse
+import json
+import math
+import platform
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import Any
+
+import growth
+import scenes
+import tables
+from tools import run_tool
+
+from alula.schemas.artifact import Artifact, write_artifact
+from alula.schemas.configs.merge import MergeConfig
+
+Figures = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sizes:
+    """How much is measured; `fallback` is the number of hulls where CoACD finds none in time."""
+
+    hoops: tuple[int, int, float]  # hoops, Gaussians, voxel edge [m]
+    room: int = 0  # Gaussians; 0 is none
+    garden: int = 0
+    real: bool = False
+    peers: tuple[str, ...] = ()
+    ladder: tuple[int, ...] = ()
+    growth: tuple[int, ...] = ()
+    fallback: int = 30
+    limit_s: float = 32.0  # of one tool
+    budget_s: float = math.inf  # of the whole; growth is cut short by it
+
+
+FULL = Sizes(
+    hoops=(4, 120_000, 0.024),
+    room=200_000,
+    garden=300_000,
+    real=True,
+    peers=("coacd", "coacd_remesh", "vhacd"),
+    limit_s=150.0,
+    ladder=(50, 150, 300, 1000, 3000),
+    growth=(50_000, 150_000, 500_000, 1_500_000, 2_250_000),
+    fallback=100,
+)
+QUICK = Sizes(hoops=(2, 40_000, 0.03), peers=("coacd",), growth=(50_000, 150_000), budget_s=45.0)
+TINY = Sizes(hoops=(1, 20_000, 0.05), peers=("coacd",), growth=(4_000, 8_000))
+
+PEERS: dict[str, tuple[str, str, Figures]] = {
+    "coacd": ("CoACD t 0.05, no remesh", "coacd", {"threshold": 0.05, "preprocess_mode": "off"}),
+    "coacd_remesh": ("CoACD t 0.05, its own remesh", "coacd", {"threshold": 0.05}),
+    "vhacd": ("V-HACD", "vhacd", {}),
+}
+
+
+def inputs(sizes: Sizes) -> Iterator[tuple[str, float, Callable[[], Artifact]]]:
+    """Name, voxel edge [m] and maker of each scene."""
+    count, gaussians, size = sizes.hoops
+    yield f"{count} hoops", size, lambda: scenes.hoops(count, gaussians)
+    if sizes.room:
+        yield "room", 0.05, lambda: scenes.room(sizes.room)
+    if sizes.garden:
+        yield "garden", 0.05, lambda: scenes.metric(scenes.garden(sizes.garden))
+    data = os.environ.get("ALULA_DATA") if sizes.real else None
+    for name, (scale, edge) in scenes.REAL.items() if data else ():
+        if (path := Path(str(data), name)).exists():
+            yield name, edge, partial(scenes.real, path, scale)
+
+
+def compare(sizes: Sizes, voxels: Path) -> dict[str, Figures]:
+    """All tools on the voxels of one file; ours and the paper's with as many hulls as CoACD found."""
+    rows: dict[str, Figures] = {}
+
+    def run(key: str, title: str, tool: str, options: Figures) -> Figures:
+        outcome = run_tool(tool, voxels, sizes.limit_s, **options)
+        rows[key] = {"title": title, "note": outcome.note, **outcome.figures}
+        return rows[key]
+
+    hulls = sizes.fallback
+    for key in sizes.peers:
+        title, tool, options = PEERS[key]
+        more = {"maxConvexHulls": hulls} if tool == "vhacd" else {}
+        found = run(key, title, tool, options | more)
+        if key == "coacd":
+            hulls = found.get("hulls", hulls)
+    paper = run("paper", "the paper's rule", "merge", {"hulls": hulls, "method": "paper"})
+    rows["ours"] = ours_with(sizes, voxels, paper.get("hulls", hulls))
+    if "half_planes" in paper:
+        title = "ours, with the paper's half-planes"
+        run("ours_planes", title, "merge", {"max_planes": paper["half_planes"]})
+        for title, options in variants(paper):
+            run(title, title, "merge", options)
+    return rows
+
+
+def variants(paper: Figures) -> Iterator[tuple[str, Figures]]:
+    """Further ways to spend what the paper's rule spends, as far as this version's `merge` has the option."""
+    planes = {"max_planes": paper["half_planes"]}
+    known = {field.name for field in fields(MergeConfig)}
+    for title, options in (
+        ("ours, hulls as they are, with the paper's half-planes", {"facet_cap": "none"} | planes),
+        ("ours, at most 12 half-planes a hull", {"facet_cap": 12} | planes),
+        ("ours, half-planes of 26 directions", {"kdop": 26} | planes),
+        ("ours, in the paper's bytes", {"max_bytes": paper["bytes"]}),
+    ):
+        if options.keys() <= known:
+            yield title, options
+
+
+def ours_with(sizes: Sizes, voxels: Path, hulls: int) -> Figures:
+    """Our default with exactly so many hulls, or the nearest number below.
+
+    Tightening can leave fewer hulls than asked for, and then a few more are asked for.
+    """
+    best: Figures = {}
+    asked = hulls
+    for _ in range(6):
+        outcome = run_tool("merge", voxels, sizes.limit_s, hulls=asked)
+        row = {"title": "ours", "note": outcome.note, "hulls_asked": asked, **outcome.figures}
+        if outcome.note:
+            return best or row
+        if row["hulls"] <= hulls and row["hulls"] > best.get("hulls", 0):
+            best = row
+        if row["hulls"] == hulls:
+            break
+        asked += hulls - row["hulls"]
+    return best
+
+
+def ladder(sizes: Sizes, voxels: Path) -> Iterator[Figures]:
+    """Ours against the paper's rule for several numbers of hulls."""
+    for hulls in sizes.ladder:
+        paper = run_tool("merge", voxels, sizes.limit_s, hulls=hulls, method="paper")
+        if paper.note or paper.figures["hulls"] < hulls:
+            continue
+        ours = ours_with(sizes, voxels, hulls)
+        planes = run_tool("merge", voxels, sizes.limit_s, max_planes=paper.figures["half_planes"])
+        yield {
+            "hulls": hulls,
+            "paper": {"note": "", **paper.figures},
+            "ours": ours,
+            "ours_planes": {"note": planes.note, **planes.figures},
+        }
+
+
+def contract(rows: dict[str, Figures]) -> Figures:
+    """The figures of the first scene that others rely on."""
+    ours, paper, coacd = (rows.get(name, {}) for name in ("ours", "paper", "coacd"))
+    both = ours.get("cpu_s") and coacd.get("cpu_s")
+    return {
+        "ours_cpu_s": ours.get("cpu_s"),
+        "coacd_cpu_s": coacd.get("cpu_s"),
+        "coacd_note": coacd.get("note", "not run"),  # empty when done; else its CPU time is a lower bound
+        "coacd_over_ours": coacd["cpu_s"] / ours["cpu_s"] if both else None,
+        "uncovered_voxels": ours.get("voxels_outside_every_hull"),
+        "union_ratio_ours": ours.get("union_ratio"),
+        "union_ratio_coacd": coacd.get("union_ratio"),
+        "union_ratio_paper": paper.get("union_ratio"),
+        "hulls": ours.get("hulls"),
+        "hulls_paper": paper.get("hulls"),
+        "hulls_coacd": coacd.get("hulls"),
+        "half_planes_ours": ours.get("half_planes"),
+        "half_planes_paper": paper.get("half_planes"),
+        "bytes_per_half_plane": ours.get("bytes_per_half_plane"),
+    }
+
+
+def is_covered(result: Figures) -> bool:
+    """Whether none of our covers leaves out a voxel."""
+    ours = [row for scene in result["scenes"] for key, row in scene["tools"].items() if key not in PEERS]
+    ours += [step[key] for scene in result["scenes"] for step in scene["ladder"] for key in tables.LADDER]
+    return all(row["voxels_outside_every_hull"] == 0 for row in ours if not row["note"]) and all(
+        row["covered"] for row in result["growth"] if not row["note"]
+    )
+
+
+def main() -> int:
+    """Measure everything; 1 when a cover of ours leaves out a voxel."""
+    start = time.monotonic()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--quick", action="store_true", help="one scene and CoACD alone, half a minute")
+    size.add_argument("--tiny", action="store_true", help="inputs too small to tell anything, for tests")
+    parser.add_argument("--only", metavar="TEXT", help="only scenes with this in their name, or growth")
+    parser.add_argument("--limit", type=float, metavar="S", help="wall seconds that each tool may take")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
+    options = parser.parse_args()
+    sizes = QUICK if options.quick else TINY if options.tiny else FULL
+    if options.limit is not None:
+        sizes = replace(sizes, limit_s=options.limit)
+
+    def show(text: str) -> None:
+        if not options.json:
+            print(text, flush=True)
+
+    result: Figures = {
+        "quick": options.quick,
+        "machine": f"{os.cpu_count()} processors, {platform.machine()}",
+        "python": platform.python_version(),
+        "scenes": [],
+    }
+    with tempfile.TemporaryDirectory(prefix="alula-bench-") as folder:
+        path = Path(folder, "scene.voxels.npz")
+        for name, edge, make in inputs(sizes):
+            if options.only is not None and options.only not in name:
+                continue
+            voxels = scenes.voxels_of(make(), edge)
+            write_artifact(path, voxels)
+            scene: Figures = {"name": name, "voxel_size_m": edge, "voxels": len(voxels["index"])}
+            scene["tools"] = compare(sizes, path)
+            scene["ladder"] = list(ladder(sizes, path)) if name in ("room", "garden") else []
+            result["scenes"].append(scene)
+            show(tables.scene(scene))
+    grown = sizes.growth if options.only in (None, "growth") else ()
+    result["growth"] = list(growth.rows(grown, sizes.limit_s, start + sizes.budget_s))
+    result["exponents"] = growth.exponents(result["growth"])
+    result["targets"] = tables.targets(result)
+    result = contract(result["scenes"][0]["tools"] if result["scenes"] else {}) | result
+    show(tables.growth(result))
+    show(tables.verdicts(result))
+    if options.json:
+        print(json.dumps(result, indent=2))
+    if options.markdown is not None:
+        options.markdown.write_text(tables.document(result))
+    return 0 if is_covered(result) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

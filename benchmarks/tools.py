@@ -1,0 +1,223 @@
+"""Tools that cover voxels by convex parts, each run in a process of its own and judged alike.
+
+CPU and wall time are of the tool's call alone, without starting Python or reading the input; CPU time
+counts all threads. Peak memory is of the whole process.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from solids import Solids, boundary_mesh, measure, measure_along_lines, mesh_bytes, outside_every_hull
+
+from alula.schemas.artifact import Artifact, read_artifact
+from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.kinds import VOXELS
+from alula.stages.compression.merge import merge
+
+_ERRORS = 8  # standard errors of four draws: chance exceeds it once in some hundred
+HERE = str(Path(__file__).resolve().parent)
+_START = "import sys; sys.path.append(sys.argv[1]); import {module}; {module}.child(sys.argv[2:])"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What one process came to: `note` is empty when it is done, else says why not.
+
+    When it took too long, `cpu_s` is what it had used by then.
+    """
+
+    note: str = ""
+    figures: dict[str, Any] = field(default_factory=dict)
+
+
+def _cpu_s(who: int) -> float:
+    used = resource.getrusage(who)
+    return used.ru_utime + used.ru_stime
+
+
+class Clock:
+    """Wall and CPU seconds of this process since it was made."""
+
+    def __init__(self) -> None:
+        self._wall, self._cpu = time.perf_counter(), _cpu_s(resource.RUSAGE_SELF)
+
+    def seconds(self) -> dict[str, float]:
+        """Figures `wall_s` and `cpu_s`."""
+        spent = _cpu_s(resource.RUSAGE_SELF) - self._cpu
+        return {"wall_s": time.perf_counter() - self._wall, "cpu_s": spent}
+
+
+def peak_mb() -> float:
+    """Largest resident memory of this process so far [MB], without what its parent had before it."""
+    try:
+        status = Path("/proc/self/status").read_text()
+        return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
+    except (OSError, IndexError):
+        unit = 1 if sys.platform == "darwin" else 1024
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def run_child(module: str, arguments: dict[str, Any], limit_s: float) -> Outcome:
+    """Call `module.child` in a new process and read the figures that it leaves."""
+    with tempfile.TemporaryDirectory(prefix="alula-bench-") as folder:
+        asked, answer = Path(folder, "asked.json"), Path(folder, "figures.json")
+        asked.write_text(json.dumps(arguments))
+        code = _START.format(module=module)
+        command = [sys.executable, "-P", "-c", code, HERE, str(asked), str(answer)]
+        before = _cpu_s(resource.RUSAGE_CHILDREN)
+        try:
+            done = subprocess.run(
+                command,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+                timeout=limit_s,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            spent = _cpu_s(resource.RUSAGE_CHILDREN) - before
+            return Outcome(note=f"over {limit_s:.0f} s", figures={"cpu_s": spent})
+        if not answer.exists():
+            last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+            return Outcome(note=f"failed: {last}")
+        figures = json.loads(answer.read_text())
+        return Outcome(note=figures.pop("note", ""), figures=figures)
+
+
+def child(paths: list[str]) -> None:
+    """In the new process: run one tool on the voxels of a file, write its polytopes and figures."""
+    asked, answer = (Path(path) for path in paths)
+    given = json.loads(asked.read_text())
+    voxels = read_artifact(Path(given["voxels"]), VOXELS)
+    try:
+        solids, figures = TOOLS[given["tool"]](voxels, given["options"])
+    except ModuleNotFoundError as error:
+        answer.write_text(json.dumps({"note": f"{error.name} is not installed"}))
+        return
+    arrays = {name: getattr(solids, name) for name in Solids.__dataclass_fields__}
+    np.savez(given["output"], **arrays)
+    answer.write_text(json.dumps(figures))
+
+
+def run_tool(
+    tool: str,
+    voxels: Path,
+    limit_s: float,
+    *,
+    judged: bool = True,
+    **options: Any,
+) -> Outcome:
+    """Run one tool on an `alula/voxels` file; figures are those of `judge` besides times and memory."""
+    with tempfile.TemporaryDirectory(prefix="alula-bench-") as folder:
+        output = Path(folder) / "solids.npz"
+        outcome = run_child(
+            "tools", {"tool": tool, "voxels": str(voxels), "output": str(output), "options": options}, limit_s
+        )
+        if outcome.note or not judged:
+            return outcome
+        with np.load(output) as arrays:
+            solids = Solids(**{name: arrays[name] for name in arrays.files})
+    figures = judge(solids, np.asarray(read_artifact(voxels, VOXELS)["index"])) | outcome.figures
+    figures["bytes_per_half_plane"] = figures["bytes"] / max(1, figures["half_planes"])
+    return Outcome(figures=figures)
+
+
+def judge(solids: Solids, voxels: np.ndarray) -> dict[str, Any]:
+    """What is said of a cover from its planes and vertices alone."""
+    found, lines = measure(solids, voxels), measure_along_lines(solids, voxels)
+    return {
+        "hulls": len(solids),
+        "flat_parts": int(solids.flat),
+        "half_planes": len(solids.offset),
+        "bytes": mesh_bytes(solids),
+        "union_ratio": found.union_ratio,
+        "union_ratio_error": found.error,
+        "union_ratio_along_lines": lines.union_ratio,
+        "agrees": abs(found.union_ratio - lines.union_ratio) < _ERRORS * lines.error + found.error + 1e-5,
+        "excess": found.union_ratio - (1 - found.uncovered_volume),
+        "uncovered_volume": found.uncovered_volume,
+        "voxels_with_gap": found.voxels_with_gap,
+        "voxels_outside_every_hull": outside_every_hull(solids, voxels),
+    }
+
+
+def onboard_bytes(cover: Artifact) -> int:
+    """Size of the map that a cover becomes on board."""
+    try:
+        onboard = importlib.import_module("alula.stages.compression.onboard")
+    except ModuleNotFoundError:
+        return mesh_bytes(Solids.from_cover(cover))
+    return len(onboard.encode_map(cover))
+
+
+def _merge(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
+    config = MergeConfig(**options)
+    start_mb = peak_mb()
+    clock = Clock()
+    cover = merge(config, voxels)
+    figures: dict[str, Any] = {**clock.seconds(), "peak_mb": peak_mb(), "start_mb": start_mb}
+    figures["union_ratio_stated"] = cover.manifest.conservativeness  # type: ignore[attr-defined]
+    figures["bytes"] = onboard_bytes(cover)
+    return Solids.from_cover(cover), figures
+
+
+def _coacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
+    """CoACD with its defaults and a fixed seed on the surface of the voxels."""
+    coacd = importlib.import_module("coacd")
+    corner, triangles = boundary_mesh(voxels["index"])
+    origin = corner.min(axis=0)
+    with _Silence():
+        coacd.set_log_level("off")
+        clock = Clock()
+        parts = coacd.run_coacd(coacd.Mesh(corner - origin, triangles), seed=0, **options)
+        figures = {**clock.seconds(), "peak_mb": peak_mb()}
+    return Solids.from_points([points + origin for points, _ in parts]), figures
+
+
+def _vhacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
+    """V-HACD 4 with its defaults on the surface of the voxels."""
+    vhacdx = importlib.import_module("vhacdx")
+    corner, triangles = boundary_mesh(voxels["index"])
+    origin = corner.min(axis=0)
+    with _Silence():
+        clock = Clock()
+        parts = vhacdx.compute_vhacd(corner - origin, triangles.astype(np.uint32), **options)
+        figures = {**clock.seconds(), "peak_mb": peak_mb()}
+    return Solids.from_points([np.asarray(points) + origin for points, _ in parts]), figures
+
+
+TOOLS: dict[str, Callable[[Artifact, dict[str, Any]], tuple[Solids, dict[str, Any]]]] = {
+    "merge": _merge,
+    "coacd": _coacd,
+    "vhacd": _vhacd,
+}
+
+
+class _Silence:
+    """Nothing on stdout and stderr, also not from C, which writes past `sys.stdout`."""
+
+    def __enter__(self) -> None:
+        sys.stdout.flush()
+        self._saved = [os.dup(1), os.dup(2)]
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, 1)
+        os.dup2(nothing, 2)
+        os.close(nothing)
+
+    def __exit__(self, *_: object) -> None:
+        for target, saved in enumerate(self._saved, start=1):
+            os.dup2(saved, target)
+            os.close(saved)
