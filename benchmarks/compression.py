@@ -48,7 +48,7 @@ class Sizes:
     ladder: tuple[int, ...] = ()
     growth: tuple[int, ...] = ()
     fallback: int = 30
-    limit_s: float = 32.0  # of one tool
+    limit_s: float = 36.0  # of one tool
     budget_s: float = math.inf  # of the whole; growth is cut short by it
 
 
