@@ -11,13 +11,29 @@ from numpy.typing import NDArray
 def commit() -> str:
     """The commit that a wheel was built from; empty in an editable build."""
 
-def voxelize(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float = 0.0, crop: Sequence[float] | None = None, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.uint32], int, int]:
+MAX_VOXELS: int = 134217728
+
+def voxelize(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float = 0.0, crop: Sequence[float] | None = None, tile: tuple[Sequence[int], Sequence[int]] | None = None, min_overlap: int = 1, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.uint32], NDArray[numpy.uint8], int, int]:
     """
-    Voxels that ellipsoids touch: (index i32 (M, 3) sorted, overlap u32 (M,), ellipsoids outside the crop,
-    ellipsoids that the crop cuts). Voxel i is the closed cube [i g, (i + 1) g]; ellipsoids are at level
-    sigma, grown by a ball of radius inflation (outer ellipsoid), all lengths in the unit of mean.
-    Every touched voxel is marked; a voxel farther than 2e-13 of the coordinates' size is not.
-    Raises ValueError for malformed input, OverflowError when the voxels exceed the memory budget.
+    Voxels that ellipsoids touch: (index i32 (M, 3) sorted, overlap u32 (M,), reach u8 (N,): 0 where an
+    ellipsoid marks nothing, 2 where its box exceeds the crop, else 1; voxels that fewer than min_overlap
+    touch, which are left out; the highest overlap). Voxel i is the closed cube [i g, (i + 1) g];
+    ellipsoids are at level sigma, grown by a ball of radius inflation (outer ellipsoid), all lengths in
+    the unit of mean. Every touched voxel is marked; a voxel farther than 3e-13 of the coordinates' size is
+    not. With a tile (lowest index, highest index) only its voxels. Raises ValueError for malformed input,
+    OverflowError when the voxels exceed the memory budget.
+    """
+
+def tiles_of(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float, crop: Sequence[float] | None, edge: int, progress: object | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.int64], NDArray[numpy.uint32]]:
+    """
+    Tiles of edge^3 voxels that ellipsoids may touch, by their boxes: (tile i32 (T, 3) sorted, start i64
+    (T + 1), row u32): tile t holds the voxels t edge ... t edge + edge - 1. Raises OverflowError for more
+    than 2^20 tiles or 2^27 rows.
+    """
+
+def joined_voxels(index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], count: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)], start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[NDArray[numpy.int32], NDArray[numpy.uint32]]:
+    """
+    One sorted list (index, count) of disjoint sorted lists of voxels: rows start[i] ... start[i + 1] - 1.
     """
 
 def unproven_voxels(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float, crop: Sequence[float] | None, min_overlap: int, index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], jobs: int = 0, progress: object | None = None) -> tuple[int, NDArray[numpy.int32], NDArray[numpy.int64]]:
@@ -34,14 +50,28 @@ def lattice_hull(points: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), o
     Exact hull of integer points (N, 3): sorted vertices and primitive planes, as a cover of one hull.
     """
 
-def merge_cover(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], block: int, is_paper: bool, max_hulls: int, max_planes: int, max_growth: float, jobs: int, progress: object | None) -> dict[str, Any]:
+def cover_excess(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], vertex: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], vertex_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_normal: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], plane_offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], jobs: int, progress: object | None) -> float:
     """
-    Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets, or an
-    empty `member_start` asks for the set cover by clusters. A limit of 0 is none. Returns the arrays of
-    an alula/cover, the curve (hulls, sum of W, planes), the excess of the union [voxels] and its grid.
+    Volume [voxels] of the union of polytopes outside sorted voxels (M, 3), all of which they contain.
     """
 
-def check_cover_hulls(vertex: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], vertex_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_normal: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], plane_offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], member_index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], jobs: int, progress: object | None) -> NDArray[numpy.int64]:
+def merge_cover(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], block: int, is_paper: bool, max_hulls: int, max_planes: int, max_bytes: int, facet_cap: int, kdop: int, is_fitted: bool, max_growth: float, jobs: int, progress: object | None) -> dict[str, Any]:
+    """
+    Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets, or an
+    empty `member_start` asks for the set cover by clusters. A limit of 0 is none. `facet_cap` and `kdop`
+    ask for outer polytopes; `is_fitted` for as many hulls as make the least of the budget. Returns the
+    arrays of an alula/cover, the curve (hulls, sum of W, planes, bytes), what was measured (hulls, planes,
+    bytes, excess [voxels]), the excess of the union [voxels] and its grid.
+    """
+
+def union_measure(normal: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], lower: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], sliver: float, jobs: int, progress: object | None) -> dict[str, Any]:
+    """
+    Volume of the union of polytopes {lower <= x <= upper, normal . x <= offset} with unit normals (F, 3),
+    row-compressed by `start` (n + 1,), in voxel edges; its intersection with sorted voxels (M, 3), how many
+    of them lack no more than `sliver` of their volume, and a bound on the rounding error of both volumes.
+    """
+
+def check_cover_hulls(vertex: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], vertex_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_normal: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], plane_offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], member_index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], is_outer: bool, jobs: int, progress: object | None) -> NDArray[numpy.int64]:
     """
     Exact check of each hull of a cover. Returns rows (fault, hull, row, other), ordered by hull.
     """
@@ -83,6 +113,49 @@ def onboard_exp_log(x: Annotated[NDArray[numpy.float32], dict(shape=(None,), ord
     """
     The onboard exponential and logarithm, for checking their error bounds.
     """
+
+def encode_map_records(vertex: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], vertex_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_normal: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: tuple[int, int, int], largest_normal: int, jobs: int, progress: object | None) -> tuple[bytes, int, bool, int, int]:
+    """
+    Hulls of a cover as records of an onboard map: (bytes, oblique planes, whether their normals are of the
+    k-DOP family, largest normal, largest shift). Raises ValueError, and OverflowError beyond 16 bits.
+    """
+
+def check_map_voxels(lower: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], normal: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], voxel: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], jobs: int, progress: object | None) -> NDArray[numpy.int64]:
+    """Rows of voxels (M, 3) that no hull of a decoded map contains, exactly."""
+
+def check_map_polytopes(lower: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], normal: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], vertex: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], vertex_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.int64]:
+    """
+    Polytopes, given by their vertices, that no hull of a decoded map with the same box contains, exactly.
+    """
+
+class OnboardMap:
+    """
+    An image of an onboard map, read by the C code that runs on a microcontroller.
+
+    Raises ValueError with the reader's complaint for an image that it refuses.
+    """
+
+    def __init__(self, image: bytes) -> None: ...
+
+    @property
+    def hulls(self) -> int: ...
+
+    @property
+    def planes(self) -> int: ...
+
+    @property
+    def margin_m(self) -> float: ...
+
+    @property
+    def extent_m(self) -> float: ...
+
+    def records(self) -> tuple[NDArray[numpy.int32], NDArray[numpy.int32], NDArray[numpy.uint32], NDArray[numpy.int32], NDArray[numpy.uint32]]:
+        """
+        lower and upper (n, 3), oblique planes per hull (n), their normals (K, 3) and depths (K).
+        """
+
+    def psi(self, points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], *, jobs: int = 0) -> tuple[NDArray[numpy.float32], NDArray[numpy.uint32], NDArray[numpy.float32]]:
+        """psi (N) [m], nearest hull (N) and normal (N, 3) at points (N, 3) [m]."""
 
 class TrialRules:
     """When a flight ends, and its nominal controller."""
@@ -169,4 +242,9 @@ def tighten_path(obstacles: PolytopeSet, path: Annotated[NDArray[numpy.float64],
 def check_curves(obstacles: PolytopeSet, control_points: Annotated[NDArray[numpy.float64], dict(shape=(None, 8, 3), order='C', device='cpu', writable=False)], slack: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], radius: float, max_depth: int, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.uint8], NDArray[numpy.float64], int, int]:
     """
     Prove that curves, shape (P, 8, 3) in Bernstein form, keep `radius` from all polytopes: per piece proven (u8) and clearance, then the pairs decided and the deepest subdivision.
+    """
+
+def outer_solids(normal: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], jobs: int) -> dict[str, Any]:
+    """
+    Corners and outward triangles of the polytopes normal . x <= offset, found exactly, rounded in the end.
     """
