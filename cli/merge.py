@@ -25,6 +25,9 @@ def command(source: Path, config: MergeConfig, common: options.Common) -> None:
 
     Every occupied voxel ends up inside a hull, exactly. Hulls are merged greedily where that encloses
     least free space, until the limits hold. A cover as input is merged further.
+
+    Limits of half-planes or bytes buy more hulls of fewer planes: polytopes that contain the hulls, with
+    the planes that remove most free space.
     """
     from alula.cli.runner import Progress, run_stage
     from alula.schemas.artifact import Artifact, read_artifact

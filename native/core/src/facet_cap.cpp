@@ -42,12 +42,6 @@ Normal shortened(const Normal& n) {
   return {best[0] / divisor, best[1] / divisor, best[2] / divisor};
 }
 
-int line_count(std::int32_t extent) {
-  if (extent <= 3) return 4 * extent;
-  if (extent <= 8) return 2 * extent;
-  return std::min<std::int32_t>(extent, 24);
-}
-
 bool is_axis(const LatticePlane& plane) {
   return std::abs(plane.normal[0]) + std::abs(plane.normal[1]) + std::abs(plane.normal[2]) == 1;
 }
@@ -99,7 +93,7 @@ LatticePolytope kdop(const LatticePolytope& hull, std::size_t k) {
 
 void FacetRanker::set_lines(const LatticeBox& box) {
   const std::int32_t ex = box.upper[0] - box.lower[0], ey = box.upper[1] - box.lower[1];
-  const int nx = line_count(ex), ny = line_count(ey);
+  const int nx = sample_lines(ex), ny = sample_lines(ey);
   const double step_x = static_cast<double>(ex) / nx, step_y = static_cast<double>(ey) / ny;
   const double height = box.upper[2] - box.lower[2];
   area_ = step_x * step_y;

@@ -15,14 +15,13 @@ std::size_t hash_column(std::int32_t x, std::int32_t y) {
 
 const Occupancy::Column kUnknown{};  // stands for a column that was not looked up yet
 
-// Lines per axis of a box that is `extent` voxels long.
-int lines(std::int32_t extent) {
+}  // namespace
+
+int sample_lines(std::int32_t extent) {
   if (extent <= 3) return 4 * extent;
   if (extent <= 8) return 2 * extent;
   return std::min(extent, 24);
 }
-
-}  // namespace
 
 Occupancy::Occupancy(std::span<const Lattice> voxels) : voxel_(voxels.begin(), voxels.end()) {
   if (voxel_.size() >= std::numeric_limits<std::uint32_t>::max()) throw std::invalid_argument("too many voxels");
@@ -164,7 +163,7 @@ double ExcessMeter::measure(const LatticeBox& box, bool is_box) {
   const double volume = static_cast<double>(ex) * ey * (box.upper[2] - box.lower[2]);
   // A hull of voxels has a facet on each side of its bounding box; six facets are that box.
   if (is_box) return volume - static_cast<double>(occupancy_->count(box));
-  const int nx = lines(ex), ny = lines(ey);
+  const int nx = sample_lines(ex), ny = sample_lines(ey);
   const double step_x = static_cast<double>(ex) / nx, step_y = static_cast<double>(ey) / ny;
   y_.resize(static_cast<std::size_t>(ny)), low_.resize(y_.size()), high_.resize(y_.size());
   column_.resize(y_.size());

@@ -66,6 +66,10 @@ class Occupancy {
   std::vector<std::uint32_t> table_;  // open addressing; column + 1
 };
 
+// Lines per axis that sample a box of `extent` voxels: four per voxel up to 3 voxels, two up to 8,
+// then one, at most 24.
+int sample_lines(std::int32_t extent);
+
 // A polytope as bounds on z over (x, y), in coordinates local to the lower corner of its box.
 class ZBounds {
  public:
@@ -86,7 +90,7 @@ class ZBounds {
 };
 
 // Measures W = Vol(polytope \ occupied) [voxels], by exact z-intervals over a midpoint grid of the
-// bounding box: per axis four lines per voxel up to 3 voxels, two up to 8, then one, at most 24.
+// bounding box with sample_lines() per axis.
 // Boxes are counted exactly; any other polytope measures zero only when its bounding box is full, and
 // at least kLeast otherwise, so that W = 0 always means no excess. It ranks merges and decides
 // nothing else. One per thread.

@@ -1,0 +1,110 @@
+// Outer polytopes contain their hulls, keep to their number of planes and have the corners they should.
+#include <algorithm>
+#include <stdexcept>
+
+#include "alula/cover_check.hpp"
+#include "alula/facet_cap.hpp"
+#include "alula/fitting.hpp"
+#include "alula/outer_solid.hpp"
+#include "check.hpp"
+
+namespace {
+
+using namespace alula;
+
+std::vector<Lattice> blobs() {
+  std::vector<Lattice> voxels;
+  for (std::int32_t x = -14; x < 14; ++x)
+    for (std::int32_t y = -10; y < 10; ++y)
+      for (std::int32_t z = -9; z < 9; ++z) {
+        const bool ball = (x + 7) * (x + 7) + y * y + z * z < 30;
+        const bool slab = x > 0 && x + 2 * y - z > -3 && x + 2 * y - z < 4;
+        if (ball || slab) voxels.push_back({x, y, z});
+      }
+  return voxels;
+}
+
+std::vector<Violation> violations(const Occupancy& occupancy, const Cover& cover) {
+  std::vector<std::int32_t> vertex, member;
+  std::vector<std::int64_t> normal, offset, vertex_start{0}, plane_start{0}, member_start{0};
+  for (std::size_t h = 0; h < cover.hull.size(); ++h) {
+    for (const Lattice& v : cover.hull[h].vertex) vertex.insert(vertex.end(), v.begin(), v.end());
+    for (const LatticePlane& p : cover.hull[h].plane) {
+      normal.insert(normal.end(), p.normal.begin(), p.normal.end());
+      offset.push_back(p.offset);
+    }
+    for (const std::uint32_t m : cover.members[h])
+      member.insert(member.end(), occupancy.voxels()[m].begin(), occupancy.voxels()[m].end());
+    vertex_start.push_back(static_cast<std::int64_t>(vertex.size() / 3));
+    plane_start.push_back(static_cast<std::int64_t>(offset.size()));
+    member_start.push_back(static_cast<std::int64_t>(member.size() / 3));
+  }
+  Control control;
+  return check_hulls({vertex, vertex_start, normal, offset, plane_start, member, member_start, true}, 2, control);
+}
+
+std::size_t most_planes(const Cover& cover) {
+  std::size_t most = 0;
+  for (const LatticePolytope& hull : cover.hull) most = std::max(most, hull.plane.size());
+  return most;
+}
+
+template <class F>
+bool is_refused(F&& function) {
+  try {
+    function();
+  } catch (const std::invalid_argument&) {
+    return true;
+  }
+  return false;
+}
+
+}  // namespace
+
+int main() {
+  const std::vector<Lattice> voxels = blobs();
+  const Occupancy occupancy(voxels);
+  Control control;
+  const VoxelSets sets = subcover(occupancy, 1, 2, control);
+  for (const bool tighten : {false, true}) {
+    for (const Form& form : {Form{6, 0}, Form{9, 0}, Form{0, 14}, Form{0, 26}}) {
+      MergeOptions options;
+      options.max_hulls = 20;
+      Cover cover = merge(occupancy, sets, options, 2, control);
+      make_outer(occupancy, cover, Budget{0, 0, form}, tighten, 2, control);
+      CHECK(violations(occupancy, cover).empty());
+      CHECK(most_planes(cover) <= std::max(form.facet_cap, form.kdop));
+      for (const LatticePolytope& hull : cover.hull) {
+        const OuterSolid solid = outer_solid(hull.plane);
+        CHECK(solid.point.size() >= 12 && solid.triangle.size() == 2 * solid.point.size() - 12);
+      }
+    }
+  }
+  for (const std::size_t planes : {std::size_t{6}, std::size_t{61}, std::size_t{300}}) {
+    for (const bool is_bytes : {false, true}) {
+      MergeOptions options;
+      options.budget = is_bytes ? Budget{0, 78 + 5 * (planes - 6), {}} : Budget{planes, 0, {}};
+      std::vector<Measured> measured, again;
+      const Cover cover = fit(occupancy, sets, options, 1, control, measured);
+      CHECK(cover.within_budget && options.budget.holds(cover.hull.size(), planes_of(cover.hull)));
+      CHECK(violations(occupancy, cover).empty());
+      CHECK(fit(occupancy, sets, options, 3, control, again).members.member == cover.members.member);
+    }
+  }
+  CHECK(is_refused([] { kdop({{{0, 0, 0}, {1, 1, 1}}, {}}, 8); }));
+  const std::vector<LatticePlane> box{{{-1, 0, 0}, 0}, {{1, 0, 0}, 4},  {{0, -1, 0}, 0},
+                                      {{0, 1, 0}, 4},  {{0, 0, -1}, 0}, {{0, 0, 1}, 4}};
+  CHECK(outer_solid(box).point.size() == 24 && outer_solid(box).is_lattice);
+  auto with = [&](LatticePlane plane) {
+    std::vector<LatticePlane> planes = box;
+    planes.push_back(plane);
+    return planes;
+  };
+  CHECK(outer_solid(with({{1, 1, 0}, 8})).triangle.size() == 36);  // touches in an edge
+  CHECK(outer_solid(with({{2, 2, 2}, 7})).point.size() == 12 && !outer_solid(with({{2, 2, 2}, 7})).is_lattice);
+  CHECK(is_refused([&] { outer_solid(with({{1, 1, 1}, 0})); }));
+  CHECK(is_refused([&] { outer_solid(with({{1, 1, 1}, -5})); }));
+  CHECK(is_refused([&] { outer_solid(with({{1 << 15, 1, 1}, 9})); }));
+  CHECK(is_refused([&] { outer_solid(std::span(box).first(5)); }));
+  return alula_failures != 0;
+}
