@@ -154,10 +154,11 @@ class OnboardMap {
       at = hull.next;
     }
     const std::size_t hulls = count.size(), planes = depth.size();
-    return std::tuple<Out<std::int32_t>, Out<std::int32_t>, Out<std::uint32_t>, Out<std::int32_t>, Out<std::uint32_t>>{
-        to_numpy(std::move(lower), {hulls, 3}), to_numpy(std::move(upper), {hulls, 3}),
-        to_numpy(std::move(count), {hulls}), to_numpy(std::move(normal), {planes, 3}),
-        to_numpy(std::move(depth), {planes})};
+    return std::tuple<Out<std::int32_t>, Out<std::int32_t>, Out<std::uint32_t>, Out<std::int32_t>,
+                      Out<std::uint32_t>>{to_numpy(std::move(lower), {hulls, 3}),
+                                          to_numpy(std::move(upper), {hulls, 3}), to_numpy(std::move(count), {hulls}),
+                                          to_numpy(std::move(normal), {planes, 3}),
+                                          to_numpy(std::move(depth), {planes})};
   }
 
  private:

@@ -47,8 +47,8 @@ Run run_inside(const MapView& map, std::size_t h, std::int64_t x, std::int64_t y
   for (std::size_t l = static_cast<std::size_t>(map.plane_start[h]); l < end && run.low <= run.high; ++l) {
     const auto [nx, ny, nz] = triple(map.normal, l);
     const std::int64_t rest = map.offset[l] - nx * (x + (nx > 0)) - ny * (y + (ny > 0));
-    if (nz > 0) run.high = std::min(run.high, floor_div(rest, nz) - 1);   // nz (z + 1) <= rest
-    if (nz < 0) run.low = std::max(run.low, -floor_div(rest, -nz));       // -nz z >= -rest
+    if (nz > 0) run.high = std::min(run.high, floor_div(rest, nz) - 1);  // nz (z + 1) <= rest
+    if (nz < 0) run.low = std::max(run.low, -floor_div(rest, -nz));      // -nz z >= -rest
     if (nz == 0 && rest < 0) run.high = run.low - 1;
   }
   return run;

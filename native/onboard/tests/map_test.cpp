@@ -1,12 +1,11 @@
 // The onboard map as firmware reads it: by hand-made images, each in memory of exactly its size.
-#include "alula_map.h"
-
 #include <cmath>
 #include <cstdint>
 #include <cstring>
 #include <limits>
 #include <vector>
 
+#include "alula_map.h"
 #include "check.hpp"
 
 namespace {
