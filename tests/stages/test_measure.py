@@ -102,7 +102,7 @@ def measured(hulls, boxes, voxels=NO_VOXELS, jobs=1):
 points = st.lists(st.tuples(*[st.integers(0, 4)] * 3), min_size=4, max_size=7)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=20)
 @given(st.lists(points, min_size=1, max_size=4), st.integers(-1000, 1000))
 def test_the_union_is_that_of_rational_arithmetic_within_the_stated_error(clouds, shift):
     hulls, boxes = [], []
@@ -118,7 +118,7 @@ def test_the_union_is_that_of_rational_arithmetic_within_the_stated_error(clouds
     found = measured(hulls, boxes)
     off = abs(Fraction(found["volume"]) - exact_union(hulls))
     assert off <= Fraction(found["error"])
-    assert found["error"] < 1e-8
+    assert found["error"] < 1e-6
 
 
 def test_voxels_are_filled_as_rational_arithmetic_says():
@@ -126,7 +126,7 @@ def test_voxels_are_filled_as_rational_arithmetic_says():
     clouds = [rng.integers(0, 4, (6, 3)).tolist() for _ in range(3)]
     hulls = [lattice_hull(cloud) for cloud in clouds]
     boxes = [(np.min(cloud, axis=0), np.max(cloud, axis=0)) for cloud in clouds]
-    cells = np.array([c for c in product(range(4), repeat=3) if sum(c) % 2], np.int32)
+    cells = np.array([c for c in product(range(1, 4), repeat=3) if sum(c) % 2], np.int32)
     found = measured(hulls, boxes, cells)
     assert found["volume"] == pytest.approx(measured(hulls, boxes)["volume"], abs=found["error"])
     filled = []
@@ -144,12 +144,20 @@ def test_hulls_that_share_vertices_edges_and_planes_are_counted_once():
     wedges = [cube[:i] + cube[i + 1 :] for i in range(8)] + [cube, cube]
     hulls = [lattice_hull(w) for w in wedges]
     boxes = [((0, 0, 0), (2, 2, 2))] * len(hulls)
-    assert measured(hulls, boxes)["volume"] == pytest.approx(8, abs=1e-12)
+    cells = np.array(list(product(range(2), repeat=3)), np.int32)
+    whole = measured(hulls, boxes, cells)
+    assert whole["volume"] == pytest.approx(8, abs=1e-12)
+    assert whole["intersection"] == pytest.approx(8, abs=1e-12)
+    assert whole["whole"] == 8
     without = measured(hulls[:2], boxes[:2])
     assert without["volume"] == pytest.approx(float(exact_union(hulls[:2])), abs=1e-12)
-    tetrahedra = [lattice_hull([(0, 0, 0), (k, 1, 0), (k, 0, 2), (0, 1, 3)]) for k in range(1, 9)]
-    many = measured(tetrahedra, [((0, 0, 0), (k, 1, 3)) for k in range(1, 9)])
+    tetrahedra = [lattice_hull([(0, 0, 0), (k, 1, 0), (k, 0, 2), (0, 1, 3)]) for k in range(1, 7)]
+    many = measured(tetrahedra, [((0, 0, 0), (k, 1, 3)) for k in range(1, 7)])
     assert many["volume"] == pytest.approx(float(exact_union(tetrahedra)), abs=many["error"])
+    box = np.array(list(product(range(6), range(1), range(3))), np.int32)
+    inside = measured(tetrahedra, [((0, 0, 0), (k, 1, 3)) for k in range(1, 7)], box)
+    assert inside["intersection"] == pytest.approx(many["volume"], abs=2 * many["error"])
+    assert inside["whole"] == 0
 
 
 @pytest.fixture(scope="module")

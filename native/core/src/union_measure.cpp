@@ -103,9 +103,8 @@ class Measurer {
 
   // Whether a reduced box is better halved than measured as it is.
   bool is_large(const Part& part) const {
-    const Vec3 e = part.box.upper - part.box.lower;
-    const double longest = std::max({e.x, e.y, e.z});
-    if (longest <= 1) return part.reach.size() > 4 && longest > 0.1;
+    const double edge = longest(part.box);
+    if (edge <= 1) return part.reach.size() > 4 && edge > 0.1;
     if (voxels_ != nullptr && count(part.box) > 0) return true;
     if (part.reach.size() == 1) return part.plane.size() > 60;
     if (part.reach.size() == 2) return part.plane.size() > 32;
@@ -152,13 +151,17 @@ class Measurer {
 
   void add_full(const Box& box) {
     result.volume += volume(box);
+    ++terms_;
     if (voxels_ == nullptr) return;
     const Vec3 e = box.upper - box.lower;
-    if (std::max({e.x, e.y, e.z}) < 1) return voxel(box, volume(box));
+    if (std::min({e.x, e.y, e.z}) < 1) return voxel(box, volume(box));  // a part of one
     const std::size_t held = count(box);
     result.intersection += static_cast<double>(held);
     result.whole += held;
   }
+
+  // Of the sums in a part; none is larger than the box that it is in.
+  double summation_error(const Box& box) const { return terms_ * kUnit * volume(box); }
 
   UnionMeasure result;
 
@@ -170,8 +173,7 @@ class Measurer {
       cell.lower[i] = static_cast<std::int32_t>(std::floor(box.lower[i]));
       cell.upper[i] = cell.lower[i] + 1;
     }
-    const Vec3 e = box.upper - box.lower;
-    if (std::max({e.x, e.y, e.z}) > 1 || voxels_->count(cell) == 0) return;
+    if (longest(box) > 1 || voxels_->count(cell) == 0) return;
     result.intersection += filled;
     if (cell.lower != voxel_) voxel_ = cell.lower, filled_ = 0;
     const bool was_whole = filled_ >= 1 - options_.sliver;
@@ -245,7 +247,8 @@ class Measurer {
   }
 
   double add_solid(const Solid& solid) {
-    result.error += (32 + 4.0 * solid.cuts()) * kUnit * extent_ * box_area_;
+    terms_ += 2;  // in united() and in the total
+    result.error += (48 + 8.0 * solid.cuts()) * kUnit * extent_ * box_area_;
     result.is_complete = result.is_complete && result.cuts <= options_.cuts_per_part;
     return solid.volume();
   }
@@ -254,6 +257,7 @@ class Measurer {
   const Occupancy* voxels_;
   MeasureOptions options_;
   double extent_, tolerance_, box_area_ = 0;
+  double terms_ = 0;
   std::deque<Part> part_;
   std::deque<Solid> solid_;
   std::vector<Reach> reach_;
@@ -306,8 +310,10 @@ UnionMeasure union_measure(const ConvexSets& sets, const Occupancy* voxels, cons
   parallel_chunks(parts.size(), 1, jobs, control, [&](std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) {
       Measurer measurer(sets, voxels, options, extent);
+      const Box box = parts[i].box;
       measurer.measure(parts[i]);
       found[i] = measurer.result;
+      found[i].error += measurer.summation_error(box);
     }
   });
   UnionMeasure result;
@@ -319,7 +325,7 @@ UnionMeasure union_measure(const ConvexSets& sets, const Occupancy* voxels, cons
     result.cuts += part.cuts;
     result.is_complete = result.is_complete && part.is_complete;
   }
-  result.error += 2 * kUnit * (static_cast<double>(parts.size()) + 4096) * result.volume;
+  result.error += static_cast<double>(parts.size()) * kUnit * result.volume;
   return result;
 }
 

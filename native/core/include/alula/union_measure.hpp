@@ -10,7 +10,7 @@
 
 namespace alula {
 
-// Convex polytopes in voxel edges: polytope h is box[h] cut by its half-spaces.
+// Convex polytopes in voxel edges. Polytope h is what its half-spaces bound; box[h] holds it.
 struct ConvexSets {
   std::vector<geometry::HalfSpace> plane;
   std::vector<std::uint32_t> start{0};  // first half-space of each polytope, and the end
@@ -33,15 +33,17 @@ struct UnionMeasure {
 
 struct MeasureOptions {
   double sliver = 1e-9;                 // voxels missing no more than this count as whole
-  std::size_t cuts_per_part = SIZE_MAX;  // of the box that holds everything, in up to 1023 parts
+  std::size_t cuts_per_part = SIZE_MAX;  // of the up to 1023 parts
 };
 
-// Space is halved into boxes until few polytopes reach into one. There the union is
-// U(S; P, rest) = V(S n P) + U(S; rest) - U(S n P; rest), with S first the box and each S n P a convex
-// solid cut by P's planes; polytopes that miss S drop out and one that contains it ends the recursion.
-// Every volume is that of a closed polyhedron, so the result is exact up to rounding: moving the planes
-// of a convex piece within a box of area A by d changes its volume by at most d A, and `error` sums that
-// with d = (32 + 4 cuts) u E, E the largest coordinate, u = 2^-53, for all pieces.
+// Space is halved into boxes until few polytopes reach into one. There, with S first the box,
+// U(S; P, rest) = V(S n P) + U(S; rest) - U(S n P; rest), where each S n P is a convex solid cut by the
+// planes of P; polytopes that miss S drop out, and one that contains it ends the recursion.
+//
+// Exact up to rounding: moving the planes of a convex piece by d changes its volume inside a box by at
+// most d times the area of the box. `error` sums that over all pieces with d = (48 + 8 cuts) u E, where
+// E is the largest coordinate and u = 2^-53: the tolerance 16 u E, the planes and their values 16 u E,
+// each cut 4 u E and the sum over the piece's triangles; then it adds the roundings of the total.
 //
 // With `voxels`, boxes that hold any are halved down to single voxels unless one polytope holds the box.
 // Deterministic for any number of threads.
