@@ -338,7 +338,9 @@ void refuse_early(const Splats& splats, const Level& level, double g, const Crop
     const float* s = &splats.scale[3 * i];
     boxes += (per_scale * s[0] + rest) * (per_scale * s[1] + rest) * (per_scale * s[2] + rest);
   }
-  if (boxes < double(OverlapGrid::kMaxVoxels)) return;
+  // Nor where a coarser look would be no cheaper; what is not finite is refused later.
+  const double worth = std::max(double(OverlapGrid::kMaxVoxels), 8 * double(splats.size()));
+  if (!std::isfinite(boxes) || boxes < worth) return;
   CropRange coarse = range;
   for (std::size_t a = 0; a < 3; ++a)
     coarse.lower[a] = std::floor(range.lower[a] / 4), coarse.upper[a] = std::floor(range.upper[a] / 4);
