@@ -49,6 +49,11 @@ def test_voxels_are_written_once_and_then_left_alone(scene, tmp_path, capsys):
     assert output.read_bytes() != before
     assert run([*words, "-f", "--jobs", "1"]) == 0
     assert output.read_bytes() == before
+    assert run([*words, "--tile", "0.5"]) == 0
+    assert '"status": "unchanged"' in capsys.readouterr().out
+    output.unlink()
+    assert run([*words, "--tile", "0.5"]) == 0
+    assert output.read_bytes() == before
 
 
 def test_a_dry_run_writes_nothing(scene, tmp_path, capsys):
@@ -64,6 +69,9 @@ def test_a_dry_run_writes_nothing(scene, tmp_path, capsys):
         (["--crop", "0", "0", "0", "1", "1", "0"], 2, "--crop needs XMIN < XMAX"),
         (["--confidence", "1.5"], 2, "--confidence must be between 0 and 1"),
         (["--size", "nan"], 2, "not finite"),
+        (["--min-opacity", "2"], 2, "--min-opacity must be between 0 and 1"),
+        (["--tile", "0"], 2, "--tile must be more than 0"),
+        (["--scheduler", "nowhere"], 2, "--scheduler must be an address like tcp://host:8786"),
         (["--size", "0.0001"], 3, "a.scene.npz: the scene would need at least"),
         (["--min-overlap", "199", "--size", "0.1"], 5, "no voxel is touched by 199 Gaussians"),
         (["--crop", "8", "8", "8", "9", "9", "9"], 5, "no Gaussian touches the crop"),

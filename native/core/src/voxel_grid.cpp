@@ -106,15 +106,21 @@ void BrickMap::grow() {
 
 namespace {
 
-[[noreturn]] void throw_too_many(const char* qualifier, double voxels) {
+[[noreturn]] void throw_too_many(const char* qualifier, double count, const char* what = " voxels") {
   throw std::overflow_error("the scene would need " + std::string(qualifier) +
-                            std::to_string(static_cast<long long>(std::min(voxels, 1e18))) + " voxels");
+                            std::to_string(static_cast<long long>(std::min(count, 1e18))) + what);
 }
+
+constexpr const char* kBricks = " bricks of 4 x 4 x 8 voxels";
 
 }  // namespace
 
 void check_voxel_budget(double least_voxels) {
   if (least_voxels > double(OverlapGrid::kMaxVoxels)) throw_too_many("at least ", least_voxels);
+}
+
+void check_brick_budget(std::size_t least_bricks) {
+  if (least_bricks > OverlapGrid::kMaxBricks) throw_too_many("at least ", double(least_bricks), kBricks);
 }
 
 struct OverlapGrid::Budget {
@@ -150,7 +156,8 @@ struct OverlapGrid::Shard {
   Brick& brick_at(const Index3& key) {
     const std::uint32_t number = map.insert(key);
     while (number >= pages.size() * kPage) {
-      if ((budget->bricks += kPage) > budget->max_bricks) throw_too_many("more than ", double(budget->max_bricks));
+      if ((budget->bricks += kPage) > budget->max_bricks)
+        throw_too_many("more than ", double(budget->max_bricks), kBricks);
       pages.push_back(std::make_unique<Brick[]>(kPage));
     }
     return brick(number);
@@ -235,8 +242,10 @@ VoxelCounts OverlapGrid::collect(std::uint32_t min_count, unsigned jobs, Control
   };
   std::vector<Entry> entries;
   for (const auto& shard : shards_)
-    shard->map.each(
-        [&](const Index3& key, std::uint32_t number) { entries.push_back({key, &shard->brick(number)}); });
+    shard->map.each([&](const Index3& key, std::uint32_t number) {
+      // A brick that the budget refused has a number, but no counters.
+      if (number < shard->pages.size() * Shard::kPage) entries.push_back({key, &shard->brick(number)});
+    });
   std::sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) { return a.key < b.key; });
 
   // Slabs of equal brick x; within a slab lexicographic order interleaves the bricks' columns.

@@ -317,6 +317,43 @@ std::int32_t floor_divided(std::int32_t a, std::int32_t b) { return a / b - (a %
   throw std::overflow_error("the scene would fall into too many tiles of this size");
 }
 
+// Marks all ellipsoids within a range.
+template <class Marked>
+void mark_all(const Splats& splats, const Level& level, double g, const CropRange& outer, const CropRange& range,
+              OverlapGrid& grid, unsigned jobs, Control& control, Marked&& marked) {
+  parallel_chunks(splats.size(), kChunk, jobs, control, [&](std::size_t begin, std::size_t end) {
+    Marker marker(grid, g, outer, range);
+    for (std::size_t i = begin; i < end; ++i) marked(i, marker.mark(outer_ellipsoid(splats, i, level)));
+    marker.finish();
+  });
+}
+
+// Refuses what would not fit after a look at voxels of four times the edge: a brick holds two of them, and each
+// that is touched holds a touched voxel. Only where the boxes are large enough for that to be in question.
+void refuse_early(const Splats& splats, const Level& level, double g, const CropRange& range, unsigned jobs,
+                  Control& control) {
+  double boxes = 0;
+  const double per_scale = 2 * level.sigma / g, rest = 2 * level.inflation / g + 1;
+  for (std::size_t i = 0; i < splats.size(); ++i) {
+    const float* s = &splats.scale[3 * i];
+    boxes += (per_scale * s[0] + rest) * (per_scale * s[1] + rest) * (per_scale * s[2] + rest);
+  }
+  // Nor where a coarser look would be no cheaper; what is not finite is refused later.
+  const double worth = std::max(double(OverlapGrid::kMaxVoxels), 8 * double(splats.size()));
+  if (!std::isfinite(boxes) || boxes < worth) return;
+  CropRange coarse = range;
+  for (std::size_t a = 0; a < 3; ++a)
+    coarse.lower[a] = std::floor(range.lower[a] / 4), coarse.upper[a] = std::floor(range.upper[a] / 4);
+  refuse_early(splats, level, 4 * g, coarse, jobs, control);
+  OverlapGrid grid(OverlapGrid::kMaxVoxels, OverlapGrid::kMaxBricks / 4);
+  InterruptOnly quiet(control);
+  try {
+    mark_all(splats, level, 4 * g, coarse, coarse, grid, jobs, quiet, [](std::size_t, Reach) {});
+  } catch (const std::overflow_error&) {  // what was counted so far counts
+  }
+  check_brick_budget(grid.collect(std::numeric_limits<std::uint32_t>::max(), jobs, quiet).below / 2);
+}
+
 CropRange within_tile(CropRange range, const std::optional<Block>& tile) {
   for (std::size_t a = 0; tile && a < 3; ++a) {
     range.lower[a] = std::max(range.lower[a], double(tile->lower[a]));
@@ -333,13 +370,10 @@ Voxelized voxelize(const Splats& splats, const Level& level, double voxel_size, 
   const CropRange outer = crop_range(crop, voxel_size), range = within_tile(outer, tile);
   Voxelized out;
   out.reach.resize(splats.size());
+  refuse_early(splats, level, voxel_size, range, jobs, control);
   OverlapGrid grid;
-  parallel_chunks(splats.size(), kChunk, jobs, control, [&](std::size_t begin, std::size_t end) {
-    Marker marker(grid, voxel_size, outer, range);
-    for (std::size_t i = begin; i < end; ++i)
-      out.reach[i] = static_cast<std::uint8_t>(marker.mark(outer_ellipsoid(splats, i, level)));
-    marker.finish();
-  });
+  mark_all(splats, level, voxel_size, outer, range, grid, jobs, control,
+           [&](std::size_t i, Reach reach) { out.reach[i] = static_cast<std::uint8_t>(reach); });
   Control quiet;
   out.voxels = grid.collect(min_overlap, jobs, quiet);
   return out;

@@ -137,6 +137,9 @@ class OverlapGrid {
 // Throws std::overflow_error when one ellipsoid alone exceeds OverlapGrid::kMaxVoxels.
 void check_voxel_budget(double least_voxels);
 
+// Throws std::overflow_error when there would be more than OverlapGrid::kMaxBricks.
+void check_brick_budget(std::size_t least_bricks);
+
 // A set of voxels as bricks of 8 x 8 x 8 bits.
 class VoxelSet {
  public:
