@@ -19,6 +19,7 @@ struct Link {
 
 struct Element {
   LatticePolytope hull;
+  HullMesh mesh;  // of the same hull
   double weight = 0;
   bool alive = true;
   std::vector<Link> links;
@@ -75,6 +76,7 @@ class Merger {
         std::sort(voxels.begin(), voxels.end());
         hull.build_voxels(voxels);
         element_[i].hull = hull.polytope();
+        element_[i].mesh = hull.mesh();
         element_[i].weight = excess(hull);
       }
     });
@@ -125,10 +127,9 @@ class Merger {
   void build(std::uint32_t left, std::uint32_t right) {
     const std::array pair{left, right};
     if (built_ == pair) return;
-    point_.clear();
-    for (const std::uint32_t e : pair)
-      point_.insert(point_.end(), element_[e].hull.vertex.begin(), element_[e].hull.vertex.end());
-    hull_.build(point_);
+    const bool swap = element_[left].mesh.facet.size() < element_[right].mesh.facet.size();
+    const Element &base = element_[swap ? right : left], &more = element_[swap ? left : right];
+    hull_.build_union(base.mesh, more.hull.vertex);
     built_ = pair;
   }
 
@@ -226,6 +227,11 @@ class Merger {
     build(left, right);
     Element merged;
     merged.hull = hull_.polytope();
+    merged.mesh = hull_.mesh();
+    if (merged.mesh.point.size() > merged.hull.vertex.size() + merged.hull.vertex.size() / 4) {
+      hull_.build(merged.hull.vertex);  // too many points that are not extreme
+      merged.mesh = hull_.mesh();
+    }
     merged.weight = weight;
     merged_links_.clear();
     for (const std::uint32_t old : {pair.left, pair.right}) {
@@ -296,7 +302,6 @@ class Merger {
   HullBuilder hull_;
   std::array<std::uint32_t, 2> built_{0, 0};  // the pair that hull_ is of; none at first
   ExcessMeter excess_;
-  std::vector<Lattice> point_;
   std::vector<std::uint32_t> touching_;
   std::vector<Link> merged_links_;
 };

@@ -150,7 +150,7 @@ void ZBounds::row(double x, std::span<const double> y, double* low, double* high
 
 double ExcessMeter::operator()(const HullBuilder& hull) {
   bounds_.assign(hull.local_planes(), hull.box());
-  return measure(hull.box(), hull.local_planes().size() == 6);
+  return measure(hull.box(), hull.is_box());
 }
 
 double ExcessMeter::operator()(const LatticePolytope& polytope) {
