@@ -137,15 +137,13 @@ template <class T>
 void HullBuilder::insert(Planes<T>& planes, std::int32_t p) {
   const T x = static_cast<T>(point_[p][0]), y = static_cast<T>(point_[p][1]), z = static_cast<T>(point_[p][2]);
   const std::int32_t count = facets_;
-  {
-    const T *nx = planes.x.data(), *ny = planes.y.data(), *nz = planes.z.data(), *offset = planes.offset.data();
-    T* height = planes.height.data();
-    for (std::int32_t f = 0; f < count; ++f) height[f] = nx[f] * x + ny[f] * y + nz[f] * z - offset[f];
-  }
+  const T *nx = planes.x.data(), *ny = planes.y.data(), *nz = planes.z.data(), *offset = planes.offset.data();
+  T* height = planes.height.data();
+  for (std::int32_t f = 0; f < count; ++f) height[f] = nx[f] * x + ny[f] * y + nz[f] * z - offset[f];
   std::int32_t visible = 0;
   for (std::int32_t f = 0; f < count; ++f) {
     visible_[visible] = f;
-    visible += planes.height[f] > 0;
+    visible += height[f] > 0;
   }
   if (visible == 0) return;
   ++round_;
