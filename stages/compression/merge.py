@@ -30,6 +30,7 @@ def merge(
     *,
     jobs: int = 0,
     progress: Callable[[int, int], None] | None = None,
+    journal: _core.MergeJournal | None = None,
 ) -> Artifact:
     r"""Cover voxels by merging convex hulls of local clusters.
 
@@ -60,7 +61,10 @@ def merge(
         source: an `alula/voxels`, or an `alula/cover` whose hulls are merged further; V+ then is the
             union of its members.
         jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) now and then.
+        progress: called with (done, total) now and then; the share of the time, roughly, and never less
+            than before.
+        journal: takes the volumes measured so far. That of an interrupted run, or a copy made of its
+            `snapshot()` in `progress`, brings the same run to the same result at a fraction of the time.
 
     Returns:
         An `alula/cover`. `conservativeness` is Vol(union of hulls) / Vol(V+).
@@ -83,7 +87,7 @@ def merge(
     assert isinstance(manifest, VoxelsManifest | CoverManifest)
     voxels, member, member_start = _voxels_and_sets(source)
     limit = config.max_growth or 0.0
-    for _ in range(_GROWTH_ATTEMPTS):
+    for attempt in range(_GROWTH_ATTEMPTS):
         found: dict[str, Any] = _core.merge_cover(
             voxels,
             member,
@@ -98,12 +102,15 @@ def merge(
             is_fitted,
             limit,
             jobs,
-            progress,
+            journal,
+            progress and _attempt_of(progress, attempt, is_only=config.max_growth is None),
         )
         growth = 1.0 + float(found["union_excess"]) / len(voxels)
         if config.max_growth is None or growth <= config.max_growth or limit <= 1.0 or is_fitted:
             break
         limit = max(1.0, limit - 2 * (growth - config.max_growth))  # W of large hulls is a coarser measure
+    if progress is not None and config.max_growth is not None:
+        progress(1000, 1000)
     _check_feasible(config, found, growth)
     hulls, planes = len(found["plane_start"]) - 1, len(found["plane_offset"])
     is_outer = is_fitted or cap > 0 or config.kdop is not None
@@ -155,6 +162,16 @@ def merge(
             "curve": _curve(found["curve"], found["measured"], len(voxels)),
         },
     )
+
+
+def _attempt_of(
+    progress: Callable[[int, int], None], attempt: int, *, is_only: bool
+) -> Callable[[int, int], None]:
+    """`progress`, where each attempt takes half of what is left: most are the last one."""
+    if is_only:
+        return progress
+    rest = 0.5**attempt
+    return lambda done, total: progress(int(1000 * (1 - rest + rest / 2 * done / total)), 1000)
 
 
 def _voxels_and_sets(

@@ -288,3 +288,86 @@ def test_the_curve_and_history_describe_the_run():
     used = cover["history"][:, :2].astype(int).ravel()
     assert len(set(used)) == len(used)
     assert (cover["history"][:, :2].max(axis=1) < start + np.arange(len(cover["history"]))).all()
+
+
+class Interrupted(Exception):
+    """Raised by a progress callback."""
+
+
+def test_an_interrupted_merge_resumes_from_its_journal():
+    config = MergeConfig(hulls=12)
+    whole = merge(config, SCENE, jobs=1)
+    for moment in (0.3, 0.6, 0.9):
+        journal = _core.MergeJournal()
+        kept = []
+
+        def stop(done, total, journal=journal, kept=kept, moment=moment):
+            kept.append(journal.snapshot())
+            if done >= moment * total:
+                raise Interrupted
+
+        with pytest.raises(Interrupted):
+            merge(config, SCENE, jobs=1, progress=stop, journal=journal)
+        assert len(journal) >= len(_core.MergeJournal(kept[-1])) > 0 or moment < 0.5
+        again = _core.MergeJournal(journal.snapshot())
+        resumed = merge(config, SCENE, jobs=3, journal=again)
+        assert again.reused == len(journal)
+        assert len(again) > 0
+        assert_same(resumed, whole)
+
+
+def test_a_full_journal_leaves_nothing_to_measure():
+    for method in ("default", "paper"):
+        journal = _core.MergeJournal()
+        first = merge(MergeConfig(hulls=20, method=method), SCENE, jobs=2, journal=journal)
+        count = len(journal)
+        assert journal.reused == 0
+        again = _core.MergeJournal(journal.snapshot())
+        assert_same(merge(MergeConfig(hulls=20, method=method), SCENE, jobs=1, journal=again), first)
+        assert len(again) == again.reused == count
+        deeper = merge(MergeConfig(hulls=5, method=method), SCENE, jobs=1, journal=again)
+        assert again.reused == 2 * count < len(again) + count
+        assert_same(deeper, merge(MergeConfig(hulls=5, method=method), SCENE, jobs=1))
+
+
+def test_the_journal_of_another_merge_is_not_used():
+    journal = _core.MergeJournal()
+    merge(MergeConfig(hulls=20, method="paper"), SCENE, jobs=1, journal=journal)
+    assert_same(
+        merge(MergeConfig(hulls=20), SCENE, jobs=1, journal=journal), merge(MergeConfig(hulls=20), SCENE)
+    )
+    assert journal.reused == 0
+
+
+def test_a_damaged_journal_is_refused():
+    journal = _core.MergeJournal()
+    merge(MergeConfig(hulls=20), SCENE, jobs=1, journal=journal)
+    data = journal.snapshot()
+    flipped = bytearray(data)
+    flipped[len(data) // 2] ^= 1
+    for bad in (data[:-1], data[:20], b"x" * len(data), bytes(flipped)):
+        with pytest.raises(ValueError, match="journal"):
+            _core.MergeJournal(bad)
+
+
+@pytest.mark.parametrize("limits", [{"hulls": 5}, {"max_growth": 1.2}, {"hulls": 5, "method": "paper"}])
+def test_progress_never_goes_back_and_ends(limits):
+    seen = []
+    merge(MergeConfig(**limits), SCENE, jobs=2, progress=lambda done, total: seen.append(done / total))
+    assert seen == sorted(seen)
+    assert seen[-1] == 1
+    assert all(0 <= share <= 1 for share in seen)
+
+
+@given(voxel_sets, st.sampled_from(["default", "paper"]), st.integers(1, 12), st.integers(2, 7))
+@settings(deadline=None, max_examples=25)
+def test_any_number_of_threads_gives_the_same_cover(index, method, hulls, jobs):
+    voxels = voxels_of(sorted(index))
+    config = MergeConfig(hulls=hulls, method=method)
+    assert_same(merge(config, voxels, jobs=jobs), merge(config, voxels, jobs=1))
+
+
+def assert_same(one, other):
+    assert one.manifest == other.manifest
+    for name in one.arrays:
+        assert np.array_equal(one[name], other[name])

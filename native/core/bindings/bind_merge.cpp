@@ -61,11 +61,16 @@ Result lattice_hull(const InRows3<std::int32_t>& points) {
   return result;
 }
 
+// What of the time, in Share::kWhole, has passed after each part of merge_cover().
+constexpr std::size_t kClustered = 110, kMerged = 940, kTight = 975;
+
 Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint32_t>& member,
                    const InVector<std::int64_t>& member_start, int block, bool is_paper, std::size_t max_hulls,
                    std::size_t max_planes, std::size_t max_bytes, std::size_t facet_cap, std::size_t kdop,
-                   bool is_fitted, double max_growth, unsigned jobs, nb::object progress) {
-  PythonControl control(std::move(progress));
+                   bool is_fitted, double max_growth, unsigned jobs, EvaluationLog* journal, nb::object progress) {
+  PythonControl whole(std::move(progress));
+  Share cluster(whole, 0, kClustered), rest(whole, kClustered, Share::kWhole), loop(whole, kClustered, kMerged),
+      tight(whole, kMerged, kTight), last(whole, kTight, Share::kWhole);
   Cover cover;
   UnionVolume volume{};
   std::vector<Measured> measured;
@@ -78,24 +83,24 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
       sets.member.assign(member.data(), member.data() + member.size());
       sets.start.assign(member_start.data(), member_start.data() + member_start.size());
     } else {
-      sets = subcover(occupancy, block, jobs, control);
+      sets = subcover(occupancy, block, jobs, cluster);
     }
     const Form form{facet_cap, kdop};
     const MergeOptions options{is_paper ? MergeRule::kPaper : MergeRule::kIncrease, max_hulls,
                                Budget{max_planes, max_bytes, form}, max_growth};
     if (is_fitted) {
-      cover = fit(occupancy, sets, options, jobs, control, measured);
+      cover = fit(occupancy, sets, options, jobs, rest, measured, journal);
     } else {
-      cover = merge(occupancy, sets, options, jobs, control);
+      cover = merge(occupancy, sets, options, jobs, loop, journal);
       if (cover.within_budget && !is_paper)
-        retighten(occupancy, cover, form.is_outer() ? Budget{} : options.budget, control);
+        retighten(occupancy, cover, form.is_outer() ? Budget{} : options.budget, tight);
       if (cover.within_budget && form.is_outer())
-        make_outer(occupancy, cover, options.budget, !is_paper, jobs, control);
+        make_outer(occupancy, cover, options.budget, !is_paper, jobs, tight);
     }
     if (cover.within_budget) {
       sort_hulls(cover);
       if (!is_fitted) {
-        volume = union_excess(occupancy, cover.hull, jobs, control);
+        volume = union_excess(occupancy, cover.hull, jobs, last);
         measured.push_back({cover.hull.size(), planes_of(cover.hull), volume});
       } else {
         const auto less = [](const Measured& a, const Measured& b) { return a.volume.excess < b.volume.excess; };
@@ -108,6 +113,7 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
       }
     }
   }
+  whole.poll(Share::kWhole, Share::kWhole);
   Result result;
   Flat(cover.hull).put(result);
   const std::size_t members = member_index.size() / 3, merges = cover.history.size(), points = cover.curve.size();
@@ -166,6 +172,29 @@ double cover_excess(const InRows3<std::int32_t>& voxels, const InRows3<std::int3
 }  // namespace alula
 
 void bind_merge(nb::module_& m) {
+  using alula::EvaluationLog;
+  nb::class_<EvaluationLog>(m, "MergeJournal",
+                            "The volumes that a merge has measured. Given to the same merge again, it takes them from\n"
+                            "here and so comes to the same result sooner; for another merge it starts anew.")
+      .def(
+          "__init__",
+          [](EvaluationLog* that, const nb::bytes& data) {
+            new (that) EvaluationLog(std::string_view(data.c_str(), data.size()));
+          },
+          "data"_a = nb::bytes("", 0), "From an earlier snapshot; ValueError when it is damaged.")
+      .def(
+          "snapshot",
+          [](const EvaluationLog& that) {
+            std::string data;
+            {
+              const nb::gil_scoped_release release;
+              data = that.snapshot();
+            }
+            return nb::bytes(data.data(), data.size());
+          },
+          "All entries so far; may be called from any thread while merging.")
+      .def("__len__", &EvaluationLog::size)
+      .def_prop_ro("reused", &EvaluationLog::reused, "How many measurements were taken from here since it was made.");
   m.def("lattice_hull", &alula::lattice_hull, "points"_a,
         "Exact hull of integer points (N, 3): sorted vertices and primitive planes, as a cover of one hull.");
   m.def("cover_excess", &alula::cover_excess, "voxels"_a, "vertex"_a, "vertex_start"_a, "plane_normal"_a,
@@ -173,7 +202,7 @@ void bind_merge(nb::module_& m) {
         "Volume [voxels] of the union of polytopes outside sorted voxels (M, 3), all of which they contain.");
   m.def("merge_cover", &alula::merge_cover, "voxels"_a, "member"_a, "member_start"_a, "block"_a, "is_paper"_a,
         "max_hulls"_a, "max_planes"_a, "max_bytes"_a, "facet_cap"_a, "kdop"_a, "is_fitted"_a, "max_growth"_a,
-        "jobs"_a, "progress"_a.none(),
+        "jobs"_a, "journal"_a.none(), "progress"_a.none(),
         "Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets, or an\n"
         "empty `member_start` asks for the set cover by clusters. A limit of 0 is none. `facet_cap` and `kdop`\n"
         "ask for outer polytopes; `is_fitted` for as many hulls as make the least of the budget. Returns the\n"

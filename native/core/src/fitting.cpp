@@ -16,6 +16,7 @@ constexpr std::size_t kNoLimit = std::numeric_limits<std::size_t>::max() / 2;
 // Planes per hull to try, in tenths: numbers of hulls a sixth apart.
 constexpr std::array<std::size_t, 11> kTenths{63, 67, 72, 80, 90, 100, 115, 135, 160, 190, 240};
 constexpr std::size_t kFirst = 3;
+constexpr std::size_t kMergingShare = 700;  // of the time, in Share::kWhole, before covers are measured
 
 std::vector<LatticePolytope> hulls_of(const Occupancy& occupancy, const VoxelSets& members, unsigned jobs,
                                       Control& control) {
@@ -160,7 +161,8 @@ void make_outer(const Occupancy& occupancy, Cover& cover, const Budget& budget, 
 }
 
 Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions options, unsigned jobs, Control& control,
-          std::vector<Measured>& measured) {
+          std::vector<Measured>& measured, EvaluationLog* journal) {
+  Share merging(control, 0, kMergingShare), trying(control, kMergingShare, Share::kWhole);
   const Budget budget = options.budget;
   const std::size_t most = options.max_hulls > 0 ? std::min(options.max_hulls, sets.size()) : sets.size();
   std::vector<std::size_t> trial;  // numbers of hulls, descending
@@ -179,7 +181,7 @@ Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions option
   }
   options.max_hulls = trial.back();
   options.budget = {};
-  Cover whole = merge(occupancy, sets, options, jobs, control);
+  Cover whole = merge(occupancy, sets, options, jobs, merging, journal);
   while (!trial.empty() && sets.size() - trial.back() > whole.history.size()) trial.pop_back();
   whole.within_budget = !trial.empty();
   if (trial.empty()) return whole;
@@ -189,10 +191,10 @@ Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions option
   std::size_t merges = 0;
   double least = std::numeric_limits<double>::infinity();
   const auto improves = [&](std::size_t i) {
-    Cover one = replay(occupancy, sets, whole, sets.size() - trial[i], jobs, control);
-    if (options.rule != MergeRule::kPaper) retighten(occupancy, one, {}, control);
-    make_outer(occupancy, one, budget, options.rule != MergeRule::kPaper, jobs, control);
-    const UnionVolume volume = union_excess(occupancy, one.hull, jobs, control);
+    Cover one = replay(occupancy, sets, whole, sets.size() - trial[i], jobs, trying);
+    if (options.rule != MergeRule::kPaper) retighten(occupancy, one, {}, trying);
+    make_outer(occupancy, one, budget, options.rule != MergeRule::kPaper, jobs, trying);
+    const UnionVolume volume = union_excess(occupancy, one.hull, jobs, trying);
     measured.push_back({one.hull.size(), planes_of(one.hull), volume});
     if (!(volume.excess < least)) return false;
     least = volume.excess;

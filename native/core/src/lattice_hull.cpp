@@ -60,25 +60,45 @@ void extremes_first(std::vector<Point>& points) {
 
 }  // namespace
 
-std::int32_t HullBuilder::add_facet(std::int32_t a, std::int32_t b, std::int32_t c) {
-  const Point n = cross(minus(point_[b], point_[a]), minus(point_[c], point_[a]));
-  std::int32_t f;
-  if (free_.empty()) {
-    f = static_cast<std::int32_t>(facet_.size());
-    facet_.emplace_back(), stamp_.push_back(0);
-    nx_.emplace_back(), ny_.emplace_back(), nz_.emplace_back(), offset_.emplace_back();
+template <class Run>
+void HullBuilder::with_planes(Run&& run) {
+  std::int32_t extent = 0;
+  for (int i = 0; i < 3; ++i) extent = std::max(extent, box_.upper[i] - box_.lower[i]);
+  if (extent <= 177) {
+    run(narrow_);
+  } else if (extent <= (1 << 17)) {
+    run(middle_);
   } else {
-    f = free_.back();
-    free_.pop_back();
+    run(wide_);
   }
-  facet_[f].vertex = {a, b, c};
-  nx_[f] = n[0], ny_[f] = n[1], nz_[f] = n[2];
-  offset_[f] = dot(n, point_[a]);
-  return f;
+}
+
+// Room for all facets there may be at once: at most 2 n - 4, and n new ones beside the visible ones.
+template <class T>
+void HullBuilder::reserve(Planes<T>& planes) {
+  const std::size_t points = point_.size(), slots = 3 * points + 8;
+  if (facet_.size() < slots) facet_.resize(slots), stamp_.resize(slots);
+  if (visible_.size() < slots) visible_.resize(slots);
+  if (planes.x.size() < slots)
+    for (auto* values : {&planes.x, &planes.y, &planes.z, &planes.offset, &planes.height}) values->resize(slots);
+  if (first_facet_.size() < points) first_facet_.resize(points);
+  free_.clear();
+  std::fill(stamp_.begin(), stamp_.begin() + static_cast<std::ptrdiff_t>(slots), 0);
+  round_ = 0;
+  facets_ = 0;
+}
+
+template <class T>
+void HullBuilder::put_plane(Planes<T>& planes, std::int32_t f) {
+  const auto& [a, b, c] = facet_[f].vertex;
+  const Point n = cross(minus(point_[b], point_[a]), minus(point_[c], point_[a]));
+  planes.x[f] = static_cast<T>(n[0]), planes.y[f] = static_cast<T>(n[1]), planes.z[f] = static_cast<T>(n[2]);
+  planes.offset[f] = static_cast<T>(dot(n, point_[a]));
 }
 
 // A large first tetrahedron; its points are moved to slots 0 to 3.
-void HullBuilder::start() {
+template <class T>
+void HullBuilder::start(Planes<T>& planes) {
   const auto [low, high] = std::minmax_element(point_.begin(), point_.end());
   const std::size_t i0 = static_cast<std::size_t>(low - point_.begin());
   std::size_t i1 = static_cast<std::size_t>(high - point_.begin());
@@ -105,30 +125,47 @@ void HullBuilder::start() {
   if (i3 == 0) throw std::invalid_argument("points span no volume");
   std::swap(point_[3], point_[i3]);
   if (height > 0) std::swap(point_[1], point_[2]);  // point 3 lies below facet 0 1 2
-  add_facet(0, 1, 2), add_facet(1, 0, 3), add_facet(2, 1, 3), add_facet(0, 2, 3);
-  facet_[0].neighbour = {1, 2, 3};
-  facet_[1].neighbour = {0, 3, 2};
-  facet_[2].neighbour = {0, 1, 3};
-  facet_[3].neighbour = {0, 2, 1};
+  facets_ = 4;
+  facet_[0] = {{0, 1, 2}, {1, 2, 3}};
+  facet_[1] = {{1, 0, 3}, {0, 3, 2}};
+  facet_[2] = {{2, 1, 3}, {0, 1, 3}};
+  facet_[3] = {{0, 2, 3}, {0, 2, 1}};
+  for (std::int32_t f = 0; f < 4; ++f) put_plane(planes, f);
 }
 
-void HullBuilder::insert(std::int32_t p) {
-  const auto [x, y, z] = point_[p];
-  visible_.clear();
-  const std::int32_t count = static_cast<std::int32_t>(facet_.size());
+template <class T>
+void HullBuilder::insert(Planes<T>& planes, std::int32_t p) {
+  const T x = static_cast<T>(point_[p][0]), y = static_cast<T>(point_[p][1]), z = static_cast<T>(point_[p][2]);
+  const std::int32_t count = facets_;
+  const T *nx = planes.x.data(), *ny = planes.y.data(), *nz = planes.z.data(), *offset = planes.offset.data();
+  T* height = planes.height.data();
+  for (std::int32_t f = 0; f < count; ++f) height[f] = nx[f] * x + ny[f] * y + nz[f] * z - offset[f];
+  std::int32_t visible = 0;
+  for (std::int32_t f = 0; f < count; ++f) {
+    visible_[visible] = f;
+    visible += height[f] > 0;
+  }
+  if (visible == 0) return;
   ++round_;
-  const std::int64_t *nx = nx_.data(), *ny = ny_.data(), *nz = nz_.data(), *offset = offset_.data();
-  for (std::int32_t f = 0; f < count; ++f)
-    if (nx[f] * x + ny[f] * y + nz[f] * z > offset[f]) visible_.push_back(f), stamp_[f] = round_;
-  if (visible_.empty()) return;
+  for (std::int32_t i = 0; i < visible; ++i) stamp_[visible_[i]] = round_;
   fresh_.clear();
-  for (const std::int32_t f : visible_) {
+  for (std::int32_t i = 0; i < visible; ++i) {
+    const HullFacet& seen = facet_[visible_[i]];
     for (int e = 0; e < 3; ++e) {
-      const std::int32_t outer = facet_[f].neighbour[e];
+      const std::int32_t outer = seen.neighbour[e];
       if (stamp_[outer] == round_) continue;
-      const std::int32_t a = facet_[f].vertex[e], b = facet_[f].vertex[(e + 1) % 3];
-      const std::int32_t made = add_facet(a, b, p);  // free slots are never visible ones
+      const std::int32_t a = seen.vertex[e], b = seen.vertex[e == 2 ? 0 : e + 1];
+      std::int32_t made = facets_;
+      if (free_.empty()) {
+        ++facets_;
+      } else {  // free slots are never visible ones
+        made = free_.back();
+        free_.pop_back();
+      }
+      stamp_[made] = 0;
+      facet_[made].vertex = {a, b, p};
       facet_[made].neighbour[0] = outer;
+      put_plane(planes, made);
       int back = 0;
       while (facet_[outer].vertex[back] != b) ++back;
       facet_[outer].neighbour[back] = made;
@@ -141,65 +178,86 @@ void HullBuilder::insert(std::int32_t p) {
     facet_[made].neighbour[1] = next;
     facet_[next].neighbour[2] = made;
   }
-  for (const std::int32_t f : visible_) {
-    nx_[f] = ny_[f] = nz_[f] = offset_[f] = 0;
+  for (std::int32_t i = 0; i < visible; ++i) {
+    const std::int32_t f = visible_[i];
+    planes.x[f] = planes.y[f] = planes.z[f] = planes.offset[f] = 0;
     facet_[f].vertex[0] = -1;
     free_.push_back(f);
   }
 }
 
-// Facets whose triangles share a plane and an edge become one; a plane touches a convex polytope
-// in one connected face, so groups and planes are the same.
-void HullBuilder::group_facets() {
-  group_.assign(facet_.size(), -1);
-  group_facet_.clear();
+// One plane per facet, without those of an earlier neighbour in the same plane.
+template <class T>
+void HullBuilder::list_planes(const Planes<T>& planes) {
   local_.clear();
-  for (std::int32_t seed = 0; seed < static_cast<std::int32_t>(facet_.size()); ++seed) {
-    if (group_[seed] >= 0 || facet_[seed].vertex[0] < 0) continue;
-    const std::int32_t id = static_cast<std::int32_t>(group_facet_.size());
-    const Point n{nx_[seed], ny_[seed], nz_[seed]};
-    const auto height = [&n, o = offset_[seed]](const Point& p) { return static_cast<std::uint64_t>(dot(n, p) - o); };
-    group_facet_.push_back(seed);
-    local_.push_back({static_cast<double>(n[0]), static_cast<double>(n[1]), static_cast<double>(n[2]),
-                      static_cast<double>(offset_[seed])});
-    group_[seed] = id;
-    stack_.assign(1, seed);
-    while (!stack_.empty()) {
-      const Facet& facet = facet_[stack_.back()];
-      stack_.pop_back();
-      for (int e = 0; e < 3; ++e) {
-        const std::int32_t g = facet.neighbour[e];
-        if (group_[g] >= 0) continue;
-        const auto& [a, b, c] = facet_[g].vertex;
-        // Two of the three are on the plane; the sum wraps around, the third one's distance does not.
-        if (height(point_[a]) + height(point_[b]) + height(point_[c]) == 0) {
-          group_[g] = id;
-          stack_.push_back(g);
-        }
-      }
+  is_box_ = true;
+  for (std::int32_t f = 0; f < facets_; ++f) {
+    if (facet_[f].vertex[0] < 0) continue;
+    const T x = planes.x[f], y = planes.y[f], z = planes.z[f], offset = planes.offset[f];
+    is_box_ = is_box_ && (x != 0) + (y != 0) + (z != 0) == 1;
+    bool is_new = true;
+    for (int e = 0; e < 3; ++e) {
+      const std::int32_t g = facet_[f].neighbour[e];
+      if (g > f) continue;
+      const auto& corner = facet_[g].vertex;  // that of the three which is not on the common edge
+      const std::int32_t a = facet_[f].vertex[e], b = facet_[f].vertex[e == 2 ? 0 : e + 1];
+      const std::int32_t far = corner[0] != a && corner[0] != b ? corner[0] : corner[1] != a && corner[1] != b ? corner[1] : corner[2];
+      const Point& q = point_[far];
+      is_new = is_new && x * static_cast<T>(q[0]) + y * static_cast<T>(q[1]) + z * static_cast<T>(q[2]) != offset;
     }
+    if (is_new)
+      local_.push_back({static_cast<double>(x), static_cast<double>(y), static_cast<double>(z), static_cast<double>(offset)});
   }
 }
 
-void HullBuilder::build(std::span<const Lattice> points) {
-  if (points.empty()) throw std::invalid_argument("no points");
+void HullBuilder::set_points(std::span<const Lattice> points, std::span<const Lattice> more) {
   box_ = bounds(points);
+  box_.add(bounds(more));
   for (int i = 0; i < 3; ++i) {
     if (box_.lower[i] < -kLatticeLimit || box_.upper[i] > kLatticeLimit ||
         box_.upper[i] - box_.lower[i] > kLatticeLimit)
       throw std::invalid_argument("points exceed the exact range of 2^20 lattice steps");
   }
-  point_.resize(points.size());
-  for (std::size_t i = 0; i < points.size(); ++i)
-    for (int c = 0; c < 3; ++c) point_[i][c] = points[i][c] - box_.lower[c];
+  point_.clear();
+  for (const auto& list : {points, more})
+    for (const Lattice& p : list)
+      point_.push_back({p[0] - box_.lower[0], p[1] - box_.lower[1], p[2] - box_.lower[2]});
+}
+
+void HullBuilder::build(std::span<const Lattice> points) {
+  if (points.empty()) throw std::invalid_argument("no points");
+  set_points(points, {});
   if (point_.size() >= kOrderFrom) extremes_first(point_);
-  facet_.clear(), stamp_.clear(), free_.clear();
-  nx_.clear(), ny_.clear(), nz_.clear(), offset_.clear();
-  round_ = 0;
-  first_facet_.assign(point_.size(), -1);
-  start();
-  for (std::int32_t p = 4; p < static_cast<std::int32_t>(point_.size()); ++p) insert(p);
-  group_facets();
+  with_planes([&](auto& planes) {
+    reserve(planes);
+    start(planes);
+    for (std::int32_t p = 4; p < static_cast<std::int32_t>(point_.size()); ++p) insert(planes, p);
+    list_planes(planes);
+  });
+}
+
+void HullBuilder::build_union(const HullMesh& mesh, std::span<const Lattice> points) {
+  set_points(mesh.point, points);
+  const std::int32_t known = static_cast<std::int32_t>(mesh.point.size());
+  // The farthest point in the direction of the others goes first: it hides most of them.
+  Point sum{0, 0, 0}, other{0, 0, 0};
+  for (std::size_t p = 0; p < point_.size(); ++p)
+    for (int i = 0; i < 3; ++i) (p < mesh.point.size() ? sum : other)[i] += point_[p][i];
+  Point direction;
+  for (int i = 0; i < 3; ++i)
+    direction[i] = other[i] / static_cast<std::int64_t>(std::max<std::size_t>(points.size(), 1)) - sum[i] / known;
+  std::size_t best = mesh.point.size();
+  for (std::size_t p = best + 1; p < point_.size(); ++p)
+    if (dot(direction, point_[p]) > dot(direction, point_[best])) best = p;
+  if (!points.empty()) std::swap(point_[static_cast<std::size_t>(known)], point_[best]);
+  with_planes([&](auto& planes) {
+    reserve(planes);
+    facets_ = static_cast<std::int32_t>(mesh.facet.size());
+    std::copy(mesh.facet.begin(), mesh.facet.end(), facet_.begin());
+    for (std::int32_t f = 0; f < facets_; ++f) put_plane(planes, f);
+    for (std::int32_t p = known; p < static_cast<std::int32_t>(point_.size()); ++p) insert(planes, p);
+    list_planes(planes);
+  });
 }
 
 void HullBuilder::build_voxels(std::span<const Lattice> voxels) {
@@ -207,21 +265,87 @@ void HullBuilder::build_voxels(std::span<const Lattice> voxels) {
   build(corner_);
 }
 
-LatticePolytope HullBuilder::polytope() const {
+HullMesh HullBuilder::mesh() {
+  HullMesh result;
+  std::vector<std::int32_t>& number = group_;
+  number.assign(point_.size() + static_cast<std::size_t>(facets_), -1);
+  std::int32_t* facet_number = number.data() + point_.size();
+  std::int32_t facets = 0;
+  for (std::int32_t f = 0; f < facets_; ++f)
+    if (facet_[f].vertex[0] >= 0) facet_number[f] = facets++;
+  result.facet.reserve(static_cast<std::size_t>(facets));
+  for (std::int32_t f = 0; f < facets_; ++f) {
+    if (facet_[f].vertex[0] < 0) continue;
+    HullFacet facet = facet_[f];
+    for (int e = 0; e < 3; ++e) {
+      std::int32_t& v = number[static_cast<std::size_t>(facet.vertex[e])];
+      if (v < 0) {
+        v = static_cast<std::int32_t>(result.point.size());
+        Lattice p;
+        for (int i = 0; i < 3; ++i) p[i] = static_cast<std::int32_t>(point_[facet.vertex[e]][i]) + box_.lower[i];
+        result.point.push_back(p);
+      }
+      facet.vertex[e] = v;
+      facet.neighbour[e] = facet_number[facet.neighbour[e]];
+    }
+    result.facet.push_back(facet);
+  }
+  return result;
+}
+
+LatticePolytope HullBuilder::polytope() {
+  LatticePolytope result;
+  with_planes([&](auto& planes) { result = grouped(planes); });
+  return result;
+}
+
+// Facets whose triangles share a plane and an edge become one; a plane touches a convex polytope
+// in one connected face, so groups and planes are the same.
+template <class T>
+LatticePolytope HullBuilder::grouped(const Planes<T>& planes) {
+  group_.assign(static_cast<std::size_t>(facets_), -1);
+  group_facet_.clear();
+  for (std::int32_t seed = 0; seed < facets_; ++seed) {
+    if (group_[seed] >= 0 || facet_[seed].vertex[0] < 0) continue;
+    const std::int32_t id = static_cast<std::int32_t>(group_facet_.size());
+    const T x = planes.x[seed], y = planes.y[seed], z = planes.z[seed], offset = planes.offset[seed];
+    const auto is_on = [&](std::int32_t v) {
+      const Point& p = point_[v];
+      return x * static_cast<T>(p[0]) + y * static_cast<T>(p[1]) + z * static_cast<T>(p[2]) == offset;
+    };
+    group_facet_.push_back(seed);
+    group_[seed] = id;
+    stack_.assign(1, seed);
+    while (!stack_.empty()) {
+      const HullFacet& facet = facet_[stack_.back()];
+      stack_.pop_back();
+      for (const std::int32_t g : facet.neighbour) {
+        if (group_[g] >= 0) continue;
+        const auto& [a, b, c] = facet_[g].vertex;
+        if (is_on(a) && is_on(b) && is_on(c)) {
+          group_[g] = id;
+          stack_.push_back(g);
+        }
+      }
+    }
+  }
   LatticePolytope result;
   result.plane.reserve(group_facet_.size());
   for (const std::int32_t f : group_facet_) {
-    const std::int64_t divisor = std::gcd(std::gcd(nx_[f], ny_[f]), nz_[f]);
-    LatticePlane plane{{nx_[f] / divisor, ny_[f] / divisor, nz_[f] / divisor}, offset_[f] / divisor};
+    const Point n{static_cast<std::int64_t>(planes.x[f]), static_cast<std::int64_t>(planes.y[f]),
+                  static_cast<std::int64_t>(planes.z[f])};
+    const std::int64_t divisor = std::gcd(std::gcd(n[0], n[1]), n[2]);
+    LatticePlane plane{{n[0] / divisor, n[1] / divisor, n[2] / divisor},
+                       static_cast<std::int64_t>(planes.offset[f]) / divisor};
     for (int i = 0; i < 3; ++i) plane.offset += plane.normal[i] * box_.lower[i];
     result.plane.push_back(plane);
   }
   // A point of the boundary is extreme exactly when three facets meet in it.
-  std::vector<std::array<std::int32_t, 3>> seen(point_.size(), {-1, -1, -1});
-  for (std::size_t f = 0; f < facet_.size(); ++f) {
+  seen_.assign(point_.size(), {-1, -1, -1});
+  for (std::int32_t f = 0; f < facets_; ++f) {
     if (facet_[f].vertex[0] < 0) continue;
     for (const std::int32_t v : facet_[f].vertex) {
-      std::array<std::int32_t, 3>& known = seen[static_cast<std::size_t>(v)];
+      std::array<std::int32_t, 3>& known = seen_[static_cast<std::size_t>(v)];
       for (std::int32_t& slot : known) {
         if (slot == group_[f]) break;
         if (slot < 0) {
@@ -232,7 +356,7 @@ LatticePolytope HullBuilder::polytope() const {
     }
   }
   for (std::size_t v = 0; v < point_.size(); ++v) {
-    if (seen[v][2] < 0) continue;
+    if (seen_[v][2] < 0) continue;
     Lattice p;
     for (int i = 0; i < 3; ++i) p[i] = static_cast<std::int32_t>(point_[v][i]) + box_.lower[i];
     result.vertex.push_back(p);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <limits>
 #include <optional>
 #include <queue>
 
@@ -12,6 +13,9 @@ namespace alula {
 
 namespace {
 
+constexpr std::size_t kBatch = 16;        // candidates evaluated at once, for any number of threads
+constexpr std::size_t kStartShare = 80;  // of the time, in Share::kWhole, before the first merge
+
 struct Link {
   std::uint32_t other;
   double bound;  // W of the merged hull is at least this; equal once evaluated
@@ -19,6 +23,7 @@ struct Link {
 
 struct Element {
   LatticePolytope hull;
+  HullMesh mesh;  // of the same hull
   double weight = 0;
   bool alive = true;
   std::vector<Link> links;
@@ -61,11 +66,13 @@ std::vector<std::uint32_t> scattered(std::size_t count) {
 class Merger {
  public:
   Merger(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
-         Control& control)
-      : occupancy_(occupancy), sets_(sets), options_(options), excess_(occupancy) {
+         Control& control, EvaluationLog* log)
+      : occupancy_(occupancy), sets_(sets), options_(options), log_(log), team_(jobs) {
+    if (log_ != nullptr) log_->open(fingerprint_of());
+    while (bench_.size() < team_.size()) bench_.emplace_back(occupancy);
+    element_.reserve(2 * sets.size());
     element_.resize(sets.size());
-    InterruptOnly quiet(control);
-    parallel_chunks(sets.size(), 256, jobs, quiet, [&](std::size_t begin, std::size_t end) {
+    parallel_chunks(sets.size(), 256, jobs, control, [&](std::size_t begin, std::size_t end) {
       HullBuilder hull;
       ExcessMeter excess(occupancy);
       std::vector<Lattice> voxels;
@@ -75,6 +82,7 @@ class Merger {
         std::sort(voxels.begin(), voxels.end());
         hull.build_voxels(voxels);
         element_[i].hull = hull.polytope();
+        element_[i].mesh = hull.mesh();
         element_[i].weight = excess(hull);
       }
     });
@@ -124,20 +132,42 @@ class Merger {
     return 0;
   }
 
-  // Builds the hull of a pair, unless it is there already; numbers of elements are never used again.
-  void build(std::uint32_t left, std::uint32_t right) {
-    const std::array pair{left, right};
-    if (built_ == pair) return;
-    point_.clear();
-    for (const std::uint32_t e : pair)
-      point_.insert(point_.end(), element_[e].hull.vertex.begin(), element_[e].hull.vertex.end());
-    hull_.build(point_);
-    built_ = pair;
+  // Hull and meter of one thread.
+  struct Bench {
+    HullBuilder hull;
+    ExcessMeter excess;
+    explicit Bench(const Occupancy& occupancy) : excess(occupancy) {}
+  };
+
+  void build(HullBuilder& hull, std::uint32_t left, std::uint32_t right) const {
+    const bool swap = element_[left].mesh.facet.size() < element_[right].mesh.facet.size();
+    const Element &base = element_[swap ? right : left], &more = element_[swap ? left : right];
+    hull.build_union(base.mesh, more.hull.vertex);
   }
 
-  double evaluate(std::uint32_t left, std::uint32_t right) {
-    build(left, right);
-    return std::max({excess_(hull_), weight_of(left, right), element_[left].weight, element_[right].weight});
+  double evaluate(Bench& bench, std::uint32_t left, std::uint32_t right) const {
+    if (const double* known = log_ == nullptr ? nullptr : log_->find(left, right)) return *known;
+    build(bench.hull, left, right);
+    return std::max({bench.excess(bench.hull), weight_of(left, right), element_[left].weight, element_[right].weight});
+  }
+
+  // Evaluates the candidates in batch_.
+  void evaluate_batch() {
+    team_.run(batch_.size(), [this](std::size_t worker, std::size_t i) {
+      batch_[i].weight = evaluate(bench_[worker], batch_[i].left, batch_[i].right);
+    });
+    if (log_ == nullptr) return;
+    const std::size_t before = log_->size();
+    log_->add(batch_);
+    log_->count_reuse(before + batch_.size() - log_->size());
+  }
+
+  std::uint64_t fingerprint_of() const {
+    const auto bytes = [](const auto& list) {
+      return std::string_view(reinterpret_cast<const char*>(list.data()), list.size() * sizeof(list[0]));
+    };
+    const std::uint64_t rule = fingerprint(options_.rule == MergeRule::kPaper ? "paper" : "increase");
+    return fingerprint(bytes(sets_.start), fingerprint(bytes(sets_.member), fingerprint(bytes(occupancy_.voxels()), rule)));
   }
 
   double key(std::uint32_t left, std::uint32_t right, double weight) const {
@@ -195,12 +225,28 @@ class Merger {
         continue;
       }
       if (top.evaluated) return Merge{top.left, top.right, weight_of(top.left, top.right)};
-      const double weight = evaluate(top.left, top.right);
-      set_bound(top.left, top.right, weight), set_bound(top.right, top.left, weight);
-      top.key = key(top.left, top.right, weight);
-      top.evaluated = true;
-      if (queue_.empty() || !(top < queue_.top())) return Merge{top.left, top.right, weight};
-      queue_.push(top);
+      // Keys of merges hardly ever fall: what is bounded below the last one will be asked for too.
+      waiting_.assign(1, top);
+      while (waiting_.size() < kBatch && !queue_.empty() && !queue_.top().evaluated && queue_.top().key < last_key_) {
+        const Candidate& next = queue_.top();
+        if (element_[next.left].alive && element_[next.right].alive) {
+          waiting_.push_back(next);
+        } else if (next.is_nearest) {
+          break;
+        }
+        queue_.pop();
+      }
+      batch_.clear();
+      for (const Candidate& c : waiting_) batch_.push_back({c.left, c.right, 0});
+      evaluate_batch();
+      for (std::size_t i = 0; i < waiting_.size(); ++i) {
+        Candidate& c = waiting_[i];
+        const double weight = batch_[i].weight;
+        set_bound(c.left, c.right, weight), set_bound(c.right, c.left, weight);
+        c.key = key(c.left, c.right, weight);
+        c.evaluated = true;
+        queue_.push(c);
+      }
     }
     while (!gaps_.empty()) {
       const Gap gap = gaps_.top();
@@ -211,7 +257,9 @@ class Merger {
         continue;
       }
       const auto [left, right] = std::minmax(gap.item, gap.nearest);
-      return Merge{left, right, evaluate(left, right)};
+      batch_.assign(1, {left, right, 0});
+      evaluate_batch();
+      return Merge{left, right, batch_[0].weight};
     }
     return std::nullopt;
   }
@@ -225,10 +273,17 @@ class Merger {
   // Replaces two elements by their union.
   void join(const Merge& pair) {
     const auto [left, right, weight] = pair;
+    last_key_ = key(left, right, weight);
     const std::uint32_t made = static_cast<std::uint32_t>(element_.size());
-    build(left, right);
+    HullBuilder& hull = bench_[0].hull;
+    build(hull, left, right);
     Element merged;
-    merged.hull = hull_.polytope();
+    merged.hull = hull.polytope();
+    merged.mesh = hull.mesh();
+    if (merged.mesh.point.size() > merged.hull.vertex.size() + merged.hull.vertex.size() / 4) {
+      hull.build(merged.hull.vertex);  // too many points that are not extreme
+      merged.mesh = hull.mesh();
+    }
     merged.weight = weight;
     merged_links_.clear();
     for (const std::uint32_t old : {pair.left, pair.right}) {
@@ -291,15 +346,16 @@ class Merger {
   const VoxelSets& sets_;
   MergeOptions options_;
   std::vector<Element> element_;
-  double total_weight_ = 0;
+  double total_weight_ = 0, last_key_ = -std::numeric_limits<double>::infinity();
   std::size_t planes_ = 0, hulls_ = 0;
   std::priority_queue<Candidate> queue_;
   std::priority_queue<Gap> gaps_;
   BoxTree tree_;
-  HullBuilder hull_;
-  std::array<std::uint32_t, 2> built_{0, 0};  // the pair that hull_ is of; none at first
-  ExcessMeter excess_;
-  std::vector<Lattice> point_;
+  EvaluationLog* log_;
+  WorkerTeam team_;
+  std::vector<Bench> bench_;  // one per thread of the team
+  std::vector<Candidate> waiting_;
+  std::vector<EvaluationLog::Entry> batch_;
   std::vector<std::uint32_t> touching_;
   std::vector<Link> merged_links_;
 };
@@ -307,8 +363,9 @@ class Merger {
 }  // namespace
 
 Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
-            Control& control) {
-  return Merger(occupancy, sets, options, jobs, control).run(control);
+            Control& control, EvaluationLog* log) {
+  Share start(control, 0, kStartShare), loop(control, kStartShare, Share::kWhole);
+  return Merger(occupancy, sets, options, jobs, start, log).run(loop);
 }
 
 void sort_hulls(Cover& cover) {

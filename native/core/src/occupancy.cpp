@@ -4,6 +4,8 @@
 #include <limits>
 #include <stdexcept>
 
+#include "alula/wide.hpp"
+
 namespace alula {
 
 namespace {
@@ -12,8 +14,6 @@ std::size_t hash_column(std::int32_t x, std::int32_t y) {
   const std::uint64_t key = std::uint64_t{static_cast<std::uint32_t>(x)} << 32 | static_cast<std::uint32_t>(y);
   return static_cast<std::size_t>((key * 0x9E3779B97F4A7C15u) >> 20);
 }
-
-const Occupancy::Column kUnknown{};  // stands for a column that was not looked up yet
 
 }  // namespace
 
@@ -54,6 +54,14 @@ Occupancy::Occupancy(std::span<const Lattice> voxels) : voxel_(voxels.begin(), v
     i = column.end;
     column_.push_back(column);
   }
+  const std::size_t rows =
+      column_.empty() ? 0 : static_cast<std::size_t>(std::int64_t{column_.back().x} - column_[0].x) + 1;
+  if (rows <= 4 * column_.size() + 1024) {
+    row_.assign(rows + 1, static_cast<std::uint32_t>(column_.size()));
+    for (std::size_t c = column_.size(); c-- > 0;)
+      row_[static_cast<std::size_t>(column_[c].x - column_[0].x)] = static_cast<std::uint32_t>(c);
+    for (std::size_t r = rows; r-- > 0;) row_[r] = std::min(row_[r], row_[r + 1]);
+  }
   table_.assign(std::bit_ceil(2 * column_.size() + 1), 0);
   for (std::uint32_t c = 0; c < column_.size(); ++c) {
     std::size_t slot = hash_column(column_[c].x, column_[c].y);
@@ -68,6 +76,24 @@ const Occupancy::Column* Occupancy::find(std::int32_t x, std::int32_t y) const {
     if (entry == 0) return nullptr;
     const Column& column = column_[entry - 1];
     if (column.x == x && column.y == y) return &column;
+  }
+}
+
+void Occupancy::find_row(std::int32_t x, std::int32_t y, std::span<const Column*> found) const {
+  std::fill(found.begin(), found.end(), nullptr);
+  if (column_.empty()) return;
+  auto begin = column_.begin(), end = column_.end();
+  if (!row_.empty()) {
+    const std::int64_t row = std::int64_t{x} - column_[0].x;
+    if (row < 0 || row + 1 >= static_cast<std::int64_t>(row_.size())) return;
+    end = begin + row_[static_cast<std::size_t>(row) + 1];
+    begin += row_[static_cast<std::size_t>(row)];
+  }
+  begin = std::partition_point(begin, end, [&](const Column& c) { return c.x < x || (c.x == x && c.y < y); });
+  for (; begin != end && begin->x == x; ++begin) {
+    const std::size_t at = static_cast<std::size_t>(std::int64_t{begin->y} - y);
+    if (at >= found.size()) return;
+    found[at] = &*begin;
   }
 }
 
@@ -123,7 +149,7 @@ void ZBounds::assign(const LatticePolytope& polytope, const LatticeBox& box) {
   }
 }
 
-void ZBounds::row(double x, std::span<const double> y, double* low, double* high) const {
+ALULA_WIDE void ZBounds::row(double x, std::span<const double> y, double* low, double* high) const {
   const std::size_t count = y.size();
   std::fill(low, low + count, 0.0);
   std::fill(high, high + count, height_);
@@ -149,7 +175,7 @@ void ZBounds::row(double x, std::span<const double> y, double* low, double* high
 
 double ExcessMeter::operator()(const HullBuilder& hull) {
   bounds_.assign(hull.local_planes(), hull.box());
-  return measure(hull.box(), hull.local_planes().size() == 6);
+  return measure(hull.box(), hull.is_box());
 }
 
 double ExcessMeter::operator()(const LatticePolytope& polytope) {
@@ -166,7 +192,8 @@ double ExcessMeter::measure(const LatticeBox& box, bool is_box) {
   const int nx = sample_lines(ex), ny = sample_lines(ey);
   const double step_x = static_cast<double>(ex) / nx, step_y = static_cast<double>(ey) / ny;
   y_.resize(static_cast<std::size_t>(ny)), low_.resize(y_.size()), high_.resize(y_.size());
-  column_.resize(y_.size());
+  const double last_y = (ny - 0.5) * step_y;
+  column_.resize(static_cast<std::size_t>(last_y) + 1);
   for (int j = 0; j < ny; ++j) y_[static_cast<std::size_t>(j)] = (j + 0.5) * step_y;
   double total = 0;
   std::int32_t known_x = INT32_MIN;
@@ -175,24 +202,16 @@ double ExcessMeter::measure(const LatticeBox& box, bool is_box) {
     const std::int32_t column_x = box.lower[0] + static_cast<std::int32_t>(x);
     if (column_x != known_x) {
       known_x = column_x;
-      std::fill(column_.begin(), column_.end(), &kUnknown);
+      occupancy_->find_row(column_x, box.lower[1], column_);
     }
     bounds_.row(x, y_, low_.data(), high_.data());
     double sum = 0;
-    std::int32_t known_y = INT32_MIN;
-    const Occupancy::Column* column = nullptr;
     for (std::size_t j = 0; j < y_.size(); ++j) {
       if (high_[j] <= low_[j]) continue;
       sum += high_[j] - low_[j];
-      if (column_[j] == &kUnknown) {  // looked up only where the polytope is
-        const std::int32_t column_y = box.lower[1] + static_cast<std::int32_t>(y_[j]);
-        column_[j] = column_y == known_y ? column : occupancy_->find(column_x, column_y);
-        known_y = column_y;
-        column = column_[j];
-      }
-      if (column_[j] != nullptr)
-        sum -= occupancy_->filled(*column_[j], box.lower[2] + high_[j]) -
-               occupancy_->filled(*column_[j], box.lower[2] + low_[j]);
+      const Occupancy::Column* column = column_[static_cast<std::size_t>(y_[j])];
+      if (column != nullptr)
+        sum -= occupancy_->filled(*column, box.lower[2] + high_[j]) - occupancy_->filled(*column, box.lower[2] + low_[j]);
     }
     total += sum;
   }

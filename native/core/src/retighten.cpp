@@ -48,7 +48,6 @@ void voxels_inside(const Occupancy& occupancy, const LatticePolytope& hull, std:
 
 void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, Control& control) {
   const std::size_t count = cover.hull.size();
-  InterruptOnly quiet(control);
   std::vector<std::uint32_t> holders(occupancy.size(), 0), inside, shrunk;
   std::vector<double> excess(count);
   std::vector<std::size_t> order(count);
@@ -60,7 +59,7 @@ void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, C
     excess[h] = meter(cover.hull[h]);
     order[h] = h;
     planes += cover.hull[h].plane.size();
-    quiet.poll(0, 1);
+    control.poll(h, 3 * count);
   }
   std::sort(order.begin(), order.end(),
             [&](std::size_t a, std::size_t b) { return excess[a] != excess[b] ? excess[a] > excess[b] : a < b; });
@@ -68,6 +67,7 @@ void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, C
   HullBuilder builder;
   std::vector<Lattice> needed;
   std::vector<bool> is_tight(count, true);
+  std::size_t done = 0;
   for (const std::size_t h : order) {
     voxels_inside(occupancy, cover.hull[h], inside);
     needed.clear();
@@ -90,7 +90,7 @@ void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, C
     for (const std::uint32_t v : inside) --holders[v];
     for (const std::uint32_t v : shrunk) ++holders[v];
     cover.hull[h] = std::move(tight);
-    quiet.poll(0, 1);
+    control.poll(count + 2 * ++done, 3 * count);
   }
 
   // A voxel that a tight hull needs is in no other hull, so each hull still is that of its members;

@@ -171,7 +171,7 @@ VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control
     });
     result.close();
     left -= now.fresh;
-    if (result.size() % 256 == 0) control.poll(0, 1);
+    if (result.size() % 256 == 0) control.poll(occupancy.size() - left, occupancy.size());
   }
   return result;
 }

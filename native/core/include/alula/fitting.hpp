@@ -35,6 +35,6 @@ struct Measured {
 // max_hulls = 0 is no limit. Returns the cover with its history and the curve of all merges, where
 // within_budget tells whether there is any, and appends what was measured.
 Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions options, unsigned jobs, Control& control,
-          std::vector<Measured>& measured);
+          std::vector<Measured>& measured, EvaluationLog* journal = nullptr);
 
 }  // namespace alula

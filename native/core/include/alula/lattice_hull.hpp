@@ -50,11 +50,26 @@ struct LatticeBox {
 
 LatticeBox bounds(std::span<const Lattice> points);
 
+// A triangle of a hull's boundary, counter-clockwise from outside.
+struct HullFacet {
+  std::array<std::int32_t, 3> vertex, neighbour;  // neighbour[e] across vertex[e], vertex[e + 1]
+};
+
+// The triangulated boundary of a hull; some points may lie inside a face or an edge.
+struct HullMesh {
+  std::vector<Lattice> point;
+  std::vector<HullFacet> facet;
+};
+
 // Builds hulls; keeps its memory between them. One per thread.
+//
+// Arithmetic is exact in all of float up to L = 177 (3 L^3 < 2^24), double up to 2^17 (3 L^3 < 2^53)
+// and int64; the narrowest is taken, and hulls are the same in each. A difference n . x - d of two
+// exact numbers may be rounded, which keeps its sign.
 class HullBuilder {
  public:
   // A facet's plane in coordinates local to box().lower, not reduced; values are exact integers
-  // up to L = 2^17 and rounded to 53 bits beyond.
+  // up to L = 2^17 and rounded to 53 bits beyond. Some planes may come twice.
   struct LocalPlane {
     double x, y, z, offset;
   };
@@ -62,31 +77,53 @@ class HullBuilder {
   // Throws std::invalid_argument when the points span no volume or exceed kLatticeLimit.
   void build(std::span<const Lattice> points);
 
+  // Hull of a hull and further points, for the price of those that lie outside it.
+  void build_union(const HullMesh& mesh, std::span<const Lattice> points);
+
   // Hull of the closed unit cubes [v, v + 1] of voxels sorted by x, y, z; never degenerate.
   void build_voxels(std::span<const Lattice> voxels);
 
   const LatticeBox& box() const { return box_; }
-  std::span<const LocalPlane> local_planes() const { return local_; }  // one per facet
-  LatticePolytope polytope() const;
+  bool is_box() const { return is_box_; }  // the hull fills box()
+  std::span<const LocalPlane> local_planes() const { return local_; }
+  LatticePolytope polytope();
+  HullMesh mesh();
 
  private:
-  struct Facet {
-    std::array<std::int32_t, 3> vertex, neighbour;  // neighbour[e] across vertex[e], vertex[e + 1]
-  };
   using Point = std::array<std::int64_t, 3>;
+  template <class T>
+  struct Planes {
+    std::vector<T> x, y, z, offset, height;  // all zero for a free slot: never visible
+  };
 
-  std::int32_t add_facet(std::int32_t a, std::int32_t b, std::int32_t c);
-  void start();
-  void insert(std::int32_t p);
-  void group_facets();
+  template <class Run>
+  void with_planes(Run&& run);
+  template <class T>
+  void reserve(Planes<T>& planes);
+  template <class T>
+  void put_plane(Planes<T>& planes, std::int32_t facet);
+  template <class T>
+  void start(Planes<T>& planes);
+  template <class T>
+  void insert(Planes<T>& planes, std::int32_t p);
+  template <class T>
+  void list_planes(const Planes<T>& planes);
+  template <class T>
+  LatticePolytope grouped(const Planes<T>& planes);
+  void set_points(std::span<const Lattice> points, std::span<const Lattice> more);
 
   LatticeBox box_{};
+  bool is_box_ = false;
   std::vector<Point> point_;
-  std::vector<Facet> facet_;
-  std::vector<std::int64_t> nx_, ny_, nz_, offset_;  // all zero for a free slot: never visible
+  std::int32_t facets_ = 0;  // slots in use, free ones among them
+  std::vector<HullFacet> facet_;
+  Planes<float> narrow_;
+  Planes<double> middle_;
+  Planes<std::int64_t> wide_;
   std::vector<std::int32_t> free_, visible_, stamp_, first_facet_, fresh_;
   std::int32_t round_ = 0;
   std::vector<std::int32_t> group_, group_facet_, stack_;
+  std::vector<std::array<std::int32_t, 3>> seen_;  // facets at a point
   std::vector<LocalPlane> local_;
   std::vector<Lattice> corner_;
 };

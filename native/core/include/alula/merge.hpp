@@ -6,6 +6,7 @@
 
 #include "alula/budget.hpp"
 #include "alula/control.hpp"
+#include "alula/evaluation_log.hpp"
 #include "alula/subcover.hpp"
 
 namespace alula {
@@ -48,11 +49,12 @@ struct Cover {
 // Guarantee: every voxel of `sets` stays a member of a hull that contains it; weights only rank.
 // Deterministic. A merged hull contains the hulls of all pairs it came from, so W(i u j u k) is at
 // least W(i u j), W(i u k) and W(j u k): candidates carry that bound and are evaluated only when
-// it reaches the top of the heap. Time O(n log n) queue operations for n sets with a bounded
+// it is among the best of the heap. Results depend neither on the number of threads nor on `log`,
+// if given, which supplies weights known from an earlier run and takes the others. Time O(n log n) queue operations for n sets with a bounded
 // number of neighbours.
 // Source: Hong et al. 2026 (arXiv 2606.16232), eqs. 11-15.
 Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
-            Control& control);
+            Control& control, EvaluationLog* log = nullptr);
 
 // Replaces each hull, the one with most excess first, by the hull of the voxels that no other hull
 // contains, and drops hulls that have none; hulls only shrink and the union never grows. Afterwards

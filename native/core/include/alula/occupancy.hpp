@@ -32,6 +32,9 @@ class Occupancy {
   // The column at (x, y), or nullptr.
   const Column* find(std::int32_t x, std::int32_t y) const;
 
+  // The columns at (x, y), (x, y + 1), ...; nullptr where there is none.
+  void find_row(std::int32_t x, std::int32_t y, std::span<const Column*> found) const;
+
   // Number of the column's first voxel with z >= the given one.
   std::uint32_t lower(const Column& column, std::int32_t z) const;
 
@@ -64,6 +67,7 @@ class Occupancy {
   std::vector<Column> column_;
   std::vector<Word> word_;
   std::vector<std::uint32_t> table_;  // open addressing; column + 1
+  std::vector<std::uint32_t> row_;    // first column of each x from that of column_[0]; none when sparse
 };
 
 // Lines per axis that sample a box of `extent` voxels: four per voxel up to 3 voxels, two up to 8,

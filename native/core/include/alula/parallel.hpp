@@ -6,9 +6,11 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstddef>
+#include <cstdint>
 #include <exception>
 #include <mutex>
 #include <thread>
+#include <type_traits>
 #include <vector>
 
 #include "alula/control.hpp"
@@ -73,5 +75,88 @@ void parallel_chunks(std::size_t count, std::size_t chunk, unsigned jobs, Contro
   if (failure) std::rethrow_exception(failure);
   control.poll(count, count);
 }
+
+// Threads that wait for many small batches of work; for loops whose steps depend on each other.
+class WorkerTeam {
+ public:
+  explicit WorkerTeam(unsigned jobs) {
+    const unsigned helpers = std::min(resolve_jobs(jobs), kMost) - 1;
+    for (unsigned t = 0; t < helpers; ++t) thread_.emplace_back([this, t] { serve(t + 1); });
+  }
+  ~WorkerTeam() {
+    {
+      const std::lock_guard lock(mutex_);
+      round_ = kStop;
+    }
+    wake_.notify_all();
+  }
+  WorkerTeam(const WorkerTeam&) = delete;
+  WorkerTeam& operator=(const WorkerTeam&) = delete;
+
+  std::size_t size() const { return thread_.size() + 1; }
+
+  // Calls body(worker, item) for each item below `count`, worker < size(), and waits; an exception
+  // of a body is rethrown once all have ended.
+  template <class Body>
+  void run(std::size_t count, Body&& body) {
+    if (thread_.empty() || count < 2) {
+      for (std::size_t i = 0; i < count; ++i) body(std::size_t{0}, i);
+      return;
+    }
+    using Plain = std::remove_reference_t<Body>;
+    call_ = [](void* that, std::size_t worker, std::size_t item) { (*static_cast<Plain*>(that))(worker, item); };
+    body_ = &body;
+    count_ = count;
+    next_ = 0;
+    failure_ = nullptr;
+    busy_ = thread_.size();
+    {
+      const std::lock_guard lock(mutex_);
+      ++round_;
+    }
+    wake_.notify_all();
+    work(0);
+    while (busy_ != 0) std::this_thread::yield();
+    if (failure_) std::rethrow_exception(failure_);
+  }
+
+ private:
+  static constexpr unsigned kMost = 16;  // batches are small
+  static constexpr int kPatience = 400;  // looks for work before going to sleep
+  static constexpr std::uint64_t kStop = UINT64_MAX;
+
+  void work(std::size_t worker) {
+    try {
+      for (std::size_t i = next_++; i < count_; i = next_++) call_(body_, worker, i);
+    } catch (...) {
+      const std::lock_guard lock(mutex_);
+      if (!failure_) failure_ = std::current_exception();
+    }
+  }
+
+  void serve(std::size_t worker) {
+    for (std::uint64_t seen = 0;;) {
+      for (int i = 0; i < kPatience && round_ == seen; ++i) std::this_thread::yield();
+      if (round_ == seen) {
+        std::unique_lock lock(mutex_);
+        wake_.wait(lock, [&] { return round_ != seen; });
+      }
+      seen = round_;
+      if (seen == kStop) return;
+      work(worker);
+      --busy_;
+    }
+  }
+
+  std::mutex mutex_;
+  std::condition_variable wake_;
+  std::atomic<std::uint64_t> round_{0};
+  std::atomic<std::size_t> next_{0}, busy_{0};
+  std::size_t count_ = 0;
+  void (*call_)(void*, std::size_t, std::size_t) = nullptr;
+  void* body_ = nullptr;
+  std::exception_ptr failure_;
+  std::vector<std::jthread> thread_;
+};
 
 }  // namespace alula

@@ -1,0 +1,53 @@
+// The weights that a merge has evaluated, so that the same merge can be run again at less cost.
+#pragma once
+
+#include <cstdint>
+#include <mutex>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace alula {
+
+// W of pairs of elements, by their numbers. Numbers mean the same only in a merge of the same start
+// by the same rule; a fingerprint of both is kept with the entries. A merge that finds a pair here
+// takes its weight instead of computing it, and so does the same merges in the same order.
+class EvaluationLog {
+ public:
+  struct Entry {
+    std::uint32_t left, right;
+    double weight;
+  };
+
+  EvaluationLog() = default;
+  // Of an earlier snapshot; throws std::invalid_argument when it is damaged.
+  explicit EvaluationLog(std::string_view snapshot);
+
+  // Keeps the entries if they are of this fingerprint, and drops them otherwise.
+  void open(std::uint64_t fingerprint);
+  // The weight of a pair, or nullptr. Not while another thread adds.
+  const double* find(std::uint32_t left, std::uint32_t right) const;
+  // Adds pairs that are not there yet.
+  void add(std::span<const Entry> entries);
+  void count_reuse(std::size_t entries);
+
+  // These may be called while another thread merges.
+  std::string snapshot() const;
+  std::size_t size() const;
+  std::size_t reused() const;  // weights that were found since the log was made
+
+ private:
+  void insert(const Entry& entry);
+
+  mutable std::mutex mutex_;
+  std::uint64_t fingerprint_ = 0;
+  std::size_t reused_ = 0;
+  std::vector<Entry> entry_;
+  std::vector<std::uint32_t> table_;  // open addressing; entry + 1
+};
+
+// FNV-1a over bytes, continued from `state`.
+std::uint64_t fingerprint(std::string_view bytes, std::uint64_t state = 14695981039346656037u);
+
+}  // namespace alula
