@@ -18,6 +18,7 @@ _METHODS = {"default": "ours", "paper": "paper's rule", "coacd": "CoACD"}
 _COLORS = {"default": "#0072b2", "paper": "#e69f00", "coacd": "#8a9099"}
 _SCENE_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#222222")
 _MB = 1e6
+_HIGHEST_BAR = 4.0  # higher ones run out of the figure, so that the others can be told apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +145,7 @@ def volumes_figure(scenes: Sequence[SceneMaps]) -> Drawn:
 
     methods = [m for m in _METHODS if any(m in scene.same_count for scene in scenes)]
     width = 0.8 / len(methods)
+    top = min(_HIGHEST_BAR, max(f.conservativeness for s in scenes for f in s.same_count.values()))
     with drawing(max(6.2, 2.4 + 1.5 * len(scenes)), 4.0) as (axes, render):
         for place, scene in enumerate(scenes):
             for number, method in enumerate(methods):
@@ -153,18 +155,17 @@ def volumes_figure(scenes: Sequence[SceneMaps]) -> Drawn:
                 at = place + (number - (len(methods) - 1) / 2) * width
                 axes.bar(at, found.conservativeness, 0.92 * width, color=_COLORS[method], alpha=0.55)
                 if found.measure is not None:
-                    axes.bar(
-                        at,
-                        found.measure.filled,
-                        0.92 * width,
-                        fill=False,
-                        hatch="////",
-                        edgecolor="#33404d",
-                        lw=0,
-                    )
+                    hatched: dict[str, Any] = {
+                        "fill": False,
+                        "hatch": "////",
+                        "edgecolor": "#33404d",
+                        "lw": 0,
+                    }
+                    axes.bar(at, found.measure.filled, 0.92 * width, **hatched)
+                shown = min(found.conservativeness, top)
                 axes.annotate(
-                    f"{found.conservativeness:.2f}",
-                    (at, found.conservativeness),
+                    f"{found.conservativeness:.2f}" + (" ↑" if found.conservativeness > top else ""),
+                    (at, shown),
                     (0, 2),
                     textcoords="offset points",
                     ha="center",
@@ -177,7 +178,7 @@ def volumes_figure(scenes: Sequence[SceneMaps]) -> Drawn:
         axes.tick_params(axis="x", length=0)
         axes.grid(visible=False, axis="x")
         axes.set(ylabel="volume / volume of voxels", xlim=(-0.6, len(scenes) - 0.4))
-        axes.margins(y=0.1)
+        axes.set_ylim(0, 1.12 * top)
         keys = [Patch(facecolor=_COLORS[m], alpha=0.55, label=_METHODS[m]) for m in methods]
         keys.append(Patch(fill=False, hatch="////", edgecolor="#33404d", lw=0, label="inside voxels"))
         axes.figure.legend(handles=keys, loc="outside upper center", ncols=len(keys), fontsize=10)
