@@ -103,13 +103,8 @@ class Measured:
     error: float
 
 
-IS_EXACT = hasattr(_core, "union_measure")
-
-
 def measure(solids: Solids, voxels: NDArray[np.int32]) -> Measured:
     """Exact volumes, up to a bound on rounding; a gap is more than a millionth of a voxel."""
-    if not IS_EXACT:
-        return measure_along_lines(solids, voxels)
     length = np.linalg.norm(solids.normal, axis=1)
     ends = [(vertex.min(axis=0), vertex.max(axis=0)) for _, _, vertex in solids]
     lower, upper = (np.array(column, np.float64).reshape(-1, 3) for column in zip(*ends, strict=True))
@@ -245,28 +240,3 @@ def mesh_bytes(solids: Solids) -> int:
     """
     unit = np.abs(solids.normal / np.linalg.norm(solids.normal, axis=1, keepdims=True)).max(axis=1)
     return 64 + 14 * len(solids) + 5 * int((unit < 1 - 1e-9).sum())
-
-
-def boundary_mesh(voxels: NDArray[np.int32]) -> tuple[FloatArray, NDArray[np.int32]]:
-    """The surface of voxels: shared corners, shape (V, 3) [voxels], and outward triangles, shape (T, 3)."""
-    cubes = voxels.astype(np.int64)
-    low = cubes.min(axis=0) - 1
-    size = cubes.max(axis=0) - low + 2
-
-    def key(index: NDArray[np.int64]) -> NDArray[np.int64]:
-        return (
-            ((index[..., 0] - low[0]) * size[1] + index[..., 1] - low[1]) * size[2] + index[..., 2] - low[2]
-        )
-
-    occupied = np.sort(key(cubes))
-    quads = []
-    for axis in range(3):
-        step, a, b = np.eye(3, dtype=np.int64)[[axis, (axis + 1) % 3, (axis + 2) % 3]]
-        for side, corners in ((1, [step, step + a, step + a + b, step + b]), (-1, [0 * a, b, a + b, a])):
-            free = cubes[~np.isin(key(cubes + side * step), occupied)]
-            quads.append(free[:, None, :] + np.array(corners))
-    corner = np.vstack(quads).reshape(-1, 3)
-    _, first, number = np.unique(key(corner), return_index=True, return_inverse=True)
-    quad = number.reshape(-1, 4)
-    triangles = np.vstack([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
-    return corner[first].astype(np.float64), triangles.astype(np.int32)

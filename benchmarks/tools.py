@@ -20,12 +20,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from solids import Solids, boundary_mesh, measure, measure_along_lines, mesh_bytes, outside_every_hull
+from solids import Solids, measure, measure_along_lines, mesh_bytes, outside_every_hull
 
 from alula.schemas.artifact import Artifact, read_artifact
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.kinds import VOXELS
 from alula.stages.compression.merge import merge
+from alula.stages.compression.onboard import encode_map
+from alula.stages.compression.voxel_mesh import voxel_mesh
 
 _ERRORS = 8  # standard errors of four draws: chance exceeds it once in some hundred
 HERE = str(Path(__file__).resolve().parent)
@@ -154,15 +156,6 @@ def judge(solids: Solids, voxels: np.ndarray) -> dict[str, Any]:
     }
 
 
-def onboard_bytes(cover: Artifact) -> int:
-    """Size of the map that a cover becomes on board."""
-    try:
-        onboard = importlib.import_module("alula.stages.compression.onboard")
-    except ModuleNotFoundError:
-        return mesh_bytes(Solids.from_cover(cover))
-    return len(onboard.encode_map(cover))
-
-
 def _merge(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
     config = MergeConfig(**options)
     start_mb = peak_mb()
@@ -170,19 +163,21 @@ def _merge(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str,
     cover = merge(config, voxels)
     figures: dict[str, Any] = {**clock.seconds(), "peak_mb": peak_mb(), "start_mb": start_mb}
     figures["union_ratio_stated"] = cover.manifest.conservativeness  # type: ignore[attr-defined]
-    figures["bytes"] = onboard_bytes(cover)
+    figures["bytes"] = len(encode_map(cover))
     return Solids.from_cover(cover), figures
 
 
 def _coacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
     """CoACD with its defaults and a fixed seed on the surface of the voxels."""
     coacd = importlib.import_module("coacd")
-    corner, triangles = boundary_mesh(voxels["index"])
+    corner, triangles = voxel_mesh(voxels["index"])
     origin = corner.min(axis=0)
     with _Silence():
         coacd.set_log_level("off")
         clock = Clock()
-        parts = coacd.run_coacd(coacd.Mesh(corner - origin, triangles), seed=0, **options)
+        parts = coacd.run_coacd(
+            coacd.Mesh((corner - origin).astype(np.float64), triangles), seed=0, **options
+        )
         figures = {**clock.seconds(), "peak_mb": peak_mb()}
     return Solids.from_points([points + origin for points, _ in parts]), figures
 
@@ -190,11 +185,13 @@ def _coacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str,
 def _vhacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
     """V-HACD 4 with its defaults on the surface of the voxels."""
     vhacdx = importlib.import_module("vhacdx")
-    corner, triangles = boundary_mesh(voxels["index"])
+    corner, triangles = voxel_mesh(voxels["index"])
     origin = corner.min(axis=0)
     with _Silence():
         clock = Clock()
-        parts = vhacdx.compute_vhacd(corner - origin, triangles.astype(np.uint32), **options)
+        parts = vhacdx.compute_vhacd(
+            (corner - origin).astype(np.float64), triangles.astype(np.uint32), **options
+        )
         figures = {**clock.seconds(), "peak_mb": peak_mb()}
     return Solids.from_points([np.asarray(points) + origin for points, _ in parts]), figures
 

@@ -45,6 +45,24 @@ def unproven_voxels(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3)
     rounding bounds. Raises ValueError for malformed input, OverflowError when the memory budget is exceeded.
     """
 
+class MergeJournal:
+    """
+    The volumes that a merge has measured. Given to the same merge again, it takes them from
+    here and so comes to the same result sooner; for another merge it starts anew.
+    """
+
+    def __init__(self, data: bytes = ...) -> None:
+        """From an earlier snapshot; ValueError when it is damaged."""
+
+    def snapshot(self) -> bytes:
+        """All entries so far; may be called from any thread while merging."""
+
+    def __len__(self) -> int: ...
+
+    @property
+    def reused(self) -> int:
+        """How many measurements were taken from here since it was made."""
+
 def lattice_hull(points: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> dict[str, Any]:
     """
     Exact hull of integer points (N, 3): sorted vertices and primitive planes, as a cover of one hull.
@@ -55,7 +73,7 @@ def cover_excess(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), o
     Volume [voxels] of the union of polytopes outside sorted voxels (M, 3), all of which they contain.
     """
 
-def merge_cover(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], block: int, is_paper: bool, max_hulls: int, max_planes: int, max_bytes: int, facet_cap: int, kdop: int, is_fitted: bool, max_growth: float, jobs: int, progress: object | None) -> dict[str, Any]:
+def merge_cover(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], block: int, is_paper: bool, max_hulls: int, max_planes: int, max_bytes: int, facet_cap: int, kdop: int, is_fitted: bool, max_growth: float, jobs: int, journal: MergeJournal | None, progress: object | None) -> dict[str, Any]:
     """
     Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets, or an
     empty `member_start` asks for the set cover by clusters. A limit of 0 is none. `facet_cap` and `kdop`
@@ -66,8 +84,8 @@ def merge_cover(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), or
 
 def union_measure(normal: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], lower: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], sliver: float, jobs: int, progress: object | None) -> dict[str, Any]:
     """
-    Volume of the union of polytopes {lower <= x <= upper, normal . x <= offset} with unit normals (F, 3),
-    row-compressed by `start` (n + 1,), in voxel edges; its intersection with sorted voxels (M, 3), how many
+    Volume of the union of polytopes {normal . x <= offset} with unit normals (F, 3), row-compressed by
+    `start` (n + 1,), each within its box, in voxel edges; its intersection with sorted voxels (M, 3), how many
     of them lack no more than `sliver` of their volume, and a bound on the rounding error of both volumes.
     """
 
