@@ -109,13 +109,17 @@ class WorkerTeam {
     count_ = count;
     next_ = 0;
     failure_ = nullptr;
-    busy_ = thread_.size();
     {
       const std::lock_guard lock(mutex_);
+      is_open_ = true;
       ++round_;
     }
     wake_.notify_all();
     work(0);
+    {
+      const std::lock_guard lock(mutex_);
+      is_open_ = false;  // who is not here by now need not come
+    }
     while (busy_ != 0) std::this_thread::yield();
     if (failure_) std::rethrow_exception(failure_);
   }
@@ -137,12 +141,14 @@ class WorkerTeam {
   void serve(std::size_t worker) {
     for (std::uint64_t seen = 0;;) {
       for (int i = 0; i < kPatience && round_ == seen; ++i) std::this_thread::yield();
-      if (round_ == seen) {
+      {
         std::unique_lock lock(mutex_);
         wake_.wait(lock, [&] { return round_ != seen; });
+        seen = round_;
+        if (seen == kStop) return;
+        if (!is_open_) continue;
+        ++busy_;
       }
-      seen = round_;
-      if (seen == kStop) return;
       work(worker);
       --busy_;
     }
@@ -152,6 +158,7 @@ class WorkerTeam {
   std::condition_variable wake_;
   std::atomic<std::uint64_t> round_{0};
   std::atomic<std::size_t> next_{0}, busy_{0};
+  bool is_open_ = false;
   std::size_t count_ = 0;
   void (*call_)(void*, std::size_t, std::size_t) = nullptr;
   void* body_ = nullptr;
