@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from alula.stages.compression.measure import Measure
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.published import POLYMERGE_SCENES, POLYMERGE_SIZES
@@ -273,7 +271,10 @@ def in_short(scenes: Sequence[SceneMaps]) -> dict[str, str]:
             words += f", free space enclosed {text(100 * saved)} % below the paper's rule"
         theirs = scene.same_count.get("coacd")
         if theirs is not None and theirs.measure is not None:
-            share = np.round(100 * theirs.measure.open_voxels / theirs.measure.voxels, 2)
-            words += f"; CoACD {text(theirs.conservativeness)} with {share} % of the voxels not filled"
+            share = 100 * theirs.measure.open_voxels / theirs.measure.voxels
+            words += (
+                f"; CoACD {text(theirs.conservativeness)}, leaving out parts of {text(share)} % of the voxels"
+            )
+            words += f", {text(100 * (1 - theirs.measure.filled))} % of their volume"
         lines[scene.name] = words
     return lines
