@@ -36,8 +36,8 @@ of V+ outside the union. *Voxels in no hull* are those that no single hull conta
 which our covers are exact, and stricter than need be for tools that cut voxels between two hulls; *voxels
 with a gap* are those of which the union leaves out more than a millionth. Coplanar triangles of a mesh
 count as one half-plane. Bytes of meshes are what their planes would take if quantised like ours. Volumes
-are exact up to rounding; the largest error of union / V+ below is {error:.1e}. Measured again along random vertical
-lines, {agree} of {all} agree within what chance explains.
+are exact up to rounding; the largest error of union / V+ below is {error:.1e}. Measured again along random
+vertical lines, {agree} of {all} agree within what chance explains.
 """
 
 
