@@ -173,9 +173,10 @@ double cover_excess(const InRows3<std::int32_t>& voxels, const InRows3<std::int3
 
 void bind_merge(nb::module_& m) {
   using alula::EvaluationLog;
-  nb::class_<EvaluationLog>(m, "MergeJournal",
-                            "The volumes that a merge has measured. Given to the same merge again, it takes them from\n"
-                            "here and so comes to the same result sooner; for another merge it starts anew.")
+  nb::class_<EvaluationLog>(
+      m, "MergeJournal",
+      "The volumes that a merge has measured. Given to the same merge again, it takes them from\n"
+      "here and so comes to the same result sooner; for another merge it starts anew.")
       .def(
           "__init__",
           [](EvaluationLog* that, const nb::bytes& data) {

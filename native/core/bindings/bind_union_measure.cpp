@@ -60,9 +60,10 @@ Result measure(const InRows3<double>& normal, const InVector<double>& offset, co
 }  // namespace alula
 
 void bind_union_measure(nb::module_& m) {
-  m.def("union_measure", &alula::measure, "normal"_a, "offset"_a, "start"_a, "lower"_a, "upper"_a, "voxels"_a,
-        "sliver"_a, "jobs"_a, "progress"_a.none(),
-        "Volume of the union of polytopes {normal . x <= offset} with unit normals (F, 3), row-compressed by\n"
-        "`start` (n + 1,), each within its box, in voxel edges; its intersection with sorted voxels (M, 3), how many\n"
-        "of them lack no more than `sliver` of their volume, and a bound on the rounding error of both volumes.");
+  m.def(
+      "union_measure", &alula::measure, "normal"_a, "offset"_a, "start"_a, "lower"_a, "upper"_a, "voxels"_a,
+      "sliver"_a, "jobs"_a, "progress"_a.none(),
+      "Volume of the union of polytopes {normal . x <= offset} with unit normals (F, 3), row-compressed by\n"
+      "`start` (n + 1,), each within its box, in voxel edges; its intersection with sorted voxels (M, 3), how many\n"
+      "of them lack no more than `sliver` of their volume, and a bound on the rounding error of both volumes.");
 }

@@ -13,7 +13,7 @@ namespace alula {
 
 namespace {
 
-constexpr std::size_t kBatch = 16;        // candidates evaluated at once, for any number of threads
+constexpr std::size_t kBatch = 16;       // candidates evaluated at once, for any number of threads
 constexpr std::size_t kStartShare = 80;  // of the time, in Share::kWhole, before the first merge
 
 struct Link {
@@ -148,7 +148,8 @@ class Merger {
   double evaluate(Bench& bench, std::uint32_t left, std::uint32_t right) const {
     if (const double* known = log_ == nullptr ? nullptr : log_->find(left, right)) return *known;
     build(bench.hull, left, right);
-    return std::max({bench.excess(bench.hull), weight_of(left, right), element_[left].weight, element_[right].weight});
+    return std::max(
+        {bench.excess(bench.hull), weight_of(left, right), element_[left].weight, element_[right].weight});
   }
 
   // Evaluates the candidates in batch_.
@@ -167,7 +168,8 @@ class Merger {
       return std::string_view(reinterpret_cast<const char*>(list.data()), list.size() * sizeof(list[0]));
     };
     const std::uint64_t rule = fingerprint(options_.rule == MergeRule::kPaper ? "paper" : "increase");
-    return fingerprint(bytes(sets_.start), fingerprint(bytes(sets_.member), fingerprint(bytes(occupancy_.voxels()), rule)));
+    return fingerprint(bytes(sets_.start),
+                       fingerprint(bytes(sets_.member), fingerprint(bytes(occupancy_.voxels()), rule)));
   }
 
   double key(std::uint32_t left, std::uint32_t right, double weight) const {

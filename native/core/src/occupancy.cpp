@@ -211,7 +211,8 @@ double ExcessMeter::measure(const LatticeBox& box, bool is_box) {
       sum += high_[j] - low_[j];
       const Occupancy::Column* column = column_[static_cast<std::size_t>(y_[j])];
       if (column != nullptr)
-        sum -= occupancy_->filled(*column, box.lower[2] + high_[j]) - occupancy_->filled(*column, box.lower[2] + low_[j]);
+        sum -= occupancy_->filled(*column, box.lower[2] + high_[j]) -
+               occupancy_->filled(*column, box.lower[2] + low_[j]);
     }
     total += sum;
   }

@@ -79,8 +79,8 @@ class Measurer {
         const std::uint32_t p = part.plane[at];
         const HalfSpace& plane = sets_.plane[p];
         const double middle = dot(plane.normal, centre) - plane.offset;
-        const double spread = std::abs(plane.normal.x) * half.x + std::abs(plane.normal.y) * half.y +
-                              std::abs(plane.normal.z) * half.z;
+        const double spread =
+            std::abs(plane.normal.x) * half.x + std::abs(plane.normal.y) * half.y + std::abs(plane.normal.z) * half.z;
         if (middle + spread <= tolerance_) continue;
         is_apart = middle - spread >= -tolerance_;
         part.plane[planes++] = p;

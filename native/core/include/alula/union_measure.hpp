@@ -32,7 +32,7 @@ struct UnionMeasure {
 };
 
 struct MeasureOptions {
-  double sliver = 1e-9;                 // voxels missing no more than this count as whole
+  double sliver = 1e-9;                  // voxels missing no more than this count as whole
   std::size_t cuts_per_part = SIZE_MAX;  // of the up to 1023 parts
 };
 
