@@ -15,7 +15,7 @@ help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
 
 demo: setup ## fly the built-in scene end to end and leave a report
-	@$(MAKE) --no-print-directory -C examples/room ALULA=$(CURDIR)/$(BIN)/alula
+	@$(MAKE) --no-print-directory -C examples/room
 
 test: setup ## install what the tests need and run them
 	$(BIN)/pytest tests
@@ -73,7 +73,7 @@ test-wheel: wheel ## run the tests against the built wheel in an environment of 
 	build/wheel-venv/bin/pytest tests
 
 examples: demo ## run every example
-	@$(MAKE) --no-print-directory -C examples/polymerge ALULA=$(CURDIR)/$(BIN)/alula PYTHON=$(CURDIR)/$(BIN)/python
+	@$(MAKE) --no-print-directory -C examples/polymerge
 
 bench: setup ## time the stages, and covers against those of other tools, side by side
 	$(BIN)/python -P benchmarks/pipeline.py
