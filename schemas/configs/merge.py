@@ -28,7 +28,7 @@ class MergeConfig:
     )
     max_planes: int | None = field(default=None, metadata={"help": "At most this many half-planes in all."})
     max_bytes: int | None = field(
-        default=None, metadata={"help": "At most this many bytes in the form for microcontrollers."}
+        default=None, metadata={"help": "At most this many bytes as an onboard map (see export)."}
     )
     max_growth: float | None = field(
         default=None, metadata={"help": "Volume of the cover over that of the voxels, at most (1.1: +10 %)."}
