@@ -16,6 +16,7 @@ from alula.cli.runner import input_ref
 from alula.schemas.artifact import read_artifact
 from alula.schemas.atomic import atomic_output, write_text
 from alula.stages.compression.measure import half_spaces, measure_cover, measure_points
+from alula.stages.compression.onboard import encode_map
 from alula.stages.reporting import polymerge
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.page import page
@@ -32,7 +33,7 @@ def of_cover(path: Path, index: np.ndarray | None = None) -> Polytopes:
     planes, count = len(cover["plane_offset"]), len(cover["plane_start"]) - 1
     found = measure_cover(cover, index) if index is not None else None
     growth = found.conservativeness if found else cover.manifest.conservativeness
-    return Polytopes(count, planes, growth, path.stat().st_size, found)
+    return Polytopes(count, planes, growth, path.stat().st_size, found, len(encode_map(cover)))
 
 
 def of_coacd(path: Path, index: np.ndarray) -> Polytopes | None:

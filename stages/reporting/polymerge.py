@@ -23,7 +23,8 @@ _HIGHEST_BAR = 4.0  # higher ones run out of the figure, so that the others can 
 class Polytopes:
     """A map of convex polytopes: how many, of how many half-planes, its file, and its volume.
 
-    `measure` is None where only the manifest's `conservativeness` is known.
+    `measure` is None where only the manifest's `conservativeness` is known, `onboard_bytes` where the
+    map has no form for a microcontroller.
     """
 
     hulls: int
@@ -31,6 +32,7 @@ class Polytopes:
     conservativeness: float
     file_bytes: int | None = None
     measure: Measure | None = None
+    onboard_bytes: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,20 +66,26 @@ def sizes_table(scenes: Sequence[SceneMaps]) -> Table:
         row: list[Any] = [scene.name, scene.ellipsoids, scene.scene_bytes / _MB]
         row += [scene.ellipsoids * BYTES_PER_GAUSSIAN / _MB]
         row += [None] * 4 if theirs is None else [theirs.hulls, *_planes(theirs)]
-        rows.append((*row, ours.hulls, *_planes(ours)))
+        onboard = None if ours.onboard_bytes is None else ours.onboard_bytes / _MB
+        rows.append((*row, ours.hulls, *_planes(ours), onboard))
     each, one = BYTES_PER_HALF_PLANE / _MB, BYTES_PER_GAUSSIAN / _MB
     for (name, n, f), (count, whole, g, small, large) in zip(POLYMERGE_SCENES, POLYMERGE_SIZES, strict=True):
         rows.append(
-            (f"published: {name}", count, whole, count * one, n, g, small, g * each, n, f, large, f * each)
+            (
+                *(f"published: {name}", count, whole, count * one),
+                *(n, g, small, g * each, n, f, large, f * each, None),
+            )
         )
     columns = ["scene", "ellipsoids", "ellipsoids: file [MB]", "ellipsoids: geometry [MB]"]
     for method in ("CoACD", "hulls"):
         columns += [
             f"{method}: {what}" for what in ("primitives", "half-planes", "file [MB]", "geometry [MB]")
         ]
+    columns.append("hulls: onboard map [MB]")
     note = (
         f"Geometry counts {BYTES_PER_GAUSSIAN} bytes per ellipsoid and {BYTES_PER_HALF_PLANE} per half-plane,"
-        " in the published rows too. Our files also hold vertices, members and provenance, compressed. "
+        " in the published rows too. Our files also hold vertices, members and provenance; the onboard map is"
+        " what a microcontroller reads. "
         "Published: CoACD of SuGaR's mesh, half-planes and ellipsoids rounded as printed; in our rows CoACD "
         "is of the surface of the voxels. Scenes differ, so only ratios compare."
     )
