@@ -394,7 +394,7 @@ def test_each_plane_of_an_outer_polytope_must_touch_it():
 
 def test_a_recorded_volume_that_is_not_that_of_the_cover_is_caught():
     for cover in (COVER, OUTER):
-        for factor in (0.5, 0.9, 1.1, 1e9):
+        for factor in (0.5, 0.9, 1.1, 1e9, float("inf"), float("nan")):
             certificate = verify(
                 with_manifest(cover, conservativeness=cover.manifest.conservativeness * factor)
             )
