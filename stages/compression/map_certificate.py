@@ -88,7 +88,7 @@ def _arrays(
 def _files_agree(
     image: MapImage, cover: Artifact | None, voxels: Artifact | None, scene: Artifact | None
 ) -> Check:
-    """The lattice of the map is that of the other files; their level, frame and unit are equal, and as claimed."""
+    """Lattice, level, frame and unit of all files are equal, and are those that their guarantees claim."""
     files = {"cover": cover, "voxels": voxels, "scene": scene}
     given = {name: file.manifest for name, file in files.items() if file is not None}
     offences = [

@@ -47,8 +47,8 @@ ConvexSets convex_sets(const std::vector<LatticePolytope>& hulls, const std::vec
       const geometry::Vec3 normal{static_cast<double>(n[0]), static_cast<double>(n[1]), static_cast<double>(n[2])};
       const double length = norm(normal);
       const std::int64_t offset = plane.offset - n[0] * middle[0] - n[1] * middle[1] - n[2] * middle[2];
-      sets.plane.push_back({{normal.x / length, normal.y / length, normal.z / length},
-                            static_cast<double>(offset) / length});
+      sets.plane.push_back(
+          {{normal.x / length, normal.y / length, normal.z / length}, static_cast<double>(offset) / length});
     }
     sets.close({local(box[h].lower), local(box[h].upper)});
   }

@@ -50,9 +50,8 @@ struct Cover {
 // Deterministic. A merged hull contains the hulls of all pairs it came from, so W(i u j u k) is at
 // least W(i u j), W(i u k) and W(j u k): candidates carry that bound and are evaluated only when
 // it is among the best of the heap. Results depend neither on the number of threads nor on `log`,
-// if given, which supplies weights known from an earlier run and takes the others. Time O(n log n) queue operations for n sets with a bounded
-// number of neighbours.
-// Source: Hong et al. 2026 (arXiv 2606.16232), eqs. 11-15.
+// if given, which supplies weights known from an earlier run and takes the others. Time O(n log n) queue operations
+// for n sets with a bounded number of neighbours. Source: Hong et al. 2026 (arXiv 2606.16232), eqs. 11-15.
 Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
             Control& control, EvaluationLog* log = nullptr);
 
