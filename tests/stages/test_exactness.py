@@ -12,28 +12,46 @@ from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parent))
 from covers import cover_of, furniture, holds_voxel, planes, rows, voxels_of
-from exact import cutting, dot, exact_excess, facets_of
+from exact import cross, cutting, dot, exact_excess, facets_of
 
 from alula import _core
 
 # The hull's arithmetic changes between 177 and 178, and between 2^17 and 2^17 + 1; 2^20 is the limit.
-EXTENTS = [1, 2, 20, 176, 177, 178, 2**17 - 1, 2**17, 2**17 + 1, 2**20 - 1, 2**20]
+EXTENTS = [1, 2, 20, 176, 177, 178, 230, 2**17 - 1, 2**17, 2**17 + 1, 2**18, 2**20 - 1, 2**20]
 LEAST_WEIGHT = 1e-6  # of a hull that is no box and whose box is not full
 voxel_sets = st.sets(st.tuples(*3 * [st.integers(-3, 3)]), min_size=2, max_size=24)
 
 
 @st.composite
 def points_of_extent(draw, most):
-    """Points of one extent anywhere in the range: corners, edges, middles, and what lies beside them."""
+    """Points of one extent anywhere in the range: corners, edges, middles, and what lies beside them.
+
+    Half of the time three of them make the largest determinant there is, 2 extent^3, nearly, and others
+    lie within a step of their plane: what is rounded there shows.
+    """
     extent = draw(st.sampled_from(EXTENTS))
     place = [draw(st.sampled_from([-(2**20), 0, 2**20 - extent])) for _ in range(3)]
     inner = st.one_of(st.sampled_from([0, 1, extent // 2, extent - 1, extent]), st.integers(0, extent))
     points = draw(st.lists(st.tuples(inner, inner, inner), min_size=2, max_size=most))
-    if draw(st.booleans()):  # the extent itself
+    if draw(st.booleans()):
+        step = st.integers(0, min(2, extent))
+        tight = [[abs(end * extent - draw(step)) for end in p] for p in ((1, 1, 0), (1, 0, 1), (0, 1, 1))]
+        normal = cross(np.subtract(tight[1], tight[0]).tolist(), np.subtract(tight[2], tight[0]).tolist())
+        points = [(*p[:2], beside(normal, dot(normal, tight[0]), p, extent, draw(step))) for p in points]
+        points += map(tuple, tight)
+    elif draw(st.booleans()):  # the extent itself
         points += [(0, 0, 0), (extent, extent, extent)]
-    if draw(st.booleans()):  # many in one plane
+    if draw(st.integers(0, 3)) == 0:  # many in one plane
         points += [(x, y, (x + y) // 2) for x, y, _ in points]
     return [tuple(c + p for c, p in zip(point, place, strict=True)) for point in points]
+
+
+def beside(normal, offset, point, extent, step):
+    """The z of a plane over a point's x and y, a step or none away."""
+    if normal[2] == 0:
+        return point[2]
+    z = (offset - normal[0] * point[0] - normal[1] * point[1]) // normal[2]
+    return min(max(z + step - 1, 0), extent)
 
 
 def lattice_hull(points):
