@@ -31,7 +31,7 @@ _OTHER_IS_PLANE, _OTHER_IS_VERTEX = (3, 8), (12,)
 _NOT_COVERED, _NOT_OCCUPIED = 10, 11
 _LATTICE_LIMIT = 2**20  # volumes are measured within; nothing else here depends on it
 _VOLUME_TOLERANCE = 0.02  # of the excess: earlier versions measured it along sampled lines
-_LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "min_opacity")
+LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "min_opacity")
 _GEOMETRY = (
     *("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start"),
     *("member_index", "member_start"),
@@ -169,7 +169,7 @@ def _files_agree(cover: Artifact, voxels: Artifact | None, scene: Artifact | Non
     if voxels is not None:
         assert isinstance(voxels.manifest, VoxelsManifest)
         offences += _unclaimed(voxels.manifest, "voxels")
-        names += _LEVEL
+        names += LEVEL
         offences += [
             Offence(fault=f"{name} of the cover is {getattr(mine, name)}, of the voxels {theirs}")
             for name in names
@@ -189,7 +189,7 @@ def _unclaimed(manifest: CoverManifest | VoxelsManifest, what: str) -> list[Offe
     claims = manifest.guarantee.claims if manifest.guarantee is not None else {}
     return [
         Offence(fault=f"{name} of the {what} is {value}, but its guarantee claims {claims[name]}")
-        for name in _LEVEL
+        for name in LEVEL
         if name in claims and claims[name] != (value := getattr(manifest, name))
     ]
 
@@ -273,7 +273,7 @@ def _volume_check(cover: Artifact, jobs: int, progress: Progress) -> Check:
     found = 1.0 + excess / len(voxels)
     recorded: float = cover.manifest.conservativeness  # type: ignore[attr-defined]
     offences = []
-    if not abs(recorded - found) <= _VOLUME_TOLERANCE * max(recorded - 1, found - 1) + 1e-6:
+    if not abs(recorded - found) <= _VOLUME_TOLERANCE * (found - 1) + 1e-6:
         offences.append(Offence(fault=f"conservativeness is {found:.6g}, but recorded as {recorded:.6g}"))
     return _check("volume is as recorded", 1, offences, len(offences), f"conservativeness {found:.6g}")
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
-from alula.schemas.manifest import LevelManifest
+from alula.schemas.manifest import CoverManifest, LevelManifest, VoxelsManifest
 from alula.stages.compression.certificate import (
+    LEVEL,
     LISTED,
     Certificate,
     Check,
@@ -22,10 +23,9 @@ from alula.stages.compression.certificate import (
     _left_out,
     _place,
     _scene_check,
+    _unclaimed,
 )
 from alula.stages.compression.map_image import MARGIN_OF_EXTENT, MapImage
-
-_LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "frame", "unit")
 
 
 def verify_map(
@@ -88,7 +88,7 @@ def _arrays(
 def _files_agree(
     image: MapImage, cover: Artifact | None, voxels: Artifact | None, scene: Artifact | None
 ) -> Check:
-    """The lattice of the map is that of the other files, and their level, frame and unit are equal."""
+    """Lattice, level, frame and unit of all files are equal, and are those that their guarantees claim."""
     files = {"cover": cover, "voxels": voxels, "scene": scene}
     given = {name: file.manifest for name, file in files.items() if file is not None}
     offences = [
@@ -96,11 +96,14 @@ def _files_agree(
         for name, manifest in given.items()
         if (theirs := getattr(manifest, "voxel_size_m", image.voxel_size_m)) != image.voxel_size_m
     ]
+    for name, manifest in given.items():
+        if isinstance(manifest, CoverManifest | VoxelsManifest):
+            offences += _unclaimed(manifest, name)
     (first, mine), *others = given.items()
     offences += [
         Offence(fault=f"{key} of the {first} is {getattr(mine, key)}, of the {name} {getattr(theirs, key)}")
         for name, theirs in others
-        for key in _LEVEL
+        for key in (*LEVEL, "frame", "unit")
         if hasattr(theirs, key) and getattr(theirs, key) != getattr(mine, key)
     ]
     return _check("files agree", len(given), offences, len(offences), "size, level, frame and unit")

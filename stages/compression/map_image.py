@@ -101,7 +101,8 @@ def decode_map(raw: bytes) -> MapImage:
         raise DamagedError("the header of the onboard map does not match its CRC-32")
     if flags & ~(KDOP | INDEXED):
         raise VersionError(f"the onboard map needs features {flags:#x} that this version lacks; update alula")
-    if header_bytes != HEADER_BYTES or total < HEADER_BYTES or zero != 0 or not 1 <= largest <= 127:
+    most = 1 if flags & KDOP else 127
+    if header_bytes != HEADER_BYTES or total < HEADER_BYTES or zero != 0 or not 1 <= largest <= most:
         raise DamagedError("the header of the onboard map contradicts itself")
     if total > len(raw):
         raise DamagedError(f"truncated: {len(raw)} bytes of an onboard map of {total}")

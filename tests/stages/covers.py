@@ -1,7 +1,9 @@
-"""Voxel scenes, covers of them, and what must hold for a cover, in plain Python integers."""
+"""Voxel scenes, covers of them, what must hold for a cover, in plain Python integers, and damaged ones."""
 
+import dataclasses
 from math import gcd
 
+import msgspec
 import numpy as np
 
 from alula.schemas.artifact import Artifact, make_artifact
@@ -77,3 +79,41 @@ def assert_covers(cover: Artifact, voxels: Artifact) -> None:
 
 def excess(cover: Artifact) -> float:
     return float(cover.manifest.conservativeness) - 1
+
+
+def changed(cover, **arrays):
+    """The cover with some arrays replaced, as a file with a matching manifest could hold them."""
+    return dataclasses.replace(cover, arrays={**cover.arrays, **arrays})
+
+
+def with_row(cover, name, row, value):
+    array = cover[name].copy()
+    array[row] = value
+    return changed(cover, **{name: array})
+
+
+def failing(certificate) -> list[str]:
+    assert certificate.covered == all(check.ok for check in certificate.checks)
+    return [check.name for check in certificate.checks if not check.ok]
+
+
+def offences(certificate):
+    return [offence for check in certificate.checks for offence in check.first]
+
+
+def with_manifest(artifact, **fields):
+    return dataclasses.replace(artifact, manifest=msgspec.structs.replace(artifact.manifest, **fields))
+
+
+def is_covered_by_brute_force(cover, voxels) -> bool:
+    """Every voxel has its eight corners in one polytope of the cover's planes."""
+    hulls = [planes(cover, hull) for hull in range(len(cover["plane_start"]) - 1)]
+    hulls = [half_spaces for half_spaces in hulls if half_spaces]
+    left = voxels["index"].astype(object)
+    for half_spaces in hulls:
+        held = np.ones(len(left), bool)
+        for normal, offset in half_spaces:
+            far = left @ np.array(normal, object) + sum(max(n, 0) for n in normal)
+            held &= np.array(far <= offset, bool)
+        left = left[~held]
+    return len(left) == 0

@@ -9,7 +9,20 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
-from covers import SIZE_M, cover_of, furniture, holds_voxel, planes, voxels_of
+from covers import (
+    SIZE_M,
+    changed,
+    cover_of,
+    failing,
+    furniture,
+    holds_voxel,
+    is_covered_by_brute_force,
+    offences,
+    planes,
+    voxels_of,
+    with_manifest,
+    with_row,
+)
 
 from alula.schemas.artifact import make_artifact
 from alula.schemas.checks import check_arrays
@@ -24,40 +37,6 @@ COVERS = {method: cover_of(VOXELS, method=method, hulls=12) for method in ("defa
 COVER = COVERS["default"]
 COVERS |= {"capped": cover_of(VOXELS, max_planes=90), "kdop": cover_of(VOXELS, hulls=12, kdop=14)}
 OUTER = COVERS["capped"]
-
-
-def changed(cover, **arrays):
-    """The cover with some arrays replaced, as a file with a matching manifest could hold them."""
-    return dataclasses.replace(cover, arrays={**cover.arrays, **arrays})
-
-
-def with_row(cover, name, row, value):
-    array = cover[name].copy()
-    array[row] = value
-    return changed(cover, **{name: array})
-
-
-def failing(certificate) -> list[str]:
-    assert certificate.covered == all(check.ok for check in certificate.checks)
-    return [check.name for check in certificate.checks if not check.ok]
-
-
-def offences(certificate):
-    return [offence for check in certificate.checks for offence in check.first]
-
-
-def is_covered_by_brute_force(cover, voxels) -> bool:
-    """Every voxel has its eight corners in one polytope of the cover's planes."""
-    hulls = [planes(cover, hull) for hull in range(len(cover["plane_start"]) - 1)]
-    hulls = [half_spaces for half_spaces in hulls if half_spaces]
-    left = voxels["index"].astype(object)
-    for half_spaces in hulls:
-        held = np.ones(len(left), bool)
-        for normal, offset in half_spaces:
-            far = left @ np.array(normal, object) + sum(max(n, 0) for n in normal)
-            held &= np.array(far <= offset, bool)
-        left = left[~held]
-    return len(left) == 0
 
 
 @pytest.mark.parametrize("method", COVERS)
@@ -263,10 +242,6 @@ def test_what_is_left_out_is_named():
     assert "scene itself" in text
 
 
-def with_manifest(artifact, **fields):
-    return dataclasses.replace(artifact, manifest=msgspec.structs.replace(artifact.manifest, **fields))
-
-
 def test_an_empty_cover_proves_nothing():
     """Even when the voxels are empty too, as no command writes them."""
     nothing = {
@@ -282,9 +257,8 @@ def test_an_empty_cover_proves_nothing():
 
 @pytest.mark.parametrize("name", ["sigma", "inflation_m", "min_overlap", "voxel_size_m", "crop"])
 def test_a_level_other_than_the_guarantee_claims_is_caught(name):
-    claims = {"sigma": 1.0, "inflation_m": 0.02, "min_overlap": 1, "voxel_size_m": SIZE_M, "crop": None}
-    honest = {"sigma": 1.0, "inflation_m": 0.02, "min_overlap": 1, "voxel_size_m": SIZE_M, "crop": None}
-    cover = with_manifest(COVER, guarantee=Guarantee("", claims), **honest)
+    level = {"sigma": 1.0, "inflation_m": 0.02, "min_overlap": 1, "voxel_size_m": SIZE_M, "crop": None}
+    cover = with_manifest(COVER, guarantee=Guarantee("", dict(level)), **level)
     assert verify(cover).covered
     other = {
         "sigma": 0.01,
@@ -394,7 +368,7 @@ def test_each_plane_of_an_outer_polytope_must_touch_it():
 
 def test_a_recorded_volume_that_is_not_that_of_the_cover_is_caught():
     for cover in (COVER, OUTER):
-        for factor in (0.5, 0.9, 1.1, 1e9):
+        for factor in (0.5, 0.9, 1.1, 1e9, float("inf"), float("nan")):
             certificate = verify(
                 with_manifest(cover, conservativeness=cover.manifest.conservativeness * factor)
             )

@@ -16,6 +16,7 @@ from fabricate import box, make_cover, make_scene
 from maps import decode, half_spaces, sealed
 
 from alula.schemas.errors import UsageError
+from alula.schemas.manifest import Guarantee
 from alula.stages.compression.map_certificate import verify_map
 from alula.stages.compression.map_image import decode_map
 from alula.stages.compression.onboard import encode_map
@@ -125,6 +126,12 @@ def test_files_of_another_lattice_or_level_are_refused():
     certificate = verify_map(decode_map(IMAGE), voxels=level, cover=COVER)
     assert failing(certificate) == ["files agree"]
     assert "sigma of the cover is 1.0, of the voxels 2.0" in certificate.complaint()
+    opaque = voxels_of(VOXELS["index"], min_opacity=0.5)
+    certificate = verify_map(decode_map(IMAGE), voxels=opaque, cover=COVER)
+    assert "min_opacity of the cover is 0.0, of the voxels 0.5" in certificate.complaint()
+    claimed = voxels_of(VOXELS["index"], sigma=0.1, guarantee=Guarantee("", {"sigma": 1.0}))
+    certificate = verify_map(decode_map(IMAGE), voxels=claimed)
+    assert "sigma of the voxels is 0.1, but its guarantee claims 1.0" in certificate.complaint()
 
 
 def test_the_cover_that_it_was_made_from_is_known_again():

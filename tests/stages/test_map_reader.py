@@ -114,6 +114,14 @@ def test_a_header_that_lies_is_refused(at, code, value, said):
     assert refusal(sealed(image)) == said
 
 
+def test_directions_come_with_their_largest_normal_alone():
+    image = bytearray(IMAGES["k-DOP"])
+    assert image[10] == 1
+    for largest in (0, 2, 127):
+        image[10] = largest
+        assert is_refused_by_both(sealed(image))
+
+
 def test_an_index_after_the_records_may_be_there():
     image = bytearray(IMAGES["planes"] + b"an index")
     struct.pack_into("<I", image, 16, len(image))

@@ -2,7 +2,7 @@
 
 import sys
 from fractions import Fraction
-from itertools import combinations, pairwise, product
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parent))
 from covers import furniture, planes, voxels_of
+from exact import exact_union, voxel_planes
 
 from alula import _core
 from alula.schemas.configs.merge import MergeConfig
@@ -20,63 +21,6 @@ from alula.stages.compression.measure import measure_cover, measure_points
 from alula.stages.compression.merge import merge
 
 NO_VOXELS = np.empty((0, 3), np.int32)
-
-
-def solve(rows):
-    """The point on three planes by Cramer's rule; None when they do not meet in one."""
-
-    def det(m):
-        (a, b, c), (d, e, f), (g, h, i) = m
-        return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-
-    whole = det([n for n, _ in rows])
-    if whole == 0:
-        return None
-    columns = [[[o if j == i else n[j] for j in range(3)] for n, o in rows] for i in range(3)]
-    return tuple(Fraction(det(m), whole) for m in columns)
-
-
-def polygon_area(points):
-    """Area of the convex hull of rational points in the plane: sorted around their least, exactly."""
-    points = sorted(set(points))
-    chains = []
-    for ordered in (points, points[::-1]):
-        chain = []
-        for p in ordered:
-            while len(chain) > 1 and (chain[-1][0] - chain[-2][0]) * (p[1] - chain[-2][1]) <= (
-                chain[-1][1] - chain[-2][1]
-            ) * (p[0] - chain[-2][0]):
-                chain.pop()
-            chain.append(p)
-        chains += chain[:-1]
-    turned = zip(chains, chains[1:] + chains[:1], strict=True)
-    return sum((a[0] * b[1] - a[1] * b[0] for a, b in turned), Fraction(0)) / 2
-
-
-def exact_volume(half_spaces):
-    """Volume of {x : n . x <= o} for integer planes: cones from one vertex over the facets."""
-    half_spaces = list(dict.fromkeys(half_spaces))
-    corners = {solve(rows) for rows in combinations(half_spaces, 3)} - {None}
-    corners = [
-        p for p in corners if all(sum(a * b for a, b in zip(n, p, strict=True)) <= o for n, o in half_spaces)
-    ]
-    total = Fraction(0)
-    for n, o in half_spaces if corners else ():
-        axis = max(range(3), key=lambda i: abs(n[i]))
-        face = [p for p in corners if sum(a * b for a, b in zip(n, p, strict=True)) == o]
-        area = polygon_area([tuple(p[i] for i in range(3) if i != axis) for p in face])
-        height = o - sum(a * b for a, b in zip(n, corners[0], strict=True))
-        total += area * height / abs(n[axis]) / 3
-    return total
-
-
-def exact_union(hulls):
-    """By inclusion and exclusion."""
-    return sum(
-        (-1) ** (k + 1) * exact_volume([p for hull in chosen for p in hull])
-        for k in range(1, len(hulls) + 1)
-        for chosen in combinations(hulls, k)
-    )
 
 
 def lattice_hull(points):
@@ -131,10 +75,7 @@ def test_voxels_are_filled_as_rational_arithmetic_says():
     assert found["volume"] == pytest.approx(measured(hulls, boxes)["volume"], abs=found["error"])
     filled = []
     for x, y, z in cells.tolist():
-        cube = [((1, 0, 0), x + 1), ((-1, 0, 0), -x), ((0, 1, 0), y + 1)]
-        cube += [((0, -1, 0), -y), ((0, 0, 1), z + 1), ((0, 0, -1), -z)]
-        meets = [hull + cube for hull in hulls]
-        filled.append(exact_union(meets))
+        filled.append(exact_union([hull + voxel_planes((x, y, z)) for hull in hulls]))
     assert found["intersection"] == pytest.approx(float(sum(filled)), abs=found["error"])
     assert found["whole"] == sum(f == 1 for f in filled)
 

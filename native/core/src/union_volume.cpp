@@ -8,7 +8,6 @@ namespace alula {
 
 namespace {
 
-constexpr double kMostLines = 2e7;  // times about 30 half-planes: a fraction of a second
 // Lines through the very middle would run in diagonal planes of the lattice, and count as inside.
 constexpr double kOffMiddleX = 0.53, kOffMiddleY = 0.48;
 
@@ -57,7 +56,7 @@ ConvexSets convex_sets(const std::vector<LatticePolytope>& hulls, const std::vec
 }
 
 UnionVolume by_lines(const Occupancy& occupancy, const std::vector<LatticePolytope>& hulls,
-                     const std::vector<LatticeBox>& box, unsigned jobs, Control& control) {
+                     const std::vector<LatticeBox>& box, double most_lines, unsigned jobs, Control& control) {
   LatticeBox all = LatticeBox::empty();
   std::vector<ZBounds> shape(hulls.size());
   double area = 0;
@@ -67,8 +66,8 @@ UnionVolume by_lines(const Occupancy& occupancy, const std::vector<LatticePolyto
     area += (static_cast<double>(box[h].upper[0]) - box[h].lower[0]) * (box[h].upper[1] - box[h].lower[1]);
   }
   UnionVolume result{0, 0, 4, 1};
-  while (result.lines > 1 && area * result.lines * result.lines > kMostLines) result.lines /= 2;
-  while (area / (static_cast<double>(result.stride) * result.stride) > kMostLines) ++result.stride;
+  while (result.lines > 1 && area * result.lines * result.lines > most_lines) result.lines /= 2;
+  while (area / (static_cast<double>(result.stride) * result.stride) > most_lines) ++result.stride;
 
   // Sampled columns have x = all.lower + offset + stride * i; likewise y.
   const std::int32_t stride = result.stride, lines = result.lines, offset = stride / 2;
@@ -131,14 +130,14 @@ UnionVolume by_lines(const Occupancy& occupancy, const std::vector<LatticePolyto
 }  // namespace
 
 UnionVolume union_excess(const Occupancy& occupancy, const std::vector<LatticePolytope>& hulls, unsigned jobs,
-                         Control& control, std::size_t most_cuts) {
+                         Control& control, std::size_t most_cuts, double most_lines) {
   std::vector<LatticeBox> box;
   for (const LatticePolytope& hull : hulls) box.push_back(box_of(hull));
   InterruptOnly quiet(control);
   MeasureOptions options;
   options.cuts_per_part = most_cuts;
   const UnionMeasure found = union_measure(convex_sets(hulls, box), nullptr, options, jobs, quiet);
-  if (!found.is_complete) return by_lines(occupancy, hulls, box, jobs, control);
+  if (!found.is_complete) return by_lines(occupancy, hulls, box, most_lines, jobs, control);
   return {std::max(0.0, found.volume - static_cast<double>(occupancy.size())), found.error, 0, 0};
 }
 

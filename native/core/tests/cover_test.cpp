@@ -49,7 +49,8 @@ void check_cover(const std::vector<Lattice>& voxels, std::size_t hulls, MergeRul
     const UnionVolume volume = union_excess(occupancy, cover.hull, 1, control);
     CHECK(volume.lines == 0 && volume.excess >= 0 && volume.error > 0);
     CHECK(volume.excess == union_excess(occupancy, cover.hull, 3, control).excess);
-    const UnionVolume by_lines = union_excess(occupancy, cover.hull, 2, control, 0);
+    const UnionVolume by_lines = union_excess(occupancy, cover.hull, 2, control, 0, 1e5);
+    CHECK(by_lines.lines > 0 && by_lines.excess >= 0);
     if (by_lines.lines == 4) CHECK(std::abs(by_lines.excess - volume.excess) < 0.03 * (volume.excess + 1));
   }
 }

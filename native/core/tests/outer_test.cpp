@@ -5,6 +5,8 @@
 #include "alula/cover_check.hpp"
 #include "alula/facet_cap.hpp"
 #include "alula/fitting.hpp"
+#include "alula/map_check.hpp"
+#include "alula/onboard_map.hpp"
 #include "alula/outer_solid.hpp"
 #include "check.hpp"
 
@@ -49,6 +51,36 @@ std::size_t most_planes(const Cover& cover) {
   return most;
 }
 
+// Records and the check of a map do not depend on threads; without its last polytope the map lacks voxels.
+void check_map(const Occupancy& occupancy, const Cover& cover) {
+  std::vector<std::int32_t> vertex, lower, upper, normal;
+  std::vector<std::int64_t> exact_normal, offset, vertex_start{0}, plane_start{0};
+  for (const LatticePolytope& hull : cover.hull) {
+    const LatticeBox box = bounds(hull.vertex);
+    lower.insert(lower.end(), box.lower.begin(), box.lower.end());
+    upper.insert(upper.end(), box.upper.begin(), box.upper.end());
+    for (const Lattice& v : hull.vertex) vertex.insert(vertex.end(), v.begin(), v.end());
+    for (const LatticePlane& p : hull.plane) {
+      for (const std::int64_t n : p.normal) normal.push_back(static_cast<std::int32_t>(n));
+      exact_normal.insert(exact_normal.end(), p.normal.begin(), p.normal.end());
+      offset.push_back(p.offset);
+    }
+    vertex_start.push_back(static_cast<std::int64_t>(vertex.size() / 3));
+    plane_start.push_back(static_cast<std::int64_t>(offset.size()));
+  }
+  Control control;
+  const HullView hulls{vertex, vertex_start, exact_normal, plane_start};
+  const MapRecords records = encode_map_records(hulls, {0, 0, 0}, 127, 1, control);
+  CHECK(records.bytes == encode_map_records(hulls, {0, 0, 0}, 127, 4, control).bytes);
+  const auto flat = std::span(reinterpret_cast<const std::int32_t*>(occupancy.voxels().data()), 3 * occupancy.size());
+  CHECK(voxels_outside({lower, upper, normal, offset, plane_start}, flat, 4, control).empty());
+  CHECK(polytopes_outside({lower, upper, normal, offset, plane_start}, vertex, vertex_start).empty());
+  lower.resize(lower.size() - 3), upper.resize(upper.size() - 3), plane_start.pop_back();
+  offset.resize(static_cast<std::size_t>(plane_start.back())), normal.resize(3 * offset.size());
+  const auto outside = voxels_outside({lower, upper, normal, offset, plane_start}, flat, 1, control);
+  CHECK(!outside.empty() && outside == voxels_outside({lower, upper, normal, offset, plane_start}, flat, 4, control));
+}
+
 template <class F>
 bool is_refused(F&& function) {
   try {
@@ -74,6 +106,7 @@ int main() {
       make_outer(occupancy, cover, Budget{0, 0, form}, tighten, 2, control);
       CHECK(violations(occupancy, cover).empty());
       CHECK(most_planes(cover) <= std::max(form.facet_cap, form.kdop));
+      if (tighten) check_map(occupancy, cover);
       for (const LatticePolytope& hull : cover.hull) {
         const OuterSolid solid = outer_solid(hull.plane);
         CHECK(solid.point.size() >= 12 && solid.triangle.size() == 2 * solid.point.size() - 12);

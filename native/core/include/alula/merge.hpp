@@ -76,9 +76,10 @@ struct UnionVolume {
 
 // Volume of the union outside the voxels, exact up to rounding (see union_measure.hpp); every voxel
 // must be inside a hull. Space is divided into at most about a thousand parts; where one of them takes
-// more than `most_cuts`, at about a microsecond each, exact z-intervals over a regular grid of lines are
-// summed instead. A hull is what its planes bound. Deterministic for any number of threads.
+// more than `most_cuts`, at about a microsecond each, exact z-intervals over a regular grid of at most
+// `most_lines` lines, at about thirty half-planes each, are summed instead. A hull is what its planes
+// bound. Deterministic for any number of threads.
 UnionVolume union_excess(const Occupancy& occupancy, const std::vector<LatticePolytope>& hulls, unsigned jobs,
-                         Control& control, std::size_t most_cuts = 100'000);
+                         Control& control, std::size_t most_cuts = 100'000, double most_lines = 2e7);
 
 }  // namespace alula
