@@ -52,11 +52,17 @@ def run_stage(
     build: Callable[[Progress], Artifact],
     *,
     seed: int | None = None,
+    begin: Callable[[Provenance], None] | None = None,
 ) -> None:
-    """Run a stage whose output is an array artifact, unless the output is already there."""
+    """Run a stage whose output is an array artifact, unless the output is already there.
+
+    `begin` is told the provenance of what `build` will make.
+    """
     from alula.schemas.artifact import Artifact, write_artifact
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Callable[[], None], dict[str, Any]]:
+        if begin is not None:
+            begin(provenance)
         artifact = build(progress)
         manifest = msgspec.structs.replace(artifact.manifest, inputs=provenance.inputs, seed=seed)
         finished = Artifact(manifest, artifact.arrays)
