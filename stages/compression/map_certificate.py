@@ -66,11 +66,12 @@ def verify_map(
     assert isinstance(level, LevelManifest)
     occupied = np.ascontiguousarray(source["index" if voxels is not None else "member_index"], np.int32)
     checks = [_files_agree(image, cover, voxels, scene), _margin_holds(image)]
-    checks.append(_voxels_held(image, occupied, jobs, progress))
+    held = 1.0 if scene is None else 0.5
+    checks.append(_voxels_held(image, occupied, jobs, share(progress, 0, held)))
     if cover is not None:
         checks.append(_hulls_held(image, cover))
     if scene is not None:
-        checks.append(_scene_check(level, scene, occupied, jobs, progress))
+        checks.append(_scene_check(level, scene, occupied, jobs, share(progress, held, 1)))
     return Certificate(
         covered=all(check.ok for check in checks),
         checks=checks,
