@@ -28,6 +28,12 @@ def command(source: Path, config: MergeConfig, common: options.Common) -> None:
 
     Limits of half-planes or bytes buy more hulls of fewer planes: polytopes that contain the hulls, with
     the planes that remove most free space.
+
+    An interrupted merge leaves OUTPUT.journal; the same command again continues from it and writes the
+    same bytes.
+
+    Memory: about 600 bytes per voxel of surfaces; at most 2,600 where voxels are scattered or --block is
+    0. More than 16,777,216 voxels are refused.
     """
     from alula.cli.journal import JournalFile
     from alula.cli.runner import Progress, run_stage

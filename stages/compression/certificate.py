@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
-from alula.schemas.errors import ArtifactError, InputError
+from alula.schemas.errors import ArtifactError
 from alula.schemas.manifest import CoverManifest, LevelManifest, SceneManifest, VoxelsManifest
 from alula.stages.compression.ellipsoids import lost_before, retained, unproven_voxels
 from alula.stages.compression.hulls import is_outer
+from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
 from alula.stages.progress import share
 
 SCHEMA, VERSION = "alula/certificate", "1.0"
-MOST_VOXELS = 2**26  # at 200 bytes each 13 GB
 LISTED = 100  # offenders of one check
 
 Progress = Callable[[int, int], None] | None
@@ -33,7 +33,7 @@ _OTHER_IS_PLANE, _OTHER_IS_VERTEX = (3, 8), (12,)
 _NOT_COVERED, _NOT_OCCUPIED = 10, 11
 _LATTICE_LIMIT = 2**20  # volumes are measured within; nothing else here depends on it
 _VOLUME_TOLERANCE = 0.02  # of the excess: earlier versions measured it along sampled lines
-_VOLUME_SHARE, _SCENE_SHARE = 0.2, 0.5  # of the time, roughly, when these checks begin
+_VOLUME_SHARE, _SCENE_SHARE = 0.1, 0.5  # of the time, roughly, when these checks begin
 _LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "min_opacity")
 _GEOMETRY = (
     *("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start"),
@@ -106,7 +106,7 @@ def verify(
     jobs: int = 0,
     progress: Progress = None,
 ) -> Certificate:
-    """Check a cover from its arrays alone, against the voxels and the scene it was made from.
+    """Check a cover from its arrays alone, against voxels and scene; `covered` when every check holds.
 
     Hulls are checked in integers without tolerance and without the code that built them: vertices
     and planes describe the same bounded polytope, each member voxel v has
@@ -122,33 +122,22 @@ def verify(
         cover: an `alula/cover`.
         voxels: the `alula/voxels` it must cover; without it, the union of its members is taken.
         scene: the `alula/scene` that the voxels must contain.
-        sha256: of the files "voxels" and "scene", to be compared with those that the manifests name as
-            inputs. Others are noted, not refused: the proof rests on the content alone.
-        jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) now and then.
-
-    Returns:
-        The certificate; `covered` when every check holds.
+        sha256: of the files "voxels" and "scene"; others than the manifests name as inputs are noted.
+        jobs, progress: threads, 0 for all processors, without effect on the result; called now and then.
 
     Raises:
-        InputError: there are more than `MOST_VOXELS` voxels, or members of hulls.
+        InputError: there are more than `VERIFY_VOXELS` voxels or members of hulls.
     """
     manifest = cover.manifest
     assert isinstance(manifest, CoverManifest)
-    for what, index in (
-        ("cover", cover["member_index"]),
-        ("voxels", () if voxels is None else voxels["index"]),
-    ):
-        if len(index) > MOST_VOXELS:
-            raise InputError(
-                f"the {what} list {len(index):,} voxels, more than the {MOST_VOXELS:,} that verify has memory for"
-            )
+    for artifact, name in ((cover, "member_index"), (voxels, "index")):
+        if artifact is not None:
+            require_at_most(VERIFY_VOXELS, len(artifact[name]), f"{artifact.manifest.schema} lists")
     checks = [_files_agree(cover, voxels, scene), _history_check(cover)]
-    proven = _VOLUME_SHARE if scene is None else _VOLUME_SHARE / 2
-    proof = [*_hull_checks(cover, jobs, share(progress, 0, proven)), _occupied_check(cover, voxels)]
+    proof = [*_hull_checks(cover, jobs, share(progress, 0, _VOLUME_SHARE)), _occupied_check(cover, voxels)]
     measured = 1.0 if scene is None else _SCENE_SHARE
     if all(check.ok for check in proof) and np.abs(cover["vertex"]).max() <= _LATTICE_LIMIT:
-        checks.append(_volume_check(cover, jobs, share(progress, proven, measured)))
+        checks.append(_volume_check(cover, jobs, share(progress, _VOLUME_SHARE, measured)))
     checks += proof
     if scene is not None:
         index = cover["member_index"] if voxels is None else voxels["index"]

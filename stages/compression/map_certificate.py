@@ -23,7 +23,9 @@ from alula.stages.compression.certificate import (
     _place,
     _scene_check,
 )
+from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
 from alula.stages.compression.map_image import MARGIN_OF_EXTENT, MapImage
+from alula.stages.progress import share
 
 _LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "frame", "unit")
 
@@ -65,6 +67,7 @@ def verify_map(
     level = source.manifest
     assert isinstance(level, LevelManifest)
     occupied = np.ascontiguousarray(source["index" if voxels is not None else "member_index"], np.int32)
+    require_at_most(VERIFY_VOXELS, len(occupied), f"{level.schema} lists")
     checks = [_files_agree(image, cover, voxels, scene), _margin_holds(image)]
     held = 1.0 if scene is None else 0.5
     checks.append(_voxels_held(image, occupied, jobs, share(progress, 0, held)))

@@ -15,9 +15,9 @@ from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.kinds import COVER
 from alula.schemas.manifest import OUTER_POLYTOPES, CoverManifest, Guarantee, VoxelsManifest
 from alula.schemas.provenance import parameters_of
+from alula.stages.compression.limits import MERGE_VOXELS, require_at_most
 from alula.stages.progress import WHOLE, share
 
-MOST_VOXELS = 2**24  # at 550 bytes each, as surfaces take, 9 GB
 LATTICE_LIMIT = 2**20  # voxel corners must lie within: integer predicates are exact in 64 bits
 _FEWEST_PLANES = 6  # the hull of voxels has a facet on each side of its bounding box
 _FEWEST_BYTES = 64 + 14  # see native/core/include/alula/budget.hpp
@@ -72,7 +72,8 @@ def merge(
         An `alula/cover`. `conservativeness` is Vol(union of hulls) / Vol(V+).
 
     Raises:
-        InputError: there is no voxel, there are more than `MOST_VOXELS`, or one lies more than 2^20 voxels from the origin.
+        InputError: there is no voxel, or more than `MERGE_VOXELS`, or one lies more than 2^20 voxels from
+            the origin.
         InfeasibleError: the limits contradict each other.
 
     Source: Hong et al. 2026, PolyMerge (arXiv 2606.16232), eqs. 10-15.
@@ -177,11 +178,7 @@ def _voxels_and_sets(
     index = np.ascontiguousarray(source["member_index" if is_cover else "index"], np.int32)
     if len(index) == 0:
         raise InputError("there is no occupied voxel to cover")
-    if len(index) > MOST_VOXELS:
-        raise InputError(
-            f"{len(index):,} voxels are more than the {MOST_VOXELS:,} that merge has memory for;"
-            " crop the scene or take larger voxels"
-        )
+    require_at_most(MERGE_VOXELS, len(index), f"{source.manifest.schema} lists")
     if (
         index.min() < -LATTICE_LIMIT
         or index.max() >= LATTICE_LIMIT
