@@ -108,31 +108,31 @@ def verify(
 ) -> Certificate:
     """Check a cover from its arrays alone, against voxels and scene; `covered` when every check holds.
 
-    Hulls are checked in integers without tolerance and without the code that built them: vertices
-    and planes describe the same bounded polytope, each member voxel v has
-    normal . v + sum of positive normal components <= offset for all planes, and each vertex is a
-    corner of a member. Outer polytopes need not be described by the vertices, but each of their planes
-    must support them, offset = max normal . vertex, and those of the bounding box must be there. Every
-    occupied voxel must be a member. Merges recorded in `history` must refer to earlier elements, and
-    `conservativeness` must be the volume of the union, which is measured again. With a scene, each ellipsoid
-    {x : (x - mean)' inv(Sigma) (x - mean) <= sigma^2}, grown by the inflation, must lie in the
-    occupied voxels, except where the recorded crop, overlap and opacity exclude it.
+    Hulls are checked in integers without tolerance and without the code that built them: vertices and planes
+    describe the same bounded polytope, each member voxel v has normal . v + sum of positive normal
+    components <= offset for all planes, and each vertex is a corner of a member. Outer polytopes need not be
+    described by the vertices, but each of their planes must support them, offset = max normal . vertex, and
+    those of the bounding box must be there. Every occupied voxel must be a member. Merges recorded in
+    `history` must refer to earlier elements, and `conservativeness` must be the volume of the union, which
+    is measured again. With a scene, each ellipsoid {x : (x - mean)' inv(Sigma) (x - mean) <= sigma^2}, grown
+    by the inflation, must lie in the occupied voxels, except where the recorded crop, overlap and opacity
+    exclude it.
 
     Args:
         cover: an `alula/cover`.
-        voxels: the `alula/voxels` it must cover; without it, the union of its members is taken.
+        voxels: the `alula/voxels` it must cover; without it, the union of its members.
         scene: the `alula/scene` that the voxels must contain.
         sha256: of the files "voxels" and "scene"; others than the manifests name as inputs are noted.
-        jobs, progress: threads, 0 for all processors, without effect on the result; called now and then.
+        jobs: threads, 0 for all processors; the result does not depend on it.
+        progress: called with (done, total) now and then.
 
     Raises:
         InputError: there are more than `VERIFY_VOXELS` voxels or members of hulls.
     """
     manifest = cover.manifest
     assert isinstance(manifest, CoverManifest)
-    for artifact, name in ((cover, "member_index"), (voxels, "index")):
-        if artifact is not None:
-            require_at_most(VERIFY_VOXELS, len(artifact[name]), f"{artifact.manifest.schema} lists")
+    require_at_most(VERIFY_VOXELS, len(cover["member_index"]), "alula/cover lists")
+    require_at_most(VERIFY_VOXELS, 0 if voxels is None else len(voxels["index"]), "alula/voxels lists")
     checks = [_files_agree(cover, voxels, scene), _history_check(cover)]
     proof = [*_hull_checks(cover, jobs, share(progress, 0, _VOLUME_SHARE)), _occupied_check(cover, voxels)]
     measured = 1.0 if scene is None else _SCENE_SHARE
