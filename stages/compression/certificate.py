@@ -20,7 +20,6 @@ from alula.stages.progress import share
 
 SCHEMA, VERSION = "alula/certificate", "1.0"
 LISTED = 100  # offenders of one check
-
 Progress = Callable[[int, int], None] | None
 
 # What each fault of native/core/include/alula/cover_check.hpp is about.
