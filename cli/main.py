@@ -123,8 +123,9 @@ def run(arguments: list[str] | None = None) -> int:
     except (ClosedPipeError, BrokenPipeError):
         discard_stdout()
         return ExitCode.BROKEN_PIPE
-    except (KeyboardInterrupt, click.Abort):
-        return _fail("interrupted", ExitCode.INTERRUPTED, [], answered=False)
+    except (KeyboardInterrupt, click.Abort) as error:
+        said = "; ".join(["interrupted", *map(str, (error.__cause__ or error).args)])
+        return _fail(said, ExitCode.INTERRUPTED, [], answered=False)
     except Exception as error:  # noqa: BLE001  the last resort: no traceback reaches a user unasked
         if isinstance(error, OSError):
             discard_stdout()

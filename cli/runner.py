@@ -52,11 +52,17 @@ def run_stage(
     build: Callable[[Progress], Artifact],
     *,
     seed: int | None = None,
+    begin: Callable[[Provenance], None] | None = None,
 ) -> None:
-    """Run a stage whose output is an array artifact, unless the output is already there."""
+    """Run a stage whose output is an array artifact, unless the output is already there.
+
+    `begin` is told the provenance of what `build` will make.
+    """
     from alula.schemas.artifact import Artifact, write_artifact
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Callable[[], None], dict[str, Any]]:
+        if begin is not None:
+            begin(provenance)
         artifact = build(progress)
         manifest = msgspec.structs.replace(artifact.manifest, inputs=provenance.inputs, seed=seed)
         finished = Artifact(manifest, artifact.arrays)
@@ -171,9 +177,12 @@ def progress_bar(common: Common) -> Iterator[Progress]:
         yield lambda done, total: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn(common.output.name), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (
+        *(TextColumn(common.output.name, markup=False), BarColumn(), TaskProgressColumn()),
+        *(TimeRemainingColumn(compact=True), TextColumn("left")),
+    )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
         task = bars.add_task("", total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total if total > 1 else None)

@@ -52,6 +52,9 @@ def command(
     integers, ellipsoids by separating planes. Exit code 4 and the first place when something is not
     proven; then no certificate is written. An onboard map (.bin) is proven from its own bytes, against
     voxels or a cover.
+
+    Memory: the scene (56 bytes per Gaussian), at most 250 bytes per voxel, or per member of a hull where
+    hulls share voxels, and 4,000 per hull. More than 67,108,864 voxels are refused.
     """
     import os
 

@@ -16,11 +16,12 @@ appearing: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
 @contextmanager
-def atomic_output(path: Path) -> Iterator[BinaryIO]:
+def atomic_output(path: Path, *, is_final: bool = True) -> Iterator[BinaryIO]:
     """A binary file that replaces `path` when the block ends without an exception.
 
     Written under a temporary name in the same folder, flushed to the disk and renamed; on any
-    exception, Ctrl-C included, the temporary file is removed and `path` is as it was.
+    exception, Ctrl-C included, the temporary file is removed and `path` is as it was. With `is_final`
+    false it is no output, and interruptions count as before once it is there.
 
     Raises:
         OutputError: the file cannot be made, written or renamed.
@@ -35,7 +36,7 @@ def atomic_output(path: Path) -> Iterator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        with appearing():
+        with appearing() if is_final else nullcontext():
             temporary.replace(path)
             temporary = None
         _sync_folder(path.parent)

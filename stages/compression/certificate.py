@@ -15,10 +15,11 @@ from alula.schemas.errors import ArtifactError
 from alula.schemas.manifest import CoverManifest, LevelManifest, SceneManifest, VoxelsManifest
 from alula.stages.compression.ellipsoids import lost_before, retained, unproven_voxels
 from alula.stages.compression.hulls import is_outer
+from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
+from alula.stages.progress import share
 
 SCHEMA, VERSION = "alula/certificate", "1.0"
 LISTED = 100  # offenders of one check
-
 Progress = Callable[[int, int], None] | None
 
 # What each fault of native/core/include/alula/cover_check.hpp is about.
@@ -31,6 +32,7 @@ _OTHER_IS_PLANE, _OTHER_IS_VERTEX = (3, 8), (12,)
 _NOT_COVERED, _NOT_OCCUPIED = 10, 11
 _LATTICE_LIMIT = 2**20  # volumes are measured within; nothing else here depends on it
 _VOLUME_TOLERANCE = 0.02  # of the excess: earlier versions measured it along sampled lines
+_VOLUME_SHARE, _SCENE_SHARE = 0.1, 0.5  # of the time, roughly, when these checks begin
 LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "min_opacity")
 _GEOMETRY = (
     *("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start"),
@@ -103,40 +105,42 @@ def verify(
     jobs: int = 0,
     progress: Progress = None,
 ) -> Certificate:
-    """Check a cover from its arrays alone, against the voxels and the scene it was made from.
+    """Check a cover from its arrays alone, against voxels and scene; `covered` when every check holds.
 
-    Hulls are checked in integers without tolerance and without the code that built them: vertices
-    and planes describe the same bounded polytope, each member voxel v has
-    normal . v + sum of positive normal components <= offset for all planes, and each vertex is a
-    corner of a member. Outer polytopes need not be described by the vertices, but each of their planes
-    must support them, offset = max normal . vertex, and those of the bounding box must be there. Every
-    occupied voxel must be a member. Merges recorded in `history` must refer to earlier elements, and
-    `conservativeness` must be the volume of the union, which is measured again. With a scene, each ellipsoid
-    {x : (x - mean)' inv(Sigma) (x - mean) <= sigma^2}, grown by the inflation, must lie in the
-    occupied voxels, except where the recorded crop, overlap and opacity exclude it.
+    Hulls are checked in integers without tolerance and without the code that built them: vertices and planes
+    describe the same bounded polytope, each member voxel v has normal . v + sum of positive normal
+    components <= offset for all planes, and each vertex is a corner of a member. Outer polytopes need not be
+    described by the vertices, but each of their planes must support them, offset = max normal . vertex, and
+    those of the bounding box must be there. Every occupied voxel must be a member. Merges recorded in
+    `history` must refer to earlier elements, and `conservativeness` must be the volume of the union, which
+    is measured again. With a scene, each ellipsoid {x : (x - mean)' inv(Sigma) (x - mean) <= sigma^2}, grown
+    by the inflation, must lie in the occupied voxels, except where the recorded crop, overlap and opacity
+    exclude it.
 
     Args:
         cover: an `alula/cover`.
-        voxels: the `alula/voxels` it must cover; without it, the union of its members is taken.
+        voxels: the `alula/voxels` it must cover; without it, the union of its members.
         scene: the `alula/scene` that the voxels must contain.
-        sha256: of the files "voxels" and "scene", to be compared with those that the manifests name as
-            inputs. Others are noted, not refused: the proof rests on the content alone.
+        sha256: of the files "voxels" and "scene"; others than the manifests name as inputs are noted.
         jobs: threads, 0 for all processors; the result does not depend on it.
         progress: called with (done, total) now and then.
 
-    Returns:
-        The certificate; `covered` when every check holds.
+    Raises:
+        InputError: there are more than `VERIFY_VOXELS` voxels or members of hulls.
     """
     manifest = cover.manifest
     assert isinstance(manifest, CoverManifest)
+    require_at_most(VERIFY_VOXELS, len(cover["member_index"]), "alula/cover lists")
+    require_at_most(VERIFY_VOXELS, 0 if voxels is None else len(voxels["index"]), "alula/voxels lists")
     checks = [_files_agree(cover, voxels, scene), _history_check(cover)]
-    proof = [*_hull_checks(cover, jobs, progress), _occupied_check(cover, voxels)]
+    proof = [*_hull_checks(cover, jobs, share(progress, 0, _VOLUME_SHARE)), _occupied_check(cover, voxels)]
+    measured = 1.0 if scene is None else _SCENE_SHARE
     if all(check.ok for check in proof) and np.abs(cover["vertex"]).max() <= _LATTICE_LIMIT:
-        checks.append(_volume_check(cover, jobs, progress))
+        checks.append(_volume_check(cover, jobs, share(progress, _VOLUME_SHARE, measured)))
     checks += proof
     if scene is not None:
         index = cover["member_index"] if voxels is None else voxels["index"]
-        checks.append(_scene_check(manifest, scene, index, jobs, progress))
+        checks.append(_scene_check(manifest, scene, index, jobs, share(progress, measured, 1)))
     return Certificate(
         covered=all(check.ok for check in checks),
         checks=checks,

@@ -25,7 +25,9 @@ from alula.stages.compression.certificate import (
     _scene_check,
     _unclaimed,
 )
+from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
 from alula.stages.compression.map_image import MARGIN_OF_EXTENT, MapImage
+from alula.stages.progress import share
 
 
 def verify_map(
@@ -65,12 +67,14 @@ def verify_map(
     level = source.manifest
     assert isinstance(level, LevelManifest)
     occupied = np.ascontiguousarray(source["index" if voxels is not None else "member_index"], np.int32)
+    require_at_most(VERIFY_VOXELS, len(occupied), f"{level.schema} lists")
     checks = [_files_agree(image, cover, voxels, scene), _margin_holds(image)]
-    checks.append(_voxels_held(image, occupied, jobs, progress))
+    held = 1.0 if scene is None else 0.5
+    checks.append(_voxels_held(image, occupied, jobs, share(progress, 0, held)))
     if cover is not None:
         checks.append(_hulls_held(image, cover))
     if scene is not None:
-        checks.append(_scene_check(level, scene, occupied, jobs, progress))
+        checks.append(_scene_check(level, scene, occupied, jobs, share(progress, held, 1)))
     return Certificate(
         covered=all(check.ok for check in checks),
         checks=checks,

@@ -15,6 +15,8 @@ from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.kinds import COVER
 from alula.schemas.manifest import OUTER_POLYTOPES, CoverManifest, Guarantee, VoxelsManifest
 from alula.schemas.provenance import parameters_of
+from alula.stages.compression.limits import MERGE_VOXELS, require_at_most
+from alula.stages.progress import WHOLE, share
 
 LATTICE_LIMIT = 2**20  # voxel corners must lie within: integer predicates are exact in 64 bits
 _FEWEST_PLANES = 6  # the hull of voxels has a facet on each side of its bounding box
@@ -70,7 +72,8 @@ def merge(
         An `alula/cover`. `conservativeness` is Vol(union of hulls) / Vol(V+).
 
     Raises:
-        InputError: there is no voxel, or one lies more than 2^20 voxels from the origin.
+        InputError: there is no voxel, or more than `MERGE_VOXELS`, or one lies more than 2^20 voxels from
+            the origin.
         InfeasibleError: the limits contradict each other.
 
     Source: Hong et al. 2026, PolyMerge (arXiv 2606.16232), eqs. 10-15.
@@ -103,14 +106,17 @@ def merge(
             limit,
             jobs,
             journal,
-            progress and _attempt_of(progress, attempt, is_only=config.max_growth is None),
+            # Each attempt takes half of what is left: most are the last one.
+            progress
+            if config.max_growth is None
+            else share(progress, 1 - 0.5**attempt, 1 - 0.5 ** (attempt + 1)),
         )
         growth = 1.0 + float(found["union_excess"]) / len(voxels)
         if config.max_growth is None or growth <= config.max_growth or limit <= 1.0 or is_fitted:
             break
         limit = max(1.0, limit - 2 * (growth - config.max_growth))  # W of large hulls is a coarser measure
     if progress is not None and config.max_growth is not None:
-        progress(1000, 1000)
+        progress(WHOLE, WHOLE)
     _check_feasible(config, found, growth)
     hulls, planes = len(found["plane_start"]) - 1, len(found["plane_offset"])
     is_outer = is_fitted or cap > 0 or config.kdop is not None
@@ -164,16 +170,6 @@ def merge(
     )
 
 
-def _attempt_of(
-    progress: Callable[[int, int], None], attempt: int, *, is_only: bool
-) -> Callable[[int, int], None]:
-    """`progress`, where each attempt takes half of what is left: most are the last one."""
-    if is_only:
-        return progress
-    rest = 0.5**attempt
-    return lambda done, total: progress(int(1000 * (1 - rest + rest / 2 * done / total)), 1000)
-
-
 def _voxels_and_sets(
     source: Artifact,
 ) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.int64]]:
@@ -182,6 +178,7 @@ def _voxels_and_sets(
     index = np.ascontiguousarray(source["member_index" if is_cover else "index"], np.int32)
     if len(index) == 0:
         raise InputError("there is no occupied voxel to cover")
+    require_at_most(MERGE_VOXELS, len(index), f"{source.manifest.schema} lists")
     if (
         index.min() < -LATTICE_LIMIT
         or index.max() >= LATTICE_LIMIT

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.stages.distribute import distribute
+from alula.stages.progress import WHOLE, share
 
 Box = tuple[float, float, float, float, float, float]
 Floats = NDArray[np.float32]
@@ -99,13 +100,14 @@ def mark_tiles(
         edge: of a tile, in voxels; tiles begin at multiples of it.
         jobs: threads; each holds the counters of one tile at a time.
         scheduler: address of a `dask.distributed` scheduler, instead of threads.
-        progress: called with (done, total) ellipsoids, counted once per tile that they may touch.
+        progress: called with (done, total): assigning ellipsoids to tiles, then marking them.
 
     Raises:
         OverflowError: there are too many tiles, or too many voxels in a tile or in all.
         UsageError, LinkError: see `distribute`.
     """
-    tile, start, row = _core.tiles_of(*ellipsoids.level(), edge)
+    assigned, marked_all = share(progress, 0, 0.15), share(progress, 0.15, 0.85)
+    tile, start, row = _core.tiles_of(*ellipsoids.level(), edge, progress=assigned)
     parts: list[tuple[NDArray[np.int32], NDArray[np.uint32]]] = []
     reach = np.zeros(len(ellipsoids.mean), np.uint8)
     below = most = done = voxels = 0
@@ -120,9 +122,11 @@ def mark_tiles(
         done, voxels = done + len(here), voxels + len(marked.index)
         if voxels > _core.MAX_VOXELS:
             raise OverflowError(f"the scene would need more than {_core.MAX_VOXELS} voxels")
-        if progress is not None:
-            progress(done, len(row))
+        if marked_all is not None:
+            marked_all(done, len(row))
     index, overlap = _joined(parts)
+    if progress is not None:
+        progress(WHOLE, WHOLE)
     return Marked(index, overlap, reach, below, most)
 
 

@@ -63,7 +63,7 @@ def voxelize(
             depend on it.
         scheduler: address of a `dask.distributed` scheduler whose workers do the tiles.
         jobs: threads; the result does not depend on it.
-        progress: called with (done, total) Gaussians; with tiles, once per tile that one may touch.
+        progress: called with (done, total) now and then; the share of the time, roughly.
 
     Returns:
         An `alula/voxels` in the frame of the scene.

@@ -61,15 +61,17 @@ Result lattice_hull(const InRows3<std::int32_t>& points) {
   return result;
 }
 
-// What of the time, in Share::kWhole, has passed after each part of merge_cover().
-constexpr std::size_t kClustered = 110, kMerged = 940, kTight = 975;
+// What of the time, in Share::kWhole, has passed after each part of merge_cover(). Clusters of a block of one are
+// few different ones, larger ones are hulls to build one by one.
+constexpr std::size_t kClustered = 110, kClusteredLarge = 550, kMerged = 940, kTight = 975;
 
 Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint32_t>& member,
                    const InVector<std::int64_t>& member_start, int block, bool is_paper, std::size_t max_hulls,
                    std::size_t max_planes, std::size_t max_bytes, std::size_t facet_cap, std::size_t kdop,
                    bool is_fitted, double max_growth, unsigned jobs, EvaluationLog* journal, nb::object progress) {
   PythonControl whole(std::move(progress));
-  Share cluster(whole, 0, kClustered), rest(whole, kClustered, Share::kWhole), loop(whole, kClustered, kMerged),
+  const std::size_t clustered = member_start.size() > 1 ? 0 : block > 1 ? kClusteredLarge : kClustered;
+  Share cluster(whole, 0, clustered), rest(whole, clustered, Share::kWhole), loop(whole, clustered, kMerged),
       tight(whole, kMerged, kTight), last(whole, kTight, Share::kWhole);
   Cover cover;
   UnionVolume volume{};

@@ -211,22 +211,22 @@ void cap_facets(const Occupancy& occupancy, std::vector<LatticePolytope>& hulls,
     FacetRanker rank(occupancy);
     for (std::size_t h = begin; h < end; ++h) ranked[h] = rank(hulls[h], cap - kBoxPlanes);
   });
-  struct Share {
+  struct Offer {
     double gain;
     std::size_t hull, place;
   };
-  std::vector<Share> shares;
+  std::vector<Offer> offers;
   for (std::size_t h = 0; h < hulls.size(); ++h)
-    for (std::size_t k = 0; k < ranked[h].size(); ++k) shares.push_back({ranked[h][k].gain, h, k});
-  std::sort(shares.begin(), shares.end(), [](const Share& a, const Share& b) {
+    for (std::size_t k = 0; k < ranked[h].size(); ++k) offers.push_back({ranked[h][k].gain, h, k});
+  std::sort(offers.begin(), offers.end(), [](const Offer& a, const Offer& b) {
     if (a.gain != b.gain) return a.gain > b.gain;
     return a.hull != b.hull ? a.hull < b.hull : a.place < b.place;
   });
-  shares.resize(std::min(shares.size(), planes - kBoxPlanes * hulls.size()));
+  offers.resize(std::min(offers.size(), planes - kBoxPlanes * hulls.size()));
   std::vector<std::size_t> count(hulls.size(), 0);
-  for (const Share& share : shares) ++count[share.hull];
+  for (const Offer& offer : offers) ++count[offer.hull];
   // What the lines cannot see leaves planes over; they keep whole hulls that have no more than the cap.
-  std::size_t left = planes - kBoxPlanes * hulls.size() - shares.size();
+  std::size_t left = planes - kBoxPlanes * hulls.size() - offers.size();
   for (std::size_t h = 0; h < hulls.size(); ++h) {
     const std::size_t given = kBoxPlanes + count[h], facets = hulls[h].plane.size();
     if (fits(hulls[h], std::min(cap, given + left))) {

@@ -17,6 +17,7 @@ constexpr std::size_t kNoLimit = std::numeric_limits<std::size_t>::max() / 2;
 constexpr std::array<std::size_t, 11> kTenths{63, 67, 72, 80, 90, 100, 115, 135, 160, 190, 240};
 constexpr std::size_t kFirst = 3;
 constexpr std::size_t kMergingShare = 700;  // of the time, in Share::kWhole, before covers are measured
+constexpr std::size_t kTighteningShare = 150, kOutlinedShare = 700;  // of the time of a trial
 
 std::vector<LatticePolytope> hulls_of(const Occupancy& occupancy, const VoxelSets& members, unsigned jobs,
                                       Control& control) {
@@ -162,7 +163,7 @@ void make_outer(const Occupancy& occupancy, Cover& cover, const Budget& budget, 
 
 Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions options, unsigned jobs, Control& control,
           std::vector<Measured>& measured, EvaluationLog* journal) {
-  Share merging(control, 0, kMergingShare), trying(control, kMergingShare, Share::kWhole);
+  Share merging(control, 0, kMergingShare), all_trials(control, kMergingShare, Share::kWhole);
   const Budget budget = options.budget;
   const std::size_t most = options.max_hulls > 0 ? std::min(options.max_hulls, sets.size()) : sets.size();
   std::vector<std::size_t> trial;  // numbers of hulls, descending
@@ -190,11 +191,16 @@ Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions option
   Cover best;
   std::size_t merges = 0;
   double least = std::numeric_limits<double>::infinity();
+  std::size_t begun = 0;  // of the trials' time, in Share::kWhole: how many come is not known, so each takes a part
   const auto improves = [&](std::size_t i) {
+    const std::size_t end = begun + (Share::kWhole - begun) * 2 / 5;
+    Share trying(all_trials, begun, end), tightening(trying, 0, kTighteningShare),
+        outlining(trying, kTighteningShare, kOutlinedShare), measuring(trying, kOutlinedShare, Share::kWhole);
+    begun = end;
     Cover one = replay(occupancy, sets, whole, sets.size() - trial[i], jobs, trying);
-    if (options.rule != MergeRule::kPaper) retighten(occupancy, one, {}, trying);
-    make_outer(occupancy, one, budget, options.rule != MergeRule::kPaper, jobs, trying);
-    const UnionVolume volume = union_excess(occupancy, one.hull, jobs, trying);
+    if (options.rule != MergeRule::kPaper) retighten(occupancy, one, {}, tightening);
+    make_outer(occupancy, one, budget, options.rule != MergeRule::kPaper, jobs, outlining);
+    const UnionVolume volume = union_excess(occupancy, one.hull, jobs, measuring);
     measured.push_back({one.hull.size(), planes_of(one.hull), volume});
     if (!(volume.excess < least)) return false;
     least = volume.excess;

@@ -294,6 +294,8 @@ class Visitor {
   Touched touched_;
 };
 
+constexpr std::size_t kSearchedShare = 980;  // of the progress; few voxels are left to name
+
 // For each of a few voxels the first ellipsoid that is not proven clear of it.
 std::vector<std::int64_t> first_touching(const Splats& splats, const Level& level, double g,
                                          std::span<const std::int32_t> voxel, unsigned jobs, Control& control) {
@@ -335,7 +337,8 @@ Unproven unproven_voxels(const Splats& splats, const Level& level, double voxel_
   const CropRange range = crop_range(crop, voxel_size);
   const VoxelSet set(index);
   OverlapGrid grid;
-  parallel_chunks(splats.size(), 1024, jobs, control, [&](std::size_t begin, std::size_t end) {
+  Share searching(control, 0, kSearchedShare), naming(control, kSearchedShare, Share::kWhole);
+  parallel_chunks(splats.size(), 1024, jobs, searching, [&](std::size_t begin, std::size_t end) {
     OverlapGrid::Writer writer(grid);
     for (std::size_t i = begin; i < end; ++i) {
       Search search(splats, i, level, voxel_size);
@@ -347,13 +350,14 @@ Unproven unproven_voxels(const Splats& splats, const Level& level, double voxel_
     }
     writer.finish();
   });
-  Control quiet;
+  InterruptOnly quiet(naming);
   VoxelCounts missing = grid.collect(std::max(min_overlap, 1u), jobs, quiet);
   Unproven result;
   result.total = missing.count.size();
   missing.index.resize(3 * std::min(result.total, Unproven::kMaxListed));
   result.voxel = std::move(missing.index);
-  if (result.total > 0) result.ellipsoid = first_touching(splats, level, voxel_size, result.voxel, jobs, quiet);
+  if (result.total > 0) result.ellipsoid = first_touching(splats, level, voxel_size, result.voxel, jobs, naming);
+  control.poll(splats.size(), splats.size());
   return result;
 }
 

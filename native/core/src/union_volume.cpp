@@ -8,6 +8,7 @@ namespace alula {
 
 namespace {
 
+constexpr std::size_t kCuttingShare = 900;  // of the progress; lines only follow where cutting gave up
 // Lines through the very middle would run in diagonal planes of the lattice, and count as inside.
 constexpr double kOffMiddleX = 0.53, kOffMiddleY = 0.48;
 
@@ -80,8 +81,7 @@ UnionVolume by_lines(const Occupancy& occupancy, const std::vector<LatticePolyto
       starting[static_cast<std::size_t>(i)].push_back(h);
   }
   std::vector<double> excess(static_cast<std::size_t>(slabs), 0.0);
-  InterruptOnly quiet(control);
-  parallel_chunks(excess.size(), 1, jobs, quiet, [&](std::size_t begin, std::size_t end) {
+  parallel_chunks(excess.size(), 1, jobs, control, [&](std::size_t begin, std::size_t end) {
     std::vector<Interval> interval;
     std::vector<double> y, low, high;
     for (std::size_t slab = begin; slab < end; ++slab) {
@@ -133,11 +133,12 @@ UnionVolume union_excess(const Occupancy& occupancy, const std::vector<LatticePo
                          Control& control, std::size_t most_cuts, double most_lines) {
   std::vector<LatticeBox> box;
   for (const LatticePolytope& hull : hulls) box.push_back(box_of(hull));
-  InterruptOnly quiet(control);
+  Share cutting(control, 0, kCuttingShare), sampling(control, kCuttingShare, Share::kWhole);
   MeasureOptions options;
   options.cuts_per_part = most_cuts;
-  const UnionMeasure found = union_measure(convex_sets(hulls, box), nullptr, options, jobs, quiet);
-  if (!found.is_complete) return by_lines(occupancy, hulls, box, most_lines, jobs, control);
+  const UnionMeasure found = union_measure(convex_sets(hulls, box), nullptr, options, jobs, cutting);
+  if (!found.is_complete) return by_lines(occupancy, hulls, box, most_lines, jobs, sampling);
+  control.poll(Share::kWhole, Share::kWhole);
   return {std::max(0.0, found.volume - static_cast<double>(occupancy.size())), found.error, 0, 0};
 }
 

@@ -146,6 +146,7 @@ class Marker {
   std::vector<Shadow::Chord> chords_;
 };
 
+constexpr std::size_t kMarkedShare = 800;  // of the time, in Share::kWhole, before voxels are listed
 constexpr std::size_t kChunk = 4096;  // ellipsoids between two polls of a thread
 
 std::int32_t floor_divided(std::int32_t a, std::int32_t b) { return a / b - (a % b < 0); }
@@ -207,12 +208,12 @@ Voxelized voxelize(const Splats& splats, const Level& level, double voxel_size, 
   const CropRange outer = crop_range(crop, voxel_size), range = within_tile(outer, tile);
   Voxelized out;
   out.reach.resize(splats.size());
-  refuse_early(splats, level, voxel_size, range, jobs, control);
+  Share marking(control, 0, kMarkedShare), collecting(control, kMarkedShare, Share::kWhole);
+  refuse_early(splats, level, voxel_size, range, jobs, marking);
   OverlapGrid grid;
-  mark_all(splats, level, voxel_size, outer, range, grid, jobs, control,
+  mark_all(splats, level, voxel_size, outer, range, grid, jobs, marking,
            [&](std::size_t i, Reach reach) { out.reach[i] = static_cast<std::uint8_t>(reach); });
-  Control quiet;
-  out.voxels = grid.collect(min_overlap, jobs, quiet);
+  out.voxels = grid.collect(min_overlap, jobs, collecting);
   return out;
 }
 
