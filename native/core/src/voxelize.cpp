@@ -147,7 +147,7 @@ class Marker {
 };
 
 constexpr std::size_t kMarkedShare = 800;  // of the time, in Share::kWhole, before voxels are listed
-constexpr std::size_t kChunk = 4096;  // ellipsoids between two polls of a thread
+constexpr std::size_t kChunk = 4096;       // ellipsoids between two polls of a thread
 
 std::int32_t floor_divided(std::int32_t a, std::int32_t b) { return a / b - (a % b < 0); }
 
