@@ -19,13 +19,17 @@ from alula.schemas.artifact import make_artifact, write_artifact
 from alula.schemas.errors import DamagedError, VersionError
 from alula.schemas.journal import pack, strangeness, unpack
 from alula.schemas.kinds import VOXELS
+from alula.schemas.manifest import producer
 from alula.schemas.provenance import Provenance, read_provenance
 from alula.stages.compression import merge as stage
 
 VOXEL_COUNT, SIDE = 8_000, 42
-# The command line with a journal that is written at once and often.
+# The command line with a journal that is written at once and often, by a program of the same commit even when
+# somebody commits between two runs.
 EAGER = (
-    "import sys; from alula.cli import journal; journal.PERIOD_S, journal.LEAST_S = 0.2, 0;"
+    "import sys; from alula.schemas import manifest; manifest.native_commit = lambda: sys.argv.pop(1);"
+    " manifest.producer();"
+    " from alula.cli import journal; journal.PERIOD_S, journal.LEAST_S = 0.2, 0;"
     " journal.MOST_SHARE = 1e9; from alula.cli.main import main; main(sys.argv[1:])"
 )
 WORDS = ["merge", "v.voxels.npz", "-o", "c.cover.npz", "--hulls", "200"]
@@ -87,7 +91,7 @@ def stopping_when(enough):
 def start(*words: str) -> subprocess.Popen[str]:
     env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     return subprocess.Popen(
-        [sys.executable, "-P", "-c", EAGER, *words],
+        [sys.executable, "-P", "-c", EAGER, producer().commit, *words],
         env=env, text=True, stderr=subprocess.PIPE, stdout=subprocess.PIPE,
     )  # fmt: skip
 
