@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <queue>
 
@@ -13,12 +15,20 @@ namespace alula {
 
 namespace {
 
-constexpr std::size_t kBatch = 16;        // candidates evaluated at once, for any number of threads
+constexpr std::size_t kAhead = 4;        // volumes measured at once, per thread
 constexpr std::size_t kStartShare = 80;  // of the time, in Share::kWhole, before the first merge
+constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
 struct Link {
   std::uint32_t other;
-  double bound;  // W of the merged hull is at least this; equal once evaluated
+  double key;  // of the pair in the queue: what is expected, and exact once evaluated
+};
+
+// A union that is built before its turn.
+struct Ready {
+  std::uint32_t left, right;
+  LatticePolytope hull;
+  HullMesh mesh;
 };
 
 struct Element {
@@ -27,12 +37,14 @@ struct Element {
   double weight = 0;
   bool alive = true;
   std::vector<Link> links;
+  std::unique_ptr<Ready> ready;  // of this element, as the lower number, and another
 };
 
 struct Candidate {
   double key;
+  double weight;              // W of the union, kUnknown when it was not measured yet
   std::uint32_t left, right;  // left < right
-  bool evaluated;
+  bool evaluated;             // key is that of weight
   bool is_nearest;                                // paired because `left` or `right` touches nothing
   bool operator<(const Candidate& other) const {  // the best is the top of a heap
     if (key != other.key) return key > other.key;
@@ -126,12 +138,6 @@ class Merger {
     return 1 + total / static_cast<double>(occupancy_.size()) <= options_.max_growth;
   }
 
-  double weight_of(std::uint32_t left, std::uint32_t right) const {
-    for (const Link& link : element_[left].links)
-      if (link.other == right) return link.bound;
-    return 0;
-  }
-
   // Hull and meter of one thread.
   struct Bench {
     HullBuilder hull;
@@ -145,21 +151,70 @@ class Merger {
     hull.build_union(base.mesh, more.hull.vertex);
   }
 
-  double evaluate(Bench& bench, std::uint32_t left, std::uint32_t right) const {
-    if (const double* known = log_ == nullptr ? nullptr : log_->find(left, right)) return *known;
+  double measure(Bench& bench, std::uint32_t left, std::uint32_t right) const {
     build(bench.hull, left, right);
-    return std::max({bench.excess(bench.hull), weight_of(left, right), element_[left].weight, element_[right].weight});
+    return bench.excess(bench.hull);
   }
 
-  // Evaluates the candidates in batch_.
-  void evaluate_batch() {
-    team_.run(batch_.size(), [this](std::size_t worker, std::size_t i) {
-      batch_[i].weight = evaluate(bench_[worker], batch_[i].left, batch_[i].right);
+  void make_ready(HullBuilder& hull, Ready& ready) const {
+    build(hull, ready.left, ready.right);
+    ready.hull = hull.polytope();
+    ready.mesh = hull.mesh();
+    if (ready.mesh.point.size() > ready.hull.vertex.size() + ready.hull.vertex.size() / 4) {
+      hull.build(ready.hull.vertex);  // too many points that are not extreme
+      ready.mesh = hull.mesh();
+    }
+  }
+
+  // Measures a candidate and, for the other threads, those that will probably be next. What is known
+  // ahead changes nothing until its turn comes, so results do not depend on the number of threads.
+  void measure_ahead(Candidate& first) {
+    ahead_.assign(1, first);
+    passed_.clear(), ready_.clear();
+    const std::size_t wanted = team_.size() > 1 ? kAhead * team_.size() : 1;
+    while (ahead_.size() < wanted && passed_.size() < wanted && !queue_.empty()) {
+      const Candidate c = queue_.top();
+      const bool is_alive = element_[c.left].alive && element_[c.right].alive;
+      if (!is_alive && c.is_nearest) break;
+      queue_.pop();
+      if (!is_alive) continue;
+      const bool is_known = !std::isnan(c.weight) || (log_ != nullptr && log_->find(c.left, c.right) != nullptr);
+      (is_known ? passed_ : ahead_).push_back(c);
+      const Ready* ready = element_[c.left].ready.get();
+      if (c.evaluated && (ready == nullptr || !element_[ready->right].alive))
+        ready_.push_back(std::make_unique<Ready>(Ready{c.left, c.right, {}, {}}));
+    }
+    team_.run(ahead_.size() + ready_.size(), [this](std::size_t worker, std::size_t i) {
+      Bench& bench = bench_[worker];
+      if (i < ahead_.size()) {
+        ahead_[i].weight = measure(bench, ahead_[i].left, ahead_[i].right);
+      } else {
+        make_ready(bench.hull, *ready_[i - ahead_.size()]);
+      }
     });
-    if (log_ == nullptr) return;
-    const std::size_t before = log_->size();
-    log_->add(batch_);
-    log_->count_reuse(before + batch_.size() - log_->size());
+    first = ahead_[0];
+    for (std::size_t i = 1; i < ahead_.size(); ++i) queue_.push(ahead_[i]);
+    for (const Candidate& c : passed_) queue_.push(c);
+    for (auto& ready : ready_) element_[ready->left].ready = std::move(ready);
+  }
+
+  // W of a candidate's union and its key by that.
+  void evaluate(Candidate& c) {
+    const double* known = log_ == nullptr ? nullptr : log_->find(c.left, c.right);
+    if (known != nullptr) {
+      c.weight = *known;
+    } else if (std::isnan(c.weight)) {
+      measure_ahead(c);
+    }
+    c.weight = std::max({c.weight, element_[c.left].weight, element_[c.right].weight});
+    if (options_.rule == MergeRule::kPaper) c.weight = std::max(c.weight, c.key);  // a lower bound until now
+    c.key = key(c.left, c.right, c.weight);
+    c.evaluated = true;
+    if (known != nullptr) {
+      log_->count_reuse(1);
+    } else if (log_ != nullptr) {
+      log_->add(std::array{EvaluationLog::Entry{c.left, c.right, c.weight}});
+    }
   }
 
   std::uint64_t fingerprint_of() const {
@@ -175,15 +230,25 @@ class Merger {
     return weight - element_[left].weight - element_[right].weight;
   }
 
-  void link(std::uint32_t a, std::uint32_t b, double bound, bool is_nearest) {
-    element_[a].links.push_back({b, bound});
-    element_[b].links.push_back({a, bound});
-    queue_.push({key(a, b, bound), std::min(a, b), std::max(a, b), false, is_nearest});
+  // The least key that two elements with these boxes can have: free volume is shared in both boxes only.
+  double least_key(std::uint32_t a, std::uint32_t b, const LatticeBox& box_a, const LatticeBox& box_b) const {
+    const double u = element_[a].weight, v = element_[b].weight;
+    if (options_.rule == MergeRule::kPaper) return std::max(u, v);
+    double common = 1;
+    for (int i = 0; i < 3; ++i)
+      common *= std::max(0, std::min(box_a.upper[i], box_b.upper[i]) - std::max(box_a.lower[i], box_b.lower[i]));
+    return -std::min({u, v, common});
   }
 
-  void set_bound(std::uint32_t a, std::uint32_t b, double bound) {
+  void link(std::uint32_t a, std::uint32_t b, double key, bool is_nearest) {
+    element_[a].links.push_back({b, key});
+    element_[b].links.push_back({a, key});
+    queue_.push({key, kUnknown, std::min(a, b), std::max(a, b), false, is_nearest});
+  }
+
+  void set_key(std::uint32_t a, std::uint32_t b, double key) {
     for (Link& link : element_[a].links)
-      if (link.other == b) link.bound = bound;
+      if (link.other == b) link.key = key;
   }
 
   void link_all() {
@@ -191,7 +256,7 @@ class Merger {
     for (std::uint32_t i = 0; i < element_.size(); ++i) {
       tree_.touching(tree_.box(i), touching_);
       for (const std::uint32_t j : touching_)
-        if (j > i) link(i, j, std::max(element_[i].weight, element_[j].weight), false);
+        if (j > i) link(i, j, least_key(i, j, tree_.box(i), tree_.box(j)), false);
       if (touching_.size() == 1) pair_with_nearest(i);
     }
   }
@@ -203,7 +268,7 @@ class Merger {
     if (options_.rule == MergeRule::kPaper) {
       gaps_.push({near.squared_distance, i, near.item});
     } else if (!is_linked(i, near.item)) {
-      link(i, near.item, std::max(element_[i].weight, element_[near.item].weight), true);
+      link(i, near.item, least_key(i, near.item, tree_.box(i), tree_.box(near.item)), true);
     }
   }
 
@@ -224,29 +289,10 @@ class Merger {
         if (top.is_nearest && right) repair(top.right);
         continue;
       }
-      if (top.evaluated) return Merge{top.left, top.right, weight_of(top.left, top.right)};
-      // Keys of merges hardly ever fall: what is bounded below the last one will be asked for too.
-      waiting_.assign(1, top);
-      while (waiting_.size() < kBatch && !queue_.empty() && !queue_.top().evaluated && queue_.top().key < last_key_) {
-        const Candidate& next = queue_.top();
-        if (element_[next.left].alive && element_[next.right].alive) {
-          waiting_.push_back(next);
-        } else if (next.is_nearest) {
-          break;
-        }
-        queue_.pop();
-      }
-      batch_.clear();
-      for (const Candidate& c : waiting_) batch_.push_back({c.left, c.right, 0});
-      evaluate_batch();
-      for (std::size_t i = 0; i < waiting_.size(); ++i) {
-        Candidate& c = waiting_[i];
-        const double weight = batch_[i].weight;
-        set_bound(c.left, c.right, weight), set_bound(c.right, c.left, weight);
-        c.key = key(c.left, c.right, weight);
-        c.evaluated = true;
-        queue_.push(c);
-      }
+      if (top.evaluated) return Merge{top.left, top.right, top.weight};
+      evaluate(top);
+      set_key(top.left, top.right, top.key), set_key(top.right, top.left, top.key);
+      queue_.push(top);
     }
     while (!gaps_.empty()) {
       const Gap gap = gaps_.top();
@@ -257,9 +303,9 @@ class Merger {
         continue;
       }
       const auto [left, right] = std::minmax(gap.item, gap.nearest);
-      batch_.assign(1, {left, right, 0});
-      evaluate_batch();
-      return Merge{left, right, batch_[0].weight};
+      Candidate pair{0, kUnknown, left, right, false, false};
+      evaluate(pair);
+      return Merge{left, right, pair.weight};
     }
     return std::nullopt;
   }
@@ -273,17 +319,15 @@ class Merger {
   // Replaces two elements by their union.
   void join(const Merge& pair) {
     const auto [left, right, weight] = pair;
-    last_key_ = key(left, right, weight);
     const std::uint32_t made = static_cast<std::uint32_t>(element_.size());
-    HullBuilder& hull = bench_[0].hull;
-    build(hull, left, right);
-    Element merged;
-    merged.hull = hull.polytope();
-    merged.mesh = hull.mesh();
-    if (merged.mesh.point.size() > merged.hull.vertex.size() + merged.hull.vertex.size() / 4) {
-      hull.build(merged.hull.vertex);  // too many points that are not extreme
-      merged.mesh = hull.mesh();
+    std::unique_ptr<Ready> ready = std::move(element_[left].ready);
+    if (ready == nullptr || ready->right != right) {
+      ready = std::make_unique<Ready>(Ready{left, right, {}, {}});
+      make_ready(bench_[0].hull, *ready);
     }
+    Element merged;
+    merged.hull = std::move(ready->hull);
+    merged.mesh = std::move(ready->mesh);
     merged.weight = weight;
     merged_links_.clear();
     for (const std::uint32_t old : {pair.left, pair.right}) {
@@ -301,19 +345,20 @@ class Merger {
     --hulls_;
     const LatticeBox box = bounds(merged.hull.vertex);
     tree_.touching(box, touching_);
-    for (const std::uint32_t other : touching_) merged_links_.push_back({other, element_[other].weight});
-    std::sort(merged_links_.begin(), merged_links_.end(), [](const Link& a, const Link& b) {
-      return a.other != b.other ? a.other < b.other : a.bound > b.bound;
-    });
     tree_.insert(made, box);
     element_.push_back(std::move(merged));
+    for (const std::uint32_t other : touching_)
+      merged_links_.push_back({other, least_key(made, other, box, tree_.box(other))});
+    std::sort(merged_links_.begin(), merged_links_.end(), [](const Link& a, const Link& b) {
+      return a.other != b.other ? a.other < b.other : a.key > b.key;
+    });
     for (std::size_t i = 0; i < merged_links_.size(); ++i) {
       const Link& l = merged_links_[i];
       if (i > 0 && merged_links_[i - 1].other == l.other) continue;
       std::erase_if(element_[l.other].links,
                     [&](const Link& x) { return x.other == pair.left || x.other == pair.right; });
       if (std::binary_search(touching_.begin(), touching_.end(), l.other))
-        link(made, l.other, std::max(l.bound, weight), false);
+        link(made, l.other, l.key, false);
     }
     if (touching_.empty()) pair_with_nearest(made);
   }
@@ -346,7 +391,7 @@ class Merger {
   const VoxelSets& sets_;
   MergeOptions options_;
   std::vector<Element> element_;
-  double total_weight_ = 0, last_key_ = -std::numeric_limits<double>::infinity();
+  double total_weight_ = 0;
   std::size_t planes_ = 0, hulls_ = 0;
   std::priority_queue<Candidate> queue_;
   std::priority_queue<Gap> gaps_;
@@ -354,8 +399,8 @@ class Merger {
   EvaluationLog* log_;
   WorkerTeam team_;
   std::vector<Bench> bench_;  // one per thread of the team
-  std::vector<Candidate> waiting_;
-  std::vector<EvaluationLog::Entry> batch_;
+  std::vector<Candidate> ahead_, passed_;
+  std::vector<std::unique_ptr<Ready>> ready_;
   std::vector<std::uint32_t> touching_;
   std::vector<Link> merged_links_;
 };
