@@ -37,6 +37,7 @@ struct Element {
   double weight = 0;
   bool alive = true;
   std::vector<Link> links;
+  std::vector<Link> waiting;  // those with lower numbers that were not in the queue yet, the best one last
   std::unique_ptr<Ready> ready;  // of this element, as the lower number, and another
 };
 
@@ -177,7 +178,10 @@ class Merger {
       const bool is_alive = element_[c.left].alive && element_[c.right].alive;
       if (!is_alive && c.is_nearest) break;
       queue_.pop();
-      if (!is_alive) continue;
+      if (!is_alive) {
+        drop(c);
+        continue;
+      }
       const bool is_known = !std::isnan(c.weight) || (log_ != nullptr && log_->find(c.left, c.right) != nullptr);
       (is_known ? passed_ : ahead_).push_back(c);
       const Ready* ready = element_[c.left].ready.get();
@@ -240,10 +244,35 @@ class Merger {
     return -std::min({u, v, common});
   }
 
-  void link(std::uint32_t a, std::uint32_t b, double key, bool is_nearest) {
+  void link(std::uint32_t a, std::uint32_t b, double key) {
     element_[a].links.push_back({b, key});
     element_[b].links.push_back({a, key});
-    queue_.push({key, kUnknown, std::min(a, b), std::max(a, b), false, is_nearest});
+  }
+
+  // Links an element to those with lower numbers. Only the best of these pairs goes to the queue; each
+  // makes room for the next one when it leaves.
+  void link_lower(std::uint32_t made, std::vector<Link>& lower) {
+    for (const Link& l : lower) link(made, l.other, l.key);
+    std::sort(lower.begin(), lower.end(),
+              [](const Link& a, const Link& b) { return a.key != b.key ? a.key > b.key : a.other > b.other; });
+    element_[made].waiting = lower;
+    put_next(made);
+  }
+
+  void put_next(std::uint32_t right) {
+    std::vector<Link>& waiting = element_[right].waiting;
+    while (!waiting.empty()) {
+      const Link best = waiting.back();
+      waiting.pop_back();
+      if (!element_[best.other].alive) continue;
+      queue_.push({best.key, kUnknown, best.other, right, false, false});
+      return;
+    }
+  }
+
+  // A candidate that cannot merge any more.
+  void drop(const Candidate& c) {
+    if (!c.evaluated && !c.is_nearest) put_next(c.right);
   }
 
   void set_key(std::uint32_t a, std::uint32_t b, double key) {
@@ -253,10 +282,13 @@ class Merger {
 
   void link_all() {
     for (const std::uint32_t i : scattered(element_.size())) tree_.insert(i, bounds(element_[i].hull.vertex));
+    std::vector<Link> lower;
     for (std::uint32_t i = 0; i < element_.size(); ++i) {
       tree_.touching(tree_.box(i), touching_);
+      lower.clear();
       for (const std::uint32_t j : touching_)
-        if (j > i) link(i, j, least_key(i, j, tree_.box(i), tree_.box(j)), false);
+        if (j < i) lower.push_back({j, least_key(i, j, tree_.box(i), tree_.box(j))});
+      link_lower(i, lower);
       if (touching_.size() == 1) pair_with_nearest(i);
     }
   }
@@ -268,7 +300,9 @@ class Merger {
     if (options_.rule == MergeRule::kPaper) {
       gaps_.push({near.squared_distance, i, near.item});
     } else if (!is_linked(i, near.item)) {
-      link(i, near.item, least_key(i, near.item, tree_.box(i), tree_.box(near.item)), true);
+      const double key = least_key(i, near.item, tree_.box(i), tree_.box(near.item));
+      link(i, near.item, key);
+      queue_.push({key, kUnknown, std::min(i, near.item), std::max(i, near.item), false, true});
     }
   }
 
@@ -285,11 +319,13 @@ class Merger {
       queue_.pop();
       const bool left = element_[top.left].alive, right = element_[top.right].alive;
       if (!left || !right) {
+        drop(top);
         if (top.is_nearest && left) repair(top.left);
         if (top.is_nearest && right) repair(top.right);
         continue;
       }
       if (top.evaluated) return Merge{top.left, top.right, top.weight};
+      if (!top.is_nearest) put_next(top.right);
       evaluate(top);
       set_key(top.left, top.right, top.key), set_key(top.right, top.left, top.key);
       queue_.push(top);
@@ -352,14 +388,16 @@ class Merger {
     std::sort(merged_links_.begin(), merged_links_.end(), [](const Link& a, const Link& b) {
       return a.other != b.other ? a.other < b.other : a.key > b.key;
     });
+    std::size_t kept = 0;
     for (std::size_t i = 0; i < merged_links_.size(); ++i) {
-      const Link& l = merged_links_[i];
+      const Link l = merged_links_[i];
       if (i > 0 && merged_links_[i - 1].other == l.other) continue;
       std::erase_if(element_[l.other].links,
                     [&](const Link& x) { return x.other == pair.left || x.other == pair.right; });
-      if (std::binary_search(touching_.begin(), touching_.end(), l.other))
-        link(made, l.other, l.key, false);
+      if (std::binary_search(touching_.begin(), touching_.end(), l.other)) merged_links_[kept++] = l;
     }
+    merged_links_.resize(kept);
+    link_lower(made, merged_links_);
     if (touching_.empty()) pair_with_nearest(made);
   }
 
