@@ -194,7 +194,8 @@ void HullBuilder::list_planes(const Planes<T>& planes) {
       is_new = is_new && x * static_cast<T>(q[0]) + y * static_cast<T>(q[1]) + z * static_cast<T>(q[2]) != offset;
     }
     if (is_new)
-      local_.push_back({static_cast<double>(x), static_cast<double>(y), static_cast<double>(z), static_cast<double>(offset)});
+      local_.push_back(
+          {static_cast<double>(x), static_cast<double>(y), static_cast<double>(z), static_cast<double>(offset)});
   }
 }
 

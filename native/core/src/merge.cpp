@@ -3,66 +3,20 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <limits>
 #include <memory>
 #include <optional>
 #include <queue>
 
 #include "alula/box_tree.hpp"
+#include "alula/merge_queue.hpp"
 #include "alula/parallel.hpp"
 
 namespace alula {
 
 namespace {
 
-constexpr std::size_t kAhead = 4;        // volumes measured at once, per thread
+constexpr std::size_t kAhead = 8;        // volumes measured at once, per thread, at most
 constexpr std::size_t kStartShare = 80;  // of the time, in Share::kWhole, before the first merge
-constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
-
-struct Link {
-  std::uint32_t other;
-  double key;  // of the pair in the queue: what is expected, and exact once evaluated
-};
-
-// A union that is built before its turn.
-struct Ready {
-  std::uint32_t left, right;
-  LatticePolytope hull;
-  HullMesh mesh;
-};
-
-struct Element {
-  LatticePolytope hull;
-  HullMesh mesh;  // of the same hull
-  double weight = 0;
-  bool alive = true;
-  std::vector<Link> links;
-  std::vector<Link> waiting;  // those with lower numbers that were not in the queue yet, the best one last
-  std::unique_ptr<Ready> ready;  // of this element, as the lower number, and another
-};
-
-struct Candidate {
-  double key;
-  double weight;              // W of the union, kUnknown when it was not measured yet
-  std::uint32_t left, right;  // left < right
-  bool evaluated;             // key is that of weight
-  bool is_nearest;                                // paired because `left` or `right` touches nothing
-  bool operator<(const Candidate& other) const {  // the best is the top of a heap
-    if (key != other.key) return key > other.key;
-    if (left != other.left) return left > other.left;
-    return right > other.right;
-  }
-};
-
-struct Gap {
-  std::int64_t squared_distance;
-  std::uint32_t item, nearest;
-  bool operator<(const Gap& other) const {
-    if (squared_distance != other.squared_distance) return squared_distance > other.squared_distance;
-    if (item != other.item) return item > other.item;
-    return nearest > other.nearest;
-  }
-};
 
 // A fixed order without spatial pattern, so that the box tree stays shallow.
 std::vector<std::uint32_t> scattered(std::size_t count) {
@@ -119,7 +73,9 @@ class Merger {
       cover.curve.push_back({hulls_, total_weight_, planes_});
       control.poll(start - hulls_, start > goal ? start - goal : start - hulls_);
     }
-    collect(cover);
+    cover.members = merged_sets(sets_, cover.history);
+    for (Element& e : element_)
+      if (e.alive) cover.hull.push_back(std::move(e.hull));
     return cover;
   }
 
@@ -167,12 +123,19 @@ class Merger {
     }
   }
 
+  // How many to measure at once: the fewer, the more of them were measured in vain lately.
+  std::size_t reach() {
+    if (guessed_ > 1024) guessed_ /= 2, right_guesses_ /= 2;
+    const std::size_t share = kAhead * std::min(right_guesses_ + 8, guessed_ + 8) / (guessed_ + 8);
+    return team_.size() * std::max<std::size_t>(2 * share, kAhead + 1) - team_.size() * kAhead;
+  }
+
   // Measures a candidate and, for the other threads, those that will probably be next. What is known
   // ahead changes nothing until its turn comes, so results do not depend on the number of threads.
   void measure_ahead(Candidate& first) {
     ahead_.assign(1, first);
     passed_.clear(), ready_.clear();
-    const std::size_t wanted = team_.size() > 1 ? kAhead * team_.size() : 1;
+    const std::size_t wanted = team_.size() > 1 ? reach() : 1;
     while (ahead_.size() < wanted && passed_.size() < wanted && !queue_.empty()) {
       const Candidate c = queue_.top();
       const bool is_alive = element_[c.left].alive && element_[c.right].alive;
@@ -197,6 +160,7 @@ class Merger {
       }
     });
     first = ahead_[0];
+    guessed_ += ahead_.size() - 1;
     for (std::size_t i = 1; i < ahead_.size(); ++i) queue_.push(ahead_[i]);
     for (const Candidate& c : passed_) queue_.push(c);
     for (auto& ready : ready_) element_[ready->left].ready = std::move(ready);
@@ -209,6 +173,8 @@ class Merger {
       c.weight = *known;
     } else if (std::isnan(c.weight)) {
       measure_ahead(c);
+    } else {
+      ++right_guesses_;
     }
     c.weight = std::max({c.weight, element_[c.left].weight, element_[c.right].weight});
     if (options_.rule == MergeRule::kPaper) c.weight = std::max(c.weight, c.key);  // a lower bound until now
@@ -226,7 +192,8 @@ class Merger {
       return std::string_view(reinterpret_cast<const char*>(list.data()), list.size() * sizeof(list[0]));
     };
     const std::uint64_t rule = fingerprint(options_.rule == MergeRule::kPaper ? "paper" : "increase");
-    return fingerprint(bytes(sets_.start), fingerprint(bytes(sets_.member), fingerprint(bytes(occupancy_.voxels()), rule)));
+    return fingerprint(bytes(sets_.start),
+                       fingerprint(bytes(sets_.member), fingerprint(bytes(occupancy_.voxels()), rule)));
   }
 
   double key(std::uint32_t left, std::uint32_t right, double weight) const {
@@ -385,9 +352,8 @@ class Merger {
     element_.push_back(std::move(merged));
     for (const std::uint32_t other : touching_)
       merged_links_.push_back({other, least_key(made, other, box, tree_.box(other))});
-    std::sort(merged_links_.begin(), merged_links_.end(), [](const Link& a, const Link& b) {
-      return a.other != b.other ? a.other < b.other : a.key > b.key;
-    });
+    std::sort(merged_links_.begin(), merged_links_.end(),
+              [](const Link& a, const Link& b) { return a.other != b.other ? a.other < b.other : a.key > b.key; });
     std::size_t kept = 0;
     for (std::size_t i = 0; i < merged_links_.size(); ++i) {
       const Link l = merged_links_[i];
@@ -401,36 +367,12 @@ class Merger {
     if (touching_.empty()) pair_with_nearest(made);
   }
 
-  void collect(Cover& cover) {
-    const std::size_t leaves = sets_.size();
-    std::vector<std::uint32_t> stack, members;
-    for (std::uint32_t e = 0; e < element_.size(); ++e) {
-      if (!element_[e].alive) continue;
-      members.clear();
-      stack.assign(1, e);
-      while (!stack.empty()) {
-        const std::uint32_t id = stack.back();
-        stack.pop_back();
-        if (id < leaves) {
-          members.insert(members.end(), sets_[id].begin(), sets_[id].end());
-        } else {
-          stack.push_back(cover.history[id - leaves].left), stack.push_back(cover.history[id - leaves].right);
-        }
-      }
-      std::sort(members.begin(), members.end());
-      members.erase(std::unique(members.begin(), members.end()), members.end());
-      cover.members.member.insert(cover.members.member.end(), members.begin(), members.end());
-      cover.members.close();
-      cover.hull.push_back(std::move(element_[e].hull));
-    }
-  }
-
   const Occupancy& occupancy_;
   const VoxelSets& sets_;
   MergeOptions options_;
   std::vector<Element> element_;
   double total_weight_ = 0;
-  std::size_t planes_ = 0, hulls_ = 0;
+  std::size_t planes_ = 0, hulls_ = 0, guessed_ = 0, right_guesses_ = 0;
   std::priority_queue<Candidate> queue_;
   std::priority_queue<Gap> gaps_;
   BoxTree tree_;
@@ -449,26 +391,6 @@ Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOption
             Control& control, EvaluationLog* log) {
   Share start(control, 0, kStartShare), loop(control, kStartShare, Share::kWhole);
   return Merger(occupancy, sets, options, jobs, start, log).run(loop);
-}
-
-void sort_hulls(Cover& cover) {
-  std::vector<std::size_t> order(cover.hull.size());
-  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
-  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
-    const auto left = cover.members[a], right = cover.members[b];
-    if (!std::equal(left.begin(), left.end(), right.begin(), right.end()))
-      return std::lexicographical_compare(left.begin(), left.end(), right.begin(), right.end());
-    return a < b;
-  });
-  std::vector<LatticePolytope> hull;
-  VoxelSets members;
-  for (const std::size_t i : order) {
-    hull.push_back(std::move(cover.hull[i]));
-    members.member.insert(members.member.end(), cover.members[i].begin(), cover.members[i].end());
-    members.close();
-  }
-  cover.hull = std::move(hull);
-  cover.members = std::move(members);
 }
 
 }  // namespace alula
