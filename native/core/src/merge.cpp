@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <queue>
@@ -108,19 +109,18 @@ class Merger {
     hull.build_union(base.mesh, more.hull.vertex);
   }
 
-  double measure(Bench& bench, std::uint32_t left, std::uint32_t right) const {
-    build(bench.hull, left, right);
-    return bench.excess(bench.hull);
+  // The union that was built last.
+  static std::unique_ptr<Ready> make_ready(HullBuilder& hull, std::uint32_t left, std::uint32_t right) {
+    auto ready = std::make_unique<Ready>(Ready{left, right, hull.polytope(), hull.mesh()});
+    if (ready->mesh.point.size() > ready->hull.vertex.size() + ready->hull.vertex.size() / 4) {
+      hull.build(ready->hull.vertex);  // too many points that are not extreme
+      ready->mesh = hull.mesh();
+    }
+    return ready;
   }
 
-  void make_ready(HullBuilder& hull, Ready& ready) const {
-    build(hull, ready.left, ready.right);
-    ready.hull = hull.polytope();
-    ready.mesh = hull.mesh();
-    if (ready.mesh.point.size() > ready.hull.vertex.size() + ready.hull.vertex.size() / 4) {
-      hull.build(ready.hull.vertex);  // too many points that are not extreme
-      ready.mesh = hull.mesh();
-    }
+  bool is_ready(std::uint32_t left) const {
+    return element_[left].ready != nullptr && element_[element_[left].ready->right].alive;
   }
 
   // How many to measure at once: the fewer, the more of them were measured in vain lately.
@@ -134,7 +134,7 @@ class Merger {
   // ahead changes nothing until its turn comes, so results do not depend on the number of threads.
   void measure_ahead(Candidate& first) {
     ahead_.assign(1, first);
-    passed_.clear(), ready_.clear();
+    passed_.clear();
     const std::size_t wanted = team_.size() > 1 ? reach() : 1;
     while (ahead_.size() < wanted && passed_.size() < wanted && !queue_.empty()) {
       const Candidate c = queue_.top();
@@ -147,23 +147,28 @@ class Merger {
       }
       const bool is_known = !std::isnan(c.weight) || (log_ != nullptr && log_->find(c.left, c.right) != nullptr);
       (is_known ? passed_ : ahead_).push_back(c);
-      const Ready* ready = element_[c.left].ready.get();
-      if (c.evaluated && (ready == nullptr || !element_[ready->right].alive))
-        ready_.push_back(std::make_unique<Ready>(Ready{c.left, c.right, {}, {}}));
     }
-    team_.run(ahead_.size() + ready_.size(), [this](std::size_t worker, std::size_t i) {
+    // Unions that come out better than all that was not looked at will merge soon.
+    const double soon = queue_.empty() ? std::numeric_limits<double>::infinity() : queue_.top().key;
+    const std::size_t guesses = ahead_.size() - 1;
+    for (const Candidate& c : passed_)
+      if (c.evaluated && !is_ready(c.left)) ahead_.push_back(c);
+    ready_.clear();
+    ready_.resize(ahead_.size());
+    team_.run(ahead_.size(), [&](std::size_t worker, std::size_t i) {
       Bench& bench = bench_[worker];
-      if (i < ahead_.size()) {
-        ahead_[i].weight = measure(bench, ahead_[i].left, ahead_[i].right);
-      } else {
-        make_ready(bench.hull, *ready_[i - ahead_.size()]);
-      }
+      Candidate& c = ahead_[i];
+      build(bench.hull, c.left, c.right);
+      if (!c.evaluated) c.weight = bench.excess(bench.hull);
+      if (c.evaluated || (key(c.left, c.right, c.weight) < soon && !is_ready(c.left)))
+        ready_[i] = make_ready(bench.hull, c.left, c.right);
     });
     first = ahead_[0];
-    guessed_ += ahead_.size() - 1;
-    for (std::size_t i = 1; i < ahead_.size(); ++i) queue_.push(ahead_[i]);
+    guessed_ += guesses;
+    for (std::size_t i = 1; i <= guesses; ++i) queue_.push(ahead_[i]);
     for (const Candidate& c : passed_) queue_.push(c);
-    for (auto& ready : ready_) element_[ready->left].ready = std::move(ready);
+    for (auto& ready : ready_)
+      if (ready != nullptr && !is_ready(ready->left)) element_[ready->left].ready = std::move(ready);
   }
 
   // W of a candidate's union and its key by that.
@@ -325,8 +330,8 @@ class Merger {
     const std::uint32_t made = static_cast<std::uint32_t>(element_.size());
     std::unique_ptr<Ready> ready = std::move(element_[left].ready);
     if (ready == nullptr || ready->right != right) {
-      ready = std::make_unique<Ready>(Ready{left, right, {}, {}});
-      make_ready(bench_[0].hull, *ready);
+      build(bench_[0].hull, left, right);
+      ready = make_ready(bench_[0].hull, left, right);
     }
     Element merged;
     merged.hull = std::move(ready->hull);
@@ -380,7 +385,7 @@ class Merger {
   WorkerTeam team_;
   std::vector<Bench> bench_;  // one per thread of the team
   std::vector<Candidate> ahead_, passed_;
-  std::vector<std::unique_ptr<Ready>> ready_;
+  std::vector<std::unique_ptr<Ready>> ready_;  // of those in ahead_
   std::vector<std::uint32_t> touching_;
   std::vector<Link> merged_links_;
 };
