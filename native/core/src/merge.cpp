@@ -127,7 +127,7 @@ class Merger {
   std::size_t reach() {
     if (guessed_ > 1024) guessed_ /= 2, right_guesses_ /= 2;
     const std::size_t share = kAhead * std::min(right_guesses_ + 8, guessed_ + 8) / (guessed_ + 8);
-    return team_.size() * std::max<std::size_t>(2 * share, kAhead + 1) - team_.size() * kAhead;
+    return team_.size() * (2 * share > kAhead ? 2 * share - kAhead : 1);
   }
 
   // Measures a candidate and, for the other threads, those that will probably be next. What is known
