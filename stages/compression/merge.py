@@ -46,7 +46,8 @@ def merge(
     - method "paper": repeatedly join the pair of touching bounding boxes with least W(i u j), or the
       nearest boxes when none touch;
     - method "default": join the pair with least W(i u j) - W(i) - W(j), where a hull that touches no
-      other is paired with its nearest; at the end rebuild each hull from the voxels that no other
+      other is paired with its nearest, and pairs of a joined hull are measured no sooner than its
+      parts' pairs would have come; at the end rebuild each hull from the voxels that no other
       holds and drop hulls without any, which never enlarges the cover.
 
     With `facet_cap` or `kdop` each hull becomes an outer polytope that contains it, with the planes of

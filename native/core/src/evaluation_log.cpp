@@ -2,6 +2,7 @@
 
 #include <bit>
 #include <cstring>
+#include <limits>
 #include <stdexcept>
 
 namespace alula {
@@ -34,6 +35,9 @@ EvaluationLog::EvaluationLog(std::string_view snapshot) {
   if (sum != fingerprint(body, fingerprint_)) throw std::invalid_argument("the journal of a merge is damaged");
   std::vector<Entry> entries(body.size() / sizeof(Entry));
   if (!entries.empty()) std::memcpy(entries.data(), body.data(), body.size());
+  for (const Entry& entry : entries)
+    if (!(entry.weight >= 0 && entry.weight < std::numeric_limits<double>::infinity()))
+      throw std::invalid_argument("the journal of a merge holds a weight that is none");
   add(entries);
 }
 

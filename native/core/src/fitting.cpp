@@ -125,30 +125,8 @@ std::size_t planes_of(const std::vector<LatticePolytope>& hulls) {
 
 Cover replay(const Occupancy& occupancy, const VoxelSets& sets, const Cover& whole, std::size_t merges, unsigned jobs,
              Control& control) {
-  const std::size_t leaves = sets.size();
-  std::vector<bool> is_merged(leaves + merges, false);
-  for (std::size_t k = 0; k < merges; ++k)
-    is_merged[whole.history[k].left] = is_merged[whole.history[k].right] = true;
   Cover cover;
-  std::vector<std::uint32_t> stack, members;
-  for (std::size_t e = 0; e < is_merged.size(); ++e) {
-    if (is_merged[e]) continue;
-    members.clear();
-    stack.assign(1, static_cast<std::uint32_t>(e));
-    while (!stack.empty()) {
-      const std::uint32_t id = stack.back();
-      stack.pop_back();
-      if (id < leaves) {
-        members.insert(members.end(), sets[id].begin(), sets[id].end());
-      } else {
-        stack.push_back(whole.history[id - leaves].left), stack.push_back(whole.history[id - leaves].right);
-      }
-    }
-    std::sort(members.begin(), members.end());
-    members.erase(std::unique(members.begin(), members.end()), members.end());
-    cover.members.member.insert(cover.members.member.end(), members.begin(), members.end());
-    cover.members.close();
-  }
+  cover.members = merged_sets(sets, std::span(whole.history).first(merges));
   cover.hull = hulls_of(occupancy, cover.members, jobs, control);
   return cover;
 }

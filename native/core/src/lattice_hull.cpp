@@ -7,21 +7,6 @@
 
 namespace alula {
 
-void LatticeBox::add(const Lattice& p) {
-  for (int i = 0; i < 3; ++i) lower[i] = std::min(lower[i], p[i]), upper[i] = std::max(upper[i], p[i]);
-}
-
-void LatticeBox::add(const LatticeBox& other) {
-  for (int i = 0; i < 3; ++i)
-    lower[i] = std::min(lower[i], other.lower[i]), upper[i] = std::max(upper[i], other.upper[i]);
-}
-
-bool LatticeBox::touches(const LatticeBox& other) const {
-  for (int i = 0; i < 3; ++i)
-    if (lower[i] > other.upper[i] || other.lower[i] > upper[i]) return false;
-  return true;
-}
-
 LatticeBox bounds(std::span<const Lattice> points) {
   LatticeBox box = LatticeBox::empty();
   for (const Lattice& p : points) box.add(p);
@@ -91,9 +76,12 @@ void HullBuilder::reserve(Planes<T>& planes) {
 template <class T>
 void HullBuilder::put_plane(Planes<T>& planes, std::int32_t f) {
   const auto& [a, b, c] = facet_[f].vertex;
-  const Point n = cross(minus(point_[b], point_[a]), minus(point_[c], point_[a]));
-  planes.x[f] = static_cast<T>(n[0]), planes.y[f] = static_cast<T>(n[1]), planes.z[f] = static_cast<T>(n[2]);
-  planes.offset[f] = static_cast<T>(dot(n, point_[a]));
+  const Point &p = point_[a], &q = point_[b], &r = point_[c];
+  const auto edge = [&p](const Point& to, int i) { return static_cast<T>(static_cast<std::int32_t>(to[i] - p[i])); };
+  const T ux = edge(q, 0), uy = edge(q, 1), uz = edge(q, 2), vx = edge(r, 0), vy = edge(r, 1), vz = edge(r, 2);
+  const T x = uy * vz - uz * vy, y = uz * vx - ux * vz, z = ux * vy - uy * vx;
+  planes.x[f] = x, planes.y[f] = y, planes.z[f] = z;
+  planes.offset[f] = x * static_cast<T>(p[0]) + y * static_cast<T>(p[1]) + z * static_cast<T>(p[2]);
 }
 
 // A large first tetrahedron; its points are moved to slots 0 to 3.
@@ -199,11 +187,15 @@ void HullBuilder::list_planes(const Planes<T>& planes) {
     for (int e = 0; e < 3; ++e) {
       const std::int32_t g = facet_[f].neighbour[e];
       if (g > f) continue;
-      const auto& corner = facet_[g].vertex;  // that of the three which is not on the common edge
+      const auto& corner = facet_[g].vertex;
       const std::int32_t a = facet_[f].vertex[e], b = facet_[f].vertex[e == 2 ? 0 : e + 1];
+<<<<<<< HEAD
       const std::int32_t far = corner[0] != a && corner[0] != b   ? corner[0]
                                : corner[1] != a && corner[1] != b ? corner[1]
                                                                   : corner[2];
+=======
+      const std::int32_t far = corner[0] ^ corner[1] ^ corner[2] ^ a ^ b;  // the one that is not on the common edge
+>>>>>>> engine2
       const Point& q = point_[far];
       is_new = is_new && x * static_cast<T>(q[0]) + y * static_cast<T>(q[1]) + z * static_cast<T>(q[2]) != offset;
     }

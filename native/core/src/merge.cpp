@@ -2,54 +2,26 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <queue>
 
 #include "alula/box_tree.hpp"
+#include "alula/merge_queue.hpp"
 #include "alula/parallel.hpp"
 
 namespace alula {
 
 namespace {
 
+<<<<<<< HEAD
 constexpr std::size_t kBatch = 16;       // candidates evaluated at once, for any number of threads
+=======
+constexpr std::size_t kAhead = 8;        // volumes measured at once, per thread, at most
+>>>>>>> engine2
 constexpr std::size_t kStartShare = 80;  // of the time, in Share::kWhole, before the first merge
-
-struct Link {
-  std::uint32_t other;
-  double bound;  // W of the merged hull is at least this; equal once evaluated
-};
-
-struct Element {
-  LatticePolytope hull;
-  HullMesh mesh;  // of the same hull
-  double weight = 0;
-  bool alive = true;
-  std::vector<Link> links;
-};
-
-struct Candidate {
-  double key;
-  std::uint32_t left, right;  // left < right
-  bool evaluated;
-  bool is_nearest;                                // paired because `left` or `right` touches nothing
-  bool operator<(const Candidate& other) const {  // the best is the top of a heap
-    if (key != other.key) return key > other.key;
-    if (left != other.left) return left > other.left;
-    return right > other.right;
-  }
-};
-
-struct Gap {
-  std::int64_t squared_distance;
-  std::uint32_t item, nearest;
-  bool operator<(const Gap& other) const {
-    if (squared_distance != other.squared_distance) return squared_distance > other.squared_distance;
-    if (item != other.item) return item > other.item;
-    return nearest > other.nearest;
-  }
-};
 
 // A fixed order without spatial pattern, so that the box tree stays shallow.
 std::vector<std::uint32_t> scattered(std::size_t count) {
@@ -106,7 +78,9 @@ class Merger {
       cover.curve.push_back({hulls_, total_weight_, planes_});
       control.poll(start - hulls_, start > goal ? start - goal : start - hulls_);
     }
-    collect(cover);
+    cover.members = merged_sets(sets_, cover.history);
+    for (Element& e : element_)
+      if (e.alive) cover.hull.push_back(std::move(e.hull));
     return cover;
   }
 
@@ -126,12 +100,6 @@ class Merger {
     return 1 + total / static_cast<double>(occupancy_.size()) <= options_.max_growth;
   }
 
-  double weight_of(std::uint32_t left, std::uint32_t right) const {
-    for (const Link& link : element_[left].links)
-      if (link.other == right) return link.bound;
-    return 0;
-  }
-
   // Hull and meter of one thread.
   struct Bench {
     HullBuilder hull;
@@ -145,22 +113,95 @@ class Merger {
     hull.build_union(base.mesh, more.hull.vertex);
   }
 
+<<<<<<< HEAD
   double evaluate(Bench& bench, std::uint32_t left, std::uint32_t right) const {
     if (const double* known = log_ == nullptr ? nullptr : log_->find(left, right)) return *known;
     build(bench.hull, left, right);
     return std::max(
         {bench.excess(bench.hull), weight_of(left, right), element_[left].weight, element_[right].weight});
+=======
+  // The union that was built last.
+  static std::unique_ptr<Ready> make_ready(HullBuilder& hull, std::uint32_t left, std::uint32_t right) {
+    auto ready = std::make_unique<Ready>(Ready{left, right, hull.polytope(), hull.mesh()});
+    if (ready->mesh.point.size() > ready->hull.vertex.size() + ready->hull.vertex.size() / 4) {
+      hull.build(ready->hull.vertex);  // too many points that are not extreme
+      ready->mesh = hull.mesh();
+    }
+    return ready;
+>>>>>>> engine2
   }
 
-  // Evaluates the candidates in batch_.
-  void evaluate_batch() {
-    team_.run(batch_.size(), [this](std::size_t worker, std::size_t i) {
-      batch_[i].weight = evaluate(bench_[worker], batch_[i].left, batch_[i].right);
+  bool is_ready(std::uint32_t left) const {
+    return element_[left].ready != nullptr && element_[element_[left].ready->right].alive;
+  }
+
+  // How many to measure at once: the fewer, the more of them were measured in vain lately.
+  std::size_t reach() {
+    if (guessed_ > 1024) guessed_ /= 2, right_guesses_ /= 2;
+    const std::size_t share = kAhead * std::min(right_guesses_ + 8, guessed_ + 8) / (guessed_ + 8);
+    return team_.size() * (2 * share > kAhead ? 2 * share - kAhead : 1);
+  }
+
+  // Measures a candidate and, for the other threads, those that will probably be next. What is known
+  // ahead changes nothing until its turn comes, so results do not depend on the number of threads.
+  void measure_ahead(Candidate& first) {
+    ahead_.assign(1, first);
+    passed_.clear();
+    const std::size_t wanted = team_.size() > 1 ? reach() : 1;
+    while (ahead_.size() < wanted && passed_.size() < wanted && !queue_.empty()) {
+      const Candidate c = queue_.top();
+      const bool is_alive = element_[c.left].alive && element_[c.right].alive;
+      if (!is_alive && c.is_nearest) break;
+      queue_.pop();
+      if (!is_alive) {
+        drop(c);
+        continue;
+      }
+      const bool is_known = !std::isnan(c.weight) || (log_ != nullptr && log_->find(c.left, c.right) != nullptr);
+      (is_known ? passed_ : ahead_).push_back(c);
+    }
+    // Unions that come out better than all that was not looked at will merge soon.
+    const double soon = queue_.empty() ? std::numeric_limits<double>::infinity() : queue_.top().key;
+    const std::size_t guesses = ahead_.size() - 1;
+    for (const Candidate& c : passed_)
+      if (c.evaluated && !is_ready(c.left)) ahead_.push_back(c);
+    ready_.clear();
+    ready_.resize(ahead_.size());
+    team_.run(ahead_.size(), [&](std::size_t worker, std::size_t i) {
+      Bench& bench = bench_[worker];
+      Candidate& c = ahead_[i];
+      build(bench.hull, c.left, c.right);
+      if (!c.evaluated) c.weight = bench.excess(bench.hull);
+      if (c.evaluated || (key(c.left, c.right, c.weight) < soon && !is_ready(c.left)))
+        ready_[i] = make_ready(bench.hull, c.left, c.right);
     });
-    if (log_ == nullptr) return;
-    const std::size_t before = log_->size();
-    log_->add(batch_);
-    log_->count_reuse(before + batch_.size() - log_->size());
+    first = ahead_[0];
+    guessed_ += guesses;
+    for (std::size_t i = 1; i <= guesses; ++i) queue_.push(ahead_[i]);
+    for (const Candidate& c : passed_) queue_.push(c);
+    for (auto& ready : ready_)
+      if (ready != nullptr && !is_ready(ready->left)) element_[ready->left].ready = std::move(ready);
+  }
+
+  // W of a candidate's union and its key by that.
+  void evaluate(Candidate& c) {
+    const double* known = log_ == nullptr ? nullptr : log_->find(c.left, c.right);
+    if (known != nullptr) {
+      c.weight = *known;
+    } else if (std::isnan(c.weight)) {
+      measure_ahead(c);
+    } else {
+      ++right_guesses_;
+    }
+    c.weight = std::max({c.weight, element_[c.left].weight, element_[c.right].weight});
+    if (options_.rule == MergeRule::kPaper) c.weight = std::max(c.weight, c.key);  // a lower bound until now
+    c.key = key(c.left, c.right, c.weight);
+    c.evaluated = true;
+    if (known != nullptr) {
+      log_->count_reuse(1);
+    } else if (log_ != nullptr) {
+      log_->add(std::array{EvaluationLog::Entry{c.left, c.right, c.weight}});
+    }
   }
 
   std::uint64_t fingerprint_of() const {
@@ -177,23 +218,61 @@ class Merger {
     return weight - element_[left].weight - element_[right].weight;
   }
 
-  void link(std::uint32_t a, std::uint32_t b, double bound, bool is_nearest) {
-    element_[a].links.push_back({b, bound});
-    element_[b].links.push_back({a, bound});
-    queue_.push({key(a, b, bound), std::min(a, b), std::max(a, b), false, is_nearest});
+  // The least key that two elements with these boxes can have: free volume is shared in both boxes only.
+  double least_key(std::uint32_t a, std::uint32_t b, const LatticeBox& box_a, const LatticeBox& box_b) const {
+    const double u = element_[a].weight, v = element_[b].weight;
+    if (options_.rule == MergeRule::kPaper) return std::max(u, v);
+    double common = 1;
+    for (int i = 0; i < 3; ++i)
+      common *= std::max(0, std::min(box_a.upper[i], box_b.upper[i]) - std::max(box_a.lower[i], box_b.lower[i]));
+    return -std::min({u, v, common});
   }
 
-  void set_bound(std::uint32_t a, std::uint32_t b, double bound) {
+  void link(std::uint32_t a, std::uint32_t b, double key) {
+    element_[a].links.push_back({b, key});
+    element_[b].links.push_back({a, key});
+  }
+
+  // Links an element to those with lower numbers. Only the best of these pairs goes to the queue; each
+  // makes room for the next one when it leaves.
+  void link_lower(std::uint32_t made, std::vector<Link>& lower) {
+    for (const Link& l : lower) link(made, l.other, l.key);
+    std::sort(lower.begin(), lower.end(),
+              [](const Link& a, const Link& b) { return a.key != b.key ? a.key > b.key : a.other > b.other; });
+    element_[made].waiting = lower;
+    put_next(made);
+  }
+
+  void put_next(std::uint32_t right) {
+    std::vector<Link>& waiting = element_[right].waiting;
+    while (!waiting.empty()) {
+      const Link best = waiting.back();
+      waiting.pop_back();
+      if (!element_[best.other].alive) continue;
+      queue_.push({best.key, kUnknown, best.other, right, false, false});
+      return;
+    }
+  }
+
+  // A candidate that cannot merge any more.
+  void drop(const Candidate& c) {
+    if (!c.evaluated && !c.is_nearest) put_next(c.right);
+  }
+
+  void set_key(std::uint32_t a, std::uint32_t b, double key) {
     for (Link& link : element_[a].links)
-      if (link.other == b) link.bound = bound;
+      if (link.other == b) link.key = key;
   }
 
   void link_all() {
     for (const std::uint32_t i : scattered(element_.size())) tree_.insert(i, bounds(element_[i].hull.vertex));
+    std::vector<Link> lower;
     for (std::uint32_t i = 0; i < element_.size(); ++i) {
       tree_.touching(tree_.box(i), touching_);
+      lower.clear();
       for (const std::uint32_t j : touching_)
-        if (j > i) link(i, j, std::max(element_[i].weight, element_[j].weight), false);
+        if (j < i) lower.push_back({j, least_key(i, j, tree_.box(i), tree_.box(j))});
+      link_lower(i, lower);
       if (touching_.size() == 1) pair_with_nearest(i);
     }
   }
@@ -205,7 +284,9 @@ class Merger {
     if (options_.rule == MergeRule::kPaper) {
       gaps_.push({near.squared_distance, i, near.item});
     } else if (!is_linked(i, near.item)) {
-      link(i, near.item, std::max(element_[i].weight, element_[near.item].weight), true);
+      const double key = least_key(i, near.item, tree_.box(i), tree_.box(near.item));
+      link(i, near.item, key);
+      queue_.push({key, kUnknown, std::min(i, near.item), std::max(i, near.item), false, true});
     }
   }
 
@@ -222,33 +303,16 @@ class Merger {
       queue_.pop();
       const bool left = element_[top.left].alive, right = element_[top.right].alive;
       if (!left || !right) {
+        drop(top);
         if (top.is_nearest && left) repair(top.left);
         if (top.is_nearest && right) repair(top.right);
         continue;
       }
-      if (top.evaluated) return Merge{top.left, top.right, weight_of(top.left, top.right)};
-      // Keys of merges hardly ever fall: what is bounded below the last one will be asked for too.
-      waiting_.assign(1, top);
-      while (waiting_.size() < kBatch && !queue_.empty() && !queue_.top().evaluated && queue_.top().key < last_key_) {
-        const Candidate& next = queue_.top();
-        if (element_[next.left].alive && element_[next.right].alive) {
-          waiting_.push_back(next);
-        } else if (next.is_nearest) {
-          break;
-        }
-        queue_.pop();
-      }
-      batch_.clear();
-      for (const Candidate& c : waiting_) batch_.push_back({c.left, c.right, 0});
-      evaluate_batch();
-      for (std::size_t i = 0; i < waiting_.size(); ++i) {
-        Candidate& c = waiting_[i];
-        const double weight = batch_[i].weight;
-        set_bound(c.left, c.right, weight), set_bound(c.right, c.left, weight);
-        c.key = key(c.left, c.right, weight);
-        c.evaluated = true;
-        queue_.push(c);
-      }
+      if (top.evaluated) return Merge{top.left, top.right, top.weight};
+      if (!top.is_nearest) put_next(top.right);
+      evaluate(top);
+      set_key(top.left, top.right, top.key), set_key(top.right, top.left, top.key);
+      queue_.push(top);
     }
     while (!gaps_.empty()) {
       const Gap gap = gaps_.top();
@@ -259,9 +323,9 @@ class Merger {
         continue;
       }
       const auto [left, right] = std::minmax(gap.item, gap.nearest);
-      batch_.assign(1, {left, right, 0});
-      evaluate_batch();
-      return Merge{left, right, batch_[0].weight};
+      Candidate pair{0, kUnknown, left, right, false, false};
+      evaluate(pair);
+      return Merge{left, right, pair.weight};
     }
     return std::nullopt;
   }
@@ -275,17 +339,15 @@ class Merger {
   // Replaces two elements by their union.
   void join(const Merge& pair) {
     const auto [left, right, weight] = pair;
-    last_key_ = key(left, right, weight);
     const std::uint32_t made = static_cast<std::uint32_t>(element_.size());
-    HullBuilder& hull = bench_[0].hull;
-    build(hull, left, right);
-    Element merged;
-    merged.hull = hull.polytope();
-    merged.mesh = hull.mesh();
-    if (merged.mesh.point.size() > merged.hull.vertex.size() + merged.hull.vertex.size() / 4) {
-      hull.build(merged.hull.vertex);  // too many points that are not extreme
-      merged.mesh = hull.mesh();
+    std::unique_ptr<Ready> ready = std::move(element_[left].ready);
+    if (ready == nullptr || ready->right != right) {
+      build(bench_[0].hull, left, right);
+      ready = make_ready(bench_[0].hull, left, right);
     }
+    Element merged;
+    merged.hull = std::move(ready->hull);
+    merged.mesh = std::move(ready->mesh);
     merged.weight = weight;
     merged_links_.clear();
     for (const std::uint32_t old : {pair.left, pair.right}) {
@@ -303,61 +365,39 @@ class Merger {
     --hulls_;
     const LatticeBox box = bounds(merged.hull.vertex);
     tree_.touching(box, touching_);
-    for (const std::uint32_t other : touching_) merged_links_.push_back({other, element_[other].weight});
-    std::sort(merged_links_.begin(), merged_links_.end(), [](const Link& a, const Link& b) {
-      return a.other != b.other ? a.other < b.other : a.bound > b.bound;
-    });
     tree_.insert(made, box);
     element_.push_back(std::move(merged));
+    for (const std::uint32_t other : touching_)
+      merged_links_.push_back({other, least_key(made, other, box, tree_.box(other))});
+    std::sort(merged_links_.begin(), merged_links_.end(),
+              [](const Link& a, const Link& b) { return a.other != b.other ? a.other < b.other : a.key > b.key; });
+    std::size_t kept = 0;
     for (std::size_t i = 0; i < merged_links_.size(); ++i) {
-      const Link& l = merged_links_[i];
+      const Link l = merged_links_[i];
       if (i > 0 && merged_links_[i - 1].other == l.other) continue;
       std::erase_if(element_[l.other].links,
                     [&](const Link& x) { return x.other == pair.left || x.other == pair.right; });
-      if (std::binary_search(touching_.begin(), touching_.end(), l.other))
-        link(made, l.other, std::max(l.bound, weight), false);
+      if (std::binary_search(touching_.begin(), touching_.end(), l.other)) merged_links_[kept++] = l;
     }
+    merged_links_.resize(kept);
+    link_lower(made, merged_links_);
     if (touching_.empty()) pair_with_nearest(made);
-  }
-
-  void collect(Cover& cover) {
-    const std::size_t leaves = sets_.size();
-    std::vector<std::uint32_t> stack, members;
-    for (std::uint32_t e = 0; e < element_.size(); ++e) {
-      if (!element_[e].alive) continue;
-      members.clear();
-      stack.assign(1, e);
-      while (!stack.empty()) {
-        const std::uint32_t id = stack.back();
-        stack.pop_back();
-        if (id < leaves) {
-          members.insert(members.end(), sets_[id].begin(), sets_[id].end());
-        } else {
-          stack.push_back(cover.history[id - leaves].left), stack.push_back(cover.history[id - leaves].right);
-        }
-      }
-      std::sort(members.begin(), members.end());
-      members.erase(std::unique(members.begin(), members.end()), members.end());
-      cover.members.member.insert(cover.members.member.end(), members.begin(), members.end());
-      cover.members.close();
-      cover.hull.push_back(std::move(element_[e].hull));
-    }
   }
 
   const Occupancy& occupancy_;
   const VoxelSets& sets_;
   MergeOptions options_;
   std::vector<Element> element_;
-  double total_weight_ = 0, last_key_ = -std::numeric_limits<double>::infinity();
-  std::size_t planes_ = 0, hulls_ = 0;
+  double total_weight_ = 0;
+  std::size_t planes_ = 0, hulls_ = 0, guessed_ = 0, right_guesses_ = 0;
   std::priority_queue<Candidate> queue_;
   std::priority_queue<Gap> gaps_;
   BoxTree tree_;
   EvaluationLog* log_;
   WorkerTeam team_;
   std::vector<Bench> bench_;  // one per thread of the team
-  std::vector<Candidate> waiting_;
-  std::vector<EvaluationLog::Entry> batch_;
+  std::vector<Candidate> ahead_, passed_;
+  std::vector<std::unique_ptr<Ready>> ready_;  // of those in ahead_
   std::vector<std::uint32_t> touching_;
   std::vector<Link> merged_links_;
 };
@@ -368,26 +408,6 @@ Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOption
             Control& control, EvaluationLog* log) {
   Share start(control, 0, kStartShare), loop(control, kStartShare, Share::kWhole);
   return Merger(occupancy, sets, options, jobs, start, log).run(loop);
-}
-
-void sort_hulls(Cover& cover) {
-  std::vector<std::size_t> order(cover.hull.size());
-  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
-  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
-    const auto left = cover.members[a], right = cover.members[b];
-    if (!std::equal(left.begin(), left.end(), right.begin(), right.end()))
-      return std::lexicographical_compare(left.begin(), left.end(), right.begin(), right.end());
-    return a < b;
-  });
-  std::vector<LatticePolytope> hull;
-  VoxelSets members;
-  for (const std::size_t i : order) {
-    hull.push_back(std::move(cover.hull[i]));
-    members.member.insert(members.member.end(), cover.members[i].begin(), cover.members[i].end());
-    members.close();
-  }
-  cover.hull = std::move(hull);
-  cover.members = std::move(members);
 }
 
 }  // namespace alula

@@ -12,6 +12,7 @@
 // plane of the visible facet next to it: no new facet is ever degenerate, and nothing is perturbed.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <compare>
 #include <cstdint>
@@ -43,9 +44,18 @@ struct LatticeBox {
   Lattice lower, upper;
 
   static LatticeBox empty() { return {{INT32_MAX, INT32_MAX, INT32_MAX}, {INT32_MIN, INT32_MIN, INT32_MIN}}; }
-  void add(const Lattice& p);
-  void add(const LatticeBox& other);
-  bool touches(const LatticeBox& other) const;  // closed boxes
+  void add(const Lattice& p) {
+    for (int i = 0; i < 3; ++i) lower[i] = std::min(lower[i], p[i]), upper[i] = std::max(upper[i], p[i]);
+  }
+  void add(const LatticeBox& other) {
+    for (int i = 0; i < 3; ++i)
+      lower[i] = std::min(lower[i], other.lower[i]), upper[i] = std::max(upper[i], other.upper[i]);
+  }
+  bool touches(const LatticeBox& other) const {  // closed boxes
+    for (int i = 0; i < 3; ++i)
+      if (lower[i] > other.upper[i] || other.lower[i] > upper[i]) return false;
+    return true;
+  }
 };
 
 LatticeBox bounds(std::span<const Lattice> points);

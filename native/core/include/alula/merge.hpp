@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "alula/budget.hpp"
@@ -47,11 +48,22 @@ struct Cover {
 // within the budget. Without either limit, merges as long as max_growth allows.
 //
 // Guarantee: every voxel of `sets` stays a member of a hull that contains it; weights only rank.
+<<<<<<< HEAD
 // Deterministic. A merged hull contains the hulls of all pairs it came from, so W(i u j u k) is at
 // least W(i u j), W(i u k) and W(j u k): candidates carry that bound and are evaluated only when
 // it is among the best of the heap. Results depend neither on the number of threads nor on `log`,
 // if given, which supplies weights known from an earlier run and takes the others. Time O(n log n) queue operations
 // for n sets with a bounded number of neighbours. Source: Hong et al. 2026 (arXiv 2606.16232), eqs. 11-15.
+=======
+// Deterministic: results depend neither on the number of threads nor on `log`, if given, which supplies
+// weights known from an earlier run and takes the others. Pairs wait under what their key is expected to
+// be and are evaluated only when that is the best of the heap. By kPaper it is exact: a merged hull
+// contains the hulls of all pairs it came from, so W(i u j u k) is at least W(i u j), W(i u k) and
+// W(j u k). By kIncrease it is that no pair of a merged element has a lower key than those of its parts:
+// where that fails, the pair merges later than by the rule, and a quarter of the evaluations are spared.
+// Time O(n log n) queue operations for n sets with a bounded number of neighbours.
+// Source: Hong et al. 2026 (arXiv 2606.16232), eqs. 11-15.
+>>>>>>> engine2
 Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
             Control& control, EvaluationLog* log = nullptr);
 
@@ -64,6 +76,9 @@ void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, C
 // The numbers of the voxels inside a polytope, ascending, by integers alone:
 // normal . v + sum max(normal, 0) <= offset. The box of its vertices must be that of its planes.
 void voxels_inside(const Occupancy& occupancy, const LatticePolytope& hull, std::vector<std::uint32_t>& inside);
+
+// The voxels of the elements that no merge of the history took, by ascending number of the element.
+VoxelSets merged_sets(const VoxelSets& sets, std::span<const Merge> history);
 
 // Orders hulls by their members, lexicographically.
 void sort_hulls(Cover& cover);
