@@ -189,13 +189,7 @@ void HullBuilder::list_planes(const Planes<T>& planes) {
       if (g > f) continue;
       const auto& corner = facet_[g].vertex;
       const std::int32_t a = facet_[f].vertex[e], b = facet_[f].vertex[e == 2 ? 0 : e + 1];
-<<<<<<< HEAD
-      const std::int32_t far = corner[0] != a && corner[0] != b   ? corner[0]
-                               : corner[1] != a && corner[1] != b ? corner[1]
-                                                                  : corner[2];
-=======
       const std::int32_t far = corner[0] ^ corner[1] ^ corner[2] ^ a ^ b;  // the one that is not on the common edge
->>>>>>> engine2
       const Point& q = point_[far];
       is_new = is_new && x * static_cast<T>(q[0]) + y * static_cast<T>(q[1]) + z * static_cast<T>(q[2]) != offset;
     }

@@ -16,11 +16,7 @@ namespace alula {
 
 namespace {
 
-<<<<<<< HEAD
-constexpr std::size_t kBatch = 16;       // candidates evaluated at once, for any number of threads
-=======
 constexpr std::size_t kAhead = 8;        // volumes measured at once, per thread, at most
->>>>>>> engine2
 constexpr std::size_t kStartShare = 80;  // of the time, in Share::kWhole, before the first merge
 
 // A fixed order without spatial pattern, so that the box tree stays shallow.
@@ -113,13 +109,6 @@ class Merger {
     hull.build_union(base.mesh, more.hull.vertex);
   }
 
-<<<<<<< HEAD
-  double evaluate(Bench& bench, std::uint32_t left, std::uint32_t right) const {
-    if (const double* known = log_ == nullptr ? nullptr : log_->find(left, right)) return *known;
-    build(bench.hull, left, right);
-    return std::max(
-        {bench.excess(bench.hull), weight_of(left, right), element_[left].weight, element_[right].weight});
-=======
   // The union that was built last.
   static std::unique_ptr<Ready> make_ready(HullBuilder& hull, std::uint32_t left, std::uint32_t right) {
     auto ready = std::make_unique<Ready>(Ready{left, right, hull.polytope(), hull.mesh()});
@@ -128,7 +117,6 @@ class Merger {
       ready->mesh = hull.mesh();
     }
     return ready;
->>>>>>> engine2
   }
 
   bool is_ready(std::uint32_t left) const {

@@ -48,13 +48,6 @@ struct Cover {
 // within the budget. Without either limit, merges as long as max_growth allows.
 //
 // Guarantee: every voxel of `sets` stays a member of a hull that contains it; weights only rank.
-<<<<<<< HEAD
-// Deterministic. A merged hull contains the hulls of all pairs it came from, so W(i u j u k) is at
-// least W(i u j), W(i u k) and W(j u k): candidates carry that bound and are evaluated only when
-// it is among the best of the heap. Results depend neither on the number of threads nor on `log`,
-// if given, which supplies weights known from an earlier run and takes the others. Time O(n log n) queue operations
-// for n sets with a bounded number of neighbours. Source: Hong et al. 2026 (arXiv 2606.16232), eqs. 11-15.
-=======
 // Deterministic: results depend neither on the number of threads nor on `log`, if given, which supplies
 // weights known from an earlier run and takes the others. Pairs wait under what their key is expected to
 // be and are evaluated only when that is the best of the heap. By kPaper it is exact: a merged hull
@@ -63,7 +56,6 @@ struct Cover {
 // where that fails, the pair merges later than by the rule, and a quarter of the evaluations are spared.
 // Time O(n log n) queue operations for n sets with a bounded number of neighbours.
 // Source: Hong et al. 2026 (arXiv 2606.16232), eqs. 11-15.
->>>>>>> engine2
 Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
             Control& control, EvaluationLog* log = nullptr);
 
