@@ -136,4 +136,15 @@ BoxTree::Neighbour BoxTree::nearest(std::uint32_t item) const {
   return best;
 }
 
+std::vector<std::uint32_t> scattered(std::size_t count) {
+  std::vector<std::uint32_t> order(count);
+  for (std::uint32_t i = 0; i < count; ++i) order[i] = i;
+  std::uint64_t state = 1;
+  for (std::size_t i = count; i > 1; --i) {
+    state = state * 6364136223846793005u + 1442695040888963407u;
+    std::swap(order[i - 1], order[(state >> 33) % i]);
+  }
+  return order;
+}
+
 }  // namespace alula

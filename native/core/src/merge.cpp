@@ -19,18 +19,6 @@ namespace {
 constexpr std::size_t kAhead = 8;        // volumes measured at once, per thread, at most
 constexpr std::size_t kStartShare = 80;  // of the time, in Share::kWhole, before the first merge
 
-// A fixed order without spatial pattern, so that the box tree stays shallow.
-std::vector<std::uint32_t> scattered(std::size_t count) {
-  std::vector<std::uint32_t> order(count);
-  for (std::uint32_t i = 0; i < count; ++i) order[i] = i;
-  std::uint64_t state = 1;
-  for (std::size_t i = count; i > 1; --i) {
-    state = state * 6364136223846793005u + 1442695040888963407u;
-    std::swap(order[i - 1], order[(state >> 33) % i]);
-  }
-  return order;
-}
-
 class Merger {
  public:
   Merger(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,

@@ -10,6 +10,8 @@ namespace alula {
 
 namespace {
 
+constexpr std::size_t kWeighingShare = 700;  // of the time, in Share::kWhole, before the first choice
+
 // Calls visit(first, last, dx, dy) for the runs of voxel numbers in a voxel's neighbourhood.
 template <class Visit>
 void for_runs(const Occupancy& occupancy, std::uint32_t voxel, int block, Visit&& visit) {
@@ -68,7 +70,7 @@ std::vector<double> cluster_weights(const Occupancy& occupancy, int block, unsig
     for (std::uint32_t v = 0; v < count; ++v) sample[v] = pattern[v] = v;
   }
   std::vector<double> of_pattern(sample.size());
-  parallel_chunks(sample.size(), 256, jobs, quiet, [&](std::size_t begin, std::size_t end) {
+  parallel_chunks(sample.size(), 256, jobs, control, [&](std::size_t begin, std::size_t end) {
     HullBuilder hull;
     ExcessMeter excess(occupancy);
     std::vector<Lattice> cluster;
@@ -138,7 +140,8 @@ class Neighbourhoods {
 }  // namespace
 
 VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control& control) {
-  const std::vector<double> weight = cluster_weights(occupancy, block, jobs, control);
+  Share weighing(control, 0, kWeighingShare), choosing(control, kWeighingShare, Share::kWhole);
+  const std::vector<double> weight = cluster_weights(occupancy, block, jobs, weighing);
   std::vector<std::uint8_t> covered(occupancy.size(), 0);
   InterruptOnly quiet(control);
   const Neighbourhoods around(occupancy, block, jobs, quiet);
@@ -171,7 +174,7 @@ VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control
     });
     result.close();
     left -= now.fresh;
-    if (result.size() % 256 == 0) control.poll(occupancy.size() - left, occupancy.size());
+    if (result.size() % 256 == 0) choosing.poll(occupancy.size() - left, occupancy.size());
   }
   return result;
 }

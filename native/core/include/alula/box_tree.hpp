@@ -42,4 +42,7 @@ class BoxTree {
   std::int32_t root_ = -1;
 };
 
+// 0 .. count - 1 in a fixed order without spatial pattern: a tree built in it stays shallow.
+std::vector<std::uint32_t> scattered(std::size_t count);
+
 }  // namespace alula
