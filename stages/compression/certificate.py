@@ -31,7 +31,7 @@ _VERTEX_FAULTS, _PLANE_FAULTS = (3, 6, 9), (1, 4, 5, 12, 13)
 _OTHER_IS_PLANE, _OTHER_IS_VERTEX = (3, 8), (12,)
 _NOT_COVERED, _NOT_OCCUPIED = 10, 11
 _LATTICE_LIMIT = 2**20  # volumes are measured within; nothing else here depends on it
-_VOLUME_TOLERANCE = 0.02  # of the excess: earlier versions measured it along sampled lines
+_VOLUME_TOLERANCE = 1e-6  # of the volume: roundings stay far below
 _VOLUME_SHARE, _SCENE_SHARE = 0.1, 0.5  # of the time, roughly, when these checks begin
 LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "min_opacity")
 _GEOMETRY = (
@@ -268,7 +268,7 @@ def _history_check(cover: Artifact) -> Check:
 
 
 def _volume_check(cover: Artifact, jobs: int, progress: Progress) -> Check:
-    """The recorded conservativeness is that of the polytopes; what was sampled once may be off a little."""
+    """The recorded conservativeness is that of the polytopes."""
     voxels = np.unique(np.asarray(cover["member_index"], np.int32), axis=0)
     vertex, vertex_start, normal, offset, plane_start = (
         np.ascontiguousarray(cover[name]) for name in _GEOMETRY[:5]
@@ -277,7 +277,7 @@ def _volume_check(cover: Artifact, jobs: int, progress: Progress) -> Check:
     found = 1.0 + excess / len(voxels)
     recorded: float = cover.manifest.conservativeness  # type: ignore[attr-defined]
     offences = []
-    if not abs(recorded - found) <= _VOLUME_TOLERANCE * (found - 1) + 1e-6:
+    if not abs(recorded - found) <= _VOLUME_TOLERANCE * found:
         offences.append(Offence(fault=f"conservativeness is {found:.6g}, but recorded as {recorded:.6g}"))
     return _check("volume is as recorded", 1, offences, len(offences), f"conservativeness {found:.6g}")
 
