@@ -241,7 +241,7 @@ def _statement_of_voxels(guarantee: Guarantee) -> str:
 def _curve(rows: NDArray[np.float64], measured: NDArray[np.float64], voxels: int) -> dict[str, Any]:
     """At most about sixty points of n against the sum of W, half-planes and bytes, evenly in log n.
 
-    `measured` beside them are the covers whose union was measured, after tightening and capping.
+    The estimate counts what several hulls enclose several times, and is before tightening. `measured` beside them are the covers whose union was measured, after tightening and capping.
     """
     count = rows[:, 0]
     wanted = np.geomspace(count[0], count[-1], _CURVE_POINTS)
@@ -249,6 +249,7 @@ def _curve(rows: NDArray[np.float64], measured: NDArray[np.float64], voxels: int
     return {
         "hulls": [int(n) for n in rows[chosen, 0]],
         "excess_sum_voxels": [float(w) for w in rows[chosen, 1]],
+        "conservativeness_estimate": [float(1.0 + w / voxels) for w in rows[chosen, 1]],
         "half_planes": [int(p) for p in rows[chosen, 2]],
         "bytes": [int(b) for b in rows[chosen, 3]],
         "measured": {
