@@ -241,7 +241,8 @@ def _statement_of_voxels(guarantee: Guarantee) -> str:
 def _curve(rows: NDArray[np.float64], measured: NDArray[np.float64], voxels: int) -> dict[str, Any]:
     """At most about sixty points of n against the sum of W, half-planes and bytes, evenly in log n.
 
-    The estimate counts what several hulls enclose several times, and is before tightening. `measured` beside them are the covers whose union was measured, after tightening and capping.
+    The estimate counts what several hulls enclose several times, and is before tightening. `measured`
+    beside them are the covers whose union was measured, after tightening and capping.
     """
     count = rows[:, 0]
     wanted = np.geomspace(count[0], count[-1], _CURVE_POINTS)
