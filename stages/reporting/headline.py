@@ -93,10 +93,13 @@ def chain(material: Material) -> list[tuple[str, str]]:
         found.append((text(gaussians), "Gaussians"))
     if material.cover is not None:
         planes = len(material.cover["plane_offset"])
+        onboard = material.cover.manifest.summary.get("onboard_bytes")
         found += [
             (text(voxel_count(material.cover)), "voxels"),
             (text(len(material.cover["plane_start"]) - 1), "hulls"),
             (text(planes), "half-planes"),
-            (text(planes * BYTES_PER_HALF_PLANE), "bytes of half-planes"),
+            (text(onboard), "bytes on board")
+            if isinstance(onboard, int)
+            else (text(planes * BYTES_PER_HALF_PLANE), "bytes of half-planes"),
         ]
     return found

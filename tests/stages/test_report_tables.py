@@ -5,12 +5,14 @@ import io
 import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from fabricate import box, exact_hull, make_cover, make_plan, make_record, make_scene, make_trial
 
+from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.flights import Flight
 from alula.schemas.manifest import InputRef
@@ -89,6 +91,9 @@ def test_compression_counts_what_is_stored():
     }
     counts = [("90", "Gaussians"), ("700", "voxels"), ("2", "hulls"), ("12", "half-planes")]
     assert chain(material) == [*counts, ("192", "bytes of half-planes")]
+    summary = {**COVER.manifest.summary, "onboard_bytes": 1_100}
+    onboard = Artifact(msgspec.structs.replace(COVER.manifest, summary=summary), COVER.arrays)
+    assert chain(Material("t", cover=onboard))[-1] == ("1,100", "bytes on board")
 
 
 def test_voxels_are_counted_from_the_members_when_the_summary_does_not_say():
