@@ -12,6 +12,13 @@ _IMPORT_SYSTEM = "<frozen importlib._bootstrap>"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
+class InterruptedWithAdvice(KeyboardInterrupt):
+    """An interruption after which there is something to do, said in one line.
+
+    Only this one's text is for users: other code may word an interruption that passed through it.
+    """
+
+
 class Interruption:
     """Signal handler that raises KeyboardInterrupt where the program can stand it.
 

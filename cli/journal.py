@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from alula.cli.interruption import InterruptedWithAdvice
 from alula.cli.options import Common
 from alula.schemas.atomic import atomic_output
 from alula.schemas.errors import DamagedError, InputError, OutputError
@@ -49,7 +50,7 @@ class JournalFile:
         """The journal to measure with, and `progress` that also writes the file when it is time.
 
         Raises:
-            KeyboardInterrupt: with what to do as its text, when the file is there to continue from.
+            InterruptedWithAdvice: when the file is there to continue from.
         """
         assert self._wanted is not None
         wanted, journal = self._wanted, self._taken_up(self._wanted)
@@ -77,7 +78,7 @@ class JournalFile:
                 write()
             if written == 0:
                 raise
-            raise KeyboardInterrupt(
+            raise InterruptedWithAdvice(
                 f"the same command continues from {self._path.name}, {written:,} measurements"
             ) from interruption
 

@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from alula import __version__
+from alula.cli.interruption import InterruptedWithAdvice, Interruption
 from alula.cli.streams import ClosedPipeError, discard_stdout, open_streams, pipe
 from alula.schemas.errors import AlulaError, ExitCode
 
@@ -94,7 +95,6 @@ def cli() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with the documented code."""
-    from alula.cli.interruption import Interruption
     from alula.schemas import atomic
 
     # One thread: the sums of linear algebra must not depend on the machine, and idle ones cost.
@@ -124,7 +124,8 @@ def run(arguments: list[str] | None = None) -> int:
         discard_stdout()
         return ExitCode.BROKEN_PIPE
     except (KeyboardInterrupt, click.Abort) as error:
-        said = "; ".join(["interrupted", *map(str, (error.__cause__ or error).args)])
+        advice = [str(e) for e in (error, error.__cause__) if isinstance(e, InterruptedWithAdvice)]
+        said = "; ".join(["interrupted", *advice[:1]])
         return _fail(said, ExitCode.INTERRUPTED, [], answered=False)
     except Exception as error:  # noqa: BLE001  the last resort: no traceback reaches a user unasked
         if isinstance(error, OSError):

@@ -152,3 +152,14 @@ def test_long_sequences_are_printed_in_brief(capsys):
     out = capsys.readouterr().out
     assert "  curve.excess  999 numbers from 0.5 to 0.5, within 0.5 and 0.5\n  n             1\n" in out
     assert "none" not in out
+
+
+def test_an_interruption_is_one_word_however_other_code_words_it(here, monkeypatch, capsys):
+    import alula.schemas.artifact as artifact
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt("decoding with 'cp437' codec failed")
+
+    monkeypatch.setattr(artifact, "read_artifact", interrupted)
+    assert run(["voxelize", "a.scene.npz", "-o", "v.voxels.npz"]) == 130
+    assert capsys.readouterr().err.split("\n")[-2:] == ["alula: interrupted", ""]
