@@ -19,7 +19,7 @@ from alula.schemas.artifact import write_artifact
 from alula.schemas.configs.merge import MergeConfig
 from alula.stages.compression.certificate import verify
 from alula.stages.compression.merge import merge
-from alula.stages.reconstruction.formats import read_splats
+from alula.stages.reconstruction.formats.registry import read_splats
 
 VOXEL_M = 0.05
 GAUSSIANS_PER_HULL = 500  # 1.5 million end as 3,000 hulls, others in proportion

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.stages.compression.hulls import Hulls
-from alula.stages.reconstruction.splats import Splats, sh0_from_color
+from alula.stages.reconstruction.formats.splats import Splats, sh0_from_color
 from alula.stages.rotation import matrix_from_quat_wxyz
 
 _REST = tuple(f"f_rest_{i}" for i in range(45))

@@ -25,7 +25,7 @@ from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.merge import merge
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.demo_scene import demo_scene, world_from_scene
-from alula.stages.reconstruction.formats import read_splats
+from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.import_splat import import_splat
 from alula.stages.reporting.metrics import hull_obstacles, path_clearance
 

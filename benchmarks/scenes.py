@@ -16,10 +16,10 @@ from alula.schemas.manifest import Similarity
 from alula.stages.alignment.scale_align import scale_align
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.demo_scene import demo_scene, world_from_scene
-from alula.stages.reconstruction.formats import read_splats
+from alula.stages.reconstruction.formats.registry import read_splats
+from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.import_splat import import_splat
 from alula.stages.reconstruction.room import HOOP_TUBE_M, HOOPS
-from alula.stages.reconstruction.splats import Splats
 from alula.stages.reconstruction.surfaces import disc, plain, torus, tube
 from alula.stages.rotation import quat_wxyz_from_matrix
 

@@ -46,9 +46,9 @@ def command(
     from alula.schemas.provenance import Provenance, parameters_of
     from alula.stages.reconstruction.demo_cameras import colmap_model, demo_cameras, positions_csv
     from alula.stages.reconstruction.demo_scene import demo_scene
-    from alula.stages.reconstruction.ply import encode_ply
+    from alula.stages.reconstruction.formats.ply import encode_ply
+    from alula.stages.reconstruction.formats.splats import Splats
     from alula.stages.reconstruction.room import hoop_centres
-    from alula.stages.reconstruction.splats import Splats
 
     if common.output.suffix.lower() != ".ply":
         raise UsageError(f"{common.output}: the output must end in .ply")

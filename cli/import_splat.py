@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -9,34 +14,68 @@ import click
 from alula.cli import options, runner
 from alula.cli.options import Common
 from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.errors import AlulaError, InputError, UsageError
 
 EXAMPLES = """\b
 Examples:
   alula import-splat point_cloud.ply -o room.scene.npz
-  alula import-splat tile.splat -o tile.scene.npz --min-opacity 0.05 --drop-floaters"""
+  alula import-splat tile.splat -o tile.scene.npz --min-opacity 0.05 --drop-floaters
+  curl -s https://example.org/room.spz | alula import-splat - -o room.scene.npz --turn x"""
 
 
 @click.command("import-splat", epilog=EXAMPLES)
-@click.argument("splat", type=options.input_path())
+@click.argument("splat", type=options.FilePath(stdin=True))
 @options.from_config(ImportSplatConfig)
 @options.output(".scene.npz")
 def command(splat: Path, config: ImportSplatConfig, common: Common) -> None:
     """Read a Gaussian splat file into a scene.
 
-    SPLAT is an INRIA .ply (binary or ascii, 3DGS or 2DGS) or an antimatter15 .splat; the content
-    decides. Gaussians that are left out are counted, by reason, in the output.
+    SPLAT is a file, the output folder of a trainer, or - for standard input; the content decides which
+    format it is of. `alula info` tells that too, and docs/splat-formats.md lists them all. Gaussians that are
+    left out are counted, by reason, in the output; what a lossy format may have changed is recorded, and
+    voxelize allows for it.
     """
     from alula.schemas.artifact import Artifact
-    from alula.schemas.errors import InputError
     from alula.schemas.kinds import SCENE
-    from alula.stages.reconstruction.formats import read_splats
+    from alula.stages.reconstruction.formats.registry import SplatFile
     from alula.stages.reconstruction.import_splat import import_splat
 
-    def build(progress: runner.Progress) -> Artifact:
-        splats = read_splats(splat, config.format, progress)
-        try:
-            return import_splat(config, splats)
-        except InputError as error:
-            raise InputError(f"{splat}: {error}") from error
+    with read_stdin(splat, common) as path:
+        found = SplatFile.find(path, config.format)
 
-    runner.run_stage(common, SCENE, config, {"splat": splat}, build)
+        def build(progress: runner.Progress) -> Artifact:
+            splats = found.decode(progress)
+            try:
+                scene = import_splat(config, splats)
+            except InputError as error:
+                raise InputError(f"{splat}: {error}") from error
+            if not (common.quiet or common.json):
+                for note in scene.manifest.summary.get("notes", ()):
+                    click.echo(f"note: {note}", err=True)
+            return scene
+
+        runner.run_stage(common, SCENE, config, found.files(), build)
+
+
+@contextmanager
+def read_stdin(path: Path, common: Common) -> Iterator[Path]:
+    """The file itself, or for - a copy of standard input that is there for as long as it is needed."""
+    if str(path) != "-":
+        yield path
+        return
+    if common.depfile is not None:
+        raise UsageError("--depfile names files, but the input is a stream")
+    if sys.stdin is None or sys.stdin.isatty():
+        raise UsageError("standard input is a terminal; pipe a splat file into it")
+    with tempfile.TemporaryDirectory(prefix="alula-") as folder:
+        copy = Path(folder) / "stdin"
+        try:
+            with copy.open("wb") as file:
+                shutil.copyfileobj(sys.stdin.buffer, file, 2**20)
+        except OSError as error:
+            raise InputError(f"standard input: cannot be kept: {error.strerror or error}") from error
+        try:
+            yield copy
+        except AlulaError as error:  # the name of the copy says nothing to anybody
+            error.args = tuple(str(a).replace(str(copy), "standard input") for a in error.args)
+            raise

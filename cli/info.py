@@ -135,35 +135,28 @@ def _scenario(path: Path) -> Explained:
 
 
 def _splat(path: Path) -> Explained:
-    import mmap
-
     from alula.schemas.errors import ArtifactError
     from alula.schemas.provenance import read_provenance
-    from alula.stages.reconstruction.formats import recognise
+    from alula.stages.reconstruction.formats.registry import SplatFile
     from alula.stages.reporting.inspect import provenance_facts, splat_facts
 
-    with path.open("rb") as file:
-        buffer = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     try:
-        found = recognise(buffer, path.suffix.lower())
+        found = SplatFile.find(path)
     except ArtifactError as error:
-        if foreign := _foreign(error):
-            return foreign, None
         known = "an artifact, a run, a scenario, or a splat or other file of a known format"
         raise ArtifactError(f"{path}: is not {known}") from error
     try:
-        facts = splat_facts(found.decode(buffer, None))
+        facts = splat_facts(found.decode())
     except ArtifactError as error:
-        if foreign := _foreign(error):
+        if foreign := _foreign(str(error).removeprefix(f"{path}: ")):
             return foreign, None
-        return {"kind": f"splat file: {found.name}", "damage": str(error)}, ArtifactError(f"{path}: {error}")
-    made = read_provenance(path)
+        return {"kind": f"splat file: {found.format.name}", "damage": str(error)}, error
+    made = read_provenance(path) if path.is_file() else None
     return facts | ({"written by": provenance_facts(made)} if made is not None else {}), None
 
 
-def _foreign(error: Exception) -> dict[str, Any] | None:
+def _foreign(words: str) -> dict[str, Any] | None:
     """The facts of a file that the readers recognise, but do not read."""
-    words = str(error)
     for mark in ("recognised as ", "PLY: an ordinary "):
         if words.startswith(mark):
             name = words.removeprefix("recognised as ").removeprefix("PLY: ")

@@ -73,14 +73,15 @@ class Whole(click.ParamType):  # type: ignore[type-arg, unused-ignore]
 class FilePath(click.Path):
     """A file or folder by its name; whether it is there and of use is checked where it is used."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, stdin: bool = False) -> None:
         super().__init__(path_type=Path)
+        self.stdin = stdin
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Refuse what names no file."""
         if value == "":
             self.fail("the name of the file is empty", param, ctx)
-        if value == "-":
+        if value == "-" and not self.stdin:
             self.fail("artifacts are files, not streams (./- is a file of that name)", param, ctx)
         if isinstance(value, str) and any(character in value for character in "\0\r\n"):
             self.fail("the name of the file has a line break", param, ctx)
@@ -159,7 +160,7 @@ def output(suffix: str) -> Callable[[F], F]:
 def from_config(config: type[Any]) -> Callable[[F], F]:
     """One option per field of a configuration dataclass; the function gets it as `config`.
 
-    Metadata of a field: `help`; `option` when the name differs; `metavar`; `hidden_default`.
+    Metadata of a field: `help`; `option`, a name or several, when it differs; `metavar`.
     """
 
     def decorate(function: F) -> F:
@@ -173,7 +174,8 @@ def from_config(config: type[Any]) -> Callable[[F], F]:
         collect.__name__, collect.__doc__ = function.__name__, function.__doc__
         collect.__dict__.update(function.__dict__)
         for field in reversed(fields):
-            name = field.metadata.get("option", "--" + field.name.replace("_", "-"))
+            names = field.metadata.get("option", "--" + field.name.replace("_", "-"))
+            names = (names,) if isinstance(names, str) else names
             keywords: dict[str, Any] = {"help": field.metadata.get("help"), **_type_of(hints[field.name])}
             if "metavar" in field.metadata:
                 keywords["metavar"] = field.metadata["metavar"]
@@ -186,7 +188,7 @@ def from_config(config: type[Any]) -> Callable[[F], F]:
                     else typing.cast(Callable[[], Any], field.default_factory)()
                 )
                 keywords.update(default=default, show_default=default is not None and default != ())
-            collect = click.option(name, field.name, **keywords)(collect)
+            collect = click.option(*names, field.name, **keywords)(collect)
         return typing.cast(F, collect)
 
     return decorate

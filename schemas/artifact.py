@@ -22,7 +22,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from alula.schemas.atomic import atomic_output
-from alula.schemas.checks import check_arrays, check_shapes
+from alula.schemas.checks import check_arrays, check_shapes, present
 from alula.schemas.errors import ArtifactError, DamagedError, InputError, VersionError, WrongKindError
 from alula.schemas.kinds import KINDS, Kind
 from alula.schemas.manifest import FEATURES, ArraySpec, Manifest, parse_version, producer
@@ -80,13 +80,13 @@ def file_hash(path: Path) -> str:
 def describe_arrays(kind: Kind, frame: str, unit: str, arrays: Arrays) -> dict[str, ArraySpec]:
     """The manifest's description of arrays; `unit` replaces the unit "frame" of the kind."""
     described = {}
-    for rule in kind.arrays:
+    for rule in present(kind, arrays):
         array = arrays[rule.name]
         described[rule.name] = ArraySpec(
             dtype=rule.dtype,
             shape=list(array.shape),
             frame=frame,
-            unit=unit if rule.unit == "frame" else rule.unit,
+            unit=rule.unit.replace("frame", unit),
             meaning=rule.meaning,
             sha256=array_hash(array),
         )
@@ -102,7 +102,7 @@ def make_artifact(kind: Kind, arrays: Arrays, **fields: Any) -> Artifact:
         ArtifactError: an array is missing, of another type or shape, or has values out of range.
     """
     fitted = {}
-    for rule in kind.arrays:
+    for rule in present(kind, arrays):
         if rule.name not in arrays:
             raise ArtifactError(f"{kind.name}: array {rule.name} is missing")
         fitted[rule.name] = np.ascontiguousarray(arrays[rule.name], dtype=np.dtype(rule.dtype))
@@ -192,16 +192,17 @@ def read_artifact(path: Path, kind: Kind | None = None) -> Artifact:
         if kind is not None and manifest.schema != kind.name:
             raise WrongKindError(f"{path}: is {manifest.schema}, but {kind.name} is needed")
         found = KINDS[manifest.schema]
+        rules = present(found, manifest.arrays)
         names = {info.filename for info in archive.infolist()}
-        expected = {"manifest.json"} | {f"{rule.name}.npy" for rule in found.arrays}
+        expected = {"manifest.json"} | {f"{rule.name}.npy" for rule in rules}
         if missing := sorted(expected - names):
             raise DamagedError(f"{path}: member {missing[0]} is missing")
         if extra := sorted(names - expected):
             raise DamagedError(f"{path}: unexpected member {extra[0]!r}")
         if len(archive.infolist()) != len(expected):  # other programs would read the other one
             raise DamagedError(f"{path}: a member is there twice")
-        arrays = {rule.name: _map_member(path, archive, f"{rule.name}.npy") for rule in found.arrays}
-    for rule in found.arrays:
+        arrays = {rule.name: _map_member(path, archive, f"{rule.name}.npy") for rule in rules}
+    for rule in rules:
         array, spec = arrays[rule.name], manifest.arrays.get(rule.name)
         if spec is None:
             raise DamagedError(f"{path}: the manifest does not describe array {rule.name}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,11 @@ from alula.schemas.kinds import ArrayRule, Kind
 _UNIT_NORM_TOLERANCE = 1e-3  # f32 quaternions normalised once are within 2e-7
 
 
+def present(kind: Kind, names: Container[str]) -> list[ArrayRule]:
+    """The arrays of a kind without the optional ones that are missing."""
+    return [rule for rule in kind.arrays if not rule.optional or rule.name in names]
+
+
 def check_shapes(kind: Kind, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Check that equal names in the shapes of a kind are equal lengths.
 
@@ -21,7 +26,7 @@ def check_shapes(kind: Kind, arrays: Mapping[str, NDArray[Any]]) -> None:
         ArtifactError: naming the array and the length.
     """
     lengths: dict[str, int] = {}
-    for rule in kind.arrays:
+    for rule in present(kind, arrays):
         shape = arrays[rule.name].shape
         if len(shape) != len(rule.shape):
             raise ArtifactError(f"array {rule.name} has {len(shape)} axes, not {len(rule.shape)}")
@@ -42,7 +47,7 @@ def check_arrays(kind: Kind, arrays: Mapping[str, NDArray[Any]]) -> None:
     Raises:
         ArtifactError: naming the array, the rule and the first offending row.
     """
-    for rule in kind.arrays:
+    for rule in present(kind, arrays):
         bad = _first_offence(rule, arrays)
         if bad is not None:
             raise ArtifactError(f"array {rule.name}: {bad}")
@@ -55,6 +60,9 @@ def _first_offence(rule: ArrayRule, arrays: Mapping[str, NDArray[Any]]) -> str |
         if not finite.all():
             return f"not finite in row {_first_row(~finite)}"
     match rule.rule:
+        case "not_negative":
+            if not (good := array >= 0).all():
+                return f"negative in row {_first_row(~good)}"
         case "positive":
             if not (good := array > 0).all():
                 return f"not positive in row {_first_row(~good)}"

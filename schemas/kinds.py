@@ -14,7 +14,9 @@ from alula.schemas.manifest import (
     VoxelsManifest,
 )
 
-Rule = Literal["finite", "positive", "unit_interval", "unit_norm", "starts", "strictly_increasing", "any"]
+Rule = Literal[
+    "finite", "not_negative", "positive", "unit_interval", "unit_norm", "starts", "strictly_increasing", "any"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +24,7 @@ class ArrayRule:
     """One array of a kind.
 
     `shape` mixes numbers and names; equal names are equal lengths, "N+1" is one more than "N".
-    `indexes` names the array whose first axis the values index.
+    `indexes` names the array whose first axis the values index. An `optional` array may be missing.
     """
 
     name: str
@@ -32,6 +34,7 @@ class ArrayRule:
     meaning: str
     rule: Rule = "any"
     indexes: str | None = None
+    optional: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,15 @@ SCENE = Kind(
         ArrayRule("quat_wxyz", "<f4", ("N", 4), "1", "unit quaternion, local to frame", "unit_norm"),
         ArrayRule("opacity", "<f4", ("N",), "1", "alpha", "unit_interval"),
         ArrayRule("color", "|u1", ("N", 3), "1", "base colour, red green blue"),
+        ArrayRule(
+            "loss",
+            "<f4",
+            ("N", 3),
+            "frame, 1, rad",
+            "bounds of the splat format's error: of the centre, of semi-axes relatively, of the rotation",
+            "not_negative",
+            optional=True,
+        ),
     ),
 )
 

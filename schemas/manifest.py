@@ -16,7 +16,8 @@ VERSION = "1.0"
 
 # What a manifest's `requires` may name and this program knows.
 OUTER_POLYTOPES = "outer-polytopes"
-FEATURES = frozenset({OUTER_POLYTOPES})
+SPLAT_LOSS = "splat-loss"
+FEATURES = frozenset({OUTER_POLYTOPES, SPLAT_LOSS})
 
 # What readers accept; wide enough for everything the commands write, narrow enough that lengths in
 # double precision neither overflow nor lose their sign.
@@ -96,8 +97,9 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
 class SceneManifest(Manifest, frozen=True, kw_only=True):
     """Manifest of `alula/scene`.
 
-    `world_from_scene` is None until `scale-align` has run; `suggested_inflation_m` then bounds the
-    position error at the scene's bounds that the alignment leaves. `source` describes the splat
+    With the array `loss`, `requires` says so: who does not know it must not take the ellipsoids for those
+    of the original. `world_from_scene` is None until `scale-align` has run; `suggested_inflation_m` then
+    bounds the position error at the scene's bounds that the alignment leaves. `source` describes the splat
     file: format, row counts, rows removed by each rule, bounds of the format's own loss.
     """
 
@@ -106,12 +108,18 @@ class SceneManifest(Manifest, frozen=True, kw_only=True):
     alignment: dict[str, Any] | None = None
     suggested_inflation_m: Margin = 0.0
 
+    def __post_init__(self) -> None:
+        """Refuse a loss that older readers would pass over."""
+        if ("loss" in self.arrays) != (SPLAT_LOSS in self.requires):
+            raise ValueError("the array `loss` and `requires` do not agree")
+
 
 class LevelManifest(Manifest, frozen=True, kw_only=True):
     """What counts as an obstacle on the lattice: shared by voxels and the cover made from them.
 
     Every voxel of edge `voxel_size_m` that touches `crop` and is touched by at least `min_overlap`
-    ellipsoids of level `sigma`, grown by `inflation_m`, of Gaussians of at least `min_opacity`.
+    ellipsoids of level `sigma`, grown by `inflation_m`, of Gaussians of at least `min_opacity`. Each
+    is also grown by what the scene's `loss` says of it, unless `ignore_loss`.
     """
 
     unit: Literal["m"]
@@ -121,6 +129,7 @@ class LevelManifest(Manifest, frozen=True, kw_only=True):
     inflation_m: Margin = 0.0
     crop: Box | None = None
     min_opacity: Share = 0.0
+    ignore_loss: bool = False
 
     def __post_init__(self) -> None:
         """Refuse a crop that contains nothing."""

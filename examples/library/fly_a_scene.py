@@ -16,7 +16,7 @@ from alula.stages.compression.certificate import verify
 from alula.stages.compression.merge import merge
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.flight.simulate import simulate
-from alula.stages.reconstruction.formats import read_splats
+from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.import_splat import import_splat
 
 file, scale, size_m = Path(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3])

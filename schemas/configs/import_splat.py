@@ -3,24 +3,46 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from alula.schemas.errors import UsageError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportSplatConfig:
-    """Parameters of `import-splat`; lengths are in the file's own units."""
+    """Parameters of `import-splat`; lengths are in the file's own units, boxes in the scene's frame."""
 
     format: str = field(
         default="auto",
-        metadata={"help": "auto looks at the content; ply and splat force a format.", "metavar": "NAME"},
+        metadata={"help": "auto looks at the content; the name of a format forces it.", "metavar": "NAME"},
+    )
+    turn: Literal["none", "x", "y", "z"] = field(
+        default="none",
+        metadata={
+            "help": "Turn the file's frame by 180 degrees about an axis, before all else; "
+            "x undoes what most writers of SPZ do to a .ply, z what some writers of glTF do."
+        },
+    )
+    drop_nan: bool = field(
+        default=False,
+        metadata={
+            "help": "Leave out Gaussians with a value that is not a finite number, instead of failing."
+        },
     )
     min_opacity: float = field(default=0.1, metadata={"help": "Leave out Gaussians with a lower opacity."})
     crop: tuple[float, float, float, float, float, float] | None = field(
         default=None,
         metadata={
+            "option": ("--crop-box", "--crop"),
             "help": "Keep Gaussians with a centre in the box XMIN YMIN ZMIN XMAX YMAX ZMAX [file units].",
             "metavar": "BOX",
+        },
+    )
+    crop_sphere: tuple[float, float, float, float] | None = field(
+        default=None,
+        metadata={
+            "help": "Keep Gaussians with a centre in the sphere X Y Z RADIUS [file units].",
+            "metavar": "SPHERE",
         },
     )
     max_scale: float | None = field(
@@ -35,6 +57,8 @@ class ImportSplatConfig:
         if not (0 <= self.min_opacity <= 1):
             raise UsageError(f"--min-opacity must be between 0 and 1, not {self.min_opacity}")
         if self.crop is not None and not all(self.crop[i] < self.crop[i + 3] for i in range(3)):
-            raise UsageError("--crop needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
+            raise UsageError("--crop-box needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
+        if self.crop_sphere is not None and not self.crop_sphere[3] > 0:
+            raise UsageError(f"--crop-sphere needs a positive radius, not {self.crop_sphere[3]}")
         if self.max_scale is not None and not self.max_scale > 0:
             raise UsageError(f"--max-scale must be positive, not {self.max_scale}")

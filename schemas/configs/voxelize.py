@@ -37,6 +37,12 @@ class VoxelizeConfig:
             "option": "--inflate",
         },
     )
+    ignore_loss: bool = field(
+        default=False,
+        metadata={
+            "help": "Take the Gaussians as they are, not grown by what their file's format may have lost."
+        },
+    )
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""

@@ -24,6 +24,7 @@ from alula.stages.alignment.similarity import (
     shape_warnings,
     transform_points,
 )
+from alula.stages.reconstruction.formats.splats import rounded_up
 from alula.stages.rotation import multiply_quat_wxyz, quat_wxyz_from_matrix
 
 Evidence = Correspondences | Sequence[Distance] | Similarity
@@ -117,6 +118,7 @@ def scale_align(
         summary=summary,
         guarantee=_guarantee(manifest, found["position_error_m"], inflation),
         source=manifest.source,
+        requires=manifest.requires,
         world_from_scene=whole,
         alignment=alignment,
         suggested_inflation_m=inflation,
@@ -267,4 +269,7 @@ def _mapped(scene: Artifact, similarity: Similarity, q_world_scene: Array) -> tu
         "opacity": scene["opacity"],
         "color": scene["color"],
     }
+    if "loss" in scene.arrays:  # of the centre it is a length
+        arrays["loss"] = np.array(scene["loss"])
+        arrays["loss"][:, 0] = rounded_up(similarity.scale * np.asarray(scene["loss"][:, 0], np.float64))
     return arrays, float(np.linalg.norm(mean - exact, axis=1).max())

@@ -33,7 +33,7 @@ _NOT_COVERED, _NOT_OCCUPIED = 10, 11
 _LATTICE_LIMIT = 2**20  # volumes are measured within; nothing else here depends on it
 _VOLUME_TOLERANCE = 1e-6  # of the volume: roundings stay far below
 _VOLUME_SHARE, _SCENE_SHARE = 0.1, 0.5  # of the time, roughly, when these checks begin
-LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "min_opacity")
+LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "min_opacity", "ignore_loss")
 _GEOMETRY = (
     *("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start"),
     *("member_index", "member_start"),
@@ -285,16 +285,16 @@ def _volume_check(cover: Artifact, jobs: int, progress: Progress) -> Check:
 def _scene_check(
     manifest: LevelManifest, scene: Artifact, index: NDArray[np.int32], jobs: int, progress: Progress
 ) -> Check:
-    crop = manifest.crop
     missing = unproven_voxels(
         scene,
         index,
         voxel_size_m=manifest.voxel_size_m,
         sigma=manifest.sigma,
         inflation_m=manifest.inflation_m,
-        crop=None if crop is None else (crop[0], crop[1], crop[2], crop[3], crop[4], crop[5]),
+        crop=manifest.crop,
         min_overlap=manifest.min_overlap,
         min_opacity=manifest.min_opacity,
+        ignore_loss=manifest.ignore_loss,
         jobs=jobs,
         progress=progress,
     )
@@ -380,7 +380,7 @@ def _left_out(manifest: LevelManifest, voxels: Artifact | None, scene: Artifact 
         parts.append("the scene itself, which was not given")
     else:
         assert isinstance(scene.manifest, SceneManifest)
-        parts += lost_before(scene.manifest, manifest.inflation_m)
+        parts += lost_before(scene.manifest, manifest.inflation_m, ignore_loss=manifest.ignore_loss)
     if voxels is None:
         parts.append("voxels that the cover does not list, as no voxels file was given")
     return "; ".join(parts)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,8 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import SceneManifest
+from alula.schemas.manifest import SPLAT_LOSS, SceneManifest
 
-Box = tuple[float, float, float, float, float, float]
 Progress = Callable[[int, int], None]
 
 
@@ -37,14 +37,27 @@ def retained(scene: Artifact, min_opacity: float) -> NDArray[np.intp]:
     return np.flatnonzero(scene["opacity"] >= np.float32(min_opacity))
 
 
-def rows_of(scene: Artifact, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], ...]:
-    """Mean, scale and quaternion of rows that are given in ascending order; no copy when that is all."""
-    arrays = tuple(scene[name] for name in ("mean", "scale", "quat_wxyz"))
-    return arrays if len(rows) == len(arrays[0]) else tuple(array[rows] for array in arrays)
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """The Gaussians of a scene that count, as the native functions take them."""
+
+    mean: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    quat_wxyz: NDArray[np.float32]
+    loss: NDArray[np.float32] | None
 
 
-def lost_before(scene: SceneManifest, inflation_m: float) -> list[str]:
-    """What separates the ellipsoids of a scene from the true ones and no inflation makes up for, in words."""
+def rows_of(scene: Artifact, rows: NDArray[np.intp], *, ignore_loss: bool = False) -> Rows:
+    """Those of rows that are given in ascending order; no copy when that is all."""
+    arrays: dict[str, Any] = {name: scene[name] for name in ("mean", "scale", "quat_wxyz")}
+    arrays["loss"] = None if ignore_loss else scene.arrays.get("loss")
+    if len(rows) < len(scene["mean"]):
+        arrays = {name: None if array is None else array[rows] for name, array in arrays.items()}
+    return Rows(**arrays)
+
+
+def lost_before(scene: SceneManifest, inflation_m: float, *, ignore_loss: bool = False) -> list[str]:
+    """What separates the ellipsoids of a scene from the true ones and nothing makes up for, in words."""
     source, parts = scene.source, []
     removed = source.get("removed")
     if isinstance(removed, dict):
@@ -52,11 +65,15 @@ def lost_before(scene: SceneManifest, inflation_m: float) -> list[str]:
             f"{count} Gaussians removed by {reason}" for reason, count in sorted(removed.items()) if count
         ]
     loss = source.get("loss")
-    losses = sorted(loss.items()) if isinstance(loss, dict) else []
-    if words := ", ".join(
-        f"{key} {value:.3g}" for key, value in losses if isinstance(value, float) and value
-    ):
+    losses: dict[str, Any] = loss if isinstance(loss, dict) else {}
+    found = {key: value for key, value in losses.items() if isinstance(value, float) and value}
+    if SPLAT_LOSS in scene.requires and not ignore_loss:  # the rest is allowed for
+        found = {key: value for key, value in found.items() if key == "opacity"}
+    if words := ", ".join(f"{key} {value:.3g}" for key, value in sorted(found.items())):
         parts.append(f"what the splat file's format lost against its own source, up to {words}")
+    unbounded = losses.get("unbounded")
+    for what, why in sorted(unbounded.items()) if isinstance(unbounded, dict) else ():
+        parts.append(f"an error of {what} beyond the bound of the splat file's format: {why}")
     if inflation_m < scene.suggested_inflation_m:
         parts.append(
             f"an error of the alignment beyond {inflation_m:g} m, where it suggests"
@@ -74,16 +91,18 @@ def unproven_voxels(
     voxel_size_m: float,
     sigma: float,
     inflation_m: float = 0.0,
-    crop: Box | None = None,
+    crop: Sequence[float] | None = None,
     min_overlap: int = 1,
     min_opacity: float = 0.0,
+    ignore_loss: bool = False,
     jobs: int = 0,
     progress: Progress | None = None,
 ) -> UnprovenVoxels:
     """Prove, by another method than `voxelize`, that voxels contain the ellipsoids of a scene.
 
     Each voxel i = [i g, (i + 1) g] that is not in `index` and touches the crop is proven to be touched
-    by fewer than `min_overlap` of the sets {c + R diag(k s) u + b : |u| <= 1, |b| <= r}, each time by
+    by fewer than `min_overlap` of the sets {c + R diag(k s) u + b : |u| <= 1, |b| <= r}, with k and r those
+    of `level_of` in `ellipsoid.hpp` where the scene has a `loss`, each time by
     a plane n with n.c + |diag(k s) R' n| + r |n| < min n.x over the voxel, both sides evaluated with
     rigorous rounding bounds. A voxel is never passed wrongly.
 
@@ -96,6 +115,7 @@ def unproven_voxels(
         crop: XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; voxels that do not touch it do not count.
         min_overlap: voxels touched by fewer ellipsoids may be missing.
         min_opacity: ellipsoids of Gaussians below it do not count.
+        ignore_loss: take the ellipsoids as they are, not grown by what the scene's `loss` says.
         jobs: threads; the result does not depend on it.
         progress: called with (done, total) ellipsoids.
 
@@ -103,20 +123,21 @@ def unproven_voxels(
         InputError: the touched voxels that are missing exceed the memory budget.
     """
     rows = retained(scene, min_opacity)
-    mean, scale, quat_wxyz = rows_of(scene, rows)
+    found = rows_of(scene, rows, ignore_loss=ignore_loss)
     try:
         total, voxel, ellipsoid = _core.unproven_voxels(
-            mean,
-            scale,
-            quat_wxyz,
+            found.mean,
+            found.scale,
+            found.quat_wxyz,
             sigma,
             voxel_size_m,
             inflation_m,
-            crop,
+            None if crop is None else tuple(crop),
             min_overlap,
             np.ascontiguousarray(index, np.int32),
             jobs,
             progress,
+            found.loss,
         )
     except OverflowError as error:
         raise InputError(f"the voxels are not those of this scene: {error}") from error

@@ -162,6 +162,7 @@ def merge(
         inflation_m=manifest.inflation_m,
         crop=manifest.crop,
         min_opacity=manifest.min_opacity,
+        ignore_loss=manifest.ignore_loss,
         conservativeness=growth,
         certificate={
             "containment": "normal . v + sum of positive normal components <= offset, for each member v",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,8 @@ class Ellipsoids:
         voxel_size_m: edge of a voxel g.
         crop: only voxels that touch this box [m].
         min_overlap: only voxels that so many touch.
+        loss: how far each row may be from the one it stands for, shape (N, 3): of the centre [m], of
+            semi-axes relatively, of the rotation [rad]; None where rows stand for themselves.
     """
 
     mean: Floats
@@ -43,11 +46,26 @@ class Ellipsoids:
     voxel_size_m: float
     crop: Box | None
     min_overlap: int
+    loss: Floats | None = None
 
-    def level(self) -> tuple[Floats, Floats, Floats, float, float, float, Box | None]:
-        """The leading arguments of the native functions."""
-        level = (self.sigma, self.voxel_size_m, self.inflation_m, self.crop)
-        return (self.mean, self.scale, self.quat_wxyz, *level)
+    def level(self) -> dict[str, Any]:
+        """The arguments that the native functions share."""
+        return {
+            "mean": self.mean,
+            "scale": self.scale,
+            "quat_wxyz": self.quat_wxyz,
+            "loss": self.loss,
+            "sigma": self.sigma,
+            "inflation": self.inflation_m,
+            "voxel_size": self.voxel_size_m,
+            "crop": self.crop,
+        }
+
+    def part(self, rows: NDArray[np.uint32] | slice) -> Ellipsoids:
+        """Some of them."""
+        loss = None if self.loss is None else self.loss[rows]
+        arrays = {name: getattr(self, name)[rows] for name in ("mean", "scale", "quat_wxyz")}
+        return replace(self, **arrays, loss=loss)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +100,7 @@ class _Chunk:
 def mark(ellipsoids: Ellipsoids, jobs: int, progress: Progress | None) -> Marked:
     """All voxels at once."""
     found = _core.voxelize(
-        *ellipsoids.level(), min_overlap=ellipsoids.min_overlap, jobs=jobs, progress=progress
+        **ellipsoids.level(), min_overlap=ellipsoids.min_overlap, jobs=jobs, progress=progress
     )
     return Marked(*found)
 
@@ -107,7 +125,7 @@ def mark_tiles(
         UsageError, LinkError: see `distribute`.
     """
     assigned, marked_all = share(progress, 0, 0.15), share(progress, 0.15, 0.85)
-    tile, start, row = _core.tiles_of(*ellipsoids.level(), edge, progress=assigned)
+    tile, start, row = _core.tiles_of(**ellipsoids.level(), edge=edge, progress=assigned)
     parts: list[tuple[NDArray[np.int32], NDArray[np.uint32]]] = []
     reach = np.zeros(len(ellipsoids.mean), np.uint8)
     below = most = done = voxels = 0
@@ -143,12 +161,7 @@ def _chunks(
         end = int(np.searchsorted(start, start[first] + CHUNK, side="right")) - 1
         end = max(end, first + 1)
         rows = row[start[first] : start[end]]
-        mine = replace(
-            ellipsoids,
-            mean=ellipsoids.mean[rows],
-            scale=ellipsoids.scale[rows],
-            quat_wxyz=ellipsoids.quat_wxyz[rows],
-        )
+        mine = ellipsoids.part(rows)
         yield _Chunk(
             mine, start[first : end + 1] - start[first], tile[first:end].astype(np.int64) * edge, edge
         )
@@ -162,12 +175,10 @@ def _mark_chunk(chunk: _Chunk) -> Marked:
     lowest, highest = np.iinfo(np.int32).min, np.iinfo(np.int32).max
     for t, lower in enumerate(chunk.lower):
         rows = slice(int(chunk.start[t]), int(chunk.start[t + 1]))
-        mine = replace(
-            all_of, mean=all_of.mean[rows], scale=all_of.scale[rows], quat_wxyz=all_of.quat_wxyz[rows]
-        )
+        mine = all_of.part(rows)
         corners = np.clip([lower, lower + chunk.edge - 1], lowest, highest).tolist()
         index, overlap, mine_reach, mine_below, mine_most = _core.voxelize(
-            *mine.level(), tile=corners, min_overlap=all_of.min_overlap, jobs=1
+            **mine.level(), tile=corners, min_overlap=all_of.min_overlap, jobs=1
         )
         parts.append((index, overlap))
         reach.append(mine_reach)

@@ -13,7 +13,7 @@ from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
 from alula.schemas.kinds import VOXELS
-from alula.schemas.manifest import Guarantee, SceneManifest
+from alula.schemas.manifest import SPLAT_LOSS, Guarantee, SceneManifest
 from alula.schemas.provenance import parameters_of
 from alula.stages.compression.ellipsoids import lost_before, retained, rows_of
 from alula.stages.compression.tiles import LONGEST_EDGE, Ellipsoids, Marked, mark, mark_tiles
@@ -47,7 +47,9 @@ def voxelize(
     The closed cube [i g, (i + 1) g] is marked when at least `min_overlap` of the sets
     {x : (x - mu)' inv(Sigma') (x - mu) <= 1} touch it, Sigma' = (1 + 1/p) k^2 Sigma + (1 + p) r^2 I,
     p = sqrt(k^2 tr Sigma / (3 r^2)): an outer bound of the k-sigma ellipsoid plus a ball of radius r
-    (equal to it for r = 0). Rounding is outward, so with `min_overlap` 1 no point of these sets lies
+    (equal to it for r = 0). Where the scene has a `loss`, k and r of each Gaussian grow by it as
+    `level_of` in `ellipsoid.hpp` says, so that the sets contain those of the Gaussians that the splat file
+    was made from. Rounding is outward, so with `min_overlap` 1 no point of these sets lies
     in a voxel that is not marked, as far as voxels touch the crop. Gaussians of an opacity below
     `min_opacity` do not count.
 
@@ -89,11 +91,12 @@ def voxelize(
     rows = retained(scene, config.min_opacity)
     if len(rows) == 0:
         raise InfeasibleError(f"no Gaussian has an opacity of at least {config.min_opacity:g}")
-    mean, scale, quat_wxyz = rows_of(scene, rows)
+    found = rows_of(scene, rows, ignore_loss=config.ignore_loss)
     ellipsoids = Ellipsoids(
-        mean=mean,
-        scale=scale,
-        quat_wxyz=quat_wxyz,
+        mean=found.mean,
+        scale=found.scale,
+        quat_wxyz=found.quat_wxyz,
+        loss=found.loss,
         sigma=sigma,
         inflation_m=inflation,
         voxel_size_m=config.size_m,
@@ -122,14 +125,30 @@ def voxelize(
         unit="m",
         parameters=parameters_of(config),
         summary=_summary(config, index, overlap, len(scene["mean"]), left_out, sigma, inflation),
-        guarantee=_guarantee(config, sigma, inflation, left_out, lost_before(manifest, inflation)),
+        guarantee=_guarantee(
+            config,
+            sigma,
+            inflation,
+            left_out,
+            _losses(manifest, config),
+            lost_before(manifest, inflation, ignore_loss=config.ignore_loss),
+        ),
         voxel_size_m=config.size_m,
         sigma=sigma,
         min_overlap=config.min_overlap,
         inflation_m=inflation,
         crop=None if config.crop is None else list(config.crop),
         min_opacity=config.min_opacity,
+        ignore_loss=config.ignore_loss,
     )
+
+
+def _losses(scene: SceneManifest, config: VoxelizeConfig) -> dict[str, float]:
+    """The largest losses that the ellipsoids were grown by."""
+    loss = scene.source.get("loss")
+    if config.ignore_loss or SPLAT_LOSS not in scene.requires or not isinstance(loss, dict):
+        return {}
+    return {key: value for key, value in loss.items() if isinstance(value, float) and key != "opacity"}
 
 
 def _mark(
@@ -178,7 +197,12 @@ def _summary(
 
 
 def _guarantee(
-    config: VoxelizeConfig, sigma: float, inflation: float, left_out: dict[str, Any], before: list[str]
+    config: VoxelizeConfig,
+    sigma: float,
+    inflation: float,
+    left_out: dict[str, Any],
+    losses: dict[str, float],
+    before: list[str],
 ) -> Guarantee:
     what = f"the {sigma:.6g}-sigma ellipsoid of a Gaussian of the input scene"
     if config.min_opacity > 0:
@@ -186,6 +210,8 @@ def _guarantee(
         what += f" with an opacity of at least {config.min_opacity:g} ({below} are below)"
     if inflation > 0:
         what += f", grown by {inflation:.6g} m,"
+    if losses:
+        what += " and by all that the splat file's format may have lost of it,"
     if config.min_overlap == 1:
         statement = f"Every voxel that {what} touches is marked"
     else:
@@ -207,6 +233,8 @@ def _guarantee(
         "min_overlap": config.min_overlap,
         "crop": None if config.crop is None else list(config.crop),
         "min_opacity": config.min_opacity,
+        "ignore_loss": config.ignore_loss,
+        "splat_loss": losses,
         "left_out": left_out,
     }
     return Guarantee(statement=statement + ".", claims=claims)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from alula.stages.reconstruction.demo_scene import Q_SCENE_WORLD_WXYZ, scene_from_world
+from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.room import SIZE
-from alula.stages.reconstruction.splats import Splats
 from alula.stages.reconstruction.surfaces import Array
 from alula.stages.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from alula.schemas.configs.demo_scene import DemoSceneConfig
 from alula.schemas.manifest import Similarity
+from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.room import HOOPS, SIZE, room
-from alula.stages.reconstruction.splats import Splats
 from alula.stages.reconstruction.surfaces import Array, Surface
 from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz, quat_wxyz_from_matrix
 

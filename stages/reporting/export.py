@@ -15,8 +15,8 @@ from alula.schemas.provenance import Provenance
 from alula.stages.compression.facets import Mesh, mesh
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard import map_binary, map_c_header
-from alula.stages.reconstruction.ply import encode_ply
-from alula.stages.reconstruction.splats import Splats
+from alula.stages.reconstruction.formats.ply import encode_ply
+from alula.stages.reconstruction.formats.splats import Splats
 
 ROUNDED = (
     "Rounded coordinates: the exact guarantee of the cover does not carry over to this file; "

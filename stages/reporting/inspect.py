@@ -14,7 +14,7 @@ from alula.schemas.run import RunRecord
 from alula.stages.compression.hulls import is_outer
 from alula.stages.compression.map_image import SCHEMA, VERSION, MapImage
 from alula.stages.compression.onboard import map_facts
-from alula.stages.reconstruction.splats import Splats
+from alula.stages.reconstruction.formats.splats import LOSSES, Loss, Splats
 
 Facts = dict[str, Any]
 
@@ -182,8 +182,16 @@ def splat_facts(splats: Splats) -> Facts:
         },
         "frame": "scene",
         "unit": "arbitrary",
-        "lost by the format": splats.loss,
+        "lost by the format": _loss_facts(splats.loss),
         "tags": splats.tags,
         "comments": list(splats.comments),
         "notes": list(splats.notes),
     }
+
+
+def _loss_facts(loss: Loss | None) -> Facts | None:
+    """The largest of each bound."""
+    if loss is None:
+        return None
+    largest = {name: float(column.max()) for name, column in zip(LOSSES, loss.bound.T, strict=True)}
+    return largest | {"opacity": loss.opacity, **{f"no bound of {k}": v for k, v in loss.unbounded.items()}}

@@ -11,8 +11,8 @@ from alula.schemas.errors import UsageError
 from alula.stages.alignment.similarity import fit_similarity, transform_points
 from alula.stages.reconstruction.demo_cameras import colmap_model, demo_cameras, positions_csv
 from alula.stages.reconstruction.demo_scene import demo_scene, scene_from_world, world_from_scene
+from alula.stages.reconstruction.formats.ply import encode_ply
 from alula.stages.reconstruction.import_splat import import_splat
-from alula.stages.reconstruction.ply import encode_ply
 from alula.stages.reconstruction.room import HOOPS, SIZE, hoop_centres, room
 from alula.stages.reconstruction.surfaces import box, disc, sphere, torus, tube
 from alula.stages.rotation import matrix_from_quat_wxyz

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import InputError, UsageError
 from alula.stages.reconstruction.floaters import SMALLEST_GROUP, floaters
+from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.import_splat import SCALE_FLOOR, import_splat
-from alula.stages.reconstruction.splats import Splats
 from alula.stages.rotation import matrix_from_quat_wxyz
 
 

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula.schemas.errors import AlulaError, ArtifactError
-from alula.stages.reconstruction.formats import read_splats
-from alula.stages.reconstruction.ply import decode_ply, encode_ply
-from alula.stages.reconstruction.splats import SH_C0, Splats, color_from_sh0
+from alula.stages.reconstruction.formats.ply import decode_ply, encode_ply
+from alula.stages.reconstruction.formats.registry import read_splats
+from alula.stages.reconstruction.formats.splats import SH_C0, Splats, color_from_sh0
 
 COLUMNS = [
     "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity",

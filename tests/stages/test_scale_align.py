@@ -16,8 +16,8 @@ from alula.schemas.manifest import Similarity
 from alula.stages.alignment.evidence import Correspondences
 from alula.stages.alignment.scale_align import scale_align, scale_only
 from alula.stages.alignment.similarity import transform_points
+from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.import_splat import import_splat
-from alula.stages.reconstruction.splats import Splats
 from alula.stages.rotation import matrix_from_quat_wxyz
 
 

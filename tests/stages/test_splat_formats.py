@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula.schemas.errors import AlulaError, ArtifactError, InputError, UsageError
-from alula.stages.reconstruction import formats
-from alula.stages.reconstruction.formats import SplatFormat, read_splats
-from alula.stages.reconstruction.ply import encode_ply
-from alula.stages.reconstruction.splat import OPACITY_LOSS, ROTATION_LOSS_RAD, decode_splat
+from alula.stages.reconstruction.formats import registry as formats
+from alula.stages.reconstruction.formats.ply import encode_ply
+from alula.stages.reconstruction.formats.registry import SplatFormat, read_splats
+from alula.stages.reconstruction.formats.splat import OPACITY_LOSS, ROTATION_LOSS_RAD, decode_splat
 
 
 def record(mean=(1, 2, 3), scale=(0.1, 0.2, 0.3), rgba=(10, 20, 30, 255), quat=(255, 128, 128, 128)):

@@ -5,6 +5,7 @@
 #include <nanobind/ndarray.h>
 
 #include <cstddef>
+#include <optional>
 #include <span>
 #include <utility>
 #include <vector>
@@ -24,6 +25,13 @@ using InVector = In<T, nanobind::shape<-1>>;
 template <class T, class Shape>
 std::span<const T> as_span(const In<T, Shape>& array) {
   return {array.data(), array.size()};
+}
+
+// None is no values.
+template <class T, class Shape>
+std::span<const T> as_span(const std::optional<In<T, Shape>>& array) {
+  if (!array) return {};
+  return as_span(*array);
 }
 
 // Hands a vector to NumPy; the array owns it.

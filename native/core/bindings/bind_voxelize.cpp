@@ -20,8 +20,9 @@ void bind_voxelize(nb::module_& m) {
       "voxelize",
       [](Floats3 mean, Floats3 scale, Floats4 quat_wxyz, double sigma, double voxel_size, double inflation,
          std::optional<alula::Box6> crop, std::optional<std::pair<alula::Index3, alula::Index3>> tile,
-         std::uint32_t min_overlap, unsigned jobs, nb::object progress) {
-        const alula::Splats splats{alula::as_span(mean), alula::as_span(scale), alula::as_span(quat_wxyz)};
+         std::uint32_t min_overlap, unsigned jobs, nb::object progress, std::optional<alula::InRows3<float>> loss) {
+        const alula::Splats splats{alula::as_span(mean), alula::as_span(scale), alula::as_span(quat_wxyz),
+                                   alula::as_span(loss)};
         std::optional<alula::Block> block;
         if (tile) block = {tile->first, tile->second};
         alula::PythonControl control(std::move(progress));
@@ -37,19 +38,22 @@ void bind_voxelize(nb::module_& m) {
                                alula::to_numpy(std::move(found.reach), {rows}), voxels.below, voxels.most);
       },
       "mean"_a, "scale"_a, "quat_wxyz"_a, "sigma"_a, "voxel_size"_a, "inflation"_a = 0.0, "crop"_a = nb::none(),
-      "tile"_a = nb::none(), "min_overlap"_a = 1, "jobs"_a = 0, "progress"_a = nb::none(),
+      "tile"_a = nb::none(), "min_overlap"_a = 1, "jobs"_a = 0, "progress"_a = nb::none(), "loss"_a = nb::none(),
       "Voxels that ellipsoids touch: (index i32 (M, 3) sorted, overlap u32 (M,), reach u8 (N,): 0 where an\n"
       "ellipsoid marks nothing, 2 where its box exceeds the crop, else 1; voxels that fewer than min_overlap\n"
       "touch, which are left out; the highest overlap). Voxel i is the closed cube [i g, (i + 1) g];\n"
-      "ellipsoids are at level sigma, grown by a ball of radius inflation (outer ellipsoid), all lengths in\n"
-      "the unit of mean. Every touched voxel is marked; a voxel farther than 3e-13 of the coordinates' size is\n"
+      "ellipsoids are at level sigma, grown by a ball of radius inflation (outer ellipsoid) and by what `loss`\n"
+      "(N, 3) says of each: error of the centre, of semi-axes relatively, of the rotation; all lengths in the\n"
+      "unit of mean. Every touched voxel is marked; a voxel farther than 3e-13 of the coordinates' size is\n"
       "not. With a tile (lowest index, highest index) only its voxels. Raises ValueError for malformed input,\n"
       "OverflowError when the voxels exceed the memory budget.");
   m.def(
       "tiles_of",
       [](Floats3 mean, Floats3 scale, Floats4 quat_wxyz, double sigma, double voxel_size, double inflation,
-         std::optional<alula::Box6> crop, std::int32_t edge, nb::object progress) {
-        const alula::Splats splats{alula::as_span(mean), alula::as_span(scale), alula::as_span(quat_wxyz)};
+         std::optional<alula::Box6> crop, std::int32_t edge, nb::object progress,
+         std::optional<alula::InRows3<float>> loss) {
+        const alula::Splats splats{alula::as_span(mean), alula::as_span(scale), alula::as_span(quat_wxyz),
+                                   alula::as_span(loss)};
         alula::PythonControl control(std::move(progress));
         alula::Tiles found;
         {
@@ -62,7 +66,7 @@ void bind_voxelize(nb::module_& m) {
                                alula::to_numpy(std::move(found.row), {rows}));
       },
       "mean"_a, "scale"_a, "quat_wxyz"_a, "sigma"_a, "voxel_size"_a, "inflation"_a, "crop"_a, "edge"_a,
-      "progress"_a = nb::none(),
+      "progress"_a = nb::none(), "loss"_a = nb::none(),
       "Tiles of edge^3 voxels that ellipsoids may touch, by their boxes: (tile i32 (T, 3) sorted, start i64\n"
       "(T + 1), row u32): tile t holds the voxels t edge ... t edge + edge - 1. Raises OverflowError for more\n"
       "than 2^20 tiles or 2^27 rows.");

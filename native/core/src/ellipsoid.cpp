@@ -13,6 +13,8 @@ void check_splats(const Splats& splats, const Level& level, double voxel_size) {
   const std::size_t n = splats.size();
   if (splats.mean.size() != 3 * n || splats.scale.size() != 3 * n || splats.quat_wxyz.size() != 4 * n)
     throw std::invalid_argument("mean, scale and quat_wxyz do not have the same number of rows");
+  if (!splats.loss.empty() && splats.loss.size() != 3 * n)
+    throw std::invalid_argument("mean and loss do not have the same number of rows");
   if (n >= std::numeric_limits<std::uint32_t>::max())
     throw std::invalid_argument("more ellipsoids than 32 bits can count");
   const auto finite_positive = [](double v) { return std::isfinite(v) && v > 0; };
@@ -29,6 +31,9 @@ void check_splats(const Splats& splats, const Level& level, double voxel_size) {
     if (!good || !finite_positive(norm))
       throw std::invalid_argument("row " + std::to_string(i) + " is not an ellipsoid");
   }
+  for (std::size_t j = 0; j < splats.loss.size(); ++j)
+    if (!std::isfinite(splats.loss[j]) || splats.loss[j] < 0)
+      throw std::invalid_argument("the loss of row " + std::to_string(j / 3) + " is not a number of at least 0");
 }
 
 double Ellipsoid::extent(double g) const {
@@ -61,7 +66,18 @@ double balance(double a, double b, double c, double d) {
 
 }  // namespace
 
-Ellipsoid outer_ellipsoid(const Splats& splats, std::size_t i, const Level& level) {
+Level level_of(const Splats& splats, std::size_t i, const Level& level) {
+  if (splats.loss.empty()) return level;
+  const float* loss = &splats.loss[3 * i];
+  const auto [least, most] = std::minmax_element(&splats.scale[3 * i], &splats.scale[3 * i] + 3);
+  constexpr double kUp = 1 + 4 * kEps;
+  const double sigma = level.sigma * (1 + double(loss[1])) * kUp;
+  const double turned = double(loss[2]) * sigma * (double(*most) - double(*least));
+  return {sigma, (level.inflation + loss[0] + turned) * kUp};
+}
+
+Ellipsoid outer_ellipsoid(const Splats& splats, std::size_t i, const Level& all) {
+  const Level level = level_of(splats, i, all);
   Ellipsoid e;
   Vec3& axis = e.axis;
   for (std::size_t a = 0; a < 3; ++a) {

@@ -36,7 +36,9 @@ Vec3 rotated_axis(const float* q, std::size_t axis) {
 // The rigorous part: what is proven here is all that a caller may rely on.
 class Prover {
  public:
-  Prover(const Splats& splats, std::size_t i, const Level& level, double g) : g_(g), r_(level.inflation) {
+  Prover(const Splats& splats, std::size_t i, const Level& all, double g) : g_(g) {
+    const Level level = level_of(splats, i, all);
+    r_ = level.inflation;
     double reach = r_, far = 0;
     for (std::size_t j = 0; j < 3; ++j) {
       centre_[j] = splats.mean[3 * i + j];

@@ -13,18 +13,19 @@ def commit() -> str:
 
 MAX_VOXELS: int = 134217728
 
-def voxelize(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float = 0.0, crop: Sequence[float] | None = None, tile: tuple[Sequence[int], Sequence[int]] | None = None, min_overlap: int = 1, jobs: int = 0, progress: object | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.uint32], NDArray[numpy.uint8], int, int]:
+def voxelize(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float = 0.0, crop: Sequence[float] | None = None, tile: tuple[Sequence[int], Sequence[int]] | None = None, min_overlap: int = 1, jobs: int = 0, progress: object | None = None, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.uint32], NDArray[numpy.uint8], int, int]:
     """
     Voxels that ellipsoids touch: (index i32 (M, 3) sorted, overlap u32 (M,), reach u8 (N,): 0 where an
     ellipsoid marks nothing, 2 where its box exceeds the crop, else 1; voxels that fewer than min_overlap
     touch, which are left out; the highest overlap). Voxel i is the closed cube [i g, (i + 1) g];
-    ellipsoids are at level sigma, grown by a ball of radius inflation (outer ellipsoid), all lengths in
-    the unit of mean. Every touched voxel is marked; a voxel farther than 3e-13 of the coordinates' size is
+    ellipsoids are at level sigma, grown by a ball of radius inflation (outer ellipsoid) and by what `loss`
+    (N, 3) says of each: error of the centre, of semi-axes relatively, of the rotation; all lengths in the
+    unit of mean. Every touched voxel is marked; a voxel farther than 3e-13 of the coordinates' size is
     not. With a tile (lowest index, highest index) only its voxels. Raises ValueError for malformed input,
     OverflowError when the voxels exceed the memory budget.
     """
 
-def tiles_of(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float, crop: Sequence[float] | None, edge: int, progress: object | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.int64], NDArray[numpy.uint32]]:
+def tiles_of(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float, crop: Sequence[float] | None, edge: int, progress: object | None = None, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.int64], NDArray[numpy.uint32]]:
     """
     Tiles of edge^3 voxels that ellipsoids may touch, by their boxes: (tile i32 (T, 3) sorted, start i64
     (T + 1), row u32): tile t holds the voxels t edge ... t edge + edge - 1. Raises OverflowError for more
@@ -36,12 +37,12 @@ def joined_voxels(index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), o
     One sorted list (index, count) of disjoint sorted lists of voxels: rows start[i] ... start[i + 1] - 1.
     """
 
-def unproven_voxels(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float, crop: Sequence[float] | None, min_overlap: int, index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], jobs: int = 0, progress: object | None = None) -> tuple[int, NDArray[numpy.int32], NDArray[numpy.int64]]:
+def unproven_voxels(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float, crop: Sequence[float] | None, min_overlap: int, index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], jobs: int = 0, progress: object | None = None, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> tuple[int, NDArray[numpy.int32], NDArray[numpy.int64]]:
     """
     Voxels outside `index` (M, 3) that are not proven to be touched by fewer than min_overlap ellipsoids:
     (total, the first 100 of them i32 (K, 3) in lexicographic order, an ellipsoid that touches each i64 (K,)).
-    Voxel i is the closed cube [i g, (i + 1) g]; ellipsoids are at level sigma plus a ball of radius inflation,
-    voxels those that touch the crop. Every voxel not reported is proven by a separating plane with rigorous
+    Voxel i is the closed cube [i g, (i + 1) g]; ellipsoids are at level sigma plus a ball of radius inflation
+    and what `loss` says of each, voxels those that touch the crop. Every voxel not reported is proven by a separating plane with rigorous
     rounding bounds. Raises ValueError for malformed input, OverflowError when the memory budget is exceeded.
     """
 

@@ -17,9 +17,10 @@ namespace alula {
 using Vec3 = std::array<double, 3>;
 
 // Rows of a scene: centres (N, 3), one-sigma semi-axes (N, 3), quaternions w x y z (N, 4) of any
-// positive norm; all in the unit of the scene.
+// positive norm; all in the unit of the scene. `loss` is empty, or holds how far each row may be from
+// the one it stands for (N, 3): of the centre; of a semi-axis, relatively; of the rotation [rad].
 struct Splats {
-  std::span<const float> mean, scale, quat_wxyz;
+  std::span<const float> mean, scale, quat_wxyz, loss;
   std::size_t size() const { return mean.size() / 3; }
 };
 
@@ -32,6 +33,14 @@ struct Level {
 // Throws std::invalid_argument when lengths do not agree, a value is not finite, a semi-axis is not
 // positive or a quaternion is zero, naming the row; or when the level means nothing.
 void check_splats(const Splats& splats, const Level& level, double voxel_size);
+
+// The level of row i that contains every row it may stand for. With e, t, p its losses of scale,
+// rotation and centre, and d = k' s the semi-axes at k' = k (1 + e), the level is k' and the radius
+// r + p + t (max d - min d): a semi-axis is at most (1 + e) of its own, a centre moves by at most p, and a
+// rotation by t turns each direction by at most t, over which the support function sqrt(sum_j d_j^2 n_j^2) of
+// unit vectors n, whose gradient along the sphere is at most max d - min d, grows by no more than
+// that. Rounded up.
+Level level_of(const Splats& splats, std::size_t i, const Level& level);
 
 // {c + A u : |u| <= 1} with A = R diag(axis); `row` are the rows of A, so |row i| is the half-width
 // along axis i.

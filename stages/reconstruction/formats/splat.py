@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from alula.schemas.errors import ArtifactError
-from alula.stages.reconstruction.splats import Progress, Splats
+from alula.stages.reconstruction.formats.rotations import whole_rotation_error
+from alula.stages.reconstruction.formats.splats import Loss, Progress, Splats, loss_bound
 
 RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _CHUNK = 2**18
 
 # Writers truncate or round, with 128 or 127.5 as the middle: a component read as b / 127.5 - 1 is off
-# by at most 2/255 whoever wrote it. Four of them turn a unit quaternion by at most asin(4/255), and
-# the rotation by twice that.
-ROTATION_LOSS_RAD = 2.0 * math.asin(4.0 / 255.0)
+# by at most 2/255 whoever wrote it, and four of them by at most 4/255 as a vector.
+ROTATION_LOSS_RAD = whole_rotation_error(4.0 / 255.0)
 OPACITY_LOSS = 1.0 / 255.0
 
 
@@ -63,6 +61,6 @@ def decode_splat(buffer: memoryview, progress: Progress | None = None) -> Splats
         quat_wxyz=quat,
         opacity=opacity,
         color=color,
-        loss={"rotation_rad": ROTATION_LOSS_RAD, "opacity": OPACITY_LOSS},
+        loss=Loss(loss_bound(count, rotation=ROTATION_LOSS_RAD), OPACITY_LOSS),
         notes=(f"{negative} rows with a negative scale, read as positive",) if negative else (),
     )

@@ -6,11 +6,30 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)): the constant spherical harmonic
 
+LOSSES = ("position", "scale_relative", "rotation_rad")  # columns of `Loss.bound`
+
 Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """How far the decoded Gaussians may be from those that the file was made from.
+
+    Attributes:
+        bound: of each Gaussian, shape (N, 3): the distance of its centre [file units]; by how much of
+            itself a semi-axis may be longer; the angle of its rotation [rad]. Rounded up.
+        opacity: bound of alpha.
+        unbounded: what `bound` does not hold for in all files, and why, by the word `position`,
+            `scale` or `rotation`; empty when it always holds.
+    """
+
+    bound: NDArray[np.float32]
+    opacity: float = 0.0
+    unbounded: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,10 +45,10 @@ class Splats:
         quat_wxyz: rotation from local axes to the file frame, not normalised, shape (N, 4).
         opacity: alpha, shape (N,).
         color: red, green, blue, shape (N, 3).
-        loss: what the format may have lost against the scene it was made from: `position` [file
-            units], `scale_relative`, `rotation_rad`, `opacity`; a missing key is a loss of nothing.
+        loss: None when the format keeps single precision.
         comments: free text found in the file.
-        tags: what known comment lines say: `render_mode`, `antialiased`, `vertical_axis`, `generator`.
+        tags: what the file says of itself: `render_mode`, `antialiased`, `vertical_axis`, `generator`,
+            `frame`.
         notes: what a person should know about how the file was read.
     """
 
@@ -39,13 +58,38 @@ class Splats:
     quat_wxyz: NDArray[np.float32]
     opacity: NDArray[np.float32]
     color: NDArray[np.uint8]
-    loss: dict[str, float] = field(default_factory=dict)
+    loss: Loss | None = None
     comments: tuple[str, ...] = ()
     tags: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.mean)
+
+
+def loss_bound(
+    count: int, *, position: ArrayLike = 0.0, scale: ArrayLike = 0.0, rotation: ArrayLike = 0.0
+) -> NDArray[np.float32]:
+    """`Loss.bound` from one number or one per Gaussian for each column.
+
+    Args:
+        count: N.
+        position: distance of centres [file units].
+        scale: relative, of semi-axes; a true one is at most (1 + scale) of the decoded one.
+        rotation: angle [rad]; more than pi means the same as pi.
+    """
+    bound = np.empty((count, 3), np.float32)
+    for column, values in enumerate((position, scale, np.minimum(rotation, np.pi))):
+        bound[:, column] = rounded_up(values)
+    return bound
+
+
+def rounded_up(values: ArrayLike) -> NDArray[np.float32]:
+    """Single precision, never below the value."""
+    exact = np.asarray(values, np.float64)
+    near = exact.astype(np.float32)
+    up: NDArray[np.float32] = np.where(near < exact, np.nextafter(near, np.float32(np.inf)), near)
+    return up
 
 
 def color_from_sh0(sh0: NDArray[np.floating]) -> NDArray[np.uint8]:

@@ -11,8 +11,15 @@ from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
 from alula.schemas.provenance import MARK
-from alula.stages.reconstruction.ply_header import HEADER_LIMIT, Element, Header, parse_header
-from alula.stages.reconstruction.splats import Progress, Splats, color_from_sh0, sh0_from_color
+from alula.stages.reconstruction.formats.ply_header import HEADER_LIMIT, Element, Header, parse_header
+from alula.stages.reconstruction.formats.splats import (
+    Loss,
+    Progress,
+    Splats,
+    color_from_sh0,
+    loss_bound,
+    sh0_from_color,
+)
 
 _CHUNK = 2**13  # rows of up to 248 bytes: a chunk stays in the cache while its columns are taken
 _ASCII_CHUNK = 2**13
@@ -85,10 +92,11 @@ def decode_ply(buffer: memoryview, progress: Progress | None = None) -> Splats:
         notes.append("no colours: grey")
     if trailing:
         notes.append(f"{trailing} bytes follow the data that the header announces; they were not read")
-    loss = {}
+    loss = None
     if any(c is not None and c.type == "f8" for c in map(vertex.column, _POSITION)):
         finite = np.abs(mean[np.isfinite(mean)])
-        loss["position"] = float(finite.max(initial=0.0)) * 2.0**-24  # half a unit in the last place
+        rounding = float(finite.max(initial=0.0)) * 2.0**-24 * 3**0.5  # half a unit in the last place
+        loss = Loss(loss_bound(count, position=rounding))
     comments = [c for c in header.comments if MARK not in c]
     return Splats(
         format="ply",

@@ -1,0 +1,1 @@
+"""Splat formats: from the bytes of a file to Gaussians, one module per format."""

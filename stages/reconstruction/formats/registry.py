@@ -1,0 +1,144 @@
+"""Which splat formats there are, how to tell them apart, and the one place that opens such a file."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from alula.schemas.errors import ArtifactError, InputError, UsageError
+from alula.stages.reconstruction.formats.ply import decode_ply
+from alula.stages.reconstruction.formats.source import Source, find_source
+from alula.stages.reconstruction.formats.splat import decode_splat
+from alula.stages.reconstruction.formats.splats import Progress, Splats
+
+
+def _itself(source: Source) -> Sequence[str]:
+    return (source.path.name,)
+
+
+@dataclass(frozen=True, slots=True)
+class SplatFormat:
+    """One format; other packages add theirs as entry points of the group `alula.formats`.
+
+    Attributes:
+        name: the value of `--format`.
+        matches: whether a source is of this format, by its content; suffixes count where there is no
+            magic number.
+        decode: from a source to its Gaussians; raises ArtifactError.
+        members: names of all files that are read, relative to the source's folder, the main one first.
+    """
+
+    name: str
+    matches: Callable[[Source], bool]
+    decode: Callable[[Source, Progress | None], Splats]
+    members: Callable[[Source], Sequence[str]] = _itself
+
+
+def _of_file(
+    decode: Callable[[memoryview, Progress | None], Splats],
+) -> Callable[[Source, Progress | None], Splats]:
+    return lambda source, progress: decode(source.data, progress)
+
+
+PLY = SplatFormat("ply", lambda source: re.match(rb"ply\s", source.head) is not None, _of_file(decode_ply))
+SPLAT = SplatFormat("splat", lambda source: source.suffix == ".splat", _of_file(decode_splat))
+
+_WITH_MAGIC = (PLY,)
+_BY_SUFFIX = (SPLAT,)
+
+
+def formats() -> Iterator[SplatFormat]:
+    """All formats: those with a magic number, those of other packages, and those by suffix alone."""
+    yield from _WITH_MAGIC
+    for entry in sorted(entry_points(group="alula.formats"), key=lambda entry: entry.name):
+        found = entry.load()
+        if not isinstance(found, SplatFormat):
+            raise InputError(f"entry point {entry.name} ({entry.value}) is not a SplatFormat")
+        yield found
+    yield from _BY_SUFFIX
+
+
+def recognise(source: Source, name: str = "auto") -> SplatFormat:
+    """The format of a source: the named one, or by content first and suffix second.
+
+    Raises:
+        UsageError: no format has that name.
+        ArtifactError: it is of no format that can be read.
+    """
+    known = {candidate.name: candidate for candidate in formats()}
+    if name != "auto":
+        if name not in known:
+            raise UsageError(f"--format must be auto, {', '.join(known)}, not {name!r}")
+        return known[name]
+    for candidate in known.values():
+        if candidate.matches(source):
+            return candidate
+    if source.is_folder:
+        raise ArtifactError("is a folder, but of no kind that this version recognises; name a file in it")
+    raise ArtifactError("not a splat file that this version recognises; --format forces one")
+
+
+@dataclass(frozen=True, slots=True)
+class SplatFile:
+    """A splat that was found, not yet decoded."""
+
+    path: Path
+    source: Source
+    format: SplatFormat
+
+    @classmethod
+    def find(cls, path: Path, name: str = "auto") -> SplatFile:
+        """Find what a user names, and tell its format.
+
+        Args:
+            path: a file, or the folder of a trainer or of a format of several files.
+            name: `auto`, or the name of a format.
+
+        Raises:
+            UsageError: no format has that name.
+            ArtifactError: it is of no format that can be read.
+            InputError: it cannot be opened.
+        """
+        source = find_source(path)
+        try:
+            return cls(path, source, recognise(source, name))
+        except ArtifactError as error:
+            raise ArtifactError(f"{path}: {error}") from error
+
+    def files(self) -> dict[str, Path]:
+        """All files that are read, by role.
+
+        Raises:
+            ArtifactError: the one that names the others is damaged.
+        """
+        try:
+            names = self.format.members(self.source)
+        except ArtifactError as error:
+            raise ArtifactError(f"{self.path}: {error}") from error
+        roles = ["splat", *(f"splat {name}" for name in names[1:])]
+        return {role: self.source.folder / name for role, name in zip(roles, names, strict=True)}
+
+    def decode(self, progress: Progress | None = None) -> Splats:
+        """Read the Gaussians.
+
+        Args:
+            progress: called with the rows done and the rows in all.
+
+        Raises:
+            ArtifactError: damaged, or not of that format.
+            InputError: it cannot be read.
+        """
+        try:
+            splats = self.format.decode(self.source, progress)
+        except ArtifactError as error:
+            raise ArtifactError(f"{self.path}: {error}") from error
+        return dataclasses.replace(splats, notes=(*self.source.notes, *splats.notes))
+
+
+def read_splats(path: Path, name: str = "auto", progress: Progress | None = None) -> Splats:
+    """Find and decode a splat; raises what `SplatFile` does."""
+    return SplatFile.find(path, name).decode(progress)

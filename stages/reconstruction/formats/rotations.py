@@ -1,0 +1,63 @@
+"""Quaternions of which a format stores all but one component, or coarse ones, and what that loses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def smallest_three(stored: NDArray[np.float64], largest: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Unit quaternions of three components and the place of the fourth, which is not negative.
+
+    Args:
+        stored: the other components in increasing place, shape (N, 3).
+        largest: place 0 to 3 of the missing one, shape (N,).
+
+    Returns:
+        Shape (N, 4): sqrt(max(0, 1 - |stored|^2)) at `largest`.
+    """
+    count = len(stored)
+    quat = np.empty((count, 4))
+    rows = np.arange(count)
+    for place in range(3):  # the stored component `place` moves up by one behind the missing one
+        quat[rows, place + (place >= largest)] = stored[:, place]
+    quat[rows, largest] = np.sqrt(np.maximum(0.0, 1.0 - (stored * stored).sum(axis=1)))
+    return quat
+
+
+def chart_rotation_error(stored: NDArray[np.float64], error: ArrayLike) -> NDArray[np.float64]:
+    """How far a rotation may be off whose quaternion is stored without one, non-negative component.
+
+    The true stored part m' is within `error` of m. With w = sqrt(1 - |m|^2), which changes by at most
+    what it does over |m'| in [|m| - error, min(1, |m| + error)], the chord of the unit quaternions is at most
+    sqrt(error^2 + max |w' - w|^2), and a chord c is a rotation by 4 asin(c / 2).
+
+    Args:
+        stored: m, shape (N, 3).
+        error: bound of |m' - m|, one number or shape (N,).
+
+    Returns:
+        Angles [rad], shape (N,), at most pi.
+    """
+    length = np.linalg.norm(stored, axis=1)
+    off = np.asarray(error, np.float64) + np.maximum(
+        0.0, length - 1.0
+    )  # m is normalised where it is too long
+    length = np.minimum(length, 1.0)
+    w = np.sqrt(1.0 - length * length)
+    least = np.sqrt(1.0 - np.minimum(length + off, 1.0) ** 2)
+    most = np.sqrt(1.0 - np.maximum(length - off, 0.0) ** 2)
+    chord = np.sqrt(off * off + np.maximum(w - least, most - w) ** 2)
+    angle: NDArray[np.float64] = 4.0 * np.arcsin(np.minimum(chord / 2.0, math.sqrt(0.5)))
+    return angle * (1.0 + 1e-12)
+
+
+def whole_rotation_error(error: float) -> float:
+    """How far a rotation may be off all four components of whose unit quaternion are stored.
+
+    The quaternion is off by at most `error` as a vector, so its direction by asin(error), and the
+    rotation by twice that [rad].
+    """
+    return 2.0 * math.asin(min(error, 1.0)) * (1.0 + 1e-12)

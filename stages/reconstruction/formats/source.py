@@ -1,0 +1,126 @@
+"""Where a splat is read from: one file, or the files of a folder."""
+
+from __future__ import annotations
+
+import io
+import mmap
+import re
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+
+from alula.schemas.errors import ArtifactError, InputError
+
+HEAD = 4096
+
+
+class Source:
+    """A file or a folder; its bytes are mapped when they are asked for.
+
+    Attributes:
+        path: the file, or the folder.
+        notes: what a person should know about how it was found.
+    """
+
+    def __init__(self, path: Path, notes: tuple[str, ...] = ()) -> None:
+        self.path = path
+        self.notes = notes
+        self._mapped: dict[Path, memoryview] = {}
+
+    @cached_property
+    def is_folder(self) -> bool:
+        """Whether there is no file of its own, only members."""
+        return self.path.is_dir()
+
+    @property
+    def folder(self) -> Path:
+        """What names of members are relative to."""
+        return self.path if self.is_folder else self.path.parent
+
+    @property
+    def suffix(self) -> str:
+        """Lower-case, with the dot; empty for a folder."""
+        return "" if self.is_folder else self.path.suffix.lower()
+
+    @property
+    def data(self) -> memoryview:
+        """The whole file.
+
+        Raises:
+            ArtifactError: it is empty, or a folder.
+            InputError: it cannot be read.
+        """
+        if self.is_folder:
+            raise ArtifactError("is a folder, not a file")
+        return self._map(self.path)
+
+    @cached_property
+    def head(self) -> bytes:
+        """The first 4096 bytes; nothing for a folder."""
+        return b"" if self.is_folder else bytes(self.data[:HEAD])
+
+    def has(self, name: str) -> bool:
+        """Whether there is such a file beside the file or in the folder."""
+        return (self.folder / name).is_file()
+
+    def member(self, name: str) -> memoryview:
+        """The bytes of another file, by its name relative to the folder.
+
+        Raises:
+            ArtifactError: the name leads out of the folder, or the file is missing or empty.
+        """
+        try:
+            return self._map(self.folder / relative_name(name))
+        except ArtifactError as error:
+            raise ArtifactError(f"{name}: {error}") from error
+
+    def _map(self, path: Path) -> memoryview:
+        if path not in self._mapped:
+            try:
+                with path.open("rb") as file:
+                    file.seek(0, io.SEEK_END)
+                    if file.tell() == 0:
+                        raise ArtifactError("is empty")
+                    self._mapped[path] = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+            except FileNotFoundError as error:
+                if path == self.path:
+                    raise InputError(f"{path}: does not exist") from error
+                raise ArtifactError("does not exist") from error
+            except (OSError, ValueError) as error:  # ValueError: a file that cannot be mapped
+                reason = getattr(error, "strerror", None) or error
+                raise InputError(f"{path}: cannot read: {reason}") from error
+        return self._mapped[path]
+
+
+def relative_name(name: str) -> PurePosixPath:
+    """A name inside a file that stands for another one beside it.
+
+    Raises:
+        ArtifactError: it is absolute, leads upwards, or is no name.
+    """
+    path = PurePosixPath(name)
+    if not name or path.is_absolute() or ".." in path.parts or "\0" in name or "\\" in name or ":" in name:
+        raise ArtifactError(f"{name[:100]!r} is no name of a file in the same folder")
+    return path
+
+
+def find_source(path: Path) -> Source:
+    """The file or folder to read for what a user names.
+
+    A folder of INRIA's trainer stands for its last `point_cloud/iteration_*/point_cloud.ply`.
+
+    Raises:
+        InputError: there is nothing of that name.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: does not exist")
+    if path.is_dir():
+        iterations = {
+            int(found[1]): file
+            for file in path.glob("point_cloud/iteration_*/point_cloud.ply")
+            if (found := re.fullmatch(r"iteration_([0-9]{1,9})", file.parent.name))
+        }
+        if iterations:
+            last = max(iterations)
+            more = f", the last of {len(iterations)}" if len(iterations) > 1 else ""
+            return Source(iterations[last], (f"iteration {last} of the folder{more}",))
+    return Source(path)
