@@ -29,6 +29,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
 from alula.schemas.artifact import Artifact
 
 Files = dict[str, bytes]  # of a folder, or one of a single name
