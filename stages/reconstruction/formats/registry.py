@@ -14,6 +14,8 @@ from alula.stages.reconstruction.formats.ply import decode_ply
 from alula.stages.reconstruction.formats.source import Source, find_source
 from alula.stages.reconstruction.formats.splat import decode_splat
 from alula.stages.reconstruction.formats.splats import Progress, Splats
+from alula.stages.reconstruction.formats.spz import decode_spz
+from alula.stages.reconstruction.formats.spz_container import is_spz
 
 
 def _itself(source: Source) -> Sequence[str]:
@@ -46,8 +48,11 @@ def _of_file(
 
 PLY = SplatFormat("ply", lambda source: re.match(rb"ply\s", source.head) is not None, _of_file(decode_ply))
 SPLAT = SplatFormat("splat", lambda source: source.suffix == ".splat", _of_file(decode_splat))
+SPZ = SplatFormat(
+    "spz", lambda source: not source.is_folder and is_spz(source.data, source.suffix), _of_file(decode_spz)
+)
 
-_WITH_MAGIC = (PLY,)
+_WITH_MAGIC = (PLY, SPZ)
 _BY_SUFFIX = (SPLAT,)
 
 
