@@ -10,7 +10,10 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from alula.schemas.errors import ArtifactError, InputError, UsageError
+from alula.stages.reconstruction.formats.compressed_ply import decode_compressed_ply, is_compressed_ply
+from alula.stages.reconstruction.formats.ksplat import decode_ksplat, is_ksplat
 from alula.stages.reconstruction.formats.ply import decode_ply
+from alula.stages.reconstruction.formats.sog import decode_sog, is_sog, sog_members
 from alula.stages.reconstruction.formats.source import Source, find_source
 from alula.stages.reconstruction.formats.splat import decode_splat
 from alula.stages.reconstruction.formats.splats import Progress, Splats
@@ -47,13 +50,24 @@ def _of_file(
 
 
 PLY = SplatFormat("ply", lambda source: re.match(rb"ply\s", source.head) is not None, _of_file(decode_ply))
+COMPRESSED_PLY = SplatFormat("compressed-ply", is_compressed_ply, _of_file(decode_compressed_ply))
+SOG = SplatFormat("sog", is_sog, decode_sog, sog_members)
+KSPLAT = SplatFormat("ksplat", is_ksplat, _of_file(decode_ksplat))
 SPLAT = SplatFormat("splat", lambda source: source.suffix == ".splat", _of_file(decode_splat))
 SPZ = SplatFormat(
     "spz", lambda source: not source.is_folder and is_spz(source.data, source.suffix), _of_file(decode_spz)
 )
 
-_WITH_MAGIC = (PLY, SPZ)
-_BY_SUFFIX = (SPLAT,)
+_WITH_MAGIC = (
+    COMPRESSED_PLY,  # before PLY, which it is too
+    PLY,
+    SPZ,
+    SOG,
+)
+_BY_SUFFIX = (
+    KSPLAT,
+    SPLAT,
+)
 
 
 def formats() -> Iterator[SplatFormat]:
