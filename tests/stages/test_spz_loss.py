@@ -74,6 +74,25 @@ def test_what_the_reference_writer_loses_is_within_the_bounds_and_close_to_them(
     assert 17 < most < 18.2 if version == 2 else most < 0.28
 
 
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("version", [3, 4])
+def test_what_gsply_loses_is_within_the_bounds(tmp_path, version):
+    gsply = pytest.importorskip("gsply")
+    scene = random_scene(np.random.default_rng(version), 5000)
+    scene.opacity[:] = np.clip(scene.opacity, 0.001, 0.999)
+    opacity = scene.opacity.astype(np.float64)
+    written = gsply.GSData.from_arrays(
+        means=scene.mean,
+        scales=np.log(scene.scale),
+        quats=scene.quat_wxyz,
+        opacities=np.log(opacity / (1 - opacity)).astype(np.float32),
+        sh0=np.zeros((5000, 3), np.float32),
+        format="ply",
+    )
+    pytest.importorskip("gsply.spz").write_spz(tmp_path / "a.spz", written, version=version)
+    assert (within(scene, read((tmp_path / "a.spz").read_bytes())) > 0.9).all()
+
+
 @pytest.mark.parametrize("cut", [False, True])
 def test_centres_of_half_precision_are_lost_by_no_more_than_recorded(cut):
     rng = np.random.default_rng(1)
