@@ -82,8 +82,8 @@ def section(scene, level, degree, rounding="truncating", size=64, spare=0, scale
     records = np.hstack([np.ascontiguousarray(p).view(np.uint8).reshape(n, -1) for p in parts])
     data += records.tobytes() + bytes(spare * records.shape[1])
     bucket_size, buckets, block, centre_size, stored_range, full, partial = head
-    header = struct.pack("<4IfHxx4IH", n, n + spare, bucket_size, buckets, block, centre_size, stored_range, 0,
-                         full, partial, degree)  # fmt: skip
+    header = struct.pack("<4IfHxx", n, n + spare, bucket_size, buckets, block, centre_size)
+    header += struct.pack("<4IH", stored_range, 0, full, partial, degree)
     return header.ljust(1024, b"\0"), data, rows
 
 
@@ -122,7 +122,7 @@ def test_level_0_is_exact(degree):
 @pytest.mark.parametrize("level", [1, 2])
 @pytest.mark.parametrize("span", [10.0, 3000.0])
 def test_no_original_is_farther_than_the_bound(level, degree, rounding, span):
-    scene = originals(5000, seed=degree, span=span, spread=1.5)
+    scene = originals(5000, seed=degree, span=span, spread=1.0)
     made = section(scene, level, degree, rounding)
     splats = decode(encode([made], level))
     scene = reordered(scene, made[2])
@@ -144,7 +144,9 @@ def test_the_smallest_scales_are_not_too_small_either(rounding):
     scene = reordered(scene, made[2])
     truth = np.exp(scene.log_scale)
     assert (truth <= splats.scale.astype(float) * (1 + 2.0**-10)).all()
-    assert (splats.scale - truth <= 2.0**-24 + 2.0**-11 * truth).all()  # and hardly larger than they are
+    assert (
+        splats.scale - truth <= 1.5 * 2.0**-24 + 2.0**-11 * truth
+    ).all()  # and hardly larger than they are
     assert (splats.loss.bound[:, 1] == np.float32(2.0**-10)).all()
     small = (half(truth, rounding) < 2.0**-14).any(axis=1).sum()
     assert splats.notes[0].startswith(f"{small} Gaussians with a semi-axis below 2^-14")
@@ -232,7 +234,7 @@ WRONG = {
     "block": (patched(GOOD, 4096 + 16, "<f", 0), "0 is no edge of a block"),
     "block nan": (patched(GOOD, 4096 + 16, "<f", np.nan), "nan is no edge of a block"),
     "full": (patched(GOOD, 4096 + 32, "<I", 10**6), "1000000 full and .* other buckets"),
-    "held": (patched(GOOD, 4096 + 8, "<I", 15), "more than 15|its buckets hold"),
+    "held": (patched(GOOD, 4096 + 8, "<I", 1), "more than 1"),
     "lengths": (patched(GOOD, 4096 + 1024, "<I", 17), "a bucket holds 17 Gaussians, more than 16"),
     "too few": (patched(GOOD, 4096 + 1024, "<I", 0), "300 Gaussians, but its buckets hold"),
 }  # fmt: skip
@@ -297,7 +299,9 @@ def test_the_loss_makes_the_map_larger(tmp_path):
             str(tmp_path / f"{level}.{end}") for end in ("ksplat", "scene.npz", "voxels.npz")
         )
         assert main.run(["import-splat", splat, "-o", out, "-q"]) == 0
-        assert main.run(["voxelize", out, "-o", voxels, "-q"]) == 0
+        world = str(tmp_path / f"{level}.world.npz")
+        assert main.run(["scale-align", out, "--scale", "1", "-o", world, "-q"]) == 0
+        assert main.run(["voxelize", world, "-o", voxels, "-q"]) == 0
     exact, lossy = (read_artifact(tmp_path / f"{level}.voxels.npz") for level in (0, 1))
     assert len(lossy.arrays["index"]) >= len(exact.arrays["index"])
     kept = {tuple(row) for row in lossy.arrays["index"]}
