@@ -10,6 +10,13 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from alula.schemas.errors import ArtifactError, InputError, UsageError
+from alula.stages.reconstruction.formats.gltf import decode_gltf, is_gltf, members_of_gltf
+from alula.stages.reconstruction.formats.means_json import decode_means_json, is_means_json
+from alula.stages.reconstruction.formats.nerfstudio import (
+    decode_nerfstudio,
+    is_nerfstudio,
+    members_of_nerfstudio,
+)
 from alula.stages.reconstruction.formats.ply import decode_ply
 from alula.stages.reconstruction.formats.source import Source, find_source
 from alula.stages.reconstruction.formats.splat import decode_splat
@@ -46,8 +53,16 @@ def _of_file(
 
 PLY = SplatFormat("ply", lambda source: re.match(rb"ply\s", source.head) is not None, _of_file(decode_ply))
 SPLAT = SplatFormat("splat", lambda source: source.suffix == ".splat", _of_file(decode_splat))
+GLTF = SplatFormat("gltf", is_gltf, decode_gltf, members_of_gltf)
+NERFSTUDIO = SplatFormat("nerfstudio", is_nerfstudio, decode_nerfstudio, members_of_nerfstudio)
+MEANS_JSON = SplatFormat("json", is_means_json, _of_file(decode_means_json))
 
-_WITH_MAGIC = (PLY,)
+_WITH_MAGIC = (
+    PLY,
+    GLTF,
+    NERFSTUDIO,
+    MEANS_JSON,
+)
 _BY_SUFFIX = (SPLAT,)
 
 
