@@ -1,0 +1,433 @@
+"""glTF 2.0 with `KHR_gaussian_splatting`, as `.gltf` or `.glb`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Raw, Struct
+from numpy.typing import NDArray
+
+from alula.schemas.errors import ArtifactError
+from alula.stages.reconstruction.formats.gltf_accessors import (
+    FLOAT,
+    Column,
+    Document,
+    Node,
+    Primitive,
+    Tables,
+    item,
+)
+from alula.stages.reconstruction.formats.source import Source
+from alula.stages.reconstruction.formats.splats import Loss, Progress, Splats, color_from_sh0, rounded_up
+from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz, quat_wxyz_from_matrix
+
+_NAME = "KHR_gaussian_splatting"
+_KNOWN = (_NAME, "KHR_mesh_quantization")
+_CHUNK = 2**16
+_NOT_RIGID = 1e-5  # by how much the three axes of a node may be scaled differently
+_UNIT = 2.0**-22  # four times the rounding to single precision
+
+_SIGNED = ("i8", "i8n", "i16", "i16n")
+_UNSIGNED = ("u8", "u8n", "u16", "u16n")
+_KINDS = {
+    "POSITION": (("VEC3",), (FLOAT, *_SIGNED, *_UNSIGNED)),
+    f"{_NAME}:ROTATION": (("VEC4",), (FLOAT, "i8n", "i16n")),
+    f"{_NAME}:SCALE": (("VEC3",), (FLOAT, *_UNSIGNED, *_SIGNED)),
+    f"{_NAME}:OPACITY": (("SCALAR",), (FLOAT, "u8n", "u16n")),
+}
+_SH0 = f"{_NAME}:SH_DEGREE_0_COEF_0"
+
+
+class Splatting(Struct, rename="camel"):
+    """The extension of a primitive."""
+
+    kernel: str | None = None
+    color_space: str | None = None
+    extensions: dict[str, Raw] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class _Placed:
+    """A primitive at a node: p -> scale R p + shift, or its own frame where `exact`."""
+
+    primitive: tuple[int, int]
+    linear: NDArray[np.float64]
+    shift: NDArray[np.float64]
+    quat: NDArray[np.float64]
+    scale: float
+    defect: float  # how much the node scales one direction more than another, relatively
+    exact: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Gaussians:
+    """The resolved columns of one primitive."""
+
+    mean: Column
+    quat: Column
+    scale: Column
+    opacity: Column
+    color: Column
+    color_is_sh0: bool
+
+    def __len__(self) -> int:
+        return len(self.mean.stored)
+
+
+def is_gltf(source: Source) -> bool:
+    """Whether a source is glTF, in JSON or binary."""
+    if source.head[:4] == b"glTF":
+        return True
+    start = source.head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    return start[:1] == b"{" and (
+        source.suffix == ".gltf" or re.match(rb'\{\s*"asset"\s*:', start) is not None
+    )
+
+
+def members_of_gltf(source: Source) -> Sequence[str]:
+    """The file itself and those that hold its buffers."""
+    tables = Tables(source)
+    document = tables.document
+    names: dict[str, None] = {}
+    for placed in _placed(document, []):
+        for accessor in _primitive(document, placed.primitive).attributes.values():
+            for index in tables.views_of(accessor):
+                view = item(document.buffer_views, index, "buffer view")
+                name = tables.external(view.buffer)
+                if name is not None:
+                    names[name] = None
+    return (source.path.name, *names)
+
+
+def decode_gltf(source: Source, progress: Progress | None = None) -> Splats:
+    """Decode the Gaussians of the default scene, in its frame.
+
+    The nodes' matrices are applied: rotations, shifts and scales that are positive and the same along
+    all axes (to 1e-5); others are refused. Values are those of the specification's release
+    candidate: linear scale and opacity, quaternions x, y, z, w. Its review drafts, and writers that
+    followed them until mid-2026, stored natural logarithms of scales, and nothing in a file tells; but
+    logarithms of scales below one unit are negative, and scales never are. So signed integers or a
+    negative value anywhere mean logarithms in the whole file. As exp(v) > v, that never reads a
+    Gaussian as smaller.
+
+    Loss, of a step d between codes (1 / largest code if normalised, else 1), for any rounding or truncation:
+    a centre is off by d sqrt(3) times the scale of its node; a linear scale by d, which is recorded relative
+    to the longest semi-axis, the others being raised, by less than d, to what makes that enough;
+    a logarithm by d, so a scale by exp(d) - 1; a quaternion m by 2 d, which is an angle of
+    2 asin(2 d / |m|). A node that is not the identity adds the rounding of its products to single precision.
+
+    Args:
+        source: the `.gltf` or `.glb` file.
+        progress: called with the rows done and the rows in all.
+
+    Raises:
+        ArtifactError: damaged, not Gaussians, or not of a kind that is known.
+        InputError: a file cannot be read.
+    """
+    tables = Tables(source)
+    document, notes = tables.document, list(tables.notes)
+    for name in document.extensions_required:
+        if name not in _KNOWN:
+            raise ArtifactError(f"glTF: requires {name[:100]}, which is not supported")
+    placed = _placed(document, notes)
+    seen: dict[str, None] = {}  # notes of primitives, each once
+    parts = {place: _gaussians(tables, place, seen) for place in dict.fromkeys(p.primitive for p in placed)}
+    count = sum(len(parts[p.primitive]) for p in placed)
+    if count == 0:
+        raise ArtifactError("glTF: has no Gaussians (accessors of 0 rows)")
+    if count > tables.size:
+        raise ArtifactError(f"glTF: {count} Gaussians in {tables.size} bytes of buffers")
+    negative = sum(_negative_rows(part.scale) for part in parts.values())
+    logarithms = negative > 0 or any(part.scale.kind in _SIGNED for part in parts.values())
+    if logarithms:
+        notes.append(
+            f"scales are logarithms, as in drafts of the format: signed integers, or {negative} rows "
+            "with a negative one"
+        )
+    notes += seen
+    if document.animations:
+        notes.append(f"{len(document.animations)} animations were not applied")
+    notes.append("glTF is y up; some writers turn PLY data by 180 degrees about z, which --turn z undoes")
+
+    out = _Output(count, logarithms, not all(p.exact and _is_float(parts[p.primitive]) for p in placed))
+    start = 0
+    for place in placed:
+        part = parts[place.primitive]
+        for first in range(0, len(part), _CHUNK):
+            rows = slice(first, min(first + _CHUNK, len(part)))
+            out.put(slice(start + rows.start, start + rows.stop), part, place, rows)
+            if progress is not None:
+                progress(start + rows.stop, count)
+        start += len(part)
+    tags = {"frame": "glTF, y up"}
+    if document.asset.generator:
+        tags["generator"] = document.asset.generator[:200]
+    return out.splats(tags, tuple(notes))
+
+
+class _Output:
+    """The arrays being filled."""
+
+    def __init__(self, count: int, logarithms: bool, lossy: bool) -> None:
+        self.logarithms = logarithms
+        self.mean, self.scale = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+        self.quat, self.color = np.empty((count, 4), np.float32), np.empty((count, 3), np.uint8)
+        self.alpha = np.empty(count, np.float32)
+        self.bound = np.zeros((count, 3), np.float32) if lossy else None
+        self.opacity_loss = 0.0
+        self.saturated = 0
+
+    def put(self, to: slice, part: _Gaussians, place: _Placed, rows: slice) -> None:
+        """Decode some rows of a primitive."""
+        with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+            mean, quat = part.mean.values(rows), part.quat.values(rows)[:, [3, 0, 1, 2]]
+            scale, scale_loss = self._scale(part.scale, rows)
+            if not place.exact:
+                mean = mean.astype(np.float64) @ place.linear.T + place.shift
+                quat = multiply_quat_wxyz(place.quat, quat)
+                scale = scale * place.scale
+            self.mean[to], self.quat[to], self.scale[to] = mean, quat, scale
+            self.alpha[to] = part.opacity.values(rows)[:, 0]
+            color = part.color.values(rows)[:, :3]
+            self.color[to] = color_from_sh0(color) if part.color_is_sh0 else _bytes(color)
+            self.opacity_loss = max(self.opacity_loss, part.opacity.step)
+            self.saturated += int(part.scale.saturated(rows).sum())
+            if self.bound is None:
+                return
+            position = np.full(len(mean), 3**0.5 * part.mean.step * place.scale)
+            rotation = np.zeros(len(mean))
+            if part.quat.step:
+                length = np.linalg.norm(quat, axis=1)
+                ratio = np.divide(2 * part.quat.step, length, out=np.ones_like(length), where=length > 0)
+                rotation = 2.0 * np.arcsin(np.minimum(ratio, 1.0)) * (1 + 1e-12)
+            if not place.exact:
+                # Terms of the sum are rounded to 2^-53 of themselves, the sum to 2^-24 of itself.
+                terms = np.abs(part.mean.values(rows)).sum(axis=1) * place.scale + np.abs(place.shift).sum()
+                position += 2.0**-50 * terms + 2.0**-23 * np.linalg.norm(mean, axis=1)
+                # With the polar factors R (I + S) of the node, |S| <= s, the semi-axes' plane i, j is
+                # sheared by at most s: to first order a rotation by s and a stretch by 2 s, for each
+                # pair, and every axis is stretched by s.
+                scale_loss = scale_loss + (1 + scale_loss) * (6 * place.defect + _UNIT)
+                rotation += 2 * place.defect + _UNIT
+            position[~np.isfinite(position)] = 0.0  # of a centre that is not finite, which is no Gaussian
+            for column, values in enumerate((position, scale_loss, np.minimum(rotation, np.pi))):
+                self.bound[to, column] = rounded_up(values)
+
+    def _scale(self, column: Column, rows: slice) -> tuple[NDArray[Any], NDArray[np.float64]]:
+        """Scales, and by how much of themselves the true ones may be larger."""
+        stored, step = column.values(rows), column.step
+        if self.logarithms:
+            return np.exp(stored.astype(np.float64)), np.full(len(stored), np.expm1(step))
+        if not step:
+            return stored, np.zeros(len(stored))
+        longest = np.maximum(stored.max(axis=1, keepdims=True), step)
+        loss = step / longest
+        scale = np.maximum(stored, rounded_up((stored + step) / (1.0 + loss)))
+        return scale, loss[:, 0]
+
+    def splats(self, tags: dict[str, str], notes: tuple[str, ...]) -> Splats:
+        """What was read."""
+        unbounded = {}
+        if self.saturated:
+            unbounded["scale"] = f"{self.saturated} rows hold the largest code there is"
+        loss = None
+        if self.bound is not None or self.opacity_loss:
+            bound = self.bound if self.bound is not None else np.zeros((len(self.mean), 3), np.float32)
+            loss = Loss(bound, self.opacity_loss, unbounded)
+        return Splats(
+            format="gltf",
+            mean=self.mean,
+            scale=self.scale,
+            quat_wxyz=self.quat,
+            opacity=self.alpha,
+            color=self.color,
+            loss=loss,
+            tags=tags,
+            notes=notes,
+        )
+
+
+def _placed(document: Document, notes: list[str]) -> list[_Placed]:
+    """The primitives with Gaussians in the scene, in the order of its nodes."""
+    splats = [
+        [i for i, primitive in enumerate(mesh.primitives) if _NAME in primitive.extensions]
+        for mesh in document.meshes
+    ]
+    if not any(splats):
+        raise ArtifactError(f"glTF: no primitive has {_NAME}: an ordinary scene, not a Gaussian splat")
+    found, reached = [], set()
+    stack = [(index, np.eye(4), True) for index in reversed(_roots(document, notes))]
+    while stack:
+        index, above, above_exact = stack.pop()
+        node = item(document.nodes, index, "node")
+        if index in reached:
+            raise ArtifactError(f"glTF: node {index} is reached twice: nodes must be a tree")
+        reached.add(index)
+        local, exact = _local(node, index)
+        with np.errstate(over="ignore", invalid="ignore"):
+            matrix = local if above_exact else above @ local
+        exact = exact and above_exact
+        stack += [(child, matrix, exact) for child in reversed(node.children)]
+        if node.mesh is None:
+            continue
+        item(document.meshes, node.mesh, "mesh")
+        if splats[node.mesh]:
+            for name in node.extensions:
+                if name == "EXT_mesh_gpu_instancing":
+                    raise ArtifactError(f"glTF: node {index} has {name}, which is not supported")
+            if node.skin is not None:
+                raise ArtifactError(f"glTF: node {index} has a skin; Gaussians with one are not supported")
+            found += [_place((node.mesh, i), matrix, exact, index) for i in splats[node.mesh]]
+    left = sum(
+        1
+        for index, node in enumerate(document.nodes)
+        if index not in reached and node.mesh is not None and node.mesh < len(splats) and splats[node.mesh]
+    )
+    if left:
+        notes.append(f"{left} nodes with Gaussians are not in the scene; they were not read")
+    if not found:
+        raise ArtifactError("glTF: no node of the scene has Gaussians")
+    return found
+
+
+def _roots(document: Document, notes: list[str]) -> list[int]:
+    if not document.scenes:
+        children = {child for node in document.nodes for child in node.children}
+        notes.append("no scene: all nodes were read")
+        return [i for i in range(len(document.nodes)) if i not in children]
+    if document.scene is None and len(document.scenes) > 1:
+        notes.append(f"no default scene: the first of {len(document.scenes)} was read")
+    elif len(document.scenes) > 1:
+        notes.append(f"scene {document.scene} of {len(document.scenes)}; the others were not read")
+    return item(document.scenes, document.scene or 0, "scene").nodes
+
+
+def _local(node: Node, index: int) -> tuple[NDArray[np.float64], bool]:
+    """The 4 by 4 matrix of a node, and whether it is exactly the identity."""
+    parts = {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}
+    for name, length in parts.items():
+        values = getattr(node, name)
+        if values is not None and not (len(values) == length and np.isfinite(values).all()):
+            raise ArtifactError(f"glTF: node {index}: {name} is not {length} finite numbers")
+    if node.matrix is not None:
+        matrix = np.array(node.matrix).reshape(4, 4).T
+    else:
+        matrix = np.eye(4)
+        matrix[:3, 3] = node.translation or 0.0
+        x, y, z, w = node.rotation or (0.0, 0.0, 0.0, 1.0)
+        norm = float(np.linalg.norm((x, y, z, w)))
+        if not 0.0 < norm < np.inf:
+            raise ArtifactError(f"glTF: node {index}: rotation has no length")
+        if (x, y, z) != (0.0, 0.0, 0.0):
+            matrix[:3, :3] = matrix_from_quat_wxyz(np.array([w, x, y, z]) / norm)
+        with np.errstate(over="ignore", under="ignore"):
+            matrix[:3, :3] *= np.array(node.scale or (1.0, 1.0, 1.0))
+    return matrix, bool((matrix == np.eye(4)).all())
+
+
+def _place(primitive: tuple[int, int], matrix: NDArray[np.float64], exact: bool, index: int) -> _Placed:
+    """Take a rotation, a positive uniform scale and a shift out of a global matrix."""
+    linear, shift = matrix[:3, :3], matrix[:3, 3]
+    if not (np.isfinite(matrix).all() and (matrix[3] == (0.0, 0.0, 0.0, 1.0)).all()):
+        raise ArtifactError(f"glTF: node {index}: its global matrix is not affine and finite")
+    left, stretch, right = np.linalg.svd(linear)
+    scale = float(np.cbrt(stretch.prod()))
+    if not 1e-30 < scale < 1e30:
+        raise ArtifactError(f"glTF: node {index}: its global matrix has scale {scale:g}")
+    defect = float(np.abs(stretch / scale - 1.0).max())
+    if defect > _NOT_RIGID:
+        axes = ", ".join(f"{value:.6g}" for value in stretch)
+        raise ArtifactError(
+            f"glTF: node {index}: its global matrix scales by {axes} along three directions; "
+            "only the same scale along all of them is supported"
+        )
+    rotation = left @ right
+    if np.linalg.det(rotation) < 0:
+        raise ArtifactError(f"glTF: node {index}: its global matrix mirrors; that is not supported")
+    return _Placed(primitive, linear, shift, quat_wxyz_from_matrix(rotation), scale, defect + 1e-15, exact)
+
+
+def _primitive(document: Document, place: tuple[int, int]) -> Primitive:
+    return document.meshes[place[0]].primitives[place[1]]
+
+
+def _gaussians(tables: Tables, place: tuple[int, int], notes: dict[str, None]) -> _Gaussians:
+    """Check a primitive and find its tables."""
+    name = f"mesh {place[0]} primitive {place[1]}"
+    primitive = _primitive(tables.document, place)
+    try:
+        splatting = msgspec.json.decode(primitive.extensions[_NAME], type=Splatting)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ArtifactError(f"glTF: {name}: {_NAME}: {error}") from error
+    if splatting.kernel is None:
+        notes["no kernel is named; read as ellipse"] = None
+    elif splatting.kernel != "ellipse":
+        raise ArtifactError(f"glTF: {name}: kernel {splatting.kernel[:50]!r} is not known, only 'ellipse'")
+    for extension in splatting.extensions:
+        if "compression" in extension:
+            raise ArtifactError(f"glTF: {name}: compressed by {extension[:100]}, which is not supported")
+        notes[f"{extension[:100]} is not known and was not read"] = None
+    if primitive.mode != 0 or primitive.indices is not None or primitive.targets:
+        raise ArtifactError(f"glTF: {name}: Gaussians must be plain points (mode 0, no indices, no targets)")
+    if splatting.color_space == "lin_rec709_display":
+        notes["colours are linear and kept so (lin_rec709_display)"] = None
+
+    columns = {}
+    for attribute, (types, kinds) in _KINDS.items():
+        if attribute not in primitive.attributes:
+            raise ArtifactError(f"glTF: {name}: Gaussians need attribute {attribute}, which is missing")
+        what = f"{name}: {attribute}"
+        columns[attribute] = tables.column(primitive.attributes[attribute], what, types, kinds)
+    _check_sh(tables, primitive, name, columns)
+    color = columns.get(_SH0)
+    if color is None:
+        if "COLOR_0" not in primitive.attributes:
+            raise ArtifactError(f"glTF: {name}: Gaussians need attribute {_SH0}, which is missing")
+        index = primitive.attributes["COLOR_0"]
+        color = tables.column(index, f"{name}: COLOR_0", ("VEC3", "VEC4"), (FLOAT, "u8n", "u16n"))
+        columns["COLOR_0"] = color
+        notes["no spherical harmonics: colours of COLOR_0"] = None
+    count = len(columns["POSITION"].stored)
+    for attribute, column in columns.items():
+        if len(column.stored) != count:
+            raise ArtifactError(f"glTF: {name}: {attribute} has {len(column.stored)} rows, POSITION {count}")
+    mean, quat, scale, opacity = (columns[attribute] for attribute in _KINDS)
+    return _Gaussians(mean, quat, scale, opacity, color, _SH0 in columns)
+
+
+def _check_sh(tables: Tables, primitive: Primitive, name: str, columns: dict[str, Column]) -> None:
+    """Put the harmonics among the columns; only whole degrees, each with those below, make sense."""
+    degrees: dict[int, set[int]] = {}
+    for attribute, index in primitive.attributes.items():
+        if not attribute.startswith(f"{_NAME}:SH_"):
+            continue
+        match = re.fullmatch(r"SH_DEGREE_([0-3])_COEF_([0-6])", attribute[len(_NAME) + 1 :])
+        if match is None or int(match[2]) > 2 * int(match[1]):
+            raise ArtifactError(f"glTF: {name}: {attribute[:100]} is no spherical-harmonic coefficient")
+        degrees.setdefault(int(match[1]), set()).add(int(match[2]))
+        columns[attribute] = tables.column(index, f"{name}: {attribute}", ("VEC3",), (FLOAT,))
+    for degree in range(max(degrees, default=-1) + 1):
+        lacking = set(range(2 * degree + 1)) - degrees.get(degree, set())
+        if lacking:
+            raise ArtifactError(f"glTF: {name}: SH_DEGREE_{degree}_COEF_{min(lacking)} is missing")
+
+
+def _negative_rows(column: Column) -> int:
+    if column.kind in _UNSIGNED:
+        return 0
+    chunks = range(0, len(column.stored), _CHUNK)
+    return sum(int((column.stored[i : i + _CHUNK] < 0).any(axis=1).sum()) for i in chunks)
+
+
+def _is_float(part: _Gaussians) -> bool:
+    return not (part.mean.step or part.quat.step or part.scale.step)
+
+
+def _bytes(color: NDArray[Any]) -> NDArray[np.uint8]:
+    exact = np.nan_to_num(np.asarray(color, np.float64), nan=0.0)
+    return np.rint(np.clip(exact, 0.0, 1.0) * 255.0).astype(np.uint8)

@@ -1,0 +1,245 @@
+"""The JSON of SAFER-Splat and Splat-Nav: lists of means, rotations, scalings, opacities and colours."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.errors import ArtifactError
+from alula.stages.reconstruction.formats.source import Source
+from alula.stages.reconstruction.formats.splats import Loss, Progress, Splats, loss_bound
+from alula.stages.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
+
+_KEYS = ("means", "rotations", "scalings", "opacities", "colors")
+_CHUNK = 2**15
+_SCAN = 2**22
+_NOT_ORTHOGONAL = 1e-3  # rotation matrices farther from one than this are something else
+_ROW = list[float | None]
+_DECODERS: dict[int, Callable[[bytes], list[Any]]] = {  # by the brackets that a list of rows begins with
+    0: msgspec.json.Decoder(_ROW).decode,
+    1: msgspec.json.Decoder(_ROW).decode,
+    2: msgspec.json.Decoder(list[_ROW]).decode,
+    3: msgspec.json.Decoder(list[list[_ROW]]).decode,
+}
+
+
+def is_means_json(source: Source) -> bool:
+    """Whether a source is JSON with one of the lists within its first bytes."""
+    start = source.head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    return start[:1] == b"{" and re.search(rb'"(?:means|rotations|scalings)"\s*:\s*\[', start) is not None
+
+
+def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> Splats:
+    """Decode the JSON of SAFER-Splat, of which there are two dialects.
+
+    Its loader reads `rotations` as quaternions w, x, y, z of any length, `scalings` as natural
+    logarithms and `opacities` as logits. Its script `write_gaussians.py` writes rotation matrices
+    instead, and scales and opacities as they are. So quaternions mean logarithms and logits, and matrices
+    mean plain values, unless a scaling is negative or an opacity outside of [0, 1], which plain values never
+    are. Quaternions with plain values cannot be told from logarithms of large scales; they are read as the
+    loader does, and as exp(v) > v, no Gaussian becomes smaller by that. Such files are noted.
+
+    Colours are red, green, blue from 0 to 1, or, if one is above 2 and none above 255, to 255.
+    `null`, `NaN` and `Infinity` are read as what they say; import_splat decides on those rows.
+
+    A matrix M stands for the nearest rotation R; as what it was written from is no farther from M than
+    its rounding, the angle is recorded that belongs to twice |M - R| and 1e-6.
+
+    Args:
+        buffer: the whole file.
+        progress: called with the rows done and the rows in all.
+
+    Raises:
+        ArtifactError: not JSON, a list is missing, or rows are not of one length.
+    """
+    data: bytes | memoryview = buffer[3:] if bytes(buffer[:3]) == b"\xef\xbb\xbf" else buffer
+    if re.search(rb"NaN|Infinity", data):  # not JSON, but what Python writes; 9e307 is infinite as a single
+        data = re.sub(rb"\bNaN\b", b"null", re.sub(rb"\bInfinity\b", b"9e307", data))
+    try:
+        found = msgspec.json.decode(data, type=dict[str, msgspec.Raw])
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ArtifactError(f"JSON: {error}") from error
+    except RecursionError as error:
+        raise ArtifactError("JSON: nested too deeply") from error
+    for key in _KEYS[:4]:
+        if key not in found:
+            raise ArtifactError(f"JSON: Gaussians need {key!r}, which is missing")
+    lists = {key: np.frombuffer(memoryview(found[key]), np.uint8) for key in _KEYS if key in found}
+    counts = {key: _count(values, key) for key, values in lists.items()}
+    count = counts["means"]
+    for key, rows in counts.items():
+        if rows != count:
+            raise ArtifactError(f"JSON: {key!r} has {rows} rows, 'means' {count}")
+    if count == 0:
+        raise ArtifactError("JSON: has no Gaussians ('means' is empty)")
+
+    done = 0
+
+    def read(key: str, shapes: tuple[tuple[int, ...], ...]) -> NDArray[np.float32]:
+        nonlocal done
+        rows = _table(lists[key], key, count, shapes)
+        done += 1
+        if progress is not None:
+            progress(count * done // len(lists), count)
+        return rows
+
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        mean = read("means", ((3,),))
+        rotation = read("rotations", ((4,), (3, 3)))
+        scale = read("scalings", ((3,),))
+        opacity = read("opacities", ((1,), ()))
+        if opacity.ndim == 2:
+            opacity = opacity[:, 0]
+        color, notes = _colors(read("colors", ((3,),)) if "colors" in lists else None, count)
+        plain = not (scale < 0).any() and not ((opacity < 0) | (opacity > 1)).any()
+        loss = None
+        if rotation.ndim == 3:
+            rotation, angle = _from_matrices(rotation)
+            loss = Loss(loss_bound(count, rotation=angle))
+            notes.append("rotation matrices: scalings and opacities are plain")
+            if not plain:
+                notes[-1] = (
+                    "rotation matrices, but a scaling is negative or an opacity outside of [0, 1]: "
+                    "read as logarithms and logits"
+                )
+        else:
+            notes.append(
+                "quaternions: scalings are logarithms, opacities logits, as SAFER-Splat's loader reads"
+            )
+            if plain:
+                notes[-1] += "; all could be plain values as well, and then Gaussians are smaller than read"
+            plain = False
+        if not plain:
+            for start in range(0, count, _CHUNK):
+                part = slice(start, start + _CHUNK)
+                scale[part] = np.exp(scale[part].astype(np.float64))
+                opacity[part] = 1.0 / (1.0 + np.exp(-opacity[part].astype(np.float64)))
+    return Splats(
+        format="json",
+        mean=mean,
+        scale=scale,
+        quat_wxyz=rotation,
+        opacity=opacity,
+        color=color,
+        loss=loss,
+        notes=tuple(notes),
+    )
+
+
+def _commas(text: NDArray[np.uint8]) -> Iterator[NDArray[np.intp]]:
+    """Where commas part the rows of a JSON list, in chunks."""
+    depth = 0
+    for at in range(0, len(text), _SCAN):
+        part = text[at : at + _SCAN]
+        after = depth + np.cumsum((part == ord("[")).astype(np.int8) - (part == ord("]")).astype(np.int8))
+        depth = int(after[-1])
+        yield at + np.flatnonzero((part == ord(",")) & (after == 1))
+
+
+def _count(text: NDArray[np.uint8], key: str) -> int:
+    """Rows of a list: one more than the commas between them."""
+    if text[0] != ord("["):
+        raise ArtifactError(f"JSON: {key!r} is not a list")
+    if len(text) < 64 and bytes(text[1:-1]).strip() == b"":
+        return 0
+    return 1 + sum(map(len, _commas(text)))
+
+
+def _table(
+    text: NDArray[np.uint8], key: str, count: int, shapes: tuple[tuple[int, ...], ...]
+) -> NDArray[np.float32]:
+    """The numbers of a list whose rows all have the first row's shape, which must be one of those given."""
+    table: NDArray[np.float32] | None = None
+    row = 0
+    for piece in _pieces(text):
+        values = _rows(piece, key, row)
+        shape = values.shape[1:]
+        if table is None:
+            if shape not in shapes:
+                names = " or ".join(" by ".join(map(str, s)) or "one" for s in shapes)
+                raise ArtifactError(f"JSON: {key!r}, row 0 is of shape {shape}, not of {names} numbers")
+            table = np.empty((count, *shape), np.float32)
+        if shape != table.shape[1:] or row + len(values) > count:
+            raise ArtifactError(f"JSON: {key!r}, row {row} is of shape {shape}, row 0 of {table.shape[1:]}")
+        table[row : row + len(values)] = values
+        row += len(values)
+    if table is None or row != count:
+        raise ArtifactError(f"JSON: {key!r} has {row} rows, not {count}")
+    return table
+
+
+def _pieces(text: NDArray[np.uint8]) -> Iterator[bytes]:
+    """The list as lists of at most `_CHUNK` rows."""
+    start, rows = 1, 0
+    for commas in _commas(text):
+        for comma in commas[_CHUNK - 1 - rows % _CHUNK :: _CHUNK]:
+            yield b"[" + text[start:comma].tobytes() + b"]"
+            start = int(comma) + 1
+        rows += len(commas)
+    yield b"[" + text[start:].tobytes()
+
+
+def _rows(piece: bytes, key: str, first: int) -> NDArray[np.float64]:
+    """The numbers of a list of rows of one shape; `first` is the number of the first one."""
+    depth = len(re.match(rb"(?:\[\s*){0,3}", piece)[0].split(b"[")) - 1  # type: ignore[index]  # always matches
+    try:
+        rows = _DECODERS[depth](piece)
+    except msgspec.DecodeError as error:
+        place = re.search(r"\$\[([0-9]+)\]", str(error))
+        where = f", row {first + int(place[1])}" if place is not None else ""
+        raise ArtifactError(f"JSON: {key!r}{where}: {error}") from error
+    try:
+        return np.array(rows, np.float64)
+    except ValueError as error:
+        for row, values in enumerate(rows):
+            if [*_lengths(values)] != [*_lengths(rows[0])]:
+                raise ArtifactError(
+                    f"JSON: {key!r}, row {first + row} has {len(values)} numbers, row {first} {len(rows[0])}"
+                ) from error
+        raise
+
+
+def _lengths(values: Any) -> Iterator[int]:
+    yield len(values)
+    for value in values:
+        if isinstance(value, list):
+            yield len(value)
+
+
+def _from_matrices(matrices: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Quaternions of rotation matrices, NaN for those that are not finite, and how far they may be off."""
+    count = len(matrices)
+    quat, angle = np.full((count, 4), np.nan, np.float32), np.zeros(count)
+    for start in range(0, count, _CHUNK):
+        exact = matrices[start : start + _CHUNK].astype(np.float64)
+        finite = np.flatnonzero(np.isfinite(exact).all(axis=(1, 2)))
+        exact = exact[finite]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            nearest = quat_wxyz_from_matrix(exact)
+            off = np.linalg.norm(exact - matrix_from_quat_wxyz(nearest), axis=(1, 2))
+        wrong = ~(off <= _NOT_ORTHOGONAL)
+        if wrong.any():
+            row = start + finite[int(np.argmax(wrong))]
+            raise ArtifactError(f"JSON: 'rotations', row {row} is no rotation matrix")
+        quat[start + finite] = nearest
+        # Rotations by an angle t are 2 sqrt(2) sin(t / 2) apart in this norm.
+        angle[start + finite] = 2.0 * np.arcsin((2.0 * off + 1e-6) / 8.0**0.5)
+    return quat, angle
+
+
+def _colors(stored: NDArray[np.float32] | None, count: int) -> tuple[NDArray[np.uint8], list[str]]:
+    """Colours as bytes, and notes."""
+    if stored is None:
+        return np.full((count, 3), 128, np.uint8), ["no colours: grey"]
+    notes = []
+    most = float(np.nanmax(stored, initial=0.0))
+    if 2.0 < most <= 255.0:
+        stored = stored / np.float32(255.0)
+        notes.append("colours from 0 to 255")
+    with np.errstate(invalid="ignore"):
+        return np.rint(np.clip(np.nan_to_num(stored, nan=0.0), 0.0, 1.0) * 255.0).astype(np.uint8), notes
