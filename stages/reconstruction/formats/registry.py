@@ -10,25 +10,14 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from alula.schemas.errors import ArtifactError, InputError, UsageError
-SPZ = SplatFormat(
-    "spz", lambda source: not source.is_folder and is_spz(source.data, source.suffix), _of_file(decode_spz)
-)
-GLTF = SplatFormat("gltf", is_gltf, decode_gltf, members_of_gltf)
-NERFSTUDIO = SplatFormat("nerfstudio", is_nerfstudio, decode_nerfstudio, members_of_nerfstudio)
-MEANS_JSON = SplatFormat("json", is_means_json, _of_file(decode_means_json))
-
-_WITH_MAGIC = (
-    COMPRESSED_PLY,  # before PLY, which it is too
-    PLY,
-    SPZ,
-    SOG,
-    GLTF,
-    NERFSTUDIO,
-    MEANS_JSON,
-)
-_BY_SUFFIX = (
-    KSPLAT,
-    SPLAT,
+from alula.stages.reconstruction.formats.compressed_ply import decode_compressed_ply, is_compressed_ply
+from alula.stages.reconstruction.formats.gltf import decode_gltf, is_gltf, members_of_gltf
+from alula.stages.reconstruction.formats.ksplat import decode_ksplat, is_ksplat
+from alula.stages.reconstruction.formats.means_json import decode_means_json, is_means_json
+from alula.stages.reconstruction.formats.nerfstudio import (
+    decode_nerfstudio,
+    is_nerfstudio,
+    members_of_nerfstudio,
 )
 from alula.stages.reconstruction.formats.ply import decode_ply
 from alula.stages.reconstruction.formats.sog import decode_sog, is_sog, sog_members
@@ -72,34 +61,26 @@ COMPRESSED_PLY = SplatFormat("compressed-ply", is_compressed_ply, _of_file(decod
 SOG = SplatFormat("sog", is_sog, decode_sog, sog_members)
 KSPLAT = SplatFormat("ksplat", is_ksplat, _of_file(decode_ksplat))
 SPLAT = SplatFormat("splat", lambda source: source.suffix == ".splat", _of_file(decode_splat))
-<<<<<<< HEAD
 SPZ = SplatFormat(
     "spz", lambda source: not source.is_folder and is_spz(source.data, source.suffix), _of_file(decode_spz)
 )
+GLTF = SplatFormat("gltf", is_gltf, decode_gltf, members_of_gltf)
+NERFSTUDIO = SplatFormat("nerfstudio", is_nerfstudio, decode_nerfstudio, members_of_nerfstudio)
+MEANS_JSON = SplatFormat("json", is_means_json, _of_file(decode_means_json))
 
 _WITH_MAGIC = (
     COMPRESSED_PLY,  # before PLY, which it is too
     PLY,
     SPZ,
     SOG,
+    GLTF,
+    NERFSTUDIO,
+    MEANS_JSON,
 )
 _BY_SUFFIX = (
     KSPLAT,
     SPLAT,
 )
-=======
-GLTF = SplatFormat("gltf", is_gltf, decode_gltf, members_of_gltf)
-NERFSTUDIO = SplatFormat("nerfstudio", is_nerfstudio, decode_nerfstudio, members_of_nerfstudio)
-MEANS_JSON = SplatFormat("json", is_means_json, _of_file(decode_means_json))
-
-_WITH_MAGIC = (
-    PLY,
-    GLTF,
-    NERFSTUDIO,
-    MEANS_JSON,
-)
-_BY_SUFFIX = (SPLAT,)
->>>>>>> gltf
 
 
 def formats() -> Iterator[SplatFormat]:
