@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from alula import _core
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import InputError
@@ -19,6 +19,9 @@ from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROU
 from alula.stages.reconstruction.formats.splats import LOSSES, Splats
 from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz
 
+_NOT_FINITE = ("not_a_number", "infinite_mean", "infinite_scale", "infinite_rotation")
+_ON_DEMAND = ("crop", "crop_sphere", "max_scale")
+_REASONS = (*_NOT_FINITE, "zero_rotation", "min_opacity", *_ON_DEMAND)  # 1, 2, ... of `_core.screen_rows`
 SCALE_FLOOR = 1e-9  # file units; a disc of no thickness must have some
 
 
@@ -42,79 +45,43 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     Raises:
         InputError: no Gaussian is left, or one has a value that is not finite.
     """
-    norm: NDArray[np.float64] = np.linalg.norm(splats.quat_wxyz.astype(np.float64), axis=1)
-    keep = np.ones(len(splats), np.bool_)
-    removed: dict[str, int] = {}
-
-    def remove(reason: str, bad: NDArray[np.bool_] | np.bool_) -> None:
-        count = int((keep & bad).sum())
-        keep[bad] = False
-        if count or reason in wanted:
-            removed[reason] = count
-
-    wanted = {"min_opacity"}
     splats = turned(splats, config.turn)
-    nan = np.isnan(splats.opacity)
-    for values in (splats.mean, splats.scale, splats.quat_wxyz):
-        nan |= _any(np.isnan(values))
-    remove("not_a_number", nan)
-    remove("infinite_mean", _any(np.isinf(splats.mean)))
-    remove("infinite_scale", _any(np.isinf(splats.scale)))
-    remove("infinite_rotation", np.isinf(norm))
-    if removed and not config.drop_nan:
-        reasons = ", ".join(f"{reason} {count}" for reason, count in removed.items())
+    rows = [np.ascontiguousarray(a, np.float32) for a in (splats.mean, splats.scale, splats.quat_wxyz)]
+    rows.append(np.ascontiguousarray(splats.opacity, np.float32))
+    color = np.ascontiguousarray(splats.color, np.uint8)
+    removal = np.empty(len(splats), np.uint8)
+    with np.errstate(over="ignore"):  # a limit that no single can hold is infinite
+        limits = {"min_opacity": np.float32(config.min_opacity)}
+        if config.max_scale is not None:
+            limits["max_scale"] = np.float32(config.max_scale)
+    counts, first_bad = _core.screen_rows(
+        *rows, removal, **limits, crop=config.crop, crop_sphere=config.crop_sphere
+    )
+    wanted = {"min_opacity", *(name for name in _ON_DEMAND if getattr(config, name) is not None)}
+    removed = {
+        reason: count
+        for reason, count in zip(_REASONS, counts[1:], strict=True)
+        if count or reason in wanted
+    }
+    if first_bad < len(splats) and not config.drop_nan:
+        bad = {reason: removed[reason] for reason in _NOT_FINITE if reason in removed}
+        reasons = ", ".join(f"{reason} {count}" for reason, count in bad.items())
         raise InputError(
-            f"{sum(removed.values())} of {len(keep)} Gaussians have values that are not finite ({reasons}), "
-            f"the first in row {int(np.argmin(keep))}; --drop-nan leaves them out"
+            f"{sum(bad.values())} of {len(splats)} Gaussians have values that are not finite ({reasons}), "
+            f"the first in row {first_bad}; --drop-nan leaves them out"
         )
-    remove("zero_rotation", norm == 0)
-    remove("min_opacity", splats.opacity < config.min_opacity)
-    if config.crop is not None:
-        wanted.add("crop")
-        lower, upper = np.array(config.crop[:3]), np.array(config.crop[3:])
-        remove("crop", _any(~((splats.mean >= lower) & (splats.mean <= upper))))
-    if config.crop_sphere is not None:
-        wanted.add("crop_sphere")
-        *centre, radius = config.crop_sphere
-        away = splats.mean.astype(np.float64) - np.array(centre)
-        remove("crop_sphere", ~(np.einsum("ij,ij->i", away, away) <= radius * radius))
-    if config.max_scale is not None:
-        wanted.add("max_scale")
-        remove("max_scale", _any(splats.scale > config.max_scale))
-    _check_some_left(keep, removed)
+    _check_some_left(removal, removed)
 
-    scale_floored = int(_any(splats.scale[keep] < SCALE_FLOOR).sum())
-    quat = (splats.quat_wxyz[keep] / norm[keep, None]).astype(np.float32)
     rules: dict[str, Any] = {}
     if config.drop_floaters:
-        wanted.add("floaters")
-        drop, edge = floaters(splats.mean[keep], splats.scale[keep], matrix_from_quat_wxyz(quat))
-        rows = np.flatnonzero(keep)
-        quat = quat[~drop]
-        far = np.zeros_like(keep)
-        far[rows[drop]] = True
-        remove("floaters", far)
-        rules["floaters"] = {
-            "cell": edge, "smallest_group": SMALLEST_GROUP, "neighbour": NEIGHBOUR, "reach_sigma": REACH
-        }  # fmt: skip
-        _check_some_left(keep, removed)
-
-    arrays = {
-        "mean": splats.mean[keep],
-        "scale": np.maximum(splats.scale[keep], np.float32(SCALE_FLOOR)),
-        "quat_wxyz": quat,
-        "opacity": splats.opacity[keep],
-        "color": splats.color[keep],
-    }
-    loss = _loss(splats, keep)
+        removed["floaters"], rules["floaters"] = _drop_floaters(splats, removal)
+        _check_some_left(removal, removed)
+    kept = int(np.count_nonzero(removal == 0))
+    arrays, figures = _kept(rows, color, removal, kept)
+    loss = _loss(splats, removal, kept)
     if loss["bound"] is not None:
         arrays["loss"] = loss["bound"]
-    kept = int(keep.sum())
-    bounds = {
-        "lower": [float(column.min()) for column in arrays["mean"].T],
-        "upper": [float(column.max()) for column in arrays["mean"].T],
-    }
-    longest = reduce(np.maximum, arrays["scale"].T)
+    bounds = {"lower": list(figures["lower"]), "upper": list(figures["upper"])}
     summary = {
         "gaussians": kept,
         "rows": len(splats),
@@ -124,9 +91,9 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         + (f"turned by 180 degrees about {config.turn}" if config.turn != "none" else "unchanged"),
         "lower": bounds["lower"],
         "upper": bounds["upper"],
-        "opacity_median": float(np.median(arrays["opacity"].astype(np.float64))),
-        "scale_median": float(np.median(longest.astype(np.float64))),
-        "scale_max": float(longest.max()),
+        "opacity_median": figures["opacity_median"],
+        "scale_median": figures["scale_median"],
+        "scale_max": figures["scale_max"],
     }
     if arrays.get("loss") is not None:
         summary["loss"] = {key: loss["figures"][key] for key in LOSSES}
@@ -148,7 +115,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
             "removed": removed,
             "rules": rules,
             "scale_floor": SCALE_FLOOR,
-            "scale_floored": scale_floored,
+            "scale_floored": figures["floored"],
             "bounds": bounds,
             "loss": loss["figures"],
             "frame": {"file": splats.tags.get("frame", "unnamed"), "turn": config.turn},
@@ -159,10 +126,31 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     )
 
 
-def _any(rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """`any(axis=1)` by columns: many times faster where rows are short."""
-    found: NDArray[np.bool_] = reduce(np.logical_or, rows.T)
-    return found
+def _kept(
+    rows: list[NDArray[np.float32]], color: NDArray[np.uint8], removal: NDArray[np.uint8], kept: int
+) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """The arrays of the rows that stay, and what the summary says of them; copies only what changes."""
+    whole = dict(zip(("mean", "scale", "quat_wxyz", "opacity", "color"), (*rows, color), strict=True))
+    floors = float(rows[1].min(initial=np.inf)) < SCALE_FLOOR  # also of rows that go: that costs a copy only
+    changed = set(whole) if kept < len(removal) else {"quat_wxyz", "scale"} if floors else {"quat_wxyz"}
+    arrays = {
+        name: np.empty((kept, *array.shape[1:]), array.dtype) if name in changed else array
+        for name, array in whole.items()
+    }
+    outputs = {f"out_{name.removesuffix('_wxyz')}": arrays[name] for name in changed}
+    figures = _core.keep_rows(*rows, color, removal, scale_floor=np.float32(SCALE_FLOOR), **outputs)
+    return arrays, figures
+
+
+def _drop_floaters(splats: Splats, removal: NDArray[np.uint8]) -> tuple[int, dict[str, Any]]:
+    """Mark the floaters among the kept rows; how many, and by which rule."""
+    rows = np.flatnonzero(removal == 0)
+    quat = splats.quat_wxyz[rows].astype(np.float64)
+    quat = (quat / np.linalg.norm(quat, axis=1, keepdims=True)).astype(np.float32)
+    drop, edge = floaters(splats.mean[rows], splats.scale[rows], matrix_from_quat_wxyz(quat))
+    removal[rows[drop]] = len(_REASONS) + 1
+    rule = {"cell": edge, "smallest_group": SMALLEST_GROUP, "neighbour": NEIGHBOUR, "reach_sigma": REACH}
+    return int(np.count_nonzero(drop)), rule
 
 
 def turned(splats: Splats, axis: str) -> Splats:
@@ -178,12 +166,12 @@ def turned(splats: Splats, axis: str) -> Splats:
     return dataclasses.replace(splats, mean=splats.mean * sign, quat_wxyz=quat)
 
 
-def _loss(splats: Splats, keep: NDArray[np.bool_]) -> dict[str, Any]:
+def _loss(splats: Splats, removal: NDArray[np.uint8], kept: int) -> dict[str, Any]:
     """The bounds of the kept rows, None where all are zero, and the largest of each kind."""
     figures: dict[str, Any] = dict.fromkeys((*LOSSES, "opacity"), 0.0) | {"unbounded": {}}
     if splats.loss is None:
         return {"bound": None, "figures": figures}
-    bound = splats.loss.bound[keep]
+    bound = splats.loss.bound if kept == len(removal) else splats.loss.bound[removal == 0]
     if not np.isfinite(bound).all() or (bound < 0).any():
         raise InputError("the bound of what the format lost is not a number of at least 0 everywhere")
     figures |= {name: float(column.max()) for name, column in zip(LOSSES, bound.T, strict=True)}
@@ -218,7 +206,7 @@ def _guarantee(config: ImportSplatConfig, removed: dict[str, int], loss: dict[st
     )
 
 
-def _check_some_left(keep: NDArray[np.bool_], removed: dict[str, int]) -> None:
-    if not keep.any():
+def _check_some_left(removal: NDArray[np.uint8], removed: dict[str, int]) -> None:
+    if removal.all():
         reasons = ", ".join(f"{count} by {reason}" for reason, count in removed.items() if count)
-        raise InputError(f"no Gaussian is left of {len(keep)}: removed {reasons or 'none'}")
+        raise InputError(f"no Gaussian is left of {len(removal)}: removed {reasons or 'none'}")
