@@ -17,7 +17,7 @@ from alula.schemas.manifest import SPLAT_LOSS, Guarantee
 from alula.schemas.provenance import parameters_of
 from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters
 from alula.stages.reconstruction.formats.splats import LOSSES, Splats
-from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz
+from alula.stages.rotation import matrix_from_quat_wxyz
 
 _NOT_FINITE = ("not_a_number", "infinite_mean", "infinite_scale", "infinite_rotation")
 _ON_DEMAND = ("crop", "crop_sphere", "max_scale")
@@ -160,9 +160,13 @@ def turned(splats: Splats, axis: str) -> Splats:
     place = "xyz".index(axis)
     sign = -np.ones(3, np.float32)
     sign[place] = 1
-    half_turn = np.zeros(4, np.float32)  # the quaternion of the turn, multiplied from the left
-    half_turn[1 + place] = 1
-    quat = multiply_quat_wxyz(half_turn, splats.quat_wxyz).astype(np.float32)
+    # The half turn's quaternion times w, x, y, z is -v_place, then w in that place and the other two of v
+    # with a change of sign before the second.
+    order, second, third = [1 + place, 0, 0, 0], 1 + (place + 1) % 3, 1 + (place + 2) % 3
+    order[second], order[third] = third, second
+    quat = np.take(splats.quat_wxyz, order, axis=1)
+    quat[:, [0, second]] *= -1
+    quat += np.float32(0)  # no -0
     return dataclasses.replace(splats, mean=splats.mean * sign, quat_wxyz=quat)
 
 
