@@ -94,7 +94,8 @@ def _norm(rows: NDArray[Any]) -> NDArray[Any]:
         square = rows[:, 0] * rows[:, 0]
         for column in rows.T[1:]:
             square += column * column
-    return np.sqrt(square)
+    length: NDArray[Any] = np.sqrt(square)
+    return length
 
 
 def _lexicographically_increasing(array: NDArray[Any]) -> NDArray[np.bool_]:

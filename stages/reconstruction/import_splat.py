@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,22 +46,25 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         InputError: no Gaussian is left, or one has a value that is not finite.
     """
     splats = turned(splats, config.turn)
-    rows = [np.ascontiguousarray(a, np.float32) for a in (splats.mean, splats.scale, splats.quat_wxyz)]
-    rows.append(np.ascontiguousarray(splats.opacity, np.float32))
-    color = np.ascontiguousarray(splats.color, np.uint8)
+    given = _Columns(
+        np.ascontiguousarray(splats.mean, np.float32),
+        np.ascontiguousarray(splats.scale, np.float32),
+        np.ascontiguousarray(splats.quat_wxyz, np.float32),
+        np.ascontiguousarray(splats.opacity, np.float32),
+        np.ascontiguousarray(splats.color, np.uint8),
+    )
     removal = np.empty(len(splats), np.uint8)
-    with np.errstate(over="ignore"):  # a limit that no single can hold is infinite
-        limits = {"min_opacity": np.float32(config.min_opacity)}
-        if config.max_scale is not None:
-            limits["max_scale"] = np.float32(config.max_scale)
     counts, first_bad = _core.screen_rows(
-        *rows, removal, **limits, crop=config.crop, crop_sphere=config.crop_sphere
+        *given[:4],
+        removal,
+        min_opacity=config.min_opacity,
+        crop=config.crop,
+        crop_sphere=config.crop_sphere,
+        max_scale=config.max_scale,
     )
     wanted = {"min_opacity", *(name for name in _ON_DEMAND if getattr(config, name) is not None)}
     removed = {
-        reason: count
-        for reason, count in zip(_REASONS, counts[1:], strict=True)
-        if count or reason in wanted
+        reason: count for reason, count in zip(_REASONS, counts[1:], strict=True) if count or reason in wanted
     }
     if first_bad < len(splats) and not config.drop_nan:
         bad = {reason: removed[reason] for reason in _NOT_FINITE if reason in removed}
@@ -77,7 +80,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         removed["floaters"], rules["floaters"] = _drop_floaters(splats, removal)
         _check_some_left(removal, removed)
     kept = int(np.count_nonzero(removal == 0))
-    arrays, figures = _kept(rows, color, removal, kept)
+    arrays, figures = _kept(given, removal, kept)
     loss = _loss(splats, removal, kept)
     if loss["bound"] is not None:
         arrays["loss"] = loss["bound"]
@@ -126,20 +129,38 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     )
 
 
+class _Columns(NamedTuple):
+    """Contiguous arrays in the types of a scene."""
+
+    mean: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    quat_wxyz: NDArray[np.float32]
+    opacity: NDArray[np.float32]
+    color: NDArray[np.uint8]
+
+
 def _kept(
-    rows: list[NDArray[np.float32]], color: NDArray[np.uint8], removal: NDArray[np.uint8], kept: int
+    given: _Columns, removal: NDArray[np.uint8], kept: int
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """The arrays of the rows that stay, and what the summary says of them; copies only what changes."""
-    whole = dict(zip(("mean", "scale", "quat_wxyz", "opacity", "color"), (*rows, color), strict=True))
-    floors = float(rows[1].min(initial=np.inf)) < SCALE_FLOOR  # also of rows that go: that costs a copy only
-    changed = set(whole) if kept < len(removal) else {"quat_wxyz", "scale"} if floors else {"quat_wxyz"}
-    arrays = {
-        name: np.empty((kept, *array.shape[1:]), array.dtype) if name in changed else array
-        for name, array in whole.items()
-    }
-    outputs = {f"out_{name.removesuffix('_wxyz')}": arrays[name] for name in changed}
-    figures = _core.keep_rows(*rows, color, removal, scale_floor=np.float32(SCALE_FLOOR), **outputs)
-    return arrays, figures
+    arrays: dict[str, NDArray[Any]] = given._asdict()
+    changed = {"quat_wxyz"}
+    if kept < len(removal):
+        changed |= set(arrays)
+    elif given.scale.min() < SCALE_FLOOR:
+        changed.add("scale")
+    outputs = {name: np.empty((kept, *arrays[name].shape[1:]), arrays[name].dtype) for name in changed}
+    figures = _core.keep_rows(
+        *given,
+        removal,
+        scale_floor=SCALE_FLOOR,
+        out_mean=outputs.get("mean"),
+        out_scale=outputs.get("scale"),
+        out_quat=outputs["quat_wxyz"],
+        out_opacity=outputs.get("opacity"),
+        out_color=outputs.get("color"),
+    )
+    return arrays | outputs, figures
 
 
 def _drop_floaters(splats: Splats, removal: NDArray[np.uint8]) -> tuple[int, dict[str, Any]]:

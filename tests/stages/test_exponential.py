@@ -11,7 +11,8 @@ from alula import _core
 def ulps(values, exact):
     """The largest error in units of the last place of the values."""
     errors = [
-        abs((Decimal(float(v)) - e) / Decimal(float(np.spacing(v)))) for v, e in zip(values, exact, strict=True)
+        abs((Decimal(float(v)) - e) / Decimal(float(np.spacing(v))))
+        for v, e in zip(values, exact, strict=True)
     ]
     return float(max(errors))
 

@@ -160,7 +160,9 @@ def splats(count, seed=0):
 def test_arrays_that_do_not_change_are_not_copied_and_the_input_stays():
     given_ = splats(100)
     given_.opacity[:] = 0.5
-    before = {name: getattr(given_, name).copy() for name in ("mean", "scale", "quat_wxyz", "opacity", "color")}
+    before = {
+        name: getattr(given_, name).copy() for name in ("mean", "scale", "quat_wxyz", "opacity", "color")
+    }
     made = import_splat(ImportSplatConfig(), given_)
     for name in ("mean", "scale", "opacity", "color"):
         assert np.shares_memory(made[name], getattr(given_, name))
@@ -217,7 +219,10 @@ print(peak() - before, len(made["mean"]))
 
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit")
 def test_an_import_needs_little_more_than_its_input_and_output_arrays(tmp_path):
-    count, names = 700_000, "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3"
+    count, names = (
+        700_000,
+        "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3",
+    )
     path = tmp_path / "large.ply"
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
     header += "".join(f"property float {name}\n" for name in names.split()) + "end_header\n"
