@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 EXAMPLES = """\b
 Examples:
   alula scale-align room.scene.npz -o metric.scene.npz --colmap sparse/0 --reference poses.csv --max-rms 0.02
-  alula scale-align room.scene.npz -o metric.scene.npz --distance "0.1 0 0" "0.9 0 0" 2.04 --floor"""
+  alula scale-align room.scene.npz -o metric.scene.npz --distance "0 0 0" "1 0 0" 2.5 --up "0 -1 0" --floor"""
 
 SECTIONS = {
     "By cameras": ("colmap", "cameras", "reference", "origin", "poses", "nerfstudio"),
@@ -211,7 +211,7 @@ def _evidence(config: ScaleAlignConfig, files: Files) -> Evidence | None:
     if points is not None:
         return points
     if config.scale is not None:
-        return Given(scale_only(config.scale), facts={"unmeasured": ["rotation", "translation"]})
+        return Given(scale_only(config.scale), "scale", facts={"unmeasured": ["rotation", "translation"]})
     if files.transform is not None:
         return parse_transform(_text(files.transform), files.transform.name)
     if files.nerfstudio is not None:

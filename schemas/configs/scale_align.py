@@ -31,7 +31,9 @@ class ScaleAlignConfig:
     )
     floor: bool = field(
         default=False,
-        metadata={"help": "Find the floor; turn its normal to +z and make its height 0 (default --up: +z)."},
+        metadata={
+            "help": "Find the floor: turn its normal to +z, make its height 0; unaligned scenes need --up."
+        },
     )
     threshold_m: float = field(
         default=0.1,

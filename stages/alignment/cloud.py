@@ -20,9 +20,11 @@ from alula.stages.alignment.uncertainty import Uncertainty
 _MOST = 60_000  # points of either side after thinning
 _LEVELS = (8.0, 4.0, 2.0)  # largest distances of the coarse stages, in thresholds
 _NEIGHBOURS = 16  # of a point whose plane is fitted
-_STEPS = 60
+_STEPS = 40
+_WIDE_STEPS = 6  # the first ones, with twice the distance
+_STILL = 1e-2  # of the mean residual: a step that moves all points by less says nothing
 _LEAST_PAIRS = 100
-_WEAK = 1e-4  # least eigenvalue of the normalised information: the surfaces let it slide
+_WEAK = 3e-3  # least eigenvalue of the normalised information: the surfaces let it slide
 _TUKEY = 4.685
 _FLAT = 2.0  # times the median of thickness over width of neighbourhoods
 
@@ -44,6 +46,7 @@ class CloudFit:
     Attributes:
         similarity: cloud = scale R scene + t.
         uncertainty: from blocks of space.
+        count: thinned points of the scene.
         residual: distances of pairs along the normal, shape (m,) [m].
         block: of each pair; `block_centre`, shape (B, 3), and the edge of blocks [m].
         scene_share, cloud_share: of thinned points that have one of the other within the threshold.
@@ -54,6 +57,7 @@ class CloudFit:
 
     similarity: Similarity
     uncertainty: Uncertainty
+    count: int
     residual: Array
     block: NDArray[np.intp]
     block_centre: Array
@@ -104,28 +108,32 @@ def fit_cloud(points: Array, cloud: Array, initial: Similarity, threshold: float
     normals, flat = _planes(target, tree)
     even = _planes(mapped, cKDTree(mapped))[1]
 
-    def pairs_of(now: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        first, second = _pairs(now, target, tree, threshold)
+    def pairs_of(now: Array, distance: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        first, second = _pairs(now, target, tree, distance)
         keep = even[first] & flat[second]
         return first[keep], second[keep]
 
-    for _ in range(_STEPS):
-        pairs = pairs_of(transform_points(moved, mapped))
+    for step_number in range(_STEPS):
+        distance = threshold * (2.0 if step_number < _WIDE_STEPS else 1.0)
+        pairs = pairs_of(transform_points(moved, mapped), distance)
         at, jacobian, residual = _linear(transform_points(moved, mapped), target, normals, pairs)
         weight, size = _weights(residual)
         information = (jacobian * weight[:, None]).T @ jacobian
-        _determined(information, jacobian, weight)
+        lever = float(np.sqrt(((transform_points(moved, mapped)[pairs[0]] - at) ** 2).sum(axis=1).mean()))
+        _determined(information, float(weight.sum()), lever)
         gradient: Array = (jacobian * weight[:, None]).T @ residual
         step = -np.asarray(np.linalg.solve(information, gradient), np.float64)
         moved = compose(_small(step, at), moved)
-        if np.abs(step).max() < 1e-9 * max(1.0, threshold):
+        if step_number >= _WIDE_STEPS and np.abs(jacobian @ step).max() < _STILL * (
+            np.abs(residual).mean() + 1e-9
+        ):
             break
     final = transform_points(moved, mapped)
     scene_share = float(np.isfinite(tree.query(final, distance_upper_bound=threshold)[0]).mean())
     cloud_share = _cloud_share(final, target, threshold)
     _require(scene_share, cloud_share, threshold, least)
 
-    pairs = pairs_of(final)
+    pairs = pairs_of(final, threshold)
     at, jacobian, residual = _linear(final, target, normals, pairs)
     weight, _ = _weights(residual)
     where = final[pairs[0]]
@@ -143,6 +151,7 @@ def fit_cloud(points: Array, cloud: Array, initial: Similarity, threshold: float
     return CloudFit(
         similarity=similarity,
         uncertainty=Uncertainty(at, covariance, max(1.0, count - 7.0)),
+        count=len(mapped),
         residual=np.abs(residual),
         block=label,
         block_centre=np.array(
@@ -180,6 +189,7 @@ def _coarse(mapped: Array, target: Array, tree: Any, threshold: float) -> Simila
     """Open3D's ICP with scale, each stage on what overlaps at its distance."""
     identity = Similarity(scale=1.0, rotation=np.eye(3).tolist(), translation_m=[0.0, 0.0, 0.0])
     moved = identity
+    misfit = _misfit(mapped, target, tree, threshold)
     with quiet():
         try:
             import open3d
@@ -204,15 +214,26 @@ def _coarse(mapped: Array, target: Array, tree: Any, threshold: float) -> Simila
             linear = np.array(found.transformation)
             determinant = float(np.linalg.det(linear[:3, :3]))
             if not np.isfinite(linear).all() or not (0.2 < determinant ** (1 / 3) < 5.0):
-                break  # it collapsed: the finer stage starts from the one before
+                continue
             scale = determinant ** (1 / 3)
             step = Similarity(
                 scale=scale,
                 rotation=(linear[:3, :3] / scale).tolist(),
                 translation_m=linear[:3, 3].tolist(),
             )
-            moved = compose(step, moved)
+            # Shrinking onto a part of the cloud looks good from one side only.
+            after = _misfit(transform_points(step, now), target, tree, threshold)
+            if after < misfit:
+                moved, misfit = compose(step, moved), after
     return umeyama(mapped, transform_points(moved, mapped))  # orthonormal to the last bit
+
+
+def _misfit(moved: Array, target: Array, tree: Any, distance: float) -> float:
+    """Mean squared distances to the other side, cut off, of both sides."""
+    from scipy.spatial import cKDTree
+
+    there, back = tree.query(moved)[0], cKDTree(moved).query(target)[0]
+    return float(sum((np.minimum(d, distance) ** 2).mean() for d in (there, back)))
 
 
 def _planes(points: Array, tree: Any) -> tuple[Array, NDArray[np.bool_]]:
@@ -272,14 +293,16 @@ def _bend(residual: Array, size: float) -> Array:
     return bend
 
 
-def _determined(information: Array, jacobian: Array, weight: Array) -> None:
-    """Refuse surfaces along which the scene could slide, turn or grow unnoticed."""
-    size = np.sqrt(np.diag(information))
-    lever = float(np.sqrt((weight[:, None] * jacobian[:, 4:] ** 2).sum() / (weight.sum() + 1e-300)))
-    units = np.array([1, 1, 1, *[1 / max(lever, 1e-12)] * 4])
-    scaled = information * units[:, None] * units / max(float(weight.sum()), 1e-300)
+def _determined(information: Array, total: float, lever: float) -> None:
+    """Refuse surfaces along which the scene could slide, turn or grow unnoticed.
+
+    Of the information per unit of weight, with angles and growth in units of the points' mean distance,
+    an eigenvalue is the share of it that sees a direction: about 1/3 for each in a furnished room.
+    """
+    units = np.array([1, 1, 1, *[1 / lever] * 4])
+    scaled = information * units[:, None] * units / total
     least = float(np.linalg.eigvalsh(scaled)[0])
-    if not (size > 0).all() or least < _WEAK:
+    if not least >= _WEAK:
         raise InputError(
             f"the overlap does not determine the similarity (least eigenvalue {least:.2g}): on a plane, a "
             "sphere or a pipe it slides, turns or grows unnoticed; use a cloud with walls in more directions"

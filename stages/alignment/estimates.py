@@ -139,7 +139,7 @@ def _by_cloud(
         **fit.uncertainty.record(fit.similarity),
         "uncertainty_from": f"{len(items)} blocks of {fit.block_edge:.3g} m, each left out in turn",
         "scale_leave_one_out": list(fit.leave_one_out),
-        "count": int(visible.sum()),
+        "count": fit.count,
         "inliers": len(fit.residual),
         "fitness": fit.scene_share,
         "cloud_fitness": fit.cloud_share,

@@ -34,12 +34,12 @@ def enu_from_geodetic(
     Raises:
         InputError: a latitude or longitude is out of range, or a row has the position of no fix.
     """
-    for row, (latitude, longitude, _) in zip(rows, geodetic.tolist(), strict=True):
-        _check(row, latitude, longitude)
+    for row, (latitude, longitude, height) in zip(rows, geodetic.tolist(), strict=True):
+        _check(row, latitude, longitude, height)
         if latitude == 0 and longitude == 0:
             raise InputError(f"{row}: lat 0, lon 0 is what receivers write without a fix")
     if origin is not None:
-        _check("--origin", *origin[:2])
+        _check("--origin", *origin)
     try:
         import pycolmap
     except ImportError as error:
@@ -49,9 +49,6 @@ def enu_from_geodetic(
     position = np.asarray(
         transform.ellipsoid_to_enu(np.ascontiguousarray(geodetic), latitude, longitude, height), np.float64
     )
-    if not np.isfinite(position).all():
-        wrong = int(np.argwhere(~np.isfinite(position))[0][0])
-        raise InputError(f"{rows[wrong]}: has no finite position east, north, up")
     facts = {
         "axes": "x east, y north, z up",
         "ellipsoid": "WGS84",
@@ -63,7 +60,11 @@ def enu_from_geodetic(
     return position, {"georeference": facts}
 
 
-def _check(where: str, latitude: float, longitude: float) -> None:
-    for name, value, limit in (("lat", latitude, 90.0), ("lon", longitude, 180.0)):
+def _check(where: str, latitude: float, longitude: float, height: float) -> None:
+    for name, value, limit, unit in (
+        ("lat", latitude, 90.0, "degrees"),
+        ("lon", longitude, 180.0, "degrees"),
+        ("alt", height, 1e6, "metres"),
+    ):
         if not abs(value) <= limit:
-            raise InputError(f"{where}: {name} is {value:g}, not between -{limit:g} and {limit:g} degrees")
+            raise InputError(f"{where}: {name} is {value:g}, not between -{limit:g} and {limit:g} {unit}")

@@ -21,6 +21,9 @@ _SCORED = 4000
 _REFITS = 30
 _TILT = radians(40.0)  # how far the floor may lean from the direction that was expected to be up
 _BELOW = 0.1  # share of points that may be under a floor
+_THIN = 0.02  # of the tolerance: no floor is taken for thinner
+_FILLED = 0.6  # thickness over tolerance: 0.74 when points fill the slab evenly, as of walls
+_SHARED = 0.1
 _SUPPORT = 0.05  # least share of points that lie on it
 
 
@@ -81,19 +84,30 @@ def level_by_floor(points: Array, up: Array, tolerance: float, seed: int) -> Lev
     rng = np.random.default_rng(seed)
     normal, offset = _best_plane(kept, up, tolerance, rng)
     inlier = np.abs(kept @ normal - offset) <= tolerance
+    spread = tolerance
     for _ in range(_REFITS):
         if inlier.sum() < 3:
             break
         centre = kept[inlier].mean(axis=0)
         _, _, vt = np.linalg.svd(kept[inlier] - centre, full_matrices=False)
         normal = vt[2] * np.sign(vt[2] @ up)
-        offset = float(centre @ normal)
-        again = np.abs(kept @ normal - offset) <= tolerance
+        height = kept @ normal
+        # Walls and furniture stand in the slab too: what lies flat is where the median is.
+        near = np.abs(height - np.median(height[inlier])) <= tolerance
+        offset = float(np.median(height[near]))
+        spread = 1.4826 * float(np.median(np.abs(height[near] - offset)))
+        again = np.abs(height - offset) <= min(max(3 * spread, _THIN * tolerance), tolerance)
         if (again == inlier).all():
             break
         inlier = again
+    offset = float((kept[inlier] @ normal).mean()) if inlier.any() else offset
     height = kept @ normal - offset
     share, below = float(inlier.mean()), float((height < -2 * tolerance).mean())
+    if spread > _FILLED * tolerance:
+        raise CheckError(
+            f"alignment: no floor was found: the best plane is {spread:.2g} m thick, too much for --threshold "
+            f"{tolerance:g} m; --up says where to look"
+        )
     if share < _SUPPORT or below > _BELOW or normal @ up < cos(_TILT):
         raise CheckError(
             f"alignment: no floor was found: the best plane within {degrees(_TILT):.0f} deg of level holds "
@@ -101,7 +115,8 @@ def level_by_floor(points: Array, up: Array, tolerance: float, seed: int) -> Lev
             f"{_BELOW:.0%}); --up says where to look"
         )
     rotation = turn_up(normal)
-    error = _known(kept[inlier] @ rotation.T, offset, 4 * edge)
+    thickness = float(np.sqrt((height[inlier] ** 2).mean()))
+    error = _known(kept[inlier] @ rotation.T, offset, 4 * edge, thickness)
     motion = Similarity(scale=1.0, rotation=rotation.tolist(), translation_m=[0.0, 0.0, -offset])
     facts: dict[str, Any] = {
         "by": "floor",
@@ -113,7 +128,7 @@ def level_by_floor(points: Array, up: Array, tolerance: float, seed: int) -> Lev
         "share": share,
         "below": below,
         "tolerance_m": tolerance,
-        "sigma_m": float(np.sqrt((height[inlier] ** 2).mean())),
+        "sigma_m": thickness,
     }
     if error is None:
         return Level(motion, facts, None, ("the floor is too small to say how level it is",))
@@ -154,8 +169,11 @@ def _best_plane(points: Array, up: Array, tolerance: float, rng: np.random.Gener
     return normals[best], float(offsets[best])
 
 
-def _known(levelled: Array, height: float, least: float) -> Uncertainty | None:
-    """Errors of the floor's height and tilts, from blocks of it; None when there are too few."""
+def _known(levelled: Array, height: float, least: float, thickness: float) -> Uncertainty | None:
+    """Errors of the floor's height and tilts, from blocks of it; None when there are too few.
+
+    A tenth of the thickness is added to the height's: what stands on a floor pulls all blocks alike.
+    """
     label, count, _ = blocks(levelled * np.array([1.0, 1.0, 0.0]), least)
     if count < 6:
         return None
@@ -171,6 +189,7 @@ def _known(levelled: Array, height: float, least: float) -> Uncertainty | None:
     if np.linalg.matrix_rank(information.sum(axis=0)) < 3:
         return None
     small = jackknife(information, score)
+    small[0, 0] += (_SHARED * thickness) ** 2
     covariance = np.zeros((7, 7))
     index = np.array([2, 4, 5])
     covariance[np.ix_(index, index)] = small

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations
-from math import comb, degrees, pi, radians
+from math import comb, degrees, log, pi, radians
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from alula.stages.alignment.uncertainty import of_points, shape_warnings, untrun
 
 _TRIALS = 2000
 _REFITS = 30
+_MISS = 1e-9  # probability that no pair is free of outliers
 _CONSTANT = radians(5.0)  # a larger constant turn between camera axes is another convention
 _NOTED = radians(0.2)
 _SURE = 4.0  # standard errors
@@ -60,7 +61,14 @@ def fit_poses(
         )
     if len(source) >= 4 and 2 * inlier.sum() <= len(source):
         _refuse_turned(source, R_source, target, R_target, inlier, threshold, seed)
-    return _evaluate(source, R_source, target, R_target, inlier, threshold)
+    for _ in range(_REFITS):
+        fit = _evaluate(source, R_source, target, R_target, inlier, threshold)
+        assert fit.angle is not None
+        again = (fit.residual <= threshold) & (fit.angle <= angle)
+        if (again == inlier).all() or again.sum() < inlier.sum():
+            break
+        inlier = again
+    return fit
 
 
 def chordal_mean(rotations: Array) -> Array:
@@ -113,7 +121,11 @@ def _consensus(
         pairs = drawn[drawn[:, 0] != drawn[:, 1]][:_TRIALS]
     turn = R_target @ R_source.swapaxes(1, 2)
     best, best_cost = np.zeros(count, np.bool_), np.inf
-    for a, b in pairs.tolist():
+    pairs = rng.permutation(pairs)
+    for tried, (a, b) in enumerate(pairs.tolist()):
+        share = best.mean()
+        if tried * -log(max(1 - share * share, 1e-300)) > -log(_MISS):
+            break
         dx, dy = source[b] - source[a], target[b] - target[a]
         length = float(np.linalg.norm(dx))
         scale = float(np.linalg.norm(dy)) / length if length > 0 else 0.0

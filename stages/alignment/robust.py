@@ -83,7 +83,9 @@ def fit_similarity(source: Array, target: Array, threshold: float, seed: int) ->
     inlier = _consensus(source, target, threshold, seed)
     _refuse_mirrored(source, target, inlier, threshold, seed)
     if inlier.sum() < 3:
-        raise InputError(f"no three of {len(source)} correspondences agree within {threshold:g} m")
+        raise InputError(
+            f"no three of {len(source)} correspondences agree within {threshold:g} m (--threshold)"
+        )
     if is_collinear(source[inlier]):
         raise InputError(
             f"the {inlier.sum()} correspondences that agree are collinear; the rotation is unknown"

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from alula.stages.alignment.similarity import Array
 
-BLOCKS = 40  # at least this many groups carry an estimate of uncertainty
+BLOCKS = 30  # at least this many groups carry an estimate of uncertainty
 
 
 def thinned(points: Array, edge: float) -> Array:

@@ -69,7 +69,8 @@ def scale_align(
         evidence = Given(scale_only(1.0), "level", ())
     found = estimate(config, scene, evidence, seed, box)
     if config.levels:
-        found = _levelled(config, found, mean, box, seed)
+        known = manifest.frame == "world" or isinstance(evidence, Similarity)
+        found = _levelled(config, found, mean, box, seed, frame_is_known=known)
 
     similarity = found.similarity
     matrix = np.eye(4)
@@ -130,10 +131,21 @@ def scale_align(
 
 
 def _levelled(
-    config: ScaleAlignConfig, found: Estimate, mean: Array, box: tuple[Array, Array], seed: int
+    config: ScaleAlignConfig,
+    found: Estimate,
+    mean: Array,
+    box: tuple[Array, Array],
+    seed: int,
+    *,
+    frame_is_known: bool,
 ) -> Estimate:
     """The estimate followed by a motion that levels its frame; recorded as `level`."""
     up = np.array([0.0, 0.0, 1.0])
+    if config.up is None and not frame_is_known:
+        raise UsageError(
+            "--floor needs --up, roughly: the scene's own frame says nothing of it (nerfstudio trains with "
+            "0 0 1; models of COLMAP often have 0 -1 0)"
+        )
     if config.up is not None:
         up = np.array(found.similarity.rotation) @ np.array(config.up)
     if config.floor:
