@@ -105,8 +105,8 @@ def level_by_floor(points: Array, up: Array, tolerance: float, seed: int) -> Lev
     share, below = float(inlier.mean()), float((height < -2 * tolerance).mean())
     if spread > _FILLED * tolerance:
         raise CheckError(
-            f"alignment: no floor was found: the best plane is {spread:.2g} m thick, too much for --threshold "
-            f"{tolerance:g} m; --up says where to look"
+            f"alignment: no floor was found: the best plane is {spread:.2g} m thick, too much for "
+            f"--threshold {tolerance:g} m; --up says where to look"
         )
     if share < _SUPPORT or below > _BELOW or normal @ up < cos(_TILT):
         raise CheckError(

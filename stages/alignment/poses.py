@@ -54,13 +54,18 @@ def fit_poses(
     if len(source) < 2:
         raise InputError(f"{len(source)} pose; two at different positions are needed")
     inlier = _consensus(source, R_source, target, R_target, threshold, angle, seed)
+    by_positions = _by_positions(source, target, threshold, seed)
+    if by_positions is not None:
+        turned = angles(R_target, np.array(by_positions.similarity.rotation) @ R_source)
+        both = by_positions.inlier & (turned <= angle)
+        inlier = both if both.sum() > inlier.sum() else inlier
+        if 2 * inlier.sum() <= len(source) < 2 * by_positions.inlier.sum():
+            _refuse_turned(source, R_source, target, R_target, by_positions, int(inlier.sum()))
     if inlier.sum() < 2:
         raise InputError(
             f"no two of {len(source)} poses agree within {threshold:g} m and {degrees(angle):g} deg"
             + _hint(source, R_source, target, R_target)
         )
-    if len(source) >= 4 and 2 * inlier.sum() <= len(source):
-        _refuse_turned(source, R_source, target, R_target, inlier, threshold, seed)
     for _ in range(_REFITS):
         fit = _evaluate(source, R_source, target, R_target, inlier, threshold)
         assert fit.angle is not None
@@ -131,11 +136,13 @@ def _consensus(
         scale = float(np.linalg.norm(dy)) / length if length > 0 else 0.0
         if scale <= 0:
             continue
-        rotation = _nearest(turn[a] + turn[b])
-        middle = 0.5 * (target[a] + target[b]) - 0.5 * scale * rotation @ (source[a] + source[b])
-        inlier, cost = _agreeing(source, target, turn, scale, rotation, middle, threshold, angle)
-        if cost < best_cost:
-            best, best_cost = inlier, cost
+        mean = _nearest(turn[a] + turn[b])
+        # Far apart, the positions say better than orientations where their line points.
+        for rotation in (mean, _swing(mean @ dx / length, dy / (scale * length)) @ mean):
+            middle = 0.5 * (target[a] + target[b]) - 0.5 * scale * rotation @ (source[a] + source[b])
+            inlier, cost = _agreeing(source, target, turn, scale, rotation, middle, threshold, angle)
+            if cost < best_cost:
+                best, best_cost = inlier, cost
     for _ in range(_REFITS):
         if best.sum() < 2 or np.ptp(source[best], axis=0).max() <= 0:
             break
@@ -146,6 +153,13 @@ def _consensus(
             break
         best = again
     return best
+
+
+def _swing(a: Array, b: Array) -> Array:
+    """The smallest rotation that takes one unit vector to another; none for opposite ones."""
+    x, y, z = np.cross(a, b)
+    v, c = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), float(a @ b)
+    return np.eye(3) + v + v @ v / (1 + c) if c > -0.99 else np.eye(3)
 
 
 def _agreeing(
@@ -261,24 +275,26 @@ def _constant_turn(x: Array, R_x: Array, y: Array, R_y: Array, sigma: float) -> 
     return [f"{text}: orientations were given little weight"]
 
 
-def _refuse_turned(
-    source: Array, R_source: Array, target: Array, R_target: Array,
-    inlier: NDArray[np.bool_], threshold: float, seed: int,
-) -> None:  # fmt: skip
-    """Refuse poses whose positions agree much better than their orientations."""
+def _by_positions(source: Array, target: Array, threshold: float, seed: int) -> Fit | None:
+    """The fit to positions alone, where they determine one."""
     try:
-        fit = fit_similarity(source, target, threshold, seed)
+        return fit_similarity(source, target, threshold, seed) if len(source) >= 4 else None
     except InputError:
-        return
-    if 2 * fit.inlier.sum() > len(source):
-        x, y = source[fit.inlier], target[fit.inlier]
-        turn, _ = _turn_of_axes(x, R_source[fit.inlier], y, R_target[fit.inlier], fit.sigma)
-        angle = degrees(float(angles(turn[None], np.eye(3)[None])[0]))
-        raise InputError(
-            f"the positions of {fit.inlier.sum()} of {len(source)} poses agree, but with their orientations "
-            f"only {inlier.sum()}: the axes are turned by {angle:.3g} deg"
-            f"{_named(turn)}; correct the axes, or use positions alone (--reference)"
-        )
+        return None
+
+
+def _refuse_turned(
+    source: Array, R_source: Array, target: Array, R_target: Array, fit: Fit, agreeing: int
+) -> None:
+    """Refuse poses whose positions agree much better than their orientations."""
+    x, y = source[fit.inlier], target[fit.inlier]
+    turn, _ = _turn_of_axes(x, R_source[fit.inlier], y, R_target[fit.inlier], fit.sigma)
+    angle = degrees(float(angles(turn[None], np.eye(3)[None])[0]))
+    raise InputError(
+        f"the positions of {fit.inlier.sum()} of {len(source)} poses agree, but with their orientations only "
+        f"{agreeing}: the axes are turned by {angle:.3g} deg{_named(turn)}; correct the axes, or use "
+        "positions alone (--reference)"
+    )
 
 
 def _named(turn: Array) -> str:
