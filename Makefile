@@ -9,7 +9,7 @@ VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
 CONSTRAINTS := .ci/constraints.txt
 
-.PHONY: help demo test setup lint format typecheck typing-view test-native test-wheel wheel examples bench bench-compression docs schemas clean
+.PHONY: help demo test setup lint format typecheck typing-view test-native fuzz test-wheel wheel examples bench bench-compression docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -59,6 +59,9 @@ test-native: setup ## build the native tests with sanitizers and run them
 	  $(BIN)/cmake --build $$build; \
 	  .ci/fixed-addresses $(BIN)/ctest --test-dir $$build --output-on-failure; \
 	done
+
+fuzz: setup ## mutated splat files against every reader, for SECONDS=600
+	$(BIN)/python -P tests/fuzz_splats.py --seconds $(or $(SECONDS),600) --keep build/fuzz
 
 wheel: setup ## build the wheel and the sdist into dist/
 	rm -rf dist

@@ -47,7 +47,7 @@ def metric(splats: Splats, similarity: Similarity = METRIC, *, drop_floaters: bo
 
 def voxels_of(scene: Artifact, size_m: float, min_overlap: int = MIN_OVERLAP) -> Artifact:
     """Occupied voxels as the whole benchmark marks them."""
-    return voxelize(VoxelizeConfig(size_m=size_m, min_overlap=min_overlap), scene)
+    return voxelize(VoxelizeConfig(size_m=size_m, min_overlap=min_overlap, ignore_loss=True), scene)
 
 
 def room(gaussians: int) -> Artifact:

@@ -25,20 +25,27 @@ Explained = tuple[dict[str, Any], "AlulaError | None"]
 @click.argument("file", type=options.input_path())
 @options.reporting
 def command(file: Path, json: bool, quiet: bool, verbose: int) -> None:
-    """Explain an artifact or a splat file.
+    """Explain an artifact or a splat.
 
-    Of a damaged file it prints what can still be read, and ends with exit code 3.
+    FILE may be the folder of a splat, too. Of a damaged file it prints what can still be read, and ends
+    with exit code 3.
     """
     from alula.cli.present import print_json, print_sections
 
     facts, error = _explain(file)
-    facts = {"file": file.name, "bytes": file.stat().st_size, "whole": error is None, **facts}
+    facts = {"file": file.name, "bytes": _size(file), "whole": error is None, **facts}
     if json:
         print_json(facts)
     elif not quiet:
         print_sections(facts)
     if error is not None:
         raise error
+
+
+def _size(path: Path) -> int:
+    if path.is_file():
+        return path.stat().st_size
+    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
 
 
 def _explain(path: Path) -> Explained:
@@ -54,7 +61,7 @@ def _explain(path: Path) -> Explained:
     from alula.stages.reporting.inspect import provenance_facts
 
     if path.is_dir():
-        raise InputError(f"{path}: is a folder, not a file")
+        return _splat(path)
     try:
         with path.open("rb") as file:
             head = file.read(4096)
@@ -143,6 +150,8 @@ def _splat(path: Path) -> Explained:
     try:
         found = SplatFile.find(path)
     except ArtifactError as error:
+        if path.is_dir():
+            raise
         known = "an artifact, a run, a scenario, or a splat or other file of a known format"
         raise ArtifactError(f"{path}: is not {known}") from error
     try:

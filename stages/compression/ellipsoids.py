@@ -66,11 +66,18 @@ def lost_before(scene: SceneManifest, inflation_m: float, *, ignore_loss: bool =
         ]
     loss = source.get("loss")
     losses: dict[str, Any] = loss if isinstance(loss, dict) else {}
-    found = {key: value for key, value in losses.items() if isinstance(value, float) and value}
-    if SPLAT_LOSS in scene.requires and not ignore_loss:  # the rest is allowed for
-        found = {key: value for key, value in found.items() if key == "opacity"}
-    if words := ", ".join(f"{key} {value:.3g}" for key, value in sorted(found.items())):
-        parts.append(f"what the splat file's format lost against its own source, up to {words}")
+    if (moved := losses.get("opacity")) and isinstance(removed, dict) and removed.get("min_opacity"):
+        parts.append(f"what the format may have moved below that opacity, by up to {moved:.3g}")
+    if SPLAT_LOSS not in scene.requires or ignore_loss:  # nothing allows for it
+        found = [
+            f"{key} {value:.3g}"
+            for key, value in sorted(losses.items())
+            if isinstance(value, float) and value and key != "opacity"
+        ]
+        if found:
+            parts.append(
+                f"what the splat file's format lost against its own source, up to {', '.join(found)}"
+            )
     unbounded = losses.get("unbounded")
     for what, why in sorted(unbounded.items()) if isinstance(unbounded, dict) else ():
         parts.append(f"an error of {what} beyond the bound of the splat file's format: {why}")

@@ -15,20 +15,17 @@ from alula.schemas.provenance import Provenance
 from alula.stages.compression.facets import Mesh, mesh
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard import map_binary, map_c_header
-from alula.stages.reconstruction.formats.ply import encode_ply
-from alula.stages.reconstruction.formats.splats import Splats
+from alula.stages.reporting.export_scene import COPIED, SCENE_ENCODERS
 
 ROUNDED = (
     "Rounded coordinates: the exact guarantee of the cover does not carry over to this file; "
     "the cover itself and its JSON export keep it."
 )
-COPIED = "A copy for other programs; sizes computed from it are not certified."
 _COLORS = np.array(
     [[143, 166, 191], [169, 184, 160], [194, 174, 148], [167, 155, 189], [147, 181, 181], [191, 156, 156]],
     np.uint8,
 )
 _UP_IN_GLTF = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # ours is z, theirs y
-_LOGIT_ROOM = 2.0**-24  # an opacity of exactly 0 or 1 has no finite logit
 
 Encoder = Callable[[Artifact, Provenance], Iterator[bytes]]
 
@@ -37,18 +34,21 @@ def export(artifact: Artifact, format_name: str, provenance: Provenance) -> Iter
     """A cover or a scene in another format, in parts.
 
     JSON holds the exact integers of a cover, an onboard map (also as a C header) integers rounded
-    outward, which contain the cover. All other formats hold rounded numbers, and say so. But in onboard
-    maps, hulls keep their order and are named hull-00000, hull-00001, ... wherever a format has names.
+    outward, which contain the cover. All other formats hold rounded numbers, and say so where they have
+    room for it. But in onboard maps, hulls keep their order and are named hull-00000, hull-00001, ...
+    wherever a format has names.
 
     Args:
         artifact: an `alula/cover` or `alula/scene`.
-        format_name: `glb`, `obj`, `json`, `stl`, `onboard` or `c-header` for a cover; `ply`, `glb` or
-            `obj` for a scene.
-        provenance: recorded in the file; its parameters `largest_normal` and `name` shape an onboard map.
+        format_name: `glb`, `obj`, `json`, `stl`, `onboard` or `c-header` for a cover; `ply`, `splat`,
+            `spz`, `glb` or `obj` for a scene.
+        provenance: recorded in the file, but in `.splat`, which has no room for it; its parameters
+            `largest_normal` and `name` shape an onboard map, `spz_version` an SPZ file.
 
     Raises:
         WrongKindError: the artifact is of another kind.
         UsageError: the kind cannot be written in that format.
+        InputError: a value of it is too large for that format.
     """
     encoders = ENCODERS.get(artifact.manifest.schema)
     if encoders is None:
@@ -157,19 +157,6 @@ def _cover_stl(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
         yield ("\n".join([*lines, f"endsolid {name}"]) + "\n").encode()
 
 
-def _scene_ply(scene: Artifact, provenance: Provenance) -> Iterator[bytes]:
-    opacity = np.clip(np.asarray(scene["opacity"]), _LOGIT_ROOM, 1 - _LOGIT_ROOM)
-    splats = Splats(
-        format="ply",
-        mean=np.asarray(scene["mean"]),
-        scale=np.asarray(scene["scale"]),
-        quat_wxyz=np.asarray(scene["quat_wxyz"]),
-        opacity=opacity.astype(np.float32),
-        color=np.asarray(scene["color"]),
-    )
-    yield from encode_ply(splats, [provenance.line(), COPIED])
-
-
 def _cover_glb(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
     import trimesh
 
@@ -209,5 +196,5 @@ ENCODERS: dict[str, dict[str, Encoder]] = {
         "onboard": map_binary,
         "c-header": map_c_header,
     },
-    "alula/scene": {"ply": _scene_ply, "glb": _scene_glb, "obj": _scene_obj},
+    "alula/scene": {**SCENE_ENCODERS, "glb": _scene_glb, "obj": _scene_obj},
 }

@@ -99,10 +99,11 @@ def test_what_alula_wrote_for_others_is_explained(folder, capsys):
 @pytest.mark.parametrize(
     ("name", "kind"),
     [
-        ("fourth-st-spz/fourth_st.spz", "SPZ"),
-        ("cc0-corpus/leica-sofort-top8192.sog", "SOG"),
-        ("tiny-conformance/splat-transform-minimal.ksplat", "KSPLAT"),
-        ("tiny-conformance/khr_conformance_matrix.glb", "GLB (glTF)"),
+        ("fourth-st-spz/fourth_st.spz", "splat file: spz"),
+        ("cc0-corpus/leica-sofort-top8192.sog", "splat file: sog"),
+        ("playbot-lod-sog/6_0", "splat file: sog"),
+        ("tiny-conformance/splat-transform-minimal.ksplat", "splat file: ksplat"),
+        ("tiny-conformance/khr_conformance_matrix.glb", "splat file: gltf"),
         ("tiny-conformance/brush-init.ply", "an ordinary point cloud or mesh, not a Gaussian splat"),
         ("inria-ply/train-1000.ply", "splat file: ply"),
         ("tiny-conformance/splat-transform-minimal.splat", "splat file: splat"),

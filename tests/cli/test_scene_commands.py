@@ -215,7 +215,10 @@ def test_public_fixtures_with_unusable_rows(tmp_path, capsys, name):
         pytest.skip("ALULA_DATA is not set")
     path = Path(root) / f"usd3dgs-fixtures-ply/{name}.ply"
     assert run(["import-splat", str(path), "-o", str(tmp_path / "s.scene.npz")]) == 3
-    assert f"no Gaussian is left of 1: removed 1 by {NOT_A_NUMBER_AND_THE_LIKE[name]}" in error(capsys)
+    why = NOT_A_NUMBER_AND_THE_LIKE[name]
+    assert f"1 of 1 Gaussians have values that are not finite ({why} 1), the first in row 0" in error(capsys)
+    assert run(["import-splat", str(path), "-o", str(tmp_path / "s.scene.npz"), "--drop-nan"]) == 3
+    assert f"no Gaussian is left of 1: removed 1 by {why}" in error(capsys)
 
 
 @pytest.mark.parametrize("command", ["demo-scene", "import-splat", "scale-align"])

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -111,10 +112,13 @@ class Cluster:
 
     @property
     def address(self) -> str:
-        deadline = time.monotonic() + 30
-        while not self._address.exists() and time.monotonic() < deadline:
+        """Once the scheduler has written all of it."""
+        deadline = time.monotonic() + 120
+        while time.monotonic() < deadline:
+            with suppress(FileNotFoundError, json.JSONDecodeError):
+                return json.loads(self._address.read_text())["address"]
             time.sleep(0.05)
-        return json.loads(self._address.read_text())["address"]
+        raise TimeoutError((self._folder / "scheduler.log").read_text())
 
     def stop(self):
         for process in (*self.workers, self._scheduler):
@@ -170,4 +174,4 @@ def test_a_scheduler_that_does_not_answer_or_has_no_workers_is_said(tmp_path):
 def test_workers_of_another_version_are_refused(cluster, monkeypatch):
     monkeypatch.setattr(module, "producer", lambda: Producer("alula", "0.0", "none"))
     with pytest.raises(LinkError, match=r"runs alula .*, not 0\.0 \(none\)"):
-        list(distribute(square, [1], scheduler=cluster.address, timeout_s=60))
+        list(distribute(square, [1], scheduler=cluster.address, timeout_s=180))

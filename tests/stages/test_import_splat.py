@@ -1,5 +1,7 @@
 """The rules that decide which Gaussians enter a scene."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import InputError, UsageError
 from alula.stages.reconstruction.floaters import SMALLEST_GROUP, floaters
-from alula.stages.reconstruction.formats.splats import Splats
+from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound, rounded_up
 from alula.stages.reconstruction.import_splat import SCALE_FLOOR, import_splat
 from alula.stages.rotation import matrix_from_quat_wxyz
 
@@ -62,11 +64,14 @@ def test_clean_rows_are_kept_bit_by_bit_and_in_order():
         ("zero_rotation", {"quat_wxyz": {3: (0, 0, 0, 0)}}),
         ("min_opacity", {"opacity": {3: 0.05}}),
         ("crop", {"mean": {3: (50, 0, 0)}}),
+        ("crop_sphere", {"mean": {3: (8, 8, 8)}}),
         ("max_scale", {"scale": {3: (0.1, 3.0, 0.1)}}),
     ],
 )
 def test_each_rule_removes_its_row_and_counts_it(reason, changes):
-    config = ImportSplatConfig(crop=(-9, -9, -9, 9, 9, 9), max_scale=2.0)
+    config = ImportSplatConfig(
+        crop=(-9, -9, -9, 9, 9, 9), crop_sphere=(1, 1, 1, 12), max_scale=2.0, drop_nan=True
+    )
     given_ = splats(**changes)
     scene = import_splat(config, given_)
     assert removed(scene) == {reason: 1}
@@ -77,7 +82,7 @@ def test_each_rule_removes_its_row_and_counts_it(reason, changes):
 
 def test_a_row_counts_once_and_counts_add_up():
     given_ = splats(mean={0: np.nan, 1: np.inf}, opacity={0: 0.0, 1: 0.0, 2: 0.0}, scale={0: np.inf})
-    scene = import_splat(ImportSplatConfig(), given_)
+    scene = import_splat(ImportSplatConfig(drop_nan=True), given_)
     assert removed(scene) == {"not_a_number": 1, "infinite_mean": 1, "min_opacity": 1}
     assert scene.manifest.source["rows"] == scene.manifest.source["kept"] + 3
 
@@ -92,13 +97,77 @@ def test_no_thickness_becomes_the_floor_and_certain_opacities_stay():
 
 
 def test_a_scene_without_gaussians_is_refused_with_the_reasons():
+    config = ImportSplatConfig(crop=(90, 90, 90, 91, 91, 91), drop_nan=True)
     with pytest.raises(InputError, match="no Gaussian is left of 12: removed 1 by infinite_mean, 11 by crop"):
-        import_splat(ImportSplatConfig(crop=(90, 90, 90, 91, 91, 91)), splats(mean={0: np.inf}))
+        import_splat(config, splats(mean={0: np.inf}))
+
+
+def test_values_that_are_not_finite_are_refused_unless_they_are_to_be_dropped():
+    given_ = splats(mean={7: np.inf}, opacity={4: np.nan})
+    words = (
+        r"2 of 12 Gaussians .* not finite \(not_a_number 1, infinite_mean 1\), the first in row 4; --drop-nan"
+    )
+    with pytest.raises(InputError, match=words):
+        import_splat(ImportSplatConfig(), given_)
+
+
+@pytest.mark.parametrize(("axis", "signs"), [("x", (1, -1, -1)), ("y", (-1, 1, -1)), ("z", (-1, -1, 1))])
+def test_a_turn_moves_ellipsoids_by_exactly_half_a_turn(axis, signs):
+    given_ = splats()
+    still, scene = (import_splat(ImportSplatConfig(turn=turn), given_) for turn in ("none", axis))
+    flip = np.diag(signs).astype(float)
+    np.testing.assert_array_equal(scene["mean"], given_.mean * np.float32(signs))
+    for before, after, s in zip(still["quat_wxyz"], scene["quat_wxyz"], scene["scale"], strict=True):
+        r, t = matrix_from_quat_wxyz(before), matrix_from_quat_wxyz(after)
+        one, other = (m @ np.diag(s.astype(float) ** 2) @ m.T for m in (flip @ r, t))
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-6 * np.abs(one).max())
+    assert sorted(np.abs(scene["quat_wxyz"][0])) == pytest.approx(
+        sorted(np.abs(still["quat_wxyz"][0])), rel=1e-6
+    )
+    assert scene.manifest.source["frame"] == {"file": "unnamed", "turn": axis}
+    assert "180 degrees" in scene.manifest.summary["frame"]
+
+
+def test_the_loss_of_the_kept_rows_is_in_the_scene():
+    bound = loss_bound(12, position=np.arange(12) / 100, scale=0.03, rotation=np.arange(12) / 4)
+    given_ = dataclasses.replace(splats(opacity={11: 0.0}), loss=Loss(bound, 0.002, {"scale": "a codebook"}))
+    scene = import_splat(ImportSplatConfig(), given_)
+    np.testing.assert_array_equal(scene["loss"], bound[:11])
+    assert scene.manifest.requires == ["splat-loss"]
+    figures = scene.manifest.source["loss"]
+    assert figures["position"] == pytest.approx(0.1)
+    assert figures["rotation_rad"] == pytest.approx(2.5)
+    assert (figures["opacity"], figures["unbounded"]) == (0.002, {"scale": "a codebook"})
+    assert "a codebook" in scene.manifest.guarantee.statement
+    none = import_splat(
+        ImportSplatConfig(), dataclasses.replace(given_, loss=Loss(np.zeros((12, 3), np.float32)))
+    )
+    assert "loss" not in none.arrays
+    assert none.manifest.requires == []
+    for bad in (np.nan, np.inf, -1):
+        bound[3, 1] = bad
+        with pytest.raises(InputError, match="not a number of at least 0"):
+            import_splat(ImportSplatConfig(), given_)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.floats(0, 3e38))
+def test_bounds_are_rounded_up(value):
+    (up,) = rounded_up([value])
+    assert float(up) >= value
+    assert float(up) <= value * (1 + 2**-22) + 2e-45
+    assert loss_bound(1, rotation=7.0)[0, 2] >= np.pi
 
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"min_opacity": 1.1}, {"min_opacity": -0.1}, {"max_scale": 0.0}, {"crop": (0, 0, 0, 1, 0, 1)}],
+    [
+        {"crop_sphere": (0, 0, 0, 0)},
+        {"min_opacity": 1.1},
+        {"min_opacity": -0.1},
+        {"max_scale": 0.0},
+        {"crop": (0, 0, 0, 1, 0, 1)},
+    ],
 )
 def test_parameters_that_mean_nothing_are_refused(wrong):
     with pytest.raises(UsageError):
@@ -119,7 +188,9 @@ def test_whatever_is_kept_is_a_valid_scene(seed, min_opacity):
         color=np.zeros((40, 3), np.uint8),
     )
     try:
-        scene = import_splat(ImportSplatConfig(min_opacity=min_opacity), given_)  # checks what it makes
+        scene = import_splat(
+            ImportSplatConfig(min_opacity=min_opacity, drop_nan=True), given_
+        )  # checks what it makes
     except InputError:
         return
     assert scene.manifest.source["kept"] + sum(removed(scene).values()) == 40

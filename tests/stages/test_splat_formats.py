@@ -1,7 +1,6 @@
 """`.splat` records, and telling formats apart."""
 
 import gzip
-import json
 import os
 import struct
 import zipfile
@@ -15,7 +14,8 @@ from hypothesis import strategies as st
 from alula.schemas.errors import AlulaError, ArtifactError, InputError, UsageError
 from alula.stages.reconstruction.formats import registry as formats
 from alula.stages.reconstruction.formats.ply import encode_ply
-from alula.stages.reconstruction.formats.registry import SplatFormat, read_splats
+from alula.stages.reconstruction.formats.registry import SplatFile, SplatFormat, read_splats
+from alula.stages.reconstruction.formats.source import Source
 from alula.stages.reconstruction.formats.splat import OPACITY_LOSS, ROTATION_LOSS_RAD, decode_splat
 
 
@@ -101,50 +101,54 @@ def test_the_content_decides_before_the_suffix(tmp_path):
         read_splats(bare, "ply")
 
 
-FOREIGN = {
-    "a.spz": (b"NGSP" + bytes(28), "SPZ"),
-    "b.spz": (gzip.compress(b"NGSP" + bytes(28)), "SPZ"),
-    "c.glb": (b"glTF" + bytes(28), "GLB"),
-    "d.gltf": (b'{"asset": {}}', "glTF"),
-    "meta.json": (json.dumps({"version": 2, "means": {}}).encode(), "SOG"),
-    "e.ksplat": (b"\x00\x01" + bytes(5000), "KSPLAT"),
-    "spz.splat": (b"NGSP" + bytes(28), "SPZ"),
-}
-
-
-@pytest.mark.parametrize("name", FOREIGN)
-def test_other_formats_are_refused_by_name(tmp_path, name):
-    raw, title = FOREIGN[name]
-    path = tmp_path / name
-    path.write_bytes(raw)
-    with pytest.raises(
-        ArtifactError, match=f"{name}: recognised as {title}.*; not supported by this version"
-    ):
-        read_splats(path)
-
-
-def test_archives_are_told_apart(tmp_path):
-    zipped(tmp_path / "a.sog", "meta.json")
-    with pytest.raises(ArtifactError, match="recognised as SOG"):
-        read_splats(tmp_path / "a.sog")
+def test_what_is_no_splat_is_refused(tmp_path):
     zipped(tmp_path / "b.npz", "manifest.json")
-    with pytest.raises(ArtifactError, match="is an artifact of alula"):
+    with pytest.raises(ArtifactError, match="not a splat file"):
         read_splats(tmp_path / "b.npz")
     for raw in (b"PK\x03\x04 broken", b"\x1f\x8b broken", gzip.compress(b"text"), b"{}", b"\x00"):
         (tmp_path / "c").write_bytes(raw)
-        with pytest.raises(ArtifactError, match="not a splat file"):
+        with pytest.raises(ArtifactError, match=r"not a splat file|SOG|SPZ"):
             read_splats(tmp_path / "c")
+
+
+def test_the_last_iteration_of_a_trainers_folder_is_taken(tmp_path):
+    for iteration, x in ((7000, 1), (30000, 2), (800, 3)):
+        place = tmp_path / f"run/point_cloud/iteration_{iteration}"
+        place.mkdir(parents=True)
+        (place / "point_cloud.ply").write_bytes(
+            b"".join(encode_ply(decode_splat(memoryview(record((x, 0, 0))))))
+        )
+    found = SplatFile.find(tmp_path / "run")
+    assert list(found.files()) == ["splat"]
+    assert found.files()["splat"].parent.name == "iteration_30000"
+    splats = found.decode()
+    assert splats.mean[0, 0] == 2
+    assert splats.notes[0] == "iteration 30000 of the folder, the last of 3"
+
+
+@pytest.mark.parametrize("name", ["../a", "/etc/passwd", "a/../../b", "", "a\\b", "c:d", "x\0y"])
+def test_names_inside_files_stay_in_the_folder(tmp_path, name):
+    with pytest.raises(ArtifactError, match="no name of a file in the same folder"):
+        Source(tmp_path / "meta.json").member(name)
+
+
+def test_members_that_are_missing_or_empty_are_named(tmp_path):
+    (tmp_path / "empty.webp").touch()
+    with pytest.raises(ArtifactError, match=r"empty\.webp: is empty"):
+        Source(tmp_path).member("empty.webp")
+    with pytest.raises(ArtifactError, match=r"none\.webp: does not exist"):
+        Source(tmp_path).member("none.webp")
 
 
 def test_files_that_cannot_be_opened(tmp_path):
     (tmp_path / "empty.ply").touch()
     with pytest.raises(ArtifactError, match="is empty"):
         read_splats(tmp_path / "empty.ply")
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="does not exist"):
         read_splats(tmp_path / "none.ply")
-    with pytest.raises(InputError, match="directory"):
+    with pytest.raises(InputError, match="is a folder, but of no kind"):
         read_splats(tmp_path)
-    with pytest.raises(UsageError, match="--format must be auto, ply, splat, not 'obj'"):
+    with pytest.raises(UsageError, match=r"--format must be auto, ply, .*splat, not 'obj'"):
         read_splats(tmp_path / "empty.ply", "obj")
 
 
@@ -155,7 +159,9 @@ class Entry:
 
 
 def test_other_packages_can_add_a_format(tmp_path, monkeypatch):
-    added = SplatFormat("tiny", lambda head, suffix: head[:4] == b"TINY", lambda b, p: decode_splat(b[4:]))
+    added = SplatFormat(
+        "tiny", lambda source: source.head[:4] == b"TINY", lambda source, p: decode_splat(source.data[4:])
+    )
     monkeypatch.setattr(formats, "entry_points", lambda group: [Entry("tiny", added)])
     path = tmp_path / "x.splat"
     path.write_bytes(b"TINY" + record())

@@ -86,10 +86,10 @@ def test_every_tile_size_gives_the_same_voxels(ellipsoids, edge, chunk):
 @given(ellipsoids=scenes(), seed=st.integers(0, 2**32 - 1))
 def test_whether_a_voxel_is_marked_does_not_depend_on_the_crop(ellipsoids, seed):
     """Every box of whole voxels gives its part of the result."""
-    index, overlap, *_ = _core.voxelize(*ellipsoids.level())
+    index, overlap, *_ = _core.voxelize(**ellipsoids.level())
     lower, upper = np.sort(np.random.default_rng(seed).integers(-8, 8, (2, 3)), axis=0)
     keep = ((index >= lower) & (index <= upper)).all(axis=1)
-    part = _core.voxelize(*ellipsoids.level(), tile=(lower.tolist(), upper.tolist()))
+    part = _core.voxelize(**ellipsoids.level(), tile=(lower.tolist(), upper.tolist()))
     np.testing.assert_array_equal(part[0], index[keep])
     np.testing.assert_array_equal(part[1], overlap[keep])
 

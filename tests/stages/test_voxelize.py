@@ -302,6 +302,8 @@ def test_the_artifact_says_what_was_done_and_left_out():
             "gaussians_cut_by_crop": (reach == 2).sum(),
         },
         "min_opacity": 0.0,
+        "ignore_loss": False,
+        "splat_loss": {},
     }
     assert manifest.summary["volume_m3"] == pytest.approx(len(voxels["index"]) * 1e-3)
     assert manifest.summary["lower_m"] == pytest.approx(voxels["index"].min(axis=0) * 0.1)

@@ -10,7 +10,9 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from alula.schemas.errors import ArtifactError, InputError, UsageError
+from alula.stages.reconstruction.formats.compressed_ply import decode_compressed_ply, is_compressed_ply
 from alula.stages.reconstruction.formats.gltf import decode_gltf, is_gltf, members_of_gltf
+from alula.stages.reconstruction.formats.ksplat import decode_ksplat, is_ksplat
 from alula.stages.reconstruction.formats.means_json import decode_means_json, is_means_json
 from alula.stages.reconstruction.formats.nerfstudio import (
     decode_nerfstudio,
@@ -18,9 +20,12 @@ from alula.stages.reconstruction.formats.nerfstudio import (
     members_of_nerfstudio,
 )
 from alula.stages.reconstruction.formats.ply import decode_ply
+from alula.stages.reconstruction.formats.sog import decode_sog, is_sog, sog_members
 from alula.stages.reconstruction.formats.source import Source, find_source
 from alula.stages.reconstruction.formats.splat import decode_splat
 from alula.stages.reconstruction.formats.splats import Progress, Splats
+from alula.stages.reconstruction.formats.spz import decode_spz
+from alula.stages.reconstruction.formats.spz_container import is_spz
 
 
 def _itself(source: Source) -> Sequence[str]:
@@ -52,18 +57,30 @@ def _of_file(
 
 
 PLY = SplatFormat("ply", lambda source: re.match(rb"ply\s", source.head) is not None, _of_file(decode_ply))
+COMPRESSED_PLY = SplatFormat("compressed-ply", is_compressed_ply, _of_file(decode_compressed_ply))
+SOG = SplatFormat("sog", is_sog, decode_sog, sog_members)
+KSPLAT = SplatFormat("ksplat", is_ksplat, _of_file(decode_ksplat))
 SPLAT = SplatFormat("splat", lambda source: source.suffix == ".splat", _of_file(decode_splat))
 GLTF = SplatFormat("gltf", is_gltf, decode_gltf, members_of_gltf)
 NERFSTUDIO = SplatFormat("nerfstudio", is_nerfstudio, decode_nerfstudio, members_of_nerfstudio)
 MEANS_JSON = SplatFormat("json", is_means_json, _of_file(decode_means_json))
+SPZ = SplatFormat(
+    "spz", lambda source: not source.is_folder and is_spz(source.data, source.suffix), _of_file(decode_spz)
+)
 
 _WITH_MAGIC = (
+    COMPRESSED_PLY,  # before PLY, which it is too
     PLY,
+    SPZ,
+    SOG,
     GLTF,
     NERFSTUDIO,
     MEANS_JSON,
 )
-_BY_SUFFIX = (SPLAT,)
+_BY_SUFFIX = (
+    KSPLAT,
+    SPLAT,
+)
 
 
 def formats() -> Iterator[SplatFormat]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from alula.schemas.errors import ArtifactError
@@ -64,3 +66,20 @@ def decode_splat(buffer: memoryview, progress: Progress | None = None) -> Splats
         loss=Loss(loss_bound(count, rotation=ROTATION_LOSS_RAD), OPACITY_LOSS),
         notes=(f"{negative} rows with a negative scale, read as positive",) if negative else (),
     )
+
+
+def encode_splat(splats: Splats) -> Iterator[bytes]:
+    """A `.splat` file, in parts; inverse of `decode_splat`, rounding to nearest.
+
+    Positions and scales are exact; quaternions are normalised and stored as (q + 1) 127.5, opacities as
+    255 alpha, both rounded. The format has no room for anything else.
+    """
+    for start in range(0, len(splats), _CHUNK):
+        part = slice(start, min(start + _CHUNK, len(splats)))
+        rows = np.empty(part.stop - start, RECORD)
+        rows["mean"], rows["scale"] = splats.mean[part], splats.scale[part]
+        rows["rgba"][:, :3] = splats.color[part]
+        rows["rgba"][:, 3] = np.rint(np.clip(splats.opacity[part], 0, 1) * 255.0)
+        quat = splats.quat_wxyz[part].astype(np.float64)
+        rows["quat"] = np.rint((quat / np.linalg.norm(quat, axis=1, keepdims=True) + 1.0) * 127.5)
+        yield rows.tobytes()
