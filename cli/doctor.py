@@ -30,6 +30,8 @@ PACKAGES = {
     "rich": "rich",
     "mcap": "mcap",
     "trimesh": "trimesh",
+    "pillow": "PIL",
+    "pyyaml": "yaml",
     "zstandard": "zstandard",
     "matplotlib": "matplotlib",
     "k3d": "k3d",

@@ -25,7 +25,7 @@ Explained = tuple[dict[str, Any], "AlulaError | None"]
 @click.argument("file", type=options.input_path())
 @options.reporting
 def command(file: Path, json: bool, quiet: bool, verbose: int) -> None:
-    """Explain an artifact or a splat.
+    """Explain an artifact or a splat file.
 
     FILE may be the folder of a splat, too. Of a damaged file it prints what can still be read, and ends
     with exit code 3.

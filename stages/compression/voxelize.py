@@ -44,10 +44,10 @@ def voxelize(
 ) -> Artifact:
     """Mark every voxel that an ellipsoid of the scene touches.
 
-    The closed cube [i g, (i + 1) g] is marked when at least `min_overlap` of the sets
-    {x : (x - mu)' inv(Sigma') (x - mu) <= 1} touch it, Sigma' = (1 + 1/p) k^2 Sigma + (1 + p) r^2 I,
-    p = sqrt(k^2 tr Sigma / (3 r^2)): an outer bound of the k-sigma ellipsoid plus a ball of radius r
-    (equal to it for r = 0). Where the scene has a `loss`, k and r of each Gaussian grow by it as
+    The closed cube [i g, (i + 1) g] is marked when at least `min_overlap` k-sigma ellipsoids, each plus
+    a ball of radius r, touch it. For r > 0 that sum is replaced by what lies in its box and in the
+    ellipsoids {x : (x - mu)' inv(Sigma') (x - mu) <= 1}, Sigma' = (1 + 1/p) k^2 Sigma + (1 + p) r^2 I, which
+    contain it for every p: here p = sqrt(k^2 tr Sigma / (3 r^2)) and, if that is above 1, p = 1/2. Where the scene has a `loss`, k and r of each Gaussian grow by it as
     `level_of` in `ellipsoid.hpp` says, so that the sets contain those of the Gaussians that the splat file
     was made from. Rounding is outward, so with `min_overlap` 1 no point of these sets lies
     in a voxel that is not marked, as far as voxels touch the crop. Gaussians of an opacity below

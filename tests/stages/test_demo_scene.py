@@ -8,7 +8,8 @@ import pytest
 from alula.schemas.configs.demo_scene import DemoSceneConfig
 from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import UsageError
-from alula.stages.alignment.similarity import fit_similarity, transform_points
+from alula.stages.alignment.robust import fit_similarity
+from alula.stages.alignment.similarity import transform_points
 from alula.stages.reconstruction.demo_cameras import colmap_model, demo_cameras, positions_csv
 from alula.stages.reconstruction.demo_scene import demo_scene, scene_from_world, world_from_scene
 from alula.stages.reconstruction.formats.ply import encode_ply

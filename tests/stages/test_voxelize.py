@@ -184,16 +184,26 @@ def test_no_point_of_a_grown_ellipsoid_is_free(seed, inflation):
     assert {tuple(c) for c in np.floor(touched / g).astype(int).tolist()} <= marked
 
 
-def test_inflation_marks_the_outer_ellipsoid_and_no_more():
+@pytest.mark.parametrize(
+    "semi", [(0.2, 0.05, 0.01), (0.3, 0.3, 0.002), (0.4, 0.01, 0.01), (0.02, 0.03, 0.04)]
+)
+def test_inflation_marks_what_lies_in_all_outer_bounds_and_no_more(semi):
+    """Two ellipsoids and the box of the Minkowski sum; where the inflation is the larger, one ellipsoid."""
     rng = np.random.default_rng(3)
-    mean, scale, quat = rows(rng.uniform(-0.2, 0.2, 3), [0.2, 0.05, 0.01], rng.normal(size=4))
-    k, r, g = 2.0, 0.1, 0.05
+    mean, scale, quat = rows(rng.uniform(-0.2, 0.2, 3), semi, rng.normal(size=4))
+    k, r, g = 2.0, 0.06, 0.05
     square = (k * scale[0].astype(float)) ** 2
-    p = np.sqrt(square.sum() / (3 * r * r))
-    outer = np.sqrt((1 + 1 / p) * square + (1 + p) * r * r)
-    cell, touched = touched_table(mean[0], outer, quat[0], 1.0, g, np.full(3, -18), np.full(3, 18))
+    trace = np.sqrt(square.sum() / (3 * r * r))
+    low, high = np.full(3, -24), np.full(3, 24)
+    reach = np.sqrt((np.array(rotation(quat[0].astype(float))) ** 2) @ square) + r
+    wanted = np.array(True)
+    for p in (trace, 0.5) if trace > 1 else (trace,):
+        outer = np.sqrt((1 + 1 / p) * square + (1 + p) * r * r)
+        cell, touched = touched_table(mean[0], outer, quat[0], 1.0, g, low, high)
+        wanted = wanted & touched
+    wanted &= (cell * g <= mean[0] + reach).all(axis=1) & ((cell + 1) * g >= mean[0] - reach).all(axis=1)
     index, *_ = _core.voxelize(mean, scale, quat, k, g, r)
-    np.testing.assert_array_equal(index, cell[touched])
+    np.testing.assert_array_equal(index, cell[wanted])
 
 
 def random_rows(seed, n=3000):

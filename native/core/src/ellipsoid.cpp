@@ -76,21 +76,30 @@ Level level_of(const Splats& splats, std::size_t i, const Level& level) {
   return {sigma, (level.inflation + loss[0] + turned) * kUp};
 }
 
-Ellipsoid outer_ellipsoid(const Splats& splats, std::size_t i, const Level& all) {
+namespace {
+
+// The set with the same centre and rotation and other semi-axes.
+void shape(Ellipsoid& e, const Vec3& axis) {
+  const double least = kEps * (axis[0] + axis[1] + axis[2]);
+  for (std::size_t j = 0; j < 3; ++j) e.axis[j] = std::max(axis[j], least);
+  for (std::size_t a = 0; a < 3; ++a) {
+    for (std::size_t j = 0; j < 3; ++j) e.row[a][j] = e.rotation[a][j] * e.axis[j];
+    e.half[a] = std::sqrt(e.row[a][0] * e.row[a][0] + e.row[a][1] * e.row[a][1] + e.row[a][2] * e.row[a][2]);
+  }
+  e.reach = e.axis[0] + e.axis[1] + e.axis[2];
+}
+
+}  // namespace
+
+Bounds bounds_of(const Splats& splats, std::size_t i, const Level& all) {
   const Level level = level_of(splats, i, all);
-  Ellipsoid e;
-  Vec3& axis = e.axis;
+  Bounds bounds;
+  Ellipsoid& e = bounds.first;
+  Vec3 axis;
   for (std::size_t a = 0; a < 3; ++a) {
     e.centre[a] = splats.mean[3 * i + a];
     axis[a] = level.sigma * splats.scale[3 * i + a];
   }
-  if (level.inflation > 0) {
-    const double r = level.inflation;
-    const double mean = std::sqrt((axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]) / 3);  // p r
-    for (double& a : axis) a = std::sqrt((1 + r / mean) * a * a + (r + mean) * r);  // p itself may overflow
-  }
-  const double least = kEps * (axis[0] + axis[1] + axis[2]);
-  for (double& a : axis) a = std::max(a, least);
   const float* q = &splats.quat_wxyz[4 * i];
   const double w = q[0], x = q[1], y = q[2], z = q[3];
   const double ww = w * w, xx = x * x, yy = y * y, zz = z * z;
@@ -98,12 +107,25 @@ Ellipsoid outer_ellipsoid(const Splats& splats, std::size_t i, const Level& all)
   e.rotation = {Vec3{balance(ww, xx, yy, zz) * inverse, (x * y - w * z) * twice, (x * z + w * y) * twice},
                 Vec3{(x * y + w * z) * twice, balance(ww, yy, xx, zz) * inverse, (y * z - w * x) * twice},
                 Vec3{(x * z - w * y) * twice, (y * z + w * x) * twice, balance(ww, zz, xx, yy) * inverse}};
-  for (std::size_t a = 0; a < 3; ++a) {
-    for (std::size_t j = 0; j < 3; ++j) e.row[a][j] = e.rotation[a][j] * axis[j];
-    e.half[a] = std::sqrt(e.row[a][0] * e.row[a][0] + e.row[a][1] * e.row[a][1] + e.row[a][2] * e.row[a][2]);
+  shape(e, axis);
+  bounds.half = e.half;
+  bounds.inner = e;
+  const double r = level.inflation;
+  if (r == 0) return bounds;
+
+  for (double& h : bounds.half) h += r;
+  const double mean = std::sqrt((axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]) / 3);  // p r
+  Vec3 inner, loose, tight;
+  for (std::size_t j = 0; j < 3; ++j) {
+    const double square = axis[j] * axis[j];
+    inner[j] = axis[j] + r;
+    loose[j] = std::sqrt((1 + r / mean) * square + (r + mean) * r);  // p itself may overflow
+    tight[j] = std::sqrt(3 * square + 1.5 * r * r);
   }
-  e.reach = axis[0] + axis[1] + axis[2];
-  return e;
+  shape(bounds.inner, inner);
+  if (mean > r) shape(bounds.second.emplace(e), tight);
+  shape(e, loose);
+  return bounds;
 }
 
 namespace {

@@ -4,6 +4,7 @@
 #include <atomic>
 #include <bit>
 #include <cmath>
+#include <optional>
 
 #include "alula/parallel.hpp"
 
@@ -92,12 +93,11 @@ class Prover {
   std::array<Vec3, 3> axis_;  // columns of R
 };
 
-// The heuristic part: directions worth trying.
-class Search {
+// The heuristic part: directions worth trying, those of one ellipsoid around the set.
+class Directions {
  public:
-  Search(const Splats& splats, std::size_t i, const Level& level, double g)
-      : prover_(splats, i, level, g), outer_(outer_ellipsoid(splats, i, level)), g_(g) {
-    grown_ = kGrown * outer_.extent(g);
+  Directions(const Prover& prover, const Ellipsoid& outer, double g)
+      : prover_(prover), outer_(outer), grown_(kGrown * outer.extent(g)) {
     // The metric |inv(A) x|^2; column j of A has the length of semi-axis j.
     for (std::size_t j = 0; j < 3; ++j) {
       const Vec3 column{outer_.row[0][j], outer_.row[1][j], outer_.row[2][j]};
@@ -107,24 +107,8 @@ class Search {
     }
   }
 
-  // The voxels of a range beyond which none is touched.
-  Block bounds(const CropRange& range) const {
-    Vec3 lower = prover_.lower(), upper = prover_.upper();
-    for (std::size_t a = 0; a < 3; ++a) lower[a] = std::floor(lower[a] / g_), upper[a] = std::floor(upper[a] / g_);
-    return clipped_block(lower, upper, range);
-  }
-
-  double least_voxels() const { return outer_.least_voxels(g_); }
-
-  bool separated(const Block& block, bool single) {
-    Vec3 lower, upper;
-    bool around = true;
-    for (std::size_t a = 0; a < 3; ++a) {
-      lower[a] = double(block.lower[a]) * g_ - outer_.centre[a];
-      upper[a] = (double(block.upper[a]) + 1) * g_ - outer_.centre[a];
-      around &= lower[a] <= 0 && upper[a] >= 0;
-    }
-    if (around) return false;
+  // Whether the set is proven clear of the block, which is lower ... upper from the centre.
+  bool separate(const Block& block, const Vec3& lower, const Vec3& upper, bool single) {
     const Verdict verdict = descend(block, lower, upper);
     if (verdict != Verdict::kUnknown || !single) return verdict == Verdict::kSeparated;
     return by_features(block, lower, upper);
@@ -195,13 +179,52 @@ class Search {
     factored_ = true;
   }
 
-  Prover prover_;
-  Ellipsoid outer_;
-  double g_, grown_;
+  const Prover& prover_;
+  const Ellipsoid& outer_;
+  double grown_;
   std::array<Vec3, 3> metric_{};
   bool factored_ = false;
   Factor whole_{};
   std::array<Factor, 3> pair_{};
+};
+
+// One set: whether blocks are proven clear of it.
+class Search {
+ public:
+  Search(const Splats& splats, std::size_t i, const Level& level, double g)
+      : prover_(splats, i, level, g), set_(bounds_of(splats, i, level)), first_(prover_, set_.first, g), g_(g) {
+    if (set_.second) second_.emplace(prover_, *set_.second, g);
+  }
+  Search(const Search&) = delete;
+  Search& operator=(const Search&) = delete;
+
+  // The voxels of a range beyond which none is touched.
+  Block bounds(const CropRange& range) const {
+    Vec3 lower = prover_.lower(), upper = prover_.upper();
+    for (std::size_t a = 0; a < 3; ++a) lower[a] = std::floor(lower[a] / g_), upper[a] = std::floor(upper[a] / g_);
+    return clipped_block(lower, upper, range);
+  }
+
+  double least_voxels() const { return set_.inner.least_voxels(g_); }
+
+  bool separated(const Block& block, bool single) {
+    Vec3 lower, upper;
+    bool around = true;
+    for (std::size_t a = 0; a < 3; ++a) {
+      lower[a] = double(block.lower[a]) * g_ - set_.first.centre[a];
+      upper[a] = (double(block.upper[a]) + 1) * g_ - set_.first.centre[a];
+      around &= lower[a] <= 0 && upper[a] >= 0;
+    }
+    if (around) return false;
+    return first_.separate(block, lower, upper, single) || (second_ && second_->separate(block, lower, upper, single));
+  }
+
+ private:
+  Prover prover_;
+  Bounds set_;
+  Directions first_;
+  std::optional<Directions> second_;
+  double g_;
 };
 
 // The voxels of a block of one brick that are not in the set, as bits; shrinks the block to them.

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <optional>
 #include <stdexcept>
 #include <utility>
 
@@ -18,16 +19,17 @@ using namespace surfaces;
 
 constexpr double kNear = 1e9;  // an index well within 32 bits
 
-// An ellipsoid with its outward box in whole voxels, before any clipping.
+// A set with its outward box in whole voxels, before any clipping.
 struct Boxed {
-  const Ellipsoid& e;
+  const Bounds& set;
   double pad;
   Vec3 lower, upper;
 
-  Boxed(const Ellipsoid& ellipsoid, double g, double inverse_g) : e(ellipsoid), pad(kPad * e.extent(g)) {
+  Boxed(const Bounds& bounds, double g, double inverse_g) : set(bounds), pad(kPad * set.first.extent(g)) {
+    const Vec3& centre = set.first.centre;
     for (std::size_t a = 0; a < 3; ++a) {
-      lower[a] = std::floor((e.centre[a] - e.half[a] - pad) * inverse_g);
-      upper[a] = std::floor((e.centre[a] + e.half[a] + pad) * inverse_g);
+      lower[a] = std::floor((centre[a] - set.half[a] - pad) * inverse_g);
+      upper[a] = std::floor((centre[a] + set.half[a] + pad) * inverse_g);
     }
   }
 
@@ -60,13 +62,13 @@ class Marker {
   Marker(OverlapGrid& grid, double g, const CropRange& crop, const CropRange& range)
       : writer_(grid), g_(g), inverse_g_(1 / g), crop_(crop), range_(range) {}
 
-  // Adds the voxels of one ellipsoid within the range.
-  Reach mark(const Ellipsoid& e) {
-    const Boxed boxed(e, g_, inverse_g_);
+  // Adds the voxels of one set within the range.
+  Reach mark(const Bounds& set) {
+    const Boxed boxed(set, g_, inverse_g_);
     const Block block = boxed.clipped(range_);
     if (block.empty()) return Reach::kOutside;
     const bool whole = boxed.within(crop_);
-    if (whole && boxed.voxels() > double(OverlapGrid::kMaxVoxels)) check_voxel_budget(e.least_voxels(g_));
+    if (whole && boxed.voxels() > double(OverlapGrid::kMaxVoxels)) check_voxel_budget(set.inner.least_voxels(g_));
     const int thin = boxed.thin();
     bool marked = true;
     if (thin >= 2) {
@@ -86,17 +88,25 @@ class Marker {
   bool plane(const Boxed& boxed, const Block& block) {
     const std::size_t k = boxed.lower[2] == boxed.upper[2] ? 2 : boxed.lower[1] == boxed.upper[1] ? 1 : 0;
     const std::size_t i = k == 0 ? 1 : 0, j = k == 2 ? 1 : 2;
-    const Shadow shadow(boxed.e, boxed.pad, i, j, k);
+    const auto& [first_set, second_set, half, inner] = boxed.set;
+    const Shadow shadow(first_set, boxed.pad, i, j, k);
+    std::optional<Shadow> second;
+    if (second_set) second.emplace(*second_set, kPad * second_set->extent(g_), i, j, k);
+    const Vec3& centre = first_set.centre;
     chords_.clear();
-    for (std::int32_t v = block.lower[j]; v <= block.upper[j]; ++v)
-      chords_.push_back(shadow.second(span(v, boxed.e.centre[j])));
+    for (std::int32_t v = block.lower[j]; v <= block.upper[j]; ++v) {
+      const Span across = span(v, centre[j]);
+      chords_.push_back({shadow.second(across), second ? second->second(across) : Shadow::Chord{}});
+    }
     bool marked = false;
     Index3 at = block.lower;
     for (at[i] = block.lower[i]; at[i] <= block.upper[i]; ++at[i]) {
-      const Shadow::Chord chord = shadow.first(span(at[i], boxed.e.centre[i]));
+      const Span along = span(at[i], centre[i]);
+      const Shadow::Chord chord = shadow.first(along), other = second ? second->first(along) : Shadow::Chord{};
       std::int32_t first = 0, last = -1;  // what is reached of a row is one run
       for (at[j] = block.lower[j]; at[j] <= block.upper[j]; ++at[j]) {
-        if (!shadow.reaches(chord, chords_[static_cast<std::size_t>(at[j] - block.lower[j])])) continue;
+        const auto& [mine, others] = chords_[static_cast<std::size_t>(at[j] - block.lower[j])];
+        if (!shadow.reaches(chord, mine) || (second && !second->reaches(other, others))) continue;
         marked = true;
         if (j == 1) {
           writer_.add({at[0], at[1], at[2], at[2]});
@@ -110,26 +120,51 @@ class Marker {
     return marked;
   }
 
+  // The runs in z of one ellipsoid in the columns of a block.
+  class Runs {
+   public:
+    Runs(const Marker& marker, const Ellipsoid& e, double pad, const Block& block, std::vector<Surfaces::Edge>& y)
+        : marker_(marker), e_(e), pad_(pad), surfaces_(e, pad), y_(y) {
+      y_.clear();
+      for (std::int32_t v = block.lower[1]; v <= block.upper[1]; ++v)
+        y_.push_back(surfaces_.y_edge(marker.span(v, e.centre[1])));
+    }
+
+    void at(std::int32_t x) { x_edge_ = surfaces_.x_edge(marker_.span(x, e_.centre[0])); }
+
+    // Cuts the run of column y of the block; false when nothing is left.
+    bool cut(std::size_t y, double& first, double& last) const {
+      const double top = surfaces_.top(x_edge_, y_[y]);
+      if (top == kMiss) return false;
+      const double bottom = surfaces_.bottom(x_edge_, y_[y]);
+      if (bottom == kMiss) return false;
+      first = std::max(std::floor((e_.centre[2] - bottom - pad_) * marker_.inverse_g_), first);
+      last = std::min(std::floor((e_.centre[2] + top + pad_) * marker_.inverse_g_), last);
+      return first <= last;
+    }
+
+   private:
+    const Marker& marker_;
+    const Ellipsoid& e_;
+    double pad_;
+    Surfaces surfaces_;
+    std::vector<Surfaces::Edge>& y_;
+    Surfaces::Edge x_edge_;
+  };
+
   bool columns(const Boxed& boxed, const Block& block) {
-    const Ellipsoid& e = boxed.e;
-    const Surfaces surfaces(e, boxed.pad);
+    const Bounds& set = boxed.set;
+    Runs runs(*this, set.first, boxed.pad, block, y_);
+    std::optional<Runs> second;
+    if (set.second) second.emplace(*this, *set.second, kPad * set.second->extent(g_), block, second_y_);
     bool marked = false;
-    y_.clear();
-    for (std::int32_t y = block.lower[1]; y <= block.upper[1]; ++y)
-      y_.push_back(surfaces.y_edge(span(y, e.centre[1])));
     for (std::int32_t x = block.lower[0]; x <= block.upper[0]; ++x) {
-      const Surfaces::Edge x_edge = surfaces.x_edge(span(x, e.centre[0]));
+      runs.at(x);
+      if (second) second->at(x);
       for (std::int32_t y = block.lower[1]; y <= block.upper[1]; ++y) {
-        const Surfaces::Edge& y_edge = y_[static_cast<std::size_t>(y - block.lower[1])];
-        const double top = surfaces.top(x_edge, y_edge);
-        if (top == kMiss) continue;
-        const double bottom = surfaces.bottom(x_edge, y_edge);
-        if (bottom == kMiss) continue;
-        const double first =
-            std::max(std::floor((e.centre[2] - bottom - boxed.pad) * inverse_g_), double(block.lower[2]));
-        const double last =
-            std::min(std::floor((e.centre[2] + top + boxed.pad) * inverse_g_), double(block.upper[2]));
-        if (!(first <= last)) continue;
+        const auto row = static_cast<std::size_t>(y - block.lower[1]);
+        double first = block.lower[2], last = block.upper[2];
+        if (!runs.cut(row, first, last) || (second && !second->cut(row, first, last))) continue;
         writer_.add({x, y, static_cast<std::int32_t>(first), static_cast<std::int32_t>(last)});
         marked = true;
       }
@@ -142,8 +177,8 @@ class Marker {
   OverlapGrid::Writer writer_;
   double g_, inverse_g_;
   CropRange crop_, range_;
-  std::vector<Surfaces::Edge> y_;
-  std::vector<Shadow::Chord> chords_;
+  std::vector<Surfaces::Edge> y_, second_y_;
+  std::vector<std::pair<Shadow::Chord, Shadow::Chord>> chords_;
 };
 
 constexpr std::size_t kMarkedShare = 800;  // of the time, in Share::kWhole, before voxels are listed
@@ -161,7 +196,7 @@ void mark_all(const Splats& splats, const Level& level, double g, const CropRang
               OverlapGrid& grid, unsigned jobs, Control& control, Marked&& marked) {
   parallel_chunks(splats.size(), kChunk, jobs, control, [&](std::size_t begin, std::size_t end) {
     Marker marker(grid, g, outer, range);
-    for (std::size_t i = begin; i < end; ++i) marked(i, marker.mark(outer_ellipsoid(splats, i, level)));
+    for (std::size_t i = begin; i < end; ++i) marked(i, marker.mark(bounds_of(splats, i, level)));
     marker.finish();
   });
 }
@@ -230,8 +265,8 @@ Tiles tiles_of(const Splats& splats, const Level& level, double voxel_size, cons
   BrickMap map;
   for (std::size_t i = 0; i < splats.size(); ++i) {
     if (i % kChunk == 0) control.poll(i, splats.size());
-    const Ellipsoid e = outer_ellipsoid(splats, i, level);
-    const Block block = Boxed(e, voxel_size, inverse_g).clipped(range);
+    const Bounds set = bounds_of(splats, i, level);
+    const Block block = Boxed(set, voxel_size, inverse_g).clipped(range);
     if (block.empty()) continue;
     Index3 first, last;
     double count = 1;

@@ -2,14 +2,18 @@
 //
 // A Gaussian with centre c, one-sigma semi-axes s and orientation R (rotation of its quaternion) is
 // at level k the set {c + R diag(k s) u : |u| <= 1}. Its Minkowski sum with a ball of radius r lies
-// in the ellipsoid with the same axes and semi-axes
-//   a_j^2 = (1 + 1/p) (k s_j)^2 + (1 + p) r^2,   p = sqrt(sum_j (k s_j)^2 / (3 r^2)),
-// whatever the rounding of p, because any p > 0 gives an outer ellipsoid.
+// in the ellipsoids with the same axes and semi-axes
+//   a_j^2 = (1 + 1/p) (k s_j)^2 + (1 + p) r^2,
+// whatever p > 0 and its rounding. None is close everywhere: p = sqrt(sum_j (k s_j)^2 / (3 r^2)) fits
+// where the semi-axes are long, but a disc of radius d becomes sqrt(1 + d/r) r thick, 4 r or more;
+// p = 1/2 is 1.22 r thick there and sqrt(3) as long. What lies in both, and in the box of the sum
+// itself, is close to it all around.
 #pragma once
 
 #include <array>
 #include <cstddef>
 #include <limits>
+#include <optional>
 #include <span>
 
 namespace alula {
@@ -65,7 +69,17 @@ struct Ellipsoid {
   double least_voxels(double g) const;
 };
 
-Ellipsoid outer_ellipsoid(const Splats& splats, std::size_t i, const Level& level);
+// Bounds of row i at a level: every point of it lies in `first`, in `second` if there is one, and
+// within `half` of the centre along each axis (half-widths of the Minkowski sum itself, off by at most
+// 18 u of themselves).
+struct Bounds {
+  Ellipsoid first;
+  std::optional<Ellipsoid> second;
+  Vec3 half{};
+  Ellipsoid inner;  // within the sum: semi-axes k s_j + r, as |D n| + |r n| >= |(D + r) n|
+};
+
+Bounds bounds_of(const Splats& splats, std::size_t i, const Level& level);
 
 // Lower triangular L with L u over the unit ball the same set as the rows first, second, third of A
 // times u: (x1, x2, x3) = (l11 u1, l21 u1 + l22 u2, l31 u1 + l32 u2 + l33 u3), diagonal positive.
