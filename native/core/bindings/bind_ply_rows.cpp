@@ -109,8 +109,9 @@ nb::ndarray<nb::numpy, double> each(const InVector<double>& x) {
 
 void bind_ply_rows(nb::module_& m) {
   using namespace alula;
-  m.def("decode_ply_rows", &decode_rows, "rows"_a, "row_size"_a, "big_endian"_a, "places"_a, "color"_a, "mean"_a.noconvert(),
-        "scale"_a.noconvert(), "quat"_a.noconvert(), "opacity"_a.noconvert(), "out_color"_a.noconvert(), "jobs"_a = 0, "progress"_a = nb::none(),
+  m.def("decode_ply_rows", &decode_rows, "rows"_a, "row_size"_a, "big_endian"_a, "places"_a, "color"_a,
+        "mean"_a.noconvert(), "scale"_a.noconvert(), "quat"_a.noconvert(), "opacity"_a.noconvert(),
+        "out_color"_a.noconvert(), "jobs"_a = 0, "progress"_a = nb::none(),
         "Decode binary rows of Gaussians into the given arrays, as many as these have rows. `places` has for x, y,\n"
         "z, scale_0..2, rot_0..3, opacity and three columns of colour (offset in the row, NumPy's code of the "
         "type),\n"
@@ -126,9 +127,11 @@ void bind_ply_rows(nb::module_& m) {
         const std::size_t count = lines.start.size();
         return std::make_tuple(to_numpy(std::move(lines.start), {count}), lines.trailing);
       },
-      "text"_a, "most"_a, "Where the first `most` lines that are not blank start, and the bytes of all further ones.");
-  m.def("decode_ply_text", &decode_text, "text"_a, "start"_a, "width"_a, "places"_a, "color"_a, "mean"_a.noconvert(), "scale"_a.noconvert(),
-        "quat"_a.noconvert(), "opacity"_a.noconvert(), "out_color"_a.noconvert(), "jobs"_a = 0, "progress"_a = nb::none(),
+      "text"_a, "most"_a,
+      "Where the first `most` lines that are not blank start, and the bytes of all further ones.");
+  m.def("decode_ply_text", &decode_text, "text"_a, "start"_a, "width"_a, "places"_a, "color"_a, "mean"_a.noconvert(),
+        "scale"_a.noconvert(), "quat"_a.noconvert(), "opacity"_a.noconvert(), "out_color"_a.noconvert(), "jobs"_a = 0,
+        "progress"_a = nb::none(),
         "As decode_ply_rows for lines of `width` numbers that start at `start`; places count words. None, or what\n"
         "is wrong first: (row, its words, begin and end of a word that is no number if it has `width` of them).");
   m.def("portable_exp", &each<portable_exp>, "x"_a,

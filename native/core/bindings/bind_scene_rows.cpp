@@ -30,8 +30,9 @@ std::tuple<std::array<std::size_t, kRemovals>, std::size_t> screen(
     std::optional<float> max_scale, unsigned jobs) {
   PythonControl control{nb::none()};
   const nb::gil_scoped_release release;
-  const Screened found = screen_rows(arrays_of(mean, scale, quat, opacity), {min_opacity, crop, crop_sphere, max_scale},
-                                     {removal.data(), removal.size()}, jobs, control);
+  const Screened found =
+      screen_rows(arrays_of(mean, scale, quat, opacity), {min_opacity, crop, crop_sphere, max_scale},
+                  {removal.data(), removal.size()}, jobs, control);
   return {found.count, found.first_not_finite};
 }
 
@@ -72,8 +73,8 @@ void bind_scene_rows(nb::module_& m) {
         "the reasons. Returns how many rows have each, and the first row that is not finite, N if there is none.");
   m.def("keep_rows", &keep, "mean"_a, "scale"_a, "quat"_a, "opacity"_a, "color"_a, "removal"_a, nb::kw_only(),
         "scale_floor"_a, "out_mean"_a.noconvert().none() = nb::none(), "out_scale"_a.noconvert().none() = nb::none(),
-        "out_quat"_a.noconvert().none() = nb::none(), "out_opacity"_a.noconvert().none() = nb::none(), "out_color"_a.noconvert().none() = nb::none(),
-        "jobs"_a = 0,
+        "out_quat"_a.noconvert().none() = nb::none(), "out_opacity"_a.noconvert().none() = nb::none(),
+        "out_color"_a.noconvert().none() = nb::none(), "jobs"_a = 0,
         "Copy the rows whose removal is 0 to the outputs that are given, quaternions normalised and semi-axes no\n"
         "smaller than the floor. Returns lower, upper, scale_max, scale_median (of the longest semi-axes),\n"
         "opacity_median and floored (rows with a semi-axis below the floor) of these.");

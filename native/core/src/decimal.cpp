@@ -71,7 +71,8 @@ bool parse_decimal(const char* begin, const char* end, double* value) {
     if (at < end && (*at == '-' || *at == '+')) ++at;
     if (at == end) return false;
     std::int64_t power = 0;
-    for (; at < end && is_digit(*at); ++at) power = std::min<std::int64_t>(power * 10 + (*at - '0'), 1'000'000'000'000);
+    for (; at < end && is_digit(*at); ++at)
+      power = std::min<std::int64_t>(power * 10 + (*at - '0'), 1'000'000'000'000);
     leading += down ? -power : power;
   }
   if (at != end) return false;

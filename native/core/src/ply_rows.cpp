@@ -15,8 +15,8 @@
 namespace alula {
 namespace {
 
-constexpr std::size_t kBlock = 128;    // rows: 32 KiB of the widest usual ones, so that columns find them in L1
-constexpr std::size_t kChunk = 8192;   // rows of one call of a thread
+constexpr std::size_t kBlock = 128;   // rows: 32 KiB of the widest usual ones, so that columns find them in L1
+constexpr std::size_t kChunk = 8192;  // rows of one call of a thread
 constexpr double kShC0 = 0.28209479177387814;  // 1 / (2 sqrt(pi))
 
 using Block = std::array<std::array<double, kBlock>, kPlyColumns>;
@@ -42,14 +42,22 @@ void gather_as(const std::uint8_t* at, std::size_t row_size, std::size_t count, 
 template <bool Swap>
 void gather(NumberType type, const std::uint8_t* at, std::size_t row_size, std::size_t count, double* out) {
   switch (type) {
-    case NumberType::kInt8: return gather_as<std::int8_t, Swap>(at, row_size, count, out);
-    case NumberType::kUint8: return gather_as<std::uint8_t, Swap>(at, row_size, count, out);
-    case NumberType::kInt16: return gather_as<std::int16_t, Swap>(at, row_size, count, out);
-    case NumberType::kUint16: return gather_as<std::uint16_t, Swap>(at, row_size, count, out);
-    case NumberType::kInt32: return gather_as<std::int32_t, Swap>(at, row_size, count, out);
-    case NumberType::kUint32: return gather_as<std::uint32_t, Swap>(at, row_size, count, out);
-    case NumberType::kFloat32: return gather_as<float, Swap>(at, row_size, count, out);
-    case NumberType::kFloat64: return gather_as<double, Swap>(at, row_size, count, out);
+    case NumberType::kInt8:
+      return gather_as<std::int8_t, Swap>(at, row_size, count, out);
+    case NumberType::kUint8:
+      return gather_as<std::uint8_t, Swap>(at, row_size, count, out);
+    case NumberType::kInt16:
+      return gather_as<std::int16_t, Swap>(at, row_size, count, out);
+    case NumberType::kUint16:
+      return gather_as<std::uint16_t, Swap>(at, row_size, count, out);
+    case NumberType::kInt32:
+      return gather_as<std::int32_t, Swap>(at, row_size, count, out);
+    case NumberType::kUint32:
+      return gather_as<std::uint32_t, Swap>(at, row_size, count, out);
+    case NumberType::kFloat32:
+      return gather_as<float, Swap>(at, row_size, count, out);
+    case NumberType::kFloat64:
+      return gather_as<double, Swap>(at, row_size, count, out);
   }
 }
 

@@ -142,7 +142,8 @@ Screened screen_rows(const SplatArrays& rows, const RemovalRules& rules, std::sp
     Screened found;
     found.first_not_finite = count;
     for (std::size_t i = begin; i < end; ++i) {
-      const Removal why = removal_of(&rows.mean[3 * i], &rows.scale[3 * i], &rows.quat[4 * i], rows.opacity[i], rules);
+      const Removal why =
+          removal_of(&rows.mean[3 * i], &rows.scale[3 * i], &rows.quat[4 * i], rows.opacity[i], rules);
       removal[i] = static_cast<std::uint8_t>(why);
       ++found.count[removal[i]];
       const bool finite = why == Removal::kNone || why >= Removal::kZeroRotation;

@@ -34,10 +34,10 @@ enum class PlyColor { kGrey, kHarmonic, kBytes };
 
 // Where the values of `count` rows go. Without `scale_2` the third scale is 0, without colour it is 128.
 struct PlyOutput {
-  float* mean;     // (count, 3)
-  float* scale;    // (count, 3)
-  float* quat;     // (count, 4)
-  float* opacity;  // (count)
+  float* mean;          // (count, 3)
+  float* scale;         // (count, 3)
+  float* quat;          // (count, 4)
+  float* opacity;       // (count)
   std::uint8_t* color;  // (count, 3)
 };
 
@@ -57,7 +57,7 @@ PlyLines find_lines(std::span<const std::uint8_t> text, std::size_t most);
 // The first row of text that is no row of `width` numbers.
 struct PlyTextError {
   std::size_t row;
-  std::size_t words;  // how many there are; `width` when one of them is no number, which is then
+  std::size_t words;       // how many there are; `width` when one of them is no number, which is then
   std::size_t begin, end;  // here in the text
 };
 

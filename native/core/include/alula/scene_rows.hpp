@@ -17,15 +17,15 @@ namespace alula {
 // Why a row is left out: the first of these that it meets, in this order.
 enum class Removal : std::uint8_t {
   kNone,
-  kNotANumber,        // a NaN anywhere
-  kInfiniteMean,      // of x, y or z
+  kNotANumber,    // a NaN anywhere
+  kInfiniteMean,  // of x, y or z
   kInfiniteScale,
   kInfiniteRotation,
-  kZeroRotation,      // a quaternion of length 0 in double precision
-  kMinOpacity,        // opacity below it
-  kCrop,              // a centre outside the box
-  kCropSphere,        // or farther from the centre than the radius, by squares in double precision
-  kMaxScale,          // a semi-axis above it
+  kZeroRotation,  // a quaternion of length 0 in double precision
+  kMinOpacity,    // opacity below it
+  kCrop,          // a centre outside the box
+  kCropSphere,    // or farther from the centre than the radius, by squares in double precision
+  kMaxScale,      // a semi-axis above it
 };
 constexpr std::size_t kRemovals = 10;
 
