@@ -56,7 +56,11 @@ class Oracle:
 
 
 def _gsply(function: str) -> Callable[[Path], Any]:
-    return lambda path: getattr(import_module("gsply"), function)(str(path))
+    def load(path: Path) -> Any:
+        with Silence():  # what it compiles warns
+            return getattr(import_module("gsply"), function)(str(path))
+
+    return load
 
 
 def _of_gsply(loaded: Any) -> Values:

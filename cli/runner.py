@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -36,12 +37,20 @@ def input_ref(role: str, path: Path) -> InputRef:
     from alula.schemas.artifact import file_hash
     from alula.schemas.manifest import InputRef
 
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, not a file")
+    _check_input(path)
     sha256 = file_hash(path)
     recorded = read_provenance(path)
     schema, version = (recorded.schema, recorded.version) if recorded else ("", "")
     return InputRef(role, schema, version, sha256, path.name)
+
+
+def _check_input(path: Path) -> None:
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, not a file")
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror}") from error
 
 
 def run_stage(
@@ -60,17 +69,20 @@ def run_stage(
     """
     from alula.schemas.artifact import Artifact, write_artifact
 
-    def make(provenance: Provenance, progress: Progress) -> tuple[Callable[[], None], dict[str, Any]]:
+    def make(
+        provenance: Callable[[], Provenance], progress: Progress
+    ) -> tuple[Callable[[], None], dict[str, Any]]:
         if begin is not None:
-            begin(provenance)
+            begin(provenance())
         artifact = build(progress)
-        manifest = msgspec.structs.replace(artifact.manifest, inputs=provenance.inputs, seed=seed)
+        recorded = provenance()
+        manifest = msgspec.structs.replace(artifact.manifest, inputs=recorded.inputs, seed=seed)
         finished = Artifact(manifest, artifact.arrays)
         return lambda: write_artifact(common.output, finished), manifest.summary
 
     if not common.output.name.endswith(".npz"):
         raise UsageError(f"{common.output}: the output must end in .npz (usually {kind.suffix})")
-    run(common, kind.name, kind.version, parameters_of(config), inputs, make, seed=seed)
+    _run(common, kind.name, kind.version, parameters_of(config), inputs, make, seed)
 
 
 def run(
@@ -99,15 +111,39 @@ def run(
         UsageError: the output exists with other provenance and --force is not given, or is an input.
         OutputError: the output's folder does not exist or the file cannot be written.
     """
+    _run(
+        *(common, schema, version, parameters, inputs),
+        lambda provenance, progress: make(provenance(), progress),
+        seed,
+    )
+
+
+def _run(
+    common: Common,
+    schema: str,
+    version: str,
+    parameters: dict[str, Any],
+    inputs: Mapping[str, Path],
+    make: Callable[[Callable[[], Provenance], Progress], tuple[Callable[[], None], dict[str, Any]]],
+    seed: int | None,
+) -> None:
+    """As `run`; `make` may ask for the provenance late, so that inputs are hashed while it works."""
     check_output(common.output, inputs)
     if common.depfile is not None:
         check_output(common.depfile, {**inputs, "output": common.output})
-    provenance = Provenance.now(
-        schema, version, parameters, seed, [input_ref(role, path) for role, path in inputs.items()]
+    for path in inputs.values():
+        _check_input(path)
+    provenance = _Meanwhile(
+        lambda: Provenance.now(
+            schema, version, parameters, seed, [input_ref(role, path) for role, path in inputs.items()]
+        )
     )
     status = "written"
     summary: dict[str, Any] = {}
-    if (recorded := current(common.output, provenance, force=common.force)) is not None:
+    if (
+        common.output.exists()
+        and (recorded := current(common.output, provenance(), force=common.force)) is not None
+    ):
         status, summary = "unchanged", recorded.summary
         if not common.dry_run:
             os.utime(common.output)
@@ -122,6 +158,31 @@ def run(
         names = " ".join(["", *map(_make_escape, inputs.values())])
         write_text(common.depfile, _make_escape(common.output, " \t#:*?[%") + f":{names}\n")
     show(common, status, summary)
+
+
+class _Meanwhile:
+    """The result of a call that is made in a thread while other work is done."""
+
+    def __init__(self, call: Callable[[], Provenance]) -> None:
+        self._call = call
+        self._result: Provenance | None = None
+        self._error: Exception | None = None
+        # A daemon: when the work fails or is interrupted, the command ends without waiting for it.
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self._result = self._call()
+        except Exception as error:  # noqa: BLE001  raised again where the result is asked for
+            self._error = error
+
+    def __call__(self) -> Provenance:
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+        assert self._result is not None
+        return self._result
 
 
 def current(output: Path, provenance: Provenance, *, force: bool) -> Provenance | None:

@@ -12,8 +12,9 @@ import os
 import re
 import struct
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -62,16 +63,18 @@ def array_hash(array: NDArray[Any]) -> str:
     return hashlib.sha256(_bytes_of(array)).hexdigest()
 
 
-def array_hashes(arrays: Sequence[NDArray[Any]]) -> list[str]:
-    """`array_hash` of each; large ones side by side, largest first."""
-    if sum(array.nbytes for array in arrays) < _WORTH_THREADS:
-        return [array_hash(array) for array in arrays]
+def array_hashes(arrays: Arrays, meanwhile: Callable[[], None] = lambda: None) -> dict[str, str]:
+    """`array_hash` of each; large ones in threads beside `meanwhile`, whose exceptions are passed on."""
+    if sum(array.nbytes for array in arrays.values()) < _WORTH_THREADS:
+        meanwhile()
+        return {name: array_hash(array) for name, array in arrays.items()}
     from concurrent.futures import ThreadPoolExecutor
 
-    order = sorted(range(len(arrays)), key=lambda i: -arrays[i].nbytes)
-    with ThreadPoolExecutor(min(len(arrays), os.cpu_count() or 1)) as pool:
-        found = dict(zip(order, pool.map(array_hash, [arrays[i] for i in order]), strict=True))
-    return [found[i] for i in range(len(arrays))]
+    names = sorted(arrays, key=lambda name: -arrays[name].nbytes)
+    with ThreadPoolExecutor(min(len(names), os.cpu_count() or 1)) as pool:
+        hashes = pool.map(array_hash, [arrays[name] for name in names])
+        meanwhile()
+        return dict(zip(names, hashes, strict=True))
 
 
 def _bytes_of(array: NDArray[Any]) -> memoryview:
@@ -91,10 +94,11 @@ def file_hash(path: Path) -> str:
         raise InputError(f"{path}: cannot read: {error.strerror}") from error
 
 
-def describe_arrays(kind: Kind, frame: str, unit: str, arrays: Arrays) -> dict[str, ArraySpec]:
+def describe_arrays(
+    kind: Kind, frame: str, unit: str, arrays: Arrays, hashes: Mapping[str, str] | None = None
+) -> dict[str, ArraySpec]:
     """The manifest's description of arrays; `unit` replaces the unit "frame" of the kind."""
-    rules = present(kind, arrays)
-    hashes = array_hashes([arrays[rule.name] for rule in rules])
+    hashes = array_hashes(arrays) if hashes is None else hashes
     return {
         rule.name: ArraySpec(
             dtype=rule.dtype,
@@ -102,9 +106,9 @@ def describe_arrays(kind: Kind, frame: str, unit: str, arrays: Arrays) -> dict[s
             frame=frame,
             unit=rule.unit.replace("frame", unit),
             meaning=rule.meaning,
-            sha256=sha256,
+            sha256=hashes[rule.name],
         )
-        for rule, sha256 in zip(rules, hashes, strict=True)
+        for rule in present(kind, arrays)
     }
 
 
@@ -122,13 +126,13 @@ def make_artifact(kind: Kind, arrays: Arrays, **fields: Any) -> Artifact:
             raise ArtifactError(f"{kind.name}: array {rule.name} is missing")
         fitted[rule.name] = np.ascontiguousarray(arrays[rule.name], dtype=np.dtype(rule.dtype))
     check_shapes(kind, fitted)
-    check_arrays(kind, fitted)
+    hashes = array_hashes(fitted, partial(check_arrays, kind, fitted))
     fields.setdefault("producer", producer())
     fields.setdefault("inputs", [])
     manifest = kind.manifest(
         schema=kind.name,
         version=kind.version,
-        arrays=describe_arrays(kind, fields["frame"], fields["unit"], fitted),
+        arrays=describe_arrays(kind, fields["frame"], fields["unit"], fitted, hashes),
         **fields,
     )
     return Artifact(manifest, fitted)
@@ -217,8 +221,8 @@ def read_artifact(path: Path, kind: Kind | None = None) -> Artifact:
         if len(archive.infolist()) != len(expected):  # other programs would read the other one
             raise DamagedError(f"{path}: a member is there twice")
         arrays = {rule.name: _map_member(path, archive, f"{rule.name}.npy") for rule in rules}
-    hashes = array_hashes([arrays[rule.name] for rule in rules])
-    for rule, sha256 in zip(rules, hashes, strict=True):
+    hashes = array_hashes(arrays)
+    for rule in rules:
         array, spec = arrays[rule.name], manifest.arrays.get(rule.name)
         if spec is None:
             raise DamagedError(f"{path}: the manifest does not describe array {rule.name}")
@@ -228,7 +232,7 @@ def read_artifact(path: Path, kind: Kind | None = None) -> Artifact:
             raise DamagedError(
                 f"{path}: array {rule.name} has shape {list(array.shape)}, the manifest says {spec.shape}"
             )
-        if sha256 != spec.sha256:
+        if hashes[rule.name] != spec.sha256:
             raise DamagedError(f"{path}: array {rule.name} does not match its SHA-256")
     try:
         check_shapes(found, arrays)

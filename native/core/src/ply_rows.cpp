@@ -66,14 +66,15 @@ std::size_t size_of(NumberType type) {
   return kSizes[static_cast<std::size_t>(type)];
 }
 
-// Bytes of constant harmonics; NaN is black.
+// Bytes of constant harmonics; NaN is black. In one loop the limits would be branches, and no vectors used.
 ALULA_WIDE void shade(double* value, std::size_t count) {
   for (std::size_t i = 0; i < count; ++i) {
-    double v = 0.5 + kShC0 * value[i];
-    v = v > 0.0 ? v : 0.0;
-    v = v < 1.0 ? v : 1.0;
-    value[i] = v * 255.0 + 0x1.8p52 - 0x1.8p52;  // rounded to the nearest integer, half to even
+    const double v = 0.5 + kShC0 * value[i];
+    const double above = v > 0.0 ? v : 0.0;
+    value[i] = above < 1.0 ? above : 1.0;
   }
+  constexpr double kShift = 0x1.8p52;  // added, it leaves the nearest integer, half to even
+  for (std::size_t i = 0; i < count; ++i) value[i] = (value[i] * 255.0 + kShift) - kShift;
 }
 
 void clamp_bytes(double* value, std::size_t count) {

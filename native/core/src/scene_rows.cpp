@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "alula/parallel.hpp"
+#include "alula/wide.hpp"
 
 namespace alula {
 namespace {
@@ -35,9 +36,21 @@ bool any_infinite(const float* v) {
   return found;
 }
 
-double length_of(const float* quat) {
-  const double w = quat[0], x = quat[1], y = quat[2], z = quat[3];
-  return std::sqrt(((w * w + x * x) + y * y) + z * z);
+// Divides quaternions by their lengths, in double precision.
+ALULA_WIDE void normalise(float* quat, std::size_t count) {
+  constexpr std::size_t kBlock = 256;
+  std::array<double, kBlock> length;
+  for (std::size_t begin = 0; begin < count; begin += kBlock) {
+    float* const rows = quat + 4 * begin;
+    const std::size_t size = std::min(kBlock, count - begin);
+    for (std::size_t i = 0; i < size; ++i) {
+      const double w = rows[4 * i], x = rows[4 * i + 1], y = rows[4 * i + 2], z = rows[4 * i + 3];
+      length[i] = std::sqrt(((w * w + x * x) + y * y) + z * z);
+    }
+    for (std::size_t i = 0; i < size; ++i) {
+      for (std::size_t j = 0; j < 4; ++j) rows[4 * i + j] = static_cast<float>(rows[4 * i + j] / length[i]);
+    }
+  }
 }
 
 Removal not_finite(const float* mean, const float* scale, const float* quat, float opacity) {
@@ -180,8 +193,6 @@ KeptFigures keep_rows(const SplatArrays& rows, std::span<const std::uint8_t> col
       if (removal[i] != 0) continue;
       const float* mean = &rows.mean[3 * i];
       const float* scale = &rows.scale[3 * i];
-      const float* quat = &rows.quat[4 * i];
-      const double length = length_of(quat);
       bool floored = false;
       float most = scale_floor;
       for (std::size_t j = 0; j < 3; ++j) {
@@ -194,7 +205,7 @@ KeptFigures keep_rows(const SplatArrays& rows, std::span<const std::uint8_t> col
         if (!out.color.empty()) out.color[3 * to + j] = color[3 * i + j];
       }
       if (!out.quat.empty()) {
-        for (std::size_t j = 0; j < 4; ++j) out.quat[4 * to + j] = static_cast<float>(quat[j] / length);
+        for (std::size_t j = 0; j < 4; ++j) out.quat[4 * to + j] = rows.quat[4 * i + j];
       }
       if (copies_opacity) opacity_out[to] = rows.opacity[i];
       longest[to] = most;
@@ -202,6 +213,7 @@ KeptFigures keep_rows(const SplatArrays& rows, std::span<const std::uint8_t> col
       found.floored += floored;
       ++to;
     }
+    if (!out.quat.empty()) normalise(out.quat.data() + 4 * start[begin / kChunk], to - start[begin / kChunk]);
     part[begin / kChunk] = found;
   });
 

@@ -101,12 +101,12 @@ def recognise(source: Source, name: str = "auto") -> SplatFormat:
         UsageError: no format has that name.
         ArtifactError: it is of no format that can be read.
     """
-    known = {candidate.name: candidate for candidate in formats()}
     if name != "auto":
+        known = {candidate.name: candidate for candidate in formats()}
         if name not in known:
             raise UsageError(f"--format must be auto, {', '.join(known)}, not {name!r}")
         return known[name]
-    for candidate in known.values():
+    for candidate in formats():  # other packages are not searched for where a magic number tells
         if candidate.matches(source):
             return candidate
     if source.is_folder:
