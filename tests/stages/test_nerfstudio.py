@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from alula.schemas.errors import AlulaError, ArtifactError
 from alula.stages.reconstruction.formats import checkpoint as checkpoint_module
-from alula.stages.reconstruction.formats.checkpoint import Checkpoint, Tensor, is_checkpoint
+from alula.stages.reconstruction.formats.checkpoint import Checkpoint, is_checkpoint
 from alula.stages.reconstruction.formats.ply import encode_ply
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
 from alula.stages.reconstruction.formats.splats import color_from_sh0
@@ -329,7 +329,6 @@ def attacks():
         "string": b"S'\\z'\n.",
         "persistent text": b"Pstorage\n.",
         "persistent number": b"K\x01Q.",
-        "memo bomb": b"Nr\xff\xff\xff\xff.",
         "memo far": b"j\xff\xff\xff\xff.",
         "huge text": b"X\xff\xff\xff\xffa.",
         "huge number": b"\x8a\xffa.",
@@ -349,11 +348,9 @@ def attacks():
 @pytest.mark.parametrize("name", attacks())
 def test_pickles_that_ask_for_more_are_refused(tmp_path, name):
     raw = saved(None, data=b"\x80\x02" + attacks()[name])
-    before = set(sys.modules)
     with pytest.raises(ArtifactError, match=r"^checkpoint: .*data\.pkl") as error:
         Checkpoint(memoryview(raw))
     assert "\n" not in str(error.value)
-    assert set(sys.modules) - before <= set()
 
 
 def test_the_name_that_was_asked_for_is_told():
@@ -374,35 +371,29 @@ def test_nothing_hidden_beside_the_gaussians_is_run(tmp_path):
     ):
         tree = trained(parameters())
         tree["schedulers"] = evil
-        raw = saved(tree)
-        with pytest.raises(ArtifactError, match="asks for"):
-            Checkpoint(memoryview(raw))
+        hooked = trained(parameters())
+        arguments = (Reference(Saved(np.zeros(3, np.float32))), 0, (3,), (1,), False, evil)  # as hooks
+        hooked["pipeline"]["_model.x"] = Called(functions["_rebuild_tensor_v2"], arguments)
+        for raw in (saved(tree), saved(hooked)):
+            with pytest.raises(ArtifactError, match="asks for"):
+                Checkpoint(memoryview(raw))
     assert CALLS == []
     assert not (tmp_path / "ran").exists()
 
 
-def test_hooks_of_tensors_are_not_looked_at():
-    """`_rebuild_tensor_v2` takes hooks; a dictionary of anything that is not listed cannot even be named."""
-    tree = trained(parameters())
-    assert isinstance(
-        Checkpoint(memoryview(saved(tree))).tree["pipeline"]["_model.gauss_params.means"], Tensor
-    )
-
-
-def test_deep_containers_end():
-    raw = saved(None, data=b"\x80\x02)" + b"\x85" * 10**6 + b".")
+def test_far_memo_places_and_deep_containers_cost_nothing():
+    assert Checkpoint(memoryview(saved(None, data=b"\x80\x02Nr\xff\xff\xff\xff."))).tree is None
+    raw = saved(None, data=b"\x80\x02)" + b"\x85" * 10**5 + b".")
     tree = Checkpoint(memoryview(raw)).tree
     del tree
-    with pytest.raises(ArtifactError, match="has 4194305 bytes; more than 4194304"):
-        Checkpoint(memoryview(saved(None, data=b"N" * (2**22 + 1))))
+    with pytest.raises(ArtifactError, match="has 2097153 bytes; more than 2097152"):
+        Checkpoint(memoryview(saved(None, data=b"N" * (2**21 + 1))))
 
 
 def wrong_tensors():
     good = parameters()["means"]
     base = Saved(good)
-    short = Saved(good)
-    short.array = good[:-1]
-    yield "shape", Saved(good[:-1]), r"means has shape \(39, 3\)|has shape \(40, 3\), not \(39, 3\)"
+    yield "shape", Saved(good[:-1]), r"scales has shape \(40, 3\), not \(39, 3\)"
     yield "columns", Saved(good[:, :2]), r"means has shape \(40, 2\), not \(40, 3\)"
     yield (
         "strides",
@@ -441,15 +432,13 @@ def test_tensors_outside_of_their_storage_are_refused(tmp_path, name, tensor, me
         read_splats(tmp_path / "a.ckpt")
 
 
-def test_storages_shorter_than_announced_are_refused(tmp_path, monkeypatch):
+def test_storages_shorter_than_announced_are_refused(tmp_path):
     tree = trained(parameters())
-    means = tree["pipeline"]["_model.gauss_params.means"]
     raw = saved(tree)
     out = BytesIO()
     with zipfile.ZipFile(BytesIO(raw)) as old, zipfile.ZipFile(out, "w") as new:
         for member in old.namelist():
             new.writestr(member, old.read(member)[: -4 if member.endswith("/data/0") else None])
-    assert means.array.nbytes == 480
     (tmp_path / "a.ckpt").write_bytes(out.getvalue())
     with pytest.raises(ArtifactError, match="truncated: means: 120 numbers of 4 bytes in 476 bytes"):
         read_splats(tmp_path / "a.ckpt")
@@ -518,7 +507,7 @@ def test_tags_of_the_configuration_run_nothing(run, tmp_path):
         f"evil: !!python/object/apply:os.system ['touch {marker}']",
         f"evil: !!python/object/apply:subprocess.check_output [[touch, '{marker}']]",
         f"evil: !!python/object/new:os.system ['touch {marker}']",
-        f"evil: !!python/object/apply:builtins.eval ['open({str(marker)!r}, \"w\")']",
+        f"evil: !!python/object/apply:builtins.eval [\"open('{marker}', 'w')\"]",
         "evil: !!python/module:antigravity ''",
         "evil: !!python/name:antigravity.x ''",
         f"evil: !!python/object:{module}.Evil {{reduced: 1}}",
@@ -551,7 +540,7 @@ def test_configurations_that_are_wrong_are_refused(run):
         "- a": "is not a mapping",
         "a: b": "names no method",
         "method_name: [a]": "names no method",
-        "a: " + "[" * 20000: "nested too deeply|is not YAML",
+        "a: " + "[" * 20000: "nested more than 100 deep",
         "# " + "x" * 2**18: "more than 262144",
     }.items():
         (run / "config.yml").write_text(text)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from alula.schemas.errors import ArtifactError
 
 _LEGACY = b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19"  # the number that old files begin with, pickled
-_PICKLE_LIMIT = 2**22
+_PICKLE_LIMIT = 2**21
 _STORAGES = {
     "FloatStorage": "f4", "DoubleStorage": "f8", "HalfStorage": "f2", "BFloat16Storage": "",
     "LongStorage": "i8", "IntStorage": "i4", "ShortStorage": "i2", "CharStorage": "i1", "ByteStorage": "u1",

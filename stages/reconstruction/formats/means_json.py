@@ -19,6 +19,7 @@ _KEYS = ("means", "rotations", "scalings", "opacities", "colors")
 _CHUNK = 2**15
 _SCAN = 2**22
 _NOT_ORTHOGONAL = 1e-3  # rotation matrices farther from one than this are something else
+_COARSE = 1e-5  # angle beyond which they were rounded to fewer digits than single precision has
 _ROW = list[float | None]
 _DECODERS: dict[int, Callable[[bytes], list[Any]]] = {  # by the brackets that a list of rows begins with
     0: msgspec.json.Decoder(_ROW).decode,
@@ -47,8 +48,8 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
     Colours are red, green, blue from 0 to 1, or, if one is above 2 and none above 255, to 255.
     `null`, `NaN` and `Infinity` are read as what they say; import_splat decides on those rows.
 
-    A matrix M stands for the nearest rotation R; as what it was written from is no farther from M than
-    its rounding, the angle is recorded that belongs to twice |M - R| and 1e-6.
+    A matrix M stands for the nearest rotation R; the angle is recorded that belongs to twice |M - R| and
+    1e-6, which is more than single precision rounds. Coarser matrices, by 1e-5, have no certain bound.
 
     Args:
         buffer: the whole file.
@@ -100,7 +101,9 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
         loss = None
         if rotation.ndim == 3:
             rotation, angle = _from_matrices(rotation)
-            loss = Loss(loss_bound(count, rotation=angle))
+            coarse = float(angle.max(initial=0.0))
+            why = {"rotation": "the matrices are rounded, by an unknown amount"} if coarse > _COARSE else {}
+            loss = Loss(loss_bound(count, rotation=angle), unbounded=why)
             notes.append("rotation matrices: scalings and opacities are plain")
             if not plain:
                 notes[-1] = (
