@@ -1,6 +1,7 @@
 """glTF with KHR_gaussian_splatting: accessors, nodes, dialects of scale, losses, and what is refused."""
 
 import base64
+import dataclasses
 import json
 import os
 import struct
@@ -11,12 +12,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from alula.cli.main import run
+from alula.schemas.artifact import read_artifact
 from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.configs.scale_align import ScaleAlignConfig
+from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import AlulaError, ArtifactError
+from alula.stages.alignment.scale_align import scale_align, scale_only
+from alula.stages.compression.ellipsoids import unproven_voxels
+from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
 from alula.stages.reconstruction.formats.splats import color_from_sh0
-from alula.stages.reconstruction.import_splat import turned
-from alula.stages.rotation import matrix_from_quat_wxyz
+from alula.stages.reconstruction.import_splat import import_splat, turned
+from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz
 
 KHR = "KHR_gaussian_splatting"
 CODES = {
@@ -339,6 +347,57 @@ def test_chains_of_nodes_move_turn_and_scale_whole_ellipsoids(read):
     np.testing.assert_array_equal(splats.mean[300:], scene["mean"])
     assert (splats.loss.bound[300:] == 0).all()
     assert (splats.loss.bound[:300] < 1e-5).all()
+
+
+def test_positions_are_where_another_reader_puts_them(read, tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    scene = gaussians(300)
+    writer = Writer()
+    mesh = writer.mesh(**scene, offset=4)
+    leaf = writer.node(root=False, mesh=mesh, name="leaf", translation=[1, 2, 3], rotation=[0, 0.6, 0, 0.8])
+    writer.node(name="root", children=[leaf], scale=[2, 2, 2], rotation=[0.6, 0, 0, 0.8])
+    splats = read(writer.glb())
+    cloud = trimesh.load_scene(tmp_path / "a.glb").to_geometry()
+    np.testing.assert_allclose(splats.mean, cloud.vertices, atol=2e-6)
+
+
+def test_voxels_of_quantised_gaussians_hold_the_originals(read):
+    scene = gaussians(120, seed=4)
+    scene["mean"] *= 0.3
+    writer = Writer()
+    kinds = {"SCALE": "u8n", "ROTATION": "i8n", "OPACITY": "u8n"}
+    turn = np.array([0.6, 0.0, 0.8, 0.0])
+    mesh = writer.mesh(**scene, kinds=kinds, rounding=np.trunc)
+    writer.node(mesh=mesh, rotation=turn[[1, 2, 3, 0]].tolist(), translation=[1, 0, 0])
+    copy = read(writer.glb())
+    original = dataclasses.replace(
+        copy,
+        mean=(scene["mean"].astype(np.float64) @ matrix_from_quat_wxyz(turn).T + [1, 0, 0]).astype(
+            np.float32
+        ),
+        scale=scene["scale"],
+        quat_wxyz=multiply_quat_wxyz(turn, scene["quat_wxyz"]).astype(np.float32),
+        opacity=scene["alpha"][:, 0],
+        loss=None,
+    )
+    config = {"voxel_size_m": 0.02, "sigma": 1.0}
+    for ignore, some in ((False, False), (True, True)):
+        voxels = voxelize(VoxelizeConfig(size_m=0.02, ignore_loss=ignore), metric(copy))
+        assert bool(unproven_voxels(metric(original), voxels["index"], **config).total) == some
+
+
+def metric(splats):
+    scene = import_splat(ImportSplatConfig(min_opacity=0.0), splats)
+    return scale_align(ScaleAlignConfig(scale=1.0), scene, scale_only(1.0), 0)
+
+
+def test_the_command_reads_it(tmp_path, capsys):
+    (tmp_path / "a.glb").write_bytes(simple().glb())
+    assert run(["import-splat", str(tmp_path / "a.glb"), "-o", str(tmp_path / "a.scene.npz")]) == 0
+    scene = read_artifact(tmp_path / "a.scene.npz")
+    assert scene.manifest.source["format"] == "gltf"
+    assert scene.manifest.source["frame"]["file"] == "glTF, y up"
+    assert "--turn z" in capsys.readouterr().err
 
 
 def test_a_matrix_that_is_nearly_rigid_is_within_its_bound(read):

@@ -167,7 +167,7 @@ WRONG = {
     "long row": (row("rotations", 39, [1, 2, 3, 4, 5]), "'rotations', row 39 has 5 numbers, row 0 4"),
     "nested row": (row("means", 2, [[1], 2, 3]), "'means', row 2: Expected `float . null`, got `array`"),
     "text": (row("scalings", 3, ["1", 2, 3]), "'scalings', row 3: Expected"),
-    "number as row": (row("scalings", 3, 1), "'scalings', row 3: Expected `array`, got `int`"),
+    "number as row": (row("scalings", 3, 1), "'scalings' has 39 rows, 'means' 40"),
     "columns": (put("means", [[1, 2]] * 40), r"'means', row 0 is of shape \(2,\), not of 3 numbers"),
     "rotation columns": (put("rotations", [[1] * 3] * 40), "not of 4 or 3 by 3 numbers"),
     "not a list": (put("means", "[[1,2,3]]"), "'means' is not a list"),

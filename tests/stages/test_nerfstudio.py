@@ -16,6 +16,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from alula.cli import main
+from alula.schemas.artifact import read_artifact
 from alula.schemas.errors import AlulaError, ArtifactError
 from alula.stages.reconstruction.formats import checkpoint as checkpoint_module
 from alula.stages.reconstruction.formats.checkpoint import Checkpoint, is_checkpoint
@@ -232,6 +234,18 @@ def test_the_last_checkpoint_of_a_folder_is_read(run):
         assert splats.tags == {"frame": "nerfstudio training frame", "generator": "nerfstudio splatfacto"}
         assert splats.notes[0] == "checkpoint of step 29999, the last of 3"
         assert "times 0.25; `alula scale-align --nerfstudio DIR` undoes it" in splats.notes[1]
+
+
+def test_the_command_reads_a_folder(run, tmp_path):
+    assert (
+        main.run(["import-splat", str(run), "-o", str(tmp_path / "a.scene.npz"), "--min-opacity", "0"]) == 0
+    )
+    scene = read_artifact(tmp_path / "a.scene.npz")
+    assert scene.manifest.source["format"] == "nerfstudio"
+    assert scene.manifest.source["frame"]["file"] == "nerfstudio training frame"
+    roles = {"splat", "splat config.yml", "splat dataparser_transforms.json"}
+    assert {item.role for item in scene.manifest.inputs} == roles
+    assert str(tmp_path) not in json.dumps(list(scene.manifest.source["notes"]))
 
 
 def test_a_lone_checkpoint_is_known_by_its_content(tmp_path):
