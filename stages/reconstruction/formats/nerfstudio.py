@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
-from alula.stages.reconstruction.formats.checkpoint import Checkpoint, Tensor, is_checkpoint
+from alula.stages.reconstruction.formats.checkpoint import Checkpoint, is_checkpoint
 from alula.stages.reconstruction.formats.ply import decode_ply
 from alula.stages.reconstruction.formats.source import Source
 from alula.stages.reconstruction.formats.splats import Progress, Splats, color_from_sh0
+from alula.stages.reconstruction.formats.torch_pickle import Tensor
 
 FRAME = "nerfstudio training frame"
 _CONFIG, _TRANSFORMS, _EXPORTED = "config.yml", "dataparser_transforms.json", "splat.ply"
