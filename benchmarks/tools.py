@@ -172,7 +172,7 @@ def _coacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str,
     coacd = importlib.import_module("coacd")
     corner, triangles = voxel_mesh(voxels["index"])
     origin = corner.min(axis=0)
-    with _Silence():
+    with Silence():
         coacd.set_log_level("off")
         clock = Clock()
         parts = coacd.run_coacd(
@@ -187,7 +187,7 @@ def _vhacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str,
     vhacdx = importlib.import_module("vhacdx")
     corner, triangles = voxel_mesh(voxels["index"])
     origin = corner.min(axis=0)
-    with _Silence():
+    with Silence():
         clock = Clock()
         parts = vhacdx.compute_vhacd(
             (corner - origin).astype(np.float64), triangles.astype(np.uint32), **options
@@ -203,7 +203,7 @@ TOOLS: dict[str, Callable[[Artifact, dict[str, Any]], tuple[Solids, dict[str, An
 }
 
 
-class _Silence:
+class Silence:
     """Nothing on stdout and stderr, also not from C, which writes past `sys.stdout`."""
 
     def __enter__(self) -> None:

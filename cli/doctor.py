@@ -30,6 +30,7 @@ PACKAGES = {
     "rich": "rich",
     "mcap": "mcap",
     "trimesh": "trimesh",
+    "zstandard": "zstandard",
     "matplotlib": "matplotlib",
     "k3d": "k3d",
     "cvxpy": "cvxpy-base",

@@ -9,25 +9,82 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from alula.cli import options, runner
+from alula.cli.alignment_table import show_alignment
 from alula.cli.options import FINITE_FLOAT, PATH, POINT, Common
-from alula.cli.present import plain
+from alula.cli.present import print_json
 from alula.schemas.configs.scale_align import Distance, ScaleAlignConfig
 from alula.schemas.errors import InputError, UsageError
 
 if TYPE_CHECKING:
+    from alula.stages.alignment.evidence import Correspondences
+    from alula.stages.alignment.nerfstudio import TrainingFrame
     from alula.stages.alignment.scale_align import Evidence
 
 EXAMPLES = """\b
 Examples:
   alula scale-align room.scene.npz -o metric.scene.npz --colmap sparse/0 --reference poses.csv --max-rms 0.02
-  alula scale-align room.scene.npz -o metric.scene.npz --distance "0.1 0 0" "0.9 0 0" 2.04"""
+  alula scale-align room.scene.npz -o metric.scene.npz --distance "0 0 0" "1 0 0" 2.5 --up "0 -1 0" --floor"""
+
+SECTIONS = {
+    "By cameras": ("colmap", "cameras", "reference", "origin", "poses", "nerfstudio"),
+    "By points": ("correspondences", "distances", "cloud", "initial"),
+    "By numbers": ("transform", "scale"),
+    "Level the frame": ("up", "floor"),
+    "Judge the alignment": (
+        *("threshold_m", "max_angle_deg", "max_rms_m", "max_scale_sigma", "min_inliers", "min_fitness"),
+    ),
+}
 
 
-@click.command("scale-align", epilog=EXAMPLES)
+class Sectioned(click.Command):
+    """A command whose help groups its options."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write one list per section; the options that every command has come last."""
+        records = {p.name: record for p in self.get_params(ctx) if (record := p.get_help_record(ctx))}
+        for title, names in SECTIONS.items():
+            with formatter.section(title):
+                formatter.write_dl([records.pop(name) for name in names])
+        with formatter.section("Options"):
+            formatter.write_dl(list(records.values()))
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Files:
+    """The files that a scene is aligned by; a field per option."""
+
+    colmap: Path | None
+    cameras: Path | None
+    reference: Path | None
+    poses: Path | None
+    nerfstudio: Path | None
+    correspondences: Path | None
+    cloud: Path | None
+    initial: Path | None
+    transform: Path | None
+
+
+@click.command("scale-align", cls=Sectioned, epilog=EXAMPLES)
 @click.argument("scene", type=options.input_path())
 @click.option("--colmap", type=PATH, help="COLMAP model (folder) with cameras in the scene's frame.")
 @click.option("--cameras", type=PATH, help="CSV image,x,y,z of cameras in the scene's frame.")
-@click.option("--reference", type=PATH, help="CSV image,x,y,z of the same cameras in the world [m].")
+@click.option(
+    "--reference",
+    type=PATH,
+    help="CSV of the same cameras in the world: image,x,y,z [m] or image,lat,lon,alt.",
+)
+@click.option(
+    "--poses",
+    type=PATH,
+    help="CSV image,x,y,z,qw,qx,qy,qz: camera to world, axes x right, y down, z forward (OpenCV, COLMAP); "
+    "--cameras then needs them too.",
+)
+@click.option(
+    "--nerfstudio",
+    type=PATH,
+    help="Run folder or dataparser_transforms.json: go back to the frame of the source poses; with --colmap "
+    "or --cameras these are in that frame.",
+)
 @click.option("--correspondences", type=PATH, help="CSV sx,sy,sz,wx,wy,wz of points in both frames.")
 @click.option(
     "--distance",
@@ -37,69 +94,162 @@ Examples:
     metavar="'X Y Z' 'X Y Z' METRES",
     help="Two points of the scene and how far they are apart; repeatable; fixes the scale alone.",
 )
+@click.option("--cloud", type=PATH, help="Surveyed cloud [m]: PLY, PCD, XYZ, PTS or .npz (points).")
+@click.option(
+    "--initial",
+    type=PATH,
+    help="First guess for --cloud, like --transform; cameras or --correspondences do too; default: as it is.",
+)
 @click.option("--transform", type=PATH, help="JSON: 4x4 matrix, or scale, rotation and translation_m.")
 @options.from_config(ScaleAlignConfig)
 @options.output(".scene.npz")
 def command(
     scene: Path,
-    colmap: Path | None,
-    cameras: Path | None,
-    reference: Path | None,
-    correspondences: Path | None,
     distances: tuple[Distance, ...],
-    transform: Path | None,
     config: ScaleAlignConfig,
     common: Common,
+    **paths: Path | None,
 ) -> None:
     """Give a scene metric scale and a named world frame.
 
-    Exactly one way to align is needed: --colmap or --cameras with --reference, --correspondences,
-    --distance, --transform or --scale. The alignment is judged before anything is written. A scene that
-    is aligned already may be aligned again.
+    One way to align is needed: --colmap or --cameras with --reference or --poses, --nerfstudio,
+    --correspondences, --distance, --cloud, --transform or --scale. The alignment is judged before
+    anything is written. A scene that is aligned already may be aligned again, or only levelled.
     """
     from alula.schemas.artifact import Artifact, read_artifact
     from alula.schemas.kinds import SCENE
-    from alula.stages.alignment import evidence as kinds
-    from alula.stages.alignment.scale_align import scale_align, scale_only
+    from alula.stages.alignment import colmap, nerfstudio
+    from alula.stages.alignment.scale_align import scale_align
 
     config = dataclasses.replace(config, distances=distances)
-    ways = {
-        "--colmap": colmap, "--cameras": cameras, "--correspondences": correspondences,
-        "--distance": distances or None, "--transform": transform, "--scale": config.scale,
-    }  # fmt: skip
-    given = [name for name, value in ways.items() if value is not None]
-    if len(given) != 1:
-        what = f"not {' and '.join(given)}" if given else "none was given"
-        raise UsageError(f"exactly one of {', '.join(ways)} is needed, {what}")
-    if (reference is not None) != (given[0] in ("--colmap", "--cameras")):
-        raise UsageError("--reference goes with --colmap or --cameras, and these with it")
+    files = Files(**paths)
+    _check_ways(config, files)
+    single = ("cameras", "reference", "poses", "correspondences", "cloud", "initial", "transform")
+    inputs = {"scene": scene} | {role: path for role in single if (path := getattr(files, role)) is not None}
+    if files.colmap is not None:
+        inputs |= {f"colmap {part}": path for part, path in colmap.model_files(files.colmap).items()}
+    if files.nerfstudio is not None:
+        inputs |= nerfstudio.transform_files(files.nerfstudio)
 
-    files = {"cameras": cameras, "reference": reference, "correspondences": correspondences}
-    files["transform"] = transform
-    inputs = {"scene": scene} | {role: path for role, path in files.items() if path is not None}
-    if colmap is not None:
-        inputs |= {f"colmap {part}": path for part, path in kinds.model_files(colmap).items()}
+    shown: list[dict[str, Any]] = []
 
-    def evidence() -> Evidence:
-        if config.scale is not None:
-            return scale_only(config.scale)
-        if transform is not None:
-            return kinds.parse_transform(_text(transform), transform.name)
-        if correspondences is not None:
-            return kinds.parse_pairs(_text(correspondences), correspondences.name)
-        if reference is None:
-            return config.distances
-        wanted = kinds.parse_positions(_text(reference), reference.name)
-        if cameras is not None:
-            return kinds.match(kinds.parse_positions(_text(cameras), cameras.name), wanted)
-        assert colmap is not None
-        return kinds.match(kinds.read_model(colmap), wanted)
+    def report(alignment: dict[str, Any]) -> None:
+        shown.append(alignment)
+        if not (common.quiet or common.json):
+            show_alignment(alignment, common.verbose)
 
     def build(progress: runner.Progress) -> Artifact:
-        report = None if common.quiet or common.json else lambda a: _show(a, common.verbose)
-        return scale_align(config, read_artifact(scene, SCENE), evidence(), common.seed, report)
+        return scale_align(config, read_artifact(scene, SCENE), _evidence(config, files), common.seed, report)
 
-    runner.run_stage(common, SCENE, config, inputs, build, seed=common.seed)
+    if not common.json:
+        runner.run_stage(common, SCENE, config, inputs, build, seed=common.seed)
+        return
+    # The whole record, not only the summary that every command prints.
+    silent = dataclasses.replace(common, json=False, quiet=True)
+    runner.run_stage(silent, SCENE, config, inputs, build, seed=common.seed)
+    status = "unchanged" if not shown else "dry-run" if common.dry_run else "written"
+    answer: dict[str, Any] = {"output": str(common.output), "status": status}
+    if status == "dry-run":
+        print_json({**answer, "alignment": shown[0]})
+        return
+    manifest = read_artifact(common.output, SCENE).manifest
+    print_json({**answer, "summary": manifest.summary, "alignment": _recorded(manifest)})
+
+
+def _recorded(manifest: Any) -> dict[str, Any]:
+    found: dict[str, Any] = manifest.alignment
+    return found
+
+
+def _check_ways(config: ScaleAlignConfig, files: Files) -> None:
+    """Refuse a combination of options that means nothing, or more than one thing."""
+    given = {
+        "--colmap": files.colmap, "--cameras": files.cameras, "--correspondences": files.correspondences,
+        "--distance": config.distances or None, "--cloud": files.cloud, "--transform": files.transform,
+        "--scale": config.scale,
+    }  # fmt: skip
+    ways = [name for name, value in given.items() if value is not None]
+    cameras = [name for name in ways if name in ("--colmap", "--cameras")]
+    known = [name for name, path in (("--reference", files.reference), ("--poses", files.poses)) if path]
+    if len(known) > 1:
+        raise UsageError("--reference and --poses say the same; only one of them is needed")
+    if bool(known) != bool(cameras):
+        raise UsageError("--reference goes with --colmap or --cameras, and these with it; so does --poses")
+    if files.nerfstudio is not None and not cameras:
+        ways.append("--nerfstudio")
+    if files.cloud is not None:
+        first = [name for name in ways if name != "--cloud"] + (["--initial"] if files.initial else [])
+        if len(first) > 1 or not set(first) <= {"--colmap", "--cameras", "--correspondences", "--initial"}:
+            raise UsageError(
+                "--cloud takes one first guess: --initial, --correspondences, or cameras; not "
+                + " and ".join(first)
+            )
+    elif files.initial is not None:
+        raise UsageError("--initial is the first guess for --cloud; a similarity to apply is --transform")
+    elif len(ways) != 1 and not (not ways and config.levels):
+        what = f"not {' and '.join(ways)}" if ways else "none was given"
+        raise UsageError(f"exactly one of {', '.join([*given, '--nerfstudio'])} is needed, {what}")
+    if config.origin is not None and files.reference is None:
+        raise UsageError("--origin goes with the lat,lon,alt of --reference")
+
+
+def _evidence(config: ScaleAlignConfig, files: Files) -> Evidence | None:
+    """Read what the scene is aligned by."""
+    from alula.stages.alignment import cloud_files, tables
+    from alula.stages.alignment.cloud import Cloud
+    from alula.stages.alignment.scale_align import Given, scale_only
+    from alula.stages.alignment.transforms import parse_transform
+
+    points = None
+    if files.correspondences is not None:
+        points = tables.parse_pairs(_text(files.correspondences), files.correspondences.name)
+    elif files.reference is not None or files.poses is not None:
+        points = _cameras(config, files)
+    if files.cloud is not None:
+        initial = parse_transform(_text(files.initial), files.initial.name) if files.initial else points
+        return Cloud(files.cloud.name, cloud_files.read_cloud(files.cloud), initial)
+    if points is not None:
+        return points
+    if config.scale is not None:
+        return Given(scale_only(config.scale), "scale", facts={"unmeasured": ["rotation", "translation"]})
+    if files.transform is not None:
+        return parse_transform(_text(files.transform), files.transform.name)
+    if files.nerfstudio is not None:
+        frame = _training_frame(files.nerfstudio)
+        warning = "the scene is in the frame of the source poses: in metres only if those were"
+        return Given(frame.original_from_training, "nerfstudio", (warning, *frame.warnings), frame.facts)
+    return config.distances or None
+
+
+def _cameras(config: ScaleAlignConfig, files: Files) -> Correspondences:
+    """Cameras of the scene and of the world, the former brought to the frame that training used."""
+    from alula.stages.alignment import colmap, evidence, tables
+
+    oriented = files.poses is not None
+    if files.poses is not None:
+        wanted = tables.parse_positions(_text(files.poses), files.poses.name, orientations=True)
+    else:
+        assert files.reference is not None
+        wanted = tables.parse_reference(_text(files.reference), files.reference.name, config.origin)
+    if files.cameras is not None:
+        found = tables.parse_positions(_text(files.cameras), files.cameras.name, orientations=oriented)
+    else:
+        assert files.colmap is not None
+        found = colmap.read_model(files.colmap)
+    points = evidence.match(found, wanted, orientations=oriented)
+    if files.nerfstudio is None:
+        return points
+    frame = _training_frame(files.nerfstudio)
+    return evidence.before(frame.original_from_training, points, frame.facts, frame.warnings)
+
+
+def _training_frame(path: Path) -> TrainingFrame:
+    from alula.stages.alignment import nerfstudio
+
+    found = nerfstudio.transform_files(path)
+    data = found.get("nerfstudio data")
+    name = found["nerfstudio"].name
+    return nerfstudio.parse_training_frame(_text(found["nerfstudio"]), name, _text(data) if data else None)
 
 
 def _text(path: Path) -> str:
@@ -109,19 +259,3 @@ def _text(path: Path) -> str:
         raise InputError(f"{path}: is not text in UTF-8") from error
     except OSError as error:
         raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
-
-
-def _show(alignment: dict[str, Any], verbose: int) -> None:
-    """The alignment on stderr: its ten worst items and warnings; with -v all of it."""
-    items = sorted(alignment.get("items", []), key=lambda item: -item["residual_m"])
-    shown = items if verbose else items[:10]
-    for item in shown:
-        mark = "" if item["inlier"] else "  outlier"
-        click.echo(f"{item['residual_m']:12.4f} m  {item['item']}{mark}", err=True)
-    if len(shown) < len(items):
-        click.echo(f"{'':14}  and {len(items) - len(shown)} better ones (-v shows them)", err=True)
-    for key, value in alignment.items() if verbose else ():
-        if key not in ("items", "matrix", "warnings") and value is not None:
-            click.echo(f"  {key:<20}  {plain(value)}", err=True)
-    for warning in alignment["warnings"]:
-        click.echo(f"warning: {warning}", err=True)

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import io
+import os
 import re
 import struct
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -28,6 +29,7 @@ from alula.schemas.kinds import KINDS, Kind
 from alula.schemas.manifest import FEATURES, ArraySpec, Manifest, parse_version, producer
 
 ALIGNMENT = 64
+_WORTH_THREADS = 2**22  # bytes to hash
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _MANIFEST_LIMIT = 64 * 2**20
 _LARGEST_EXTENT = 2**48
@@ -60,6 +62,18 @@ def array_hash(array: NDArray[Any]) -> str:
     return hashlib.sha256(_bytes_of(array)).hexdigest()
 
 
+def array_hashes(arrays: Sequence[NDArray[Any]]) -> list[str]:
+    """`array_hash` of each; large ones side by side, largest first."""
+    if sum(array.nbytes for array in arrays) < _WORTH_THREADS:
+        return [array_hash(array) for array in arrays]
+    from concurrent.futures import ThreadPoolExecutor
+
+    order = sorted(range(len(arrays)), key=lambda i: -arrays[i].nbytes)
+    with ThreadPoolExecutor(min(len(arrays), os.cpu_count() or 1)) as pool:
+        found = dict(zip(order, pool.map(array_hash, [arrays[i] for i in order]), strict=True))
+    return [found[i] for i in range(len(arrays))]
+
+
 def _bytes_of(array: NDArray[Any]) -> memoryview:
     return np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
 
@@ -79,18 +93,19 @@ def file_hash(path: Path) -> str:
 
 def describe_arrays(kind: Kind, frame: str, unit: str, arrays: Arrays) -> dict[str, ArraySpec]:
     """The manifest's description of arrays; `unit` replaces the unit "frame" of the kind."""
-    described = {}
-    for rule in present(kind, arrays):
-        array = arrays[rule.name]
-        described[rule.name] = ArraySpec(
+    rules = present(kind, arrays)
+    hashes = array_hashes([arrays[rule.name] for rule in rules])
+    return {
+        rule.name: ArraySpec(
             dtype=rule.dtype,
-            shape=list(array.shape),
+            shape=list(arrays[rule.name].shape),
             frame=frame,
             unit=rule.unit.replace("frame", unit),
             meaning=rule.meaning,
-            sha256=array_hash(array),
+            sha256=sha256,
         )
-    return described
+        for rule, sha256 in zip(rules, hashes, strict=True)
+    }
 
 
 def make_artifact(kind: Kind, arrays: Arrays, **fields: Any) -> Artifact:
@@ -202,7 +217,8 @@ def read_artifact(path: Path, kind: Kind | None = None) -> Artifact:
         if len(archive.infolist()) != len(expected):  # other programs would read the other one
             raise DamagedError(f"{path}: a member is there twice")
         arrays = {rule.name: _map_member(path, archive, f"{rule.name}.npy") for rule in rules}
-    for rule in rules:
+    hashes = array_hashes([arrays[rule.name] for rule in rules])
+    for rule, sha256 in zip(rules, hashes, strict=True):
         array, spec = arrays[rule.name], manifest.arrays.get(rule.name)
         if spec is None:
             raise DamagedError(f"{path}: the manifest does not describe array {rule.name}")
@@ -212,7 +228,7 @@ def read_artifact(path: Path, kind: Kind | None = None) -> Artifact:
             raise DamagedError(
                 f"{path}: array {rule.name} has shape {list(array.shape)}, the manifest says {spec.shape}"
             )
-        if array_hash(array) != spec.sha256:
+        if sha256 != spec.sha256:
             raise DamagedError(f"{path}: array {rule.name} does not match its SHA-256")
     try:
         check_shapes(found, arrays)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from alula.schemas.errors import ArtifactError
 from alula.schemas.kinds import ArrayRule, Kind
 
+_ROWS = 2**15  # that stay in the cache between the steps of a check
 _UNIT_NORM_TOLERANCE = 1e-3  # f32 quaternions normalised once are within 2e-7
 
 
@@ -70,9 +71,10 @@ def _first_offence(rule: ArrayRule, arrays: Mapping[str, NDArray[Any]]) -> str |
             if not (good := (array >= 0) & (array <= 1)).all():
                 return f"outside [0, 1] in row {_first_row(~good)}"
         case "unit_norm":
-            norm = np.linalg.norm(array, axis=-1)
-            if not (good := np.abs(norm - 1) <= _UNIT_NORM_TOLERANCE).all():
-                return f"not a unit quaternion in row {_first_row(~good)}"
+            for start in range(0, len(array), _ROWS):
+                norm = _norm(array[start : start + _ROWS])
+                if not (good := np.abs(norm - 1) <= _UNIT_NORM_TOLERANCE).all():
+                    return f"not a unit quaternion in row {start + _first_row(~good)}"
         case "starts":
             assert rule.indexes is not None
             total = len(arrays[rule.indexes])
@@ -84,6 +86,16 @@ def _first_offence(rule: ArrayRule, arrays: Mapping[str, NDArray[Any]]) -> str |
         case _:
             pass
     return None
+
+
+def _norm(rows: NDArray[Any]) -> NDArray[Any]:
+    """Lengths of short rows, column by column: several times faster than along the rows."""
+    with np.errstate(over="ignore"):
+        square = rows[:, 0] * rows[:, 0]
+        for column in rows.T[1:]:
+            square += column * column
+    length: NDArray[Any] = np.sqrt(square)
+    return length
 
 
 def _lexicographically_increasing(array: NDArray[Any]) -> NDArray[np.bool_]:

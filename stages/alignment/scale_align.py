@@ -2,38 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from itertools import product
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.scale_align import Distance, ScaleAlignConfig
+from alula.schemas.configs.scale_align import ScaleAlignConfig
 from alula.schemas.errors import CheckError, InputError, UsageError
 from alula.schemas.kinds import SCENE
 from alula.schemas.manifest import Guarantee, SceneManifest, Similarity
 from alula.schemas.provenance import parameters_of
+from alula.stages.alignment.cloud import Cloud
+from alula.stages.alignment.estimates import Estimate, Evidence, Given, estimate, scale_only
 from alula.stages.alignment.evidence import Correspondences
-from alula.stages.alignment.similarity import (
-    CONFIDENCE,
-    Array,
-    compose,
-    fit_similarity,
-    position_error,
-    shape_warnings,
-    transform_points,
-)
+from alula.stages.alignment.levelling import level_by_direction, level_by_floor
+from alula.stages.alignment.similarity import Array, compose, transform_points
+from alula.stages.alignment.uncertainty import CONFIDENCE, mapped_corners
 from alula.stages.reconstruction.formats.splats import rounded_up
 from alula.stages.rotation import multiply_quat_wxyz, quat_wxyz_from_matrix
 
-Evidence = Correspondences | Sequence[Distance] | Similarity
+__all__ = ["Evidence", "Given", "scale_align", "scale_only"]
 
 
 def scale_align(
     config: ScaleAlignConfig,
     scene: Artifact,
-    evidence: Evidence,
+    evidence: Evidence | None,
     seed: int,
     report: Callable[[dict[str, Any]], None] | None = None,
 ) -> Artifact:
@@ -47,7 +42,8 @@ def scale_align(
     Args:
         config: see `ScaleAlignConfig`.
         scene: an `alula/scene`.
-        evidence: correspondences; distances, which fix the scale alone; or the similarity itself.
+        evidence: correspondences of points or poses; a cloud; distances, which fix the scale alone; or
+            the similarity itself. None only levels a scene that is in metres.
         seed: of the robust estimation.
         report: called with the record of the alignment before the gates are applied.
 
@@ -56,22 +52,28 @@ def scale_align(
 
     Raises:
         InputError: the evidence does not determine a similarity, or the result overflows.
-        CheckError: a gate does not hold, with the figure and the limit.
-        UsageError: a gate that the evidence has no figure for.
+        CheckError: a gate does not hold, with the figure and the limit; a cloud does not overlap the
+            scene, or no floor is found.
+        UsageError: a gate that the evidence has no figure for, or levelling what is level already.
     """
     manifest = scene.manifest
     assert isinstance(manifest, SceneManifest)
     mean = np.asarray(scene["mean"], np.float64)
-    lower, upper = mean.min(axis=0), mean.max(axis=0)
-    corners = np.array(list(product(*zip(lower, upper, strict=True))))
-    match evidence:
-        case Correspondences():
-            similarity, found = _by_correspondences(config, evidence, seed, corners)
-        case Similarity():
-            similarity, found = evidence, _exact(config)
-        case _:
-            similarity, found = _by_distances(evidence, corners)
+    box = mean.min(axis=0), mean.max(axis=0)
+    if config.levels and isinstance(evidence, Correspondences | Cloud):
+        raise UsageError("--up and --floor turn the frame, but the evidence fixes its rotation already")
+    if evidence is None:
+        if manifest.unit != "m":
+            raise UsageError(
+                "--up and --floor alone are for scenes in metres; say how to align (--scale ...)"
+            )
+        evidence = Given(scale_only(1.0), "level", ())
+    found = estimate(config, scene, evidence, seed, box)
+    if config.levels:
+        known = manifest.frame == "world" or isinstance(evidence, Similarity)
+        found = _levelled(config, found, mean, box, seed, frame_is_known=known)
 
+    similarity = found.similarity
     matrix = np.eye(4)
     matrix[:3, :3] = similarity.scale * np.array(similarity.rotation)
     matrix[:3, 3] = similarity.translation_m
@@ -84,22 +86,27 @@ def scale_align(
         "to_unit": "m",
         "scale": similarity.scale,
         "q_world_scene_wxyz": q_world_scene.tolist(),
+        "translation_m": list(similarity.translation_m),
         "matrix": matrix.tolist(),
         "determinant": float(np.linalg.det(np.array(similarity.rotation))),
         "rounding_m": rounding,
-        **found,
+        "position_error_m": found.position_error,
+        **found.record,
     }
     if report is not None:
         report(alignment)
     _check_gates(config, alignment)
 
-    whole, inflation = similarity, float(found["position_error_m"] or 0.0)
+    whole, inflation = similarity, found.position_error or 0.0
     if manifest.world_from_scene is not None:
         whole = compose(similarity, manifest.world_from_scene)
         inflation += similarity.scale * manifest.suggested_inflation_m
         alignment["previous"] = manifest.alignment
     lower, upper = arrays["mean"].min(axis=0), arrays["mean"].max(axis=0)
-    figures = ("method", "scale", "scale_sigma", "count", "inliers", "rms_m", "max_m", "position_error_m")
+    figures = (
+        *("method", "scale", "scale_sigma", "scale_interval", "count", "inliers", "fitness"),
+        *("rms_m", "max_m", "rms_deg", "position_error_m"),
+    )
     summary = {
         "gaussians": len(mean),
         **{key: alignment[key] for key in figures if alignment.get(key) is not None},
@@ -116,7 +123,7 @@ def scale_align(
         unit="m",
         parameters=parameters_of(config),
         summary=summary,
-        guarantee=_guarantee(manifest, found["position_error_m"], inflation),
+        guarantee=_guarantee(manifest, found.position_error, inflation),
         source=manifest.source,
         requires=manifest.requires,
         world_from_scene=whole,
@@ -125,90 +132,35 @@ def scale_align(
     )
 
 
-def _by_correspondences(
-    config: ScaleAlignConfig, evidence: Correspondences, seed: int, corners: Array
-) -> tuple[Similarity, dict[str, Any]]:
-    fit = fit_similarity(evidence.scene, evidence.world, config.threshold_m, seed)
-    inliers = fit.residual[fit.inlier]
-    items = [
-        {"item": row, "residual_m": float(residual), "inlier": bool(inlier)}
-        for row, residual, inlier in zip(evidence.rows, fit.residual, fit.inlier, strict=True)
-    ]
-    return fit.similarity, {
-        "method": "correspondences",
-        "scale_sigma": fit.scale_sigma,
-        "scale_interval": list(fit.scale_interval),
-        "scale_leave_one_out": list(fit.leave_one_out),
-        "sigma_m": fit.sigma,
-        "count": len(items),
-        "inliers": len(inliers),
-        "unused": evidence.unused,
-        "threshold_m": config.threshold_m,
-        "seed": seed,
-        "rms_m": float(np.sqrt((inliers**2).mean())),
-        "median_m": float(np.median(inliers)),
-        "max_m": float(inliers.max()),
-        "singular_values": fit.singular_values.tolist(),
-        "items": items,
-        "position_error_m": position_error(fit, evidence.scene, corners),
-        "warnings": shape_warnings(fit),
-    }
-
-
-def _by_distances(distances: Sequence[Distance], corners: Array) -> tuple[Similarity, dict[str, Any]]:
-    """Least squares of metres = scale * length through the origin."""
-    from scipy.stats import t as student
-
-    start, end = np.array([d[0] for d in distances]), np.array([d[1] for d in distances])
-    metres = np.array([d[2] for d in distances])
-    length = np.linalg.norm(end - start, axis=1)
-    spread = float(length @ length)
-    scale = float(length @ metres) / spread
-    residual = metres - scale * length
-    found: dict[str, Any] = {
-        "method": "distance",
-        "count": len(metres),
-        "inliers": len(metres),
-        "rms_m": float(np.sqrt((residual**2).mean())),
-        "median_m": float(np.median(np.abs(residual))),
-        "max_m": float(np.abs(residual).max()),
-        "items": [
-            {"item": f"distance {i + 1}", "residual_m": float(abs(r)), "inlier": True}
-            for i, r in enumerate(residual)
-        ],
-        "scale_sigma": None,
-        "position_error_m": None,
-        "warnings": ["one distance: how well the scale is known is unknown"],
-    }
-    freedom = len(metres) - 1
-    if freedom:
-        sigma = float(np.sqrt((residual @ residual) / freedom / spread))
-        half = float(student.ppf((1 + CONFIDENCE) / 2, freedom)) * sigma
-        found |= {
-            "scale_sigma": sigma,
-            "scale_interval": [scale - half, scale + half],
-            "position_error_m": half * float(np.linalg.norm(corners, axis=1).max()),
-            "warnings": [],
-        }
-    return scale_only(scale), found
-
-
-def scale_only(scale: float) -> Similarity:
-    """A similarity that keeps the origin and the axes."""
-    return Similarity(scale=scale, rotation=np.eye(3).tolist(), translation_m=[0.0, 0.0, 0.0])
-
-
-def _exact(config: ScaleAlignConfig) -> dict[str, Any]:
-    if (config.max_rms_m, config.max_scale_sigma, config.min_inliers) != (None, None, None):
+def _levelled(
+    config: ScaleAlignConfig,
+    found: Estimate,
+    mean: Array,
+    box: tuple[Array, Array],
+    seed: int,
+    *,
+    frame_is_known: bool,
+) -> Estimate:
+    """The estimate followed by a motion that levels its frame; recorded as `level`."""
+    up = np.array([0.0, 0.0, 1.0])
+    if config.up is None and not frame_is_known:
         raise UsageError(
-            "--max-rms, --max-scale-sigma and --min-inliers need something to be measured against"
+            "--floor needs --up, roughly: the scene's own frame says nothing of it (nerfstudio trains with "
+            "0 0 1; models of COLMAP often have 0 -1 0)"
         )
-    return {
-        "method": "given",
-        "scale_sigma": None,
-        "position_error_m": None,
-        "warnings": ["the similarity was given: nothing checks it"],
-    }
+    if config.up is not None:
+        up = np.array(found.similarity.rotation) @ np.array(config.up)
+    if config.floor:
+        level = level_by_floor(transform_points(found.similarity, mean), up, config.threshold_m, seed)
+    else:
+        level = level_by_direction(up)
+    similarity = compose(level.motion, found.similarity)
+    error = found.position_error
+    if error is not None and config.floor:
+        error = None if level.error is None else (
+            error + level.error.position_error(mapped_corners(similarity, *box)))  # fmt: skip
+    warnings = [*found.record["warnings"], *level.warnings]
+    return Estimate(similarity, {**found.record, "level": level.facts, "warnings": warnings}, error)
 
 
 def _guarantee(manifest: SceneManifest, known: float | None, inflation: float) -> Guarantee:
@@ -229,10 +181,12 @@ def _guarantee(manifest: SceneManifest, known: float | None, inflation: float) -
 
 
 def _check_gates(config: ScaleAlignConfig, alignment: dict[str, Any]) -> None:
-    if alignment["method"] == "given":
+    if "rms_m" not in alignment:
         return
     count, inliers, rms = alignment["count"], alignment["inliers"], alignment["rms_m"]
-    needed = config.min_inliers if config.min_inliers is not None else count // 2 + 1
+    needed = config.min_inliers
+    if needed is None:  # of a cloud the overlap is required instead
+        needed = 0 if alignment["method"] == "cloud" else count // 2 + 1
     if inliers < needed:
         raise CheckError(
             f"alignment: {inliers} of {count} correspondences are inliers, {needed} are needed "

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import reduce
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from alula import _core
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import InputError
@@ -17,8 +17,11 @@ from alula.schemas.manifest import SPLAT_LOSS, Guarantee
 from alula.schemas.provenance import parameters_of
 from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters
 from alula.stages.reconstruction.formats.splats import LOSSES, Splats
-from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz
+from alula.stages.rotation import matrix_from_quat_wxyz
 
+_NOT_FINITE = ("not_a_number", "infinite_mean", "infinite_scale", "infinite_rotation")
+_ON_DEMAND = ("crop", "crop_sphere", "max_scale")
+_REASONS = (*_NOT_FINITE, "zero_rotation", "min_opacity", *_ON_DEMAND)  # 1, 2, ... of `_core.screen_rows`
 SCALE_FLOOR = 1e-9  # file units; a disc of no thickness must have some
 
 
@@ -42,79 +45,46 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     Raises:
         InputError: no Gaussian is left, or one has a value that is not finite.
     """
-    norm: NDArray[np.float64] = np.linalg.norm(splats.quat_wxyz.astype(np.float64), axis=1)
-    keep = np.ones(len(splats), np.bool_)
-    removed: dict[str, int] = {}
-
-    def remove(reason: str, bad: NDArray[np.bool_] | np.bool_) -> None:
-        count = int((keep & bad).sum())
-        keep[bad] = False
-        if count or reason in wanted:
-            removed[reason] = count
-
-    wanted = {"min_opacity"}
     splats = turned(splats, config.turn)
-    nan = np.isnan(splats.opacity)
-    for values in (splats.mean, splats.scale, splats.quat_wxyz):
-        nan |= _any(np.isnan(values))
-    remove("not_a_number", nan)
-    remove("infinite_mean", _any(np.isinf(splats.mean)))
-    remove("infinite_scale", _any(np.isinf(splats.scale)))
-    remove("infinite_rotation", np.isinf(norm))
-    if removed and not config.drop_nan:
-        reasons = ", ".join(f"{reason} {count}" for reason, count in removed.items())
+    given = _Columns(
+        np.ascontiguousarray(splats.mean, np.float32),
+        np.ascontiguousarray(splats.scale, np.float32),
+        np.ascontiguousarray(splats.quat_wxyz, np.float32),
+        np.ascontiguousarray(splats.opacity, np.float32),
+        np.ascontiguousarray(splats.color, np.uint8),
+    )
+    removal = np.empty(len(splats), np.uint8)
+    counts, first_bad = _core.screen_rows(
+        *given[:4],
+        removal,
+        min_opacity=config.min_opacity,
+        crop=config.crop,
+        crop_sphere=config.crop_sphere,
+        max_scale=config.max_scale,
+    )
+    wanted = {"min_opacity", *(name for name in _ON_DEMAND if getattr(config, name) is not None)}
+    removed = {
+        reason: count for reason, count in zip(_REASONS, counts[1:], strict=True) if count or reason in wanted
+    }
+    if first_bad < len(splats) and not config.drop_nan:
+        bad = {reason: removed[reason] for reason in _NOT_FINITE if reason in removed}
+        reasons = ", ".join(f"{reason} {count}" for reason, count in bad.items())
         raise InputError(
-            f"{sum(removed.values())} of {len(keep)} Gaussians have values that are not finite ({reasons}), "
-            f"the first in row {int(np.argmin(keep))}; --drop-nan leaves them out"
+            f"{sum(bad.values())} of {len(splats)} Gaussians have values that are not finite ({reasons}), "
+            f"the first in row {first_bad}; --drop-nan leaves them out"
         )
-    remove("zero_rotation", norm == 0)
-    remove("min_opacity", splats.opacity < config.min_opacity)
-    if config.crop is not None:
-        wanted.add("crop")
-        lower, upper = np.array(config.crop[:3]), np.array(config.crop[3:])
-        remove("crop", _any(~((splats.mean >= lower) & (splats.mean <= upper))))
-    if config.crop_sphere is not None:
-        wanted.add("crop_sphere")
-        *centre, radius = config.crop_sphere
-        away = splats.mean.astype(np.float64) - np.array(centre)
-        remove("crop_sphere", ~(np.einsum("ij,ij->i", away, away) <= radius * radius))
-    if config.max_scale is not None:
-        wanted.add("max_scale")
-        remove("max_scale", _any(splats.scale > config.max_scale))
-    _check_some_left(keep, removed)
+    _check_some_left(removal, removed)
 
-    scale_floored = int(_any(splats.scale[keep] < SCALE_FLOOR).sum())
-    quat = (splats.quat_wxyz[keep] / norm[keep, None]).astype(np.float32)
     rules: dict[str, Any] = {}
     if config.drop_floaters:
-        wanted.add("floaters")
-        drop, edge = floaters(splats.mean[keep], splats.scale[keep], matrix_from_quat_wxyz(quat))
-        rows = np.flatnonzero(keep)
-        quat = quat[~drop]
-        far = np.zeros_like(keep)
-        far[rows[drop]] = True
-        remove("floaters", far)
-        rules["floaters"] = {
-            "cell": edge, "smallest_group": SMALLEST_GROUP, "neighbour": NEIGHBOUR, "reach_sigma": REACH
-        }  # fmt: skip
-        _check_some_left(keep, removed)
-
-    arrays = {
-        "mean": splats.mean[keep],
-        "scale": np.maximum(splats.scale[keep], np.float32(SCALE_FLOOR)),
-        "quat_wxyz": quat,
-        "opacity": splats.opacity[keep],
-        "color": splats.color[keep],
-    }
-    loss = _loss(splats, keep)
+        removed["floaters"], rules["floaters"] = _drop_floaters(splats, removal)
+        _check_some_left(removal, removed)
+    kept = int(np.count_nonzero(removal == 0))
+    arrays, figures = _kept(given, removal, kept)
+    loss = _loss(splats, removal, kept)
     if loss["bound"] is not None:
         arrays["loss"] = loss["bound"]
-    kept = int(keep.sum())
-    bounds = {
-        "lower": [float(column.min()) for column in arrays["mean"].T],
-        "upper": [float(column.max()) for column in arrays["mean"].T],
-    }
-    longest = reduce(np.maximum, arrays["scale"].T)
+    bounds = {"lower": list(figures["lower"]), "upper": list(figures["upper"])}
     summary = {
         "gaussians": kept,
         "rows": len(splats),
@@ -124,9 +94,9 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         + (f"turned by 180 degrees about {config.turn}" if config.turn != "none" else "unchanged"),
         "lower": bounds["lower"],
         "upper": bounds["upper"],
-        "opacity_median": float(np.median(arrays["opacity"].astype(np.float64))),
-        "scale_median": float(np.median(longest.astype(np.float64))),
-        "scale_max": float(longest.max()),
+        "opacity_median": figures["opacity_median"],
+        "scale_median": figures["scale_median"],
+        "scale_max": figures["scale_max"],
     }
     if arrays.get("loss") is not None:
         summary["loss"] = {key: loss["figures"][key] for key in LOSSES}
@@ -148,7 +118,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
             "removed": removed,
             "rules": rules,
             "scale_floor": SCALE_FLOOR,
-            "scale_floored": scale_floored,
+            "scale_floored": figures["floored"],
             "bounds": bounds,
             "loss": loss["figures"],
             "frame": {"file": splats.tags.get("frame", "unnamed"), "turn": config.turn},
@@ -159,10 +129,49 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     )
 
 
-def _any(rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """`any(axis=1)` by columns: many times faster where rows are short."""
-    found: NDArray[np.bool_] = reduce(np.logical_or, rows.T)
-    return found
+class _Columns(NamedTuple):
+    """Contiguous arrays in the types of a scene."""
+
+    mean: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    quat_wxyz: NDArray[np.float32]
+    opacity: NDArray[np.float32]
+    color: NDArray[np.uint8]
+
+
+def _kept(
+    given: _Columns, removal: NDArray[np.uint8], kept: int
+) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """The arrays of the rows that stay, and what the summary says of them; copies only what changes."""
+    arrays: dict[str, NDArray[Any]] = given._asdict()
+    changed = {"quat_wxyz"}
+    if kept < len(removal):
+        changed |= set(arrays)
+    elif given.scale.min() < SCALE_FLOOR:
+        changed.add("scale")
+    outputs = {name: np.empty((kept, *arrays[name].shape[1:]), arrays[name].dtype) for name in changed}
+    figures = _core.keep_rows(
+        *given,
+        removal,
+        scale_floor=SCALE_FLOOR,
+        out_mean=outputs.get("mean"),
+        out_scale=outputs.get("scale"),
+        out_quat=outputs["quat_wxyz"],
+        out_opacity=outputs.get("opacity"),
+        out_color=outputs.get("color"),
+    )
+    return arrays | outputs, figures
+
+
+def _drop_floaters(splats: Splats, removal: NDArray[np.uint8]) -> tuple[int, dict[str, Any]]:
+    """Mark the floaters among the kept rows; how many, and by which rule."""
+    rows = np.flatnonzero(removal == 0)
+    quat = splats.quat_wxyz[rows].astype(np.float64)
+    quat = (quat / np.linalg.norm(quat, axis=1, keepdims=True)).astype(np.float32)
+    drop, edge = floaters(splats.mean[rows], splats.scale[rows], matrix_from_quat_wxyz(quat))
+    removal[rows[drop]] = len(_REASONS) + 1
+    rule = {"cell": edge, "smallest_group": SMALLEST_GROUP, "neighbour": NEIGHBOUR, "reach_sigma": REACH}
+    return int(np.count_nonzero(drop)), rule
 
 
 def turned(splats: Splats, axis: str) -> Splats:
@@ -172,18 +181,22 @@ def turned(splats: Splats, axis: str) -> Splats:
     place = "xyz".index(axis)
     sign = -np.ones(3, np.float32)
     sign[place] = 1
-    half_turn = np.zeros(4, np.float32)  # the quaternion of the turn, multiplied from the left
-    half_turn[1 + place] = 1
-    quat = multiply_quat_wxyz(half_turn, splats.quat_wxyz).astype(np.float32)
+    # The half turn's quaternion times w, x, y, z is -v_place, then w in that place and the other two of v
+    # with a change of sign before the second.
+    order, second, third = [1 + place, 0, 0, 0], 1 + (place + 1) % 3, 1 + (place + 2) % 3
+    order[second], order[third] = third, second
+    quat = np.take(splats.quat_wxyz, order, axis=1)
+    quat[:, [0, second]] *= -1
+    quat += np.float32(0)  # no -0
     return dataclasses.replace(splats, mean=splats.mean * sign, quat_wxyz=quat)
 
 
-def _loss(splats: Splats, keep: NDArray[np.bool_]) -> dict[str, Any]:
+def _loss(splats: Splats, removal: NDArray[np.uint8], kept: int) -> dict[str, Any]:
     """The bounds of the kept rows, None where all are zero, and the largest of each kind."""
     figures: dict[str, Any] = dict.fromkeys((*LOSSES, "opacity"), 0.0) | {"unbounded": {}}
     if splats.loss is None:
         return {"bound": None, "figures": figures}
-    bound = splats.loss.bound[keep]
+    bound = splats.loss.bound if kept == len(removal) else splats.loss.bound[removal == 0]
     if not np.isfinite(bound).all() or (bound < 0).any():
         raise InputError("the bound of what the format lost is not a number of at least 0 everywhere")
     figures |= {name: float(column.max()) for name, column in zip(LOSSES, bound.T, strict=True)}
@@ -218,7 +231,7 @@ def _guarantee(config: ImportSplatConfig, removed: dict[str, int], loss: dict[st
     )
 
 
-def _check_some_left(keep: NDArray[np.bool_], removed: dict[str, int]) -> None:
-    if not keep.any():
+def _check_some_left(removal: NDArray[np.uint8], removed: dict[str, int]) -> None:
+    if removal.all():
         reasons = ", ".join(f"{count} by {reason}" for reason, count in removed.items() if count)
-        raise InputError(f"no Gaussian is left of {len(keep)}: removed {reasons or 'none'}")
+        raise InputError(f"no Gaussian is left of {len(removal)}: removed {reasons or 'none'}")

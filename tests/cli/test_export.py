@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -13,7 +14,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from fabricate import box, exact_hull, make_cover, make_plan, make_scene, make_voxels
 
 from alula.cli.main import run
-from alula.schemas.artifact import write_artifact
+from alula.schemas.artifact import make_artifact, read_artifact, write_artifact
+from alula.schemas.kinds import SCENE
 from alula.schemas.provenance import read_provenance
 
 G = 0.05
@@ -123,6 +125,140 @@ def test_ply_is_a_splat_file_again(folder, tmp_path):
     assert (first["color"] == second["color"]).all()
     for name in ("scale", "opacity"):
         assert second[name] == pytest.approx(first[name], rel=2e-6)
+
+
+def one_json(capsys):
+    return json.loads(capsys.readouterr().out)["summary"]
+
+
+def scene_again(source: Path, out: Path) -> Path:
+    again = out.with_name(out.name + ".scene.npz")
+    assert run(["import-splat", str(out), "-o", str(again), "--min-opacity", "0", "-q"]) == 0
+    return again
+
+
+def check_losses(source: Path, out: Path, told) -> None:
+    """What is told of an export is what it did, and what its import allows for."""
+    first, second = read_artifact(source), read_artifact(scene_again(source, out))
+    away = np.linalg.norm(first["mean"].astype(float) - second["mean"], axis=1)
+    ratio = second["scale"] / first["scale"].astype(float)
+    q, r = first["quat_wxyz"].astype(float), second["quat_wxyz"].astype(float)
+    q, r = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (q, r))
+    angle = 2 * np.arccos(np.clip(np.abs((q * r).sum(axis=1)), 0, 1))
+    bound = second.arrays.get("loss", np.zeros((len(away), 3)))
+    least = 2e-6 if out.suffix == ".ply" else 0  # logarithms of single precision
+    assert (away <= bound[:, 0]).all()
+    assert ((1 / ratio).max(axis=1) - 1 <= bound[:, 1] + least).all()
+    assert (angle <= bound[:, 2] + 1e-7).all()
+    assert told["position_error"] == pytest.approx(away.max(), abs=1e-9)
+    assert told["scale_shorter"] == pytest.approx(1 - ratio.min(), abs=1e-6)
+    assert told["scale_longer"] == pytest.approx(ratio.max() - 1, abs=1e-6)
+    assert told["rotation_error_rad"] == pytest.approx(angle.max(), abs=1e-6)
+    alpha = np.abs(first["opacity"].astype(float) - second["opacity"])
+    assert told["opacity_error"] == pytest.approx(alpha.max(), abs=1e-6)
+    assert alpha.max() <= second.manifest.source["loss"]["opacity"] + 1e-6
+    color = np.abs(first["color"].astype(int) - second["color"])
+    assert told["color_error"] == color.max() <= (1 if out.suffix == ".spz" else 0)
+
+
+FORMS = [("ply",), ("splat",), ("spz",), ("spz", "--spz-version", "2"), ("spz", "--spz-version", "4")]
+
+
+@pytest.mark.parametrize("form", FORMS, ids=" ".join)
+def test_a_scene_comes_back_within_what_is_told_and_allowed_for(folder, tmp_path, form, capsys):
+    suffix, *words = form
+    source = folder / "m.scene.npz"
+    out = export(source, tmp_path / f"s.{suffix}", "--json", *words)
+    told = one_json(capsys)
+    assert told["bytes"] == out.stat().st_size
+    check_losses(source, out, told)
+    if suffix == "spz":
+        assert 0.02 < told["scale_shorter"] < 0.032
+        assert (told["rotation_error_rad"] > 0.01) == ("2" in words)
+
+
+@pytest.mark.parametrize("form", FORMS[2:], ids=" ".join)
+def test_an_spz_knows_where_it_came_from(folder, tmp_path, form, capsys):
+    suffix, *words = form
+    source = folder / "m.scene.npz"
+    out = export(source, tmp_path / f"s.{suffix}", *words)
+    raw = out.read_bytes()
+    found = read_provenance(out)
+    assert found.schema == "alula/export"
+    assert found.parameters == {"format": "spz", "spz_version": int(words[1]) if words else 3}
+    capsys.readouterr()
+    export(source, out, *words)
+    assert "unchanged" in capsys.readouterr().out
+    export(source, out, "--spz-version", "3" if words else "2", code=2)
+    assert "spz_version was" in capsys.readouterr().err
+    assert export(source, tmp_path / "t.spz", *words).read_bytes() == raw
+
+
+def test_only_force_replaces_a_splat(folder, tmp_path, capsys):
+    source = folder / "m.scene.npz"
+    out = export(source, tmp_path / "s.splat")
+    raw = out.read_bytes()
+    assert len(raw) == 32 * 400
+    export(source, out, code=2)
+    assert "not a file of alula's; -f replaces it" in capsys.readouterr().err
+    export(source, out, "-f")
+    assert out.read_bytes() == raw
+
+
+def test_what_the_format_cannot_hold_is_refused(tmp_path, capsys):
+    arrays = dict(make_scene(5).arrays)
+    arrays["scale"] = np.where(np.arange(15).reshape(5, 3) == 7, 1000, arrays["scale"])
+    facts = {"frame": "world", "unit": "m", "parameters": {}, "summary": {}, "source": {"format": "ply"}}
+    write_artifact(tmp_path / "a.scene.npz", make_artifact(SCENE, arrays, **facts))
+    export(tmp_path / "a.scene.npz", tmp_path / "a.spz", code=3)
+    error = capsys.readouterr().err
+    assert "a.scene.npz: 1 Gaussians have a semi-axis longer than" in error
+    assert not (tmp_path / "a.spz").exists()
+    export(tmp_path / "a.scene.npz", tmp_path / "a.splat")
+    export(tmp_path / "a.scene.npz", tmp_path / "b.spz", "--spz-version", "1", code=2)
+    assert "--spz-version is 2, 3 or 4, not 1" in capsys.readouterr().err
+
+
+def test_a_dry_run_tells_and_writes_nothing(folder, tmp_path, capsys):
+    export(folder / "m.scene.npz", tmp_path / "s.spz", "-n", "--json")
+    assert one_json(capsys)["rotation_error_rad"] > 0
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("form", FORMS[1:], ids=" ".join)
+def test_voxels_of_a_lossy_copy_contain_those_of_the_scene(folder, tmp_path, form):
+    suffix, *words = form
+    again = scene_again(
+        folder / "m.scene.npz", export(folder / "m.scene.npz", tmp_path / f"s.{suffix}", *words)
+    )
+    metric = tmp_path / "again.scene.npz"
+    assert run(["scale-align", str(again), "-o", str(metric), "--scale", "1", "-q"]) == 0
+
+    def voxels(scene, *options):
+        out = tmp_path / "v.npz"
+        words = ["--size", "0.02", "--inflate", "0", "-f", "-q"]
+        assert run(["voxelize", str(scene), "-o", str(out), *words, *options]) == 0
+        return {tuple(row) for row in read_artifact(out)["index"].tolist()}
+
+    exact = voxels(folder / "m.scene.npz")
+    assert exact <= voxels(metric)
+    assert not exact <= voxels(metric, "--ignore-loss")
+
+
+@pytest.mark.parametrize("suffix", ["ply", "splat", "spz"])
+@pytest.mark.parametrize("name", ["istanbul-outdoor/tile_x001_y000.splat", "fourth-st-spz/fourth_st.spz"])
+def test_real_scenes_come_back_within_what_is_told_and_allowed_for(tmp_path, name, suffix, capsys):
+    root = os.environ.get("ALULA_DATA")
+    if not root:
+        pytest.skip("ALULA_DATA is not set")
+    source = tmp_path / "a.scene.npz"
+    words = ["-o", str(source), "--min-opacity", "0", "-q"]
+    assert run(["import-splat", str(Path(root) / name), *words]) == 0
+    capsys.readouterr()
+    out = export(source, tmp_path / f"b.{suffix}", "--json")
+    told = one_json(capsys)
+    assert "is not recorded" in told["note"]
+    check_losses(source, out, told)
 
 
 def test_an_opaque_gaussian_gets_a_finite_logit(tmp_path):

@@ -108,7 +108,7 @@ def test_a_map_of_something_else_fails_with_a_place(here, capsys):
         ("verify tiny.map.bin", "--voxels or --cover"),
         ("verify tiny.cover.npz --cover tiny.cover.npz", "is not an onboard map"),
         ("export tiny.voxels.npz -o x.bin", "is alula/voxels"),
-        ("export tiny.metric.scene.npz -o x.bin", "a scene is exported as ply, glb, obj"),
+        ("export tiny.metric.scene.npz -o x.bin", "a scene is exported as ply, splat, spz, glb, obj"),
     ],
 )
 def test_what_makes_no_sense_is_refused(here, capsys, words, said):

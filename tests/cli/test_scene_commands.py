@@ -70,10 +70,16 @@ def test_the_table_goes_to_stderr_and_json_to_stdout(demo, tmp_path, capsys):
     assert "poses.csv row 14 (walk_0012.jpg)  outlier" in err
     assert "position_error_m" in out
     assert run([*words, "-v", "-f", "--max-rms", "1"]) == 0
-    assert "scale_interval" in capsys.readouterr().err
+    assert "95 % interval" in capsys.readouterr().err
     assert run([*words, "--json", "--force"]) == 0
     out, err = capsys.readouterr()
-    assert json.loads(out)["summary"]["inliers"] == 58
+    found = json.loads(out)
+    assert found["summary"]["inliers"] == found["alignment"]["inliers"] == 58
+    assert len(found["alignment"]["items"]) == 60
+    assert found["status"] == "written"
+    assert run([*words, "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again == {**found, "status": "unchanged"}
     assert err == ""
 
 

@@ -11,15 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula.schemas.errors import AlulaError, InputError
-from alula.stages.alignment.evidence import (
-    match,
-    model_files,
-    parse_pairs,
-    parse_positions,
-    parse_transform,
-    read_model,
-)
+from alula.stages.alignment.colmap import model_files, read_model
+from alula.stages.alignment.evidence import match
 from alula.stages.alignment.similarity import transform_points
+from alula.stages.alignment.tables import parse_pairs, parse_positions, parse_reference
+from alula.stages.alignment.transforms import parse_transform
 
 
 def test_columns_are_found_by_name():
@@ -37,7 +33,6 @@ def test_columns_are_found_by_name():
         ("image,x,y,z\n", "t.csv: has no rows"),
         ("image,x,y\na,1,2\n", "no column 'z' in the first line; it must be image,x,y,z"),
         ("a.jpg,1,2,3\n", "no column 'image'"),
-        ("image,lat,lon,alt\na,1,2,3\n", "GPS positions are not supported"),
         ("image,x,y,z\na,1,2,3\nb,1,2\n", "t.csv row 3: has 3 values, not 4"),
         ("image,x,y,z\na,1,2,3\nb,1,two,3\n", "t.csv row 3: y is 'two', not a finite number"),
         ("image,x,y,z\na,1,nan,3\n", "t.csv row 2: y is 'nan'"),
@@ -78,10 +73,10 @@ def test_equal_points_are_refused_by_row():
 @settings(max_examples=150, deadline=None)
 @given(
     st.binary(max_size=80).map(lambda raw: raw.decode("latin-1")),
-    st.sampled_from(["", "image,x,y,z\n", "sx,sy,sz,wx,wy,wz\n"]),
+    st.sampled_from(["", "image,x,y,z\n", "sx,sy,sz,wx,wy,wz\n", "image,lat,lon,alt\n"]),
 )
 def test_any_text_is_a_table_or_refused(text, head):
-    for parse in (parse_positions, parse_pairs, parse_transform):
+    for parse in (parse_positions, parse_reference, parse_pairs, parse_transform):
         with suppress(AlulaError):  # anything else fails the test
             parse(head + text, "t")
 

@@ -12,14 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
-from alula.stages.alignment.similarity import (
-    compose,
-    fit_similarity,
-    position_error,
-    shape_warnings,
-    transform_points,
-    umeyama,
-)
+from alula.stages.alignment.robust import fit_similarity
+from alula.stages.alignment.similarity import compose, inverse, transform_points, umeyama
 
 
 def true_similarity(rng):
@@ -90,14 +84,14 @@ def test_noise_and_outliers_leave_the_truth_within_the_reported_bounds():
         truth, source, measured, good = case(seed)
         fit = fit_similarity(source, measured, 0.03, seed=0)
         assert (fit.inlier == good).sum() >= 58  # a gross error may land close to the truth
-        low, high = fit.scale_interval
+        low, high = fit.uncertainty.record(fit.similarity)["scale_interval"]
         misses += not (low <= truth.scale <= high)
         sigmas.append(fit.sigma)
         box = np.array(list(product(*zip(source.min(0) * 2, source.max(0) * 2, strict=True))))
         error = np.linalg.norm(
             transform_points(fit.similarity, box) - transform_points(truth, box), axis=1
         ).max()
-        bound = position_error(fit, source, box)
+        bound = fit.uncertainty.position_error(transform_points(fit.similarity, box))
         outside += error > bound
         assert bound < 20 * error
     assert misses <= 10
@@ -112,9 +106,10 @@ def test_the_bound_of_a_box_holds_inside_too():
     rng = np.random.default_rng(0)
     lower, upper = np.array([-1.0, -2, -3]), np.array([4.0, 3, 2])
     corners = np.array(list(product(*zip(lower, upper, strict=True))))
-    bound = position_error(fit, source, corners)
-    for point in rng.uniform(lower, upper, (50, 3)):
-        assert position_error(fit, source, point[None]) <= bound
+    bound = fit.uncertainty.position_error(transform_points(fit.similarity, corners))
+    inside = transform_points(fit.similarity, rng.uniform(lower, upper, (50, 3)))
+    for point in inside:
+        assert fit.uncertainty.position_error(point[None]) <= bound
 
 
 def test_the_spread_of_the_scale_is_that_of_repeated_measurements():
@@ -150,6 +145,8 @@ def test_composition_applies_the_first_first():
         transform_points(second, transform_points(first, points)),
         atol=1e-12,
     )
+    back = transform_points(compose(inverse(first), first), points)
+    np.testing.assert_allclose(back, points, atol=1e-12)
 
 
 def line(count):
@@ -189,7 +186,7 @@ def test_a_flat_mirrored_set_is_noticed_by_its_residuals():
     measured = world + 0.0005 * rng.normal(size=world.shape)
     with pytest.raises(InputError, match="mirror images"):
         fit_similarity(world * [1, 1, -1], measured, 0.1, 0)
-    assert "planar" in shape_warnings(fit_similarity(world, measured, 0.1, 0))[0]
+    assert "planar" in fit_similarity(world, measured, 0.1, 0).warnings[0]
 
 
 @pytest.mark.parametrize("count", [4, 6, 60])
@@ -206,9 +203,9 @@ def test_a_plane_is_aligned_with_a_warning():
     truth = true_similarity(rng)
     fit = fit_similarity(source, transform_points(truth, source), 0.01, 0)
     assert fit.similarity.scale == pytest.approx(truth.scale)
-    assert "nearly planar" in shape_warnings(fit)[0]
+    assert "nearly planar" in fit.warnings[0]
     narrow = fit_similarity(source * [1, 0.01, 0], transform_points(truth, source * [1, 0.01, 0]), 0.01, 0)
-    assert "nearly collinear" in shape_warnings(narrow)[0]
+    assert "nearly collinear" in narrow.warnings[0]
 
 
 def test_euroc_estimate_to_ground_truth():

@@ -148,7 +148,7 @@ def test_files_that_cannot_be_opened(tmp_path):
         read_splats(tmp_path / "none.ply")
     with pytest.raises(InputError, match="is a folder, but of no kind"):
         read_splats(tmp_path)
-    with pytest.raises(UsageError, match=r"--format must be auto, ply, .*splat, not 'obj'"):
+    with pytest.raises(UsageError, match=r"--format must be auto, compressed-ply, ply, .*splat, not 'obj'"):
         read_splats(tmp_path / "empty.ply", "obj")
 
 

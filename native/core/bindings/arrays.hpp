@@ -27,6 +27,22 @@ std::span<const T> as_span(const In<T, Shape>& array) {
   return {array.data(), array.size()};
 }
 
+// One that the caller made to be written.
+template <class T, class Shape>
+using Into = nanobind::ndarray<T, Shape, nanobind::c_contig, nanobind::device::cpu>;
+template <class T>
+using IntoRows3 = Into<T, nanobind::shape<-1, 3>>;
+template <class T>
+using IntoRows4 = Into<T, nanobind::shape<-1, 4>>;
+template <class T>
+using IntoVector = Into<T, nanobind::shape<-1>>;
+
+template <class T, class Shape>
+std::span<T> as_span(const std::optional<Into<T, Shape>>& array) {
+  if (!array) return {};
+  return {array->data(), array->size()};
+}
+
 // None is no values.
 template <class T, class Shape>
 std::span<const T> as_span(const std::optional<In<T, Shape>>& array) {

@@ -14,6 +14,8 @@ void bind_rollout(nb::module_& m);
 void bind_clearance(nb::module_& m);
 void bind_search(nb::module_& m);
 void bind_outer_solid(nb::module_& m);
+void bind_ply_rows(nb::module_& m);
+void bind_scene_rows(nb::module_& m);
 
 NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
@@ -29,4 +31,6 @@ NB_MODULE(_core, m) {
   bind_clearance(m);
   bind_search(m);
   bind_outer_solid(m);
+  bind_ply_rows(m);
+  bind_scene_rows(m);
 }

@@ -267,3 +267,43 @@ def outer_solids(normal: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), o
     """
     Corners and outward triangles of the polytopes normal . x <= offset, found exactly, rounded in the end.
     """
+
+def decode_ply_rows(rows: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], row_size: int, big_endian: bool, places: Sequence[tuple[int, str] | None], color: str, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], quat: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu')], opacity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu')], out_color: Annotated[NDArray[numpy.uint8], dict(shape=(None, 3), order='C', device='cpu')], jobs: int = 0, progress: object | None = None) -> None:
+    """
+    Decode binary rows of Gaussians into the given arrays, as many as these have rows. `places` has for x, y,
+    z, scale_0..2, rot_0..3, opacity and three columns of colour (offset in the row, NumPy's code of the type),
+    or None without scale_2 or colour; `color` is harmonic, bytes or grey. The same bits on every machine.
+    """
+
+def find_lines(text: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], most: int) -> tuple[NDArray[numpy.uint64], int]:
+    """
+    Where the first `most` lines that are not blank start, and the bytes of all further ones.
+    """
+
+def decode_ply_text(text: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], start: Annotated[NDArray[numpy.uint64], dict(shape=(None,), order='C', device='cpu', writable=False)], width: int, places: Sequence[tuple[int, str] | None], color: str, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], quat: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu')], opacity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu')], out_color: Annotated[NDArray[numpy.uint8], dict(shape=(None, 3), order='C', device='cpu')], jobs: int = 0, progress: object | None = None) -> tuple[int, int, int, int] | None:
+    """
+    As decode_ply_rows for lines of `width` numbers that start at `start`; places count words. None, or what
+    is wrong first: (row, its words, begin and end of a word that is no number if it has `width` of them).
+    """
+
+def portable_exp(x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+    """
+    exp of each to less than 1.3 units in the last place, the same bits on every machine. Arguments beyond
+    +-200 count as +-200, which is infinity and zero in single precision; NaN stays NaN.
+    """
+
+def portable_logistic(x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+    """1 / (1 + exp(-x)) of each, by portable_exp."""
+
+def screen_rows(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], opacity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], removal: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu')], *, min_opacity: float, crop: Sequence[float] | None = None, crop_sphere: Sequence[float] | None = None, max_scale: float | None = None, jobs: int = 0) -> tuple[list[int], int]:
+    """
+    Write into `removal` (N,) why each row is left out, 0 for kept; see alula/scene_rows.hpp for the order of
+    the reasons. Returns how many rows have each, and the first row that is not finite, N if there is none.
+    """
+
+def keep_rows(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], opacity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], color: Annotated[NDArray[numpy.uint8], dict(shape=(None, 3), order='C', device='cpu', writable=False)], removal: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], *, scale_floor: float, out_mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')] | None = None, out_scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')] | None = None, out_quat: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu')] | None = None, out_opacity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu')] | None = None, out_color: Annotated[NDArray[numpy.uint8], dict(shape=(None, 3), order='C', device='cpu')] | None = None, jobs: int = 0) -> dict[str, Any]:
+    """
+    Copy the rows whose removal is 0 to the outputs that are given, quaternions normalised and semi-axes no
+    smaller than the floor. Returns lower, upper, scale_max, scale_median (of the longest semi-axes),
+    opacity_median and floored (rows with a semi-axis below the floor) of these.
+    """

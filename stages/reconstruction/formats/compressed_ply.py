@@ -32,8 +32,9 @@ _SH_COLUMNS = (9, 24, 45)
 _LEVELS = np.array([2047.0, 1023.0, 2047.0])  # 11, 10 and 11 bits
 _LARGEST_LOG_SCALE = 20.0  # writers clamp what is above
 
-# Some writers round codes, some truncate, so a value is off by a whole step; those that compute codes in
-# single precision miss by 3e-4 of a step more. All values of a range below 1e-5 are written as its ends.
+# Writers round codes (PlayCanvas) or truncate them (early gsply), so a value is off by a whole step; those
+# that compute codes in single precision miss by 4e-4 of a step more. Values inside a range below 1e-5 are
+# written as its lower end.
 _STEP = 1.001
 _NO_RANGE = 1e-5
 ROTATION_STEP = _STEP * math.sqrt(2.0) / 1023.0

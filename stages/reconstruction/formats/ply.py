@@ -4,30 +4,33 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from alula import _core
 from alula.schemas.errors import ArtifactError
 from alula.schemas.provenance import MARK
 from alula.stages.reconstruction.formats.ply_header import HEADER_LIMIT, Element, Header, parse_header
+from alula.stages.reconstruction.formats.source import let_go
 from alula.stages.reconstruction.formats.splats import (
     Loss,
     Progress,
     Splats,
-    color_from_sh0,
     loss_bound,
     sh0_from_color,
 )
 
-_CHUNK = 2**13  # rows of up to 248 bytes: a chunk stays in the cache while its columns are taken
-_ASCII_CHUNK = 2**13
+_CHUNK = 2**13  # rows that are written at a time
+_BLOCK = 2**24  # bytes of rows that are decoded before they are let go
+_TEXT_ROWS = 2**17
 _POSITION = ("x", "y", "z")
 _SCALE = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 _SH0 = ("f_dc_0", "f_dc_1", "f_dc_2")
 _RGB = ("red", "green", "blue")
+_COLOR = {_SH0: "harmonic", _RGB: "bytes", (): "grey"}
 _SH_COLUMNS = (0, 9, 24, 45)
 _TAGS = {
     "render_mode": re.compile(r"SplatRenderMode\s*[:= ]\s*(\S+)", re.I),
@@ -37,7 +40,10 @@ _TAGS = {
 }
 COMMENT_LIMIT = 100
 
-Column = Callable[[str], NDArray[Any]]
+_Arrays = tuple[
+    NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.uint8]
+]  # mean, scale, quat_wxyz, opacity, color
+_Place = tuple[int, str] | None
 
 
 def decode_ply(buffer: memoryview, progress: Progress | None = None) -> Splats:
@@ -58,40 +64,24 @@ def decode_ply(buffer: memoryview, progress: Progress | None = None) -> Splats:
     vertex = _gaussians(header)
     color_columns = _color_columns(vertex)
     flat = vertex.column("scale_2") is None
-    scales = _SCALE[:2] if flat else _SCALE
-    needed = (*_POSITION, *scales, *_ROTATION, "opacity", *color_columns)
     count = vertex.count
-    if header.order:
-        chunks, trailing = _binary_chunks(header, vertex, needed, buffer)
-    else:
-        chunks, trailing = _ascii_chunks(header, vertex, buffer)
-
-    mean, scale = np.empty((count, 3), np.float32), np.zeros((count, 3), np.float32)
-    quat, color = np.empty((count, 4), np.float32), np.full((count, 3), 128, np.uint8)
+    decode = (_binary if header.order else _text)(header, vertex, color_columns, buffer)
+    mean, scale = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    quat, color = np.empty((count, 4), np.float32), np.empty((count, 3), np.uint8)
     opacity = np.empty(count, np.float32)
-    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        for start, stop, column in chunks:
-            part = slice(start, stop)
-            for i, name in enumerate(_POSITION):
-                mean[part, i] = column(name)
-            for i, name in enumerate(scales):
-                scale[part, i] = np.exp(column(name).astype(np.float64))
-            for i, name in enumerate(_ROTATION):
-                quat[part, i] = column(name)
-            opacity[part] = 1.0 / (1.0 + np.exp(-column("opacity").astype(np.float64)))
-            for i, name in enumerate(color_columns):
-                values = column(name)
-                color[part, i] = color_from_sh0(values) if color_columns is _SH0 else values
-            if progress is not None:
-                progress(stop, count)
+    for start in range(0, count, decode.rows):
+        part = slice(start, min(start + decode.rows, count))
+        decode.into(part, (mean[part], scale[part], quat[part], opacity[part], color[part]))
+        if progress is not None:
+            progress(part.stop, count)
 
     notes = []
     if flat:
         notes.append("no scale_2: flat discs (2DGS)")
     if not color_columns:
         notes.append("no colours: grey")
-    if trailing:
-        notes.append(f"{trailing} bytes follow the data that the header announces; they were not read")
+    if decode.trailing:
+        notes.append(f"{decode.trailing} bytes follow the data that the header announces; they were not read")
     loss = None
     if any(c is not None and c.type == "f8" for c in map(vertex.column, _POSITION)):
         finite = np.abs(mean[np.isfinite(mean)])
@@ -168,17 +158,25 @@ def _color_columns(vertex: Element) -> tuple[str, ...]:
     return _RGB if all(c is not None and c.type == "u1" for c in rgb) else ()
 
 
-def _binary_chunks(
-    header: Header, vertex: Element, needed: tuple[str, ...], buffer: memoryview
-) -> tuple[Iterator[tuple[int, int, Column]], int]:
-    """Chunks of rows as (start, stop, column by name), and the bytes that nothing announces."""
+@dataclass(frozen=True, slots=True)
+class _Decoder:
+    """Decodes slices of rows: `rows` at a time into arrays, after which their bytes are let go."""
+
+    rows: int
+    into: Callable[[slice, _Arrays], None]
+    trailing: int
+
+
+def _binary(header: Header, vertex: Element, color_columns: tuple[str, ...], buffer: memoryview) -> _Decoder:
+    """Rows of equal size behind those of other elements."""
     position = header.elements.index(vertex)
     for element in header.elements[:position]:
         if element.has_lists:
             raise ArtifactError(f"PLY: element {element.name} before vertex has lists; its size is unknown")
     start = header.data_start + sum(e.count * e.row_size for e in header.elements[:position])
-    check_room(vertex, vertex.row_size, len(buffer) - start)
-    trailing = len(buffer) - start - vertex.count * vertex.row_size
+    size = vertex.row_size
+    check_room(vertex, size, len(buffer) - start)
+    trailing = len(buffer) - start - vertex.count * size
     after = header.elements[position + 1 :]
     if any(element.has_lists for element in after):
         trailing = 0
@@ -186,69 +184,56 @@ def _binary_chunks(
         check_room(element, element.row_size, trailing)
         trailing -= element.count * element.row_size
 
-    offsets, at = {}, 0
+    at, offsets = 0, []
     for item in vertex.properties:
-        offsets[item.name] = (header.order + item.type, at)
+        offsets.append(at)
         at += item.size
-    dtype = np.dtype(
-        {
-            "names": list(needed),
-            "formats": [offsets[name][0] for name in needed],
-            "offsets": [offsets[name][1] for name in needed],
-            "itemsize": vertex.row_size,
-        }
-    )
-    rows = np.frombuffer(buffer, dtype, vertex.count, start)
+    places = _places(vertex, color_columns, offsets)
+    color, big_endian = _COLOR[color_columns], header.order == ">"
 
-    def chunks() -> Iterator[tuple[int, int, Column]]:
-        for begin in range(0, vertex.count, _CHUNK):
-            end = min(begin + _CHUNK, vertex.count)
-            yield begin, end, rows[begin:end].__getitem__
+    def into(part: slice, arrays: _Arrays) -> None:
+        begin, end = start + part.start * size, start + part.stop * size
+        rows = np.frombuffer(buffer, np.uint8, end - begin, begin)
+        _core.decode_ply_rows(rows, size, big_endian, places, color, *arrays)
+        let_go(buffer, begin, end)
 
-    return chunks(), trailing
+    return _Decoder(max(1, _BLOCK // size), into, trailing)
 
 
-def _ascii_chunks(
-    header: Header, vertex: Element, buffer: memoryview
-) -> tuple[Iterator[tuple[int, int, Column]], int]:
-    """As `_binary_chunks`, one line per row; blank lines do not count."""
+def _text(header: Header, vertex: Element, color_columns: tuple[str, ...], buffer: memoryview) -> _Decoder:
+    """One line per row; blank lines do not count."""
     position = header.elements.index(vertex)
     width = len(vertex.properties)
     check_room(vertex, 2 * width - 1, len(buffer) - header.data_start)
     before = sum(element.count for element in header.elements[:position])
-    after = sum(element.count for element in header.elements[position + 1 :])
-    lines = [line for line in bytes(buffer[header.data_start :]).split(b"\n") if line.strip()]
-    total = before + vertex.count + after
+    total = sum(element.count for element in header.elements)
+    text = np.frombuffer(buffer, np.uint8, offset=header.data_start)
+    lines, trailing = _core.find_lines(text, min(total, len(text)))
     if len(lines) < total:
         raise ArtifactError(f"PLY: truncated: the header announces {total} rows, there are {len(lines)}")
-    trailing = sum(len(line) + 1 for line in lines[total:])
-    index = {item.name: i for i, item in enumerate(vertex.properties)}
+    places = _places(vertex, color_columns, range(width))
+    color = _COLOR[color_columns]
 
-    def chunks() -> Iterator[tuple[int, int, Column]]:
-        for begin in range(0, vertex.count, _ASCII_CHUNK):
-            end = min(begin + _ASCII_CHUNK, vertex.count)
-            words = [line.split() for line in lines[before + begin : before + end]]
-            for row, found in enumerate(words, start=begin):
-                if len(found) != width:
-                    raise ArtifactError(f"PLY: row {row} of vertex has {len(found)} values, not {width}")
-            table = _numbers(words, begin)
-            yield begin, end, lambda name, table=table: table[:, index[name]]  # type: ignore[misc]
+    def into(part: slice, arrays: _Arrays) -> None:
+        starts = lines[before + part.start : before + part.stop]
+        wrong = _core.decode_ply_text(text, starts, width, places, color, *arrays)
+        if wrong is None:
+            return
+        row, words, begin, end = wrong
+        row += part.start
+        if words != width:
+            raise ArtifactError(f"PLY: row {row} of vertex has {words} values, not {width}")
+        word = text[begin : min(end, begin + 40)].tobytes().decode("ascii", "replace")
+        raise ArtifactError(f"PLY: row {row} of vertex: {word!r} is not a number")
 
-    return chunks(), trailing
+    return _Decoder(_TEXT_ROWS, into, trailing)
 
 
-def _numbers(words: list[list[bytes]], first_row: int) -> NDArray[np.float64]:
-    try:
-        return np.array([[float(word) for word in row] for row in words], np.float64)
-    except ValueError as error:
-        for row, found in enumerate(words, start=first_row):
-            for word in found:
-                try:
-                    float(word)
-                except ValueError:
-                    text = word[:40].decode("ascii", "replace")
-                    raise ArtifactError(f"PLY: row {row} of vertex: {text!r} is not a number") from error
-        raise
+def _places(vertex: Element, color_columns: tuple[str, ...], at: Sequence[int]) -> list[_Place]:
+    """For each column that is read, where it is in a row and its type; None for one that is not there."""
+    found = {item.name: (at[i], item.type) for i, item in enumerate(vertex.properties)}
+    names = (*_POSITION, *_SCALE, *_ROTATION, "opacity", *(color_columns or ("",) * 3))
+    return [found.get(name) for name in names]
 
 
 def check_room(element: Element, row_size: int, room: int) -> None:

@@ -61,12 +61,12 @@ COMPRESSED_PLY = SplatFormat("compressed-ply", is_compressed_ply, _of_file(decod
 SOG = SplatFormat("sog", is_sog, decode_sog, sog_members)
 KSPLAT = SplatFormat("ksplat", is_ksplat, _of_file(decode_ksplat))
 SPLAT = SplatFormat("splat", lambda source: source.suffix == ".splat", _of_file(decode_splat))
-GLTF = SplatFormat("gltf", is_gltf, decode_gltf, members_of_gltf)
-NERFSTUDIO = SplatFormat("nerfstudio", is_nerfstudio, decode_nerfstudio, members_of_nerfstudio)
-MEANS_JSON = SplatFormat("json", is_means_json, _of_file(decode_means_json))
 SPZ = SplatFormat(
     "spz", lambda source: not source.is_folder and is_spz(source.data, source.suffix), _of_file(decode_spz)
 )
+GLTF = SplatFormat("gltf", is_gltf, decode_gltf, members_of_gltf)
+NERFSTUDIO = SplatFormat("nerfstudio", is_nerfstudio, decode_nerfstudio, members_of_nerfstudio)
+MEANS_JSON = SplatFormat("json", is_means_json, _of_file(decode_means_json))
 
 _WITH_MAGIC = (
     COMPRESSED_PLY,  # before PLY, which it is too

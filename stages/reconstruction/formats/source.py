@@ -91,6 +91,15 @@ class Source:
         return self._mapped[path]
 
 
+def let_go(buffer: memoryview, begin: int, end: int) -> None:
+    """Give back the memory of bytes that were read: those of a mapped file are read again when needed."""
+    if isinstance(buffer.obj, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        begin -= begin % mmap.PAGESIZE
+        end -= end % mmap.PAGESIZE
+        if begin < end and len(buffer) == len(buffer.obj):
+            buffer.obj.madvise(mmap.MADV_DONTNEED, begin, end - begin)
+
+
 def relative_name(name: str) -> PurePosixPath:
     """A name inside a file that stands for another one beside it.
 

@@ -23,7 +23,8 @@ from alula.stages.reconstruction.formats.spz_container import Header, Packed, pa
 
 _CHUNK = 2**16
 COLOR_SCALE = 0.15  # of the constant harmonic, in place of SH_C0
-_BITS = 12  # what all writers use, and the most that readers which ignore the field read rightly
+_BITS = 12  # of fractions: what other writers use
+_LEAST_STEPS = 2**15  # from the origin to the farthest coordinate
 _ROOT_HALF = math.sqrt(0.5)  # no component but the largest of a unit quaternion exceeds it
 
 # All known writers (Niantic's own and its ports, Spark, gsply) round to nearest, so a code is off by half
@@ -158,8 +159,9 @@ def encode_spz(splats: Splats, version: int = 3, comment: str = "") -> Iterator[
     """An SPZ file without higher harmonics, in parts; inverse of `decode_spz`, rounding to nearest.
 
     Version 3 is the latest that nearly all readers know; 2 is older and loses more of rotations (up to
-    some 18 degrees), 4 is newer. Centres have 12 fractional bits, fewer where the scene extends beyond
-    1024 units, so that all lie within half of the range. Semi-axes below exp(-10) become that.
+    some 18 degrees), 4 is newer. Centres have 12 fractional bits; fewer where the scene extends beyond
+    1024 units, so that all lie within half of the range, and more where it ends before 8. Semi-axes
+    below exp(-10) become that.
 
     Args:
         splats: what to write; no value is NaN or infinite.
@@ -198,9 +200,10 @@ def _parts(count: int) -> Iterator[slice]:
 
 
 def _fractional_bits(splats: Splats) -> int:
-    """The most, up to 12, with which all centres lie within half of the range of 24 bits."""
+    """As many as a scene of this extent needs, with all centres within half of the range of 24 bits."""
     farthest = float(np.abs(splats.mean).max(initial=0.0))
-    bits = min(_BITS, 22 - max(0, math.ceil(math.log2(max(farthest, 1.0)))))
+    extent = math.ceil(math.log2(max(farthest, 1e-9)))
+    bits = min(max(_BITS, _LEAST_STEPS.bit_length() - 1 - extent), 22 - max(extent, 0))
     if bits < 0:
         raise InputError(f"a centre is {farthest:.4g} units away from the origin; SPZ holds at most {2**22}")
     return bits

@@ -1,0 +1,193 @@
+"""Other readers of splat formats, how far ours is from them, and large files to time both with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from measure import FloatArray
+from numpy.typing import NDArray
+from peers import write_inria_ply
+from tools import Silence
+
+from alula.stages.reconstruction.formats.ply import encode_ply
+from alula.stages.reconstruction.formats.registry import read_splats
+from alula.stages.reconstruction.formats.splat import RECORD
+from alula.stages.reconstruction.formats.splats import Splats
+from alula.stages.reconstruction.import_splat import turned
+
+KINDS = ("mean", "scale", "rotation", "opacity")
+EXACT = {"mean": 0.0, "scale": 1e-6, "rotation": 1e-6, "opacity": 1e-6}
+CLOSE = {"mean": 1e-5, "scale": 1e-5, "rotation": 1e-3, "opacity": 1e-5}  # other roundings of the same codes
+
+Values = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]  # mean, scale, quat_wxyz, opacity
+
+
+@dataclass(frozen=True, slots=True)
+class Oracle:
+    """Another reader.
+
+    Attributes:
+        name: of the package that must be there.
+        load: what is timed; what it stores is its own affair.
+        values: linear scales and opacities of what was loaded.
+        tolerance: how far ours may be, by kind of value; see `differences`.
+    """
+
+    name: str
+    load: Callable[[Path], Any]
+    values: Callable[[Any], Values]
+    tolerance: dict[str, float]
+
+    @property
+    def is_there(self) -> bool:
+        """Whether its package can be imported."""
+        try:
+            with Silence():
+                import_module(self.name)
+        except ImportError:
+            return False
+        return True
+
+
+def _gsply(function: str) -> Callable[[Path], Any]:
+    return lambda path: getattr(import_module("gsply"), function)(str(path))
+
+
+def _of_gsply(loaded: Any) -> Values:
+    logit = np.asarray(loaded.opacities, np.float64).ravel()
+    with np.errstate(over="ignore"):
+        opacity = 1 / (1 + np.exp(-logit))
+        return loaded.means, np.exp(np.asarray(loaded.scales, np.float64)), loaded.quats, opacity
+
+
+def _open3d(path: Path) -> Any:
+    with Silence():  # it prints on stdout and returns an empty cloud when it cannot read
+        return import_module("open3d").t.io.read_point_cloud(str(path)).point
+
+
+def _of_open3d(point: Any) -> Values:
+    if "rot" not in point:
+        raise ValueError("it read no Gaussians")
+    mean, scale, quat, logit = (
+        point[name].numpy().astype(np.float64) for name in ("positions", "scale", "rot", "opacity")
+    )
+    with np.errstate(over="ignore"):
+        return mean, scale, quat, 1 / (1 + np.exp(-logit.ravel()))
+
+
+# By the name of the format; a format without one is timed against nothing but its own bytes.
+ORACLES: dict[str, tuple[Oracle, ...]] = {
+    "ply": (
+        Oracle("gsply", _gsply("plyread"), _of_gsply, EXACT),
+        Oracle("open3d", _open3d, _of_open3d, EXACT),
+    ),
+    "compressed-ply": (Oracle("gsply", _gsply("plyread"), _of_gsply, CLOSE),),
+    "spz": (Oracle("gsply", _gsply("read_spz"), _of_gsply, CLOSE),),
+    "splat": (Oracle("open3d", _open3d, _of_open3d, CLOSE | {"rotation": 0.04}),),  # middle 128
+}
+
+
+def differences(ours: Splats, theirs: Values) -> tuple[dict[str, float], str]:
+    """The largest difference of each kind, and the half turn by which the frames differ, or `none`.
+
+    Means are compared in the unit of the largest one, scales relatively, rotations by the angle
+    [rad], opacities as they are. Rows that are not finite on both sides are left out.
+
+    Raises:
+        ValueError: another number of rows.
+    """
+    mean, scale, quat, opacity = (np.asarray(values, np.float64) for values in theirs)
+    if len(mean) != len(ours):
+        raise ValueError(f"it read {len(mean)} rows, not {len(ours)}")
+    other = replace(ours, mean=mean, scale=scale, quat_wxyz=quat, opacity=opacity)
+    found = {axis: _largest(turned(ours, axis), other) for axis in ("none", "x", "y", "z")}
+    turn = min(found, key=lambda axis: (found[axis]["mean"], found[axis]["rotation"]))
+    return found[turn], turn
+
+
+def _largest(ours: Splats, theirs: Splats) -> dict[str, float]:
+    with np.errstate(all="ignore"):
+        by_row = {
+            "mean": np.abs(ours.mean - theirs.mean).max(axis=1)
+            / np.nanmax(np.abs(theirs.mean), initial=1e-30),
+            "scale": np.abs(ours.scale / np.maximum(theirs.scale, 1e-30) - 1).max(axis=1),
+            "rotation": _angle(ours.quat_wxyz, theirs.quat_wxyz),
+            "opacity": np.abs(ours.opacity - theirs.opacity),
+        }
+    finite = np.logical_and.reduce([np.isfinite(values) for values in by_row.values()])
+    return {kind: float(values[finite].max(initial=0.0)) for kind, values in by_row.items()}
+
+
+def _angle(a: NDArray[Any], b: NDArray[Any]) -> FloatArray:
+    """Of the rotation between two; exact where it is small."""
+    a, b = (
+        q.astype(np.float64) / np.linalg.norm(q.astype(np.float64), axis=1, keepdims=True) for q in (a, b)
+    )
+    chord = np.minimum(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
+    angle: FloatArray = 4 * np.arcsin(np.minimum(chord / 2, 1.0))
+    return angle
+
+
+def _plain_ply(path: Path, splats: Splats) -> None:
+    with path.open("wb") as file:
+        file.writelines(encode_ply(splats))
+
+
+def _splat(path: Path, splats: Splats) -> None:
+    rows = np.zeros(len(splats), RECORD)
+    rows["mean"], rows["scale"] = splats.mean, splats.scale
+    length = np.linalg.norm(splats.quat_wxyz, axis=1, keepdims=True)
+    rows["quat"] = np.clip(np.rint(splats.quat_wxyz / length * 128 + 128), 0, 255)
+    rows["rgba"][:, :3], rows["rgba"][:, 3] = splats.color, np.rint(splats.opacity * 255)
+    rows.tofile(path)
+
+
+def _by_gsply(function: str, **options: Any) -> Callable[[Path, Splats], None]:
+    def make(path: Path, splats: Splats) -> None:
+        gsply = import_module("gsply")
+        plain = path.with_suffix(".plain.ply")
+        _plain_ply(plain, splats)
+        with Silence():
+            getattr(gsply, function)(str(path), gsply.plyread(str(plain)), **options)
+        plain.unlink()
+
+    return make
+
+
+@dataclass(frozen=True, slots=True)
+class Large:
+    """A file to be timed: a made one of that many Gaussians out of the hundred that are asked for."""
+
+    format: str
+    label: str
+    name: str
+    make: Callable[[Path, Splats], None]
+    percent: int = 100
+
+
+LARGE = (
+    Large("ply", "degree 3, 248 bytes a row", "three.ply", write_inria_ply),
+    Large("ply", "degree 0, 68 bytes a row", "zero.ply", _plain_ply),
+    Large("splat", "32 bytes a row", "made.splat", _splat),
+    Large("compressed-ply", "by gsply", "made.compressed.ply", _by_gsply("plywrite", compressed=True), 20),
+    Large("spz", "by gsply", "made.spz", _by_gsply("write_spz"), 20),
+)
+
+
+@contextmanager
+def large_file(large: Large, folder: Path, splats: Splats) -> Iterator[Path | None]:
+    """The file for as long as it is needed; None when what makes it is not there or cannot."""
+    path = folder / large.name
+    try:
+        large.make(path, splats)
+        yield path if path.is_file() and len(read_splats(path)) == len(splats) else None
+    except ImportError:
+        yield None
+    finally:
+        path.unlink(missing_ok=True)

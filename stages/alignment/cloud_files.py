@@ -1,0 +1,70 @@
+"""Surveyed clouds from files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from alula.schemas.errors import InputError
+from alula.stages.alignment.quiet import quiet
+from alula.stages.alignment.similarity import Array
+
+SUFFIXES = (".ply", ".pcd", ".xyz", ".xyzn", ".xyzrgb", ".pts", ".npz")
+_KEYS = ("points", "xyz", "positions")
+
+
+def read_cloud(path: Path) -> Array:
+    """Points of a cloud, shape (n, 3), in the file's units.
+
+    PLY, PCD, XYZ and PTS are read by Open3D; of an .npz the array `points`, `xyz` or `positions`.
+
+    Raises:
+        InputError: it cannot be read, has no points, or one that is not finite.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"{path}: clouds end in {', '.join(SUFFIXES)}, not {suffix!r}")
+    try:
+        with path.open("rb") as file:
+            file.read(1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    points = _npz(path) if suffix == ".npz" else _open3d(path)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"{path}: points must have the shape (n, 3), not {points.shape}")
+    if not len(points):
+        raise InputError(f"{path}: holds no points that Open3D can read; compressed PLY is not supported")
+    if not np.isfinite(points).all():
+        row = int(np.argwhere(~np.isfinite(points))[0][0])
+        raise InputError(f"{path}: point {row} is not finite")
+    return points
+
+
+def _npz(path: Path) -> Array:
+    try:
+        with np.load(path, allow_pickle=False) as found:
+            keys = [key for key in _KEYS if key in found.files]
+            if not keys:
+                raise InputError(f"{path}: has no array {' or '.join(_KEYS)}, only {', '.join(found.files)}")
+            return np.asarray(found[keys[0]], np.float64)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: is no readable .npz file: {str(error)[:200]}") from error
+
+
+def _open3d(path: Path) -> Array:
+    with quiet():
+        try:
+            import open3d
+        except (ImportError, OSError) as error:
+            raise InputError("--cloud needs open3d; --correspondences do without it") from error
+        try:
+            with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+                cloud = open3d.io.read_point_cloud(
+                    path, remove_nan_points=False, remove_infinite_points=False
+                )
+            return np.array(cloud.points, np.float64)
+        except Exception as error:
+            raise InputError(f"{path}: is no readable cloud: {str(error).splitlines()[0][:200]}") from error

@@ -1,0 +1,64 @@
+"""Camera poses of a COLMAP sparse model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from alula.schemas.errors import InputError
+from alula.stages.alignment.evidence import Positions
+
+MODEL_PARTS = ("cameras", "frames", "images", "points3D", "rigs")
+
+
+def model_files(folder: Path) -> dict[str, Path]:
+    """The files of a COLMAP model by role; binary ones where both are there, as COLMAP reads them.
+
+    Raises:
+        InputError: there is no model.
+    """
+    suffix = ".bin" if (folder / "images.bin").is_file() else ".txt"
+    files = {
+        part: folder / f"{part}{suffix}" for part in MODEL_PARTS if (folder / f"{part}{suffix}").is_file()
+    }
+    lacking = [part for part in ("cameras", "images", "points3D") if part not in files]
+    if lacking:
+        where = "does not exist" if not folder.exists() else f"no {lacking[0]}.bin or {lacking[0]}.txt"
+        raise InputError(f"{folder}: is no COLMAP model: {where}")
+    return files
+
+
+def read_model(folder: Path) -> Positions:
+    """Poses of the registered cameras of a COLMAP model, binary or text, sorted by image name.
+
+    Raises:
+        InputError: it cannot be read, no image is registered, or pycolmap is not installed.
+    """
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise InputError("reading COLMAP models needs pycolmap; --cameras takes a CSV instead") from error
+    try:
+        pycolmap.logging.minloglevel = 3
+        model = pycolmap.Reconstruction(str(folder))
+        found = {
+            image.name: (
+                np.asarray(image.projection_center(), np.float64),
+                np.asarray(image.cam_from_world().rotation.matrix(), np.float64).T,
+            )
+            for image in model.images.values()
+            if image.has_pose
+        }
+    except Exception as error:
+        reason = str(error).split("] ")[-1].splitlines()
+        raise InputError(f"{folder}: is no readable COLMAP model: {' '.join(reason)[:200]}") from error
+    if not found:
+        raise InputError(f"{folder}: no image of the COLMAP model is registered")
+    names = tuple(sorted(found))
+    position = np.array([found[name][0] for name in names])
+    axes = np.array([found[name][1] for name in names])
+    for i, name in enumerate(names):
+        if not (np.isfinite(position[i]).all() and np.isfinite(axes[i]).all()):
+            raise InputError(f"{folder}: image {name!r} has a pose that is not finite")
+    return Positions(names, position, tuple(f"{folder.name} ({name})" for name in names), axes)

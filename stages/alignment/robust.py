@@ -1,0 +1,240 @@
+"""The similarity that most correspondences agree on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from math import comb, log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.errors import InputError
+from alula.schemas.manifest import Similarity
+from alula.stages.alignment.similarity import (
+    COLLINEAR,
+    Array,
+    from_moments,
+    is_collinear,
+    transform_points,
+    umeyama,
+)
+from alula.stages.alignment.uncertainty import Uncertainty, of_points, shape_warnings, untruncated
+
+_TRIALS = 2000
+_BATCH = 200
+_SCORED = 500  # points that rank proposals
+_REFINED = 4  # proposals that are fitted again
+_REFITS = 30
+_MISS = 1e-9  # probability that no proposal is free of outliers
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A similarity with the evidence for it.
+
+    Attributes:
+        similarity: target = scale R source + t.
+        inlier: shape (n,).
+        residual: distance of each target from its mapped source, shape (n,) [target units].
+        sigma: standard deviation of one coordinate of an inlier's error, corrected for the threshold.
+        uncertainty: of the similarity.
+        leave_one_out: smallest and largest scale with any one inlier left out.
+        singular_values: of the centred inliers in the source, decreasing.
+        angle: between each target's orientation and its mapped source's [rad]; None without.
+        warnings: what is weak about it.
+    """
+
+    similarity: Similarity
+    inlier: NDArray[np.bool_]
+    residual: Array
+    sigma: float
+    uncertainty: Uncertainty
+    leave_one_out: tuple[float, float]
+    singular_values: Array
+    angle: Array | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def fit_similarity(source: Array, target: Array, threshold: float, seed: int) -> Fit:
+    """Find the similarity that most correspondences agree on, then fit it to those.
+
+    Three correspondences at a time (all triples, or up to 2000 random ones) propose a similarity. Those
+    with the least sum of min(residual, threshold)^2 are fitted by least squares to their inliers until
+    these no longer change; the least sum wins. The result depends on the arguments only.
+
+    The covariance takes errors of the targets' coordinates as independent, normal and equal, and knows
+    that those beyond the threshold were cut off (see `untruncated`).
+
+    Args:
+        source: shape (n, 3), any units.
+        target: shape (n, 3) [m].
+        threshold: largest residual of an inlier [m].
+        seed: of the random triples.
+
+    Raises:
+        InputError: fewer than three points, collinear ones, or sets that are mirror images.
+    """
+    if len(source) < 3:
+        raise InputError(f"{len(source)} correspondences; three that are not collinear are needed")
+    for name, points in (("scene", source), ("world", target)):
+        if is_collinear(points):
+            raise InputError(f"all {len(points)} points are collinear in the {name}; the rotation is unknown")
+    inlier = _consensus(source, target, threshold, seed)
+    _refuse_mirrored(source, target, inlier, threshold, seed)
+    if inlier.sum() < 3:
+        raise InputError(
+            f"no three of {len(source)} correspondences agree within {threshold:g} m (--threshold)"
+        )
+    if is_collinear(source[inlier]):
+        raise InputError(
+            f"the {inlier.sum()} correspondences that agree are collinear; the rotation is unknown"
+        )
+    return _evaluate(source, target, inlier, threshold)
+
+
+def _squared(source: Array, target: Array, similarity: Similarity) -> Array:
+    squared: Array = ((transform_points(similarity, source) - target) ** 2).sum(axis=1)
+    return squared
+
+
+def _consensus(
+    source: Array, target: Array, threshold: float, seed: int, least: float = 0.0
+) -> NDArray[np.bool_]:
+    """Inliers of the best proposal after refitting; a share below `least` need not be found."""
+    rng = np.random.default_rng(seed)
+    limit = threshold * threshold
+    scored = slice(None) if len(source) <= _SCORED else np.sort(rng.permutation(len(source))[:_SCORED])
+    x, y = source[scored], target[scored]
+    triples = _triples(len(source), rng)
+    found: list[tuple[float, int, Similarity]] = []
+    tried = 0
+    for start in range(0, len(triples), _BATCH):
+        scale, rotation, translation = _proposals(source, target, triples[start : start + _BATCH])
+        tried += len(scale)
+        if not len(scale):
+            continue
+        moved = scale[:, None, None] * (x @ rotation.swapaxes(1, 2)) + translation[:, None]
+        cost = np.minimum(((moved - y) ** 2).sum(axis=2), limit).sum(axis=1)
+        for i in np.argsort(cost, kind="stable")[:_REFINED].tolist():
+            proposal = Similarity(
+                scale=float(scale[i]), rotation=rotation[i].tolist(), translation_m=translation[i].tolist()
+            )
+            found.append((float(cost[i]), start + i, proposal))
+        found = sorted(found, key=lambda entry: entry[:2])[:_REFINED]
+        # At least this share agrees with the best: more triples than this miss an all-good one too rarely.
+        share = max(least, 1 - found[0][0] / (limit * len(x)))
+        if tried * -log(max(1 - share**3, 1e-300)) > -log(_MISS):
+            break
+    best, best_cost = np.zeros(len(source), np.bool_), np.inf
+    for _, _, proposal in found:
+        inlier, cost_ = _refined(source, target, limit, proposal)
+        if cost_ < best_cost:
+            best, best_cost = inlier, cost_
+    return best
+
+
+def _refined(
+    source: Array, target: Array, limit: float, proposal: Similarity
+) -> tuple[NDArray[np.bool_], float]:
+    """Inliers when refitting no longer changes them, and the truncated cost."""
+    squared = _squared(source, target, proposal)
+    inlier: NDArray[np.bool_] = squared <= limit
+    for _ in range(_REFITS):
+        if inlier.sum() < 3 or is_collinear(source[inlier]):
+            break
+        squared = _squared(source, target, umeyama(source[inlier], target[inlier]))
+        again = squared <= limit
+        if (again == inlier).all():
+            break
+        inlier = again
+    return inlier, float(np.minimum(squared, limit).sum())
+
+
+def _triples(count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    if comb(count, 3) <= _TRIALS:
+        every = np.array(list(combinations(range(count), 3)))
+        return every[rng.permutation(len(every))]
+    drawn = rng.integers(0, count, (2 * _TRIALS, 3))
+    a, b, c = drawn.T
+    distinct: NDArray[np.intp] = drawn[(a != b) & (b != c) & (a != c)][:_TRIALS]
+    return distinct
+
+
+def _proposals(source: Array, target: Array, triples: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    """Similarities of triples: scales, rotations, translations; degenerate triples are left out."""
+    x, y = source[triples], target[triples]
+    x_mean, y_mean = x.mean(axis=1), y.mean(axis=1)
+    x, y = x - x_mean[:, None], y - y_mean[:, None]
+    singular = np.linalg.svd(x, compute_uv=False)
+    sound = singular[:, 1] > COLLINEAR * singular[:, 0]
+    x, y, x_mean, y_mean = x[sound], y[sound], x_mean[sound], y_mean[sound]
+    scale, rotation = from_moments(y.swapaxes(1, 2) @ x, (x * x).sum(axis=(1, 2)))
+    positive = scale > 0
+    scale, rotation, x_mean, y_mean = scale[positive], rotation[positive], x_mean[positive], y_mean[positive]
+    translation = y_mean - scale[:, None] * (rotation @ x_mean[:, :, None])[:, :, 0]
+    return scale, rotation, translation
+
+
+def _refuse_mirrored(
+    source: Array, target: Array, inlier: NDArray[np.bool_], threshold: float, seed: int
+) -> None:
+    """A reflection that clearly explains more than every proper similarity means a mirrored set."""
+    mirror = source * np.array([-1.0, 1.0, 1.0])
+    singular = np.linalg.svd(source - source.mean(axis=0), compute_uv=False)
+    if singular[2] <= COLLINEAR * singular[0]:
+        return  # a plane equals its mirror image
+    other = _consensus(mirror, target, threshold, seed, inlier.mean())
+    more = other.sum() - inlier.sum() >= max(1, len(source) // 10)
+    if not more and other.sum() >= inlier.sum() >= 5:
+        proper, reflected = (
+            float(_squared(points[which], target[which], umeyama(points[which], target[which])).mean())
+            for points, which in ((source, inlier), (mirror, other))
+        )
+        more = reflected < proper / 9
+    if more:
+        raise InputError(
+            f"the points are mirror images: a reflection explains {other.sum()} of {len(source)}, a rotation "
+            f"{inlier.sum()}; negate one axis of one set, or swap two of its columns"
+        )
+
+
+def _evaluate(source: Array, target: Array, inlier: NDArray[np.bool_], threshold: float) -> Fit:
+    x, y = source[inlier], target[inlier]
+    similarity = umeyama(x, y)
+    residual = np.sqrt(_squared(source, target, similarity))
+    freedom = 3 * len(x) - 7
+    observed = float(np.sqrt((residual[inlier] ** 2).sum() / freedom))
+    spread = untruncated(observed, freedom, threshold)
+    singular = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
+    return Fit(
+        similarity=similarity,
+        inlier=inlier,
+        residual=residual,
+        sigma=spread.error,
+        uncertainty=of_points(transform_points(similarity, x), spread.fit, spread.freedom),
+        leave_one_out=leave_one_out(x, y, similarity.scale),
+        singular_values=singular,
+        warnings=(*shape_warnings(singular), *threshold_warnings(spread.error, threshold)),
+    )
+
+
+def leave_one_out(x: Array, y: Array, scale: float) -> tuple[float, float]:
+    """Smallest and largest scale with one correspondence left out; `scale` itself with three."""
+    if len(x) <= 3:
+        return scale, scale
+    x, y = x - x.mean(axis=0), y - y.mean(axis=0)
+    weight = len(x) / (len(x) - 1)  # the mean moves too
+    cross = y.T @ x - weight * y[:, :, None] * x[:, None, :]
+    scales, _ = from_moments(cross, (x * x).sum() - weight * (x * x).sum(axis=1))
+    return float(scales.min()), float(scales.max())
+
+
+def threshold_warnings(sigma: float, threshold: float) -> list[str]:
+    """What is weak when residuals fill the threshold."""
+    if sigma <= threshold / 2.5:
+        return []
+    return [
+        f"residuals fill the threshold of {threshold:g} m (sigma of a coordinate is {sigma:.3g} m): good "
+        "correspondences were left out and intervals are too narrow; raise --threshold"
+    ]

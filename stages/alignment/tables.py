@@ -1,0 +1,146 @@
+"""Tables that a scene is aligned by; every refusal names the row."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from alula.schemas.errors import InputError
+from alula.stages.alignment.evidence import Correspondences, Positions, distinct
+from alula.stages.alignment.georeference import GEODETIC, Origin, enu_from_geodetic
+from alula.stages.rotation import matrix_from_quat_wxyz
+
+_XYZ = ("x", "y", "z")
+_QUATERNION = ("qw", "qx", "qy", "qz")
+_UNIT = 0.01  # how far the length of a quaternion may be from 1
+
+
+def parse_positions(text: str, name: str, *, orientations: bool = False) -> Positions:
+    """Rows `image,x,y,z`, with `orientations` also `qw,qx,qy,qz`; other columns are ignored.
+
+    The quaternion turns the camera's axes (x right, y down, z forward, as in OpenCV and COLMAP) into
+    the frame of the positions.
+
+    Raises:
+        InputError: naming the row that is wrong.
+    """
+    columns = (*_XYZ, *_QUATERNION) if orientations else _XYZ
+    names, rows, values = _named(_table(text, name, ("image", *columns)), columns)
+    axes = None
+    if orientations:
+        length = np.linalg.norm(values[:, 3:], axis=1)
+        for row, found in zip(rows, length.tolist(), strict=True):
+            if abs(found - 1) > _UNIT:
+                raise InputError(f"{row}: the quaternion qw,qx,qy,qz has length {found:.4g}, not 1")
+        axes = matrix_from_quat_wxyz(values[:, 3:] / length[:, None])
+    return Positions(names, values[:, :3], rows, axes)
+
+
+def parse_reference(text: str, name: str, origin: Origin | None = None) -> Positions:
+    """Rows `image,x,y,z` [m], or `image,lat,lon,alt` [deg, m] which become east, north, up [m].
+
+    Args:
+        text: of the table.
+        name: what to call it in messages.
+        origin: latitude, longitude [deg] and height [m] that become 0; default: the first row.
+
+    Raises:
+        InputError: naming the row that is wrong.
+    """
+    header = _header(text, name)
+    geodetic = [column for column in GEODETIC if column in header]
+    if geodetic and any(column in header for column in _XYZ):
+        raise InputError(f"{name}: has both x,y,z and lat,lon,alt; which of them is meant?")
+    if not geodetic:
+        if origin is not None:
+            raise InputError(f"{name}: has x,y,z; --origin is for lat,lon,alt")
+        return parse_positions(text, name)
+    names, rows, values = _named(_table(text, name, ("image", *GEODETIC)), GEODETIC)
+    position, facts = enu_from_geodetic(values, rows, origin)
+    return Positions(names, position, rows, facts=facts)
+
+
+def parse_pairs(text: str, name: str) -> Correspondences:
+    """Rows `sx,sy,sz,wx,wy,wz` with a header: a point in the scene and the same in the world [m].
+
+    Raises:
+        InputError: naming the row that is wrong.
+    """
+    columns = ("sx", "sy", "sz", "wx", "wy", "wz")
+    rows, values = [], []
+    for where, words in _table(text, name, columns):
+        rows.append(where)
+        values.append(_numbers(where, columns, words))
+    table = np.array(values, np.float64).reshape(-1, 6)
+    return distinct(Correspondences(tuple(rows), table[:, :3], table[:, 3:]))
+
+
+def _named(
+    table: list[tuple[str, list[str]]], columns: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[str, ...], np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
+    """Names of the images, where each row is, and its numbers."""
+    names, rows, values = [], [], []
+    seen: set[str] = set()
+    for where, (image, *words) in table:
+        if not image:
+            raise InputError(f"{where}: the image has no name")
+        if image in seen:
+            raise InputError(f"{where}: image {image!r} occurs twice")
+        seen.add(image)
+        names.append(image)
+        rows.append(f"{where} ({image})")
+        values.append(_numbers(where, columns, words))
+    return tuple(names), tuple(rows), np.array(values, np.float64).reshape(-1, len(columns))
+
+
+def _lines(text: str, name: str) -> list[list[str]]:
+    try:
+        lines = list(csv.reader(io.StringIO(text.removeprefix("\ufeff"), newline=""), strict=True))
+    except csv.Error as error:
+        raise InputError(f"{name}: is not CSV ({error})") from error
+    if not lines:
+        raise InputError(f"{name}: is empty")
+    return lines
+
+
+def _header(text: str, name: str) -> list[str]:
+    return [word.strip().lower() for word in _lines(text, name)[0]]
+
+
+def _table(text: str, name: str, columns: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Where each row is, and its values of the wanted columns."""
+    lines = _lines(text, name)
+    header = [word.strip().lower() for word in lines[0]]
+    missing = [column for column in columns if column not in header]
+    if missing:
+        raise InputError(
+            f"{name}: no column {missing[0]!r} in the first line; it must be {','.join(columns)}"
+        )
+    at = [header.index(column) for column in columns]
+    rows = []
+    for number, line in enumerate(lines[1:], start=2):
+        if not any(word.strip() for word in line):
+            continue
+        if len(line) <= max(at):
+            raise InputError(f"{name} row {number}: has {len(line)} values, not {len(header)}")
+        rows.append((f"{name} row {number}", [line[i].strip() for i in at]))
+    if not rows:
+        raise InputError(f"{name}: has no rows")
+    return rows
+
+
+def _numbers(where: str, names: Sequence[str], words: Sequence[str]) -> list[float]:
+    values = []
+    for name, word in zip(names, words, strict=True):
+        try:
+            value = float(word)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise InputError(f"{where}: {name} is {word!r}, not a finite number")
+        values.append(value)
+    return values

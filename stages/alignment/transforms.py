@@ -1,0 +1,63 @@
+"""Similarities that are given as numbers."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from alula.schemas.errors import InputError
+from alula.schemas.manifest import Similarity
+from alula.stages.alignment.similarity import Array
+
+_ORTHONORMAL = 1e-4
+
+
+def parse_transform(text: str, name: str) -> Similarity:
+    """A similarity from JSON: a 4x4 matrix, alone or as `matrix`, or scale, rotation, translation_m.
+
+    Raises:
+        InputError: not JSON, of another shape, not finite, or not a proper similarity.
+    """
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{name}: is not JSON ({error})") from error
+    try:
+        if isinstance(found, dict) and "matrix" not in found:
+            linear = float(found["scale"]) * np.array(found["rotation"], np.float64)
+            if not float(found["scale"]) > 0:
+                raise InputError(f"{name}: the scale must be positive, not {found['scale']}")
+            translation = np.array(found["translation_m"], np.float64)
+        else:
+            matrix = np.array(found["matrix"] if isinstance(found, dict) else found, np.float64)
+            if matrix.shape != (4, 4) or matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+                raise InputError(f"{name}: needs a 4x4 matrix with the last row 0 0 0 1")
+            linear, translation = matrix[:3, :3], matrix[:3, 3]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"{name}: needs a 4x4 matrix, or scale, rotation (3x3) and translation_m (3)"
+        ) from error
+    return checked_similarity(linear, translation, name)
+
+
+def checked_similarity(linear: Array, translation: Array, name: str) -> Similarity:
+    """The similarity of a 3x3 matrix, a rotation times a scale up to rounding, and a translation.
+
+    Raises:
+        InputError: it is none.
+    """
+    if linear.shape != (3, 3) or translation.shape != (3,):
+        raise InputError(f"{name}: rotation must be 3x3 and translation_m of length 3")
+    if not (np.isfinite(linear).all() and np.isfinite(translation).all()):
+        raise InputError(f"{name}: a value is not finite")
+    determinant = float(np.linalg.det(linear))
+    if determinant < 0:
+        raise InputError(f"{name}: is a reflection (determinant {determinant:.3g}), not a similarity")
+    scale = determinant ** (1 / 3)
+    if not (1e-9 <= scale <= 1e9):
+        raise InputError(f"{name}: the scale is {scale:.3g}, not between 1e-9 and 1e9")
+    u, singular, vt = np.linalg.svd(linear / scale)
+    if np.abs(singular - 1).max() > _ORTHONORMAL:
+        raise InputError(f"{name}: is not a rotation times a scale (singular values {scale * singular})")
+    return Similarity(scale=scale, rotation=(u @ vt).tolist(), translation_m=translation.tolist())

@@ -1,0 +1,203 @@
+"""How well a similarity is known: intervals of its parameters, and of positions it maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from typing import Any
+
+import numpy as np
+
+from alula.schemas.manifest import Similarity
+from alula.stages.alignment.similarity import Array, transform_points
+
+CONFIDENCE = 0.95
+_WIDEST = 2 / 3  # of the threshold: a larger sigma cannot be told from residuals below it
+_FLAT = 0.05  # least over largest singular value below this: nearly a plane, or a line
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """The errors of a similarity near one point, to first order.
+
+    A mapped point d away from `centre` is off by tau + d lambda + omega x d, with the errors tau of the
+    centre, lambda of the scale's logarithm, and omega of the rotation as a vector.
+
+    Attributes:
+        centre: shape (3,), target frame.
+        covariance: of (tau, lambda, omega), shape (7, 7); units of the target, 1 and rad.
+        freedom: degrees of freedom its size was estimated with.
+    """
+
+    centre: Array
+    covariance: Array
+    freedom: float
+
+    def student(self) -> float:
+        """Half width of a two-sided 95 % interval, in standard deviations."""
+        from scipy.stats import t as student
+
+        return float(student.ppf((1 + CONFIDENCE) / 2, self.freedom))
+
+    def at(self, points: Array) -> Array:
+        """Covariances of the positions of mapped points (n, 3), shape (n, 3, 3)."""
+        d = points - self.centre
+        zero = np.zeros(len(d))
+        rows = [
+            np.stack([d[:, 0], zero, d[:, 2], -d[:, 1]], axis=1),
+            np.stack([d[:, 1], -d[:, 2], zero, d[:, 0]], axis=1),
+            np.stack([d[:, 2], d[:, 1], -d[:, 0], zero], axis=1),
+        ]
+        identity = np.broadcast_to(np.eye(3), (len(d), 3, 3))
+        jacobian = np.concatenate([identity, np.stack(rows, axis=1)], axis=2)
+        covariance: Array = jacobian @ self.covariance @ jacobian.swapaxes(1, 2)
+        return covariance
+
+    def position_error(self, corners: Array) -> float:
+        """How far any point of a box may be off, with 95 % confidence for all of the box at once.
+
+        The largest eigenvalue of a point's covariance is convex in the point, so a corner has the
+        largest of the box; the root of that times 7 F (7 and `freedom` degrees) bounds the error.
+        Source: Scheffe 1959, simultaneous intervals for a linear model.
+
+        Args:
+            corners: of the box, mapped, shape (8, 3).
+
+        Returns:
+            The bound [target units].
+        """
+        from scipy.stats import f as fisher
+
+        largest = float(np.linalg.eigvalsh(self.at(corners))[:, -1].max())
+        factor = 7.0 * float(fisher.ppf(CONFIDENCE, 7, self.freedom))
+        return float(np.sqrt(max(factor * largest, 0.0)))
+
+    def record(self, similarity: Similarity) -> dict[str, Any]:
+        """Standard deviations and 95 % half widths as they are reported, one per component.
+
+        The rotation's components are about the axes of the target frame; the translation is where the
+        origin of the source lands.
+        """
+        student = self.student()
+        scale_sigma = similarity.scale * float(np.sqrt(self.covariance[3, 3]))
+        omega = np.sqrt(np.diag(self.covariance)[4:]) * 180 / pi
+        origin = np.sqrt(np.diag(self.at(np.array([similarity.translation_m]))[0]))
+        return {
+            "scale_sigma": scale_sigma,
+            "scale_interval": [
+                similarity.scale - student * scale_sigma,
+                similarity.scale + student * scale_sigma,
+            ],
+            "rotation_sigma_deg": omega.tolist(),
+            "rotation_interval_deg": (student * omega).tolist(),
+            "translation_sigma_m": origin.tolist(),
+            "translation_interval_m": (student * origin).tolist(),
+            "freedom": self.freedom,
+        }
+
+
+def of_points(
+    mapped: Array,
+    sigma: float,
+    freedom: float,
+    rotation_information: float = 0.0,
+    *,
+    positions_turn: bool = True,
+) -> Uncertainty:
+    """Uncertainty of the least-squares similarity onto points with independent errors.
+
+    With mapped, centred points y_i: sigma^2 I / m for the centre, sigma^2 / sum |y_i|^2 for the
+    logarithm of the scale, inv(sum (|y_i|^2 I - y_i y_i') / sigma^2 + more) for the rotation.
+
+    Args:
+        mapped: the source points in the target frame, shape (m, 3).
+        sigma: standard deviation of one coordinate [target units].
+        freedom: degrees of freedom of `sigma`.
+        rotation_information: what else is known of each angle of the rotation [1/rad^2].
+        positions_turn: whether the points have a say in the rotation.
+    """
+    centre = mapped.mean(axis=0)
+    y = mapped - centre
+    spread = float((y * y).sum())
+    covariance = np.zeros((7, 7))
+    covariance[:3, :3] = sigma**2 / len(y) * np.eye(3)
+    covariance[3, 3] = sigma**2 / spread
+    if positions_turn:  # multiplied by sigma^2: exact data have none
+        turning = spread * np.eye(3) - y.T @ y + sigma**2 * rotation_information * np.eye(3)
+        covariance[4:, 4:] = sigma**2 * np.linalg.inv(turning)
+    else:
+        covariance[4:, 4:] = np.eye(3) / rotation_information
+    return Uncertainty(centre, covariance, freedom)
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Standard deviations of one coordinate of errors of which only short ones were kept.
+
+    Attributes:
+        error: of the errors before any were left out, at most 2/3 of the threshold.
+        fit: of independent errors that would make least squares as uncertain as this fit is.
+        freedom: degrees of freedom of `fit`.
+    """
+
+    error: float
+    fit: float
+    freedom: float
+
+
+def untruncated(sigma: float, freedom: float, threshold: float) -> Spread:
+    """Undo what keeping only residuals below a threshold does to their standard deviation.
+
+    With F_k the distribution function of chi^2_k at (threshold / sigma)^2, normal errors in space that
+    are shorter than the threshold have the variance sigma^2 F_5 / F_3 per coordinate. A fit to them, the
+    inliers of itself, is an M-estimate: its variance is that of least squares on as many errors of
+    variance sigma^2 F_3 / F_5, because errors near the threshold leave instead of pulling back. How much
+    less surely that is known follows from the fourth moment, 15 F_7 / F_3, by the delta method.
+    Source: Huber 1981, section 6.3 (asymptotic variance E psi^2 / (E psi')^2), with psi(r) = r inside.
+
+    Args:
+        sigma: as found from residuals below the threshold.
+        freedom: degrees of freedom of that.
+        threshold: same unit.
+    """
+    if sigma < threshold / 20:
+        return Spread(sigma, sigma, freedom)
+    from scipy.optimize import brentq
+    from scipy.special import gammainc
+
+    def share(k: int, true: float) -> float:
+        return float(gammainc(k / 2, 0.5 * (threshold / true) ** 2))
+
+    def kept(true: float) -> float:
+        return share(5, true) / share(3, true)
+
+    def seen(true: float) -> float:
+        return true * float(np.sqrt(kept(true)))
+
+    true = widest = _WIDEST * threshold
+    if sigma < seen(widest):
+        true = float(brentq(lambda x: seen(x) - sigma, sigma / 2, widest, xtol=1e-12 * threshold))
+    bent = np.log(kept(1.001 * true) / kept(0.999 * true)) / np.log(1.001 / 0.999)
+    gain = (1 - bent / 2) / (1 + bent / 2)  # d log fit / d log seen
+    moment = 15 * share(7, true) * share(3, true) / (9 * share(5, true) ** 2) - 1  # of r^2; 2/3 if all
+    return Spread(
+        true, true / float(np.sqrt(kept(true))), float(max(1.0, freedom * (2 / 3) / (moment * gain**2)))
+    )
+
+
+def shape_warnings(singular_values: Array) -> list[str]:
+    """What is weak about the arrangement of points with these singular values."""
+    first, second, third = singular_values
+    ratio = "singular values " + ", ".join(f"{value:.3g}" for value in singular_values)
+    if second < _FLAT * first:
+        return [f"the correspondences are nearly collinear ({ratio}): rotation about the line is weak"]
+    if third < _FLAT * first:
+        return [f"the correspondences are nearly planar ({ratio}): a mirrored set would not be noticed"]
+    return []
+
+
+def mapped_corners(similarity: Similarity, lower: Array, upper: Array) -> Array:
+    """Where the corners of a box land, shape (8, 3)."""
+    from itertools import product
+
+    return transform_points(similarity, np.array(list(product(*zip(lower, upper, strict=True)))))

@@ -1,0 +1,276 @@
+"""`scale-align` by GPS, poses, nerfstudio's frame, a cloud and the floor, as a user runs it."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from alula.cli.main import run
+from alula.schemas.artifact import read_artifact
+from alula.stages.alignment.colmap import read_model
+from alula.stages.alignment.similarity import inverse, transform_points
+from alula.stages.reconstruction.demo_scene import world_from_scene
+
+pytest.importorskip("pycolmap")
+TRUTH = world_from_scene()
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("alignment")
+    words = ["--gaussians", "15000", "--seed", "3", "--colmap", str(folder / "sparse")]
+    words += ["--cameras", str(folder / "cameras.csv"), "--reference", str(folder / "poses.csv")]
+    assert run(["demo-scene", "-o", str(folder / "room.ply"), "-q", *words]) == 0
+    assert run(["import-splat", str(folder / "room.ply"), "-o", str(folder / "room.scene.npz"), "-q"]) == 0
+    return folder
+
+
+@pytest.fixture
+def align(demo, tmp_path):
+    def call(*words, output="m.scene.npz", scene=None, quiet=True):
+        start = ["scale-align", str(scene or demo / "room.scene.npz"), "-o", str(tmp_path / output)]
+        return run([*start, *(["-q"] if quiet else []), *map(str, words)])
+
+    return call
+
+
+def record(path):
+    return read_artifact(path).manifest.alignment
+
+
+def error(capsys):
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def table(header, rows):
+    return "\n".join([header, *(",".join(map(repr_of, row)) for row in rows)])
+
+
+def repr_of(value):
+    return value if isinstance(value, str) else repr(float(value))
+
+
+def surveyed(demo):
+    """Names and positions of the cameras in the world, with the reference's noise and two gross errors."""
+    lines = [line.split(",") for line in (demo / "poses.csv").read_text().splitlines()[1:]]
+    return [line[0] for line in lines], np.array([line[1:4] for line in lines], float)
+
+
+def test_gps_gives_the_frame_east_north_up_and_its_origin(demo, align, tmp_path):
+    import pycolmap
+
+    names, world = surveyed(demo)
+    wgs84 = pycolmap.GPSTransform(pycolmap.GPSTransformEllipsoid.WGS84)
+    geodetic = wgs84.enu_to_ellipsoid(world, 41.0, 29.0, 100.0)
+    path = tmp_path / "gps.csv"
+    path.write_text(table("image,lat,lon,alt", [(n, *p) for n, p in zip(names, geodetic, strict=True)]))
+    words = ["--colmap", demo / "sparse", "--reference", path]
+    assert align(*words, "--origin", "41 29 100") == 0
+    found = read_artifact(tmp_path / "m.scene.npz").manifest
+    np.testing.assert_allclose(found.world_from_scene.translation_m, TRUTH.translation_m, atol=5e-3)
+    assert found.alignment["georeference"]["origin_lat_deg"] == 41.0
+    assert found.parameters["origin"] == [41, 29, 100]
+    assert align(*words, output="n.scene.npz") == 0
+    first = record(tmp_path / "n.scene.npz")
+    assert first["georeference"]["origin_is"] == f"gps.csv row 2 ({names[0]})"
+    assert first["scale"] == pytest.approx(found.alignment["scale"], rel=1e-9)
+
+
+def poses_of(demo, count=None, axes=None):
+    """Mocap rows: the reference's positions, the true orientations turned by `axes` in the camera."""
+    model = read_model(demo / "sparse")
+    index = {name: i for i, name in enumerate(model.names)}
+    names, world = surveyed(demo)
+    rows = []
+    for name, position in list(zip(names, world, strict=True))[:count]:
+        turned = np.array(TRUTH.rotation) @ model.axes[index[name]]
+        quat = (Rotation.from_matrix(turned) * (axes or Rotation.identity())).as_quat()[[3, 0, 1, 2]]
+        rows.append((name, *position, *quat))
+    return table("image,x,y,z,qw,qx,qy,qz", rows)
+
+
+def test_poses_need_only_two_cameras_and_take_pose_tables_too(demo, align, tmp_path):
+    path = tmp_path / "mocap.csv"
+    path.write_text(poses_of(demo))
+    assert align("--colmap", demo / "sparse", "--poses", path) == 0
+    whole = record(tmp_path / "m.scene.npz")
+    assert whole["method"] == "poses"
+    assert whole["inliers"] == 58
+    assert whole["scale"] == pytest.approx(TRUTH.scale, rel=5e-4)
+    assert whole["rms_deg"] < 0.1
+    assert set(whole["items"][0]) == {"item", "residual_m", "residual_deg", "inlier"}
+    path.write_text(poses_of(demo, 2))
+    assert align("--colmap", demo / "sparse", "--poses", path, output="two.scene.npz") == 0
+    assert record(tmp_path / "two.scene.npz")["scale"] == pytest.approx(TRUTH.scale, rel=0.1)
+
+    model = read_model(demo / "sparse")
+    quats = Rotation.from_matrix(model.axes).as_quat()[:, [3, 0, 1, 2]]
+    rows = [(n, *p, *q) for n, p, q in zip(model.names, model.position, quats, strict=True)]
+    (tmp_path / "cameras.csv").write_text(table("image,x,y,z,qw,qx,qy,qz", rows))
+    path.write_text(poses_of(demo))
+    assert align("--cameras", tmp_path / "cameras.csv", "--poses", path, output="csv.scene.npz") == 0
+    assert record(tmp_path / "csv.scene.npz")["scale"] == pytest.approx(whole["scale"], rel=1e-6)
+
+
+def test_poses_with_other_axes_are_refused_with_a_hint(demo, align, tmp_path, capsys):
+    path = tmp_path / "mocap.csv"
+    path.write_text(poses_of(demo, axes=Rotation.from_euler("x", 180, degrees=True)))
+    assert align("--colmap", demo / "sparse", "--poses", path) == 3
+    assert "OpenGL axes" in error(capsys)
+
+
+@pytest.fixture
+def trained(demo, tmp_path):
+    """The scene seen as trained by nerfstudio: its run folder, and the cameras before training."""
+    A, b, scale = Rotation.from_rotvec([0.3, -1, 2]).as_matrix(), np.array([1.0, -2, 0.5]), 0.37
+    folder = tmp_path / "run"
+    folder.mkdir()
+    frame = {"transform": np.column_stack([A, b]).tolist(), "scale": scale}
+    (folder / "dataparser_transforms.json").write_text(json.dumps(frame))
+    lines = [line.split(",") for line in (demo / "cameras.csv").read_text().splitlines()[1:]]
+    original = (np.array([line[1:4] for line in lines], float) / scale - b) @ A
+    rows = [(line[0], *p) for line, p in zip(lines, original, strict=True)]
+    (tmp_path / "original.csv").write_text(table("image,x,y,z", rows))
+    return folder, A, b, scale
+
+
+def test_the_frame_of_nerfstudio_is_undone(demo, align, trained, tmp_path, capsys):
+    folder, A, b, scale = trained
+    assert align("--nerfstudio", folder) == 0
+    assert align("--nerfstudio", folder / "dataparser_transforms.json", output="file.scene.npz") == 0
+    before = np.asarray(read_artifact(demo / "room.scene.npz")["mean"], float)
+    after = read_artifact(tmp_path / "m.scene.npz")
+    np.testing.assert_allclose(after["mean"], (before / scale - b) @ A, atol=1e-5)
+    assert after.manifest.alignment["method"] == "nerfstudio"
+    assert "only if those were" in after.manifest.summary["warnings"][0]
+    assert {ref.role for ref in after.manifest.inputs} == {"scene", "nerfstudio"}
+    (folder / "transforms.json").write_text('{"applied_scale": 0.5}')
+    assert align("--nerfstudio", folder, output="scaled.scene.npz") == 0
+    assert "applied_scale 0.5" in record(tmp_path / "scaled.scene.npz")["warnings"][1]
+    (folder / "dataparser_transforms.json").write_text('{"scale": 1}')
+    assert align("--nerfstudio", folder, "-f") == 3
+    assert "dataparser_transforms.json: has no 'transform'" in error(capsys)
+
+
+def test_cameras_of_the_source_frame_align_the_trained_scene(demo, align, trained, tmp_path):
+    words = ["--cameras", tmp_path / "original.csv", "--reference", demo / "poses.csv"]
+    assert align(*words, "--nerfstudio", trained[0]) == 0
+    assert align("--cameras", demo / "cameras.csv", *words[2:], output="plain.scene.npz") == 0
+    composed, plain = (record(tmp_path / f"{name}.scene.npz") for name in ("m", "plain"))
+    assert composed["scale"] == pytest.approx(plain["scale"], rel=1e-9)
+    np.testing.assert_allclose(composed["matrix"], plain["matrix"], atol=1e-8)
+    assert composed["nerfstudio"]["scale"] == trained[3]
+
+
+def test_a_cloud_of_half_the_room_from_each_kind_of_first_guess(demo, align, tmp_path, capfd):
+    pytest.importorskip("open3d")
+    world = transform_points(TRUTH, read_artifact(demo / "room.scene.npz")["mean"])
+    half = world[world[:, 0] < 4.5]
+    half = half + 0.005 * np.random.default_rng(0).normal(size=half.shape)
+    np.savez(tmp_path / "survey.npz", points=half)
+    turn = Rotation.from_rotvec([0.01, 0.01, -0.02]).as_matrix() @ np.array(TRUTH.rotation)
+    guess = {"scale": TRUTH.scale * 1.01, "rotation": turn.tolist(), "translation_m": TRUTH.translation_m}
+    (tmp_path / "guess.json").write_text(json.dumps(guess))
+    cloud = ["--cloud", tmp_path / "survey.npz"]
+    cameras = ["--cameras", demo / "cameras.csv", "--reference", demo / "poses.csv"]
+    assert align(*cloud, "--initial", tmp_path / "guess.json") == 0
+    assert align(*cloud, *cameras, output="c.scene.npz") == 0
+    assert capfd.readouterr() == ("", "")
+    for name in ("m", "c"):
+        found = record(tmp_path / f"{name}.scene.npz")
+        assert found["scale"] == pytest.approx(TRUTH.scale, rel=5e-4)
+        assert abs(found["scale"] - TRUTH.scale) < 4 * found["scale_sigma"]
+        assert found["cloud_fitness"] > 0.95
+        assert 0 < found["position_error_m"] < 0.02
+    assert align(*cloud, "--initial", tmp_path / "guess.json", "-f", "--max-rms", "0.0001") == 4
+    assert "above --max-rms 0.0001 m" in capfd.readouterr().err
+    assert align(*cloud, output="none.scene.npz") == 4
+    assert "a better --initial is needed" in capfd.readouterr().err
+    assert not (tmp_path / "none.scene.npz").exists()
+
+
+def test_the_floor_levels_a_scene_of_known_scale(demo, align, tmp_path, capsys):
+    up = np.array(TRUTH.rotation)[2] + [0.1, -0.1, 0.1]
+    words = ["--scale", TRUTH.scale, "--floor", "--up", " ".join(map(str, up))]
+    assert align(*words, quiet=False) == 0
+    out = capsys.readouterr()
+    assert "by floor" in out.err
+    assert "sigma not known" in out.err
+    found = read_artifact(tmp_path / "m.scene.npz")
+    rise = np.array(found.manifest.alignment["matrix"])[2, :3] / TRUTH.scale
+    assert np.degrees(np.arccos(np.clip(rise @ np.array(TRUTH.rotation)[2], -1, 1))) < 0.1
+    assert np.asarray(found["mean"])[:, 2].min() == pytest.approx(0, abs=0.03)
+    assert align("--floor", scene=tmp_path / "m.scene.npz", output="again.scene.npz") == 0
+    assert record(tmp_path / "again.scene.npz")["level"]["turned_deg"] < 0.05
+
+
+def test_the_table_has_every_figure(demo, align, capsys):
+    words = ["--cameras", demo / "cameras.csv", "--reference", demo / "poses.csv"]
+    assert align(*words, quiet=False) == 0
+    shown = capsys.readouterr().err
+    for expected in (
+        "by correspondences: scene [arbitrary] to world [m]",
+        *("sigma", "95 % interval", "leave one out", "w x y z", "det R", "+1.000000000", "threshold 0.1 m"),
+        *("58 inliers of 60", "seed 0", "RMS", "median", "singular values", "at the scene's bounds"),
+        *("outlier", "and 50 better ones"),
+    ):
+        assert expected in shown
+    assert align("--scale", 2, quiet=False, output="s.scene.npz") == 0
+    assert shown.count("matrix") == 1
+    assert "unchanged: not measured" in capsys.readouterr().err
+
+
+def test_json_has_the_whole_record_even_of_a_dry_run(demo, align, tmp_path, capsys):
+    words = ["--cameras", demo / "cameras.csv", "--reference", demo / "poses.csv", "--json"]
+    assert align(*words, "-n", quiet=False) == 0
+    dry = json.loads(capsys.readouterr().out)
+    assert dry["status"] == "dry-run"
+    assert not (tmp_path / "m.scene.npz").exists()
+    assert align(*words, quiet=False) == 0
+    done = json.loads(capsys.readouterr().out)
+    assert done["alignment"] == dry["alignment"] == record(tmp_path / "m.scene.npz")
+    assert align(*words, "--max-rms", "0.001", "-f", quiet=False) == 4
+    assert json.loads(capsys.readouterr().out)["exit_code"] == 4
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (["--colmap", "m", "--reference", "a", "--poses", "b"], 2, "only one of them is needed"),
+        (["--poses", "p.csv"], 2, "so does --poses"),
+        (["--cameras", "a", "--colmap", "b", "--reference", "c"], 2, "not --colmap and --cameras"),
+        (["--initial", "i.json", "--scale", "2"], 2, "--initial is the first guess for --cloud"),
+        (["--cloud", "c.ply", "--scale", "2"], 2, "--cloud takes one first guess"),
+        (["--cloud", "c.ply", "--initial", "i", "--correspondences", "p"], 2, "takes one first guess"),
+        (["--nerfstudio", "d", "--scale", "2"], 2, "not --scale and --nerfstudio"),
+        (["--nerfstudio", "d", "--correspondences", "c"], 2, "not --correspondences and --nerfstudio"),
+        (["--nerfstudio", "none"], 3, "none: does not exist"),
+        (["--origin", "1 2 3", "--scale", "2"], 2, "--origin goes with"),
+        (["--origin", "100 2 3", "--scale", "2"], 2, "latitude, longitude"),
+        (["--up", "0 0 0", "--scale", "2"], 2, "--up is no direction"),
+        (["--up", "0 0 1"], 2, "alone are for scenes in metres"),
+        (["--floor", "--scale", "2"], 2, "--floor needs --up"),
+        (["--min-fitness", "2", "--scale", "2"], 2, "--min-fitness must be"),
+        (["--angle-threshold", "0", "--scale", "2"], 2, "--angle-threshold must be"),
+        (["--cloud", "none.ply"], 3, "cannot read"),
+    ],
+)
+def test_ways_to_ask_wrongly(align, tmp_path, capsys, words, code, message):
+    assert align(*words) == code
+    assert re.search(message, error(capsys))
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_alignment_can_be_undone(demo, align, tmp_path):
+    """The inverse as --transform brings back the scene's own frame, to rounding."""
+    assert align("--cameras", demo / "cameras.csv", "--reference", demo / "poses.csv") == 0
+    undo = inverse(read_artifact(tmp_path / "m.scene.npz").manifest.world_from_scene)
+    text = {"scale": undo.scale, "rotation": undo.rotation, "translation_m": undo.translation_m}
+    (tmp_path / "undo.json").write_text(json.dumps(text))
+    words = ["--transform", tmp_path / "undo.json"]
+    assert align(*words, scene=tmp_path / "m.scene.npz", output="back.scene.npz") == 0
+    before, after = (read_artifact(p)["mean"] for p in (demo / "room.scene.npz", tmp_path / "back.scene.npz"))
+    np.testing.assert_allclose(after, before, atol=2e-6)
