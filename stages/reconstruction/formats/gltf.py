@@ -17,30 +17,28 @@ from alula.stages.reconstruction.formats.gltf_accessors import (
     FLOAT,
     Column,
     Document,
-    Node,
     Primitive,
     Tables,
     item,
 )
+from alula.stages.reconstruction.formats.gltf_nodes import NAME, Placed, placed_primitives
 from alula.stages.reconstruction.formats.source import Source
 from alula.stages.reconstruction.formats.splats import Loss, Progress, Splats, color_from_sh0, rounded_up
-from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz, quat_wxyz_from_matrix
+from alula.stages.rotation import multiply_quat_wxyz
 
-_NAME = "KHR_gaussian_splatting"
-_KNOWN = (_NAME, "KHR_mesh_quantization")
+_KNOWN = (NAME, "KHR_mesh_quantization")
 _CHUNK = 2**16
-_NOT_RIGID = 1e-5  # by how much the three axes of a node may be scaled differently
 _UNIT = 2.0**-22  # four times the rounding to single precision
 
 _SIGNED = ("i8", "i8n", "i16", "i16n")
 _UNSIGNED = ("u8", "u8n", "u16", "u16n")
 _KINDS = {
     "POSITION": (("VEC3",), (FLOAT, *_SIGNED, *_UNSIGNED)),
-    f"{_NAME}:ROTATION": (("VEC4",), (FLOAT, "i8n", "i16n")),
-    f"{_NAME}:SCALE": (("VEC3",), (FLOAT, *_UNSIGNED, *_SIGNED)),
-    f"{_NAME}:OPACITY": (("SCALAR",), (FLOAT, "u8n", "u16n")),
+    f"{NAME}:ROTATION": (("VEC4",), (FLOAT, "i8n", "i16n")),
+    f"{NAME}:SCALE": (("VEC3",), (FLOAT, *_UNSIGNED, *_SIGNED)),
+    f"{NAME}:OPACITY": (("SCALAR",), (FLOAT, "u8n", "u16n")),
 }
-_SH0 = f"{_NAME}:SH_DEGREE_0_COEF_0"
+_SH0 = f"{NAME}:SH_DEGREE_0_COEF_0"
 
 
 class Splatting(Struct, rename="camel"):
@@ -49,19 +47,6 @@ class Splatting(Struct, rename="camel"):
     kernel: str | None = None
     color_space: str | None = None
     extensions: dict[str, Raw] = {}
-
-
-@dataclass(frozen=True, slots=True)
-class _Placed:
-    """A primitive at a node: p -> scale R p + shift, or its own frame where `exact`."""
-
-    primitive: tuple[int, int]
-    linear: NDArray[np.float64]
-    shift: NDArray[np.float64]
-    quat: NDArray[np.float64]
-    scale: float
-    defect: float  # how much the node scales one direction more than another, relatively
-    exact: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +79,7 @@ def members_of_gltf(source: Source) -> Sequence[str]:
     tables = Tables(source)
     document = tables.document
     names: dict[str, None] = {}
-    for placed in _placed(document, []):
+    for placed in placed_primitives(document, []):
         for accessor in _primitive(document, placed.primitive).attributes.values():
             for index in tables.views_of(accessor):
                 view = item(document.buffer_views, index, "buffer view")
@@ -134,7 +119,7 @@ def decode_gltf(source: Source, progress: Progress | None = None) -> Splats:
     for name in document.extensions_required:
         if name not in _KNOWN:
             raise ArtifactError(f"glTF: requires {name[:100]}, which is not supported")
-    placed = _placed(document, notes)
+    placed = placed_primitives(document, notes)
     seen: dict[str, None] = {}  # notes of primitives, each once
     parts = {place: _gaussians(tables, place, seen) for place in dict.fromkeys(p.primitive for p in placed)}
     count = sum(len(parts[p.primitive]) for p in placed)
@@ -182,7 +167,7 @@ class _Output:
         self.opacity_loss = 0.0
         self.saturated = 0
 
-    def put(self, to: slice, part: _Gaussians, place: _Placed, rows: slice) -> None:
+    def put(self, to: slice, part: _Gaussians, place: Placed, rows: slice) -> None:
         """Decode some rows of a primitive."""
         with np.errstate(over="ignore", invalid="ignore", under="ignore"):
             mean, quat = part.mean.values(rows), part.quat.values(rows)[:, [3, 0, 1, 2]]
@@ -252,106 +237,6 @@ class _Output:
         )
 
 
-def _placed(document: Document, notes: list[str]) -> list[_Placed]:
-    """The primitives with Gaussians in the scene, in the order of its nodes."""
-    splats = [
-        [i for i, primitive in enumerate(mesh.primitives) if _NAME in primitive.extensions]
-        for mesh in document.meshes
-    ]
-    if not any(splats):
-        raise ArtifactError(f"glTF: no primitive has {_NAME}: an ordinary scene, not a Gaussian splat")
-    found, reached = [], set()
-    stack = [(index, np.eye(4), True) for index in reversed(_roots(document, notes))]
-    while stack:
-        index, above, above_exact = stack.pop()
-        node = item(document.nodes, index, "node")
-        if index in reached:
-            raise ArtifactError(f"glTF: node {index} is reached twice: nodes must be a tree")
-        reached.add(index)
-        local, exact = _local(node, index)
-        with np.errstate(over="ignore", invalid="ignore"):
-            matrix = local if above_exact else above @ local
-        exact = exact and above_exact
-        stack += [(child, matrix, exact) for child in reversed(node.children)]
-        if node.mesh is None:
-            continue
-        item(document.meshes, node.mesh, "mesh")
-        if splats[node.mesh]:
-            for name in node.extensions:
-                if name == "EXT_mesh_gpu_instancing":
-                    raise ArtifactError(f"glTF: node {index} has {name}, which is not supported")
-            if node.skin is not None:
-                raise ArtifactError(f"glTF: node {index} has a skin; Gaussians with one are not supported")
-            found += [_place((node.mesh, i), matrix, exact, index) for i in splats[node.mesh]]
-    left = sum(
-        1
-        for index, node in enumerate(document.nodes)
-        if index not in reached and node.mesh is not None and node.mesh < len(splats) and splats[node.mesh]
-    )
-    if left:
-        notes.append(f"{left} nodes with Gaussians are not in the scene; they were not read")
-    if not found:
-        raise ArtifactError("glTF: no node of the scene has Gaussians")
-    return found
-
-
-def _roots(document: Document, notes: list[str]) -> list[int]:
-    if not document.scenes:
-        children = {child for node in document.nodes for child in node.children}
-        notes.append("no scene: all nodes were read")
-        return [i for i in range(len(document.nodes)) if i not in children]
-    if document.scene is None and len(document.scenes) > 1:
-        notes.append(f"no default scene: the first of {len(document.scenes)} was read")
-    elif len(document.scenes) > 1:
-        notes.append(f"scene {document.scene} of {len(document.scenes)}; the others were not read")
-    return item(document.scenes, document.scene or 0, "scene").nodes
-
-
-def _local(node: Node, index: int) -> tuple[NDArray[np.float64], bool]:
-    """The 4 by 4 matrix of a node, and whether it is exactly the identity."""
-    parts = {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}
-    for name, length in parts.items():
-        values = getattr(node, name)
-        if values is not None and not (len(values) == length and np.isfinite(values).all()):
-            raise ArtifactError(f"glTF: node {index}: {name} is not {length} finite numbers")
-    if node.matrix is not None:
-        matrix = np.array(node.matrix).reshape(4, 4).T
-    else:
-        matrix = np.eye(4)
-        matrix[:3, 3] = node.translation or 0.0
-        x, y, z, w = node.rotation or (0.0, 0.0, 0.0, 1.0)
-        norm = float(np.linalg.norm((x, y, z, w)))
-        if not 0.0 < norm < np.inf:
-            raise ArtifactError(f"glTF: node {index}: rotation has no length")
-        if (x, y, z) != (0.0, 0.0, 0.0):
-            matrix[:3, :3] = matrix_from_quat_wxyz(np.array([w, x, y, z]) / norm)
-        with np.errstate(over="ignore", under="ignore"):
-            matrix[:3, :3] *= np.array(node.scale or (1.0, 1.0, 1.0))
-    return matrix, bool((matrix == np.eye(4)).all())
-
-
-def _place(primitive: tuple[int, int], matrix: NDArray[np.float64], exact: bool, index: int) -> _Placed:
-    """Take a rotation, a positive uniform scale and a shift out of a global matrix."""
-    linear, shift = matrix[:3, :3], matrix[:3, 3]
-    if not (np.isfinite(matrix).all() and (matrix[3] == (0.0, 0.0, 0.0, 1.0)).all()):
-        raise ArtifactError(f"glTF: node {index}: its global matrix is not affine and finite")
-    left, stretch, right = np.linalg.svd(linear)
-    scale = float(np.cbrt(stretch.prod()))
-    if not 1e-30 < scale < 1e30:
-        raise ArtifactError(f"glTF: node {index}: its global matrix has scale {scale:g}")
-    defect = float(np.abs(stretch / scale - 1.0).max())
-    if defect > _NOT_RIGID:
-        axes = ", ".join(f"{value:.6g}" for value in stretch)
-        raise ArtifactError(
-            f"glTF: node {index}: its global matrix scales by {axes} along three directions; "
-            "only the same scale along all of them is supported"
-        )
-    rotation = left @ right
-    if np.linalg.det(rotation) < 0:
-        raise ArtifactError(f"glTF: node {index}: its global matrix mirrors; that is not supported")
-    return _Placed(primitive, linear, shift, quat_wxyz_from_matrix(rotation), scale, defect + 1e-15, exact)
-
-
 def _primitive(document: Document, place: tuple[int, int]) -> Primitive:
     return document.meshes[place[0]].primitives[place[1]]
 
@@ -361,9 +246,9 @@ def _gaussians(tables: Tables, place: tuple[int, int], notes: dict[str, None]) -
     name = f"mesh {place[0]} primitive {place[1]}"
     primitive = _primitive(tables.document, place)
     try:
-        splatting = msgspec.json.decode(primitive.extensions[_NAME], type=Splatting)
+        splatting = msgspec.json.decode(primitive.extensions[NAME], type=Splatting)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ArtifactError(f"glTF: {name}: {_NAME}: {error}") from error
+        raise ArtifactError(f"glTF: {name}: {NAME}: {error}") from error
     if splatting.kernel is None:
         notes["no kernel is named; read as ellipse"] = None
     elif splatting.kernel != "ellipse":
@@ -404,9 +289,9 @@ def _check_sh(tables: Tables, primitive: Primitive, name: str, columns: dict[str
     """Put the harmonics among the columns; only whole degrees, each with those below, make sense."""
     degrees: dict[int, set[int]] = {}
     for attribute, index in primitive.attributes.items():
-        if not attribute.startswith(f"{_NAME}:SH_"):
+        if not attribute.startswith(f"{NAME}:SH_"):
             continue
-        match = re.fullmatch(r"SH_DEGREE_([0-3])_COEF_([0-6])", attribute[len(_NAME) + 1 :])
+        match = re.fullmatch(r"SH_DEGREE_([0-3])_COEF_([0-6])", attribute[len(NAME) + 1 :])
         if match is None or int(match[2]) > 2 * int(match[1]):
             raise ArtifactError(f"glTF: {name}: {attribute[:100]} is no spherical-harmonic coefficient")
         degrees.setdefault(int(match[1]), set()).add(int(match[2]))
@@ -421,7 +306,8 @@ def _negative_rows(column: Column) -> int:
     if column.kind in _UNSIGNED:
         return 0
     chunks = range(0, len(column.stored), _CHUNK)
-    return sum(int((column.stored[i : i + _CHUNK] < 0).any(axis=1).sum()) for i in chunks)
+    with np.errstate(invalid="ignore"):
+        return sum(int((column.stored[i : i + _CHUNK] < 0).any(axis=1).sum()) for i in chunks)
 
 
 def _is_float(part: _Gaussians) -> bool:

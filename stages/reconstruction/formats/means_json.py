@@ -19,6 +19,7 @@ _KEYS = ("means", "rotations", "scalings", "opacities", "colors")
 _CHUNK = 2**15
 _SCAN = 2**22
 _NOT_ORTHOGONAL = 1e-3  # rotation matrices farther from one than this are something else
+_COARSE = 1e-5  # angle beyond which they were rounded to fewer digits than single precision has
 _ROW = list[float | None]
 _DECODERS: dict[int, Callable[[bytes], list[Any]]] = {  # by the brackets that a list of rows begins with
     0: msgspec.json.Decoder(_ROW).decode,
@@ -47,8 +48,8 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
     Colours are red, green, blue from 0 to 1, or, if one is above 2 and none above 255, to 255.
     `null`, `NaN` and `Infinity` are read as what they say; import_splat decides on those rows.
 
-    A matrix M stands for the nearest rotation R; as what it was written from is no farther from M than
-    its rounding, the angle is recorded that belongs to twice |M - R| and 1e-6.
+    A matrix M stands for the nearest rotation R; the angle is recorded that belongs to twice |M - R| and
+    1e-6, which is more than single precision rounds. Coarser matrices, by 1e-5, have no certain bound.
 
     Args:
         buffer: the whole file.
@@ -58,23 +59,18 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
         ArtifactError: not JSON, a list is missing, or rows are not of one length.
     """
     data: bytes | memoryview = buffer[3:] if bytes(buffer[:3]) == b"\xef\xbb\xbf" else buffer
-    if re.search(rb"NaN|Infinity", data):  # not JSON, but what Python writes; 9e307 is infinite as a single
-        data = re.sub(rb"\bNaN\b", b"null", re.sub(rb"\bInfinity\b", b"9e307", data))
     try:
-        found = msgspec.json.decode(data, type=dict[str, msgspec.Raw])
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ArtifactError(f"JSON: {error}") from error
-    except RecursionError as error:
-        raise ArtifactError("JSON: nested too deeply") from error
+        found = _parts(data)
+    except ArtifactError:
+        if not re.search(rb"NaN|Infinity", data):
+            raise
+        # Not JSON, but what Python writes; 9e307 is infinite in single precision.
+        found = _parts(re.sub(rb"\bNaN\b", b"null", re.sub(rb"\bInfinity\b", b"9e307", data)))
     for key in _KEYS[:4]:
         if key not in found:
             raise ArtifactError(f"JSON: Gaussians need {key!r}, which is missing")
     lists = {key: np.frombuffer(memoryview(found[key]), np.uint8) for key in _KEYS if key in found}
-    counts = {key: _count(values, key) for key, values in lists.items()}
-    count = counts["means"]
-    for key, rows in counts.items():
-        if rows != count:
-            raise ArtifactError(f"JSON: {key!r} has {rows} rows, 'means' {count}")
+    count = len(_row_ends(lists["means"], "means"))
     if count == 0:
         raise ArtifactError("JSON: has no Gaussians ('means' is empty)")
 
@@ -100,7 +96,9 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
         loss = None
         if rotation.ndim == 3:
             rotation, angle = _from_matrices(rotation)
-            loss = Loss(loss_bound(count, rotation=angle))
+            coarse = float(angle.max(initial=0.0))
+            why = {"rotation": "the matrices are rounded, by an unknown amount"} if coarse > _COARSE else {}
+            loss = Loss(loss_bound(count, rotation=angle), unbounded=why)
             notes.append("rotation matrices: scalings and opacities are plain")
             if not plain:
                 notes[-1] = (
@@ -131,57 +129,68 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
     )
 
 
-def _commas(text: NDArray[np.uint8]) -> Iterator[NDArray[np.intp]]:
-    """Where commas part the rows of a JSON list, in chunks."""
-    depth = 0
-    for at in range(0, len(text), _SCAN):
-        part = text[at : at + _SCAN]
-        after = depth + np.cumsum((part == ord("[")).astype(np.int8) - (part == ord("]")).astype(np.int8))
-        depth = int(after[-1])
-        yield at + np.flatnonzero((part == ord(",")) & (after == 1))
+def _parts(data: bytes | memoryview) -> dict[str, msgspec.Raw]:
+    """The values of a JSON object, checked but not decoded."""
+    try:
+        return msgspec.json.decode(data, type=dict[str, msgspec.Raw])
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ArtifactError(f"JSON: {error}") from error
+    except RecursionError as error:
+        raise ArtifactError("JSON: nested too deeply") from error
 
 
-def _count(text: NDArray[np.uint8], key: str) -> int:
-    """Rows of a list: one more than the commas between them."""
+def _row_ends(text: NDArray[np.uint8], key: str) -> NDArray[np.int64]:
+    """Where the rows of a list end: at its own bracket if the first one has any, else at a comma.
+
+    Lists that mix both are cut in wrong places, and what is cut is then not of the type of a row.
+    """
     if text[0] != ord("["):
         raise ArtifactError(f"JSON: {key!r} is not a list")
-    if len(text) < 64 and bytes(text[1:-1]).strip() == b"":
-        return 0
-    return 1 + sum(map(len, _commas(text)))
+    begin = bytes(text[1:64]).lstrip()[:1]
+    if begin == b"]":
+        return np.empty(0, np.int64)
+    ends, depth = [], 0
+    for at in range(0, len(text), _SCAN):
+        part = text[at : at + _SCAN]
+        if begin == b"[":
+            # The brackets, and the letters Y and _, which differ from them in the same two bits.
+            brackets = np.flatnonzero((part & 0xF9) == 0x59)
+            kinds = part[brackets]
+            after = depth + np.cumsum((kinds == ord("[")).astype(np.int64) - (kinds == ord("]")))
+            ends.append(at + 1 + brackets[(kinds == ord("]")) & (after == 1)])
+            depth = int(after[-1]) if len(after) else depth
+        else:
+            ends.append(at + np.flatnonzero(part == ord(",")))
+    if begin != b"[":
+        ends.append(np.array([len(text) - 1]))
+    return np.concatenate(ends)
 
 
 def _table(
     text: NDArray[np.uint8], key: str, count: int, shapes: tuple[tuple[int, ...], ...]
 ) -> NDArray[np.float32]:
     """The numbers of a list whose rows all have the first row's shape, which must be one of those given."""
+    ends = _row_ends(text, key)
+    if len(ends) != count:
+        raise ArtifactError(f"JSON: {key!r} has {len(ends)} rows, 'means' {count}")
     table: NDArray[np.float32] | None = None
-    row = 0
-    for piece in _pieces(text):
-        values = _rows(piece, key, row)
+    start = 1
+    for row in range(0, count, _CHUNK):
+        stop = min(row + _CHUNK, count)
+        end = int(ends[stop - 1])
+        values = _rows(b"[" + text[start:end].tobytes().lstrip(b", \t\r\n") + b"]", key, row)
+        start = end
         shape = values.shape[1:]
         if table is None:
             if shape not in shapes:
                 names = " or ".join(" by ".join(map(str, s)) or "one" for s in shapes)
                 raise ArtifactError(f"JSON: {key!r}, row 0 is of shape {shape}, not of {names} numbers")
             table = np.empty((count, *shape), np.float32)
-        if shape != table.shape[1:] or row + len(values) > count:
+        if shape != table.shape[1:] or len(values) != stop - row:
             raise ArtifactError(f"JSON: {key!r}, row {row} is of shape {shape}, row 0 of {table.shape[1:]}")
-        table[row : row + len(values)] = values
-        row += len(values)
-    if table is None or row != count:
-        raise ArtifactError(f"JSON: {key!r} has {row} rows, not {count}")
+        table[row:stop] = values
+    assert table is not None  # there is a row
     return table
-
-
-def _pieces(text: NDArray[np.uint8]) -> Iterator[bytes]:
-    """The list as lists of at most `_CHUNK` rows."""
-    start, rows = 1, 0
-    for commas in _commas(text):
-        for comma in commas[_CHUNK - 1 - rows % _CHUNK :: _CHUNK]:
-            yield b"[" + text[start:comma].tobytes() + b"]"
-            start = int(comma) + 1
-        rows += len(commas)
-    yield b"[" + text[start:].tobytes()
 
 
 def _rows(piece: bytes, key: str, first: int) -> NDArray[np.float64]:

@@ -13,16 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
-from alula.stages.reconstruction.formats.checkpoint import Checkpoint, Tensor, is_checkpoint
+from alula.stages.reconstruction.formats.checkpoint import Checkpoint, is_checkpoint
 from alula.stages.reconstruction.formats.ply import decode_ply
 from alula.stages.reconstruction.formats.source import Source
 from alula.stages.reconstruction.formats.splats import Progress, Splats, color_from_sh0
+from alula.stages.reconstruction.formats.torch_pickle import Tensor
 
 FRAME = "nerfstudio training frame"
 _CONFIG, _TRANSFORMS, _EXPORTED = "config.yml", "dataparser_transforms.json", "splat.ply"
 _CONFIG_LIMIT = 2**18
 _TRANSFORMS_LIMIT = 2**20
 _ALIASES = 1000
+_DEPTH = 100
 _CHUNK = 2**16
 _SHAPES = {"means": (3,), "scales": (3,), "quats": (4,), "opacities": (1,), "features_dc": (3,)}
 
@@ -217,16 +219,22 @@ def _plain_yaml(data: memoryview) -> Any:
     Plain.add_multi_constructor("", Plain.plain)
     text = bytes(data)
     try:
-        events = yaml.parse(text, Loader=Plain)
-        if sum(isinstance(event, yaml.AliasEvent) for event in events) > _ALIASES:
-            raise ArtifactError(f"nerfstudio: {_CONFIG} has more than {_ALIASES} aliases")
+        depth = aliases = 0
+        for event in yaml.parse(text, Loader=Plain):  # deep nesting takes PyYAML quadratic time
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            aliases += isinstance(event, yaml.AliasEvent)
+            if depth > _DEPTH or aliases > _ALIASES:
+                what = (
+                    f"is nested more than {_DEPTH} deep"
+                    if depth > _DEPTH
+                    else f"has more than {_ALIASES} aliases"
+                )
+                raise ArtifactError(f"nerfstudio: {_CONFIG} {what}")
         return yaml.load(text, Loader=Plain)
     # Beside its own errors PyYAML lets out those of bad escapes and numbers in directives.
     except (yaml.YAMLError, ValueError, OverflowError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ArtifactError(f"nerfstudio: {_CONFIG} is not YAML: {reason}") from error
-    except RecursionError as error:
-        raise ArtifactError(f"nerfstudio: {_CONFIG} is nested too deeply") from error
 
 
 class _Transforms(msgspec.Struct):
