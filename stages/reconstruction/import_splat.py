@@ -22,6 +22,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz
 SCALE_FLOOR = 1e-9  # file units; a disc of no thickness must have some
 
 
+@np.errstate(invalid="ignore")  # files may hold signalling NaNs, which are dropped and counted like any
 def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     """Keep the Gaussians that are usable and wanted, and count the others by the reason.
 

@@ -214,3 +214,16 @@ def test_every_file_is_an_input_of_the_scene(tmp_path):
     assert main.run(["scale-align", out, "--scale", "1", "-o", world, "-q"]) == 0
     assert main.run(["voxelize", world, "-o", voxels, "-q"]) == 0
     assert len(read_artifact(Path(voxels)).arrays["index"]) > 0
+
+
+def test_the_map_of_a_real_scene_holds_that_of_its_ply(tmp_path, data):
+    voxels = []
+    for end in ("ply", "sog"):
+        names = [str(tmp_path / f"{end}.{kind}.npz") for kind in ("scene", "world", "voxels")]
+        splat = str(data / f"cc0-corpus/leica-sofort-top8192.{end}")
+        assert main.run(["import-splat", splat, "-o", names[0], "-q"]) == 0
+        assert main.run(["scale-align", names[0], "--scale", "1", "-o", names[1], "-q"]) == 0
+        assert main.run(["voxelize", names[1], "--size", "0.2", "-o", names[2], "-q"]) == 0
+        voxels.append({tuple(row) for row in read_artifact(Path(names[2])).arrays["index"]})
+    exact, lossy = voxels
+    assert exact < lossy
