@@ -25,6 +25,7 @@ _REASONS = (*_NOT_FINITE, "zero_rotation", "min_opacity", *_ON_DEMAND)  # 1, 2, 
 SCALE_FLOOR = 1e-9  # file units; a disc of no thickness must have some
 
 
+@np.errstate(invalid="ignore")  # files may hold signalling NaNs, which are dropped and counted like any
 def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     """Keep the Gaussians that are usable and wanted, and count the others by the reason.
 

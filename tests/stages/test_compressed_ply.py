@@ -209,6 +209,7 @@ WRONG = {
     "list": (GOOD.replace(b"element sh", b"element faces 3\nproperty list uchar int i\nelement sh"),
              "element faces has lists"),
     "not a number": (GOOD[:CUT] + NAN + GOOD[CUT + 4 :], "chunk 0 has x from nan to .*, which is no range"),
+    "signalling": (GOOD[:CUT] + b"\1\0\x80\x7f" + GOOD[CUT + 4 :], "chunk 0 has x from nan to"),
     "infinite": (GOOD[:CUT + 72 + 36] + INF + GOOD[CUT + 72 + 40 :], "chunk 1 has scale_x from .* to inf"),
     "upside down": (GOOD[:CUT + 4] + np.float32(1e6).tobytes() + GOOD[CUT + 8 :], "chunk 0 has y from 1e.06"),
 }  # fmt: skip

@@ -14,10 +14,12 @@ from originals import fractions, originals
 
 from alula.cli import main
 from alula.schemas.artifact import read_artifact
+from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import AlulaError, ArtifactError
 from alula.stages.reconstruction.formats.ksplat import decode_ksplat
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.formats.splats import color_from_sh0
+from alula.stages.reconstruction.import_splat import import_splat
 
 BLOCK, RANGE = 5.0, 32767
 
@@ -208,6 +210,19 @@ def test_negative_scales_are_read_as_their_absolute_value():
     splats = decode(bytes(raw))
     assert splats.scale[0, 0] > 0
     assert splats.notes == ("1 rows with a negative scale, read as positive",)
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_values_that_are_not_numbers_are_passed_on(level):
+    raw = encode([section(originals(1), level, 0)], level)
+    tail = 44 if level == 0 else 24
+    signalling = b"\1\0\x80\x7f" if level == 0 else b"\1\x7c\1\x7c"
+    at = len(raw) - tail + (12 if level == 0 else 6)
+    splats = decode(raw[:at] + signalling * 7 + raw[at + 28 :] if level == 0 else
+                    raw[:at] + signalling * 3 + raw[at + 12 :])  # fmt: skip
+    assert np.isnan(splats.scale).all()
+    with pytest.raises(AlulaError, match="not_a_number 1"):
+        import_splat(ImportSplatConfig(), splats)
 
 
 def patched(raw, at, form, *values):

@@ -136,10 +136,11 @@ class _Range:
 
     @classmethod
     def read(cls, rows: NDArray[np.void], names: tuple[str, ...]) -> _Range:
-        lower, upper = (
-            np.stack([rows[f"{end}_{name}"].astype(np.float64) for name in names], axis=1)
-            for end in ("min", "max")
-        )
+        with np.errstate(invalid="ignore"):  # signalling NaNs
+            lower, upper = (
+                np.stack([rows[f"{end}_{name}"].astype(np.float64) for name in names], axis=1)
+                for end in ("min", "max")
+            )
         wrong = ~(np.isfinite(lower) & np.isfinite(upper) & (lower <= upper))
         if wrong.any():
             row, axis = (int(i) for i in np.argwhere(wrong)[0])

@@ -80,32 +80,32 @@ def decode_ksplat(buffer: memoryview, progress: Progress | None = None) -> Splat
     opacity = np.empty(count, np.float32)
     off, turn = np.zeros(count if level else 0), np.zeros(count if level else 0)
     negative = raised = largest = outside = done = 0
-    for section in sections:
-        rows = np.frombuffer(buffer, section.record, section.count, section.records)
-        for start in range(0, section.count, _CHUNK):
-            stop = min(start + _CHUNK, section.count)
-            chunk, part = rows[start:stop], slice(done, done + stop - start)
-            quat[part] = chunk["quat"]
-            color[part] = chunk["rgba"][:, :3]
-            opacity[part] = chunk["rgba"][:, 3] / 255.0
-            sizes = chunk["scale"].astype(np.float32)
-            negative += int((sizes < 0).any(axis=1).sum())
-            sizes = np.abs(sizes)
-            if level:
-                small = sizes < SUBNORMAL
-                raised += int(small.any(axis=1).sum())
-                largest += int((sizes == _LARGEST_HALF).any(axis=1).sum())
-                sizes[small] += np.float32(SUBNORMAL_STEP)
-                outside += int((chunk["mean"] > 2 * section.scale_range).any(axis=1).sum())
-                with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
+        for section in sections:
+            rows = np.frombuffer(buffer, section.record, section.count, section.records)
+            for start in range(0, section.count, _CHUNK):
+                stop = min(start + _CHUNK, section.count)
+                chunk, part = rows[start:stop], slice(done, done + stop - start)
+                quat[part] = chunk["quat"]
+                color[part] = chunk["rgba"][:, :3]
+                opacity[part] = chunk["rgba"][:, 3] / 255.0
+                sizes = chunk["scale"].astype(np.float32)
+                negative += int((sizes < 0).any(axis=1).sum())
+                sizes = np.abs(sizes)
+                if level:
+                    small = sizes < SUBNORMAL
+                    raised += int(small.any(axis=1).sum())
+                    largest += int((sizes == _LARGEST_HALF).any(axis=1).sum())
+                    sizes[small] += np.float32(SUBNORMAL_STEP)
+                    outside += int((chunk["mean"] > 2 * section.scale_range).any(axis=1).sum())
                     mean[part], off[part] = _positions(buffer, section, chunk["mean"], start, stop)
                     turn[part] = _turns(chunk["quat"])
-            else:
-                mean[part] = chunk["mean"]
-            scale[part] = sizes
-            done = part.stop
-            if progress is not None:
-                progress(done, count)
+                else:
+                    mean[part] = chunk["mean"]
+                scale[part] = sizes
+                done = part.stop
+                if progress is not None:
+                    progress(done, count)
 
     notes, unbounded = [], {}
     if negative:
