@@ -5,16 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from alula.schemas.errors import CheckError, InputError
 from alula.schemas.manifest import Similarity
-from alula.stages.alignment.cloud import fit_cloud
+from alula.stages.alignment.cloud import fit_cloud, icp
 from alula.stages.alignment.cloud_files import read_cloud
+from alula.stages.alignment.estimates import scale_only
 from alula.stages.alignment.sampling import blocks, jackknife, thinned
 from alula.stages.alignment.similarity import compose, inverse, transform_points
-
-pytest.importorskip("open3d")
 
 
 def box(rng, low, high, density):
@@ -117,6 +117,27 @@ def test_it_repeats_to_the_bit():
     np.testing.assert_array_equal(one.uncertainty.covariance, two.uncertainty.covariance)
 
 
+def test_coarse_rounds_equal_those_of_another_library():
+    open3d = pytest.importorskip("open3d")
+    _, source, survey, first = case(2)
+    mapped = transform_points(first, source)[::5]
+    ours = icp(mapped, survey, cKDTree(survey), scale_only(1.0), 0.4)
+    registration = open3d.pipelines.registration
+    source_cloud, target_cloud = (
+        open3d.geometry.PointCloud(open3d.utility.Vector3dVector(p)) for p in (mapped, survey)
+    )
+    theirs = registration.registration_icp(
+        source_cloud,
+        target_cloud,
+        0.4,
+        np.eye(4),
+        registration.TransformationEstimationPointToPoint(with_scaling=True),
+        registration.ICPConvergenceCriteria(1e-12, 1e-12, 200),
+    ).transformation
+    moved = transform_points(ours, mapped)
+    np.testing.assert_allclose(mapped @ theirs[:3, :3].T + theirs[:3, 3], moved, atol=0.01)
+
+
 def test_too_little_overlap_is_a_failed_check_with_figure_and_limit():
     _, source, survey, first = case(0)
     with pytest.raises(CheckError, match=r"\d\.\d% of the scene .* below --min-fitness 0.3"):
@@ -142,6 +163,8 @@ def test_surfaces_along_which_it_slides_are_refused():
 def test_means_of_cubes():
     points = np.array([[0.0, 0, 0], [0.4, 0, 0], [1.2, 0, 0], [0.2, 0.9, 0]])
     np.testing.assert_allclose(thinned(points, 0.5), [[0.2, 0, 0], [0.2, 0.9, 0], [1.2, 0, 0]])
+    with pytest.raises(InputError, match="spread too far"):
+        thinned(np.array([[0.0, 0, 0], [1e12, 1e12, 1e12]]), 1e-3)
     label, count, edge = blocks(np.random.default_rng(0).uniform(size=(5000, 3)), 0.01, 40)
     assert count >= 40
     assert 0.2 < edge < 0.5
@@ -156,8 +179,7 @@ def test_the_jackknife_of_a_mean_is_its_standard_error():
 
 
 def test_clouds_from_files(tmp_path):
-    import open3d
-
+    open3d = pytest.importorskip("open3d")
     points = np.random.default_rng(0).normal(size=(20, 3))
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     for name in ("a.ply", "a.pcd", "a.xyz"):
@@ -168,6 +190,8 @@ def test_clouds_from_files(tmp_path):
 
 
 def test_files_that_are_no_cloud_are_refused(tmp_path, capfd):
+    pytest.importorskip("open3d")
+
     def refused(name, content, message):
         if isinstance(content, bytes):
             (tmp_path / name).write_bytes(content)
