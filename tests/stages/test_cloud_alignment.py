@@ -70,42 +70,42 @@ def case(seed, noise=0.01, lumps=0.0):
 @pytest.fixture(scope="module")
 def trials():
     found = []
-    for seed in range(32):
-        truth, source, survey, first = case(seed, lumps=0.01 if seed >= 16 else 0.0)
+    for seed in range(24):
+        truth, source, survey, first = case(seed, lumps=0.01 if seed >= 12 else 0.0)
         found.append((truth, fit_cloud(source, survey, first, 0.1, 0.3)))
     return found
 
 
 def test_half_a_cloud_does_not_bias_the_scale(trials):
-    for part in (trials[:16], trials[16:]):
+    for part in (trials[:12], trials[12:]):
         off = np.array([fit.similarity.scale / truth.scale - 1 for truth, fit in part])
         assert abs(off.mean()) < 2.5e-4
         assert abs(off).max() < 2e-3
-    off = np.array([fit.similarity.scale / truth.scale - 1 for truth, fit in trials[:16]])
+    off = np.array([fit.similarity.scale / truth.scale - 1 for truth, fit in trials[:12]])
     assert abs(off).max() < 5e-4
 
 
 def test_intervals_hold_the_truth_also_when_neighbours_err_alike(trials):
-    """16 cases of 95 %: more than 3 misses have a probability of 0.007; as if independent most miss."""
-    for part in (trials[:16], trials[16:]):
+    """12 cases of 95 %: more than 3 misses have a probability of 0.002; as if independent most miss."""
+    for part in (trials[:12], trials[12:]):
         inside = 0
         for truth, fit in part:
             low, high = fit.uncertainty.record(fit.similarity)["scale_interval"]
             inside += low <= truth.scale <= high
-        assert inside >= 13
+        assert inside >= 9
     naive = 0
-    for truth, fit in trials[16:]:
+    for truth, fit in trials[12:]:
         spread = (fit.singular_values**2).sum()
         sigma = np.sqrt((fit.residual**2).mean() / spread)
         naive += abs(fit.similarity.scale / truth.scale - 1) < 1.96 * sigma
-    assert naive < 11
+    assert naive < 9
 
 
 def test_the_overlap_is_reported(trials):
     _, fit = trials[0]
     assert 0.4 < fit.scene_share < 0.6
     assert fit.cloud_share > 0.85
-    assert len(fit.block_centre) >= 30
+    assert len(fit.block_centre) >= 10
     low, high = fit.leave_one_out
     assert low < fit.similarity.scale < high
 
