@@ -70,35 +70,36 @@ def case(seed, noise=0.01, lumps=0.0):
 @pytest.fixture(scope="module")
 def trials():
     found = []
-    for seed in range(24):
-        truth, source, survey, first = case(seed, lumps=0.01 if seed >= 12 else 0.0)
+    for seed in range(16):
+        truth, source, survey, first = case(seed, lumps=0.01 if seed >= 8 else 0.0)
         found.append((truth, fit_cloud(source, survey, first, 0.1, 0.3)))
     return found
 
 
 def test_half_a_cloud_does_not_bias_the_scale(trials):
-    for part in (trials[:12], trials[12:]):
+    for part in (trials[:8], trials[8:]):
         off = np.array([fit.similarity.scale / truth.scale - 1 for truth, fit in part])
-        assert abs(off.mean()) < 2.5e-4
+        assert abs(off.mean()) < 5e-4  # 0.05 %
         assert abs(off).max() < 2e-3
-    off = np.array([fit.similarity.scale / truth.scale - 1 for truth, fit in trials[:12]])
-    assert abs(off).max() < 5e-4
+    off = np.array([fit.similarity.scale / truth.scale - 1 for truth, fit in trials[:8]])
+    assert abs(off.mean()) < 2e-4
+    assert abs(off).max() < 6e-4
 
 
 def test_intervals_hold_the_truth_also_when_neighbours_err_alike(trials):
-    """12 cases of 95 %: more than 3 misses have a probability of 0.002; as if independent most miss."""
-    for part in (trials[:12], trials[12:]):
+    """8 cases of 95 %: more than 2 misses have a probability of 0.006; as if independent most miss."""
+    for part in (trials[:8], trials[8:]):
         inside = 0
         for truth, fit in part:
             low, high = fit.uncertainty.record(fit.similarity)["scale_interval"]
             inside += low <= truth.scale <= high
-        assert inside >= 9
+        assert inside >= 6
     naive = 0
-    for truth, fit in trials[12:]:
+    for truth, fit in trials[8:]:
         spread = (fit.singular_values**2).sum()
         sigma = np.sqrt((fit.residual**2).mean() / spread)
         naive += abs(fit.similarity.scale / truth.scale - 1) < 1.96 * sigma
-    assert naive < 9
+    assert naive < 6
 
 
 def test_the_overlap_is_reported(trials):
