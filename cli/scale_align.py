@@ -41,7 +41,8 @@ class Sectioned(click.Command):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write one list per section; the options that every command has come last."""
-        records = {p.name: record for p in self.get_params(ctx) if (record := p.get_help_record(ctx))}
+        shown = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
+        records = {p.name: record for p in shown if (record := p.get_help_record(ctx))}
         for title, names in SECTIONS.items():
             with formatter.section(title):
                 formatter.write_dl([records.pop(name) for name in names])

@@ -38,7 +38,7 @@ class ScaleAlignConfig:
     threshold_m: float = field(
         default=0.1,
         metadata={
-            "help": "Correspondences with a larger residual are outliers [m].",
+            "help": "Correspondences with a larger residual are outliers; a --floor is as thick [m].",
             "option": "--threshold",
         },
     )

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from alula.schemas.errors import CheckError, InputError
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.evidence import Correspondences
-from alula.stages.alignment.quiet import quiet
 from alula.stages.alignment.sampling import blocks, jackknife, thinned_to
-from alula.stages.alignment.similarity import Array, compose, transform_points, umeyama
+from alula.stages.alignment.similarity import Array, compose, is_collinear, transform_points, umeyama
 from alula.stages.alignment.uncertainty import Uncertainty
 
 _MOST = 60_000  # points of either side after thinning
@@ -23,7 +22,12 @@ _NEIGHBOURS = 16  # of a point whose plane is fitted
 _STEPS = 40
 _WIDE_STEPS = 6  # the first ones, with twice the distance
 _STILL = 1e-2  # of the mean residual: a step that moves all points by less says nothing
-_LEAST_PAIRS = 100
+_COARSE_MOST = 10_000
+_ROUNDS = 40  # of a coarse stage
+_SETTLED = 2e-3  # of its distance: a round that moves points by less ends it
+_LEAST_PAIRS = 50
+_LEAST_BLOCKS = 10
+_BLOCKS = (40, 16)  # errors may be alike over short or long stretches: the larger covariance counts
 _WEAK = 3e-3  # least eigenvalue of the normalised information: the surfaces let it slide
 _TUKEY = 4.685
 _FLAT = 2.0  # times the median of thickness over width of neighbourhoods
@@ -72,13 +76,14 @@ class CloudFit:
 def fit_cloud(points: Array, cloud: Array, initial: Similarity, threshold: float, least: float) -> CloudFit:
     """Register points to a cloud, from a similarity that is nearly right.
 
-    Both are averaged in cubes of half the threshold. Open3D's ICP with scale runs on the overlap, cropped
-    anew for largest distances of 8, 4 and 2 thresholds. Then Gauss-Newton minimises distances to the
+    Both are averaged in cubes of half the threshold. Point-to-point ICP with scale runs on the overlap,
+    cropped anew for largest distances of 8, 4 and 2 thresholds. Then Gauss-Newton minimises distances to the
     cloud's local planes over pairs that are nearest to each other, weighted by Tukey's biweight:
     n' (c + d (1 + lambda) + omega x d + tau - q), d = mapped - c. Sampling along the surface and the
     border of the overlap then pull at nothing, unlike in point-to-point ICP, whose scale they bias.
 
-    The covariance comes from blocks of space (`jackknife`), not from the number of pairs. It knows
+    The covariance comes from blocks of space (`jackknife`), small and large ones, the larger of the two,
+    and not from the number of pairs. It knows
     nothing of an offset that all surfaces share, such as centres that lie behind them.
 
     Args:
@@ -94,6 +99,8 @@ def fit_cloud(points: Array, cloud: Array, initial: Similarity, threshold: float
     """
     from scipy.spatial import cKDTree
 
+    if not (len(points) and len(cloud)):
+        raise InputError("nothing to register: no Gaussian of the scene has an opacity of 0.1 or more")
     mapped, edge = thinned_to(transform_points(initial, points), threshold / 2, _MOST)
     target, cloud_edge = thinned_to(cloud, threshold / 2, _MOST)
     if min(len(mapped), len(target)) <= _NEIGHBOURS:
@@ -117,7 +124,7 @@ def fit_cloud(points: Array, cloud: Array, initial: Similarity, threshold: float
         distance = threshold * (2.0 if step_number < _WIDE_STEPS else 1.0)
         pairs = pairs_of(transform_points(moved, mapped), distance)
         at, jacobian, residual = _linear(transform_points(moved, mapped), target, normals, pairs)
-        weight, size = _weights(residual)
+        weight, _ = _weights(residual)
         information = (jacobian * weight[:, None]).T @ jacobian
         lever = float(np.sqrt(((transform_points(moved, mapped)[pairs[0]] - at) ** 2).sum(axis=1).mean()))
         _determined(information, float(weight.sum()), lever)
@@ -135,38 +142,61 @@ def fit_cloud(points: Array, cloud: Array, initial: Similarity, threshold: float
 
     pairs = pairs_of(final, threshold)
     at, jacobian, residual = _linear(final, target, normals, pairs)
-    weight, _ = _weights(residual)
     where = final[pairs[0]]
-    label, count, block_edge = blocks(where, 4 * threshold)
-    if count < 10:
-        raise InputError(f"the overlap is too small to say how well it fits ({count} blocks)")
-    score = np.zeros((count, 7))
-    np.add.at(score, label, jacobian * (weight * residual)[:, None])
-    hessian = np.zeros((count, 7, 7))
-    np.add.at(hessian, label, (weight * _bend(residual, size))[:, None, None]
-              * jacobian[:, :, None] * jacobian[:, None, :])  # fmt: skip
-    covariance = jackknife(hessian, score)
+    known = max(
+        (_by_blocks(where, jacobian, residual, 4 * threshold, wanted) for wanted in _BLOCKS),
+        key=lambda found: found.size,
+    )
     similarity = compose(moved, initial)
-    without = np.linalg.solve(hessian.sum(axis=0) - hessian, score[:, :, None])[:, 3, 0]
+    label = known.label
     return CloudFit(
         similarity=similarity,
-        uncertainty=Uncertainty(at, covariance, max(1.0, count - 7.0)),
+        uncertainty=Uncertainty(at, known.covariance, max(1.0, known.count - 7.0)),
         count=len(mapped),
         residual=np.abs(residual),
         block=label,
         block_centre=np.array(
             [np.bincount(label, where[:, axis]) / np.bincount(label) for axis in range(3)]
         ).T,
-        block_edge=block_edge,
+        block_edge=known.edge,
         scene_share=scene_share,
         cloud_share=cloud_share,
         thinning_m=max(edge, cloud_edge),
         leave_one_out=(
-            similarity.scale * float(1 + without.min()),
-            similarity.scale * float(1 + without.max()),
+            similarity.scale * float(1 + known.moves[:, 3].min()),
+            similarity.scale * float(1 + known.moves[:, 3].max()),
         ),
         singular_values=np.linalg.svd(where - where.mean(axis=0), compute_uv=False),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """A covariance from blocks: their labels, number and edge, how far each moves the solution."""
+
+    label: NDArray[np.intp]
+    count: int
+    edge: float
+    moves: Array
+    covariance: Array
+    size: float
+
+
+def _by_blocks(where: Array, jacobian: Array, residual: Array, least: float, wanted: int) -> _Known:
+    label, count, edge = blocks(where, least, wanted)
+    if count < _LEAST_BLOCKS:
+        raise InputError(f"the overlap is too small to say how well it fits ({count} blocks of {edge:g} m)")
+    weight, width = _weights(residual)
+    score = np.zeros((count, 7))
+    np.add.at(score, label, jacobian * (weight * residual)[:, None])
+    bent = (weight * _bend(residual, width))[:, None, None]
+    information = np.zeros((count, 7, 7))
+    np.add.at(information, label, bent * jacobian[:, :, None] * jacobian[:, None, :])
+    moves = np.linalg.solve(information.sum(axis=0) - information, score[:, :, None])[:, :, 0]
+    covariance = jackknife(information, score)
+    lever = float(((where - where.mean(axis=0)) ** 2).sum(axis=1).mean())
+    size = float(np.trace(covariance[:3, :3]) + lever * np.trace(covariance[3:, 3:]))
+    return _Known(label, count, edge, moves, covariance, size)
 
 
 def _require(scene_share: float, cloud_share: float, distance: float, least: float) -> None:
@@ -186,46 +216,45 @@ def _cloud_share(mapped: Array, target: Array, distance: float) -> float:
 
 
 def _coarse(mapped: Array, target: Array, tree: Any, threshold: float) -> Similarity:
-    """Open3D's ICP with scale, each stage on what overlaps at its distance."""
-    identity = Similarity(scale=1.0, rotation=np.eye(3).tolist(), translation_m=[0.0, 0.0, 0.0])
-    moved = identity
+    """Point-to-point ICP with scale, at each stage on what overlaps at its distance.
+
+    Our own, because Open3D's adds up in the order in which threads finish: not the same bits each time.
+    """
+    from scipy.spatial import cKDTree
+
+    moved = Similarity(scale=1.0, rotation=np.eye(3).tolist(), translation_m=[0.0, 0.0, 0.0])
     misfit = _misfit(mapped, target, tree, threshold)
-    with quiet():
-        try:
-            import open3d
-        except (ImportError, OSError) as error:
-            raise InputError("--cloud needs open3d; --correspondences do without it") from error
-        registration = open3d.pipelines.registration
-        fixed = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(target))
-        for level in _LEVELS:
-            distance = level * threshold
-            now = transform_points(moved, mapped)
-            inside = np.isfinite(tree.query(now, distance_upper_bound=distance)[0])
-            if inside.sum() < _LEAST_PAIRS:
-                break
-            found = registration.registration_icp(
-                open3d.geometry.PointCloud(open3d.utility.Vector3dVector(now[inside])),
-                fixed,
-                distance,
-                np.eye(4),
-                registration.TransformationEstimationPointToPoint(with_scaling=True),
-                registration.ICPConvergenceCriteria(max_iteration=60),
-            )
-            linear = np.array(found.transformation)
-            determinant = float(np.linalg.det(linear[:3, :3]))
-            if not np.isfinite(linear).all() or not (0.2 < determinant ** (1 / 3) < 5.0):
-                continue
-            scale = determinant ** (1 / 3)
-            step = Similarity(
-                scale=scale,
-                rotation=(linear[:3, :3] / scale).tolist(),
-                translation_m=linear[:3, 3].tolist(),
-            )
-            # Shrinking onto a part of the cloud looks good from one side only.
-            after = _misfit(transform_points(step, now), target, tree, threshold)
-            if after < misfit:
-                moved, misfit = compose(step, moved), after
-    return umeyama(mapped, transform_points(moved, mapped))  # orthonormal to the last bit
+    for level in _LEVELS:
+        distance = level * threshold
+        fixed, edge = thinned_to(target, distance / 2, _COARSE_MOST)
+        there = cKDTree(fixed)
+        found = icp(thinned_to(mapped, edge, _COARSE_MOST)[0], fixed, there, moved, distance)
+        # Shrinking onto a part of the cloud looks good from one side only.
+        after = _misfit(transform_points(found, mapped), target, tree, threshold)
+        if after < misfit:
+            moved, misfit = found, after
+    return moved
+
+
+def icp(points: Array, fixed: Array, tree: Any, start: Similarity, distance: float) -> Similarity:
+    """Repeat nearest neighbours within a distance and least squares; the start where too few are near.
+
+    Source: Besl and McKay 1992, with the scale of Umeyama 1991.
+    """
+    found = start
+    now = transform_points(found, points)
+    for _ in range(_ROUNDS):
+        near, index = tree.query(now, distance_upper_bound=distance)
+        inside = np.isfinite(near)
+        if inside.sum() < _LEAST_PAIRS or is_collinear(points[inside]):
+            return start
+        found = umeyama(points[inside], fixed[index[inside]])
+        if not (0.2 < found.scale / start.scale < 5.0):
+            return start
+        before, now = now, transform_points(found, points)
+        if np.abs(now - before).max() < _SETTLED * distance:
+            break
+    return found
 
 
 def _misfit(moved: Array, target: Array, tree: Any, distance: float) -> float:

@@ -20,10 +20,11 @@ _MOST = 20_000  # points after thinning
 _SCORED = 4000
 _REFITS = 30
 _TILT = radians(40.0)  # how far the floor may lean from the direction that was expected to be up
-_BELOW = 0.1  # share of points that may be under a floor
+_BELOW = 0.2  # share of points that may be under a floor
 _THIN = 0.02  # of the tolerance: no floor is taken for thinner
 _FILLED = 0.6  # thickness over tolerance: 0.74 when points fill the slab evenly, as of walls
-_SHARED = 0.1
+_HINT = "--up says where to look, and rough ground needs a larger --threshold"
+_SHARED = 0.1  # of the thickness: what stands on a floor pulls all of it alike
 _SUPPORT = 0.05  # least share of points that lie on it
 
 
@@ -106,13 +107,13 @@ def level_by_floor(points: Array, up: Array, tolerance: float, seed: int) -> Lev
     if spread > _FILLED * tolerance:
         raise CheckError(
             f"alignment: no floor was found: the best plane is {spread:.2g} m thick, too much for "
-            f"--threshold {tolerance:g} m; --up says where to look"
+            f"--threshold {tolerance:g} m; {_HINT}"
         )
     if share < _SUPPORT or below > _BELOW or normal @ up < cos(_TILT):
         raise CheckError(
             f"alignment: no floor was found: the best plane within {degrees(_TILT):.0f} deg of level holds "
             f"{share:.1%} of the scene ({_SUPPORT:.0%} are needed) and has {below:.1%} below it (at most "
-            f"{_BELOW:.0%}); --up says where to look"
+            f"{_BELOW:.0%}); {_HINT}"
         )
     rotation = turn_up(normal)
     thickness = float(np.sqrt((height[inlier] ** 2).mean()))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.errors import InputError
 from alula.stages.alignment.similarity import Array
 
 BLOCKS = 30  # at least this many groups carry an estimate of uncertainty
@@ -12,9 +13,7 @@ BLOCKS = 30  # at least this many groups carry an estimate of uncertainty
 
 def thinned(points: Array, edge: float) -> Array:
     """The mean of the points in each occupied cube of an edge, sorted by cube."""
-    cell = _cells(points, edge)
-    _, label, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
-    label = label.reshape(-1)
+    _, label, count = np.unique(_cells(points, edge), return_inverse=True, return_counts=True)
     sums = [np.bincount(label, weights=points[:, axis]) for axis in range(3)]
     mean: Array = np.stack(sums, axis=1) / count[:, None]
     return mean
@@ -45,15 +44,22 @@ def blocks(points: Array, least: float, wanted: int = BLOCKS) -> tuple[NDArray[n
     """
     edge = max(float(np.ptp(points, axis=0).max()) / 2, least)
     while True:
-        found, label = np.unique(_cells(points, edge), axis=0, return_inverse=True)
+        found, label = np.unique(_cells(points, edge), return_inverse=True)
         if len(found) >= wanted or edge <= least:
-            return label.reshape(-1), len(found), edge
+            return label, len(found), edge
         edge = max(edge / 1.25, least)
 
 
 def _cells(points: Array, edge: float) -> NDArray[np.int64]:
-    cells: NDArray[np.int64] = np.floor((points - points.min(axis=0)) / edge).astype(np.int64)
-    return cells
+    """A number per point, equal for points in the same cube, increasing by x, y, z."""
+    low = points.min(axis=0)
+    size = np.floor((points.max(axis=0) - low) / edge) + 1
+    if size.prod() >= 2.0**62:
+        raise InputError(f"points spread too far for cubes of {edge:g} m; remove outliers with --crop")
+    cell = np.floor((points - low) / edge).astype(np.int64)
+    _, ny, nz = size.astype(np.int64).tolist()
+    numbers: NDArray[np.int64] = (cell[:, 0] * ny + cell[:, 1]) * nz + cell[:, 2]
+    return numbers
 
 
 def jackknife(information: Array, score: Array) -> Array:

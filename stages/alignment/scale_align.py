@@ -24,6 +24,8 @@ from alula.stages.rotation import multiply_quat_wxyz, quat_wxyz_from_matrix
 
 __all__ = ["Evidence", "Given", "scale_align", "scale_only"]
 
+_COARSE_M = 1e-3  # rounding of positions that is worth a warning
+
 
 def scale_align(
     config: ScaleAlignConfig,
@@ -79,6 +81,12 @@ def scale_align(
     matrix[:3, 3] = similarity.translation_m
     q_world_scene = quat_wxyz_from_matrix(np.array(similarity.rotation))
     arrays, rounding = _mapped(scene, similarity, q_world_scene)
+    warnings = list(found.record["warnings"])
+    if rounding > _COARSE_M:
+        warnings.append(
+            f"coordinates are so large that single precision moves Gaussians by up to {rounding:.2g} m; put "
+            "the world's origin nearer to the scene"
+        )
     alignment = {
         "from_frame": manifest.frame,
         "from_unit": manifest.unit,
@@ -92,6 +100,7 @@ def scale_align(
         "rounding_m": rounding,
         "position_error_m": found.position_error,
         **found.record,
+        "warnings": warnings,
     }
     if report is not None:
         report(alignment)

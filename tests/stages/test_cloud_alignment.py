@@ -5,16 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from alula.schemas.errors import CheckError, InputError
 from alula.schemas.manifest import Similarity
-from alula.stages.alignment.cloud import fit_cloud
+from alula.stages.alignment.cloud import fit_cloud, icp
 from alula.stages.alignment.cloud_files import read_cloud
+from alula.stages.alignment.estimates import scale_only
 from alula.stages.alignment.sampling import blocks, jackknife, thinned
 from alula.stages.alignment.similarity import compose, inverse, transform_points
-
-pytest.importorskip("open3d")
 
 
 def box(rng, low, high, density):
@@ -70,42 +70,43 @@ def case(seed, noise=0.01, lumps=0.0):
 @pytest.fixture(scope="module")
 def trials():
     found = []
-    for seed in range(32):
-        truth, source, survey, first = case(seed, lumps=0.01 if seed >= 16 else 0.0)
+    for seed in range(16):
+        truth, source, survey, first = case(seed, lumps=0.01 if seed >= 8 else 0.0)
         found.append((truth, fit_cloud(source, survey, first, 0.1, 0.3)))
     return found
 
 
 def test_half_a_cloud_does_not_bias_the_scale(trials):
-    for part in (trials[:16], trials[16:]):
+    for part in (trials[:8], trials[8:]):
         off = np.array([fit.similarity.scale / truth.scale - 1 for truth, fit in part])
-        assert abs(off.mean()) < 2.5e-4
+        assert abs(off.mean()) < 5e-4  # 0.05 %
         assert abs(off).max() < 2e-3
-    off = np.array([fit.similarity.scale / truth.scale - 1 for truth, fit in trials[:16]])
-    assert abs(off).max() < 5e-4
+    off = np.array([fit.similarity.scale / truth.scale - 1 for truth, fit in trials[:8]])
+    assert abs(off.mean()) < 2e-4
+    assert abs(off).max() < 6e-4
 
 
 def test_intervals_hold_the_truth_also_when_neighbours_err_alike(trials):
-    """16 cases of 95 %: more than 3 misses have a probability of 0.007; as if independent most miss."""
-    for part in (trials[:16], trials[16:]):
+    """8 cases of 95 %: more than 2 misses have a probability of 0.006; as if independent most miss."""
+    for part in (trials[:8], trials[8:]):
         inside = 0
         for truth, fit in part:
             low, high = fit.uncertainty.record(fit.similarity)["scale_interval"]
             inside += low <= truth.scale <= high
-        assert inside >= 13
+        assert inside >= 6
     naive = 0
-    for truth, fit in trials[16:]:
+    for truth, fit in trials[8:]:
         spread = (fit.singular_values**2).sum()
         sigma = np.sqrt((fit.residual**2).mean() / spread)
         naive += abs(fit.similarity.scale / truth.scale - 1) < 1.96 * sigma
-    assert naive < 11
+    assert naive < 6
 
 
 def test_the_overlap_is_reported(trials):
     _, fit = trials[0]
     assert 0.4 < fit.scene_share < 0.6
     assert fit.cloud_share > 0.85
-    assert len(fit.block_centre) >= 30
+    assert len(fit.block_centre) >= 10
     low, high = fit.leave_one_out
     assert low < fit.similarity.scale < high
 
@@ -115,6 +116,27 @@ def test_it_repeats_to_the_bit():
     one, two = (fit_cloud(source, survey, first, 0.1, 0.3) for _ in range(2))
     assert one.similarity == two.similarity
     np.testing.assert_array_equal(one.uncertainty.covariance, two.uncertainty.covariance)
+
+
+def test_coarse_rounds_equal_those_of_another_library():
+    open3d = pytest.importorskip("open3d")
+    _, source, survey, first = case(2)
+    mapped = transform_points(first, source)[::5]
+    ours = icp(mapped, survey, cKDTree(survey), scale_only(1.0), 0.4)
+    registration = open3d.pipelines.registration
+    source_cloud, target_cloud = (
+        open3d.geometry.PointCloud(open3d.utility.Vector3dVector(p)) for p in (mapped, survey)
+    )
+    theirs = registration.registration_icp(
+        source_cloud,
+        target_cloud,
+        0.4,
+        np.eye(4),
+        registration.TransformationEstimationPointToPoint(with_scaling=True),
+        registration.ICPConvergenceCriteria(1e-12, 1e-12, 200),
+    ).transformation
+    moved = transform_points(ours, mapped)
+    np.testing.assert_allclose(mapped @ theirs[:3, :3].T + theirs[:3, 3], moved, atol=0.01)
 
 
 def test_too_little_overlap_is_a_failed_check_with_figure_and_limit():
@@ -142,6 +164,8 @@ def test_surfaces_along_which_it_slides_are_refused():
 def test_means_of_cubes():
     points = np.array([[0.0, 0, 0], [0.4, 0, 0], [1.2, 0, 0], [0.2, 0.9, 0]])
     np.testing.assert_allclose(thinned(points, 0.5), [[0.2, 0, 0], [0.2, 0.9, 0], [1.2, 0, 0]])
+    with pytest.raises(InputError, match="spread too far"):
+        thinned(np.array([[0.0, 0, 0], [1e12, 1e12, 1e12]]), 1e-3)
     label, count, edge = blocks(np.random.default_rng(0).uniform(size=(5000, 3)), 0.01, 40)
     assert count >= 40
     assert 0.2 < edge < 0.5
@@ -156,8 +180,7 @@ def test_the_jackknife_of_a_mean_is_its_standard_error():
 
 
 def test_clouds_from_files(tmp_path):
-    import open3d
-
+    open3d = pytest.importorskip("open3d")
     points = np.random.default_rng(0).normal(size=(20, 3))
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     for name in ("a.ply", "a.pcd", "a.xyz"):
@@ -168,6 +191,8 @@ def test_clouds_from_files(tmp_path):
 
 
 def test_files_that_are_no_cloud_are_refused(tmp_path, capfd):
+    pytest.importorskip("open3d")
+
     def refused(name, content, message):
         if isinstance(content, bytes):
             (tmp_path / name).write_bytes(content)

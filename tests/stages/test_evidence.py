@@ -154,6 +154,33 @@ def test_colmap_models_have_the_centres_of_their_text(name):
         np.testing.assert_allclose(position, expected[image], atol=1e-4)
 
 
+@pytest.mark.parametrize("kind", ["text", "binary"])
+def test_models_with_rigs_have_the_poses_of_their_images(tmp_path, kind):
+    """Two cameras per rig: poses are products of the frame's and the sensor's."""
+    pycolmap = pytest.importorskip("pycolmap")
+    settings = pycolmap.SyntheticDatasetOptions()
+    settings.num_rigs, settings.num_cameras_per_rig, settings.num_frames_per_rig = 2, 2, 3
+    settings.num_points3D = 10
+    pycolmap.set_random_seed(1)
+    model = pycolmap.synthesize_dataset(settings)
+    folder, text = tmp_path / kind, tmp_path / "as_text"
+    for path in (folder, text):
+        path.mkdir()
+    (model.write_text if kind == "text" else model.write_binary)(str(folder))
+    model.write_text(str(text))
+    assert {"rigs", "frames", "images"} < set(model_files(folder))
+    found, centres = read_model(folder), centres_of_text(text)
+    assert len(found.names) == 12
+    for name, position, axes in zip(found.names, found.position, found.axes, strict=True):
+        np.testing.assert_allclose(position, centres[name], atol=1e-9)
+        image = next(i for i in model.images.values() if i.name == name)
+        point = position + 2 * axes[:, 2]  # straight ahead is the middle of the image
+        camera = model.cameras[image.camera_id]
+        np.testing.assert_allclose(image.project_point(point), camera.params[1:3], atol=1e-6)
+        below = image.project_point(point + 0.01 * axes[:, 1])
+        assert below[1] > camera.params[2]
+
+
 def test_binary_and_text_models_agree():
     root = data("colmap-sceaux")
     text, binary = (read_model(root / f"colmap_example_model_{kind}") for kind in ("txt", "bin"))

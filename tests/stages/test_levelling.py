@@ -1,5 +1,8 @@
 """Which way is up: a given direction, or the floor."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -70,7 +73,7 @@ def test_the_floor_of_a_tilted_room_is_found_not_its_table_or_walls(seed):
 
 def test_the_reported_tilt_and_height_are_as_uncertain_as_they_are():
     tilts, heights = [], []
-    for seed in range(40):
+    for seed in range(24):
         level = level_by_floor(room(seed + 100), UP, 0.1, 0)
         up = np.array(level.facts["up"])
         sigma = np.radians(level.facts["tilt_sigma_deg"])
@@ -102,6 +105,21 @@ def test_what_has_no_floor_is_refused_with_figures():
         level_by_floor(room(0)[6000:18000], UP, 0.1, 0)
     with pytest.raises(InputError, match="only 3 places"):
         level_by_floor(np.eye(3), UP, 0.1, 0)
+
+
+def test_the_rough_ground_of_a_real_street():
+    """Its frame is upright by other sensors; the street itself slopes a little."""
+    root = os.environ.get("ALULA_DATA")
+    if not root:
+        pytest.skip("ALULA_DATA is not set")
+    rows = np.fromfile(Path(root) / "istanbul-outdoor/tile_x001_y000.splat", "<f4").reshape(-1, 8)
+    points = rows[:, :3].astype(np.float64)
+    with pytest.raises(CheckError, match="rough ground needs a larger --threshold"):
+        level_by_floor(points, UP, 0.1, 0)
+    turned, up = tilted(points - points.mean(axis=0), 1, 0.15)
+    level = level_by_floor(turned, UP, 0.3, 0)
+    assert np.degrees(np.arccos(np.clip(up @ level.facts["up"], -1, 1))) < 1.5
+    assert 0.05 < level.facts["sigma_m"] < 0.3
 
 
 def scene_of(points):

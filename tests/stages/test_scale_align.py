@@ -179,6 +179,15 @@ def test_what_does_not_fit_single_precision_is_refused():
     assert (tiny["scale"] > 0).all()
 
 
+def test_an_origin_far_away_is_warned_of():
+    far = Similarity(scale=1.0, rotation=np.eye(3).tolist(), translation_m=[650_000.0, 4_540_000.0, 0.0])
+    found = scale_align(ScaleAlignConfig(), scene(), far, 0).manifest
+    assert 0.1 < found.alignment["rounding_m"] < 0.5
+    assert "origin nearer to the scene" in found.summary["warnings"][-1]
+    near = scale_align(ScaleAlignConfig(), scene(), scale_only(1.0), 0).manifest
+    assert len(near.summary["warnings"]) == 1
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
