@@ -46,12 +46,12 @@ def voxelize(
 
     The closed cube [i g, (i + 1) g] is marked when at least `min_overlap` k-sigma ellipsoids, each plus
     a ball of radius r, touch it. For r > 0 that sum is replaced by what lies in its box and in the
-    ellipsoids {x : (x - mu)' inv(Sigma') (x - mu) <= 1}, Sigma' = (1 + 1/p) k^2 Sigma + (1 + p) r^2 I, which
-    contain it for every p: here p = sqrt(k^2 tr Sigma / (3 r^2)) and, if that is above 1, p = 1/2. Where the scene has a `loss`, k and r of each Gaussian grow by it as
-    `level_of` in `ellipsoid.hpp` says, so that the sets contain those of the Gaussians that the splat file
-    was made from. Rounding is outward, so with `min_overlap` 1 no point of these sets lies
-    in a voxel that is not marked, as far as voxels touch the crop. Gaussians of an opacity below
-    `min_opacity` do not count.
+    ellipsoids {x : (x - mu)' inv(Sigma') (x - mu) <= 1}, Sigma' = (1 + 1/p) k^2 Sigma + (1 + p) r^2 I,
+    which contain it for every p: here p = sqrt(k^2 tr Sigma / (3 r^2)) and, if that is above 1, p = 1/2.
+    Where the scene has a `loss`, k and r of each Gaussian grow by it as `level_of` in `ellipsoid.hpp` says,
+    so that the sets contain those of the Gaussians that the splat file was made from. Rounding is outward,
+    so with `min_overlap` 1 no point of these sets lies in a voxel that is not marked, as far as voxels
+    touch the crop. Gaussians of an opacity below `min_opacity` do not count.
 
     Memory: 512 bytes per brick of 4 x 4 x 8 voxels of which one is touched, until all are counted, at
     most 2 GiB; 16 bytes per voxel of the result, of which there are at most 2^27; 1 byte per Gaussian.

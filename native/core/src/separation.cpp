@@ -216,7 +216,8 @@ class Search {
       around &= lower[a] <= 0 && upper[a] >= 0;
     }
     if (around) return false;
-    return first_.separate(block, lower, upper, single) || (second_ && second_->separate(block, lower, upper, single));
+    return first_.separate(block, lower, upper, single) ||
+           (second_ && second_->separate(block, lower, upper, single));
   }
 
  private:

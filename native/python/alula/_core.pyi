@@ -18,7 +18,7 @@ def voxelize(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order
     Voxels that ellipsoids touch: (index i32 (M, 3) sorted, overlap u32 (M,), reach u8 (N,): 0 where an
     ellipsoid marks nothing, 2 where its box exceeds the crop, else 1; voxels that fewer than min_overlap
     touch, which are left out; the highest overlap). Voxel i is the closed cube [i g, (i + 1) g];
-    ellipsoids are at level sigma, grown by a ball of radius inflation (outer ellipsoid) and by what `loss`
+    ellipsoids are at level sigma, grown by a ball of radius inflation (outer bounds) and by what `loss`
     (N, 3) says of each: error of the centre, of semi-axes relatively, of the rotation; all lengths in the
     unit of mean. Every touched voxel is marked; a voxel farther than 3e-13 of the coordinates' size is
     not. With a tile (lowest index, highest index) only its voxels. Raises ValueError for malformed input,
