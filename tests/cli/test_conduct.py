@@ -8,8 +8,6 @@ from pathlib import Path
 
 import click
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from fabricate import make_scene
 
 from alula.cli.main import COMMANDS, cli, run

@@ -3,15 +3,12 @@
 import io
 import json
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from fabricate import box, exact_hull, make_cover, make_plan, make_scene, make_voxels
+from scipy.spatial import ConvexHull
 
 from alula.cli.main import run
 from alula.schemas.artifact import make_artifact, read_artifact, write_artifact

@@ -1,12 +1,9 @@
 """`info` explains whole files, and says of damaged ones what is damaged and what is left."""
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial, make_voxels, write_run
 
 from alula.cli.main import run

@@ -3,14 +3,11 @@
 import csv
 import json
 import re
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
 import msgspec
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial, write_run
 
 from alula.cli.main import run

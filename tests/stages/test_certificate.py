@@ -1,14 +1,10 @@
 """`verify`: what holds is certified, what does not is caught and placed."""
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from covers import (
     SIZE_M,
     changed,

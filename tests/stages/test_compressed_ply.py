@@ -1,14 +1,9 @@
 """Compressed PLY: an encoder of our own with the roundings that writers have, and files that are wrong."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
 from originals import fractions, originals
 
 from alula.cli import main

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from fabricate import make_scene
 
 from alula.schemas.configs.voxelize import VoxelizeConfig

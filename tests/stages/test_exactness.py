@@ -1,18 +1,14 @@
 """Compression against rational arithmetic: hulls at every width, the cover after each merge, and W."""
 
-import sys
 from fractions import Fraction
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
 from covers import cover_of, furniture, holds_voxel, planes, rows, voxels_of
 from exact import cross, cutting, dot, exact_excess, facets_of
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from alula import _core
 

@@ -1,19 +1,15 @@
 """Triangles of covers against Qhull, trimesh and the definition of a closed surface."""
 
-import sys
 from fractions import Fraction
 from itertools import pairwise, product
-from pathlib import Path
 
 import numpy as np
 import pytest
+from fabricate import box as fabricated_box
+from fabricate import exact_hull, make_cover
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from fabricate import box as fabricated_box
-from fabricate import exact_hull, make_cover
 
 from alula.schemas.errors import ArtifactError
 from alula.stages.compression.facets import mesh, triangles

@@ -1,15 +1,11 @@
 """KSPLAT of all levels by an encoder of our own, which truncates like the reference or rounds."""
 
 import struct
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
 from originals import fractions, originals
 
 from alula.cli import main

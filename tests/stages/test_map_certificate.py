@@ -1,16 +1,11 @@
 """`verify` of onboard maps: what holds is certified, what does not is caught and placed."""
 
 import struct
-import sys
 from itertools import pairwise
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-sys.path.insert(0, str(Path(__file__).parent))
 from covers import SIZE_M, cover_of, furniture, holds_voxel, voxels_of
 from fabricate import box, make_cover, make_scene
 from maps import decode, half_spaces, sealed

@@ -1,19 +1,14 @@
 """The onboard reader: what it refuses, and that its psi never exceeds the exact one."""
 
 import struct
-import sys
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-sys.path.insert(0, str(Path(__file__).parent))
 from covers import cover_of, furniture, voxels_of
 from fabricate import box, exact_hull, make_cover
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from maps import decode, is_at_least, psi, sealed
 
 from alula import _core

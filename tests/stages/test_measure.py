@@ -1,18 +1,14 @@
 """Volumes of unions of polytopes against rational arithmetic, sampling and each other."""
 
-import sys
 from fractions import Fraction
 from itertools import pairwise, product
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
 from covers import furniture, planes, voxels_of
 from exact import exact_union, voxel_planes
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from alula import _core
 from alula.schemas.configs.merge import MergeConfig

@@ -1,15 +1,9 @@
 """`merge`: exact hulls, and covers that hold every voxel at every number of hulls."""
 
-import sys
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
 from covers import (
     SIZE_M,
     assert_covers,
@@ -21,6 +15,8 @@ from covers import (
     rows,
     voxels_of,
 )
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from alula import _core
 from alula.schemas.configs.merge import DEFAULT_HULLS, MergeConfig

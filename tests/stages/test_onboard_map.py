@@ -1,17 +1,11 @@
 """Covers become onboard maps: exact boxes, outward planes, the documented sizes and bytes."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-sys.path.insert(0, str(Path(__file__).parent))
 from covers import cover_of, furniture, holds_voxel, rows, voxels_of
 from fabricate import box, exact_hull, make_cover
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from maps import decode, half_spaces, holds
 
 from alula import _core

@@ -1,20 +1,16 @@
 """Outer polytopes: they contain their hulls exactly, keep to budgets, and readers know their true corners."""
 
 import dataclasses
-import sys
 from fractions import Fraction
 from itertools import combinations, product
 from math import gcd
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from covers import assert_covers, cover_of, excess, furniture, planes, rows, voxels_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
-from covers import assert_covers, cover_of, excess, furniture, planes, rows, voxels_of
 
 from alula import _core
 from alula.schemas.configs.merge import MergeConfig

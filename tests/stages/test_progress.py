@@ -1,14 +1,9 @@
 """Progress never goes back, ends at the whole and says when it is not known."""
 
-import sys
-from pathlib import Path
-
 import pytest
+from fabricate import make_scene
 from hypothesis import given
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from fabricate import make_scene
 
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.configs.voxelize import VoxelizeConfig

@@ -2,14 +2,10 @@
 
 import csv
 import io
-import sys
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 from fabricate import box, exact_hull, make_cover, make_plan, make_record, make_scene, make_trial
 
 from alula.schemas.artifact import Artifact

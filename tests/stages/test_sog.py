@@ -2,17 +2,14 @@
 
 import io
 import json
-import sys
 import types
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
-
-sys.path.insert(0, str(Path(__file__).parent))
 from originals import angles, fractions, originals
+from PIL import Image
 from sog_encoder import ROUNDINGS, bundle, changed, encode, folder, webp
 
 from alula.cli import main

@@ -1,17 +1,13 @@
 """SOG that is wrong: each by its own message, mutated bytes by any."""
 
 import io
-import sys
 import zipfile
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
 from originals import originals
 from sog_encoder import bundle, changed, encode, folder, webp
 

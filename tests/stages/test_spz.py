@@ -3,14 +3,10 @@
 import gzip
 import io
 import struct
-import sys
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 from spz_files import (
     agrees,
     arrays_of,

@@ -2,17 +2,13 @@
 
 import gzip
 import struct
-import sys
 import tracemalloc
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
 from spz_files import (
     ORDER,
     arrays_of,

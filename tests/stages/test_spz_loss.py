@@ -1,15 +1,11 @@
 """SPZ and `.splat`: no more is lost than recorded, by other writers and by ours."""
 
 import gzip
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parent))
 from spz_files import (
     arrays_of,
     differences,

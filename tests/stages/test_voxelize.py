@@ -1,9 +1,7 @@
 """Occupancy of ellipsoids against exact rational arithmetic, sampling and brute force."""
 
 import itertools
-import os
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -188,18 +186,16 @@ def test_no_point_of_a_grown_ellipsoid_is_free(seed, inflation):
     "semi", [(0.2, 0.05, 0.01), (0.3, 0.3, 0.002), (0.4, 0.01, 0.01), (0.02, 0.03, 0.04)]
 )
 def test_inflation_marks_what_lies_in_all_outer_bounds_and_no_more(semi):
-    """Two ellipsoids and the box of the Minkowski sum; where the inflation is the larger, one ellipsoid."""
     rng = np.random.default_rng(3)
     mean, scale, quat = rows(rng.uniform(-0.2, 0.2, 3), semi, rng.normal(size=4))
     k, r, g = 2.0, 0.06, 0.05
     square = (k * scale[0].astype(float)) ** 2
     trace = np.sqrt(square.sum() / (3 * r * r))
-    low, high = np.full(3, -24), np.full(3, 24)
     reach = np.sqrt((np.array(rotation(quat[0].astype(float))) ** 2) @ square) + r
-    wanted = np.array(True)
-    for p in (trace, 0.5) if trace > 1 else (trace,):
+    wanted = True
+    for p in (trace, 0.5) if trace > 1 else (trace,):  # two ellipsoids, and the box of the Minkowski sum
         outer = np.sqrt((1 + 1 / p) * square + (1 + p) * r * r)
-        cell, touched = touched_table(mean[0], outer, quat[0], 1.0, g, low, high)
+        cell, touched = touched_table(mean[0], outer, quat[0], 1.0, g, np.full(3, -24), np.full(3, 24))
         wanted = wanted & touched
     wanted &= (cell * g <= mean[0] + reach).all(axis=1) & ((cell + 1) * g >= mean[0] - reach).all(axis=1)
     index, *_ = _core.voxelize(mean, scale, quat, k, g, r)
@@ -219,7 +215,7 @@ def test_a_crop_keeps_the_voxels_that_touch_the_box(crop):
     exact = [Fraction(g) * int(v) for v in range(-40, 41)]
     keep = np.ones(len(index), bool)
     for a in range(3):
-        low, high = (next(i for i in range(-40, 40) if exact[i + 41] >= Fraction(crop[a])) for _ in range(2))
+        low = next(i for i in range(-40, 40) if exact[i + 41] >= Fraction(crop[a]))
         high = max(i for i in range(-40, 40) if exact[i + 40] <= Fraction(crop[a + 3]))
         keep &= (index[:, a] >= low) & (index[:, a] <= high)
     cropped, counts, reach, *_ = _core.voxelize(*splats, 1.0, g, 0.0, crop)
@@ -234,8 +230,7 @@ def test_results_do_not_depend_on_jobs():
     many = _core.voxelize(*splats, 1.0, 0.03, jobs=7)
     for a, b in zip(one, many, strict=True):
         np.testing.assert_array_equal(a, b)
-    order = np.lexsort(one[0].T[::-1])
-    np.testing.assert_array_equal(order, np.arange(len(order)))
+    np.testing.assert_array_equal(np.lexsort(one[0].T[::-1]), np.arange(len(one[0])))
     assert len(np.unique(one[0], axis=0)) == len(one[0])
 
 
@@ -334,7 +329,7 @@ def test_scenes_that_cannot_be_voxelized_are_refused():
 
 def test_progress_ends_complete_and_an_interrupt_stops():
     calls = []
-    _core.voxelize(*random_rows(5), 1.0, 0.1, progress=lambda done, total: calls.append((done, total)))
+    _core.voxelize(*random_rows(5), 1.0, 0.1, progress=lambda *call: calls.append(call))
     assert calls[-1] == (1000, 1000)
     assert calls == sorted(calls)
 
@@ -345,11 +340,8 @@ def test_progress_ends_complete_and_an_interrupt_stops():
         _core.voxelize(*random_rows(5), 1.0, 0.1, progress=interrupt)
 
 
-def test_a_real_street_is_voxelized_and_proven():
-    data = os.environ.get("ALULA_DATA")
-    if data is None:
-        pytest.skip("ALULA_DATA is not set")
-    tile = sorted(Path(data, "istanbul-outdoor").glob("*.splat"))[0]
+def test_a_real_street_is_voxelized_and_proven(data):
+    tile = sorted((data / "istanbul-outdoor").glob("*.splat"))[0]
     record = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
     splats = np.fromfile(tile, record)
     scene = scene_of(splats["mean"], splats["scale"], splats["quat"] / 255.0 * 2 - 1)
