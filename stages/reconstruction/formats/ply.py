@@ -260,8 +260,9 @@ def tags_of(comments: Sequence[str]) -> dict[str, str]:
 def encode_ply(splats: Splats, comments: Sequence[str] = ()) -> Iterator[bytes]:
     """A binary little-endian INRIA PLY file without higher harmonics, in parts; inverse of `decode_ply`.
 
-    Scales become natural logarithms, opacities logits (0 and 1 are infinite), both rounded to single
-    precision; quaternions are written as they are.
+    Scales become natural logarithms, opacities logits (0 and 1 are infinite), in single precision:
+    logarithms are rounded so that no scale that is read again is smaller. Quaternions are written as they
+    are.
 
     Args:
         splats: what to write.
@@ -276,13 +277,23 @@ def encode_ply(splats: Splats, comments: Sequence[str] = ()) -> Iterator[bytes]:
         alpha = splats.opacity[part].astype(np.float64)
         with np.errstate(divide="ignore"):
             logit = np.log(alpha) - np.log1p(-alpha)
-            log_scale = np.log(splats.scale[part].astype(np.float64))
         columns = (
             splats.mean[part],
             np.zeros((len(alpha), 3)),
             sh0_from_color(splats.color[part]),
             logit[:, None],
-            log_scale,
+            _log_scale(splats.scale[part]),
             splats.quat_wxyz[part],
         )
         yield np.hstack(columns).astype("<f4").tobytes()
+
+
+def _log_scale(scale: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Logarithms in single precision of which `decode_ply` makes no smaller scale."""
+    with np.errstate(divide="ignore"):
+        log = np.log(scale.astype(np.float64)).astype(np.float32)
+    while True:
+        read = _core.portable_exp(log.astype(np.float64).ravel()).astype(np.float32).reshape(log.shape)
+        if not (short := read < scale).any():
+            return log
+        log[short] = np.nextafter(log[short], np.float32(np.inf))
