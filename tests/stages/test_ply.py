@@ -253,7 +253,7 @@ def test_what_is_written_is_read_again(splats):
     np.testing.assert_array_equal(read.mean, splats.mean)
     np.testing.assert_array_equal(read.quat_wxyz, splats.quat_wxyz)
     np.testing.assert_array_equal(read.color, splats.color)
-    # a logarithm up to 30 rounded up to single precision is off by up to 2e-6, and so is the scale, relatively
+    # a logarithm up to 30 rounded up to single precision is off by up to 2e-6, so is the scale, relatively
     np.testing.assert_allclose(read.scale, splats.scale, rtol=2.1e-6)
     np.testing.assert_allclose(read.opacity, splats.opacity, atol=3e-7)
     assert ((read.opacity == 1) == (splats.opacity == 1)).all()
