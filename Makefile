@@ -9,7 +9,7 @@ VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
 CONSTRAINTS := .ci/constraints.txt
 
-.PHONY: help demo test setup lint format typecheck typing-view test-native fuzz test-wheel wheel examples bench bench-compression bench-formats docs schemas clean
+.PHONY: help demo test setup lint format typecheck typing-view test-native fuzz test-wheel wheel examples bench bench-compression bench-formats bench-alignment docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -85,8 +85,11 @@ bench: setup ## time the stages, and covers against those of other tools, side b
 bench-compression: setup ## the latter in full, up to half an hour, into docs/benchmarks.md
 	$(BIN)/python -P benchmarks/compression.py --markdown docs/benchmarks.md
 
-bench-formats: setup ## read splat files of all formats against the readers of others, some minutes
-	$(BIN)/python -P benchmarks/formats.py
+bench-formats: setup ## readers of splat formats against those of others, some minutes, into docs/benchmarks-formats.md
+	$(BIN)/python -P benchmarks/formats.py --markdown docs/benchmarks-formats.md
+
+bench-alignment: setup ## how often the intervals of scale-align hold, some minutes
+	$(BIN)/python -P benchmarks/alignment.py
 
 docs: setup ## regenerate the command reference
 	$(BIN)/python -P -m alula.cli.reference docs/commands.md

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -18,8 +20,10 @@ from tools import Silence
 from alula.stages.reconstruction.formats.ply import encode_ply
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.formats.splat import RECORD
-from alula.stages.reconstruction.formats.splats import Splats
+from alula.stages.reconstruction.formats.splats import Splats, sh0_from_color
 from alula.stages.reconstruction.import_splat import turned
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))  # splat_files
 
 KINDS = ("mean", "scale", "rotation", "opacity")
 EXACT = {"mean": 0.0, "scale": 1e-6, "rotation": 1e-6, "opacity": 1e-6}
@@ -164,9 +168,29 @@ def _by_gsply(function: str, **options: Any) -> Callable[[Path, Splats], None]:
     return make
 
 
+def _by_tests(encoder: str) -> Callable[[Path, Splats], None]:
+    """As the tests write it; a format of several files becomes the folder of that name."""
+
+    def make(path: Path, splats: Splats) -> None:
+        files = import_module("splat_files")
+        length = np.linalg.norm(splats.quat_wxyz, axis=1, keepdims=True)
+        gaussians = files.Gaussians(
+            *(np.asarray(a, np.float64) for a in (splats.mean, splats.scale, splats.quat_wxyz / length)),
+            np.clip(splats.opacity.astype(np.float64), 1e-4, 1 - 1e-4),
+            sh0_from_color(splats.color).astype(np.float64),
+        )
+        made = files.ENCODERS[encoder][1](gaussians)
+        for name, raw in made.items():
+            member = path if len(made) == 1 else path / name
+            member.parent.mkdir(parents=True, exist_ok=True)
+            member.write_bytes(raw)
+
+    return make
+
+
 @dataclass(frozen=True, slots=True)
 class Large:
-    """A file to be timed: a made one of that many Gaussians out of the hundred that are asked for."""
+    """A made file or folder to be timed, of that many Gaussians out of the hundred that are asked for."""
 
     format: str
     label: str
@@ -181,6 +205,12 @@ LARGE = (
     Large("splat", "32 bytes a row", "made.splat", _splat),
     Large("compressed-ply", "by gsply", "made.compressed.ply", _by_gsply("plywrite", compressed=True), 20),
     Large("spz", "by gsply", "made.spz", _by_gsply("write_spz"), 20),
+    Large("spz", "version 4", "four.spz", _by_tests("spz 4"), 20),
+    Large("sog", "version 2", "made.sog", _by_tests("sog"), 5),
+    Large("ksplat", "level 1", "made.ksplat", _by_tests("ksplat 1"), 20),
+    Large("gltf", "GLB, single precision", "made.glb", _by_tests("glb"), 20),
+    Large("nerfstudio", "folder", "made-run", _by_tests("nerfstudio"), 20),
+    Large("json", "logarithms", "made.json", _by_tests("json"), 5),
 )
 
 
@@ -190,8 +220,10 @@ def large_file(large: Large, folder: Path, splats: Splats) -> Iterator[Path | No
     path = folder / large.name
     try:
         large.make(path, splats)
-        yield path if path.is_file() and len(read_splats(path)) == len(splats) else None
+        yield path if path.exists() and len(read_splats(path)) == len(splats) else None
     except ImportError:
         yield None
     finally:
+        if path.is_dir():
+            shutil.rmtree(path)
         path.unlink(missing_ok=True)
