@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splats import Loss, Progress, Splats, loss_bound
+from alula.stages.reconstruction.formats.splats import Loss, Progress, Splats, exp, logistic, loss_bound
 from alula.stages.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
 _KEYS = ("means", "rotations", "scalings", "opacities", "colors")
@@ -115,8 +115,8 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
         if not plain:
             for start in range(0, count, _CHUNK):
                 part = slice(start, start + _CHUNK)
-                scale[part] = np.exp(scale[part].astype(np.float64))
-                opacity[part] = 1.0 / (1.0 + np.exp(-opacity[part].astype(np.float64)))
+                scale[part] = exp(scale[part])
+                opacity[part] = logistic(opacity[part])
     return Splats(
         format="json",
         mean=mean,
