@@ -110,7 +110,7 @@ def decode_spz(buffer: memoryview, progress: Progress | None = None) -> Splats:
             "antialiased": str(packed.header.flags & 1),
             "frame": frame if frame is not None else FRAME_UNKNOWN,
         },
-        notes=(*(() if frame is not None else (_FRAME_NOTE,)), *packed.notes, *unbounded.values()),
+        notes=(*(() if frame is not None else (_FRAME_NOTE,)), *packed.notes),
     )
 
 
