@@ -27,7 +27,7 @@ __all__ = ["Evidence", "Given", "scale_align", "scale_only"]
 
 _COARSE_M = 1e-3  # rounding of positions that is worth a warning
 _BOUNDED_SIGMA = 3.0  # level of the ellipsoids for whose points the error is bounded
-_SINGLE = 2.0**-23  # twice the rounding to single precision, relatively
+_SINGLE = 1.2e-7  # just over 2^-23, twice the rounding to single precision
 
 
 def scale_align(
