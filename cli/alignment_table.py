@@ -76,7 +76,7 @@ def _evidence(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
     if "threshold_m" in found:
         text += f", threshold {found['threshold_m']:g} m"
         text += f" and {found['threshold_deg']:g} deg" if "threshold_deg" in found else ""
-        text += f", seed {found['seed']}"
+        text += f", seed {found['seed']}" if "seed" in found else ""
     if found.get("unused"):
         text += f"; {found['unused']} cameras without a reference"
     yield "evidence", text

@@ -85,6 +85,8 @@ class ScaleAlignConfig:
             raise UsageError("--origin must be latitude, longitude [deg] and height [m]")
         if self.up is not None and not (1e-9 <= max(map(abs, self.up)) <= 1e9):
             raise UsageError("--up is no direction")
+        if len({frozenset(ends[:2]) for ends in self.distances}) < len(self.distances):
+            raise UsageError("--distance: the same two points are given twice, which says nothing new")
         for start, end, metres in self.distances:
             if not (1e-9 <= metres <= 1e9):
                 raise UsageError(f"--distance: {metres} m is no distance between two points")

@@ -29,6 +29,7 @@ _LEAST_PAIRS = 50
 _LEAST_BLOCKS = 10
 _BLOCKS = (40, 16)  # errors may be alike over short or long stretches: the larger covariance counts
 _WEAK = 3e-3  # least eigenvalue of the normalised information: the surfaces let it slide
+_LOOSE = 0.25  # of the threshold; surfaces that have nothing to do with each other leave 0.28 to 0.3
 _TUKEY = 4.685
 _FLAT = 2.0  # times the median of thickness over width of neighbourhoods
 
@@ -94,7 +95,7 @@ def fit_cloud(points: Array, cloud: Array, initial: Similarity, threshold: float
         least: smallest admissible share of overlap, the larger one of both sides.
 
     Raises:
-        CheckError: too little overlaps.
+        CheckError: too little overlaps, or what does fits no better than surfaces that are not the same.
         InputError: the overlap does not determine a similarity.
     """
     from scipy.spatial import cKDTree
@@ -143,6 +144,12 @@ def fit_cloud(points: Array, cloud: Array, initial: Similarity, threshold: float
     pairs = pairs_of(final, threshold)
     at, jacobian, residual = _linear(final, target, normals, pairs)
     where = final[pairs[0]]
+    rms = float(np.sqrt((residual**2).mean()))
+    if rms > _LOOSE * threshold:
+        raise CheckError(
+            f"alignment: the RMS residual is {rms:.3g} m, as of surfaces that are not the same, above "
+            f"{_LOOSE:g} of --threshold {threshold:g} m; a better --initial or a larger --threshold is needed"
+        )
     known = max(
         (_by_blocks(where, jacobian, residual, 4 * threshold, wanted) for wanted in _BLOCKS),
         key=lambda found: found.size,

@@ -59,7 +59,7 @@ def estimate(
         case Given():
             return _given(config, evidence)
         case _:
-            return _by_distances(evidence, mapped_corners(scale_only(1.0), *box))
+            return _by_distances(evidence, config.threshold_m, mapped_corners(scale_only(1.0), *box))
 
 
 def scale_only(scale: float) -> Similarity:
@@ -166,7 +166,7 @@ def _bound(similarity: Similarity, uncertainty: Uncertainty, box: tuple[Array, A
     return uncertainty.position_error(mapped_corners(similarity, *box))
 
 
-def _by_distances(distances: Sequence[Distance], corners: Array) -> Estimate:
+def _by_distances(distances: Sequence[Distance], threshold: float, corners: Array) -> Estimate:
     """Least squares of metres = scale * length through the origin."""
     from scipy.stats import t as student
 
@@ -179,12 +179,13 @@ def _by_distances(distances: Sequence[Distance], corners: Array) -> Estimate:
     found: dict[str, Any] = {
         "method": "distance",
         "count": len(metres),
-        "inliers": len(metres),
+        "inliers": int((np.abs(residual) <= threshold).sum()),
+        "threshold_m": threshold,
         "rms_m": float(np.sqrt((residual**2).mean())),
         "median_m": float(np.median(np.abs(residual))),
         "max_m": float(np.abs(residual).max()),
         "items": [
-            {"item": f"distance {i + 1}", "residual_m": float(abs(r)), "inlier": True}
+            {"item": f"distance {i + 1}", "residual_m": float(abs(r)), "inlier": bool(abs(r) <= threshold)}
             for i, r in enumerate(residual)
         ],
         "scale_sigma": None,

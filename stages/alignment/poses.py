@@ -12,7 +12,7 @@ from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.robust import Fit, fit_similarity, leave_one_out, threshold_warnings
 from alula.stages.alignment.similarity import Array, is_collinear, transform_points
-from alula.stages.alignment.uncertainty import of_points, shape_warnings, untruncated
+from alula.stages.alignment.uncertainty import alike_warnings, of_points, shape_warnings, untruncated
 
 _TRIALS = 2000
 _REFITS = 30
@@ -215,6 +215,7 @@ def _evaluate(
                 if "collinear" in text]  # fmt: skip
     warnings += threshold_warnings(spread.error, limit)
     warnings += _constant_turn(x, R_source[inlier], y, R_target[inlier], sigma)
+    warnings += alike_warnings(x, mapped - y)
     if turning and not is_collinear(x):
         without = leave_one_out(x, y, scale)
     else:

@@ -19,7 +19,13 @@ from alula.stages.alignment.similarity import (
     transform_points,
     umeyama,
 )
-from alula.stages.alignment.uncertainty import Uncertainty, of_points, shape_warnings, untruncated
+from alula.stages.alignment.uncertainty import (
+    Uncertainty,
+    alike_warnings,
+    of_points,
+    shape_warnings,
+    untruncated,
+)
 
 _TRIALS = 2000
 _BATCH = 200
@@ -207,15 +213,20 @@ def _evaluate(source: Array, target: Array, inlier: NDArray[np.bool_], threshold
     observed = float(np.sqrt((residual[inlier] ** 2).sum() / freedom))
     spread = untruncated(observed, freedom, threshold)
     singular = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
+    mapped = transform_points(similarity, x)
     return Fit(
         similarity=similarity,
         inlier=inlier,
         residual=residual,
         sigma=spread.error,
-        uncertainty=of_points(transform_points(similarity, x), spread.fit, spread.freedom),
+        uncertainty=of_points(mapped, spread.fit, spread.freedom),
         leave_one_out=leave_one_out(x, y, similarity.scale),
         singular_values=singular,
-        warnings=(*shape_warnings(singular), *threshold_warnings(spread.error, threshold)),
+        warnings=(
+            *shape_warnings(singular),
+            *threshold_warnings(spread.error, threshold),
+            *alike_warnings(x, mapped - y),
+        ),
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.scale_align import ScaleAlignConfig
@@ -25,6 +26,8 @@ from alula.stages.rotation import multiply_quat_wxyz, quat_wxyz_from_matrix
 __all__ = ["Evidence", "Given", "scale_align", "scale_only"]
 
 _COARSE_M = 1e-3  # rounding of positions that is worth a warning
+_BOUNDED_SIGMA = 3.0  # level of the ellipsoids for whose points the error is bounded
+_SINGLE = 1.2e-7  # just over 2^-23, twice the rounding to single precision
 
 
 def scale_align(
@@ -36,10 +39,12 @@ def scale_align(
 ) -> Artifact:
     """Estimate the similarity, judge it, and map the scene with it.
 
-    mean' = s R mean + t, scale' = s scale, q' = q_R q; opacity and colour stay. Means and scales are
-    rounded to single precision (`alignment["rounding_m"]` bounds the move), and the result, not the
-    original, is what later stages are measured against. A scene that is aligned already may be
-    aligned again: `world_from_scene` is then the composition, and the suggested inflations add up.
+    mean' = s R mean + t, scale' = s scale, q' = q_R q; opacity and colour stay. All are rounded to single
+    precision: `alignment["rounding_m"]` bounds the move of means and is part of the suggested inflation
+    where the error of positions is known, or where it exceeds a millimetre; a `loss` grows by all of it.
+    Otherwise the result, not the original, is what later stages are measured against. A scene that is
+    aligned already may be aligned again: `world_from_scene` is then the composition, and the suggested
+    inflations add up.
 
     Args:
         config: see `ScaleAlignConfig`.
@@ -61,7 +66,7 @@ def scale_align(
     manifest = scene.manifest
     assert isinstance(manifest, SceneManifest)
     mean = np.asarray(scene["mean"], np.float64)
-    box = mean.min(axis=0), mean.max(axis=0)
+    box = _bounds(mean, scene["scale"])
     if config.levels and isinstance(evidence, Correspondences | Cloud):
         raise UsageError("--up and --floor turn the frame, but the evidence fixes its rotation already")
     if evidence is None:
@@ -81,6 +86,7 @@ def scale_align(
     matrix[:3, 3] = similarity.translation_m
     q_world_scene = quat_wxyz_from_matrix(np.array(similarity.rotation))
     arrays, rounding = _mapped(scene, similarity, q_world_scene)
+    error = None if found.position_error is None else found.position_error + rounding
     warnings = list(found.record["warnings"])
     if rounding > _COARSE_M:
         warnings.append(
@@ -98,7 +104,7 @@ def scale_align(
         "matrix": matrix.tolist(),
         "determinant": float(np.linalg.det(np.array(similarity.rotation))),
         "rounding_m": rounding,
-        "position_error_m": found.position_error,
+        "position_error_m": error,
         **found.record,
         "warnings": warnings,
     }
@@ -106,7 +112,8 @@ def scale_align(
         report(alignment)
     _check_gates(config, alignment)
 
-    whole, inflation = similarity, found.position_error or 0.0
+    whole = similarity
+    inflation = error if error is not None else rounding if rounding > _COARSE_M else 0.0
     if manifest.world_from_scene is not None:
         whole = compose(similarity, manifest.world_from_scene)
         inflation += similarity.scale * manifest.suggested_inflation_m
@@ -132,13 +139,19 @@ def scale_align(
         unit="m",
         parameters=parameters_of(config),
         summary=summary,
-        guarantee=_guarantee(manifest, found.position_error, inflation),
+        guarantee=_guarantee(manifest, error, inflation),
         source=manifest.source,
         requires=manifest.requires,
         world_from_scene=whole,
         alignment=alignment,
         suggested_inflation_m=inflation,
     )
+
+
+def _bounds(mean: Array, scale: NDArray[np.float32]) -> tuple[Array, Array]:
+    """A box that holds the ellipsoids for whose points the error is bounded."""
+    reach = _BOUNDED_SIGMA * scale.max(axis=1, keepdims=True).astype(np.float64)
+    return (mean - reach).min(axis=0), (mean + reach).max(axis=0)
 
 
 def _levelled(
@@ -179,8 +192,8 @@ def _guarantee(manifest: SceneManifest, known: float | None, inflation: float) -
         error = "how far that is off is not known."
     else:
         error = (
-            f"with {CONFIDENCE:.0%} confidence no point is off by more than {inflation:.3g} m, if the "
-            "errors of the correspondences are independent."
+            f"with {CONFIDENCE:.0%} confidence no point of a {_BOUNDED_SIGMA:g}-sigma ellipsoid is off by "
+            f"more than {inflation:.3g} m, if the errors of the correspondences are independent."
         )
     return Guarantee(
         statement=f"{before.statement} It was mapped by one similarity; {error}".strip(),
@@ -232,7 +245,10 @@ def _mapped(scene: Artifact, similarity: Similarity, q_world_scene: Array) -> tu
         "opacity": scene["opacity"],
         "color": scene["color"],
     }
-    if "loss" in scene.arrays:  # of the centre it is a length
-        arrays["loss"] = np.array(scene["loss"])
-        arrays["loss"][:, 0] = rounded_up(similarity.scale * np.asarray(scene["loss"][:, 0], np.float64))
-    return arrays, float(np.linalg.norm(mean - exact, axis=1).max())
+    moved = np.linalg.norm(mean - exact, axis=1)
+    if "loss" in scene.arrays:  # of the centre it is a length; each grows by what is rounded here
+        before = np.asarray(scene["loss"], np.float64)
+        now = np.stack([similarity.scale * before[:, 0] + moved, before[:, 1], before[:, 2]], axis=1)
+        now[:, 1:] += _SINGLE * (1 + now[:, 1:])  # a unit quaternion turns by twice what it is off
+        arrays["loss"] = rounded_up(now)
+    return arrays, float(moved.max())

@@ -13,6 +13,7 @@ from alula.stages.alignment.similarity import Array, transform_points
 
 CONFIDENCE = 0.95
 _WIDEST = 2 / 3  # of the threshold: a larger sigma cannot be told from residuals below it
+_ALIKE = 0.3  # correlation of neighbours' residuals that is worth a warning, if 4 standard errors too
 _FLAT = 0.05  # least over largest singular value below this: nearly a plane, or a line
 
 
@@ -194,6 +195,31 @@ def shape_warnings(singular_values: Array) -> list[str]:
     if third < _FLAT * first:
         return [f"the correspondences are nearly planar ({ratio}): a mirrored set would not be noticed"]
     return []
+
+
+def alike_warnings(where: Array, error: Array) -> list[str]:
+    """Whether errors are alike where points are near each other, as those of a drift are.
+
+    Of independent errors e the mean of e_i . e_j over nearest neighbours j of i, relative to that of
+    e_i . e_i, has a standard deviation of about sqrt(2 / (3 n)) at most: when all pairs count twice.
+
+    Args:
+        where: shape (n, 3).
+        error: residuals as vectors, shape (n, 3).
+    """
+    from scipy.spatial import cKDTree
+
+    square = float((error * error).sum())
+    if square <= 0 or len(where) < 3:
+        return []
+    near = cKDTree(where).query(where, k=2)[1][:, 1]
+    alike = float((error * error[near]).sum()) / square
+    if alike <= max(_ALIKE, 4 * np.sqrt(2 / (3 * len(where)))):
+        return []
+    return [
+        f"residuals of neighbours are alike (correlation {alike:.2f}), as when one side drifts: errors are "
+        "not independent, and intervals and the position error are too small"
+    ]
 
 
 def mapped_corners(similarity: Similarity, lower: Array, upper: Array) -> Array:

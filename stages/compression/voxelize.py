@@ -47,7 +47,8 @@ def voxelize(
     The closed cube [i g, (i + 1) g] is marked when at least `min_overlap` k-sigma ellipsoids, each plus
     a ball of radius r, touch it. For r > 0 that sum is replaced by what lies in its box and in the
     ellipsoids {x : (x - mu)' inv(Sigma') (x - mu) <= 1}, Sigma' = (1 + 1/p) k^2 Sigma + (1 + p) r^2 I,
-    which contain it for every p: here p = sqrt(k^2 tr Sigma / (3 r^2)) and, if that is above 1, p = 1/2.
+    which contain it for every p: here p = sqrt(k^2 tr Sigma / (3 r^2)) and, if that is above 1 and the
+    ellipsoid goes a quarter of a voxel or more beyond the sum, p = 1/2.
     Where the scene has a `loss`, k and r of each Gaussian grow by it as `level_of` in `ellipsoid.hpp` says,
     so that the sets contain those of the Gaussians that the splat file was made from. Rounding is outward,
     so with `min_overlap` 1 no point of these sets lies in a voxel that is not marked, as far as voxels

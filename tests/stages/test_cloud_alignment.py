@@ -147,6 +147,19 @@ def test_too_little_overlap_is_a_failed_check_with_figure_and_limit():
         fit_cloud(source, survey, first, 0.1, 0.999)
 
 
+def test_surfaces_that_are_not_the_same_are_a_failed_check():
+    def plates(seed):
+        rng = np.random.default_rng(seed)
+        flat = rng.uniform(-0.6, 0.6, (250, 120, 3)) * [1, 1, 0.01]
+        turn = Rotation.random(250, random_state=seed).as_matrix()
+        return (flat @ turn.swapaxes(1, 2) + rng.uniform(-5, 5, (250, 1, 3))).reshape(-1, 3)
+
+    with pytest.raises(CheckError, match=r"RMS residual is .* surfaces that are not the same"):
+        fit_cloud(plates(1), plates(2), scale_only(1.0), 0.5, 0.3)
+    fit = fit_cloud(plates(1), plates(1)[::2], scale_only(1.01), 0.5, 0.3)
+    assert fit.similarity.scale == pytest.approx(1.0, abs=2e-3)
+
+
 def test_surfaces_along_which_it_slides_are_refused():
     rng = np.random.default_rng(0)
     identity = Similarity(scale=1.0, rotation=np.eye(3).tolist(), translation_m=[0.0, 0.0, 0.0])

@@ -188,6 +188,55 @@ def test_an_origin_far_away_is_warned_of():
     assert len(near.summary["warnings"]) == 1
 
 
+def test_rounding_far_from_the_origin_is_part_of_the_suggested_inflation():
+    near, far = similarity(), similarity()
+    far.translation_m[:] = [650_000.0, 4_540_000.0, 0.0]
+    found, other = (scale_align(ScaleAlignConfig(), scene(), pairs(s), 0).manifest for s in (near, far))
+    rounded = other.alignment["rounding_m"]
+    assert rounded > 0.1
+    grown = other.suggested_inflation_m - found.suggested_inflation_m
+    assert grown == pytest.approx(rounded, rel=1e-3)
+    assert f"{other.suggested_inflation_m:.3g} m" in other.guarantee.statement
+    given_far = scale_align(ScaleAlignConfig(), scene(), far, 0).manifest
+    assert given_far.suggested_inflation_m == given_far.alignment["rounding_m"]
+    assert given_far.alignment["position_error_m"] is None
+
+
+def test_the_bound_holds_for_the_ellipsoids_and_not_only_for_their_centres():
+    found = pairs(similarity(), count=6, sigma=0.02)
+    small = scene()
+    large = scene()
+    large["scale"][0] = 40.0
+    bounds = [scale_align(ScaleAlignConfig(), s, found, 0).manifest for s in (small, large)]
+    assert bounds[1].suggested_inflation_m > 10 * bounds[0].suggested_inflation_m
+    # The tip of the long ellipsoid by the true similarity, and by the one that was found.
+    tip = large["mean"][0].astype(float) + 3 * 40 * np.eye(3)
+    moved = [transform_points(s, tip) for s in (similarity(), bounds[1].world_from_scene)]
+    off = np.linalg.norm(moved[0] - moved[1], axis=1).max()
+    assert bounds[0].suggested_inflation_m < off < bounds[1].suggested_inflation_m
+
+
+def test_distances_that_disagree_are_refused():
+    wrong = (((0, 0, 0), (1, 0, 0), 2.5), ((0, 0, 0), (0, 1, 0), 5.6))
+    with pytest.raises(CheckError, match="0 of 2 correspondences are inliers"):
+        scale_align(ScaleAlignConfig(), scene(), wrong, 0)
+    loose = scale_align(ScaleAlignConfig(threshold_m=2.0), scene(), wrong, 0).manifest
+    assert loose.alignment["inliers"] == 2
+
+
+def test_a_drift_is_warned_of():
+    truth, count = similarity(), 80
+    found = pairs(truth, count, sigma=0.0)
+    drift = np.cumsum(np.random.default_rng(4).normal(size=(count, 3)), axis=0)
+    drift *= 0.02 / drift.std()
+    order = np.argsort(found.scene[:, 0])
+    found.world[order] += drift - drift.mean(axis=0)
+    warnings = scale_align(ScaleAlignConfig(), scene(), found, 0).manifest.alignment["warnings"]
+    assert any("residuals of neighbours are alike" in w for w in warnings)
+    sound = scale_align(ScaleAlignConfig(), scene(), pairs(truth, count, 0.02), 0).manifest
+    assert not sound.alignment["warnings"]
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -198,6 +247,7 @@ def test_an_origin_far_away_is_warned_of():
         {"min_inliers": 0},
         {"distances": (((0, 0, 0), (1, 0, 0), 0.0),)},
         {"distances": (((1, 0, 0), (1, 0, 0), 1.0),)},
+        {"distances": (((0, 0, 0), (1, 0, 0), 1.0), ((1, 0, 0), (0, 0, 0), 1.0))},
     ],
 )
 def test_parameters_that_mean_nothing_are_refused(wrong):

@@ -176,14 +176,23 @@ def test_voxels_of_a_lossy_file_contain_the_scene_it_was_made_from():
     np.testing.assert_array_equal(tiled["overlap"], voxels["overlap"])
 
 
-def test_the_alignment_scales_the_loss_of_centres_alone():
+@pytest.mark.parametrize("far", [0.0, 1e6])
+def test_the_alignment_scales_the_loss_of_centres_and_adds_its_own_rounding(far):
     rng = np.random.default_rng(1)
     loss = Loss(losses(rng, 9) + np.float32(0.01), 0.0)
     scene = a_scene(*gaussians(rng, 9), loss)
-    again = scale_align(ScaleAlignConfig(scale=3.3), scene, scale_only(3.3), 0)
-    np.testing.assert_allclose(again["loss"][:, 0], 3.3 * loss.bound[:, 0], rtol=1e-6)
-    assert (again["loss"][:, 0].astype(float) >= 3.3 * loss.bound[:, 0].astype(float)).all()
-    np.testing.assert_array_equal(again["loss"][:, 1:], loss.bound[:, 1:])
+    similarity = scale_only(3.3)
+    similarity.translation_m[0] = far + 1 / 3
+    again = scale_align(ScaleAlignConfig(), scene, similarity, 0)
+    exact = 3.3 * scene["mean"].astype(float) + [far + 1 / 3, 0, 0]
+    moved = np.linalg.norm(again["mean"] - exact, axis=1)
+    least = 3.3 * loss.bound[:, 0].astype(float) + moved
+    assert (again["loss"][:, 0] >= least).all()
+    np.testing.assert_allclose(again["loss"][:, 0], least, rtol=1e-6)
+    shorter = (1 + again["loss"][:, 1:2].astype(float)) * again["scale"]  # than the longest true ones, never
+    assert (shorter >= 3.3 * scene["scale"] * (1 + loss.bound[:, 1:2].astype(float))).all()
+    assert (again["loss"][:, 2] >= loss.bound[:, 2].astype(float) + 2.0**-23).all()
+    np.testing.assert_allclose(again["loss"][:, 1:], loss.bound[:, 1:], rtol=2e-5, atol=5e-7)
     assert again.manifest.requires == ["splat-loss"]
     assert again.manifest.arrays["loss"].unit == "m, 1, rad"
 

@@ -109,23 +109,29 @@ Bounds bounds_of(const Splats& splats, std::size_t i, const Level& all) {
                 Vec3{(x * z - w * y) * twice, (y * z + w * x) * twice, balance(ww, zz, xx, yy) * inverse}};
   shape(e, axis);
   bounds.half = e.half;
-  bounds.inner = e;
+  bounds.inner = e.axis;
   const double r = level.inflation;
   if (r == 0) return bounds;
 
   for (double& h : bounds.half) h += r;
   const double mean = std::sqrt((axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]) / 3);  // p r
-  Vec3 inner, loose, tight;
+  Vec3 loose, tight;
   for (std::size_t j = 0; j < 3; ++j) {
     const double square = axis[j] * axis[j];
-    inner[j] = axis[j] + r;
+    bounds.inner[j] = axis[j] + r;
     loose[j] = std::sqrt((1 + r / mean) * square + (r + mean) * r);  // p itself may overflow
     tight[j] = std::sqrt(3 * square + 1.5 * r * r);
+    bounds.excess = std::max(bounds.excess, loose[j] - bounds.inner[j]);
   }
-  shape(bounds.inner, inner);
   if (mean > r) shape(bounds.second.emplace(e), tight);
   shape(e, loose);
   return bounds;
+}
+
+double Bounds::least_voxels(double g) const {
+  Ellipsoid within = first;
+  shape(within, inner);
+  return within.least_voxels(g);
 }
 
 namespace {

@@ -205,7 +205,7 @@ class Search {
     return clipped_block(lower, upper, range);
   }
 
-  double least_voxels() const { return set_.inner.least_voxels(g_); }
+  double least_voxels() const { return set_.least_voxels(g_); }
 
   bool separated(const Block& block, bool single) {
     Vec3 lower, upper;

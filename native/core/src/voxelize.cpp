@@ -17,7 +17,8 @@ namespace {
 
 using namespace surfaces;
 
-constexpr double kNear = 1e9;  // an index well within 32 bits
+constexpr double kWorth = 0.25;  // voxels that an ellipsoid may go beyond the sum before a second is asked
+constexpr double kNear = 1e9;    // an index well within 32 bits
 
 // A set with its outward box in whole voxels, before any clipping.
 struct Boxed {
@@ -68,7 +69,7 @@ class Marker {
     const Block block = boxed.clipped(range_);
     if (block.empty()) return Reach::kOutside;
     const bool whole = boxed.within(crop_);
-    if (whole && boxed.voxels() > double(OverlapGrid::kMaxVoxels)) check_voxel_budget(set.inner.least_voxels(g_));
+    if (whole && boxed.voxels() > double(OverlapGrid::kMaxVoxels)) check_voxel_budget(set.least_voxels(g_));
     const int thin = boxed.thin();
     bool marked = true;
     if (thin >= 2) {
@@ -84,14 +85,19 @@ class Marker {
   void finish() { writer_.finish(); }
 
  private:
+  // The second ellipsoid, where the first alone might mark many voxels more.
+  const Ellipsoid* worthwhile(const Bounds& set) const {
+    return set.second && set.excess > kWorth * g_ ? &*set.second : nullptr;
+  }
+
   // A box that is one voxel thick along axis k: a voxel is touched when the shadow reaches its side.
   bool plane(const Boxed& boxed, const Block& block) {
     const std::size_t k = boxed.lower[2] == boxed.upper[2] ? 2 : boxed.lower[1] == boxed.upper[1] ? 1 : 0;
     const std::size_t i = k == 0 ? 1 : 0, j = k == 2 ? 1 : 2;
-    const auto& [first_set, second_set, half, inner] = boxed.set;
+    const Ellipsoid& first_set = boxed.set.first;
     const Shadow shadow(first_set, boxed.pad, i, j, k);
     std::optional<Shadow> second;
-    if (second_set) second.emplace(*second_set, kPad * second_set->extent(g_), i, j, k);
+    if (const Ellipsoid* e = worthwhile(boxed.set)) second.emplace(*e, kPad * e->extent(g_), i, j, k);
     const Vec3& centre = first_set.centre;
     chords_.clear();
     for (std::int32_t v = block.lower[j]; v <= block.upper[j]; ++v) {
@@ -156,7 +162,7 @@ class Marker {
     const Bounds& set = boxed.set;
     Runs runs(*this, set.first, boxed.pad, block, y_);
     std::optional<Runs> second;
-    if (set.second) second.emplace(*this, *set.second, kPad * set.second->extent(g_), block, second_y_);
+    if (const Ellipsoid* e = worthwhile(set)) second.emplace(*this, *e, kPad * e->extent(g_), block, second_y_);
     bool marked = false;
     for (std::int32_t x = block.lower[0]; x <= block.upper[0]; ++x) {
       runs.at(x);

@@ -76,7 +76,11 @@ struct Bounds {
   Ellipsoid first;
   std::optional<Ellipsoid> second;
   Vec3 half{};
-  Ellipsoid inner;  // within the sum: semi-axes k s_j + r, as |D n| + |r n| >= |(D + r) n|
+  Vec3 inner{};         // semi-axes k s_j + r of one within the sum, as |D n| + |r n| >= |(D + r) n|
+  double excess = 0.0;  // no point of `first` is farther than that from the sum
+
+  // As of the ellipsoid within the sum.
+  double least_voxels(double g) const;
 };
 
 Bounds bounds_of(const Splats& splats, std::size_t i, const Level& level);

@@ -25,8 +25,9 @@
 // outward by q = 512 u E, interval ends and the choice of edges by up to 4 q, which covers the
 // inconsistency of separately rounded edges. Hence
 //   touched(ellipsoid + cube of half-width 380 u E) <= marked <= touched(ellipsoid + cube of 5 q),
-// where + is the Minkowski sum; q is 1.2e-12 m at 20 m. Of a grown ellipsoid what lies in both ellipsoids and
-// in the box of `bounds_of` is marked; the above holds for each of these. The room between 125 u E and 380 u E lets
+// where + is the Minkowski sum; q is 1.2e-12 m at 20 m. Of a grown ellipsoid what touches both ellipsoids
+// and the box of `bounds_of` is marked, the second only where the first goes a quarter of a voxel or more
+// beyond the sum; the above holds for each of these. The room between 125 u E and 380 u E lets
 // `separation.hpp` prove in double precision every voxel that is not marked. Whether a voxel is
 // marked does not depend on the crop or the tile.
 //
