@@ -104,7 +104,9 @@ class Files:
 @click.option("--transform", type=PATH, help="JSON: 4x4 matrix, or scale, rotation and translation_m.")
 @options.from_config(ScaleAlignConfig)
 @options.output(".scene.npz")
+@click.pass_context
 def command(
+    context: click.Context,
     scene: Path,
     distances: tuple[Distance, ...],
     config: ScaleAlignConfig,
@@ -125,6 +127,12 @@ def command(
     config = dataclasses.replace(config, distances=distances)
     files = Files(**paths)
     _check_ways(config, files)
+    for name, option, path, way in (
+        ("min_fitness", "--min-fitness", files.cloud, "--cloud"),
+        ("max_angle_deg", "--angle-threshold", files.poses, "--poses"),
+    ):
+        if path is None and options.is_given(context, name):
+            raise UsageError(f"{option} goes with {way}")
     single = ("cameras", "reference", "poses", "correspondences", "cloud", "initial", "transform")
     inputs = {"scene": scene} | {role: path for role in single if (path := getattr(files, role)) is not None}
     if files.colmap is not None:

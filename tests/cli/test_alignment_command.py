@@ -273,3 +273,19 @@ def test_an_alignment_can_be_undone(demo, align, tmp_path):
     assert align(*words, scene=tmp_path / "m.scene.npz", output="back.scene.npz") == 0
     before, after = (read_artifact(p)["mean"] for p in (demo / "room.scene.npz", tmp_path / "back.scene.npz"))
     np.testing.assert_allclose(after, before, atol=2e-6)
+
+
+@pytest.mark.parametrize(("option", "way"), [("--min-fitness", "--cloud"), ("--angle-threshold", "--poses")])
+def test_a_limit_that_does_not_apply_is_refused(tmp_path, capsys, option, way):
+    words = [
+        "scale-align",
+        "any.scene.npz",
+        "-o",
+        str(tmp_path / "o.scene.npz"),
+        "--scale",
+        "2",
+        option,
+        "0.5",
+    ]
+    assert run(words) == 2
+    assert f"{option} goes with {way}" in capsys.readouterr().err
