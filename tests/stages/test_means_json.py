@@ -257,3 +257,16 @@ def test_what_single_precision_rounds_is_within_the_bound():
     longer = (np.exp(values["scalings"]) / splats.scale - 1).max(axis=1)
     assert (longer <= bound[:, 1] + 2**-23).all()
     assert not bound[:, 2].any()
+
+
+@pytest.mark.parametrize("first", ["means", "rotations", "scalings", "opacities", "colors"])
+def test_the_lists_may_come_in_any_order(tmp_path, first):
+    """The first one alone is longer than what formats are told by."""
+    values = lists(2000)
+    order = sorted(values, key=lambda key: key != first)
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({key: values[key].tolist() for key in order}))
+    assert SplatFile.find(path).format.name == "json"
+    path.write_text(json.dumps({"colors": values["colors"].tolist()}))
+    with pytest.raises(ArtifactError, match="not a splat file"):
+        SplatFile.find(path)

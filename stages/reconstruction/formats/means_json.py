@@ -32,9 +32,14 @@ _DECODERS: dict[int, Callable[[bytes], list[Any]]] = {  # by the brackets that a
 
 
 def is_means_json(source: Source) -> bool:
-    """Whether a source is JSON with one of the lists within its first bytes."""
+    """Whether a source is JSON with one of the lists within its first bytes, and means wherever they are."""
     start = source.head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    return start[:1] == b"{" and re.search(rb'"(?:means|rotations|scalings)"\s*:\s*\[', start) is not None
+    if start[:1] != b"{":
+        return False
+    if re.search(rb'"(?:means|rotations|scalings)"\s*:\s*\[', start) is not None:
+        return True
+    other = re.search(rb'"(?:opacities|colors)"\s*:\s*\[', start)
+    return other is not None and re.search(rb'"means"\s*:\s*\[', source.data) is not None
 
 
 def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> Splats:
