@@ -90,3 +90,25 @@ def test_a_folder_where_the_format_is_a_file(tmp_path, capsys, name):
     assert run(words) == 3
     said = capsys.readouterr().err
     assert said == f"alula: {folder}: is a folder, but that format is a file; name the file in it\n"
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        b'{"means": ' + b"[" * 50_000,
+        b'{"means": [[0,0,0]], "x": ' + b"[" * 20_000 + b"]" * 20_000 + b"}",
+        b'{"means": [[0,0,0]], "x": "\xff\xfe"}',
+        b'{"means": [[0,0,0]], "provenance": {"schema": 3}}',
+        b'{"means": [[0,0,0]], "provenance": "\xff"}',
+    ],
+)
+@pytest.mark.parametrize("command", ["import-splat", "info"])
+def test_json_that_cannot_be_decoded_is_bad_input(tmp_path, capsys, raw, command):
+    """Also where only the provenance is looked for."""
+    path = tmp_path / "a.json"
+    path.write_bytes(raw)
+    words = ["-o", str(tmp_path / "s.scene.npz")] if command == "import-splat" else []
+    assert run([command, str(path), *words]) == 3
+    said = capsys.readouterr().err
+    assert "a.json: JSON" in said
+    assert said.count("\n") == 1

@@ -131,15 +131,15 @@ def _gaussians(header: Header) -> Element:
 
 def check_harmonics(names: list[str]) -> None:
     """Higher harmonics are not used, but a wrong set of them means a file that was written wrongly."""
-    indices = []
+    indices: set[int] = set()
     for name in names:
         match = re.fullmatch(r"f_rest_([0-9]{1,6})", name)
         if match is None:
             raise ArtifactError(f"PLY: {name} is no name of a spherical-harmonic coefficient")
         if int(match[1]) in indices:
             raise ArtifactError(f"PLY: coefficient f_rest_{int(match[1])} occurs twice")
-        indices.append(int(match[1]))
-    if sorted(indices) != list(range(len(indices))):
+        indices.add(int(match[1]))
+    if max(indices, default=-1) >= len(indices):
         lacking = next(i for i in range(len(indices)) if i not in indices)
         raise ArtifactError(f"PLY: coefficient f_rest_{lacking} is missing")
     if len(indices) not in _SH_COLUMNS:
