@@ -69,7 +69,7 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
         if name in SCENE_ENCODERS:
             counts |= written_losses(found, name, b"".join(parts))
             if "loss" in found.arrays:
-                counts["note"] = "what the scene's own source may have lost is not recorded in this file"
+                counts["notes"] = ["what the scene's own source may have lost is not recorded in this file"]
         return write, {"format": name, **counts, "bytes": sum(map(len, parts))}
 
     run(common, "alula/export", "1.0", parameters, {"input": artifact}, make)

@@ -46,13 +46,9 @@ def command(splat: Path, config: ImportSplatConfig, common: Common) -> None:
         def build(progress: runner.Progress) -> Artifact:
             splats = found.decode(progress)
             try:
-                scene = import_splat(config, splats)
+                return import_splat(config, splats)
             except InputError as error:
                 raise InputError(f"{splat}: {error}") from error
-            if not (common.quiet or common.json):
-                for note in scene.manifest.summary.get("notes", ()):
-                    click.echo(f"note: {note}", err=True)
-            return scene
 
         runner.run_stage(common, SCENE, config, found.files(), build)
 

@@ -236,17 +236,19 @@ def check_output(output: Path, inputs: Mapping[str, Path]) -> None:
 
 
 def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:
-    """Print the result on stdout: one JSON object, or a line per number."""
+    """Print the result on stdout: one JSON object, or a line per number; notes are said on stderr."""
     if common.json:
         print_json({"output": str(common.output), "status": status, "summary": summary})
         return
     if common.quiet:
         return
     click.echo(f"{common.output}: {status}")
-    shown = {key: value for key, value in summary.items() if value is not None}
+    shown = {key: value for key, value in summary.items() if value is not None and key != "notes"}
     width = max((len(key) for key in shown), default=0)
     for key, value in shown.items():
         click.echo(f"  {key:<{width}}  {plain(value)}")
+    for note in summary.get("notes", ()):
+        click.echo(f"note: {note}", err=True)
 
 
 @contextmanager

@@ -221,7 +221,7 @@ def fuzz(seconds: float, seed: int, keep: Path, most: int = sys.maxsize) -> Coun
     def too_long(signum: int, frame: object) -> None:
         raise TimeoutError(f"no answer within {HANG_S} s")
 
-    signal.signal(signal.SIGALRM, too_long)
+    before = signal.signal(signal.SIGALRM, too_long)
     with tempfile.TemporaryDirectory(prefix="alula-fuzz-") as scratch:
         for number in range(most):
             if time.monotonic() > end:
@@ -247,6 +247,7 @@ def fuzz(seconds: float, seed: int, keep: Path, most: int = sys.maxsize) -> Coun
             counts[f"{kind}: {outcome}"] += 1
             for path in sorted(folder.rglob("*"), reverse=True):
                 path.rmdir() if path.is_dir() else path.unlink()
+    signal.signal(signal.SIGALRM, before)
     return counts
 
 

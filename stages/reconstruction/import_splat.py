@@ -101,8 +101,9 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     }
     if arrays.get("loss") is not None:
         summary["loss"] = {key: loss["figures"][key] for key in LOSSES}
-    if splats.notes:
-        summary["notes"] = list(splats.notes)
+    unsure = (f"no certain bound of {what}: {why}" for what, why in loss["figures"]["unbounded"].items())
+    if notes := [*splats.notes, *unsure]:
+        summary["notes"] = notes
     return make_artifact(
         SCENE,
         arrays,

@@ -31,6 +31,9 @@ def hull_obstacles(hulls: Hulls) -> PolytopeSet:
 def scene_obstacles(scene: Artifact, sigma: float) -> EllipsoidSet:
     """The ellipsoids {x : (x - mu)' inv(Sigma) (x - mu) <= sigma^2} of a scene in a search tree.
 
+    Each is grown by what its splat file's format may have lost of it (`level_of` in `ellipsoid.hpp`), so that
+    no clearance exceeds that of the Gaussians that the file was made from.
+
     Raises:
         InputError: `sigma` is not positive and finite.
     """
@@ -41,6 +44,7 @@ def scene_obstacles(scene: Artifact, sigma: float) -> EllipsoidSet:
         scale=np.ascontiguousarray(scene["scale"], np.float32),
         quat_wxyz=np.ascontiguousarray(scene["quat_wxyz"], np.float32),
         k=float(sigma),
+        loss=scene.arrays.get("loss"),
     )
 
 

@@ -19,6 +19,7 @@ from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.formats.splat import decode_splat
 from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound
 from alula.stages.reconstruction.import_splat import import_splat
+from alula.stages.reporting.metrics import path_clearance
 from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz
 
 EMPTY = np.zeros((0, 3), np.int32)
@@ -205,3 +206,24 @@ def test_a_scene_file_keeps_the_loss_and_says_so(tmp_path):
     path.write_bytes(hidden)
     with pytest.raises((ArtifactError, DamagedError)):
         read_artifact(path)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32))
+def test_no_clearance_exceeds_that_of_what_a_row_may_stand_for(seed):
+    rng = np.random.default_rng(seed)
+    mean, scale, quat = gaussians(rng, 8)
+    loss = losses(rng, 8)
+    path = rng.uniform(-2, 2, (20, 3))
+    grown = path_clearance(path, _core.EllipsoidSet(mean, scale, quat, 1.5, loss))
+    for _ in range(10):
+        original = f32(*originals(rng, mean, scale, quat, loss))
+        assert (grown <= path_clearance(path, _core.EllipsoidSet(*original, 1.5)) + 1e-6).all()
+    plain = path_clearance(path, _core.EllipsoidSet(mean, scale, quat, 1.5))
+    semi = 1.5 * (1 + loss[:, 1]) * scale.max(axis=1)
+    most = (loss[:, 0] + loss[:, 2] * semi + 1.5 * loss[:, 1] * scale.max(axis=1)).max()
+    assert (plain - grown <= most + 1e-6).all()
+    zero = np.zeros_like(loss)
+    np.testing.assert_allclose(
+        path_clearance(path, _core.EllipsoidSet(mean, scale, quat, 1.5, zero)), plain, rtol=0, atol=1e-13
+    )

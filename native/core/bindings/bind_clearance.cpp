@@ -2,6 +2,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 
 #include <array>
@@ -61,11 +62,13 @@ void bind_clearance(nb::module_& m) {
   nb::class_<EllipsoidSet>(m, "EllipsoidSet", "Ellipsoids of Gaussians in a bounding-volume hierarchy.")
       .def(
           "__init__",
-          [](EllipsoidSet* self, InRows3<float> mean, InRows3<float> scale, InRows4<float> quat_wxyz, double k) {
+          [](EllipsoidSet* self, InRows3<float> mean, InRows3<float> scale, InRows4<float> quat_wxyz, double k,
+             std::optional<InRows3<float>> loss) {
             const nb::gil_scoped_release release;
-            new (self) EllipsoidSet(as_span(mean), as_span(scale), as_span(quat_wxyz), k);
+            new (self) EllipsoidSet(as_span(mean), as_span(scale), as_span(quat_wxyz), as_span(loss), k);
           },
-          "mean"_a, "scale"_a, "quat_wxyz"_a, "k"_a, "Copy the Gaussians; the ellipsoids are at level k.")
+          "mean"_a, "scale"_a, "quat_wxyz"_a, "k"_a, "loss"_a = nb::none(),
+          "Copy the Gaussians; the ellipsoids are at level k, each grown by what `loss` (N, 3) says.")
       .def("__len__", &EllipsoidSet::size)
       .def("clearance", &clearance<EllipsoidSet>, "start"_a, "end"_a, "cap"_a, "jobs"_a = 0,
            "progress"_a = nb::none(), kClearanceDoc);

@@ -4,6 +4,7 @@
 #include <stdexcept>
 #include <string>
 
+#include "alula/ellipsoid.hpp"
 #include "alula/parallel.hpp"
 
 namespace alula {
@@ -12,7 +13,6 @@ namespace {
 using geometry::Box;
 using geometry::Bvh;
 using geometry::from_rows;
-using geometry::Vec3;
 
 constexpr std::uint32_t kNone = 0xffffffffu;
 constexpr std::size_t kChunk = 256;  // segments that share a guess of the nearest obstacle
@@ -25,7 +25,7 @@ void check_starts(std::span<const std::int64_t> start, std::size_t rows, std::in
 
 // No point of a polytope or ellipsoid is deeper inside than half the least width of its box.
 double half_width(const Box& box) {
-  const Vec3 size = box.upper - box.lower;
+  const geometry::Vec3 size = box.upper - box.lower;
   return 0.5 * (1 + 1e-12) * std::min({size.x, size.y, size.z});
 }
 
@@ -73,7 +73,7 @@ PolytopeSet::PolytopeSet(std::span<const double> normals, std::span<const double
   for (std::size_t i = 0; i + 2 < vertices.size(); i += 3) vertices_.push_back(from_rows(&vertices[i]));
   boxes_.resize(size());
   for (std::size_t k = 0; k < size(); ++k) {
-    for (const Vec3 vertex : polytope(k).vertices) boxes_[k].include(vertex);
+    for (const geometry::Vec3 vertex : polytope(k).vertices) boxes_[k].include(vertex);
   }
   tree_ = tree_over(boxes_);
 }
@@ -88,7 +88,7 @@ geometry::PolytopeView PolytopeSet::polytope(std::size_t k) const {
           {vertices_.data() + vertex, vertices}};
 }
 
-double PolytopeSet::clearance(Vec3 a, Vec3 b, double cap, std::uint32_t& nearest,
+double PolytopeSet::clearance(geometry::Vec3 a, geometry::Vec3 b, double cap, std::uint32_t& nearest,
                               std::vector<double>& scratch) const {
   return tree_.minimum(a, b - a, cap, nearest, [&](std::uint32_t k, double best) {
     return geometry::signed_distance(polytope(k), a, b, best, scratch);
@@ -96,27 +96,41 @@ double PolytopeSet::clearance(Vec3 a, Vec3 b, double cap, std::uint32_t& nearest
 }
 
 EllipsoidSet::EllipsoidSet(std::span<const float> mean, std::span<const float> scale,
-                           std::span<const float> quat_wxyz, double k)
+                           std::span<const float> quat_wxyz, std::span<const float> loss, double k)
     : mean_(mean.begin(), mean.end()),
       scale_(scale.begin(), scale.end()),
       quat_(quat_wxyz.begin(), quat_wxyz.end()),
+      loss_(loss.begin(), loss.end()),
       k_(k) {
-  if (mean.size() != scale.size() || 4 * mean.size() != 3 * quat_wxyz.size()) {
+  if (mean.size() != scale.size() || 4 * mean.size() != 3 * quat_wxyz.size() ||
+      (!loss.empty() && loss.size() != mean.size())) {
     throw std::invalid_argument("the arrays of the ellipsoids do not fit together");
   }
   std::vector<Box> boxes(size());
   for (std::size_t i = 0; i < boxes.size(); ++i) {
-    boxes[i] = bounds(geometry::gaussian_ellipsoid(&mean_[3 * i], &scale_[3 * i], &quat_[4 * i], k_));
+    const Level level = this->level(i);
+    boxes[i] = bounds(ellipsoid(i, level.sigma));
+    const geometry::Vec3 ball{level.inflation, level.inflation, level.inflation};
+    boxes[i].lower = boxes[i].lower - ball;
+    boxes[i].upper = boxes[i].upper + ball;
   }
   tree_ = tree_over(boxes);
 }
 
-double EllipsoidSet::clearance(Vec3 a, Vec3 b, double cap, std::uint32_t& nearest,
+Level EllipsoidSet::level(std::size_t i) const {
+  return level_of({mean_, scale_, quat_, loss_}, i, {.sigma = k_, .inflation = 0});
+}
+
+geometry::Ellipsoid EllipsoidSet::ellipsoid(std::size_t i, double k) const {
+  return geometry::gaussian_ellipsoid(&mean_[3 * i], &scale_[3 * i], &quat_[4 * i], k);
+}
+
+double EllipsoidSet::clearance(geometry::Vec3 a, geometry::Vec3 b, double cap, std::uint32_t& nearest,
                                std::vector<double>& scratch) const {
   (void)scratch;
   return tree_.minimum(a, b - a, cap, nearest, [&](std::uint32_t i, double best) {
-    return geometry::signed_distance(geometry::gaussian_ellipsoid(&mean_[3 * i], &scale_[3 * i], &quat_[4 * i], k_),
-                                     a, b, best);
+    const Level level = this->level(i);
+    return geometry::signed_distance(ellipsoid(i, level.sigma), a, b, best + level.inflation) - level.inflation;
   });
 }
 

@@ -227,8 +227,10 @@ class PolytopeSet:
 class EllipsoidSet:
     """Ellipsoids of Gaussians in a bounding-volume hierarchy."""
 
-    def __init__(self, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], k: float) -> None:
-        """Copy the Gaussians; the ellipsoids are at level k."""
+    def __init__(self, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], k: float, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> None:
+        """
+        Copy the Gaussians; the ellipsoids are at level k, each grown by what `loss` (N, 3) says.
+        """
 
     def __len__(self) -> int: ...
 

@@ -19,6 +19,8 @@ from alula.stages.reconstruction.formats.splats import (
     Progress,
     Splats,
     color_from_sh0,
+    exp,
+    growth,
     loss_bound,
 )
 
@@ -87,7 +89,7 @@ def decode_compressed_ply(buffer: memoryview, progress: Progress | None = None) 
             part = slice(start, min(start + _BLOCK, count))
             owner = np.arange(part.start, part.stop) // CHUNK
             mean[part] = position.values(words["packed_position"][part], owner)
-            scale[part] = np.exp(scales.values(words["packed_scale"][part], owner))
+            scale[part] = exp(scales.values(words["packed_scale"][part], owner))
             clamped += int(scales.at_limit(words["packed_scale"][part], owner).sum())
             stored, largest = _rotation(words["packed_rotation"][part])
             quat[part] = smallest_three(stored, largest)
@@ -101,7 +103,7 @@ def decode_compressed_ply(buffer: memoryview, progress: Progress | None = None) 
             if progress is not None:
                 progress(part.stop, count)
         per_chunk = np.repeat(
-            np.stack([position.distance(), np.expm1(scales.step().max(axis=1) + 4.0 * _SINGLE)], axis=1),
+            np.stack([position.distance(), growth(scales.step().max(axis=1) + 4.0 * _SINGLE)], axis=1),
             CHUNK,
             axis=0,
         )[:count]

@@ -23,7 +23,15 @@ from alula.stages.reconstruction.formats.gltf_accessors import (
 )
 from alula.stages.reconstruction.formats.gltf_nodes import NAME, Placed, placed_primitives
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splats import Loss, Progress, Splats, color_from_sh0, rounded_up
+from alula.stages.reconstruction.formats.splats import (
+    Loss,
+    Progress,
+    Splats,
+    color_from_sh0,
+    exp,
+    growth,
+    rounded_up,
+)
 from alula.stages.rotation import multiply_quat_wxyz
 
 _KNOWN = (NAME, "KHR_mesh_quantization")
@@ -207,7 +215,7 @@ class _Output:
         """Scales, and by how much of themselves the true ones may be larger."""
         stored, step = column.values(rows), column.step
         if self.logarithms:
-            return np.exp(stored.astype(np.float64)), np.full(len(stored), np.expm1(step))
+            return exp(stored), np.full(len(stored), growth(step))
         if not step:
             return stored, np.zeros(len(stored))
         longest = np.maximum(stored.max(axis=1, keepdims=True), step)

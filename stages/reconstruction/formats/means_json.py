@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -13,7 +12,15 @@ from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splats import Loss, Progress, Splats, loss_bound
+from alula.stages.reconstruction.formats.splats import (
+    Loss,
+    Progress,
+    Splats,
+    exp,
+    growth,
+    logistic,
+    loss_bound,
+)
 from alula.stages.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
 _KEYS = ("means", "rotations", "scalings", "opacities", "colors")
@@ -125,10 +132,10 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
         if not plain:
             for start in range(0, count, _CHUNK):
                 part = slice(start, start + _CHUNK)
-                scale[part] = np.exp(scale[part].astype(np.float64))
-                opacity[part] = 1.0 / (1.0 + np.exp(-opacity[part].astype(np.float64)))
+                scale[part] = exp(scale[part])
+                opacity[part] = logistic(opacity[part])
     position = 3**0.5 * rounded["means"]
-    longer = 0.0 if not rounded["scalings"] else _SINGLE if plain else math.expm1(rounded["scalings"])
+    longer = 0.0 if not rounded["scalings"] else _SINGLE if plain else float(growth(rounded["scalings"]))
     lossy = angle.any() or position or longer
     return Splats(
         format="json",

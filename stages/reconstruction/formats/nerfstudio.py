@@ -16,7 +16,7 @@ from alula.schemas.errors import ArtifactError
 from alula.stages.reconstruction.formats.checkpoint import Checkpoint, is_checkpoint
 from alula.stages.reconstruction.formats.ply import decode_ply
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splats import Progress, Splats, color_from_sh0
+from alula.stages.reconstruction.formats.splats import Progress, Splats, color_from_sh0, exp, logistic
 from alula.stages.reconstruction.formats.torch_pickle import Tensor
 
 FRAME = "nerfstudio training frame"
@@ -128,11 +128,11 @@ def _decode_checkpoint(
         for start in range(0, count, _CHUNK):
             part = slice(start, min(start + _CHUNK, count))
             mean[part], quat[part] = arrays["means"][part], arrays["quats"][part]
-            scale[part] = np.exp(arrays["scales"][part].astype(np.float64))
-            alpha[part] = _sigmoid(arrays["opacities"][part])[:, 0]
+            scale[part] = exp(arrays["scales"][part])
+            alpha[part] = logistic(arrays["opacities"][part])[:, 0]
             values = arrays["features_dc"][part]
             color[part] = (
-                np.rint(255.0 * np.nan_to_num(_sigmoid(values))) if logits else color_from_sh0(values)
+                np.rint(255.0 * np.nan_to_num(logistic(values))) if logits else color_from_sh0(values)
             )
             if progress is not None:
                 progress(part.stop, count)
@@ -146,10 +146,6 @@ def _decode_checkpoint(
         tags={"frame": FRAME} | ({"generator": f"nerfstudio {method}"} if method else {}),
         notes=notes or ("the frame is nerfstudio's of training, whose scale only its folder tells",),
     )
-
-
-def _sigmoid(values: NDArray[Any]) -> NDArray[np.float64]:
-    return 1.0 / (1.0 + np.exp(-values.astype(np.float64)))
 
 
 def _parameters(tree: Any, method: str) -> dict[str, Tensor]:

@@ -23,6 +23,9 @@ from alula.stages.reconstruction.formats.splats import (
     Progress,
     Splats,
     color_from_sh0,
+    exp,
+    growth,
+    logistic,
     rounded_up,
 )
 from alula.stages.reconstruction.formats.webp import decode_webp, webp_size
@@ -151,7 +154,7 @@ def _decode(meta: SogMeta, read: Read, progress: Progress | None) -> Splats:
         codes = pixels(meta.sh0)
         for axis in range(3):
             color[:, axis] = color_from_sh0(meta.sh0_values[axis])[codes[:, axis]]
-        alpha = 1.0 / (1.0 + np.exp(-meta.logits)) if meta.logits is not None else np.arange(256) / 255.0
+        alpha = logistic(meta.logits) if meta.logits is not None else np.arange(256) / 255.0
         opacity = alpha.astype(np.float32)[codes[:, 3]]
     steps = float(np.diff(alpha).max()) if meta.logits is not None else OPACITY_LOSS
     notes = []
@@ -182,9 +185,9 @@ def _means(
     for lower, upper in zip(meta.mins, meta.maxs, strict=True):
         extent = (upper - lower) or 1.0
         t = lower + extent * (np.arange(65536) / 65535.0)
-        place = np.sign(t) * np.expm1(np.abs(t))
+        place = np.sign(t) * (exp(np.abs(t)) - 1.0)
         step = _FINE_STEP * extent / 65535.0 + _LOGARITHM * (1.0 + np.abs(t))
-        lost = (1.0 + np.abs(place)) * np.expm1(np.minimum(step, 700.0))
+        lost = (1.0 + np.abs(place)) * growth(np.minimum(step, 700.0))
         places.append(place.astype(np.float32))
         squares.append((lost + np.abs(place) * _SINGLE) ** 2)
     for start in range(0, meta.count, _CHUNK):
@@ -203,9 +206,9 @@ def _scales(
     """Scales and their losses, by tables; returns what the bound does not hold for."""
     largest = np.zeros(meta.count, np.bool_)
     for axis, values in enumerate(meta.log_scales):
-        scale[:, axis] = np.exp(values).astype(np.float32)[codes[:, axis]]
+        scale[:, axis] = exp(values).astype(np.float32)[codes[:, axis]]
         gap = _STEP * (values[-1] - values[0]) / 255.0 if meta.version == 1 else _half_gaps(values)
-        lost = rounded_up(np.expm1(gap + 4.0 * _SINGLE) * np.ones(256))
+        lost = rounded_up(growth(gap + 4.0 * _SINGLE) * np.ones(256))
         np.maximum(bound, lost[codes[:, axis]], out=bound)
         if meta.version != 1:
             largest |= (values == values.max())[codes[:, axis]]

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from alula import _core
+
 SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)): the constant spherical harmonic
 
 LOSSES = ("position", "scale_relative", "rotation_rad")  # columns of `Loss.bound`
@@ -82,6 +84,26 @@ def loss_bound(
     for column, values in enumerate((position, scale, np.minimum(rotation, np.pi))):
         bound[:, column] = rounded_up(values)
     return bound
+
+
+def exp(values: ArrayLike) -> NDArray[np.float64]:
+    """e^x, the same bits on every machine, which NumPy's are not; for results kept in single precision.
+
+    Arguments beyond 200 count as 200.
+    """
+    exact = np.asarray(values, np.float64)
+    return _core.portable_exp(np.ascontiguousarray(exact.ravel())).reshape(exact.shape)
+
+
+def logistic(values: ArrayLike) -> NDArray[np.float64]:
+    """1 / (1 + e^-x), as `exp`."""
+    exact = np.asarray(values, np.float64)
+    return _core.portable_logistic(np.ascontiguousarray(exact.ravel())).reshape(exact.shape)
+
+
+def growth(values: ArrayLike) -> NDArray[np.float64]:
+    """e^x - 1, never below it: by how much of itself a scale grows with its logarithm."""
+    return exp(values) * (1.0 + 2.0**-50) - 1.0
 
 
 def rounded_up(values: ArrayLike) -> NDArray[np.float32]:

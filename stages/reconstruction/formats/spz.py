@@ -15,6 +15,7 @@ from alula.stages.reconstruction.formats.splats import (
     Progress,
     Splats,
     color_from_sh0,
+    exp,
     loss_bound,
     rounded_up,
     sh0_from_color,
@@ -65,7 +66,7 @@ def decode_spz(buffer: memoryview, progress: Progress | None = None) -> Splats:
     fixed = 3**0.5 * 2.0 ** -(packed.header.fractional_bits + 1)
     bound = loss_bound(count, position=0.0 if version == 1 else fixed, scale=SCALE_LOSS)
     code = np.arange(256)
-    scale_of = np.exp(code / 16.0 - 10.0).astype(np.float32)
+    scale_of = exp(code / 16.0 - 10.0).astype(np.float32)
     color_of = color_from_sh0((code / 255.0 - 0.5) / COLOR_SCALE)
     far = longest = 0
     for start in range(0, count, _CHUNK):
@@ -109,7 +110,7 @@ def decode_spz(buffer: memoryview, progress: Progress | None = None) -> Splats:
             "antialiased": str(packed.header.flags & 1),
             "frame": frame if frame is not None else FRAME_UNKNOWN,
         },
-        notes=(*(() if frame is not None else (_FRAME_NOTE,)), *packed.notes, *unbounded.values()),
+        notes=(*(() if frame is not None else (_FRAME_NOTE,)), *packed.notes),
     )
 
 

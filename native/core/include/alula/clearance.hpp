@@ -48,18 +48,26 @@ class PolytopeSet {
   geometry::Bvh tree_;
 };
 
-// The k-sigma ellipsoids {x : (x - mu)' inv(Sigma) (x - mu) <= k^2} of Gaussians.
+struct Level;  // ellipsoid.hpp
+
+// The k-sigma ellipsoids {x : (x - mu)' inv(Sigma) (x - mu) <= k^2} of Gaussians, each grown by what it may
+// have lost, as `level_of` in ellipsoid.hpp says: the signed distance of the grown set is that of the
+// ellipsoid less the radius of the ball.
 class EllipsoidSet {
  public:
-  // Copies the arrays: mean (3 per Gaussian), scale (3, one-sigma semi-axes > 0), quat_wxyz (4).
-  EllipsoidSet(std::span<const float> mean, std::span<const float> scale, std::span<const float> quat_wxyz, double k);
+  // Copies the arrays: mean (3 per Gaussian), scale (3, one-sigma semi-axes > 0), quat_wxyz (4), loss (3) or nothing.
+  EllipsoidSet(std::span<const float> mean, std::span<const float> scale, std::span<const float> quat_wxyz,
+               std::span<const float> loss, double k);
 
   std::size_t size() const { return mean_.size() / 3; }
   double clearance(geometry::Vec3 a, geometry::Vec3 b, double cap, std::uint32_t& nearest,
                    std::vector<double>& scratch) const;
 
  private:
-  std::vector<float> mean_, scale_, quat_;
+  Level level(std::size_t i) const;
+  geometry::Ellipsoid ellipsoid(std::size_t i, double k) const;
+
+  std::vector<float> mean_, scale_, quat_, loss_;
   double k_;
   geometry::Bvh tree_;
 };
