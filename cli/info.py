@@ -31,9 +31,10 @@ def command(file: Path, json: bool, quiet: bool, verbose: int) -> None:
     with exit code 3.
     """
     from alula.cli.present import print_json, print_sections
+    from alula.schemas.files import printable
 
     facts, error = _explain(file)
-    facts = {"file": file.name, "bytes": _size(file), "whole": error is None, **facts}
+    facts = {"file": printable(file.name), "bytes": _size(file), "whole": error is None, **facts}
     if json:
         print_json(facts)
     elif not quiet:
@@ -55,6 +56,7 @@ def _explain(path: Path) -> Explained:
         InputError: the file cannot be opened, or is nothing that alula knows.
     """
     from alula.schemas.errors import ArtifactError, InputError
+    from alula.schemas.files import check_no_stream
     from alula.schemas.provenance import read_provenance
     from alula.schemas.salvage import is_artifact_like
     from alula.stages.compression.map_image import is_map
@@ -62,6 +64,7 @@ def _explain(path: Path) -> Explained:
 
     if path.is_dir():
         return _splat(path)
+    check_no_stream(path)
     try:
         with path.open("rb") as file:
             head = file.read(4096)

@@ -18,6 +18,7 @@ from alula.cli.options import Common
 from alula.cli.present import plain, print_json
 from alula.schemas.atomic import write_text
 from alula.schemas.errors import InputError, OutputError, UsageError
+from alula.schemas.files import check_no_stream, is_special, printable
 from alula.schemas.provenance import Provenance, differences, parameters_of, read_provenance
 
 if TYPE_CHECKING:
@@ -41,12 +42,13 @@ def input_ref(role: str, path: Path) -> InputRef:
     sha256 = file_hash(path)
     recorded = read_provenance(path)
     schema, version = (recorded.schema, recorded.version) if recorded else ("", "")
-    return InputRef(role, schema, version, sha256, path.name)
+    return InputRef(role, schema, version, sha256, printable(path.name))
 
 
 def _check_input(path: Path) -> None:
     if path.is_dir():
         raise InputError(f"{path}: is a folder, not a file")
+    check_no_stream(path)
     try:
         path.open("rb").close()
     except OSError as error:
@@ -109,6 +111,7 @@ def run(
 
     Raises:
         UsageError: the output exists with other provenance and --force is not given, or is an input.
+        InputError: an input cannot be read, or changed meanwhile.
         OutputError: the output's folder does not exist or the file cannot be written.
     """
     _run(
@@ -133,6 +136,7 @@ def _run(
         check_output(common.depfile, {**inputs, "output": common.output})
     for path in inputs.values():
         _check_input(path)
+    before = {path: _state(path) for path in inputs.values()}
     provenance = _Meanwhile(
         lambda: Provenance.now(
             schema, version, parameters, seed, [input_ref(role, path) for role, path in inputs.items()]
@@ -150,6 +154,9 @@ def _run(
     if status != "unchanged":
         with progress_bar(common) as progress:
             write, summary = make(provenance, progress)
+        for path, state in before.items():
+            if _state(path) != state:
+                raise InputError(f"{path}: changed while it was read; start again when it is whole")
         if common.dry_run:
             status = "dry-run"
         else:
@@ -158,6 +165,15 @@ def _run(
         names = " ".join(["", *map(_make_escape, inputs.values())])
         write_text(common.depfile, _make_escape(common.output, " \t#:*?[%") + f":{names}\n")
     show(common, status, summary)
+
+
+def _state(path: Path) -> tuple[int, ...]:
+    """What differs once a file was written to or replaced; nothing where it is gone."""
+    try:
+        found = path.stat()
+    except OSError:
+        return ()
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
 class _Meanwhile:
@@ -204,6 +220,8 @@ def check_output(output: Path, inputs: Mapping[str, Path]) -> None:
     """Refuse an output that cannot be written, before any work is done."""
     if output.is_dir():
         raise OutputError(f"{output}: is a folder, not a file to write")
+    if is_special(output):
+        raise OutputError(f"{output}: is a device or a pipe; outputs are files")
     if not output.parent.is_dir():
         raise OutputError(f"{output}: the folder {output.parent} does not exist")
     if not os.access(output.parent, os.W_OK | os.X_OK):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from alula.schemas.errors import OutputError
+from alula.schemas.files import is_special
 
 # Entered around the moment when an output appears; the command line holds interruptions back there.
 appearing: Callable[[], AbstractContextManager[None]] = nullcontext
@@ -17,7 +18,7 @@ appearing: Callable[[], AbstractContextManager[None]] = nullcontext
 
 @contextmanager
 def atomic_output(path: Path, *, is_final: bool = True) -> Iterator[BinaryIO]:
-    """A binary file that replaces `path` when the block ends without an exception.
+    """A binary file that replaces `path`, which is no device, when the block ends without an exception.
 
     Written under a temporary name in the same folder, flushed to the disk and renamed; on any
     exception, Ctrl-C included, the temporary file is removed and `path` is as it was. With `is_final`
@@ -31,6 +32,8 @@ def atomic_output(path: Path, *, is_final: bool = True) -> Iterator[BinaryIO]:
     try:
         if path.is_dir():
             raise OutputError(f"{path}: is a folder, not a file to write")
+        if is_special(path):
+            raise OutputError(f"{path}: is a device or a pipe; outputs are files")
         assert temporary is not None
         with temporary.open("x+b") as file:
             yield file
@@ -49,9 +52,9 @@ def atomic_output(path: Path, *, is_final: bool = True) -> Iterator[BinaryIO]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically, in UTF-8."""
+    """Write a text file atomically, in UTF-8; names of files may hold other bytes, which stay as they are."""
     with atomic_output(path) as file:
-        file.write(text.encode())
+        file.write(text.encode(errors="surrogateescape"))
 
 
 def _sync_folder(folder: Path) -> None:

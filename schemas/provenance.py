@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import mmap
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ MARK = "alula-provenance: "
 RUN_METADATA = "alula/summary"
 _SEARCHED_BYTES = 2**20
 _MANIFEST_LIMIT = 2**26
+_NOT_JSON = (msgspec.MsgspecError, ValueError, RecursionError)  # what decoding raises, of any bytes
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
@@ -89,6 +91,12 @@ def differences(recorded: Provenance, wanted: Provenance) -> list[str]:
     return found
 
 
+class _Carrier(msgspec.Struct):
+    """What matters of a JSON file; of a long one, all else is skipped and not built."""
+
+    provenance: Provenance | None = None
+
+
 def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
     """The provenance that a file carries, or None when it carries none that can be read.
 
@@ -140,12 +148,10 @@ def _of_artifact(path: Path, verify: bool) -> Provenance | None:
 
 def _of_json(path: Path) -> Provenance | None:
     try:
-        record = msgspec.json.decode(path.read_bytes())
-    except (OSError, msgspec.MsgspecError):
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
+            return msgspec.json.decode(text, type=_Carrier).provenance
+    except (OSError, *_NOT_JSON):
         return None
-    if not isinstance(record, dict) or not isinstance(record.get("provenance"), dict):
-        return None
-    return _decode(msgspec.json.encode(record["provenance"]))
 
 
 def _of_glb(path: Path) -> Provenance | None:
@@ -156,7 +162,7 @@ def _of_glb(path: Path) -> Provenance | None:
         try:
             tree = msgspec.json.decode(file.read(length))
             return _decode(msgspec.json.encode(tree["asset"]["extras"]["provenance"]))
-        except (msgspec.MsgspecError, KeyError, TypeError):
+        except (*_NOT_JSON, KeyError, TypeError):
             return None
 
 
@@ -188,5 +194,5 @@ def _of_mcap(path: Path) -> Provenance | None:
 def _decode(raw: bytes) -> Provenance | None:
     try:
         return msgspec.json.decode(raw, type=Provenance)
-    except msgspec.MsgspecError:
+    except _NOT_JSON:
         return None

@@ -38,18 +38,21 @@ def nearest(values, table):
     return np.searchsorted((order[1:] + order[:-1]) / 2, values), order.tolist()
 
 
-def encode(scene, version=2, rounding="truncating", bands=0, width=None, palette=100, model=None):
-    """Files by name."""
+def encode(
+    scene, version=2, rounding="truncating", bands=0, width=None, palette=100, model=None, number=np.float64
+):
+    """Files by name; `number` is what centres and rotations are computed in."""
     to_code = ROUNDINGS[rounding]
     n = len(scene)
     width = width or max(4, -(-int(np.ceil(n**0.5)) // 4) * 4)
-    t = np.sign(scene.mean) * np.log1p(np.abs(scene.mean))
+    mean = scene.mean.astype(number)
+    t = np.sign(mean) * (np.log1p(np.abs(mean)) if number is np.float64 else np.log(np.abs(mean) + number(1)))
     code, mins, maxs = linear(t, to_code, 65535)
     code = code.astype(np.uint16)
     rows, largest = np.arange(n), np.abs(scene.quat).argmax(axis=1)
     quat = scene.quat * np.sign(scene.quat[rows, largest])[:, None]
-    others = quat[np.arange(4) != largest[:, None]].reshape(-1, 3)
-    packed = to_code((others * np.sqrt(2) * 0.5 + 0.5) * 255)
+    others = quat[np.arange(4) != largest[:, None]].reshape(-1, 3).astype(number)
+    packed = to_code((others * number(np.sqrt(2)) * number(0.5) + number(0.5)) * number(255))
     meta = {
         "means": {"mins": mins, "maxs": maxs, "files": ["means_l.webp", "means_u.webp"]},
         "scales": {"files": ["scales.webp"]},

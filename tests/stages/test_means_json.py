@@ -244,3 +244,29 @@ def test_any_change_of_text_is_read_or_refused(data):
     else:
         assert len(splats) > 0
     assert lines == 0
+
+
+def test_what_single_precision_rounds_is_within_the_bound():
+    rng = np.random.default_rng(5)
+    values = lists() | {"means": rng.normal(size=(40, 3)) * 1e5, "scalings": rng.normal(-6, 1, size=(40, 3))}
+    splats = decode(values)
+    bound = splats.loss.bound.astype(np.float64)
+    away = np.linalg.norm(splats.mean.astype(np.float64) - values["means"], axis=1)
+    assert (away <= bound[:, 0]).all()
+    assert away.max() > 0.3 * bound[0, 0] > 0
+    longer = (np.exp(values["scalings"]) / splats.scale - 1).max(axis=1)
+    assert (longer <= bound[:, 1] + 2**-23).all()
+    assert not bound[:, 2].any()
+
+
+@pytest.mark.parametrize("first", ["means", "rotations", "scalings", "opacities", "colors"])
+def test_the_lists_may_come_in_any_order(tmp_path, first):
+    """The first one alone is longer than what formats are told by."""
+    values = lists(2000)
+    order = sorted(values, key=lambda key: key != first)
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({key: values[key].tolist() for key in order}))
+    assert SplatFile.find(path).format.name == "json"
+    path.write_text(json.dumps({"colors": values["colors"].tolist()}))
+    with pytest.raises(ArtifactError, match="not a splat file"):
+        SplatFile.find(path)

@@ -379,3 +379,15 @@ def test_no_scale_is_smaller_after_a_round_trip():
     read = decode(b"".join(encode_ply(splats))).scale
     assert (read >= scale).all()
     assert (read <= scale * np.float32(1 + 1e-5)).all()
+
+
+def test_centres_in_large_integers_are_lost_by_what_is_recorded():
+    names = ("x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
+    rows = np.zeros(3, [(name, "<i4" if name in "xyz" else "<f4") for name in names])
+    rows["x"], rows["rot_0"] = [2**24 + 1, -(2**25) - 3, 7], 1
+    lines = ["ply", "format binary_little_endian 1.0", "element vertex 3"]
+    lines += [f"property {'int' if name in 'xyz' else 'float'} {name}" for name in names]
+    splats = decode_ply(memoryview("\n".join([*lines, "end_header", ""]).encode() + rows.tobytes()))
+    off = np.abs(splats.mean[:, 0].astype(np.float64) - rows["x"])
+    assert off.max() > 0
+    assert (off <= splats.loss.bound[:, 0]).all()

@@ -36,6 +36,18 @@ def test_no_original_is_farther_than_the_bound(tmp_path, version, rounding, span
     assert ("scale" in splats.loss.unbounded) == (version == 2)
 
 
+@pytest.mark.parametrize("rounding", ROUNDINGS)
+@pytest.mark.parametrize("centre", [0.0, 100.0, 5000.0, 300_000.0])
+def test_writers_in_single_precision_stay_within_the_bound(tmp_path, rounding, centre):
+    """Far from the origin a unit in the last place of the logarithm is many codes."""
+    scene = originals(6000, seed=3, span=5.0)
+    scene.mean = (scene.mean + centre).astype(np.float32).astype(np.float64)
+    splats = read_splats(folder(tmp_path / "a", encode(scene, 2, rounding, number=np.float32)))
+    position, _, rotation = fractions(scene, splats)
+    assert max(position, rotation) <= 1
+    assert position > 0.1
+
+
 def test_gaussians_with_the_largest_entry_are_counted(tmp_path):
     scene = originals(1000, spread=1.0)
     splats = read_splats(folder(tmp_path / "a", encode(scene)))

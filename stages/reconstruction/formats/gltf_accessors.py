@@ -152,10 +152,14 @@ class Column:
 
     @property
     def step(self) -> float:
-        """How far a value may be from what it was rounded or truncated from."""
+        """How far a value may be from what it was rounded or truncated from.
+
+        Normalised ones are at most 1, so single precision moves them by 2^-24 when they are written and
+        again when they are read.
+        """
         if self.kind == FLOAT:
             return 0.0
-        return 1.0 / self.largest if self.kind.endswith("n") else 1.0
+        return 1.0 / self.largest + 2.0**-23 if self.kind.endswith("n") else 1.0
 
     def values(self, rows: slice) -> NDArray[Any]:
         """The numbers: single precision as stored, integers in double."""

@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splats import Loss, Progress, Splats, exp, logistic, loss_bound
+from alula.stages.reconstruction.formats.splats import (
+    Loss,
+    Progress,
+    Splats,
+    exp,
+    growth,
+    logistic,
+    loss_bound,
+)
 from alula.stages.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
 _KEYS = ("means", "rotations", "scalings", "opacities", "colors")
@@ -20,6 +28,7 @@ _CHUNK = 2**15
 _SCAN = 2**22
 _NOT_ORTHOGONAL = 1e-3  # rotation matrices farther from one than this are something else
 _COARSE = 1e-5  # angle beyond which they were rounded to fewer digits than single precision has
+_SINGLE = 2.0**-24  # half a unit in the last place
 _ROW = list[float | None]
 _DECODERS: dict[int, Callable[[bytes], list[Any]]] = {  # by the brackets that a list of rows begins with
     0: msgspec.json.Decoder(_ROW).decode,
@@ -30,9 +39,14 @@ _DECODERS: dict[int, Callable[[bytes], list[Any]]] = {  # by the brackets that a
 
 
 def is_means_json(source: Source) -> bool:
-    """Whether a source is JSON with one of the lists within its first bytes."""
+    """Whether a source is JSON with one of the lists within its first bytes, and means wherever they are."""
     start = source.head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    return start[:1] == b"{" and re.search(rb'"(?:means|rotations|scalings)"\s*:\s*\[', start) is not None
+    if start[:1] != b"{":
+        return False
+    if re.search(rb'"(?:means|rotations|scalings)"\s*:\s*\[', start) is not None:
+        return True
+    other = re.search(rb'"(?:opacities|colors)"\s*:\s*\[', start)
+    return other is not None and re.search(rb'"means"\s*:\s*\[', source.data) is not None
 
 
 def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> Splats:
@@ -47,6 +61,8 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
 
     Colours are red, green, blue from 0 to 1, or, if one is above 2 and none above 255, to 255.
     `null`, `NaN` and `Infinity` are read as what they say; import_splat decides on those rows.
+
+    Numbers that single precision has to round are bounded by what that moves the farthest of them.
 
     A matrix M stands for the nearest rotation R; the angle is recorded that belongs to twice |M - R| and
     1e-6, which is more than single precision rounds. Coarser matrices, by 1e-5, have no certain bound.
@@ -76,9 +92,11 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
 
     done = 0
 
+    rounded: dict[str, float] = {}
+
     def read(key: str, shapes: tuple[tuple[int, ...], ...]) -> NDArray[np.float32]:
         nonlocal done
-        rows = _table(lists[key], key, count, shapes)
+        rows, rounded[key] = _table(lists[key], key, count, shapes)
         done += 1
         if progress is not None:
             progress(count * done // len(lists), count)
@@ -93,12 +111,11 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
             opacity = opacity[:, 0]
         color, notes = _colors(read("colors", ((3,),)) if "colors" in lists else None, count)
         plain = not (scale < 0).any() and not ((opacity < 0) | (opacity > 1)).any()
-        loss = None
+        angle, why = np.zeros(count), {}
         if rotation.ndim == 3:
             rotation, angle = _from_matrices(rotation)
             coarse = float(angle.max(initial=0.0))
             why = {"rotation": "the matrices are rounded, by an unknown amount"} if coarse > _COARSE else {}
-            loss = Loss(loss_bound(count, rotation=angle), unbounded=why)
             notes.append("rotation matrices: scalings and opacities are plain")
             if not plain:
                 notes[-1] = (
@@ -117,6 +134,9 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
                 part = slice(start, start + _CHUNK)
                 scale[part] = exp(scale[part])
                 opacity[part] = logistic(opacity[part])
+    position = 3**0.5 * rounded["means"]
+    longer = 0.0 if not rounded["scalings"] else _SINGLE if plain else float(growth(rounded["scalings"]))
+    lossy = angle.any() or position or longer
     return Splats(
         format="json",
         mean=mean,
@@ -124,7 +144,9 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
         quat_wxyz=rotation,
         opacity=opacity,
         color=color,
-        loss=loss,
+        loss=Loss(loss_bound(count, position=position, scale=longer, rotation=angle), unbounded=why)
+        if lossy
+        else None,
         notes=tuple(notes),
     )
 
@@ -168,13 +190,16 @@ def _row_ends(text: NDArray[np.uint8], key: str) -> NDArray[np.int64]:
 
 def _table(
     text: NDArray[np.uint8], key: str, count: int, shapes: tuple[tuple[int, ...], ...]
-) -> NDArray[np.float32]:
-    """The numbers of a list whose rows all have the first row's shape, which must be one of those given."""
+) -> tuple[NDArray[np.float32], float]:
+    """The numbers of a list whose rows all have the first row's shape, which must be one of those given.
+
+    In single precision; the second result is how far that moves one of them, at most.
+    """
     ends = _row_ends(text, key)
     if len(ends) != count:
         raise ArtifactError(f"JSON: {key!r} has {len(ends)} rows, 'means' {count}")
     table: NDArray[np.float32] | None = None
-    start = 1
+    start, moved = 1, 0.0
     for row in range(0, count, _CHUNK):
         stop = min(row + _CHUNK, count)
         end = int(ends[stop - 1])
@@ -189,8 +214,10 @@ def _table(
         if shape != table.shape[1:] or len(values) != stop - row:
             raise ArtifactError(f"JSON: {key!r}, row {row} is of shape {shape}, row 0 of {table.shape[1:]}")
         table[row:stop] = values
+        away = np.abs(table[row:stop] - values)
+        moved = max(moved, float(away.max(where=np.isfinite(away), initial=0.0)))
     assert table is not None  # there is a row
-    return table
+    return table, moved
 
 
 def _rows(piece: bytes, key: str, first: int) -> NDArray[np.float64]:

@@ -41,6 +41,8 @@ def members_of_nerfstudio(source: Source) -> Sequence[str]:
     if not _is_run(source):
         return (source.path.name,)
     checkpoints = _checkpoints(source)
+    if not checkpoints and not source.has(_EXPORTED):
+        raise ArtifactError("nerfstudio: no nerfstudio_models/step-*.ckpt and no splat.ply")
     main = checkpoints[max(checkpoints)] if checkpoints else _EXPORTED
     return (main, *(name for name in (_CONFIG, _TRANSFORMS) if source.has(name)))
 
@@ -70,8 +72,6 @@ def decode_nerfstudio(source: Source, progress: Progress | None = None) -> Splat
     note = _frame_note(source)
     main = members_of_nerfstudio(source)[0]
     if main == _EXPORTED:
-        if not source.has(_EXPORTED):
-            raise ArtifactError("nerfstudio: no nerfstudio_models/step-*.ckpt and no splat.ply")
         splats = decode_ply(source.member(_EXPORTED), progress)
         return dataclasses.replace(
             splats,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass
 
 from alula.schemas.errors import ArtifactError
@@ -85,7 +86,7 @@ def parse_header(start: bytes) -> Header:
     lines = start[: end.start()].decode("utf-8", "replace").split("\n")[1:-1]
     order: str | None = None
     elements: list[tuple[str, int, list[Property]]] = []
-    comments = []
+    comments, taken = [], set[str]()
     for number, line in enumerate((line.rstrip("\r") for line in lines), start=2):
         words = line.split()
         match words:
@@ -98,8 +99,9 @@ def parse_header(start: bytes) -> Header:
                     raise _wrong(number, line)
                 order = _BYTE_ORDER[name]
             case ["element", name, count]:
-                if not re.fullmatch(r"[0-9]{1,18}", count) or any(e[0] == name for e in elements):
+                if not re.fullmatch(r"[0-9]{1,18}", count) or name in taken:
                     raise _wrong(number, line)
+                taken.add(name)
                 elements.append((name, int(count), []))
             case ["property", *rest] if elements:
                 columns = elements[-1][2]
@@ -115,7 +117,7 @@ def parse_header(start: bytes) -> Header:
     for element in built:
         names = [p.name for p in element.properties]
         if len(set(names)) < len(names):
-            twice = next(name for i, name in enumerate(names) if name in names[:i])
+            twice = Counter(names).most_common(1)[0][0]
             raise ArtifactError(f"PLY header: element {element.name} has property {twice} twice")
     return Header(order, built, tuple(comments), end.end())
 

@@ -29,6 +29,8 @@ from alula.stages.reconstruction.formats.spz_container import is_spz
 
 
 def _itself(source: Source) -> Sequence[str]:
+    if source.is_folder:
+        raise ArtifactError("is a folder, but that format is a file; name the file in it")
     return (source.path.name,)
 
 

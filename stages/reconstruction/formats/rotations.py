@@ -54,10 +54,20 @@ def chart_rotation_error(stored: NDArray[np.float64], error: ArrayLike) -> NDArr
     return angle * (1.0 + 1e-12)
 
 
-def whole_rotation_error(error: float) -> float:
-    """How far a rotation may be off all four components of whose unit quaternion are stored.
+def whole_rotation_error(stored: NDArray[np.floating], error: float) -> NDArray[np.float64]:
+    """How far a rotation may be off all four components of whose quaternion are stored.
 
-    The quaternion is off by at most `error` as a vector, so its direction by asin(error), and the
-    rotation by twice that [rad].
+    The true quaternion is within `error` of the stored one and of length 1, or of any length if the writer
+    did not normalise it. So its direction is off by at most asin(error / |stored|), where a length above 1
+    counts as 1, and the rotation by twice that.
+
+    Args:
+        stored: quaternions, shape (N, 4).
+        error: bound of the distance of the true ones.
+
+    Returns:
+        Angles [rad], shape (N,), at most pi.
     """
-    return 2.0 * math.asin(min(error, 1.0)) * (1.0 + 1e-12)
+    length = np.clip(np.linalg.norm(stored.astype(np.float64), axis=1), 1e-9, 1.0)
+    angle: NDArray[np.float64] = 2.0 * np.arcsin(np.minimum(error / length, 1.0))
+    return angle * (1.0 + 1e-12)

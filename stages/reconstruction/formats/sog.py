@@ -37,9 +37,11 @@ _FREE_PIXELS = 2**22  # what any image may have, however few its bytes are
 _PIXELS_PER_BYTE = 1024  # of all images; lossless WebP alone sets no limit
 _CHUNK = 2**17
 
-# Writers truncate codes (PlayCanvas) or round them (sogs), so a value is off by a whole step; the
-# millionth more is for what they compute the codes in.
-_STEP = 1.0 + 1e-6
+# Writers truncate codes (PlayCanvas) or round them (sogs), so a value is off by a whole step. Some compute
+# in single precision, where a code of 8 bits is off by 1e-4 of a step more, one of 16 bits by 0.02, and
+# ln(1 + |p|) by a unit in its last place and what 1 + |p| is rounded by: many steps far from the origin.
+_STEP, _FINE_STEP = 1.0 + 1e-4, 1.02
+_LOGARITHM = 2.0**-22
 ROTATION_STEP = _STEP * math.sqrt(2.0) / 255.0
 OPACITY_LOSS = 1.0 / 255.0
 _SINGLE = 2.0**-24  # half a unit in the last place: what decoding rounds
@@ -91,7 +93,8 @@ def decode_sog(source: Source, progress: Progress | None = None) -> Splats:
     """Decode SOG version 1 or 2, bundled or not.
 
     Positions are 16-bit codes of sign(p) ln(1 + |p|) between limits, so they are lost by
-    (1 + |p|) (exp(h) - 1) per axis, h a step of the codes. Rotations have three components of 8 bits.
+    (1 + |p|) (exp(h) - 1) per axis, h a step of the codes and what single precision makes of the
+    logarithm. Rotations have three components of 8 bits.
     Log scales of version 1 are 8-bit codes between limits, lost by a step. Those of version 2 are indices
     of a table, which says nothing of the values that its entries stand for: the bound assumes that an
     entry was the nearest one, so the value is below the middle to the next larger entry, and no farther
@@ -183,7 +186,8 @@ def _means(
         extent = (upper - lower) or 1.0
         t = lower + extent * (np.arange(65536) / 65535.0)
         place = np.sign(t) * (exp(np.abs(t)) - 1.0)
-        lost = (1.0 + np.abs(place)) * float(growth(min(_STEP * extent / 65535.0, 700.0)))
+        step = _FINE_STEP * extent / 65535.0 + _LOGARITHM * (1.0 + np.abs(t))
+        lost = (1.0 + np.abs(place)) * growth(np.minimum(step, 700.0))
         places.append(place.astype(np.float32))
         squares.append((lost + np.abs(place) * _SINGLE) ** 2)
     for start in range(0, meta.count, _CHUNK):

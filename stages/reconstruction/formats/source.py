@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from alula.schemas.errors import ArtifactError, InputError
+from alula.schemas.files import check_no_stream
 
 HEAD = 4096
 
@@ -75,6 +76,7 @@ class Source:
 
     def _map(self, path: Path) -> memoryview:
         if path not in self._mapped:
+            check_no_stream(path)
             try:
                 with path.open("rb") as file:
                     file.seek(0, io.SEEK_END)

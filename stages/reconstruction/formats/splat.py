@@ -8,22 +8,23 @@ import numpy as np
 
 from alula.schemas.errors import ArtifactError
 from alula.stages.reconstruction.formats.rotations import whole_rotation_error
-from alula.stages.reconstruction.formats.splats import Loss, Progress, Splats, loss_bound
+from alula.stages.reconstruction.formats.splats import Loss, Progress, Splats, loss_bound, rounded_up
 
 RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _CHUNK = 2**18
 
 # Writers truncate or round, with 128 or 127.5 as the middle: a component read as b / 127.5 - 1 is off
 # by at most 2/255 whoever wrote it, and four of them by at most 4/255 as a vector.
-ROTATION_LOSS_RAD = whole_rotation_error(4.0 / 255.0)
+QUATERNION_LOSS = 4.0 / 255.0
 OPACITY_LOSS = 1.0 / 255.0
 
 
 def decode_splat(buffer: memoryview, progress: Progress | None = None) -> Splats:
     """Decode a `.splat` file: position, linear scale, colour with alpha, quaternion bytes w, x, y, z.
 
-    Position and scale are exact; the loss of rotation and opacity is recorded. A negative scale
-    renders like its absolute value and is read as that.
+    Position and scale are exact; the loss of rotation and opacity is recorded. Quaternions that are shorter
+    than 1, which writers that do not normalise them leave, are known the worse the shorter they are. A
+    negative scale renders like its absolute value and is read as that.
 
     Args:
         buffer: the whole file.
@@ -43,7 +44,7 @@ def decode_splat(buffer: memoryview, progress: Progress | None = None) -> Splats
     count = len(rows)
     mean, scale = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     quat, color = np.empty((count, 4), np.float32), np.empty((count, 3), np.uint8)
-    opacity = np.empty(count, np.float32)
+    opacity, bound = np.empty(count, np.float32), loss_bound(count)
     negative = 0
     for start in range(0, count, _CHUNK):
         part = slice(start, min(start + _CHUNK, count))
@@ -52,6 +53,7 @@ def decode_splat(buffer: memoryview, progress: Progress | None = None) -> Splats
         scale[part] = np.abs(chunk["scale"])
         negative += int((chunk["scale"] < 0).any(axis=1).sum())
         quat[part] = chunk["quat"] / 127.5 - 1.0
+        bound[part, 2] = rounded_up(np.minimum(whole_rotation_error(quat[part], QUATERNION_LOSS), np.pi))
         color[part] = chunk["rgba"][:, :3]
         opacity[part] = chunk["rgba"][:, 3] / 255.0
         if progress is not None:
@@ -63,7 +65,7 @@ def decode_splat(buffer: memoryview, progress: Progress | None = None) -> Splats
         quat_wxyz=quat,
         opacity=opacity,
         color=color,
-        loss=Loss(loss_bound(count, rotation=ROTATION_LOSS_RAD), OPACITY_LOSS),
+        loss=Loss(bound, OPACITY_LOSS),
         notes=(f"{negative} rows with a negative scale, read as positive",) if negative else (),
     )
 
