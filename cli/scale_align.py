@@ -107,6 +107,7 @@ class Files:
 @click.pass_context
 def command(
     context: click.Context,
+    /,
     scene: Path,
     distances: tuple[Distance, ...],
     config: ScaleAlignConfig,
