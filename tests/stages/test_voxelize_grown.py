@@ -63,7 +63,7 @@ def test_a_grown_sphere_marks_the_voxel_that_it_only_just_touches(mean, radius, 
     r = math.sqrt(square) - float(radius)
     assume(r > 0)
     while (Fraction(float(radius)) + Fraction(r)) ** 2 < square:
-        r = math.nextafter(r, math.inf)
+        r += math.ulp(math.sqrt(square))  # not of r, which may be far smaller than its error
     assert tuple(cell) in marked_by(mean, [radius] * 3, quat, g, r)
 
 
@@ -84,7 +84,7 @@ def test_the_tip_of_a_sum_marks_the_plane_that_it_only_just_reaches(mean, scale,
     r = float(cell * Fraction(g) - centre[axis]) - math.sqrt(square)
     assume(r > 0)
     while (gap := cell * Fraction(g) - centre[axis] - Fraction(r)) > 0 and square < gap * gap:
-        r = math.nextafter(r, math.inf)
+        r += math.ulp(math.sqrt(square) + r)  # not of r, which may be far smaller than its error
     assert max(voxel[axis] for voxel in marked_by(mean, scale, quat, g, r)) >= cell
 
 
