@@ -17,7 +17,7 @@ from alula.stages.alignment.scale_align import scale_align, scale_only
 from alula.stages.compression.ellipsoids import lost_before, unproven_voxels
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.formats.splat import decode_splat
-from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound
+from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound, rounded_up
 from alula.stages.reconstruction.import_splat import import_splat
 from alula.stages.reporting.metrics import path_clearance
 from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz
@@ -236,3 +236,10 @@ def test_no_clearance_exceeds_that_of_what_a_row_may_stand_for(seed):
     np.testing.assert_allclose(
         path_clearance(path, _core.EllipsoidSet(mean, scale, quat, 1.5, zero)), plain, rtol=0, atol=1e-13
     )
+
+
+def test_rounding_up_beyond_single_precision_is_infinite_without_a_warning() -> None:
+    large, small, zero = rounded_up([1e300, 0.1, 0.0])
+    assert large == np.inf
+    assert 0.1 <= float(small) < 0.1 * (1 + 2**-22)
+    assert zero == 0

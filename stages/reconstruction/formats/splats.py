@@ -107,9 +107,10 @@ def growth(values: ArrayLike) -> NDArray[np.float64]:
 
 
 def rounded_up(values: ArrayLike) -> NDArray[np.float32]:
-    """Single precision, never below the value."""
+    """Single precision, never below the value; infinite beyond its range."""
     exact = np.asarray(values, np.float64)
-    near = exact.astype(np.float32)
+    with np.errstate(over="ignore"):
+        near = exact.astype(np.float32)
     up: NDArray[np.float32] = np.where(near < exact, np.nextafter(near, np.float32(np.inf)), near)
     return up
 
