@@ -1,0 +1,47 @@
+// Attitude as Modified Rodrigues Parameters, sigma = e tan(theta / 4).
+//
+// R(sigma) takes inertial components to body components, v_B = R v_I; the body's thrust axis in inertial
+// components is R^T e3. omega is the angular velocity of the body relative to the inertial frame in
+// body components [rad/s]. All maps are smooth for finite sigma; the one singularity is theta = 2 pi.
+// Switch to the shadow set (|sigma| > 1) between control ticks only, never within a rollout.
+#pragma once
+
+#include "alula/mat3.hpp"
+
+namespace alula::flight {
+
+using geometry::Mat3;
+using geometry::Vec3;
+
+// R = I + (8 H^2 - 4 (1 - n) H) / (1 + n)^2 with n = |sigma|^2, H = hat(sigma).
+inline Mat3 body_from_inertial(Vec3 sigma) {
+  const double n = geometry::dot(sigma, sigma), scale = 1 / ((1 + n) * (1 + n));
+  const Mat3 h = geometry::hat(sigma);
+  return geometry::identity() + scale * (8.0 * (h * h) - 4 * (1 - n) * h);
+}
+
+// Z in sigma' = Z omega: Z = ((1 - n) I + 2 H + 2 sigma sigma^T) / 4.
+inline Mat3 rate_matrix(Vec3 sigma) {
+  const double n = geometry::dot(sigma, sigma);
+  return 0.25 * ((1 - n) * geometry::identity() + 2.0 * geometry::hat(sigma) + 2.0 * geometry::outer(sigma, sigma));
+}
+
+// Z^-1 = 16 / (1 + n)^2 Z^T.
+inline Mat3 inverse_rate_matrix(Vec3 sigma) {
+  const double n = geometry::dot(sigma, sigma);
+  return 16 / ((1 + n) * (1 + n)) * geometry::transpose(rate_matrix(sigma));
+}
+
+// d(Z omega) / d sigma = (sigma omega^T - omega sigma^T - hat(omega) + (sigma . omega) I) / 2.
+inline Mat3 rate_jacobian(Vec3 sigma, Vec3 omega) {
+  return 0.5 * (geometry::outer(sigma, omega) - geometry::outer(omega, sigma) - geometry::hat(omega) +
+                geometry::dot(sigma, omega) * geometry::identity());
+}
+
+// The same attitude with |sigma| <= 1: -sigma / |sigma|^2 when |sigma| > 1.
+inline Vec3 shadowed(Vec3 sigma) {
+  const double n = geometry::dot(sigma, sigma);
+  return n > 1 ? -1 / n * sigma : sigma;
+}
+
+}  // namespace alula::flight
