@@ -18,6 +18,7 @@ void bind_ply_rows(nb::module_& m);
 void bind_scene_rows(nb::module_& m);
 void bind_vehicle(nb::module_& m);
 void bind_tracking(nb::module_& m);
+void bind_splat_filters(nb::module_& m);
 void bind_splat_flight(nb::module_& m);
 
 NB_MODULE(_core, m) {
@@ -38,5 +39,6 @@ NB_MODULE(_core, m) {
   bind_scene_rows(m);
   bind_vehicle(m);
   bind_tracking(m);
+  bind_splat_filters(m);
   bind_splat_flight(m);
 }
