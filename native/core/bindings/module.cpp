@@ -16,6 +16,7 @@ void bind_search(nb::module_& m);
 void bind_outer_solid(nb::module_& m);
 void bind_ply_rows(nb::module_& m);
 void bind_scene_rows(nb::module_& m);
+void bind_qp(nb::module_& m);
 
 NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
@@ -33,4 +34,5 @@ NB_MODULE(_core, m) {
   bind_outer_solid(m);
   bind_ply_rows(m);
   bind_scene_rows(m);
+  bind_qp(m);
 }
