@@ -88,10 +88,10 @@ def command(
     plan = read_artifact(paths["plan"], PLAN) if "plan" in paths else None
     vehicle: Any = None
     if splat:
-        from alula.schemas.vehicle import read_vehicle
+        from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
         from alula.stages.flight.splat_simulate import resolve_splat, simulate_splat
 
-        vehicle = read_vehicle(paths["vehicle"]) if "vehicle" in paths else DEFAULT_VEHICLE
+        vehicle = read_vehicle(paths["vehicle"]) if "vehicle" in paths else FASTBRIDGE
         config = resolve_splat(config, vehicle, plan)
     else:
         from alula.stages.flight.simulate import resolve, simulate
@@ -119,9 +119,7 @@ def command(
         _check(common.output, read_run(common.output).trials, splat=splat)
 
 
-def _inputs(
-    source: Path, map_path: Path | None, scene: Path | None, vehicle: Path | None
-) -> dict[str, Path]:
+def _inputs(source: Path, map_path: Path | None, scene: Path | None, vehicle: Path | None) -> dict[str, Path]:
     """All files to read, by role; those of a scenario are relative to its folder."""
     from alula.schemas.artifact import read_manifest
     from alula.schemas.kinds import COVER, PLAN, SCENE
@@ -131,7 +129,12 @@ def _inputs(
     if source.suffix == ".toml":
         scenario = read_scenario(source)
         table = scenario.map
-        files = {"cover": table.cover, "scene": table.scene, "plan": table.plan, "vehicle": scenario.vehicle.file}
+        files = {
+            "cover": table.cover,
+            "scene": table.scene,
+            "plan": table.plan,
+            "vehicle": scenario.vehicle.file,
+        }
         paths = {role: None if name is None else source.parent / name for role, name in files.items()}
         paths["scenario"] = source
     else:
@@ -180,7 +183,9 @@ def _is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
         return True
     if "cover" not in paths:
         others = [other for other in ellipsoids if other != NO_FILTER]
-        raise UsageError(f"{name} sees the hulls of a cover, not a scene; --filter may be {', '.join(others)} or none")
+        raise UsageError(
+            f"{name} sees the hulls of a cover, not a scene; --filter may be {', '.join(others)} or none"
+        )
     return False
 
 

@@ -26,16 +26,16 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
 
     Clearances are those of the vehicle's sphere, so negative means collision; they are computed
     after the flight, independently of the filter, over the continuous path. `map_clearance_m` is
-    against the hulls of the cover, `scene_clearance_m` against the ellipsoids when a scene was given. Jerk is
-    the second difference of the velocity at the rate of the filter.
+    against the hulls of the cover, `scene_clearance_m` against the ellipsoids when a scene was given. Jerk
+    is the second difference of the velocity at the rate of the filter.
 
     What follows `max_jerk_m_s3` is of flights among ellipsoids, and None for others: the peak of the
     reference's speed, the speed and largest acceleration of the body, how far at most it was from the
     reference, the largest difference between the acceleration and the one that was commanded, the
-    least barrier of the filter, the least r' A r - 1 over all ellipsoids as the filter grew them (at its rate;
-    below 0 inside one), and steps in which the backup policy flew, in which a safe backup manoeuvre was
-    proven to remain, in which the cap on the number of ellipsoids cut some off, and in which the rotors
-    could not do what was asked.
+    least barrier of the filter, the least r' A r - 1 over all ellipsoids as the filter grew them (below 0
+    inside one; at the rate of the filter), and steps in which the backup policy flew, in which a safe backup
+    manoeuvre was proven to remain, in which the cap on the number of ellipsoids cut some off, and in which
+    the rotors could not do what was asked.
     """
 
     index: int

@@ -28,15 +28,16 @@ class SimulateConfig:
     radius_m: float | None = field(
         default=None,
         metadata={
-            "help": f"Radius of the vehicle [m]; default: of its file, else the plan's, else {DEFAULT_RADIUS_M}.",
+            "help": "Radius of the vehicle [m]; default: of its file, else the plan's, "
+            f"else {DEFAULT_RADIUS_M}.",
             "option": "--radius",
         },
     )
     speed_m_s: float | None = field(
         default=None,
         metadata={
-            "help": f"Speed limit [m/s]; default: {DEFAULT_SPEED_M_S}, or 1.5 times a plan's. Among ellipsoids: "
-            f"peak of the references; default: {DEFAULT_SPEED_M_S}.",
+            "help": f"Speed limit [m/s]; default: {DEFAULT_SPEED_M_S}, or 1.5 times a plan's. Among "
+            f"ellipsoids: peak of the references; default: {DEFAULT_SPEED_M_S}.",
             "option": "--speed",
         },
     )
@@ -111,9 +112,12 @@ class SimulateConfig:
             "option": "--inflate",
         },
     )
-    plant: Literal["quadrotor", "double-integrator"] = field(
-        default="quadrotor",
-        metadata={"help": "What flies among ellipsoids; double-integrator: accelerations come true."},
+    plant: Literal["quadrotor", "double-integrator"] | None = field(
+        default=None,
+        metadata={
+            "help": "What flies among ellipsoids; double-integrator: accelerations come true. "
+            "Default: as the vehicle's file says."
+        },
     )
     interface: Literal["wrench", "body-rates"] = field(
         default="wrench",
@@ -149,7 +153,7 @@ class SimulateConfig:
             raise UsageError(f"--confidence must be between 0 and 1, not {self.confidence}")
         if self.inflation_m is not None:
             _between("--inflate", self.inflation_m, 0.0, 1e3)
-        if self.plant not in ("quadrotor", "double-integrator"):
+        if self.plant not in (None, "quadrotor", "double-integrator"):
             raise UsageError(f"--plant must be quadrotor or double-integrator, not {self.plant!r}")
         if self.interface not in ("wrench", "body-rates"):
             raise UsageError(f"--interface must be wrench or body-rates, not {self.interface!r}")

@@ -42,6 +42,8 @@ class Nominal:
     Attributes:
         acceleration: of the translation, shape (3,) [m/s^2].
         wrench: collective thrust [N] and torque in the body frame [N m], shape (4,).
+        thrust_rate: derivative of that thrust [N/s].
+        thrust_acceleration: second derivative [N/s^2].
         position_error: position less that of the reference, shape (3,) [m].
         velocity_error: shape (3,) [m/s].
         reference_acceleration: shape (3,) [m/s^2].
@@ -49,6 +51,8 @@ class Nominal:
 
     acceleration: FloatArray
     wrench: FloatArray
+    thrust_rate: float
+    thrust_acceleration: float
     position_error: FloatArray
     velocity_error: FloatArray
     reference_acceleration: FloatArray
@@ -59,7 +63,7 @@ class SplatFilterResult:
     """A filter's answer, held for one tick.
 
     Attributes:
-        u: the acceleration, shape (3,) [m/s^2], or the wrench, shape (4,) [N, N m], as the filter's `kind` says.
+        u: the acceleration, shape (3,) [m/s^2], or the wrench, shape (4,) [N, N m], as `kind` says.
         status: what was done; `REFUSED` ends the flight.
         margin: value of the filter's own barrier, negative when violated; infinite without an obstacle.
         active: ellipsoid that decides, -1 for none.

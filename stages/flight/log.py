@@ -28,9 +28,7 @@ _CHANNELS = {
     "/safety": "alula.Safety",
     "/log": "foxglove.Log",
 }
-_RIGIDAnyFlight = FlightLog | SplatFlightLog
-
-_CHANNELS = {"/pose": "foxglove.PoseInFrame"}
+_RIGID_CHANNELS = {"/pose": "foxglove.PoseInFrame"}
 _GAP_S = 1.0  # between trials, which follow one another in log time
 _DECIMALS = 6  # micrometres; the record has the exact figures
 _LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
@@ -43,8 +41,8 @@ def write_log(
 ) -> None:
     """Write a log; equal arguments give equal bytes.
 
-    Channels, all JSON: `/map` once, `/path` per trial, `/state` and `/safety` per sample, `/log` per trial; of
-    a rigid body also `/pose` per sample. The map is hulls as triangles, or ellipsoids as spheres.
+    Channels, all JSON: `/map` once, `/path` per trial, `/state` and `/safety` per sample, `/log` per trial;
+    of a rigid body also `/pose` per sample. The map is hulls as triangles, or ellipsoids as spheres.
     Log time starts at 0 and trials follow one another with a second between them. The metadata
     `alula/summary` holds the record without its measured times, and its provenance.
 
@@ -143,7 +141,9 @@ def _path_message(flight: AnyFlight, frame: str, time_s: float) -> dict[str, Any
 def _log_message(trial: TrialResult, time_s: float) -> dict[str, Any]:
     level = _LEVEL_INFO if trial.outcome == "reached" else _LEVEL_WARNING
     words = f"trial {trial.index}: {trial.outcome} after {trial.duration_s:.2f} s"
-    clearance = trial.map_clearance_m if trial.peak_realisation_error_m_s2 is None else trial.scene_clearance_m
+    clearance = (
+        trial.map_clearance_m if trial.peak_realisation_error_m_s2 is None else trial.scene_clearance_m
+    )
     if clearance is not None:
         words += f", least clearance {clearance:.4f} m"
     if trial.collision:

@@ -60,8 +60,8 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 thrust_n=_NUMBER,
                 torque_body_nm=_VECTOR,
             ),
-            "description": "Position and velocity in the world frame; time_s counts from the trial's start. Of a "
-            "rigid body also attitude (body to world), body rates, and what its rotors make.",
+            "description": "Position and velocity in the world frame; time_s counts from the trial's start. "
+            "Of a rigid body also attitude (body to world), body rates, and what its rotors make.",
         },
         "alula.Safety": {
             **_object(
@@ -89,8 +89,9 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 thrust_nom_n=_NUMBER,
                 torque_nom_body_nm=_VECTOR,
             ),
-            "description": "The filter's margin and status, the nominal and the filtered input: h_m and velocities "
-            "among hulls; among ellipsoids the filter's own barrier, which has no metres, and accelerations.",
+            "description": "The filter's margin and status, the nominal and the filtered input: h_m and "
+            "velocities among hulls; among ellipsoids the filter's own barrier, not in metres, and "
+            "accelerations.",
         },
         "foxglove.PosesInFrame": _object(timestamp=_TIME, frame_id=_TEXT, poses=_array(_POSE)),
         "foxglove.PoseInFrame": _object(timestamp=_TIME, frame_id=_TEXT, pose=_POSE),

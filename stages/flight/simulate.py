@@ -62,7 +62,7 @@ class FlightLog:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """What a run's record and log are written from; `filter_s` and `tick_s` are measured, all else reproducible.
+    """What a run's record and log are written from; `filter_s` and `tick_s` are measured, the rest is not.
 
     `map` is the cover, or the scene, that was flown through; `tick_s` the time of controller and filter.
     """

@@ -1,4 +1,4 @@
-"""What a log says of a flight among ellipsoids: attitude, rotors, the filter's account, and the map as spheres."""
+"""What a log says of a flight among ellipsoids: attitude, rotors, what the filter did, the map as spheres."""
 
 from __future__ import annotations
 

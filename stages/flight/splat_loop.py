@@ -30,8 +30,8 @@ class SplatFlown:
         position: shape (S plant_steps + 1, 3): the path at the rate of the plant, world frame [m].
         state: shape (S + 1, 12), position, attitude (MRP), velocity, body rates; the last row is the end.
         a_nominal: acceleration that the controller asked for, shape (S, 3) [m/s^2].
-        a_command: acceleration that the filter let through, shape (S, 3) [m/s^2]; of a wrench, the one that its
-            thrust makes along the true axis.
+        a_command: acceleration that the filter let through, shape (S, 3) [m/s^2]; of a wrench, the one that
+            its thrust makes along the true axis.
         a_error: largest |a - a_command| within the tick, shape (S,) [m/s^2].
         u_nominal: thrust and torque of the controller, shape (S, 4) [N, N m].
         u: thrust and torque as flown, within the limits of the rotors, shape (S, 4); 0 without rotors.

@@ -16,7 +16,7 @@ from alula.schemas.configs.simulate import DEFAULT_SPEED_M_S, SimulateConfig
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import TrialResult
-from alula.schemas.vehicle import Vehicle
+from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.stages.compression.ellipsoids import retained, rows_of
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.registry import NO_FILTER, make_splat_filter
@@ -28,7 +28,7 @@ from alula.stages.flight.splat_judge import SplatJudge
 from alula.stages.flight.splat_log import SplatFlightLog, decimate
 from alula.stages.flight.splat_loop import fly
 from alula.stages.flight.trials import central_box, sample_pairs
-from alula.stages.flight.vehicles import controller_of, plant_options_of, quadrotor_of
+from alula.stages.flight.vehicles import plant_options, quadrotor, tracking_gains
 from alula.stages.reporting.metrics import wilson_interval
 
 FloatArray = NDArray[np.float64]
@@ -43,8 +43,11 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
     """Fill in what the configuration leaves to the vehicle, the plan or a default.
 
     Raises:
-        UsageError: a number of trials or a speed is given with a plan, which says both.
+        UsageError: a number of trials or a speed is given with a plan, which says both, or the vehicle is
+            none that flies among ellipsoids.
     """
+    if vehicle.model == "single-integrator" or (config.plant == "quadrotor" != vehicle.model):
+        raise UsageError(f"{vehicle.name} is a {vehicle.model}, which does not fly among ellipsoids as asked")
     if plan is not None and config.trials not in (None, 1):
         raise UsageError("--trials is for random pairs; a plan is flown once")
     if plan is not None and config.speed_m_s is not None:
@@ -53,7 +56,8 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
     return dataclasses.replace(
         config,
         sigma=config.sigma if config.confidence is None else sigma_of_confidence(config.confidence),
-        radius_m=vehicle.radius_m if config.radius_m is None else config.radius_m,
+        radius_m=vehicle.body.radius_m if config.radius_m is None else config.radius_m,
+        plant=config.plant or ("quadrotor" if vehicle.model == "quadrotor" else "double-integrator"),
         speed_m_s=speed if config.speed_m_s is None else config.speed_m_s,
         trials=(100 if plan is None else 1) if config.trials is None else config.trials,
     )
@@ -71,12 +75,12 @@ def simulate_splat(
 ) -> RunResult:
     """Fly random start-goal pairs, or a plan, among the ellipsoids of a scene, and judge each flight.
 
-    A rigid body with rotors (or, as `plant` says, an ideal double integrator), in steps of at most 1 ms, behind
-    the tracking controller and the filter at every `dt_s`. A pair is joined by a straight septic reference from
-    rest to rest with the peak speed `speed_m_s`, whatever is in between; a plan is flown as it is. Filters
-    see the ellipsoids at the level `sigma` and a sphere of the vehicle's radius plus `inflation_m`. Every
-    flight is judged independently of the filter: exact signed Euclidean distance of the path at the plant's rate to
-    the ellipsoids, minus the radius. A success is a flight that reached its goal without collision.
+    A rigid body with rotors (or, as `plant` says, an ideal double integrator), in steps of at most 1 ms,
+    behind the tracking controller and the filter at every `dt_s`. A pair is joined by a straight septic
+    reference from rest to rest with the peak speed `speed_m_s`, whatever is in between; a plan is flown as it
+    is. Filters see the ellipsoids at the level `sigma` and a sphere of the vehicle's radius plus `inflation_m`. Every
+    flight is judged independently of the filter: exact signed Euclidean distance of the path at the plant's
+    rate to the ellipsoids, minus the radius. A success is a flight that reached its goal without collision.
 
     Args:
         config: see `SimulateConfig`.
@@ -98,12 +102,14 @@ def simulate_splat(
     assert config.radius_m is not None
     assert config.speed_m_s is not None
     assert config.trials is not None
+    assert config.plant is not None
     _check_fit(scene, plan, cover)
     inflation = scene.manifest.suggested_inflation_m if config.inflation_m is None else config.inflation_m  # type: ignore[attr-defined]
     keep = config.radius_m + inflation
     index = _index(scene, config.sigma, keep)
-    gains = controller_of(vehicle)
-    body = quadrotor_of(vehicle)
+    gains = tracking_gains(vehicle)
+    # A point has no rotors: its controller and filters only use the translation, whatever the body.
+    body = quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE)
     world = SplatWorld(index=index, body=body, gains=gains, radius_m=keep, dt_s=config.dt_s)
     safety_filter = make_splat_filter(config.filter, world, config.filter_parameters)
     if config.plant == "double-integrator" and safety_filter is not None and safety_filter.kind == "wrench":
@@ -123,9 +129,11 @@ def simulate_splat(
     flying = _core.FlightVehicle(
         body,
         gains,
-        plant_options_of(vehicle),
+        plant_options(vehicle),
         plant=config.plant,
         interface=config.interface,
+        max_rate_rad_s=vehicle.rates.max_rad_s,
+        max_acceleration_m_s2=vehicle.limits.max_acceleration_m_s2 or math.inf,
     )
     trials: list[TrialResult] = []
     flights: list[SplatFlightLog] = []
@@ -134,7 +142,7 @@ def simulate_splat(
         batch = references[begin : begin + _BATCH]
         found = fly(safety_filter, flying, batch, rules, seed=config.seed, first_trial=begin, jobs=jobs)
         for i, (reference, flown) in enumerate(zip(batch, found, strict=True), begin):
-            rows = reference.at(np.arange(len(flown.status) + 1) * config.dt_s)
+            rows = reference.at(np.arange(len(flown.status) + 1, dtype=np.float64) * config.dt_s)
             end = reference.at(np.array([reference.duration_s]))[0, :3]
             trials.append(judge.trial(i, rows, end, flown, config.dt_s, index))
             flights.append(decimate(flown, config.dt_s, config.log_rate_hz))
@@ -167,7 +175,9 @@ def _check_fit(scene: Artifact, plan: Artifact | None, cover: Artifact | None) -
 def _index(scene: Artifact, sigma: float, radius_m: float) -> _core.EllipsoidIndex:
     rows = rows_of(scene, retained(scene, 0.0))
     try:
-        return _core.EllipsoidIndex(rows.mean, rows.scale, rows.quat_wxyz, rows.loss, sigma=sigma, radius=radius_m)
+        return _core.EllipsoidIndex(
+            rows.mean, rows.scale, rows.quat_wxyz, sigma=sigma, radius=radius_m, loss=rows.loss
+        )
     except ValueError as error:
         raise UsageError(f"no barriers for this scene: {error}") from error
 
@@ -192,10 +202,14 @@ def _references(
         lambda _, distance: np.asarray(distance >= needed),
     )
     curves = [
-        _core.ReferenceCurve(*rest_to_rest(start, goal, config.speed_m_s))
+        _core.ReferenceCurve(*rest_to_rest(start, goal, config.speed_m_s, yaw_rad=_heading(goal - start)))
         for start, goal in zip(pairs.start, pairs.goal, strict=True)
     ]
     return curves, {"sampled_points": pairs.sampled, "sampled_inside_ellipsoids": pairs.sampled_inside_hulls}
+
+
+def _heading(way: FloatArray) -> float:
+    return math.atan2(way[1], way[0])
 
 
 def _room(
@@ -204,7 +218,8 @@ def _room(
     """A box around all there is; whoever leaves it is lost."""
     points = [np.asarray(scene["mean"], np.float64)]
     for curve in references:
-        points.append(curve.at(np.linspace(0, curve.duration_s, max(2, int(curve.duration_s / dt_s))))[:, :3])
+        time = np.linspace(0, curve.duration_s, max(2, int(curve.duration_s / dt_s)))
+        points.append(curve.at(time)[:, :3])
     low = np.min([part.min(axis=0) for part in points if len(part)], axis=0) - _ROOM_M
     high = np.max([part.max(axis=0) for part in points if len(part)], axis=0) + _ROOM_M
     return tuple(low.tolist()), tuple(high.tolist())
@@ -212,9 +227,10 @@ def _room(
 
 def _describe(config: SimulateConfig, vehicle: Vehicle) -> str:
     if config.plant == "double-integrator":
-        return f"sphere of radius {config.radius_m:g} m, double integrator, exact state"
+        return f"{vehicle.name}: sphere of radius {config.radius_m:g} m, double integrator"
     told = "thrust and torque" if config.interface == "wrench" else "thrust and body rates"
-    return f"{vehicle.name}: quadrotor of {vehicle.mass_kg:g} kg in a sphere of radius {config.radius_m:g} m, told {told}"
+    sphere = f"sphere of radius {config.radius_m:g} m"
+    return f"{vehicle.name}: quadrotor of {vehicle.body.mass_kg:g} kg in a {sphere}, told {told}"
 
 
 def _summary(
@@ -265,17 +281,18 @@ def _guarantee(
         head = "No filter was flown; nothing was guaranteed beforehand."
     elif certified:
         head = (
-            f"In {certified} of {steps} steps the filter proved that a backup manoeuvre from the end of the step "
-            "keeps the radius from every ellipsoid, for the model without disturbances."
+            f"In {certified} of {steps} steps the filter proved that a backup manoeuvre from the end of the "
+            "step keeps the radius from every ellipsoid, for the model without disturbances."
         )
     else:
-        head = f"The filter {config.filter!r} bounds the rate of a barrier at each step; it proves no flight safe."
+        head = f"The filter {config.filter!r} bounds the rate of a barrier at each step; it proves no flight."
     found = f"{hits or 'none'} of {len(trials)} flights came closer to an ellipsoid than the radius"
     model = "double integrator" if config.plant == "double-integrator" else "quadrotor with rotor limits"
     given = scene.manifest.guarantee
     return Guarantee(
-        statement=f"{head} Judged afterwards over the whole path against the scene's ellipsoids at {config.sigma:.4g} "
-        f"sigma: {found}. This holds for the simulated {model}, and for the real scene as far as its ellipsoids do.",
+        statement=f"{head} Judged afterwards over the whole path against the scene's ellipsoids at "
+        f"{config.sigma:.4g} sigma: {found}. This holds for the simulated {model}, and for the real scene as "
+        "far as its ellipsoids do.",
         claims={
             "proven_by_filter": False,
             "scene_clear": hits == 0,

@@ -5,14 +5,14 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
-#include <array>
+#include <limits>
 #include <memory>
 #include <stdexcept>
 #include <string>
 #include <tuple>
 
 #include "alula/splat_flight.hpp"
-#include "arrays.hpp"
+#include "flight_arrays.hpp"
 #include "python_control.hpp"
 
 namespace nb = nanobind;
@@ -22,15 +22,7 @@ namespace alula {
 namespace {
 
 using namespace flight;
-using Triple = std::array<double, 3>;
-using Quadruple = std::array<double, 4>;
-
-geometry::Vec3 vec(const Triple& v) { return {v[0], v[1], v[2]}; }
-
-nb::ndarray<nb::numpy, double> array(geometry::Vec3 v) { return to_numpy(std::vector<double>{v.x, v.y, v.z}, {3}); }
-nb::ndarray<nb::numpy, double> array(const Wrench& u) {
-  return to_numpy(std::vector<double>{u.thrust, u.torque.x, u.torque.y, u.torque.z}, {4});
-}
+Doubles to_array(geometry::Vec3 v) { return Rows(1).add(v).array({3}); }
 
 using LogDict = nb::typed<nb::dict, nb::str, nb::any>;
 
@@ -127,12 +119,20 @@ void bind_splat_flight(nb::module_& m) {
       .def(
           "__init__",
           [](FlightVehicle* self, const Quadrotor& body, const TrackingGains& gains, const PlantOptions& options,
-             const std::string& plant, const std::string& interface, const Triple& max_rate, double rate_time_constant) {
-            new (self) FlightVehicle{body, gains, options, plant_kind(plant), command_interface(interface),
-                                     vec(max_rate), rate_time_constant};
+             const std::string& plant, const std::string& interface, const Triple& max_rate,
+             double rate_time_constant, double max_acceleration) {
+            new (self) FlightVehicle{body,
+                                     gains,
+                                     options,
+                                     plant_kind(plant),
+                                     command_interface(interface),
+                                     vector_of(max_rate),
+                                     rate_time_constant,
+                                     max_acceleration};
           },
           "body"_a, "gains"_a = TrackingGains{}, "options"_a = PlantOptions{}, nb::kw_only(), "plant"_a = "quadrotor",
-          "interface"_a = "wrench", "max_rate"_a = Triple{20, 20, 10}, "rate_time_constant_s"_a = 0.02);
+          "interface"_a = "wrench", "max_rate_rad_s"_a = Triple{10, 10, 4}, "rate_time_constant_s"_a = 0.02,
+          "max_acceleration_m_s2"_a = std::numeric_limits<double>::infinity());
 
   nb::class_<FlightRules>(m, "FlightRules", "Times of a flight, and when it ends.")
       .def(
@@ -140,8 +140,9 @@ void bind_splat_flight(nb::module_& m) {
           [](FlightRules* self, double dt_s, std::int64_t plant_steps, double stop_fraction, double stop_floor_m,
              double stop_speed, double stuck_speed, std::int64_t stuck_ticks, double time_factor, double max_time_s,
              const Triple& lower, const Triple& upper) {
-            new (self) FlightRules{dt_s,        plant_steps, stop_fraction, stop_floor_m, stop_speed, stuck_speed,
-                                   stuck_ticks, time_factor, max_time_s,    vec(lower),   vec(upper)};
+            new (self)
+                FlightRules{dt_s,        plant_steps, stop_fraction, stop_floor_m,     stop_speed,      stuck_speed,
+                            stuck_ticks, time_factor, max_time_s,    vector_of(lower), vector_of(upper)};
           },
           nb::kw_only(), "dt_s"_a = 0.01, "plant_steps"_a = 10, "stop_fraction"_a = 0.01, "stop_floor_m"_a = 0.05,
           "stop_speed"_a = 0.1, "stuck_speed"_a = 0.02, "stuck_ticks"_a = 200, "time_factor"_a = 3.0,
@@ -155,30 +156,33 @@ void bind_splat_flight(nb::module_& m) {
           "state",
           [](const SteppedFlight& self) {
             const FlightState& s = self.trial.state();
-            return std::make_tuple(array(s.x.p), array(s.x.sigma), array(s.x.v), array(s.x.omega), s.thrust,
-                                   s.thrust_rate);
+            return std::make_tuple(to_array(s.x.p), to_array(s.x.sigma), to_array(s.x.v), to_array(s.x.omega),
+                                   s.thrust, s.thrust_rate);
           },
           "Position, attitude (MRP), velocity, body rates, thrust and its rate.")
       .def(
           "nominal",
           [](const SteppedFlight& self) {
             const Nominal& n = self.trial.nominal();
-            return std::make_tuple(array(n.acceleration), array(n.wrench), array(n.position_error),
-                                   array(n.velocity_error), array(n.reference_acceleration));
+            return std::make_tuple(to_array(n.acceleration), to_array(n.wrench), n.thrust_rate, n.thrust_acceleration,
+                                   to_array(n.position_error), to_array(n.velocity_error),
+                                   to_array(n.reference_acceleration));
           },
-          "Acceleration, wrench, errors of position and velocity, acceleration of the reference.")
-      .def("advance", &SteppedFlight::advance, "u"_a, nb::kw_only(), "status"_a, "margin"_a, "active"_a = -1,
-           "thrust_rate"_a = 0.0, "infeasible"_a = false, "certified"_a = false, "filter_s"_a = 0.0,
-           "Fly an acceleration (3) or a wrench (4) for a tick; the outcome: 0 flying, 1 reached, 2 stuck, 3 timeout, "
-           "4 refused.")
+          "Acceleration, wrench, T' and T'', errors of position and velocity, acceleration of the reference.")
+      .def(
+          "advance", &SteppedFlight::advance, "u"_a, nb::kw_only(), "status"_a, "margin"_a, "active"_a = -1,
+          "thrust_rate"_a = 0.0, "infeasible"_a = false, "certified"_a = false, "filter_s"_a = 0.0,
+          "Fly an acceleration (3) or a wrench (4) for a tick; the outcome: 0 flying, 1 reached, 2 stuck, 3 timeout, "
+          "4 refused.")
       .def(
           "log", [](SteppedFlight& self) { return to_dict(SplatFlightLog(self.trial.log())); },
           "All ticks so far, as `fly` returns them.");
 
-  m.def("fly", &run, "vehicle"_a, "rules"_a, "references"_a, "filter"_a.none(), nb::kw_only(), "seed"_a = 0,
-        "first_trial"_a = 0, "jobs"_a = 0, "progress"_a = nb::none(),
-        "Fly every reference behind a clone of the filter, or without one; per flight a dict of arrays with a row per "
-        "tick, the path at the rate of the plant, and the outcome.");
+  m.def(
+      "fly", &run, "vehicle"_a, "rules"_a, "references"_a, "filter"_a.none(), nb::kw_only(), "seed"_a = 0,
+      "first_trial"_a = 0, "jobs"_a = 0, "progress"_a = nb::none(),
+      "Fly every reference behind a clone of the filter, or without one; per flight a dict of arrays with a row per "
+      "tick, the path at the rate of the plant, and the outcome.");
 
   m.def(
       "least_gamma",

@@ -21,8 +21,6 @@ double seconds_since(Clock::time_point before) {
   return std::chrono::duration<double>(Clock::now() - before).count();
 }
 
-double norm(Vec3 a) { return std::sqrt(dot(a, a)); }
-
 void append(std::vector<double>& rows, Vec3 v) { rows.insert(rows.end(), {v.x, v.y, v.z}); }
 void append(std::vector<double>& rows, const Wrench& u) {
   rows.insert(rows.end(), {u.thrust, u.torque.x, u.torque.y, u.torque.z});
@@ -38,10 +36,11 @@ bool within(Vec3 p, Vec3 lower, Vec3 upper) {  // false for what is not a number
 }
 
 void check(const FlightVehicle& vehicle, const FlightRules& rules) {
-  const bool good = rules.dt_s > 0 && std::isfinite(rules.dt_s) && rules.plant_steps > 0 && rules.stop_fraction >= 0 &&
-                    rules.stop_floor_m > 0 && rules.stop_speed > 0 && rules.stuck_speed >= 0 && rules.stuck_ticks > 0 &&
-                    rules.time_factor > 0 && rules.max_time_s >= 0 && vehicle.rate_time_constant_s > 0 &&
-                    vehicle.max_rate.x > 0 && vehicle.max_rate.y > 0 && vehicle.max_rate.z > 0;
+  const bool good = rules.dt_s > 0 && std::isfinite(rules.dt_s) && rules.plant_steps > 0 &&
+                    rules.stop_fraction >= 0 && rules.stop_floor_m > 0 && rules.stop_speed > 0 &&
+                    rules.stuck_speed >= 0 && rules.stuck_ticks > 0 && rules.time_factor > 0 &&
+                    rules.max_time_s >= 0 && vehicle.rate_time_constant_s > 0 && vehicle.max_rate.x > 0 &&
+                    vehicle.max_rate.y > 0 && vehicle.max_rate.z > 0;
   if (!good) throw std::invalid_argument("the rules of a flight must be positive");
 }
 
@@ -57,8 +56,11 @@ Vec3 acceleration_of(const Quadrotor& body, const State& x, double thrust) {
 
 FlightTrial::FlightTrial(const FlightVehicle& vehicle, const FlightRules& rules, const ReferenceCurve& reference,
                          std::uint64_t seed, std::uint32_t trial)
-    : vehicle_(vehicle), rules_(rules), reference_(reference), body_(vehicle.body, vehicle.plant, RandomStream{seed, trial}),
-      point_(std::numeric_limits<double>::infinity(), vehicle.plant.sensor, RandomStream{seed, trial}) {
+    : vehicle_(vehicle),
+      rules_(rules),
+      reference_(reference),
+      body_(vehicle.body, vehicle.plant, RandomStream{seed, trial}),
+      point_(vehicle.max_acceleration, vehicle.plant.sensor, RandomStream{seed, trial}) {
   check(vehicle, rules);
   const ReferencePoint start = reference.at(reference.start());
   goal_ = reference.at(reference.end()).p;
@@ -94,33 +96,34 @@ FilterReport FlightTrial::unfiltered() const {
 
 Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double filter_s) {
   if (log_.outcome != Outcome::flying) throw std::logic_error("the flight is over");
-  if (kind == InputKind::wrench && !is_rigid())
-    throw std::invalid_argument("a double integrator has no wrench");
+  if (kind == InputKind::wrench && !is_rigid()) throw std::invalid_argument("a double integrator has no wrench");
   const double thrust_before = seen_.thrust;
   Vec3 command = answer.acceleration;
   double error = 0, realise_s = 0;
-  Wrench asked, flown;
+  bool is_limited = false;
+  Wrench flown;
   if (!is_rigid()) {
     for (std::int64_t i = 0; i < rules_.plant_steps; ++i) {
       point_.step(rules_.dt_s / static_cast<double>(rules_.plant_steps), command);
       append(log_.position, point_.state().p);
-      error = norm(point_.acceleration() - command);
     }
+    error = norm(point_.acceleration() - command);
+    is_limited = error > 0;
     x_ = point_.state();
   } else {
     const auto before = Clock::now();
-    asked = kind == InputKind::wrench
-                ? answer.wrench
-                : realise(vehicle_.body, vehicle_.gains, seen_.x, target_, nominal_, answer.acceleration);
+    const Wrench asked = kind == InputKind::wrench ? answer.wrench
+                                                   : realise(vehicle_.body, vehicle_.gains, seen_.x, target_,
+                                                             nominal_, answer.acceleration);
     flown = vehicle_.body.limited(asked);
     realise_s = seconds_since(before);
+    is_limited = !is_same(asked, flown);
     if (kind == InputKind::wrench) command = acceleration_of(vehicle_.body, x_, answer.wrench.thrust);
     error = fly(answer, kind, flown);
     seen_.thrust = flown.thrust;
     is_other_ = flown.thrust != nominal_.wrench.thrust;
   }
-  seen_.thrust_rate =
-      kind == InputKind::wrench ? answer.thrust_rate : (seen_.thrust - thrust_before) / rules_.dt_s;
+  seen_.thrust_rate = kind == InputKind::wrench ? answer.thrust_rate : (seen_.thrust - thrust_before) / rules_.dt_s;
 
   append(log_.state, x_);
   append(log_.a_nominal, nominal_.acceleration);
@@ -138,7 +141,7 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
   log_.iterations.push_back(answer.iterations);
   log_.status.push_back(static_cast<std::uint8_t>(answer.status));
   log_.flags.push_back(static_cast<std::uint8_t>((answer.capped ? 1 : 0) | (answer.infeasible ? 2 : 0) |
-                                                 (answer.certified ? 4 : 0) | (is_same(asked, flown) ? 0 : 8)));
+                                                 (answer.certified ? 4 : 0) | (is_limited ? 8 : 0)));
   log_.filter_s.push_back(static_cast<float>(filter_s));
   log_.tick_s.push_back(static_cast<float>(controller_s_ + filter_s + realise_s));
   log_.outcome = judged(answer.status);
@@ -164,9 +167,8 @@ double FlightTrial::fly(const FilterReport& answer, InputKind kind, const Wrench
     body_.step(dt, u);
     x_ = body_.state();
     append(log_.position, x_.p);
-    const Vec3 asked = kind == InputKind::acceleration
-                           ? answer.acceleration
-                           : acceleration_of(vehicle_.body, x_, answer.wrench.thrust);
+    const Vec3 asked = kind == InputKind::acceleration ? answer.acceleration
+                                                       : acceleration_of(vehicle_.body, x_, answer.wrench.thrust);
     worst = std::max(worst, norm(body_.acceleration() - asked));
   }
   body_.switch_shadow();

@@ -6,6 +6,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <span>
 #include <vector>
 
@@ -26,16 +27,16 @@ enum class PlantKind : std::uint8_t {
 enum class CommandInterface : std::uint8_t { wrench, body_rates };
 
 struct FlightRules {
-  double dt_s = 0.01;                 // a tick of controller and filter
-  std::int64_t plant_steps = 10;      // of the plant in a tick
-  double stop_fraction = 0.01;        // reached within this part of the start-goal distance,
-  double stop_floor_m = 0.05;         // or within this,
-  double stop_speed = 0.1;            // slower than this, with the reference at its end [m/s]
-  double stuck_speed = 0.02;          // stuck: slower than this and further than that from the reference
-  std::int64_t stuck_ticks = 200;     // for so long
-  double time_factor = 3;             // timeout: so many durations of the reference,
-  double max_time_s = 0;              // or this, when above 0
-  Vec3 lower{-1e9, -1e9, -1e9};       // a flight that leaves this box is refused
+  double dt_s = 0.01;              // a tick of controller and filter
+  std::int64_t plant_steps = 10;   // of the plant in a tick
+  double stop_fraction = 0.01;     // reached within this part of the start-goal distance,
+  double stop_floor_m = 0.05;      // or within this,
+  double stop_speed = 0.1;         // slower than this, with the reference at its end [m/s]
+  double stuck_speed = 0.02;       // stuck: slower than this and further than that from the reference
+  std::int64_t stuck_ticks = 200;  // for so long
+  double time_factor = 3;          // timeout: so many durations of the reference,
+  double max_time_s = 0;           // or this, when above 0
+  Vec3 lower{-1e9, -1e9, -1e9};    // a flight that leaves this box is refused
   Vec3 upper{1e9, 1e9, 1e9};
 };
 
@@ -46,8 +47,9 @@ struct FlightVehicle {
   PlantOptions plant;
   PlantKind kind = PlantKind::quadrotor;
   CommandInterface interface = CommandInterface::wrench;
-  Vec3 max_rate{20, 20, 10};           // limit of a commanded body rate [rad/s]
+  Vec3 max_rate{10, 10, 4};            // limit of a commanded body rate [rad/s]
   double rate_time_constant_s = 0.02;  // of the vehicle's own rate loop, a first-order lag where the rotors allow it
+  double max_acceleration = std::numeric_limits<double>::infinity();  // of the double integrator [m/s^2]
 };
 
 // A row per tick, of the time at its beginning unless said otherwise; `state` has one more, the end.
@@ -103,7 +105,7 @@ class FlightTrial {
   FlightVehicle vehicle_;
   FlightRules rules_;
   const ReferenceCurve& reference_;
-  Plant body_;               // one of the two flies
+  Plant body_;  // one of the two flies
   DoubleIntegrator point_;
   State x_;  // the true state
   ReferencePoint target_;
