@@ -21,6 +21,7 @@ from quadrotor_model import (
 from alula._core import ReferenceCurve, TrackingGains, body_rates, realise, track
 
 BODY, GAINS = fastbridge(), TrackingGains()
+WEIGHT = np.array([0, 0, GRAVITY])  # per mass
 CASES = VECTORS["cases"]
 
 
@@ -64,7 +65,7 @@ def lissajous(t):
 
 def model_force(x, t, gains=(3.0, 2.0)):
     r = lissajous(t)
-    return MASS * ([*r[6:9], 0, 0, GRAVITY] - gains[0] * (x[:3] - r[:3]) - gains[1] * (x[6:9] - r[3:6]))
+    return MASS * (r[6:9] + WEIGHT - gains[0] * (x[:3] - r[:3]) - gains[1] * (x[6:9] - r[3:6]))
 
 
 def model_attitude(x, t):
@@ -242,7 +243,7 @@ def test_the_commanded_force_keeps_its_limits(tilt, share):
         assert (np.hypot(force[:, 0], force[:, 1]) <= np.tan(tilt) * force[:, 2] * (1 + 1e-12)).all()
     if np.isfinite(min(tilt, share)):
         assert (force[:, 2] >= 0.05 * MASS * GRAVITY - 1e-12).all()
-        asked = terms["acceleration"] + [0, 0, GRAVITY]
+        asked = terms["acceleration"] + WEIGHT
         assert np.abs(MASS * asked - force).max() < 1e-12 * np.abs(force).max()
 
 
@@ -287,7 +288,7 @@ def test_realised_accelerations():
     asked = np.random.default_rng(15).normal(size=(200, 3)) * 4
     u = realise(BODY, GAINS, x, r, asked)
     axis = np.stack([body_to_inertial(s)[:, 2] for s in x[:, 3:6]])
-    thrust = (MASS * ([*asked, 0, 0, GRAVITY]) * axis).sum(axis=1)
+    thrust = (MASS * (asked + WEIGHT) * axis).sum(axis=1)
     assert np.abs(u[:, 0] - thrust).max() < 1e-12
     # A correction of nothing, but not bit by bit, changes nothing but rounding.
     close = realise(BODY, GAINS, x, r, nominal["acceleration"] * (1 + 1e-13))
