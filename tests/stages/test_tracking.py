@@ -1,4 +1,4 @@
-"""The geometric controller: printed numbers, derivatives along closed loops, limits and degenerate demands."""
+"""The geometric controller: printed numbers, derivatives along closed loops, limits, odd demands."""
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from quadrotor_model import (
 from alula._core import ReferenceCurve, TrackingGains, body_rates, realise, track
 
 BODY, GAINS = fastbridge(), TrackingGains()
+WEIGHT = np.array([0, 0, GRAVITY])  # per mass
 CASES = VECTORS["cases"]
 
 
@@ -64,7 +65,7 @@ def lissajous(t):
 
 def model_force(x, t, gains=(3.0, 2.0)):
     r = lissajous(t)
-    return MASS * (r[6:9] + [0, 0, GRAVITY] - gains[0] * (x[:3] - r[:3]) - gains[1] * (x[6:9] - r[3:6]))
+    return MASS * (r[6:9] + WEIGHT - gains[0] * (x[:3] - r[:3]) - gains[1] * (x[6:9] - r[3:6]))
 
 
 def model_attitude(x, t):
@@ -122,7 +123,12 @@ def test_torque_is_the_printed_law_of_its_own_terms():
         assert np.abs(terms["e_omega"] - (omega - across @ terms["omega_d"])).max() < 1e-12
         feed = hat(omega) @ across @ terms["omega_d"] - across @ terms["omega_d_rate"]
         gains = np.array([0.35, 0.35, 0.12]), np.array([0.025, 0.025, 0.012])
-        torque = -gains[0] * error - gains[1] * terms["e_omega"] + np.cross(omega, INERTIA * omega) - INERTIA * feed
+        torque = (
+            -gains[0] * error
+            - gains[1] * terms["e_omega"]
+            + np.cross(omega, INERTIA * omega)
+            - INERTIA * feed
+        )
         assert np.abs(terms["wrench"][1:] - torque).max() < 1e-12
 
 
@@ -237,7 +243,7 @@ def test_the_commanded_force_keeps_its_limits(tilt, share):
         assert (np.hypot(force[:, 0], force[:, 1]) <= np.tan(tilt) * force[:, 2] * (1 + 1e-12)).all()
     if np.isfinite(min(tilt, share)):
         assert (force[:, 2] >= 0.05 * MASS * GRAVITY - 1e-12).all()
-        asked = terms["acceleration"] + [0, 0, GRAVITY]
+        asked = terms["acceleration"] + WEIGHT
         assert np.abs(MASS * asked - force).max() < 1e-12 * np.abs(force).max()
 
 
@@ -247,7 +253,8 @@ def test_a_demand_without_direction_holds_the_attitude():
     r = np.zeros((100, 18))
     r[:, :3], r[:, 8] = x[:, :3], -GRAVITY  # free fall
     terms = track(BODY, GAINS, x, r)
-    assert np.abs(terms["wrench"]).max() < 1e-12 and np.abs(terms["omega_d"]).max() == 0
+    assert np.abs(terms["wrench"]).max() < 1e-12
+    assert np.abs(terms["omega_d"]).max() == 0
 
 
 def test_a_demand_along_the_heading_has_a_finite_attitude():
@@ -281,7 +288,7 @@ def test_realised_accelerations():
     asked = np.random.default_rng(15).normal(size=(200, 3)) * 4
     u = realise(BODY, GAINS, x, r, asked)
     axis = np.stack([body_to_inertial(s)[:, 2] for s in x[:, 3:6]])
-    thrust = (MASS * (asked + [0, 0, GRAVITY]) * axis).sum(axis=1)
+    thrust = (MASS * (asked + WEIGHT) * axis).sum(axis=1)
     assert np.abs(u[:, 0] - thrust).max() < 1e-12
     # A correction of nothing, but not bit by bit, changes nothing but rounding.
     close = realise(BODY, GAINS, x, r, nominal["acceleration"] * (1 + 1e-13))
@@ -317,7 +324,8 @@ def test_a_reference_curve_is_its_polynomials_and_rests_beyond():
     ends = evaluate(time, coefficient, [0.5, 2.75])
     assert np.abs(outside[:2, [0, 1, 2, 15]] - ends[0]).max() < 1e-12
     assert np.abs(outside[2:, [0, 1, 2, 15]] - ends[1]).max() < 1e-12
-    assert not outside[:, 3:15].any() and not outside[:, 16:].any()
+    assert not outside[:, 3:15].any()
+    assert not outside[:, 16:].any()
     assert curve.duration_s == 2.25
 
 
@@ -325,5 +333,5 @@ def test_a_reference_curve_is_its_polynomials_and_rests_beyond():
     "time", [np.zeros(1), np.array([0.0, 0.0]), np.array([0.0, np.nan]), np.array([0.0, 1.0, 2.0])]
 )
 def test_curves_without_meaning_are_refused(time):
-    with pytest.raises(ValueError, match="a reference|knots"):
+    with pytest.raises(ValueError, match=r"a reference|knots"):
         ReferenceCurve(time, np.zeros((1, 4, 8)))

@@ -108,7 +108,15 @@ void bind_tracking(nb::module_& m) {
           nb::kw_only(), "kp"_a = TrackingGains{}.kp, "kv"_a = TrackingGains{}.kv,
           "k_r"_a = triple_of(TrackingGains{}.k_r), "k_omega"_a = triple_of(TrackingGains{}.k_omega),
           "catch_up_m_s"_a = TrackingGains{}.catch_up_m_s, "max_tilt_rad"_a = TrackingGains{}.max_tilt_rad,
-          "max_thrust_share"_a = TrackingGains{}.max_thrust_share, "uses_acceleration"_a = true);
+          "max_thrust_share"_a = TrackingGains{}.max_thrust_share, "uses_acceleration"_a = true)
+      .def_ro("kp", &TrackingGains::kp)
+      .def_ro("kv", &TrackingGains::kv)
+      .def_prop_ro("k_r", [](const TrackingGains& self) { return triple_of(self.k_r); })
+      .def_prop_ro("k_omega", [](const TrackingGains& self) { return triple_of(self.k_omega); })
+      .def_ro("catch_up_m_s", &TrackingGains::catch_up_m_s)
+      .def_ro("max_tilt_rad", &TrackingGains::max_tilt_rad)
+      .def_ro("max_thrust_share", &TrackingGains::max_thrust_share)
+      .def_ro("uses_acceleration", &TrackingGains::uses_acceleration);
 
   m.def("track", &track_terms, "quadrotor"_a, "gains"_a, "x"_a, "reference"_a, nb::kw_only(),
         "applied_thrust"_a = nb::none(),
