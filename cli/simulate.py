@@ -84,7 +84,7 @@ def command(
     paths = _inputs(source, map_path, scene_path, vehicle_path)
     config, given = _configured(context, source, config, common.seed, settings)
     splat = _is_among_ellipsoids(config.filter, paths)
-    _check_options(given, "vehicle" in paths, splat=splat)
+    _check_options(config, given, "vehicle" in paths, splat=splat)
     plan = read_artifact(paths["plan"], PLAN) if "plan" in paths else None
     vehicle: Any = None
     if splat:
@@ -189,7 +189,7 @@ def _is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
     return False
 
 
-def _check_options(given: Set[str], vehicle: bool, *, splat: bool) -> None:
+def _check_options(config: SimulateConfig, given: Set[str], vehicle: bool, *, splat: bool) -> None:
     """Refuse options that the flights to be do not have."""
     wrong = [name for name in (HULLS_ONLY if splat else ELLIPSOIDS_ONLY) if name in given]
     if not splat and vehicle:
@@ -200,6 +200,9 @@ def _check_options(given: Set[str], vehicle: bool, *, splat: bool) -> None:
         option = name if field is None else field.metadata.get("option", name)
         whom = "hulls of a cover" if splat else "ellipsoids of a scene"
         raise UsageError(f"{option} is for flights among the {whom}, which these are not")
+    if not splat and config.filter_parameters and config.filter in ("none", "polytope-cbf"):
+        known = "no parameters" if config.filter == "none" else "the options --beta, --kappa and --smoothing"
+        raise UsageError(f"--set: the filter {config.filter} has {known}")
 
 
 def _configured(

@@ -9,7 +9,7 @@ from typing import Any
 from alula.schemas.errors import UsageError
 from alula.stages.filtering.polytope_cbf import no_filter, polytope_cbf
 from alula.stages.filtering.protocol import Filter, FilterFactory, World
-from alula.stages.filtering.splat_filters import SPLAT_FILTERS
+from alula.stages.filtering.splat_filters import SPLAT_FILTERS, parameters_of
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatFilterFactory, SplatWorld
 
 ENTRY_POINTS = "alula.filters"
@@ -56,13 +56,22 @@ def make_splat_filter(name: str, world: SplatWorld, parameters: Mapping[str, Any
         UsageError: there is no such filter, its package cannot be imported, or a parameter is wrong.
     """
     if name == NO_FILTER:
-        if parameters:
-            raise UsageError("the filter none has no parameters")
         return None
     factory: SplatFilterFactory = SPLAT_FILTERS.get(name) or _load(
         name, SPLAT_ENTRY_POINTS, splat_filter_names()
     )
     return factory(world, parameters)
+
+
+def complete_parameters(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """All parameters of a filter among ellipsoids with their defaults; of another package's those given.
+
+    Raises:
+        UsageError: a parameter is unknown or of the wrong type.
+    """
+    if name == NO_FILTER and given:
+        raise UsageError("the filter none has no parameters")
+    return parameters_of(name, given) if name in SPLAT_FILTERS else dict(given)
 
 
 def _load(name: str, group: str, known: list[str]) -> Any:

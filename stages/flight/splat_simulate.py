@@ -19,7 +19,7 @@ from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.stages.compression.ellipsoids import retained, rows_of
 from alula.stages.compression.voxelize import sigma_of_confidence
-from alula.stages.filtering.registry import NO_FILTER, make_splat_filter
+from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
 from alula.stages.filtering.splat_filters import NativeSplatFilter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.flight.references import rest_to_rest
@@ -44,7 +44,7 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
 
     Raises:
         UsageError: a number of trials or a speed is given with a plan, which says both, or the vehicle is
-            none that flies among ellipsoids.
+            none that flies among ellipsoids, or a parameter of the filter is unknown.
     """
     if vehicle.model == "single-integrator" or (config.plant == "quadrotor" != vehicle.model):
         raise UsageError(f"{vehicle.name} is a {vehicle.model}, which does not fly among ellipsoids as asked")
@@ -60,6 +60,7 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
         plant=config.plant or ("quadrotor" if vehicle.model == "quadrotor" else "double-integrator"),
         speed_m_s=speed if config.speed_m_s is None else config.speed_m_s,
         trials=(100 if plan is None else 1) if config.trials is None else config.trials,
+        filter_parameters=complete_parameters(config.filter, config.filter_parameters),
     )
 
 
@@ -77,10 +78,11 @@ def simulate_splat(
 
     A rigid body with rotors (or, as `plant` says, an ideal double integrator), in steps of at most 1 ms,
     behind the tracking controller and the filter at every `dt_s`. A pair is joined by a straight septic
-    reference from rest to rest with the peak speed `speed_m_s`, whatever is in between; a plan is flown as it
-    is. Filters see the ellipsoids at the level `sigma` and a sphere of the vehicle's radius plus `inflation_m`. Every
-    flight is judged independently of the filter: exact signed Euclidean distance of the path at the plant's
-    rate to the ellipsoids, minus the radius. A success is a flight that reached its goal without collision.
+    reference from rest to rest with the peak speed `speed_m_s`, whatever is in between; a plan is flown as
+    it is. Filters see the ellipsoids at the level `sigma`, and a sphere of the vehicle's radius plus
+    `inflation_m`. Every flight is judged independently of the filter: exact signed Euclidean distance of the
+    path at the plant's rate to the ellipsoids, minus the radius. A success is a flight that reached its goal
+    without collision.
 
     Args:
         config: see `SimulateConfig`.
