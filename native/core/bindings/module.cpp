@@ -3,6 +3,7 @@
 
 namespace nb = nanobind;
 
+void bind_backup(nb::module_& m);
 void bind_voxelize(nb::module_& m);
 void bind_separation(nb::module_& m);
 void bind_merge(nb::module_& m);
@@ -33,4 +34,5 @@ NB_MODULE(_core, m) {
   bind_outer_solid(m);
   bind_ply_rows(m);
   bind_scene_rows(m);
+  bind_backup(m);
 }
