@@ -3,7 +3,6 @@
 
 namespace nb = nanobind;
 
-void bind_backup(nb::module_& m);
 void bind_voxelize(nb::module_& m);
 void bind_separation(nb::module_& m);
 void bind_merge(nb::module_& m);
@@ -17,6 +16,10 @@ void bind_search(nb::module_& m);
 void bind_outer_solid(nb::module_& m);
 void bind_ply_rows(nb::module_& m);
 void bind_scene_rows(nb::module_& m);
+void bind_vehicle(nb::module_& m);
+void bind_tracking(nb::module_& m);
+void bind_splat_filters(nb::module_& m);
+void bind_backup(nb::module_& m);
 
 NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
@@ -34,5 +37,8 @@ NB_MODULE(_core, m) {
   bind_outer_solid(m);
   bind_ply_rows(m);
   bind_scene_rows(m);
+  bind_vehicle(m);
+  bind_tracking(m);
+  bind_splat_filters(m);
   bind_backup(m);
 }

@@ -34,7 +34,15 @@ Box bounds(const Ellipsoid& ellipsoid) {
   return box;
 }
 
-SignedDistance signed_distance(const Ellipsoid& ellipsoid, Vec3 point) {
+namespace {
+
+// The closest point y of the surface: point - y = lambda n, n_i = y_i / semi_i^2 = z_i / sum_i.
+struct Closest {
+  Vec3 z, n, sum;  // along the axes; sum_i = lambda + semi_i^2
+  double lambda;
+};
+
+Closest closest(const Ellipsoid& ellipsoid, Vec3 point) {
   const Vec3 offset = point - ellipsoid.centre;
   const Vec3 e = ellipsoid.semi;
   Vec3 z;
@@ -75,7 +83,7 @@ SignedDistance signed_distance(const Ellipsoid& ellipsoid, Vec3 point) {
     if (medial) evaluate();
     medial = medial && h <= 1;
   }
-  Vec3 n;  // y_i / semi_i^2, normal to the surface; point - y = lambda n
+  Vec3 n;
   if (medial) {
     for (int i = 0; i < 3; ++i) n[i] = z[i] == 0 ? 0 : z[i] / gap[i];
     n[flat] = std::sqrt(std::max(0.0, 1 - h * h)) / e[flat];
@@ -89,11 +97,98 @@ SignedDistance signed_distance(const Ellipsoid& ellipsoid, Vec3 point) {
     }
     for (int i = 0; i < 3; ++i) n[i] = z[i] == 0 ? 0 : z[i] / (mu + gap[i]);
   }
-  const double length = norm(n);
-  const double lambda = inside ? std::min(0.0, mu - base) : mu;
-  Vec3 normal;
-  for (int i = 0; i < 3; ++i) normal = normal + (n[i] / length) * ellipsoid.axis[i];
-  return {lambda * length, normal};
+  return {z, n, {mu + gap.x, mu + gap.y, mu + gap.z}, inside ? std::min(0.0, mu - base) : mu};
+}
+
+Vec3 along_axes(const Ellipsoid& ellipsoid, Vec3 local) {
+  Vec3 sum;
+  for (int i = 0; i < 3; ++i) sum = sum + local[i] * ellipsoid.axis[i];
+  return sum;
+}
+
+}  // namespace
+
+SignedDistance signed_distance(const Ellipsoid& ellipsoid, Vec3 point) {
+  const Closest at = closest(ellipsoid, point);
+  const double length = norm(at.n);
+  return {at.lambda * length, along_axes(ellipsoid, (1 / length) * at.n)};
+}
+
+Projection project(const Ellipsoid& ellipsoid, Vec3 point) {
+  const Closest at = closest(ellipsoid, point);
+  Projection result;
+  result.distance = at.lambda * norm(at.n);
+  result.local = at.z;
+  result.offset = along_axes(ellipsoid, at.lambda * at.n);
+  Vec3 s, u;
+  double total = 0;
+  for (int i = 0; i < 3; ++i) {
+    s[i] = ellipsoid.semi[i] * ellipsoid.semi[i] / at.sum[i];
+    u[i] = s[i] * at.n[i];
+    total += u[i] * at.n[i];
+  }
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j)
+      result.hessian[i][j] = 2 * (u[i] * u[j] / total + (i == j ? at.lambda / at.sum[i] : 0.0));
+  return result;
+}
+
+double distance_below(const Ellipsoid& ellipsoid, Vec3 a, Vec3 d, double enough) {
+  const Vec3 from = a - ellipsoid.centre;
+  double z0[3], dz[3], squared[3], size = 0;
+  for (int i = 0; i < 3; ++i) {
+    z0[i] = dot(from, ellipsoid.axis[i]);
+    dz[i] = dot(d, ellipsoid.axis[i]);
+    squared[i] = ellipsoid.semi[i] * ellipsoid.semi[i];
+    size += z0[i] * z0[i] + dz[i] * dz[i] + squared[i];
+  }
+  const bool moves = d.x != 0 || d.y != 0 || d.z != 0;
+  const double needed = enough > 0 ? enough * enough * (1 + 1e-12) : 0;
+  // g = sum (semi_i n_i)^2 falls to 1 at the closest point; h = sqrt(g); 2 fall = -g'.
+  double g = 0, fall = 0, length2 = 0, q = 0;
+  const auto evaluate = [&](double mu) {
+    double w[3], across = 0, along = 0;
+    for (int i = 0; i < 3; ++i) {
+      w[i] = 1 / (mu + squared[i]);
+      across += w[i] * z0[i] * dz[i];
+      along += w[i] * dz[i] * dz[i];
+    }
+    double t = 0;
+    bool slides = false;  // the closest point of the segment is between its ends, and moves with mu
+    if (moves && along > 0) {
+      t = -across / along;
+      slides = t > 0 && t < 1;
+      t = std::clamp(t, 0.0, 1.0);
+    }
+    double bend = 0, sum = 0;
+    g = fall = length2 = 0;
+    for (int i = 0; i < 3; ++i) {
+      const double z = z0[i] + t * dz[i], n = z * w[i];
+      sum += z * n;
+      length2 += n * n;
+      g += squared[i] * n * n;
+      fall += squared[i] * n * n * w[i];
+      bend += n * w[i] * dz[i];
+    }
+    if (slides) fall += mu * bend * bend / along;
+    q = mu * (sum - 1);
+  };
+  double mu = 0, low = 0, high = std::numeric_limits<double>::infinity();
+  evaluate(mu);
+  if (g <= 1) return moves ? signed_distance(ellipsoid, a, a + d, enough) : signed_distance(ellipsoid, a).value;
+  if (enough <= 0) return std::numeric_limits<double>::infinity();
+  for (int step = 0; step < 100; ++step) {
+    if (q - 8 * kEpsilon * size >= needed) return std::numeric_limits<double>::infinity();
+    const double h = std::sqrt(g);
+    if (std::abs(h - 1) <= 2 * kEpsilon) break;
+    (h > 1 ? low : high) = mu;
+    double next = mu + (h - 1) * g / fall;
+    if (!(next > low && next < high)) next = high < std::numeric_limits<double>::infinity() ? 0.5 * (low + high) : mu;
+    if (next == mu || !(std::abs(next - mu) > kEpsilon * mu)) break;
+    mu = next;
+    evaluate(mu);
+  }
+  return mu * std::sqrt(length2);
 }
 
 double signed_distance(const Ellipsoid& ellipsoid, Vec3 a, Vec3 b, double enough) {

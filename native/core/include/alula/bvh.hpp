@@ -24,6 +24,7 @@ class Bvh {
     build(boxes, depth, 0, static_cast<std::uint32_t>(boxes.size()));
   }
 
+  const std::vector<std::uint32_t>& order() const { return order_; }
   const Box* bounds() const { return nodes_.empty() ? nullptr : &nodes_[0].box; }
 
   // Minimum of `best` and value(i, best) over all obstacles i, for a signed distance of the
@@ -37,6 +38,16 @@ class Bvh {
       if (v < best) best = v, nearest = item;
     };
     if (nearest < order_.size()) try_one(nearest);
+    visit_near(a, d, best, [&](std::uint32_t, std::uint32_t item) { try_one(item); });
+    return best;
+  }
+
+  // Calls visit(slot, item) for the obstacles of every leaf whose distance to the segment a + t d, 0 <= t <= 1,
+  // may be below `reach`, nearer halves first. `visit` may lower the reach. Slots number the obstacles as
+  // `order` does, so that those of a leaf are neighbours. Returns how many boxes were measured.
+  template <class Visit>
+  std::uint32_t visit_near(Vec3 a, Vec3 d, const double& reach, Visit&& visit) const {
+    if (nodes_.empty()) return 0;
     Box segment;
     segment.include(a), segment.include(a + d);
     struct Entry {
@@ -45,28 +56,30 @@ class Bvh {
     };
     Entry stack[64];
     int top = 0;
+    std::uint32_t measured = 1;
     const auto push = [&](std::uint32_t node, double bound) {
-      if (bound < best) stack[top++] = {node, bound};
+      if (bound < reach) stack[top++] = {node, bound};
     };
-    push(0, bound_of(nodes_[0], segment, a, d, best));
+    push(0, bound_of(nodes_[0], segment, a, d, reach));
     while (top > 0) {
       const Entry entry = stack[--top];
-      if (entry.bound >= best) continue;
+      if (entry.bound >= reach) continue;
       const Node& node = nodes_[entry.node];
       if (node.count > 0) {
-        for (std::uint32_t i = 0; i < node.count; ++i) try_one(order_[node.first + i]);
+        for (std::uint32_t i = 0; i < node.count; ++i) visit(node.first + i, order_[node.first + i]);
         continue;
       }
       const std::uint32_t left = entry.node + 1, right = node.first;
-      const double at_left = bound_of(nodes_[left], segment, a, d, best);
-      const double at_right = bound_of(nodes_[right], segment, a, d, best);
+      const double at_left = bound_of(nodes_[left], segment, a, d, reach);
+      const double at_right = bound_of(nodes_[right], segment, a, d, reach);
+      measured += 2;
       if (at_left <= at_right) {
         push(right, at_right), push(left, at_left);
       } else {
         push(left, at_left), push(right, at_right);
       }
     }
-    return best;
+    return measured;
   }
 
   // Calls visit(i) for every obstacle whose box may be closer to `box` than `reach`.
@@ -102,7 +115,8 @@ class Bvh {
 
   static double bound_of(const Node& node, const Box& segment, Vec3 a, Vec3 d, double best) {
     double squared = squared_distance(node.box, segment);
-    if (squared == 0 || (best > 0 && squared < best * best)) {
+    const bool is_point = d.x == 0 && d.y == 0 && d.z == 0;
+    if (!is_point && (squared == 0 || (best > 0 && squared < best * best))) {
       squared = std::max(squared, squared_distance_bound(node.box, a, d));
     }
     return squared > 0 ? std::sqrt(squared) * (1 - kSlack) : -node.depth;
