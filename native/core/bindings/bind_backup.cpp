@@ -37,8 +37,8 @@ const char* name_of(BackupKind kind) {
   return names[static_cast<std::size_t>(kind)];
 }
 
-GrownEllipsoid ellipsoid_of(const InPoint& centre, const In<double, nb::shape<3, 3>>& a) {
-  GrownEllipsoid e{to_point(centre), {}};
+GrownEllipsoid ellipsoid_of(const Triple& centre, const In<double, nb::shape<3, 3>>& a) {
+  GrownEllipsoid e{vector_of(centre), {}};
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) e.a[i][j] = a.data()[3 * i + j];
   return e;
@@ -124,28 +124,28 @@ void bind_backup(nb::module_& m) {
           "Torques that it never exceeds [N m].")
       .def(
           "raw",
-          [](const BackupPolicy& self, InState x, InPoint hold) {
-            return to_row(self.raw(to_state(x), to_point(hold)));
+          [](const BackupPolicy& self, const InState& x, const Triple& hold) {
+            return row_of(self.raw(state_at(x.data()), vector_of(hold)));
           },
           "state"_a, "hold"_a, "(T, tau) before saturation [N, N m].")
       .def(
           "__call__",
-          [](const BackupPolicy& self, InState x, InPoint hold) { return to_row(self(to_state(x), to_point(hold))); },
+          [](const BackupPolicy& self, const InState& x, const Triple& hold) { return row_of(self(state_at(x.data()), vector_of(hold))); },
           "state"_a, "hold"_a, "(T, tau) at a state (12,) = (p, sigma, v, omega), regulating about `hold` [m/s].")
       .def(
           "closed_loop",
-          [](const BackupPolicy& self, InState x, InPoint hold) {
-            return to_row(closed_loop(self, to_state(x), to_point(hold)));
+          [](const BackupPolicy& self, const InState& x, const Triple& hold) {
+            return row_of(closed_loop(self, state_at(x.data()), vector_of(hold)));
           },
           "state"_a, "hold"_a, "f + g pi_b, shape (12,).")
       .def(
           "jacobian",
-          [](const BackupPolicy& self, InState x, InPoint hold) {
-            return jacobian_of(self, to_state(x), to_point(hold));
+          [](const BackupPolicy& self, const InState& x, const Triple& hold) {
+            return jacobian_of(self, state_at(x.data()), vector_of(hold));
           },
           "state"_a, "hold"_a, "Derivative of `closed_loop` by the state, shape (12, 12).")
       .def(
-          "drift", [](const BackupPolicy& self, InState x) { return to_row(self.drift(to_state(x))); }, "state"_a,
+          "drift", [](const BackupPolicy& self, const InState& x) { return row_of(self.drift(state_at(x.data()))); }, "state"_a,
           "How far the linear loop about hover would still move before it rests [m].");
 
   nb::class_<BackupFlow>(m, "BackupFlow", "The flow of a backup policy and how the input now moves it.")
@@ -154,8 +154,8 @@ void bind_backup(nb::module_& m) {
            "`steps` RK4 steps between nodes; with `drift` the column Q f is integrated, else it is f_cl - W pi_b.")
       .def(
           "run",
-          [](BackupFlow& self, InState x, InPoint hold, int hold_steps) {
-            self.run(to_state(x), {to_point(hold), hold_steps});
+          [](BackupFlow& self, const InState& x, const Triple& hold, int hold_steps) {
+            self.run(state_at(x.data()), {vector_of(hold), hold_steps});
           },
           "state"_a, "hold"_a, "hold_steps"_a, "Fly about `hold` [m/s] for that many RK4 steps, then to rest.")
       .def(
@@ -186,7 +186,7 @@ void bind_backup(nb::module_& m) {
           "Q_k f(x), shape (nodes + 1, 12).")
       .def(
           "running_row",
-          [](const BackupFlow& self, InPoint centre, In<double, nb::shape<3, 3>> a, int k, double alpha) {
+          [](const BackupFlow& self, const Triple& centre, In<double, nb::shape<3, 3>> a, int k, double alpha) {
             check_node(self, k);
             const WrenchRow row = self.running_row(self.cone(ellipsoid_of(centre, a), k), k, alpha);
             return std::tuple(row.row, row.bound);
@@ -195,7 +195,7 @@ void bind_backup(nb::module_& m) {
           "(a, b) of a . u >= b: h' + alpha h >= 0 of the cone of {y : (y - centre)' a (y - centre) <= 1} at node k.")
       .def(
           "clear_row",
-          [](const BackupFlow& self, InPoint centre, In<double, nb::shape<3, 3>> a, int k, double alpha) {
+          [](const BackupFlow& self, const Triple& centre, In<double, nb::shape<3, 3>> a, int k, double alpha) {
             check_node(self, k);
             const WrenchRow row = self.clear_row(self.cone(ellipsoid_of(centre, a), k), k, alpha);
             return std::tuple(row.row, row.bound);
