@@ -15,14 +15,9 @@
 
 namespace nb = nanobind;
 using namespace nb::literals;
-using namespace alula::flight;
-using alula::append, alula::GrownEllipsoid, alula::In, alula::InPoint, alula::InState, alula::to_numpy,
-    alula::to_point, alula::to_row, alula::to_state;
-namespace geometry = alula::geometry;
 
+namespace alula::flight {
 namespace {
-
-using Rows = nb::ndarray<nb::numpy, double>;
 
 BackupKind kind_of(const std::string& name) {
   if (name == "hover") return BackupKind::hover;
@@ -50,7 +45,7 @@ void put(std::vector<double>& matrix, std::size_t row, std::size_t column, const
       matrix[12 * (row + i) + column + j] = block[static_cast<int>(i)][static_cast<int>(j)];
 }
 
-Rows jacobian_of(const BackupPolicy& policy, const State& x, Vec3 hold) {
+Doubles jacobian_of(const BackupPolicy& policy, const State& x, Vec3 hold) {
   ClosedLoopJacobian d;
   closed_loop(policy, x, hold, d);
   std::vector<double> rows(144);
@@ -61,20 +56,15 @@ Rows jacobian_of(const BackupPolicy& policy, const State& x, Vec3 hold) {
   return to_numpy(std::move(rows), {12, 12});
 }
 
-template <class Value>
-Rows nodes_of(const BackupFlow& flow, std::initializer_list<std::size_t> shape, Value&& value) {
-  std::vector<double> rows;
-  for (int k = 0; k <= flow.nodes(); ++k) value(k, rows);
-  return to_numpy(std::move(rows), shape);
-}
+Doubles vector_array(Vec3 v) { return Rows(1).add(v).array({3}); }
+
+std::size_t nodes_of(const BackupFlow& flow) { return static_cast<std::size_t>(flow.nodes()) + 1; }
 
 void check_node(const BackupFlow& flow, int k) {
   if (k < 0 || k > flow.nodes()) throw std::out_of_range("no such node of the flow");
 }
 
-}  // namespace
-
-void bind_backup(nb::module_& m) {
+void bind_policy(nb::module_& m) {
   const BackupGains defaults;
   nb::class_<BackupPolicy>(m, "BackupPolicy", "Feedback that brings a quadrotor to rest within its rotors' limits.")
       .def(
@@ -125,29 +115,35 @@ void bind_backup(nb::module_& m) {
       .def(
           "raw",
           [](const BackupPolicy& self, const InState& x, const Triple& hold) {
-            return row_of(self.raw(state_at(x.data()), vector_of(hold)));
+            return to_array(self.raw(state_at(x.data()), vector_of(hold)));
           },
-          "state"_a, "hold"_a, "(T, tau) before saturation [N, N m].")
+          "state"_a, "hold"_a = Triple{}, "(T, tau) before saturation [N, N m].")
       .def(
           "__call__",
-          [](const BackupPolicy& self, const InState& x, const Triple& hold) { return row_of(self(state_at(x.data()), vector_of(hold))); },
-          "state"_a, "hold"_a, "(T, tau) at a state (12,) = (p, sigma, v, omega), regulating about `hold` [m/s].")
+          [](const BackupPolicy& self, const InState& x, const Triple& hold) {
+            return to_array(self(state_at(x.data()), vector_of(hold)));
+          },
+          "state"_a, "hold"_a = Triple{},
+          "(T, tau) at a state (12,) = (p, sigma, v, omega), regulating about `hold` [m/s].")
       .def(
           "closed_loop",
           [](const BackupPolicy& self, const InState& x, const Triple& hold) {
-            return row_of(closed_loop(self, state_at(x.data()), vector_of(hold)));
+            return to_array(closed_loop(self, state_at(x.data()), vector_of(hold)));
           },
-          "state"_a, "hold"_a, "f + g pi_b, shape (12,).")
+          "state"_a, "hold"_a = Triple{}, "f + g pi_b, shape (12,).")
       .def(
           "jacobian",
           [](const BackupPolicy& self, const InState& x, const Triple& hold) {
             return jacobian_of(self, state_at(x.data()), vector_of(hold));
           },
-          "state"_a, "hold"_a, "Derivative of `closed_loop` by the state, shape (12, 12).")
+          "state"_a, "hold"_a = Triple{}, "Derivative of `closed_loop` by the state, shape (12, 12).")
       .def(
-          "drift", [](const BackupPolicy& self, const InState& x) { return row_of(self.drift(state_at(x.data()))); }, "state"_a,
-          "How far the linear loop about hover would still move before it rests [m].");
+          "drift",
+          [](const BackupPolicy& self, const InState& x) { return vector_array(self.drift(state_at(x.data()))); },
+          "state"_a, "How far the linear loop about hover would still move before it rests [m].");
+}
 
+void bind_flow(nb::module_& m) {
   nb::class_<BackupFlow>(m, "BackupFlow", "The flow of a backup policy and how the input now moves it.")
       .def(nb::init<const BackupPolicy&, double, int, int, bool>(), "policy"_a, nb::kw_only(), "horizon_s"_a = 1.5,
            "nodes"_a = 20, "steps"_a = 1, "drift"_a = false,
@@ -157,31 +153,33 @@ void bind_backup(nb::module_& m) {
           [](BackupFlow& self, const InState& x, const Triple& hold, int hold_steps) {
             self.run(state_at(x.data()), {vector_of(hold), hold_steps});
           },
-          "state"_a, "hold"_a, "hold_steps"_a, "Fly about `hold` [m/s] for that many RK4 steps, then to rest.")
+          "state"_a, "hold"_a = Triple{}, "hold_steps"_a = 0,
+          "Fly about `hold` [m/s] for that many RK4 steps, then to rest.")
       .def(
           "states",
           [](const BackupFlow& self) {
-            return nodes_of(self, {static_cast<std::size_t>(self.nodes()) + 1, 12},
-                            [&](int k, std::vector<double>& rows) { append(rows, self.state(k)); });
+            Rows rows(nodes_of(self));
+            for (int k = 0; k <= self.nodes(); ++k) rows.add(self.state(k));
+            return rows.array({nodes_of(self), 12});
           },
           "Phi_k, shape (nodes + 1, 12).")
       .def(
           "sensitivities",
           [](const BackupFlow& self) {
-            return nodes_of(self, {static_cast<std::size_t>(self.nodes()) + 1, 12, 4},
-                            [&](int k, std::vector<double>& rows) {
-                              for (const Vec4& row : self.sensitivity(k))
-                                rows.insert(rows.end(), row.begin(), row.end());
-                            });
+            Rows rows(4 * nodes_of(self));
+            for (int k = 0; k <= self.nodes(); ++k)
+              for (const Vec4& row : self.sensitivity(k))
+                for (const double value : row) rows.add(value);
+            return rows.array({nodes_of(self), 12, 4});
           },
           "W_k = Q_k g(x), shape (nodes + 1, 12, 4).")
       .def(
           "drifts",
           [](const BackupFlow& self) {
-            return nodes_of(self, {static_cast<std::size_t>(self.nodes()) + 1, 12},
-                            [&](int k, std::vector<double>& rows) {
-                              for (const double value : self.drift(k)) rows.push_back(value);
-                            });
+            Rows rows(nodes_of(self));
+            for (int k = 0; k <= self.nodes(); ++k)
+              for (const double value : self.drift(k)) rows.add(value);
+            return rows.array({nodes_of(self), 12});
           },
           "Q_k f(x), shape (nodes + 1, 12).")
       .def(
@@ -201,4 +199,12 @@ void bind_backup(nb::module_& m) {
             return std::tuple(row.row, row.bound);
           },
           "centre"_a, "a"_a, "k"_a, "alpha"_a, "The same for gamma' + alpha gamma >= 0.");
+}
+
+}  // namespace
+}  // namespace alula::flight
+
+void bind_backup(nb::module_& m) {
+  alula::flight::bind_policy(m);
+  alula::flight::bind_flow(m);
 }

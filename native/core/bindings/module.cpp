@@ -21,6 +21,7 @@ void bind_vehicle(nb::module_& m);
 void bind_tracking(nb::module_& m);
 void bind_splat_filters(nb::module_& m);
 void bind_backup(nb::module_& m);
+void bind_wrench_filters(nb::module_& m);
 
 NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
@@ -43,4 +44,5 @@ NB_MODULE(_core, m) {
   bind_tracking(m);
   bind_splat_filters(m);
   bind_backup(m);
+  bind_wrench_filters(m);
 }

@@ -21,7 +21,8 @@ struct Form {
   double rv, rl, ru;
 };
 
-// The least angle beyond `angle` at which (cos, sin) leaves {a cos^2 + 2 b cos sin + c sin^2 < 0}; pi if there is none.
+// The least angle beyond `angle` at which (cos, sin) leaves {a cos^2 + 2 b cos sin + c sin^2 < 0}; pi if there is
+// none.
 double leave(double a, double b, double c, double angle) {
   const double discriminant = b * b - a * c;
   if (discriminant < 0) return std::numbers::pi;

@@ -30,7 +30,8 @@ Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex>
           "the tick of a shield must be positive, and at most 100 000 of them make its longest time");
   require(o.substeps >= 1 && o.line_search >= 0 && o.escape_tries >= 0, "counts of a shield must not be negative");
   require(o.margin_m >= 0 && std::isfinite(o.margin_m), "the margin of a shield must not be negative");
-  require(o.escape_time_s >= 0 && o.escape_time_s <= o.max_time_s, "an escape must fit into the shield's longest time");
+  require(o.escape_time_s >= 0 && o.escape_time_s <= o.max_time_s,
+          "an escape must fit into the shield's longest time");
   require(o.rest_speed_m_s > 0 && o.rest_rate_rad_s > 0 && o.rest_tilt_rad > 0 && o.rest_drift_m > 0,
           "the tolerances of rest must be positive");
   path_.reserve(static_cast<std::size_t>(o.max_time_s / o.tick_s) + 3);
@@ -77,7 +78,8 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
     // |v'| within the tick: its value at the start, and the thrust axis turning by at most |omega| h.
     const double thrust = std::abs(u.thrust) / vehicle.mass();
     const Vec3 start = thrust * thrust_axis(now.sigma) - vehicle.gravity() * e3;
-    const Vec3 spin_up = divide(u.torque - cross(now.omega, multiply(vehicle.inertia(), now.omega)), vehicle.inertia());
+    const Vec3 spin_up =
+        divide(u.torque - cross(now.omega, multiply(vehicle.inertia(), now.omega)), vehicle.inertia());
     const double rate = std::max(norm(now.omega), norm(next.omega)) + h * norm(spin_up);
     const double most = norm(start) + thrust * rate * h;
     const double next_speed = norm(next.v);
@@ -181,26 +183,39 @@ bool Shield::choose(const State& x, std::span<const Found> near) {
   return false;
 }
 
-void Shield::fall_back(const State& x, std::span<const Found> near, FilterReport& report) {
+Manoeuvre Shield::plan(const State& x, std::span<const Found> near) {
   has_escapes_ = false;
-  report.certified = choose(x, near);
+  is_chosen_safe_ = choose(x, near);
+  is_planned_ = true;
+  return chosen_;
+}
+
+// Sets the report to the manoeuvre to fly from x.
+void Shield::settle(const State& x, std::span<const Found> near, FilterReport& report) {
+  report.certified = is_planned_ ? is_chosen_safe_ : choose(x, near);
   report.status = report.certified ? SplatFilterStatus::backup : SplatFilterStatus::recovering;
   report.wrench = policy_(x, chosen_.at(0));
+}
+
+void Shield::fall_back(const State& x, std::span<const Found> near, FilterReport& report) {
+  has_escapes_ = has_escapes_ && is_planned_;
+  settle(x, near, report);
   committed_ = {chosen_.hold, std::max(0, chosen_.ticks - 1)};
+  is_planned_ = false;
 }
 
 bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus accepted, std::span<const Found> near,
                     FilterReport& report) {
-  has_escapes_ = false;
+  has_escapes_ = has_escapes_ && is_planned_;
   if (accept(x, candidate, near)) {
     report.wrench = candidate, report.status = accepted, report.certified = true;
     committed_ = next_;
+    is_planned_ = false;
     return true;
   }
-  report.certified = choose(x, near);
-  report.status = report.certified ? SplatFilterStatus::backup : SplatFilterStatus::recovering;
-  const Wrench base = policy_(x, chosen_.at(0));
-  report.wrench = base;
+  settle(x, near, report);
+  is_planned_ = false;
+  const Wrench base = report.wrench;
   Manoeuvre next{chosen_.hold, std::max(0, chosen_.ticks - 1)};
   if (report.certified) {
     double inside = 0, outside = 1;

@@ -25,23 +25,23 @@
 namespace alula::flight {
 
 struct ShieldOptions {
-  double tick_s = 0.01;          // for which an input is held
-  int substeps = 1;              // RK4 steps of a tick; one is off by ~1e-9 m beside many
-  double margin_m = 0.02;        // kept beyond the radius by a manoeuvre that is accepted
-  double max_time_s = 8.0;       // a manoeuvre not at rest by then is not safe
-  double escape_time_s = 0.6;    // for which `cone_escape` holds a velocity
-  int escape_tries = 4;          // of its velocities, by angle
-  int line_search = 2;           // bisections between the backup's input and one that is refused
+  double tick_s = 0.01;        // for which an input is held
+  int substeps = 1;            // RK4 steps of a tick; one is off by ~1e-9 m beside many
+  double margin_m = 0.02;      // kept beyond the radius by a manoeuvre that is accepted
+  double max_time_s = 8.0;     // a manoeuvre not at rest by then is not safe
+  double escape_time_s = 0.6;  // for which `cone_escape` holds a velocity
+  int escape_tries = 4;        // of its velocities, by angle
+  int line_search = 2;         // bisections between the backup's input and one that is refused
   // At rest: all of these, and the linear loop would drift by at most rest_drift_m.
   double rest_speed_m_s = 0.1, rest_rate_rad_s = 0.2, rest_tilt_rad = 0.05, rest_drift_m = 0.01;
 };
 
 struct Certificate {
   bool safe = false;
-  bool rests = false;  // within max_time_s
+  bool rests = false;                                           // within max_time_s
   double clearance = -std::numeric_limits<double>::infinity();  // least distance seen, less the radius [m]: exact
                                                                 // where it was looked, at most what was looked for
-  double time_s = 0;  // until rest
+  double time_s = 0;                                            // until rest
 };
 
 // One per thread; allocates in the constructor only.
@@ -72,9 +72,12 @@ class Shield {
   // The same with no candidate to try.
   void fall_back(const State& x, std::span<const Found> near, FilterReport& report);
 
-  // The manoeuvre that linearises best what would be flown: the committed one, else to rest.
-  const Manoeuvre& committed() const { return committed_; }
-  void reset() { committed_ = {}; }
+  // What `fall_back` would fly from x. A call of it or of `decide` for the same x and `near` that follows does not
+  // look for it again.
+  Manoeuvre plan(const State& x, std::span<const Found> near);
+
+  int hold_ticks() const;  // of an escape
+  void reset() { committed_ = {}, hint_ = 0, is_planned_ = false; }
 
  private:
   struct Tick {
@@ -86,9 +89,9 @@ class Shield {
   bool resting(const State& x) const;
   bool march(double distance, bool thorough, double& least);
   bool accept(const State& x, const Wrench& u, std::span<const Found> near);
+  void settle(const State& x, std::span<const Found> near, FilterReport& report);
   bool choose(const State& x, std::span<const Found> near);
   void find_escapes(const State& x, std::span<const Found> near);
-  int hold_ticks() const;
 
   BackupPolicy policy_;
   std::shared_ptr<const EllipsoidIndex> index_;
@@ -98,7 +101,7 @@ class Shield {
   std::uint32_t hint_ = 0;
   Manoeuvre committed_, chosen_, next_;  // last accepted; to fly now; after the input just accepted
   Escapes escapes_;
-  bool has_escapes_ = false;
+  bool has_escapes_ = false, is_planned_ = false, is_chosen_safe_ = false;
 };
 
 }  // namespace alula::flight
