@@ -127,15 +127,16 @@ Vec3 BackupPolicy::tilt_target(Vec3 v, Vec3 hold) const {
 double BackupPolicy::lift(double cosine) const { return (1 + kLiftFloor) * cosine / (cosine * cosine + kLiftFloor); }
 
 Wrench BackupPolicy::raw(const State& x, Vec3 hold) const {
-  const Mat3 r = body_from_inertial(x.sigma);
   const double weight = vehicle_.hover_thrust(), mass = vehicle_.mass();
   if (kind_ == BackupKind::hover) {
-    const Vec3 torque = -gains_.k_sigma * x.sigma - multiply(k_omega_, x.omega) - gains_.k_vh * turned(r * x.v);
-    return {weight - mass * k_z_ * x.v.z, torque};
+    const Vec3 braking = turned(to_body(x.sigma, x.v));
+    return {weight - mass * k_z_ * x.v.z,
+            -gains_.k_sigma * x.sigma - multiply(k_omega_, x.omega) - gains_.k_vh * braking};
   }
-  const Vec3 torque = multiply(k_tilt_, turned(r * tilt_target(x.v, hold))) - multiply(k_omega_, x.omega);
+  const Vec3 lean = turned(to_body(x.sigma, tilt_target(x.v, hold)));
+  const Vec3 torque = multiply(k_tilt_, lean) - multiply(k_omega_, x.omega);
   if (kind_ == BackupKind::heading_invariant) return {weight - mass * k_z_ * x.v.z, torque};
-  return {(weight - mass * k_z_ * (x.v.z - hold.z)) * lift(r[2][2]), torque};
+  return {(weight - mass * k_z_ * (x.v.z - hold.z)) * lift(thrust_axis(x.sigma).z), torque};
 }
 
 Wrench BackupPolicy::saturated(const Wrench& raw) const {
@@ -204,17 +205,6 @@ Vec3 BackupPolicy::drift(const State& x) const {
   Vec3 result = 1 / lean_ * (1 / g * flat + d / k * along + j / k * turn);
   result.z = x.v.z / (kappa_ * k_z_);
   return result;
-}
-
-Vec3 thrust_axis(Vec3 sigma) {
-  const double n = dot(sigma, sigma), scale = 4 / ((1 + n) * (1 + n)), m = 1 - n;
-  return {scale * (2 * sigma.z * sigma.x + m * sigma.y), scale * (2 * sigma.z * sigma.y - m * sigma.x),
-          1 + scale * 2 * (sigma.z * sigma.z - n)};
-}
-
-Vec3 attitude_rate(Vec3 sigma, Vec3 omega) {
-  const double n = dot(sigma, sigma), along = 2 * dot(sigma, omega);
-  return 0.25 * ((1 - n) * omega + 2.0 * cross(sigma, omega) + along * sigma);
 }
 
 State closed_loop(const BackupPolicy& policy, const State& x, Vec3 hold) {

@@ -114,8 +114,4 @@ struct ClosedLoopJacobian {
 State closed_loop(const BackupPolicy& policy, const State& x, Vec3 hold = {});
 State closed_loop(const BackupPolicy& policy, const State& x, Vec3 hold, ClosedLoopJacobian& jacobian);
 
-// The third row of R and Z omega without forming either; a few nanoseconds.
-Vec3 thrust_axis(Vec3 sigma);
-Vec3 attitude_rate(Vec3 sigma, Vec3 omega);
-
 }  // namespace alula::flight
