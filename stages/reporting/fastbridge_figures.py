@@ -79,7 +79,7 @@ def comparison_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
         svg = render()
     alt = (
         f"By reference speed in {scene}, means over the trials with 95 % intervals: mean jerk, time of a "
-        f"filter call, top speed with the reference's as a line, and share of goals reached. {'; '.join(said)}."
+        f"filter call, top speed (the reference's as a line), share of goals reached. {'; '.join(said)}."
     )
     return Figure(f"figure-3-{scene}", f"Figure 3: jerk, time, speed, {scene}", alt, svg, wide=True)
 
