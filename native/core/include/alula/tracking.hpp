@@ -57,6 +57,9 @@ inline Nominal track(const Quadrotor& quadrotor, const TrackingGains& gains, con
   return track_in_detail(quadrotor, gains, x, reference, applied_thrust).nominal;
 }
 
+// The same for a point whose input is its acceleration, a_r - kp e_p - kv e_v: only that and the errors.
+Nominal track_point(const TrackingGains& gains, const State& x, const ReferencePoint& reference);
+
 // The wrench that makes the acceleration that a filter returned: f_c = m (a_cmd + g e3) through the same
 // attitude loop, with the nominal f_c' and f_c'' (the correction counts as held).
 // `nominal.acceleration` gives `nominal.wrench`, bit by bit.
