@@ -289,6 +289,15 @@ def test_numbers_that_are_not_finite_come_back_as_such(bad):
         assert not np.isfinite(terms["wrench"]).all()
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [{"kp": 0.0}, {"kv": np.inf}, {"k_r": (1, -1, 1)}, {"catch_up_m_s": np.nan}, {"max_tilt_rad": -1.0}],
+)
+def test_gains_without_meaning_are_refused(wrong):
+    with pytest.raises(ValueError, match="must be positive"):
+        TrackingGains(**wrong)
+
+
 def test_realised_accelerations():
     x, r = random_states(200, seed=13), np.zeros((200, 18))
     r[:, :15] = np.random.default_rng(14).normal(size=(200, 15))

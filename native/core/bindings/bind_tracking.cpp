@@ -102,8 +102,10 @@ void bind_tracking(nb::module_& m) {
           "__init__",
           [](TrackingGains* self, double kp, double kv, const Triple& k_r, const Triple& k_omega, double catch_up,
              double tilt, double share, bool uses_acceleration) {
-            new (self)
-                TrackingGains{kp, kv, vector_of(k_r), vector_of(k_omega), catch_up, tilt, share, uses_acceleration};
+            const TrackingGains gains{kp,       kv,   vector_of(k_r), vector_of(k_omega),
+                                      catch_up, tilt, share,          uses_acceleration};
+            check(gains);
+            new (self) TrackingGains(gains);
           },
           nb::kw_only(), "kp"_a = TrackingGains{}.kp, "kv"_a = TrackingGains{}.kv,
           "k_r"_a = triple_of(TrackingGains{}.k_r), "k_omega"_a = triple_of(TrackingGains{}.k_omega),

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 
 namespace alula::flight {
 namespace {
@@ -134,6 +135,14 @@ Tracking attitude_loop(const Quadrotor& quadrotor, const TrackingGains& gains, c
 }
 
 }  // namespace
+
+void check(const TrackingGains& gains) {
+  bool good = gains.kp > 0 && gains.kv > 0 && std::isfinite(gains.kp) && std::isfinite(gains.kv) &&
+              gains.catch_up_m_s > 0 && gains.max_tilt_rad > 0 && gains.max_thrust_share > 0 &&
+              geometry::is_finite(gains.k_r) && geometry::is_finite(gains.k_omega);
+  for (int i = 0; i < 3; ++i) good = good && gains.k_r[i] >= 0 && gains.k_omega[i] >= 0;
+  if (!good) throw std::invalid_argument("gains of a controller and its limits must be positive");
+}
 
 Nominal track_point(const TrackingGains& gains, const State& x, const ReferencePoint& reference) {
   Nominal nominal;

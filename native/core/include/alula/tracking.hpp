@@ -38,6 +38,9 @@ struct TrackingGains {
   bool uses_acceleration = true;
 };
 
+// Throws std::invalid_argument for gains or limits that are not positive.
+void check(const TrackingGains& gains);
+
 // For the thrust that is applied: the controller's own.
 inline constexpr double own_thrust = std::numeric_limits<double>::quiet_NaN();
 
