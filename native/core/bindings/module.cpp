@@ -16,6 +16,8 @@ void bind_search(nb::module_& m);
 void bind_outer_solid(nb::module_& m);
 void bind_ply_rows(nb::module_& m);
 void bind_scene_rows(nb::module_& m);
+void bind_vehicle(nb::module_& m);
+void bind_tracking(nb::module_& m);
 
 NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
@@ -33,4 +35,6 @@ NB_MODULE(_core, m) {
   bind_outer_solid(m);
   bind_ply_rows(m);
   bind_scene_rows(m);
+  bind_vehicle(m);
+  bind_tracking(m);
 }

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 #include <utility>
 
@@ -12,6 +13,8 @@ using geometry::cross;
 using geometry::divide;
 using geometry::e3;
 using geometry::multiply;
+
+constexpr double kTogether = 1e-10;
 
 // Gauss-Jordan with partial pivoting; throws when a pivot vanishes beside its column.
 Mat4 inverse(Mat4 a) {
@@ -43,6 +46,10 @@ Vec4 times(const Mat4& m, const Vec4& v) {
   return result;
 }
 
+bool all_finite(const Vec4& v) {
+  return std::isfinite(v[0]) && std::isfinite(v[1]) && std::isfinite(v[2]) && std::isfinite(v[3]);
+}
+
 Vec4 to_array(const Wrench& u) { return {u.thrust, u.torque.x, u.torque.y, u.torque.z}; }
 
 }  // namespace
@@ -67,6 +74,13 @@ Quadrotor::Quadrotor(double mass, Vec3 inertia, const RotorLayout& rotors, doubl
   if (!(rotors.torque_ratio > 0 && std::isfinite(rotors.torque_ratio)))
     throw std::invalid_argument("the ratio of torque to thrust must be positive");
   inverse_allocation_ = inverse(allocation_);
+  double low = 0, high = std::numeric_limits<double>::infinity();  // thrusts without torque
+  for (std::size_t i = 0; i < 4; ++i) {
+    pure_thrust_[i] = inverse_allocation_[i][0];
+    if (!(pure_thrust_[i] > 0)) throw std::invalid_argument("the center of mass must be between the rotors");
+    low = std::max(low, rotors.f_min[i] / pure_thrust_[i]), high = std::min(high, rotors.f_max[i] / pure_thrust_[i]);
+  }
+  if (!(low < high)) throw std::invalid_argument("the rotors have no thrust without torque in common");
 }
 
 double Quadrotor::max_thrust() const {
@@ -87,57 +101,60 @@ bool Quadrotor::admissible(const Wrench& u, double tolerance_n) const {
   return true;
 }
 
+Wrench Quadrotor::saturated(const Wrench& u) const {
+  Vec4 f = rotor_thrust(u);
+  bool cut = false;
+  for (std::size_t i = 0; i < 4; ++i) {
+    const double within = std::clamp(f[i], rotors_.f_min[i], rotors_.f_max[i]);
+    cut = cut || within != f[i];
+    f[i] = within;
+  }
+  return cut ? wrench(f) : u;
+}
+
 Wrench Quadrotor::limited(const Wrench& u) const {
   if (admissible(u)) return u;
-  double low = rotors_.f_min[0], high = rotors_.f_max[0];  // for all rotors, with room for the torques between
-  for (std::size_t i = 1; i < 4; ++i) low = std::max(low, rotors_.f_min[i]), high = std::min(high, rotors_.f_max[i]);
-  if (!(low < high)) throw std::logic_error("the rotors have no thrust in common");
-  const double room = high - low;
-  Vec4 difference{};  // of each rotor from the mean
-  const auto add = [&](Vec3 torque) {
-    const Vec4 part = rotor_thrust({0, torque});
-    const auto spread_at = [&](double share) {
-      double least = 0, most = 0;
-      for (std::size_t i = 0; i < 4; ++i) {
-        const double f = difference[i] + share * part[i];
-        least = std::min(least, f), most = std::max(most, f);
+  const Vec4 tilting = rotor_thrust({0, {u.torque.x, u.torque.y, 0}}),
+             turning = rotor_thrust({0, {0, 0, u.torque.z}});
+  if (!is_finite(u) || !all_finite(tilting) || !all_finite(turning)) return limited({hover_thrust(), {}});
+
+  // Rotor i then has T pure_i + taken_i, within its limits for T between low_i and high_i.
+  Vec4 taken{};
+  const auto low = [&](std::size_t i) { return (rotors_.f_min[i] - taken[i]) / pure_thrust_[i]; };
+  const auto high = [&](std::size_t i) { return (rotors_.f_max[i] - taken[i]) / pure_thrust_[i]; };
+  for (const Vec4& part : {tilting, turning}) {
+    double share = 1;  // the largest for which all low_i <= all high_j; 0 is one
+    for (std::size_t i = 0; i < 4; ++i)
+      for (std::size_t j = 0; j < 4; ++j) {
+        // Rotors that move together but for rounding do not close the gap between them.
+        const double of_i = part[i] / pure_thrust_[i], of_j = part[j] / pure_thrust_[j];
+        if (of_j - of_i > kTogether * (std::abs(of_i) + std::abs(of_j)))
+          share = std::min(share, std::max(0.0, high(j) - low(i)) / (of_j - of_i));
       }
-      return most - least;
-    };
-    double share = 1;
-    if (spread_at(1) > room) {  // convex in the share and within at 0
-      double inside = 0;
-      for (int step = 0; step < 52; ++step) {
-        const double middle = 0.5 * (inside + share);
-        (spread_at(middle) > room ? share : inside) = middle;
-      }
-      share = inside;
-    }
-    for (std::size_t i = 0; i < 4; ++i) difference[i] += share * part[i];
-  };
-  add({u.torque.x, u.torque.y, 0});
-  add({0, 0, u.torque.z});
-  const auto [least, most] = std::minmax_element(difference.begin(), difference.end());
-  const double mean = std::clamp(u.thrust * inverse_allocation_[0][0], low - *least, high - *most);
+    for (std::size_t i = 0; i < 4; ++i) taken[i] += share * part[i];
+  }
+  const double lowest = std::max(std::max(low(0), low(1)), std::max(low(2), low(3)));
+  const double highest = std::min(std::min(high(0), high(1)), std::min(high(2), high(3)));
+  const double thrust = std::max(lowest, std::min(highest, u.thrust));
   Vec4 f{};
-  for (std::size_t i = 0; i < 4; ++i) f[i] = std::clamp(mean + difference[i], rotors_.f_min[i], rotors_.f_max[i]);
+  for (std::size_t i = 0; i < 4; ++i)
+    f[i] = std::clamp(thrust * pure_thrust_[i] + taken[i], rotors_.f_min[i], rotors_.f_max[i]);
   return wrench(f);
+}
+
+Vec3 Quadrotor::angular_acceleration(Vec3 omega, Vec3 torque) const {
+  return divide(torque - cross(omega, multiply(inertia_, omega)), inertia_);
 }
 
 State Quadrotor::derivative(const State& x, const Wrench& u, Vec3 external_acceleration) const {
   const Vec3 thrust_axis = geometry::transposed_times(body_from_inertial(x.sigma), e3);
-  const Vec3 momentum = multiply(inertia_, x.omega);
   return {x.v, rate_matrix(x.sigma) * x.omega,
           -gravity_ * e3 + (u.thrust / mass_) * thrust_axis + external_acceleration,
-          divide(u.torque - cross(x.omega, momentum), inertia_)};
+          angular_acceleration(x.omega, u.torque)};
 }
 
 State Quadrotor::step(const State& x, const Wrench& u, double dt) const {
-  const State k1 = derivative(x, u);
-  const State k2 = derivative(x + dt / 2 * k1, u);
-  const State k3 = derivative(x + dt / 2 * k2, u);
-  const State k4 = derivative(x + dt * k3, u);
-  return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4);
+  return rk4_step(x, dt, [&](double, const State& at) { return derivative(at, u); });
 }
 
 }  // namespace alula::flight

@@ -44,4 +44,16 @@ inline Vec3 shadowed(Vec3 sigma) {
   return n > 1 ? -1 / n * sigma : sigma;
 }
 
+// The attitude after a further turn of the body by the rotation vector `turn` [rad, body axes], |sigma| <= 1.
+// By unit quaternions from body to inertial components, q = (1 - n, 2 sigma) / (1 + n).
+inline Vec3 turned(Vec3 sigma, Vec3 turn) {
+  const double n = geometry::dot(sigma, sigma), a = (1 - n) / (1 + n);
+  const Vec3 v = 2 / (1 + n) * sigma;
+  const double angle = geometry::norm(turn), b = std::cos(angle / 2);
+  const Vec3 w = (angle > 0 ? std::sin(angle / 2) / angle : 0.5) * turn;
+  const double scalar = a * b - geometry::dot(v, w);
+  const Vec3 vector = a * w + b * v + geometry::cross(v, w);
+  return 1 / (1 + std::abs(scalar)) * (scalar < 0 ? -vector : vector);
+}
+
 }  // namespace alula::flight

@@ -29,6 +29,18 @@ struct Wrench {
   Vec3 torque;
 };
 
+inline bool is_finite(const Wrench& u) { return std::isfinite(u.thrust) && geometry::is_finite(u.torque); }
+
+// One classical Runge-Kutta step of dt from x; f(t, x) is the derivative, t in [0, dt] since the start of the step.
+template <class X, class F>
+X rk4_step(const X& x, double dt, F&& f) {
+  const X k1 = f(0.0, x);
+  const X k2 = f(dt / 2, x + dt / 2 * k1);
+  const X k3 = f(dt / 2, x + dt / 2 * k2);
+  const X k4 = f(dt, x + dt * k3);
+  return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4);
+}
+
 using Vec4 = std::array<double, 4>;
 using Mat4 = std::array<std::array<double, 4>, 4>;
 
@@ -40,8 +52,8 @@ struct RotorLayout {
   Vec4 f_min{}, f_max{};    // thrust limits of a rotor [N]
 };
 
-// A body with its allocation. Throws std::invalid_argument when the rotors cannot make every wrench,
-// or mass, inertia or limits mean nothing.
+// A body with its allocation. Throws std::invalid_argument when the rotors cannot make every wrench, cannot
+// push without a torque within their limits, or mass, inertia or limits mean nothing.
 class Quadrotor {
  public:
   Quadrotor(double mass, Vec3 inertia, const RotorLayout& rotors, double gravity = 9.81);
@@ -59,12 +71,18 @@ class Quadrotor {
   Vec4 rotor_thrust(const Wrench& u) const;                        // G^-1 u
   bool admissible(const Wrench& u, double tolerance_n = 0) const;  // f_min <= G^-1 u <= f_max
 
-  // The admissible wrench that flies when u is asked for: torques are kept in preference to thrust,
-  // roll and pitch in preference to yaw, then all is scaled; what is admissible is returned bit by bit.
+  // The wrench that flies when u is asked for: u itself, bit by bit, when it is admissible. Else the largest
+  // share of the torque about x and y for which some thrust is admissible, beside it the largest share of the
+  // torque about z, and of the thrusts that are left the nearest to the one asked for. A wrench that is not
+  // finite counts as hovering. The result is admissible up to rounding.
   Wrench limited(const Wrench& u) const;
+
+  // What the rotors make of u when each is cut off at its own limits; u itself when it is admissible.
+  Wrench saturated(const Wrench& u) const;
 
   // x' = f(x) + g(x) u:  p' = v, sigma' = Z omega, v' = -g e3 + (T/m) R^T e3 + a_ext,
   // omega' = J^-1 (tau - omega x J omega).
+  Vec3 angular_acceleration(Vec3 omega, Vec3 torque) const;
   State derivative(const State& x, const Wrench& u, Vec3 external_acceleration = {}) const;
 
   // One RK4 step of dt [s] with u held; no shadow switch.
@@ -75,6 +93,7 @@ class Quadrotor {
   Vec3 inertia_;
   RotorLayout rotors_;
   Mat4 allocation_{}, inverse_allocation_{};
+  Vec4 pure_thrust_{};  // rotor thrusts of a unit of thrust without torque
 };
 
 }  // namespace alula::flight
