@@ -1,5 +1,7 @@
 """Vehicle files: the examples, what they build, and errors that name the key."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import msgspec
@@ -12,7 +14,8 @@ from alula.schemas.vehicle import FASTBRIDGE, check_vehicle, read_vehicle
 from alula.stages.flight.vehicles import plant, plant_options, quadrotor, tracking_gains
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "vehicles"
-WHOLE = (EXAMPLES / "fastbridge.toml").read_text()
+FILE = EXAMPLES / "fastbridge.toml"
+WHOLE = FILE.read_text()
 POINT = (EXAMPLES / "double-integrator.toml").read_text()
 SINGLE = (EXAMPLES / "single-integrator.toml").read_text()
 
@@ -153,6 +156,13 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, text, error, message):
         read(tmp_path, text)
     assert str(caught.value).startswith(str(tmp_path))
     assert "\n" not in str(caught.value)
+
+
+def test_a_process_that_read_a_vehicle_ends_well():
+    """The decoder's types are taken apart at the end of a process; some shapes of types crash there."""
+    code = f"import pathlib, alula.schemas.vehicle as v; v.read_vehicle(pathlib.Path({str(FILE)!r}))"
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_a_missing_file_and_bytes_that_are_no_text_are_input_errors(tmp_path):
