@@ -27,7 +27,9 @@ class DualPass {
   static constexpr std::size_t kMax = N > 0 ? static_cast<std::size_t>(N) : kQpMaxVariables;
   static constexpr bool kNarrow = std::is_same_v<Real, double>;
 
-  explicit DualPass(const QpProblem& problem) : p_(problem), n_(N > 0 ? kMax : problem.n) {}
+  // `loose`: how many times the rounding that a proof bears.
+  explicit DualPass(const QpProblem& problem, double loose = 1)
+      : p_(problem), n_(N > 0 ? kMax : problem.n), loose_(loose) {}
 
   // Cholesky; false unless H is positive definite by more than its own rounding.
   bool factor() {
@@ -155,7 +157,7 @@ class DualPass {
       for (std::uint32_t i = 0; i < p_.bounds.size() && (greedy || !(gap > 0)); ++i) {
         Wide size = 0;
         const Wide violation = -slack(p_, i, x.data(), size);
-        if (!(violation > 2 * kUnit * size) || is_active(i) || !load(i, candidate)) continue;
+        if (!(violation > 2 * loose_ * kUnit * size) || is_active(i) || !load(i, candidate)) continue;
         const Real distance = static_cast<Real>(violation) / candidate.norm;
         if (distance > gap) {
           gap = distance;
@@ -222,7 +224,7 @@ class DualPass {
     split(z0_, count_, h, rest);
     for (std::size_t k = 0; k < count_; ++k) t[k] = active_[k].d;
     solve_lower(t);
-    z_ = rest;
+    z_ = count_ < n() ? rest : Vector{};  // what is left of z0 when nothing is free is noise
     for (std::size_t k = 0; k < count_; ++k) {
       for (std::size_t j = 0; j < n(); ++j) z_[j] += t[k] * q_[k][j];
       u_[k] = t[k] - h[k];
@@ -368,6 +370,7 @@ class DualPass {
     forward(p.data(), p.data());
     Vector rest;
     split(p, count_, h, rest);
+    if (count_ == n()) rest = {};
     for (std::size_t k = 0; k < count_; ++k) {
       Wide size = 0;
       t[k] = static_cast<Real>(-slack(p_, active_[k].row, x_.data(), size) / static_cast<Wide>(active_[k].norm));
@@ -383,6 +386,57 @@ class DualPass {
     for (std::size_t j = 0; j < n(); ++j) x_[j] += rest[j];
   }
 
+  // What is zero but for rounding, for the lack of anything to be compared with: x_j below that of the sums it
+  // comes from, multipliers below that of z - z0.
+  Vector noise_of_x() const {
+    Vector size;
+    const Real length = std::sqrt(dot(z_, z_));
+    for (std::size_t j = n(); j-- > 0;) {
+      size[j] = length;
+      for (std::size_t k = j + 1; k < n(); ++k) size[j] += std::fabs(l_[k][j]) * size[k];
+      size[j] *= inverse_[j];
+    }
+    for (std::size_t j = 0; j < n(); ++j) size[j] *= static_cast<Real>(kFeasible);
+    return size;
+  }
+  Real noise_of_u() const {
+    Real sum = 0;
+    for (std::size_t j = 0; j < n(); ++j) sum += (z_[j] - z0_[j]) * (z_[j] - z0_[j]);
+    return static_cast<Real>(kFeasible) * std::sqrt(sum);
+  }
+
+  // Holds (x, u), rounded to double, against the input, and makes it the result if it is a proof; `clean`
+  // replaces noise by zeros in x (1), in u (2) or both (3). `worst`: the row violated most beyond rounding.
+  bool is_proved(QpResult& result, unsigned clean, std::uint32_t& worst) const {
+    std::array<double, kMax> x{}, y{};
+    std::array<std::uint32_t, kMax> rows{};
+    std::size_t size = 0;
+    Vector small{};
+    if (clean & 1) small = noise_of_x();
+    const Real least = clean & 2 ? noise_of_u() : 0;
+    for (std::size_t j = 0; j < n(); ++j) {
+      x[j] = !clean || std::fabs(x_[j]) > small[j] ? static_cast<double>(x_[j]) : 0;
+    }
+    for (std::size_t k = 0; k < count_; ++k) {
+      if (!(u_[k] > least)) continue;
+      rows[size] = active_[k].row;
+      y[size++] = static_cast<double>(u_[k] / active_[k].norm);
+    }
+    if (!is_stationary(p_, x.data(), {rows.data(), size}, y.data(), loose_)) return false;
+    const Violations found = violations<N>(p_, x.data(), loose_);
+    if (found.worst != kNone) {
+      if (!clean) worst = found.worst;
+      return false;
+    }
+    result.status = QpStatus::optimal;
+    result.active_count = size;
+    std::copy_n(x.begin(), n(), result.x.begin());
+    std::copy_n(rows.begin(), size, result.active.begin());
+    std::copy_n(y.begin(), size, result.multiplier.begin());
+    result.violation = found.greatest;
+    return true;
+  }
+
   // The answer of the active rows, refined and held against the input; the row violated most beyond
   // rounding, or kNone. Rows whose multiplier turns out negative are given up.
   std::uint32_t finish(QpResult& result) {
@@ -392,35 +446,18 @@ class DualPass {
     for (;;) {
       settle();
       backward(z_.data(), x_.data());
-      std::size_t negative = kMax;
       std::uint32_t worst = kNone;
-      for (int pass = 0; pass < 4; ++pass) {
+      for (int pass = 0; pass < 4 && (worst == kNone || is_active(worst)); ++pass) {
         improve();
-        negative = kMax;
-        std::array<double, kMax> x{}, y{};
-        for (std::size_t j = 0; j < n(); ++j) x[j] = static_cast<double>(x_[j]);
-        std::array<std::uint32_t, kMax> rows{};
-        std::size_t size = 0;
-        for (std::size_t k = 0; k < count_; ++k) {
-          if (u_[k] < 0 && (negative == kMax || u_[k] < u_[negative])) negative = k;
-          if (!(u_[k] > 0)) continue;
-          rows[size] = active_[k].row;
-          y[size++] = static_cast<double>(u_[k] / active_[k].norm);
-        }
-        if (!is_stationary(p_, x.data(), {rows.data(), size}, y.data())) continue;
-        const Violations found = violations<N>(p_, x.data());
-        worst = found.worst;
-        if (worst != kNone) {
-          if (is_active(worst)) continue;
-          break;
-        }
-        result.status = QpStatus::optimal;
-        result.active_count = size;
-        std::copy_n(x.begin(), n(), result.x.begin());
-        std::copy_n(rows.begin(), size, result.active.begin());
-        std::copy_n(y.begin(), size, result.multiplier.begin());
-        result.violation = found.greatest;
-        return kNone;
+        worst = kNone;
+        if (is_proved(result, 0, worst)) return kNone;
+      }
+      for (const unsigned clean : {3u, 1u, 2u}) {
+        if (is_proved(result, clean, worst)) return kNone;
+      }
+      std::size_t negative = kMax;
+      for (std::size_t k = 0; k < count_; ++k) {
+        if (u_[k] < 0 && (negative == kMax || u_[k] < u_[negative])) negative = k;
       }
       if (worst != kNone || negative == kMax) {
         for (std::size_t k = 0; k < count_; ++k) u_[k] = std::max<Real>(0, u_[k]);
@@ -432,6 +469,7 @@ class DualPass {
 
   const QpProblem& p_;
   const std::size_t n_;
+  const double loose_;
   Columns columns_;
   std::array<Vector, kMax> l_{};  // of H
   Vector inverse_{}, z0_{}, z_{}, x_{}, u_{};
