@@ -10,6 +10,7 @@ import numpy as np
 
 UNIT = 2.0**-53
 FEASIBLE, STATIONARY, CERTAIN = 32 * UNIT, 256 * UNIT, 32 * UNIT
+LOOSE = 128.0  # what rows that contradict each other by rounding may take
 OPTIMAL, INFEASIBLE, FAILED = 0, 1, 2
 _LOOSER = 1 + 1e-3  # than what the solver promises: these sums are rounded too
 

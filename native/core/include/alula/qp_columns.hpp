@@ -40,7 +40,8 @@ class Columns {
   // Fills all rows; `lower` is L in rows of `pitch`. `extreme`: a row is too large or too small for double
   // precision; `impossible`: row `bad` is zero and asks for more than that.
   template <int N>
-  Prepared fill(const QpProblem& p, const double* lower, const double* inverse, std::size_t pitch, std::uint32_t& bad) {
+  Prepared fill(const QpProblem& p, const double* lower, const double* inverse, std::size_t pitch,
+                std::uint32_t& bad) {
     const std::size_t n = N > 0 ? static_cast<std::size_t>(N) : p.n, m = p.bounds.size();
     Prepared prepared = Prepared::good;
     for (std::size_t i = 0; i < stride_; i += 2) {
@@ -70,7 +71,8 @@ class Columns {
         for (std::size_t j = 0; j < n; ++j) c_[j * stride_ + i + lane] = 0;
         hide(static_cast<std::uint32_t>(i + lane));
         const Prepared found = judge(p, i + lane);
-        if (found == Prepared::impossible && prepared != Prepared::impossible) bad = static_cast<std::uint32_t>(i + lane);
+        if (found == Prepared::impossible && prepared != Prepared::impossible)
+          bad = static_cast<std::uint32_t>(i + lane);
         if (found > prepared && prepared != Prepared::not_finite) prepared = found;
         if (found == Prepared::not_finite) prepared = found;
       }
