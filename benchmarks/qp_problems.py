@@ -1,4 +1,4 @@
-"""The QP solver on random and adversarial programs, held against Clarabel, with its time beside that of others.
+"""The QP solver on random and adversarial programs against Clarabel, its time beside that of others.
 
 Every verdict is proved from its own numbers (`qp_families.proved`) and held against what is known of the
 program and what Clarabel says; since Clarabel is accurate to about 1e-8 only, it is taken by inequalities
@@ -97,7 +97,9 @@ def through_cvxpy(stack: Stack, i: int) -> tuple[int, np.ndarray, np.ndarray]:
     return OPTIMAL, np.asarray(x.value), dual
 
 
-def contradicts(stack: Stack, ours: dict[str, np.ndarray], i: int, other: tuple[int, np.ndarray, np.ndarray]) -> bool:
+def contradicts(
+    stack: Stack, ours: dict[str, np.ndarray], i: int, other: tuple[int, np.ndarray, np.ndarray]
+) -> bool:
     """Whether another's point or multipliers show that our verdict is false.
 
     Ours is infeasible: y^T b - |y^T A| |x| bounds y^T (b - A x) of any x from below. Ours is optimal: a
@@ -207,7 +209,10 @@ def times(seed: int, problems: int = 2000) -> dict[str, float]:
             start = time.perf_counter_ns()
             call()
             elapsed.setdefault(name, []).append(time.perf_counter_ns() - start)
-    figures = {"qp_p50_us": float(np.median(native)) / 1e3, "qp_p99_us": float(np.percentile(native, 99)) / 1e3}
+    figures = {
+        "qp_p50_us": float(np.median(native)) / 1e3,
+        "qp_p99_us": float(np.percentile(native, 99)) / 1e3,
+    }
     for name, values in elapsed.items():
         figures[f"{name}_p50_us"] = float(np.median(values)) / 1e3
         figures[f"{name}_p99_us"] = float(np.percentile(values, 99)) / 1e3

@@ -174,7 +174,7 @@ def ill_conditioned(rng, k, n, m):
 
 
 def flight(rng, k, n, m):
-    """As filters pose them: weights decades apart, a slack variable, limits of inputs, barrier rows of a bundle."""
+    """As filters pose them: weights decades apart, limits of the inputs, barrier rows of all sizes."""
     rows = rng.normal(size=(k, m, n)) * 10 ** rng.uniform(-2, 3, (k, 1, n))
     limits = np.vstack([np.eye(n), -np.eye(n)])[: min(m, 2 * n)]
     rows[:, : len(limits)] = limits
@@ -183,7 +183,9 @@ def flight(rng, k, n, m):
     bounds[:, : len(limits)] = -1 - 10 ** rng.uniform(-3, 1, (k, len(limits)))
     hessian = np.zeros((k, n, n))
     hessian[:, np.arange(n), np.arange(n)] = 10 ** rng.uniform(-4, 8, (k, n))
-    return Stack(hessian, rng.normal(size=(k, n)) * hessian.max(axis=(1, 2))[:, None], rows, bounds, np.ones(k, int))
+    return Stack(
+        hessian, rng.normal(size=(k, n)) * hessian.max(axis=(1, 2))[:, None], rows, bounds, np.ones(k, int)
+    )
 
 
 FAMILIES: dict[str, Callable[..., Stack]] = {
