@@ -88,13 +88,18 @@ def solve_qp(
     names = np.array([row for row in warm if row >= 0], dtype=np.uint32)
     if solver not in ("active-set", "clarabel"):
         raise UsageError(f"no QP solver is called {solver!r}; there are active-set and clarabel")
-    native = _core.QpSolver(clarabel_backend if solver == "clarabel" else None)
-    try:
-        result = native.solve(hessian, gradient, rows, bounds, names)
-    except (TypeError, ValueError) as error:
+    n, m = gradient.size, bounds.size
+    if not 1 <= n <= 8 or (hessian.shape, gradient.shape, rows.shape, bounds.shape) != (
+        (n, n),
+        (n,),
+        (m, n),
+        (m,),
+    ):
         shapes = ", ".join(str(part.shape) for part in (hessian, gradient, rows, bounds))
-        raise UsageError(f"not a quadratic program of 1 to 8 variables: shapes {shapes}") from error
-    multipliers = np.zeros(len(bounds))
+        raise UsageError(f"not a quadratic program of 1 to 8 variables: shapes {shapes}")
+    native = _core.QpSolver(clarabel_backend if solver == "clarabel" else None)
+    result = native.solve(hessian, gradient, rows, bounds, names)
+    multipliers = np.zeros(m)
     multipliers[result.active] = result.multipliers
     return QpSolution(
         QpStatus(result.status), result.x, multipliers, result.active.astype(np.int64), result.violation

@@ -188,6 +188,19 @@ def flight(rng, k, n, m):
     )
 
 
+def lattice(rng, k, n, m):
+    """Rows and bounds of -1, 0 and 1, some tilted or shifted by 1e-16 to 1e-6, any condition: undecided."""
+    rows, bounds = rng.integers(-1, 2, (k, m, n)) * 1.0, rng.integers(-1, 2, (k, m)) * 1.0
+    bounds -= rng.integers(0, 3, (k, 1))
+    rows += np.where(rng.random((k, m, 1)) < 0.3, 10 ** rng.uniform(-16, -6, (k, m, 1)), 0) * rng.normal(
+        size=(k, m, n)
+    )
+    bounds += np.where(rng.random((k, m)) < 0.3, 10 ** rng.uniform(-16, -6, (k, m)), 0) * rng.normal(
+        size=(k, m)
+    )
+    return _stack(rng, rows, bounds, 0, condition=(0, 13))
+
+
 FAMILIES: dict[str, Callable[..., Stack]] = {
     family.__name__: family
     for family in (
@@ -205,6 +218,7 @@ FAMILIES: dict[str, Callable[..., Stack]] = {
         far_pull,
         ill_conditioned,
         flight,
+        lattice,
     )
 }
 

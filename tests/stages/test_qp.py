@@ -278,6 +278,15 @@ def test_a_backend_answers_behind_the_native_solver():
         _core.QpSolver(3)
 
 
+def test_the_native_solver_refuses_shapes_of_its_own():
+    solver = _core.QpSolver()
+    for shapes in (((2, 2), (3,), (4, 3), (4,)), ((9, 9), (9,), (4, 9), (4,)), ((3, 3), (3,), (4, 3), (5,))):
+        with pytest.raises(ValueError, match="quadratic program"):
+            solver.solve(*(np.ones(shape) for shape in shapes))
+        with pytest.raises(ValueError, match="quadratic program"):
+            solver.solve_many(*(np.ones((2, *shape)) for shape in shapes))
+
+
 def _interrupted(*_):
     raise KeyboardInterrupt
 

@@ -181,18 +181,35 @@ class ActiveRows {
     return zero;
   }
 
+  // The same with noise in r replaced by zeros, which it then becomes.
+  bool cleaned(const Entry& entry, Vector& r, Vector& rest) const {
+    Real largest = 1;
+    for (std::size_t k = 0; k < count_; ++k) largest = std::max(largest, std::fabs(r[k]));
+    Vector clean = r;
+    bool any = false;
+    for (std::size_t k = 0; k < count_; ++k) {
+      if (r[k] == 0 || std::fabs(r[k]) > static_cast<Real>(kFeasible) * largest) continue;
+      clean[k] = 0;
+      any = true;
+    }
+    if (!any || !residual(entry, clean, rest)) return false;
+    r = clean;
+    return true;
+  }
+
   // Improves r on the input: c - N r is small or orthogonal to N. Whether it is zero to rounding.
   bool refine(const Entry& entry, Vector& r, Vector& z) const {
     Vector h{}, rest{};
     for (int pass = 0; pass < 3; ++pass) {
-      const bool zero = residual(entry, r, rest);
-      if (zero && pass > 0) return true;
-      forward(rest.data(), rest.data());
-      split(rest, count_, h, z);
+      if (residual(entry, r, rest) && pass > 0) return true;
+      Vector kept = rest;
+      if (cleaned(entry, r, rest)) return true;
+      forward(kept.data(), kept.data());
+      split(kept, count_, h, z);
       solve_upper(h);
       for (std::size_t k = 0; k < count_; ++k) r[k] += h[k];
     }
-    return residual(entry, r, rest);
+    return residual(entry, r, rest) || cleaned(entry, r, rest);
   }
 
   // The way z to the row's boundary along the active rows, and how their multipliers yield; false when

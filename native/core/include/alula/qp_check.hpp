@@ -27,6 +27,9 @@ Wide magnitude(Real v) {
   return size < least ? least : size;
 }
 
+// |sum| <= bound; what has overflowed proves nothing.
+inline bool within(Wide sum, Wide bound) { return std::isfinite(bound) && std::fabs(sum) <= bound; }
+
 inline Wide symmetric(const QpProblem& p, std::size_t j, std::size_t k) {
   return (static_cast<Wide>(p.hessian[j * p.n + k]) + static_cast<Wide>(p.hessian[k * p.n + j])) / 2;
 }
@@ -72,7 +75,7 @@ Violations violations(const QpProblem& p, const double* x, double loose = 1) {
     if (exact <= 0) continue;
     const double distance = static_cast<double>(exact) / row_norm(p, i);
     if (!(distance <= found.greatest)) found.greatest = distance;
-    if (!(exact <= loose * kFeasible * size) && !(distance <= worst)) {
+    if (!within(exact, loose * kFeasible * size) && !(distance <= worst)) {
       worst = distance;
       found.worst = static_cast<std::uint32_t>(i);
     }
@@ -80,10 +83,11 @@ Violations violations(const QpProblem& p, const double* x, double loose = 1) {
   return found;
 }
 
-// Whether y >= 0 of the given rows makes x stationary, and these rows hold with equality.
+// Whether x is finite, y >= 0 of the given rows makes it stationary, and these rows hold with equality.
 inline bool is_stationary(const QpProblem& p, const double* x, std::span<const std::uint32_t> rows, const double* y,
                           double loose) {
   for (std::size_t j = 0; j < p.n; ++j) {
+    if (!std::isfinite(x[j])) return false;
     Wide sum = p.gradient[j], size = std::fabs(sum);
     for (std::size_t k = 0; k < p.n; ++k) {
       const Wide h = symmetric(p, j, k);
@@ -95,12 +99,12 @@ inline bool is_stationary(const QpProblem& p, const double* x, std::span<const s
       sum -= a * y[k];
       size += std::fabs(a) * magnitude(y[k]);
     }
-    if (!(std::fabs(sum) <= loose * kStationary * size)) return false;
+    if (!within(sum, loose * kStationary * size)) return false;
   }
   for (std::size_t k = 0; k < rows.size(); ++k) {
     Wide size = 0;
     const Wide distance = slack(p, rows[k], x, size);
-    if (!(y[k] >= 0) || !(std::fabs(distance) <= loose * kFeasible * size)) return false;
+    if (!(y[k] >= 0) || !within(distance, loose * kFeasible * size)) return false;
   }
   return true;
 }
@@ -114,7 +118,7 @@ inline bool is_certificate(const QpProblem& p, std::span<const std::uint32_t> ro
       sum += term;
       size += std::fabs(term);
     }
-    if (!(std::fabs(sum) <= kCertain * size)) return false;
+    if (!within(sum, kCertain * size)) return false;
   }
   Wide sum = 0, size = 0;
   for (std::size_t k = 0; k < rows.size(); ++k) {
@@ -124,7 +128,7 @@ inline bool is_certificate(const QpProblem& p, std::span<const std::uint32_t> ro
     size += std::fabs(term);
   }
   gain = static_cast<double>(sum);
-  return sum > kCertain * size && std::isfinite(gain);
+  return std::isfinite(size) && sum > kCertain * size && std::isfinite(gain);
 }
 
 }  // namespace alula::qp

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "alula/qp_active.hpp"
+#include "alula/qp_certificate.hpp"
 #include "alula/qp_check.hpp"
 #include "alula/qp_columns.hpp"
 
@@ -68,7 +69,7 @@ class DualPass : public ActiveRows<Real, N> {
   enum class Step : std::uint8_t { added, infeasible, stuck };
 
   static constexpr int kRounds = 25;
-  static constexpr int kGreedy = 300, kMost = 1200;  // exchanges with the most and with the first violated row
+  static constexpr int kGreedy = 300, kMost = 600;  // exchanges with the most and with the first violated row
 
   Real tolerance() const { return static_cast<Real>(kFeasible) * std::sqrt(dot(z_, z_)); }
   // The row to add next and by how much it is violated; false when all hold up to rounding.
@@ -104,33 +105,22 @@ class DualPass : public ActiveRows<Real, N> {
     Base::erase(at);
   }
 
-  // y = (1, -r) with noise cut off: does it prove that there is no feasible point?
+  // y = (1, -r), the positive part: does it prove that there is no feasible point? If not at once, then
+  // balanced, without noise and with it.
   bool prove_infeasible(const Entry& entry, Vector r, QpResult& result) const {
     Vector z;
     refine(entry, r, z);
-    std::array<std::pair<std::uint32_t, Wide>, kMax + 1> y;
-    std::size_t size = 0;
-    y[size++] = {entry.row, 1 / static_cast<Wide>(entry.norm)};
+    Certificate all;
+    all.append(p_, entry.row, 1 / static_cast<Wide>(entry.norm));
     for (std::size_t k = 0; k < count_; ++k) {
-      if (r[k] < 0) y[size++] = {active_[k].row, -static_cast<Wide>(r[k]) / active_[k].norm};
+      if (r[k] < 0) all.append(p_, active_[k].row, -static_cast<Wide>(r[k]) / active_[k].norm);
     }
-    std::sort(y.begin(), y.begin() + static_cast<std::ptrdiff_t>(size));
-    Wide total = 0;
-    for (std::size_t k = 0; k < size; ++k) total += y[k].second * row_norm(p_, y[k].first);
-    std::array<std::uint32_t, kMax + 1> rows;
-    std::array<double, kMax + 1> multiplier;
-    for (std::size_t k = 0; k < size; ++k) {
-      rows[k] = y[k].first;
-      multiplier[k] = static_cast<double>(y[k].second / total);
-    }
-    double gain = 0;
-    if (!is_certificate(p_, {rows.data(), size}, multiplier.data(), gain)) return false;
-    result.status = QpStatus::infeasible;
-    result.active_count = size;
-    std::copy_n(rows.begin(), size, result.active.begin());
-    std::copy_n(multiplier.begin(), size, result.multiplier.begin());
-    result.violation = gain;
-    return true;
+    if (all.prove(p_, result)) return true;
+    Certificate few = all.without_noise();
+    few.balance(p_);
+    if (few.prove(p_, result)) return true;
+    all.balance(p_);
+    return all.prove(p_, result);
   }
 
   // z moves on; when it has come from so far that rounding would show, it is computed anew.
