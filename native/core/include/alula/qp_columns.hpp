@@ -14,7 +14,6 @@ namespace alula::qp {
 
 // Two numbers side by side: what the oldest supported x86-64 and every ARMv8 processor has.
 using Pair = double __attribute__((vector_size(16)));
-using PairMask = std::int64_t __attribute__((vector_size(16)));
 
 inline Pair load_pair(const double* from) {
   Pair v;
@@ -95,7 +94,7 @@ class Columns {
       for (std::size_t half = 0; half < 2; ++half) {
         Pair v = load_pair(d_ + i + 2 * half);
         for (std::size_t j = 0; j < n; ++j) v -= load_pair(c_ + j * stride_ + i + 2 * half) * z[j];
-        const PairMask better = v > best[half];
+        const auto better = v > best[half];
         best[half] = better ? v : best[half];
         at[half] = better ? index[half] : at[half];
         index[half] += 4.0;
