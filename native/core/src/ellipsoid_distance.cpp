@@ -180,11 +180,11 @@ double distance_below(const Ellipsoid& ellipsoid, Vec3 a, Vec3 d, double enough)
   for (int step = 0; step < 100; ++step) {
     if (q - 8 * kEpsilon * size >= needed) return std::numeric_limits<double>::infinity();
     const double h = std::sqrt(g);
-    if (std::abs(h - 1) <= 2 * kEpsilon) break;
+    if (std::abs(h - 1) <= 32 * kEpsilon) break;  // of the distance, too
     (h > 1 ? low : high) = mu;
     double next = mu + (h - 1) * g / fall;
     if (!(next > low && next < high)) next = high < std::numeric_limits<double>::infinity() ? 0.5 * (low + high) : mu;
-    if (next == mu || !(std::abs(next - mu) > kEpsilon * mu)) break;
+    if (!(std::abs(next - mu) > 8 * kEpsilon * mu)) break;
     mu = next;
     evaluate(mu);
   }
