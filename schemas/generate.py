@@ -12,6 +12,7 @@ from alula.schemas.kinds import KINDS
 from alula.schemas.manifest import VERSION
 from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
 from alula.schemas.scenario import SCENARIO_SCHEMA, Scenario
+from alula.schemas.vehicle import VEHICLE_SCHEMA, Vehicle
 
 
 def documents() -> dict[str, bytes]:
@@ -21,6 +22,7 @@ def documents() -> dict[str, bytes]:
     }
     types[RUN_SCHEMA] = (RUN_VERSION, RunRecord)
     types[SCENARIO_SCHEMA] = (VERSION, Scenario)
+    types[VEHICLE_SCHEMA] = (VERSION, Vehicle)
     result = {}
     for name, (version, struct) in types.items():
         schema = msgspec.json.schema(struct)

@@ -80,7 +80,9 @@ def test_closed_forms_agree_with_the_quaternion_on_random_states():
 
 def test_rotations_turn_with_omega():
     for x in random_states(200, seed=3):
-        by_time = jacobian(lambda t, x=x: body_to_inertial(x[3:6] + t[0] * sigma_rate(x[3:6], x[9:])).ravel(), [0.0])
+        by_time = jacobian(
+            lambda t, x=x: body_to_inertial(x[3:6] + t[0] * sigma_rate(x[3:6], x[9:])).ravel(), [0.0]
+        )
         assert close(by_time.reshape(3, 3), body_to_inertial(x[3:6]) @ hat(x[9:]), 1e-12)
 
 
@@ -164,7 +166,8 @@ def test_a_limited_wrench_is_admissible_and_an_admissible_one_is_kept(layout, wa
     assert body.admissible(flown, tolerance_n=1e-9)[0]
     assert np.abs(body.wrench(body.rotor_thrust(u)) - u).max() < 1e-9
     if body.admissible(u)[0]:
-        assert (flown == u).all() and (body.saturated(u) == u).all()
+        assert (flown == u).all()
+        assert (body.saturated(u) == u).all()
     cut = np.clip(body.rotor_thrust(u), body.f_min, body.f_max)
     assert close(body.saturated(u), body.wrench(cut), 1e-12)
 
@@ -182,7 +185,10 @@ def test_torque_is_shared_as_a_linear_program_says(layout, wanted):
         columns = np.stack([inverse[:, 0], part], axis=1)
         limits = [np.subtract(body.f_max, taken), np.subtract(taken, body.f_min)]
         best = linprog(
-            [0, -1], np.concatenate([columns, -columns]), np.concatenate(limits), bounds=[(None, None), (0, 1)]
+            [0, -1],
+            np.concatenate([columns, -columns]),
+            np.concatenate(limits),
+            bounds=[(None, None), (0, 1)],
         )
         assert best.status == 0
         return best.x[1]
@@ -208,7 +214,8 @@ def test_a_command_without_meaning_hovers(bad, place):
     u = row(4.0, 0, 0, 0)
     u[0, place] = bad
     flown = fastbridge().limited(u)
-    assert np.isfinite(flown).all() and fastbridge().admissible(flown, tolerance_n=1e-9)[0]
+    assert np.isfinite(flown).all()
+    assert fastbridge().admissible(flown, tolerance_n=1e-9)[0]
     if not np.isfinite(bad):
         assert close(flown, row(MASS * GRAVITY, 0, 0, 0), 1e-12)
     assert not fastbridge().admissible(u)[0]
@@ -240,4 +247,5 @@ def test_an_allocation_is_the_one_of_the_vectors():
     body = Quadrotor(mass=MASS, inertia=INERTIA.tolist(), **ROTORS)
     assert (body.allocation == np.array(VECTORS["params"]["G"])).all()
     assert close(body.inverse_allocation @ body.allocation, np.eye(4), 1e-14)
-    assert body.hover_thrust == MASS * GRAVITY and body.max_thrust == 17.0
+    assert body.hover_thrust == MASS * GRAVITY
+    assert body.max_thrust == 17.0

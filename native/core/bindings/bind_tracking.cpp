@@ -102,18 +102,39 @@ void bind_tracking(nb::module_& m) {
           "__init__",
           [](TrackingGains* self, double kp, double kv, const Triple& k_r, const Triple& k_omega, double catch_up,
              double tilt, double share, bool uses_acceleration) {
-            new (self)
-                TrackingGains{kp, kv, vector_of(k_r), vector_of(k_omega), catch_up, tilt, share, uses_acceleration};
+            const TrackingGains gains{kp,       kv,   vector_of(k_r), vector_of(k_omega),
+                                      catch_up, tilt, share,          uses_acceleration};
+            check(gains);
+            new (self) TrackingGains(gains);
           },
           nb::kw_only(), "kp"_a = TrackingGains{}.kp, "kv"_a = TrackingGains{}.kv,
           "k_r"_a = triple_of(TrackingGains{}.k_r), "k_omega"_a = triple_of(TrackingGains{}.k_omega),
           "catch_up_m_s"_a = TrackingGains{}.catch_up_m_s, "max_tilt_rad"_a = TrackingGains{}.max_tilt_rad,
-          "max_thrust_share"_a = TrackingGains{}.max_thrust_share, "uses_acceleration"_a = true);
+          "max_thrust_share"_a = TrackingGains{}.max_thrust_share, "uses_acceleration"_a = true)
+      .def_ro("kp", &TrackingGains::kp)
+      .def_ro("kv", &TrackingGains::kv)
+      .def_prop_ro("k_r", [](const TrackingGains& self) { return triple_of(self.k_r); })
+      .def_prop_ro("k_omega", [](const TrackingGains& self) { return triple_of(self.k_omega); })
+      .def_ro("catch_up_m_s", &TrackingGains::catch_up_m_s)
+      .def_ro("max_tilt_rad", &TrackingGains::max_tilt_rad)
+      .def_ro("max_thrust_share", &TrackingGains::max_thrust_share)
+      .def_ro("uses_acceleration", &TrackingGains::uses_acceleration);
 
   m.def("track", &track_terms, "quadrotor"_a, "gains"_a, "x"_a, "reference"_a, nb::kw_only(),
         "applied_thrust"_a = nb::none(),
         "The geometric controller at states (N, 12) and references (N, 18): per row its wrench, acceleration, "
         "derivatives of the thrust and all terms on the way.");
+  m.def(
+      "track_point",
+      [](const TrackingGains& gains, const InStates& x, const InReferences& reference) {
+        require_rows(reference.shape(0), x.shape(0));
+        Rows rows(x.shape(0));
+        for (std::size_t i = 0; i < x.shape(0); ++i)
+          rows.add(
+              track_point(gains, state_at(x.data() + 12 * i), reference_at(reference.data() + 18 * i)).acceleration);
+        return rows.array({x.shape(0), 3});
+      },
+      "gains"_a, "x"_a, "reference"_a, "Accelerations (N, 3) of the controller of a point [m/s^2].");
   m.def("realise", &realise_rows, "quadrotor"_a, "gains"_a, "x"_a, "reference"_a, "acceleration"_a, nb::kw_only(),
         "applied_thrust"_a = nb::none(), "Wrenches (N, 4) that make accelerations (N, 3) through the attitude loop.");
   m.def(

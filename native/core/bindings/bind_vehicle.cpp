@@ -176,7 +176,12 @@ void bind_plants(nb::module_& m) {
             new (self) SensorOptions(options);
           },
           nb::kw_only(), "position_noise_m"_a = 0.0, "velocity_noise_m_s"_a = 0.0, "attitude_noise_rad"_a = 0.0,
-          "rate_noise_rad_s"_a = 0.0, "delay_s"_a = 0.0);
+          "rate_noise_rad_s"_a = 0.0, "delay_s"_a = 0.0)
+      .def_ro("position_noise_m", &SensorOptions::position_noise_m)
+      .def_ro("velocity_noise_m_s", &SensorOptions::velocity_noise_m_s)
+      .def_ro("attitude_noise_rad", &SensorOptions::attitude_noise_rad)
+      .def_ro("rate_noise_rad_s", &SensorOptions::rate_noise_rad_s)
+      .def_ro("delay_s", &SensorOptions::delay_s);
   nb::class_<PlantOptions>(m, "PlantOptions", "Disturbances of a quadrotor in flight; all off by default.")
       .def(
           "__init__",
@@ -189,7 +194,13 @@ void bind_plants(nb::module_& m) {
           },
           nb::kw_only(), "motor_time_constant_s"_a = 0.0, "linear_drag"_a = Triple{}, "quadratic_drag"_a = Triple{},
           "wind_m_s"_a = Triple{}, "gust_m_s"_a = Triple{}, "gust_time_s"_a = 1.0, "sensor"_a = SensorOptions{})
-      .def_prop_ro("sensor", [](const PlantOptions& self) { return self.sensor; });
+      .def_ro("motor_time_constant_s", &PlantOptions::motor_time_constant_s)
+      .def_prop_ro("linear_drag", [](const PlantOptions& self) { return triple(self.linear_drag); })
+      .def_prop_ro("quadratic_drag", [](const PlantOptions& self) { return triple(self.quadratic_drag); })
+      .def_prop_ro("wind_m_s", [](const PlantOptions& self) { return triple(self.wind_m_s); })
+      .def_prop_ro("gust_m_s", [](const PlantOptions& self) { return triple(self.gust_m_s); })
+      .def_ro("gust_time_s", &PlantOptions::gust_time_s)
+      .def_ro("sensor", &PlantOptions::sensor);
 
   nb::class_<Plant>(m, "Plant", "A quadrotor in flight: alula/plant.hpp. Off options make steps those of Quadrotor.")
       .def(

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 
 namespace alula::flight {
 namespace {
@@ -75,21 +76,14 @@ Frame frame_along(const VectorJet& b3, const ReferencePoint& reference) {
           columns(b1.acceleration, b2.acceleration, b3.acceleration)};
 }
 
-// The force that is asked for, before limits, and the errors.
-struct Demand {
-  VectorJet force;
-  Vec3 position_error, velocity_error, acceleration;
-};
+double longest_error(const TrackingGains& gains) { return gains.catch_up_m_s * gains.kv / gains.kp; }
 
-Demand demand_of(const Quadrotor& quadrotor, const TrackingGains& gains, const State& x, const ReferencePoint& r,
-                 const VectorJet& b, double applied_thrust) {
-  const double m = quadrotor.mass();
-  const Vec3 e_p = x.p - r.p, e_v = x.v - r.v;
-  const double longest = gains.catch_up_m_s * gains.kv / gains.kp;
-  VectorJet error{e_p, e_v, {}};
-  const VectorJet pulled = shortened(error, longest);
-  Demand demand{{}, e_p, e_v, r.a - gains.kp * pulled.value - gains.kv * e_v};
-  demand.force.value = m * (demand.acceleration + quadrotor.gravity() * e3);
+// f_c before its limits, given the acceleration that is asked for.
+VectorJet demand_of(const Quadrotor& quadrotor, const TrackingGains& gains, const ReferencePoint& r,
+                    const Nominal& nominal, const VectorJet& b, double applied_thrust) {
+  const double m = quadrotor.mass(), longest = longest_error(gains);
+  VectorJet error{nominal.position_error, nominal.velocity_error, {}};
+  VectorJet demand{m * (nominal.acceleration + quadrotor.gravity() * e3), {}, {}};
 
   // The limits belong to the thrust that follows, as to all that is computed from it.
   const auto thrust_of = [&](const VectorJet& force) { return dot(limited(quadrotor, gains, force), b); };
@@ -97,16 +91,16 @@ Demand demand_of(const Quadrotor& quadrotor, const TrackingGains& gains, const S
   const bool is_own = !std::isfinite(applied_thrust);
   double thrust = 0;
   if (gains.uses_acceleration) {
-    thrust = is_own ? thrust_of(demand.force).value : applied_thrust;
+    thrust = is_own ? thrust_of(demand).value : applied_thrust;
     e_a = -quadrotor.gravity() * e3 + (thrust / m) * b.value - r.a;
   }
-  demand.force.rate = m * (r.j - gains.kp * pulled.rate - gains.kv * e_a);
+  demand.rate = m * (r.j - gains.kp * shortened(error, longest).rate - gains.kv * e_a);
   if (gains.uses_acceleration) {
-    const double thrust_rate = thrust_of(demand.force).rate;
+    const double thrust_rate = thrust_of(demand).rate;
     e_j = 1 / m * (thrust_rate * b.value + thrust * b.rate) - r.j;
   }
   error.acceleration = e_a;
-  demand.force.acceleration = m * (r.s - gains.kp * shortened(error, longest).acceleration - gains.kv * e_j);
+  demand.acceleration = m * (r.s - gains.kp * shortened(error, longest).acceleration - gains.kv * e_j);
   return demand;
 }
 
@@ -142,16 +136,35 @@ Tracking attitude_loop(const Quadrotor& quadrotor, const TrackingGains& gains, c
 
 }  // namespace
 
+void check(const TrackingGains& gains) {
+  bool good = gains.kp > 0 && gains.kv > 0 && std::isfinite(gains.kp) && std::isfinite(gains.kv) &&
+              gains.catch_up_m_s > 0 && gains.max_tilt_rad > 0 && gains.max_thrust_share > 0 &&
+              geometry::is_finite(gains.k_r) && geometry::is_finite(gains.k_omega);
+  for (int i = 0; i < 3; ++i) good = good && gains.k_r[i] >= 0 && gains.k_omega[i] >= 0;
+  if (!good) throw std::invalid_argument("gains of a controller and its limits must be positive");
+}
+
+Nominal track_point(const TrackingGains& gains, const State& x, const ReferencePoint& reference) {
+  Nominal nominal;
+  nominal.position_error = x.p - reference.p;
+  nominal.velocity_error = x.v - reference.v;
+  nominal.reference_acceleration = reference.a;
+  const Vec3 pulled = shortened({nominal.position_error, {}, {}}, longest_error(gains)).value;
+  nominal.acceleration = reference.a - gains.kp * pulled - gains.kv * nominal.velocity_error;
+  return nominal;
+}
+
 Tracking track_in_detail(const Quadrotor& quadrotor, const TrackingGains& gains, const State& x,
                          const ReferencePoint& reference, double applied_thrust) {
   const Mat3 C = geometry::transpose(body_from_inertial(x.sigma));
-  const Demand demand = demand_of(quadrotor, gains, x, reference, thrust_axis(C, x.omega), applied_thrust);
-  Tracking result = attitude_loop(quadrotor, gains, x, reference, demand.force, C);
-  result.nominal.position_error = demand.position_error;
-  result.nominal.velocity_error = demand.velocity_error;
-  result.nominal.reference_acceleration = reference.a;
-  result.nominal.acceleration =
-      has_limits(gains) ? 1 / quadrotor.mass() * result.force.value - quadrotor.gravity() * e3 : demand.acceleration;
+  Nominal nominal = track_point(gains, x, reference);
+  const VectorJet force = demand_of(quadrotor, gains, reference, nominal, thrust_axis(C, x.omega), applied_thrust);
+  Tracking result = attitude_loop(quadrotor, gains, x, reference, force, C);
+  if (has_limits(gains)) nominal.acceleration = 1 / quadrotor.mass() * result.force.value - quadrotor.gravity() * e3;
+  nominal.wrench = result.nominal.wrench;
+  nominal.thrust_rate = result.nominal.thrust_rate;
+  nominal.thrust_acceleration = result.nominal.thrust_acceleration;
+  result.nominal = nominal;
   return result;
 }
 
@@ -161,7 +174,8 @@ Wrench realise(const Quadrotor& quadrotor, const TrackingGains& gains, const Sta
   if (acceleration.x == asked.x && acceleration.y == asked.y && acceleration.z == asked.z) return nominal.wrench;
   const Mat3 C = geometry::transpose(body_from_inertial(x.sigma));
   VectorJet force = limited(quadrotor, gains,
-                            demand_of(quadrotor, gains, x, reference, thrust_axis(C, x.omega), applied_thrust).force);
+                            demand_of(quadrotor, gains, reference, track_point(gains, x, reference),
+                                      thrust_axis(C, x.omega), applied_thrust));
   force.value = quadrotor.mass() * (acceleration + quadrotor.gravity() * e3);
   return attitude_loop(quadrotor, gains, x, reference, force, C).nominal.wrench;
 }

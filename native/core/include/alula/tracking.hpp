@@ -38,6 +38,9 @@ struct TrackingGains {
   bool uses_acceleration = true;
 };
 
+// Throws std::invalid_argument for gains or limits that are not positive.
+void check(const TrackingGains& gains);
+
 // For the thrust that is applied: the controller's own.
 inline constexpr double own_thrust = std::numeric_limits<double>::quiet_NaN();
 
@@ -56,6 +59,9 @@ inline Nominal track(const Quadrotor& quadrotor, const TrackingGains& gains, con
                      const ReferencePoint& reference, double applied_thrust = own_thrust) {
   return track_in_detail(quadrotor, gains, x, reference, applied_thrust).nominal;
 }
+
+// The same for a point whose input is its acceleration, a_r - kp e_p - kv e_v: only that and the errors.
+Nominal track_point(const TrackingGains& gains, const State& x, const ReferencePoint& reference);
 
 // The wrench that makes the acceleration that a filter returned: f_c = m (a_cmd + g e3) through the same
 // attitude loop, with the nominal f_c' and f_c'' (the correction counts as held).

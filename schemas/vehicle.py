@@ -1,0 +1,287 @@
+"""Vehicles: what flies, in one TOML file, `alula/vehicle`.
+
+    schema = "alula/vehicle"      # optional, as is the version
+    version = "1.0"
+    name = "fastbridge"
+    model = "quadrotor"           # or "double-integrator", "single-integrator"
+
+    [body]
+    radius_m = 0.15               # of a sphere around the vehicle
+    mass_kg = 0.461
+    inertia_kg_m2 = [6.5e-4, 6.9e-4, 1.1e-3]
+
+    [rotors]                      # body frame: x forward, y left, z up
+    positions_m = [[0.078, 0.078], [-0.078, -0.078], [0.078, -0.078], [-0.078, 0.078]]
+    spins = [-1, -1, 1, 1]        # -1: counter-clockwise seen from above
+    torque_ratio_m = 0.0116
+    max_thrust_n = [4.25, 4.25, 4.25, 4.25]
+
+    [rates]
+    max_rad_s = [10, 10, 4]       # of a rate command
+
+    [tracking]
+    kp_per_s2 = 3.0
+    kv_per_s = 2.0
+
+    [disturbance]                 # all off by default
+    motor_time_constant_s = 0.03
+
+A quadrotor needs mass, inertia and rotors. A double integrator has `[limits] max_acceleration_m_s2`, a
+single integrator `[limits] max_speed_m_s`. A table or key that the model has no use for is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from alula.schemas.errors import UsageError
+from alula.schemas.manifest import VERSION
+from alula.schemas.toml_file import read_toml
+
+VEHICLE_SCHEMA: Literal["alula/vehicle"] = "alula/vehicle"
+
+Model = Literal["quadrotor", "double-integrator", "single-integrator"]
+Positive = Annotated[float, Meta(gt=0)]
+Size = Annotated[float, Meta(ge=0)]
+Sizes = tuple[Size, Size, Size]
+Positives = tuple[Positive, Positive, Positive]
+Place = tuple[float, float]
+Spin = Literal[-1, 1]
+
+# How fast the attitude is corrected when a file leaves it open: K_R = this J, K_omega = this J.
+_ATTITUDE_PER_S2 = (500.0, 500.0, 110.0)
+_RATE_PER_S = (36.0, 36.0, 11.0)
+
+
+class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A table of the file: unknown keys are refused."""
+
+
+class BodyTable(_Table, frozen=True, kw_only=True):
+    """The rigid body; inertia along its own axes."""
+
+    radius_m: Positive
+    mass_kg: Positive | None = None
+    inertia_kg_m2: Positives | None = None
+    gravity_m_s2: Positive = 9.81
+
+
+class RotorsTable(_Table, frozen=True, kw_only=True):
+    """Four rotors that push along body z, and the limits of their thrusts."""
+
+    positions_m: tuple[Place, Place, Place, Place]
+    spins: tuple[Spin, Spin, Spin, Spin]
+    torque_ratio_m: Positive
+    max_thrust_n: tuple[Positive, Positive, Positive, Positive]
+    min_thrust_n: tuple[Size, Size, Size, Size] = (0.0, 0.0, 0.0, 0.0)
+
+
+class LimitsTable(_Table, frozen=True, kw_only=True):
+    """What a point without rotors can do."""
+
+    max_speed_m_s: Positive | None = None
+    max_acceleration_m_s2: Positive | None = None
+
+
+class RatesTable(_Table, frozen=True, kw_only=True):
+    """Of commands to a rate loop."""
+
+    max_rad_s: Positives = (10.0, 10.0, 4.0)
+
+
+class TrackingTable(_Table, frozen=True, kw_only=True):
+    """Gains of the geometric controller, and what a large error may ask for; see `alula/tracking.hpp`."""
+
+    kp_per_s2: Positive = 3.0
+    kv_per_s: Positive = 2.0
+    attitude_n_m: Positives | None = None
+    rate_n_m_s: Positives | None = None
+    catch_up_m_s: Positive | None = None
+    max_tilt_rad: Annotated[float, Meta(gt=0, lt=1.57)] | None = None
+    max_thrust_share: Annotated[float, Meta(gt=0, le=1)] | None = None
+    uses_acceleration: bool = True
+
+
+class DisturbanceTable(_Table, frozen=True, kw_only=True):
+    """What the model of the filters leaves out; all off by default. Drag is along the body's axes."""
+
+    motor_time_constant_s: Size = 0.0
+    linear_drag_n_s_m: Sizes = (0.0, 0.0, 0.0)
+    quadratic_drag_n_s2_m2: Sizes = (0.0, 0.0, 0.0)
+    wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gust_m_s: Sizes = (0.0, 0.0, 0.0)
+    gust_time_s: Positive = 1.0
+    position_noise_m: Size = 0.0
+    velocity_noise_m_s: Size = 0.0
+    attitude_noise_rad: Size = 0.0
+    rate_noise_rad_s: Size = 0.0
+    delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.0
+
+
+# What each model has no use for.
+_UNUSED = {
+    "quadrotor": ("limits",),
+    "double-integrator": (
+        "body.mass_kg",
+        "body.inertia_kg_m2",
+        "body.gravity_m_s2",
+        "rotors",
+        "rates",
+        "limits.max_speed_m_s",
+        "tracking.attitude_n_m",
+        "tracking.rate_n_m_s",
+        "tracking.max_tilt_rad",
+        "tracking.max_thrust_share",
+        "tracking.uses_acceleration",
+        "disturbance.motor_time_constant_s",
+        "disturbance.linear_drag_n_s_m",
+        "disturbance.quadratic_drag_n_s2_m2",
+        "disturbance.wind_m_s",
+        "disturbance.gust_m_s",
+        "disturbance.gust_time_s",
+        "disturbance.attitude_noise_rad",
+        "disturbance.rate_noise_rad_s",
+    ),
+    "single-integrator": (
+        "body.mass_kg",
+        "body.inertia_kg_m2",
+        "body.gravity_m_s2",
+        "rotors",
+        "rates",
+        "limits.max_acceleration_m_s2",
+        "tracking",
+        "disturbance",
+    ),
+}
+_NEEDED = {
+    "quadrotor": ("body.mass_kg", "body.inertia_kg_m2", "rotors"),
+    "double-integrator": ("limits.max_acceleration_m_s2",),
+    "single-integrator": ("limits.max_speed_m_s",),
+}
+
+
+class Vehicle(_Table, frozen=True, kw_only=True):
+    """A vehicle file."""
+
+    name: str
+    model: Model
+    body: BodyTable
+    schema: Literal["alula/vehicle"] = VEHICLE_SCHEMA
+    version: str = VERSION
+    rotors: RotorsTable | None = None
+    limits: LimitsTable = LimitsTable()
+    rates: RatesTable = RatesTable()
+    tracking: TrackingTable = TrackingTable()
+    disturbance: DisturbanceTable = DisturbanceTable()
+
+    def attitude_gains(self) -> tuple[Sequence[float], Sequence[float]]:
+        """K_R [N m] and K_omega [N m s] of a quadrotor: the file's, or in proportion to the inertia."""
+        inertia = self.body.inertia_kg_m2
+        assert inertia is not None
+        return (
+            self.tracking.attitude_n_m
+            or tuple(g * j for g, j in zip(_ATTITUDE_PER_S2, inertia, strict=True)),
+            self.tracking.rate_n_m_s or tuple(g * j for g, j in zip(_RATE_PER_S, inertia, strict=True)),
+        )
+
+
+# The vehicle of the FastBridge paper; `examples/vehicles/fastbridge.toml` says where each number is from.
+FASTBRIDGE = Vehicle(
+    name="fastbridge",
+    model="quadrotor",
+    body=BodyTable(radius_m=0.15, mass_kg=0.461, inertia_kg_m2=(6.5e-4, 6.9e-4, 1.1e-3)),
+    rotors=RotorsTable(
+        positions_m=((0.078, 0.078), (-0.078, -0.078), (0.078, -0.078), (-0.078, 0.078)),
+        spins=(-1, -1, 1, 1),
+        torque_ratio_m=0.0116,
+        max_thrust_n=(4.25,) * 4,
+    ),
+    tracking=TrackingTable(
+        attitude_n_m=(0.35, 0.35, 0.12),
+        rate_n_m_s=(0.025, 0.025, 0.012),
+        max_tilt_rad=1.0,
+        max_thrust_share=0.9,
+    ),
+)
+
+
+def read_vehicle(path: Path) -> Vehicle:
+    """Read a vehicle.
+
+    Raises:
+        InputError: the file cannot be read, is empty or is not TOML.
+        VersionError: it was written for a later major version.
+        UsageError: a key is unknown, missing, of no use to the model, of the wrong type or out of range; the
+            message has its path.
+    """
+    vehicle = read_toml(path, Vehicle, VEHICLE_SCHEMA)
+    try:
+        check_vehicle(vehicle)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from error
+    return vehicle
+
+
+def check_vehicle(vehicle: Vehicle) -> None:
+    """Raise UsageError, with the path of the key, where numbers do not fit each other or the model."""
+    values = msgspec.to_builtins(vehicle)
+    _check_finite("$", values)
+    for key in _NEEDED[vehicle.model]:
+        if not _has(values, key):
+            raise UsageError(f"`$.{key}`: a {vehicle.model} needs it")
+    for key in _UNUSED[vehicle.model]:
+        if _has(values, key):
+            raise UsageError(f"`$.{key}`: a {vehicle.model} has no use for it")
+    disturbance = vehicle.disturbance
+    has_drag = any(disturbance.linear_drag_n_s_m) or any(disturbance.quadratic_drag_n_s2_m2)
+    if not has_drag and (any(disturbance.wind_m_s) or any(disturbance.gust_m_s)):
+        raise UsageError("`$.disturbance`: wind and gusts act through drag, and there is none")
+    if vehicle.model == "quadrotor":
+        _check_quadrotor(vehicle)
+
+
+def _check_quadrotor(vehicle: Vehicle) -> None:
+    mass, inertia = vehicle.body.mass_kg, vehicle.body.inertia_kg_m2
+    assert mass is not None
+    assert inertia is not None
+    assert vehicle.rotors is not None
+    if 2 * max(inertia) > sum(inertia) * (1 + 1e-9):
+        raise UsageError("`$.body.inertia_kg_m2`: no body has one above the sum of the others")
+    low, high = vehicle.rotors.min_thrust_n, vehicle.rotors.max_thrust_n
+    if any(a >= b for a, b in zip(low, high, strict=True)):
+        raise UsageError("`$.rotors.min_thrust_n`: must be below max_thrust_n")
+    weight = mass * vehicle.body.gravity_m_s2
+    if not sum(low) < weight < sum(high):
+        raise UsageError(
+            f"`$.rotors.max_thrust_n`: {sum(low):g} to {sum(high):g} N of thrust cannot hover {weight:.3g} N"
+        )
+    share = vehicle.tracking.max_thrust_share
+    if share is not None and 0.95 * share * sum(high) < weight:
+        raise UsageError(f"`$.tracking.max_thrust_share`: {share:g} of the thrust cannot hover")
+
+
+def _has(values: Any, key: str) -> bool:
+    """Whether a table of the file sets a key: absent and default are the same."""
+    for part in key.split("."):
+        if part not in values:
+            return False
+        values = values[part]
+    return True
+
+
+def _check_finite(where: str, value: Any) -> None:
+    """TOML has inf and nan; no key of a vehicle has."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise UsageError(f"`{where}`: must be finite")
+    if isinstance(value, dict):
+        for key, item in value.items():
+            _check_finite(f"{where}.{key}", item)
+    elif isinstance(value, list | tuple):
+        for item in value:
+            _check_finite(f"{where}[...]", item)
