@@ -16,6 +16,7 @@ void bind_search(nb::module_& m);
 void bind_outer_solid(nb::module_& m);
 void bind_ply_rows(nb::module_& m);
 void bind_scene_rows(nb::module_& m);
+void bind_qp(nb::module_& m);
 void bind_vehicle(nb::module_& m);
 void bind_tracking(nb::module_& m);
 void bind_splat_filters(nb::module_& m);
@@ -40,6 +41,7 @@ NB_MODULE(_core, m) {
   bind_outer_solid(m);
   bind_ply_rows(m);
   bind_scene_rows(m);
+  bind_qp(m);
   bind_vehicle(m);
   bind_tracking(m);
   bind_splat_filters(m);
