@@ -20,7 +20,6 @@ void bind_qp(nb::module_& m);
 void bind_vehicle(nb::module_& m);
 void bind_tracking(nb::module_& m);
 void bind_splat_filters(nb::module_& m);
-void bind_qp(nb::module_& m);
 void bind_backup(nb::module_& m);
 void bind_wrench_filters(nb::module_& m);
 void bind_splat_flight(nb::module_& m);
@@ -45,7 +44,6 @@ NB_MODULE(_core, m) {
   bind_vehicle(m);
   bind_tracking(m);
   bind_splat_filters(m);
-  bind_qp(m);
   bind_backup(m);
   bind_wrench_filters(m);
   bind_splat_flight(m);
