@@ -231,10 +231,12 @@ def _configured(
 
 
 def _setting(word: str) -> tuple[str, Any]:
-    """NAME=VALUE: a whole number, a number, true or false, else a word."""
+    """NAME=VALUE: a whole number, a number, numbers with commas, true or false, else a word."""
     name, equals, text = word.partition("=")
     if not (equals and name and text):
         raise UsageError(f"--set needs NAME=VALUE, not {word!r}")
+    if "," in text:
+        return name, [_setting(f"{name}={part}")[1] for part in text.split(",")]
     if text in ("true", "false"):
         return name, text == "true"
     for convert in (int, float):

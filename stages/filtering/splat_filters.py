@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -77,43 +78,69 @@ def defaults_of(native: type) -> dict[str, Any]:
     return {name: values[int(number)] for name, number in _DEFAULT.findall(signature)}
 
 
-def _cone_di(world: SplatWorld, own: dict[str, Any]) -> _core.SplatFilter:
-    return _core.ConeDi(world.index, **own)
+@dataclass(frozen=True, slots=True)
+class _Spec:
+    """How a native filter is built: parameters of its parts are given beside its own.
+
+    Attributes:
+        native: its class.
+        parts: arguments that are objects with parameters of their own, and their classes.
+        has_policy: whether a backup policy is the first argument.
+    """
+
+    native: type
+    parts: Mapping[str, type]
+    has_policy: bool = False
+
+    def defaults(self) -> dict[str, Any]:
+        """All parameters and their defaults; the kind of the backup policy is called `policy`."""
+        own = {key: value for key, value in defaults_of(self.native).items() if key not in self.parts}
+        policy = {**defaults_of(_core.BackupPolicy)} if self.has_policy else {}
+        kind = {"policy": policy.pop("kind")} if policy else {}
+        parts = [defaults_of(part) for part in self.parts.values()]
+        merged = own | kind | policy | {key: value for part in parts for key, value in part.items()}
+        merged.pop("tick_s", None)  # that of the flight
+        return merged
+
+    def build(self, world: SplatWorld, parameters: Mapping[str, Any]) -> _core.SplatFilter:
+        """The filter itself, from all parameters."""
+        given = {**parameters, "tick_s": world.dt_s}
+
+        def pick(native: type) -> dict[str, Any]:
+            return {key: given[key] for key in defaults_of(native) if key in given}
+
+        arguments = pick(self.native) | {name: part(**pick(part)) for name, part in self.parts.items()}
+        first: tuple[Any, ...] = (world.index,)
+        if self.has_policy:
+            policy = _core.BackupPolicy(world.body, given["policy"], **pick(_core.BackupPolicy))
+            first = (policy, world.index)
+        native: _core.SplatFilter = self.native(*first, **arguments)
+        return native
 
 
-def _safer_splat(world: SplatWorld, own: dict[str, Any]) -> _core.SplatFilter:
-    return _core.SaferSplat(world.index, **own)
-
-
-_Build = Callable[[SplatWorld, dict[str, Any]], _core.SplatFilter]
-_NATIVE: dict[str, tuple[type, _Build]] = {
-    "cone-di": (_core.ConeDi, _cone_di),
-    "safer-splat": (_core.SaferSplat, _safer_splat),
+_PRUNED = {"pruning": _core.Pruning}
+_SHIELDED = {"shield_options": _core.ShieldOptions, **_PRUNED}
+_NATIVE: dict[str, _Spec] = {
+    "cone-di": _Spec(_core.ConeDi, _PRUNED),
+    "cone-ecbf": _Spec(_core.ConeEcbf, _SHIELDED, has_policy=True),
+    "cone-backup": _Spec(_core.ConeBackup, _SHIELDED, has_policy=True),
+    "safer-splat": _Spec(_core.SaferSplat, _PRUNED),
 }
 
 
 def parameters_of(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """All parameters of a native filter: those given, else their defaults; of the pruning too.
+    """All parameters of a native filter: those given, else their defaults.
 
     Raises:
         UsageError: a parameter is unknown or of the wrong type.
     """
-    own = defaults_of(_NATIVE[name][0])
-    known = {key: value for key, value in own.items() if key not in _PARTS} | {
-        key: value for part in _PARTS if part in own for key, value in defaults_of(_PARTS[part]).items()
-    }
+    known = _NATIVE[name].defaults()
     for key, value in given.items():
         if key not in known:
-            raise UsageError(f"{name}: unknown parameter {key!r}; it has {', '.join(known)}")
+            raise UsageError(f"{name}: unknown parameter {key!r}; it has {', '.join(sorted(known))}")
         if not _fits(value, known[key]):
-            wanted = {bool: "true or false", int: "a whole number", float: "a number"}.get(
-                type(known[key]), "a word" if isinstance(known[key], str) else "several numbers"
-            )
-            raise UsageError(f"{name}: {key} must be {wanted}, not {value!r}")
+            raise UsageError(f"{name}: {key} must be {_wanted(known[key])}, not {value!r}")
     return known | {key: _like(value, known[key]) for key, value in given.items()}
-
-
-_PARTS: dict[str, type] = {"pruning": _core.Pruning}
 
 
 def _fits(value: Any, default: Any) -> bool:
@@ -122,7 +149,8 @@ def _fits(value: Any, default: Any) -> bool:
     if isinstance(default, float):
         return isinstance(value, int | float)
     if isinstance(default, tuple | list):
-        return isinstance(value, list | tuple) and len(value) == len(default)
+        numbers = isinstance(value, list | tuple) and all(_fits(item, 0.0) for item in value)
+        return numbers and len(value) == len(default)
     return isinstance(value, type(default))
 
 
@@ -130,16 +158,17 @@ def _like(value: Any, default: Any) -> Any:
     return float(value) if isinstance(default, float) else value
 
 
+def _wanted(default: Any) -> str:
+    if isinstance(default, tuple | list):
+        return f"{len(default)} numbers"
+    return {bool: "true or false", int: "a whole number", float: "a number"}.get(type(default), "a word")
+
+
 def _factory(name: str) -> Callable[[SplatWorld, Mapping[str, Any]], SplatFilter]:
     def make(world: SplatWorld, given: Mapping[str, Any]) -> SplatFilter:
         parameters = parameters_of(name, given)
-        native, build = _NATIVE[name]
-        own = {key: value for key, value in parameters.items() if key in defaults_of(native)}
         try:
-            for part, kind in _PARTS.items():
-                if part in defaults_of(native):
-                    own[part] = kind(**{key: parameters[key] for key in defaults_of(kind)})
-            return NativeSplatFilter(build(world, own), parameters)
+            return NativeSplatFilter(_NATIVE[name].build(world, parameters), parameters)
         except (ValueError, TypeError, OverflowError) as error:
             raise UsageError(f"{name}: {' '.join(str(error).split())[:300]}") from error
 

@@ -52,7 +52,7 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
         raise UsageError("--trials is for random pairs; a plan is flown once")
     if plan is not None and config.speed_m_s is not None:
         raise UsageError("--speed is for random pairs; a plan has its own speed")
-    speed = DEFAULT_SPEED_M_S if plan is None else float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
+    speed = DEFAULT_SPEED_M_S if plan is None else None
     return dataclasses.replace(
         config,
         sigma=config.sigma if config.confidence is None else sigma_of_confidence(config.confidence),
@@ -102,7 +102,6 @@ def simulate_splat(
     """
     config = resolve_splat(config, vehicle, plan)
     assert config.radius_m is not None
-    assert config.speed_m_s is not None
     assert config.trials is not None
     assert config.plant is not None
     _check_fit(scene, plan, cover)

@@ -197,12 +197,11 @@ Vec3 BackupPolicy::drift(const State& x) const {
   // Near hover the thrust axis b, flat, obeys J b'' = -K_omega b' - K_R (b + lean v) and v' = g b. Integrated until
   // rest, with int b = -v / g:  K_R lean int v = K_R v / g + K_omega b + J b'.
   const Vec3 b = thrust_axis(x.sigma), inertia = vehicle_.inertia();
-  const Vec3 rate = geometry::transposed_times(body_from_inertial(x.sigma), x.omega);
-  const double k = kappa_ * 0.5 * (k_tilt_.x + k_tilt_.y), d = kappa_ * 0.5 * (k_omega_.x + k_omega_.y);
-  const double j = 0.5 * (inertia.x + inertia.y), g = vehicle_.gravity();
-  const Vec3 along{b.x, b.y, 0}, turn{rate.y, -rate.x, 0};
-  const Vec3 flat{x.v.x, x.v.y, 0};
-  Vec3 result = 1 / lean_ * (1 / g * flat + d / k * along + j / k * turn);
+  const Vec3 turn{inertia.x / (kappa_ * k_tilt_.x) * x.omega.x, inertia.y / (kappa_ * k_tilt_.y) * x.omega.y, 0};
+  const Vec3 rate = geometry::transposed_times(body_from_inertial(x.sigma), turn);  // J b' / K_R, turned back
+  const double per_rate = (k_omega_.x + k_omega_.y) / (k_tilt_.x + k_tilt_.y), per_speed = 1 / vehicle_.gravity();
+  Vec3 result{per_speed * x.v.x + per_rate * b.x + rate.y, per_speed * x.v.y + per_rate * b.y - rate.x, 0};
+  result = 1 / lean_ * result;
   result.z = x.v.z / (kappa_ * k_z_);
   return result;
 }

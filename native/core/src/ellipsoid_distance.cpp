@@ -133,62 +133,115 @@ Projection project(const Ellipsoid& ellipsoid, Vec3 point) {
   return result;
 }
 
-double distance_below(const Ellipsoid& ellipsoid, Vec3 a, Vec3 d, double enough) {
-  const Vec3 from = a - ellipsoid.centre;
-  double z0[3], dz[3], squared[3], size = 0;
-  for (int i = 0; i < 3; ++i) {
-    z0[i] = dot(from, ellipsoid.axis[i]);
-    dz[i] = dot(d, ellipsoid.axis[i]);
-    squared[i] = ellipsoid.semi[i] * ellipsoid.semi[i];
-    size += z0[i] * z0[i] + dz[i] * dz[i] + squared[i];
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+// g = sum (semi_i n_i)^2 at a multiplier mu >= 0, n_i = z_i / (mu + semi_i^2): it falls to 1 at the closest point.
+// For a segment z is that of the t that is best for mu, and slides along with mu.
+struct Dual {
+  double g, fall;  // fall = -g' / 2
+  double length2;  // |n|^2: the distance is mu |n| where g = 1
+  double bound;    // mu (sum z_i n_i - 1): the squared distance is no less
+};
+
+struct PointDual {
+  double z[3], squared[3];
+
+  Dual operator()(double mu) const {
+    Dual d{0, 0, 0, 0};
+    double sum = 0;
+    for (int i = 0; i < 3; ++i) {
+      const double w = 1 / (mu + squared[i]), n = z[i] * w, part = squared[i] * n * n;
+      d.g += part, d.fall += part * w, d.length2 += n * n, sum += z[i] * n;
+    }
+    d.bound = mu * (sum - 1);
+    return d;
   }
-  const bool moves = d.x != 0 || d.y != 0 || d.z != 0;
-  const double needed = enough > 0 ? enough * enough * (1 + 1e-12) : 0;
-  // g = sum (semi_i n_i)^2 falls to 1 at the closest point; h = sqrt(g); 2 fall = -g'.
-  double g = 0, fall = 0, length2 = 0, q = 0;
-  const auto evaluate = [&](double mu) {
+};
+
+struct SegmentDual {
+  double z[3], dz[3], squared[3];
+
+  Dual operator()(double mu) const {
     double w[3], across = 0, along = 0;
     for (int i = 0; i < 3; ++i) {
       w[i] = 1 / (mu + squared[i]);
-      across += w[i] * z0[i] * dz[i];
+      across += w[i] * z[i] * dz[i];
       along += w[i] * dz[i] * dz[i];
     }
-    double t = 0;
-    bool slides = false;  // the closest point of the segment is between its ends, and moves with mu
-    if (moves && along > 0) {
-      t = -across / along;
-      slides = t > 0 && t < 1;
-      t = std::clamp(t, 0.0, 1.0);
-    }
+    const double best = -across / along, t = std::clamp(best, 0.0, 1.0);
+    Dual d{0, 0, 0, 0};
     double bend = 0, sum = 0;
-    g = fall = length2 = 0;
     for (int i = 0; i < 3; ++i) {
-      const double z = z0[i] + t * dz[i], n = z * w[i];
-      sum += z * n;
-      length2 += n * n;
-      g += squared[i] * n * n;
-      fall += squared[i] * n * n * w[i];
+      const double at = z[i] + t * dz[i], n = at * w[i], part = squared[i] * n * n;
+      d.g += part, d.fall += part * w[i], d.length2 += n * n, sum += at * n;
       bend += n * w[i] * dz[i];
     }
-    if (slides) fall += mu * bend * bend / along;
-    q = mu * (sum - 1);
-  };
-  double mu = 0, low = 0, high = std::numeric_limits<double>::infinity();
-  evaluate(mu);
-  if (g <= 1) return moves ? signed_distance(ellipsoid, a, a + d, enough) : signed_distance(ellipsoid, a).value;
-  if (enough <= 0) return std::numeric_limits<double>::infinity();
-  for (int step = 0; step < 100; ++step) {
-    if (q - 8 * kEpsilon * size >= needed) return std::numeric_limits<double>::infinity();
-    const double h = std::sqrt(g);
-    if (std::abs(h - 1) <= 2 * kEpsilon) break;
-    (h > 1 ? low : high) = mu;
-    double next = mu + (h - 1) * g / fall;
-    if (!(next > low && next < high)) next = high < std::numeric_limits<double>::infinity() ? 0.5 * (low + high) : mu;
-    if (next == mu || !(std::abs(next - mu) > kEpsilon * mu)) break;
-    mu = next;
-    evaluate(mu);
+    if (t == best) d.fall += mu * bend * bend / along;
+    d.bound = mu * (sum - 1);
+    return d;
   }
-  return mu * std::sqrt(length2);
+};
+
+// From a multiplier where g > 1 is known at `low`. Newton's iteration on 1 / sqrt(g), which is concave but where the
+// closest point of a segment leaves an end; a step too far is caught by the bracket.
+template <class Function>
+double maximise(const Function& dual, double mu, Dual at, double low, double size, double enough) {
+  const double needed = enough * enough * (1 + 1e-12) + 8 * kEpsilon * size;
+  double high = kInfinity;
+  for (int step = 0; step < 100; ++step) {
+    if (at.bound >= needed) return kInfinity;
+    const double h = std::sqrt(at.g);
+    if (std::abs(h - 1) <= 32 * kEpsilon) break;
+    (h > 1 ? low : high) = mu;
+    double next = mu + (h - 1) * at.g / at.fall;
+    if (!(next > low && next < high)) next = high < kInfinity ? 0.5 * (low + high) : mu;
+    if (!(std::abs(next - mu) > 8 * kEpsilon * mu)) break;
+    mu = next;
+    at = dual(mu);
+  }
+  return mu * std::sqrt(at.length2);
+}
+
+}  // namespace
+
+double distance_below(Vec3 semi, Vec3 point, double enough) {
+  PointDual dual{{point.x, point.y, point.z}, {}};
+  double most = 0, reach2 = 0, beyond = 0, size = 0;
+  for (int i = 0; i < 3; ++i) {
+    const double squared = semi[i] * semi[i], z2 = dual.z[i] * dual.z[i];
+    dual.squared[i] = squared;
+    most = std::max(most, squared);
+    reach2 += squared * z2;
+    size += z2 + squared;
+    beyond = std::max(beyond, semi[i] * std::abs(dual.z[i]) - squared);
+  }
+  // Both are below the multiplier, and the second is close for what is small beside its distance.
+  const double mu = std::max(beyond, std::sqrt(reach2) - most) * (1 - 4 * kEpsilon);
+  const Dual at = dual(std::max(mu, 0.0));
+  if (mu <= 0 && at.g <= 1) return signed_distance({{}, {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, semi}, point).value;
+  return enough > 0 ? maximise(dual, std::max(mu, 0.0), at, 0, size, enough) : kInfinity;
+}
+
+double distance_below(Vec3 semi, Vec3 start, Vec3 along, double enough) {
+  const double length2 = dot(along, along);
+  if (!(length2 > 0)) return distance_below(semi, start, enough);
+  SegmentDual dual{{start.x, start.y, start.z}, {along.x, along.y, along.z}, {}};
+  const Vec3 middle = start + std::clamp(-dot(start, along) / length2, 0.0, 1.0) * along;
+  double most = 0, reach2 = 0, size = 0;
+  for (int i = 0; i < 3; ++i) {
+    const double squared = semi[i] * semi[i];
+    dual.squared[i] = squared;
+    most = std::max(most, squared);
+    reach2 += squared * middle[i] * middle[i];
+    size += start[i] * start[i] + along[i] * along[i] + squared;
+  }
+  double mu = std::max(0.0, std::sqrt(reach2) - most);  // close when the ellipsoid is small beside its distance
+  Dual at = dual(mu);
+  if (at.g <= 1 && mu > 0) mu = 0, at = dual(mu);
+  if (at.g <= 1) return signed_distance({{}, {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, semi}, start, start + along, enough);
+  return enough > 0 ? maximise(dual, mu, at, 0, size, enough) : kInfinity;
 }
 
 double signed_distance(const Ellipsoid& ellipsoid, Vec3 a, Vec3 b, double enough) {

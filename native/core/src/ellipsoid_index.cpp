@@ -85,8 +85,19 @@ double EllipsoidIndex::distance_of(std::uint32_t slot, geometry::Vec3 a, geometr
   const double t = along <= 0 ? 0 : along >= length2 ? 1 : along / length2;
   const geometry::Vec3 gap = to - t * d;
   if (most > 0 && dot(gap, gap) > most * most * (1 + 1e-12)) return kInfinity;
-  const geometry::Ellipsoid e = geometry::gaussian_ellipsoid(row.mean, row.scale, row.quat_wxyz, level.sigma);
-  return geometry::distance_below(e, a, d, enough + level.inflation) - level.inflation;
+  // R^T x = x + 2 / |q|^2 (u x (u x x) - w u x x), with q = (w, u).
+  const geometry::Vec3 u{row.quat_wxyz[1], row.quat_wxyz[2], row.quat_wxyz[3]};
+  const double w = row.quat_wxyz[0], twice = 2 / (w * w + dot(u, u));
+  const auto along_axes = [&](geometry::Vec3 x) {
+    const geometry::Vec3 turn = geometry::cross(u, x);
+    return x + twice * (geometry::cross(u, turn) - w * turn);
+  };
+  const geometry::Vec3 semi{level.sigma * row.scale[0], level.sigma * row.scale[1], level.sigma * row.scale[2]};
+  const geometry::Vec3 start = along_axes(-to);
+  const double limit = enough + level.inflation;
+  return (length2 > 0 ? geometry::distance_below(semi, start, along_axes(d), limit)
+                      : geometry::distance_below(semi, start, limit)) -
+         level.inflation;
 }
 
 double EllipsoidIndex::clearance(geometry::Vec3 point, double cap, std::uint32_t& hint) const {

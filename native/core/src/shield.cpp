@@ -29,7 +29,8 @@ Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex>
   require(o.tick_s > 0 && o.tick_s <= 1 && o.max_time_s >= o.tick_s && o.max_time_s / o.tick_s <= 1e5,
           "the tick of a shield must be positive, and at most 100 000 of them make its longest time");
   require(o.substeps >= 1 && o.line_search >= 0 && o.escape_tries >= 0, "counts of a shield must not be negative");
-  require(o.margin_m >= 0 && std::isfinite(o.margin_m), "the margin of a shield must not be negative");
+  require(2 * o.rest_drift_m < o.margin_m && std::isfinite(o.margin_m),
+          "the margin of a shield must be more than twice the drift at rest");
   require(o.escape_time_s >= 0 && o.escape_time_s <= o.max_time_s,
           "an escape must fit into the shield's longest time");
   require(o.rest_speed_m_s > 0 && o.rest_rate_rad_s > 0 && o.rest_tilt_rad > 0 && o.rest_drift_m > 0,

@@ -35,11 +35,13 @@ SignedDistance signed_distance(const Ellipsoid& ellipsoid, Vec3 point);
 // by tangents until the bracket is below rounding. Any value >= enough stands for one >= enough.
 double signed_distance(const Ellipsoid& ellipsoid, Vec3 a, Vec3 b, double enough);
 
-// The same for the segment a + t d, 0 <= t <= 1 (or the point a, d = 0), for searches that discard most of what
-// they look at. The squared distance is the maximum over mu >= 0 of the concave
+// The same for searches that discard most of what they look at, of an ellipsoid about the origin along the axes:
+// of a point, and of the segment start + t along, 0 <= t <= 1, with 0 where that meets it. Infinity once it is known
+// to be above `enough`: the squared distance is the maximum over mu >= 0 of the concave
 //   q(mu) = mu min_t (sum_i z_i(t)^2 / (mu + semi_i^2) - 1),
-// so each step of Newton's iteration is a lower bound; t has a closed form. Infinity once it is above `enough`.
-double distance_below(const Ellipsoid& ellipsoid, Vec3 a, Vec3 d, double enough);
+// so what Newton's iteration sees at each of its steps is a lower bound, and t has a closed form.
+double distance_below(Vec3 semi, Vec3 point, double enough);
+double distance_below(Vec3 semi, Vec3 start, Vec3 along, double enough);
 
 // The signed distance of a point as signed_distance, with what a barrier on its square needs. The projection onto
 // the surface has the Jacobian diag(s) - u u^T / sum_i (s_i n_i^2) along the axes of the ellipsoid, with

@@ -33,7 +33,7 @@ struct ShieldOptions {
   int escape_tries = 4;        // of its velocities, by angle
   int line_search = 2;         // bisections between the backup's input and one that is refused
   // At rest: all of these, and the linear loop would drift by at most rest_drift_m.
-  double rest_speed_m_s = 0.1, rest_rate_rad_s = 0.2, rest_tilt_rad = 0.05, rest_drift_m = 0.01;
+  double rest_speed_m_s = 0.1, rest_rate_rad_s = 0.2, rest_tilt_rad = 0.05, rest_drift_m = 0.008;
 };
 
 struct Certificate {
