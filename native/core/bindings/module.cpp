@@ -18,6 +18,7 @@ void bind_ply_rows(nb::module_& m);
 void bind_scene_rows(nb::module_& m);
 void bind_vehicle(nb::module_& m);
 void bind_tracking(nb::module_& m);
+void bind_qp(nb::module_& m);
 
 NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
@@ -37,4 +38,5 @@ NB_MODULE(_core, m) {
   bind_scene_rows(m);
   bind_vehicle(m);
   bind_tracking(m);
+  bind_qp(m);
 }

@@ -5,11 +5,13 @@
 // H symmetric positive definite, n <= kQpMaxVariables. A dual active-set method (Goldfarb, Idnani 1983):
 // it starts at the unconstrained minimiser, so needs no feasible point, and ends after finitely many
 // exchanges either at the minimiser, with multipliers, or with a Farkas certificate that there is none.
+// Every verdict is proved from the input itself before it is given, see `QpStatus`.
 #pragma once
 
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <span>
 #include <vector>
 
@@ -17,15 +19,23 @@ namespace alula {
 
 inline constexpr std::size_t kQpMaxVariables = 8;
 
+// u = 2^-53, absolute values and comparisons are componentwise.
 enum class QpStatus : std::uint8_t {
+  // b - A x <= 32 u (|A| |x| + |b|), with equality up to the same in rows with a multiplier y > 0, and
+  // |H x + g - A^T y| <= 256 u (|H| |x| + |g| + |A|^T y): x solves a program that differs by rounding. Rows that
+  // contradict each other by too little for a certificate may take 128 times that, 5e-13; `violation` tells.
   optimal,
-  infeasible,  // `multiplier` y >= 0 proves it: y^T A = 0 up to rounding, y^T b > 0
-  failed       // a number is not finite, H is not positive definite, or rounding prevents a verdict
+  // `multiplier` y >= 0 has |y^T A| <= 32 u y^T |A| and y^T b > 32 u y^T |b|: no x obeys all rows, but for
+  // some beyond the reach of double precision, |y^T A| |x| >= y^T b.
+  infeasible,
+  // A number is not finite, H is not positive definite to rounding, or neither of these can be proved: rows
+  // that contradict each other but for tilts of 1e-15 or so. Treat it as infeasible without a proof.
+  failed
 };
 
 struct QpProblem {
   std::size_t n = 0;
-  std::span<const double> hessian;   // (n, n)
+  std::span<const double> hessian;   // (n, n); only its symmetric part matters
   std::span<const double> gradient;  // (n)
   std::span<const double> rows;      // (m, n)
   std::span<const double> bounds;    // (m)
@@ -33,28 +43,43 @@ struct QpProblem {
 
 struct QpResult {
   QpStatus status = QpStatus::failed;
-  std::array<double, kQpMaxVariables> x{};  // the minimiser when optimal
+  std::array<double, kQpMaxVariables> x{};  // the minimiser when optimal, else zero
   std::size_t active_count = 0;
   std::array<std::uint32_t, kQpMaxVariables + 1> active{};  // rows with a multiplier, ascending
-  std::array<double, kQpMaxVariables + 1> multiplier{};     // of those rows: H x + g = A^T y, or the certificate
-  double violation = 0;  // max_i (b_i - a_i . x) / |a_i|, never below 0; of the result, recomputed from the input
-  int iterations = 0;
+  // Of those rows, above 0: H x + g = A^T y; or the certificate, scaled so that sum_i y_i |a_i| = 1 (a row of
+  // zeros that asks for b > 0 stands alone, with y = 1).
+  std::array<double, kQpMaxVariables + 1> multiplier{};
+  // optimal: max_i (b_i - a_i . x) / |a_i|, never below 0, recomputed from the input.
+  // infeasible: y^T b; no x violates all rows by less. failed: infinite.
+  double violation = 0;
+  int iterations = 0;  // exchanges of the active set
 };
 
+// Another solver of the same programs, for instance Clarabel called through Python.
+using QpBackend = std::function<QpResult(const QpProblem&)>;
+
 // Holds the workspace: `solve` allocates nothing once it has seen as many rows. Deterministic: equal
-// problems give equal bits, whatever was solved before unless `warm` names rows to start from.
+// problems give equal bits, whatever was solved before unless `warm` names rows to start from. One per thread.
 class QpSolver {
  public:
   QpSolver() = default;
   explicit QpSolver(std::size_t rows) { reserve(rows); }
+  // A solver that asks `backend` instead. What it answers is taken as it is, except that x must be finite and
+  // the violation is recomputed from the input: the caller decides how much it bears.
+  static QpSolver with_backend(QpBackend backend);
   void reserve(std::size_t rows);
 
-  // `warm`: rows believed active, for instance those of the last tick; wrong ones cost time, not correctness.
+  // `warm`: rows believed active, for instance those of the last tick; wrong ones cost time, not correctness,
+  // and names of rows that are not there are passed over. Numbers that are not finite give `failed`.
+  // Throws std::invalid_argument when a size does not fit, and what the backend throws.
   QpResult solve(const QpProblem& problem, std::span<const std::uint32_t> warm = {});
 
  private:
-  std::vector<double> scale_;
-  std::vector<std::uint8_t> in_set_;
+  template <int N>
+  QpResult solve_with(const QpProblem& problem, std::span<const std::uint32_t> warm);
+
+  std::vector<double> columns_;  // the scaled rows transposed, see qp_dual.hpp
+  QpBackend backend_;
 };
 
 }  // namespace alula
