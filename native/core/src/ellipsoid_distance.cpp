@@ -34,7 +34,15 @@ Box bounds(const Ellipsoid& ellipsoid) {
   return box;
 }
 
-SignedDistance signed_distance(const Ellipsoid& ellipsoid, Vec3 point) {
+namespace {
+
+// The closest point y of the surface: point - y = lambda n, n_i = y_i / semi_i^2 = z_i / sum_i.
+struct Closest {
+  Vec3 z, n, sum;  // along the axes; sum_i = lambda + semi_i^2
+  double lambda;
+};
+
+Closest closest(const Ellipsoid& ellipsoid, Vec3 point) {
   const Vec3 offset = point - ellipsoid.centre;
   const Vec3 e = ellipsoid.semi;
   Vec3 z;
@@ -75,7 +83,7 @@ SignedDistance signed_distance(const Ellipsoid& ellipsoid, Vec3 point) {
     if (medial) evaluate();
     medial = medial && h <= 1;
   }
-  Vec3 n;  // y_i / semi_i^2, normal to the surface; point - y = lambda n
+  Vec3 n;
   if (medial) {
     for (int i = 0; i < 3; ++i) n[i] = z[i] == 0 ? 0 : z[i] / gap[i];
     n[flat] = std::sqrt(std::max(0.0, 1 - h * h)) / e[flat];
@@ -89,11 +97,151 @@ SignedDistance signed_distance(const Ellipsoid& ellipsoid, Vec3 point) {
     }
     for (int i = 0; i < 3; ++i) n[i] = z[i] == 0 ? 0 : z[i] / (mu + gap[i]);
   }
-  const double length = norm(n);
-  const double lambda = inside ? std::min(0.0, mu - base) : mu;
-  Vec3 normal;
-  for (int i = 0; i < 3; ++i) normal = normal + (n[i] / length) * ellipsoid.axis[i];
-  return {lambda * length, normal};
+  return {z, n, {mu + gap.x, mu + gap.y, mu + gap.z}, inside ? std::min(0.0, mu - base) : mu};
+}
+
+Vec3 along_axes(const Ellipsoid& ellipsoid, Vec3 local) {
+  Vec3 sum;
+  for (int i = 0; i < 3; ++i) sum = sum + local[i] * ellipsoid.axis[i];
+  return sum;
+}
+
+}  // namespace
+
+SignedDistance signed_distance(const Ellipsoid& ellipsoid, Vec3 point) {
+  const Closest at = closest(ellipsoid, point);
+  const double length = norm(at.n);
+  return {at.lambda * length, along_axes(ellipsoid, (1 / length) * at.n)};
+}
+
+Projection project(const Ellipsoid& ellipsoid, Vec3 point) {
+  const Closest at = closest(ellipsoid, point);
+  Projection result;
+  result.distance = at.lambda * norm(at.n);
+  result.local = at.z;
+  result.offset = along_axes(ellipsoid, at.lambda * at.n);
+  Vec3 s, u;
+  double total = 0;
+  for (int i = 0; i < 3; ++i) {
+    s[i] = ellipsoid.semi[i] * ellipsoid.semi[i] / at.sum[i];
+    u[i] = s[i] * at.n[i];
+    total += u[i] * at.n[i];
+  }
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j)
+      result.hessian[i][j] = 2 * (u[i] * u[j] / total + (i == j ? at.lambda / at.sum[i] : 0.0));
+  return result;
+}
+
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+// g = sum (semi_i n_i)^2 at a multiplier mu >= 0, n_i = z_i / (mu + semi_i^2): it falls to 1 at the closest point.
+// For a segment z is that of the t that is best for mu, and slides along with mu.
+struct Dual {
+  double g, fall;  // fall = -g' / 2
+  double length2;  // |n|^2: the distance is mu |n| where g = 1
+  double bound;    // mu (sum z_i n_i - 1): the squared distance is no less
+};
+
+struct PointDual {
+  double z[3], squared[3];
+
+  Dual operator()(double mu) const {
+    Dual d{0, 0, 0, 0};
+    double sum = 0;
+    for (int i = 0; i < 3; ++i) {
+      const double w = 1 / (mu + squared[i]), n = z[i] * w, part = squared[i] * n * n;
+      d.g += part, d.fall += part * w, d.length2 += n * n, sum += z[i] * n;
+    }
+    d.bound = mu * (sum - 1);
+    return d;
+  }
+};
+
+struct SegmentDual {
+  double z[3], dz[3], squared[3];
+
+  Dual operator()(double mu) const {
+    double w[3], across = 0, along = 0;
+    for (int i = 0; i < 3; ++i) {
+      w[i] = 1 / (mu + squared[i]);
+      across += w[i] * z[i] * dz[i];
+      along += w[i] * dz[i] * dz[i];
+    }
+    const double best = -across / along, t = std::clamp(best, 0.0, 1.0);
+    Dual d{0, 0, 0, 0};
+    double bend = 0, sum = 0;
+    for (int i = 0; i < 3; ++i) {
+      const double at = z[i] + t * dz[i], n = at * w[i], part = squared[i] * n * n;
+      d.g += part, d.fall += part * w[i], d.length2 += n * n, sum += at * n;
+      bend += n * w[i] * dz[i];
+    }
+    if (t == best) d.fall += mu * bend * bend / along;
+    d.bound = mu * (sum - 1);
+    return d;
+  }
+};
+
+// From a multiplier where g > 1 is known at `low`. Newton's iteration on 1 / sqrt(g), which is concave but where the
+// closest point of a segment leaves an end; a step too far is caught by the bracket.
+template <class Function>
+double maximise(const Function& dual, double mu, Dual at, double low, double size, double enough) {
+  const double needed = enough * enough * (1 + 1e-12) + 8 * kEpsilon * size;
+  double high = kInfinity;
+  for (int step = 0; step < 100; ++step) {
+    if (at.bound >= needed) return kInfinity;
+    const double h = std::sqrt(at.g);
+    if (std::abs(h - 1) <= 32 * kEpsilon) break;
+    (h > 1 ? low : high) = mu;
+    double next = mu + (h - 1) * at.g / at.fall;
+    if (!(next > low && next < high)) next = high < kInfinity ? 0.5 * (low + high) : mu;
+    if (!(std::abs(next - mu) > 8 * kEpsilon * mu)) break;
+    mu = next;
+    at = dual(mu);
+  }
+  return mu * std::sqrt(at.length2);
+}
+
+}  // namespace
+
+double distance_below(Vec3 semi, Vec3 point, double enough) {
+  PointDual dual{{point.x, point.y, point.z}, {}};
+  double most = 0, reach2 = 0, beyond = 0, size = 0;
+  for (int i = 0; i < 3; ++i) {
+    const double squared = semi[i] * semi[i], z2 = dual.z[i] * dual.z[i];
+    dual.squared[i] = squared;
+    most = std::max(most, squared);
+    reach2 += squared * z2;
+    size += z2 + squared;
+    beyond = std::max(beyond, semi[i] * std::abs(dual.z[i]) - squared);
+  }
+  // Both are below the multiplier, and the second is close for what is small beside its distance.
+  const double mu = std::max(beyond, std::sqrt(reach2) - most) * (1 - 4 * kEpsilon);
+  const Dual at = dual(std::max(mu, 0.0));
+  if (mu <= 0 && at.g <= 1) return signed_distance({{}, {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, semi}, point).value;
+  return enough > 0 ? maximise(dual, std::max(mu, 0.0), at, 0, size, enough) : kInfinity;
+}
+
+double distance_below(Vec3 semi, Vec3 start, Vec3 along, double enough) {
+  const double length2 = dot(along, along);
+  if (!(length2 > 0)) return distance_below(semi, start, enough);
+  SegmentDual dual{{start.x, start.y, start.z}, {along.x, along.y, along.z}, {}};
+  const Vec3 middle = start + std::clamp(-dot(start, along) / length2, 0.0, 1.0) * along;
+  double most = 0, reach2 = 0, size = 0;
+  for (int i = 0; i < 3; ++i) {
+    const double squared = semi[i] * semi[i];
+    dual.squared[i] = squared;
+    most = std::max(most, squared);
+    reach2 += squared * middle[i] * middle[i];
+    size += start[i] * start[i] + along[i] * along[i] + squared;
+  }
+  double mu = std::max(0.0, std::sqrt(reach2) - most);  // close when the ellipsoid is small beside its distance
+  Dual at = dual(mu);
+  if (at.g <= 1 && mu > 0) mu = 0, at = dual(mu);
+  if (at.g <= 1) return signed_distance({{}, {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, semi}, start, start + along, enough);
+  return enough > 0 ? maximise(dual, mu, at, 0, size, enough) : kInfinity;
 }
 
 double signed_distance(const Ellipsoid& ellipsoid, Vec3 a, Vec3 b, double enough) {

@@ -147,9 +147,8 @@ Vec3 Quadrotor::angular_acceleration(Vec3 omega, Vec3 torque) const {
 }
 
 State Quadrotor::derivative(const State& x, const Wrench& u, Vec3 external_acceleration) const {
-  const Vec3 thrust_axis = geometry::transposed_times(body_from_inertial(x.sigma), e3);
-  return {x.v, rate_matrix(x.sigma) * x.omega,
-          -gravity_ * e3 + (u.thrust / mass_) * thrust_axis + external_acceleration,
+  return {x.v, attitude_rate(x.sigma, x.omega),
+          -gravity_ * e3 + (u.thrust / mass_) * thrust_axis(x.sigma) + external_acceleration,
           angular_acceleration(x.omega, u.torque)};
 }
 

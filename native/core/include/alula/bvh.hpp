@@ -1,8 +1,11 @@
 // A bounding-volume hierarchy for branch-and-bound minimisation over many obstacles.
 #pragma once
 
+#include <algorithm>
+#include <bit>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <numeric>
 #include <vector>
 
@@ -24,6 +27,7 @@ class Bvh {
     build(boxes, depth, 0, static_cast<std::uint32_t>(boxes.size()));
   }
 
+  const std::vector<std::uint32_t>& order() const { return order_; }
   const Box* bounds() const { return nodes_.empty() ? nullptr : &nodes_[0].box; }
 
   // Minimum of `best` and value(i, best) over all obstacles i, for a signed distance of the
@@ -37,36 +41,52 @@ class Bvh {
       if (v < best) best = v, nearest = item;
     };
     if (nearest < order_.size()) try_one(nearest);
-    Box segment;
-    segment.include(a), segment.include(a + d);
-    struct Entry {
-      std::uint32_t node;
-      double bound;
+    visit_near(a, d, best, [&](std::uint32_t, std::uint32_t item) { try_one(item); });
+    return best;
+  }
+
+  // Calls visit(slot, item) for the obstacles of every leaf whose distance to the segment a + t d, 0 <= t <= 1,
+  // may be below `reach`, nearer halves first. `visit` may lower the reach. Slots number the obstacles as
+  // `order` does, so that those of a leaf are neighbours. Returns how many boxes were measured.
+  template <class Visit>
+  std::uint32_t visit_near(Vec3 a, Vec3 d, const double& reach, Visit&& visit) const {
+    return nodes_.empty() ? 0 : visit_near(0, Sight(a, d), reach, visit);
+  }
+
+  // The same with all leaves in the order of their distance, for searches that look at many; as far as a list of
+  // fixed length goes, beyond it by nearer halves.
+  template <class Visit>
+  std::uint32_t visit_in_order(Vec3 a, Vec3 d, const double& reach, Visit&& visit) const {
+    if (nodes_.empty()) return 0;
+    const Sight sight(a, d);
+    std::uint64_t heap[kHeap];  // the square of a bound, as an integer of the same order, before its node
+    std::size_t size = 0;
+    std::uint32_t measured = 1;
+    const auto push = [&](std::uint32_t node) {
+      const double squared = sight.squared_bound(nodes_[node], reach);
+      if (!may_be_below(nodes_[node], squared, reach)) return;
+      const auto key = std::bit_cast<std::uint32_t>(static_cast<float>(squared));
+      heap[size++] = std::uint64_t{key} << 32 | node;
+      std::push_heap(heap, heap + size, std::greater<>());
     };
-    Entry stack[64];
-    int top = 0;
-    const auto push = [&](std::uint32_t node, double bound) {
-      if (bound < best) stack[top++] = {node, bound};
-    };
-    push(0, bound_of(nodes_[0], segment, a, d, best));
-    while (top > 0) {
-      const Entry entry = stack[--top];
-      if (entry.bound >= best) continue;
-      const Node& node = nodes_[entry.node];
+    push(0);
+    while (size > 0) {
+      std::pop_heap(heap, heap + size, std::greater<>());
+      const std::uint64_t entry = heap[--size];
+      const auto index = static_cast<std::uint32_t>(entry);
+      const Node& node = nodes_[index];
+      const double squared = (1 - 1e-6) * std::bit_cast<float>(static_cast<std::uint32_t>(entry >> 32));
+      if (!may_be_below(node, squared, reach)) continue;
       if (node.count > 0) {
-        for (std::uint32_t i = 0; i < node.count; ++i) try_one(order_[node.first + i]);
-        continue;
-      }
-      const std::uint32_t left = entry.node + 1, right = node.first;
-      const double at_left = bound_of(nodes_[left], segment, a, d, best);
-      const double at_right = bound_of(nodes_[right], segment, a, d, best);
-      if (at_left <= at_right) {
-        push(right, at_right), push(left, at_left);
+        for (std::uint32_t i = 0; i < node.count; ++i) visit(node.first + i, order_[node.first + i]);
+      } else if (size + 2 > kHeap) {
+        measured += visit_near(index, sight, reach, visit);
       } else {
-        push(left, at_left), push(right, at_right);
+        push(index + 1), push(node.first);
+        measured += 2;
       }
     }
-    return best;
+    return measured;
   }
 
   // Calls visit(i) for every obstacle whose box may be closer to `box` than `reach`.
@@ -91,6 +111,7 @@ class Bvh {
 
  private:
   static constexpr std::uint32_t kLeaf = 4;
+  static constexpr std::size_t kHeap = 1024;
   static constexpr double kSlack = 1e-12;  // more than the roundings of a bound
 
   struct Node {
@@ -100,12 +121,59 @@ class Bvh {
     std::uint32_t count;  // 0 for an inner node
   };
 
-  static double bound_of(const Node& node, const Box& segment, Vec3 a, Vec3 d, double best) {
-    double squared = squared_distance(node.box, segment);
-    if (squared == 0 || (best > 0 && squared < best * best)) {
-      squared = std::max(squared, squared_distance_bound(node.box, a, d));
+  // What is measured from.
+  struct Sight {
+    Vec3 a, d;
+    Box box;
+    bool is_point;
+
+    Sight(Vec3 from, Vec3 along) : a(from), d(along), is_point(d.x == 0 && d.y == 0 && d.z == 0) {
+      box.include(a), box.include(a + d);
     }
-    return squared > 0 ? std::sqrt(squared) * (1 - kSlack) : -node.depth;
+    // A lower bound on the squared distance of a box, tight where it may be below the reach.
+    double squared_bound(const Node& node, double reach) const {
+      const double squared = squared_distance(node.box, box);
+      if (is_point || (squared > 0 && !(reach > 0 && squared < reach * reach))) return squared;
+      return std::max(squared, squared_distance_bound(node.box, a, d));
+    }
+  };
+
+  static bool may_be_below(const Node& node, double squared, double reach) {
+    return reach > 0 ? squared * (1 - kSlack) < reach * reach : squared == 0 && -node.depth < reach;
+  }
+
+  template <class Visit>
+  std::uint32_t visit_near(std::uint32_t root, const Sight& sight, const double& reach, Visit&& visit) const {
+    struct Entry {
+      std::uint32_t node;
+      double squared;
+    };
+    Entry stack[64];
+    int top = 0;
+    std::uint32_t measured = 1;
+    const auto push = [&](std::uint32_t node, double squared) {
+      if (may_be_below(nodes_[node], squared, reach)) stack[top++] = {node, squared};
+    };
+    push(root, sight.squared_bound(nodes_[root], reach));
+    while (top > 0) {
+      const Entry entry = stack[--top];
+      const Node& node = nodes_[entry.node];
+      if (!may_be_below(node, entry.squared, reach)) continue;
+      if (node.count > 0) {
+        for (std::uint32_t i = 0; i < node.count; ++i) visit(node.first + i, order_[node.first + i]);
+        continue;
+      }
+      const std::uint32_t left = entry.node + 1, right = node.first;
+      const double at_left = sight.squared_bound(nodes_[left], reach);
+      const double at_right = sight.squared_bound(nodes_[right], reach);
+      measured += 2;
+      if (at_left <= at_right) {
+        push(right, at_right), push(left, at_left);
+      } else {
+        push(left, at_left), push(right, at_right);
+      }
+    }
+    return measured;
   }
 
   std::uint32_t build(const std::vector<Box>& boxes, const std::vector<double>& depth, std::uint32_t begin,

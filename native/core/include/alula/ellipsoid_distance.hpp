@@ -35,4 +35,24 @@ SignedDistance signed_distance(const Ellipsoid& ellipsoid, Vec3 point);
 // by tangents until the bracket is below rounding. Any value >= enough stands for one >= enough.
 double signed_distance(const Ellipsoid& ellipsoid, Vec3 a, Vec3 b, double enough);
 
+// The same for searches that discard most of what they look at, of an ellipsoid about the origin along the axes:
+// of a point, and of the segment start + t along, 0 <= t <= 1, with 0 where that meets it. Infinity once it is known
+// to be above `enough`: the squared distance is the maximum over mu >= 0 of the concave
+//   q(mu) = mu min_t (sum_i z_i(t)^2 / (mu + semi_i^2) - 1),
+// so what Newton's iteration sees at each of its steps is a lower bound, and t has a closed form.
+double distance_below(Vec3 semi, Vec3 point, double enough);
+double distance_below(Vec3 semi, Vec3 start, Vec3 along, double enough);
+
+// The signed distance of a point as signed_distance, with what a barrier on its square needs. The projection onto
+// the surface has the Jacobian diag(s) - u u^T / sum_i (s_i n_i^2) along the axes of the ellipsoid, with
+// s_i = semi_i^2 / (lambda + semi_i^2), n_i = z_i / (lambda + semi_i^2) and u_i = s_i n_i; the Hessian of the squared
+// distance is twice the identity less that. It is infinite or not a number where the closest point is not unique.
+struct Projection {
+  double distance;       // signed, negative inside
+  Vec3 offset;           // point - the closest point of the surface
+  Vec3 local;            // point - centre, along the axes of the ellipsoid
+  double hessian[3][3];  // of distance^2 along the axes of the ellipsoid
+};
+Projection project(const Ellipsoid& ellipsoid, Vec3 point);
+
 }  // namespace alula::geometry

@@ -1,0 +1,72 @@
+// The exponential collision cone filter of a quadrotor: rows of third order over (u_T'', tau).
+//
+// With the thrust extended by two integrators, u_T = T / m, the snap is affine in (u_T'', tau) and so is
+// h''' of each cone. The program keeps h''' + 3 l h'' + 3 l^2 h' + l^3 h >= 0 (a triple pole at -l) for every
+// candidate outside, an escape row of fourth order on gamma for every one that contains the vehicle, and the rotors'
+// limits on T = m (u_T + u_T' dt + u_T'' dt^2 / 2) and tau, with bounds on T and T' against wind-up of the extension:
+//
+//   minimise |u_T'' - nom|^2 / range^2 + |tau - tau_nom|^2 / range^2,
+//   nom = T''_nom / m + 2 zeta w (T'_nom / m - u_T') + w^2 (T_nom / m - u_T).
+//
+// A row keeps h >= 0 only from where psi_1 and psi_2 are >= 0 too. When an ellipsoid becomes a candidate with h > 0
+// and that is not so, its pole is moved left, up to `lambda_max`, until it is; where that does not help, or h < 0
+// already, the row still makes h tend to >= 0, and safety rests on the shield.
+//
+// Source: Tscholl, Nakka, Gunter 2026 (FastBridge), section III-D; `difference` is its finite-difference cascade.
+#pragma once
+
+#include "alula/pruning.hpp"
+#include "alula/shield.hpp"
+#include "alula/wrench_program.hpp"
+
+namespace alula::flight {
+
+enum class ThrustCascade : std::uint8_t {
+  extension,  // the variable is u_T''
+  difference  // the variable is T, with u_T'' = (T - 2 T_{k-1} + T_{k-2}) / (m dt^2)
+};
+
+struct ConeEcbfOptions {
+  double lambda = 4, lambda_max = 20;  // [1/s]
+  double escape_rate = 4;              // pole of the rows of ellipsoids around the vehicle [1/s]
+  ThrustCascade cascade = ThrustCascade::extension;
+  double thrust_bandwidth_rad_s = 30;  // w
+  double thrust_damping = 1;           // zeta
+  double max_thrust_rate_n_s = 150;    // of |T'|
+  double least_thrust = 0.1;           // of T, as a share of hover
+  double lateral_bias = 0.1;           // torque of a head-on nominal, as a share of the largest
+  TrackingRow tracking;
+  bool shielded = true;
+  bool try_nominal = true;  // without a solution, let the shield look between backup and nominal
+  ShieldOptions shield;     // its tick_s is dt
+  Pruning pruning;
+};
+
+class ConeEcbf final : public SplatFilter {
+ public:
+  // Throws std::invalid_argument for options that mean nothing, in particular w dt >= 1.
+  ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
+           const ConeEcbfOptions& options = {});
+
+  InputKind kind() const override { return InputKind::wrench; }
+  FilterReport filter(const FlightState& state, const Nominal& nominal) override;
+  void reset() override { shield_.reset(); }
+  std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<ConeEcbf>(*this); }
+  const ConeEcbfOptions& options() const { return options_; }
+
+ private:
+  bool add_rows(const FlightState& state, const SnapMap& map, std::span<const Found> near, FilterReport& report,
+                bool& inside);
+
+  BackupPolicy policy_;
+  ConeEcbfOptions options_;
+  Pruner pruner_;
+  Shield shield_;
+  WrenchProgram program_;
+  double affine_zero_ = 0, affine_unit_ = 1;  // u_T'' of the variable
+};
+
+// The pole, at least lambda and at most `most`, at which psi_1 and psi_2 are not negative; lambda when none is.
+double ecbf_pole(const Cone& cone, const ConeRates& rates, double lambda, double most);
+
+}  // namespace alula::flight

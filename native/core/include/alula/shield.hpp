@@ -1,0 +1,107 @@
+// Only inputs after which a safe manoeuvre to rest is still known.
+//
+// A manoeuvre is the backup policy sampled and held tick by tick, as it would be flown: about a velocity for some
+// ticks, then to rest. It is safe when the ball of the vehicle's radius and a margin about the position meets no
+// ellipsoid of the map (not only the nearest, not grown) until it rests. The signed distance of the map is
+// 1-Lipschitz, so a distance at one tick clears all ticks within it by arc length; arc lengths and the sag of the
+// path between ticks are bounded, not sampled.
+//
+// An input is returned when the state after one tick of it has a safe manoeuvre. Then the next tick has at least
+// that manoeuvre, so by induction a flight that starts with one never comes closer than the radius in the
+// model, whatever the nominal input does. A manoeuvre being flown stays accepted down to half the margin, which
+// so covers rounding and small differences of plan and flight; the other half covers the drift at rest.
+//
+// Source: the backup set of Chen, Jankovic, Santillo, Ames 2021, checked by rollout instead of by rows.
+#pragma once
+
+#include <limits>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "alula/backup_policy.hpp"
+#include "alula/cone_escape.hpp"
+
+namespace alula::flight {
+
+struct ShieldOptions {
+  double tick_s = 0.01;        // for which an input is held
+  int substeps = 1;            // RK4 steps of a tick; one is off by ~1e-9 m beside many
+  double margin_m = 0.02;      // kept beyond the radius by a manoeuvre that is accepted
+  double max_time_s = 8.0;     // a manoeuvre not at rest by then is not safe
+  double escape_time_s = 0.6;  // for which `cone_escape` holds a velocity
+  int escape_tries = 4;        // of its velocities, by angle
+  int line_search = 2;         // bisections between the backup's input and one that is refused
+  // At rest: all of these, and the linear loop would drift by at most rest_drift_m.
+  double rest_speed_m_s = 0.1, rest_rate_rad_s = 0.2, rest_tilt_rad = 0.05, rest_drift_m = 0.008;
+};
+
+struct Certificate {
+  bool safe = false;
+  bool rests = false;                                           // within max_time_s
+  double clearance = -std::numeric_limits<double>::infinity();  // least distance seen, less the radius [m]: exact
+                                                                // where it was looked, at most what was looked for
+  double time_s = 0;                                            // until rest
+};
+
+// One per thread; allocates in the constructor only.
+class Shield {
+ public:
+  // Throws std::invalid_argument for options that mean nothing.
+  Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index, const ShieldOptions& options = {});
+
+  const BackupPolicy& policy() const { return policy_; }
+  const ShieldOptions& options() const { return options_; }
+  const EllipsoidIndex& index() const { return *index_; }
+
+  // Whether flying `manoeuvre` from x, after one tick of `first` when given, is safe with `margin_m`. `thorough`
+  // goes on after the verdict for the least clearance of all.
+  Certificate certify(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr,
+                      bool thorough = false);
+
+  // The state after a tick of u, |sigma| <= 1.
+  State after(const State& x, const Wrench& u) const;
+
+  // What the backup would do now if nothing else is accepted: the manoeuvre committed last, or the best found.
+  // Sets report's wrench, status and `certified`: `candidate` with `accepted` when it is safe, an input between it
+  // and the backup's, or the backup's (status backup), or the least bad (recovering). `near` are the ellipsoids
+  // whose cones `cone_escape` turns away from. Returns whether the candidate itself was taken.
+  bool decide(const State& x, const Wrench& candidate, SplatFilterStatus accepted, std::span<const Found> near,
+              FilterReport& report);
+
+  // The same with no candidate to try.
+  void fall_back(const State& x, std::span<const Found> near, FilterReport& report);
+
+  // What `fall_back` would fly from x. A call of it or of `decide` for the same x and `near` that follows does not
+  // look for it again.
+  Manoeuvre plan(const State& x, std::span<const Found> near);
+
+  int hold_ticks() const;  // of an escape
+  void reset() { committed_ = {}, hint_ = 0, is_planned_ = false; }
+
+ private:
+  struct Tick {
+    Vec3 p;
+    double arc;  // bound of the length of the path up to here
+    double sag;  // bound of how far the path leaves the chord before this
+  };
+  bool roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time);
+  bool resting(const State& x) const;
+  bool march(double distance, bool thorough, double& least);
+  bool accept(const State& x, const Wrench& u, std::span<const Found> near);
+  void settle(const State& x, std::span<const Found> near, FilterReport& report);
+  bool choose(const State& x, std::span<const Found> near);
+  void find_escapes(const State& x, std::span<const Found> near);
+
+  BackupPolicy policy_;
+  std::shared_ptr<const EllipsoidIndex> index_;
+  ShieldOptions options_;
+  std::vector<Tick> path_;
+  std::vector<Found> found_;
+  std::uint32_t hint_ = 0;
+  Manoeuvre committed_, chosen_, next_;  // last accepted; to fly now; after the input just accepted
+  Escapes escapes_;
+  bool has_escapes_ = false, is_planned_ = false, is_chosen_safe_ = false;
+};
+
+}  // namespace alula::flight
