@@ -82,9 +82,7 @@ def solve_qp(
 
     Source: Goldfarb, Idnani 1983, "A numerically stable dual method for solving strictly convex QPs".
     """
-    problem = tuple(
-        np.ascontiguousarray(part, dtype=np.float64) for part in (hessian, gradient, rows, bounds)
-    )
+    problem = tuple(np.ascontiguousarray(part, dtype=np.float64) for part in (hessian, gradient, rows, bounds))
     names = np.array([row for row in warm if row >= 0], dtype=np.uint32)
     if solver not in ("active-set", "clarabel"):
         raise UsageError(f"no QP solver is called {solver!r}; there are active-set and clarabel")

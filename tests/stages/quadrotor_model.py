@@ -101,11 +101,6 @@ def random_states(count, seed, *, speed=3.0, rate=4.0):
     axis = rng.normal(size=(count, 3))
     sigma = axis / np.linalg.norm(axis, axis=1, keepdims=True) * rng.uniform(0, 1, (count, 1))
     return np.concatenate(
-        [
-            rng.normal(size=(count, 3)),
-            sigma,
-            speed * rng.normal(size=(count, 3)),
-            rate * rng.normal(size=(count, 3)),
-        ],
+        [rng.normal(size=(count, 3)), sigma, speed * rng.normal(size=(count, 3)), rate * rng.normal(size=(count, 3))],
         axis=1,
     )

@@ -80,9 +80,7 @@ def test_closed_forms_agree_with_the_quaternion_on_random_states():
 
 def test_rotations_turn_with_omega():
     for x in random_states(200, seed=3):
-        by_time = jacobian(
-            lambda t, x=x: body_to_inertial(x[3:6] + t[0] * sigma_rate(x[3:6], x[9:])).ravel(), [0.0]
-        )
+        by_time = jacobian(lambda t, x=x: body_to_inertial(x[3:6] + t[0] * sigma_rate(x[3:6], x[9:])).ravel(), [0.0])
         assert close(by_time.reshape(3, 3), body_to_inertial(x[3:6]) @ hat(x[9:]), 1e-12)
 
 
@@ -184,10 +182,7 @@ def test_torque_is_shared_as_a_linear_program_says(layout, wanted):
         columns = np.stack([inverse[:, 0], part], axis=1)
         limits = [np.subtract(body.f_max, taken), np.subtract(taken, body.f_min)]
         best = linprog(
-            [0, -1],
-            np.concatenate([columns, -columns]),
-            np.concatenate(limits),
-            bounds=[(None, None), (0, 1)],
+            [0, -1], np.concatenate([columns, -columns]), np.concatenate(limits), bounds=[(None, None), (0, 1)]
         )
         assert best.status == 0
         return best.x[1]

@@ -122,12 +122,7 @@ def test_torque_is_the_printed_law_of_its_own_terms():
         assert np.abs(terms["e_omega"] - (omega - across @ terms["omega_d"])).max() < 1e-12
         feed = hat(omega) @ across @ terms["omega_d"] - across @ terms["omega_d_rate"]
         gains = np.array([0.35, 0.35, 0.12]), np.array([0.025, 0.025, 0.012])
-        torque = (
-            -gains[0] * error
-            - gains[1] * terms["e_omega"]
-            + np.cross(omega, INERTIA * omega)
-            - INERTIA * feed
-        )
+        torque = -gains[0] * error - gains[1] * terms["e_omega"] + np.cross(omega, INERTIA * omega) - INERTIA * feed
         assert np.abs(terms["wrench"][1:] - torque).max() < 1e-12
 
 
