@@ -162,7 +162,8 @@ def test_the_ray_meets_the_ellipsoid_exactly_when_the_cone_says_so():
             v = -v
         c = native(mu, A, p, v)
         if c["gamma"] <= 0:
-            assert c["is_inside"] and c["h"] <= 1e-12 * abs(c["delta"]) ** 2
+            assert c["is_inside"]
+            assert c["h"] <= 1e-12 * abs(c["delta"]) ** 2
             continue
         # (p + t v - mu)^T A (p + t v - mu) = 1 has a root t >= 0.
         roots = np.roots([c["beta"], -2 * c["delta"], c["gamma"]])

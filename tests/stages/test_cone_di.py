@@ -111,7 +111,8 @@ def test_the_answer_is_the_nearest_input_that_holds_the_rows_of_the_candidates(s
     expected = nearest_by_cvxpy(row, bound, nominal) if len(items) else nominal
     a = np.array(report["acceleration"])
     if expected is None:
-        assert report["infeasible"] and report["status"] in (FILTERED, RECOVERING)
+        assert report["infeasible"]
+        assert report["status"] in (FILTERED, RECOVERING)
         return
     assert not report["infeasible"]
     assert len(items) == 0 or (row @ a - bound).min() >= -1e-7 * (1 + np.linalg.norm(a))
@@ -132,15 +133,20 @@ def test_the_margin_is_the_least_barrier_and_the_active_row_is_named():
     p, v = np.zeros(3), np.array([2.0, 0, 0])
     report = tick(filt, p, v, (0, 0, 0))
     assert report["margin"] == pytest.approx(cone(*swollen(rows, 0), p, v)[3], rel=1e-9)
-    assert report["active"] == 0 and report["status"] == FILTERED and report["iterations"] > 0
+    assert report["active"] == 0
+    assert report["status"] == FILTERED
+    assert report["iterations"] > 0
 
 
 def test_a_nominal_input_that_holds_comes_back_bit_by_bit():
     filt = _core.ConeDi(index_of(ball([3, 0, 0])))
     nominal = (0.1, 1 / 3, -7e-17)
     report = tick(filt, (0, 0, 0), (-1, 0.2, 0), nominal)
-    assert tuple(report["acceleration"]) == nominal and report["status"] == OK and report["active"] == -1
-    assert report["rows"] == 0 and report["margin"] == np.inf
+    assert tuple(report["acceleration"]) == nominal
+    assert report["status"] == OK
+    assert report["active"] == -1
+    assert report["rows"] == 0
+    assert report["margin"] == np.inf
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -151,11 +157,14 @@ def test_what_is_not_finite_is_refused(bad):
         values = [list(x) for x in good]
         values[slot][1] = bad
         report = tick(filt, *values)
-        assert report["status"] == REFUSED and tuple(report["acceleration"]) == (0, 0, 0)
+        assert report["status"] == REFUSED
+        assert tuple(report["acceleration"]) == (0, 0, 0)
     report = tick(filt, *good, position_error=(0, bad, 0))
-    assert report["status"] == REFUSED and tuple(report["acceleration"]) == (0, 0, 0)
+    assert report["status"] == REFUSED
+    assert tuple(report["acceleration"]) == (0, 0, 0)
     report = tick(filt, (0, 0, 0), (1e200, 0, 0), (0, 0, 0))
-    assert report["status"] == REFUSED and tuple(report["acceleration"]) == (0, 0, 0)
+    assert report["status"] == REFUSED
+    assert tuple(report["acceleration"]) == (0, 0, 0)
 
 
 def test_a_program_without_solution_is_reported_and_braked():
@@ -164,11 +173,13 @@ def test_a_program_without_solution_is_reported_and_braked():
     v = np.array([3.0, 0.3, 0])
     report = tick(filt, (0, 0, 0), v, (9, 0, 0))
     a = np.array(report["acceleration"])
-    assert report["infeasible"] and report["status"] == RECOVERING
+    assert report["infeasible"]
+    assert report["status"] == RECOVERING
     np.testing.assert_allclose(a, -v * 2 / 3, rtol=1e-12)  # along the path, within the box
     assert np.abs(a).max() <= 2 * (1 + 1e-12)
     without = tick(_core.ConeDi(index_of(rows)), (0, 0, 0), v, (9, 0, 0))
-    assert not without["infeasible"] and without["status"] == FILTERED
+    assert not without["infeasible"]
+    assert without["status"] == FILTERED
 
 
 @settings(max_examples=60, deadline=None)
@@ -185,7 +196,8 @@ def test_inputs_stay_within_the_box(seed, box):
     holds = len(bound) == 0 or (row @ a - bound).min() >= -1e-7 * (1 + box)
     assert holds or (report["infeasible"] and report["status"] == RECOVERING)
     if report["infeasible"]:
-        assert np.linalg.norm(np.cross(a, v)) <= 1e-12 * np.linalg.norm(v) * box and a @ v <= 0
+        assert np.linalg.norm(np.cross(a, v)) <= 1e-12 * np.linalg.norm(v) * box
+        assert a @ v <= 0
 
 
 def test_braking_along_the_path_meets_every_cone_with_equality():
@@ -226,9 +238,11 @@ def test_head_on_the_bias_turns_aside_and_without_it_the_vehicle_only_brakes():
             p, v = p + dt * v + dt**2 / 2 * a, v + dt * a
         ends[bias] = p
     assert np.linalg.norm(ends[0.5] - goal) < 0.1
-    assert ends[0.0][0] < 2.0 and abs(ends[0.0][1]) < 1e-9
+    assert ends[0.0][0] < 2.0
+    assert abs(ends[0.0][1]) < 1e-9
     first = tick(_core.ConeDi(index_of(rows)), (1.3, 0, 0), (1, 0, 0), (1, 0, 0))
-    assert first["acceleration"][1] == pytest.approx(-0.5) and first["acceleration"][2] == 0  # to the right
+    assert first["acceleration"][1] == pytest.approx(-0.5)
+    assert first["acceleration"][2] == 0
 
 
 def test_the_tracking_row_is_soft():
@@ -318,12 +332,16 @@ def test_gates_can_be_switched_off_for_comparison():
     index = index_of(rows)
     p, v = np.array([0.5, 0, 0]), np.array([-1.0, 0.2, 0])
     everything = tick(_core.ConeDi(index, pruning=_core.Pruning(gate=False, approach=False)), p, v, (0, 0, 0))
-    assert everything["rows"] == 300 and everything["gate_m"] == np.inf and not everything["capped"]
+    assert everything["rows"] == 300
+    assert everything["gate_m"] == np.inf
+    assert not everything["capped"]
     approaching = tick(_core.ConeDi(index, pruning=_core.Pruning(gate=False)), p, v, (0, 0, 0))
     assert 0 < approaching["rows"] < 300
     uncapped = tick(_core.ConeDi(index, pruning=_core.Pruning(count=0, floor_m=3.0)), p, v, (0, 0, 0))
     capped = tick(_core.ConeDi(index, pruning=_core.Pruning(count=10, floor_m=3.0)), p, v, (0, 0, 0))
-    assert uncapped["rows"] > 10 == capped["rows"] and capped["capped"] and not uncapped["capped"]
+    assert uncapped["rows"] > 10 == capped["rows"]
+    assert capped["capped"]
+    assert not uncapped["capped"]
 
 
 def test_clones_agree_and_options_that_mean_nothing_are_refused():
@@ -333,7 +351,8 @@ def test_clones_agree_and_options_that_mean_nothing_are_refused():
     filt = _core.ConeDi(index)
     p, v, a = (0, 0, 0), (1.0, 0.5, 0.1), (3.0, 0, 0)
     assert tick(filt, p, v, a) == tick(filt.clone(), p, v, a) == tick(filt, p, v, a)
-    assert not filt.gives_wrench and isinstance(filt, _core.SplatFilter)
+    assert not filt.gives_wrench
+    assert isinstance(filt, _core.SplatFilter)
     for wrong in (
         {"alpha": 0.0},
         {"min_speed": 0.0},

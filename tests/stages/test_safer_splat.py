@@ -1,4 +1,4 @@
-"""The distance filter of SAFER-Splat against a NumPy model of the published algorithm, and its own promises."""
+"""The distance filter of SAFER-Splat against a NumPy model of the published algorithm."""
 
 import numpy as np
 import pytest
@@ -103,13 +103,15 @@ def test_the_answer_is_that_of_the_model_and_an_interior_point_solver(hessian, s
     p, v, nominal = rng.uniform(-2, 2, 3), rng.normal(size=3) * 0.3, rng.normal(size=3)
     report = tick(everything(rows, hessian=hessian), p, v, nominal)
     h, row, bound = model(rows, p, v, published=hessian == "published")
-    assert report["rows"] == 60 and report["gate_m"] == np.inf
+    assert report["rows"] == 60
+    assert report["gate_m"] == np.inf
     assert report["margin"] == pytest.approx(h.min(), rel=1e-8, abs=1e-9)
     length = np.linalg.norm(row, axis=1)
     row, bound = row / length[:, None], bound / length
     expected = nearest_by_cvxpy(row, bound, nominal)
     if report["infeasible"] or expected is None:
-        assert report["infeasible"] and expected is None
+        assert report["infeasible"]
+        assert expected is None
         return
     a = np.array(report["acceleration"])
     assert (row @ a - bound).min() >= -1e-6 * (1 + np.linalg.norm(a))
@@ -139,13 +141,16 @@ def test_a_nominal_input_that_holds_comes_back_bit_by_bit_and_nonsense_is_refuse
     filt = _core.SaferSplat(index_of(rows), pruning=_core.Pruning(floor_m=5.0))
     nominal = (0.1, 1 / 3, -7e-17)
     report = tick(filt, (0, 0, 0), (-0.1, 0, 0), nominal)
-    assert tuple(report["acceleration"]) == nominal and report["status"] == OK and report["rows"] == 1
+    assert tuple(report["acceleration"]) == nominal
+    assert report["status"] == OK
+    assert report["rows"] == 1
     for bad in (np.nan, np.inf):
         for slot in range(3):
             values = [[0.0, 0, 0], [0.1, 0, 0], [0.0, 0, 0]]
             values[slot][2] = bad
             refused = tick(filt, *values)
-            assert refused["status"] == REFUSED and tuple(refused["acceleration"]) == (0, 0, 0)
+            assert refused["status"] == REFUSED
+            assert tuple(refused["acceleration"]) == (0, 0, 0)
 
 
 def test_a_program_without_solution_is_reported_and_braked():
@@ -153,7 +158,8 @@ def test_a_program_without_solution_is_reported_and_braked():
     rows = mean, np.full((2, 3), 0.2, np.float32), np.tile(np.float32([1, 0, 0, 0]), (2, 1))
     v = np.array([0.3, 0.05, 0])
     report = tick(everything(rows, max_acceleration=0.5), (0, 0, 0), v, (0, 0, 0))
-    assert report["infeasible"] and report["status"] == RECOVERING
+    assert report["infeasible"]
+    assert report["status"] == RECOVERING
     np.testing.assert_allclose(report["acceleration"], -v * 0.5 / 0.3)
 
 
