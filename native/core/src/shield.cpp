@@ -112,9 +112,12 @@ bool Shield::march(double distance, bool thorough, double& least) {
     while (j < last && path_[j + 1].arc <= reach) ++j;
     if (j == k) {  // the next tick is beyond what this one clears: look at the chord between them
       ++j;
-      index_->nearest(path_[k].p, path_[j].p, distance + path_[j].sag, 1, found_);
-      if (!found_.empty() && found_[0].distance < distance + path_[j].sag) {
-        clear = false, least = std::min(least, found_[0].distance - path_[j].sag);
+      const Tick& next = path_[j];
+      const double needed = distance + next.sag;  // of the chord; what is that near is so near to its start, or less
+      const double reach_of_start = needed + norm(next.p - path_[k].p);
+      index_->nearest(path_[k].p, next.p, reach_of_start, 1, found_);
+      if (!found_.empty() && found_[0].distance < needed) {
+        clear = false, least = std::min(least, found_[0].distance - next.sag);
         if (!thorough) return false;
       }
     }
