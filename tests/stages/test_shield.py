@@ -38,7 +38,9 @@ def test_certificates_agree_with_manoeuvres_flown_in_the_model(kind):
         scene = random_scene(rng, 40)
         shield = shield_of(scene, kind)
         for _ in range(4):
-            x = np.concatenate([rng.uniform(-3, 3, 3), 0.2 * rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)])
+            x = np.concatenate(
+                [rng.uniform(-3, 3, 3), 0.2 * rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)]
+            )
             first = np.array([4.0, *rng.uniform(-0.03, 0.03, 3)]) if rng.random() < 0.5 else None
             got = shield.certify(x, first=None if first is None else tuple(first), thorough=True)
             assert got["rests"]
@@ -60,7 +62,9 @@ def test_an_escape_is_flown_for_its_ticks_and_then_rests():
     shield, x = shield_of(empty_scene(), "cone-escape"), moving((3, 0, 0))
     hold = np.array([0, 3.0, 0.5])
     got = shield.certify(x, hold=hold, hold_ticks=60)
-    _, states = model.manoeuvre(VEHICLE, model.Brake(), x, 0.01, round(got["time_s"] / 0.01), hold=hold, hold_ticks=60)
+    _, states = model.manoeuvre(
+        VEHICLE, model.Brake(), x, 0.01, round(got["time_s"] / 0.01), hold=hold, hold_ticks=60
+    )
     assert got["safe"]
     assert states[60, 7] > 2
     assert np.linalg.norm(states[-1, 6:9]) < 0.1
@@ -71,7 +75,9 @@ def test_at_rest_little_is_left_to_drift():
     for kind in ("hover", "heading-invariant", "brake"):
         shield, numpy = shield_of(scene, kind), model.MODELS[kind]()
         got = shield.certify(moving((2, -1, 0.5)))
-        positions, _ = model.manoeuvre(VEHICLE, numpy, moving((2, -1, 0.5)), 0.01, round(got["time_s"] / 0.01) + 300)
+        positions, _ = model.manoeuvre(
+            VEHICLE, numpy, moving((2, -1, 0.5)), 0.01, round(got["time_s"] / 0.01) + 300
+        )
         rest = positions[10 * round(got["time_s"] / 0.01) :]
         assert np.linalg.norm(rest - rest[0], axis=1).max() < 0.01  # half the margin
 
@@ -147,7 +153,9 @@ def test_escape_velocities_leave_every_cone_at_the_same_speed():
 
 def test_one_sphere_ahead_is_passed_by_its_tangent():
     scene = Scene([[3, 0, 0]], [[0.5] * 3], [[1, 0, 0, 0]])
-    velocities, turn = _core.escape_velocities(scene.index, (0, 0, 0), (2, 0, 0), reach=5.0, slack_rad=0.0 + 1e-9)
+    velocities, turn = _core.escape_velocities(
+        scene.index, (0, 0, 0), (2, 0, 0), reach=5.0, slack_rad=0.0 + 1e-9
+    )
     assert len(turn) == 8
     np.testing.assert_allclose(turn, np.arcsin(0.65 / 3), atol=1e-6)  # the ball grows by the radius exactly
     assert velocities[0, 1] > 0  # left first
@@ -160,7 +168,9 @@ FILTERS = {
     "backup": lambda policy, index: _core.ConeBackup(policy, index),
     "interpolation": lambda policy, index: _core.ConeBackup(policy, index, solver="interpolation"),
     # So few rows that the program knows next to nothing of the map: safe all the same.
-    "blind": lambda policy, index: _core.ConeEcbf(policy, index, pruning=_core.Pruning(count=1, floor_m=0.01)),
+    "blind": lambda policy, index: _core.ConeEcbf(
+        policy, index, pruning=_core.Pruning(count=1, floor_m=0.01)
+    ),
 }
 LOOPS = [
     ("ecbf", "brake"),
@@ -225,7 +235,9 @@ def test_where_nothing_is_safe_the_least_bad_is_flown_and_said():
     policy = _core.BackupPolicy(VEHICLE, "brake")
     x = moving((6, 0, 0), (2.2, 0, 0))
     for flown in (_core.ConeEcbf(policy, scene.index), _core.ConeBackup(policy, scene.index)):
-        report = flown.filter(x, (0, 0, 0), wrench=(VEHICLE.hover_thrust, 0, 0, 0), thrust=VEHICLE.hover_thrust)
+        report = flown.filter(
+            x, (0, 0, 0), wrench=(VEHICLE.hover_thrust, 0, 0, 0), thrust=VEHICLE.hover_thrust
+        )
         assert report["status"] == 3
         assert not report["certified"]
         np.testing.assert_array_equal(report["wrench"], policy(x))

@@ -10,12 +10,12 @@ RADIUS = 0.15
 
 
 class Scene:
-    """Gaussians at level 1."""
+    """Gaussians at level 1; those of rows are grown by the vehicle's radius and `room`."""
 
-    def __init__(self, mean, scale, quat_wxyz, radius=RADIUS):
+    def __init__(self, mean, scale, quat_wxyz, radius=RADIUS, *, room=0.0):
         rows = [np.ascontiguousarray(a, np.float32) for a in (mean, scale, quat_wxyz)]
         self.radius = radius
-        self.index = _core.EllipsoidIndex(*rows, sigma=1.0, radius=radius)
+        self.index = _core.EllipsoidIndex(*rows, sigma=1.0, radius=radius + room)
         self.exact = _core.EllipsoidSet(*rows, 1.0)
 
     def clearance(self, positions):
@@ -81,7 +81,12 @@ def admissible_start(rng, shield, tries=1000):
     """A random state with a safe manoeuvre to rest."""
     for _ in range(tries):
         x = np.concatenate(
-            [rng.uniform(-3, 3, 3), 0.1 * rng.normal(size=3), 1.5 * rng.normal(size=3), 0.5 * rng.normal(size=3)]
+            [
+                rng.uniform(-3, 3, 3),
+                0.1 * rng.normal(size=3),
+                1.5 * rng.normal(size=3),
+                0.5 * rng.normal(size=3),
+            ]
         )
         if shield.certify(x)["safe"]:
             return x
