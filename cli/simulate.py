@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Mapping, Set
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +13,7 @@ import click
 
 from alula.cli import options
 from alula.cli.runner import run
-from alula.schemas.configs.simulate import SimulateConfig
+from alula.schemas.configs.simulate import ELLIPSOIDS_ONLY, HULLS_ONLY, SimulateConfig
 from alula.schemas.errors import CheckError, UsageError, WrongKindError
 from alula.schemas.provenance import parameters_of
 
@@ -23,17 +26,33 @@ EXAMPLES = """\b
 Examples:
   alula simulate room.cover.npz -o room.run.mcap --trials 100 --radius 0.1
   alula simulate loop.plan.npz --map room.cover.npz --scene room.scene.npz -o loop.run.mcap
+  alula simulate room.scene.npz -o fast.run.mcap --filter cone-backup --speed 3 --set horizon_s=2
 """
 
 
 @click.command(epilog=EXAMPLES)
 @click.argument("source", type=options.input_path())
-@click.option("--map", "cover_path", type=options.input_path(), help="Cover to fly in; needed with a plan.")
+@click.option(
+    "--map", "map_path", type=options.input_path(), help="Cover or scene to fly in; needed with a plan."
+)
 @click.option(
     "--scene",
     "scene_path",
     type=options.input_path(),
     help="Metric scene; also judge against its ellipsoids.",
+)
+@click.option(
+    "--vehicle",
+    "vehicle_path",
+    type=options.input_path(),
+    help="Vehicle that flies among ellipsoids (.toml); default: that of FastBridge.",
+)
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Parameter of a filter among ellipsoids; may be repeated.",
 )
 @options.from_config(SimulateConfig)
 @options.output(".run.mcap")
@@ -41,94 +60,192 @@ Examples:
 def command(
     context: click.Context,
     source: Path,
-    cover_path: Path | None,
+    map_path: Path | None,
     scene_path: Path | None,
+    vehicle_path: Path | None,
+    settings: tuple[str, ...],
     config: SimulateConfig,
     common: options.Common,
 ) -> None:
     """Fly start-goal pairs or a plan behind a safety filter.
 
-    SOURCE is a scenario (.toml), a plan with --map, or a cover, in which random pairs are flown.
+    SOURCE is a scenario (.toml), a plan with --map, or a cover or a scene, in which random pairs are flown.
+    Among the hulls of a cover flies a point with velocities as input (none, polytope-cbf); among the
+    ellipsoids of a scene a quadrotor with rotors (none, cone-di, cone-ecbf, cone-backup, safer-splat).
     Options given here replace those of the scenario. Beside R.run.mcap, R.run.json holds the same
     summary and the measured times. Exit code 4: a filtered flight collided with its map.
     """
     from alula.schemas.artifact import read_artifact
     from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.run import RUN_SCHEMA, RUN_SUFFIX, RUN_VERSION, read_run
-    from alula.stages.flight.simulate import resolve, simulate
 
     if not common.output.name.endswith(".mcap"):
         raise UsageError(f"{common.output}: the output must end in .mcap (usually {RUN_SUFFIX})")
-    paths = _inputs(source, cover_path, scene_path)
-    config = _configured(context, source, config, common.seed)
+    paths = _inputs(source, map_path, scene_path, vehicle_path)
+    config, given = _configured(context, source, config, common.seed, settings)
+    splat = _is_among_ellipsoids(config.filter, paths)
+    _check_options(config, given, "vehicle" in paths, splat=splat)
     plan = read_artifact(paths["plan"], PLAN) if "plan" in paths else None
-    config = resolve(config, plan)
+    vehicle: Any = None
+    if splat:
+        from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
+        from alula.stages.flight.splat_simulate import resolve_splat, simulate_splat
+
+        vehicle = read_vehicle(paths["vehicle"]) if "vehicle" in paths else FASTBRIDGE
+        config = resolve_splat(config, vehicle, plan)
+    else:
+        from alula.stages.flight.simulate import resolve, simulate
+
+        config = resolve(config, plan)
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
-        cover = read_artifact(paths["cover"], COVER)
+        cover = read_artifact(paths["cover"], COVER) if "cover" in paths else None
         scene = read_artifact(paths["scene"], SCENE) if "scene" in paths else None
-        result = simulate(config, cover, plan=plan, scene=scene, jobs=common.jobs, progress=progress)
-        frame = cover.manifest.frame
+        if splat:
+            assert scene is not None
+            result = simulate_splat(
+                config, scene, vehicle, plan=plan, cover=cover, jobs=common.jobs, progress=progress
+            )
+        else:
+            assert cover is not None
+            result = simulate(config, cover, plan=plan, scene=scene, jobs=common.jobs, progress=progress)
+        frame = result.map.manifest.frame
         return lambda: _write(common.output, config, provenance, result, frame), result.summary
 
-    parameters = {key: value for key, value in parameters_of(config).items() if key != "seed"}
+    unused = HULLS_ONLY if splat else ELLIPSOIDS_ONLY
+    parameters = {key: value for key, value in parameters_of(config).items() if key not in ("seed", *unused)}
     run(common, RUN_SCHEMA, RUN_VERSION, parameters, paths, make, seed=config.seed)
     if not common.dry_run and config.filter != "none":
-        _check(common.output, read_run(common.output).trials)
+        _check(common.output, read_run(common.output).trials, splat=splat)
 
 
-def _inputs(source: Path, cover: Path | None, scene: Path | None) -> dict[str, Path]:
+def _inputs(source: Path, map_path: Path | None, scene: Path | None, vehicle: Path | None) -> dict[str, Path]:
     """All files to read, by role; those of a scenario are relative to its folder."""
     from alula.schemas.artifact import read_manifest
-    from alula.schemas.kinds import COVER, PLAN
+    from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.scenario import read_scenario
 
     paths: dict[str, Path | None]
     if source.suffix == ".toml":
-        table = read_scenario(source).map
-        paths = {
-            role: None if name is None else source.parent / name
-            for role, name in (("cover", table.cover), ("scene", table.scene), ("plan", table.plan))
+        scenario = read_scenario(source)
+        table = scenario.map
+        files = {
+            "cover": table.cover,
+            "scene": table.scene,
+            "plan": table.plan,
+            "vehicle": scenario.vehicle.file,
         }
+        paths = {role: None if name is None else source.parent / name for role, name in files.items()}
         paths["scenario"] = source
     else:
         found = read_manifest(source).schema
-        if found == COVER.name:
-            if cover is not None:
-                raise UsageError(f"{source} is a cover already; --map is for plans and scenarios")
-            paths = {"cover": source}
-        elif found == PLAN.name:
-            if cover is None:
-                raise UsageError("a plan needs --map, the cover to fly it in")
-            paths = {"plan": source}
-        else:
+        if found not in (COVER.name, PLAN.name, SCENE.name):
             raise WrongKindError(
-                f"{source}: is {found}, but a scenario, {PLAN.name} or {COVER.name} is needed"
+                f"{source}: is {found}, but a scenario, {PLAN.name}, {COVER.name} or {SCENE.name} is needed"
             )
-    if cover is not None:
-        paths["cover"] = cover
+        role = found.removeprefix("alula/")
+        if role != "plan" and map_path is not None:
+            raise UsageError(f"{source} is a {role} already; --map is for plans and scenarios")
+        if role == "plan" and map_path is None:
+            raise UsageError("a plan needs --map, the cover or the scene to fly it in")
+        if role == "scene" and scene is not None:
+            raise UsageError(f"{source} is a scene already; --scene is for covers")
+        paths = {role: source}
+    if map_path is not None:
+        found = read_manifest(map_path).schema
+        if found not in (COVER.name, SCENE.name):
+            raise WrongKindError(f"{map_path}: is {found}, but {COVER.name} or {SCENE.name} is needed")
+        paths[found.removeprefix("alula/")] = map_path
     if scene is not None:
         paths["scene"] = scene
+    if vehicle is not None:
+        paths["vehicle"] = vehicle
     return {role: path for role, path in paths.items() if path is not None}
 
 
-def _configured(context: click.Context, source: Path, config: SimulateConfig, seed: int) -> SimulateConfig:
-    """The scenario's settings, replaced by what was given on the command line."""
+def _is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
+    """Whether the filter sees the ellipsoids of the scene; `none` flies what the map is for.
+
+    Raises:
+        UsageError: there is no such filter, or not the map that it sees.
+    """
+    from alula.stages.filtering.registry import NO_FILTER, filter_names, splat_filter_names
+
+    hulls, ellipsoids = filter_names(), splat_filter_names()
+    if name not in hulls and name not in ellipsoids:
+        known = list(dict.fromkeys([*hulls, *ellipsoids]))
+        raise UsageError(f"no filter is called {name!r}; known: {', '.join(known)}")
+    if name == NO_FILTER:
+        return "cover" not in paths
+    if name in ellipsoids:
+        if "scene" not in paths:
+            raise UsageError(f"{name} sees the ellipsoids of a scene; give one, with --scene beside a cover")
+        return True
+    if "cover" not in paths:
+        others = [other for other in ellipsoids if other != NO_FILTER]
+        raise UsageError(
+            f"{name} sees the hulls of a cover, not a scene; --filter may be {', '.join(others)} or none"
+        )
+    return False
+
+
+def _check_options(config: SimulateConfig, given: Set[str], vehicle: bool, *, splat: bool) -> None:
+    """Refuse options that the flights to be do not have."""
+    wrong = [name for name in (HULLS_ONLY if splat else ELLIPSOIDS_ONLY) if name in given]
+    if not splat and vehicle:
+        wrong.append("vehicle")
+    if wrong:
+        field = next((f for f in dataclasses.fields(SimulateConfig) if f.name == wrong[0]), None)
+        name = "--" + wrong[0].replace("_", "-")
+        option = name if field is None else field.metadata.get("option", name)
+        whom = "hulls of a cover" if splat else "ellipsoids of a scene"
+        raise UsageError(f"{option} is for flights among the {whom}, which these are not")
+    if not splat and config.filter_parameters and config.filter in ("none", "polytope-cbf"):
+        known = "no parameters" if config.filter == "none" else "the options --beta, --kappa and --smoothing"
+        raise UsageError(f"--set: the filter {config.filter} has {known}")
+
+
+def _configured(
+    context: click.Context, source: Path, config: SimulateConfig, seed: int, settings: tuple[str, ...]
+) -> tuple[SimulateConfig, set[str]]:
+    """The scenario's settings, replaced by what was given on the command line; and which fields were set."""
     from alula.schemas.scenario import read_scenario
 
-    if source.suffix != ".toml":
-        return dataclasses.replace(config, seed=seed)
-    given = {
+    given: dict[str, Any] = {
         f.name: getattr(config, f.name)
         for f in dataclasses.fields(config)
         if options.is_given(context, f.name)
     }
+    parameters = dict(_setting(word) for word in settings)
+    if source.suffix != ".toml":
+        return dataclasses.replace(config, seed=seed, filter_parameters=parameters), set(given)
     if options.is_given(context, "seed"):
         given["seed"] = seed
+    found = read_scenario(source).settings()
+    if parameters:
+        given["filter_parameters"] = {**found.get("filter_parameters", {}), **parameters}
     try:
-        return SimulateConfig(**{**read_scenario(source).settings(), **given})
+        return SimulateConfig(**{**found, **given}), found.keys() | given.keys()
     except UsageError as error:
         raise UsageError(f"{source}: {error}") from error
+
+
+def _setting(word: str) -> tuple[str, Any]:
+    """NAME=VALUE: a whole number, a number, numbers with commas, true or false, else a word."""
+    name, equals, text = word.partition("=")
+    if not (equals and name and text):
+        raise UsageError(f"--set needs NAME=VALUE, not {word!r}")
+    if "," in text:
+        return name, [_setting(f"{name}={part}")[1] for part in text.split(",")]
+    if text in ("true", "false"):
+        return name, text == "true"
+    for convert in (int, float):
+        with suppress(ValueError):
+            value = convert(text)
+            if isinstance(value, float) and not math.isfinite(value):
+                raise UsageError(f"--set {name}: {text!r} is not finite")
+            return name, value
+    return name, text
 
 
 def _write(
@@ -152,15 +269,15 @@ def _write(
         summary=result.summary,
         guarantee=result.guarantee,
     )
-    timed = msgspec.structs.replace(record, timing=_timing(result))
+    timed = msgspec.structs.replace(record, timing=_timing(result, config.dt_s))
     text = msgspec.json.format(msgspec.json.encode(timed, order="sorted"), indent=2) + b"\n"
     with atomic_output(output) as log, atomic_output(record_path(output)) as beside:
-        write_log(log, record, result.flights, result.cover, frame)
+        write_log(log, record, result.flights, result.map, frame)
         beside.write(text)
 
 
-def _timing(result: RunResult) -> dict[str, Any]:
-    """Measured times of the filter and the machine they were measured on."""
+def _timing(result: RunResult, dt_s: float) -> dict[str, Any]:
+    """Measured times of the filter, of whole ticks where known, and the machine they were measured on."""
     import os
     import platform
 
@@ -172,26 +289,35 @@ def _timing(result: RunResult) -> dict[str, Any]:
         "system": platform.system(),
     }
     if result.filter != "none":
-        p50, p99, longest = np.percentile(result.filter_s, [50, 99, 100]).tolist()
-        timing |= {
-            "filter_calls": len(result.filter_s),
-            "filter_p50_s": p50,
-            "filter_p99_s": p99,
-            "filter_max_s": longest,
-            "filter_total_s": float(result.filter_s.sum(dtype=np.float64)),
-        }
+        timing |= {"filter_calls": len(result.filter_s)} | _spread("filter", result.filter_s)
+        timing["filter_total_s"] = float(result.filter_s.sum(dtype=np.float64))
+    if result.tick_s is not None:
+        timing |= {"ticks": len(result.tick_s)} | _spread("tick", result.tick_s)
+        timing["tick_mean_s"] = float(result.tick_s.mean(dtype=np.float64))
+        timing["tick_overruns"] = int((result.tick_s > dt_s).sum())
     return timing
 
 
-def _check(output: Path, trials: list[Any]) -> None:
-    """Fail when a flight behind a filter came closer to a hull than the vehicle's radius."""
+def _spread(what: str, seconds: Any) -> dict[str, float]:
+    import numpy as np
+
+    found = np.percentile(seconds, [50, 99, 100]).tolist()
+    return dict(zip((f"{what}_p50_s", f"{what}_p99_s", f"{what}_max_s"), found, strict=True))
+
+
+def _check(output: Path, trials: list[Any], *, splat: bool) -> None:
+    """Fail when a flight behind a filter came closer to what it sees than the vehicle's radius."""
     from alula.stages.flight.simulate import COLLISION_TOLERANCE_M
 
-    hits = [t for t in trials if t.map_clearance_m is not None and t.map_clearance_m < -COLLISION_TOLERANCE_M]
+    def clearance(trial: Any) -> float:
+        found = trial.scene_clearance_m if splat else trial.map_clearance_m
+        return math.inf if found is None else found
+
+    hits = [trial for trial in trials if clearance(trial) < -COLLISION_TOLERANCE_M]
     if hits:
-        worst = min(hits, key=lambda t: t.map_clearance_m)
+        worst = min(hits, key=clearance)
         start = " ".join(f"{value:.3f}" for value in worst.start_m)
         raise CheckError(
             f"{output}: {len(hits)} of {len(trials)} filtered flights collided with the map; deepest in "
-            f"trial {worst.index} from ({start}), {-worst.map_clearance_m:.4g} m"
+            f"trial {worst.index} from ({start}), {-clearance(worst):.4g} m"
         )

@@ -26,7 +26,16 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
 
     Clearances are those of the vehicle's sphere, so negative means collision; they are computed
     after the flight, independently of the filter, over the continuous path. `map_clearance_m` is
-    against the hulls of the cover, `scene_clearance_m` against the ellipsoids when a scene was given.
+    against the hulls of the cover, `scene_clearance_m` against the ellipsoids when a scene was given. Jerk
+    is the second difference of the velocity at the rate of the filter.
+
+    What follows `max_jerk_m_s3` is of flights among ellipsoids, and None for others: the peak of the
+    reference's speed, the speed and largest acceleration of the body, how far at most it was from the
+    reference, the largest difference between the acceleration and the one that was commanded, the
+    least barrier of the filter, the least r' A r - 1 over all ellipsoids as the filter grew them (below 0
+    inside one; at the rate of the filter), and steps in which the backup policy flew, in which a safe backup
+    manoeuvre was proven to remain, in which the cap on the number of ellipsoids cut some off, and in which
+    the rotors could not do what was asked.
     """
 
     index: int
@@ -47,6 +56,17 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     fallback_steps: int
     mean_jerk_m_s3: float
     max_jerk_m_s3: float
+    reference_speed_m_s: float | None = None
+    mean_speed_m_s: float | None = None
+    max_acceleration_m_s2: float | None = None
+    max_tracking_error_m: float | None = None
+    peak_realisation_error_m_s2: float | None = None
+    min_margin: float | None = None
+    min_gamma: float | None = None
+    backup_steps: int | None = None
+    certified_steps: int | None = None
+    capped_steps: int | None = None
+    saturated_steps: int | None = None
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):

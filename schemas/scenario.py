@@ -7,11 +7,15 @@
     [map]
     cover = "room.cover.npz"      # relative to this file
     scene = "room.scene.npz"      # optional: also judge the flights against its ellipsoids
+    sigma = 1.0                   # level of the ellipsoids, or confidence; for filters that see them
     plan = "room.plan.npz"        # optional: fly this instead of random pairs
 
     [vehicle]
     radius_m = 0.1
-    v_max_m_s = 1.0
+    v_max_m_s = 1.0               # among ellipsoids: peak speed of the references
+    file = "drone.vehicle.toml"   # for filters that see ellipsoids, as are the next two
+    plant = "quadrotor"
+    interface = "wrench"
 
     [filter]
     name = "polytope-cbf"
@@ -29,7 +33,8 @@
     dt_s = 0.01
     max_time_s = 60.0
 
-Only `[map] cover` is required. What is left out has the default of the command's option.
+Only `[map] cover` is required, or `[map] scene` for a filter that sees its ellipsoids. What is left out has
+the default of the command's option.
 """
 
 from __future__ import annotations
@@ -54,6 +59,11 @@ _KEYS = {
     "--beta": "filter.parameters.beta",
     "--kappa": "filter.parameters.kappa_per_m",
     "--smoothing": "filter.parameters.smoothing",
+    "--sigma": "map.sigma",
+    "--confidence": "map.confidence",
+    "--inflate": "map.inflation_m",
+    "--plant": "vehicle.plant",
+    "--interface": "vehicle.interface",
     "--gain": "controller.gain",
     "--trials": "trials.count",
     "--bounds": "trials.bounds_m",
@@ -71,18 +81,24 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class MapTable(_Table, frozen=True, kw_only=True):
-    """Files, relative to the scenario's folder."""
+    """Files, relative to the scenario's folder, and the level of the scene's ellipsoids."""
 
-    cover: str
+    cover: str | None = None
     scene: str | None = None
     plan: str | None = None
+    sigma: float | None = None
+    confidence: float | None = None
+    inflation_m: float | None = None
 
 
 class VehicleTable(_Table, frozen=True, kw_only=True):
-    """The sphere that flies."""
+    """The sphere that flies; among ellipsoids also what is inside."""
 
     radius_m: float | None = None
     v_max_m_s: float | None = None
+    file: str | None = None
+    plant: Literal["quadrotor", "double-integrator"] | None = None
+    interface: Literal["wrench", "body-rates"] | None = None
 
 
 class FilterTable(_Table, frozen=True, kw_only=True):
@@ -138,6 +154,11 @@ class Scenario(_Table, frozen=True, kw_only=True):
             "filter": self.filter.name,
             "radius_m": self.vehicle.radius_m,
             "speed_m_s": self.vehicle.v_max_m_s,
+            "plant": self.vehicle.plant,
+            "interface": self.vehicle.interface,
+            "sigma": self.map.sigma,
+            "confidence": self.map.confidence,
+            "inflation_m": self.map.inflation_m,
             "gain": self.controller.gain,
             "trials": self.trials.count,
             "seed": self.trials.seed,
@@ -174,6 +195,8 @@ def read_scenario(path: Path) -> Scenario:
         raise UsageError(f"{path}: {error}") from error
     except (msgspec.DecodeError, UnicodeDecodeError, ValueError) as error:
         raise InputError(f"{path}: is not TOML ({error})") from error
+    if scenario.map.cover is None and scenario.map.scene is None:
+        raise UsageError(f"{path}: `$.map` needs a cover, or a scene for a filter that sees ellipsoids")
     if scenario.filter.name in (None, "polytope-cbf"):
         _check_built_in_parameters(path, scenario.filter.parameters)
     elif scenario.filter.name == "none" and scenario.filter.parameters:

@@ -12,10 +12,14 @@ from alula.schemas.errors import UsageError
 DEFAULT_RADIUS_M = 0.1
 DEFAULT_SPEED_M_S = 1.0
 
+# Fields that only flights among the hulls of a cover have, and those among the ellipsoids of a scene.
+HULLS_ONLY = ("gain", "beta", "kappa_per_m", "smoothing")
+ELLIPSOIDS_ONLY = ("sigma", "confidence", "inflation_m", "plant", "interface")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulateConfig:
-    """Parameters of `simulate`; None stands for what the plan says or for the documented default."""
+    """Parameters of `simulate`; None stands for what the plan or the vehicle says, or for the default."""
 
     name: str = field(default="run", metadata={"help": "Name of the run, for reports."})
     filter: str = field(
@@ -24,14 +28,16 @@ class SimulateConfig:
     radius_m: float | None = field(
         default=None,
         metadata={
-            "help": f"Radius of the vehicle [m]; default: the plan's, else {DEFAULT_RADIUS_M}.",
+            "help": "Radius of the vehicle [m]; default: of its file, else the plan's, "
+            f"else {DEFAULT_RADIUS_M}.",
             "option": "--radius",
         },
     )
     speed_m_s: float | None = field(
         default=None,
         metadata={
-            "help": f"Speed limit [m/s]; default: {DEFAULT_SPEED_M_S}, or 1.5 times a plan's.",
+            "help": f"Speed limit [m/s]; default: {DEFAULT_SPEED_M_S}, or 1.5 times a plan's. Among "
+            f"ellipsoids: peak of the references; default: {DEFAULT_SPEED_M_S}.",
             "option": "--speed",
         },
     )
@@ -56,7 +62,7 @@ class SimulateConfig:
         default=None,
         metadata={
             "help": "Box for starts and goals, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; "
-            "default: the central 98 % of the hulls' vertices on each axis.",
+            "default: the central 98 % of the hulls' vertices, or the Gaussians' centres, on each axis.",
             "metavar": "BOX",
         },
     )
@@ -68,21 +74,54 @@ class SimulateConfig:
         default=0.3, metadata={"help": "Least start-goal distance, as a part of the box's diagonal."}
     )
     stop_fraction: float = field(
-        default=0.01, metadata={"help": "Reached within this part of the start-goal distance, or 1 mm."}
+        default=0.01,
+        metadata={
+            "help": "Reached within this part of the start-goal distance, or 1 mm; among ellipsoids 5 cm."
+        },
     )
     dt_s: float = field(
-        default=0.01, metadata={"help": "Time step of filter and vehicle [s].", "option": "--dt"}
+        default=0.01,
+        metadata={
+            "help": "Time step of filter and vehicle [s]; a rigid body moves in steps of at most 1 ms.",
+            "option": "--dt",
+        },
     )
     max_time_s: float | None = field(
         default=None,
         metadata={
             "help": "A flight that takes longer has failed [s]; default: 10 s, and five times the "
-            "box's diagonal at the speed limit, or a plan's duration.",
+            "box's diagonal at the speed limit, or a plan's duration; among ellipsoids three times the "
+            "reference's duration.",
             "option": "--max-time",
         },
     )
     log_rate_hz: float = field(
         default=20.0, metadata={"help": "Samples per second in the log.", "option": "--log-rate"}
+    )
+    sigma: float = field(
+        default=1.0,
+        metadata={"help": "Level of the scene's ellipsoids as obstacles, in standard deviations."},
+    )
+    confidence: float | None = field(
+        default=None, metadata={"help": "Probability inside the ellipsoid; sets sigma by the chi-square law."}
+    )
+    inflation_m: float | None = field(
+        default=None,
+        metadata={
+            "help": "What filters add to the radius [m]; default: what the scene's alignment suggests.",
+            "option": "--inflate",
+        },
+    )
+    plant: Literal["quadrotor", "double-integrator"] | None = field(
+        default=None,
+        metadata={
+            "help": "What flies among ellipsoids; double-integrator: accelerations come true. "
+            "Default: as the vehicle's file says."
+        },
+    )
+    interface: Literal["wrench", "body-rates"] = field(
+        default="wrench",
+        metadata={"help": "What a quadrotor is told: thrust and torque, or thrust and body rates."},
     )
     seed: int = field(default=0, metadata={"internal": True})
     filter_parameters: Mapping[str, Any] = field(default_factory=dict, metadata={"internal": True})
@@ -109,6 +148,15 @@ class SimulateConfig:
             raise UsageError("--bounds needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
         if self.smoothing not in ("sound", "paper"):
             raise UsageError(f"--smoothing must be sound or paper, not {self.smoothing!r}")
+        _between("--sigma", self.sigma, 0.01, 100)
+        if self.confidence is not None and not (0 < self.confidence < 1):
+            raise UsageError(f"--confidence must be between 0 and 1, not {self.confidence}")
+        if self.inflation_m is not None:
+            _between("--inflate", self.inflation_m, 0.0, 1e3)
+        if self.plant not in (None, "quadrotor", "double-integrator"):
+            raise UsageError(f"--plant must be quadrotor or double-integrator, not {self.plant!r}")
+        if self.interface not in ("wrench", "body-rates"):
+            raise UsageError(f"--interface must be wrench or body-rates, not {self.interface!r}")
         if not self.name.strip():
             raise UsageError("--name must not be empty")
 

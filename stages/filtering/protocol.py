@@ -28,6 +28,8 @@ class FilterStatus(IntEnum):
     """Too close already: drives out, the nominal input is ignored."""
     REFUSED = 4
     """No safe input is known; `u` is zero."""
+    BACKUP = 5
+    """The backup policy is flown; only by filters among ellipsoids."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,19 +82,24 @@ def solve_qp(
 
     Source: Goldfarb, Idnani 1983, "A numerically stable dual method for solving strictly convex QPs".
     """
-    problem = tuple(
+    hessian, gradient, rows, bounds = (
         np.ascontiguousarray(part, dtype=np.float64) for part in (hessian, gradient, rows, bounds)
     )
     names = np.array([row for row in warm if row >= 0], dtype=np.uint32)
     if solver not in ("active-set", "clarabel"):
         raise UsageError(f"no QP solver is called {solver!r}; there are active-set and clarabel")
+    n, m = gradient.size, bounds.size
+    if not 1 <= n <= 8 or (hessian.shape, gradient.shape, rows.shape, bounds.shape) != (
+        (n, n),
+        (n,),
+        (m, n),
+        (m,),
+    ):
+        shapes = ", ".join(str(part.shape) for part in (hessian, gradient, rows, bounds))
+        raise UsageError(f"not a quadratic program of 1 to 8 variables: shapes {shapes}")
     native = _core.QpSolver(clarabel_backend if solver == "clarabel" else None)
-    try:
-        result = native.solve(*problem, warm=names)
-    except (TypeError, ValueError) as error:
-        shapes = ", ".join(str(part.shape) for part in problem)
-        raise UsageError(f"not a quadratic program of 1 to 8 variables: shapes {shapes}") from error
-    multipliers = np.zeros(len(problem[3]))
+    result = native.solve(hessian, gradient, rows, bounds, names)
+    multipliers = np.zeros(m)
     multipliers[result.active] = result.multipliers
     return QpSolution(
         QpStatus(result.status), result.x, multipliers, result.active.astype(np.int64), result.violation
@@ -130,23 +135,25 @@ def clarabel_backend(
         active = np.flatnonzero(dual > slack)
         return QpStatus.OPTIMAL, list(solution.x), active.tolist(), dual[active].tolist()
     if solution.status == clarabel.SolverStatus.PrimalInfeasible:
-        weight = np.maximum(np.array(solution.z), 0) * np.linalg.norm(rows, axis=1)
-        if not weight.any():  # a row of zeros that asks for more
-            return QpStatus.INFEASIBLE, [0.0] * n, [int(np.argmax(bounds))], [1.0]
+        size = np.linalg.norm(rows, axis=1)
+        impossible = np.flatnonzero((size == 0) & (bounds > 0))
+        if len(impossible):
+            return QpStatus.INFEASIBLE, [0.0] * n, [int(impossible[0])], [1.0]
+        weight = np.maximum(np.array(solution.z), 0) * size
         active = np.flatnonzero(weight > 1e-9 * weight.max())
-        dual = _few(rows[active], bounds[active], np.array(solution.z)[active])
-        dual /= dual @ np.linalg.norm(rows[active], axis=1)
-        return QpStatus.INFEASIBLE, [0.0] * n, active[dual > 0].tolist(), dual[dual > 0].tolist()
+        weight = _few(rows[active] / size[active, None], bounds[active] / size[active], weight[active])
+        if weight.any():
+            kept = weight > 0
+            dual = weight[kept] / size[active][kept] / weight.sum()
+            return QpStatus.INFEASIBLE, [0.0] * n, active[kept].tolist(), dual.tolist()
     return nothing
 
 
-def _few(rows: FloatArray, bounds: FloatArray, dual: FloatArray) -> FloatArray:
-    """A certificate of the same rows with at most n + 1 of them (Caratheodory)."""
-    if len(bounds) <= rows.shape[1] + 1:
-        return dual
+def _few(rows: FloatArray, bounds: FloatArray, weight: FloatArray) -> FloatArray:
+    """A certificate of the same unit rows that needs at most n + 1 of them; zeros if there is none."""
+    if len(bounds) <= rows.shape[1] + 1 or not bounds.any():
+        return weight
     from scipy.optimize import nnls
 
-    size = np.linalg.norm(rows, axis=1)
-    equations = np.vstack([(rows / size[:, None]).T, bounds / size])
-    basic, _ = nnls(equations, np.append(np.zeros(rows.shape[1]), 1.0))
-    return np.asarray(basic / size)
+    equations = np.vstack([rows.T, bounds / np.abs(bounds).max()])
+    return np.asarray(nnls(equations, np.append(np.zeros(rows.shape[1]), 1.0))[0])

@@ -9,15 +9,28 @@ from typing import Any
 from alula.schemas.errors import UsageError
 from alula.stages.filtering.polytope_cbf import no_filter, polytope_cbf
 from alula.stages.filtering.protocol import Filter, FilterFactory, World
+from alula.stages.filtering.splat_filters import SPLAT_FILTERS, parameters_of
+from alula.stages.filtering.splat_protocol import SplatFilter, SplatFilterFactory, SplatWorld
 
 ENTRY_POINTS = "alula.filters"
-_BUILT_IN: dict[str, FilterFactory] = {"none": no_filter, "polytope-cbf": polytope_cbf}
+SPLAT_ENTRY_POINTS = "alula.splat_filters"
+NO_FILTER = "none"
+_BUILT_IN: dict[str, FilterFactory] = {NO_FILTER: no_filter, "polytope-cbf": polytope_cbf}
 
 
 def filter_names() -> list[str]:
-    """All filters there are; the built-in ones first."""
-    others = {point.name for point in entry_points(group=ENTRY_POINTS)} - _BUILT_IN.keys()
-    return [*_BUILT_IN, *sorted(others)]
+    """All filters among the hulls of a cover; the built-in ones first."""
+    return _names(_BUILT_IN, ENTRY_POINTS)
+
+
+def splat_filter_names() -> list[str]:
+    """All filters among the ellipsoids of a scene; the built-in ones first."""
+    return _names({NO_FILTER: None, **SPLAT_FILTERS}, SPLAT_ENTRY_POINTS)
+
+
+def _names(built_in: Mapping[str, Any], group: str) -> list[str]:
+    others = {point.name for point in entry_points(group=group)} - built_in.keys()
+    return [*built_in, *sorted(others)]
 
 
 def make_filter(name: str, world: World, parameters: Mapping[str, Any]) -> Filter:
@@ -28,13 +41,44 @@ def make_filter(name: str, world: World, parameters: Mapping[str, Any]) -> Filte
     Raises:
         UsageError: there is no such filter, its package cannot be imported, or a parameter is wrong.
     """
-    factory = _BUILT_IN.get(name)
-    if factory is None:
-        points = [point for point in entry_points(group=ENTRY_POINTS) if point.name == name]
-        if not points:
-            raise UsageError(f"no filter is called {name!r}; known: {', '.join(filter_names())}")
-        try:
-            factory = points[0].load()
-        except (ImportError, AttributeError) as error:
-            raise UsageError(f"filter {name!r} cannot be loaded from {points[0].value}: {error}") from error
+    factory = _BUILT_IN.get(name) or _load(name, ENTRY_POINTS, filter_names())
+    made: Filter = factory(world, parameters)
+    return made
+
+
+def make_splat_filter(name: str, world: SplatWorld, parameters: Mapping[str, Any]) -> SplatFilter | None:
+    """Build a filter among ellipsoids; None for `none`.
+
+    The entry point of another package in the group `alula.splat_filters` names a callable
+    (world, parameters) -> SplatFilter.
+
+    Raises:
+        UsageError: there is no such filter, its package cannot be imported, or a parameter is wrong.
+    """
+    if name == NO_FILTER:
+        return None
+    factory: SplatFilterFactory = SPLAT_FILTERS.get(name) or _load(
+        name, SPLAT_ENTRY_POINTS, splat_filter_names()
+    )
     return factory(world, parameters)
+
+
+def complete_parameters(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """All parameters of a filter among ellipsoids with their defaults; of another package's those given.
+
+    Raises:
+        UsageError: a parameter is unknown or of the wrong type.
+    """
+    if name == NO_FILTER and given:
+        raise UsageError("the filter none has no parameters")
+    return parameters_of(name, given) if name in SPLAT_FILTERS else dict(given)
+
+
+def _load(name: str, group: str, known: list[str]) -> Any:
+    points = [point for point in entry_points(group=group) if point.name == name]
+    if not points:
+        raise UsageError(f"no filter is called {name!r}; known: {', '.join(known)}")
+    try:
+        return points[0].load()
+    except (ImportError, AttributeError) as error:
+        raise UsageError(f"filter {name!r} cannot be loaded from {points[0].value}: {error}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, BinaryIO
 
 import msgspec
@@ -9,12 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
+from alula.schemas.kinds import SCENE
 from alula.schemas.provenance import RUN_METADATA
 from alula.schemas.run import RunRecord, TrialResult
 from alula.stages.compression.facets import mesh
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.log_schemas import SCHEMAS
 from alula.stages.flight.simulate import FlightLog
+from alula.stages.flight.splat_log import SplatFlightLog, ellipsoid_entity, safety_fields, state_fields
+
+AnyFlight = FlightLog | SplatFlightLog
 
 _CHANNELS = {
     "/map": "foxglove.SceneUpdate",
@@ -23,6 +28,7 @@ _CHANNELS = {
     "/safety": "alula.Safety",
     "/log": "foxglove.Log",
 }
+_RIGID_CHANNELS = {"/pose": "foxglove.PoseInFrame"}
 _GAP_S = 1.0  # between trials, which follow one another in log time
 _DECIMALS = 6  # micrometres; the record has the exact figures
 _LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
@@ -31,11 +37,12 @@ _MAP_COLOR = {"r": 0.55, "g": 0.6, "b": 0.68, "a": 0.6}
 
 
 def write_log(
-    stream: BinaryIO, record: RunRecord, flights: list[FlightLog], cover: Artifact, frame: str
+    stream: BinaryIO, record: RunRecord, flights: Sequence[AnyFlight], flown_through: Artifact, frame: str
 ) -> None:
     """Write a log; equal arguments give equal bytes.
 
-    Channels, all JSON: `/map` once, `/path` per trial, `/state` and `/safety` per sample, `/log` per trial.
+    Channels, all JSON: `/map` once, `/path` per trial, `/state` and `/safety` per sample, `/log` per trial;
+    of a rigid body also `/pose` per sample. The map is hulls as triangles, or ellipsoids as spheres.
     Log time starts at 0 and trials follow one another with a second between them. The metadata
     `alula/summary` holds the record without its measured times, and its provenance.
 
@@ -43,7 +50,7 @@ def write_log(
         stream: where to write; the caller makes the file appear.
         record: the summary.
         flights: the samples of each trial, in the order of `record.trials`.
-        cover: the map, an `alula/cover`.
+        flown_through: the map, an `alula/cover` or an `alula/scene`.
         frame: name of the frame of all positions.
     """
     from mcap.writer import Writer
@@ -51,7 +58,8 @@ def write_log(
     writer = Writer(stream)
     writer.start(profile="", library="alula")
     channels = {}
-    for topic, schema in _CHANNELS.items():
+    rigid = any(isinstance(flight, SplatFlightLog) for flight in flights)
+    for topic, schema in (_CHANNELS | (_RIGID_CHANNELS if rigid else {})).items():
         data = msgspec.json.encode(SCHEMAS[schema], order="sorted")
         schema_id = writer.register_schema(schema, "jsonschema", data)
         channels[topic] = writer.register_channel(topic, "json", schema_id)
@@ -60,12 +68,14 @@ def write_log(
         nanoseconds = _nanoseconds(time_s)
         writer.add_message(channels[topic], nanoseconds, msgspec.json.encode(message), nanoseconds)
 
-    send("/map", 0.0, _map_message(cover, frame))
+    send("/map", 0.0, _map_message(flown_through, record, flights, frame))
     begin_s = 0.0
     for trial, flight in zip(record.trials, flights, strict=True):
         send("/path", begin_s, _path_message(flight, frame, begin_s))
         for i in range(len(flight.time_s)):
             now_s = begin_s + float(flight.time_s[i])
+            if isinstance(flight, SplatFlightLog):
+                send("/pose", now_s, _pose_message(flight, i, frame, now_s))
             send("/state", now_s, _state_message(trial.index, flight, i))
             send("/safety", now_s, _safety_message(trial.index, flight, i))
         begin_s += float(flight.time_s[-1])
@@ -93,20 +103,23 @@ def _xyz(vector: NDArray[np.float64]) -> dict[str, float]:
     return {"x": x, "y": y, "z": z}
 
 
-def _state_message(trial: int, flight: FlightLog, i: int) -> dict[str, Any]:
-    return {
+def _state_message(trial: int, flight: AnyFlight, i: int) -> dict[str, Any]:
+    common = {
         "trial": trial,
         "time_s": round(float(flight.time_s[i]), 9),
         "position_m": _xyz(flight.position[i]),
-        "velocity_m_s": _xyz(flight.velocity[i]),
     }
+    if isinstance(flight, SplatFlightLog):
+        return common | state_fields(flight, i)
+    return common | {"velocity_m_s": _xyz(flight.velocity[i])}
 
 
-def _safety_message(trial: int, flight: FlightLog, i: int) -> dict[str, Any]:
+def _safety_message(trial: int, flight: AnyFlight, i: int) -> dict[str, Any]:
+    common = {"trial": trial, "time_s": round(float(flight.time_s[i]), 9)}
+    if isinstance(flight, SplatFlightLog):
+        return common | safety_fields(flight, i)
     status = FilterStatus(int(flight.status[i]))
-    return {
-        "trial": trial,
-        "time_s": round(float(flight.time_s[i]), 9),
+    return common | {
         "h_m": round(float(flight.margin[i]), _DECIMALS),
         "status": int(status),
         "status_name": status.name.lower(),
@@ -115,7 +128,12 @@ def _safety_message(trial: int, flight: FlightLog, i: int) -> dict[str, Any]:
     }
 
 
-def _path_message(flight: FlightLog, frame: str, time_s: float) -> dict[str, Any]:
+def _pose_message(flight: SplatFlightLog, i: int, frame: str, time_s: float) -> dict[str, Any]:
+    pose = {"position": _xyz(flight.position[i]), "orientation": state_fields(flight, i)["attitude"]}
+    return {"timestamp": _stamp(time_s), "frame_id": frame, "pose": pose}
+
+
+def _path_message(flight: AnyFlight, frame: str, time_s: float) -> dict[str, Any]:
     poses = [{"position": _xyz(point), "orientation": _UPRIGHT} for point in flight.position]
     return {"timestamp": _stamp(time_s), "frame_id": frame, "poses": poses}
 
@@ -123,8 +141,11 @@ def _path_message(flight: FlightLog, frame: str, time_s: float) -> dict[str, Any
 def _log_message(trial: TrialResult, time_s: float) -> dict[str, Any]:
     level = _LEVEL_INFO if trial.outcome == "reached" else _LEVEL_WARNING
     words = f"trial {trial.index}: {trial.outcome} after {trial.duration_s:.2f} s"
-    if trial.map_clearance_m is not None:
-        words += f", least clearance {trial.map_clearance_m:.4f} m"
+    clearance = (
+        trial.map_clearance_m if trial.peak_realisation_error_m_s2 is None else trial.scene_clearance_m
+    )
+    if clearance is not None:
+        words += f", least clearance {clearance:.4f} m"
     if trial.collision:
         level, words = _LEVEL_ERROR, words + ", COLLISION"
     return {
@@ -137,7 +158,25 @@ def _log_message(trial: TrialResult, time_s: float) -> dict[str, Any]:
     }
 
 
-def _map_message(cover: Artifact, frame: str) -> dict[str, Any]:
+def _map_message(
+    flown_through: Artifact, record: RunRecord, flights: Sequence[AnyFlight], frame: str
+) -> dict[str, Any]:
+    if flown_through.kind is SCENE:
+        paths = [flight.position for flight in flights]
+        shape = ellipsoid_entity(flown_through, float(record.summary["sigma"]), paths)
+    else:
+        shape = _hull_entity(flown_through)
+    entity = {
+        "timestamp": _stamp(0.0),
+        "frame_id": frame,
+        "id": "map",
+        "lifetime": _stamp(0.0),
+        "frame_locked": True,
+    }
+    return {"deletions": [], "entities": [entity | shape]}
+
+
+def _hull_entity(cover: Artifact) -> dict[str, Any]:
     """The surface of each hull as a triangle list, counter-clockwise from outside."""
     surface = mesh(cover)
     points = surface.points_voxel * float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
@@ -154,13 +193,4 @@ def _map_message(cover: Artifact, frame: str) -> dict[str, Any]:
                 "indices": rows.ravel().tolist(),
             }
         )
-    entity = {
-        "timestamp": _stamp(0.0),
-        "frame_id": frame,
-        "id": "map",
-        "lifetime": _stamp(0.0),
-        "frame_locked": True,
-        "metadata": [{"key": "hulls", "value": str(len(surface))}],
-        "triangles": triangles,
-    }
-    return {"deletions": [], "entities": [entity]}
+    return {"metadata": [{"key": "hulls", "value": str(len(surface))}], "triangles": triangles}

@@ -16,6 +16,7 @@ def _array(items: Any) -> dict[str, Any]:
 _NUMBER = {"type": "number"}
 _INTEGER = {"type": "integer"}
 _TEXT = {"type": "string"}
+_FLAG = {"type": "boolean"}
 _TIME = {**_object(sec=_INTEGER, nsec=_INTEGER), "title": "time"}
 _DURATION = {**_object(sec=_INTEGER, nsec=_INTEGER), "title": "duration"}
 _VECTOR = {**_object(x=_NUMBER, y=_NUMBER, z=_NUMBER), "title": "foxglove.Vector3"}
@@ -29,6 +30,7 @@ _TRIANGLES = {
     ),
     "title": "foxglove.TriangleListPrimitive",
 }
+_SPHERE = {**_object(pose=_POSE, size=_VECTOR, color=_COLOR), "title": "foxglove.SpherePrimitive"}
 _ENTITY = {
     **_object(
         timestamp=_TIME,
@@ -37,6 +39,7 @@ _ENTITY = {
         lifetime=_DURATION,
         frame_locked={"type": "boolean"},
         metadata=_array(_object(key=_TEXT, value=_TEXT)),
+        spheres=_array(_SPHERE),
         triangles=_array(_TRIANGLES),
     ),
     "title": "foxglove.SceneEntity",
@@ -46,8 +49,19 @@ SCHEMAS: dict[str, dict[str, Any]] = {
     name: {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": name, **schema}
     for name, schema in {
         "alula.State": {
-            **_object(trial=_INTEGER, time_s=_NUMBER, position_m=_VECTOR, velocity_m_s=_VECTOR),
-            "description": "Position and velocity in the world frame; time_s counts from the trial's start.",
+            **_object(
+                trial=_INTEGER,
+                time_s=_NUMBER,
+                position_m=_VECTOR,
+                velocity_m_s=_VECTOR,
+                attitude=_QUATERNION,
+                omega_body_rad_s=_VECTOR,
+                rotor_thrust_n=_array(_NUMBER),
+                thrust_n=_NUMBER,
+                torque_body_nm=_VECTOR,
+            ),
+            "description": "Position and velocity in the world frame; time_s counts from the trial's start. "
+            "Of a rigid body also attitude (body to world), body rates, and what its rotors make.",
         },
         "alula.Safety": {
             **_object(
@@ -58,10 +72,29 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 status_name=_TEXT,
                 u_nom_m_s=_VECTOR,
                 u_safe_m_s=_VECTOR,
+                margin=_NUMBER,
+                margin_unit=_TEXT,
+                infeasible=_FLAG,
+                certified=_FLAG,
+                capped=_FLAG,
+                saturated=_FLAG,
+                active=_INTEGER,
+                candidates=_INTEGER,
+                rows=_INTEGER,
+                iterations=_INTEGER,
+                gate_m=_NUMBER,
+                a_nom_m_s2=_VECTOR,
+                a_safe_m_s2=_VECTOR,
+                realisation_error_m_s2=_NUMBER,
+                thrust_nom_n=_NUMBER,
+                torque_nom_body_nm=_VECTOR,
             ),
-            "description": "The filter's margin h and status, the nominal and the filtered input.",
+            "description": "The filter's margin and status, the nominal and the filtered input: h_m and "
+            "velocities among hulls; among ellipsoids the filter's own barrier, not in metres, and "
+            "accelerations.",
         },
         "foxglove.PosesInFrame": _object(timestamp=_TIME, frame_id=_TEXT, poses=_array(_POSE)),
+        "foxglove.PoseInFrame": _object(timestamp=_TIME, frame_id=_TEXT, pose=_POSE),
         "foxglove.SceneUpdate": _object(
             deletions=_array(_object(timestamp=_TIME, type=_INTEGER, id=_TEXT)), entities=_array(_ENTITY)
         ),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,8 @@ from alula.stages.filtering.protocol import Filter, FilterStatus, World
 from alula.stages.filtering.registry import make_filter
 from alula.stages.flight.closed_loop import Flown, fly
 from alula.stages.flight.reference import NO_REFERENCE, Reference, sample_plan
-from alula.stages.flight.trials import Pairs, sample_pairs, trial_bounds
+from alula.stages.flight.splat_log import SplatFlightLog
+from alula.stages.flight.trials import Pairs, central_box, sample_pairs
 from alula.stages.reporting.metrics import (
     hull_obstacles,
     path_clearance,
@@ -61,16 +62,20 @@ class FlightLog:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """What a run's record and log are written from; `filter_s` is measured, all else reproducible."""
+    """What a run's record and log are written from; `filter_s` and `tick_s` are measured, the rest is not.
+
+    `map` is the cover, or the scene, that was flown through; `tick_s` the time of controller and filter.
+    """
 
     filter: str
     vehicle: str
     trials: list[TrialResult]
     summary: dict[str, Any]
     guarantee: Guarantee
-    flights: list[FlightLog]
-    cover: Artifact
+    flights: Sequence[FlightLog | SplatFlightLog]
+    map: Artifact
     filter_s: NDArray[np.float32]
+    tick_s: NDArray[np.float32] | None = None
 
 
 def resolve(config: SimulateConfig, plan: Artifact | None) -> SimulateConfig:
@@ -135,7 +140,7 @@ def simulate(
     hulls = Hulls.from_cover(cover)
     judge = _Judge(hulls, scene, float(cover.manifest.sigma), config.radius_m, jobs)  # type: ignore[attr-defined]
     reference = NO_REFERENCE if plan is None else sample_plan(plan, config.dt_s)
-    bounds = None if plan is not None else trial_bounds(hulls, config.bounds)
+    bounds = None if plan is not None else central_box(hulls.vertices_world, config.bounds, "hulls")
     world = World(
         hulls=hulls,
         radius_m=config.radius_m,
@@ -188,7 +193,7 @@ def simulate(
         summary=_summary(trials, pairs, safety_filter),
         guarantee=_guarantee(config, cover, trials, safety_filter),
         flights=flights,
-        cover=cover,
+        map=cover,
         filter_s=np.concatenate(seconds),
     )
 

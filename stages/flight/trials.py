@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.errors import InfeasibleError, UsageError
-from alula.stages.compression.hulls import Hulls
 
 FloatArray = NDArray[np.float64]
 
 _BLOCK = 256  # candidates drawn at a time
 _BLOCKS = 64  # then it is hopeless
-_TAIL_PERCENT = 1.0  # of the vertices on each side of each axis lies outside the default bounds
+_TAIL_PERCENT = 1.0  # of the points on each side of each axis lies outside the default bounds
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,17 +30,19 @@ class Pairs:
     sampled_inside_hulls: int
 
 
-def trial_bounds(hulls: Hulls, given: tuple[float, ...] | None) -> tuple[FloatArray, FloatArray]:
-    """The box for starts and goals: the given one, else the central 98 % of the vertices per axis.
+def central_box(
+    points: FloatArray, given: tuple[float, ...] | None, what: str
+) -> tuple[FloatArray, FloatArray]:
+    """The box for starts and goals: the given one, else the central 98 % of points (N, 3) per axis.
 
     Raises:
-        UsageError: none is given and the map has no volume to take one from.
+        UsageError: none is given and there is nothing, `what` in words, to take one from.
     """
     if given is not None:
         return np.array(given[:3]), np.array(given[3:])
-    if len(hulls) == 0:
-        raise UsageError("the map has no hulls to take bounds from; give --bounds")
-    lower, upper = np.percentile(hulls.vertices_world, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
+    if len(points) == 0:
+        raise UsageError(f"the map has no {what} to take bounds from; give --bounds")
+    lower, upper = np.percentile(points, [_TAIL_PERCENT, 100 - _TAIL_PERCENT], axis=0)
     return lower, upper
 
 

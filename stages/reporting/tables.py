@@ -138,7 +138,38 @@ def _summary_of(run: Run) -> dict[str, Any]:
         "mean jerk [m/s³]": float(np.mean([t.mean_jerk_m_s3 for t in trials])) if trials else None,
         "steps": steps,
         **{key: count / steps if steps else None for key, count in shares.items()},
+        **_among_ellipsoids(run, steps),
     }
+
+
+def _among_ellipsoids(run: Run, steps: int) -> dict[str, Any]:
+    """What only flights among ellipsoids have; empty for others."""
+    trials, summary = run.record.trials, run.record.summary
+    if all(trial.peak_realisation_error_m_s2 is None for trial in trials):
+        return {}
+    counts = {
+        "share of steps on the backup policy": "backup_steps",
+        "share of steps with a safe backup proven": "certified_steps",
+        "share of steps with ellipsoids cut off": "capped_steps",
+        "share of steps beyond the rotors": "saturated_steps",
+    }
+    most = {
+        "speed of the references, most [m/s]": "reference_speed_m_s",
+        "mean speed of a trial, most [m/s]": "mean_speed_m_s",
+        "largest acceleration [m/s²]": "max_acceleration_m_s2",
+        "largest distance from the reference [m]": "max_tracking_error_m",
+        "largest realisation error [m/s²]": "peak_realisation_error_m_s2",
+    }
+    found: dict[str, Any] = {"level of the ellipsoids [σ]": summary.get("sigma")}
+    found |= {title: max(_known(trials, key), default=None) for title, key in most.items()}
+    found["least γ = rᵀAr - 1"] = min(_known(trials, "min_gamma"), default=None)
+    return found | {
+        title: sum(_known(trials, key)) / steps if steps else None for title, key in counts.items()
+    }
+
+
+def _known(trials: Sequence[TrialResult], key: str) -> list[Any]:
+    return [value for trial in trials if (value := getattr(trial, key)) is not None]
 
 
 def runs_table(material: Material) -> Table:
@@ -170,6 +201,14 @@ def trials_table(run: Run, name: str) -> Table:
         "fallback": lambda t: t.fallback_steps,
     }
     trials = run.record.trials
+    if _known(trials, "peak_realisation_error_m_s2"):
+        columns |= {
+            "backup": lambda t: t.backup_steps,
+            "proven": lambda t: t.certified_steps,
+            "realisation error [m/s²]": lambda t: t.peak_realisation_error_m_s2,
+            "largest jerk [m/s³]": lambda t: t.max_jerk_m_s3,
+            "least γ": lambda t: t.min_gamma,
+        }
     rows = tuple(tuple(get(trial) for get in columns.values()) for trial in trials[:_LISTED_TRIALS])
     note = (
         f"The first {len(rows)} of {len(trials)}; the CSV beside has them all."

@@ -202,7 +202,7 @@ def test_a_filtered_collision_is_written_and_exits_with_4(cover, tmp_path, capsy
         (["COVER", "--scene", "COVER"], 3, "is alula/cover, but alula/scene is needed"),
         (["PLAN"], 2, "needs --map"),
         (["PLAN", "--map", "COVER", "--trials", "2"], 2, "flown once"),
-        (["PLAN", "--map", "PLAN"], 3, "is alula/plan, but alula/cover is needed"),
+        (["PLAN", "--map", "PLAN"], 3, "is alula/plan, but alula/cover or"),
         (["VOXELS"], 3, "is alula/voxels, but a scenario"),
         (["absent.npz"], 3, "does not exist"),
         (["absent.toml"], 3, "cannot read"),

@@ -81,7 +81,7 @@ def test_parameters_of_a_foreign_filter_are_its_own(tmp_path):
     ("text", "message"),
     [
         ("# nothing", "`map`"),
-        ("[map]", "`cover`"),
+        ("[map]", r"`\$\.map` needs a cover"),
         ('map = "c"', r"\$\.map"),
         ('[map]\ncover = "c"\ncolour = 1', r"`colour` - at `\$\.map`"),
         ('[map]\ncover = "c"\n[vehicle]\nradius = 1', r"`radius` - at `\$\.vehicle`"),

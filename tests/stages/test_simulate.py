@@ -17,7 +17,7 @@ from alula.stages.filtering import registry
 from alula.stages.filtering.protocol import FilterResult, FilterStatus, World
 from alula.stages.flight.reference import sample_plan
 from alula.stages.flight.simulate import simulate
-from alula.stages.flight.trials import sample_pairs, trial_bounds
+from alula.stages.flight.trials import central_box, sample_pairs
 
 G = 0.1  # voxel size [m]
 TWO_BLOCKS = [((10, 10, 0), (14, 30, 20)), ((24, 0, 0), (28, 20, 20))]
@@ -260,7 +260,7 @@ def test_pairs_are_clear_apart_uniform_and_counted():
 
 def test_default_bounds_leave_out_far_vertices():
     blocks = [((i, 0, 0), (i + 1, 1, 1)) for i in range(199)] + [((5000, 0, 0), (5001, 1, 1))]
-    _, upper = trial_bounds(Hulls.from_cover(box_cover(blocks)), None)
+    _, upper = central_box(Hulls.from_cover(box_cover(blocks)).vertices_world, None, "hulls")
     assert upper[0] < 20.1
 
 

@@ -53,8 +53,10 @@ Answer solve(QpSolver& solver, Matrix hessian, InVector<double> gradient, Matrix
 }
 
 // All problems of a stack one after the other; see the docstring.
-nb::dict solve_many(QpSolver& solver, Stack hessian, Matrix gradient, Stack rows, Matrix bounds,
-                    std::optional<In<std::uint32_t, nb::shape<-1, -1>>> warm, unsigned repeats) {
+nb::typed<nb::dict, nb::str, nb::any> solve_many(QpSolver& solver, Stack hessian, Matrix gradient, Stack rows,
+                                                 Matrix bounds,
+                                                 std::optional<In<std::uint32_t, nb::shape<-1, -1>>> warm,
+                                                 unsigned repeats) {
   const std::size_t count = gradient.shape(0), n = gradient.shape(1), m = bounds.shape(1);
   if (hessian.shape(0) != count || hessian.shape(1) != n || hessian.shape(2) != n || rows.shape(0) != count ||
       rows.shape(1) != m || rows.shape(2) != n || bounds.shape(0) != count || (warm && warm->shape(0) != count)) {

@@ -16,12 +16,13 @@ void bind_search(nb::module_& m);
 void bind_outer_solid(nb::module_& m);
 void bind_ply_rows(nb::module_& m);
 void bind_scene_rows(nb::module_& m);
-void bind_qp(nb::module_& m);
 void bind_vehicle(nb::module_& m);
 void bind_tracking(nb::module_& m);
+void bind_qp(nb::module_& m);
 void bind_splat_filters(nb::module_& m);
 void bind_backup(nb::module_& m);
 void bind_wrench_filters(nb::module_& m);
+void bind_splat_flight(nb::module_& m);
 
 NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
@@ -39,10 +40,11 @@ NB_MODULE(_core, m) {
   bind_outer_solid(m);
   bind_ply_rows(m);
   bind_scene_rows(m);
-  bind_qp(m);
   bind_vehicle(m);
   bind_tracking(m);
+  bind_qp(m);
   bind_splat_filters(m);
   bind_backup(m);
   bind_wrench_filters(m);
+  bind_splat_flight(m);
 }

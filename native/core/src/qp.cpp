@@ -40,15 +40,19 @@ bool all_finite(std::span<const double> values) {
   return std::all_of(values.begin(), values.end(), [](double v) { return std::isfinite(v); });
 }
 
-// The slow and careful run, for what double precision cannot settle.
+// The slow and careful run, for what double precision cannot settle. What is infeasible by less than a
+// certificate can show, and feasible by more than a proof bears, is taken for feasible.
 QpResult solve_wide(const QpProblem& problem, int iterations) {
-  DualPass<qp::Wide, 0> pass(problem);
-  QpResult result;
-  if (pass.factor() && pass.run({}, {}, result) != Outcome::stuck) {
+  for (const double loose : {1.0, qp::kLoose}) {
+    DualPass<qp::Wide, 0> pass(problem, loose);
+    QpResult result;
+    if (!pass.factor()) break;
+    const Outcome outcome = pass.run({}, {}, result);
     result.iterations += iterations;
-    return result;
+    if (outcome != Outcome::stuck) return result;
+    iterations = result.iterations;
   }
-  return failed(iterations + result.iterations);
+  return failed(iterations);
 }
 
 }  // namespace

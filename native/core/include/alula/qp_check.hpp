@@ -17,6 +17,7 @@ inline constexpr std::uint32_t kNone = 0xffffffffu;
 inline constexpr double kUnit = 0x1p-53;
 inline constexpr double kFeasible = 32 * kUnit;     // of |a_i| . |x| + |b_i|
 inline constexpr double kStationary = 256 * kUnit;  // of (|H| |x| + |g| + |A|^T y)_j
+inline constexpr double kLoose = 128;               // times these, where the strict proof does not exist
 inline constexpr double kCertain = 32 * kUnit;      // of (y^T |A|)_j and of y^T |b|
 
 // |v|; what is subnormal counts as the least normal number, as it is rounded like one.
@@ -25,6 +26,9 @@ Wide magnitude(Real v) {
   const Wide size = std::fabs(static_cast<Wide>(v)), least = std::numeric_limits<double>::min();
   return size < least ? least : size;
 }
+
+// |sum| <= bound; what has overflowed proves nothing.
+inline bool within(Wide sum, Wide bound) { return std::isfinite(bound) && std::fabs(sum) <= bound; }
 
 inline Wide symmetric(const QpProblem& p, std::size_t j, std::size_t k) {
   return (static_cast<Wide>(p.hessian[j * p.n + k]) + static_cast<Wide>(p.hessian[k * p.n + j])) / 2;
@@ -57,7 +61,7 @@ struct Violations {
 
 // n is a template parameter for speed; 0: p.n.
 template <int N>
-Violations violations(const QpProblem& p, const double* x) {
+Violations violations(const QpProblem& p, const double* x, double loose = 1) {
   const std::size_t n = N > 0 ? static_cast<std::size_t>(N) : p.n, m = p.bounds.size();
   Violations found;
   double worst = 0;
@@ -71,7 +75,7 @@ Violations violations(const QpProblem& p, const double* x) {
     if (exact <= 0) continue;
     const double distance = static_cast<double>(exact) / row_norm(p, i);
     if (!(distance <= found.greatest)) found.greatest = distance;
-    if (!(exact <= kFeasible * size) && !(distance <= worst)) {
+    if (!within(exact, loose * kFeasible * size) && !(distance <= worst)) {
       worst = distance;
       found.worst = static_cast<std::uint32_t>(i);
     }
@@ -79,9 +83,11 @@ Violations violations(const QpProblem& p, const double* x) {
   return found;
 }
 
-// Whether y >= 0 of the given rows makes x stationary, and these rows hold with equality.
-inline bool is_stationary(const QpProblem& p, const double* x, std::span<const std::uint32_t> rows, const double* y) {
+// Whether x is finite, y >= 0 of the given rows makes it stationary, and these rows hold with equality.
+inline bool is_stationary(const QpProblem& p, const double* x, std::span<const std::uint32_t> rows, const double* y,
+                          double loose) {
   for (std::size_t j = 0; j < p.n; ++j) {
+    if (!std::isfinite(x[j])) return false;
     Wide sum = p.gradient[j], size = std::fabs(sum);
     for (std::size_t k = 0; k < p.n; ++k) {
       const Wide h = symmetric(p, j, k);
@@ -93,12 +99,12 @@ inline bool is_stationary(const QpProblem& p, const double* x, std::span<const s
       sum -= a * y[k];
       size += std::fabs(a) * magnitude(y[k]);
     }
-    if (!(std::fabs(sum) <= kStationary * size)) return false;
+    if (!within(sum, loose * kStationary * size)) return false;
   }
   for (std::size_t k = 0; k < rows.size(); ++k) {
     Wide size = 0;
     const Wide distance = slack(p, rows[k], x, size);
-    if (!(y[k] >= 0) || !(std::fabs(distance) <= kFeasible * size)) return false;
+    if (!(y[k] >= 0) || !within(distance, loose * kFeasible * size)) return false;
   }
   return true;
 }
@@ -112,7 +118,7 @@ inline bool is_certificate(const QpProblem& p, std::span<const std::uint32_t> ro
       sum += term;
       size += std::fabs(term);
     }
-    if (!(std::fabs(sum) <= kCertain * size)) return false;
+    if (!within(sum, kCertain * size)) return false;
   }
   Wide sum = 0, size = 0;
   for (std::size_t k = 0; k < rows.size(); ++k) {
@@ -122,7 +128,7 @@ inline bool is_certificate(const QpProblem& p, std::span<const std::uint32_t> ro
     size += std::fabs(term);
   }
   gain = static_cast<double>(sum);
-  return sum > kCertain * size && std::isfinite(gain);
+  return std::isfinite(size) && sum > kCertain * size && std::isfinite(gain);
 }
 
 }  // namespace alula::qp

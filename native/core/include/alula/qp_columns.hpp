@@ -14,7 +14,6 @@ namespace alula::qp {
 
 // Two numbers side by side: what the oldest supported x86-64 and every ARMv8 processor has.
 using Pair = double __attribute__((vector_size(16)));
-using PairMask = std::int64_t __attribute__((vector_size(16)));
 
 inline Pair load_pair(const double* from) {
   Pair v;
@@ -40,7 +39,8 @@ class Columns {
   // Fills all rows; `lower` is L in rows of `pitch`. `extreme`: a row is too large or too small for double
   // precision; `impossible`: row `bad` is zero and asks for more than that.
   template <int N>
-  Prepared fill(const QpProblem& p, const double* lower, const double* inverse, std::size_t pitch, std::uint32_t& bad) {
+  Prepared fill(const QpProblem& p, const double* lower, const double* inverse, std::size_t pitch,
+                std::uint32_t& bad) {
     const std::size_t n = N > 0 ? static_cast<std::size_t>(N) : p.n, m = p.bounds.size();
     Prepared prepared = Prepared::good;
     for (std::size_t i = 0; i < stride_; i += 2) {
@@ -70,7 +70,8 @@ class Columns {
         for (std::size_t j = 0; j < n; ++j) c_[j * stride_ + i + lane] = 0;
         hide(static_cast<std::uint32_t>(i + lane));
         const Prepared found = judge(p, i + lane);
-        if (found == Prepared::impossible && prepared != Prepared::impossible) bad = static_cast<std::uint32_t>(i + lane);
+        if (found == Prepared::impossible && prepared != Prepared::impossible)
+          bad = static_cast<std::uint32_t>(i + lane);
         if (found > prepared && prepared != Prepared::not_finite) prepared = found;
         if (found == Prepared::not_finite) prepared = found;
       }
@@ -93,7 +94,7 @@ class Columns {
       for (std::size_t half = 0; half < 2; ++half) {
         Pair v = load_pair(d_ + i + 2 * half);
         for (std::size_t j = 0; j < n; ++j) v -= load_pair(c_ + j * stride_ + i + 2 * half) * z[j];
-        const PairMask better = v > best[half];
+        const auto better = v > best[half];
         best[half] = better ? v : best[half];
         at[half] = better ? index[half] : at[half];
         index[half] += 4.0;
