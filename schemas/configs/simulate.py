@@ -14,7 +14,7 @@ DEFAULT_SPEED_M_S = 1.0
 
 # Fields that only flights among the hulls of a cover have, and those among the ellipsoids of a scene.
 HULLS_ONLY = ("gain", "beta", "kappa_per_m", "smoothing")
-ELLIPSOIDS_ONLY = ("sigma", "confidence", "inflation_m", "plant", "interface")
+ELLIPSOIDS_ONLY = ("sigma", "confidence", "inflation_m", "plant", "guide", "interface")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,6 +117,14 @@ class SimulateConfig:
         metadata={
             "help": "What flies among ellipsoids; double-integrator: accelerations come true. "
             "Default: as the vehicle's file says."
+        },
+    )
+    guide: str = field(
+        default="none",
+        metadata={
+            "help": "Filter of accelerations that bends what the controller asks for among ellipsoids, before "
+            "the filter: cone-di or safer-splat.",
+            "metavar": "NAME",
         },
     )
     interface: Literal["wrench", "body-rates"] = field(

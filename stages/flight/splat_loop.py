@@ -77,6 +77,7 @@ def fly(
     references: Sequence[_core.ReferenceCurve],
     rules: _core.FlightRules,
     *,
+    guide: NativeSplatFilter | None = None,
     seed: int = 0,
     first_trial: int = 0,
     jobs: int = 0,
@@ -89,6 +90,7 @@ def fly(
         vehicle: body, controller and plant.
         references: one per flight.
         rules: times and when a flight ends.
+        guide: a filter of accelerations that bends what the controller asks for before the filter sees it.
         seed: of the plant's noise, with the trial's number, which counts from `first_trial`.
         first_trial: number of the first flight.
         jobs: threads; all but the measured times is independent of it.
@@ -98,6 +100,7 @@ def fly(
         InputError: a Python filter returned something that cannot be flown.
         ValueError: the rules mean nothing, or a wrench is to be flown by a double integrator.
     """
+    bend = None if guide is None else guide.native
     if safety_filter is None or isinstance(safety_filter, NativeSplatFilter):
         native = None if safety_filter is None else safety_filter.native
         logs = _core.fly(
@@ -105,6 +108,7 @@ def fly(
             rules,
             list(references),
             native,
+            guide=bend,
             seed=seed,
             first_trial=first_trial,
             jobs=jobs,
@@ -113,7 +117,7 @@ def fly(
         return [_flown(log) for log in logs]
     flights = []
     for i, reference in enumerate(references):
-        trial = _core.FlightTrial(vehicle, rules, reference, seed=seed, trial=first_trial + i)
+        trial = _core.FlightTrial(vehicle, rules, reference, seed=seed, trial=first_trial + i, guide=bend)
         flights.append(_fly_in_python(safety_filter, trial))
         if progress is not None:
             progress(i + 1, len(references))

@@ -36,6 +36,7 @@ FloatArray = NDArray[np.float64]
 _BATCH = 16  # trials whose full-rate samples are in memory at once
 _PLANT_STEP_S = 1e-3
 _STUCK_S = 2.0
+_CATCH_UP = 0.5  # of the reference's peak speed, beside it, for who was held up
 _ROOM_M = 20.0  # around the scene and the references; a flight that leaves it is refused
 
 
@@ -108,11 +109,14 @@ def simulate_splat(
     inflation = scene.manifest.suggested_inflation_m if config.inflation_m is None else config.inflation_m  # type: ignore[attr-defined]
     keep = config.radius_m + inflation
     index = _index(scene, config.sigma, keep)
-    gains = tracking_gains(vehicle)
+    gains = tracking_gains(vehicle, _CATCH_UP * (config.speed_m_s or _peak_speed(plan)))
     # A point has no rotors: its controller and filters only use the translation, whatever the body.
     body = quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE)
     world = SplatWorld(index=index, body=body, gains=gains, radius_m=keep, dt_s=config.dt_s)
     safety_filter = make_splat_filter(config.filter, world, config.filter_parameters)
+    guide = make_splat_filter(config.guide, world, complete_parameters(config.guide, {}))
+    if guide is not None and not (isinstance(guide, NativeSplatFilter) and guide.kind == "acceleration"):
+        raise UsageError(f"--guide {config.guide}: a guide is cone-di or safer-splat")
     if config.plant == "double-integrator" and safety_filter is not None and safety_filter.kind == "wrench":
         raise UsageError(f"--plant double-integrator has no thrust and torque, which {config.filter} returns")
     judge = SplatJudge(scene, config.sigma, cover, config.radius_m, jobs)
@@ -141,7 +145,16 @@ def simulate_splat(
     seconds: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
     for begin in range(0, len(references), _BATCH):
         batch = references[begin : begin + _BATCH]
-        found = fly(safety_filter, flying, batch, rules, seed=config.seed, first_trial=begin, jobs=jobs)
+        found = fly(
+            safety_filter,
+            flying,
+            batch,
+            rules,
+            guide=guide,
+            seed=config.seed,
+            first_trial=begin,
+            jobs=jobs,
+        )
         for i, (reference, flown) in enumerate(zip(batch, found, strict=True), begin):
             rows = reference.at(np.arange(len(flown.status) + 1, dtype=np.float64) * config.dt_s)
             end = reference.at(np.array([reference.duration_s]))[0, :3]
@@ -161,6 +174,11 @@ def simulate_splat(
         filter_s=np.concatenate([pair[0] for pair in seconds]),
         tick_s=np.concatenate([pair[1] for pair in seconds]),
     )
+
+
+def _peak_speed(plan: Artifact | None) -> float:
+    assert plan is not None
+    return float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
 
 
 def _check_fit(scene: Artifact, plan: Artifact | None, cover: Artifact | None) -> None:

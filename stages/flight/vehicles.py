@@ -36,8 +36,12 @@ def quadrotor(vehicle: Vehicle) -> Quadrotor:
         raise UsageError(f"vehicle {vehicle.name}: `$.rotors`: {error}") from error
 
 
-def tracking_gains(vehicle: Vehicle) -> TrackingGains:
-    """Gains and limits of the geometric controller; of a double integrator those of the translation."""
+def tracking_gains(vehicle: Vehicle, catch_up_m_s: float | None = None) -> TrackingGains:
+    """Gains and limits of the geometric controller; of a double integrator those of the translation.
+
+    `catch_up_m_s` holds where the file does not say how much faster than its reference a vehicle that was held
+    up may fly.
+    """
     table = vehicle.tracking
     attitude, rate = vehicle.attitude_gains() if vehicle.model == "quadrotor" else ((0.0,) * 3, (0.0,) * 3)
     return TrackingGains(
@@ -45,7 +49,7 @@ def tracking_gains(vehicle: Vehicle) -> TrackingGains:
         kv=table.kv_per_s,
         k_r=attitude,
         k_omega=rate,
-        catch_up_m_s=_or_infinity(table.catch_up_m_s),
+        catch_up_m_s=_or_infinity(catch_up_m_s if table.catch_up_m_s is None else table.catch_up_m_s),
         max_tilt_rad=_or_infinity(table.max_tilt_rad),
         max_thrust_share=_or_infinity(table.max_thrust_share),
         uses_acceleration=table.uses_acceleration,

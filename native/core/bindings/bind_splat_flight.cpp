@@ -53,12 +53,12 @@ LogDict to_dict(SplatFlightLog&& log) {
 
 nb::typed<nb::list, LogDict> run(const FlightVehicle& vehicle, const FlightRules& rules,
                                  const std::vector<ReferenceCurve>& references, const SplatFilter* filter,
-                                 std::uint64_t seed, std::uint32_t first_trial, unsigned jobs, nb::object progress) {
+                                 const SplatFilter* guide, std::uint64_t seed, std::uint32_t first_trial, unsigned jobs, nb::object progress) {
   PythonControl control(std::move(progress));
   std::vector<SplatFlightLog> logs;
   {
     const nb::gil_scoped_release release;
-    logs = fly(vehicle, rules, references, filter, seed, first_trial, jobs, control);
+    logs = fly(vehicle, rules, references, filter, guide, seed, first_trial, jobs, control);
   }
   nb::typed<nb::list, LogDict> result;
   for (SplatFlightLog& log : logs) result.append(to_dict(std::move(log)));
@@ -72,8 +72,8 @@ struct SteppedFlight {
   FlightTrial trial;
 
   SteppedFlight(const FlightVehicle& what, const FlightRules& rules, const ReferenceCurve& curve, std::uint64_t seed,
-                std::uint32_t number)
-      : reference(curve), vehicle(what), trial(vehicle, rules, reference, seed, number) {}
+                std::uint32_t number, const SplatFilter* guide)
+      : reference(curve), vehicle(what), trial(vehicle, rules, reference, seed, number, guide) {}
   SteppedFlight(const SteppedFlight&) = delete;
 
   int advance(const InVector<double>& u, unsigned status, double margin, std::int64_t active, double thrust_rate,
@@ -150,8 +150,10 @@ void bind_splat_flight(nb::module_& m) {
 
   nb::class_<SteppedFlight>(m, "FlightTrial",
                             "One flight a tick at a time: state() and nominal(), then advance() with the answer.")
-      .def(nb::init<const FlightVehicle&, const FlightRules&, const ReferenceCurve&, std::uint64_t, std::uint32_t>(),
-           "vehicle"_a, "rules"_a, "reference"_a, nb::kw_only(), "seed"_a = 0, "trial"_a = 0)
+      .def(nb::init<const FlightVehicle&, const FlightRules&, const ReferenceCurve&, std::uint64_t, std::uint32_t,
+                    const SplatFilter*>(),
+           "vehicle"_a, "rules"_a, "reference"_a, nb::kw_only(), "seed"_a = 0, "trial"_a = 0,
+           "guide"_a = nb::none())
       .def(
           "state",
           [](const SteppedFlight& self) {
@@ -179,8 +181,8 @@ void bind_splat_flight(nb::module_& m) {
           "All ticks so far, as `fly` returns them.");
 
   m.def(
-      "fly", &run, "vehicle"_a, "rules"_a, "references"_a, "filter"_a.none(), nb::kw_only(), "seed"_a = 0,
-      "first_trial"_a = 0, "jobs"_a = 0, "progress"_a = nb::none(),
+      "fly", &run, "vehicle"_a, "rules"_a, "references"_a, "filter"_a.none(), nb::kw_only(), "guide"_a = nb::none(),
+      "seed"_a = 0, "first_trial"_a = 0, "jobs"_a = 0, "progress"_a = nb::none(),
       "Fly every reference behind a clone of the filter, or without one; per flight a dict of arrays with a row per "
       "tick, the path at the rate of the plant, and the outcome.");
 

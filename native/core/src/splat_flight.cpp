@@ -55,13 +55,18 @@ Vec3 acceleration_of(const Quadrotor& body, const State& x, double thrust) {
 }  // namespace
 
 FlightTrial::FlightTrial(const FlightVehicle& vehicle, const FlightRules& rules, const ReferenceCurve& reference,
-                         std::uint64_t seed, std::uint32_t trial)
+                         std::uint64_t seed, std::uint32_t trial, const SplatFilter* guide)
     : vehicle_(vehicle),
       rules_(rules),
       reference_(reference),
       body_(vehicle.body, vehicle.plant, RandomStream{seed, trial}),
-      point_(vehicle.max_acceleration, vehicle.plant.sensor, RandomStream{seed, trial}) {
+      point_(vehicle.max_acceleration, vehicle.plant.sensor, RandomStream{seed, trial}),
+      guide_(guide == nullptr ? nullptr : guide->clone()) {
   check(vehicle, rules);
+  if (guide_) {
+    if (guide_->kind() != InputKind::acceleration) throw std::invalid_argument("a guide gives accelerations");
+    guide_->reset();
+  }
   const ReferencePoint start = reference.at(reference.start());
   goal_ = reference.at(reference.end()).p;
   stop_distance_ = std::max(rules.stop_fraction * norm(goal_ - start.p), rules.stop_floor_m);
@@ -81,7 +86,18 @@ void FlightTrial::observe() {
   target_ = reference_.at(reference_.start() + time_s());
   // The controller counts with its own thrust, unless another one is flown.
   nominal_ = track(vehicle_.body, vehicle_.gains, seen_.x, target_, is_other_ ? seen_.thrust : own_thrust);
-  controller_s_ = seconds_since(before);
+  guide_s_ = 0;
+  if (guide_) {
+    const auto start = Clock::now();
+    const FilterReport bent = guide_->filter(seen_, nominal_);
+    guide_s_ = seconds_since(start);
+    if (bent.status != SplatFilterStatus::ok && bent.status != SplatFilterStatus::refused) {
+      if (is_rigid())
+        nominal_.wrench = realise(vehicle_.body, vehicle_.gains, seen_.x, target_, nominal_, bent.acceleration);
+      nominal_.acceleration = bent.acceleration;
+    }
+  }
+  controller_s_ = seconds_since(before) - guide_s_;
 }
 
 FilterReport FlightTrial::unfiltered() const {
@@ -142,8 +158,8 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
   log_.status.push_back(static_cast<std::uint8_t>(answer.status));
   log_.flags.push_back(static_cast<std::uint8_t>((answer.capped ? 1 : 0) | (answer.infeasible ? 2 : 0) |
                                                  (answer.certified ? 4 : 0) | (is_limited ? 8 : 0)));
-  log_.filter_s.push_back(static_cast<float>(filter_s));
-  log_.tick_s.push_back(static_cast<float>(controller_s_ + filter_s + realise_s));
+  log_.filter_s.push_back(static_cast<float>(filter_s + guide_s_));
+  log_.tick_s.push_back(static_cast<float>(controller_s_ + guide_s_ + filter_s + realise_s));
   log_.outcome = judged(answer.status);
   if (log_.outcome == Outcome::flying) observe();
   return log_.outcome;
@@ -191,7 +207,7 @@ Outcome FlightTrial::judged(SplatFilterStatus status) {
 
 std::vector<SplatFlightLog> fly(const FlightVehicle& vehicle, const FlightRules& rules,
                                 std::span<const ReferenceCurve> references, const SplatFilter* filter,
-                                std::uint64_t seed, std::uint32_t first_trial, unsigned jobs, Control& control) {
+                                const SplatFilter* guide, std::uint64_t seed, std::uint32_t first_trial, unsigned jobs, Control& control) {
   check(vehicle, rules);
   std::vector<SplatFlightLog> logs(references.size());
   parallel_chunks(references.size(), 1, jobs, control, [&](std::size_t begin, std::size_t end) {
@@ -200,7 +216,7 @@ std::vector<SplatFlightLog> fly(const FlightVehicle& vehicle, const FlightRules&
     const InputKind kind = own ? own->kind() : InputKind::acceleration;
     for (std::size_t i = begin; i < end; ++i) {
       if (own) own->reset();
-      FlightTrial trial(vehicle, rules, references[i], seed, first_trial + static_cast<std::uint32_t>(i));
+      FlightTrial trial(vehicle, rules, references[i], seed, first_trial + static_cast<std::uint32_t>(i), guide);
       while (trial.outcome() == Outcome::flying) {
         if (!own) {
           trial.advance(trial.unfiltered(), kind, 0);

@@ -6,6 +6,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <limits>
 #include <span>
 #include <vector>
@@ -77,11 +78,15 @@ struct SplatFlightLog {
 // It starts at the reference's beginning with its velocity, level, with its yaw. For accelerations `a_command`
 // is the filter's, flown by `realise`; for wrenches it is -g e3 + T / m R^T e3 of the filter's T along the true
 // axis, so that `a_error` is what the rotors and the air withhold.
+//
+// A guide is a filter of accelerations that bends what the controller asks for before the filter sees it, through
+// the controller's own attitude loop. Nothing rests on it but where the vehicle goes.
 class FlightTrial {
  public:
-  // `seed` and `trial` are of the plant's noise. Throws std::invalid_argument when a rule means nothing.
+  // `seed` and `trial` are of the plant's noise; `guide` is cloned, or null. Throws std::invalid_argument when a
+  // rule means nothing or the guide does not give accelerations.
   FlightTrial(const FlightVehicle& vehicle, const FlightRules& rules, const ReferenceCurve& reference,
-              std::uint64_t seed, std::uint32_t trial);
+              std::uint64_t seed, std::uint32_t trial, const SplatFilter* guide = nullptr);
 
   const FlightState& state() const { return seen_; }
   const Nominal& nominal() const { return nominal_; }
@@ -91,7 +96,7 @@ class FlightTrial {
   // What stands for a filter's answer without one: the nominal acceleration, or the wrench.
   FilterReport unfiltered() const;
 
-  // Flies the answer for a tick; `filter_s` is how long the filter took.
+  // Flies the answer for a tick; `filter_s` is how long the filter took, to which the guide's time is added.
   Outcome advance(const FilterReport& answer, InputKind kind, double filter_s);
 
   SplatFlightLog& log() { return log_; }
@@ -112,17 +117,18 @@ class FlightTrial {
   FlightState seen_;
   Nominal nominal_;
   Vec3 goal_;
-  double stop_distance_, controller_s_ = 0;
+  std::unique_ptr<SplatFilter> guide_;
+  double stop_distance_, controller_s_ = 0, guide_s_ = 0;
   bool is_other_ = false;  // whether the thrust that is flown is not the controller's
   std::int64_t max_ticks_, still_ = 0;
   SplatFlightLog log_;
 };
 
-// Flies every reference behind a clone of `filter`, or without one (null), on `jobs` threads. All but the
-// measured times is independent of `jobs`; trial i has the number `first_trial` + i.
+// Flies every reference behind clones of `guide` and `filter`, each of which may be null, on `jobs` threads. All but
+// the measured times is independent of `jobs`; trial i has the number `first_trial` + i.
 std::vector<SplatFlightLog> fly(const FlightVehicle& vehicle, const FlightRules& rules,
                                 std::span<const ReferenceCurve> references, const SplatFilter* filter,
-                                std::uint64_t seed, std::uint32_t first_trial, unsigned jobs, Control& control);
+                                const SplatFilter* guide, std::uint64_t seed, std::uint32_t first_trial, unsigned jobs, Control& control);
 
 // Least gamma = r^T A r - 1, r = centre - p, over all grown ellipsoids and the points (3 numbers each): below 0
 // inside one; infinite without ellipsoids or points. Exact up to rounding; visits each ellipsoid once per 64 points.
