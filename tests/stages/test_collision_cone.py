@@ -70,7 +70,9 @@ def test_the_vectors(case):
     }  # fmt: skip
     for mine, theirs in names.items():
         expected = np.array(case[theirs])
-        np.testing.assert_allclose(snap[mine], expected, rtol=1e-9, atol=1e-9 * max(1, np.abs(expected).max()))
+        np.testing.assert_allclose(
+            snap[mine], expected, rtol=1e-9, atol=1e-9 * max(1, np.abs(expected).max())
+        )
 
 
 def test_gradients_are_those_of_a_complex_step():
@@ -123,11 +125,19 @@ def test_rows_over_thrust_and_torque_are_the_derivatives_of_the_flight_they_caus
         i = 1j * STEP
         s = jerk(sigma + i * sigma_rate(sigma, omega), omega + i * turn, u + i * u1, u1 + i * u2).imag / STEP
         snap = _core.snap_rows(
-            body, (*p, *sigma, *v, *omega), thrust=MASS * u, thrust_rate=MASS * u1, centre=tuple(mu), a=A, rate=rate
+            body,
+            (*p, *sigma, *v, *omega),
+            thrust=MASS * u,
+            thrust_rate=MASS * u1,
+            centre=tuple(mu),
+            a=A,
+            rate=rate,
         )
         np.testing.assert_allclose(snap["acceleration"], a, atol=1e-12)
         np.testing.assert_allclose(snap["jerk"], j, atol=1e-11)
-        mapped = np.array(snap["drift"]) + u2 * np.array(snap["per_thrust"]) + np.array(snap["per_torque"]) @ tau
+        mapped = (
+            np.array(snap["drift"]) + u2 * np.array(snap["per_thrust"]) + np.array(snap["per_torque"]) @ tau
+        )
         np.testing.assert_allclose(mapped, s, atol=1e-10 * np.abs(s).max())
         h, gamma = series(mu, A, p, v, a, j, s)
         powers = rate ** np.arange(5)[::-1]
@@ -152,7 +162,8 @@ def test_the_ray_meets_the_ellipsoid_exactly_when_the_cone_says_so():
             v = -v
         c = native(mu, A, p, v)
         if c["gamma"] <= 0:
-            assert c["is_inside"] and c["h"] <= 1e-12 * abs(c["delta"]) ** 2
+            assert c["is_inside"]
+            assert c["h"] <= 1e-12 * abs(c["delta"]) ** 2
             continue
         # (p + t v - mu)^T A (p + t v - mu) = 1 has a root t >= 0.
         roots = np.roots([c["beta"], -2 * c["delta"], c["gamma"]])

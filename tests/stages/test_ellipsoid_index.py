@@ -49,7 +49,8 @@ def test_the_nearest_to_a_point_are_those_of_a_full_search(seed, count, sigma, r
         order = in_order(row, reach, count)
         np.testing.assert_allclose(distance, row[order], rtol=1e-12, atol=1e-13)
         np.testing.assert_allclose(row[item], row[order], rtol=1e-12, atol=1e-13)
-        assert np.all(np.diff(distance) >= 0) and len(set(item)) == len(item)
+        assert np.all(np.diff(distance) >= 0)
+        assert len(set(item)) == len(item)
     np.testing.assert_allclose(index.clearance(points), expected.min(axis=1), rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(
         index.clearance(points, cap=0.1), np.minimum(0.1, expected.min(axis=1)), atol=1e-13
@@ -79,12 +80,14 @@ def test_ties_go_by_number_and_nothing_is_farther_than_the_reach():
     rows = mean, np.full((4, 3), 0.5, np.float32), np.tile(np.float32([1, 0, 0, 0]), (4, 1))
     index = index_of(rows)
     item, distance = index.nearest([0, 0, 0], [0, 0, 0], reach=2.5, count=2)
-    assert item.tolist() == [0, 1] and distance[0] == distance[1]
+    assert item.tolist() == [0, 1]
+    assert distance[0] == distance[1]
     np.testing.assert_allclose(distance, 0.5, rtol=1e-14)
     assert index.nearest([0, 0, 0], [0, 0, 0], reach=2.5, count=9)[0].tolist() == [0, 1, 2]
     assert index.nearest([0, 0, 0], [0, 0, 0], reach=0.4999, count=9)[0].tolist() == []
     assert index.nearest([1, 0, 0], [1, 0, 0], reach=9.0, count=1)[1].tolist() == [-0.5]
-    assert len(index) == 4 and index.radius == 0.2
+    assert len(index) == 4
+    assert index.radius == 0.2
 
 
 @settings(max_examples=200, deadline=None)

@@ -148,7 +148,7 @@ Record cone(const Array3& centre, const In<double, nb::shape<3, 3>>& a, const Ar
   Record result;
   result["beta"] = c.beta, result["gamma"] = c.gamma, result["delta"] = c.delta, result["h"] = c.h;
   result["w"] = array(c.w), result["grad_p"] = array(c.grad_p()), result["gamma_grad_p"] = array(c.gamma_grad_p());
-  result["is_met"] = c.is_met(), result["is_inside"] = c.is_inside();
+  result["is_met"] = c.is_met(), result["contact_time"] = c.contact_time(), result["is_inside"] = c.is_inside();
   result["w1"] = array(d.w1), result["w2"] = array(d.w2);
   result["h1"] = d.h1, result["h2"] = d.h2, result["phi"] = d.phi;
   result["gamma1"] = d.gamma1, result["gamma2"] = d.gamma2, result["gamma3"] = d.gamma3;
@@ -241,18 +241,22 @@ void bind_splat_filters(nb::module_& m) {
   nb::class_<ConeDi, SplatFilter>(m, "ConeDi", "The collision cone filter of a double integrator.")
       .def(
           "__init__",
-          [](ConeDi* self, std::shared_ptr<EllipsoidIndex> index, double alpha, double escape_rate, double min_speed,
-             double max_acceleration, double max_braking, double lateral_bias, double clf_weight, double clf_rate,
-             double clf_kp, double clf_kv, const Pruning& pruning) {
-            new (self) ConeDi(std::move(index), {alpha, escape_rate, min_speed, max_acceleration, max_braking,
-                                                 lateral_bias, clf_weight, clf_rate, clf_kp, clf_kv, pruning});
+          [](ConeDi* self, std::shared_ptr<EllipsoidIndex> index, double alpha, double recovery, double swell,
+             double escape_rate, double min_speed, double max_acceleration, double max_braking, double lateral_bias,
+             double clf_weight, double clf_rate, double clf_kp, double clf_kv, const Pruning& pruning) {
+            new (self)
+                ConeDi(std::move(index), {alpha, recovery, swell, escape_rate, min_speed, max_acceleration,
+                                          max_braking, lateral_bias, clf_weight, clf_rate, clf_kp, clf_kv, pruning});
           },
-          "index"_a, nb::kw_only(), "alpha"_a = cone_di.alpha, "escape_rate"_a = cone_di.escape_rate,
-          "min_speed"_a = cone_di.min_speed, "max_acceleration"_a = cone_di.max_acceleration,
-          "max_braking"_a = cone_di.max_braking, "lateral_bias"_a = cone_di.lateral_bias,
-          "clf_weight"_a = cone_di.clf_weight, "clf_rate"_a = cone_di.clf_rate, "clf_kp"_a = cone_di.clf_kp,
-          "clf_kv"_a = cone_di.clf_kv, "pruning"_a = Pruning{},
-          "alpha: of h' >= -alpha h [1/s]; escape_rate: double pole of the rows on gamma [1/s];\n"
+          "index"_a, nb::kw_only(), "alpha"_a = cone_di.alpha, "recovery"_a = cone_di.recovery,
+          "swell"_a = cone_di.swell, "escape_rate"_a = cone_di.escape_rate, "min_speed"_a = cone_di.min_speed,
+          "max_acceleration"_a = cone_di.max_acceleration, "max_braking"_a = cone_di.max_braking,
+          "lateral_bias"_a = cone_di.lateral_bias, "clf_weight"_a = cone_di.clf_weight,
+          "clf_rate"_a = cone_di.clf_rate, "clf_kp"_a = cone_di.clf_kp, "clf_kv"_a = cone_di.clf_kv,
+          "pruning"_a = Pruning{},
+          "alpha: of h' >= -alpha h [1/s], and at least recovery over the time to contact;\n"
+          "swell: rows are of ellipsoids longer by this part; escape_rate: double pole "
+          "of the rows on gamma [1/s];\n"
           "min_speed: below it rows on gamma [m/s]; max_acceleration: of each axis, max_braking: of the fallback,\n"
           "lateral_bias: of a head-on nominal [m/s^2]; clf_weight: of the tracking row's slack, 0 for no row;\n"
           "clf_rate [1/s], clf_kp [1/s^2], clf_kv [1/s]: of that row.");

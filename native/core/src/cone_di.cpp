@@ -12,7 +12,9 @@ using geometry::is_finite;
 using geometry::norm;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kHeadOn = 0.02;  // sideways part of a row of unit length
+constexpr double kLead = 0.1;           // h is to be gone that long before contact, not just then [s]
+constexpr double kLeastContact = 0.05;  // less, and alpha overshoots within a tick of 10 ms [s]
+constexpr double kHeadOn = 0.02;        // sideways part of a row of unit length
 
 }  // namespace
 
@@ -22,6 +24,8 @@ ConeDi::ConeDi(std::shared_ptr<const EllipsoidIndex> index, const ConeDiOptions&
   const auto at_least_zero = [](double value) { return value >= 0 && std::isfinite(value); };
   if (!positive(options.alpha) || !positive(options.escape_rate))
     throw std::invalid_argument("alpha and escape_rate must be positive");
+  if (!at_least_zero(options.recovery) || !at_least_zero(options.swell))
+    throw std::invalid_argument("recovery and swell must be at least 0");
   if (!positive(options.min_speed)) throw std::invalid_argument("min_speed must be positive");
   if (!(options.max_acceleration > 0) || !positive(options.max_braking))
     throw std::invalid_argument("limits of the acceleration must be positive");
@@ -29,6 +33,12 @@ ConeDi::ConeDi(std::shared_ptr<const EllipsoidIndex> index, const ConeDiOptions&
   if (!at_least_zero(options.clf_weight)) throw std::invalid_argument("clf_weight must be at least 0");
   if (!positive(options.clf_rate) || !positive(options.clf_kp) || !positive(options.clf_kv))
     throw std::invalid_argument("rate and gains of the tracking row must be positive");
+}
+
+Cone ConeDi::cone(std::uint32_t item, Vec3 p, Vec3 v) const {
+  const GrownEllipsoid& e = pruner_.index().grown(item);
+  const double larger = 1 + options_.swell;
+  return collision_cone({e.centre, 1 / (larger * larger) * e.a}, p, v);
 }
 
 void ConeDi::add_tracking_row(const Nominal& nominal) {
@@ -74,19 +84,25 @@ FilterReport ConeDi::filter(const FlightState& state, const Nominal& nominal) {
   report.margin = kInfinity;
   program_.start(nominal.acceleration);
   program_.limit(options_.max_acceleration);
-  for (const Found& found : pruner_.near(p, v, moves, report)) {
-    const Cone cone = collision_cone(pruner_.index().grown(found.item), p, v);
+  const auto candidates = pruner_.near(p, v, moves, report);
+  double contact = kInfinity;
+  if (moves && options_.recovery > 0)
+    for (const Found& found : candidates) contact = std::min(contact, cone(found.item, p, v).contact_time());
+  const double alpha = std::max(options_.alpha, options_.recovery / std::max(contact - kLead, kLeastContact));
+  const double edge = 1 / ((1 + options_.swell) * (1 + options_.swell)) - 1;  // gamma on the ellipsoid of the index
+  for (const Found& found : candidates) {
+    const Cone cone = this->cone(found.item, p, v);
     const bool on_cone = moves && !cone.is_inside();
-    inside = inside || cone.is_inside();
+    inside = inside || cone.gamma < edge;
     report.margin = std::min(report.margin, on_cone ? cone.h : cone.gamma);
-    program_.add(on_cone ? cone_row(cone, options_.alpha) : escape_row(cone, options_.escape_rate), found.item);
+    program_.add(on_cone ? cone_row(cone, alpha) : escape_row(cone, options_.escape_rate), found.item);
   }
   report.rows = static_cast<std::uint32_t>(program_.rows());
   if (tracks) add_tracking_row(nominal);
 
   if (program_.accept(report, inside)) return report;
   if (moves && options_.lateral_bias > 0) program_.set_nominal(nominal.acceleration + bias(v));
-  if (!program_.solve(report, inside)) program_.brake(report, v, options_.alpha / 2, options_.max_braking);
+  if (!program_.solve(report, inside)) program_.brake(report, v, alpha / 2, options_.max_braking);
   return report;
 }
 

@@ -42,17 +42,15 @@ std::span<const Found> Pruner::capped(FilterReport& report) {
 
 std::span<const Found> Pruner::near(Vec3 p, Vec3 v, bool approach, FilterReport& report) {
   using geometry::dot;
-  const auto passes = [&](std::uint32_t item) {
-    if (!approach || !pruning_.approach) return true;
-    const GrownEllipsoid& e = index_->grown(item);
-    const Vec3 r = e.centre - p, ar = e.a * r;
-    return dot(ar, v) >= 0 || dot(ar, r) < 1;
-  };
   if (!pruning_.gate) {
+    const auto passes = [&](const GrownEllipsoid& e) {
+      const Vec3 r = e.centre - p, ar = e.a * r;
+      return !approach || !pruning_.approach || dot(ar, v) >= 0 || dot(ar, r) < 1;
+    };
     report.gate_m = kInfinity;
     found_.clear();
     for (std::uint32_t item = 0; item < index_->size(); ++item)
-      if (passes(item)) found_.push_back({item, 0});
+      if (passes(index_->grown(item))) found_.push_back({item, 0});
     report.candidates = static_cast<std::uint32_t>(found_.size());
     report.capped = false;
     return found_;
@@ -62,7 +60,12 @@ std::span<const Found> Pruner::near(Vec3 p, Vec3 v, bool approach, FilterReport&
   const double time = pruning_.sweep ? pruning_.reaction_time_s + speed / (2 * pruning_.max_deceleration) : 0;
   const std::size_t count =
       pruning_.count == 0 ? index_->size() : std::size_t{pruning_.count} + 1;  // one tells if more
-  index_->nearest(p, p + time * v, report.gate_m, count, found_, passes);
+  const Vec3 end = p + time * v;
+  if (approach && pruning_.approach) {
+    index_->nearest_ahead(p, end, v, report.gate_m, count, found_);
+  } else {
+    index_->nearest(p, end, report.gate_m, count, found_);
+  }
   return capped(report);
 }
 

@@ -25,7 +25,7 @@ double curvature(const geometry::Ellipsoid& e, const geometry::Projection& at, V
 // so that the point is on its positive side.
 double published_curvature(const geometry::Ellipsoid& e, const geometry::Projection& at, Vec3 v) {
   int order[3] = {0, 1, 2};
-  std::stable_sort(order, order + 3, [&](int i, int j) { return e.semi[i] > e.semi[j]; });
+  std::sort(order, order + 3, [&](int i, int j) { return e.semi[i] != e.semi[j] ? e.semi[i] > e.semi[j] : i < j; });
   double sum = 0;
   for (int i = 0; i < 3; ++i) {
     for (int j = 0; j < 3; ++j) {

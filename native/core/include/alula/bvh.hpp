@@ -54,9 +54,9 @@ class Bvh {
   }
 
   // The same with all leaves in the order of their distance, for searches that look at many; as far as a list of
-  // fixed length goes, beyond it by nearer halves.
-  template <class Visit>
-  std::uint32_t visit_in_order(Vec3 a, Vec3 d, const double& reach, Visit&& visit) const {
+  // fixed length goes, beyond it by nearer halves. A box for which `skip(node, box)` holds need not be looked into.
+  template <class Visit, class Skip>
+  std::uint32_t visit_in_order(Vec3 a, Vec3 d, const double& reach, Visit&& visit, Skip&& skip) const {
     if (nodes_.empty()) return 0;
     const Sight sight(a, d);
     std::uint64_t heap[kHeap];  // the square of a bound, as an integer of the same order, before its node
@@ -64,7 +64,7 @@ class Bvh {
     std::uint32_t measured = 1;
     const auto push = [&](std::uint32_t node) {
       const double squared = sight.squared_bound(nodes_[node], reach);
-      if (!may_be_below(nodes_[node], squared, reach)) return;
+      if (!may_be_below(nodes_[node], squared, reach) || skip(node, nodes_[node].box)) return;
       const auto key = std::bit_cast<std::uint32_t>(static_cast<float>(squared));
       heap[size++] = std::uint64_t{key} << 32 | node;
       std::push_heap(heap, heap + size, std::greater<>());
@@ -87,6 +87,22 @@ class Bvh {
       }
     }
     return measured;
+  }
+
+  // What all obstacles of a node have in common, for every node: combine(x, y) of the values of their slots.
+  template <class T, class Value, class Combine>
+  std::vector<T> summary(Value&& value, Combine&& combine) const {
+    std::vector<T> result(nodes_.size());
+    for (std::size_t at = nodes_.size(); at-- > 0;) {  // children come after their parent
+      const Node& node = nodes_[at];
+      if (node.count == 0) {
+        result[at] = combine(result[at + 1], result[node.first]);
+        continue;
+      }
+      result[at] = value(node.first);
+      for (std::uint32_t i = 1; i < node.count; ++i) result[at] = combine(result[at], value(node.first + i));
+    }
+    return result;
   }
 
   // Calls visit(i) for every obstacle whose box may be closer to `box` than `reach`.

@@ -13,6 +13,8 @@
 #pragma once
 
 #include <array>
+#include <cmath>
+#include <limits>
 
 #include "alula/ellipsoid_index.hpp"
 #include "alula/quadrotor.hpp"
@@ -30,6 +32,11 @@ struct Cone {
   Vec3 gamma_grad_p() const { return -2 * ar; }
   bool is_inside() const { return gamma < 0; }
   bool is_met() const { return h <= 0 && delta >= 0; }  // by the ray along v, from outside
+  // When it is, after this time [s]: the smaller root of |p + t v - mu|_A = 1. Infinite when it is not, and inside.
+  double contact_time() const {
+    return is_met() && gamma >= 0 && delta > 0 ? gamma / (delta + std::sqrt(-h))
+                                               : std::numeric_limits<double>::infinity();
+  }
 };
 
 inline Cone collision_cone(const GrownEllipsoid& e, Vec3 p, Vec3 v) {

@@ -10,6 +10,8 @@ namespace alula::flight {
 
 struct ConeDiOptions {
   double alpha = 5;         // of h' >= -alpha h [1/s]
+  double recovery = 3;      // alpha is at least that over the time to contact where h < 0; 0: never
+  double swell = 0.01;      // rows are of ellipsoids with semi-axes longer by this part
   double escape_rate = 5;   // k of gamma'' + 2 k gamma' + k^2 gamma >= 0 [1/s]
   double min_speed = 0.05;  // below it h says nothing: rows on gamma instead [m/s]
   double max_acceleration = std::numeric_limits<double>::infinity();  // of each axis [m/s^2]
@@ -26,6 +28,13 @@ struct ConeDiOptions {
 //   outside, |v| <  min_speed:  gamma'' + 2 k gamma' + k^2 gamma >= 0    h says nothing without a direction
 //   inside (gamma < 0):         the same row, which leads out; the status is `recovering`
 // and within the box of max_acceleration. `margin` is the least of h, or of gamma where its row is used.
+//
+// An ellipsoid may come within the gate with h < 0, and then h' = -alpha h is too slow for the time t_c to contact
+// that is left. So alpha, of all rows of the tick, is raised to recovery / max(t_c - 0.1 s, 0.05 s): h is gone a
+// tenth of a second before contact would be, and for recovery >= 2 with a bounded acceleration.
+//
+// A path with h = 0 touches the ellipsoid, and held inputs do not follow it to the last digit: the rows, h and gamma
+// above are of ellipsoids that are a little larger than those of the index, whose inside alone is `recovering`.
 //
 // The rows on h alone can always be had: a = -alpha/2 v meets all of them with equality, as h is of second degree in
 // v. With a box or rows on gamma there may be no solution: then `infeasible` is reported and the vehicle brakes
@@ -50,6 +59,7 @@ class ConeDi final : public SplatFilter {
   const ConeDiOptions& options() const { return options_; }
 
  private:
+  Cone cone(std::uint32_t item, Vec3 p, Vec3 v) const;  // of the swollen ellipsoid
   void add_tracking_row(const Nominal& nominal);
   Vec3 bias(Vec3 v) const;
 

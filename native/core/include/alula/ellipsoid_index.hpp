@@ -1,7 +1,6 @@
 // Ellipsoids of a splat, found by distance: a tick costs by what is near, not by what exists.
 #pragma once
 
-#include <algorithm>
 #include <cstdint>
 #include <limits>
 #include <span>
@@ -42,7 +41,7 @@ class EllipsoidIndex {
 
   std::size_t size() const { return grown_.size(); }
   double radius() const { return radius_; }
-  const GrownEllipsoid& grown(std::uint32_t item) const { return grown_[item]; }
+  const GrownEllipsoid& grown(std::uint32_t item) const { return grown_[slot_[item]]; }
 
   // The ungrown set of an item: an ellipsoid, and the radius of the ball that its losses add to it [m].
   geometry::Ellipsoid ellipsoid(std::uint32_t item) const { return at_slot(slot_[item]); }
@@ -53,47 +52,12 @@ class EllipsoidIndex {
   // exact to 1e-9 of the reach. Those that a segment meets are at distance 0 and ordered by that of a, those not
   // nearer than `reach` to a are left out. `found` is replaced.
   QueryCost nearest(geometry::Vec3 a, geometry::Vec3 b, double reach, std::size_t count,
-                    std::vector<Found>& found) const {
-    return nearest(a, b, reach, count, found, [](std::uint32_t) { return true; });
-  }
+                    std::vector<Found>& found) const;
 
-  // The same among those that `accept(item)`, which is asked last.
-  template <class Accept>
-  QueryCost nearest(geometry::Vec3 a, geometry::Vec3 b, double reach, std::size_t count, std::vector<Found>& found,
-                    Accept&& accept) const {
-    found.clear();
-    QueryCost cost;
-    if (count == 0 || !(reach > -kInfinity)) return cost;
-    const geometry::Vec3 d = b - a;
-    const bool is_point = d.x == 0 && d.y == 0 && d.z == 0;
-    double within = reach;  // what is farther than that cannot be among them
-    cost.nodes = tree_.visit_in_order(a, d, within, [&](std::uint32_t slot, std::uint32_t item) {
-      ++cost.items;
-      double distance = distance_of(slot, a, d, within);
-      if (distance > within) return;
-      if (!is_point && (distance <= 0 || !centre_is_nearer(slot, a, reach))) {
-        const double of_a = distance_of(slot, a, {}, reach);
-        if (!(of_a < reach)) return;
-        if (distance <= 0) distance = of_a - reach;  // before all others, and still in order
-      }
-      const bool is_full = found.size() == count;
-      if (!(distance < reach) || (is_full && !nearer({item, distance}, found.front())) || !accept(item)) return;
-      if (is_full) {
-        std::pop_heap(found.begin(), found.end(), nearer);
-        found.back() = {item, distance};
-        std::push_heap(found.begin(), found.end(), nearer);
-      } else {
-        found.push_back({item, distance});
-        if (found.size() < count) return;
-        std::make_heap(found.begin(), found.end(), nearer);
-      }
-      within = is_point ? found.front().distance : std::max(0.0, found.front().distance);
-    });
-    std::sort(found.begin(), found.end(), nearer);
-    if (!is_point)
-      for (Found& f : found) f.distance = std::max(0.0, f.distance);
-    return cost;
-  }
+  // The same among those that a vehicle at `a` with the velocity v approaches, r^T A v >= 0, or is in, r^T A r < 1,
+  // with r from a to the centre and A of the grown ellipsoid.
+  QueryCost nearest_ahead(geometry::Vec3 a, geometry::Vec3 b, geometry::Vec3 v, double reach, std::size_t count,
+                          std::vector<Found>& found) const;
 
   // Signed distance of a point to the nearest ungrown set, at most `cap`. `hint` is a guess that is updated; it
   // cannot change the result.
@@ -107,9 +71,14 @@ class EllipsoidIndex {
     float mean[3], scale[3], quat_wxyz[4];
   };
 
-  static bool nearer(const Found& a, const Found& b) {
-    return a.distance != b.distance ? a.distance < b.distance : a.item < b.item;
-  }
+  // Of the grown ellipsoids of a node: the longest semi-axis, and the sine of the largest angle between x and A x.
+  struct Shape {
+    float longest, skew;
+  };
+
+  template <class Accept, class Skip>
+  QueryCost search(geometry::Vec3 a, geometry::Vec3 b, double reach, std::size_t count, std::vector<Found>& found,
+                   Accept&& accept, Skip&& skip) const;
   Level level(std::uint32_t slot) const { return level_.size() == 1 ? level_[0] : level_[slot]; }
   geometry::Ellipsoid at_slot(std::uint32_t slot) const;
 
@@ -123,11 +92,12 @@ class EllipsoidIndex {
   // one above it.
   double distance_of(std::uint32_t slot, geometry::Vec3 a, geometry::Vec3 d, double enough) const;
 
-  std::vector<GrownEllipsoid> grown_;
   geometry::Bvh tree_;
-  std::vector<std::uint32_t> slot_;  // of an item
-  std::vector<Row> row_;             // of a slot
-  std::vector<Level> level_;         // of a slot, or one for all
+  std::vector<Shape> shape_;           // of a node
+  std::vector<GrownEllipsoid> grown_;  // of a slot
+  std::vector<std::uint32_t> slot_;    // of an item
+  std::vector<Row> row_;               // of a slot
+  std::vector<Level> level_;           // of a slot, or one for all
   double radius_;
 };
 
