@@ -96,16 +96,19 @@ def along(function, x, direction):
     return np.imag(function(x + 1e-40j * direction)) / 1e-40
 
 
-def manoeuvre(policy, x, tick, ticks, *, first=None, hold=REST, hold_ticks=0):
-    """Positions, densely within ticks, and states at ticks, of the policy sampled and held."""
+def manoeuvre(vehicle, policy, x, tick, ticks, *, first=None, hold=REST, hold_ticks=0):
+    """Positions, ten per tick, and states at ticks, of the policy sampled and held on the native vehicle."""
     states, positions = [x], [x[:3]]
+    offset = 0 if first is None else 1
     for k in range(ticks):
-        offset = 0 if first is None else 1
         u = first if k < offset else policy(states[-1], hold if k - offset < hold_ticks else REST)
-        y = states[-1]
+        row = states[-1][None]
         for _ in range(10):
-            y = body.rk4(lambda _, z, u=u: body.derivative(z, u), y, tick / 10)
-            positions.append(y[:3])
+            row = vehicle.step(row, u[None], dt_s=tick / 10)
+            positions.append(row[0, :3])
+        y = row[0].copy()
         n = y[3:6] @ y[3:6]
-        states.append(np.concatenate([y[:3], y[3:6] / -n if n > 1 else y[3:6], y[6:]]))
+        if n > 1:
+            y[3:6] /= -n
+        states.append(y)
     return np.array(positions), np.array(states)

@@ -1,4 +1,4 @@
-"""The backup policies: the paper's numbers, admissibility for every state, Jacobians, and what they do in flight."""
+"""The backup policies: the paper's numbers, admissibility for every state, Jacobians, and flights."""
 
 import backup_model as model
 import numpy as np

@@ -57,19 +57,20 @@ void bind_shield(nb::module_& m) {
   nb::class_<ShieldOptions>(m, "ShieldOptions", "How a manoeuvre to rest is checked.")
       .def(
           "__init__",
-          [](ShieldOptions* self, double tick_s, int substeps, double margin_m, double max_time_s,
+          [](ShieldOptions* self, double radius_m, double tick_s, int substeps, double margin_m, double max_time_s,
              double escape_time_s, int escape_tries, int line_search, double rest_speed_m_s, double rest_rate_rad_s,
              double rest_tilt_rad, double rest_drift_m) {
-            new (self) ShieldOptions{tick_s,          substeps,      margin_m,    max_time_s,
-                                     escape_time_s,   escape_tries,  line_search, rest_speed_m_s,
-                                     rest_rate_rad_s, rest_tilt_rad, rest_drift_m};
+            new (self) ShieldOptions{radius_m,       tick_s,          substeps,      margin_m,
+                                     max_time_s,     escape_time_s,   escape_tries,  line_search,
+                                     rest_speed_m_s, rest_rate_rad_s, rest_tilt_rad, rest_drift_m};
           },
-          nb::kw_only(), "tick_s"_a = o.tick_s, "substeps"_a = o.substeps, "margin_m"_a = o.margin_m,
-          "max_time_s"_a = o.max_time_s, "escape_time_s"_a = o.escape_time_s, "escape_tries"_a = o.escape_tries,
-          "line_search"_a = o.line_search, "rest_speed_m_s"_a = o.rest_speed_m_s,
+          nb::kw_only(), "radius_m"_a = o.radius_m, "tick_s"_a = o.tick_s, "substeps"_a = o.substeps,
+          "margin_m"_a = o.margin_m, "max_time_s"_a = o.max_time_s, "escape_time_s"_a = o.escape_time_s,
+          "escape_tries"_a = o.escape_tries, "line_search"_a = o.line_search, "rest_speed_m_s"_a = o.rest_speed_m_s,
           "rest_rate_rad_s"_a = o.rest_rate_rad_s, "rest_tilt_rad"_a = o.rest_tilt_rad,
           "rest_drift_m"_a = o.rest_drift_m,
-          "tick_s: for which an input is held, of substeps RK4 steps; margin_m: kept beyond the radius;\n"
+          "radius_m: of the vehicle, 0 for that of the index; tick_s: for which an input is held, of substeps RK4 "
+          "steps; margin_m: kept beyond the radius;\n"
           "max_time_s: not at rest by then is not safe; escape_time_s: for which cone-escape holds a velocity,\n"
           "escape_tries: how many of them; line_search: bisections between backup and a refused input;\n"
           "rest_*: at rest is below all of these, with rest_drift_m left to drift.")
@@ -120,13 +121,14 @@ void bind_filters(nb::module_& m) {
       .def(
           "__init__",
           [](ConeEcbf* self, const BackupPolicy& policy, Index index, double lambda, double lambda_max,
-             double escape_rate, const std::string& cascade, double bandwidth, double damping, double max_rate,
-             double least_thrust, double lateral_bias, double clf_weight, double clf_rate, double clf_kp,
-             double clf_kv, bool shield, bool try_nominal, const ShieldOptions& shield_options,
+             double return_time, double escape_rate, const std::string& cascade, double bandwidth, double damping,
+             double max_rate, double least_thrust, double lateral_bias, double clf_weight, double clf_rate,
+             double clf_kp, double clf_kv, bool shield, bool try_nominal, const ShieldOptions& shield_options,
              const Pruning& pruning) {
             new (self) ConeEcbf(policy, std::move(index),
                                 {.lambda = lambda,
                                  .lambda_max = lambda_max,
+                                 .return_time = return_time,
                                  .escape_rate = escape_rate,
                                  .cascade = cascade_of(cascade),
                                  .thrust_bandwidth_rad_s = bandwidth,
@@ -141,7 +143,7 @@ void bind_filters(nb::module_& m) {
                                  .pruning = pruning});
           },
           "policy"_a, "index"_a, nb::kw_only(), "lambda_"_a = e.lambda, "lambda_max"_a = e.lambda_max,
-          "escape_rate"_a = e.escape_rate, "cascade"_a = "extension",
+          "return_time"_a = e.return_time, "escape_rate"_a = e.escape_rate, "cascade"_a = "extension",
           "thrust_bandwidth_rad_s"_a = e.thrust_bandwidth_rad_s, "thrust_damping"_a = e.thrust_damping,
           "max_thrust_rate_n_s"_a = e.max_thrust_rate_n_s, "least_thrust"_a = e.least_thrust,
           "lateral_bias"_a = e.lateral_bias, "clf_weight"_a = e.tracking.weight, "clf_rate"_a = e.tracking.rate,
@@ -149,11 +151,15 @@ void bind_filters(nb::module_& m) {
           "try_nominal"_a = e.try_nominal, "shield_options"_a = ShieldOptions{}, "pruning"_a = Pruning{},
           "lambda_: triple pole of the rows [1/s], moved left up to lambda_max when a row starts beyond its safe "
           "set;\n"
+          "return_time: pole of a row with h < 0, times the time to its ellipsoid;\n"
           "escape_rate: pole of the rows of ellipsoids around the vehicle; cascade: 'extension' (the variable is\n"
           "T''/m) or 'difference' (T); thrust_*: how T follows the nominal; max_thrust_rate_n_s: of |T'|;\n"
           "least_thrust: share of hover; lateral_bias: torque of a head-on nominal, share of the largest;\n"
           "clf_*: soft row on tracking errors, off at weight 0; shield: return only inputs after which a safe\n"
           "manoeuvre to rest is known; try_nominal: without a solution, look between backup and nominal.");
+
+  m.def("ecbf_pole", &ecbf_pole, "h"_a, "h1"_a, "h2"_a, "lambda_"_a, "most"_a,
+        "The least pole from lambda_ to most at which psi_1 and psi_2 are not negative; lambda_ when there is none.");
 
   const ConeBackupOptions b;
   nb::class_<ConeBackup, SplatFilter>(m, "ConeBackup", "The collision cone backup filter of a quadrotor.")

@@ -72,9 +72,9 @@ bool ConeBackup::add_rows(const State& x, std::span<const Found> near, FilterRep
       if (dot(v, v) < o.min_speed_m_s * o.min_speed_m_s) continue;
       const Cone c = flow_.cone(e, k);
       if (c.delta < 0 && c.gamma > 0) continue;
+      report.margin = std::min(report.margin, c.h);
       if (c.h > o.far * c.beta) continue;
       program_.add(flow_.running_row(c, k, o.alpha_running), found.item);
-      report.margin = std::min(report.margin, c.h);
     }
     const Cone last = flow_.cone(e, flow_.nodes());
     program_.add(flow_.clear_row(last, flow_.nodes(), o.alpha_terminal), found.item);

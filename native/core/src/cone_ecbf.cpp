@@ -15,12 +15,12 @@ constexpr double kSameThrust = 0.01;  // of hover: the extension counts as at th
 
 }  // namespace
 
-double ecbf_pole(const Cone& c, const ConeRates& d, double lambda, double most) {
-  if (!(c.h > 0)) return lambda;
-  double pole = std::max(lambda, -d.h1 / c.h);
-  // h l^2 + 2 h' l + h'' >= 0 beyond its larger root.
-  const double discriminant = d.h1 * d.h1 - c.h * d.h2;
-  if (discriminant > 0) pole = std::max(pole, (-d.h1 + std::sqrt(discriminant)) / c.h);
+double ecbf_pole(double h, double h1, double h2, double lambda, double most) {
+  if (!(h > 0)) return lambda;
+  double pole = std::max(lambda, -h1 / h);
+  // psi_2 is at least 0 from the larger of its roots on.
+  const double discriminant = h1 * h1 - h * h2;
+  if (discriminant > 0) pole = std::max(pole, (-h1 + std::sqrt(discriminant)) / h);
   return pole <= most ? pole : lambda;
 }
 
@@ -35,8 +35,9 @@ ConeEcbf::ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIn
   const auto require = [](bool holds, const char* what) {
     if (!holds) throw std::invalid_argument(what);
   };
-  require(o.lambda > 0 && o.lambda_max >= o.lambda && std::isfinite(o.lambda_max) && o.escape_rate > 0,
-          "poles of the cone filter need 0 < lambda <= lambda_max and a positive escape rate");
+  require(o.lambda > 0 && o.lambda_max >= o.lambda && std::isfinite(o.lambda_max) && o.escape_rate > 0 &&
+              o.return_time >= 0,
+          "poles of the cone filter need 0 < lambda <= lambda_max a positive escape rate and a return time");
   require(o.thrust_bandwidth_rad_s > 0 && o.thrust_bandwidth_rad_s * o.shield.tick_s < 1,
           "the bandwidth of the thrust times the tick must lie between 0 and 1");
   require(o.thrust_damping > 0 && o.max_thrust_rate_n_s > 0 && o.least_thrust >= 0 && o.least_thrust < 1,
@@ -57,8 +58,10 @@ bool ConeEcbf::add_rows(const FlightState& state, const SnapMap& map, std::span<
     inside = inside || c.is_inside();
     head_on = head_on || is_head_on(c);
     report.margin = std::min(report.margin, c.h);
-    const SnapRow snap = c.is_inside() ? snap_escape_row(c, d, map, options_.escape_rate)
-                                       : ecbf_row(c, d, map, ecbf_pole(c, d, options_.lambda, options_.lambda_max));
+    const double pole =
+        c.h > 0 ? ecbf_pole(c.h, d.h1, d.h2, options_.lambda, options_.lambda_max)
+                : std::clamp(options_.return_time * c.beta / c.delta, options_.lambda, options_.lambda_max);
+    const SnapRow snap = c.is_inside() ? snap_escape_row(c, d, map, options_.escape_rate) : ecbf_row(c, d, map, pole);
     program_.add({{snap.row[0] * affine_unit_, snap.row[1], snap.row[2], snap.row[3]},
                   snap.bound - snap.row[0] * affine_zero_},
                  found.item);

@@ -35,6 +35,8 @@ Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex>
           "an escape must fit into the shield's longest time");
   require(o.rest_speed_m_s > 0 && o.rest_rate_rad_s > 0 && o.rest_tilt_rad > 0 && o.rest_drift_m > 0,
           "the tolerances of rest must be positive");
+  require(o.radius_m >= 0 && o.radius_m <= index_->radius(), "the vehicle's radius must not exceed that of the map");
+  if (options_.radius_m == 0) options_.radius_m = index_->radius();
   path_.reserve(static_cast<std::size_t>(o.max_time_s / o.tick_s) + 3);
   found_.reserve(4);
 }
@@ -112,9 +114,12 @@ bool Shield::march(double distance, bool thorough, double& least) {
     while (j < last && path_[j + 1].arc <= reach) ++j;
     if (j == k) {  // the next tick is beyond what this one clears: look at the chord between them
       ++j;
-      index_->nearest(path_[k].p, path_[j].p, distance + path_[j].sag, 1, found_);
-      if (!found_.empty() && found_[0].distance < distance + path_[j].sag) {
-        clear = false, least = std::min(least, found_[0].distance - path_[j].sag);
+      const Tick& next = path_[j];
+      const double needed = distance + next.sag;  // of the chord; what is that near is so near to its start, or less
+      const double reach_of_start = needed + norm(next.p - path_[k].p);
+      index_->nearest(path_[k].p, next.p, reach_of_start, 1, found_);
+      if (!found_.empty() && found_[0].distance < needed) {
+        clear = false, least = std::min(least, found_[0].distance - next.sag);
         if (!thorough) return false;
       }
     }
@@ -129,8 +134,8 @@ Certificate Shield::certify(const State& x, const Manoeuvre& manoeuvre, double m
   result.rests = roll(x, manoeuvre, first, result.time_s);
   if (!std::isfinite(path_.back().arc) || (!result.rests && !thorough)) return result;
   double least = 0;
-  const bool clear = march(index_->radius() + margin_m, thorough, least);
-  result.clearance = least - index_->radius();
+  const bool clear = march(options_.radius_m + margin_m, thorough, least);
+  result.clearance = least - options_.radius_m;
   result.safe = clear && result.rests;
   return result;
 }

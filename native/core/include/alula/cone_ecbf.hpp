@@ -9,8 +9,10 @@
 //   nom = T''_nom / m + 2 zeta w (T'_nom / m - u_T') + w^2 (T_nom / m - u_T).
 //
 // A row keeps h >= 0 only from where psi_1 and psi_2 are >= 0 too. When an ellipsoid becomes a candidate with h > 0
-// and that is not so, its pole is moved left, up to `lambda_max`, until it is; where that does not help, or h < 0
-// already, the row still makes h tend to >= 0, and safety rests on the shield.
+// and that is not so, its pole is moved left, up to `lambda_max`, until it is. Where that does not help, safety rests
+// on the shield. A row with h < 0 already makes h tend to 0 from below, with a pole of `return_time` over the time
+// delta / beta to the ellipsoid: it ends near the surface, so the index should be grown by more than the shield's
+// radius.
 //
 // Source: Tscholl, Nakka, Gunter 2026 (FastBridge), section III-D; `difference` is its finite-difference cascade.
 #pragma once
@@ -28,7 +30,8 @@ enum class ThrustCascade : std::uint8_t {
 
 struct ConeEcbfOptions {
   double lambda = 4, lambda_max = 20;  // [1/s]
-  double escape_rate = 4;              // pole of the rows of ellipsoids around the vehicle [1/s]
+  double return_time = 8;  // pole of a row with h < 0 times the time to its ellipsoid, within lambda and lambda_max
+  double escape_rate = 4;  // pole of the rows of ellipsoids around the vehicle [1/s]
   ThrustCascade cascade = ThrustCascade::extension;
   double thrust_bandwidth_rad_s = 30;  // w
   double thrust_damping = 1;           // zeta
@@ -66,7 +69,8 @@ class ConeEcbf final : public SplatFilter {
   double affine_zero_ = 0, affine_unit_ = 1;  // u_T'' of the variable
 };
 
-// The pole, at least lambda and at most `most`, at which psi_1 and psi_2 are not negative; lambda when none is.
-double ecbf_pole(const Cone& cone, const ConeRates& rates, double lambda, double most);
+// The least pole from lambda to `most` at which psi_1 = h' + l h and psi_2 = h'' + 2 l h' + l^2 h are not negative;
+// lambda when there is none.
+double ecbf_pole(double h, double h1, double h2, double lambda, double most);
 
 }  // namespace alula::flight

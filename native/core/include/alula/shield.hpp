@@ -25,9 +25,10 @@
 namespace alula::flight {
 
 struct ShieldOptions {
-  double tick_s = 0.01;        // for which an input is held
-  int substeps = 1;            // RK4 steps of a tick; one is off by ~1e-9 m beside many
-  double margin_m = 0.02;      // kept beyond the radius by a manoeuvre that is accepted
+  double radius_m = 0;     // of the vehicle; 0: that of the index, whose ellipsoids may be grown by more for the rows
+  double tick_s = 0.01;    // for which an input is held
+  int substeps = 1;        // RK4 steps of a tick; one is off by ~1e-9 m beside many
+  double margin_m = 0.02;  // kept beyond the radius by a manoeuvre that is accepted
   double max_time_s = 8.0;     // a manoeuvre not at rest by then is not safe
   double escape_time_s = 0.6;  // for which `cone_escape` holds a velocity
   int escape_tries = 4;        // of its velocities, by angle

@@ -1,0 +1,291 @@
+"""The exponential cone filter: its program against another solver, its edges, and flights with it alone."""
+
+import numpy as np
+import pytest
+import quadrotor_model as body
+import splat_filter_model as filters
+from hypothesis import given
+from hypothesis import strategies as st
+from wrench_flight import (
+    BACKUP,
+    FILTERED,
+    OK,
+    RECOVERING,
+    REFUSED,
+    Flight,
+    Scene,
+    attitude_controlled,
+    empty_scene,
+    random_scene,
+)
+
+from alula import _core
+
+VEHICLE = body.fastbridge()
+POLICY = _core.BackupPolicy(VEHICLE, "brake")
+HOVER = VEHICLE.hover_thrust
+DT = 0.01
+
+
+def ecbf(scene, **options):
+    return _core.ConeEcbf(POLICY, scene.index, **options)
+
+
+def tick(flown, x, wrench, thrust=HOVER, thrust_rate=0.0, **nominal):
+    return flown.filter(x, (0, 0, 0), wrench=tuple(wrench), thrust=thrust, thrust_rate=thrust_rate, **nominal)
+
+
+def random_case(rng):
+    scene = random_scene(rng, 30, size=2.5)
+    x = np.concatenate(
+        [0.3 * rng.normal(size=3), 0.1 * rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)]
+    )
+    wrench = np.array([HOVER + rng.normal(), *rng.normal(0, 0.02, 3)])
+    return scene, x, wrench, HOVER + 0.5 * rng.normal(), rng.normal()
+
+
+def rows_of(scene, x, thrust, rate, lambda_=4.0, most=20.0):
+    """Rows over (u_T'', tau) of what the filter finds near."""
+    speed = np.linalg.norm(x[6:9])
+    reach = max(0.5, speed**2 / 12 + 0.3 * speed + scene.radius)
+    centres, matrices = scene.index.grown()
+    items, _ = scene.index.nearest(x[:3], x[:3], reach=reach, count=len(scene.index))
+    rows = []
+    for i in items:
+        r, a = centres[i] - x[:3], matrices[i]
+        inside = r @ a @ r < 1
+        if r @ a @ x[6:9] < 0 and not inside:
+            continue
+        at = {"thrust": thrust, "thrust_rate": rate, "centre": centres[i], "a": a}
+        psi = _core.snap_rows(VEHICLE, x, rate=0.0, **at)["psi"]  # h, h', h''
+        beta, _, delta, h = filters.cone(centres[i], a, x[:3], x[6:9])
+        pole = _core.ecbf_pole(*psi, lambda_, most) if h > 0 else np.clip(8 * beta / delta, lambda_, most)
+        record = _core.snap_rows(VEHICLE, x, rate=pole, **at)
+        escape = _core.snap_rows(VEHICLE, x, rate=4.0, **at)
+        rows.append(
+            (escape["escape_row"], escape["escape_bound"])
+            if inside
+            else (record["ecbf_row"], record["ecbf_bound"])
+        )
+    return rows
+
+
+def nearest_input(rows, x, wrench, thrust, rate, cascade):
+    """(T, tau) by another solver, or None when there is none."""
+    import cvxpy
+
+    m, z = VEHICLE.mass, cvxpy.Variable(4)
+    ranges = np.abs(VEHICLE.allocation) @ np.full(4, 4.25)
+    u, u1, w = thrust / m, rate / m, 30.0
+    if cascade == "extension":
+        asked = w * w * (wrench[0] / m - u) - 2 * w * u1
+        ranges[0] = w * w * VEHICLE.max_thrust / m
+        second = z[0] * ranges[0]
+        total = m * (u + u1 * DT + second * DT**2 / 2)
+        limits = [cvxpy.abs(rate + m * DT * second) <= 150.0]
+    else:
+        asked = wrench[0]
+        total = z[0] * ranges[0]
+        second = (total / m - u - u1 * DT) / DT**2
+        limits = []
+    nominal = np.array([asked, *wrench[1:]]) / ranges
+    torque = cvxpy.multiply(z[1:], ranges[1:])
+    f = VEHICLE.inverse_allocation @ cvxpy.hstack([total, torque])
+    limits += [f >= 0, f <= 4.25, total >= 0.1 * HOVER]
+    for row, bound in rows:
+        scale = np.abs(np.array(row) * [1e4, 0.1, 0.1, 0.1]).max()
+        limits.append((row[0] * second + row[1:] @ torque - bound) / scale >= 0)
+    problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(z - nominal)), limits)
+    problem.solve(solver=cvxpy.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
+    if problem.status == "infeasible":
+        return None
+    return np.array([total.value, *torque.value])
+
+
+@pytest.mark.filterwarnings("ignore:Solution may be inaccurate")
+@pytest.mark.parametrize("cascade", ["extension", "difference"])
+def test_the_nearest_input_agrees_with_another_solver(cascade):
+    seen = {OK: 0, FILTERED: 0, BACKUP: 0}
+    for seed in range(60):
+        scene, x, wrench, thrust, rate = random_case(np.random.default_rng(seed))
+        centres, matrices = scene.index.grown()
+        r = centres - x[:3]
+        inside = (np.einsum("ni,nij,nj->n", r, matrices, r) < 1).any()
+        flown = ecbf(
+            scene,
+            shield=False,
+            cascade=cascade,
+            lateral_bias=0.0,
+            pruning=_core.Pruning(sweep=False, count=0),
+        )
+        report = tick(flown, x, wrench, thrust, rate)
+        rows = rows_of(scene, x, thrust, rate)
+        assert report["rows"] == len(rows)
+        expected = nearest_input(rows, x, wrench, thrust, rate, cascade)
+        if expected is None:
+            assert report["infeasible"]
+            assert report["status"] == BACKUP
+            np.testing.assert_array_equal(report["wrench"], POLICY(x))
+        elif report["wrench"] == wrench.tolist():
+            np.testing.assert_allclose(expected, wrench, atol=1e-5 if cascade == "difference" else 0.06)
+        else:
+            np.testing.assert_allclose(report["wrench"], expected, rtol=1e-4, atol=2e-5)
+            assert report["status"] == (RECOVERING if inside else FILTERED)
+        seen[OK if report["status"] == RECOVERING else report["status"]] += 1
+    assert min(seen.values()) > 0
+    assert seen[FILTERED] > 10
+
+
+def test_a_nominal_that_holds_all_rows_comes_back_bit_by_bit():
+    flown = ecbf(empty_scene())
+    rng = np.random.default_rng(0)
+    for x in body.random_states(20, seed=1, speed=1.0, rate=0.5):
+        x[3:6] *= 0.1
+        wrench = [HOVER + 1e-3 * rng.normal(), *rng.normal(0, 1e-3, 3)]
+        report = tick(flown, x, wrench, thrust=wrench[0], nominal_thrust_rate=0.25, thrust_rate=0.25)
+        assert report["status"] == OK
+        assert report["wrench"] == wrench
+        assert report["thrust_rate"] == 0.25
+        assert report["margin"] == np.inf
+        assert report["certified"]
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_numbers_that_are_not_finite_are_refused_with_hover(bad):
+    flown = ecbf(random_scene(np.random.default_rng(0), 10))
+    x, wrench = np.zeros(12), np.array([HOVER, 0, 0, 0])
+    reports = []
+    for i in range(12):
+        y = x.copy()
+        y[i] = bad
+        reports.append(tick(flown, y, wrench))
+    for i in range(4):
+        u = wrench.copy()
+        u[i] = bad
+        reports.append(tick(flown, x, u))
+    reports += [tick(flown, x, wrench, thrust=bad), tick(flown, x, wrench, nominal_thrust_acceleration=bad)]
+    for report in reports:
+        assert report["status"] == REFUSED
+        assert report["wrench"] == [HOVER, 0, 0, 0]
+        assert not report["certified"]
+
+
+@given(
+    h=st.floats(1e-3, 1e3),
+    h1=st.floats(-1e3, 1e3),
+    h2=st.floats(-1e4, 1e4),
+    lambda_=st.floats(0.5, 10),
+    most=st.floats(10, 50),
+)
+def test_the_pole_of_a_row_starts_it_inside_its_safe_set(h, h1, h2, lambda_, most):
+    def starts_inside(pole):
+        slack = 1e-9 * (abs(h2) + 2 * pole * abs(h1) + pole**2 * h)
+        return h1 + pole * h >= -slack and h2 + 2 * pole * h1 + pole**2 * h >= -slack
+
+    pole = _core.ecbf_pole(h, h1, h2, lambda_, most)
+    assert lambda_ <= pole <= most
+    if pole > lambda_:
+        assert starts_inside(pole)
+        # Just below it does not: it is the least.
+        below = pole * (1 - 1e-6)
+        assert h1 + below * h < 0 or h2 + 2 * below * h1 + below**2 * h < 0 or below <= lambda_
+    else:
+        assert starts_inside(lambda_) or not starts_inside(most * (1 - 1e-6))
+    assert _core.ecbf_pole(-h, h1, h2, lambda_, most) == lambda_
+
+
+def test_a_vehicle_within_a_grown_ellipsoid_is_only_reported_safe_when_certified():
+    """The grown set of a flat disc is far thicker than the disc and the radius."""
+    scene = Scene([[0.3, 0, 0]], [[0.01, 1.0, 1.0]], [[1, 0, 0, 0]])
+    r, a = np.array([0.3, 0, 0]), scene.index.grown()[1][0]
+    assert r @ a @ r < 1
+    x, u = np.zeros(12), np.array([HOVER, 0, 0, 0])
+    bare, shielded = tick(ecbf(scene, shield=False), x, u), tick(ecbf(scene), x, u)
+    assert bare["status"] == RECOVERING
+    assert bare["margin"] <= 0
+    assert shielded["status"] == FILTERED
+    assert shielded["certified"]
+    assert bare["wrench"][2] < 0  # pitches back, away from the disc
+
+
+def test_a_head_on_course_is_bent_to_the_left_every_time():
+    scene = Scene([[1.3, 0, 0]], [[0.3] * 3], [[1, 0, 0, 0]])
+    x = np.zeros(12)
+    x[6] = 2.0
+    report, again = (tick(ecbf(scene, shield=False), x, (HOVER, 0, 0, 0)) for _ in range(2))
+    assert report == again
+    assert report["wrench"][1] < 0  # a negative roll torque tilts the thrust to +y
+    straight = tick(ecbf(scene, shield=False, lateral_bias=0.0), x, (HOVER, 0, 0, 0))
+    assert abs(straight["wrench"][1]) < 1e-9
+
+
+@pytest.mark.parametrize("speed", [2.5, 4.5])
+@pytest.mark.parametrize("offset", [0.0, 0.2, -0.3])
+@pytest.mark.parametrize("shield", [False, True])
+def test_rows_lead_around_a_sphere_at_speed(speed, offset, shield):
+    """Rows grown by 8 cm more than the vehicle: the shield finds nothing to object to."""
+    scene = Scene([[5, offset, 0]], [[0.5] * 3], [[1, 0, 0, 0]], room=0.08)
+
+    def onward(_, x):
+        a = np.clip([2 * (speed - x[6]), -2 * x[7] - 0.5 * x[1], -3 * x[8] - 2 * x[2]], -4, 4)
+        return attitude_controlled(VEHICLE, x, a)
+
+    x = np.zeros(12)
+    x[6] = speed
+    options = _core.ShieldOptions(radius_m=scene.radius)
+    flight = Flight(scene, VEHICLE, ecbf(scene, shield=shield, shield_options=options), x, onward, int(700 / speed))
+    assert flight.clearance > 0.07
+    assert flight.state[0] > 5.5
+    assert flight.count(FILTERED) > 0
+    assert flight.count(BACKUP) == 0
+
+
+def test_the_thrust_extension_stays_bounded_and_follows_the_nominal():
+    flown, thrust, rate = ecbf(empty_scene(), max_thrust_rate_n_s=40.0), HOVER, 0.0
+    x, seen = np.zeros(12), []
+    for k in range(200):
+        asked = 16.0 if k < 50 else 4.0
+        report = tick(flown, x, (asked, 0, 0, 0), thrust, rate)
+        if report["status"] == FILTERED:
+            assert abs(report["thrust_rate"]) <= 40.0 + 1e-6
+        thrust, rate = report["wrench"][0], report["thrust_rate"]
+        seen.append(thrust)
+    assert max(seen) == pytest.approx(16.0, abs=0.2)
+    assert seen[-1] == pytest.approx(4.0, abs=0.01)
+    assert min(seen) > 0.1 * HOVER - 1e-9
+
+
+def test_a_tracking_row_gives_way_to_the_rows_of_obstacles():
+    scene, x = empty_scene(), np.zeros(12)
+    u = (HOVER, 0, 0, 0)
+    errors = {"position_error": (0, 0, -1.0), "velocity_error": (0, 0, -0.5)}
+    plain = tick(ecbf(scene), x, u, **errors)
+    tracked = tick(ecbf(scene, clf_weight=1e3), x, u, **errors)
+    assert plain["status"] == OK
+    assert tracked["status"] == FILTERED
+    assert tracked["wrench"][0] > plain["wrench"][0]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"lambda_": 0.0},
+        {"lambda_max": 1.0},
+        {"thrust_bandwidth_rad_s": 100.0},
+        {"least_thrust": 1.0},
+        {"max_thrust_rate_n_s": 0.0},
+        {"cascade": "other"},
+        {"clf_weight": -1.0},
+    ],
+)
+def test_options_without_meaning_are_refused(options):
+    with pytest.raises(ValueError):
+        ecbf(empty_scene(), **options)
+
+
+def test_clones_and_repetitions_give_the_same_bits():
+    scene, x, wrench, thrust, rate = random_case(np.random.default_rng(3))
+    flown = ecbf(scene)
+    first = tick(flown, x, wrench, thrust, rate)
+    flown.reset()
+    assert tick(flown, x, wrench, thrust, rate) == first == tick(ecbf(scene).clone(), x, wrench, thrust, rate)

@@ -1,0 +1,244 @@
+"""Certified manoeuvres to rest, and flights that return only inputs which leave one."""
+
+import backup_model as model
+import numpy as np
+import pytest
+import quadrotor_model as body
+from wrench_flight import (
+    BACKUP,
+    RADIUS,
+    Flight,
+    Scene,
+    admissible_start,
+    attitude_controlled,
+    empty_scene,
+    random_scene,
+    wall_scene,
+)
+
+from alula import _core
+
+VEHICLE = body.fastbridge()
+
+
+def shield_of(scene, kind="brake", **options):
+    return _core.Shield(_core.BackupPolicy(VEHICLE, kind), scene.index, _core.ShieldOptions(**options))
+
+
+def moving(v, p=(0, 0, 0)):
+    return np.array([*p, 0, 0, 0, *v, 0, 0, 0], float)
+
+
+@pytest.mark.parametrize("kind", ["hover", "heading-invariant", "brake"])
+def test_certificates_agree_with_manoeuvres_flown_in_the_model(kind):
+    """Safe: the path that is flown keeps the margin. Not safe though at rest: it does not, but for bounds of the sag."""
+    numpy, margin, verdicts = model.MODELS[kind](), 0.02, []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        scene = random_scene(rng, 40)
+        shield = shield_of(scene, kind)
+        for _ in range(4):
+            x = np.concatenate(
+                [rng.uniform(-3, 3, 3), 0.2 * rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)]
+            )
+            first = np.array([4.0, *rng.uniform(-0.03, 0.03, 3)]) if rng.random() < 0.5 else None
+            got = shield.certify(x, first=None if first is None else tuple(first), thorough=True)
+            assert got["rests"]
+            ticks = round(got["time_s"] / 0.01)
+            positions, states = model.manoeuvre(VEHICLE, numpy, x, 0.01, ticks, first=first)
+            assert np.linalg.norm(states[-1, 6:9]) < 0.1
+            clearance = scene.clearance(positions)
+            verdicts.append(got["safe"])
+            if got["safe"]:
+                assert clearance >= margin
+            else:
+                assert clearance < margin + 2e-3
+                assert got["clearance_m"] < margin + 1e-9
+    assert any(verdicts)
+    assert not all(verdicts)
+
+
+def test_an_escape_is_flown_for_its_ticks_and_then_rests():
+    shield, x = shield_of(empty_scene(), "cone-escape"), moving((3, 0, 0))
+    hold = np.array([0, 3.0, 0.5])
+    got = shield.certify(x, hold=hold, hold_ticks=60)
+    _, states = model.manoeuvre(
+        VEHICLE, model.Brake(), x, 0.01, round(got["time_s"] / 0.01), hold=hold, hold_ticks=60
+    )
+    assert got["safe"]
+    assert states[60, 7] > 2
+    assert np.linalg.norm(states[-1, 6:9]) < 0.1
+
+
+def test_at_rest_little_is_left_to_drift():
+    scene = empty_scene()
+    for kind in ("hover", "heading-invariant", "brake"):
+        shield, numpy = shield_of(scene, kind), model.MODELS[kind]()
+        got = shield.certify(moving((2, -1, 0.5)))
+        positions, _ = model.manoeuvre(
+            VEHICLE, numpy, moving((2, -1, 0.5)), 0.01, round(got["time_s"] / 0.01) + 300
+        )
+        rest = positions[10 * round(got["time_s"] / 0.01) :]
+        assert np.linalg.norm(rest - rest[0], axis=1).max() < 0.01  # half the margin
+
+
+def test_what_does_not_rest_in_time_is_not_safe():
+    shield = shield_of(empty_scene(), "hover", max_time_s=2.0)
+    got = shield.certify(moving((5, 0, 0)))
+    assert not got["rests"]
+    assert not got["safe"]
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
+def test_states_without_meaning_are_not_safe(bad):
+    shield = shield_of(empty_scene())
+    for i in range(12):
+        x = np.zeros(12)
+        x[i] = bad
+        got = shield.certify(x)
+        assert not got["safe"] or (bad == 1e200 and i < 3)
+
+
+def test_a_thin_obstacle_between_ticks_is_seen():
+    """A needle across the path at 12 m/s, 12 cm from tick to tick."""
+    for offset in np.linspace(0, 0.12, 9):
+        needle = Scene([[1 + offset, 0, 0]], [[1e-3, 3.0, 1e-3]], [[1, 0, 0, 0]], radius=0.01)
+        assert not shield_of(needle).certify(moving((12, 0, 0)))["safe"]
+
+
+def test_the_margin_is_kept_to_the_wall():
+    scene, shield = wall_scene(), None
+    shield = shield_of(scene)
+    far = [x for x in np.linspace(-3, 2.8, 117) if shield.certify(moving((4, 0, 0), (x, 0, 0)))["safe"]]
+    positions, _ = model.manoeuvre(VEHICLE, model.Brake(), moving((4, 0, 0), (max(far), 0, 0)), 0.01, 250)
+    assert 0.02 - 0.01 <= scene.clearance(positions) < 0.02 + 0.06  # steps of 5 cm
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"tick_s": 0.0},
+        {"margin_m": 0.01},
+        {"substeps": 0},
+        {"max_time_s": float("nan")},
+        {"rest_tilt_rad": 0.0},
+        {"escape_time_s": 10.0},
+    ],
+)
+def test_options_without_meaning_are_refused(options):
+    with pytest.raises(ValueError):
+        shield_of(empty_scene(), **options)
+
+
+def test_escape_velocities_leave_every_cone_at_the_same_speed():
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        scene = random_scene(rng, 60)
+        p, v = rng.uniform(-3, 3, 3), 2 * rng.normal(size=3)
+        velocities, turn = _core.escape_velocities(scene.index, p, v, reach=2.0, count=64)
+        items, _ = scene.index.nearest(p, p, reach=2.0, count=64)
+        centres, matrices = scene.index.grown()
+        assert list(turn) == sorted(turn)
+        for u, angle in zip(velocities, turn, strict=True):
+            assert np.linalg.norm(u) == pytest.approx(np.linalg.norm(v))
+            cosine = u @ v / (v @ v)
+            assert np.arccos(min(cosine, 1)) == pytest.approx(angle, abs=1e-7)
+            for i in items:
+                r, a = centres[i] - p, matrices[i]
+                if r @ a @ r < 1:
+                    continue
+                h = (u @ a @ u) * (r @ a @ r - 1) - (r @ a @ u) ** 2
+                assert h > 0 or r @ a @ u <= 0
+
+
+def test_one_sphere_ahead_is_passed_by_its_tangent():
+    scene = Scene([[3, 0, 0]], [[0.5] * 3], [[1, 0, 0, 0]])
+    velocities, turn = _core.escape_velocities(
+        scene.index, (0, 0, 0), (2, 0, 0), reach=5.0, slack_rad=0.0 + 1e-9
+    )
+    assert len(turn) == 8
+    np.testing.assert_allclose(turn, np.arcsin(0.65 / 3), atol=1e-6)  # the ball grows by the radius exactly
+    assert velocities[0, 1] > 0  # left first
+    assert len(_core.escape_velocities(scene.index, (0, 0, 0), (0.1, 0, 0), reach=5.0)[1]) == 0
+
+
+FILTERS = {
+    "ecbf": lambda policy, index: _core.ConeEcbf(policy, index),
+    "ecbf by differences": lambda policy, index: _core.ConeEcbf(policy, index, cascade="difference"),
+    "backup": lambda policy, index: _core.ConeBackup(policy, index),
+    "interpolation": lambda policy, index: _core.ConeBackup(policy, index, solver="interpolation"),
+    # So few rows that the program knows next to nothing of the map: safe all the same.
+    "blind": lambda policy, index: _core.ConeEcbf(
+        policy, index, pruning=_core.Pruning(count=1, floor_m=0.01)
+    ),
+}
+LOOPS = [
+    ("ecbf", "brake"),
+    ("ecbf", "cone-escape"),
+    ("ecbf", "hover"),
+    ("ecbf by differences", "heading-invariant"),
+    ("backup", "brake"),
+    ("backup", "cone-escape"),
+    ("interpolation", "brake"),
+    ("blind", "brake"),
+]
+
+
+def wild(rng):
+    """Random rotor thrusts, or full thrust in one direction."""
+    if rng.random() < 0.5:
+        return lambda tick, x: VEHICLE.allocation @ rng.uniform(0, 4.25, 4)
+    direction = rng.normal(size=3)
+    direction *= 14 / np.linalg.norm(direction)
+    return lambda tick, x: attitude_controlled(VEHICLE, x, direction)
+
+
+@pytest.mark.parametrize(("name", "kind"), LOOPS)
+def test_no_nominal_input_makes_the_vehicle_touch_an_obstacle(name, kind):
+    backups = 0
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        scene = random_scene(rng)
+        policy = _core.BackupPolicy(VEHICLE, kind)
+        shield, flown = _core.Shield(policy, scene.index), FILTERS[name](policy, scene.index)
+        for _ in range(5):
+            flown.reset()
+            flight = Flight(scene, VEHICLE, flown, admissible_start(rng, shield), wild(rng), 50)
+            assert all(report["certified"] for report in flight.reports)
+            assert flight.clearance >= 0.01  # half the margin
+            backups += flight.count(BACKUP)
+    assert backups > 0
+
+
+def test_full_thrust_at_a_wall_ends_at_rest_before_it():
+    scene = wall_scene()
+    policy = _core.BackupPolicy(VEHICLE, "brake")
+    flown = _core.ConeBackup(policy, scene.index)
+
+    def at_the_wall(tick, x):
+        return attitude_controlled(VEHICLE, x, (14, 0, 0))
+
+    flight = Flight(scene, VEHICLE, flown, moving((0, 0, 0), (-2, 0, 0)), at_the_wall, 400)
+    assert flight.clearance >= 0.01
+    assert flight.state[0] > 1.0  # it came close
+
+
+def test_without_a_shield_the_same_nominal_input_is_not_certified():
+    scene = wall_scene()
+    flown = _core.ConeEcbf(_core.BackupPolicy(VEHICLE, "brake"), scene.index, shield=False)
+    report = flown.filter(moving((1, 0, 0)), (0, 0, 0), wrench=(VEHICLE.hover_thrust, 0, 0, 0), thrust=4.5)
+    assert not report["certified"]
+
+
+def test_where_nothing_is_safe_the_least_bad_is_flown_and_said():
+    scene = wall_scene()
+    policy = _core.BackupPolicy(VEHICLE, "brake")
+    x = moving((6, 0, 0), (2.2, 0, 0))
+    for flown in (_core.ConeEcbf(policy, scene.index), _core.ConeBackup(policy, scene.index)):
+        report = flown.filter(
+            x, (0, 0, 0), wrench=(VEHICLE.hover_thrust, 0, 0, 0), thrust=VEHICLE.hover_thrust
+        )
+        assert report["status"] == 3
+        assert not report["certified"]
+        np.testing.assert_array_equal(report["wrench"], policy(x))
+    assert scene.radius == RADIUS
