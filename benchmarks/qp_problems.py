@@ -187,8 +187,7 @@ def calls(stack: Stack, i: int, solver: Any) -> dict[str, Callable[[], Any]]:
     except ImportError:
         pass
     else:
-        # quadprog overwrites nothing, but wants the rows as columns.
-        columns = np.asfortranarray(rows.T)
+        columns = np.asfortranarray(rows.T)  # it wants the rows as columns
         made["quadprog"] = lambda: quadprog.solve_qp(hessian, -gradient, columns, bounds)
     return made
 

@@ -71,7 +71,9 @@ def all_figures(material: Material) -> list[Figure]:
 
 
 @contextmanager
-def drawing(width: float, height: float, rows: int = 1) -> Iterator[tuple[Any, Callable[[], str]]]:
+def drawing(
+    width: float, height: float, rows: int = 1, columns: int = 1
+) -> Iterator[tuple[Any, Callable[[], str]]]:
     """Axes of a new figure, and a function that renders it; equal data gives equal text."""
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -82,7 +84,7 @@ def drawing(width: float, height: float, rows: int = 1) -> Iterator[tuple[Any, C
         mpl.rcParams.update(_STYLE)
         figure = Canvas(figsize=(width, height), layout="constrained")
         FigureCanvasSVG(figure)
-        axes = figure.subplots(rows, 1, sharex=rows > 1)
+        axes = figure.subplots(rows, columns, sharex=rows > 1, sharey=columns > 1)
 
         def render() -> str:
             out = io.StringIO()

@@ -42,6 +42,28 @@ POLYMERGE_FLIGHTS = (
     (100, 167, 0.8, 0.117),
     (150, 125, 0.9, 0.097),
 )
+# FastBridge, section IV-B, and the table of Figure 4.
+FASTBRIDGE: dict[str, dict[str, float]] = {
+    "comparison": {
+        "mean_jerk_ratio": 0.53,
+        "max_jerk_ratio": 0.54,
+        "time_ratio": 1 / 2.25,
+        "top_speed_m_s": 4.5,
+        "baseline_top_speed_m_s": 3.5,
+    },
+    "flight": {
+        "loop_max_us": 34836,
+        "loop_p99_us": 21043,
+        "loop_mean_us": 12318,
+        "overruns": 1,
+        "ticks": 822,
+        "feasible": 755 / 822,
+        "infeasible": 67,
+        "min_clearance_m": 0.154,
+        "mean_speed_m_s": 0.378,
+        "max_speed_m_s": 1.481,
+    },
+}
 POLYMERGE_BYTES_PER_SPLAT = 447
 POLYMERGE_BYTES_PER_HALF_PLANE = 235
 

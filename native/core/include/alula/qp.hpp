@@ -25,9 +25,11 @@ enum class QpStatus : std::uint8_t {
   // |H x + g - A^T y| <= 256 u (|H| |x| + |g| + |A|^T y): x solves a program that differs by rounding. Rows that
   // contradict each other by too little for a certificate may take 128 times that, 5e-13; `violation` tells.
   optimal,
-  // `multiplier` y >= 0 has |y^T A| <= 32 u y^T |A| and y^T b > 32 u y^T |b|: no x obeys all rows.
+  // `multiplier` y >= 0 has |y^T A| <= 32 u y^T |A| and y^T b > 32 u y^T |b|: no x obeys all rows, but for
+  // some beyond the reach of double precision, |y^T A| |x| >= y^T b.
   infeasible,
-  // A number is not finite, H is not positive definite to rounding, or no verdict could be proved.
+  // A number is not finite, H is not positive definite to rounding, or neither of these can be proved: rows
+  // that contradict each other but for tilts of 1e-15 or so. Treat it as infeasible without a proof.
   failed
 };
 
