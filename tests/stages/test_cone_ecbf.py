@@ -233,7 +233,9 @@ def test_rows_lead_around_a_sphere_at_speed(speed, offset, shield):
     x = np.zeros(12)
     x[6] = speed
     options = _core.ShieldOptions(radius_m=scene.radius)
-    flight = Flight(scene, VEHICLE, ecbf(scene, shield=shield, shield_options=options), x, onward, int(700 / speed))
+    flight = Flight(
+        scene, VEHICLE, ecbf(scene, shield=shield, shield_options=options), x, onward, int(700 / speed)
+    )
     assert flight.clearance > 0.07
     assert flight.state[0] > 5.5
     assert flight.count(FILTERED) > 0
