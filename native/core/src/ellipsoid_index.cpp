@@ -56,7 +56,7 @@ EllipsoidIndex::EllipsoidIndex(const Splats& splats, double sigma, double radius
       depth[i] = 0.5 * (1 + 1e-12) * std::min({size.x, size.y, size.z});  // nothing is deeper inside
     }
   });
-  tree_ = geometry::Bvh(boxes, depth);
+  tree_ = geometry::Bvh(boxes, depth, 8);
   if (splats.loss.empty()) {
     level_ = {all};
   } else {

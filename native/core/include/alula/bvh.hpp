@@ -14,16 +14,18 @@
 namespace alula::geometry {
 
 // Binary tree over boxes, split at the median of the centres along the longest side; O(n log n)
-// to build, 2 n / kLeaf nodes. The tree depends on the boxes alone.
+// to build, 2 n / leaf nodes. The tree depends on the boxes alone.
 class Bvh {
  public:
   Bvh() = default;
 
-  // depth[i] bounds how far inside obstacle i a point can be (0 when that does not matter).
-  Bvh(const std::vector<Box>& boxes, const std::vector<double>& depth) : order_(boxes.size()) {
+  // depth[i] bounds how far inside obstacle i a point can be (0 when that does not matter); a leaf has at most
+  // `leaf` obstacles, more where they are cheap to look at.
+  Bvh(const std::vector<Box>& boxes, const std::vector<double>& depth, std::uint32_t leaf = 4)
+      : order_(boxes.size()), leaf_(leaf) {
     std::iota(order_.begin(), order_.end(), 0u);
     if (boxes.empty()) return;
-    nodes_.reserve(2 * boxes.size() / kLeaf + 2);
+    nodes_.reserve(2 * boxes.size() / leaf + 2);
     build(boxes, depth, 0, static_cast<std::uint32_t>(boxes.size()));
   }
 
@@ -59,34 +61,46 @@ class Bvh {
   std::uint32_t visit_in_order(Vec3 a, Vec3 d, const double& reach, Visit&& visit, Skip&& skip) const {
     if (nodes_.empty()) return 0;
     const Sight sight(a, d);
-    std::uint64_t heap[kHeap];  // the square of a bound, as an integer of the same order, before its node
+    // Entries are the square of a bound, as an integer of the same order, before its node.
+    constexpr std::uint64_t kNone = ~std::uint64_t{0};
+    std::uint64_t heap[kHeap];
     std::size_t size = 0;
-    std::uint32_t measured = 1;
-    const auto push = [&](std::uint32_t node) {
+    std::uint32_t measured = 0;
+    const auto measure = [&](std::uint32_t node) {
+      ++measured;
       const double squared = sight.squared_bound(nodes_[node], reach);
-      if (!may_be_below(nodes_[node], squared, reach) || skip(node, nodes_[node].box)) return;
-      const auto key = std::bit_cast<std::uint32_t>(static_cast<float>(squared));
-      heap[size++] = std::uint64_t{key} << 32 | node;
-      std::push_heap(heap, heap + size, std::greater<>());
+      if (!may_be_below(nodes_[node], squared, reach) || skip(node, nodes_[node].box)) return kNone;
+      return std::uint64_t{std::bit_cast<std::uint32_t>(static_cast<float>(squared))} << 32 | node;
     };
-    push(0);
-    while (size > 0) {
-      std::pop_heap(heap, heap + size, std::greater<>());
-      const std::uint64_t entry = heap[--size];
+    for (std::uint64_t entry = measure(0);;) {
+      if (entry == kNone) {
+        if (size == 0) return measured;
+        std::pop_heap(heap, heap + size, std::greater<>());
+        entry = heap[--size];
+      }
       const auto index = static_cast<std::uint32_t>(entry);
       const Node& node = nodes_[index];
       const double squared = (1 - 1e-6) * std::bit_cast<float>(static_cast<std::uint32_t>(entry >> 32));
+      entry = kNone;
       if (!may_be_below(node, squared, reach)) continue;
       if (node.count > 0) {
         for (std::uint32_t i = 0; i < node.count; ++i) visit(node.first + i, order_[node.first + i]);
-      } else if (size + 2 > kHeap) {
+      } else if (size == kHeap) {
         measured += visit_near(index, sight, reach, visit);
       } else {
-        push(index + 1), push(node.first);
-        measured += 2;
+        const std::uint64_t left = measure(index + 1), right = measure(node.first);
+        entry = std::min(left, right);
+        if (std::max(left, right) != kNone) {
+          heap[size++] = std::max(left, right);
+          std::push_heap(heap, heap + size, std::greater<>());
+        }
+        if (size > 0 && heap[0] < entry && entry != kNone) {  // another is nearer
+          std::pop_heap(heap, heap + size, std::greater<>());
+          std::swap(entry, heap[size - 1]);
+          std::push_heap(heap, heap + size, std::greater<>());
+        }
       }
     }
-    return measured;
   }
 
   // What all obstacles of a node have in common, for every node: combine(x, y) of the values of their slots.
@@ -126,7 +140,6 @@ class Bvh {
   }
 
  private:
-  static constexpr std::uint32_t kLeaf = 4;
   static constexpr std::size_t kHeap = 1024;
   static constexpr double kSlack = 1e-12;  // more than the roundings of a bound
 
@@ -204,7 +217,7 @@ class Bvh {
       deepest = std::max(deepest, depth[order_[i]]);
     }
     nodes_.push_back({box, deepest, begin, end - begin});
-    if (end - begin <= kLeaf) return index;
+    if (end - begin <= leaf_) return index;
     const Vec3 size = centres.upper - centres.lower;
     const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
     const std::uint32_t middle = begin + (end - begin) / 2;
@@ -222,6 +235,7 @@ class Bvh {
   }
 
   std::vector<std::uint32_t> order_;
+  std::uint32_t leaf_ = 4;
   std::vector<Node> nodes_;
 };
 
