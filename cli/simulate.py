@@ -294,7 +294,7 @@ def _timing(result: RunResult, dt_s: float) -> dict[str, Any]:
     if result.tick_s is not None:
         timing |= {"ticks": len(result.tick_s)} | _spread("tick", result.tick_s)
         timing["tick_mean_s"] = float(result.tick_s.mean(dtype=np.float64))
-        timing["tick_overruns"] = int((result.tick_s > dt_s).sum())
+        timing["overruns"] = int((result.tick_s > dt_s).sum())
     return timing
 
 

@@ -17,6 +17,7 @@ from alula.schemas.errors import InputError, UsageError
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
+from alula.stages.compression.certificate import require_solid_hulls
 from alula.stages.compression.ellipsoids import retained, rows_of
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
@@ -32,6 +33,8 @@ from alula.stages.flight.vehicles import plant_options, quadrotor, tracking_gain
 from alula.stages.reporting.metrics import wilson_interval
 
 FloatArray = NDArray[np.float64]
+
+Progress = Callable[[int, int], None]
 
 _BATCH = 16  # trials whose full-rate samples are in memory at once
 _PLANT_STEP_S = 1e-3
@@ -73,7 +76,7 @@ def simulate_splat(
     plan: Artifact | None = None,
     cover: Artifact | None = None,
     jobs: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> RunResult:
     """Fly random start-goal pairs, or a plan, among the ellipsoids of a scene, and judge each flight.
 
@@ -97,6 +100,7 @@ def simulate_splat(
     Raises:
         UsageError: the filter is unknown, a parameter has no meaning, or the plant cannot fly its output.
         InputError: the scene is not metric, or plan or cover do not fit it.
+        ArtifactError: planes and vertices of the cover do not describe the same polytopes.
         InfeasibleError: no clear start-goal pairs were found.
 
     Source: FastBridge (arXiv 2607.01200), section IV.
@@ -106,6 +110,8 @@ def simulate_splat(
     assert config.trials is not None
     assert config.plant is not None
     _check_fit(scene, plan, cover)
+    if cover is not None:
+        require_solid_hulls(cover, jobs=jobs)
     inflation = scene.manifest.suggested_inflation_m if config.inflation_m is None else config.inflation_m  # type: ignore[attr-defined]
     keep = config.radius_m + inflation
     index = _index(scene, config.sigma, keep)
@@ -154,6 +160,7 @@ def simulate_splat(
             seed=config.seed,
             first_trial=begin,
             jobs=jobs,
+            progress=_shifted(progress, begin, len(references)),
         )
         for i, (reference, flown) in enumerate(zip(batch, found, strict=True), begin):
             rows = reference.at(np.arange(len(flown.status) + 1, dtype=np.float64) * config.dt_s)
@@ -161,8 +168,6 @@ def simulate_splat(
             trials.append(judge.trial(i, rows, end, flown, config.dt_s, index))
             flights.append(decimate(flown, config.dt_s, config.log_rate_hz))
             seconds.append((flown.filter_s, flown.tick_s))
-            if progress is not None:
-                progress(i + 1, len(references))
     return RunResult(
         filter=config.filter,
         vehicle=_describe(config, vehicle),
@@ -179,6 +184,11 @@ def simulate_splat(
 def _peak_speed(plan: Artifact | None) -> float:
     assert plan is not None
     return float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
+
+
+def _shifted(progress: Progress | None, begin: int, total: int) -> Progress | None:
+    """Progress of a batch as a part of the whole."""
+    return None if progress is None else lambda done, _: progress(begin + done, total)
 
 
 def _check_fit(scene: Artifact, plan: Artifact | None, cover: Artifact | None) -> None:
@@ -296,12 +306,13 @@ def _guarantee(
     """What the run shows; what a filter proves it proves tick by tick, and the log says which."""
     hits = sum(t.collision for t in trials)
     steps, certified = sum(t.steps for t in trials), sum(t.certified_steps or 0 for t in trials)
+    share = "all" if certified == steps else f"{certified} of {steps}"
     if config.filter == NO_FILTER:
         head = "No filter was flown; nothing was guaranteed beforehand."
     elif certified:
         head = (
-            f"In {certified} of {steps} steps the filter proved that a backup manoeuvre from the end of the "
-            "step keeps the radius from every ellipsoid, for the model without disturbances."
+            f"In {share} steps the filter proved that a backup manoeuvre from the end of the step keeps the "
+            "radius from every ellipsoid, for the model without disturbances."
         )
     else:
         head = f"The filter {config.filter!r} bounds the rate of a barrier at each step; it proves no flight."
@@ -318,6 +329,7 @@ def _guarantee(
             "scene_collisions": hits,
             "certified_steps": certified,
             "steps": steps,
+            "every_step_certified": certified == steps,
             "continuous_time": True,
             "path_sampling_s": min(_PLANT_STEP_S, config.dt_s),
             "sigma": config.sigma,

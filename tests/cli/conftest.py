@@ -7,6 +7,7 @@ import pytest
 
 from alula.cli.main import run
 
+FASTBRIDGE = Path(__file__).resolve().parents[2] / "examples" / "vehicles" / "fastbridge.toml"
 COLUMNS = (
     *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
     *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
@@ -44,6 +45,7 @@ def pipeline(tmp_path_factory) -> Path:
         "sx,sy,sz,wx,wy,wz\n" + "".join(",".join(map(str, p)) + "\n" for p in pairs)
     )
     (folder / "tiny.toml").write_text(SCENARIO)
+    (folder / "tiny.vehicle.toml").write_bytes(FASTBRIDGE.read_bytes())
     f = lambda name: str(folder / name)  # noqa: E731
     steps = [
         ["import-splat", f("tiny.ply"), "-o", f("tiny.scene.npz")],

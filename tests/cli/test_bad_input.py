@@ -100,6 +100,12 @@ CASES = {
         out="out.run.mcap",
         wrong_kind={"tiny.plan.npz": "tiny.voxels.npz", "tiny.cover.npz": "tiny.voxels.npz"},
     ),
+    "simulate in a scene": Case(
+        "simulate tiny.metric.scene.npz --filter cone-backup --trials 1 --vehicle tiny.vehicle.toml -o OUT",
+        {"tiny.metric.scene.npz": FLOATS, "tiny.vehicle.toml": (*TEXT, damage.newer_toml)},
+        out="out.run.mcap",
+        wrong_kind={"tiny.metric.scene.npz": "tiny.voxels.npz"},
+    ),
     "simulate a scenario": Case(
         "simulate tiny.toml -o OUT",
         {"tiny.toml": (*TEXT, damage.newer_toml), "tiny.cover.npz": FLOATS},

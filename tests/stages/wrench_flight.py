@@ -10,12 +10,12 @@ RADIUS = 0.15
 
 
 class Scene:
-    """Gaussians at level 1; those of rows are grown by the vehicle's radius and `room`."""
+    """Gaussians at level 1."""
 
-    def __init__(self, mean, scale, quat_wxyz, radius=RADIUS, *, room=0.0):
+    def __init__(self, mean, scale, quat_wxyz, radius=RADIUS):
         rows = [np.ascontiguousarray(a, np.float32) for a in (mean, scale, quat_wxyz)]
         self.radius = radius
-        self.index = _core.EllipsoidIndex(*rows, sigma=1.0, radius=radius + room)
+        self.index = _core.EllipsoidIndex(*rows, sigma=1.0, radius=radius)
         self.exact = _core.EllipsoidSet(*rows, 1.0)
 
     def clearance(self, positions):
@@ -42,7 +42,7 @@ def wall_scene():
 
 def attitude_controlled(vehicle, x, acceleration):
     """The wrench that turns the thrust towards an acceleration, within the rotors' limits."""
-    f = vehicle.mass * (np.asarray(acceleration, float) + [0, 0, vehicle.gravity])
+    f = vehicle.mass * (np.asarray(acceleration, float) + vehicle.gravity * body.E3)
     inertial = body.body_to_inertial(x[3:6])
     axis = inertial.T @ (f / np.linalg.norm(f))
     torque = 0.26 * np.array([-axis[1], axis[0], 0]) - 0.025 * x[9:12] * [1, 1, 0.5]

@@ -57,19 +57,19 @@ void bind_shield(nb::module_& m) {
   nb::class_<ShieldOptions>(m, "ShieldOptions", "How a manoeuvre to rest is checked.")
       .def(
           "__init__",
-          [](ShieldOptions* self, double radius_m, double tick_s, int substeps, double margin_m, double max_time_s,
+          [](ShieldOptions* self, double tick_s, int substeps, double margin_m, double max_time_s,
              double escape_time_s, int escape_tries, int line_search, double rest_speed_m_s, double rest_rate_rad_s,
              double rest_tilt_rad, double rest_drift_m) {
-            new (self) ShieldOptions{radius_m,       tick_s,          substeps,      margin_m,
-                                     max_time_s,     escape_time_s,   escape_tries,  line_search,
-                                     rest_speed_m_s, rest_rate_rad_s, rest_tilt_rad, rest_drift_m};
+            new (self) ShieldOptions{tick_s,          substeps,      margin_m,    max_time_s,
+                                     escape_time_s,   escape_tries,  line_search, rest_speed_m_s,
+                                     rest_rate_rad_s, rest_tilt_rad, rest_drift_m};
           },
-          nb::kw_only(), "radius_m"_a = o.radius_m, "tick_s"_a = o.tick_s, "substeps"_a = o.substeps,
-          "margin_m"_a = o.margin_m, "max_time_s"_a = o.max_time_s, "escape_time_s"_a = o.escape_time_s,
-          "escape_tries"_a = o.escape_tries, "line_search"_a = o.line_search, "rest_speed_m_s"_a = o.rest_speed_m_s,
+          nb::kw_only(), "tick_s"_a = o.tick_s, "substeps"_a = o.substeps, "margin_m"_a = o.margin_m,
+          "max_time_s"_a = o.max_time_s, "escape_time_s"_a = o.escape_time_s, "escape_tries"_a = o.escape_tries,
+          "line_search"_a = o.line_search, "rest_speed_m_s"_a = o.rest_speed_m_s,
           "rest_rate_rad_s"_a = o.rest_rate_rad_s, "rest_tilt_rad"_a = o.rest_tilt_rad,
           "rest_drift_m"_a = o.rest_drift_m,
-          "radius_m: of the vehicle, 0 for that of the index; tick_s: for which an input is held, of substeps RK4 "
+          "tick_s: for which an input is held, of substeps RK4 "
           "steps; margin_m: kept beyond the radius;\n"
           "max_time_s: not at rest by then is not safe; escape_time_s: for which cone-escape holds a velocity,\n"
           "escape_tries: how many of them; line_search: bisections between backup and a refused input;\n"
@@ -123,8 +123,8 @@ void bind_filters(nb::module_& m) {
           [](ConeEcbf* self, const BackupPolicy& policy, Index index, double lambda, double lambda_max,
              double return_time, double escape_rate, const std::string& cascade, double bandwidth, double damping,
              double max_rate, double least_thrust, double lateral_bias, double clf_weight, double clf_rate,
-             double clf_kp, double clf_kv, bool shield, bool try_nominal, const ShieldOptions& shield_options,
-             const Pruning& pruning) {
+             double clf_kp, double clf_kv, bool shield, double room_m, bool try_nominal,
+             const ShieldOptions& shield_options, const Pruning& pruning) {
             new (self) ConeEcbf(policy, std::move(index),
                                 {.lambda = lambda,
                                  .lambda_max = lambda_max,
@@ -138,6 +138,7 @@ void bind_filters(nb::module_& m) {
                                  .lateral_bias = lateral_bias,
                                  .tracking = {clf_weight, clf_rate, clf_kp, clf_kv},
                                  .shielded = shield,
+                                 .room_m = room_m,
                                  .try_nominal = try_nominal,
                                  .shield = shield_options,
                                  .pruning = pruning});
@@ -147,7 +148,7 @@ void bind_filters(nb::module_& m) {
           "thrust_bandwidth_rad_s"_a = e.thrust_bandwidth_rad_s, "thrust_damping"_a = e.thrust_damping,
           "max_thrust_rate_n_s"_a = e.max_thrust_rate_n_s, "least_thrust"_a = e.least_thrust,
           "lateral_bias"_a = e.lateral_bias, "clf_weight"_a = e.tracking.weight, "clf_rate"_a = e.tracking.rate,
-          "clf_kp"_a = e.tracking.kp, "clf_kv"_a = e.tracking.kv, "shield"_a = e.shielded,
+          "clf_kp"_a = e.tracking.kp, "clf_kv"_a = e.tracking.kv, "shield"_a = e.shielded, "room_m"_a = e.room_m,
           "try_nominal"_a = e.try_nominal, "shield_options"_a = ShieldOptions{}, "pruning"_a = Pruning{},
           "lambda_: triple pole of the rows [1/s], moved left up to lambda_max when a row starts beyond its safe "
           "set;\n"
@@ -156,7 +157,8 @@ void bind_filters(nb::module_& m) {
           "T''/m) or 'difference' (T); thrust_*: how T follows the nominal; max_thrust_rate_n_s: of |T'|;\n"
           "least_thrust: share of hover; lateral_bias: torque of a head-on nominal, share of the largest;\n"
           "clf_*: soft row on tracking errors, off at weight 0; shield: return only inputs after which a safe\n"
-          "manoeuvre to rest is known; try_nominal: without a solution, look between backup and nominal.");
+          "manoeuvre to rest is known; room_m: what rows keep beyond the radius then; try_nominal: without a "
+          "solution, look between backup and nominal.");
 
   m.def("ecbf_pole", &ecbf_pole, "h"_a, "h1"_a, "h2"_a, "lambda_"_a, "most"_a,
         "The least pole from lambda_ to most at which psi_1 and psi_2 are not negative; lambda_ when there is none.");
@@ -168,7 +170,7 @@ void bind_filters(nb::module_& m) {
           [](ConeBackup* self, const BackupPolicy& policy, Index index, double horizon_s, int nodes, int steps,
              double alpha_running, double alpha_terminal, double min_speed_m_s, double far, const std::string& solver,
              double lateral_bias, double clf_weight, double clf_rate, double clf_kp, double clf_kv, bool shield,
-             bool try_nominal, const ShieldOptions& shield_options, const Pruning& pruning) {
+             double room_m, bool try_nominal, const ShieldOptions& shield_options, const Pruning& pruning) {
             new (self) ConeBackup(policy, std::move(index),
                                   {.horizon_s = horizon_s,
                                    .nodes = nodes,
@@ -181,6 +183,7 @@ void bind_filters(nb::module_& m) {
                                    .lateral_bias = lateral_bias,
                                    .tracking = {clf_weight, clf_rate, clf_kp, clf_kv},
                                    .shielded = shield,
+                                   .room_m = room_m,
                                    .try_nominal = try_nominal,
                                    .shield = shield_options,
                                    .pruning = pruning});
@@ -189,13 +192,13 @@ void bind_filters(nb::module_& m) {
           "alpha_running"_a = b.alpha_running, "alpha_terminal"_a = b.alpha_terminal,
           "min_speed_m_s"_a = b.min_speed_m_s, "far"_a = b.far, "solver"_a = "active-set",
           "lateral_bias"_a = b.lateral_bias, "clf_weight"_a = b.tracking.weight, "clf_rate"_a = b.tracking.rate,
-          "clf_kp"_a = b.tracking.kp, "clf_kv"_a = b.tracking.kv, "shield"_a = b.shielded,
+          "clf_kp"_a = b.tracking.kp, "clf_kv"_a = b.tracking.kv, "shield"_a = b.shielded, "room_m"_a = b.room_m,
           "try_nominal"_a = b.try_nominal, "shield_options"_a = ShieldOptions{}, "pruning"_a = Pruning{},
           "horizon_s, nodes: of the backup flow, steps: RK4 steps between nodes, 0 to fit the policy's rates;\n"
           "alpha_running, alpha_terminal: of h' >= -alpha h [1/s] at the nodes and of gamma at the last;\n"
           "min_speed_m_s: nodes slower than that have no running rows; far: rows with h / beta beyond it are left\n"
           "out; solver: 'active-set' or 'interpolation' between the backup and the nominal input; lateral_bias,\n"
-          "clf_*, shield, try_nominal as of ConeEcbf.");
+          "clf_*, shield, room_m, try_nominal as of ConeEcbf.");
 }
 
 }  // namespace

@@ -39,6 +39,7 @@ ConeBackup::ConeBackup(const BackupPolicy& policy, std::shared_ptr<const Ellipso
   require(o.alpha_running > 0 && o.alpha_terminal > 0 && std::isfinite(o.alpha_running + o.alpha_terminal),
           "alpha_running and alpha_terminal must be positive");
   require(o.min_speed_m_s >= 0 && o.far > 0, "the least speed must not be negative, and what is far positive");
+  require(o.room_m >= 0 && std::isfinite(o.room_m), "the room of rows must not be negative");
   require(o.lateral_bias >= 0 && o.lateral_bias < 1 && o.tracking.weight >= 0 && o.tracking.rate > 0 &&
               o.tracking.kp > 0 && o.tracking.kv > 0,
           "bias and weight must not be negative, and rate and gains of the tracking row positive");
@@ -63,7 +64,7 @@ bool ConeBackup::add_rows(const State& x, std::span<const Found> near, FilterRep
   const ConeBackupOptions& o = options_;
   bool head_on = false;
   for (const Found& found : near) {
-    const GrownEllipsoid& e = pruner_.index().grown(found.item);
+    const GrownEllipsoid e = with_room(pruner_.index().grown(found.item), o.shielded ? o.room_m : 0);
     const Cone now = collision_cone(e, x.p, x.v);
     head_on = head_on || is_head_on(now);
     inside = inside || now.is_inside();

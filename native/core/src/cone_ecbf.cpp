@@ -42,6 +42,7 @@ ConeEcbf::ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIn
           "the bandwidth of the thrust times the tick must lie between 0 and 1");
   require(o.thrust_damping > 0 && o.max_thrust_rate_n_s > 0 && o.least_thrust >= 0 && o.least_thrust < 1,
           "damping and rate of the thrust must be positive, and its least share of hover below 1");
+  require(o.room_m >= 0 && std::isfinite(o.room_m), "the room of rows must not be negative");
   require(o.lateral_bias >= 0 && o.lateral_bias < 1 && o.tracking.weight >= 0 && o.tracking.rate > 0 &&
               o.tracking.kp > 0 && o.tracking.kv > 0,
           "bias and weight must not be negative, and rate and gains of the tracking row positive");
@@ -52,7 +53,7 @@ bool ConeEcbf::add_rows(const FlightState& state, const SnapMap& map, std::span<
                         FilterReport& report, bool& inside) {
   bool head_on = false;
   for (const Found& found : near) {
-    const GrownEllipsoid& e = pruner_.index().grown(found.item);
+    const GrownEllipsoid e = with_room(pruner_.index().grown(found.item), options_.shielded ? options_.room_m : 0);
     const Cone c = collision_cone(e, state.x.p, state.x.v);
     const ConeRates d = cone_rates(e, c, map.acceleration, map.jerk);
     inside = inside || c.is_inside();

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
-#include <numeric>
+#include <utility>
 
 namespace alula::flight {
 namespace {
@@ -90,14 +90,10 @@ Escapes escape_velocities(const EllipsoidIndex& index, std::span<const Found> ne
     result.velocity[result.count] = speed * (std::cos(angle) * ahead + std::sin(angle) * (l * left + u * up));
     result.turn[result.count++] = angle;
   }
-  std::array<std::size_t, kEscapes> order;
-  std::iota(order.begin(), order.end(), std::size_t{0});
-  std::stable_sort(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(result.count),
-                   [&](std::size_t a, std::size_t b) { return result.turn[a] < result.turn[b]; });
-  Escapes sorted = result;
-  for (std::size_t i = 0; i < result.count; ++i)
-    sorted.velocity[i] = result.velocity[order[i]], sorted.turn[i] = result.turn[order[i]];
-  return sorted;
+  for (std::size_t i = 1; i < result.count; ++i)  // by the angle, ties in their order
+    for (std::size_t j = i; j > 0 && result.turn[j] < result.turn[j - 1]; --j)
+      std::swap(result.turn[j], result.turn[j - 1]), std::swap(result.velocity[j], result.velocity[j - 1]);
+  return result;
 }
 
 }  // namespace alula::flight

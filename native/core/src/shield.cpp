@@ -35,8 +35,6 @@ Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex>
           "an escape must fit into the shield's longest time");
   require(o.rest_speed_m_s > 0 && o.rest_rate_rad_s > 0 && o.rest_tilt_rad > 0 && o.rest_drift_m > 0,
           "the tolerances of rest must be positive");
-  require(o.radius_m >= 0 && o.radius_m <= index_->radius(), "the vehicle's radius must not exceed that of the map");
-  if (options_.radius_m == 0) options_.radius_m = index_->radius();
   path_.reserve(static_cast<std::size_t>(o.max_time_s / o.tick_s) + 3);
   found_.reserve(4);
 }
@@ -134,8 +132,8 @@ Certificate Shield::certify(const State& x, const Manoeuvre& manoeuvre, double m
   result.rests = roll(x, manoeuvre, first, result.time_s);
   if (!std::isfinite(path_.back().arc) || (!result.rests && !thorough)) return result;
   double least = 0;
-  const bool clear = march(options_.radius_m + margin_m, thorough, least);
-  result.clearance = least - options_.radius_m;
+  const bool clear = march(index_->radius() + margin_m, thorough, least);
+  result.clearance = least - index_->radius();
   result.safe = clear && result.rests;
   return result;
 }
@@ -147,19 +145,24 @@ void Shield::find_escapes(const State& x, std::span<const Found> near) {
   escapes_.count = std::min(escapes_.count, static_cast<std::size_t>(options_.escape_tries));
 }
 
-// Whether some manoeuvre is safe after a tick of u; it becomes `next_`.
-bool Shield::accept(const State& x, const Wrench& u, std::span<const Found> near) {
-  const auto is_safe = [&](const Manoeuvre& manoeuvre) {
-    if (!certify(x, manoeuvre, options_.margin_m, &u).safe) return false;
-    next_ = manoeuvre;
-    return true;
-  };
-  if (is_safe({})) return true;
+// Whether resting, or else the committed manoeuvre, is safe after a tick of u; it becomes `next_`.
+bool Shield::accept(const State& x, const Wrench& u) {
+  next_ = {};
+  if (certify(x, next_, options_.margin_m, &u).safe) return true;
+  if (!policy_.escapes() || committed_.ticks == 0) return false;
+  next_ = committed_;
+  return certify(x, next_, options_.margin_m, &u).safe;
+}
+
+// The same, or else a new escape.
+bool Shield::accept_escaping(const State& x, const Wrench& u, std::span<const Found> near) {
+  if (accept(x, u)) return true;
   if (!policy_.escapes()) return false;
-  if (committed_.ticks > 0 && is_safe(committed_)) return true;
   find_escapes(x, near);
-  for (std::size_t i = 0; i < escapes_.count; ++i)
-    if (is_safe({escapes_.velocity[i], hold_ticks()})) return true;
+  for (std::size_t i = 0; i < escapes_.count; ++i) {
+    next_ = {escapes_.velocity[i], hold_ticks()};
+    if (certify(x, next_, options_.margin_m, &u).safe) return true;
+  }
   return false;
 }
 
@@ -213,7 +216,7 @@ void Shield::fall_back(const State& x, std::span<const Found> near, FilterReport
 bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus accepted, std::span<const Found> near,
                     FilterReport& report) {
   has_escapes_ = has_escapes_ && is_planned_;
-  if (accept(x, candidate, near)) {
+  if (accept_escaping(x, candidate, near)) {
     report.wrench = candidate, report.status = accepted, report.certified = true;
     committed_ = next_;
     is_planned_ = false;
@@ -229,7 +232,7 @@ bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus a
       const double share = (inside + outside) / 2;
       const Wrench u{base.thrust + share * (candidate.thrust - base.thrust),
                      base.torque + share * (candidate.torque - base.torque)};
-      if (accept(x, u, near)) {
+      if (accept(x, u)) {
         report.wrench = u, next = next_, inside = share;
       } else {
         outside = share;

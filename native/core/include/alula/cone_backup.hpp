@@ -38,6 +38,7 @@ struct ConeBackupOptions {
   double lateral_bias = 0.1;  // torque of a head-on nominal, as a share of the largest
   TrackingRow tracking;
   bool shielded = true;
+  double room_m = 0.08;     // kept by the rows beyond the radius when shielded: they steer before the shield stops
   bool try_nominal = true;  // without a solution, let the shield look between backup and nominal
   ShieldOptions shield;     // its tick_s is that of the filter
   Pruning pruning;

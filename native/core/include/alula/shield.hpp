@@ -25,13 +25,12 @@
 namespace alula::flight {
 
 struct ShieldOptions {
-  double radius_m = 0;     // of the vehicle; 0: that of the index, whose ellipsoids may be grown by more for the rows
-  double tick_s = 0.01;    // for which an input is held
-  int substeps = 1;        // RK4 steps of a tick; one is off by ~1e-9 m beside many
-  double margin_m = 0.02;  // kept beyond the radius by a manoeuvre that is accepted
+  double tick_s = 0.01;        // for which an input is held
+  int substeps = 1;            // RK4 steps of a tick; one is off by ~1e-9 m beside many
+  double margin_m = 0.02;      // kept beyond the radius by a manoeuvre that is accepted
   double max_time_s = 8.0;     // a manoeuvre not at rest by then is not safe
   double escape_time_s = 0.6;  // for which `cone_escape` holds a velocity
-  int escape_tries = 4;        // of its velocities, by angle
+  int escape_tries = 3;        // of its velocities, by angle
   int line_search = 2;         // bisections between the backup's input and one that is refused
   // At rest: all of these, and the linear loop would drift by at most rest_drift_m.
   double rest_speed_m_s = 0.1, rest_rate_rad_s = 0.2, rest_tilt_rad = 0.05, rest_drift_m = 0.008;
@@ -89,7 +88,8 @@ class Shield {
   bool roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time);
   bool resting(const State& x) const;
   bool march(double distance, bool thorough, double& least);
-  bool accept(const State& x, const Wrench& u, std::span<const Found> near);
+  bool accept(const State& x, const Wrench& u);
+  bool accept_escaping(const State& x, const Wrench& u, std::span<const Found> near);
   void settle(const State& x, std::span<const Found> near, FilterReport& report);
   bool choose(const State& x, std::span<const Found> near);
   void find_escapes(const State& x, std::span<const Found> near);

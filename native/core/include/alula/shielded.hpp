@@ -5,6 +5,22 @@
 
 namespace alula::flight {
 
+// An ellipsoid around the sum of `e` and a ball of radius `room` [m], as `EllipsoidIndex` makes them; `e` for none.
+inline GrownEllipsoid with_room(const GrownEllipsoid& e, double room) {
+  using geometry::cross, geometry::dot;
+  const auto inverse = [](const Mat3& m) {  // of a symmetric matrix
+    const Vec3 x = cross(m.row(1), m.row(2)), y = cross(m.row(2), m.row(0)), z = cross(m.row(0), m.row(1));
+    const double scale = 1 / dot(m.row(0), x);
+    return scale * Mat3{{{x.x, x.y, x.z}, {x.y, y.y, y.z}, {x.z, y.z, z.z}}};
+  };
+  if (!(room > 0)) return e;
+  Mat3 covariance = inverse(e.a);
+  const double trace = covariance[0][0] + covariance[1][1] + covariance[2][2];
+  const double p = std::sqrt(trace / 3) / room;
+  covariance = (1 + 1 / p) * covariance + (1 + p) * room * room * geometry::identity();
+  return {e.centre, inverse(covariance)};
+}
+
 inline bool is_usable(const FlightState& state, const Nominal& nominal) {
   return is_finite(state.x) && std::isfinite(state.thrust) && std::isfinite(state.thrust_rate) &&
          is_finite(nominal.wrench) && std::isfinite(nominal.thrust_rate) &&

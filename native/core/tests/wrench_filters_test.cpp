@@ -1,0 +1,105 @@
+// Wrench filters among ellipsoids allocate nothing once warm, return admissible inputs, and repeat themselves.
+#include <atomic>
+#include <cmath>
+#include <cstdlib>
+#include <cstring>
+#include <new>
+#include <random>
+#include <vector>
+
+#include "alula/cone_backup.hpp"
+#include "alula/cone_ecbf.hpp"
+#include "check.hpp"
+
+namespace {
+
+std::atomic<std::size_t> allocations{0};
+
+}  // namespace
+
+void* operator new(std::size_t size) {
+  ++allocations;
+  if (void* p = std::malloc(size == 0 ? 1 : size)) return p;
+  throw std::bad_alloc();
+}
+void operator delete(void* p) noexcept { std::free(p); }
+void operator delete(void* p, std::size_t) noexcept { std::free(p); }
+
+namespace {
+
+using namespace alula;
+using namespace alula::flight;
+
+Quadrotor vehicle() {
+  const double l = 0.078;
+  return {0.461,
+          {6.5e-4, 6.9e-4, 1.1e-3},
+          {{l, -l, l, -l}, {l, -l, -l, l}, {-1, -1, 1, 1}, 0.0116, {}, {4.25, 4.25, 4.25, 4.25}}};
+}
+
+std::shared_ptr<const EllipsoidIndex> cloud(std::size_t count) {
+  std::vector<float> mean, scale, quat;
+  std::mt19937_64 random(7);
+  const auto uniform = [&] { return static_cast<float>(random() >> 11) * 0x1p-53F; };
+  for (std::size_t i = 0; i < 3 * count; ++i) mean.push_back(6 * uniform() - 3);
+  for (std::size_t i = 0; i < 3 * count; ++i) scale.push_back(0.005F + 0.05F * uniform());
+  for (std::size_t i = 0; i < 4 * count; ++i) quat.push_back(2 * uniform() - 1);
+  return std::make_shared<const EllipsoidIndex>(Splats{mean, scale, quat, {}}, 1.0, 0.1);
+}
+
+FlightState state(int i) {
+  FlightState s;
+  s.x.p = {std::sin(0.37 * i), std::cos(0.53 * i), std::sin(0.71 * i)};
+  s.x.sigma = {0.05 * std::sin(0.2 * i), 0.05 * std::cos(0.3 * i), 0.5 * std::sin(0.05 * i)};
+  s.x.v = {2 * std::cos(0.29 * i), std::sin(0.41 * i), 0.3 * std::cos(0.13 * i)};
+  s.thrust = 4.5;
+  return s;
+}
+
+Nominal nominal() {
+  Nominal n;
+  n.wrench = {5.5, {0.02, -0.03, 0.001}};
+  n.position_error = {0.1, 0, 0.2};
+  return n;
+}
+
+// Every state in an order that no tick could have left the filter in: commitments are of no use, nor may they harm.
+void test_ticks(SplatFilter& filter) {
+  const Quadrotor body = vehicle();
+  const auto other = filter.clone();
+  for (SplatFilter* each : {&filter, other.get()}) {
+    for (int i = 0; i < 300; ++i) each->filter(state(i), nominal());
+    each->reset();
+  }
+  const std::size_t before = allocations;
+  unsigned rows = 0, changed = 0, certified = 0, different = 0, inadmissible = 0;
+  for (int i = 0; i < 200; ++i) {
+    const FilterReport report = filter.filter(state(i), nominal()), again = other->filter(state(i), nominal());
+    rows += report.rows, changed += report.status != SplatFilterStatus::ok, certified += report.certified;
+    different += std::memcmp(&report.wrench, &again.wrench, sizeof report.wrench) != 0;
+    inadmissible += !body.admissible(report.wrench, 1e-9);
+  }
+  CHECK(rows > 200 && changed > 20 && certified > 20);
+  CHECK(different == 0);
+  CHECK(inadmissible == 0);
+  CHECK(allocations == before);
+}
+
+}  // namespace
+
+int main() {
+  const auto index = cloud(400);
+  for (const BackupKind kind :
+       {BackupKind::hover, BackupKind::heading_invariant, BackupKind::brake, BackupKind::cone_escape}) {
+    const BackupPolicy policy(vehicle(), kind);
+    for (const double weight : {0.0, 10.0}) {
+      ConeEcbfOptions ecbf;
+      ConeBackupOptions backup;
+      ecbf.tracking.weight = backup.tracking.weight = weight;
+      ConeEcbf first(policy, index, ecbf);
+      ConeBackup second(policy, index, backup);
+      test_ticks(first), test_ticks(second);
+    }
+  }
+  return alula_failures;
+}
