@@ -31,7 +31,7 @@ def moving(v, p=(0, 0, 0)):
 
 @pytest.mark.parametrize("kind", ["hover", "heading-invariant", "brake"])
 def test_certificates_agree_with_manoeuvres_flown_in_the_model(kind):
-    """Safe: the path that is flown keeps the margin. Not safe though it rests: it does not, but for the sag."""
+    """Safe: the flown path keeps the margin. Not safe though at rest: it does not, but for the sag."""
     numpy, margin, verdicts = model.MODELS[kind](), 0.02, []
     for seed in range(4):
         rng = np.random.default_rng(seed)
