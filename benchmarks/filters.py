@@ -212,7 +212,7 @@ def main() -> int:
     }
     for name, (quick, full, text) in sizes.items():
         parser.add_argument(f"--{name}", type=int, metavar="N", help=f"{text}: {full:,}, quick {quick:,}")
-    parser.add_argument("--qp-seconds", type=float, metavar="S", help="of that, at most; quick 9")
+    parser.add_argument("--qp-seconds", type=float, metavar="S", help="of that, at most; quick 8")
     parser.add_argument("--brute-seconds", type=float, metavar="S", help="of safer-splat without index")
     options = parser.parse_args()
     for name, (quick, full, _) in sizes.items():
@@ -220,7 +220,7 @@ def main() -> int:
         if getattr(options, key) is None:
             setattr(options, key, quick if options.quick else full)
     if options.qp_seconds is None and options.quick:
-        options.qp_seconds = 9.0
+        options.qp_seconds = 8.0
     if options.brute_seconds is None:
         options.brute_seconds = 4.0 if options.quick else 30.0
     found, good = run(options)
