@@ -39,8 +39,8 @@ def quadrotor(vehicle: Vehicle) -> Quadrotor:
 def tracking_gains(vehicle: Vehicle, catch_up_m_s: float | None = None) -> TrackingGains:
     """Gains and limits of the geometric controller; of a double integrator those of the translation.
 
-    `catch_up_m_s` holds where the file does not say how much faster than its reference a vehicle that was held
-    up may fly.
+    `catch_up_m_s` holds where the file does not say how much faster than its reference a vehicle that was
+    held up may fly.
     """
     table = vehicle.tracking
     attitude, rate = vehicle.attitude_gains() if vehicle.model == "quadrotor" else ((0.0,) * 3, (0.0,) * 3)
