@@ -122,8 +122,8 @@ class SimulateConfig:
     guide: str = field(
         default="none",
         metadata={
-            "help": "Filter of accelerations that bends what the controller asks for among ellipsoids, before "
-            "the filter: cone-di or safer-splat.",
+            "help": "Filter of accelerations that bends what the controller asks for among ellipsoids "
+            "before the filter does: cone-di or safer-splat.",
             "metavar": "NAME",
         },
     )
