@@ -145,7 +145,8 @@ def compare(
 
     def summed(sweeps: Sequence[Sweep], get: Callable[[TrialResult], float | None]) -> FloatArray:
         values = np.array([s.values(get)[:count] for s in sweeps])
-        return np.where(both, values, 0.0).sum(axis=0)[both.any(axis=0)]
+        total: FloatArray = np.where(both, values, 0.0).sum(axis=0)[both.any(axis=0)]
+        return total
 
     def ratio(get: Callable[[TrialResult], float | None]) -> Estimate | None:
         return ratio_estimate(summed(ours, get), summed(theirs, get))
@@ -328,7 +329,7 @@ def in_short(sweeps: Sequence[Sweep]) -> dict[str, str]:
             speeds = speeds_of(sweeps, scene, (theirs, OURS))
             if not speeds:
                 continue
-            found = compare(*(_at_all(sweeps, scene, variant, speeds) for variant in (OURS, theirs)))
+            found = compare(_at_all(sweeps, scene, OURS, speeds), _at_all(sweeps, scene, theirs, speeds))
             parts = []
             if found.mean_jerk is not None:
                 low, high = 100 * (1 - found.mean_jerk.high), 100 * (1 - found.mean_jerk.low)
