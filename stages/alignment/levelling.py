@@ -44,7 +44,7 @@ class Level:
 def turn_up(up: Array) -> Array:
     """The smallest rotation that takes a direction to +z; about x when it is -z.
 
-    With m half way between up and z, it is the product of two reflections, (I - 2 m m') (I - 2 up up'). Below the
+    With m half way between up and z, the product of two reflections, (I - 2 m m') (I - 2 up up'). Below the
     horizon 1 + up_z is (up_x^2 + up_y^2) / (1 - up_z), which loses no digits.
     """
     u = up / np.linalg.norm(up)
