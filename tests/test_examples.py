@@ -1,5 +1,6 @@
 """The examples run, and their Makefiles behave as Make users expect."""
 
+import json
 import os
 import shutil
 import signal
