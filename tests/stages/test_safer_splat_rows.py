@@ -99,6 +99,28 @@ def test_no_violated_row_is_passed_over(seed, hessian, gains):
     assert set(np.flatnonzero(is_inside & (loss is None)).tolist()) <= unsure
 
 
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    hessian=st.sampled_from(["correct", "published"]),
+    speed=st.sampled_from([0.0, 0.5, 4.0]),
+)
+def test_a_row_that_is_just_violated_is_not_passed_over(seed, hessian, speed):
+    rng = np.random.default_rng(seed)
+    mean, scale, quat = scene(rng, 40, low=-3.5, high=-0.7)
+    loss = np.outer(rng.uniform(0, 0.1, 40), [1, 0, 0]).astype(np.float32)
+    filt = _core.SaferSplat(index_of((mean, scale, quat), loss=loss), hessian=hessian)
+    for i in range(40):
+        p = rng.normal(size=3)
+        v = mean[i] - p + rng.normal(size=3) * rng.choice([0.01, 1.0])
+        v *= speed / np.linalg.norm(v)
+        _, row, bound = filt.barrier(i, tuple(p), tuple(v))
+        unit, length = row / np.linalg.norm(row), np.linalg.norm(row)
+        u = rng.normal(size=3) * rng.choice([0.0, 3.0])
+        u += unit * (bound / length - unit @ u - 1e-6 * (1 + abs(bound / length)))
+        assert i in filt.unsure(tuple(p), tuple(v), tuple(u))
+
+
 def test_a_tick_remembers_nothing():
     rows = scene(np.random.default_rng(5), 2000, size=3.0, high=-1.2)
     rows[0][:] += 1.0 * rows[0] / np.linalg.norm(rows[0], axis=1)[:, None]
