@@ -13,7 +13,7 @@ using geometry::is_finite;
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kViolated = 4e-15;  // of a row, relative to 1 + |a|: what rounding does to its slack
 constexpr std::size_t kBatch = 16;   // rows added at once
-constexpr int kRounds = 256;         // a tick takes less than 20
+constexpr int kRounds = 256;         // far more than a tick takes
 
 Pruning of_distance(Pruning pruning) {
   pruning.approach = pruning.sweep = false;
@@ -81,10 +81,13 @@ bool SaferSplat::solve_for_all(FilterReport& report, bool unsafe) {
   for (int round = 0; round < kRounds; ++round) {
     // The nominal input holds a row or not; what the program returns does so to rounding.
     const bool is_nominal = program_.accept(report, unsafe);
-    if (!is_nominal && !program_.solve(report, unsafe)) return false;
+    if (!is_nominal) {
+      const bool is_solved = program_.solve(report, unsafe);
+      report.iterations = iterations += report.iterations;
+      if (!is_solved) return false;
+    }
     const Vec3 u = report.acceleration;
     const double tolerance = is_nominal ? 0 : kViolated * (1 + largest(u));
-    report.iterations = iterations += is_nominal ? 0 : report.iterations;
     auto worst = rows_.worst(u, tolerance, kBatch);
     if (worst.empty() && rows_.search(u, tolerance, kBatch)) worst = rows_.worst(u, tolerance, kBatch);
     if (worst.empty()) return true;
