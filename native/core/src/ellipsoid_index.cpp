@@ -78,12 +78,15 @@ EllipsoidIndex::EllipsoidIndex(const Splats& splats, double sigma, double radius
       // 1)).
       const auto [least, most] = std::minmax_element(outer.axis.begin(), outer.axis.end());
       const double ratio = (*most / *least) * (*most / *least);
-      shape[slot] = {static_cast<float>(*most * 1.00001), static_cast<float>((ratio - 1) / (ratio + 1) + 1e-5)};
+      shape[slot] = {static_cast<float>(*most * 1.00001), static_cast<float>((ratio - 1) / (ratio + 1) + 1e-5),
+                     static_cast<float>(level(static_cast<std::uint32_t>(slot)).inflation * 1.00001)};
     }
   });
-  shape_ = tree_.summary<Shape>(
-      [&](std::uint32_t slot) { return shape[slot]; },
-      [](const Shape& a, const Shape& b) { return Shape{std::max(a.longest, b.longest), std::max(a.skew, b.skew)}; });
+  shape_ = tree_.summary<Shape>([&](std::uint32_t slot) { return shape[slot]; },
+                                [](const Shape& a, const Shape& b) {
+                                  return Shape{std::max(a.longest, b.longest), std::max(a.skew, b.skew),
+                                               std::max(a.ball, b.ball)};
+                                });
 }
 
 template <class Accept, class Skip>

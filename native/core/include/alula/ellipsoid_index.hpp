@@ -1,6 +1,8 @@
 // Ellipsoids of a splat, found by distance: a tick costs by what is near, not by what exists.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <limits>
 #include <span>
@@ -59,6 +61,20 @@ class EllipsoidIndex {
   QueryCost nearest_ahead(geometry::Vec3 a, geometry::Vec3 b, geometry::Vec3 v, double reach, std::size_t count,
                           std::vector<Found>& found) const;
 
+  // Calls visit(item) for every ungrown set that may have bound(box, ball) below `limit`, roughly the least first:
+  // `bound` holds for all sets in the box with losses of at most `ball`, and does not fall as either shrinks. `visit`
+  // may lower the limit, `heap` is room to work in.
+  template <class Bound, class Visit>
+  void visit_least(std::vector<geometry::Bvh::Pending>& heap, const double& limit, Bound&& bound,
+                   Visit&& visit) const {
+    tree_.visit_least(
+        heap, limit,
+        [&](std::uint32_t node, const geometry::Box& box) { return bound(box, double{shape_[node].ball}); },
+        [&](std::uint32_t slot, std::uint32_t item) {
+          if (!(bound(around(slot), level(slot).inflation) >= limit)) visit(item);
+        });
+  }
+
   // Signed distance of a point to the nearest ungrown set, at most `cap`. `hint` is a guess that is updated; it
   // cannot change the result.
   double clearance(geometry::Vec3 point, double cap, std::uint32_t& hint) const;
@@ -71,9 +87,10 @@ class EllipsoidIndex {
     float mean[3], scale[3], quat_wxyz[4];
   };
 
-  // Of the grown ellipsoids of a node: the longest semi-axis, and the sine of the largest angle between x and A x.
+  // Of the grown ellipsoids of a node: the longest semi-axis, and the sine of the largest angle between x and A x;
+  // and the largest ball of their losses.
   struct Shape {
-    float longest, skew;
+    float longest, skew, ball;
   };
 
   template <class Accept, class Skip>
@@ -81,6 +98,19 @@ class EllipsoidIndex {
                    Accept&& accept, Skip&& skip) const;
   Level level(std::uint32_t slot) const { return level_.size() == 1 ? level_[0] : level_[slot]; }
   geometry::Ellipsoid at_slot(std::uint32_t slot) const;
+
+  // A box around the set without the ball of its losses, cheaper than the tightest.
+  geometry::Box around(std::uint32_t slot) const {
+    const Row& row = row_[slot];
+    const double half =
+        (1 + 1e-12) * level(slot).sigma * double{std::max({row.scale[0], row.scale[1], row.scale[2]})};
+    geometry::Box box;
+    for (int i = 0; i < 3; ++i) {
+      const double reach = half + 1e-15 * std::abs(double{row.mean[i]});
+      box.lower[i] = row.mean[i] - reach, box.upper[i] = row.mean[i] + reach;
+    }
+    return box;
+  }
 
   bool centre_is_nearer(std::uint32_t slot, geometry::Vec3 a, double reach) const {
     const float* mean = row_[slot].mean;
