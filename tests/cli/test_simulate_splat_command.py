@@ -113,7 +113,8 @@ def test_the_log_has_attitude_rotors_and_what_the_filter_did(scene, tmp_path):
     assert {pair["key"]: pair["value"] for pair in entity["metadata"]} == {"ellipsoids": "60", "shown": "60"}
     flights = read_flights(out)
     assert flights.hulls is None
-    assert np.isnan(flights.by_trial[0].margin_m).all()
+    assert flights.by_trial[0].margin_unit == "of the filter's barrier"
+    assert np.nanmin(flights.by_trial[0].margin) >= record.trials[0].min_margin - 1e-6
     assert flights.by_trial[0].speed_m_s.max() == pytest.approx(record.trials[0].max_speed_m_s, rel=0.05)
 
 

@@ -44,7 +44,7 @@ def random_case(rng):
     return scene, x, wrench, HOVER + 0.5 * rng.normal(), rng.normal()
 
 
-def rows_of(scene, x, thrust, rate, lambda_=4.0, most=20.0):
+def rows_of(scene, x, thrust, rate, lambda_=14.0, most=40.0):
     """Rows over (u_T'', tau) of what the filter finds near."""
     speed = np.linalg.norm(x[6:9])
     reach = max(0.5, speed**2 / 12 + 0.3 * speed + scene.radius)
