@@ -220,8 +220,9 @@ def _worst_figure(worst: curves.WorstFlight) -> Figure:
         bottom.plot(worst.speed_time_s, worst.speed_m_s, color=_RUN_COLORS[2], linewidth=1.6)
         bottom.set(xlabel="time [s]", ylabel="speed [m/s]")
         svg = render()
+    unit = "" if worst.margin_unit == "m" else f", {worst.margin_unit},"
     alt = (
-        f"Margin that the filter reported and speed over time, {worst.label}, trial {worst.trial}, "
+        f"Margin that the filter reported{unit} and speed over time, {worst.label}, trial {worst.trial}, "
         f"whose least clearance was {text(worst.clearance_m)} m; in {int(worst.trouble.sum())} of "
         f"{len(worst.trouble)} logged steps the filter had to do more than change the input"
         f"{' (' + ', '.join(worst.statuses) + ')' if worst.statuses else ''}."

@@ -30,7 +30,8 @@ enum class ThrustCascade : std::uint8_t {
 
 struct ConeEcbfOptions {
   // [1/s]. A pole slower than the time to contact, a second or less for what is within the gate, asks for the turn
-  // long before it is due, when all a row can still do is brake: flights end short of their goals.
+  // long before it is due, and what holds such a row is to brake: flights end short of their goals. One that is much
+  // faster turns later than the rotors can head-on at speed, and the shield stops the vehicle.
   double lambda = 14, lambda_max = 40;
   double return_time = 8;  // pole of a row with h < 0 times the time to its ellipsoid, within lambda and lambda_max
   double escape_rate = 4;  // pole of the rows of ellipsoids around the vehicle [1/s]
