@@ -170,14 +170,15 @@ void bind_filters(nb::module_& m) {
   nb::class_<ConeBackup, SplatFilter>(m, "ConeBackup", "The collision cone backup filter of a quadrotor.")
       .def(
           "__init__",
-          [](ConeBackup* self, const BackupPolicy& policy, Index index, double horizon_s, int nodes, int steps,
-             double alpha_running, double alpha_terminal, double min_speed_m_s, double far, const std::string& solver,
-             double lateral_bias, double clf_weight, double clf_rate, double clf_kp, double clf_kv, bool shield,
-             double room_m, bool try_nominal, const ShieldOptions& shield_options, const Pruning& pruning,
-             nb::object qp_backend) {
+          [](ConeBackup* self, const BackupPolicy& policy, Index index, double horizon_s, int nodes, int first_node,
+             int steps, double alpha_running, double alpha_terminal, double min_speed_m_s, double far,
+             const std::string& solver, double lateral_bias, double clf_weight, double clf_rate, double clf_kp,
+             double clf_kv, bool shield, double room_m, bool try_nominal, const ShieldOptions& shield_options,
+             const Pruning& pruning, nb::object qp_backend) {
             new (self) ConeBackup(policy, std::move(index),
                                   {.horizon_s = horizon_s,
                                    .nodes = nodes,
+                                   .first_node = first_node,
                                    .steps = steps,
                                    .alpha_running = alpha_running,
                                    .alpha_terminal = alpha_terminal,
@@ -193,14 +194,15 @@ void bind_filters(nb::module_& m) {
                                    .pruning = pruning},
                                   qp_solver(std::move(qp_backend)));
           },
-          "policy"_a, "index"_a, nb::kw_only(), "horizon_s"_a = b.horizon_s, "nodes"_a = b.nodes, "steps"_a = b.steps,
-          "alpha_running"_a = b.alpha_running, "alpha_terminal"_a = b.alpha_terminal,
-          "min_speed_m_s"_a = b.min_speed_m_s, "far"_a = b.far, "solver"_a = "active-set",
-          "lateral_bias"_a = b.lateral_bias, "clf_weight"_a = b.tracking.weight, "clf_rate"_a = b.tracking.rate,
-          "clf_kp"_a = b.tracking.kp, "clf_kv"_a = b.tracking.kv, "shield"_a = b.shielded, "room_m"_a = b.room_m,
-          "try_nominal"_a = b.try_nominal, "shield_options"_a = ShieldOptions{}, "pruning"_a = Pruning{},
-          "qp_backend"_a = nb::none(),
-          "horizon_s, nodes: of the backup flow, steps: RK4 steps between nodes, 0 to fit the policy's rates;\n"
+          "policy"_a, "index"_a, nb::kw_only(), "horizon_s"_a = b.horizon_s, "nodes"_a = b.nodes,
+          "first_node"_a = b.first_node, "steps"_a = b.steps, "alpha_running"_a = b.alpha_running,
+          "alpha_terminal"_a = b.alpha_terminal, "min_speed_m_s"_a = b.min_speed_m_s, "far"_a = b.far,
+          "solver"_a = "active-set", "lateral_bias"_a = b.lateral_bias, "clf_weight"_a = b.tracking.weight,
+          "clf_rate"_a = b.tracking.rate, "clf_kp"_a = b.tracking.kp, "clf_kv"_a = b.tracking.kv,
+          "shield"_a = b.shielded, "room_m"_a = b.room_m, "try_nominal"_a = b.try_nominal,
+          "shield_options"_a = ShieldOptions{}, "pruning"_a = Pruning{}, "qp_backend"_a = nb::none(),
+          "horizon_s, nodes: of the backup flow; first_node: of the running rows, 0 as printed; steps: RK4 steps "
+          "between nodes, 0 to fit the policy's rates;\n"
           "alpha_running, alpha_terminal: of h' >= -alpha h [1/s] at the nodes and of gamma at the last;\n"
           "min_speed_m_s: nodes slower than that have no running rows; far: rows with h / beta beyond it are left\n"
           "out; solver: 'active-set' or 'interpolation' between the backup and the nominal input; lateral_bias,\n"
