@@ -328,7 +328,7 @@ def in_short(sweeps: Sequence[Sweep]) -> dict[str, str]:
             speeds = speeds_of(sweeps, scene, (theirs, OURS))
             if not speeds:
                 continue
-            found = compare(*(_at_all(sweeps, scene, variant, speeds) for variant in (OURS, theirs)))
+            found = compare(_at_all(sweeps, scene, OURS, speeds), _at_all(sweeps, scene, theirs, speeds))
             parts = []
             if found.mean_jerk is not None:
                 low, high = 100 * (1 - found.mean_jerk.high), 100 * (1 - found.mean_jerk.low)
