@@ -133,8 +133,8 @@ class SimulateConfig:
     catch_up_m_s: float | None = field(
         default=None,
         metadata={
-            "help": "How much faster than its reference a vehicle that was held up among ellipsoids may fly "
-            "[m/s]; default: of the vehicle's file, else half the reference's peak speed.",
+            "help": "How much faster than its reference the controller asks a vehicle that was held up among "
+            "ellipsoids to fly [m/s]; default: of the vehicle's file, else half the reference's peak speed.",
             "option": "--catch-up",
         },
     )

@@ -40,7 +40,7 @@ def tracking_gains(vehicle: Vehicle, catch_up_m_s: float | None = None) -> Track
     """Gains and limits of the geometric controller; of a double integrator those of the translation.
 
     `catch_up_m_s`, if given, replaces the file's: how much faster than its reference a vehicle that was
-    held up may fly.
+    held up is asked to fly.
     """
     table = vehicle.tracking
     attitude, rate = vehicle.attitude_gains() if vehicle.model == "quadrotor" else ((0.0,) * 3, (0.0,) * 3)
