@@ -145,8 +145,7 @@ def compare(
 
     def summed(sweeps: Sequence[Sweep], get: Callable[[TrialResult], float | None]) -> FloatArray:
         values = np.array([s.values(get)[:count] for s in sweeps])
-        total: FloatArray = np.where(both, values, 0.0).sum(axis=0)[both.any(axis=0)]
-        return total
+        return np.asarray(np.where(both, values, 0.0).sum(axis=0)[both.any(axis=0)])
 
     def ratio(get: Callable[[TrialResult], float | None]) -> Estimate | None:
         return ratio_estimate(summed(ours, get), summed(theirs, get))

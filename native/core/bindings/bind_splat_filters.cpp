@@ -18,6 +18,7 @@
 #include "alula/safer_splat.hpp"
 #include "arrays.hpp"
 #include "python_control.hpp"
+#include "python_qp.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -259,23 +260,25 @@ void bind_splat_filters(nb::module_& m) {
           "__init__",
           [](ConeDi* self, std::shared_ptr<EllipsoidIndex> index, double alpha, double recovery, double swell,
              double escape_rate, double min_speed, double max_acceleration, double max_braking, double lateral_bias,
-             double clf_weight, double clf_rate, double clf_kp, double clf_kv, const Pruning& pruning) {
-            new (self)
-                ConeDi(std::move(index), {alpha, recovery, swell, escape_rate, min_speed, max_acceleration,
-                                          max_braking, lateral_bias, clf_weight, clf_rate, clf_kp, clf_kv, pruning});
+             double clf_weight, double clf_rate, double clf_kp, double clf_kv, const Pruning& pruning,
+             nb::object qp_backend) {
+            new (self) ConeDi(std::move(index),
+                              {alpha, recovery, swell, escape_rate, min_speed, max_acceleration, max_braking,
+                               lateral_bias, clf_weight, clf_rate, clf_kp, clf_kv, pruning},
+                              qp_solver(std::move(qp_backend)));
           },
           "index"_a, nb::kw_only(), "alpha"_a = cone_di.alpha, "recovery"_a = cone_di.recovery,
           "swell"_a = cone_di.swell, "escape_rate"_a = cone_di.escape_rate, "min_speed"_a = cone_di.min_speed,
           "max_acceleration"_a = cone_di.max_acceleration, "max_braking"_a = cone_di.max_braking,
           "lateral_bias"_a = cone_di.lateral_bias, "clf_weight"_a = cone_di.clf_weight,
           "clf_rate"_a = cone_di.clf_rate, "clf_kp"_a = cone_di.clf_kp, "clf_kv"_a = cone_di.clf_kv,
-          "pruning"_a = Pruning{},
+          "pruning"_a = Pruning{}, "qp_backend"_a = nb::none(),
           "alpha: of h' >= -alpha h [1/s], and at least recovery over the time to contact;\n"
           "swell: rows are of ellipsoids longer by this part; escape_rate: double pole "
           "of the rows on gamma [1/s];\n"
           "min_speed: below it rows on gamma [m/s]; max_acceleration: of each axis, max_braking: of the fallback,\n"
           "lateral_bias: of a head-on nominal [m/s^2]; clf_weight: of the tracking row's slack, 0 for no row;\n"
-          "clf_rate [1/s], clf_kp [1/s^2], clf_kv [1/s]: of that row.");
+          "clf_rate [1/s], clf_kp [1/s^2], clf_kv [1/s]: of that row; qp_backend: as of QpSolver.");
 
   const flight::SaferSplatOptions safer;
   nb::class_<SaferSplat, SplatFilter>(m, "SaferSplat", "The distance filter of SAFER-Splat for a double integrator.")

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 namespace alula::flight {
 namespace {
@@ -20,7 +21,8 @@ AccelerationRow normalised(const AccelerationRow& row) {
   return {{}, bound == -kInfinity ? -kInfinity : kInfinity};
 }
 
-AccelerationProgram::AccelerationProgram(std::size_t rows) : solver_(rows + 7) {
+AccelerationProgram::AccelerationProgram(std::size_t rows, QpSolver solver) : solver_(std::move(solver)) {
+  solver_.reserve(rows + 7);
   row_.reserve(rows + 7), bound_.reserve(rows + 7), item_.reserve(rows), dense_.reserve(4 * (rows + 7));
 }
 
@@ -86,7 +88,8 @@ bool AccelerationProgram::solve(FilterReport& report, bool unsafe) {
   bound_.resize(with_rows);
   report.iterations = static_cast<std::uint32_t>(std::max(0, result.iterations));
   const Vec3 a{result.x[0], result.x[1], result.x[2]};
-  if (result.status != QpStatus::optimal || !holds(a, kTolerance * (1 + geometry::norm(a)), false)) {
+  const double tolerance = solver_.has_backend() ? kBackendTolerance : kTolerance;
+  if (result.status != QpStatus::optimal || !holds(a, tolerance * (1 + geometry::norm(a)), false)) {
     report.infeasible = true;
     return false;
   }

@@ -25,13 +25,13 @@ std::size_t rows_of(const ConeBackupOptions& o) {
 }  // namespace
 
 ConeBackup::ConeBackup(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
-                       const ConeBackupOptions& options)
+                       const ConeBackupOptions& options, QpSolver solver)
     : policy_(policy),
       options_(options),
       pruner_(index, options.pruning),
       shield_(policy, index, options.shield),
       flow_(policy, options.horizon_s, options.nodes, steps_of(policy, options), policy.escapes()),
-      program_(policy.vehicle(), rows_of(options)) {
+      program_(policy.vehicle(), rows_of(options), std::move(solver)) {
   const ConeBackupOptions& o = options_;
   const auto require = [](bool holds, const char* what) {
     if (!holds) throw std::invalid_argument(what);

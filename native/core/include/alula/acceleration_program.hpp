@@ -18,9 +18,10 @@ AccelerationRow normalised(const AccelerationRow& row);
 // acceleration.
 class AccelerationProgram {
  public:
-  static constexpr double kTolerance = 1e-9;  // of a row [m/s^2], and relative to |a|
+  static constexpr double kTolerance = 1e-9;         // of a row [m/s^2], and relative to |a|
+  static constexpr double kBackendTolerance = 1e-6;  // the same of what a backend solved, which proves nothing
 
-  explicit AccelerationProgram(std::size_t rows);
+  explicit AccelerationProgram(std::size_t rows, QpSolver solver = {});
 
   void start(Vec3 nominal);
   void add(const AccelerationRow& row, std::uint32_t item);

@@ -49,9 +49,9 @@ struct ConeBackupOptions {
 
 class ConeBackup final : public SplatFilter {
  public:
-  // Throws std::invalid_argument for options that mean nothing.
+  // `solver` solves the program. Throws std::invalid_argument for options that mean nothing.
   ConeBackup(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
-             const ConeBackupOptions& options = {});
+             const ConeBackupOptions& options = {}, QpSolver solver = {});
 
   InputKind kind() const override { return InputKind::wrench; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
