@@ -688,27 +688,33 @@ class SplatFilter:
 class ConeDi(SplatFilter):
     """The collision cone filter of a double integrator."""
 
-    def __init__(self, index: EllipsoidIndex, *, alpha: float = 5.0, recovery: float = 3.0, swell: float = 0.01, escape_rate: float = 5.0, min_speed: float = 0.05, max_acceleration: float = float('inf'), max_braking: float = 6.0, lateral_bias: float = 0.5, clf_weight: float = 0.0, clf_rate: float = 0.5, clf_kp: float = 3.0, clf_kv: float = 2.0, pruning: Pruning = ...) -> None:
+    def __init__(self, index: EllipsoidIndex, *, alpha: float = 5.0, recovery: float = 3.0, swell: float = 0.01, escape_rate: float = 5.0, min_speed: float = 0.05, max_acceleration: float = float('inf'), max_braking: float = 6.0, lateral_bias: float = 0.5, clf_weight: float = 0.0, clf_rate: float = 0.5, clf_kp: float = 3.0, clf_kv: float = 2.0, pruning: Pruning = ..., qp_backend: object | None = None) -> None:
         """
         alpha: of h' >= -alpha h [1/s], and at least recovery over the time to contact;
         swell: rows are of ellipsoids longer by this part; escape_rate: double pole of the rows on gamma [1/s];
         min_speed: below it rows on gamma [m/s]; max_acceleration: of each axis, max_braking: of the fallback,
         lateral_bias: of a head-on nominal [m/s^2]; clf_weight: of the tracking row's slack, 0 for no row;
-        clf_rate [1/s], clf_kp [1/s^2], clf_kv [1/s]: of that row.
+        clf_rate [1/s], clf_kp [1/s^2], clf_kv [1/s]: of that row; qp_backend: as of QpSolver.
         """
 
 class SaferSplat(SplatFilter):
     """The distance filter of SAFER-Splat for a double integrator."""
 
-    def __init__(self, index: EllipsoidIndex, *, alpha: float = 5.0, beta: float = 1.0, hessian: str = 'correct', brute: bool = False, max_braking: float = 6.0, max_acceleration: float = float('inf'), pruning: Pruning = ...) -> None:
+    def __init__(self, index: EllipsoidIndex, *, alpha: float = 5.0, beta: float = 1.0, hessian: str = 'correct', rows: str = 'all', brute: bool = False, max_braking: float = 6.0, max_acceleration: float = float('inf'), pruning: Pruning = ...) -> None:
         """
         alpha, beta: poles of the barrier phi d^2 - r^2 [1/s]; hessian: 'correct' or 'published';
-        brute: measure every ellipsoid; max_braking: of the fallback, max_acceleration: of each axis [m/s^2];
-        pruning: its gates of approach and sweep are ignored.
+        rows: 'all', of every ellipsoid of the map, or 'nearest', of the candidates of `pruning`, whose gates of
+        approach and sweep are ignored; brute: measure every ellipsoid instead of asking the index;
+        max_braking: of the fallback, max_acceleration: of each axis [m/s^2].
         """
 
     def barrier(self, item: int, p: Sequence[float], v: Sequence[float]) -> tuple[float, list[float], float]:
         """h, row and bound of one ellipsoid: row . a >= bound."""
+
+    def unsure(self, p: Sequence[float], v: Sequence[float], acceleration: Sequence[float]) -> NDArray[numpy.int64]:
+        """
+        Numbers of the ellipsoids that the index says may have a row that `acceleration` violates.
+        """
 
 def collision_cone(centre: Sequence[float], a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='C', device='cpu', writable=False)], p: Sequence[float], v: Sequence[float], *, acceleration: Sequence[float], jerk: Sequence[float]) -> dict[str, Any]:
     """
@@ -831,7 +837,7 @@ def escape_velocities(index: EllipsoidIndex, p: Sequence[float], v: Sequence[flo
 class ConeEcbf(SplatFilter):
     """The exponential collision cone filter of a quadrotor."""
 
-    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, *, lambda_: float = 4.0, lambda_max: float = 20.0, return_time: float = 8.0, escape_rate: float = 4.0, cascade: str = 'extension', thrust_bandwidth_rad_s: float = 30.0, thrust_damping: float = 1.0, max_thrust_rate_n_s: float = 150.0, least_thrust: float = 0.1, lateral_bias: float = 0.1, clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, shield_options: ShieldOptions = ..., pruning: Pruning = ...) -> None:
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, *, lambda_: float = 14.0, lambda_max: float = 40.0, return_time: float = 8.0, escape_rate: float = 4.0, cascade: str = 'extension', thrust_bandwidth_rad_s: float = 30.0, thrust_damping: float = 1.0, max_thrust_rate_n_s: float = 150.0, least_thrust: float = 0.1, lateral_bias: float = 0.1, clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, shield_options: ShieldOptions = ..., pruning: Pruning = ..., qp_backend: object | None = None) -> None:
         """
         lambda_: triple pole of the rows [1/s], moved left up to lambda_max when a row starts beyond its safe set;
         return_time: pole of a row with h < 0, times the time to its ellipsoid;
@@ -839,7 +845,7 @@ class ConeEcbf(SplatFilter):
         T''/m) or 'difference' (T); thrust_*: how T follows the nominal; max_thrust_rate_n_s: of |T'|;
         least_thrust: share of hover; lateral_bias: torque of a head-on nominal, share of the largest;
         clf_*: soft row on tracking errors, off at weight 0; shield: return only inputs after which a safe
-        manoeuvre to rest is known; room_m: what rows keep beyond the radius then; try_nominal: without a solution, look between backup and nominal.
+        manoeuvre to rest is known; room_m: what rows keep beyond the radius then; try_nominal: without a solution, look between backup and nominal; qp_backend: as of QpSolver.
         """
 
 def ecbf_pole(h: float, h1: float, h2: float, lambda_: float, most: float) -> float:
@@ -850,13 +856,13 @@ def ecbf_pole(h: float, h1: float, h2: float, lambda_: float, most: float) -> fl
 class ConeBackup(SplatFilter):
     """The collision cone backup filter of a quadrotor."""
 
-    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, *, horizon_s: float = 1.5, nodes: int = 20, first_node: int = 1, steps: int = 0, alpha_running: float = 10.0, alpha_terminal: float = 5.0, min_speed_m_s: float = 0.1, far: float = float('inf'), solver: str = 'active-set', lateral_bias: float = 0.1, clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, shield_options: ShieldOptions = ..., pruning: Pruning = ...) -> None:
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, *, horizon_s: float = 1.5, nodes: int = 20, first_node: int = 1, steps: int = 0, alpha_running: float = 10.0, alpha_terminal: float = 5.0, min_speed_m_s: float = 0.1, far: float = float('inf'), solver: str = 'active-set', lateral_bias: float = 0.1, clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, shield_options: ShieldOptions = ..., pruning: Pruning = ..., qp_backend: object | None = None) -> None:
         """
         horizon_s, nodes: of the backup flow; first_node: of the running rows, 0 as printed; steps: RK4 steps between nodes, 0 to fit the policy's rates;
         alpha_running, alpha_terminal: of h' >= -alpha h [1/s] at the nodes and of gamma at the last;
         min_speed_m_s: nodes slower than that have no running rows; far: rows with h / beta beyond it are left
         out; solver: 'active-set' or 'interpolation' between the backup and the nominal input; lateral_bias,
-        clf_*, shield, room_m, try_nominal as of ConeEcbf.
+        clf_*, shield, room_m, try_nominal, qp_backend as of ConeEcbf.
         """
 
 class FlightVehicle:
