@@ -75,8 +75,8 @@ def test_the_nominal_is_what_realises_the_guide_s_acceleration(plant, name):
 
 @pytest.mark.parametrize("plant", ["quadrotor", "double-integrator"])
 def test_a_python_filter_behind_a_guide_flies_as_the_native_one(plant):
-    guide = filter_of("cone-di")
-    safety = filter_of("cone-ecbf" if plant == "quadrotor" else "safer-splat")
+    guide = filter_of("cone-di" if plant == "quadrotor" else "safer-splat")
+    safety = filter_of("cone-ecbf" if plant == "quadrotor" else "cone-di")
 
     class Wrapped:
         kind = safety.kind
