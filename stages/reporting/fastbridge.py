@@ -330,11 +330,8 @@ def in_short(sweeps: Sequence[Sweep]) -> dict[str, str]:
                 continue
             found = compare(_at_all(sweeps, scene, OURS, speeds), _at_all(sweeps, scene, theirs, speeds))
             parts = []
-            if found.mean_jerk is not None:
-                low, high = 100 * (1 - found.mean_jerk.high), 100 * (1 - found.mean_jerk.low)
-                parts.append(
-                    f"mean jerk {100 * (1 - found.mean_jerk.value):.0f} % below it ({low:.0f} to {high:.0f})"
-                )
+            if (jerk := found.mean_jerk) is not None:
+                parts.append(f"mean jerk {jerk.value:.2f} times its ({jerk.low:.2f} to {jerk.high:.2f})")
             if found.filter_time:
                 parts.append(f"filter {1 / found.filter_time:.1f} times as fast")
             if found.goals is not None:

@@ -163,7 +163,7 @@ def test_figures_say_what_they_show(pair):
 
 def test_the_line_in_short_gives_percent_below_the_baseline(pair):
     words = fastbridge.in_short(pair)["room, cone-ecbf against safer-splat"]
-    assert words.startswith("mean jerk 58 % below it (")
+    assert words.startswith("mean jerk 0.42 times its (")
     assert "filter 10.0 times as fast" in words
 
 
