@@ -17,7 +17,7 @@
 #pragma once
 
 #include "alula/pruning.hpp"
-#include "alula/shield.hpp"
+#include "alula/shielded.hpp"
 #include "alula/wrench_program.hpp"
 
 namespace alula::flight {
@@ -63,6 +63,7 @@ class ConeBackup final : public SplatFilter {
   BackupPolicy policy_;
   ConeBackupOptions options_;
   Pruner pruner_;
+  RoomyEllipsoids roomy_;
   Shield shield_;
   BackupFlow flow_;
   WrenchProgram program_;
