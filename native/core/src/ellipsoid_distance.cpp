@@ -148,7 +148,6 @@ using std::abs, std::sqrt;
 template <class Real>
 struct Dual {
   Real g{0.0}, fall{0.0};  // fall = -g' / 2
-  Real length2{0.0};       // |n|^2: the distance is mu |n| where g = 1
   Real bound{0.0};         // mu (sum z_i n_i - 1): the squared distance is no less
 };
 
@@ -161,7 +160,7 @@ struct PointDual {
     Real sum{0.0};
     for (int i = 0; i < 3; ++i) {
       const Real w = 1.0 / (mu + squared[i]), n = z[i] * w, part = squared[i] * n * n;
-      d.g += part, d.fall += part * w, d.length2 += n * n, sum += z[i] * n;
+      d.g += part, d.fall += part * w, sum += z[i] * n;
     }
     d.bound = mu * (sum - 1.0);
     return d;
@@ -184,7 +183,7 @@ struct SegmentDual {
     Real bend{0.0}, sum{0.0};
     for (int i = 0; i < 3; ++i) {
       const Real at = z[i] + t * dz[i], n = at * w[i], part = squared[i] * n * n;
-      d.g += part, d.fall += part * w[i], d.length2 += n * n, sum += at * n;
+      d.g += part, d.fall += part * w[i], sum += at * n;
       bend += n * w[i] * dz[i];
     }
     d.fall = select(t == best, d.fall + mu * bend * bend / along, d.fall);
@@ -196,6 +195,8 @@ struct SegmentDual {
 // From a multiplier where g > 1 is known at 0. Newton's iteration on 1 / sqrt(g), which is concave but where the
 // closest point of a segment leaves an end; a step too far is caught by the bracket. Nothing is done for those that
 // are `done`.
+constexpr double kClose = 1e-8;  // of sqrt(g) to 1: the bound, which is flat there, is off by the square of it
+
 template <class Real, class Function, class Is>
 Real maximise(const Function& dual, Real mu, Dual<Real> at, Real size, Real enough, Is done) {
   const Real needed = enough * enough * (1 + 1e-12) + 8 * kEpsilon * size;
@@ -204,7 +205,7 @@ Real maximise(const Function& dual, Real mu, Dual<Real> at, Real size, Real enou
   for (int step = 0; step < 100; ++step) {
     beyond = beyond | ((!done) & (at.bound >= needed));
     const Real h = sqrt(at.g);
-    done = done | beyond | (abs(h - 1.0) <= 32 * kEpsilon);
+    done = done | beyond | (abs(h - 1.0) <= kClose);
     if (all(done)) break;
     const Is above = h > 1.0;
     low = select(above, mu, low), high = select(above, high, mu);
@@ -215,7 +216,7 @@ Real maximise(const Function& dual, Real mu, Dual<Real> at, Real size, Real enou
     mu = select(done, mu, next);
     at = dual(mu);
   }
-  return select(beyond, Real{kInfinity}, mu * sqrt(at.length2));
+  return select(beyond, Real{kInfinity}, sqrt(larger(at.bound, Real{0.0})));
 }
 
 // The distance but for what is `special` or `done`.
