@@ -9,7 +9,7 @@ VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
 CONSTRAINTS := .ci/constraints.txt
 
-.PHONY: help demo test setup lint format typecheck typing-view test-native fuzz test-wheel wheel examples bench bench-compression bench-formats bench-alignment docs schemas clean
+.PHONY: help demo test setup lint format typecheck typing-view test-native fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-alignment docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -87,6 +87,9 @@ bench-compression: setup ## the latter in full, up to half an hour, into docs/be
 
 bench-formats: setup ## readers of splat formats against those of others, some minutes, into docs/benchmarks-formats.md
 	$(BIN)/python -P benchmarks/formats.py --markdown docs/benchmarks-formats.md
+
+bench-filters: setup ## filters among ellipsoids tick by tick, and the QP solver beside others, some minutes, into docs/benchmarks-filters.md
+	$(BIN)/python -P benchmarks/filters.py --markdown docs/benchmarks-filters.md
 
 bench-alignment: setup ## how often the intervals of scale-align hold, some minutes
 	$(BIN)/python -P benchmarks/alignment.py

@@ -27,7 +27,11 @@ Examples:
   alula simulate room.cover.npz -o room.run.mcap --trials 100 --radius 0.1
   alula simulate loop.plan.npz --map room.cover.npz --scene room.scene.npz -o loop.run.mcap
   alula simulate room.scene.npz -o fast.run.mcap --filter cone-backup --speed 3 --set horizon_s=2
+  alula simulate room.scene.npz -o bent.run.mcap --filter cone-ecbf --guide cone-di --pairs blocked
 """
+
+
+_GUIDE = "guide."  # before the name of a parameter of the guide
 
 
 @click.command(epilog=EXAMPLES)
@@ -52,7 +56,7 @@ Examples:
     "settings",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Parameter of a filter among ellipsoids; may be repeated.",
+    help="Parameter of a filter among ellipsoids, guide.NAME=VALUE of its guide; may be repeated.",
 )
 @options.from_config(SimulateConfig)
 @options.output(".run.mcap")
@@ -217,13 +221,18 @@ def _configured(
         if options.is_given(context, f.name)
     }
     parameters = dict(_setting(word) for word in settings)
+    guides = {name: parameters.pop(name) for name in list(parameters) if name.startswith(_GUIDE)}
+    guides = {name.removeprefix(_GUIDE): value for name, value in guides.items()}
     if source.suffix != ".toml":
-        return dataclasses.replace(config, seed=seed, filter_parameters=parameters), set(given)
+        config = dataclasses.replace(config, seed=seed, filter_parameters=parameters, guide_parameters=guides)
+        return config, given.keys() | ({"guide_parameters"} if guides else set())
     if options.is_given(context, "seed"):
         given["seed"] = seed
     found = read_scenario(source).settings()
     if parameters:
         given["filter_parameters"] = {**found.get("filter_parameters", {}), **parameters}
+    if guides:
+        given["guide_parameters"] = {**found.get("guide_parameters", {}), **guides}
     try:
         return SimulateConfig(**{**found, **given}), found.keys() | given.keys()
     except UsageError as error:

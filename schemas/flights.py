@@ -27,7 +27,8 @@ class Flight:
         position_world: shape (n, 3) [m].
         speed_m_s: shape (n,) [m/s].
         margin_time_s: times of the filter's answers, shape (m,) [s].
-        margin_m: margin that the filter reported, NaN where it had none, shape (m,) [m].
+        margin: margin that the filter reported, NaN where it had none, shape (m,).
+        margin_unit: "m", or what else it measures in words.
         status: status that the filter reported, m words.
     """
 
@@ -35,7 +36,8 @@ class Flight:
     position_world: NDArray[np.float64]
     speed_m_s: NDArray[np.float64]
     margin_time_s: NDArray[np.float64]
-    margin_m: NDArray[np.float64]
+    margin: NDArray[np.float64]
+    margin_unit: str
     status: tuple[str, ...]
 
 
@@ -64,6 +66,8 @@ class _Safety(msgspec.Struct, gc=False):
     trial: int
     time_s: float
     h_m: float | None = None
+    margin: float | None = None
+    margin_unit: str | None = None  # absent among hulls, where h_m is the margin
     status_name: str = ""
 
 
@@ -129,7 +133,10 @@ def _flight(states: list[_State], safety: list[_Safety]) -> Flight:
         position_world=np.array(position, np.float64).reshape(-1, 3),
         speed_m_s=np.sqrt(square),
         margin_time_s=np.array([answer.time_s for answer in safety], np.float64),
-        margin_m=np.array([answer.h_m for answer in safety], np.float64),  # None becomes NaN
+        margin=np.array(  # None becomes NaN
+            [a.h_m if a.margin_unit is None else a.margin for a in safety], np.float64
+        ),
+        margin_unit=(safety[0].margin_unit if safety else None) or "m",
         status=tuple(answer.status_name for answer in safety),
     )
 

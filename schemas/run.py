@@ -35,7 +35,8 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     least barrier of the filter, the least r' A r - 1 over all ellipsoids as the filter grew them (below 0
     inside one; at the rate of the filter), and steps in which the backup policy flew, in which a safe backup
     manoeuvre was proven to remain, in which the cap on the number of ellipsoids cut some off, and in which
-    the rotors could not do what was asked.
+    the rotors could not do what was asked; and what the clearance of the straight line from start to goal
+    would be, whose sphere meets an ellipsoid where it is negative.
     """
 
     index: int
@@ -67,6 +68,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     certified_steps: int | None = None
     capped_steps: int | None = None
     saturated_steps: int | None = None
+    line_clearance_m: float | None = None
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):

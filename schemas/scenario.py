@@ -23,11 +23,15 @@
 
     [controller]
     gain = 2.0
+    guide = "cone-di"             # for filters that see ellipsoids, as are the next two
+    guide_parameters = { alpha = 5.0 }
+    catch_up_m_s = 1.0
 
     [trials]
     count = 100
     seed = 0
     bounds_m = [-3.0, -3.0, 0.2, 3.0, 3.0, 2.0]
+    pairs = "any"                 # or "blocked", for filters that see ellipsoids
 
     [run]
     dt_s = 0.01
@@ -65,6 +69,9 @@ _KEYS = {
     "--plant": "vehicle.plant",
     "--interface": "vehicle.interface",
     "--gain": "controller.gain",
+    "--guide": "controller.guide",
+    "--catch-up": "controller.catch_up_m_s",
+    "--pairs": "trials.pairs",
     "--trials": "trials.count",
     "--bounds": "trials.bounds_m",
     "--margin": "trials.margin_m",
@@ -109,9 +116,12 @@ class FilterTable(_Table, frozen=True, kw_only=True):
 
 
 class ControllerTable(_Table, frozen=True, kw_only=True):
-    """The nominal controller."""
+    """The nominal controller; among ellipsoids what guides it, and how it catches up."""
 
     gain: float | None = None
+    guide: str | None = None
+    guide_parameters: dict[str, Any] = {}
+    catch_up_m_s: float | None = None
 
 
 class TrialsTable(_Table, frozen=True, kw_only=True):
@@ -123,6 +133,7 @@ class TrialsTable(_Table, frozen=True, kw_only=True):
     margin_m: float | None = None
     separation: float | None = None
     stop_fraction: float | None = None
+    pairs: Literal["any", "blocked"] | None = None
 
 
 class RunTable(_Table, frozen=True, kw_only=True):
@@ -160,12 +171,16 @@ class Scenario(_Table, frozen=True, kw_only=True):
             "confidence": self.map.confidence,
             "inflation_m": self.map.inflation_m,
             "gain": self.controller.gain,
+            "guide": self.controller.guide,
+            "guide_parameters": self.controller.guide_parameters or None,
+            "catch_up_m_s": self.controller.catch_up_m_s,
             "trials": self.trials.count,
             "seed": self.trials.seed,
             "bounds": self.trials.bounds_m,
             "margin_m": self.trials.margin_m,
             "separation": self.trials.separation,
             "stop_fraction": self.trials.stop_fraction,
+            "pairs": self.trials.pairs,
             "dt_s": self.run.dt_s,
             "max_time_s": self.run.max_time_s,
             "log_rate_hz": self.run.log_rate_hz,

@@ -1,5 +1,6 @@
 """The examples run, and their Makefiles behave as Make users expect."""
 
+import json
 import os
 import shutil
 import signal
@@ -150,3 +151,29 @@ def test_polymerge_sets_our_maps_beside_the_published_ones(tmp_path):
     again = make(folder, *words)
     assert commands_in(again) == []
     assert "- room: " in again.stdout
+
+
+def test_fastbridge_flies_every_filter_over_the_same_pairs(tmp_path):
+    folder = tmp_path / "fastbridge"
+    shutil.copytree(EXAMPLES / "fastbridge", folder, ignore=shutil.ignore_patterns("out"))
+    words = [f"PYTHON={sys.executable} -P", "GAUSSIANS=20000", "TRIALS=2", "SPEEDS=2.1", "FLIGHT_SPEEDS=2.1"]
+    words += ["ABLATION_SPEED=2.1", "ABLATIONS=ecbf-lambda-4 backup-no-shield", "ALULA_DATA=", "-j2"]
+    done = make(folder, *words)
+    assert "cone-ecbf against safer-splat: mean jerk" in done.stdout
+    out = folder / "out"
+    flown = {path.name.split("@")[0] for path in (out / "room").glob("*.run.mcap")}
+    assert {"none", "ideal-di", "cone-di", "safer-splat", "cone-ecbf", "cone-backup-escape"} < flown
+    starts = set()
+    for path in (out / "room").glob("*.run.json"):
+        trials = json.loads(path.read_text())["trials"]
+        starts.add(json.dumps([[t["start_m"], t["goal_m"]] for t in trials]))
+        if path.name.startswith(("cone-ecbf", "cone-backup")):
+            assert not any(t["collision"] for t in trials), path.name
+            assert all(t["certified_steps"] == t["steps"] for t in trials), path.name
+    assert len(starts) == 1
+    rows = (out / "figure-4.csv").read_text().splitlines()
+    assert rows[-1].startswith("published")
+    assert len(rows) == 1 + len(flown - {"ideal-di", "ecbf-lambda-4", "backup-no-shield"}) + 1
+    assert len((out / "ablations.csv").read_text().splitlines()) == 1 + 4
+    assert "Figure 3" in (out / "fastbridge.html").read_text()
+    assert commands_in(make(folder, *words)) == []

@@ -20,7 +20,7 @@ from alula.stages.reporting.tables import inputs_table, table_csv, to_markdown
 
 folder, names = Path(sys.argv[1]), sys.argv[2:]
 TITLE = "FastBridge: collision cones through the quadrotor"
-PATHS = (fastbridge.BASELINE, fastbridge.OURS)
+PATHS = (fastbridge.BASELINE, fastbridge.GATED, fastbridge.OURS)
 
 
 def sweep_of(path: Path) -> Sweep:

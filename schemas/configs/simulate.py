@@ -14,7 +14,10 @@ DEFAULT_SPEED_M_S = 1.0
 
 # Fields that only flights among the hulls of a cover have, and those among the ellipsoids of a scene.
 HULLS_ONLY = ("gain", "beta", "kappa_per_m", "smoothing")
-ELLIPSOIDS_ONLY = ("sigma", "confidence", "inflation_m", "plant", "guide", "interface")
+ELLIPSOIDS_ONLY = (
+    *("sigma", "confidence", "inflation_m", "plant", "guide", "guide_parameters", "catch_up_m_s"),
+    *("interface", "pairs"),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,17 +125,35 @@ class SimulateConfig:
     guide: str = field(
         default="none",
         metadata={
-            "help": "Filter of accelerations that bends what the controller asks for among ellipsoids, before "
-            "the filter: cone-di or safer-splat.",
+            "help": "Filter of accelerations that bends what the controller asks for among ellipsoids, "
+            "before the filter: cone-di or safer-splat.",
             "metavar": "NAME",
+        },
+    )
+    catch_up_m_s: float | None = field(
+        default=None,
+        metadata={
+            "help": "How much faster than its reference the controller asks a vehicle that was held up among "
+            "ellipsoids to fly [m/s]; default: of the vehicle's file, else half the reference's peak speed.",
+            "option": "--catch-up",
         },
     )
     interface: Literal["wrench", "body-rates"] = field(
         default="wrench",
         metadata={"help": "What a quadrotor is told: thrust and torque, or thrust and body rates."},
     )
+    pairs: Literal["any", "blocked"] = field(
+        default="any",
+        metadata={
+            "help": "Random pairs among ellipsoids; blocked: only those whose straight line, swept by the "
+            "vehicle's sphere and what filters add to it, meets an ellipsoid."
+        },
+    )
     seed: int = field(default=0, metadata={"internal": True})
     filter_parameters: Mapping[str, Any] = field(default_factory=dict, metadata={"internal": True})
+    guide_parameters: Mapping[str, Any] = field(
+        default_factory=dict, metadata={"internal": True, "option": "--set guide.NAME"}
+    )
 
     def __post_init__(self) -> None:
         """Refuse values that mean nothing."""
@@ -165,6 +186,10 @@ class SimulateConfig:
             raise UsageError(f"--plant must be quadrotor or double-integrator, not {self.plant!r}")
         if self.interface not in ("wrench", "body-rates"):
             raise UsageError(f"--interface must be wrench or body-rates, not {self.interface!r}")
+        if self.catch_up_m_s is not None:
+            _between("--catch-up", self.catch_up_m_s, 1e-6, 1e6)
+        if self.pairs not in ("any", "blocked"):
+            raise UsageError(f"--pairs must be any or blocked, not {self.pairs!r}")
         if not self.name.strip():
             raise UsageError("--name must not be empty")
 

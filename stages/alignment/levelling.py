@@ -44,13 +44,16 @@ class Level:
 def turn_up(up: Array) -> Array:
     """The smallest rotation that takes a direction to +z; about x when it is -z.
 
-    With c = up_z and v = up x z: I + [v] + [v]^2 / (1 + c).
+    With m half way between up and z, the product of two reflections, (I - 2 m m') (I - 2 up up'). Below the
+    horizon 1 + up_z is (up_x^2 + up_y^2) / (1 - up_z), which loses no digits.
     """
-    x, y, c = up / np.linalg.norm(up)
-    if c < -1 + 1e-12:
+    u = up / np.linalg.norm(up)
+    sideways = u[0] ** 2 + u[1] ** 2
+    half = np.array([u[0], u[1], 1 + u[2] if u[2] >= 0 else sideways / (1 - u[2])])
+    if not np.linalg.norm(half) > 0:
         return np.diag([1.0, -1.0, -1.0])
-    v = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
-    rotation: Array = np.eye(3) + v + v @ v / (1 + c)
+    m = half / np.linalg.norm(half)
+    rotation: Array = (np.eye(3) - 2 * np.outer(m, m)) @ (np.eye(3) - 2 * np.outer(u, u))
     return rotation
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from alula import _core
 from alula.schemas.errors import UsageError
 from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.filtering.qp import clarabel_backend
 from alula.stages.filtering.splat_protocol import (
     FlightState,
     InputKind,
@@ -85,12 +86,14 @@ class _Spec:
     Attributes:
         native: its class.
         parts: arguments that are objects with parameters of their own, and their classes.
-        has_policy: whether a backup policy is the first argument.
+        has_policy: whether a backup policy is the first argument; such a filter returns wrenches.
+        solvers: what the parameter `solver` may be, the default first; empty when there is none.
     """
 
     native: type
     parts: Mapping[str, type]
     has_policy: bool = False
+    solvers: tuple[str, ...] = ()
 
     def defaults(self) -> dict[str, Any]:
         """All parameters and their defaults; the kind of the backup policy is called `policy`."""
@@ -100,11 +103,14 @@ class _Spec:
         parts = [defaults_of(part) for part in self.parts.values()]
         merged = own | kind | policy | {key: value for part in parts for key, value in part.items()}
         merged.pop("tick_s", None)  # that of the flight
-        return merged
+        merged.pop("qp_backend", None)  # `solver` says it
+        return merged | ({"solver": self.solvers[0]} if self.solvers else {})
 
     def build(self, world: SplatWorld, parameters: Mapping[str, Any]) -> _core.SplatFilter:
         """The filter itself, from all parameters."""
         given = {**parameters, "tick_s": world.dt_s}
+        if given.get("solver") == "clarabel":
+            given |= {"solver": "active-set", "qp_backend": clarabel_backend}
 
         def pick(native: type) -> dict[str, Any]:
             return {key: given[key] for key in defaults_of(native) if key in given}
@@ -120,12 +126,16 @@ class _Spec:
 
 _PRUNED = {"pruning": _core.Pruning}
 _SHIELDED = {"shield_options": _core.ShieldOptions, **_PRUNED}
+_SOLVERS = ("active-set", "clarabel")
 _NATIVE: dict[str, _Spec] = {
-    "cone-di": _Spec(_core.ConeDi, _PRUNED),
-    "cone-ecbf": _Spec(_core.ConeEcbf, _SHIELDED, has_policy=True),
-    "cone-backup": _Spec(_core.ConeBackup, _SHIELDED, has_policy=True),
+    "cone-di": _Spec(_core.ConeDi, _PRUNED, solvers=_SOLVERS),
+    "cone-ecbf": _Spec(_core.ConeEcbf, _SHIELDED, has_policy=True, solvers=_SOLVERS),
+    "cone-backup": _Spec(
+        _core.ConeBackup, _SHIELDED, has_policy=True, solvers=("active-set", "interpolation", "clarabel")
+    ),
     "safer-splat": _Spec(_core.SaferSplat, _PRUNED),
 }
+GUIDES = tuple(name for name, spec in _NATIVE.items() if not spec.has_policy)
 
 
 def parameters_of(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -140,6 +150,8 @@ def parameters_of(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
             raise UsageError(f"{name}: unknown parameter {key!r}; it has {', '.join(sorted(known))}")
         if not _fits(value, known[key]):
             raise UsageError(f"{name}: {key} must be {_wanted(known[key])}, not {value!r}")
+        if key == "solver" and value not in _NATIVE[name].solvers:
+            raise UsageError(f"{name}: solver must be {' or '.join(_NATIVE[name].solvers)}, not {value!r}")
     return known | {key: _like(value, known[key]) for key, value in given.items()}
 
 

@@ -41,6 +41,10 @@ class SplatJudge:
         rows = np.ascontiguousarray(points)
         return segment_clearance(rows, rows, self.scene, self.jobs, cap_m)
 
+    def is_blocked(self, start: FloatArray, goal: FloatArray, keep_m: float) -> NDArray[np.bool_]:
+        """Which straight lines, shapes (S, 3), come nearer to an ellipsoid than `keep_m`; shape (S,)."""
+        return np.asarray(segment_clearance(start, goal, self.scene, self.jobs, keep_m) < keep_m)
+
     def trial(
         self,
         index: int,
@@ -92,6 +96,7 @@ class SplatJudge:
             certified_steps=int(flown.certified.sum()),
             capped_steps=int(flown.capped.sum()),
             saturated_steps=int(flown.saturated.sum()),
+            line_clearance_m=self._least(np.array([position[0], goal]), self.scene),
         )
 
     def _least(self, position: FloatArray, obstacles: _core.EllipsoidSet | _core.PolytopeSet) -> float | None:

@@ -21,7 +21,7 @@ from alula.stages.compression.certificate import require_solid_hulls
 from alula.stages.compression.ellipsoids import retained, rows_of
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
-from alula.stages.filtering.splat_filters import NativeSplatFilter
+from alula.stages.filtering.splat_filters import GUIDES, NativeSplatFilter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.flight.references import rest_to_rest
 from alula.stages.flight.simulate import RunResult
@@ -39,7 +39,7 @@ Progress = Callable[[int, int], None]
 _BATCH = 16  # trials whose full-rate samples are in memory at once
 _PLANT_STEP_S = 1e-3
 _STUCK_S = 2.0
-_CATCH_UP = 0.5  # of the reference's peak speed, beside it, for who was held up
+_CATCH_UP = 0.5  # of the reference's peak speed, beyond it, for who was held up
 _ROOM_M = 20.0  # around the scene and the references; a flight that leaves it is refused
 
 
@@ -48,7 +48,7 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
 
     Raises:
         UsageError: a number of trials or a speed is given with a plan, which says both, or the vehicle is
-            none that flies among ellipsoids, or a parameter of the filter is unknown.
+            none that flies among ellipsoids, or a parameter of the filter or the guide is unknown.
     """
     if vehicle.model == "single-integrator" or (config.plant == "quadrotor" != vehicle.model):
         raise UsageError(f"{vehicle.name} is a {vehicle.model}, which does not fly among ellipsoids as asked")
@@ -56,15 +56,26 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
         raise UsageError("--trials is for random pairs; a plan is flown once")
     if plan is not None and config.speed_m_s is not None:
         raise UsageError("--speed is for random pairs; a plan has its own speed")
-    speed = DEFAULT_SPEED_M_S if plan is None else None
+    if plan is not None and config.pairs != "any":
+        raise UsageError(f"--pairs {config.pairs} is for random pairs; a plan is flown as it is")
+    if config.guide not in (NO_FILTER, *GUIDES):
+        raise UsageError(f"--guide {config.guide}: a guide is {' or '.join(GUIDES)}")
+    if config.guide == NO_FILTER and config.guide_parameters:
+        raise UsageError(f"--set guide.{next(iter(config.guide_parameters))}: there is no --guide")
+    speed = config.speed_m_s or DEFAULT_SPEED_M_S if plan is None else None
+    peak = _peak_speed(plan) if plan is not None else speed
+    assert peak is not None
+    held_up = vehicle.tracking.catch_up_m_s or _CATCH_UP * peak
     return dataclasses.replace(
         config,
         sigma=config.sigma if config.confidence is None else sigma_of_confidence(config.confidence),
         radius_m=vehicle.body.radius_m if config.radius_m is None else config.radius_m,
         plant=config.plant or ("quadrotor" if vehicle.model == "quadrotor" else "double-integrator"),
-        speed_m_s=speed if config.speed_m_s is None else config.speed_m_s,
+        speed_m_s=speed,
         trials=(100 if plan is None else 1) if config.trials is None else config.trials,
         filter_parameters=complete_parameters(config.filter, config.filter_parameters),
+        guide_parameters=complete_parameters(config.guide, config.guide_parameters),
+        catch_up_m_s=config.catch_up_m_s or held_up,
     )
 
 
@@ -81,9 +92,9 @@ def simulate_splat(
     """Fly random start-goal pairs, or a plan, among the ellipsoids of a scene, and judge each flight.
 
     A rigid body with rotors (or, as `plant` says, an ideal double integrator), in steps of at most 1 ms,
-    behind the tracking controller and the filter at every `dt_s`. A pair is joined by a straight septic
-    reference from rest to rest with the peak speed `speed_m_s`, whatever is in between; a plan is flown as
-    it is. Filters see the ellipsoids at the level `sigma`, and a sphere of the vehicle's radius plus
+    behind the tracking controller, its guide and the filter at every `dt_s`. A pair is joined by a straight
+    septic reference from rest to rest with the peak speed `speed_m_s`, whatever is in between; a plan is
+    flown as it is. Filters see the ellipsoids at the level `sigma`, and a sphere of the vehicle's radius plus
     `inflation_m`. Every flight is judged independently of the filter: exact signed Euclidean distance of the
     path at the plant's rate to the ellipsoids, minus the radius. A success is a flight that reached its goal
     without collision.
@@ -115,14 +126,13 @@ def simulate_splat(
     inflation = scene.manifest.suggested_inflation_m if config.inflation_m is None else config.inflation_m  # type: ignore[attr-defined]
     keep = config.radius_m + inflation
     index = _index(scene, config.sigma, keep)
-    gains = tracking_gains(vehicle, _CATCH_UP * (config.speed_m_s or _peak_speed(plan)))
+    gains = tracking_gains(vehicle, config.catch_up_m_s)
     # A point has no rotors: its controller and filters only use the translation, whatever the body.
     body = quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE)
     world = SplatWorld(index=index, body=body, gains=gains, radius_m=keep, dt_s=config.dt_s)
     safety_filter = make_splat_filter(config.filter, world, config.filter_parameters)
-    guide = make_splat_filter(config.guide, world, complete_parameters(config.guide, {}))
-    if guide is not None and not (isinstance(guide, NativeSplatFilter) and guide.kind == "acceleration"):
-        raise UsageError(f"--guide {config.guide}: a guide is cone-di or safer-splat")
+    guide = make_splat_filter(config.guide, world, config.guide_parameters)
+    assert guide is None or isinstance(guide, NativeSplatFilter)
     if config.plant == "double-integrator" and safety_filter is not None and safety_filter.kind == "wrench":
         raise UsageError(f"--plant double-integrator has no thrust and torque, which {config.filter} returns")
     judge = SplatJudge(scene, config.sigma, cover, config.radius_m, jobs)
@@ -181,8 +191,7 @@ def simulate_splat(
     )
 
 
-def _peak_speed(plan: Artifact | None) -> float:
-    assert plan is not None
+def _peak_speed(plan: Artifact) -> float:
     return float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
 
 
@@ -229,12 +238,18 @@ def _references(
         config.separation * float(np.linalg.norm(upper - lower)),
         lambda points: judge.distance(points, needed),
         lambda _, distance: np.asarray(distance >= needed),
+        (lambda start, goal: judge.is_blocked(start, goal, keep_m)) if config.pairs == "blocked" else None,
     )
     curves = [
         _core.ReferenceCurve(*rest_to_rest(start, goal, config.speed_m_s, yaw_rad=_heading(goal - start)))
         for start, goal in zip(pairs.start, pairs.goal, strict=True)
     ]
-    return curves, {"sampled_points": pairs.sampled, "sampled_inside_ellipsoids": pairs.sampled_inside_hulls}
+    return curves, {
+        "sampled_points": pairs.sampled,
+        "sampled_inside_ellipsoids": pairs.sampled_inside_hulls,
+        "sampled_pairs": pairs.candidates,
+        "blocked_pairs": int(judge.is_blocked(pairs.start, pairs.goal, keep_m).sum()),
+    }
 
 
 def _heading(way: FloatArray) -> float:
@@ -255,11 +270,12 @@ def _room(
 
 
 def _describe(config: SimulateConfig, vehicle: Vehicle) -> str:
+    guided = "" if config.guide == NO_FILTER else f", guided by {config.guide}"
     if config.plant == "double-integrator":
-        return f"{vehicle.name}: sphere of radius {config.radius_m:g} m, double integrator"
+        return f"{vehicle.name}: sphere of radius {config.radius_m:g} m, double integrator{guided}"
     told = "thrust and torque" if config.interface == "wrench" else "thrust and body rates"
     sphere = f"sphere of radius {config.radius_m:g} m"
-    return f"{vehicle.name}: quadrotor of {vehicle.body.mass_kg:g} kg in a {sphere}, told {told}"
+    return f"{vehicle.name}: quadrotor of {vehicle.body.mass_kg:g} kg in a {sphere}, told {told}{guided}"
 
 
 def _summary(
@@ -316,6 +332,8 @@ def _guarantee(
         )
     else:
         head = f"The filter {config.filter!r} bounds the rate of a barrier at each step; it proves no flight."
+    if config.guide != NO_FILTER:
+        head += f" The guide {config.guide!r} only bends what the controller asks for; nothing rests on it."
     found = f"{hits or 'none'} of {len(trials)} flights came closer to an ellipsoid than the radius"
     model = "double integrator" if config.plant == "double-integrator" else "quadrotor with rotor limits"
     given = scene.manifest.guarantee

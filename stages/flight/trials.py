@@ -21,13 +21,15 @@ _TAIL_PERCENT = 1.0  # of the points on each side of each axis lies outside the 
 class Pairs:
     """Start and goal of each trial, shapes (N, 3), world frame [m].
 
-    `sampled` candidates were looked at, of which `sampled_inside_hulls` lay inside a hull.
+    `sampled` points were looked at, of which `sampled_inside_hulls` lay inside a hull; with what is wanted of
+    a pair they made `candidates` pairs.
     """
 
     start: FloatArray
     goal: FloatArray
     sampled: int
     sampled_inside_hulls: int
+    candidates: int = 0
 
 
 def central_box(
@@ -53,11 +55,13 @@ def sample_pairs(
     least_distance_m: float,
     clearance: Callable[[FloatArray], FloatArray],
     is_clear: Callable[[FloatArray, FloatArray], NDArray[np.bool_]],
+    is_wanted: Callable[[FloatArray, FloatArray], NDArray[np.bool_]] | None = None,
 ) -> Pairs:
     """Draw pairs uniformly in a box, both points clear and far enough apart.
 
     Trial i has a counter-based generator of its own, keyed on (seed, i): it does not depend on how
-    many trials there are, nor on who computes it.
+    many trials there are, nor on who computes it. What `is_wanted` refuses is passed over for the next pair
+    of the same generator, so the pairs are those without it, under the condition that they are wanted.
 
     Args:
         count: number of trials.
@@ -66,20 +70,29 @@ def sample_pairs(
         least_distance_m: between start and goal.
         clearance: psi of the map at points (M, 3), shape (M,), negative inside a hull [m].
         is_clear: which of the points, given with their psi, may be a start or a goal; shape (M,).
+        is_wanted: which of the pairs, starts and goals of shape (P, 3), may be flown; shape (P,). All by
+            default.
 
     Raises:
-        InfeasibleError: no pair was found for a trial among 16384 candidates.
+        InfeasibleError: no pair was found for a trial among 16384 points.
     """
     start, goal = np.empty((count, 3)), np.empty((count, 3))
-    sampled = inside = 0
+    sampled = inside = candidates = 0
     lower, upper = bounds
     for i in range(count):
         generator = np.random.Generator(np.random.Philox(key=np.array([seed, i], np.uint64)))
         for _ in range(_BLOCKS):
             points = lower + generator.random((_BLOCK, 3)) * (upper - lower)
             psi = clearance(points)
-            pair = _first_pair(points, is_clear(points, psi), least_distance_m)
-            seen = _BLOCK if pair is None else pair[1] + 1
+            found = _pairs(
+                points, is_clear(points, psi), least_distance_m, 1 if is_wanted is None else _BLOCK
+            )
+            wanted = np.ones(len(found), np.bool_)
+            if is_wanted is not None and len(found):
+                wanted = is_wanted(points[found[:, 0]], points[found[:, 1]])
+            pair = found[np.argmax(wanted)] if wanted.any() else None
+            candidates += len(found) if pair is None else int(np.argmax(wanted)) + 1
+            seen = _BLOCK if pair is None else int(pair[1]) + 1
             sampled += seen
             inside += int((psi[:seen] < 0).sum())
             if pair is not None:
@@ -88,19 +101,27 @@ def sample_pairs(
         else:
             raise InfeasibleError(
                 f"trial {i}: no start and goal at least {least_distance_m:.3g} m apart and clear of the map "
+                f"{'' if is_wanted is None else 'with a blocked line between them '}"
                 f"among {_BLOCK * _BLOCKS} points; widen --bounds or lower --separation, --margin or --radius"
             )
-    return Pairs(start, goal, sampled, inside)
+    return Pairs(start, goal, sampled, inside, candidates)
 
 
-def _first_pair(
-    points: FloatArray, clear: NDArray[np.bool_], least_distance_m: float
-) -> tuple[int, int] | None:
-    """The first clear point, and the first clear one after it that is far enough from it."""
+def _pairs(
+    points: FloatArray, clear: NDArray[np.bool_], least_distance_m: float, most: int
+) -> NDArray[np.int64]:
+    """Numbers of at most so many pairs, shape (P, 2), each after the one before.
+
+    A pair is the first clear point and the first clear one after it that is far enough from it.
+    """
+    found: list[tuple[int, int]] = []
     index = np.flatnonzero(clear)
-    if len(index) < 2:
-        return None
-    first = index[0]
-    far = np.linalg.norm(points[index] - points[first], axis=1) >= least_distance_m
-    far[0] = False
-    return (int(first), int(index[np.argmax(far)])) if far.any() else None
+    while len(index) > 1 and len(found) < most:
+        far = np.linalg.norm(points[index] - points[index[0]], axis=1) >= least_distance_m
+        far[0] = False
+        if not far.any():
+            break
+        goal = int(np.argmax(far))
+        found.append((int(index[0]), int(index[goal])))
+        index = index[goal + 1 :]
+    return np.array(found, np.int64).reshape(-1, 2)

@@ -39,8 +39,8 @@ def quadrotor(vehicle: Vehicle) -> Quadrotor:
 def tracking_gains(vehicle: Vehicle, catch_up_m_s: float | None = None) -> TrackingGains:
     """Gains and limits of the geometric controller; of a double integrator those of the translation.
 
-    `catch_up_m_s` holds where the file does not say how much faster than its reference a vehicle that was held
-    up may fly.
+    `catch_up_m_s`, if given, replaces the file's: how much faster than its reference a vehicle that was
+    held up is asked to fly.
     """
     table = vehicle.tracking
     attitude, rate = vehicle.attitude_gains() if vehicle.model == "quadrotor" else ((0.0,) * 3, (0.0,) * 3)
@@ -49,7 +49,7 @@ def tracking_gains(vehicle: Vehicle, catch_up_m_s: float | None = None) -> Track
         kv=table.kv_per_s,
         k_r=attitude,
         k_omega=rate,
-        catch_up_m_s=_or_infinity(catch_up_m_s if table.catch_up_m_s is None else table.catch_up_m_s),
+        catch_up_m_s=_or_infinity(table.catch_up_m_s if catch_up_m_s is None else catch_up_m_s),
         max_tilt_rad=_or_infinity(table.max_tilt_rad),
         max_thrust_share=_or_infinity(table.max_thrust_share),
         uses_acceleration=table.uses_acceleration,

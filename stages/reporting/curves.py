@@ -68,15 +68,16 @@ class Compression:
 class WorstFlight:
     """The margin over time of the flight that came closest.
 
-    `trouble` marks the margins where the filter had to do more than change the input; `statuses` are
-    the words for it.
+    `margin_unit` is "m", or says what else the margin measures. `trouble` marks the margins where the filter
+    had to do more than change the input; `statuses` are the words for it.
     """
 
     label: str
     trial: int
     clearance_m: float
     margin_time_s: Floats
-    margin_m: Floats
+    margin: Floats
+    margin_unit: str
     speed_time_s: Floats
     speed_m_s: Floats
     trouble: NDArray[np.bool_]
@@ -210,10 +211,10 @@ def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:
     for place, run in enumerate(runs):
         for trial in run.record.trials:
             flight = run.flights.get(trial.index)
-            if flight is None or not np.isfinite(flight.margin_m).any():
+            if flight is None or not np.isfinite(flight.margin).any():
                 continue
             clearance = clearance_of(trial)
-            least = float(np.nanmin(flight.margin_m)) if clearance is None else clearance
+            least = float(np.nanmin(flight.margin)) if clearance is None else clearance
             candidates.append((least, place, trial.index, run, trial))
     if not candidates:
         return None
@@ -225,7 +226,8 @@ def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:
         index,
         least,
         flight.margin_time_s,
-        flight.margin_m,
+        flight.margin,
+        flight.margin_unit,
         flight.time_s,
         flight.speed_m_s,
         np.array(trouble, np.bool_),

@@ -8,7 +8,17 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.run import TrialResult
-from alula.stages.reporting.fastbridge import BASELINE, GAP_VARIANTS, OURS, Sweep, find, speeds_of, succeeded
+from alula.stages.reporting.fastbridge import (
+    BASELINE,
+    COMPARED,
+    GAP_VARIANTS,
+    GATED,
+    OURS,
+    Sweep,
+    find,
+    speeds_of,
+    succeeded,
+)
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.statistics import mean_estimate
 from alula.stages.reporting.tables import text
@@ -18,6 +28,8 @@ COLORS = {
     "cone-di": "#009e73",
     "cone-ecbf": "#0072b2",
     "safer-splat": "#d55e00",
+    "safer-splat-gated": "#e69f00",
+    "cone-backup": "#cc79a7",
 }
 _SPEEDS = "peak speed of the reference [m/s]"
 
@@ -58,8 +70,10 @@ def comparison_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
     """Figure 3, right: jerk, time and speed over the reference speed."""
     said = []
     with drawing(7.4, 8.4, rows=4) as (axes, render):
-        for variant in (BASELINE, OURS):
+        for variant in COMPARED:
             runs = _by_speed(sweeps, scene, variant)
+            if not runs:
+                continue
             color = COLORS[variant]
             jerk = _line(axes[0], runs, lambda t: t.mean_jerk_m_s3, color, variant)
             timed = [(r.speed_m_s, r.timing("filter_total_s"), r.timing("filter_calls")) for r in runs]
@@ -88,10 +102,11 @@ def paths_figure(sweeps: Sequence[Sweep], scene: str, trial: int) -> Figure | No
     """Figure 3, left: the paths of one pair from above, one line per reference speed; None without logs."""
     from matplotlib import colormaps
 
-    speeds = speeds_of(sweeps, scene, (BASELINE, OURS))
+    shown = tuple(v for v in (BASELINE, GATED, OURS) if v == OURS or _by_speed(sweeps, scene, v))
+    speeds = speeds_of(sweeps, scene, shown)
     drawn = 0
-    with drawing(9.5, 4.6, columns=2) as (axes, render):
-        for place, variant in zip(axes, (BASELINE, OURS), strict=True):
+    with drawing(4.0 * len(shown), 4.6, columns=len(shown)) as (axes, render):
+        for place, variant in zip(np.atleast_1d(axes), shown, strict=True):
             for number, speed in enumerate(speeds):
                 sweep = find(sweeps, scene, variant, speed)
                 flight = sweep.run.flights.get(trial) if sweep is not None else None
@@ -104,14 +119,13 @@ def paths_figure(sweeps: Sequence[Sweep], scene: str, trial: int) -> Figure | No
                 place.plot(*flight.position_world[-1, :2], "x", color=color, markersize=6)
                 drawn += 1
             place.set(title=variant, xlabel="x [m]", aspect="equal")
-        axes[0].set(ylabel="y [m]")
+        first = np.atleast_1d(axes)[0]
+        first.set(ylabel="y [m]")
         if not drawn:
             return None
-        axes[0].legend(fontsize=9)
+        first.legend(fontsize=9)
         svg = render()
-    alt = (
-        f"Paths of trial {trial} in {scene} from above at {text(speeds)} m/s, {BASELINE} left, {OURS} right."
-    )
+    alt = f"Paths of trial {trial} in {scene} from above at {text(speeds)} m/s: {', '.join(shown)}."
     return Figure(f"figure-3-paths-{scene}", f"Figure 3: paths of one pair, {scene}", alt, svg, wide=True)
 
 

@@ -206,22 +206,23 @@ def _ratio_figure(shown: Sequence[curves.Distribution]) -> Figure:
 def _worst_figure(worst: curves.WorstFlight) -> Figure:
     with drawing(6.2, 4.2, rows=2) as ((top, bottom), render):
         top.axhline(0, color=COLORS["collision"], linewidth=1.2)
-        top.plot(worst.margin_time_s, worst.margin_m, color=_RUN_COLORS[0], linewidth=1.6)
+        top.plot(worst.margin_time_s, worst.margin, color=_RUN_COLORS[0], linewidth=1.6)
         if worst.trouble.any():
             top.plot(
                 worst.margin_time_s[worst.trouble],
-                worst.margin_m[worst.trouble],
+                worst.margin[worst.trouble],
                 ".",
                 color=COLORS["stuck"],
                 label=", ".join(worst.statuses),
             )
             top.legend(fontsize=10)
-        top.set(ylabel="margin [m]")
+        top.set(ylabel="margin [m]" if worst.margin_unit == "m" else f"margin\n{worst.margin_unit}")
         bottom.plot(worst.speed_time_s, worst.speed_m_s, color=_RUN_COLORS[2], linewidth=1.6)
         bottom.set(xlabel="time [s]", ylabel="speed [m/s]")
         svg = render()
+    unit = "" if worst.margin_unit == "m" else f", {worst.margin_unit},"
     alt = (
-        f"Margin that the filter reported and speed over time, {worst.label}, trial {worst.trial}, "
+        f"Margin that the filter reported{unit} and speed over time, {worst.label}, trial {worst.trial}, "
         f"whose least clearance was {text(worst.clearance_m)} m; in {int(worst.trouble.sum())} of "
         f"{len(worst.trouble)} logged steps the filter had to do more than change the input"
         f"{' (' + ', '.join(worst.statuses) + ')' if worst.statuses else ''}."

@@ -160,7 +160,12 @@ def _among_ellipsoids(run: Run, steps: int) -> dict[str, Any]:
         "largest distance from the reference [m]": "max_tracking_error_m",
         "largest realisation error [m/s²]": "peak_realisation_error_m_s2",
     }
-    found: dict[str, Any] = {"level of the ellipsoids [σ]": summary.get("sigma")}
+    found: dict[str, Any] = {
+        "guide": run.record.provenance.parameters.get("guide"),
+        "level of the ellipsoids [σ]": summary.get("sigma"),
+        "pairs with a blocked line": summary.get("blocked_pairs"),
+        "steps with qp infeasible": sum(trial.infeasible_steps for trial in trials),
+    }
     found |= {title: max(_known(trials, key), default=None) for title, key in most.items()}
     found["least γ = rᵀAr - 1"] = min(_known(trials, "min_gamma"), default=None)
     return found | {
@@ -202,7 +207,10 @@ def trials_table(run: Run, name: str) -> Table:
     }
     trials = run.record.trials
     if _known(trials, "peak_realisation_error_m_s2"):
+        columns = {"qp infeasible" if key == "infeasible" else key: get for key, get in columns.items()}
         columns |= {
+            "blocked": lambda t: _is_blocked(t, run),
+            "clearance of the straight line [m]": lambda t: t.line_clearance_m,
             "backup": lambda t: t.backup_steps,
             "proven": lambda t: t.certified_steps,
             "realisation error [m/s²]": lambda t: t.peak_realisation_error_m_s2,
@@ -216,6 +224,14 @@ def trials_table(run: Run, name: str) -> Table:
         else ""
     )
     return Table(name, f"Trials of {run.label}", tuple(columns), rows, note)
+
+
+def _is_blocked(trial: TrialResult, run: Run) -> bool | None:
+    """Whether the straight line comes nearer to an ellipsoid than filters allow."""
+    added = run.record.summary.get("inflation_m")
+    if trial.line_clearance_m is None or not isinstance(added, int | float):
+        return None
+    return trial.line_clearance_m < added
 
 
 def path_ratio(trial: TrialResult) -> float | None:

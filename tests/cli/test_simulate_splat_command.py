@@ -1,6 +1,8 @@
 """`alula simulate` among the ellipsoids of a scene, as a user runs it: files, logs, exit codes, errors."""
 
+import base64
 import json
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from alula.stages.flight.references import rest_to_rest
 
 VEHICLES = Path(__file__).resolve().parents[2] / "examples" / "vehicles"
 FAST = ["--trials", "2", "--speed", "2"]
+GUIDED = ["--filter", "cone-ecbf", "--guide", "cone-di"]
 
 
 @pytest.fixture(scope="session")
@@ -113,7 +116,8 @@ def test_the_log_has_attitude_rotors_and_what_the_filter_did(scene, tmp_path):
     assert {pair["key"]: pair["value"] for pair in entity["metadata"]} == {"ellipsoids": "60", "shown": "60"}
     flights = read_flights(out)
     assert flights.hulls is None
-    assert np.isnan(flights.by_trial[0].margin_m).all()
+    assert flights.by_trial[0].margin_unit == "of the filter's barrier"
+    assert np.nanmin(flights.by_trial[0].margin) >= record.trials[0].min_margin - 1e-6
     assert flights.by_trial[0].speed_m_s.max() == pytest.approx(record.trials[0].max_speed_m_s, rel=0.05)
 
 
@@ -194,6 +198,60 @@ def test_a_scenario_names_scene_vehicle_and_parameters(scene, tmp_path):
     assert run(["simulate", str(scenario), "-o", str(out), "--set", "nodes=13", "-q"]) == 2
 
 
+def test_a_guide_is_recorded_and_reported_with_all_it_was_told(scene, tmp_path):
+    a, b, report = tmp_path / "a.run.mcap", tmp_path / "b.run.mcap", tmp_path / "report.html"
+    words = ["simulate", str(scene), *FAST, *GUIDED, "--pairs", "blocked", "-q"]
+    for setting in ("guide.alpha=3", "guide.count=8", "lambda_=4", "solver=clarabel"):
+        words += ["--set", setting]
+    for path, jobs in ((a, "1"), (b, "2")):
+        assert run([*words, "-o", str(path), "--jobs", jobs]) in (0, 4)
+    assert a.read_bytes() == b.read_bytes()
+    record = read_run(a)
+    parameters, summary = record.provenance.parameters, record.summary
+    assert parameters["guide"] == "cone-di"
+    chosen = parameters["guide_parameters"]
+    assert (chosen["alpha"], chosen["count"], chosen["escape_rate"]) == (3.0, 8, 5.0)
+    assert (chosen["solver"], parameters["filter_parameters"]["solver"]) == ("active-set", "clarabel")
+    assert parameters["filter_parameters"]["lambda_"] == 4.0
+    assert (parameters["catch_up_m_s"], parameters["pairs"]) == (1.0, "blocked")
+    assert record.vehicle.endswith("guided by cone-di")
+    assert "nothing rests on it" in record.guarantee.statement
+    assert summary["blocked_pairs"] == 2 <= summary["sampled_pairs"]
+    assert all(t.line_clearance_m < 0 for t in record.trials)
+    assert run(["report", str(a), "-o", str(report), "-q"]) == 0
+    page, tables = report.read_text(), report.with_suffix(".md").read_text()
+    assert "Margin that the filter reported, of the filter&#x27;s barrier, and speed" in page
+    drawn = [base64.b64decode(data).decode() for data in re.findall(r"svg\+xml;base64,([^\"]*)", page)]
+    (closest,) = [svg for svg in drawn if ">margin" in svg]
+    assert "margin [m]" not in closest
+    assert "of the filter's barrier" in closest
+    for row in ("| guide | cone-di |", "| pairs with a blocked line | 2 |", "| steps with qp infeasible |"):
+        assert row in tables
+    (head,) = [line for line in tables.splitlines() if "| qp infeasible |" in line]
+    assert "| blocked | clearance of the straight line " in head
+
+
+def test_a_scenario_names_guide_pairs_and_solver(scene, tmp_path):
+    scenario, out = tmp_path / "s.toml", tmp_path / "r.run.mcap"
+    (tmp_path / "f.scene.npz").write_bytes(scene.read_bytes())
+    text = (
+        '[map]\nscene = "f.scene.npz"\n[filter]\nname = "cone-backup"\n'
+        'parameters = { solver = "interpolation" }\n'
+        '[controller]\nguide = "safer-splat"\nguide_parameters = { alpha = 3, beta = 2 }\n'
+        'catch_up_m_s = 0.4\n[trials]\ncount = 1\npairs = "blocked"\n[run]\nmax_time_s = 2\n'
+    )
+    scenario.write_text(text)
+    words = ["simulate", str(scenario), "-o", str(out), "-q", "--set", "guide.beta=4"]
+    assert run(words) in (0, 4)
+    parameters = read_run(out).provenance.parameters
+    assert parameters["guide"] == "safer-splat"
+    assert (parameters["guide_parameters"]["alpha"], parameters["guide_parameters"]["beta"]) == (3.0, 4.0)
+    assert parameters["filter_parameters"]["solver"] == "interpolation"
+    assert (parameters["catch_up_m_s"], parameters["pairs"]) == (0.4, "blocked")
+    scenario.write_text(text.replace('guide = "safer-splat"\n', ""))
+    assert run([*words, "-f"]) == 2
+
+
 def test_a_filtered_collision_exits_with_4(tmp_path, capsys):
     path, out = tmp_path / "s.scene.npz", tmp_path / "r.run.mcap"
     write_artifact(path, make_scene(400, low=(1, 0, 0), high=(2, 1, 2)))
@@ -245,6 +303,20 @@ def unaligned(path):
             3,
             "in the frame 'other', the scene in 'world'",
         ),
+        (["SCENE", *GUIDED, "--guide", "nome"], 2, "--guide nome: a guide is cone-di or safer-splat"),
+        (["SCENE", *GUIDED, "--guide", "cone-backup"], 2, "cone-backup: a guide is cone-di or safer-splat"),
+        (["SCENE", *GUIDED, "--set", "guide.alhpa=1"], 2, "unknown parameter 'alhpa'; it has alpha"),
+        (["SCENE", *GUIDED, "--set", "guide.alpha=-1"], 2, "cone-di: "),
+        (["SCENE", "--filter", "cone-ecbf", "--set", "guide.alpha=1"], 2, "guide.alpha: there is no --guide"),
+        (["SCENE", "--filter", "cone-di", "--set", "solver=osqp"], 2, "must be active-set or clarabel, not"),
+        (["SCENE", "--filter", "safer-splat", "--set", "solver=clarabel"], 2, "unknown parameter 'solver'"),
+        (["SCENE", "--filter", "none", "--pairs", "blocked", "--radius", "9"], 5, "trial 0: no start and"),
+        (["PLAN", "--map", "SCENE", "--filter", "none", "--pairs", "blocked"], 2, "for random pairs; a plan"),
+        (["COVER", "--pairs", "blocked"], 2, "--pairs is for flights among the ellipsoids"),
+        (["COVER", "--guide", "cone-di"], 2, "--guide is for flights among the ellipsoids"),
+        (["COVER", "--set", "guide.alpha=1"], 2, "--set guide.NAME is for flights among the ellipsoids"),
+        (["COVER", "--catch-up", "1"], 2, "--catch-up is for flights among the ellipsoids"),
+        (["SCENE", "--filter", "none", "--catch-up", "0"], 2, "--catch-up must be between"),
         (["SCENE", "--vehicle", "BAD", "--filter", "none"], 2, "wings"),
         (["SCENE", "--vehicle", "absent.toml", "--filter", "none"], 3, "absent.toml: cannot read"),
         (["SCENE", "--vehicle", "POINT", "--filter", "none", "--plant", "quadrotor"], 2, "double-integrator"),

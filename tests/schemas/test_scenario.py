@@ -68,6 +68,24 @@ def test_every_key_sets_its_parameter(tmp_path):
     )
 
 
+def test_flights_among_ellipsoids_have_keys_of_their_own(tmp_path):
+    text = (
+        '[map]\nscene = "s"\n[filter]\nname = "cone-ecbf"\n[controller]\nguide = "cone-di"\n'
+        'guide_parameters = { alpha = 2.0 }\ncatch_up_m_s = 0.5\n[trials]\npairs = "blocked"'
+    )
+    assert SimulateConfig(**read(tmp_path, text).settings()) == SimulateConfig(
+        filter="cone-ecbf",
+        guide="cone-di",
+        guide_parameters={"alpha": 2.0},
+        catch_up_m_s=0.5,
+        pairs="blocked",
+    )
+    with pytest.raises(UsageError, match=r"`\$\.controller\.catch_up_m_s` must be between"):
+        read(tmp_path, text.replace("0.5", "0"))
+    with pytest.raises(UsageError, match=r"\$\.trials\.pairs"):
+        read(tmp_path, text.replace("blocked", "free"))
+
+
 def test_only_the_cover_is_required(tmp_path):
     assert SimulateConfig(**read(tmp_path, '[map]\ncover = "c"').settings()) == SimulateConfig()
 

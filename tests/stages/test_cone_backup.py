@@ -47,7 +47,9 @@ def random_case(seed):
     return scene, x, np.array([HOVER + rng.normal(), *rng.normal(0, 0.02, 3)])
 
 
-def rows_of(scene, x, kind, nodes=20, steps=2, alpha_running=10.0, alpha_terminal=5.0, min_speed=0.1):
+def rows_of(
+    scene, x, kind, first_node=1, nodes=20, steps=2, alpha_running=10.0, alpha_terminal=5.0, min_speed=0.1
+):
     """(a, b) of a . u >= b of the ellipsoids near, and h_b."""
     speed = np.linalg.norm(x[6:9])
     reach = max(0.5, speed**2 / 12 + 0.3 * speed + scene.radius)
@@ -64,7 +66,8 @@ def rows_of(scene, x, kind, nodes=20, steps=2, alpha_running=10.0, alpha_termina
             _, gamma_k, delta_k, h = filters.cone(mu, a, phi[k, :3], phi[k, 6:9])
             if gamma < 0 or np.linalg.norm(phi[k, 6:9]) < min_speed or (delta_k < 0 and gamma_k > 0):
                 continue
-            rows.append(flow.running_row(mu, a, k, alpha_running))
+            if k >= first_node:
+                rows.append(flow.running_row(mu, a, k, alpha_running))
             least = min(least, h)
         rows.append(flow.clear_row(mu, a, nodes, alpha_terminal))
         least = min(least, filters.cone(mu, a, phi[-1, :3], phi[-1, 6:9])[1])
@@ -98,14 +101,23 @@ def steps_of(kind):
 
 
 @pytest.mark.filterwarnings("ignore:Solution may be inaccurate")
-@pytest.mark.parametrize("kind", ["hover", "heading-invariant", "brake"])
-def test_the_nearest_input_agrees_with_another_solver(kind):
+@pytest.mark.parametrize(
+    ("kind", "first_node"), [("hover", 0), ("hover", 1), ("heading-invariant", 1), ("brake", 1)]
+)
+def test_the_nearest_input_agrees_with_another_solver(kind, first_node):
     seen = {OK: 0, FILTERED: 0, BACKUP: 0}
     for seed in range(40):
         scene, x, wrench = random_case(seed)
-        flown = backup(scene, kind, shield=False, lateral_bias=0.0, pruning=_core.Pruning(**ALL_NEAR))
+        flown = backup(
+            scene,
+            kind,
+            first_node=first_node,
+            shield=False,
+            lateral_bias=0.0,
+            pruning=_core.Pruning(**ALL_NEAR),
+        )
         report = tick(flown, x, wrench)
-        rows, h_b = rows_of(scene, x, kind, steps=steps_of(kind))
+        rows, h_b = rows_of(scene, x, kind, first_node, steps=steps_of(kind))
         assert report["rows"] == len(rows)
         assert report["margin"] == pytest.approx(h_b, rel=1e-9)
         expected = nearest_input(rows, wrench)
@@ -252,6 +264,7 @@ def test_a_tracking_row_gives_way_to_the_rows_of_obstacles():
     [
         {"horizon_s": 0.0},
         {"nodes": 0},
+        {"first_node": 21},
         {"alpha_running": 0.0},
         {"alpha_terminal": float("inf")},
         {"far": 0.0},

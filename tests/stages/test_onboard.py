@@ -12,7 +12,7 @@ from alula import _core
 from alula.stages.filtering.protocol import FilterStatus
 
 ROOT = Path(__file__).resolve().parents[2]
-OK, FILTERED, SHORTENED, RECOVERING, _ = FilterStatus
+OK, FILTERED, SHORTENED, RECOVERING, *_ = FilterStatus
 
 
 def polytopes(rng, count):

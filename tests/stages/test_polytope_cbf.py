@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from alula import _core
 from alula.stages.filtering.protocol import FilterStatus
 
-OK, FILTERED, SHORTENED, RECOVERING, REFUSED = FilterStatus
+OK, FILTERED, SHORTENED, RECOVERING, REFUSED, _ = FilterStatus
 LARGEST_FLOAT = float(np.finfo(np.float32).max)
 
 

@@ -39,7 +39,7 @@ def flight(n=50, margin=0.5):
     time = np.linspace(0, 5, n)
     position = np.column_stack([time, np.zeros(n), np.ones(n)])
     status = tuple("recovering" if i == 7 else "ok" for i in range(n))
-    return Flight(time, position, np.ones(n), time, margin + time, status)
+    return Flight(time, position, np.ones(n), time, margin + time, "m", status)
 
 
 def run_of(label="a", trials=TRIALS, **fields):

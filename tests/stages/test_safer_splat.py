@@ -17,7 +17,9 @@ def index_of(rows, sigma=1.0, radius=RADIUS, loss=None):
 
 
 def everything(rows, **options):
-    return _core.SaferSplat(index_of(rows), brute=True, pruning=_core.Pruning(gate=False), **options)
+    """As published: the rows of all ellipsoids, each measured, in one program."""
+    pruning = _core.Pruning(gate=False)
+    return _core.SaferSplat(index_of(rows), rows="nearest", brute=True, pruning=pruning, **options)
 
 
 def tick(filt, p, v, a):
@@ -128,7 +130,8 @@ def test_the_index_changes_nothing(seed, count):
     pruning = _core.Pruning(count=count, floor_m=1.0)
     p, v, nominal = rng.uniform(-2, 2, 3), rng.normal(size=3), rng.normal(size=3) * 2
     by_tree, by_scan = (
-        tick(_core.SaferSplat(index, brute=brute, pruning=pruning), p, v, nominal) for brute in (False, True)
+        tick(_core.SaferSplat(index, rows="nearest", brute=brute, pruning=pruning), p, v, nominal)
+        for brute in (False, True)
     )
     np.testing.assert_allclose(by_tree.pop("acceleration"), by_scan.pop("acceleration"), atol=1e-9)
     assert by_tree.pop("margin") == pytest.approx(by_scan.pop("margin"), abs=1e-12)
@@ -138,12 +141,13 @@ def test_the_index_changes_nothing(seed, count):
 
 def test_a_nominal_input_that_holds_comes_back_bit_by_bit_and_nonsense_is_refused():
     rows = np.float32([[2, 0, 0]]), np.full((1, 3), 0.2, np.float32), np.float32([[1, 0, 0, 0]])
-    filt = _core.SaferSplat(index_of(rows), pruning=_core.Pruning(floor_m=5.0))
+    filt = _core.SaferSplat(index_of(rows))
     nominal = (0.1, 1 / 3, -7e-17)
     report = tick(filt, (0, 0, 0), (-0.1, 0, 0), nominal)
     assert tuple(report["acceleration"]) == nominal
     assert report["status"] == OK
-    assert report["rows"] == 1
+    assert report["candidates"] == 1
+    assert report["rows"] == 0  # it takes none to see that
     for bad in (np.nan, np.inf):
         for slot in range(3):
             values = [[0.0, 0, 0], [0.1, 0, 0], [0.0, 0, 0]]
@@ -172,7 +176,7 @@ def test_losses_add_to_the_radius():
 
 def test_a_double_integrator_keeps_its_distance_and_slows_down_far_away():
     rows = np.float32([[2, 0.05, 0]]), np.full((1, 3), 0.3, np.float32), np.float32([[1, 0, 0, 0]])
-    filt = _core.SaferSplat(index_of(rows), pruning=_core.Pruning(floor_m=4.0))
+    filt = _core.SaferSplat(index_of(rows))
     p, v, dt, goal, path = np.zeros(3), np.zeros(3), 1e-3, np.array([4.0, 0, 0]), []
     for _ in range(6000):
         to = goal - p
@@ -188,7 +192,13 @@ def test_a_double_integrator_keeps_its_distance_and_slows_down_far_away():
 
 def test_options_that_mean_nothing_are_refused():
     index = index_of(scene(np.random.default_rng(0), 3))
-    for wrong in ({"alpha": 0.0}, {"beta": -1.0}, {"max_braking": np.inf}, {"hessian": "both"}):
+    for wrong in (
+        {"alpha": 0.0},
+        {"beta": -1.0},
+        {"max_braking": np.inf},
+        {"hessian": "both"},
+        {"rows": "some"},
+    ):
         with pytest.raises(ValueError, match=r"must be"):
             _core.SaferSplat(index, **wrong)
     with pytest.raises(IndexError):

@@ -18,6 +18,7 @@
 #include "alula/safer_splat.hpp"
 #include "arrays.hpp"
 #include "python_control.hpp"
+#include "python_qp.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -132,6 +133,12 @@ flight::SaferHessian hessian_of(const std::string& name) {
   throw std::invalid_argument("hessian must be 'correct' or 'published'");
 }
 
+flight::SaferRows rows_of(const std::string& name) {
+  if (name == "all") return flight::SaferRows::all;
+  if (name == "nearest") return flight::SaferRows::nearest;
+  throw std::invalid_argument("rows must be 'all' or 'nearest'");
+}
+
 geometry::Mat3 matrix(const In<double, nb::shape<3, 3>>& a) {
   geometry::Mat3 result;
   for (int i = 0; i < 3; ++i)
@@ -173,6 +180,16 @@ Record snap(const flight::Quadrotor& body, const State12& state, double thrust, 
   result["ecbf_row"] = ecbf.row, result["ecbf_bound"] = ecbf.bound;
   result["escape_row"] = escape.row, result["escape_bound"] = escape.bound;
   return result;
+}
+
+Indices unsure(const SaferSplat& self, const Array3& p, const Array3& v, const Array3& acceleration) {
+  const flight::DistanceRowBound bound(self.law(), self.index().radius(), vec(p), vec(v), vec(acceleration));
+  std::vector<geometry::Bvh::Pending> heap;
+  std::vector<std::int64_t> item;
+  const double limit = 0;
+  self.index().visit_least(heap, limit, bound, [&](std::uint32_t found) { item.push_back(found); });
+  const std::size_t n = item.size();
+  return to_numpy(std::move(item), {n});
 }
 
 }  // namespace
@@ -243,48 +260,54 @@ void bind_splat_filters(nb::module_& m) {
           "__init__",
           [](ConeDi* self, std::shared_ptr<EllipsoidIndex> index, double alpha, double recovery, double swell,
              double escape_rate, double min_speed, double max_acceleration, double max_braking, double lateral_bias,
-             double clf_weight, double clf_rate, double clf_kp, double clf_kv, const Pruning& pruning) {
-            new (self)
-                ConeDi(std::move(index), {alpha, recovery, swell, escape_rate, min_speed, max_acceleration,
-                                          max_braking, lateral_bias, clf_weight, clf_rate, clf_kp, clf_kv, pruning});
+             double clf_weight, double clf_rate, double clf_kp, double clf_kv, const Pruning& pruning,
+             nb::object qp_backend) {
+            new (self) ConeDi(std::move(index),
+                              {alpha, recovery, swell, escape_rate, min_speed, max_acceleration, max_braking,
+                               lateral_bias, clf_weight, clf_rate, clf_kp, clf_kv, pruning},
+                              qp_solver(std::move(qp_backend)));
           },
           "index"_a, nb::kw_only(), "alpha"_a = cone_di.alpha, "recovery"_a = cone_di.recovery,
           "swell"_a = cone_di.swell, "escape_rate"_a = cone_di.escape_rate, "min_speed"_a = cone_di.min_speed,
           "max_acceleration"_a = cone_di.max_acceleration, "max_braking"_a = cone_di.max_braking,
           "lateral_bias"_a = cone_di.lateral_bias, "clf_weight"_a = cone_di.clf_weight,
           "clf_rate"_a = cone_di.clf_rate, "clf_kp"_a = cone_di.clf_kp, "clf_kv"_a = cone_di.clf_kv,
-          "pruning"_a = Pruning{},
+          "pruning"_a = Pruning{}, "qp_backend"_a = nb::none(),
           "alpha: of h' >= -alpha h [1/s], and at least recovery over the time to contact;\n"
           "swell: rows are of ellipsoids longer by this part; escape_rate: double pole "
           "of the rows on gamma [1/s];\n"
           "min_speed: below it rows on gamma [m/s]; max_acceleration: of each axis, max_braking: of the fallback,\n"
           "lateral_bias: of a head-on nominal [m/s^2]; clf_weight: of the tracking row's slack, 0 for no row;\n"
-          "clf_rate [1/s], clf_kp [1/s^2], clf_kv [1/s]: of that row.");
+          "clf_rate [1/s], clf_kp [1/s^2], clf_kv [1/s]: of that row; qp_backend: as of QpSolver.");
 
   const flight::SaferSplatOptions safer;
   nb::class_<SaferSplat, SplatFilter>(m, "SaferSplat", "The distance filter of SAFER-Splat for a double integrator.")
       .def(
           "__init__",
           [](SaferSplat* self, std::shared_ptr<EllipsoidIndex> index, double alpha, double beta,
-             const std::string& hessian, bool brute, double max_braking, double max_acceleration,
-             const Pruning& pruning) {
-            new (self) SaferSplat(std::move(index),
-                                  {alpha, beta, hessian_of(hessian), brute, max_braking, max_acceleration, pruning});
+             const std::string& hessian, const std::string& rows, bool brute, double max_braking,
+             double max_acceleration, const Pruning& pruning) {
+            new (self) SaferSplat(std::move(index), {alpha, beta, hessian_of(hessian), rows_of(rows), brute,
+                                                     max_braking, max_acceleration, pruning});
           },
           "index"_a, nb::kw_only(), "alpha"_a = safer.alpha, "beta"_a = safer.beta, "hessian"_a = "correct",
-          "brute"_a = safer.brute, "max_braking"_a = safer.max_braking, "max_acceleration"_a = safer.max_acceleration,
-          "pruning"_a = Pruning{},
+          "rows"_a = "all", "brute"_a = safer.brute, "max_braking"_a = safer.max_braking,
+          "max_acceleration"_a = safer.max_acceleration, "pruning"_a = Pruning{},
           "alpha, beta: poles of the barrier phi d^2 - r^2 [1/s]; hessian: 'correct' or 'published';\n"
-          "brute: measure every ellipsoid; max_braking: of the fallback, max_acceleration: of each axis [m/s^2];\n"
-          "pruning: its gates of approach and sweep are ignored.")
+          "rows: 'all', of every ellipsoid of the map, or 'nearest', of the candidates of `pruning`, whose gates of\n"
+          "approach and sweep are ignored; brute: measure every ellipsoid instead of asking the index;\n"
+          "max_braking: of the fallback, max_acceleration: of each axis [m/s^2].")
       .def(
           "barrier",
           [](const SaferSplat& self, std::uint32_t item, const Array3& p, const Array3& v) {
             if (item >= self.index().size()) throw nb::index_error("no such ellipsoid");
-            const SaferSplat::Barrier barrier = self.barrier(item, vec(p), vec(v));
+            const flight::DistanceBarrier barrier =
+                flight::distance_barrier(self.index(), self.law(), item, vec(p), vec(v));
             return std::tuple(barrier.h, array(barrier.row.row), barrier.row.bound);
           },
-          "item"_a, "p"_a, "v"_a, "h, row and bound of one ellipsoid: row . a >= bound.");
+          "item"_a, "p"_a, "v"_a, "h, row and bound of one ellipsoid: row . a >= bound.")
+      .def("unsure", &unsure, "p"_a, "v"_a, "acceleration"_a,
+           "Numbers of the ellipsoids that the index says may have a row that `acceleration` violates.");
 
   m.def("collision_cone", &cone, "centre"_a, "a"_a, "p"_a, "v"_a, nb::kw_only(), "acceleration"_a, "jerk"_a,
         "The collision cone of {y : (y - centre)^T a (y - centre) <= 1} and its derivatives along a flight.");

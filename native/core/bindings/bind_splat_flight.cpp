@@ -53,7 +53,8 @@ LogDict to_dict(SplatFlightLog&& log) {
 
 nb::typed<nb::list, LogDict> run(const FlightVehicle& vehicle, const FlightRules& rules,
                                  const std::vector<ReferenceCurve>& references, const SplatFilter* filter,
-                                 const SplatFilter* guide, std::uint64_t seed, std::uint32_t first_trial, unsigned jobs, nb::object progress) {
+                                 const SplatFilter* guide, std::uint64_t seed, std::uint32_t first_trial,
+                                 unsigned jobs, nb::object progress) {
   PythonControl control(std::move(progress));
   std::vector<SplatFlightLog> logs;
   {
@@ -152,8 +153,7 @@ void bind_splat_flight(nb::module_& m) {
                             "One flight a tick at a time: state() and nominal(), then advance() with the answer.")
       .def(nb::init<const FlightVehicle&, const FlightRules&, const ReferenceCurve&, std::uint64_t, std::uint32_t,
                     const SplatFilter*>(),
-           "vehicle"_a, "rules"_a, "reference"_a, nb::kw_only(), "seed"_a = 0, "trial"_a = 0,
-           "guide"_a = nb::none())
+           "vehicle"_a, "rules"_a, "reference"_a, nb::kw_only(), "seed"_a = 0, "trial"_a = 0, "guide"_a = nb::none())
       .def(
           "state",
           [](const SteppedFlight& self) {

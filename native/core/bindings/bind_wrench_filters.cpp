@@ -16,6 +16,7 @@
 #include "alula/cone_backup.hpp"
 #include "alula/cone_ecbf.hpp"
 #include "flight_arrays.hpp"
+#include "python_qp.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -124,7 +125,7 @@ void bind_filters(nb::module_& m) {
              double return_time, double escape_rate, const std::string& cascade, double bandwidth, double damping,
              double max_rate, double least_thrust, double lateral_bias, double clf_weight, double clf_rate,
              double clf_kp, double clf_kv, bool shield, double room_m, bool try_nominal,
-             const ShieldOptions& shield_options, const Pruning& pruning) {
+             const ShieldOptions& shield_options, const Pruning& pruning, nb::object qp_backend) {
             new (self) ConeEcbf(policy, std::move(index),
                                 {.lambda = lambda,
                                  .lambda_max = lambda_max,
@@ -141,7 +142,8 @@ void bind_filters(nb::module_& m) {
                                  .room_m = room_m,
                                  .try_nominal = try_nominal,
                                  .shield = shield_options,
-                                 .pruning = pruning});
+                                 .pruning = pruning},
+                                qp_solver(std::move(qp_backend)));
           },
           "policy"_a, "index"_a, nb::kw_only(), "lambda_"_a = e.lambda, "lambda_max"_a = e.lambda_max,
           "return_time"_a = e.return_time, "escape_rate"_a = e.escape_rate, "cascade"_a = "extension",
@@ -150,6 +152,7 @@ void bind_filters(nb::module_& m) {
           "lateral_bias"_a = e.lateral_bias, "clf_weight"_a = e.tracking.weight, "clf_rate"_a = e.tracking.rate,
           "clf_kp"_a = e.tracking.kp, "clf_kv"_a = e.tracking.kv, "shield"_a = e.shielded, "room_m"_a = e.room_m,
           "try_nominal"_a = e.try_nominal, "shield_options"_a = ShieldOptions{}, "pruning"_a = Pruning{},
+          "qp_backend"_a = nb::none(),
           "lambda_: triple pole of the rows [1/s], moved left up to lambda_max when a row starts beyond its safe "
           "set;\n"
           "return_time: pole of a row with h < 0, times the time to its ellipsoid;\n"
@@ -158,7 +161,7 @@ void bind_filters(nb::module_& m) {
           "least_thrust: share of hover; lateral_bias: torque of a head-on nominal, share of the largest;\n"
           "clf_*: soft row on tracking errors, off at weight 0; shield: return only inputs after which a safe\n"
           "manoeuvre to rest is known; room_m: what rows keep beyond the radius then; try_nominal: without a "
-          "solution, look between backup and nominal.");
+          "solution, look between backup and nominal; qp_backend: as of QpSolver.");
 
   m.def("ecbf_pole", &ecbf_pole, "h"_a, "h1"_a, "h2"_a, "lambda_"_a, "most"_a,
         "The least pole from lambda_ to most at which psi_1 and psi_2 are not negative; lambda_ when there is none.");
@@ -167,13 +170,15 @@ void bind_filters(nb::module_& m) {
   nb::class_<ConeBackup, SplatFilter>(m, "ConeBackup", "The collision cone backup filter of a quadrotor.")
       .def(
           "__init__",
-          [](ConeBackup* self, const BackupPolicy& policy, Index index, double horizon_s, int nodes, int steps,
-             double alpha_running, double alpha_terminal, double min_speed_m_s, double far, const std::string& solver,
-             double lateral_bias, double clf_weight, double clf_rate, double clf_kp, double clf_kv, bool shield,
-             double room_m, bool try_nominal, const ShieldOptions& shield_options, const Pruning& pruning) {
+          [](ConeBackup* self, const BackupPolicy& policy, Index index, double horizon_s, int nodes, int first_node,
+             int steps, double alpha_running, double alpha_terminal, double min_speed_m_s, double far,
+             const std::string& solver, double lateral_bias, double clf_weight, double clf_rate, double clf_kp,
+             double clf_kv, bool shield, double room_m, bool try_nominal, const ShieldOptions& shield_options,
+             const Pruning& pruning, nb::object qp_backend) {
             new (self) ConeBackup(policy, std::move(index),
                                   {.horizon_s = horizon_s,
                                    .nodes = nodes,
+                                   .first_node = first_node,
                                    .steps = steps,
                                    .alpha_running = alpha_running,
                                    .alpha_terminal = alpha_terminal,
@@ -186,19 +191,22 @@ void bind_filters(nb::module_& m) {
                                    .room_m = room_m,
                                    .try_nominal = try_nominal,
                                    .shield = shield_options,
-                                   .pruning = pruning});
+                                   .pruning = pruning},
+                                  qp_solver(std::move(qp_backend)));
           },
-          "policy"_a, "index"_a, nb::kw_only(), "horizon_s"_a = b.horizon_s, "nodes"_a = b.nodes, "steps"_a = b.steps,
-          "alpha_running"_a = b.alpha_running, "alpha_terminal"_a = b.alpha_terminal,
-          "min_speed_m_s"_a = b.min_speed_m_s, "far"_a = b.far, "solver"_a = "active-set",
-          "lateral_bias"_a = b.lateral_bias, "clf_weight"_a = b.tracking.weight, "clf_rate"_a = b.tracking.rate,
-          "clf_kp"_a = b.tracking.kp, "clf_kv"_a = b.tracking.kv, "shield"_a = b.shielded, "room_m"_a = b.room_m,
-          "try_nominal"_a = b.try_nominal, "shield_options"_a = ShieldOptions{}, "pruning"_a = Pruning{},
-          "horizon_s, nodes: of the backup flow, steps: RK4 steps between nodes, 0 to fit the policy's rates;\n"
+          "policy"_a, "index"_a, nb::kw_only(), "horizon_s"_a = b.horizon_s, "nodes"_a = b.nodes,
+          "first_node"_a = b.first_node, "steps"_a = b.steps, "alpha_running"_a = b.alpha_running,
+          "alpha_terminal"_a = b.alpha_terminal, "min_speed_m_s"_a = b.min_speed_m_s, "far"_a = b.far,
+          "solver"_a = "active-set", "lateral_bias"_a = b.lateral_bias, "clf_weight"_a = b.tracking.weight,
+          "clf_rate"_a = b.tracking.rate, "clf_kp"_a = b.tracking.kp, "clf_kv"_a = b.tracking.kv,
+          "shield"_a = b.shielded, "room_m"_a = b.room_m, "try_nominal"_a = b.try_nominal,
+          "shield_options"_a = ShieldOptions{}, "pruning"_a = Pruning{}, "qp_backend"_a = nb::none(),
+          "horizon_s, nodes: of the backup flow; first_node: of the running rows, 0 as printed; steps: RK4 steps "
+          "between nodes, 0 to fit the policy's rates;\n"
           "alpha_running, alpha_terminal: of h' >= -alpha h [1/s] at the nodes and of gamma at the last;\n"
           "min_speed_m_s: nodes slower than that have no running rows; far: rows with h / beta beyond it are left\n"
           "out; solver: 'active-set' or 'interpolation' between the backup and the nominal input; lateral_bias,\n"
-          "clf_*, shield, room_m, try_nominal as of ConeEcbf.");
+          "clf_*, shield, room_m, try_nominal, qp_backend as of ConeEcbf.");
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 namespace alula::flight {
 namespace {
@@ -11,7 +12,17 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 }  // namespace
 
-AccelerationProgram::AccelerationProgram(std::size_t rows) : solver_(rows + 7) {
+AccelerationRow normalised(const AccelerationRow& row) {
+  const double largest = std::max({std::abs(row.row.x), std::abs(row.row.y), std::abs(row.row.z)});
+  if (largest == 0 && row.bound <= 0) return {{}, -kInfinity};
+  const Vec3 scaled = 1 / largest * row.row;
+  const double length = geometry::norm(scaled), bound = row.bound / largest / length;
+  if (geometry::is_finite(scaled) && std::isfinite(bound)) return {1 / length * scaled, bound};
+  return {{}, bound == -kInfinity ? -kInfinity : kInfinity};
+}
+
+AccelerationProgram::AccelerationProgram(std::size_t rows, QpSolver solver) : solver_(std::move(solver)) {
+  solver_.reserve(rows + 7);
   row_.reserve(rows + 7), bound_.reserve(rows + 7), item_.reserve(rows), dense_.reserve(4 * (rows + 7));
 }
 
@@ -23,15 +34,12 @@ void AccelerationProgram::start(Vec3 nominal) {
 }
 
 void AccelerationProgram::add(const AccelerationRow& row, std::uint32_t item) {
-  const double largest = std::max({std::abs(row.row.x), std::abs(row.row.y), std::abs(row.row.z)});
-  if (largest == 0 && row.bound <= 0) return;
-  const Vec3 scaled = 1 / largest * row.row;
-  const double length = geometry::norm(scaled), bound = row.bound / largest / length;
-  if (!geometry::is_finite(scaled) || !std::isfinite(bound)) {
-    impossible_ = impossible_ || bound != -kInfinity;  // what holds for every input is no row
-    return;
+  const AccelerationRow unit = normalised(row);
+  if (std::isfinite(unit.bound)) {
+    row_.push_back(unit.row), bound_.push_back(unit.bound), item_.push_back(item);
+  } else {
+    impossible_ = impossible_ || unit.bound > 0;
   }
-  row_.push_back(1 / length * scaled), bound_.push_back(bound), item_.push_back(item);
 }
 
 void AccelerationProgram::limit(double each_axis) { limit_ = each_axis; }
@@ -80,7 +88,8 @@ bool AccelerationProgram::solve(FilterReport& report, bool unsafe) {
   bound_.resize(with_rows);
   report.iterations = static_cast<std::uint32_t>(std::max(0, result.iterations));
   const Vec3 a{result.x[0], result.x[1], result.x[2]};
-  if (result.status != QpStatus::optimal || !holds(a, kTolerance * (1 + geometry::norm(a)), false)) {
+  const double tolerance = solver_.has_backend() ? kBackendTolerance : kTolerance;
+  if (result.status != QpStatus::optimal || !holds(a, tolerance * (1 + geometry::norm(a)), false)) {
     report.infeasible = true;
     return false;
   }

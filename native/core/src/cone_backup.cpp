@@ -23,20 +23,21 @@ std::size_t rows_of(const ConeBackupOptions& o) {
 }  // namespace
 
 ConeBackup::ConeBackup(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
-                       const ConeBackupOptions& options)
+                       const ConeBackupOptions& options, QpSolver solver)
     : policy_(policy),
       options_(options),
       pruner_(index, options.pruning),
       roomy_(index, options.shielded ? options.room_m : 0),
       shield_(policy, index, options.shield),
       flow_(policy, options.horizon_s, options.nodes, steps_of(policy, options), policy.escapes()),
-      program_(policy.vehicle(), rows_of(options)) {
+      program_(policy.vehicle(), rows_of(options), std::move(solver)) {
   const ConeBackupOptions& o = options_;
   const auto require = [](bool holds, const char* what) {
     if (!holds) throw std::invalid_argument(what);
   };
   require(o.alpha_running > 0 && o.alpha_terminal > 0 && std::isfinite(o.alpha_running + o.alpha_terminal),
           "alpha_running and alpha_terminal must be positive");
+  require(o.first_node >= 0 && o.first_node <= o.nodes, "the first node must be one of the nodes");
   require(o.min_speed_m_s >= 0 && o.far > 0, "the least speed must not be negative, and what is far positive");
   require(o.room_m >= 0 && std::isfinite(o.room_m), "the room of rows must not be negative");
   require(o.lateral_bias >= 0 && o.lateral_bias < 1 && o.tracking.weight >= 0 && o.tracking.rate > 0 &&
@@ -73,7 +74,7 @@ bool ConeBackup::add_rows(const State& x, std::span<const Found> near, FilterRep
       const Cone c = flow_.cone(e, k);
       if (c.delta < 0 && c.gamma > 0) continue;
       report.margin = std::min(report.margin, c.h);
-      if (c.h > o.far * c.beta) continue;
+      if (k < o.first_node || c.h > o.far * c.beta) continue;
       program_.add(flow_.running_row(c, k, o.alpha_running), found.item);
     }
     const Cone last = flow_.cone(e, flow_.nodes());

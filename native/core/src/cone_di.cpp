@@ -18,8 +18,8 @@ constexpr double kHeadOn = 0.02;        // sideways part of a row of unit length
 
 }  // namespace
 
-ConeDi::ConeDi(std::shared_ptr<const EllipsoidIndex> index, const ConeDiOptions& options)
-    : options_(options), pruner_(std::move(index), options.pruning), program_(pruner_.most()) {
+ConeDi::ConeDi(std::shared_ptr<const EllipsoidIndex> index, const ConeDiOptions& options, QpSolver solver)
+    : options_(options), pruner_(std::move(index), options.pruning), program_(pruner_.most(), std::move(solver)) {
   const auto positive = [](double value) { return value > 0 && std::isfinite(value); };
   const auto at_least_zero = [](double value) { return value >= 0 && std::isfinite(value); };
   if (!positive(options.alpha) || !positive(options.escape_rate))

@@ -23,13 +23,13 @@ double ecbf_pole(double h, double h1, double h2, double lambda, double most) {
 }
 
 ConeEcbf::ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
-                   const ConeEcbfOptions& options)
+                   const ConeEcbfOptions& options, QpSolver solver)
     : policy_(policy),
       options_(options),
       pruner_(index, options.pruning),
       roomy_(index, options.shielded ? options.room_m : 0),
       shield_(policy, index, options.shield),
-      program_(policy.vehicle(), options.pruning.count) {
+      program_(policy.vehicle(), options.pruning.count, std::move(solver)) {
   const ConeEcbfOptions& o = options_;
   const auto require = [](bool holds, const char* what) {
     if (!holds) throw std::invalid_argument(what);

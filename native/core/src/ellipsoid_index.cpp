@@ -84,13 +84,13 @@ EllipsoidIndex::EllipsoidIndex(const Splats& splats, double sigma, double radius
       boxes[i].lower = boxes[i].lower - ball, boxes[i].upper = boxes[i].upper + ball;
     }
   });
-  const geometry::Bvh tree(boxes, std::vector<double>(n), 8);
+  halves_ = geometry::Bvh(boxes, std::vector<double>(n), 8);
   if (splats.loss.empty()) {
     level_ = {all};
   } else {
     level_.resize(n);
   }
-  item_ = tree.order();
+  item_ = halves_.order();
   std::vector<Shape> shape(n);
   std::vector<geometry::EllipsoidTree::Ball> ball(n);
   parallel_chunks(n, kChunk, 0, control, [&](std::size_t first, std::size_t last) {
@@ -111,13 +111,16 @@ EllipsoidIndex::EllipsoidIndex(const Splats& splats, double sigma, double radius
       // 1)).
       const auto [least, most] = std::minmax_element(outer.axis.begin(), outer.axis.end());
       const double ratio = (*most / *least) * (*most / *least);
-      shape[slot] = {static_cast<float>(*most * 1.00001), static_cast<float>((ratio - 1) / (ratio + 1) + 1e-5)};
+      shape[slot] = {static_cast<float>(*most * 1.00001), static_cast<float>((ratio - 1) / (ratio + 1) + 1e-5),
+                     static_cast<float>(level.inflation * 1.00001)};
     }
   });
-  const std::vector<Shape> shapes = tree.summary<Shape>(
-      [&](std::uint32_t slot) { return shape[slot]; },
-      [](const Shape& a, const Shape& b) { return Shape{std::max(a.longest, b.longest), std::max(a.skew, b.skew)}; });
-  tree_ = geometry::EllipsoidTree(tree, ball, shapes);
+  shape_ = halves_.summary<Shape>([&](std::uint32_t slot) { return shape[slot]; },
+                                  [](const Shape& a, const Shape& b) {
+                                    return Shape{std::max(a.longest, b.longest), std::max(a.skew, b.skew),
+                                                 std::max(a.ball, b.ball)};
+                                  });
+  tree_ = geometry::EllipsoidTree(halves_, ball, shape_);
 }
 
 template <class Accept>

@@ -9,42 +9,30 @@ namespace {
 
 using geometry::dot;
 using geometry::is_finite;
-using geometry::norm;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-
-// v^T H v with H along the ellipsoid's axes, for v in the world's frame.
-double curvature(const geometry::Ellipsoid& e, const geometry::Projection& at, Vec3 v) {
-  double sum = 0;
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) sum += dot(e.axis[i], v) * at.hessian[i][j] * dot(e.axis[j], v);
-  return sum;
-}
-
-// The same with v's world components taken for those along the axes by descending length, each axis turned
-// so that the point is on its positive side.
-double published_curvature(const geometry::Ellipsoid& e, const geometry::Projection& at, Vec3 v) {
-  int order[3] = {0, 1, 2};
-  std::sort(order, order + 3, [&](int i, int j) { return e.semi[i] != e.semi[j] ? e.semi[i] > e.semi[j] : i < j; });
-  double sum = 0;
-  for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) {
-      const bool flips = (at.local[order[i]] < 0) != (at.local[order[j]] < 0);
-      sum += v[i] * v[j] * (flips ? -1 : 1) * at.hessian[order[i]][order[j]];
-    }
-  }
-  return sum;
-}
+constexpr double kViolated = 4e-15;  // of a row, relative to 1 + |a|: what rounding does to its slack
+constexpr std::size_t kBatch = 16;   // rows added at once
+constexpr int kRounds = 256;         // far more than a tick takes
 
 Pruning of_distance(Pruning pruning) {
   pruning.approach = pruning.sweep = false;
   return pruning;
 }
 
+double largest(Vec3 u) { return std::max({std::abs(u.x), std::abs(u.y), std::abs(u.z)}); }
+
+std::size_t rows_of(const SaferSplatOptions& options, std::size_t nearest) {
+  return options.rows == SaferRows::all ? kBatch * kRounds : nearest;
+}
+
 }  // namespace
 
 SaferSplat::SaferSplat(std::shared_ptr<const EllipsoidIndex> index, const SaferSplatOptions& options)
-    : options_(options), pruner_(std::move(index), of_distance(options.pruning)), program_(pruner_.most()) {
+    : options_(options),
+      pruner_(std::move(index), of_distance(options.pruning)),
+      rows_(pruner_.shared_index(), {options.alpha, options.beta, options.hessian}),
+      program_(rows_of(options, pruner_.most())) {
   const auto positive = [](double value) { return value > 0 && std::isfinite(value); };
   if (!positive(options.alpha) || !positive(options.beta))
     throw std::invalid_argument("alpha and beta must be positive");
@@ -52,38 +40,60 @@ SaferSplat::SaferSplat(std::shared_ptr<const EllipsoidIndex> index, const SaferS
     throw std::invalid_argument("limits of the acceleration must be positive");
 }
 
-SaferSplat::Barrier SaferSplat::barrier(std::uint32_t item, Vec3 p, Vec3 v) const {
-  const geometry::Ellipsoid e = pruner_.index().ellipsoid(item);
-  const geometry::Projection at = geometry::project(e, p);
-  const double phi = at.distance < 0 ? -1 : 1, radius = pruner_.index().radius() + pruner_.index().ball(item);
-  const double a = options_.alpha, b = options_.beta;
-  Barrier result;
-  result.h = at.distance * std::abs(at.distance) - radius * radius;
-  result.row.row = 2 * phi * at.offset;
-  const double bend = options_.hessian == SaferHessian::correct ? curvature(e, at, v) : published_curvature(e, at, v);
-  result.row.bound = -(phi * bend + (a + b) * dot(result.row.row, v) + a * b * result.h);
-  return result;
-}
-
 FilterReport SaferSplat::filter(const FlightState& state, const Nominal& nominal) {
   FilterReport report;
   const Vec3 p = state.x.p, v = state.x.v;
   if (!is_finite(p) || !is_finite(v) || !is_finite(nominal.acceleration) || !std::isfinite(dot(v, v))) return report;
-  report.margin = kInfinity;
   program_.start(nominal.acceleration);
   program_.limit(options_.max_acceleration);
-  const auto candidates = options_.brute ? pruner_.near_by_scan(p, v, report) : pruner_.near(p, v, false, report);
-  for (const Found& found : candidates) {
-    const Barrier barrier = this->barrier(found.item, p, v);
+  const bool has_all = options_.rows == SaferRows::all;
+  if (has_all) {
+    rows_.start(p, v, options_.brute);
+    report.gate_m = kInfinity;
+    report.margin = rows_.least();
+  } else {
+    add_nearest(p, v, report);
+  }
+  const bool unsafe = report.margin < 0;
+  if (!(has_all ? solve_for_all(report, unsafe)
+                : program_.accept(report, unsafe) || program_.solve(report, unsafe))) {
+    report.infeasible = true;
+    program_.brake(report, v, options_.alpha / 2, options_.max_braking);
+    const double tolerance = AccelerationProgram::kTolerance * (1 + largest(report.acceleration));
+    if (has_all && !rows_.hold(report.acceleration, tolerance)) report.status = SplatFilterStatus::recovering;
+  }
+  report.rows = static_cast<std::uint32_t>(program_.rows());
+  if (has_all) report.candidates = rows_.measured();
+  return report;
+}
+
+void SaferSplat::add_nearest(Vec3 p, Vec3 v, FilterReport& report) {
+  report.margin = kInfinity;
+  for (const Found& found : options_.brute ? pruner_.near_by_scan(p, v, report) : pruner_.near(p, v, false, report)) {
+    const DistanceBarrier barrier = distance_barrier(index(), law(), found.item, p, v);
     report.margin = std::min(report.margin, barrier.h);
     program_.add(barrier.row, found.item);
   }
-  report.rows = static_cast<std::uint32_t>(program_.rows());
+}
 
-  const bool unsafe = report.margin < 0;
-  if (!program_.accept(report, unsafe) && !program_.solve(report, unsafe))
-    program_.brake(report, v, options_.alpha / 2, options_.max_braking);
-  return report;
+bool SaferSplat::solve_for_all(FilterReport& report, bool unsafe) {
+  std::uint32_t iterations = 0;
+  for (int round = 0; round < kRounds; ++round) {
+    // The nominal input holds a row or not; what the program returns does so to rounding.
+    const bool is_nominal = program_.accept(report, unsafe);
+    if (!is_nominal) {
+      const bool is_solved = program_.solve(report, unsafe);
+      report.iterations = iterations += report.iterations;
+      if (!is_solved) return false;
+    }
+    const Vec3 u = report.acceleration;
+    const double tolerance = is_nominal ? 0 : kViolated * (1 + largest(u));
+    auto worst = rows_.worst(u, tolerance, kBatch);
+    if (worst.empty() && rows_.search(u, tolerance, kBatch)) worst = rows_.worst(u, tolerance, kBatch);
+    if (worst.empty()) return true;
+    for (const std::uint32_t i : worst) program_.add(rows_[i].unit, rows_[i].item);
+  }
+  return false;
 }
 
 }  // namespace alula::flight

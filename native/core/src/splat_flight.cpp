@@ -207,7 +207,8 @@ Outcome FlightTrial::judged(SplatFilterStatus status) {
 
 std::vector<SplatFlightLog> fly(const FlightVehicle& vehicle, const FlightRules& rules,
                                 std::span<const ReferenceCurve> references, const SplatFilter* filter,
-                                const SplatFilter* guide, std::uint64_t seed, std::uint32_t first_trial, unsigned jobs, Control& control) {
+                                const SplatFilter* guide, std::uint64_t seed, std::uint32_t first_trial,
+                                unsigned jobs, Control& control) {
   check(vehicle, rules);
   std::vector<SplatFlightLog> logs(references.size());
   parallel_chunks(references.size(), 1, jobs, control, [&](std::size_t begin, std::size_t end) {

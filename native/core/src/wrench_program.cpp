@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 namespace alula::flight {
 namespace {
@@ -10,14 +11,17 @@ namespace {
 using geometry::dot;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kHeadOn = 0.999;    // least cosine of the angle between r and v in the metric of A
-constexpr double kTolerance = 1e-9;  // of scaled rows, for what a solver returns
+constexpr double kHeadOn = 0.999;           // least cosine of the angle between r and v in the metric of A
+constexpr double kTolerance = 1e-9;         // of scaled rows, for what a solver returns,
+constexpr double kBackendTolerance = 1e-6;  // and for what a backend does, which proves nothing
 
 double dot4(const double* a, const Vec4& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]; }
 
 }  // namespace
 
-WrenchProgram::WrenchProgram(const Quadrotor& vehicle, std::size_t rows) : vehicle_(vehicle), solver_(rows + 16) {
+WrenchProgram::WrenchProgram(const Quadrotor& vehicle, std::size_t rows, QpSolver solver)
+    : vehicle_(vehicle), solver_(std::move(solver)) {
+  solver_.reserve(rows + 16);
   for (std::size_t j = 0; j < 4; ++j)
     for (std::size_t i = 0; i < 4; ++i)
       wrench_range_[j] +=
@@ -122,7 +126,7 @@ bool WrenchProgram::solve(const Vec4& wished, Vec4& u, FilterReport& report) {
   if (!impossible_) result = solver_.solve({n, {hessian.data(), n * n}, {gradient.data(), n}, rows, bound_});
   report.iterations = static_cast<std::uint32_t>(std::max(0, result.iterations));
   for (std::size_t j = 0; j < 4; ++j) u[j] = result.x[j] * range_[j];
-  if (result.status != QpStatus::optimal || !holds(u, kTolerance)) {
+  if (result.status != QpStatus::optimal || !holds(u, solver_.has_backend() ? kBackendTolerance : kTolerance)) {
     report.infeasible = true;
     return false;
   }

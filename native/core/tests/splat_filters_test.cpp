@@ -182,8 +182,11 @@ int main() {
   ConeDiOptions options;
   options.clf_weight = 10, options.max_acceleration = 8;
   ConeDi cone(index, options);
-  SaferSplat distance(index, {});
-  for (SplatFilter* filter : {static_cast<SplatFilter*>(&cone), static_cast<SplatFilter*>(&distance)}) {
+  SaferSplatOptions few;
+  few.rows = SaferRows::nearest;
+  SaferSplat distance(index, {}), nearest(index, few);
+  for (SplatFilter* filter : {static_cast<SplatFilter*>(&cone), static_cast<SplatFilter*>(&distance),
+                              static_cast<SplatFilter*>(&nearest)}) {
     test_no_tick_allocates(*filter);
     test_a_clone_gives_the_same_bits(*filter);
   }

@@ -309,3 +309,601 @@ def keep_rows(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), orde
     smaller than the floor. Returns lower, upper, scale_max, scale_median (of the longest semi-axes),
     opacity_median and floored (rows with a semi-axis below the floor) of these.
     """
+
+def rotation_of(sigma: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+    """
+    R (N, 3, 3), from inertial to body components, of Modified Rodrigues Parameters (N, 3).
+    """
+
+def rate_matrix(sigma: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+    """Z (N, 3, 3) of sigma' = Z omega."""
+
+def inverse_rate_matrix(sigma: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+    """The inverse of Z (N, 3, 3)."""
+
+def rate_jacobian(sigma: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], omega: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+    """The derivative of Z omega by sigma (N, 3, 3)."""
+
+def shadowed(sigma: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+    """The same attitudes with |sigma| <= 1."""
+
+def turned(sigma: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], turn: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+    """
+    The attitudes after turns by rotation vectors (N, 3) about the body's axes [rad].
+    """
+
+class Quadrotor:
+    """
+    A rigid body with four rotors that push along body z.
+
+    States are rows (p, sigma, v, omega) of 12, wrenches rows (T, tau) of 4 [N, N m]; see native/core/include/alula/quadrotor.hpp for frames and equations.
+    """
+
+    def __init__(self, *, mass: float, inertia: Sequence[float], rotor_x: Sequence[float], rotor_y: Sequence[float], spin: Sequence[float], torque_ratio: float, f_min: Sequence[float], f_max: Sequence[float], gravity: float = 9.81) -> None: ...
+
+    @property
+    def mass(self) -> float: ...
+
+    @property
+    def gravity(self) -> float: ...
+
+    @property
+    def inertia(self) -> list[float]: ...
+
+    @property
+    def f_min(self) -> list[float]: ...
+
+    @property
+    def f_max(self) -> list[float]: ...
+
+    @property
+    def hover_thrust(self) -> float: ...
+
+    @property
+    def max_thrust(self) -> float: ...
+
+    @property
+    def allocation(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def inverse_allocation(self) -> NDArray[numpy.float64]: ...
+
+    def wrench(self, rotor_thrust: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+        """G f of rotor thrusts (N, 4)."""
+
+    def rotor_thrust(self, u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+        """Rotor thrusts (N, 4) of wrenches (N, 4)."""
+
+    def admissible(self, u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, tolerance_n: float = 0.0) -> NDArray[numpy.uint8]:
+        """1 where all rotors are within their limits."""
+
+    def limited(self, u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+        """
+        Admissible wrenches: roll and pitch in preference to yaw, torque in preference to thrust.
+        """
+
+    def saturated(self, u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+        """What the rotors make of wrenches when each is cut off at its limits."""
+
+    def derivative(self, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+        """x' (N, 12)."""
+
+    def step(self, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, dt_s: float) -> NDArray[numpy.float64]:
+        """States after one RK4 step with the wrenches held."""
+
+class SensorOptions:
+    """Noise (standard deviations per axis) and delay; all off by default."""
+
+    def __init__(self, *, position_noise_m: float = 0.0, velocity_noise_m_s: float = 0.0, attitude_noise_rad: float = 0.0, rate_noise_rad_s: float = 0.0, delay_s: float = 0.0) -> None: ...
+
+    @property
+    def position_noise_m(self) -> float: ...
+
+    @property
+    def velocity_noise_m_s(self) -> float: ...
+
+    @property
+    def attitude_noise_rad(self) -> float: ...
+
+    @property
+    def rate_noise_rad_s(self) -> float: ...
+
+    @property
+    def delay_s(self) -> float: ...
+
+class PlantOptions:
+    """Disturbances of a quadrotor in flight; all off by default."""
+
+    def __init__(self, *, motor_time_constant_s: float = 0.0, linear_drag: Sequence[float] = [0.0, 0.0, 0.0], quadratic_drag: Sequence[float] = [0.0, 0.0, 0.0], wind_m_s: Sequence[float] = [0.0, 0.0, 0.0], gust_m_s: Sequence[float] = [0.0, 0.0, 0.0], gust_time_s: float = 1.0, sensor: SensorOptions = ...) -> None: ...
+
+    @property
+    def motor_time_constant_s(self) -> float: ...
+
+    @property
+    def linear_drag(self) -> list[float]: ...
+
+    @property
+    def quadratic_drag(self) -> list[float]: ...
+
+    @property
+    def wind_m_s(self) -> list[float]: ...
+
+    @property
+    def gust_m_s(self) -> list[float]: ...
+
+    @property
+    def gust_time_s(self) -> float: ...
+
+    @property
+    def sensor(self) -> SensorOptions: ...
+
+class Plant:
+    """
+    A quadrotor in flight: alula/plant.hpp. Off options make steps those of Quadrotor.
+    """
+
+    def __init__(self, quadrotor: Quadrotor, options: PlantOptions = ..., *, seed: int = 0, trial: int = 0) -> None: ...
+
+    def reset(self, x: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)]) -> None: ...
+
+    def step(self, dt_s: float, command: Annotated[NDArray[numpy.float64], dict(shape=(4), order='C', device='cpu', writable=False)]) -> None: ...
+
+    def fly(self, dt_s: float, command: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+        """The states after steps with commands (N, 4), shape (N, 12)."""
+
+    def switch_shadow(self) -> None: ...
+
+    @property
+    def state(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def measured(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def wrench(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def thrust(self) -> float: ...
+
+    @property
+    def acceleration(self) -> list[float]: ...
+
+    @property
+    def wind(self) -> list[float]: ...
+
+    @property
+    def time_s(self) -> float: ...
+
+    @property
+    def steps(self) -> int: ...
+
+class DoubleIntegrator:
+    """p' = v, v' = a with a held, stepped exactly."""
+
+    def __init__(self, *, max_acceleration_m_s2: float = float('inf'), sensor: SensorOptions = ..., seed: int = 0, trial: int = 0) -> None: ...
+
+    def reset(self, x: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)]) -> None: ...
+
+    def step(self, dt_s: float, acceleration: Sequence[float]) -> None: ...
+
+    @property
+    def state(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def measured(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def acceleration(self) -> list[float]: ...
+
+    @property
+    def time_s(self) -> float: ...
+
+    @property
+    def steps(self) -> int: ...
+
+class ReferenceCurve:
+    """
+    Pieces of degree 7 of (x, y, z, yaw), as in `alula/plan`; at rest beyond its ends.
+    """
+
+    def __init__(self, time: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], coefficient: Annotated[NDArray[numpy.float64], dict(shape=(None, 4, 8), order='C', device='cpu', writable=False)]) -> None: ...
+
+    def at(self, t: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+        """Rows (p, v, a, j, s, yaw, yaw', yaw'') at times (N,), shape (N, 18)."""
+
+    @property
+    def duration_s(self) -> float: ...
+
+class TrackingGains:
+    """Gains and limits of the geometric controller: alula/tracking.hpp."""
+
+    def __init__(self, *, kp: float = 3.0, kv: float = 2.0, k_r: Sequence[float] = [0.35, 0.35, 0.12], k_omega: Sequence[float] = [0.025, 0.025, 0.012], catch_up_m_s: float = float('inf'), max_tilt_rad: float = float('inf'), max_thrust_share: float = float('inf'), uses_acceleration: bool = True) -> None: ...
+
+    @property
+    def kp(self) -> float: ...
+
+    @property
+    def kv(self) -> float: ...
+
+    @property
+    def k_r(self) -> list[float]: ...
+
+    @property
+    def k_omega(self) -> list[float]: ...
+
+    @property
+    def catch_up_m_s(self) -> float: ...
+
+    @property
+    def max_tilt_rad(self) -> float: ...
+
+    @property
+    def max_thrust_share(self) -> float: ...
+
+    @property
+    def uses_acceleration(self) -> bool: ...
+
+def track(quadrotor: Quadrotor, gains: TrackingGains, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], reference: Annotated[NDArray[numpy.float64], dict(shape=(None, 18), order='C', device='cpu', writable=False)], *, applied_thrust: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> dict[str, NDArray[numpy.float64]]:
+    """
+    The geometric controller at states (N, 12) and references (N, 18): per row its wrench, acceleration, derivatives of the thrust and all terms on the way.
+    """
+
+def track_point(gains: TrackingGains, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], reference: Annotated[NDArray[numpy.float64], dict(shape=(None, 18), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+    """Accelerations (N, 3) of the controller of a point [m/s^2]."""
+
+def realise(quadrotor: Quadrotor, gains: TrackingGains, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], reference: Annotated[NDArray[numpy.float64], dict(shape=(None, 18), order='C', device='cpu', writable=False)], acceleration: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], *, applied_thrust: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> NDArray[numpy.float64]:
+    """
+    Wrenches (N, 4) that make accelerations (N, 3) through the attitude loop.
+    """
+
+def body_rates(quadrotor: Quadrotor, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, dt_s: float, max_rate_rad_s: Sequence[float]) -> NDArray[numpy.float64]:
+    """Rates (N, 3) to ask a rate loop for [rad/s]."""
+
+class QpResult:
+    """Answer of `QpSolver.solve`."""
+
+    @property
+    def status(self) -> int:
+        """0 optimal, 1 infeasible, 2 failed."""
+
+    @property
+    def x(self) -> NDArray[numpy.float64]:
+        """The minimiser, shape (n,); zero unless optimal."""
+
+    @property
+    def active(self) -> NDArray[numpy.uint32]:
+        """Rows with a multiplier, ascending."""
+
+    @property
+    def multipliers(self) -> NDArray[numpy.float64]:
+        """Of these rows: hessian x + gradient = rows^T y, or the certificate."""
+
+    @property
+    def violation(self) -> float:
+        """
+        Largest (b_i - a_i . x) / |a_i|, at least 0; when infeasible what every x exceeds; infinite when failed.
+        """
+
+    @property
+    def iterations(self) -> int:
+        """Exchanges done."""
+
+class QpSolver:
+    """
+    min 1/2 x^T H x + g^T x with rows x >= bounds; dense, up to 8 variables, active set.
+    """
+
+    def __init__(self, backend: object | None = None) -> None:
+        """
+        `backend(hessian, gradient, rows, bounds) -> (status, x, active, multipliers)` solves instead, if given.
+        """
+
+    def solve(self, hessian: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], gradient: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], bounds: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], warm: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> QpResult:
+        """
+        Solve one problem; `warm` names rows believed active. ValueError when shapes do not fit.
+        """
+
+    def solve_many(self, hessian: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], gradient: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], bounds: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], warm: Annotated[NDArray[numpy.uint32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None, repeats: int = 1) -> dict[str, Any]:
+        """
+        Solve a stack of problems in order: arrays `status` (k,), `x` (k, n), `active` and `multipliers` (k, n + 1), filled up with -1 and 0, `violation`, `iterations` and `elapsed_ns` (k,), the least of `repeats`. `warm` (k, w) names rows; numbers beyond the rows name none.
+        """
+
+class EllipsoidIndex:
+    """
+    Ellipsoids of Gaussians, found by distance, and each grown by a vehicle's sphere.
+    """
+
+    def __init__(self, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, sigma: float, radius: float, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> None:
+        """
+        Copy the Gaussians; the ellipsoids are at level sigma, each grown by what `loss` (N, 3) says.
+        """
+
+    def __len__(self) -> int: ...
+
+    @property
+    def radius(self) -> float: ...
+
+    def nearest(self, a: Sequence[float], b: Sequence[float], *, reach: float, count: int) -> tuple[NDArray[numpy.int64], NDArray[numpy.float64]]:
+        """
+        Numbers and signed distances of the `count` ungrown ellipsoids nearest to the segment a..b, of those nearer than `reach`, nearest first.
+        """
+
+    def clearance(self, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], *, cap: float = float('inf'), jobs: int = 0, progress: object | None = None) -> NDArray[numpy.float64]:
+        """
+        Signed distance of each point (N, 3) to the nearest ungrown ellipsoid, at most `cap`.
+        """
+
+    def grown(self) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]:
+        """
+        Centres (N, 3) and matrices A (N, 3, 3) of the grown ellipsoids {y : (y - c)^T A (y - c) <= 1}.
+        """
+
+class Pruning:
+    """Which ellipsoids become rows of a tick."""
+
+    def __init__(self, *, reaction_time_s: float = 0.3, max_deceleration: float = 6.0, floor_m: float = 0.5, count: int = 64, gate: bool = True, approach: bool = True, sweep: bool = True) -> None:
+        """
+        reaction_time_s and max_deceleration: of the distance gate v^2 / (2 a) + v t + radius, at least floor_m;
+        count: nearest k, 0 for all within the gate; gate: False for every ellipsoid of the map;
+        approach: only ellipsoids with r^T A v >= 0; sweep: nearest to the path of braking, not to the place.
+        """
+
+    @property
+    def reaction_time_s(self) -> float: ...
+
+    @property
+    def max_deceleration(self) -> float: ...
+
+    @property
+    def floor_m(self) -> float: ...
+
+    @property
+    def count(self) -> int: ...
+
+    @property
+    def gate(self) -> bool: ...
+
+    @property
+    def approach(self) -> bool: ...
+
+    @property
+    def sweep(self) -> bool: ...
+
+class SplatFilter:
+    """A filter that flies among ellipsoids; one per thread."""
+
+    def filter(self, state: Sequence[float], acceleration: Sequence[float], *, wrench: Sequence[float] = [0.0, 0.0, 0.0, 0.0], thrust: float = 0.0, thrust_rate: float = 0.0, nominal_thrust_rate: float = 0.0, nominal_thrust_acceleration: float = 0.0, position_error: Sequence[float] = [0.0, 0.0, 0.0], velocity_error: Sequence[float] = [0.0, 0.0, 0.0], reference_acceleration: Sequence[float] = [0.0, 0.0, 0.0]) -> dict[str, Any]:
+        """
+        One tick: state (p, sigma, v, omega), the nominal acceleration [m/s^2] and wrench (T, tau), thrust and its rate as last applied [N, N/s]. A dict of FilterReport.
+        """
+
+    def reset(self) -> None:
+        """Before another flight: forget warm starts and commitments."""
+
+    def clone(self) -> SplatFilter: ...
+
+    @property
+    def gives_wrench(self) -> bool: ...
+
+class ConeDi(SplatFilter):
+    """The collision cone filter of a double integrator."""
+
+    def __init__(self, index: EllipsoidIndex, *, alpha: float = 5.0, recovery: float = 3.0, swell: float = 0.01, escape_rate: float = 5.0, min_speed: float = 0.05, max_acceleration: float = float('inf'), max_braking: float = 6.0, lateral_bias: float = 0.5, clf_weight: float = 0.0, clf_rate: float = 0.5, clf_kp: float = 3.0, clf_kv: float = 2.0, pruning: Pruning = ..., qp_backend: object | None = None) -> None:
+        """
+        alpha: of h' >= -alpha h [1/s], and at least recovery over the time to contact;
+        swell: rows are of ellipsoids longer by this part; escape_rate: double pole of the rows on gamma [1/s];
+        min_speed: below it rows on gamma [m/s]; max_acceleration: of each axis, max_braking: of the fallback,
+        lateral_bias: of a head-on nominal [m/s^2]; clf_weight: of the tracking row's slack, 0 for no row;
+        clf_rate [1/s], clf_kp [1/s^2], clf_kv [1/s]: of that row; qp_backend: as of QpSolver.
+        """
+
+class SaferSplat(SplatFilter):
+    """The distance filter of SAFER-Splat for a double integrator."""
+
+    def __init__(self, index: EllipsoidIndex, *, alpha: float = 5.0, beta: float = 1.0, hessian: str = 'correct', rows: str = 'all', brute: bool = False, max_braking: float = 6.0, max_acceleration: float = float('inf'), pruning: Pruning = ...) -> None:
+        """
+        alpha, beta: poles of the barrier phi d^2 - r^2 [1/s]; hessian: 'correct' or 'published';
+        rows: 'all', of every ellipsoid of the map, or 'nearest', of the candidates of `pruning`, whose gates of
+        approach and sweep are ignored; brute: measure every ellipsoid instead of asking the index;
+        max_braking: of the fallback, max_acceleration: of each axis [m/s^2].
+        """
+
+    def barrier(self, item: int, p: Sequence[float], v: Sequence[float]) -> tuple[float, list[float], float]:
+        """h, row and bound of one ellipsoid: row . a >= bound."""
+
+    def unsure(self, p: Sequence[float], v: Sequence[float], acceleration: Sequence[float]) -> NDArray[numpy.int64]:
+        """
+        Numbers of the ellipsoids that the index says may have a row that `acceleration` violates.
+        """
+
+def collision_cone(centre: Sequence[float], a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='C', device='cpu', writable=False)], p: Sequence[float], v: Sequence[float], *, acceleration: Sequence[float], jerk: Sequence[float]) -> dict[str, Any]:
+    """
+    The collision cone of {y : (y - centre)^T a (y - centre) <= 1} and its derivatives along a flight.
+    """
+
+def snap_rows(body: Quadrotor, state: Sequence[float], *, thrust: float, thrust_rate: float, centre: Sequence[float], a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='C', device='cpu', writable=False)], rate: float) -> dict[str, Any]:
+    """
+    How (T'' / m, tau) reach the snap, and the rows of third and fourth order of one ellipsoid over it.
+    """
+
+class BackupPolicy:
+    """Feedback that brings a quadrotor to rest within its rotors' limits."""
+
+    def __init__(self, vehicle: Quadrotor, kind: str = 'brake', *, k_vz: float = 2.0, k_sigma: float = 0.3, k_omega: float = 0.02, k_vh: float = 0.006, kappa: float = 1.0, weight: Sequence[float] = [2.0, 0.3, 0.3, 0.05], eta_frac: float = 0.95, tilt_rad: float = 0.61, full_tilt_speed_m_s: float = 1.5, climb_rate_1_s: float = 4.0, attitude_rad_s: float = 20.0, attitude_damping: float = 0.9, yaw_damping_1_s: float = 8.0, torque_share: float = 0.4, torque_weight: Sequence[float] = [0.3, 0.3, 0.03]) -> None:
+        """
+        A policy of the kind hover, heading-invariant, brake or cone-escape (which is brake as a policy). The gains k_*, kappa [N, m, s] and weight (caps of T, tau relative to each other) are those of FastBridge eq. 17-19 and shape the first two; the others shape the last two. ValueError unless braking is stable.
+        """
+
+    @property
+    def kind(self) -> str: ...
+
+    @property
+    def cap_up(self) -> float:
+        """Thrust above hover that it never exceeds [N]."""
+
+    @property
+    def cap_down(self) -> float:
+        """Thrust below hover that it never exceeds [N]."""
+
+    @property
+    def torque_cap(self) -> list[float]:
+        """Torques that it never exceeds [N m]."""
+
+    def raw(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], hold: Sequence[float] = [0.0, 0.0, 0.0]) -> NDArray[numpy.float64]:
+        """(T, tau) before saturation [N, N m]."""
+
+    def __call__(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], hold: Sequence[float] = [0.0, 0.0, 0.0]) -> NDArray[numpy.float64]:
+        """
+        (T, tau) at a state (12,) = (p, sigma, v, omega), regulating about `hold` [m/s].
+        """
+
+    def closed_loop(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], hold: Sequence[float] = [0.0, 0.0, 0.0]) -> NDArray[numpy.float64]:
+        """f + g pi_b, shape (12,)."""
+
+    def jacobian(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], hold: Sequence[float] = [0.0, 0.0, 0.0]) -> NDArray[numpy.float64]:
+        """Derivative of `closed_loop` by the state, shape (12, 12)."""
+
+    def drift(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+        """
+        How far the linear loop about hover would still move before it rests [m].
+        """
+
+class BackupFlow:
+    """The flow of a backup policy and how the input now moves it."""
+
+    def __init__(self, policy: BackupPolicy, *, horizon_s: float = 1.5, nodes: int = 20, steps: int = 1, drift: bool = False) -> None:
+        """
+        `steps` RK4 steps between nodes; with `drift` the column Q f is integrated, else it is f_cl - W pi_b.
+        """
+
+    def run(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], hold: Sequence[float] = [0.0, 0.0, 0.0], hold_steps: int = 0) -> None:
+        """Fly about `hold` [m/s] for that many RK4 steps, then to rest."""
+
+    def states(self) -> NDArray[numpy.float64]:
+        """Phi_k, shape (nodes + 1, 12)."""
+
+    def sensitivities(self) -> NDArray[numpy.float64]:
+        """W_k = Q_k g(x), shape (nodes + 1, 12, 4)."""
+
+    def drifts(self) -> NDArray[numpy.float64]:
+        """Q_k f(x), shape (nodes + 1, 12)."""
+
+    def running_row(self, centre: Sequence[float], a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='C', device='cpu', writable=False)], k: int, alpha: float) -> tuple[list[float], float]:
+        """
+        (a, b) of a . u >= b: h' + alpha h >= 0 of the cone of {y : (y - centre)' a (y - centre) <= 1} at node k.
+        """
+
+    def clear_row(self, centre: Sequence[float], a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='C', device='cpu', writable=False)], k: int, alpha: float) -> tuple[list[float], float]:
+        """The same for gamma' + alpha gamma >= 0."""
+
+class ShieldOptions:
+    """How a manoeuvre to rest is checked."""
+
+    def __init__(self, *, tick_s: float = 0.01, substeps: int = 1, margin_m: float = 0.02, max_time_s: float = 8.0, escape_time_s: float = 0.6, escape_tries: int = 3, line_search: int = 2, rest_speed_m_s: float = 0.1, rest_rate_rad_s: float = 0.2, rest_tilt_rad: float = 0.05, rest_drift_m: float = 0.008) -> None:
+        """
+        tick_s: for which an input is held, of substeps RK4 steps; margin_m: kept beyond the radius;
+        max_time_s: not at rest by then is not safe; escape_time_s: for which cone-escape holds a velocity,
+        escape_tries: how many of them; line_search: bisections between backup and a refused input;
+        rest_*: at rest is below all of these, with rest_drift_m left to drift.
+        """
+
+    @property
+    def tick_s(self) -> float: ...
+
+    @property
+    def margin_m(self) -> float: ...
+
+    @property
+    def max_time_s(self) -> float: ...
+
+class Shield:
+    """Checks that a safe manoeuvre to rest is known: alula/shield.hpp."""
+
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ShieldOptions = ...) -> None: ...
+
+    def certify(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], *, first: Sequence[float] | None = None, hold: Sequence[float] = [0.0, 0.0, 0.0], hold_ticks: int = 0, margin_m: float | None = None, thorough: bool = False) -> dict[str, Any]:
+        """
+        Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a dict of safe, rests, clearance_m (least seen, less the radius) and time_s.
+        """
+
+    def after(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], wrench: Sequence[float]) -> NDArray[numpy.float64]:
+        """The state a tick later."""
+
+def escape_velocities(index: EllipsoidIndex, p: Sequence[float], v: Sequence[float], *, reach: float, count: int = 64, slack_rad: float = 0.05) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]:
+    """
+    Velocities (N, 3) of the same speed that meet no cone of the ellipsoids within reach, and the angles [rad] they are turned by, least first.
+    """
+
+class ConeEcbf(SplatFilter):
+    """The exponential collision cone filter of a quadrotor."""
+
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, *, lambda_: float = 14.0, lambda_max: float = 40.0, return_time: float = 8.0, escape_rate: float = 4.0, cascade: str = 'extension', thrust_bandwidth_rad_s: float = 30.0, thrust_damping: float = 1.0, max_thrust_rate_n_s: float = 150.0, least_thrust: float = 0.1, lateral_bias: float = 0.1, clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, shield_options: ShieldOptions = ..., pruning: Pruning = ..., qp_backend: object | None = None) -> None:
+        """
+        lambda_: triple pole of the rows [1/s], moved left up to lambda_max when a row starts beyond its safe set;
+        return_time: pole of a row with h < 0, times the time to its ellipsoid;
+        escape_rate: pole of the rows of ellipsoids around the vehicle; cascade: 'extension' (the variable is
+        T''/m) or 'difference' (T); thrust_*: how T follows the nominal; max_thrust_rate_n_s: of |T'|;
+        least_thrust: share of hover; lateral_bias: torque of a head-on nominal, share of the largest;
+        clf_*: soft row on tracking errors, off at weight 0; shield: return only inputs after which a safe
+        manoeuvre to rest is known; room_m: what rows keep beyond the radius then; try_nominal: without a solution, look between backup and nominal; qp_backend: as of QpSolver.
+        """
+
+def ecbf_pole(h: float, h1: float, h2: float, lambda_: float, most: float) -> float:
+    """
+    The least pole from lambda_ to most at which psi_1 and psi_2 are not negative; lambda_ when there is none.
+    """
+
+class ConeBackup(SplatFilter):
+    """The collision cone backup filter of a quadrotor."""
+
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, *, horizon_s: float = 1.5, nodes: int = 20, first_node: int = 1, steps: int = 0, alpha_running: float = 10.0, alpha_terminal: float = 5.0, min_speed_m_s: float = 0.1, far: float = float('inf'), solver: str = 'active-set', lateral_bias: float = 0.1, clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, shield_options: ShieldOptions = ..., pruning: Pruning = ..., qp_backend: object | None = None) -> None:
+        """
+        horizon_s, nodes: of the backup flow; first_node: of the running rows, 0 as printed; steps: RK4 steps between nodes, 0 to fit the policy's rates;
+        alpha_running, alpha_terminal: of h' >= -alpha h [1/s] at the nodes and of gamma at the last;
+        min_speed_m_s: nodes slower than that have no running rows; far: rows with h / beta beyond it are left
+        out; solver: 'active-set' or 'interpolation' between the backup and the nominal input; lateral_bias,
+        clf_*, shield, room_m, try_nominal, qp_backend as of ConeEcbf.
+        """
+
+class FlightVehicle:
+    """What flies among ellipsoids: body, controller, plant and interface."""
+
+    def __init__(self, body: Quadrotor, gains: TrackingGains = ..., options: PlantOptions = ..., *, plant: str = 'quadrotor', interface: str = 'wrench', max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: float = 0.02, max_acceleration_m_s2: float = float('inf')) -> None: ...
+
+class FlightRules:
+    """Times of a flight, and when it ends."""
+
+    def __init__(self, *, dt_s: float = 0.01, plant_steps: int = 10, stop_fraction: float = 0.01, stop_floor_m: float = 0.05, stop_speed: float = 0.1, stuck_speed: float = 0.02, stuck_ticks: int = 200, time_factor: float = 3.0, max_time_s: float = 0.0, lower: Sequence[float] = [-1000000000.0, -1000000000.0, -1000000000.0], upper: Sequence[float] = [1000000000.0, 1000000000.0, 1000000000.0]) -> None: ...
+
+class FlightTrial:
+    """
+    One flight a tick at a time: state() and nominal(), then advance() with the answer.
+    """
+
+    def __init__(self, vehicle: FlightVehicle, rules: FlightRules, reference: ReferenceCurve, *, seed: int = 0, trial: int = 0, guide: SplatFilter | None = None) -> None: ...
+
+    def state(self) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64], float, float]:
+        """Position, attitude (MRP), velocity, body rates, thrust and its rate."""
+
+    def nominal(self) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], float, float, NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64]]:
+        """
+        Acceleration, wrench, T' and T'', errors of position and velocity, acceleration of the reference.
+        """
+
+    def advance(self, u: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], *, status: int, margin: float, active: int = -1, thrust_rate: float = 0.0, infeasible: bool = False, certified: bool = False, filter_s: float = 0.0) -> int:
+        """
+        Fly an acceleration (3) or a wrench (4) for a tick; the outcome: 0 flying, 1 reached, 2 stuck, 3 timeout, 4 refused.
+        """
+
+    def log(self) -> dict[str, Any]:
+        """All ticks so far, as `fly` returns them."""
+
+def fly(vehicle: FlightVehicle, rules: FlightRules, references: Sequence[ReferenceCurve], filter: SplatFilter | None, *, guide: SplatFilter | None = None, seed: int = 0, first_trial: int = 0, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
+    """
+    Fly every reference behind a clone of the filter, or without one; per flight a dict of arrays with a row per tick, the path at the rate of the plant, and the outcome.
+    """
+
+def least_gamma(index: EllipsoidIndex, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> float:
+    """
+    Least r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.
+    """

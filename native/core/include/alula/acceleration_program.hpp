@@ -8,15 +8,20 @@
 
 namespace alula::flight {
 
+// The same half-space with a row of unit length, so that its slack is an acceleration. A bound of -infinity is that
+// of what holds for all inputs; with +infinity it holds for none, or a number of it is not finite.
+AccelerationRow normalised(const AccelerationRow& row);
+
 //   minimise 1/2 |a - a_nom|^2 + 1/2 weight xi^2   subject to   row_i . a >= bound_i,  |a_j| <= limit,
 //                                                               soft . a + xi >= soft bound
 // xi >= 0 needs no row: only the soft one moves it, and only upward. Rows are normalised, so their slack is an
 // acceleration.
 class AccelerationProgram {
  public:
-  static constexpr double kTolerance = 1e-9;  // of a row [m/s^2], and relative to |a|
+  static constexpr double kTolerance = 1e-9;         // of a row [m/s^2], and relative to |a|
+  static constexpr double kBackendTolerance = 1e-6;  // the same of what a backend solved, which proves nothing
 
-  explicit AccelerationProgram(std::size_t rows);
+  explicit AccelerationProgram(std::size_t rows, QpSolver solver = {});
 
   void start(Vec3 nominal);
   void add(const AccelerationRow& row, std::uint32_t item);

@@ -2,8 +2,11 @@
 #pragma once
 
 #include <algorithm>
+#include <compare>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
+#include <limits>
 #include <numeric>
 #include <vector>
 
@@ -34,6 +37,14 @@ class Bvh {
     build(boxes, depth, 0, static_cast<std::uint32_t>(boxes.size()));
   }
 
+  // A node that a search by bounds has yet to look into.
+  struct Pending {
+    double bound;
+    std::uint32_t node;
+
+    auto operator<=>(const Pending&) const = default;
+  };
+
   const std::vector<std::uint32_t>& order() const { return order_; }
   const std::vector<Node>& nodes() const { return nodes_; }  // the root first, parents before their children
   const Box* bounds() const { return nodes_.empty() ? nullptr : &nodes_[0].box; }
@@ -59,6 +70,33 @@ class Bvh {
   template <class Visit>
   std::uint32_t visit_near(Vec3 a, Vec3 d, const double& reach, Visit&& visit) const {
     return nodes_.empty() ? 0 : visit_near(0, Sight(a, d), reach, visit);
+  }
+
+  // Calls visit(slot, item) for the obstacles of every leaf whose bound(node, box) is below `limit`, least first; a
+  // bound holds for whatever is in the box, and one that is not a number says nothing. `visit` may lower the limit,
+  // `heap` is room to work in.
+  template <class Bound, class Visit>
+  void visit_least(std::vector<Pending>& heap, const double& limit, Bound&& bound, Visit&& visit) const {
+    heap.clear();
+    const auto push = [&](std::uint32_t node) {
+      const double least = bound(node, nodes_[node].box);
+      if (least >= limit) return;
+      heap.push_back({least == least ? least : -std::numeric_limits<double>::infinity(), node});
+      std::push_heap(heap.begin(), heap.end(), std::greater<>());
+    };
+    if (!nodes_.empty()) push(0);
+    while (!heap.empty()) {
+      std::pop_heap(heap.begin(), heap.end(), std::greater<>());
+      const Pending next = heap.back();
+      heap.pop_back();
+      if (next.bound >= limit) return;
+      const Node& node = nodes_[next.node];
+      if (node.count > 0) {
+        for (std::uint32_t i = 0; i < node.count; ++i) visit(node.first + i, order_[node.first + i]);
+      } else {
+        push(next.node + 1), push(node.first);
+      }
+    }
   }
 
   // What all obstacles of a node have in common, for every node: combine(x, y) of the values of their slots.

@@ -8,10 +8,12 @@
 //   gamma_i' + alpha_T gamma_i >= 0 at Phi_N
 //   f_min <= G^-1 u <= f_max
 //
-// nearest to the nominal wrench, or on the line from pi_b to it. As the flow comes to rest h' / h tends to
-// -2 |slowest pole|, so late rows refuse pi_b itself unless alpha_R is well above that; neither does a solution
-// imply h_b = min(h_i(Phi_k), gamma_i(Phi_N)) >= 0 nor the reverse. Both are reported: `margin` is h_b. Without
-// a solution the backup policy is flown.
+// nearest to the nominal wrench, or on the line from pi_b to it. Rows at Phi_0 see the thrust alone, as torque does
+// not move v at once: close to an obstacle they ask for thrusts that the rotors do not have, where rows of later
+// nodes turn the vehicle instead. They are left out unless `first_node` is 0, as printed. As the flow comes to rest
+// h' / h tends to -2 |slowest pole|, so late rows refuse pi_b itself unless alpha_R is well above that; neither does
+// a solution imply h_b = min(h_i(Phi_k), gamma_i(Phi_N)) >= 0 nor the reverse. Both are reported: `margin` is h_b.
+// Without a solution the backup policy is flown.
 //
 // Source: Tscholl, Nakka, Gunter 2026 (FastBridge), eq. 21-23.
 #pragma once
@@ -30,7 +32,8 @@ enum class BackupSolver : std::uint8_t {
 struct ConeBackupOptions {
   double horizon_s = 1.5;
   int nodes = 20;
-  int steps = 0;  // RK4 steps between nodes; 0: as few as keep them shorter than the time constant of the rates
+  int first_node = 1;  // of the running rows; 0 as printed
+  int steps = 0;       // RK4 steps between nodes; 0: as few as keep them shorter than the time constant of the rates
   double alpha_running = 10, alpha_terminal = 5;  // alpha_R, alpha_T [1/s]
   double min_speed_m_s = 0.1;
   double far = std::numeric_limits<double>::infinity();  // of h / beta: how far above 0 gamma stays along the ray
@@ -46,9 +49,9 @@ struct ConeBackupOptions {
 
 class ConeBackup final : public SplatFilter {
  public:
-  // Throws std::invalid_argument for options that mean nothing.
+  // `solver` solves the program. Throws std::invalid_argument for options that mean nothing.
   ConeBackup(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
-             const ConeBackupOptions& options = {});
+             const ConeBackupOptions& options = {}, QpSolver solver = {});
 
   InputKind kind() const override { return InputKind::wrench; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;

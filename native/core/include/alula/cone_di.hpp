@@ -51,8 +51,8 @@ struct ConeDiOptions {
 // Source: FastBridge (arXiv 2607.01200), eq. 9-11; the rows on gamma are ours.
 class ConeDi final : public SplatFilter {
  public:
-  // Throws std::invalid_argument for options that mean nothing.
-  ConeDi(std::shared_ptr<const EllipsoidIndex> index, const ConeDiOptions& options);
+  // `solver` solves the program. Throws std::invalid_argument for options that mean nothing.
+  ConeDi(std::shared_ptr<const EllipsoidIndex> index, const ConeDiOptions& options, QpSolver solver = {});
 
   InputKind kind() const override { return InputKind::acceleration; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;

@@ -29,7 +29,10 @@ enum class ThrustCascade : std::uint8_t {
 };
 
 struct ConeEcbfOptions {
-  double lambda = 4, lambda_max = 20;  // [1/s]
+  // [1/s]. A pole slower than the time to contact, a second or less for what is within the gate, asks for the turn
+  // long before it is due, and what holds such a row is to brake: flights end short of their goals. One that is much
+  // faster turns later than the rotors can head-on at speed, and the shield stops the vehicle.
+  double lambda = 14, lambda_max = 40;
   double return_time = 8;  // pole of a row with h < 0 times the time to its ellipsoid, within lambda and lambda_max
   double escape_rate = 4;  // pole of the rows of ellipsoids around the vehicle [1/s]
   ThrustCascade cascade = ThrustCascade::extension;
@@ -48,9 +51,9 @@ struct ConeEcbfOptions {
 
 class ConeEcbf final : public SplatFilter {
  public:
-  // Throws std::invalid_argument for options that mean nothing, in particular w dt >= 1.
+  // `solver` solves the program. Throws std::invalid_argument for options that mean nothing, in particular w dt >= 1.
   ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
-           const ConeEcbfOptions& options = {});
+           const ConeEcbfOptions& options = {}, QpSolver solver = {});
 
   InputKind kind() const override { return InputKind::wrench; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;

@@ -1,6 +1,8 @@
 // Ellipsoids of a splat, found by distance: a tick costs by what is near, not by what exists.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <limits>
 #include <span>
@@ -60,6 +62,20 @@ class EllipsoidIndex {
   QueryCost nearest_ahead(geometry::Vec3 a, geometry::Vec3 b, geometry::Vec3 v, double reach, std::size_t count,
                           std::vector<Found>& found) const;
 
+  // Calls visit(item) for every ungrown set that may have bound(box, ball) below `limit`, roughly the least first:
+  // `bound` holds for all sets in the box with losses of at most `ball`, and does not fall as either shrinks. `visit`
+  // may lower the limit, `heap` is room to work in.
+  template <class Bound, class Visit>
+  void visit_least(std::vector<geometry::Bvh::Pending>& heap, const double& limit, Bound&& bound,
+                   Visit&& visit) const {
+    halves_.visit_least(
+        heap, limit,
+        [&](std::uint32_t node, const geometry::Box& box) { return bound(box, double{shape_[node].ball}); },
+        [&](std::uint32_t slot, std::uint32_t item) {
+          if (!(bound(around(slot), level(slot).inflation) >= limit)) visit(item);
+        });
+  }
+
   // Signed distance of a point to the nearest ungrown set, at most `cap`. `hint` is a guess that is updated; it
   // cannot change the result.
   double clearance(geometry::Vec3 point, double cap, std::uint32_t& hint) const;
@@ -80,6 +96,19 @@ class EllipsoidIndex {
   Level level(std::uint32_t slot) const { return level_.size() == 1 ? level_[0] : level_[slot]; }
   geometry::Ellipsoid at_slot(std::uint32_t slot) const;
 
+  // A box around the set without the ball of its losses, cheaper than the tightest.
+  geometry::Box around(std::uint32_t slot) const {
+    const Row& row = row_[slot];
+    const double half =
+        (1 + 1e-12) * level(slot).sigma * double{std::max({row.scale[0], row.scale[1], row.scale[2]})};
+    geometry::Box box;
+    for (int i = 0; i < 3; ++i) {
+      const double reach = half + 1e-15 * std::abs(double{row.mean[i]});
+      box.lower[i] = row.mean[i] - reach, box.upper[i] = row.mean[i] + reach;
+    }
+    return box;
+  }
+
   bool centre_is_nearer(std::uint32_t slot, geometry::Vec3 a, double reach) const {
     const float* mean = row_[slot].mean;
     const geometry::Vec3 to{mean[0] - a.x, mean[1] - a.y, mean[2] - a.z};
@@ -89,12 +118,14 @@ class EllipsoidIndex {
   // Of the ungrown set to a; anything above `enough` stands for one above it.
   double distance_of(std::uint32_t slot, geometry::Vec3 a, double enough) const;
 
-  geometry::EllipsoidTree tree_;
-  std::vector<GrownEllipsoid> grown_;  // of a slot
-  std::vector<std::uint32_t> slot_;    // of an item
-  std::vector<std::uint32_t> item_;    // of a slot
-  std::vector<Row> row_;               // of a slot
-  std::vector<Level> level_;           // of a slot, or one for all
+  geometry::Bvh halves_;
+  std::vector<geometry::EllipsoidTree::Shape> shape_;  // of a node of halves_
+  geometry::EllipsoidTree tree_;                       // the same, for searches by distance
+  std::vector<GrownEllipsoid> grown_;                  // of a slot
+  std::vector<std::uint32_t> slot_;                    // of an item
+  std::vector<std::uint32_t> item_;                    // of a slot
+  std::vector<Row> row_;                               // of a slot
+  std::vector<Level> level_;                           // of a slot, or one for all
   double radius_;
 };
 

@@ -21,9 +21,10 @@ class EllipsoidTree {
     double radius;  // no point of the ellipsoid is farther from the centre
   };
 
-  // Of the obstacles of a node: the longest semi-axis, and the sine of the largest angle between x and A x.
+  // Of the obstacles of a node: the longest semi-axis, the sine of the largest angle between x and A x, and the
+  // largest ball of their losses.
   struct Shape {
-    float longest, skew;
+    float longest, skew, ball;
   };
 
   EllipsoidTree() = default;

@@ -25,6 +25,7 @@ class Pruner {
   Pruner(std::shared_ptr<const EllipsoidIndex> index, const Pruning& pruning);
 
   const EllipsoidIndex& index() const { return *index_; }
+  const std::shared_ptr<const EllipsoidIndex>& shared_index() const { return index_; }
   const Pruning& pruning() const { return pruning_; }
 
   std::size_t most() const;  // candidates of a tick, at most

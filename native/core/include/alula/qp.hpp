@@ -68,6 +68,7 @@ class QpSolver {
   // the violation is recomputed from the input: the caller decides how much it bears.
   static QpSolver with_backend(QpBackend backend);
   void reserve(std::size_t rows);
+  bool has_backend() const { return static_cast<bool>(backend_); }
 
   // `warm`: rows believed active, for instance those of the last tick; wrong ones cost time, not correctness,
   // and names of rows that are not there are passed over. Numbers that are not finite give `failed`.

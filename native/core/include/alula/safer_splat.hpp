@@ -4,37 +4,44 @@
 #include <limits>
 
 #include "alula/acceleration_program.hpp"
+#include "alula/distance_rows.hpp"
 #include "alula/pruning.hpp"
 
 namespace alula::flight {
 
-enum class SaferHessian : std::uint8_t {
-  correct,   // in the world's frame
-  published  // in the ellipsoid's own, semi-axes descending and the point in the positive octant, as it was published
+enum class SaferRows : std::uint8_t {
+  all,     // of every ellipsoid of the map, as published
+  nearest  // of the nearest within a gate, which keeps no distance from the others
 };
 
 struct SaferSplatOptions {
-  double alpha = 5, beta = 1;  // poles of h'' + (alpha + beta) h' + alpha beta h >= 0 [1/s]
+  double alpha = 5, beta = 1;  // of `DistanceLaw`
   SaferHessian hessian = SaferHessian::correct;
+  SaferRows rows = SaferRows::all;
   bool brute = false;      // measure every ellipsoid instead of asking the index
   double max_braking = 6;  // of the fallback [m/s^2]
   double max_acceleration = std::numeric_limits<double>::infinity();  // of each axis [m/s^2]
-  Pruning pruning;
+  Pruning pruning;                                                    // for SaferRows::nearest
 };
 
-// With the signed distance d of the vehicle's centre x to an ellipsoid, its closest point y and phi = sign(d),
-//   h = phi d^2 - r^2,   grad h = 2 phi (x - y),   row:  grad h . a + v^T H v + (alpha + beta) grad h . v + alpha
-//   beta h >= 0,
-// H the Hessian of phi d^2; r is the index's radius and what the losses of the row add to it. The acceleration is the
-// one nearest to the nominal one that holds the rows of all candidates; `margin` is the least h [m^2], and the
-// status is `recovering` where that is negative. The gate of approach and the sweep are not part of it and are
-// ignored; gate = false with brute = true is what was published. As h bends with d, the vehicle brakes from
-// |v| <= alpha beta / (2 (alpha + beta)) d or so whatever it could do.
+// The acceleration nearest to the nominal one that holds the rows of `distance_barrier`; `margin` is the least h of
+// those [m^2], and the status is `recovering` where that is negative. As h bends with d, the vehicle
+// brakes from |v| <= alpha beta / (2 (alpha + beta)) d or so whatever it could do: without the rows of what is far
+// away that is too late, and from rest a double integrator keeps its distance only with those of all ellipsoids.
+//
+// SaferRows::all solves the program with the rows of all ellipsoids, to the tolerance of `AccelerationProgram`, by
+// few of them: solve with those known, measure in the index what its answer may violate (`DistanceRowBound`), add the
+// most violated and repeat until none is. What is optimal for some rows and holds the others is optimal for all; what
+// is infeasible with some is with all. With `brute` every ellipsoid is measured first and the same rounds go over
+// those rows. `margin` is that of the map. A tick remembers nothing of those before. Should the rounds not end, it
+// counts as infeasible. `candidates` are the ellipsoids measured, `rows` those of the last program.
+//
+// SaferRows::nearest hands the rows of the pruning's candidates to the program at once; gates of approach and sweep
+// are ignored. With gate = false and brute = true that is the published computation.
 //
 // Without a solution `infeasible` is reported and the vehicle brakes, a = -v min(alpha/2, max_braking / |v|)
 // within the box, `filtered` if that is checked to hold all rows and `recovering` if not; the published filter flies
 // the nominal input there. What is not finite is refused, with a = 0.
-// Source: SAFER-Splat (arXiv 2409.09868), its public implementation for the published Hessian.
 class SaferSplat final : public SplatFilter {
  public:
   // Throws std::invalid_argument for options that mean nothing.
@@ -45,17 +52,15 @@ class SaferSplat final : public SplatFilter {
   std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<SaferSplat>(*this); }
   const SaferSplatOptions& options() const { return options_; }
   const EllipsoidIndex& index() const { return pruner_.index(); }
-
-  // The barrier of one ellipsoid and its row, as the filter makes them.
-  struct Barrier {
-    double h = 0;
-    AccelerationRow row;
-  };
-  Barrier barrier(std::uint32_t item, Vec3 p, Vec3 v) const;
+  const DistanceLaw& law() const { return rows_.law(); }
 
  private:
+  void add_nearest(Vec3 p, Vec3 v, FilterReport& report);
+  bool solve_for_all(FilterReport& report, bool unsafe);
+
   SaferSplatOptions options_;
   Pruner pruner_;
+  DistanceRows rows_;
   AccelerationProgram program_;
 };
 

@@ -6,8 +6,8 @@
 #pragma once
 
 #include <cstdint>
-#include <memory>
 #include <limits>
+#include <memory>
 #include <span>
 #include <vector>
 
@@ -128,7 +128,8 @@ class FlightTrial {
 // the measured times is independent of `jobs`; trial i has the number `first_trial` + i.
 std::vector<SplatFlightLog> fly(const FlightVehicle& vehicle, const FlightRules& rules,
                                 std::span<const ReferenceCurve> references, const SplatFilter* filter,
-                                const SplatFilter* guide, std::uint64_t seed, std::uint32_t first_trial, unsigned jobs, Control& control);
+                                const SplatFilter* guide, std::uint64_t seed, std::uint32_t first_trial,
+                                unsigned jobs, Control& control);
 
 // Least gamma = r^T A r - 1, r = centre - p, over all grown ellipsoids and the points (3 numbers each): below 0
 // inside one; infinite without ellipsoids or points. Exact up to rounding; visits each ellipsoid once per 64 points.

@@ -22,7 +22,7 @@ struct TrackingRow {
 // torque. Rows are scaled to unit length in u_j / range_j, so results do not depend on units.
 class WrenchProgram {
  public:
-  WrenchProgram(const Quadrotor& vehicle, std::size_t rows);
+  WrenchProgram(const Quadrotor& vehicle, std::size_t rows, QpSolver solver = {});
 
   // Starts a tick; the range of u_0 is that of T unless given. Adds the rotors' 8 rows f_min <= G^-1 u <= f_max.
   void start(const Vec4& nominal, double thrust_at_zero = 0, double per_unit = 1, double range = 0);

@@ -1,0 +1,234 @@
+"""The filters among ellipsoids at every tick of closed-loop flights, and the QP solver beside others.
+
+Straight septic references at 3.1 m/s between random pairs of points are flown through a room of some
+395,000 Gaussians at confidence 0.99 by the FastBridge quadrotor (radius 0.12 m, ticks of 10 ms), on one
+thread, with each filter. A figure of a filter is of all ticks of these flights, so of states that the
+filter itself led to, and is the whole tick: asking the index, rows, program, for cone-backup the flow and
+its sensitivities, and the shield. The `tick` figures add the controller.
+
+The flights are deterministic, so they are flown several times and every tick is timed once in each:
+`p50`, `p99` and `max` are of all these times as the wall clock showed them, with whatever else the machine
+did; `best` figures are of the least time of each tick, which leaves out what comes from outside but not
+what makes a tick long. A repetition that is not the same flight bit by bit fails the run.
+
+safer-splat is also replayed on some of its own ticks by measuring every ellipsoid instead of asking the
+index: `brute` makes the same rows of the ellipsoids that it found, and must give the same answer;
+`published` makes rows of all ellipsoids, as the public implementation does. These ticks are so long that
+their CPU time is taken.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.sort(key=sys.path[-1].__eq__)  # last: a module of the same name elsewhere comes first
+
+import jax_peer
+import numpy as np
+import qp_problems
+from flights import FLOWN, Arena, Replay, arena, fly_all
+
+Figures = dict[str, float | None]
+
+_LEAST_BRUTE = 20
+_RATIOS = {
+    "safer_brute_over_ecbf": ("safer_splat_brute_p50_us", "cone_ecbf_p50_us"),
+    "safer_brute_over_safer": ("safer_splat_brute_p50_us", "safer_splat_p50_us"),
+    "safer_published_over_ecbf": ("safer_splat_published_p50_us", "cone_ecbf_p50_us"),
+    "safer_over_ecbf": ("safer_splat_p50_us", "cone_ecbf_p50_us"),
+    "safer_over_di": ("safer_splat_p50_us", "cone_di_p50_us"),
+    "clarabel_over_qp": ("clarabel_p50_us", "qp_p50_us"),
+    "daqp_over_qp": ("daqp_p50_us", "qp_p50_us"),
+    "daqp_over_qp_call": ("daqp_p50_us", "qp_call_p50_us"),
+    "quadprog_over_qp_call": ("quadprog_p50_us", "qp_call_p50_us"),
+    "cbfpy_over_di": ("cbfpy_tick_p50_us", "cbfpy_cone_di_p50_us"),
+    "cbfpy_over_di_filtered": ("cbfpy_filtered_p50_us", "cbfpy_cone_di_filtered_p50_us"),
+}
+_OTHERS = ("daqp", "quadprog")  # solvers that may be missing
+
+
+def brute(room: Arena, ticks: Replay, seconds: float) -> Figures:
+    """safer-splat without the index, on as many ticks as fit the time, a quarter of it for all rows."""
+    found: Figures = {}
+    indexed = room.filter("safer-splat", {}).native
+    same = room.filter("safer-splat", {"brute": True}).native
+    reports, took = ticks.through(same, seconds=0.75 * seconds, least=_LEAST_BRUTE)
+    expected, _ = Replay(ticks.state[: len(took)], ticks.acceleration[: len(took)]).through(indexed)
+    found["safer_splat_brute_ticks"] = len(took)
+    found["safer_splat_brute_p50_us"] = 1e6 * float(np.median(took))
+    found["safer_splat_brute_differ"] = sum(a != b for a, b in zip(reports, expected, strict=True))
+    all_rows = room.filter("safer-splat", {"brute": True, "gate": False}).native
+    all_rows.filter(ticks.state[0].tolist(), ticks.acceleration[0].tolist())
+    _, took = ticks.through(all_rows, seconds=0.25 * seconds, least=5)
+    found["safer_splat_published_ticks"] = len(took)
+    found["safer_splat_published_p50_us"] = 1e6 * float(np.median(took))
+    return found
+
+
+def run(options: argparse.Namespace) -> tuple[dict[str, Any], bool]:
+    """All figures, and whether nothing is wrong."""
+    start = time.perf_counter()
+    laps: dict[str, float] = {}
+
+    def lap(name: str) -> None:
+        laps[f"{name}_s"] = time.perf_counter() - start - sum(laps.values())
+
+    room = arena(options.splats, options.pairs, options.seed)
+    figures: Figures = {
+        "splats": room.splats,
+        "scene_s": room.scene_s,
+        "index_build_s": room.index_s,
+        "repeats": options.repeats,
+    }
+    lap("lap_scene")
+    flown = fly_all(room, options.repeats)
+    for name, timed in flown.items():
+        figures |= timed.figures(name)
+    figures["repeats_that_differ"] = sum(timed.differs for timed in flown.values())
+    lap("lap_flights")
+    ticks = Replay.of(flown["safer_splat"].flights).spread(10**4, options.seed)
+    figures |= brute(room, ticks, options.brute_seconds)
+    lap("lap_brute")
+    ticks = Replay.of(flown["cone_di"].flights).spread(10**4, options.seed)
+    figures |= jax_peer.figures(room, ticks, options.cbfpy_ticks)
+    lap("lap_cbfpy")
+    figures |= {f"{name}_{part}_us": None for name in _OTHERS for part in ("p50", "p99")}
+    figures |= qp_problems.run(options.qp_problems, options.seed, options.qp_seconds)
+    lap("lap_qp")
+    ratios = {name: _ratio(figures[a], figures[b]) for name, (a, b) in _RATIOS.items()}
+    good = not any(
+        figures[name]
+        for name in ("repeats_that_differ", "safer_splat_brute_differ", "qp_wrong", "qp_infeasible_missed")
+    )
+    document: dict[str, Any] = {
+        "quick": options.quick,
+        "machine": f"{platform.machine()}, {os.cpu_count()} processors",
+        "python": platform.python_version(),
+        **figures,
+        **laps,
+        "total_s": time.perf_counter() - start,
+        "ratios": ratios,
+    }
+    return document, good
+
+
+def _ratio(a: float | None, b: float | None) -> float | None:
+    return a / b if a is not None and b else None
+
+
+def table(found: dict[str, Any]) -> str:
+    """The figures as Markdown."""
+
+    def cell(name: str) -> str:
+        value = found.get(name)
+        return "" if value is None else f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+    def table_of(heads: list[str], rows: list[list[str]]) -> list[str]:
+        lines = [heads, ["---"] * len(heads), *rows]
+        return [f"| {' | '.join(line)} |" for line in lines] + [""]
+
+    columns = ("p50", "p99", "max", "p50_best", "p99_best", "max_best")
+    rows = []
+    for name, kind, parameters in FLOWN:
+        told = ", ".join([kind, *(f"{key}={value}" for key, value in parameters.items())])
+        reached = f"{cell(f'{name}_reached')} of {cell(f'{name}_flights')}"
+        times = [cell(f"{name}_{column}_us") for column in columns]
+        rows.append([told, reached, cell(f"{name}_ticks"), *times, cell(f"{name}_tick_p99_best_us")])
+    heads = ["filter, µs", "reached", "ticks", "p50", "p99", "max", "best p50", "best p99", "best max"]
+    lines = table_of([*heads, "with controller, best p99"], rows)
+    rows = [
+        [label, cell(ticks), cell(name)]
+        for label, ticks, name in (
+            ("safer-splat, index", "safer_splat_ticks", "safer_splat_p50_us"),
+            ("every ellipsoid measured", "safer_splat_brute_ticks", "safer_splat_brute_p50_us"),
+            ("every ellipsoid a row", "safer_splat_published_ticks", "safer_splat_published_p50_us"),
+            ("cbfpy, 64 ellipsoids given", "cbfpy_ticks", "cbfpy_tick_p50_us"),
+            ("cone-di, found, Python call", "cbfpy_ticks", "cbfpy_cone_di_p50_us"),
+            ("cbfpy where a row is broken", "cbfpy_filtered_ticks", "cbfpy_filtered_p50_us"),
+            ("cone-di on these", "cbfpy_filtered_ticks", "cbfpy_cone_di_filtered_p50_us"),
+        )
+    ]
+    lines += table_of(["filter", "ticks", "p50, µs"], rows)
+    rows = [
+        [label, cell(f"{name}_p50_us"), cell(f"{name}_p99_us")]
+        for label, name in (
+            ("ours, native", "qp"),
+            ("ours, Python call", "qp_call"),
+            ("DAQP", "daqp"),
+            ("quadprog", "quadprog"),
+            ("Clarabel", "clarabel"),
+        )
+    ]
+    lines += table_of(["4 variables, 70 rows, µs", "p50", "p99"], rows)
+    lines += table_of(
+        ["ratio of medians", ""],
+        [
+            [name.replace("_", " "), f"{value:,.3g}" if value < 1000 else f"{value:,.0f}"]
+            for name, value in found["ratios"].items()
+            if value is not None
+        ],
+    )
+    lines.append(
+        f"{cell('qp_problems')} random and adversarial programs against Clarabel and certificates: "
+        f"{cell('qp_wrong')} wrong, {cell('qp_infeasible')} infeasible, of these "
+        f"{cell('qp_infeasible_missed')} missed."
+    )
+    return "\n".join(lines) + "\n"
+
+
+_PREFACE = """# Filters among ellipsoids, measured
+
+Written by `python benchmarks/filters.py --markdown FILE` on {machine}, Python {python}: {splats:,} Gaussians
+at confidence 0.99 (index built in {index_build_s:.2f} s), straight references at 3.1 m/s flown by the
+FastBridge quadrotor, ticks of 10 ms, one thread. Times are of the whole filter at every tick of its own
+flights, flown {repeats} times: as the wall clock showed them, and *best*, with the least of the repetitions
+of each tick.
+
+"""
+
+
+def main() -> int:
+    """Run everything; 1 when something is wrong, whatever the times."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="fewer flights and programs, half a minute")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
+    parser.add_argument("--seed", type=int, default=0)
+    sizes = {
+        "splats": (415_300, 415_300, "Gaussians of the room, before floaters are dropped"),
+        "pairs": (8, 40, "flights with each filter"),
+        "repeats": (3, 5, "times that each is flown"),
+        "qp-problems": (100_000, 100_000, "programs for the QP solver, at most"),
+        "cbfpy-ticks": (100, 500, "ticks through cbfpy"),
+    }
+    for name, (quick, full, text) in sizes.items():
+        parser.add_argument(f"--{name}", type=int, metavar="N", help=f"{text}: {full:,}, quick {quick:,}")
+    parser.add_argument("--qp-seconds", type=float, metavar="S", help="of that, at most; quick 8")
+    parser.add_argument("--brute-seconds", type=float, metavar="S", help="of safer-splat without index")
+    options = parser.parse_args()
+    for name, (quick, full, _) in sizes.items():
+        key = name.replace("-", "_")
+        if getattr(options, key) is None:
+            setattr(options, key, quick if options.quick else full)
+    if options.qp_seconds is None and options.quick:
+        options.qp_seconds = 8.0
+    if options.brute_seconds is None:
+        options.brute_seconds = 4.0 if options.quick else 30.0
+    found, good = run(options)
+    if options.markdown is not None:
+        options.markdown.write_text(_PREFACE.format(**found) + table(found))
+    print(json.dumps(found, indent=1) if options.json else table(found).rstrip("\n"))
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

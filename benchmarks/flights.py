@@ -1,0 +1,209 @@
+"""Closed-loop flights among the ellipsoids of a room, and what a filter costs at every tick of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from measure import FloatArray
+from scenes import room
+
+from alula import _core
+from alula.schemas.vehicle import FASTBRIDGE
+from alula.stages.compression.ellipsoids import retained, rows_of
+from alula.stages.compression.voxelize import sigma_of_confidence
+from alula.stages.filtering.registry import make_splat_filter
+from alula.stages.filtering.splat_filters import NativeSplatFilter
+from alula.stages.filtering.splat_protocol import SplatWorld
+from alula.stages.flight.references import rest_to_rest
+from alula.stages.flight.splat_loop import SplatFlown, fly
+from alula.stages.flight.trials import central_box, sample_pairs
+from alula.stages.flight.vehicles import plant_options, quadrotor, tracking_gains
+
+CONFIDENCE, RADIUS_M, SPEED_M_S, DT_S = 0.99, 0.12, 3.1, 0.01
+_MARGIN_M, _SEPARATION = 0.05, 0.3  # of starts and goals, as `simulate` draws them
+_ROOM_M = 20.0
+
+# Name of the figures, filter, parameters that are not the default.
+FLOWN: tuple[tuple[str, str, Mapping[str, Any]], ...] = (
+    ("cone_di", "cone-di", {}),
+    ("cone_ecbf", "cone-ecbf", {}),
+    ("cone_backup", "cone-backup", {}),
+    ("cone_backup_hover", "cone-backup", {"policy": "hover"}),
+    ("safer_splat", "safer-splat", {}),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Arena:
+    """A furnished room, the vehicle in it and the pairs to fly, as `simulate` sets them up.
+
+    Attributes:
+        splats: number of Gaussians.
+        scene_s, index_s: what making them and the index took [s].
+    """
+
+    splats: int
+    scene_s: float
+    index_s: float
+    world: SplatWorld
+    vehicle: _core.FlightVehicle
+    rules: _core.FlightRules
+    references: list[_core.ReferenceCurve]
+
+    def filter(self, name: str, parameters: Mapping[str, Any]) -> NativeSplatFilter:
+        """A filter for this room."""
+        made = make_splat_filter(name, self.world, parameters)
+        assert isinstance(made, NativeSplatFilter)
+        return made
+
+    def fly(self, safety_filter: NativeSplatFilter, pairs: int | None = None) -> list[SplatFlown]:
+        """All pairs, or the first so many, on one thread."""
+        return fly(safety_filter, self.vehicle, self.references[:pairs], self.rules, jobs=1)
+
+
+def arena(gaussians: int, pairs: int, seed: int) -> Arena:
+    """The built-in room of about so many Gaussians at confidence 0.99, and straight septics through it."""
+    start = time.perf_counter()
+    scene = room(gaussians)
+    made = time.perf_counter()
+    keep = RADIUS_M + scene.manifest.suggested_inflation_m  # type: ignore[attr-defined]
+    rows = rows_of(scene, retained(scene, 0.0))
+    before = time.perf_counter()
+    index = _core.EllipsoidIndex(
+        *(rows.mean, rows.scale, rows.quat_wxyz),
+        sigma=sigma_of_confidence(CONFIDENCE),
+        radius=keep,
+        loss=rows.loss,
+    )
+    built = time.perf_counter()
+    mean = np.asarray(scene["mean"], np.float64)
+    lower, upper = central_box(mean, None, "Gaussians")
+    drawn = sample_pairs(
+        pairs,
+        seed,
+        (lower, upper),
+        _SEPARATION * float(np.linalg.norm(upper - lower)),
+        lambda points: index.clearance(points, cap=keep + _MARGIN_M, jobs=1),
+        lambda _, distance: np.asarray(distance >= keep + _MARGIN_M),
+    )
+    body, gains = quadrotor(FASTBRIDGE), tracking_gains(FASTBRIDGE)
+    return Arena(
+        splats=len(mean),
+        scene_s=made - start,
+        index_s=built - before,
+        world=SplatWorld(index=index, body=body, gains=gains, radius_m=keep, dt_s=DT_S),
+        vehicle=_core.FlightVehicle(body, gains, plant_options(FASTBRIDGE)),
+        rules=_core.FlightRules(
+            dt_s=DT_S,
+            lower=tuple((mean.min(axis=0) - _ROOM_M).tolist()),
+            upper=tuple((mean.max(axis=0) + _ROOM_M).tolist()),
+        ),
+        references=[
+            _core.ReferenceCurve(
+                *rest_to_rest(
+                    start, goal, SPEED_M_S, yaw_rad=math.atan2(goal[1] - start[1], goal[0] - start[0])
+                )
+            )
+            for start, goal in zip(drawn.start, drawn.goal, strict=True)
+        ],
+    )
+
+
+@dataclass(slots=True)
+class Timed:
+    """The flights of one filter, flown again and again; times of every one, (repeats, ticks) [s]."""
+
+    flights: list[SplatFlown]
+    filter_s: FloatArray
+    tick_s: FloatArray
+    differs: bool = False  # whether a repetition was another flight: it must not be
+
+    def figures(self, name: str) -> dict[str, float]:
+        """Microseconds: of all repetitions as they are, and `best`: of the least of each tick."""
+        found: dict[str, float] = {
+            f"{name}_flights": len(self.flights),
+            f"{name}_reached": sum(flown.outcome == "reached" for flown in self.flights),
+            f"{name}_ticks": self.filter_s.shape[1],
+        }
+        for kind, seconds in ((name, self.filter_s), (f"{name}_tick", self.tick_s)):
+            for suffix, values in (("", seconds.ravel()), ("_best", seconds.min(axis=0))):
+                p50, p99, most = 1e6 * np.percentile(values, [50, 99, 100])
+                found |= {f"{kind}_p50{suffix}_us": p50, f"{kind}_p99{suffix}_us": p99}
+                found[f"{kind}_max{suffix}_us"] = most
+        return found
+
+
+def fly_all(room: Arena, repeats: int) -> dict[str, Timed]:
+    """All filters in turns, so that what else the machine does hits them alike, after one flight each."""
+    filters = {name: room.filter(kind, parameters) for name, kind, parameters in FLOWN}
+    for safety_filter in filters.values():
+        room.fly(safety_filter, 1)
+    found: dict[str, Timed] = {}
+    for _ in range(repeats):
+        for name, safety_filter in filters.items():
+            flights = room.fly(safety_filter)
+            seconds = [np.concatenate([getattr(f, part) for f in flights]) for part in ("filter_s", "tick_s")]
+            if name not in found:
+                found[name] = Timed(flights, *(part[None] for part in seconds))
+                continue
+            timed = found[name]
+            if not all(map(_is_same, timed.flights, flights)):
+                timed.differs = True
+                continue
+            timed.filter_s = np.vstack([timed.filter_s, seconds[0]])
+            timed.tick_s = np.vstack([timed.tick_s, seconds[1]])
+    return found
+
+
+def _is_same(a: SplatFlown, b: SplatFlown) -> bool:
+    measured = ("filter_s", "tick_s")
+    names = [field.name for field in dataclasses.fields(a) if field.name not in measured]
+    return all(np.array_equal(getattr(a, name), getattr(b, name), equal_nan=False) for name in names)
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """Ticks of flights behind an acceleration filter: its state and nominal acceleration."""
+
+    state: FloatArray
+    acceleration: FloatArray
+
+    @classmethod
+    def of(cls, flights: Sequence[SplatFlown]) -> Replay:
+        """All ticks of them."""
+        return cls(
+            np.concatenate([flown.state[:-1] for flown in flights]),
+            np.concatenate([flown.a_nominal for flown in flights]),
+        )
+
+    def spread(self, count: int, seed: int) -> Replay:
+        """So many of them at random, without repetition."""
+        rng = np.random.default_rng([seed, 2])
+        rows = rng.permutation(len(self.state))[:count]
+        return Replay(self.state[rows], self.acceleration[rows])
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+    def through(
+        self, native: _core.SplatFilter, *, seconds: float = math.inf, least: int = 0
+    ) -> tuple[list[dict[str, Any]], FloatArray]:
+        """Reports and CPU seconds of its ticks, of at least `least` and then of as many as fit the time.
+
+        CPU time of the thread: what takes longer than a time slice is always interrupted on a busy machine.
+        """
+        reports, took = [], []
+        end = time.perf_counter() + seconds
+        for state, acceleration in zip(self.state.tolist(), self.acceleration.tolist(), strict=True):
+            if time.perf_counter() > end and len(took) >= least:
+                break
+            before = time.thread_time()
+            reports.append(native.filter(state, acceleration))
+            took.append(time.thread_time() - before)
+        return reports, np.array(took)

@@ -1,0 +1,173 @@
+"""The tables of FastBridge against figures counted by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from alula.schemas.manifest import Guarantee
+from alula.schemas.provenance import Provenance
+from alula.schemas.run import RunRecord, TrialResult
+from alula.stages.reporting import fastbridge, fastbridge_figures
+from alula.stages.reporting.fastbridge import Sweep, compare, comparison_table, flight_table, gap_table
+from alula.stages.reporting.material import Run
+
+
+def trial(index, outcome="reached", collision=False, jerk=2.0, speed=1.0, steps=100, **fields):
+    known = {
+        "start_m": [0.0, 0.0, 1.0],
+        "goal_m": [2.0, 0.0, 1.0],
+        "duration_s": 0.01 * steps,
+        "path_length_m": 2.5,
+        "straight_length_m": 2.0,
+        "map_clearance_m": None,
+        "scene_clearance_m": -0.01 if collision else 0.1 + 0.01 * index,
+        "filtered_steps": 10,
+        "shortened_steps": 0,
+        "infeasible_steps": 3,
+        "fallback_steps": 0,
+        "backup_steps": 5,
+        "certified_steps": steps,
+        "peak_realisation_error_m_s2": 0.5 * (index + 1),
+        "min_gamma": 0.2 + index,
+    }
+    return TrialResult(
+        **{
+            **known,
+            "index": index,
+            "outcome": outcome,
+            "collision": collision,
+            "steps": steps,
+            "mean_jerk_m_s3": jerk,
+            "max_jerk_m_s3": 10 * jerk,
+            "max_speed_m_s": speed,
+            **fields,
+        }
+    )
+
+
+def sweep(variant, speed, trials, scene="room", seconds=1e-4):
+    calls = sum(t.steps for t in trials)
+    timing = {
+        "filter_calls": calls,
+        "filter_total_s": seconds * calls,
+        "filter_p99_s": 2 * seconds,
+        "tick_mean_s": 1.5 * seconds,
+        "tick_p99_s": 3 * seconds,
+        "tick_max_s": 9 * seconds,
+        "overruns": 0,
+    }
+    record = RunRecord(
+        schema="alula/run",
+        version="1.0",
+        provenance=Provenance.now("alula/run", "1.0", {}, 0, []),
+        name=variant,
+        filter=variant,
+        vehicle="test",
+        trials=trials,
+        summary={},
+        guarantee=Guarantee(statement="none", claims={}),
+        timing=timing,
+    )
+    return Sweep(scene, variant, speed, Run(f"{variant}@{speed}", record))
+
+
+@pytest.fixture
+def pair():
+    theirs = [trial(0, jerk=4.0), trial(1, "timeout", jerk=6.0), trial(2, collision=True, jerk=2.0)]
+    ours = [trial(0, jerk=1.0, speed=2.0), trial(1, jerk=3.0, speed=2.0), trial(2, jerk=1.0, speed=2.0)]
+    return sweep("cone-ecbf", 2.1, ours), sweep("safer-splat", 2.1, theirs, seconds=1e-3)
+
+
+def test_ratios_are_of_sums_over_the_same_pairs(pair):
+    ours, theirs = pair
+    found = compare([ours], [theirs])
+    assert found.mean_jerk is not None
+    assert found.mean_jerk.value == pytest.approx(5 / 12)
+    assert found.mean_jerk.low <= 5 / 12 <= found.mean_jerk.high
+    assert found.filter_time == pytest.approx(0.1)
+    assert found.goals is not None
+    assert found.goals.value == pytest.approx(2 / 3)
+    assert found.top_speed is not None
+    assert found.top_speed.value == pytest.approx(1.0)
+
+
+def test_a_pair_counts_only_where_both_flights_qualify(pair):
+    ours, theirs = pair
+    found = compare([ours], [theirs], fastbridge.succeeded)
+    assert found.mean_jerk is not None
+    assert (found.mean_jerk.value, found.mean_jerk.n) == (pytest.approx(0.25), 1)
+
+
+def test_the_comparison_has_both_filters_their_ratio_and_the_published_one(pair):
+    table = comparison_table(pair)
+    assert [row[1] for row in table.rows[:2]] == ["safer-splat", "cone-ecbf"]
+    rates = [row[3] for row in table.rows[:2]]
+    assert rates == [pytest.approx(1 / 3), 1.0]
+    assert table.rows[0][-1] == 1  # a collision
+    assert table.rows[-1][0] == "published"
+    assert all(len(row) == len(table.columns) for row in table.rows)
+
+
+def test_the_gap_names_its_extremes():
+    runs = [sweep("cone-di", v, [trial(i) for i in range(4)]) for v in (1.1, 0.5)]
+    table = gap_table(runs)
+    assert [row[2] for row in table.rows] == [0.5, 1.1]
+    row = dict(zip(table.columns, table.rows[0], strict=False))
+    assert row["peak |e_a|, mean [m/s²]"] == pytest.approx(1.25)
+    assert row["largest"] == 2.0
+    assert row["least γ of all"] == pytest.approx(0.2)
+    assert all(len(row) == len(table.columns) for row in table.rows)
+
+
+def test_the_flight_table_counts_ticks_and_keeps_the_published_row_apart(pair):
+    table = flight_table(pair, "figure-4", "Figure 4", published=True)
+    ours = dict(zip(table.columns, table.rows[0], strict=False))
+    assert ours["ticks"] == 300
+    assert ours["infeasible"] == 9
+    assert ours["feasible ticks"] == pytest.approx(0.97)
+    assert ours["on the backup"] == pytest.approx(15 / 300)
+    assert ours["certified"] == 1
+    assert ours["loop p99 [µs]"] == pytest.approx(300)
+    assert ours["mean speed [m/s]"] == pytest.approx(7.5 / 3)
+    published = dict(zip(table.columns, table.rows[-1], strict=False))
+    assert published["ticks"] == 822
+    assert published["loop p99 [µs]"] == 21043
+    assert all(len(row) == len(table.columns) for row in table.rows)
+
+
+def test_a_run_without_times_has_none(pair):
+    ours, theirs = pair
+    bare = Sweep("room", "cone-ecbf", 2.1, Run("x", _without_timing(ours.run.record)))
+    assert compare([bare], [theirs]).filter_time is None
+    assert flight_table([bare], "t", "T").rows[0][10] is None
+
+
+def _without_timing(record):
+    import msgspec
+
+    return msgspec.structs.replace(record, timing=None)
+
+
+def test_figures_say_what_they_show(pair):
+    gap = fastbridge_figures.gap_figure(
+        [sweep("cone-di", v, [trial(0), trial(1)]) for v in (1.1, 2.1)], "room"
+    )
+    assert "cone-di: from 0.75 at 1.1 m/s to 0.75 at 2.1 m/s" in gap.alt
+    figure = fastbridge_figures.comparison_figure(pair, "room")
+    assert figure.svg.startswith("<?xml")
+    assert "safer-splat: mean jerk" in figure.alt
+    assert fastbridge_figures.paths_figure(pair, "room", 0) is None  # no logs were read
+    assert fastbridge_figures.telling_trial(pair, "room") == 0
+
+
+def test_the_line_in_short_gives_percent_below_the_baseline(pair):
+    words = fastbridge.in_short(pair)["room, cone-ecbf against safer-splat"]
+    assert words.startswith("mean jerk 58 % below it (")
+    assert "filter 10.0 times as fast" in words
+
+
+def test_values_that_are_missing_become_nan():
+    found = sweep("none", 1.0, [trial(0, min_gamma=None)]).values(lambda t: t.min_gamma)
+    assert math.isnan(found[0])
+    assert found.dtype == np.float64
