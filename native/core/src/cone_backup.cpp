@@ -4,8 +4,6 @@
 #include <cmath>
 #include <stdexcept>
 
-#include "alula/shielded.hpp"
-
 namespace alula::flight {
 namespace {
 
@@ -29,6 +27,7 @@ ConeBackup::ConeBackup(const BackupPolicy& policy, std::shared_ptr<const Ellipso
     : policy_(policy),
       options_(options),
       pruner_(index, options.pruning),
+      roomy_(index, options.shielded ? options.room_m : 0),
       shield_(policy, index, options.shield),
       flow_(policy, options.horizon_s, options.nodes, steps_of(policy, options), policy.escapes()),
       program_(policy.vehicle(), rows_of(options), std::move(solver)) {
@@ -65,7 +64,7 @@ bool ConeBackup::add_rows(const State& x, std::span<const Found> near, FilterRep
   const ConeBackupOptions& o = options_;
   bool head_on = false;
   for (const Found& found : near) {
-    const GrownEllipsoid e = with_room(pruner_.index().grown(found.item), o.shielded ? o.room_m : 0);
+    const GrownEllipsoid& e = roomy_[found.item];
     const Cone now = collision_cone(e, x.p, x.v);
     head_on = head_on || is_head_on(now);
     inside = inside || now.is_inside();

@@ -31,6 +31,7 @@ ConeDi::ConeDi(std::shared_ptr<const EllipsoidIndex> index, const ConeDiOptions&
     throw std::invalid_argument("limits of the acceleration must be positive");
   if (!at_least_zero(options.lateral_bias)) throw std::invalid_argument("lateral_bias must be at least 0");
   if (!at_least_zero(options.clf_weight)) throw std::invalid_argument("clf_weight must be at least 0");
+  cones_.reserve(pruner_.most());
   if (!positive(options.clf_rate) || !positive(options.clf_kp) || !positive(options.clf_kv))
     throw std::invalid_argument("rate and gains of the tracking row must be positive");
 }
@@ -85,17 +86,19 @@ FilterReport ConeDi::filter(const FlightState& state, const Nominal& nominal) {
   program_.start(nominal.acceleration);
   program_.limit(options_.max_acceleration);
   const auto candidates = pruner_.near(p, v, moves, report);
+  cones_.clear();
+  for (const Found& found : candidates) cones_.push_back(cone(found.item, p, v));
   double contact = kInfinity;
   if (moves && options_.recovery > 0)
-    for (const Found& found : candidates) contact = std::min(contact, cone(found.item, p, v).contact_time());
+    for (const Cone& cone : cones_) contact = std::min(contact, cone.contact_time());
   const double alpha = std::max(options_.alpha, options_.recovery / std::max(contact - kLead, kLeastContact));
   const double edge = 1 / ((1 + options_.swell) * (1 + options_.swell)) - 1;  // gamma on the ellipsoid of the index
-  for (const Found& found : candidates) {
-    const Cone cone = this->cone(found.item, p, v);
+  for (std::size_t i = 0; i < candidates.size(); ++i) {
+    const Cone& cone = cones_[i];
     const bool on_cone = moves && !cone.is_inside();
     inside = inside || cone.gamma < edge;
     report.margin = std::min(report.margin, on_cone ? cone.h : cone.gamma);
-    program_.add(on_cone ? cone_row(cone, alpha) : escape_row(cone, options_.escape_rate), found.item);
+    program_.add(on_cone ? cone_row(cone, alpha) : escape_row(cone, options_.escape_rate), candidates[i].item);
   }
   report.rows = static_cast<std::uint32_t>(program_.rows());
   if (tracks) add_tracking_row(nominal);

@@ -5,8 +5,6 @@
 #include <limits>
 #include <stdexcept>
 
-#include "alula/shielded.hpp"
-
 namespace alula::flight {
 namespace {
 
@@ -29,6 +27,7 @@ ConeEcbf::ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIn
     : policy_(policy),
       options_(options),
       pruner_(index, options.pruning),
+      roomy_(index, options.shielded ? options.room_m : 0),
       shield_(policy, index, options.shield),
       program_(policy.vehicle(), options.pruning.count, std::move(solver)) {
   const ConeEcbfOptions& o = options_;
@@ -53,7 +52,7 @@ bool ConeEcbf::add_rows(const FlightState& state, const SnapMap& map, std::span<
                         FilterReport& report, bool& inside) {
   bool head_on = false;
   for (const Found& found : near) {
-    const GrownEllipsoid e = with_room(pruner_.index().grown(found.item), options_.shielded ? options_.room_m : 0);
+    const GrownEllipsoid& e = roomy_[found.item];
     const Cone c = collision_cone(e, state.x.p, state.x.v);
     const ConeRates d = cone_rates(e, c, map.acceleration, map.jerk);
     inside = inside || c.is_inside();

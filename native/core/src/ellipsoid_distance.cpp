@@ -1,5 +1,7 @@
 #include "alula/ellipsoid_distance.hpp"
 
+#include "alula/lanes.hpp"
+
 namespace alula::geometry {
 namespace {
 
@@ -137,111 +139,176 @@ namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
+using std::abs, std::sqrt;
+
+// Of one ellipsoid with Real = double, or of four at once.
+//
 // g = sum (semi_i n_i)^2 at a multiplier mu >= 0, n_i = z_i / (mu + semi_i^2): it falls to 1 at the closest point.
 // For a segment z is that of the t that is best for mu, and slides along with mu.
+template <class Real>
 struct Dual {
-  double g, fall;  // fall = -g' / 2
-  double length2;  // |n|^2: the distance is mu |n| where g = 1
-  double bound;    // mu (sum z_i n_i - 1): the squared distance is no less
+  Real g{0.0}, fall{0.0};  // fall = -g' / 2
+  Real bound{0.0};         // mu (sum z_i n_i - 1): the squared distance is no less
 };
 
+template <class Real>
 struct PointDual {
-  double z[3], squared[3];
+  Real z[3], squared[3];
 
-  Dual operator()(double mu) const {
-    Dual d{0, 0, 0, 0};
-    double sum = 0;
+  Dual<Real> operator()(Real mu) const {
+    Dual<Real> d;
+    Real sum{0.0};
     for (int i = 0; i < 3; ++i) {
-      const double w = 1 / (mu + squared[i]), n = z[i] * w, part = squared[i] * n * n;
-      d.g += part, d.fall += part * w, d.length2 += n * n, sum += z[i] * n;
+      const Real w = 1.0 / (mu + squared[i]), n = z[i] * w, part = squared[i] * n * n;
+      d.g += part, d.fall += part * w, sum += z[i] * n;
     }
-    d.bound = mu * (sum - 1);
+    d.bound = mu * (sum - 1.0);
     return d;
   }
 };
 
+template <class Real>
 struct SegmentDual {
-  double z[3], dz[3], squared[3];
+  Real z[3], dz[3], squared[3];
 
-  Dual operator()(double mu) const {
-    double w[3], across = 0, along = 0;
+  Dual<Real> operator()(Real mu) const {
+    Real w[3], across{0.0}, along{0.0};
     for (int i = 0; i < 3; ++i) {
-      w[i] = 1 / (mu + squared[i]);
+      w[i] = 1.0 / (mu + squared[i]);
       across += w[i] * z[i] * dz[i];
       along += w[i] * dz[i] * dz[i];
     }
-    const double best = -across / along, t = std::clamp(best, 0.0, 1.0);
-    Dual d{0, 0, 0, 0};
-    double bend = 0, sum = 0;
+    const Real best = -across / along, t = select(best < 0.0, Real{0.0}, select(best > 1.0, Real{1.0}, best));
+    Dual<Real> d;
+    Real bend{0.0}, sum{0.0};
     for (int i = 0; i < 3; ++i) {
-      const double at = z[i] + t * dz[i], n = at * w[i], part = squared[i] * n * n;
-      d.g += part, d.fall += part * w[i], d.length2 += n * n, sum += at * n;
+      const Real at = z[i] + t * dz[i], n = at * w[i], part = squared[i] * n * n;
+      d.g += part, d.fall += part * w[i], sum += at * n;
       bend += n * w[i] * dz[i];
     }
-    if (t == best) d.fall += mu * bend * bend / along;
-    d.bound = mu * (sum - 1);
+    d.fall = select(t == best, d.fall + mu * bend * bend / along, d.fall);
+    d.bound = mu * (sum - 1.0);
     return d;
   }
 };
 
-// From a multiplier where g > 1 is known at `low`. Newton's iteration on 1 / sqrt(g), which is concave but where the
-// closest point of a segment leaves an end; a step too far is caught by the bracket.
-template <class Function>
-double maximise(const Function& dual, double mu, Dual at, double low, double size, double enough) {
-  const double needed = enough * enough * (1 + 1e-12) + 8 * kEpsilon * size;
-  double high = kInfinity;
+// From a multiplier where g > 1 is known at 0. Newton's iteration on 1 / sqrt(g), which is concave but where the
+// closest point of a segment leaves an end; a step too far is caught by the bracket. Nothing is done for those that
+// are `done`.
+constexpr double kClose = 1e-8;  // of sqrt(g) to 1: the bound, which is flat there, is off by the square of it
+
+template <class Real, class Function, class Is>
+Real maximise(const Function& dual, Real mu, Dual<Real> at, Real size, Real enough, Is done) {
+  const Real needed = enough * enough * (1 + 1e-12) + 8 * kEpsilon * size;
+  Real low{0.0}, high{kInfinity};
+  Is beyond = done & (!done);
   for (int step = 0; step < 100; ++step) {
-    if (at.bound >= needed) return kInfinity;
-    const double h = std::sqrt(at.g);
-    if (std::abs(h - 1) <= 32 * kEpsilon) break;
-    (h > 1 ? low : high) = mu;
-    double next = mu + (h - 1) * at.g / at.fall;
-    if (!(next > low && next < high)) next = high < kInfinity ? 0.5 * (low + high) : mu;
-    if (!(std::abs(next - mu) > 8 * kEpsilon * mu)) break;
-    mu = next;
+    beyond = beyond | ((!done) & (at.bound >= needed));
+    const Real h = sqrt(at.g);
+    done = done | beyond | (abs(h - 1.0) <= kClose);
+    if (all(done)) break;
+    const Is above = h > 1.0;
+    low = select(above, mu, low), high = select(above, high, mu);
+    Real next = mu + (h - 1.0) * at.g / at.fall;
+    next = select((next > low) & (next < high), next, select(high < kInfinity, 0.5 * (low + high), mu));
+    done = done | !(abs(next - mu) > 8 * kEpsilon * mu);
+    if (all(done)) break;
+    mu = select(done, mu, next);
     at = dual(mu);
   }
-  return mu * std::sqrt(at.length2);
+  return select(beyond, Real{kInfinity}, sqrt(larger(at.bound, Real{0.0})));
+}
+
+// The distance but for what is `special` or `done`.
+template <class Real, class Is>
+Real point_below(const Real (&semi)[3], const Real (&point)[3], Real enough, Is done, Is& special) {
+  PointDual<Real> dual;
+  Real most{0.0}, reach2{0.0}, beyond{0.0}, size{0.0};
+  for (int i = 0; i < 3; ++i) {
+    const Real squared = semi[i] * semi[i], z2 = point[i] * point[i];
+    dual.z[i] = point[i], dual.squared[i] = squared;
+    most = larger(most, squared);
+    reach2 += squared * z2;
+    size += z2 + squared;
+    beyond = larger(beyond, semi[i] * abs(point[i]) - squared);
+  }
+  // Both are below the multiplier, and the second is close for what is small beside its distance.
+  const Real mu = larger(beyond, sqrt(reach2) - most) * (1 - 4 * kEpsilon), start = larger(mu, Real{0.0});
+  const Dual<Real> at = dual(start);
+  special = (mu <= 0.0) & (at.g <= 1.0);
+  return maximise(dual, start, at, size, enough, done | special);
+}
+
+template <class Real, class Is>
+Real segment_below(const Real (&semi)[3], const Real (&start)[3], const Real (&along)[3], Real enough, Is done,
+                   Is& special) {
+  SegmentDual<Real> dual;
+  Real most{0.0}, reach2{0.0}, size{0.0};
+  const Real length2 = along[0] * along[0] + along[1] * along[1] + along[2] * along[2];
+  const Real best = -(start[0] * along[0] + start[1] * along[1] + start[2] * along[2]) / length2;
+  const Real t = select(best < 0.0, Real{0.0}, select(best > 1.0, Real{1.0}, best));
+  for (int i = 0; i < 3; ++i) {
+    const Real squared = semi[i] * semi[i], middle = start[i] + t * along[i];
+    dual.z[i] = start[i], dual.dz[i] = along[i], dual.squared[i] = squared;
+    most = larger(most, squared);
+    reach2 += squared * middle * middle;
+    size += start[i] * start[i] + along[i] * along[i] + squared;
+  }
+  // Close when the ellipsoid is small beside its distance.
+  Real mu = larger(Real{0.0}, sqrt(reach2) - most);
+  Dual<Real> at = dual(mu);
+  const Is beyond = (at.g <= 1.0) & (mu > 0.0);
+  if (any(beyond)) mu = select(beyond, Real{0.0}, mu), at = dual(mu);
+  special = at.g <= 1.0;
+  return maximise(dual, mu, at, size, enough, done | special);
 }
 
 }  // namespace
 
 double distance_below(Vec3 semi, Vec3 point, double enough) {
-  PointDual dual{{point.x, point.y, point.z}, {}};
-  double most = 0, reach2 = 0, beyond = 0, size = 0;
-  for (int i = 0; i < 3; ++i) {
-    const double squared = semi[i] * semi[i], z2 = dual.z[i] * dual.z[i];
-    dual.squared[i] = squared;
-    most = std::max(most, squared);
-    reach2 += squared * z2;
-    size += z2 + squared;
-    beyond = std::max(beyond, semi[i] * std::abs(dual.z[i]) - squared);
-  }
-  // Both are below the multiplier, and the second is close for what is small beside its distance.
-  const double mu = std::max(beyond, std::sqrt(reach2) - most) * (1 - 4 * kEpsilon);
-  const Dual at = dual(std::max(mu, 0.0));
-  if (mu <= 0 && at.g <= 1) return signed_distance({{}, {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, semi}, point).value;
-  return enough > 0 ? maximise(dual, std::max(mu, 0.0), at, 0, size, enough) : kInfinity;
+  const double s[3] = {semi.x, semi.y, semi.z}, z[3] = {point.x, point.y, point.z};
+  bool special = false;
+  const double distance = point_below(s, z, enough, !(enough > 0), special);
+  if (special) return signed_distance({{}, {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, semi}, point).value;
+  return enough > 0 ? distance : kInfinity;
 }
 
 double distance_below(Vec3 semi, Vec3 start, Vec3 along, double enough) {
-  const double length2 = dot(along, along);
-  if (!(length2 > 0)) return distance_below(semi, start, enough);
-  SegmentDual dual{{start.x, start.y, start.z}, {along.x, along.y, along.z}, {}};
-  const Vec3 middle = start + std::clamp(-dot(start, along) / length2, 0.0, 1.0) * along;
-  double most = 0, reach2 = 0, size = 0;
-  for (int i = 0; i < 3; ++i) {
-    const double squared = semi[i] * semi[i];
-    dual.squared[i] = squared;
-    most = std::max(most, squared);
-    reach2 += squared * middle[i] * middle[i];
-    size += start[i] * start[i] + along[i] * along[i] + squared;
+  if (!(dot(along, along) > 0)) return distance_below(semi, start, enough);
+  const double s[3] = {semi.x, semi.y, semi.z}, z[3] = {start.x, start.y, start.z},
+               dz[3] = {along.x, along.y, along.z};
+  bool special = false;
+  const double distance = segment_below(s, z, dz, enough, !(enough > 0), special);
+  if (special) return signed_distance({{}, {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, semi}, start, start + along, enough);
+  return enough > 0 ? distance : kInfinity;
+}
+
+void distances_below(std::span<const Sighted> each, std::span<double> distance) {
+  for (std::size_t first = 0; first < each.size(); first += 4) {
+    const std::size_t count = std::min<std::size_t>(4, each.size() - first);
+    const auto one = [&](std::size_t i) -> const Sighted& { return each[first + std::min(i, count - 1)]; };
+    const auto lanes = [&](Vec3 Sighted::* part, int axis) {
+      return Lanes{(one(0).*part)[axis], (one(1).*part)[axis], (one(2).*part)[axis], (one(3).*part)[axis]};
+    };
+    Lanes semi[3], start[3], along[3];
+    for (int i = 0; i < 3; ++i) {
+      semi[i] = lanes(&Sighted::semi, i), start[i] = lanes(&Sighted::start, i);
+      along[i] = lanes(&Sighted::along, i);
+    }
+    const Lanes enough{one(0).enough, one(1).enough, one(2).enough, one(3).enough};
+    const Lanes length2 = along[0] * along[0] + along[1] * along[1] + along[2] * along[2];
+    const Mask none = !(enough > 0.0);
+    const bool moves = all(length2 > 0.0);
+    Mask special;
+    const Lanes found = moves ? segment_below(semi, start, along, enough, none, special)
+                              : point_below(semi, start, enough, none, special);
+    const Mask alone = moves ? special | none : special | none | (length2 > 0.0);
+    for (std::size_t i = 0; i < count; ++i) {
+      const Sighted& e = one(i);
+      distance[first + i] = alone[static_cast<int>(i)] ? distance_below(e.semi, e.start, e.along, e.enough)
+                                                       : found[static_cast<int>(i)];
+    }
   }
-  double mu = std::max(0.0, std::sqrt(reach2) - most);  // close when the ellipsoid is small beside its distance
-  Dual at = dual(mu);
-  if (at.g <= 1 && mu > 0) mu = 0, at = dual(mu);
-  if (at.g <= 1) return signed_distance({{}, {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}, semi}, start, start + along, enough);
-  return enough > 0 ? maximise(dual, mu, at, 0, size, enough) : kInfinity;
 }
 
 double signed_distance(const Ellipsoid& ellipsoid, Vec3 a, Vec3 b, double enough) {

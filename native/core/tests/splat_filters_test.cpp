@@ -1,5 +1,7 @@
 // Filters among ellipsoids allocate nothing once warm, and equal ticks give equal bits.
+#include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <cstdlib>
 #include <cstring>
 #include <new>
@@ -87,6 +89,92 @@ void test_queries_allocate_only_what_is_found(const EllipsoidIndex& index) {
   CHECK(allocations == before);
 }
 
+using Point = geometry::Vec3;
+
+bool is_same(const std::vector<Found>& a, const std::vector<Found>& b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](const Found& x, const Found& y) {
+    return x.item == y.item && std::memcmp(&x.distance, &y.distance, sizeof x.distance) == 0;
+  });
+}
+
+// A walk with jumps: what was found before must not show in what is found.
+void test_guesses_change_nothing(const EllipsoidIndex& index) {
+  std::mt19937_64 random(11);
+  const auto uniform = [&] { return 2 * static_cast<double>(random() >> 11) * 0x1p-53 - 1; };
+  std::vector<Found> kept, fresh;
+  Point p, v{1, 0, 0};
+  std::size_t seen = 0;
+  for (int i = 0; i < 2000; ++i) {
+    v = v + 0.3 * Point{uniform(), uniform(), uniform()};
+    p = i % 100 == 0 ? 2 * Point{uniform(), uniform(), uniform()} : p + 0.01 * v;
+    if (geometry::norm(p) > 3) p = {}, v = -v;
+    const Point end = i % 7 == 0 ? p : p + 0.4 * v;
+    const double reach = i % 11 == 0 ? 0.1 : 1.5;
+    const std::size_t count = i % 13 == 0 ? 200 : 65;
+    if (i % 17 == 0) kept.push_back({4'000'000'000U, 0}), kept.push_back({3, 0}), kept.push_back({3, 0});
+    fresh.clear();
+    if (i % 3 == 0) {
+      index.nearest(p, end, reach, count, kept), index.nearest(p, end, reach, count, fresh);
+    } else {
+      index.nearest_ahead(p, end, v, reach, count, kept), index.nearest_ahead(p, end, v, reach, count, fresh);
+    }
+    CHECK(is_same(kept, fresh));
+    seen += fresh.size();
+  }
+  CHECK(seen > 50'000);
+}
+
+// Where single precision has 1 mm left, as with coordinates of a country.
+void test_far_from_the_origin_nothing_is_missed() {
+  Cloud cloud(3000);
+  for (std::size_t i = 0; i < cloud.mean.size(); i += 3) cloud.mean[i] += 9000, cloud.mean[i + 1] -= 7000;
+  const auto index = cloud.index();
+  std::vector<Found> found;
+  for (int i = 0; i < 40; ++i) {
+    const Point p = state(i).x.p + Point{9000, -7000, 0}, v = state(i).x.v;
+    std::vector<Found> expected;
+    for (std::uint32_t item = 0; item < index->size(); ++item) {
+      const GrownEllipsoid& e = index->grown(item);
+      const Point r = e.centre - p, ar = e.a * r;
+      const double distance = signed_distance(index->ellipsoid(item), p).value;
+      if (distance < 1 && (geometry::dot(ar, v) >= 0 || geometry::dot(ar, r) < 1))
+        expected.push_back({item, distance});
+    }
+    index->nearest_ahead(p, p, v, 1, expected.size() + 1, found);
+    CHECK(found.size() == expected.size() && found.size() > 20);
+    std::sort(found.begin(), found.end(), [](const Found& a, const Found& b) { return a.item < b.item; });
+    double least = 1;
+    for (std::size_t k = 0; k < std::min(found.size(), expected.size()); ++k) {
+      CHECK(found[k].item == expected[k].item && std::abs(found[k].distance - expected[k].distance) < 1e-12);
+      least = std::min(least, expected[k].distance);
+    }
+    std::uint32_t hint = 0;
+    CHECK(index->clearance(p, 5, hint) <= least + 1e-12);
+  }
+}
+
+void test_four_at_once_are_four_alone() {
+  std::mt19937_64 random(5);
+  const auto uniform = [&] { return static_cast<double>(random() >> 11) * 0x1p-53; };
+  const auto place = [&](double size) {
+    return size * Point{2 * uniform() - 1, 2 * uniform() - 1, 2 * uniform() - 1};
+  };
+  for (int i = 0; i < 5000; ++i) {
+    std::vector<geometry::Sighted> each;
+    for (int k = 0; k < 1 + i % 9; ++k) {
+      const Point semi{0.001 + 0.2 * uniform(), 0.001 + 0.1 * uniform(), 0.001 + 0.01 * uniform()};
+      const Point along = i % 2 == 0 || k == 5 ? Point{} : place(1);
+      each.push_back({semi, place(k % 3 == 0 ? 0.1 : 1), along, k % 4 == 3 ? uniform() - 0.1 : 5});
+    }
+    std::vector<double> distance(each.size());
+    geometry::distances_below(each, distance);
+    for (std::size_t k = 0; k < each.size(); ++k) {
+      const double alone = geometry::distance_below(each[k].semi, each[k].start, each[k].along, each[k].enough);
+      CHECK(std::memcmp(&distance[k], &alone, sizeof alone) == 0);
+    }
+  }
+}
+
 }  // namespace
 
 int main() {
@@ -103,5 +191,8 @@ int main() {
     test_a_clone_gives_the_same_bits(*filter);
   }
   test_queries_allocate_only_what_is_found(*index);
+  test_guesses_change_nothing(*index);
+  test_far_from_the_origin_nothing_is_missed();
+  test_four_at_once_are_four_alone();
   return alula_failures == 0 ? 0 : 1;
 }

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <algorithm>
-#include <bit>
 #include <compare>
 #include <cstddef>
 #include <cstdint>
@@ -19,6 +18,13 @@ namespace alula::geometry {
 // to build, 2 n / leaf nodes. The tree depends on the boxes alone.
 class Bvh {
  public:
+  struct Node {
+    Box box;
+    double depth;
+    std::uint32_t first;  // of the items of a leaf, or the right child; the left child follows its parent
+    std::uint32_t count;  // 0 for an inner node
+  };
+
   Bvh() = default;
 
   // depth[i] bounds how far inside obstacle i a point can be (0 when that does not matter); a leaf has at most
@@ -40,6 +46,7 @@ class Bvh {
   };
 
   const std::vector<std::uint32_t>& order() const { return order_; }
+  const std::vector<Node>& nodes() const { return nodes_; }  // the root first, parents before their children
   const Box* bounds() const { return nodes_.empty() ? nullptr : &nodes_[0].box; }
 
   // Minimum of `best` and value(i, best) over all obstacles i, for a signed distance of the
@@ -63,54 +70,6 @@ class Bvh {
   template <class Visit>
   std::uint32_t visit_near(Vec3 a, Vec3 d, const double& reach, Visit&& visit) const {
     return nodes_.empty() ? 0 : visit_near(0, Sight(a, d), reach, visit);
-  }
-
-  // The same with all leaves in the order of their distance, for searches that look at many; as far as a list of
-  // fixed length goes, beyond it by nearer halves. A box for which `skip(node, box)` holds need not be looked into.
-  template <class Visit, class Skip>
-  std::uint32_t visit_in_order(Vec3 a, Vec3 d, const double& reach, Visit&& visit, Skip&& skip) const {
-    if (nodes_.empty()) return 0;
-    const Sight sight(a, d);
-    // Entries are the square of a bound, as an integer of the same order, before its node.
-    constexpr std::uint64_t kNone = ~std::uint64_t{0};
-    std::uint64_t heap[kHeap];
-    std::size_t size = 0;
-    std::uint32_t measured = 0;
-    const auto measure = [&](std::uint32_t node) {
-      ++measured;
-      const double squared = sight.squared_bound(nodes_[node], reach);
-      if (!may_be_below(nodes_[node], squared, reach) || skip(node, nodes_[node].box)) return kNone;
-      return std::uint64_t{std::bit_cast<std::uint32_t>(static_cast<float>(squared))} << 32 | node;
-    };
-    for (std::uint64_t entry = measure(0);;) {
-      if (entry == kNone) {
-        if (size == 0) return measured;
-        std::pop_heap(heap, heap + size, std::greater<>());
-        entry = heap[--size];
-      }
-      const auto index = static_cast<std::uint32_t>(entry);
-      const Node& node = nodes_[index];
-      const double squared = (1 - 1e-6) * std::bit_cast<float>(static_cast<std::uint32_t>(entry >> 32));
-      entry = kNone;
-      if (!may_be_below(node, squared, reach)) continue;
-      if (node.count > 0) {
-        for (std::uint32_t i = 0; i < node.count; ++i) visit(node.first + i, order_[node.first + i]);
-      } else if (size == kHeap) {
-        measured += visit_near(index, sight, reach, visit);
-      } else {
-        const std::uint64_t left = measure(index + 1), right = measure(node.first);
-        entry = std::min(left, right);
-        if (std::max(left, right) != kNone) {
-          heap[size++] = std::max(left, right);
-          std::push_heap(heap, heap + size, std::greater<>());
-        }
-        if (size > 0 && heap[0] < entry && entry != kNone) {  // another is nearer
-          std::pop_heap(heap, heap + size, std::greater<>());
-          std::swap(entry, heap[size - 1]);
-          std::push_heap(heap, heap + size, std::greater<>());
-        }
-      }
-    }
   }
 
   // Calls visit(slot, item) for the obstacles of every leaf whose bound(node, box) is below `limit`, least first; a
@@ -177,15 +136,7 @@ class Bvh {
   }
 
  private:
-  static constexpr std::size_t kHeap = 1024;
   static constexpr double kSlack = 1e-12;  // more than the roundings of a bound
-
-  struct Node {
-    Box box;
-    double depth;
-    std::uint32_t first;  // of the items of a leaf, or the right child; the left child follows its parent
-    std::uint32_t count;  // 0 for an inner node
-  };
 
   // What is measured from.
   struct Sight {

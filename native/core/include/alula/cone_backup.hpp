@@ -19,7 +19,7 @@
 #pragma once
 
 #include "alula/pruning.hpp"
-#include "alula/shield.hpp"
+#include "alula/shielded.hpp"
 #include "alula/wrench_program.hpp"
 
 namespace alula::flight {
@@ -66,6 +66,7 @@ class ConeBackup final : public SplatFilter {
   BackupPolicy policy_;
   ConeBackupOptions options_;
   Pruner pruner_;
+  RoomyEllipsoids roomy_;
   Shield shield_;
   BackupFlow flow_;
   WrenchProgram program_;

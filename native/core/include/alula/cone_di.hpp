@@ -2,6 +2,7 @@
 #pragma once
 
 #include <limits>
+#include <vector>
 
 #include "alula/acceleration_program.hpp"
 #include "alula/pruning.hpp"
@@ -66,6 +67,7 @@ class ConeDi final : public SplatFilter {
   ConeDiOptions options_;
   Pruner pruner_;
   AccelerationProgram program_;
+  std::vector<Cone> cones_;  // of the candidates of a tick
 };
 
 }  // namespace alula::flight

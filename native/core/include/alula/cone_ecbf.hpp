@@ -18,7 +18,7 @@
 #pragma once
 
 #include "alula/pruning.hpp"
-#include "alula/shield.hpp"
+#include "alula/shielded.hpp"
 #include "alula/wrench_program.hpp"
 
 namespace alula::flight {
@@ -68,6 +68,7 @@ class ConeEcbf final : public SplatFilter {
   BackupPolicy policy_;
   ConeEcbfOptions options_;
   Pruner pruner_;
+  RoomyEllipsoids roomy_;
   Shield shield_;
   WrenchProgram program_;
   double affine_zero_ = 0, affine_unit_ = 1;  // u_T'' of the variable

@@ -1,6 +1,8 @@
 // Exact signed distances of points and segments to one ellipsoid.
 #pragma once
 
+#include <span>
+
 #include "alula/vec3.hpp"
 
 namespace alula::geometry {
@@ -42,6 +44,14 @@ double signed_distance(const Ellipsoid& ellipsoid, Vec3 a, Vec3 b, double enough
 // so what Newton's iteration sees at each of its steps is a lower bound, and t has a closed form.
 double distance_below(Vec3 semi, Vec3 point, double enough);
 double distance_below(Vec3 semi, Vec3 start, Vec3 along, double enough);
+
+// The same of many, each to the same bits, four at a time and so in about a third of the time; of points where
+// along = 0.
+struct Sighted {
+  Vec3 semi, start, along;
+  double enough;
+};
+void distances_below(std::span<const Sighted> each, std::span<double> distance);
 
 // The signed distance of a point as signed_distance, with what a barrier on its square needs. The projection onto
 // the surface has the Jacobian diag(s) - u u^T / sum_i (s_i n_i^2) along the axes of the ellipsoid, with

@@ -8,9 +8,9 @@
 #include <span>
 #include <vector>
 
-#include "alula/bvh.hpp"
 #include "alula/clearance.hpp"
 #include "alula/ellipsoid.hpp"
+#include "alula/ellipsoid_tree.hpp"
 #include "alula/mat3.hpp"
 
 namespace alula {
@@ -52,7 +52,8 @@ class EllipsoidIndex {
   // The at most `count` ellipsoids nearest to the segment a..b of those nearer than `reach` to it, by distance, ties
   // by number. The distance is that of the ungrown set: of a point (a == b) exact and negative inside, of a segment
   // exact to 1e-9 of the reach. Those that a segment meets are at distance 0 and ordered by that of a, those not
-  // nearer than `reach` to a are left out. `found` is replaced.
+  // nearer than `reach` to a are left out. `found` is replaced; what it holds before is looked at first, which makes
+  // a query fast that is much like the last one and cannot change its result.
   QueryCost nearest(geometry::Vec3 a, geometry::Vec3 b, double reach, std::size_t count,
                     std::vector<Found>& found) const;
 
@@ -67,7 +68,7 @@ class EllipsoidIndex {
   template <class Bound, class Visit>
   void visit_least(std::vector<geometry::Bvh::Pending>& heap, const double& limit, Bound&& bound,
                    Visit&& visit) const {
-    tree_.visit_least(
+    halves_.visit_least(
         heap, limit,
         [&](std::uint32_t node, const geometry::Box& box) { return bound(box, double{shape_[node].ball}); },
         [&](std::uint32_t slot, std::uint32_t item) {
@@ -87,15 +88,11 @@ class EllipsoidIndex {
     float mean[3], scale[3], quat_wxyz[4];
   };
 
-  // Of the grown ellipsoids of a node: the longest semi-axis, and the sine of the largest angle between x and A x;
-  // and the largest ball of their losses.
-  struct Shape {
-    float longest, skew, ball;
-  };
-
-  template <class Accept, class Skip>
-  QueryCost search(geometry::Vec3 a, geometry::Vec3 b, double reach, std::size_t count, std::vector<Found>& found,
-                   Accept&& accept, Skip&& skip) const;
+  template <class Accept>
+  QueryCost search(const geometry::EllipsoidTree::Sight& sight, std::size_t count, std::vector<Found>& found,
+                   Accept&& accept) const;
+  // The ungrown ellipsoid and the segment a + t d along its axes, to be measured up to `enough`.
+  geometry::Sighted sighted(std::uint32_t slot, geometry::Vec3 a, geometry::Vec3 d, double enough) const;
   Level level(std::uint32_t slot) const { return level_.size() == 1 ? level_[0] : level_[slot]; }
   geometry::Ellipsoid at_slot(std::uint32_t slot) const;
 
@@ -118,16 +115,17 @@ class EllipsoidIndex {
     return reach > 0 && geometry::dot(to, to) < reach * reach * (1 - 1e-12);
   }
 
-  // Of the ungrown set to the segment a + t d, not above 0 where it meets that; anything above `enough` stands for
-  // one above it.
-  double distance_of(std::uint32_t slot, geometry::Vec3 a, geometry::Vec3 d, double enough) const;
+  // Of the ungrown set to a; anything above `enough` stands for one above it.
+  double distance_of(std::uint32_t slot, geometry::Vec3 a, double enough) const;
 
-  geometry::Bvh tree_;
-  std::vector<Shape> shape_;           // of a node
-  std::vector<GrownEllipsoid> grown_;  // of a slot
-  std::vector<std::uint32_t> slot_;    // of an item
-  std::vector<Row> row_;               // of a slot
-  std::vector<Level> level_;           // of a slot, or one for all
+  geometry::Bvh halves_;
+  std::vector<geometry::EllipsoidTree::Shape> shape_;  // of a node of halves_
+  geometry::EllipsoidTree tree_;                       // the same, for searches by distance
+  std::vector<GrownEllipsoid> grown_;                  // of a slot
+  std::vector<std::uint32_t> slot_;                    // of an item
+  std::vector<std::uint32_t> item_;                    // of a slot
+  std::vector<Row> row_;                               // of a slot
+  std::vector<Level> level_;                           // of a slot, or one for all
   double radius_;
 };
 

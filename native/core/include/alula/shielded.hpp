@@ -1,6 +1,10 @@
 // How the filters of a quadrotor end a tick, with or without a shield.
 #pragma once
 
+#include <memory>
+#include <utility>
+#include <vector>
+
 #include "alula/shield.hpp"
 
 namespace alula::flight {
@@ -20,6 +24,31 @@ inline GrownEllipsoid with_room(const GrownEllipsoid& e, double room) {
   covariance = (1 + 1 / p) * covariance + (1 + p) * room * room * geometry::identity();
   return {e.centre, inverse(covariance)};
 }
+
+// Those of an index, with room; what was asked for lately is remembered. One per thread.
+class RoomyEllipsoids {
+ public:
+  RoomyEllipsoids(std::shared_ptr<const EllipsoidIndex> index, double room)
+      : index_(std::move(index)), room_(room), last_(room > 0 ? kSize : 0) {}
+
+  const GrownEllipsoid& operator[](std::uint32_t item) {
+    if (last_.empty()) return index_->grown(item);
+    Entry& entry = last_[item % kSize];
+    if (entry.item != item) entry = {item, with_room(index_->grown(item), room_)};
+    return entry.grown;
+  }
+
+ private:
+  static constexpr std::size_t kSize = 1024;
+  struct Entry {
+    std::uint32_t item = ~std::uint32_t{0};
+    GrownEllipsoid grown;
+  };
+
+  std::shared_ptr<const EllipsoidIndex> index_;
+  double room_;
+  std::vector<Entry> last_;  // by number
+};
 
 inline bool is_usable(const FlightState& state, const Nominal& nominal) {
   return is_finite(state.x) && std::isfinite(state.thrust) && std::isfinite(state.thrust_rate) &&

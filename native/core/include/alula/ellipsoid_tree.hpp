@@ -1,0 +1,302 @@
+// The tree of `EllipsoidIndex`: four boxes or eight balls are looked at together, in single precision.
+//
+// Boxes and balls are rounded outward and every comparison is given more room than its roundings take, so nothing
+// that is near is passed over; a little that is not may be looked at.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cstdint>
+#include <vector>
+
+#include "alula/bvh.hpp"
+
+namespace alula::geometry {
+
+class EllipsoidTree {
+ public:
+  struct Ball {
+    Vec3 centre;
+    double radius;  // no point of the ellipsoid is farther from the centre
+  };
+
+  // Of the obstacles of a node: the longest semi-axis, the sine of the largest angle between x and A x, and the
+  // largest ball of their losses.
+  struct Shape {
+    float longest, skew, ball;
+  };
+
+  EllipsoidTree() = default;
+
+  // The same tree as `binary` with two levels in one; balls of slots, shapes of the nodes of `binary`. Leaves of at
+  // most 8.
+  EllipsoidTree(const Bvh& binary, const std::vector<Ball>& balls, const std::vector<Shape>& shapes);
+
+  // Where something is looked for: from a segment a + t d, 0 <= t <= 1, within some reach of it and `around` of a;
+  // when `ahead` only what one flying at a with the velocity v approaches or is in.
+  struct Sight {
+    Vec3 a, d;
+    double around;
+    bool ahead = false;
+    Vec3 v{};
+  };
+
+  struct Cost {
+    std::uint32_t nodes = 0, items = 0;  // boxes and balls looked at
+  };
+
+  // Calls visit(slot) for all whose balls, in boxes that, may be nearer than `reach`; nearer boxes first. `visit`
+  // may lower the reach.
+  template <class Visit>
+  Cost visit(const Sight& sight, const double& reach, Visit&& visit) const {
+    return nodes_.empty() ? Cost{} : search(Look(sight), reach, visit);
+  }
+
+ private:
+  using Floats = float __attribute__((vector_size(16)));
+  using Bits = std::int32_t __attribute__((vector_size(16)));
+  static constexpr std::uint32_t kNone = ~std::uint32_t{0}, kLeaf = std::uint32_t{1} << 31;
+  static constexpr float kFar = 1e18F;          // of what is not there
+  static constexpr float kRelative = 0x1p-16F;  // more than the roundings of a squared distance
+
+  struct Node {
+    std::array<Floats, 3> lower, upper;
+    Floats longest, skew;
+    std::array<std::uint32_t, 4> child;  // kNone, a node, or kLeaf and a leaf
+  };
+  struct Leaf {
+    std::array<Floats, 2> x, y, z, radius;
+  };
+  // A child behind the square of a bound, not below 0, as an integer of the same order.
+  using Entry = std::uint64_t;
+  static Entry entry_of(float squared, std::uint32_t child) {
+    return Entry{std::bit_cast<std::uint32_t>(std::max(0.0F, squared))} << 32 | child;
+  }
+  static float squared_of(Entry entry) { return std::bit_cast<float>(static_cast<std::uint32_t>(entry >> 32)); }
+  static std::uint32_t child_of(Entry entry) { return static_cast<std::uint32_t>(entry); }
+
+  static Floats all(double x) {
+    const auto f = static_cast<float>(x);
+    return Floats{f, f, f, f};
+  }
+  static Floats larger(Floats a, Floats b) { return a > b ? a : b; }
+  static Floats smaller(Floats a, Floats b) { return a < b ? a : b; }
+  static Floats clamped(Floats x, Floats low, Floats high) { return smaller(larger(x, low), high); }
+
+  struct Look {
+    std::array<Floats, 3> a, d, v;
+    Floats per_length2, room, drift, speed2;
+    double around, room_;
+    bool is_point, ahead;
+
+    explicit Look(const Sight& s) : around(s.around), is_point(dot(s.d, s.d) == 0), ahead(s.ahead) {
+      double size = 0;
+      for (int i = 0; i < 3; ++i) {
+        a[static_cast<std::size_t>(i)] = all(s.a[i]), d[static_cast<std::size_t>(i)] = all(s.d[i]);
+        v[static_cast<std::size_t>(i)] = all(s.v[i]);
+        size += std::abs(s.a[i]) + std::abs(s.d[i]);
+      }
+      room_ = 0x1p-20 * size;  // of a distance, for the roundings of a and d and of differences of coordinates
+      room = all(room_), drift = all(room_ * norm(s.v)), speed2 = all(dot(s.v, s.v) * (1 + 1e-6));
+      per_length2 = all(1 / dot(s.d, s.d));
+    }
+
+    float limit(double reach) const {
+      const double within = std::max(0.0, reach) + room_;
+      return static_cast<float>(within * within * (1 + 0x1p-15));
+    }
+
+    struct Tangent {
+      Floats value, slope;
+    };
+    Tangent tangent(Floats t, const std::array<Floats, 3>& low, const std::array<Floats, 3>& high) const {
+      Tangent result{all(0), all(0)};
+      for (std::size_t i = 0; i < 3; ++i) {
+        const Floats p = t * d[i], out = smaller(p - low[i], all(0)) + larger(p - high[i], all(0));
+        result.value += out * out, result.slope += out * d[i];
+      }
+      result.slope += result.slope;
+      return result;
+    }
+
+    // Lower bounds on the squared distances of four boxes to the segment; what cannot hold anything is marked.
+    Floats bounds(const Node& node, Bits& without) const {
+      std::array<Floats, 3> low, high;
+      for (std::size_t i = 0; i < 3; ++i) low[i] = node.lower[i] - a[i], high[i] = node.upper[i] - a[i];
+      const Tangent first = tangent(all(0), low, high);
+      const Floats cut = all(limit(around));
+      without = first.value > cut;
+      if (ahead) {
+        // All centres are farther than any semi-axis, so none is around a; and so far behind that A x, which is
+        // within the skew's angle of x, points backward for all of them.
+        Floats far2 = all(0), most = drift;
+        for (std::size_t i = 0; i < 3; ++i) {
+          const Floats far = larger(high[i], -low[i]);
+          far2 += far * far;
+          most += larger(low[i] * v[i], high[i] * v[i]);
+        }
+        const Floats longest = node.longest + room;
+        without |= (most < all(0)) & (first.value > longest * longest) &
+                   (most * most > node.skew * node.skew * far2 * speed2);
+      }
+      if (is_point) return first.value;
+      // A convex function: tangents bound it from below where they meet. Touched at the ends, where the segment
+      // passes the middle of the box, and by a secant step.
+      const Tangent last = tangent(all(1), low, high);
+      Floats t = all(0);
+      for (std::size_t i = 0; i < 3; ++i) t += (low[i] + high[i]) * d[i];
+      t = clamped(all(0.5) * t * per_length2, all(0), all(1));
+      Floats at_left = all(0), at_right = all(1);
+      Tangent left = first, right = last;
+      for (int step = 0; step < 2; ++step) {
+        if (step == 1)
+          t = clamped(at_left - left.slope * (at_right - at_left) / (right.slope - left.slope), at_left, at_right);
+        const Tangent middle = tangent(t, low, high);
+        const Bits falls = middle.slope < all(0);
+        at_left = falls ? t : at_left, at_right = falls ? at_right : t;
+        left.value = falls ? middle.value : left.value, left.slope = falls ? middle.slope : left.slope;
+        right.value = falls ? right.value : middle.value, right.slope = falls ? right.slope : middle.slope;
+      }
+      const Floats meet =
+          (right.value - left.value + left.slope * at_left - right.slope * at_right) / (left.slope - right.slope);
+      // Whichever way `meet` is off, one of them is below where they do.
+      const Floats between =
+          smaller(left.value + left.slope * (meet - at_left), right.value + right.slope * (meet - at_right)) -
+          all(kRelative) * (first.value + last.value);
+      const Floats inner = larger(between, all(0));
+      return first.slope >= all(0) ? first.value : last.slope <= all(0) ? last.value : inner;
+    }
+
+    // Balls that may be within `reach`.
+    Bits near(const Leaf& leaf, std::size_t half, Floats reach) const {
+      const Floats x = leaf.x[half] - a[0], y = leaf.y[half] - a[1], z = leaf.z[half] - a[2];
+      const Floats t = is_point ? all(0) : clamped((x * d[0] + y * d[1] + z * d[2]) * per_length2, all(0), all(1));
+      const Floats gx = x - t * d[0], gy = y - t * d[1], gz = z - t * d[2];
+      const Floats within = reach + leaf.radius[half];
+      return ~(gx * gx + gy * gy + gz * gz > within * within);
+    }
+  };
+
+  // What is still to be looked into, roughly by distance: a list for every 2^(1/8) of it. Order saves time only.
+  class Queue {
+   public:
+    explicit Queue(float limit) : top_(std::min(key(limit), key(16.0F))) { list_.fill(kEnd); }
+    bool has_room(std::uint32_t more) const { return size_ + more <= kRoom; }
+    void push(Entry entry) {
+      ++size_;
+      std::uint32_t at = free_;
+      if (at != kEnd) {
+        free_ = next_[at];
+      } else {
+        at = used_++;
+      }
+      const auto list = static_cast<std::size_t>(std::clamp(key(squared_of(entry)) - top_ + 63, 0, 63));
+      entry_[at] = entry, next_[at] = list_[list], list_[list] = at;
+      filled_ |= std::uint64_t{1} << list;
+    }
+    bool pop(Entry& entry) {
+      if (filled_ == 0) return false;
+      --size_;
+      const auto list = static_cast<std::size_t>(std::countr_zero(filled_));
+      const std::uint32_t at = list_[list];
+      entry = entry_[at], list_[list] = next_[at];
+      if (list_[list] == kEnd) filled_ &= filled_ - 1;
+      next_[at] = free_, free_ = at;
+      return true;
+    }
+
+   private:
+    static constexpr std::uint32_t kRoom = 1024, kEnd = kRoom;
+    static int key(float squared) { return static_cast<int>(std::bit_cast<std::uint32_t>(squared) >> 21); }
+
+    int top_;
+    std::uint64_t filled_ = 0;
+    std::uint32_t size_ = 0, used_ = 0, free_ = kEnd;
+    std::array<std::uint32_t, 64> list_;
+    std::array<std::uint32_t, kRoom> next_;
+    std::array<Entry, kRoom> entry_;
+  };
+
+  template <class Visit>
+  Cost search(const Look& look, const double& reach, Visit&& visit) const {
+    Queue queue(look.limit(reach));
+    Cost cost;
+    queue.push(entry_of(0, 0));
+    double known = reach;
+    float limit = look.limit(known);
+    for (Entry entry; queue.pop(entry);) {
+      if (reach != known) known = reach, limit = look.limit(known);
+      if (squared_of(entry) > limit) continue;
+      const std::uint32_t child = child_of(entry);
+      if (child >= kLeaf) {
+        look_into(child & ~kLeaf, look, reach, visit, cost);
+      } else if (!queue.has_room(4)) {
+        descend(entry, look, reach, visit, cost);
+      } else {
+        std::array<Entry, 4> near;
+        std::size_t count = 0;
+        for_children(child, look, reach, cost, [&](Entry each) {
+          std::size_t at = count++;
+          for (; at > 0 && near[at - 1] < each; --at) near[at] = near[at - 1];
+          near[at] = each;
+        });
+        for (std::size_t i = 0; i < count; ++i) queue.push(near[i]);
+      }
+    }
+    return cost;
+  }
+
+  template <class Visit>
+  void descend(Entry root, const Look& look, const double& reach, Visit&& visit, Cost& cost) const {
+    std::array<Entry, 256> stack;  // each level leaves at most three
+    std::size_t top = 0;
+    stack[top++] = root;
+    while (top > 0) {
+      const Entry entry = stack[--top];
+      if (squared_of(entry) > look.limit(reach)) continue;
+      if (child_of(entry) >= kLeaf) {
+        look_into(child_of(entry) & ~kLeaf, look, reach, visit, cost);
+        continue;
+      }
+      const std::size_t begin = top;
+      for_children(child_of(entry), look, reach, cost, [&](Entry each) {
+        std::size_t at = top++;
+        for (; at > begin && stack[at - 1] < each; --at) stack[at] = stack[at - 1];
+        stack[at] = each;
+      });
+    }
+  }
+
+  template <class Each>
+  void for_children(std::uint32_t index, const Look& look, double reach, Cost& cost, Each&& each) const {
+    const Node& node = nodes_[index];
+    Bits without;
+    const Floats squared = look.bounds(node, without);
+    without |= squared > all(look.limit(reach));
+    for (std::size_t i = 0; i < 4 && node.child[i] != kNone; ++i) {
+      ++cost.nodes;
+      if (!without[i]) each(entry_of(squared[i], node.child[i]));
+    }
+  }
+
+  template <class Visit>
+  void look_into(std::uint32_t index, const Look& look, double reach, Visit&& visit, Cost& cost) const {
+    const std::uint32_t first = first_[index], count = first_[index + 1] - first;
+    const Leaf& leaf = leaves_[index];
+    const Floats within = all((std::max(0.0, reach) + look.room_) * (1 + 0x1p-15));
+    const std::array<Bits, 2> near{look.near(leaf, 0, within), look.near(leaf, 1, within)};
+    cost.items += count;
+    for (std::uint32_t i = 0; i < count; ++i)
+      if (near[i / 4][i % 4]) visit(first + i);
+  }
+
+  std::uint32_t build(const Bvh& binary, std::uint32_t at, const std::vector<Ball>& balls,
+                      const std::vector<Shape>& shapes);
+
+  std::vector<Node> nodes_;
+  std::vector<Leaf> leaves_;
+  std::vector<std::uint32_t> first_;  // slot of a leaf, and one past the last
+};
+
+}  // namespace alula::geometry
