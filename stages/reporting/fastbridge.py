@@ -302,7 +302,7 @@ def flight_table(sweeps: Sequence[Sweep], name: str, title: str, *, published: b
 def _published_flight() -> tuple[Any, ...]:
     f = FASTBRIDGE["flight"]
     return (
-        *("published, on hardware", "cone-backup", None, 1, None, None, None, 0, f["min_clearance_m"]),
+        *("published (hardware)", "cone-backup", None, 1, None, None, None, 0, f["min_clearance_m"]),
         *(f["loop_max_us"], f["loop_p99_us"], f["loop_mean_us"], None, f["overruns"], f["ticks"]),
         *(f["feasible"], f["infeasible"], None, None, f["mean_speed_m_s"], f["max_speed_m_s"], None),
     )
