@@ -44,7 +44,7 @@ def random_case(rng):
     return scene, x, wrench, HOVER + 0.5 * rng.normal(), rng.normal()
 
 
-def rows_of(scene, x, thrust, rate, lambda_=14.0, most=40.0):
+def rows_of(scene, x, thrust, rate, lambda_=14.0, most=40.0, min_speed=0.8):
     """Rows over (u_T'', tau) of what the filter finds near."""
     speed = np.linalg.norm(x[6:9])
     reach = max(0.5, speed**2 / 12 + 0.3 * speed + scene.radius)
@@ -54,17 +54,17 @@ def rows_of(scene, x, thrust, rate, lambda_=14.0, most=40.0):
     for i in items:
         r, a = centres[i] - x[:3], matrices[i]
         inside = r @ a @ r < 1
-        if r @ a @ x[6:9] < 0 and not inside:
+        if r @ a @ x[6:9] < 0 and not inside and speed >= min_speed:
             continue
         at = {"thrust": thrust, "thrust_rate": rate, "centre": centres[i], "a": a}
         psi = _core.snap_rows(VEHICLE, x, rate=0.0, **at)["psi"]  # h, h', h''
         beta, _, delta, h = filters.cone(centres[i], a, x[:3], x[6:9])
         pole = _core.ecbf_pole(*psi, lambda_, most) if h > 0 else np.clip(8 * beta / delta, lambda_, most)
         record = _core.snap_rows(VEHICLE, x, rate=pole, **at)
-        escape = _core.snap_rows(VEHICLE, x, rate=4.0, **at)
+        escape = _core.snap_rows(VEHICLE, x, rate=5.0, **at)
         rows.append(
             (escape["escape_row"], escape["escape_bound"])
-            if inside
+            if inside or speed < min_speed
             else (record["ecbf_row"], record["ecbf_bound"])
         )
     return rows

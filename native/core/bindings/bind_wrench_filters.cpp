@@ -122,15 +122,16 @@ void bind_filters(nb::module_& m) {
       .def(
           "__init__",
           [](ConeEcbf* self, const BackupPolicy& policy, Index index, double lambda, double lambda_max,
-             double return_time, double escape_rate, const std::string& cascade, double bandwidth, double damping,
-             double max_rate, double least_thrust, double lateral_bias, double clf_weight, double clf_rate,
-             double clf_kp, double clf_kv, bool shield, double room_m, bool try_nominal,
-             const ShieldOptions& shield_options, const Pruning& pruning, nb::object qp_backend) {
+             double return_time, double escape_rate, double min_speed_m_s, const std::string& cascade,
+             double bandwidth, double damping, double max_rate, double least_thrust, double lateral_bias,
+             double clf_weight, double clf_rate, double clf_kp, double clf_kv, bool shield, double room_m,
+             bool try_nominal, const ShieldOptions& shield_options, const Pruning& pruning, nb::object qp_backend) {
             new (self) ConeEcbf(policy, std::move(index),
                                 {.lambda = lambda,
                                  .lambda_max = lambda_max,
                                  .return_time = return_time,
                                  .escape_rate = escape_rate,
+                                 .min_speed_m_s = min_speed_m_s,
                                  .cascade = cascade_of(cascade),
                                  .thrust_bandwidth_rad_s = bandwidth,
                                  .thrust_damping = damping,
@@ -146,17 +147,18 @@ void bind_filters(nb::module_& m) {
                                 qp_solver(std::move(qp_backend)));
           },
           "policy"_a, "index"_a, nb::kw_only(), "lambda_"_a = e.lambda, "lambda_max"_a = e.lambda_max,
-          "return_time"_a = e.return_time, "escape_rate"_a = e.escape_rate, "cascade"_a = "extension",
-          "thrust_bandwidth_rad_s"_a = e.thrust_bandwidth_rad_s, "thrust_damping"_a = e.thrust_damping,
-          "max_thrust_rate_n_s"_a = e.max_thrust_rate_n_s, "least_thrust"_a = e.least_thrust,
-          "lateral_bias"_a = e.lateral_bias, "clf_weight"_a = e.tracking.weight, "clf_rate"_a = e.tracking.rate,
-          "clf_kp"_a = e.tracking.kp, "clf_kv"_a = e.tracking.kv, "shield"_a = e.shielded, "room_m"_a = e.room_m,
-          "try_nominal"_a = e.try_nominal, "shield_options"_a = ShieldOptions{}, "pruning"_a = Pruning{},
-          "qp_backend"_a = nb::none(),
+          "return_time"_a = e.return_time, "escape_rate"_a = e.escape_rate, "min_speed_m_s"_a = e.min_speed_m_s,
+          "cascade"_a = "extension", "thrust_bandwidth_rad_s"_a = e.thrust_bandwidth_rad_s,
+          "thrust_damping"_a = e.thrust_damping, "max_thrust_rate_n_s"_a = e.max_thrust_rate_n_s,
+          "least_thrust"_a = e.least_thrust, "lateral_bias"_a = e.lateral_bias, "clf_weight"_a = e.tracking.weight,
+          "clf_rate"_a = e.tracking.rate, "clf_kp"_a = e.tracking.kp, "clf_kv"_a = e.tracking.kv,
+          "shield"_a = e.shielded, "room_m"_a = e.room_m, "try_nominal"_a = e.try_nominal,
+          "shield_options"_a = ShieldOptions{}, "pruning"_a = Pruning{}, "qp_backend"_a = nb::none(),
           "lambda_: triple pole of the rows [1/s], moved left up to lambda_max when a row starts beyond its safe "
           "set;\n"
           "return_time: pole of a row with h < 0, times the time to its ellipsoid;\n"
-          "escape_rate: pole of the rows of ellipsoids around the vehicle; cascade: 'extension' (the variable is\n"
+          "escape_rate: pole of the rows on gamma, of all ellipsoids below min_speed_m_s; cascade: 'extension' (the "
+          "variable is\n"
           "T''/m) or 'difference' (T); thrust_*: how T follows the nominal; max_thrust_rate_n_s: of |T'|;\n"
           "least_thrust: share of hover; lateral_bias: torque of a head-on nominal, share of the largest;\n"
           "clf_*: soft row on tracking errors, off at weight 0; shield: return only inputs after which a safe\n"

@@ -35,8 +35,9 @@ ConeEcbf::ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIn
     if (!holds) throw std::invalid_argument(what);
   };
   require(o.lambda > 0 && o.lambda_max >= o.lambda && std::isfinite(o.lambda_max) && o.escape_rate > 0 &&
-              o.return_time >= 0,
-          "poles of the cone filter need 0 < lambda <= lambda_max a positive escape rate and a return time");
+              o.return_time >= 0 && o.min_speed_m_s >= 0 && std::isfinite(o.min_speed_m_s),
+          "poles of the cone filter need 0 < lambda <= lambda_max, a positive escape rate, a return time and a least "
+          "speed");
   require(o.thrust_bandwidth_rad_s > 0 && o.thrust_bandwidth_rad_s * o.shield.tick_s < 1,
           "the bandwidth of the thrust times the tick must lie between 0 and 1");
   require(o.thrust_damping > 0 && o.max_thrust_rate_n_s > 0 && o.least_thrust >= 0 && o.least_thrust < 1,
@@ -47,8 +48,14 @@ ConeEcbf::ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIn
           "bias and weight must not be negative, and rate and gains of the tracking row positive");
 }
 
+double ConeEcbf::pole(const Cone& c, const ConeRates& d) const {
+  const ConeEcbfOptions& o = options_;
+  if (c.h > 0) return ecbf_pole(c.h, d.h1, d.h2, o.lambda, o.lambda_max);
+  return std::clamp(o.return_time * c.beta / c.delta, o.lambda, o.lambda_max);
+}
+
 // Whether some ellipsoid is met head-on.
-bool ConeEcbf::add_rows(const FlightState& state, const SnapMap& map, std::span<const Found> near,
+bool ConeEcbf::add_rows(const FlightState& state, const SnapMap& map, std::span<const Found> near, bool moves,
                         FilterReport& report, bool& inside) {
   bool head_on = false;
   for (const Found& found : near) {
@@ -56,12 +63,11 @@ bool ConeEcbf::add_rows(const FlightState& state, const SnapMap& map, std::span<
     const Cone c = collision_cone(e, state.x.p, state.x.v);
     const ConeRates d = cone_rates(e, c, map.acceleration, map.jerk);
     inside = inside || c.is_inside();
-    head_on = head_on || is_head_on(c);
-    report.margin = std::min(report.margin, c.h);
-    const double pole =
-        c.h > 0 ? ecbf_pole(c.h, d.h1, d.h2, options_.lambda, options_.lambda_max)
-                : std::clamp(options_.return_time * c.beta / c.delta, options_.lambda, options_.lambda_max);
-    const SnapRow snap = c.is_inside() ? snap_escape_row(c, d, map, options_.escape_rate) : ecbf_row(c, d, map, pole);
+    head_on = head_on || (moves && is_head_on(c));
+    const bool on_gamma = !moves || c.is_inside();
+    report.margin = std::min(report.margin, on_gamma ? c.gamma : c.h);
+    const SnapRow snap =
+        on_gamma ? snap_escape_row(c, d, map, options_.escape_rate) : ecbf_row(c, d, map, pole(c, d));
     program_.add({{snap.row[0] * affine_unit_, snap.row[1], snap.row[2], snap.row[3]},
                   snap.bound - snap.row[0] * affine_zero_},
                  found.item);
@@ -79,7 +85,8 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
   const double m = vehicle.mass(), dt = o.shield.tick_s;
   const double u = state.thrust / m, u1 = state.thrust_rate / m;
   const bool extends = o.cascade == ThrustCascade::extension;
-  const std::span<const Found> near = pruner_.near(state.x.p, state.x.v, true, report);
+  const bool moves = geometry::norm(state.x.v) >= o.min_speed_m_s;
+  const std::span<const Found> near = pruner_.near(state.x.p, state.x.v, moves, report);
   const SnapMap map = snap_map(vehicle, state);
 
   // z is the variable: u_T'' = affine_zero + affine_unit z, T = zero + unit z.
@@ -105,7 +112,7 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
   thrust_row(1, o.least_thrust * vehicle.hover_thrust());
   if (extends) rate_row(1), rate_row(-1);
   bool inside = false;
-  const bool head_on = add_rows(state, map, near, report, inside);
+  const bool head_on = add_rows(state, map, near, moves, report, inside);
   program_.track(o.tracking, nominal, map.per_thrust, vehicle.gravity());
 
   const auto end = [&](const Wrench& wrench, double rate, SplatFilterStatus status) {

@@ -88,7 +88,7 @@ int main() {
   CHECK(std::isfinite(odd[0].state.back()));
   rules.upper = {9, 9, 2};
   const Wrong full(1e6);
-  const auto up = fly(vehicle, rules, references, &full, 0, 0, 2, control);
+  const auto up = fly(vehicle, rules, references, &full, nullptr, 0, 0, 2, control);
   CHECK(up[0].outcome == Outcome::refused);
   CHECK(up[0].state[up[0].state.size() - 10] > 2);
 
@@ -97,12 +97,12 @@ int main() {
   point.kind = PlantKind::double_integrator;
   bool refused = false;
   try {
-    fly(point, {}, references, &full, 0, 0, 2, control);
+    fly(point, {}, references, &full, nullptr, 0, 0, 2, control);
   } catch (const std::invalid_argument&) {
     refused = true;
   }
   CHECK(refused);
-  const auto exact = fly(point, {}, references, &cone, 0, 0, 2, control);
+  const auto exact = fly(point, {}, references, &cone, nullptr, 0, 0, 2, control);
   for (double error : exact[0].a_error) CHECK(error == 0);
   return alula_failures != 0;
 }

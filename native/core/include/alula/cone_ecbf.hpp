@@ -14,6 +14,10 @@
 // delta / beta to the ellipsoid: it ends near the surface, so the index should be grown by more than the shield's
 // radius.
 //
+// Slowly h says little: it is of second degree in v, so beside an obstacle its rows brake to a stop, and what holds
+// them changes from tick to tick. Below `min_speed_m_s` all rows are those on gamma, (d/dt + k)^4 gamma >= 0 with the
+// `escape_rate` k, of every ellipsoid near and not only of those ahead: the vehicle slides along what is in its way.
+//
 // Source: Tscholl, Nakka, Gunter 2026 (FastBridge), section III-D; `difference` is its finite-difference cascade.
 #pragma once
 
@@ -34,7 +38,8 @@ struct ConeEcbfOptions {
   // faster turns later than the rotors can head-on at speed, and the shield stops the vehicle.
   double lambda = 14, lambda_max = 40;
   double return_time = 8;  // pole of a row with h < 0 times the time to its ellipsoid, within lambda and lambda_max
-  double escape_rate = 4;  // pole of the rows of ellipsoids around the vehicle [1/s]
+  double escape_rate = 5;  // pole of the rows on gamma [1/s]
+  double min_speed_m_s = 0.8;
   ThrustCascade cascade = ThrustCascade::extension;
   double thrust_bandwidth_rad_s = 30;  // w
   double thrust_damping = 1;           // zeta
@@ -62,8 +67,9 @@ class ConeEcbf final : public SplatFilter {
   const ConeEcbfOptions& options() const { return options_; }
 
  private:
-  bool add_rows(const FlightState& state, const SnapMap& map, std::span<const Found> near, FilterReport& report,
-                bool& inside);
+  double pole(const Cone& c, const ConeRates& d) const;  // of the row of an ellipsoid ahead
+  bool add_rows(const FlightState& state, const SnapMap& map, std::span<const Found> near, bool moves,
+                FilterReport& report, bool& inside);
 
   BackupPolicy policy_;
   ConeEcbfOptions options_;
