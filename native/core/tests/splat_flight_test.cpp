@@ -66,15 +66,15 @@ int main() {
   std::vector<ReferenceCurve> references;
   for (int i = 0; i < 6; ++i) references.push_back(reference(0.2 * i));
 
-  const auto one = fly(vehicle, {}, references, &cone, 0, 0, 1, control);
-  const auto many = fly(vehicle, {}, references, &cone, 0, 0, 4, control);
+  const auto one = fly(vehicle, {}, references, &cone, nullptr, 0, 0, 1, control);
+  const auto many = fly(vehicle, {}, references, &cone, nullptr, 0, 0, 4, control);
   for (std::size_t i = 0; i < one.size(); ++i) {
     CHECK(same(one[i], many[i]));
     CHECK(one[i].position.size() == 3 * (10 * one[i].ticks() + 1));
   }
   CHECK(one[5].outcome == Outcome::reached);
 
-  const auto plain = fly(vehicle, {}, references, nullptr, 0, 0, 2, control);
+  const auto plain = fly(vehicle, {}, references, nullptr, nullptr, 0, 0, 2, control);
   CHECK(plain[0].outcome == Outcome::reached);
   CHECK(least_gamma(*index, plain[0].position) < 0);  // straight through the first ellipsoid
   CHECK(!same(plain[0], one[0]));
@@ -83,7 +83,7 @@ int main() {
   FlightRules rules;
   rules.max_time_s = 0.5;
   const Wrong nan(std::numeric_limits<double>::quiet_NaN());
-  const auto odd = fly(vehicle, rules, references, &nan, 0, 0, 2, control);
+  const auto odd = fly(vehicle, rules, references, &nan, nullptr, 0, 0, 2, control);
   CHECK(odd[0].outcome == Outcome::timeout);
   CHECK(std::isfinite(odd[0].state.back()));
   rules.upper = {9, 9, 2};
