@@ -1,6 +1,7 @@
 #include "alula/shield.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <stdexcept>
 #include <utility>
@@ -16,6 +17,43 @@ using geometry::multiply;
 using geometry::norm;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kStep = 0.01;      // of RK4 at most [s],
+constexpr double kTurn = 0.1;       // and [rad]
+constexpr double kTurnPerTick = 1;  // more than that and holding an input for a tick means nothing
+constexpr int kSquarings = 13;      // of the loop's matrix: it must have decayed in so many ticks, to base 2
+
+// Whether the policy, held tick by tick, is stable about hover.
+bool is_stable(const Shield& shield) {
+  // Of sigma, v, omega; without a spring on the heading that stays where it is, and moves nothing else.
+  constexpr std::size_t n = 9;
+  constexpr double step = 1e-6;
+  const BackupPolicy& policy = shield.policy();
+  const auto at = [](State& x, std::size_t i) -> double& {
+    return (i < 3 ? x.sigma : i < 6 ? x.v : x.omega)[static_cast<int>(i % 3)];
+  };
+  std::array<std::array<double, n>, n> loop{};
+  for (std::size_t j = 0; j < n; ++j) {
+    State above, below;
+    at(above, j) = step, at(below, j) = -step;
+    above = shield.after(above, policy(above)), below = shield.after(below, policy(below));
+    for (std::size_t i = 0; i < n; ++i) loop[i][j] = (at(above, i) - at(below, i)) / (2 * step);
+  }
+  if (policy.kind() != BackupKind::hover)
+    for (std::size_t i = 0; i < n; ++i) loop[i][2] = loop[2][i] = 0;
+  double size = 0;
+  for (int k = 0; k < kSquarings; ++k) {
+    const auto once = loop;
+    size = 0;
+    for (std::size_t i = 0; i < n; ++i)
+      for (std::size_t j = 0; j < n; ++j) {
+        loop[i][j] = 0;
+        for (std::size_t l = 0; l < n; ++l) loop[i][j] += once[i][l] * once[l][j];
+        size = std::max(size, std::abs(loop[i][j]));
+      }
+    if (!(size < 1e100)) return false;
+  }
+  return size < 1;
+}
 
 }  // namespace
 
@@ -35,6 +73,9 @@ Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex>
           "an escape must fit into the shield's longest time");
   require(o.rest_speed_m_s > 0 && o.rest_rate_rad_s > 0 && o.rest_tilt_rad > 0 && o.rest_drift_m > 0,
           "the tolerances of rest must be positive");
+  require(is_stable(*this),
+          "the backup policy is not stable when it is held for a tick: its gains are too high for "
+          "this body and tick");
   path_.reserve(static_cast<std::size_t>(o.max_time_s / o.tick_s) + 3);
   found_.reserve(4);
 }
@@ -43,8 +84,10 @@ int Shield::hold_ticks() const { return static_cast<int>(std::lround(options_.es
 
 State Shield::after(const State& x, const Wrench& u) const {
   State y = x;
-  const double h = options_.tick_s / options_.substeps;
-  for (int i = 0; i < options_.substeps; ++i) y = policy_.vehicle().step(y, u, h);
+  const double needed = std::max(options_.tick_s / kStep * (1 - 1e-9), norm(x.omega) * options_.tick_s / kTurn);
+  const int steps = std::max(options_.substeps, static_cast<int>(std::ceil(std::min(needed, 100.0))));
+  const double h = options_.tick_s / steps;
+  for (int i = 0; i < steps; ++i) y = policy_.vehicle().step(y, u, h);
   y.sigma = shadowed(y.sigma);
   return y;
 }
@@ -55,15 +98,18 @@ bool Shield::resting(const State& x) const {
   if (dot(x.omega, x.omega) > o.rest_rate_rad_s * o.rest_rate_rad_s) return false;
   const Vec3 b = thrust_axis(x.sigma);
   if (!(b.z > 0) || b.x * b.x + b.y * b.y > o.rest_tilt_rad * o.rest_tilt_rad) return false;
-  const Vec3 drift = policy_.drift(x);
-  return dot(drift, drift) <= o.rest_drift_m * o.rest_drift_m;
+  // With a spring on the heading only the one that it pulls to is a rest.
+  if (policy_.kind() == BackupKind::hover && !(4 * std::abs(x.sigma.z) <= o.rest_tilt_rad)) return false;
+  return policy_.sway(x) <= o.rest_drift_m;
 }
 
 // Fills the path; false when it does not come to rest in time.
 bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time) {
   const Quadrotor& vehicle = policy_.vehicle();
   const double h = options_.tick_s;
-  const int before = first != nullptr ? 1 : 0, ticks = static_cast<int>(options_.max_time_s / h);
+  // What is accepted rests a little early, so that small differences of plan and flight do not take it back.
+  const int before = first != nullptr ? 1 : 0, most = static_cast<int>(options_.max_time_s / h),
+            ticks = first != nullptr ? most - most / 8 : most;
   path_.clear();
   path_.push_back({x.p, 0, 0});
   State now = x;
@@ -77,15 +123,16 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
     const Wrench u = is_first ? *first : policy_(now, manoeuvre.at(tick - before));
     const State next = after(now, u);
     // |v'| within the tick: its value at the start, and the thrust axis turning by at most |omega| h.
+    if (!(norm(now.omega) * h <= kTurnPerTick)) return false;
     const double thrust = std::abs(u.thrust) / vehicle.mass();
     const Vec3 start = thrust * thrust_axis(now.sigma) - vehicle.gravity() * e3;
     const Vec3 spin_up =
         divide(u.torque - cross(now.omega, multiply(vehicle.inertia(), now.omega)), vehicle.inertia());
     const double rate = std::max(norm(now.omega), norm(next.omega)) + h * norm(spin_up);
-    const double most = norm(start) + thrust * rate * h;
+    const double change = norm(start) + thrust * rate * h;
     const double next_speed = norm(next.v);
-    const double length = h * (speed + next_speed) / 2 + most * h * h / 4;
-    path_.push_back({next.p, path_.back().arc + length, most * h * h / 8});
+    const double length = h * (speed + next_speed) / 2 + change * h * h / 4;
+    path_.push_back({next.p, path_.back().arc + length, change * h * h / 8});
     now = next, speed = next_speed;
     if (!std::isfinite(path_.back().arc)) return false;
   }
