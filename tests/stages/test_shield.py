@@ -324,3 +324,28 @@ def test_where_nothing_is_safe_the_least_bad_is_flown_and_said():
         assert not report["certified"]
         np.testing.assert_array_equal(report["wrench"], policy(x))
     assert scene.radius == RADIUS
+
+
+def test_a_rest_inside_the_margin_can_be_left_but_not_towards_the_wall():
+    """Where a manoeuvre's last drift ends no path keeps the whole margin: what flies away is accepted all the same."""
+    scene = wall_scene()
+    policy = _core.BackupPolicy(VEHICLE, "brake")
+    for clearance in (0.019, 0.0145, 0.012):
+        start = moving((0, 0, 0), (3 - 0.02 - RADIUS - clearance, 0, 0))
+        for sign in (-1, 1):
+            flown = _core.ConeBackup(policy, scene.index)
+            flight = Flight(
+                scene,
+                VEHICLE,
+                flown,
+                start,
+                lambda tick, x, sign=sign: attitude_controlled(
+                    VEHICLE, x, 2 * (np.array([0.5 * sign, 0, 0]) - x[6:9]) - [0, 0, 2 * x[2]]
+                ),
+                150,
+            )
+            assert all(report["certified"] for report in flight.reports)
+            assert flight.clearance >= 0.01
+            if sign < 0:
+                assert flight.state[0] < start[0] - 0.2
+                assert flight.count(BACKUP) < 20

@@ -58,7 +58,7 @@ bool is_stable(const Shield& shield) {
 }  // namespace
 
 Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index, const ShieldOptions& options)
-    : policy_(policy), index_(std::move(index)), options_(options) {
+    : policy_(policy), index_(std::move(index)), options_(options), rest_drift_(options.rest_drift_m) {
   const ShieldOptions& o = options_;
   const auto require = [](bool holds, const char* what) {
     if (!holds) throw std::invalid_argument(what);
@@ -100,7 +100,7 @@ bool Shield::resting(const State& x) const {
   if (!(b.z > 0) || b.x * b.x + b.y * b.y > o.rest_tilt_rad * o.rest_tilt_rad) return false;
   // With a spring on the heading only the one that it pulls to is a rest.
   if (policy_.kind() == BackupKind::hover && !(4 * std::abs(x.sigma.z) <= o.rest_tilt_rad)) return false;
-  return policy_.sway(x) <= o.rest_drift_m;
+  return policy_.sway(x) <= rest_drift_;
 }
 
 // Fills the path; false when it does not come to rest in time.
@@ -192,13 +192,25 @@ void Shield::find_escapes(const State& x, std::span<const Found> near) {
   escapes_.count = std::min(escapes_.count, static_cast<std::size_t>(options_.escape_tries));
 }
 
+// Whether a manoeuvre is safe after a tick of u. A rest may have drifted into the margin, where no path that begins
+// there keeps it: then one that stays about as far away as now, and drifts hardly at all when it rests, will do.
+bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre) {
+  const double kept = options_.margin_m / 2, least = options_.rest_drift_m / 40, radius = index_->radius();
+  const double here = is_finite(x) ? index_->clearance(x.p, radius + options_.margin_m, hint_) - radius : kInfinity;
+  if (here >= options_.margin_m) return certify(x, manoeuvre, options_.margin_m, &u).safe;
+  rest_drift_ = least;
+  const bool safe = certify(x, manoeuvre, std::max(kept, here - 4 * least) + 2 * least, &u).safe;
+  rest_drift_ = options_.rest_drift_m;
+  return safe;
+}
+
 // Whether resting, or else the committed manoeuvre, is safe after a tick of u; it becomes `next_`.
 bool Shield::accept(const State& x, const Wrench& u) {
   next_ = {};
-  if (certify(x, next_, options_.margin_m, &u).safe) return true;
+  if (is_safe_after(x, u, next_)) return true;
   if (!policy_.escapes() || committed_.ticks == 0) return false;
   next_ = committed_;
-  return certify(x, next_, options_.margin_m, &u).safe;
+  return is_safe_after(x, u, next_);
 }
 
 // The same, or else a new escape.
@@ -208,7 +220,7 @@ bool Shield::accept_escaping(const State& x, const Wrench& u, std::span<const Fo
   find_escapes(x, near);
   for (std::size_t i = 0; i < escapes_.count; ++i) {
     next_ = {escapes_.velocity[i], hold_ticks()};
-    if (certify(x, next_, options_.margin_m, &u).safe) return true;
+    if (is_safe_after(x, u, next_)) return true;
   }
   return false;
 }

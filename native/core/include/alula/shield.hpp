@@ -88,6 +88,7 @@ class Shield {
   bool roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time);
   bool resting(const State& x) const;
   bool march(double distance, bool thorough, double& least);
+  bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre);
   bool accept(const State& x, const Wrench& u);
   bool accept_escaping(const State& x, const Wrench& u, std::span<const Found> near);
   void settle(const State& x, std::span<const Found> near, FilterReport& report);
@@ -97,6 +98,7 @@ class Shield {
   BackupPolicy policy_;
   std::shared_ptr<const EllipsoidIndex> index_;
   ShieldOptions options_;
+  double rest_drift_;
   std::vector<Tick> path_;
   std::vector<Found> found_;
   std::uint32_t hint_ = 0;
