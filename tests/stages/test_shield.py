@@ -327,7 +327,7 @@ def test_where_nothing_is_safe_the_least_bad_is_flown_and_said():
 
 
 def test_a_rest_inside_the_margin_can_be_left_but_not_towards_the_wall():
-    """Where a manoeuvre's last drift ends no path keeps the whole margin: what flies away is accepted all the same."""
+    """Where a last drift ends no path keeps the whole margin; what flies away is accepted all the same."""
     scene = wall_scene()
     policy = _core.BackupPolicy(VEHICLE, "brake")
     for clearance in (0.019, 0.0145, 0.012):
