@@ -114,6 +114,88 @@ def test_the_margin_is_kept_to_the_wall():
     assert 0.02 - 0.01 <= scene.clearance(positions) < 0.02 + 0.06  # steps of 5 cm
 
 
+def swinging(rng, yaw):
+    """A slow, nearly level state; sigma = tan(yaw / 4) e3 composed with a small tilt in the body's axes."""
+    a, b = 0.0249 * rng.normal(size=2) * np.exp(rng.uniform(-4, 0))
+    q0, q1 = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]), np.array([1, a, b, 0])
+    w = q0[0] * q1[0] - q0[1:] @ q1[1:]
+    v = q0[0] * q1[1:] + q1[0] * q0[1:] + np.cross(q0[1:], q1[1:])
+    sigma = v / (w + np.sqrt(w * w + v @ v))
+    speed, rate = np.exp(rng.uniform(-4, 0, 2))
+    return np.array([0, 0, 0, *sigma, *0.05 * speed * rng.normal(size=3), *0.1 * rate * rng.normal(size=3)])
+
+
+@pytest.mark.parametrize("kind", ["hover", "heading-invariant", "brake"])
+@pytest.mark.parametrize("tick", [0.01, 0.05])
+def test_what_counts_as_rest_stays_within_half_the_margin(kind, tick):
+    """Also where the drift is nothing because the vehicle swings out and back, and with any heading."""
+    shield, policy = shield_of(empty_scene(), kind, tick_s=tick), _core.BackupPolicy(VEHICLE, kind)
+    rng, rests = np.random.default_rng(1), 0
+    for _ in range(3000):
+        yaw = rng.uniform(-3.1, 3.1) * (np.exp(rng.uniform(-6, 0)) if kind == "hover" else 1)
+        x = swinging(rng, yaw)
+        got = shield.certify(x)
+        if not got["safe"] or got["time_s"] > 0:
+            continue
+        rests += 1
+        for _ in range(round(1.0 / tick)):
+            x = np.array(shield.after(x, tuple(policy(x))))
+            assert np.linalg.norm(x[:3]) < 0.01
+        if rests == 25:
+            break
+    assert rests > 10
+
+
+def test_to_hover_turned_away_is_no_rest():
+    """The regulator's spring on the heading makes it turn, and sway meanwhile."""
+    turned = np.array([0, 0, 0, 0, 0, np.tan(3 / 4), 0, 0, 0, 0, 0, 0])
+    assert shield_of(empty_scene(), "hover").certify(turned)["time_s"] > 0.5
+    assert shield_of(empty_scene(), "heading-invariant").certify(turned)["time_s"] == 0
+
+
+def test_a_policy_too_quick_for_the_tick_is_refused():
+    """Gains for half a kilogram on a body of 29 g: stable, but not when held for 10 ms."""
+    small = _core.Quadrotor(
+        mass=0.029,
+        inertia=(16.6e-6, 16.6e-6, 29.3e-6),
+        rotor_x=(0.0325, -0.0325, -0.0325, 0.0325),
+        rotor_y=(-0.0325, -0.0325, 0.0325, 0.0325),
+        spin=(-1, 1, -1, 1),
+        torque_ratio=0.006,
+        f_min=(0.02,) * 4,
+        f_max=(0.1125,) * 4,
+    )
+    index = empty_scene().index
+    for kind in ("hover", "heading-invariant"):
+        with pytest.raises(ValueError, match="not stable"):
+            _core.Shield(_core.BackupPolicy(small, kind), index, _core.ShieldOptions())
+    _core.Shield(_core.BackupPolicy(small, "brake"), index, _core.ShieldOptions())
+
+
+def test_a_tick_of_a_fast_turn_is_what_the_plant_flies():
+    shield = shield_of(empty_scene(), tick_s=0.05)
+    x, u = moving((2, 0, 0)), (8.0, 0.05, -0.03, 0.004)
+    for rates in ((0, 0, 0), (12, -5, 3)):
+        x[9:] = rates
+        flown = x[None]
+        for _ in range(50):
+            flown = VEHICLE.step(flown, np.array([u]), dt_s=0.001)
+        np.testing.assert_allclose(shield.after(x, u), flown[0], atol=2e-6)
+    x[9:] = (0, 0, 25)
+    assert not shield.certify(x)["safe"]  # more than a radian in a tick
+
+
+@pytest.mark.parametrize("kind", ["hover", "heading-invariant", "brake", "cone-escape"])
+@pytest.mark.parametrize("size", [1e155, 1e200, 1e308])
+def test_policies_are_admissible_for_absurd_states(kind, size):
+    policy = _core.BackupPolicy(VEHICLE, kind)
+    for i in range(12):
+        for sign in (1.0, -1.0):
+            x = np.full(12, 0.1)
+            x[i] = sign * size
+            assert VEHICLE.admissible(np.array([policy(x)]), tolerance_n=1e-9)[0]
+
+
 @pytest.mark.parametrize(
     "options",
     [
@@ -242,3 +324,28 @@ def test_where_nothing_is_safe_the_least_bad_is_flown_and_said():
         assert not report["certified"]
         np.testing.assert_array_equal(report["wrench"], policy(x))
     assert scene.radius == RADIUS
+
+
+def test_a_rest_inside_the_margin_can_be_left_but_not_towards_the_wall():
+    """Where a last drift ends no path keeps the whole margin; what flies away is accepted all the same."""
+    scene = wall_scene()
+    policy = _core.BackupPolicy(VEHICLE, "brake")
+    for clearance in (0.019, 0.0145, 0.012):
+        start = moving((0, 0, 0), (3 - 0.02 - RADIUS - clearance, 0, 0))
+        for sign in (-1, 1):
+            flown = _core.ConeBackup(policy, scene.index)
+            flight = Flight(
+                scene,
+                VEHICLE,
+                flown,
+                start,
+                lambda tick, x, sign=sign: attitude_controlled(
+                    VEHICLE, x, 2 * (np.array([0.5 * sign, 0, 0]) - x[6:9]) - [0, 0, 2 * x[2]]
+                ),
+                150,
+            )
+            assert all(report["certified"] for report in flight.reports)
+            assert flight.clearance >= 0.01
+            if sign < 0:
+                assert flight.state[0] < start[0] - 0.2
+                assert flight.count(BACKUP) < 20

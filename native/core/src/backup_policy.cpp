@@ -15,6 +15,7 @@ using geometry::dot;
 using geometry::e3;
 using geometry::hat;
 using geometry::multiply;
+using geometry::norm;
 using geometry::outer;
 
 constexpr double kLiftFloor = 0.02;  // eps of l: off by 1 % at 35 degrees, at most 3.6 at any tilt
@@ -37,12 +38,12 @@ Mat3 scaled_rows(Vec3 d, const Mat3& m) {
   return result;
 }
 
-// c tanh(y / c) and its slope.
+// c tanh(y / c) and its slope; 0 for what is no number, as a state so large that its squares overflow makes it.
 struct Saturated {
   double value, slope;
 };
 Saturated saturate(double y, double cap) {
-  const double t = std::tanh(y / cap);
+  const double t = std::isnan(y) ? 0 : std::tanh(y / cap);
   return {cap * t, 1 - t * t};
 }
 
@@ -193,17 +194,28 @@ Wrench BackupPolicy::linearised(const State& x, Vec3 hold, PolicyJacobian& jacob
   return result;
 }
 
-Vec3 BackupPolicy::drift(const State& x) const {
+std::array<Vec3, 3> BackupPolicy::drifts(const State& x) const {
   // Near hover the thrust axis b, flat, obeys J b'' = -K_omega b' - K_R (b + lean v) and v' = g b. Integrated until
   // rest, with int b = -v / g:  K_R lean int v = K_R v / g + K_omega b + J b'.
   const Vec3 b = thrust_axis(x.sigma), inertia = vehicle_.inertia();
   const Vec3 turn{inertia.x / (kappa_ * k_tilt_.x) * x.omega.x, inertia.y / (kappa_ * k_tilt_.y) * x.omega.y, 0};
   const Vec3 rate = geometry::transposed_times(body_from_inertial(x.sigma), turn);  // J b' / K_R, turned back
   const double per_rate = (k_omega_.x + k_omega_.y) / (k_tilt_.x + k_tilt_.y), per_speed = 1 / vehicle_.gravity();
-  Vec3 result{per_speed * x.v.x + per_rate * b.x + rate.y, per_speed * x.v.y + per_rate * b.y - rate.x, 0};
-  result = 1 / lean_ * result;
+  return {1 / lean_ * Vec3{per_speed * x.v.x, per_speed * x.v.y, 0},
+          1 / lean_ * Vec3{per_rate * b.x, per_rate * b.y, 0}, 1 / lean_ * Vec3{rate.y, -rate.x, 0}};
+}
+
+Vec3 BackupPolicy::drift(const State& x) const {
+  const auto [speed, tilt, swing] = drifts(x);
+  Vec3 result = speed + tilt + swing;
   result.z = x.v.z / (kappa_ * k_z_);
   return result;
+}
+
+double BackupPolicy::sway(const State& x) const {
+  const auto [speed, tilt, swing] = drifts(x);
+  const double flat = brakes() ? norm(speed + tilt + swing) : norm(speed) + norm(tilt) + norm(swing);
+  return std::hypot(flat, x.v.z / (kappa_ * k_z_));
 }
 
 State closed_loop(const BackupPolicy& policy, const State& x, Vec3 hold) {

@@ -116,7 +116,7 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
   program_.track(o.tracking, nominal, map.per_thrust, vehicle.gravity());
 
   const auto end = [&](const Wrench& wrench, double rate, SplatFilterStatus status) {
-    report.thrust_rate = rate;
+    report.thrust_rate = std::isfinite(rate) ? rate : 0;
     finish(o.shielded ? &shield_ : nullptr, state.x, wrench, inside ? SplatFilterStatus::recovering : status, status,
            near, report);
     return report;

@@ -1,6 +1,7 @@
 #include "alula/shield.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <stdexcept>
 #include <utility>
@@ -16,11 +17,48 @@ using geometry::multiply;
 using geometry::norm;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kStep = 0.01;      // of RK4 at most [s],
+constexpr double kTurn = 0.1;       // and [rad]
+constexpr double kTurnPerTick = 1;  // more than that and holding an input for a tick means nothing
+constexpr int kSquarings = 13;      // of the loop's matrix: it must have decayed in so many ticks, to base 2
+
+// Whether the policy, held tick by tick, is stable about hover.
+bool is_stable(const Shield& shield) {
+  // Of sigma, v, omega; without a spring on the heading that stays where it is, and moves nothing else.
+  constexpr std::size_t n = 9;
+  constexpr double step = 1e-6;
+  const BackupPolicy& policy = shield.policy();
+  const auto at = [](State& x, std::size_t i) -> double& {
+    return (i < 3 ? x.sigma : i < 6 ? x.v : x.omega)[static_cast<int>(i % 3)];
+  };
+  std::array<std::array<double, n>, n> loop{};
+  for (std::size_t j = 0; j < n; ++j) {
+    State above, below;
+    at(above, j) = step, at(below, j) = -step;
+    above = shield.after(above, policy(above)), below = shield.after(below, policy(below));
+    for (std::size_t i = 0; i < n; ++i) loop[i][j] = (at(above, i) - at(below, i)) / (2 * step);
+  }
+  if (policy.kind() != BackupKind::hover)
+    for (std::size_t i = 0; i < n; ++i) loop[i][2] = loop[2][i] = 0;
+  double size = 0;
+  for (int k = 0; k < kSquarings; ++k) {
+    const auto once = loop;
+    size = 0;
+    for (std::size_t i = 0; i < n; ++i)
+      for (std::size_t j = 0; j < n; ++j) {
+        loop[i][j] = 0;
+        for (std::size_t l = 0; l < n; ++l) loop[i][j] += once[i][l] * once[l][j];
+        size = std::max(size, std::abs(loop[i][j]));
+      }
+    if (!(size < 1e100)) return false;
+  }
+  return size < 1;
+}
 
 }  // namespace
 
 Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index, const ShieldOptions& options)
-    : policy_(policy), index_(std::move(index)), options_(options) {
+    : policy_(policy), index_(std::move(index)), options_(options), rest_drift_(options.rest_drift_m) {
   const ShieldOptions& o = options_;
   const auto require = [](bool holds, const char* what) {
     if (!holds) throw std::invalid_argument(what);
@@ -35,6 +73,9 @@ Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex>
           "an escape must fit into the shield's longest time");
   require(o.rest_speed_m_s > 0 && o.rest_rate_rad_s > 0 && o.rest_tilt_rad > 0 && o.rest_drift_m > 0,
           "the tolerances of rest must be positive");
+  require(is_stable(*this),
+          "the backup policy is not stable when it is held for a tick: its gains are too high for "
+          "this body and tick");
   path_.reserve(static_cast<std::size_t>(o.max_time_s / o.tick_s) + 3);
   found_.reserve(4);
 }
@@ -43,8 +84,10 @@ int Shield::hold_ticks() const { return static_cast<int>(std::lround(options_.es
 
 State Shield::after(const State& x, const Wrench& u) const {
   State y = x;
-  const double h = options_.tick_s / options_.substeps;
-  for (int i = 0; i < options_.substeps; ++i) y = policy_.vehicle().step(y, u, h);
+  const double needed = std::max(options_.tick_s / kStep * (1 - 1e-9), norm(x.omega) * options_.tick_s / kTurn);
+  const int steps = std::max(options_.substeps, static_cast<int>(std::ceil(std::min(needed, 100.0))));
+  const double h = options_.tick_s / steps;
+  for (int i = 0; i < steps; ++i) y = policy_.vehicle().step(y, u, h);
   y.sigma = shadowed(y.sigma);
   return y;
 }
@@ -55,15 +98,18 @@ bool Shield::resting(const State& x) const {
   if (dot(x.omega, x.omega) > o.rest_rate_rad_s * o.rest_rate_rad_s) return false;
   const Vec3 b = thrust_axis(x.sigma);
   if (!(b.z > 0) || b.x * b.x + b.y * b.y > o.rest_tilt_rad * o.rest_tilt_rad) return false;
-  const Vec3 drift = policy_.drift(x);
-  return dot(drift, drift) <= o.rest_drift_m * o.rest_drift_m;
+  // With a spring on the heading only the one that it pulls to is a rest.
+  if (policy_.kind() == BackupKind::hover && !(4 * std::abs(x.sigma.z) <= o.rest_tilt_rad)) return false;
+  return policy_.sway(x) <= rest_drift_;
 }
 
 // Fills the path; false when it does not come to rest in time.
 bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time) {
   const Quadrotor& vehicle = policy_.vehicle();
   const double h = options_.tick_s;
-  const int before = first != nullptr ? 1 : 0, ticks = static_cast<int>(options_.max_time_s / h);
+  // What is accepted rests a little early, so that small differences of plan and flight do not take it back.
+  const int before = first != nullptr ? 1 : 0, most = static_cast<int>(options_.max_time_s / h),
+            ticks = first != nullptr ? most - most / 8 : most;
   path_.clear();
   path_.push_back({x.p, 0, 0});
   State now = x;
@@ -77,15 +123,16 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
     const Wrench u = is_first ? *first : policy_(now, manoeuvre.at(tick - before));
     const State next = after(now, u);
     // |v'| within the tick: its value at the start, and the thrust axis turning by at most |omega| h.
+    if (!(norm(now.omega) * h <= kTurnPerTick)) return false;
     const double thrust = std::abs(u.thrust) / vehicle.mass();
     const Vec3 start = thrust * thrust_axis(now.sigma) - vehicle.gravity() * e3;
     const Vec3 spin_up =
         divide(u.torque - cross(now.omega, multiply(vehicle.inertia(), now.omega)), vehicle.inertia());
     const double rate = std::max(norm(now.omega), norm(next.omega)) + h * norm(spin_up);
-    const double most = norm(start) + thrust * rate * h;
+    const double change = norm(start) + thrust * rate * h;
     const double next_speed = norm(next.v);
-    const double length = h * (speed + next_speed) / 2 + most * h * h / 4;
-    path_.push_back({next.p, path_.back().arc + length, most * h * h / 8});
+    const double length = h * (speed + next_speed) / 2 + change * h * h / 4;
+    path_.push_back({next.p, path_.back().arc + length, change * h * h / 8});
     now = next, speed = next_speed;
     if (!std::isfinite(path_.back().arc)) return false;
   }
@@ -145,13 +192,25 @@ void Shield::find_escapes(const State& x, std::span<const Found> near) {
   escapes_.count = std::min(escapes_.count, static_cast<std::size_t>(options_.escape_tries));
 }
 
+// Whether a manoeuvre is safe after a tick of u. A rest may have drifted into the margin, where no path that begins
+// there keeps it: then one that stays about as far away as now, and drifts hardly at all when it rests, will do.
+bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre) {
+  const double kept = options_.margin_m / 2, least = options_.rest_drift_m / 40, radius = index_->radius();
+  const double here = is_finite(x) ? index_->clearance(x.p, radius + options_.margin_m, hint_) - radius : kInfinity;
+  if (here >= options_.margin_m) return certify(x, manoeuvre, options_.margin_m, &u).safe;
+  rest_drift_ = least;
+  const bool safe = certify(x, manoeuvre, std::max(kept, here - 4 * least) + 2 * least, &u).safe;
+  rest_drift_ = options_.rest_drift_m;
+  return safe;
+}
+
 // Whether resting, or else the committed manoeuvre, is safe after a tick of u; it becomes `next_`.
 bool Shield::accept(const State& x, const Wrench& u) {
   next_ = {};
-  if (certify(x, next_, options_.margin_m, &u).safe) return true;
+  if (is_safe_after(x, u, next_)) return true;
   if (!policy_.escapes() || committed_.ticks == 0) return false;
   next_ = committed_;
-  return certify(x, next_, options_.margin_m, &u).safe;
+  return is_safe_after(x, u, next_);
 }
 
 // The same, or else a new escape.
@@ -161,7 +220,7 @@ bool Shield::accept_escaping(const State& x, const Wrench& u, std::span<const Fo
   find_escapes(x, near);
   for (std::size_t i = 0; i < escapes_.count; ++i) {
     next_ = {escapes_.velocity[i], hold_ticks()};
-    if (certify(x, next_, options_.margin_m, &u).safe) return true;
+    if (is_safe_after(x, u, next_)) return true;
   }
   return false;
 }

@@ -18,6 +18,7 @@
 // Source: Tscholl, Nakka, Gunter 2026 (FastBridge), eq. 17-19, for `hover`; the others are ours.
 #pragma once
 
+#include <array>
 #include <cstdint>
 
 #include "alula/quadrotor.hpp"
@@ -84,9 +85,14 @@ class BackupPolicy {
   // How far the linear loop about hover would still move before it rests [m]: the time integral of its velocity.
   Vec3 drift(const State& x) const;
 
+  // About how far it moves at most on the way [m]. The parts of the drift may cancel in a state that swings out and
+  // back, so their lengths are added; those of `brake` are over before that matters.
+  double sway(const State& x) const;
+
  private:
   Vec3 tilt_target(Vec3 v, Vec3 hold) const;
   double lift(double cosine) const;
+  std::array<Vec3, 3> drifts(const State& x) const;  // flat, of speed, tilt and rate
   Wrench saturated(const Wrench& raw) const;
 
   Quadrotor vehicle_;

@@ -26,13 +26,13 @@ namespace alula::flight {
 
 struct ShieldOptions {
   double tick_s = 0.01;        // for which an input is held
-  int substeps = 1;            // RK4 steps of a tick; one is off by ~1e-9 m beside many
+  int substeps = 1;            // RK4 steps of a tick, at least; none is above 10 ms or turns by much
   double margin_m = 0.02;      // kept beyond the radius by a manoeuvre that is accepted
-  double max_time_s = 8.0;     // a manoeuvre not at rest by then is not safe
+  double max_time_s = 8.0;     // a manoeuvre not at rest by then is not safe; an eighth less for a new one
   double escape_time_s = 0.6;  // for which `cone_escape` holds a velocity
   int escape_tries = 3;        // of its velocities, by angle
   int line_search = 2;         // bisections between the backup's input and one that is refused
-  // At rest: all of these, and the linear loop would drift by at most rest_drift_m.
+  // At rest: all of these, and the linear loop would sway by at most rest_drift_m.
   double rest_speed_m_s = 0.1, rest_rate_rad_s = 0.2, rest_tilt_rad = 0.05, rest_drift_m = 0.008;
 };
 
@@ -47,7 +47,7 @@ struct Certificate {
 // One per thread; allocates in the constructor only.
 class Shield {
  public:
-  // Throws std::invalid_argument for options that mean nothing.
+  // Throws std::invalid_argument for options that mean nothing, or a policy that is not stable when held for a tick.
   Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index, const ShieldOptions& options = {});
 
   const BackupPolicy& policy() const { return policy_; }
@@ -88,6 +88,7 @@ class Shield {
   bool roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time);
   bool resting(const State& x) const;
   bool march(double distance, bool thorough, double& least);
+  bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre);
   bool accept(const State& x, const Wrench& u);
   bool accept_escaping(const State& x, const Wrench& u, std::span<const Found> near);
   void settle(const State& x, std::span<const Found> near, FilterReport& report);
@@ -97,6 +98,7 @@ class Shield {
   BackupPolicy policy_;
   std::shared_ptr<const EllipsoidIndex> index_;
   ShieldOptions options_;
+  double rest_drift_;
   std::vector<Tick> path_;
   std::vector<Found> found_;
   std::uint32_t hint_ = 0;
