@@ -837,11 +837,11 @@ def escape_velocities(index: EllipsoidIndex, p: Sequence[float], v: Sequence[flo
 class ConeEcbf(SplatFilter):
     """The exponential collision cone filter of a quadrotor."""
 
-    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, *, lambda_: float = 14.0, lambda_max: float = 40.0, return_time: float = 8.0, escape_rate: float = 4.0, cascade: str = 'extension', thrust_bandwidth_rad_s: float = 30.0, thrust_damping: float = 1.0, max_thrust_rate_n_s: float = 150.0, least_thrust: float = 0.1, lateral_bias: float = 0.1, clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, shield_options: ShieldOptions = ..., pruning: Pruning = ..., qp_backend: object | None = None) -> None:
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, *, lambda_: float = 14.0, lambda_max: float = 40.0, return_time: float = 8.0, escape_rate: float = 5.0, min_speed_m_s: float = 0.8, cascade: str = 'extension', thrust_bandwidth_rad_s: float = 30.0, thrust_damping: float = 1.0, max_thrust_rate_n_s: float = 150.0, least_thrust: float = 0.1, lateral_bias: float = 0.1, clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, shield_options: ShieldOptions = ..., pruning: Pruning = ..., qp_backend: object | None = None) -> None:
         """
         lambda_: triple pole of the rows [1/s], moved left up to lambda_max when a row starts beyond its safe set;
         return_time: pole of a row with h < 0, times the time to its ellipsoid;
-        escape_rate: pole of the rows of ellipsoids around the vehicle; cascade: 'extension' (the variable is
+        escape_rate: pole of the rows on gamma, of all ellipsoids below min_speed_m_s; cascade: 'extension' (the variable is
         T''/m) or 'difference' (T); thrust_*: how T follows the nominal; max_thrust_rate_n_s: of |T'|;
         least_thrust: share of hover; lateral_bias: torque of a head-on nominal, share of the largest;
         clf_*: soft row on tracking errors, off at weight 0; shield: return only inputs after which a safe
