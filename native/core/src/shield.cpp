@@ -28,6 +28,9 @@ Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex>
   require(index_ != nullptr, "a shield needs a map");
   require(o.tick_s > 0 && o.tick_s <= 1 && o.max_time_s >= o.tick_s && o.max_time_s / o.tick_s <= 1e5,
           "the tick of a shield must be positive, and at most 100 000 of them make its longest time");
+  require(
+      policy.settles(o.tick_s),
+      "the gains of the backup policy are too high for this vehicle at this tick: held for one, they do not settle");
   require(o.substeps >= 1 && o.line_search >= 0 && o.escape_tries >= 0, "counts of a shield must not be negative");
   require(2 * o.rest_drift_m < o.margin_m && std::isfinite(o.margin_m),
           "the margin of a shield must be more than twice the drift at rest");
