@@ -1,4 +1,4 @@
-"""What the log and the record of a flight among ellipsoids say: messages, level, what the model leaves out."""
+"""What log and record of a flight among ellipsoids say: messages, level, what the model leaves out."""
 
 import json
 from collections import Counter
