@@ -79,7 +79,7 @@ def _explain(path: Path) -> Explained:
     if is_artifact_like(path):
         return _artifact(path)
     if path.suffix == ".toml":
-        return _scenario(path)
+        return _toml(path)
     if head.startswith(b"ply") or (made := read_provenance(path)) is None:
         return _splat(path)
     return provenance_facts(made), None
@@ -134,14 +134,19 @@ def _map(path: Path) -> Explained:
         return {**about(SCHEMA, VERSION), **written}, error
 
 
-def _scenario(path: Path) -> Explained:
+def _toml(path: Path) -> Explained:
+    """A vehicle has a model; whatever else is taken for a scenario."""
     import msgspec
 
-    from alula.schemas.scenario import read_scenario
+    from alula.schemas.scenario import SCENARIO_SCHEMA, read_scenario
+    from alula.schemas.toml_file import has_key
+    from alula.schemas.vehicle import VEHICLE_SCHEMA, read_vehicle
     from alula.stages.reporting.inspect import about
 
-    scenario = msgspec.to_builtins(read_scenario(path))
-    return {**about("alula/scenario", ""), **scenario}, None
+    if has_key(path, "model"):
+        vehicle = msgspec.to_builtins(read_vehicle(path))
+        return {**about(VEHICLE_SCHEMA, vehicle.pop("version", "")), **vehicle}, None
+    return {**about(SCENARIO_SCHEMA, ""), **msgspec.to_builtins(read_scenario(path))}, None
 
 
 def _splat(path: Path) -> Explained:
@@ -155,7 +160,7 @@ def _splat(path: Path) -> Explained:
     except ArtifactError as error:
         if path.is_dir():
             raise
-        known = "an artifact, a run, a scenario, or a splat or other file of a known format"
+        known = "an artifact, a run, a scenario, a vehicle, or a splat or other file of a known format"
         raise ArtifactError(f"{path}: is not {known}") from error
     try:
         facts = splat_facts(found.decode())

@@ -229,6 +229,8 @@ def _configured(
     if options.is_given(context, "seed"):
         given["seed"] = seed
     found = read_scenario(source).settings()
+    if "sigma" in given and "confidence" not in given:
+        found.pop("confidence", None)  # the same level in other words
     if parameters:
         given["filter_parameters"] = {**found.get("filter_parameters", {}), **parameters}
     if guides:

@@ -49,8 +49,9 @@ from typing import Any, Literal
 import msgspec
 
 from alula.schemas.configs.simulate import SimulateConfig
-from alula.schemas.errors import InputError, UsageError, VersionError
-from alula.schemas.manifest import VERSION, parse_version
+from alula.schemas.errors import UsageError
+from alula.schemas.manifest import VERSION
+from alula.schemas.toml_file import read_toml
 
 SCENARIO_SCHEMA: Literal["alula/scenario"] = "alula/scenario"
 
@@ -197,19 +198,7 @@ def read_scenario(path: Path) -> Scenario:
         VersionError: it was written for a later major version.
         UsageError: a key is unknown, missing, of the wrong type or out of range; the message has its path.
     """
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
-    if not raw.strip():
-        raise InputError(f"{path}: is empty")
-    try:
-        _check_version(path, raw)
-        scenario = msgspec.toml.decode(raw, type=Scenario)
-    except msgspec.ValidationError as error:
-        raise UsageError(f"{path}: {error}") from error
-    except (msgspec.DecodeError, UnicodeDecodeError, ValueError) as error:
-        raise InputError(f"{path}: is not TOML ({error})") from error
+    scenario = read_toml(path, Scenario, SCENARIO_SCHEMA)
     if scenario.map.cover is None and scenario.map.scene is None:
         raise UsageError(f"{path}: `$.map` needs a cover, or a scene for a filter that sees ellipsoids")
     if scenario.filter.name in (None, "polytope-cbf"):
@@ -223,16 +212,6 @@ def read_scenario(path: Path) -> Scenario:
         where = f"`$.{_KEYS[option]}`" if option in _KEYS else option
         raise UsageError(f"{path}: {where} {rest}") from error
     return scenario
-
-
-def _check_version(path: Path, raw: bytes) -> None:
-    """Look at the version alone first: later versions may have keys that this one calls unknown."""
-    head = msgspec.toml.decode(raw)
-    version = head.get("version", VERSION)
-    if parse_version(str(version))[0] > parse_version(VERSION)[0]:
-        raise VersionError(
-            f"{path}: {SCENARIO_SCHEMA} version {version} is newer than {VERSION}; update alula"
-        )
 
 
 def _check_built_in_parameters(path: Path, parameters: dict[str, Any]) -> None:

@@ -13,6 +13,14 @@ from alula.schemas.manifest import VERSION, parse_version
 Table = TypeVar("Table", bound=msgspec.Struct)
 
 
+def has_key(path: Path, key: str) -> bool:
+    """Whether a file is a TOML file with a key at its top."""
+    try:
+        return key in msgspec.toml.decode(path.read_bytes())
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, ValueError):
+        return False
+
+
 def read_toml(path: Path, table: type[Table], schema: str) -> Table:
     """Read a file into a struct.
 

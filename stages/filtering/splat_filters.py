@@ -160,6 +160,8 @@ def _fits(value: Any, default: Any) -> bool:
         return isinstance(default, bool) and isinstance(value, bool)
     if isinstance(default, float):
         return isinstance(value, int | float)
+    if isinstance(default, int):
+        return isinstance(value, int) and 0 <= value < 2**31
     if isinstance(default, tuple | list):
         numbers = isinstance(value, list | tuple) and all(_fits(item, 0.0) for item in value)
         return numbers and len(value) == len(default)
@@ -173,7 +175,9 @@ def _like(value: Any, default: Any) -> Any:
 def _wanted(default: Any) -> str:
     if isinstance(default, tuple | list):
         return f"{len(default)} numbers"
-    return {bool: "true or false", int: "a whole number", float: "a number"}.get(type(default), "a word")
+    return {bool: "true or false", int: "a whole number from 0 to 2147483647", float: "a number"}.get(
+        type(default), "a word"
+    )
 
 
 def _factory(name: str) -> Callable[[SplatWorld, Mapping[str, Any]], SplatFilter]:

@@ -71,11 +71,12 @@ def state_fields(flight: SplatFlightLog, i: int) -> dict[str, Any]:
 
 
 def safety_fields(flight: SplatFlightLog, i: int) -> dict[str, Any]:
-    """The fields of `alula.Safety` beyond trial and time."""
+    """The fields of `alula.Safety` beyond trial and time; no margin where no obstacle gives one."""
     row = {name: array[i] for name, array in flight.flown.items()}
     status = FilterStatus(int(row["status"]))
+    margin = number(row["margin"])
     return {
-        "margin": number(row["margin"]),
+        **({} if margin is None else {"margin": margin}),
         "margin_unit": "of the filter's barrier",
         "status": int(status),
         "status_name": status.name.lower(),

@@ -29,7 +29,7 @@ from alula.stages.flight.splat_judge import SplatJudge
 from alula.stages.flight.splat_log import SplatFlightLog, decimate
 from alula.stages.flight.splat_loop import fly
 from alula.stages.flight.trials import central_box, sample_pairs
-from alula.stages.flight.vehicles import plant_options, quadrotor, tracking_gains
+from alula.stages.flight.vehicles import disturbances, plant_options, quadrotor, tracking_gains
 from alula.stages.reporting.metrics import wilson_interval
 
 FloatArray = NDArray[np.float64]
@@ -52,6 +52,13 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
     """
     if vehicle.model == "single-integrator" or (config.plant == "quadrotor" != vehicle.model):
         raise UsageError(f"{vehicle.name} is a {vehicle.model}, which does not fly among ellipsoids as asked")
+    if config.plant == "double-integrator" or vehicle.model == "double-integrator":
+        if config.interface != "wrench":
+            raise UsageError(f"--interface {config.interface}: a double integrator is told accelerations")
+        if alone := [name for name in disturbances(vehicle) if name not in ("noise", "delay")]:
+            raise UsageError(
+                f"--plant double-integrator has no {' or '.join(alone)}, as {vehicle.name} asks for"
+            )
     if plan is not None and config.trials not in (None, 1):
         raise UsageError("--trials is for random pairs; a plan is flown once")
     if plan is not None and config.speed_m_s is not None:
@@ -183,7 +190,7 @@ def simulate_splat(
         vehicle=_describe(config, vehicle),
         trials=trials,
         summary=_summary(trials, sampled, safety_filter) | {"sigma": config.sigma, "inflation_m": inflation},
-        guarantee=_guarantee(config, scene, trials, inflation),
+        guarantee=_guarantee(config, vehicle, scene, trials, inflation),
         flights=flights,
         map=scene,
         filter_s=np.concatenate([pair[0] for pair in seconds]),
@@ -271,11 +278,14 @@ def _room(
 
 def _describe(config: SimulateConfig, vehicle: Vehicle) -> str:
     guided = "" if config.guide == NO_FILTER else f", guided by {config.guide}"
+    found = disturbances(vehicle)
+    disturbed = f", with {', '.join(found)}" if found else ""
     if config.plant == "double-integrator":
-        return f"{vehicle.name}: sphere of radius {config.radius_m:g} m, double integrator{guided}"
+        return f"{vehicle.name}: sphere of radius {config.radius_m:g} m, double integrator{guided}{disturbed}"
     told = "thrust and torque" if config.interface == "wrench" else "thrust and body rates"
     sphere = f"sphere of radius {config.radius_m:g} m"
-    return f"{vehicle.name}: quadrotor of {vehicle.body.mass_kg:g} kg in a {sphere}, told {told}{guided}"
+    body = f"quadrotor of {vehicle.body.mass_kg:g} kg in a {sphere}"
+    return f"{vehicle.name}: {body}, told {told}{guided}{disturbed}"
 
 
 def _summary(
@@ -317,7 +327,7 @@ def _least(values: list[float | None]) -> float | None:
 
 
 def _guarantee(
-    config: SimulateConfig, scene: Artifact, trials: list[TrialResult], inflation_m: float
+    config: SimulateConfig, vehicle: Vehicle, scene: Artifact, trials: list[TrialResult], inflation_m: float
 ) -> Guarantee:
     """What the run shows; what a filter proves it proves tick by tick, and the log says which."""
     hits = sum(t.collision for t in trials)
@@ -330,6 +340,8 @@ def _guarantee(
             f"In {share} steps the filter proved that a backup manoeuvre from the end of the step keeps the "
             "radius from every ellipsoid, for the model without disturbances."
         )
+        if outside := [*disturbances(vehicle), *(["a rate loop"] if config.interface != "wrench" else [])]:
+            head += f" These flights had {', '.join(outside)}, which that model leaves out."
     else:
         head = f"The filter {config.filter!r} bounds the rate of a barrier at each step; it proves no flight."
     if config.guide != NO_FILTER:

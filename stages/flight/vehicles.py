@@ -98,5 +98,22 @@ def plant(vehicle: Vehicle, *, seed: int = 0, trial: int = 0) -> Plant | DoubleI
     return Plant(quadrotor(vehicle), plant_options(vehicle), seed=seed, trial=trial)
 
 
+def disturbances(vehicle: Vehicle) -> list[str]:
+    """What the file adds to the model of the filters, in words."""
+    table = vehicle.disturbance
+    noise = (
+        *(table.position_noise_m, table.velocity_noise_m_s),
+        *(table.attitude_noise_rad, table.rate_noise_rad_s),
+    )
+    found = {
+        "motor lag": table.motor_time_constant_s > 0,
+        "drag": any((*table.linear_drag_n_s_m, *table.quadratic_drag_n_s2_m2)),
+        "wind": any((*table.wind_m_s, *table.gust_m_s)),
+        "noise": any(noise),
+        "delay": table.delay_s > 0,
+    }
+    return [name for name, there in found.items() if there]
+
+
 def _or_infinity(value: float | None) -> float:
     return math.inf if value is None else value

@@ -99,9 +99,10 @@ def gap_table(sweeps: Sequence[Sweep]) -> Table:
         *("least γ, median", "least γ of all", "collisions", "reached"),
     )
     note = (
-        "e_a is the acceleration of the body less the one that was commanded, its peak over a flight; γ is "
-        "r'Ar - 1 of the ellipsoids as grown for the filter, below 0 inside one. ideal-di flies a double "
-        "integrator, the others the rigid body."
+        "e_a is the acceleration of the body less the one that was commanded, its peak over a flight; of a "
+        "filter of wrenches the commanded one is that of its thrust along the true axis, so that only rotors "
+        "and air leave a gap; γ is r'Ar - 1 of the ellipsoids as grown for the filter, below 0 inside one. "
+        "ideal-di flies a double integrator, the others the rigid body."
     )
     return Table("figure-2", "Figure 2: the realisation gap", columns, tuple(rows), note)
 

@@ -25,6 +25,7 @@ WHAT = {
     "alula/plan": "A trajectory: polynomials of degree 7 in time for x, y, z and yaw, piece by piece.",
     "alula/run": "Flights behind a safety filter: states, margins and how each flight ended.",
     "alula/scenario": "A simulation to be: map, vehicle, filter and trials.",
+    "alula/vehicle": "What flies: body, rotors, limits, controller and what disturbs it.",
     "alula/report": "A report on runs, to be opened in a browser.",
     "alula/export": "A copy of a cover or a scene for another program.",
     "alula/onboard-map": "A cover as a microcontroller reads it in place from flash.",

@@ -79,6 +79,14 @@ def test_a_scenario_is_explained(folder, capsys):
     info(folder / "bad.toml", capsys, code=3)
 
 
+def test_vehicles_are_explained(capsys):
+    examples = Path(__file__).resolve().parents[2] / "examples" / "vehicles"
+    for path in sorted(examples.glob("*.toml")):
+        facts, _ = info(path, capsys)
+        assert (facts["kind"], facts["name"]) == ("alula/vehicle", path.stem)
+        assert facts["body"]["radius_m"] > 0
+
+
 def test_what_alula_wrote_for_others_is_explained(folder, capsys):
     for suffix in ("glb", "obj", "stl", "json"):
         out = folder / f"x.{suffix}"

@@ -24,6 +24,7 @@ from alula.stages.flight.references import rest_to_rest
 VEHICLES = Path(__file__).resolve().parents[2] / "examples" / "vehicles"
 FAST = ["--trials", "2", "--speed", "2"]
 GUIDED = ["--filter", "cone-ecbf", "--guide", "cone-di"]
+LIGHT = ["--vehicle", str(VEHICLES / "crazyflie21.toml")]
 
 
 @pytest.fixture(scope="session")
@@ -320,6 +321,13 @@ def unaligned(path):
         (["SCENE", "--vehicle", "BAD", "--filter", "none"], 2, "wings"),
         (["SCENE", "--vehicle", "absent.toml", "--filter", "none"], 3, "absent.toml: cannot read"),
         (["SCENE", "--vehicle", "POINT", "--filter", "none", "--plant", "quadrotor"], 2, "double-integrator"),
+        (
+            ["SCENE", "--filter", "none", "--plant", "double-integrator", "--interface", "body-rates"],
+            2,
+            "a double integrator is told accelerations",
+        ),
+        (["SCENE", "--filter", "cone-di", "--set", "count=-1"], 2, "cone-di: count must be a whole number"),
+        (["SCENE", *LIGHT, "--filter", "cone-backup", "--set", "policy=hover"], 2, "they do not settle"),
         (["SCENE", "--vehicle", "DOT", "--filter", "none"], 2, "single-integrator"),
     ],
 )

@@ -119,6 +119,29 @@ def test_unstable_braking_is_refused():
         policy("brake", full_tilt_speed_m_s=0.15)
 
 
+@pytest.mark.parametrize("kind", ["hover", "heading-invariant", "brake"])
+def test_gains_that_do_not_settle_when_held_for_a_tick_are_refused(kind):
+    """Against the nonlinear model, disturbed a little and flown for some seconds."""
+    index = _core.EllipsoidIndex(np.full((1, 3), 50.0), np.ones((1, 3)), np.eye(4)[:1], sigma=1.0, radius=0.1)
+    made_for = body.fastbridge()
+    made = _core.BackupPolicy(made_for, kind)
+    verdicts = set()
+    for tick in (0.005, 0.01, 0.02, 0.035, 0.05, 0.08, 0.12):
+        x = np.array([0, 0, 0, 1e-4, -2e-4, 1e-4, 1e-3, 0, 1e-3, 0, 1e-3, 1e-3])
+        for _ in range(int(40 / tick)):
+            u = made(x)
+            for _ in range(8):
+                x = made_for.step(x[None], u[None], dt_s=tick / 8)[0]
+        settles = np.linalg.norm(x[6:]) < 1e-3
+        verdicts.add(settles)
+        if settles:
+            _core.Shield(made, index, _core.ShieldOptions(tick_s=tick))
+        else:
+            with pytest.raises(ValueError, match="do not settle"):
+                _core.Shield(made, index, _core.ShieldOptions(tick_s=tick))
+    assert verdicts == {True, False}
+
+
 @pytest.mark.parametrize(
     "gains", [{"k_vz": 0}, {"eta_frac": 1}, {"kappa": float("nan")}, {"weight": (1, 1, 0, 1)}]
 )

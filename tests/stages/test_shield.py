@@ -167,7 +167,7 @@ def test_a_policy_too_quick_for_the_tick_is_refused():
     )
     index = empty_scene().index
     for kind in ("hover", "heading-invariant"):
-        with pytest.raises(ValueError, match="not stable"):
+        with pytest.raises(ValueError, match="do not settle"):
             _core.Shield(_core.BackupPolicy(small, kind), index, _core.ShieldOptions())
     _core.Shield(_core.BackupPolicy(small, "brake"), index, _core.ShieldOptions())
 

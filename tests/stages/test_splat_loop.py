@@ -184,3 +184,30 @@ def test_every_filter_flies_the_same_from_python(name):
     native, python = one(made, reference, rules=rules), one(Wrapped(), reference, rules=rules)
     np.testing.assert_array_equal(native.state, python.state)
     np.testing.assert_array_equal(native.status, python.status)
+
+
+class Turning:
+    """Turns about the vertical and notes the attitudes that it sees."""
+
+    kind = "wrench"
+
+    def __init__(self):
+        self.seen = []
+
+    def reset(self):
+        self.seen.clear()
+
+    def __call__(self, state, nominal):
+        self.seen.append(state.sigma)
+        torque = 0.01 if state.omega[2] < 6 else 0.0
+        return SplatFilterResult(u=np.array([BODY.mass * 9.81, 0, 0, torque]), status=FilterStatus.FILTERED)
+
+
+def test_a_filter_sees_the_attitude_that_the_tick_begins_with():
+    """Also in the tick after half a turn, where its parameters are switched."""
+    turning = Turning()
+    flown = one(turning, rules=_core.FlightRules(max_time_s=3.0))
+    seen = np.array(turning.seen)
+    np.testing.assert_array_equal(seen, flown.state[:-1, 3:6])
+    assert np.linalg.norm(seen, axis=1).max() <= 1
+    assert np.ptp(np.sign(seen[:, 2])) == 2

@@ -194,6 +194,29 @@ Wrench BackupPolicy::linearised(const State& x, Vec3 hold, PolicyJacobian& jacob
   return result;
 }
 
+bool BackupPolicy::settles(double h) const {
+  const auto inside = [](double a2, double a1, double a0) {  // all roots of z^3 + a2 z^2 + a1 z + a0 in the unit disc
+    return 1 + a2 + a1 + a0 > 0 && 1 - a2 + a1 - a0 > 0 && std::abs(a0) < 1 && std::abs(a0 * a2 - a1) < 1 - a0 * a0;
+  };
+  const Vec3 inertia = vehicle_.inertia();
+  for (int i = 0; i < 2; ++i) {
+    // v' = g b, b' = w, w' = -k_w w - k_b b - k_v v, the last held for h: exact differences, and the characteristic
+    // polynomial in z - 1, then in z.
+    const double k_w = h * kappa_ * k_omega_[i] / inertia[i], k_b = h * h * kappa_ * k_tilt_[i] / inertia[i];
+    const double k_v = h * lean_ * vehicle_.gravity() * k_b;
+    const double d2 = k_w + k_b / 2 + k_v / 6, d1 = k_b + k_v, d0 = k_v;
+    if (!inside(d2 - 3, 3 - 2 * d2 + d1, -1 + d2 - d1 + d0)) return false;
+  }
+  const double k_yaw = h * kappa_ * k_omega_.z / inertia.z;
+  if (kind_ == BackupKind::hover) {  // a spring on sigma_z, sigma_z' = w / 4
+    const double spring = h * h * kappa_ * gains_.k_sigma / (4 * inertia.z), d1 = k_yaw + spring / 2;
+    if (!inside(d1 - 2, 1 - d1 + spring, 0)) return false;
+  } else if (!(k_yaw < 2)) {
+    return false;
+  }
+  return h * kappa_ * k_z_ < 2;
+}
+
 std::array<Vec3, 3> BackupPolicy::drifts(const State& x) const {
   // Near hover the thrust axis b, flat, obeys J b'' = -K_omega b' - K_R (b + lean v) and v' = g b. Integrated until
   // rest, with int b = -v / g:  K_R lean int v = K_R v / g + K_omega b + J b'.

@@ -20,40 +20,6 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kStep = 0.01;      // of RK4 at most [s],
 constexpr double kTurn = 0.1;       // and [rad]
 constexpr double kTurnPerTick = 1;  // more than that and holding an input for a tick means nothing
-constexpr int kSquarings = 13;      // of the loop's matrix: it must have decayed in so many ticks, to base 2
-
-// Whether the policy, held tick by tick, is stable about hover.
-bool is_stable(const Shield& shield) {
-  // Of sigma, v, omega; without a spring on the heading that stays where it is, and moves nothing else.
-  constexpr std::size_t n = 9;
-  constexpr double step = 1e-6;
-  const BackupPolicy& policy = shield.policy();
-  const auto at = [](State& x, std::size_t i) -> double& {
-    return (i < 3 ? x.sigma : i < 6 ? x.v : x.omega)[static_cast<int>(i % 3)];
-  };
-  std::array<std::array<double, n>, n> loop{};
-  for (std::size_t j = 0; j < n; ++j) {
-    State above, below;
-    at(above, j) = step, at(below, j) = -step;
-    above = shield.after(above, policy(above)), below = shield.after(below, policy(below));
-    for (std::size_t i = 0; i < n; ++i) loop[i][j] = (at(above, i) - at(below, i)) / (2 * step);
-  }
-  if (policy.kind() != BackupKind::hover)
-    for (std::size_t i = 0; i < n; ++i) loop[i][2] = loop[2][i] = 0;
-  double size = 0;
-  for (int k = 0; k < kSquarings; ++k) {
-    const auto once = loop;
-    size = 0;
-    for (std::size_t i = 0; i < n; ++i)
-      for (std::size_t j = 0; j < n; ++j) {
-        loop[i][j] = 0;
-        for (std::size_t l = 0; l < n; ++l) loop[i][j] += once[i][l] * once[l][j];
-        size = std::max(size, std::abs(loop[i][j]));
-      }
-    if (!(size < 1e100)) return false;
-  }
-  return size < 1;
-}
 
 }  // namespace
 
@@ -66,6 +32,9 @@ Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex>
   require(index_ != nullptr, "a shield needs a map");
   require(o.tick_s > 0 && o.tick_s <= 1 && o.max_time_s >= o.tick_s && o.max_time_s / o.tick_s <= 1e5,
           "the tick of a shield must be positive, and at most 100 000 of them make its longest time");
+  require(
+      policy.settles(o.tick_s),
+      "the gains of the backup policy are too high for this vehicle at this tick: held for one, they do not settle");
   require(o.substeps >= 1 && o.line_search >= 0 && o.escape_tries >= 0, "counts of a shield must not be negative");
   require(2 * o.rest_drift_m < o.margin_m && std::isfinite(o.margin_m),
           "the margin of a shield must be more than twice the drift at rest");
@@ -73,9 +42,6 @@ Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex>
           "an escape must fit into the shield's longest time");
   require(o.rest_speed_m_s > 0 && o.rest_rate_rad_s > 0 && o.rest_tilt_rad > 0 && o.rest_drift_m > 0,
           "the tolerances of rest must be positive");
-  require(is_stable(*this),
-          "the backup policy is not stable when it is held for a tick: its gains are too high for "
-          "this body and tick");
   path_.reserve(static_cast<std::size_t>(o.max_time_s / o.tick_s) + 3);
   found_.reserve(4);
 }

@@ -83,6 +83,7 @@ FlightTrial::FlightTrial(const FlightVehicle& vehicle, const FlightRules& rules,
 void FlightTrial::observe() {
   const auto before = Clock::now();
   seen_.x = is_rigid() ? body_.measured() : point_.measured();
+  seen_.x.sigma = shadowed(seen_.x.sigma);  // sensors know nothing of the switch at the end of the tick
   target_ = reference_.at(reference_.start() + time_s());
   // The controller counts with its own thrust, unless another one is flown.
   nominal_ = track(vehicle_.body, vehicle_.gains, seen_.x, target_, is_other_ ? seen_.thrust : own_thrust);

@@ -77,6 +77,10 @@ class BackupPolicy {
   Vec3 torque_cap() const { return torque_cap_; }
   double fastest_rate() const;  // of the attitude loop [1/s], for the choice of an integration step
 
+  // Whether the linear loop about hover, with wrenches held for a tick, is asymptotically stable (Jury's criterion).
+  // Gains that are sound in continuous time are not when the vehicle is light or the tick long.
+  bool settles(double tick_s) const;
+
   // The wrench before saturation, and the policy itself. `hold` is v_d of `brake`; the others ignore it.
   Wrench raw(const State& x, Vec3 hold = {}) const;
   Wrench operator()(const State& x, Vec3 hold = {}) const;
