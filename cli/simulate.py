@@ -318,7 +318,7 @@ def _spread(what: str, seconds: Any) -> dict[str, float]:
 
 def _check(output: Path, trials: list[Any], *, splat: bool) -> None:
     """Fail when a flight behind a filter came closer to what it sees than the vehicle's radius."""
-    from alula.stages.flight.simulate import COLLISION_TOLERANCE_M
+    from alula.stages.reporting.metrics import COLLISION_TOLERANCE_M
 
     def clearance(trial: Any) -> float:
         found = trial.scene_clearance_m if splat else trial.map_clearance_m

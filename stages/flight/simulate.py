@@ -27,6 +27,7 @@ from alula.stages.flight.reference import NO_REFERENCE, Reference, sample_plan
 from alula.stages.flight.splat_log import SplatFlightLog
 from alula.stages.flight.trials import Pairs, central_box, sample_pairs
 from alula.stages.reporting.metrics import (
+    COLLISION_TOLERANCE_M,
     hull_obstacles,
     path_clearance,
     path_metrics,
@@ -37,7 +38,6 @@ from alula.stages.reporting.metrics import (
 
 FloatArray = NDArray[np.float64]
 
-COLLISION_TOLERANCE_M = 1e-6  # clearances are exact to far less; a touch is no collision
 _BATCH = 64  # trials whose full-rate samples are in memory at once
 _STUCK_STEPS = 100
 _STUCK_FRACTION = 1e-3  # of the speed limit

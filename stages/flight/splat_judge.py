@@ -13,11 +13,15 @@ from alula.schemas.run import TrialResult
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.splat_loop import SplatFlown
-from alula.stages.reporting.metrics import hull_obstacles, path_clearance, scene_obstacles, segment_clearance
+from alula.stages.reporting.metrics import (
+    COLLISION_TOLERANCE_M,
+    hull_obstacles,
+    path_clearance,
+    scene_obstacles,
+    segment_clearance,
+)
 
 FloatArray = NDArray[np.float64]
-
-COLLISION_TOLERANCE_M = 1e-6  # clearances are exact to far less; a touch is no collision
 
 
 class SplatJudge:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.errors import InputError
 from alula.schemas.run import TrialResult
 from alula.stages.reporting.material import Run
 from alula.stages.reporting.metrics import wilson_interval
@@ -132,8 +133,14 @@ def compare(
     """Compare runs one by one, by pairs of trials of which both are `only`, or by all.
 
     A pair of start and goal is one draw of the bootstrap with all of its speeds.
+
+    Raises:
+        InputError: trials of the same number do not have the same start and goal.
     """
     count = min(len(s.run.record.trials) for s in (*ours, *theirs))
+    pairs = [[(t.start_m, t.goal_m) for t in s.run.record.trials[:count]] for s in (*ours, *theirs)]
+    if any(pair != pairs[0] for pair in pairs):
+        raise InputError("runs that are compared must fly the same pairs of start and goal")
     both = np.array(
         [
             [

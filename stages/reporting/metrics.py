@@ -16,6 +16,8 @@ from alula.stages.compression.hulls import Hulls
 
 FloatArray = NDArray[np.float64]
 
+COLLISION_TOLERANCE_M = 1e-6  # clearances are exact to far less; a touch is no collision
+
 
 def hull_obstacles(hulls: Hulls) -> PolytopeSet:
     """The hulls in a search tree, for many queries by `path_clearance`."""

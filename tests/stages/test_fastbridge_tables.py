@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from alula.schemas.errors import InputError
 from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import RunRecord, TrialResult
@@ -90,6 +91,15 @@ def test_ratios_are_of_sums_over_the_same_pairs(pair):
     assert found.goals.value == pytest.approx(2 / 3)
     assert found.top_speed is not None
     assert found.top_speed.value == pytest.approx(1.0)
+
+
+def test_runs_over_other_pairs_are_not_compared(pair):
+    ours, theirs = pair
+    moved = sweep("cone-ecbf", 2.1, [trial(i, start_m=[0.1, 0.0, 1.0]) for i in range(3)])
+    with pytest.raises(InputError, match="same pairs"):
+        compare([moved], [theirs])
+    with pytest.raises(InputError, match="same pairs"):
+        compare([ours, moved], [theirs, theirs])
 
 
 def test_a_pair_counts_only_where_both_flights_qualify(pair):
