@@ -13,9 +13,9 @@ from alula.schemas.atomic import write_text
 from alula.schemas.flights import read_flights
 from alula.schemas.run import read_run
 from alula.stages.reporting import fastbridge, fastbridge_figures
-from alula.stages.reporting.fastbridge import Sweep
 from alula.stages.reporting.material import Material, Run
 from alula.stages.reporting.page import page
+from alula.stages.reporting.sweeps import Sweep
 from alula.stages.reporting.tables import inputs_table, table_csv, to_markdown
 
 folder, names = Path(sys.argv[1]), sys.argv[2:]
@@ -40,13 +40,14 @@ whole = [s for s, yes in zip(sweeps, is_ablation, strict=True) if not yes]
 tables = [
     fastbridge.gap_table(whole),
     fastbridge.comparison_table(whole),
-    fastbridge.flight_table(
+    fastbridge.ratio_table(whole),
+    *fastbridge.flight_tables(
         sorted((s for s in whole if s.variant != "ideal-di"), key=lambda s: (s.scene, s.speed_m_s)),
         "figure-4",
-        "Figure 4: loops, feasibility and motion",
+        "Figure 4: flights",
         published=True,
     ),
-    fastbridge.flight_table(
+    *fastbridge.flight_tables(
         [
             s
             for s, yes in zip(sweeps, is_ablation, strict=True)
