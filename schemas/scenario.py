@@ -201,6 +201,8 @@ def read_scenario(path: Path) -> Scenario:
     scenario = read_toml(path, Scenario, SCENARIO_SCHEMA)
     if scenario.map.cover is None and scenario.map.scene is None:
         raise UsageError(f"{path}: `$.map` needs a cover, or a scene for a filter that sees ellipsoids")
+    if None not in (scenario.map.sigma, scenario.map.confidence):
+        raise UsageError(f"{path}: `$.map.confidence`: sets sigma; give one of the two, not both")
     if scenario.filter.name in (None, "polytope-cbf"):
         _check_built_in_parameters(path, scenario.filter.parameters)
     elif scenario.filter.name == "none" and scenario.filter.parameters:

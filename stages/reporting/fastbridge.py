@@ -206,16 +206,16 @@ def flight_tables(
             )
         )
     if published:
-        f, which = FASTBRIDGE["flight"], ("published (hardware)", "cone-backup", None)
+        f, hardware = FASTBRIDGE["flight"], ("published (hardware)", "cone-backup", None)
         flights.append(
             (
-                *(*which, 1, None, 0, None, None, None, None),
+                *(*hardware, 1, None, 0, None, None, None, None),
                 *(f["min_clearance_m"], f["mean_speed_m_s"], f["max_speed_m_s"], None),
             )
         )
         loops.append(
             (
-                *(*which, f["ticks"], f["infeasible"], f["feasible"], None, None),
+                *(*hardware, f["ticks"], f["infeasible"], f["feasible"], None, None),
                 *(f["loop_mean_us"], f["loop_p99_us"], f["loop_max_us"], f["overruns"], None),
             )
         )
