@@ -1,8 +1,8 @@
 """Figures 2 to 4 of FastBridge, and the ablations, from the runs in a folder.
 
-Usage: python compare.py FOLDER SCENE [SCENE ...]
+Usage: python compare.py FOLDER RUN [RUN ...]
 
-A run of a scene is FOLDER/SCENE/VARIANT@SPEED.run.mcap with its record beside it.
+A run is SCENE/VARIANT@SPEED.run.mcap with its record beside it; tables and figures are written into FOLDER.
 """
 
 import sys
@@ -18,7 +18,8 @@ from alula.stages.reporting.page import page
 from alula.stages.reporting.sweeps import Sweep
 from alula.stages.reporting.tables import inputs_table, table_csv, to_markdown
 
-folder, names = Path(sys.argv[1]), sys.argv[2:]
+folder, runs = Path(sys.argv[1]), [Path(word) for word in sys.argv[2:]]
+names = list(dict.fromkeys(path.parent.name for path in runs))
 TITLE = "FastBridge: collision cones through the quadrotor"
 PATHS = (fastbridge.BASELINE, fastbridge.GATED, fastbridge.OURS)
 
@@ -32,7 +33,7 @@ def sweep_of(path: Path) -> Sweep:
     return Sweep(path.parent.name, variant, float(speed), Run(label, record, flights))
 
 
-files = [path for name in names for path in sorted((folder / name).glob("*@*.run.mcap"))]
+files = sorted(dict.fromkeys(runs), key=lambda path: names.index(path.parent.name))  # else as they are given
 sweeps = [sweep_of(path) for path in files]
 is_ablation = [s.variant.startswith(("ecbf-", "backup-")) for s in sweeps]
 ablated = {(s.scene, s.speed_m_s) for s, yes in zip(sweeps, is_ablation, strict=True) if yes}
@@ -44,17 +45,21 @@ tables = [
     *fastbridge.flight_tables(
         sorted((s for s in whole if s.variant != "ideal-di"), key=lambda s: (s.scene, s.speed_m_s)),
         "figure-4",
-        "Figure 4: flights",
+        "Figure 4",
         published=True,
     ),
     *fastbridge.flight_tables(
-        [
-            s
-            for s, yes in zip(sweeps, is_ablation, strict=True)
-            if yes or (s.variant in ("cone-ecbf", "cone-backup") and (s.scene, s.speed_m_s) in ablated)
-        ],
+        sorted(
+            (
+                s
+                for s, yes in zip(sweeps, is_ablation, strict=True)
+                if yes or (s.variant in ("cone-ecbf", "cone-backup") and (s.scene, s.speed_m_s) in ablated)
+            ),
+            key=lambda s: (s.scene, s.run.record.filter),
+        ),
         "ablations",
-        "Ablations: one parameter at a time",
+        "Ablations",
+        bases=[s for s in whole if s.variant in ("cone-ecbf", "cone-backup")],
     ),
 ]
 figures = []
@@ -70,4 +75,6 @@ for table in tables:
 for figure in figures:
     write_text(folder / f"{figure.name}.svg", figure.svg)
 write_text(folder / "fastbridge.md", to_markdown(TITLE, facts, tables, ""))
-write_text(folder / "fastbridge.html", page(material, [*tables, inputs_table(material)], figures, None))
+write_text(
+    folder / "fastbridge.html", page(material, [*tables, inputs_table(material)], figures, None, facts=facts)
+)

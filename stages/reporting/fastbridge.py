@@ -12,7 +12,17 @@ from alula.schemas.run import TrialResult
 from alula.stages.reporting.metrics import wilson_interval
 from alula.stages.reporting.published import FASTBRIDGE
 from alula.stages.reporting.statistics import Estimate, mean_estimate
-from alula.stages.reporting.sweeps import Comparison, Sweep, compare, find, scenes_of, speeds_of, succeeded
+from alula.stages.reporting.sweeps import (
+    Comparison,
+    Sweep,
+    changed_parameters,
+    compare,
+    find,
+    realisation_error,
+    scenes_of,
+    speeds_of,
+    succeeded,
+)
 from alula.stages.reporting.tables import Table
 
 FloatArray = NDArray[np.float64]
@@ -33,7 +43,7 @@ def gap_table(sweeps: Sequence[Sweep]) -> Table:
             for sweep in sorted(
                 (s for s in sweeps if s.scene == scene and s.variant == variant), key=lambda s: s.speed_m_s
             ):
-                error = _finite(sweep.values(lambda t: t.peak_realisation_error_m_s2))
+                error = _finite(sweep.values(realisation_error))
                 gamma = _finite(sweep.values(lambda t: t.min_gamma))
                 rows.append(
                     (
@@ -118,7 +128,9 @@ def ratio_table(sweeps: Sequence[Sweep]) -> Table:
         "bootstrap; an interval of equal values is unknown (–), and that of a goal rate holds what so many "
         "pairs cannot exclude. Both reached: only flights in which both filters reached the goal."
     )
-    return Table("figure-3-ratios", "Figure 3: cone against distance", columns, tuple(rows), note)
+    return Table(
+        "figure-3-ratios", "Figure 3: cone against distance, all speeds together", columns, tuple(rows), note
+    )
 
 
 def _compared_in(sweeps: Sequence[Sweep], scene: str) -> list[str]:
@@ -173,9 +185,17 @@ def _ends(trials: Sequence[TrialResult]) -> tuple[int, int, int, int]:
 
 
 def flight_tables(
-    sweeps: Sequence[Sweep], name: str, title: str, *, published: bool = False
+    sweeps: Sequence[Sweep],
+    name: str,
+    title: str,
+    *,
+    published: bool = False,
+    bases: Sequence[Sweep] = (),
 ) -> tuple[Table, Table]:
-    """Figure 4's table, one row per run and the published one: the flights, then the loop that flew them."""
+    """Figure 4's table, one row per run and the published one: the flights, then the loop that flew them.
+
+    With `bases`, what each run changed against that of the same filter, scene and speed among them.
+    """
     flights: list[tuple[Any, ...]] = []
     loops: list[tuple[Any, ...]] = []
     for sweep in sweeps:
@@ -186,6 +206,11 @@ def flight_tables(
         clearance = _finite(sweep.values(lambda t: t.scene_clearance_m))
         seconds = sum(t.duration_s for t in trials)
         which = (sweep.scene, sweep.variant, sweep.speed_m_s)
+        told = sweep.run.record.provenance.parameters.get("filter_parameters", {})
+        backup, certified = (
+            sum(t.backup_steps or 0 for t in trials),
+            sum(t.certified_steps or 0 for t in trials),
+        )
         flights.append(
             (
                 *(*which, *_ends(trials), good / len(trials), *wilson_interval(good, len(trials))),
@@ -193,13 +218,14 @@ def flight_tables(
                 sum(t.path_length_m for t in trials) / seconds if seconds > 0 else None,
                 max(t.max_speed_m_s for t in trials),
                 float(np.mean(sweep.values(lambda t: t.mean_jerk_m_s3))),
+                *([_changed(sweep, bases)] if bases else []),
             )
         )
         loops.append(
             (
                 *(*which, ticks, infeasible, _share(ticks - infeasible, ticks)),
-                _share(sum(t.backup_steps or 0 for t in trials), ticks),
-                _share(sum(t.certified_steps or 0 for t in trials), ticks),
+                _share(backup, ticks) if "policy" in told else None,
+                _share(certified, ticks) if told.get("shield") else None,
                 *(_micro(sweep.timing(f"tick_{key}_s")) for key in ("mean", "p99", "max")),
                 sweep.timing("overruns"),
                 _micro(sweep.timing("filter_p99_s")),
@@ -222,6 +248,7 @@ def flight_tables(
     columns = (
         *("scene", "filter", "reference speed [m/s]", *_ENDS, "goal rate", "95 % low", "95 % high"),
         *("least clearance [m]", "mean speed [m/s]", "top speed [m/s]", "mean jerk [m/s³]"),
+        *(["changed"] if bases else []),
     )
     loop_columns = (
         *("scene", "filter", "reference speed [m/s]", "ticks", "infeasible", "feasible, share"),
@@ -233,12 +260,18 @@ def flight_tables(
         "The loop is controller and filter together, measured on this machine; an overrun took longer than a "
         "tick. Feasible: the program of the tick has a solution; certified: a safe backup manoeuvre was "
         "proven to remain after it; on the backup: the backup policy's input was flown, or one between it "
-        "and the nominal."
+        "and the nominal; neither is known (–) of a filter that has no policy, or flies without a shield."
     )
     return (
-        Table(name, title, columns, tuple(flights), note),
-        Table(f"{name}-loop", f"{title}: the loop", loop_columns, tuple(loops), loop_note),
+        Table(name, f"{title}: flights", columns, tuple(flights), note),
+        Table(f"{name}-loop", f"{title}: loop and program", loop_columns, tuple(loops), loop_note),
     )
+
+
+def _changed(sweep: Sweep, bases: Sequence[Sweep]) -> str | None:
+    same = [b for b in bases if b.run.record.filter == sweep.run.record.filter]
+    base = next((b for b in same if (b.scene, b.speed_m_s) == (sweep.scene, sweep.speed_m_s)), None)
+    return None if base is None else changed_parameters(sweep, base) or "–"
 
 
 def _micro(seconds: float | None) -> float | None:
@@ -266,7 +299,7 @@ def in_short(sweeps: Sequence[Sweep]) -> dict[str, str]:
             if (jerk := found.mean_jerk) is not None:
                 parts.append(f"mean jerk {jerk.value:.2f} times its{_interval(jerk, '.2f')}")
             if found.filter_time:
-                parts.append(f"filter {1 / found.filter_time:.1f} times as fast")
+                parts.append(f"filter time {found.filter_time:.2f} times its")
             if (goals := found.goals) is not None:
                 parts.append(f"goal rate {100 * goals.value:+.1f} points{_interval(goals, '+.1f', 100)}")
             if (speed := found.top_speed) is not None:

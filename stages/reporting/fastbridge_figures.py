@@ -17,7 +17,7 @@ from alula.stages.reporting.fastbridge import (
 )
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.statistics import mean_estimate
-from alula.stages.reporting.sweeps import Sweep, find, speeds_of, succeeded
+from alula.stages.reporting.sweeps import Sweep, find, realisation_error, speeds_of, succeeded
 from alula.stages.reporting.tables import text
 
 COLORS = {
@@ -42,9 +42,7 @@ def gap_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
             if not runs:
                 continue
             color = COLORS[variant]
-            said.append(
-                f"{variant}: {_line(top, runs, lambda t: t.peak_realisation_error_m_s2, color, variant)}"
-            )
+            said.append(f"{variant}: {_line(top, runs, realisation_error, color, variant)}")
             speeds = [run.speed_m_s for run in runs]
             gamma = [np.sort(run.values(lambda t: t.min_gamma)) for run in runs]
             bottom.plot(speeds, [np.median(g) for g in gamma], ".-", color=color, linewidth=1.6)
@@ -166,4 +164,4 @@ def _line(
     axes.fill_between(speed, low, high, color=color, alpha=0.18, linewidth=0)
     axes.plot(speed, value, ".-", color=color, linewidth=1.6, label=label)
     ends = [f"{text(float(value[i]))} at {text(float(speed[i]))} m/s" for i in (0, -1)]
-    return f"from {ends[0]} to {ends[1]}"
+    return f"from {ends[0]} to {ends[1]}" if len(points) > 1 else ends[0]

@@ -6,7 +6,7 @@ interval has no width, although the next value may differ. Two ways out:
 - Of values with known bounds, as a share of goals reached, n draws all miss a part u of what may be drawn
   with a probability of (1 - u)^n. At 2.5 % that is u = 1 - 0.025^(1/n), 0.07 of n = 50: the bound of Clopper
   and Pearson for 0 of n. Were that part at a bound, the mean would be off by u times the distance to it, so
-  the interval reaches at least so far. The bootstrap's own is nearly always wider.
+  the interval reaches at least so far. That matters where failures are few, or n is.
 - Without bounds nothing can be said, and the ends are None.
 """
 

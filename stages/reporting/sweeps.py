@@ -12,8 +12,11 @@ from alula.schemas.errors import InputError
 from alula.schemas.run import TrialResult
 from alula.stages.reporting.material import Run
 from alula.stages.reporting.statistics import Estimate, difference_estimate, ratio_estimate
+from alula.stages.reporting.tables import flat, text
 
 FloatArray = NDArray[np.float64]
+
+_ROUNDING_M_S2 = 1e-9  # of an acceleration; what flies is off by 1e-15
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +43,20 @@ class Sweep:
         """A measured time of the run [s], or count."""
         found = (self.run.record.timing or {}).get(key)
         return float(found) if found is not None else None
+
+
+def realisation_error(trial: TrialResult) -> float | None:
+    """The peak realisation error of a flight [m/s^2]; what is only rounding is 0."""
+    error = trial.peak_realisation_error_m_s2
+    return 0.0 if error is not None and error < _ROUNDING_M_S2 else error
+
+
+def changed_parameters(sweep: Sweep, base: Sweep) -> str:
+    """What was flown with another value than in `base`, in words; the name apart."""
+    ours, theirs = (flat(s.run.record.provenance.parameters) for s in (sweep, base))
+    keys = sorted(key for key in ours.keys() | theirs.keys() if ours.get(key) != theirs.get(key))
+    names = {key: key.removeprefix("filter_parameters.") for key in keys if key != "name"}
+    return ", ".join(f"{name} {text(ours.get(key))}" for key, name in names.items())
 
 
 def find(sweeps: Iterable[Sweep], scene: str, variant: str, speed_m_s: float) -> Sweep | None:

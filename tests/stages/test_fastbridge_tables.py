@@ -48,7 +48,10 @@ def trial(index, outcome="reached", collision=False, jerk=2.0, speed=1.0, steps=
     )
 
 
-def sweep(variant, speed, trials, scene="room", seconds=1e-4):
+SHIELDED = {"filter_parameters": {"policy": "brake", "shield": True, "count": 64}}
+
+
+def sweep(variant, speed, trials, scene="room", seconds=1e-4, parameters=None, filter_name=None):
     calls = sum(t.steps for t in trials)
     timing = {
         "filter_calls": calls,
@@ -62,9 +65,9 @@ def sweep(variant, speed, trials, scene="room", seconds=1e-4):
     record = RunRecord(
         schema="alula/run",
         version="1.0",
-        provenance=Provenance.now("alula/run", "1.0", {}, 0, []),
+        provenance=Provenance.now("alula/run", "1.0", parameters or SHIELDED, 0, []),
         name=variant,
-        filter=variant,
+        filter=filter_name or variant,
         vehicle="test",
         trials=trials,
         summary={},
@@ -178,6 +181,23 @@ def test_the_flight_table_counts_ticks_and_keeps_the_published_row_apart(pair):
     assert published["least clearance [m]"] == 0.154
 
 
+def test_an_ablation_says_what_it_changed_and_who_has_no_shield():
+    base = sweep("cone-ecbf", 1.0, [trial(0)])
+    bare = {"filter_parameters": {"policy": "brake", "shield": False, "count": 16}, "name": "mine"}
+    other = sweep("ecbf-bare", 1.0, [trial(0)], parameters=bare, filter_name="cone-ecbf")
+    foreign = sweep("cone-di", 1.0, [trial(0)], parameters={"filter_parameters": {"alpha": 3.0}})
+    flights, loops = flight_tables([base, other, foreign], "a", "A", bases=[base])
+    assert [row["changed"] for row in records_of(flights)] == ["–", "count 16, shield no", None]
+    shares = [(row["on the backup, share"], row["certified, share"]) for row in records_of(loops)]
+    assert shares == [(0.05, 1.0), (0.05, None), (None, None)]
+
+
+def test_rounding_is_no_realisation_error():
+    exact = sweep("cone-ecbf", 1.0, [trial(i, peak_realisation_error_m_s2=3e-15) for i in range(3)])
+    (row,) = records_of(gap_table([exact]))
+    assert (row["peak |e_a|, mean [m/s²]"], row["largest"]) == (0, 0)
+
+
 def test_a_run_without_times_has_none(pair):
     ours, theirs = pair
     bare = Sweep("room", "cone-ecbf", 2.1, Run("x", _without_timing(ours.run.record)))
@@ -207,7 +227,7 @@ def test_figures_say_what_they_show(pair):
 def test_the_line_in_short_gives_percent_below_the_baseline(pair):
     words = fastbridge.in_short(pair)["room, cone-ecbf against safer-splat"]
     assert words.startswith("mean jerk 0.42 times its (")
-    assert "filter 10.0 times as fast" in words
+    assert "filter time 0.10 times its" in words
     assert words.endswith("top speed +1.00 m/s (in all 3 pairs)")
 
 
