@@ -151,12 +151,14 @@ void bind_splat_flight(nb::module_& m) {
              double stop_floor_m, double stop_speed, double stuck_speed, std::int64_t stuck_ticks, double time_factor,
              double max_time_s, const Triple& lower, const Triple& upper) {
             const std::int64_t steps = plant_steps.value_or(fine_steps(dt_s));
-            new (self) FlightRules{dt_s,        steps,       stop_fraction, stop_floor_m,     stop_speed,      stuck_speed,
-                                   stuck_ticks, time_factor, max_time_s,    vector_of(lower), vector_of(upper)};
+            new (self)
+                FlightRules{dt_s,        steps,       stop_fraction, stop_floor_m,     stop_speed,      stuck_speed,
+                            stuck_ticks, time_factor, max_time_s,    vector_of(lower), vector_of(upper)};
           },
-          nb::kw_only(), "dt_s"_a = 0.01, "plant_steps"_a = nb::none(), "stop_fraction"_a = 0.01, "stop_floor_m"_a = 0.05,
-          "stop_speed"_a = 0.1, "stuck_speed"_a = 0.02, "stuck_ticks"_a = 200, "time_factor"_a = 3.0,
-          "max_time_s"_a = 0.0, "lower"_a = Triple{-1e9, -1e9, -1e9}, "upper"_a = Triple{1e9, 1e9, 1e9},
+          nb::kw_only(), "dt_s"_a = 0.01, "plant_steps"_a = nb::none(), "stop_fraction"_a = 0.01,
+          "stop_floor_m"_a = 0.05, "stop_speed"_a = 0.1, "stuck_speed"_a = 0.02, "stuck_ticks"_a = 200,
+          "time_factor"_a = 3.0, "max_time_s"_a = 0.0, "lower"_a = Triple{-1e9, -1e9, -1e9},
+          "upper"_a = Triple{1e9, 1e9, 1e9},
           "plant_steps: of the plant in a tick; by default as many as make none longer than 1 ms.");
 
   nb::class_<SteppedFlight>(m, "FlightTrial",
