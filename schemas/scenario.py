@@ -13,8 +13,8 @@
     [vehicle]
     radius_m = 0.1
     v_max_m_s = 1.0               # among ellipsoids: peak speed of the references
-    file = "drone.vehicle.toml"   # for filters that see ellipsoids, as are the next two
-    plant = "quadrotor"
+    file = "drone.vehicle.toml"   # what flies
+    plant = "quadrotor"           # for filters that see ellipsoids, as is the next
     interface = "wrench"
 
     [filter]

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -179,7 +179,7 @@ def _known(trials: Sequence[TrialResult], key: str) -> list[Any]:
 
 
 def runs_table(material: Material) -> Table:
-    """The runs side by side."""
+    """The runs side by side; what none of them has, as clearance to hulls without a cover, is left out."""
 
     def values(run: Run) -> dict[str, Any]:
         known = flew_through(run, material)
@@ -189,7 +189,9 @@ def runs_table(material: Material) -> Table:
         "Clearances are of the vehicle's sphere, computed after the flight; below zero is a collision. Each "
         "trial ends in one way: one that collided counts as nothing else."
     )
-    return _beside("runs", "Flights", material.runs, values, note)
+    table = _beside("runs", "Flights", material.runs, values, note)
+    known = tuple(row for row in table.rows if any(value is not None for value in row[1:]))
+    return replace(table, rows=known)
 
 
 def trials_table(run: Run, name: str) -> Table:
