@@ -13,7 +13,7 @@ import click
 
 from alula.cli import options
 from alula.cli.runner import run
-from alula.schemas.configs.simulate import ELLIPSOIDS_ONLY, HULLS_ONLY, SimulateConfig
+from alula.schemas.configs.simulate import ELLIPSOIDS_ONLY, HULLS_ONLY, SAMPLING_ONLY, SimulateConfig
 from alula.schemas.errors import CheckError, UsageError, WrongKindError
 from alula.schemas.provenance import parameters_of
 
@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     from alula.cli.runner import Progress
     from alula.schemas.provenance import Provenance
     from alula.stages.flight.simulate import RunResult
+    from alula.stages.flight.trials import Pairs
 
 EXAMPLES = """\b
 Examples:
   alula simulate room.cover.npz -o room.run.mcap --trials 100 --radius 0.1
   alula simulate loop.plan.npz --map room.cover.npz --scene room.scene.npz -o loop.run.mcap
   alula simulate room.scene.npz -o fast.run.mcap --filter cone-backup --speed 3 --set horizon_s=2
-  alula simulate room.scene.npz -o bent.run.mcap --filter cone-ecbf --guide cone-di --pairs blocked
+  alula simulate room.scene.npz -o bent.run.mcap --filter cone-ecbf --guide cone-di --pairs-from fast.run.mcap
 """
 
 
@@ -49,7 +50,13 @@ _GUIDE = "guide."  # before the name of a parameter of the guide
     "--vehicle",
     "vehicle_path",
     type=options.input_path(),
-    help="Vehicle that flies among ellipsoids (.toml); default: that of FastBridge.",
+    help="What flies (.toml); default: among ellipsoids the quadrotor of FastBridge.",
+)
+@click.option(
+    "--pairs-from",
+    "pairs_path",
+    type=options.input_path(),
+    help="Another run (.run.mcap), whose starts and goals are flown instead of random ones.",
 )
 @click.option(
     "--set",
@@ -67,6 +74,7 @@ def command(
     map_path: Path | None,
     scene_path: Path | None,
     vehicle_path: Path | None,
+    pairs_path: Path | None,
     settings: tuple[str, ...],
     config: SimulateConfig,
     common: options.Common,
@@ -74,50 +82,78 @@ def command(
     """Fly start-goal pairs or a plan behind a safety filter.
 
     SOURCE is a scenario (.toml), a plan with --map, or a cover or a scene, in which random pairs are flown.
-    Among the hulls of a cover flies a point with velocities as input (none, polytope-cbf); among the
-    ellipsoids of a scene a quadrotor with rotors (none, cone-di, cone-ecbf, cone-backup, safer-splat).
+    Among the hulls of a cover flies a single integrator, a point with velocities as input (none,
+    polytope-cbf); among the ellipsoids of a scene a quadrotor with rotors, or a double integrator, a point
+    with accelerations as input (none, cone-di, safer-splat, and with rotors cone-ecbf, cone-backup).
     Options given here replace those of the scenario. Beside R.run.mcap, R.run.json holds the same
     summary and the measured times. Exit code 4: a filtered flight collided with its map.
     """
     from alula.schemas.artifact import read_artifact
     from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.run import RUN_SCHEMA, RUN_SUFFIX, RUN_VERSION, read_run
+    from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
 
     if not common.output.name.endswith(".mcap"):
         raise UsageError(f"{common.output}: the output must end in .mcap (usually {RUN_SUFFIX})")
     paths = _inputs(source, map_path, scene_path, vehicle_path)
     config, given = _configured(context, source, config, common.seed, settings)
     splat = _is_among_ellipsoids(config.filter, paths)
-    _check_options(config, given, "vehicle" in paths, splat=splat)
+    _check_options(config, given, splat=splat)
     plan = read_artifact(paths["plan"], PLAN) if "plan" in paths else None
-    vehicle: Any = None
+    pairs: Pairs | None = None
+    if pairs_path is not None:
+        from alula.stages.flight.trials import pairs_flown
+
+        _check_pairs_from(context, plan is not None)
+        paths["pairs"] = pairs_path
+        pairs = pairs_flown(read_run(pairs_path).trials, config.trials)
+        config = dataclasses.replace(config, trials=len(pairs.start))
+    vehicle = read_vehicle(paths["vehicle"]) if "vehicle" in paths else FASTBRIDGE if splat else None
     if splat:
-        from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
         from alula.stages.flight.splat_simulate import resolve_splat, simulate_splat
 
-        vehicle = read_vehicle(paths["vehicle"]) if "vehicle" in paths else FASTBRIDGE
+        assert vehicle is not None
         config = resolve_splat(config, vehicle, plan)
     else:
         from alula.stages.flight.simulate import resolve, simulate
 
-        config = resolve(config, plan)
+        config = resolve(config, plan, vehicle)
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
         cover = read_artifact(paths["cover"], COVER) if "cover" in paths else None
         scene = read_artifact(paths["scene"], SCENE) if "scene" in paths else None
         if splat:
             assert scene is not None
+            assert vehicle is not None
             result = simulate_splat(
-                config, scene, vehicle, plan=plan, cover=cover, jobs=common.jobs, progress=progress
+                config,
+                scene,
+                vehicle,
+                plan=plan,
+                cover=cover,
+                given=pairs,
+                jobs=common.jobs,
+                progress=progress,
             )
         else:
             assert cover is not None
-            result = simulate(config, cover, plan=plan, scene=scene, jobs=common.jobs, progress=progress)
+            result = simulate(
+                config,
+                cover,
+                plan=plan,
+                scene=scene,
+                vehicle=vehicle,
+                given=pairs,
+                jobs=common.jobs,
+                progress=progress,
+            )
         frame = result.map.manifest.frame
         return lambda: _write(common.output, config, provenance, result, frame), result.summary
 
-    unused = HULLS_ONLY if splat else ELLIPSOIDS_ONLY
-    parameters = {key: value for key, value in parameters_of(config).items() if key not in ("seed", *unused)}
+    unused = ("seed", *(HULLS_ONLY if splat else ELLIPSOIDS_ONLY), *(SAMPLING_ONLY if pairs else ()))
+    parameters = {key: value for key, value in parameters_of(config).items() if key not in unused}
+    if vehicle is not None:
+        parameters["vehicle"] = contents(vehicle)
     run(common, RUN_SCHEMA, RUN_VERSION, parameters, paths, make, seed=config.seed)
     if not common.dry_run and config.filter != "none":
         _check(common.output, read_run(common.output).trials, splat=splat)
@@ -193,20 +229,33 @@ def _is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
     return False
 
 
-def _check_options(config: SimulateConfig, given: Set[str], vehicle: bool, *, splat: bool) -> None:
+def _check_options(config: SimulateConfig, given: Set[str], *, splat: bool) -> None:
     """Refuse options that the flights to be do not have."""
     wrong = [name for name in (HULLS_ONLY if splat else ELLIPSOIDS_ONLY) if name in given]
-    if not splat and vehicle:
-        wrong.append("vehicle")
     if wrong:
-        field = next((f for f in dataclasses.fields(SimulateConfig) if f.name == wrong[0]), None)
-        name = "--" + wrong[0].replace("_", "-")
-        option = name if field is None else field.metadata.get("option", name)
         whom = "hulls of a cover" if splat else "ellipsoids of a scene"
-        raise UsageError(f"{option} is for flights among the {whom}, which these are not")
+        raise UsageError(f"{_option_of(wrong[0])} is for flights among the {whom}, which these are not")
     if not splat and config.filter_parameters and config.filter in ("none", "polytope-cbf"):
         known = "no parameters" if config.filter == "none" else "the options --beta, --kappa and --smoothing"
         raise UsageError(f"--set: the filter {config.filter} has {known}")
+
+
+def _check_pairs_from(context: click.Context, has_plan: bool) -> None:
+    """Refuse options that say which pairs to draw, where another run's are flown."""
+    if has_plan:
+        raise UsageError("--pairs-from: a plan is flown as it is")
+    for name in SAMPLING_ONLY:
+        if options.is_given(context, name):
+            raise UsageError(
+                f"{_option_of(name)} is for random pairs; those of --pairs-from are flown as they are"
+            )
+
+
+def _option_of(name: str) -> str:
+    """How a field of the configuration is called on the command line."""
+    field = next(f for f in dataclasses.fields(SimulateConfig) if f.name == name)
+    option: str = field.metadata.get("option", "--" + name.replace("_", "-"))
+    return option
 
 
 def _configured(
@@ -223,6 +272,8 @@ def _configured(
     parameters = dict(_setting(word) for word in settings)
     guides = {name: parameters.pop(name) for name in list(parameters) if name.startswith(_GUIDE)}
     guides = {name.removeprefix(_GUIDE): value for name, value in guides.items()}
+    if {"sigma", "confidence"} <= given.keys():
+        raise UsageError("--confidence sets sigma: give one of the two, not both")
     if source.suffix != ".toml":
         config = dataclasses.replace(config, seed=seed, filter_parameters=parameters, guide_parameters=guides)
         return config, given.keys() | ({"guide_parameters"} if guides else set())

@@ -13,8 +13,8 @@
     [vehicle]
     radius_m = 0.1
     v_max_m_s = 1.0               # among ellipsoids: peak speed of the references
-    file = "drone.vehicle.toml"   # for filters that see ellipsoids, as are the next two
-    plant = "quadrotor"
+    file = "drone.vehicle.toml"   # what flies
+    plant = "quadrotor"           # for filters that see ellipsoids, as is the next
     interface = "wrench"
 
     [filter]
@@ -201,6 +201,8 @@ def read_scenario(path: Path) -> Scenario:
     scenario = read_toml(path, Scenario, SCENARIO_SCHEMA)
     if scenario.map.cover is None and scenario.map.scene is None:
         raise UsageError(f"{path}: `$.map` needs a cover, or a scene for a filter that sees ellipsoids")
+    if None not in (scenario.map.sigma, scenario.map.confidence):
+        raise UsageError(f"{path}: `$.map.confidence`: sets sigma; give one of the two, not both")
     if scenario.filter.name in (None, "polytope-cbf"):
         _check_built_in_parameters(path, scenario.filter.parameters)
     elif scenario.filter.name == "none" and scenario.filter.parameters:

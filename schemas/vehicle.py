@@ -18,6 +18,7 @@
 
     [rates]
     max_rad_s = [10, 10, 4]       # of a rate command
+    time_constant_s = 0.02        # of the loop that follows it
 
     [tracking]
     kp_per_s2 = 3.0
@@ -90,9 +91,10 @@ class LimitsTable(_Table, frozen=True, kw_only=True):
 
 
 class RatesTable(_Table, frozen=True, kw_only=True):
-    """Of commands to a rate loop."""
+    """Of commands to a rate loop, which follows them as a first-order lag where the rotors allow it."""
 
     max_rad_s: Positives = (10.0, 10.0, 4.0)
+    time_constant_s: Positive = 0.02
 
 
 class TrackingTable(_Table, frozen=True, kw_only=True):
@@ -209,6 +211,15 @@ FASTBRIDGE = Vehicle(
         max_thrust_share=0.9,
     ),
 )
+
+
+def contents(table: msgspec.Struct) -> dict[str, Any]:
+    """A vehicle as plain JSON values, with the defaults that its file may leave out."""
+    values = {
+        name: contents(value) if isinstance(value, msgspec.Struct) else value
+        for name, value in msgspec.structs.asdict(table).items()
+    }
+    return msgspec.json.decode(msgspec.json.encode(values), type=dict[str, Any])
 
 
 def read_vehicle(path: Path) -> Vehicle:

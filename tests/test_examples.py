@@ -89,11 +89,19 @@ def test_touching_a_file_reruns_what_depends_on_it_and_that_finds_itself_current
     assert commands_in(make(room)) == []
 
 
-def test_a_changed_parameter_is_taken_up(room):
-    (room / "out/room.cover.npz").unlink()
-    done = make(room, "HULLS=250")
-    assert "merge" in commands_in(done)
-    assert commands_in(make(room, "HULLS=250")) == []
+@pytest.mark.parametrize(
+    ("word", "rerun"),
+    [
+        ("TRIALS=3", ["simulate", "report"]),
+        ("HULLS=250", ["merge", "verify", "plan", "simulate", "simulate", "report"]),
+    ],
+)
+def test_a_changed_variable_reruns_what_depends_on_it(room, word, rerun):
+    done = make(room, word)
+    assert sorted(commands_in(done)) == sorted(rerun)
+    assert commands_in(make(room, word)) == []
+    record = json.loads((room / "out/pairs.run.json").read_text())
+    assert len(record["trials"]) == (3 if word == "TRIALS=3" else 5)
 
 
 def test_an_interrupted_run_leaves_whole_files_and_resumes(room):
@@ -157,7 +165,7 @@ def test_fastbridge_flies_every_filter_over_the_same_pairs(tmp_path):
     folder = tmp_path / "fastbridge"
     shutil.copytree(EXAMPLES / "fastbridge", folder, ignore=shutil.ignore_patterns("out"))
     words = [f"PYTHON={sys.executable} -P", "GAUSSIANS=20000", "TRIALS=2", "SPEEDS=2.1", "FLIGHT_SPEEDS=2.1"]
-    words += ["ABLATION_SPEED=2.1", "ABLATIONS=ecbf-lambda-4 backup-no-shield", "ALULA_DATA=", "-j2"]
+    words += ["ABLATION_SPEED=2.1", "ABLATIONS=ecbf-inflate-5cm backup-no-shield", "ALULA_DATA=", "-j2"]
     done = make(folder, *words)
     assert "cone-ecbf against safer-splat: mean jerk" in done.stdout
     out = folder / "out"
@@ -170,10 +178,23 @@ def test_fastbridge_flies_every_filter_over_the_same_pairs(tmp_path):
         if path.name.startswith(("cone-ecbf", "cone-backup")):
             assert not any(t["collision"] for t in trials), path.name
             assert all(t["certified_steps"] == t["steps"] for t in trials), path.name
-    assert len(starts) == 1
+    assert len(starts) == 1  # also with another inflation
     rows = (out / "figure-4.csv").read_text().splitlines()
     assert rows[-1].startswith("published")
-    assert len(rows) == 1 + len(flown - {"ideal-di", "ecbf-lambda-4", "backup-no-shield"}) + 1
-    assert len((out / "ablations.csv").read_text().splitlines()) == 1 + 4
+    assert len(rows) == 1 + len(flown - {"ideal-di", "ecbf-inflate-5cm", "backup-no-shield"}) + 1
+    ablations = (out / "ablations.csv").read_text().splitlines()
+    assert [line.rsplit(",", 1)[1] for line in ablations] == [
+        "changed",
+        "–",
+        "shield no",
+        "–",
+        "inflation_m 0.05",
+    ]
     assert "Figure 3" in (out / "fastbridge.html").read_text()
     assert commands_in(make(folder, *words)) == []
+    fewer = make(folder, *words, "SPEEDS=3.1", "FLIGHT_SPEEDS=2.1", "ABLATIONS=")
+    assert commands_in(fewer).count("simulate") == 6  # of the new speed
+    assert {line.split(",")[2] for line in (out / "figure-2.csv").read_text().splitlines()[1:]} == {
+        "2.1",
+        "3.1",
+    }

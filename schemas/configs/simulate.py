@@ -18,6 +18,8 @@ ELLIPSOIDS_ONLY = (
     *("sigma", "confidence", "inflation_m", "plant", "guide", "guide_parameters", "catch_up_m_s"),
     *("interface", "pairs"),
 )
+# Fields that say which random pairs are drawn.
+SAMPLING_ONLY = ("pairs", "bounds", "margin_m", "separation")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,8 +41,8 @@ class SimulateConfig:
     speed_m_s: float | None = field(
         default=None,
         metadata={
-            "help": f"Speed limit [m/s]; default: {DEFAULT_SPEED_M_S}, or 1.5 times a plan's. Among "
-            f"ellipsoids: peak of the references; default: {DEFAULT_SPEED_M_S}.",
+            "help": f"Speed limit [m/s]; default: of the vehicle's file, else 1.5 times a plan's, else "
+            f"{DEFAULT_SPEED_M_S}. Among ellipsoids: peak of the references; default: {DEFAULT_SPEED_M_S}.",
             "option": "--speed",
         },
     )
@@ -162,8 +164,8 @@ class SimulateConfig:
             _between("--radius", self.radius_m, 0.0, 1e3)
         if self.speed_m_s is not None:
             _between("--speed", self.speed_m_s, 1e-3, 1e3)
-        _between("--gain", self.gain, 1e-6, 2 / self.dt_s)
-        _between("--beta", self.beta, 1e-6, 1 / self.dt_s)
+        _between("--gain", self.gain, 1e-6, 1e6)
+        _between("--beta", self.beta, 1e-6, 1e6)
         _between("--kappa", self.kappa_per_m, 1e-2, 1e5)
         _between("--margin", self.margin_m, 0.0, 1e3)
         _between("--separation", self.separation, 0.0, 0.9)
@@ -192,6 +194,15 @@ class SimulateConfig:
             raise UsageError(f"--pairs must be any or blocked, not {self.pairs!r}")
         if not self.name.strip():
             raise UsageError("--name must not be empty")
+
+    def check_gains(self) -> None:
+        """Refuse gains that are too high for the time step; only flights among hulls have them."""
+        for option, gain, most in (("--gain", self.gain, 2), ("--beta", self.beta, 1)):
+            if gain * self.dt_s > most * (1 + 1e-12):
+                raise UsageError(
+                    f"{option} must be at most {most} / dt = {most / self.dt_s:g} at --dt {self.dt_s:g}, "
+                    f"not {gain:g}"
+                )
 
 
 def _between(option: str, value: float, low: float, high: float) -> None:

@@ -17,6 +17,7 @@ from alula.schemas.configs.simulate import DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S, 
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import TrialResult
+from alula.schemas.vehicle import Vehicle
 from alula.stages.compression.certificate import require_solid_hulls
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.polytope_cbf import NativeFilter
@@ -25,7 +26,7 @@ from alula.stages.filtering.registry import make_filter
 from alula.stages.flight.closed_loop import Flown, fly
 from alula.stages.flight.reference import NO_REFERENCE, Reference, sample_plan
 from alula.stages.flight.splat_log import SplatFlightLog
-from alula.stages.flight.trials import Pairs, central_box, sample_pairs
+from alula.stages.flight.trials import Pairs, central_box, check_clear, sample_pairs
 from alula.stages.reporting.metrics import (
     COLLISION_TOLERANCE_M,
     hull_obstacles,
@@ -78,18 +79,31 @@ class RunResult:
     tick_s: NDArray[np.float32] | None = None
 
 
-def resolve(config: SimulateConfig, plan: Artifact | None) -> SimulateConfig:
-    """Fill in what the configuration leaves to the plan or to a default.
+def resolve(config: SimulateConfig, plan: Artifact | None, vehicle: Vehicle | None = None) -> SimulateConfig:
+    """Fill in what the configuration leaves to the vehicle, the plan or a default.
 
     Raises:
-        UsageError: a number of trials is given with a plan, which is flown once.
+        UsageError: a number of trials is given with a plan, which is flown once; a gain is too high for the
+            time step; or the vehicle is no single integrator, or slower than asked for.
     """
+    config.check_gains()
     radius, speed = DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S
     if plan is not None:
         if config.trials not in (None, 1):
             raise UsageError("--trials is for random pairs; a plan is flown once")
         radius = float(plan.manifest.radius_m)  # type: ignore[attr-defined]
         speed = _PLAN_SPEED_FACTOR * float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
+    if vehicle is not None:
+        if vehicle.model != "single-integrator":
+            raise UsageError(
+                f"{vehicle.name} is a {vehicle.model}, which flies among the ellipsoids of a scene; "
+                "among the hulls of a cover flies a single-integrator"
+            )
+        limit = vehicle.limits.max_speed_m_s
+        assert limit is not None
+        if config.speed_m_s is not None and config.speed_m_s > limit:
+            raise UsageError(f"--speed {config.speed_m_s:g}: {vehicle.name} flies at most {limit:g} m/s")
+        radius, speed = vehicle.body.radius_m, limit
     return dataclasses.replace(
         config,
         radius_m=radius if config.radius_m is None else config.radius_m,
@@ -104,10 +118,12 @@ def simulate(
     *,
     plan: Artifact | None = None,
     scene: Artifact | None = None,
+    vehicle: Vehicle | None = None,
+    given: Pairs | None = None,
     jobs: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> RunResult:
-    """Fly random start-goal pairs, or a plan, and judge each flight afterwards.
+    """Fly random or given start-goal pairs, or a plan, and judge each flight afterwards.
 
     A single integrator x' = u under the nominal controller of eq. 16 and the filter, with exact
     state. Every flight is judged independently of the filter: exact signed Euclidean distance
@@ -119,18 +135,21 @@ def simulate(
         cover: the map that the filter sees.
         plan: flown instead of random pairs.
         scene: metric scene in the cover's frame; starts and goals also keep clear of its ellipsoids.
+        vehicle: a single integrator, whose radius and speed limit are the defaults.
+        given: flown instead of random pairs.
         jobs: threads, 0 for all processors; only measured times depend on it.
         progress: called with (trials done, trials).
 
     Raises:
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
-        UsageError: the filter is unknown or a parameter has no meaning.
+        UsageError: the filter is unknown, a parameter has no meaning, the vehicle does not fly here, or a
+            given start or goal is not clear of the map.
         InputError: scene or plan do not fit the cover.
         InfeasibleError: no clear start-goal pairs were found.
 
     Source: PolyMerge (arXiv 2606.16232), section VI-A.
     """
-    config = resolve(config, plan)
+    config = resolve(config, plan, vehicle)
     assert config.radius_m is not None
     assert config.speed_m_s is not None
     assert config.trials is not None
@@ -140,22 +159,30 @@ def simulate(
     hulls = Hulls.from_cover(cover)
     judge = _Judge(hulls, scene, float(cover.manifest.sigma), config.radius_m, jobs)  # type: ignore[attr-defined]
     reference = NO_REFERENCE if plan is None else sample_plan(plan, config.dt_s)
-    bounds = None if plan is not None else central_box(hulls.vertices_world, config.bounds, "hulls")
+    corners = hulls.vertices_world
+    if given is not None and len(corners) == 0:
+        corners = np.concatenate([given.start, given.goal])
+    bounds = None if plan is not None else central_box(corners, config.bounds, "hulls")
     world = World(
         hulls=hulls,
         radius_m=config.radius_m,
         speed_m_s=config.speed_m_s,
         dt_s=config.dt_s,
-        extent_m=_extent(hulls, bounds, reference) + config.radius_m + config.speed_m_s,
+        extent_m=_extent(hulls, bounds, reference, given) + config.radius_m + config.speed_m_s,
     )
     safety_filter = make_filter(config.filter, world, _filter_parameters(config))
+    psi = NativeFilter(world, {}, enabled=False).native.psi
     if bounds is None:
         ends = reference.position_world[[0, -1]]
         pairs = Pairs(ends[:1], ends[1:], 0, 0)
         allowed_s = (len(reference.position_world) - 1) * config.dt_s + _EXTRA_TIME_S
     else:
         diagonal = float(np.linalg.norm(bounds[1] - bounds[0]))
-        psi = NativeFilter(world, {}, enabled=False).native.psi
+        allowed_s = 5 * diagonal / config.speed_m_s + _EXTRA_TIME_S
+    if given is not None:
+        pairs = given
+        check_clear(pairs, lambda points: judge.is_clear(points, psi(points, jobs=jobs)[1], 0.0))
+    elif bounds is not None:
         pairs = sample_pairs(
             config.trials,
             config.seed,
@@ -164,7 +191,6 @@ def simulate(
             lambda points: psi(points, jobs=jobs)[1],
             lambda points, hard: judge.is_clear(points, hard, config.margin_m),
         )
-        allowed_s = 5 * diagonal / config.speed_m_s + _EXTRA_TIME_S
     rules = _core.TrialRules(
         dt_s=config.dt_s,
         gain=config.gain,
@@ -188,7 +214,8 @@ def simulate(
                 progress(index + 1, len(pairs.start))
     return RunResult(
         filter=config.filter,
-        vehicle=f"sphere of radius {config.radius_m:g} m, single integrator up to {config.speed_m_s:g} m/s",
+        vehicle=f"{'' if vehicle is None else f'{vehicle.name}: '}sphere of radius {config.radius_m:g} m, "
+        f"single integrator up to {config.speed_m_s:g} m/s",
         trials=trials,
         summary=_summary(trials, pairs, safety_filter),
         guarantee=_guarantee(config, cover, trials, safety_filter),
@@ -264,9 +291,12 @@ def _check_fit(cover: Artifact, role: str, other: Artifact | None) -> None:
         raise InputError(f"the {role} is in the frame {have.frame!r}, the cover in {need.frame!r}")
 
 
-def _extent(hulls: Hulls, bounds: tuple[FloatArray, FloatArray] | None, reference: Reference) -> float:
+def _extent(
+    hulls: Hulls, bounds: tuple[FloatArray, FloatArray] | None, reference: Reference, given: Pairs | None
+) -> float:
     """Twice the largest coordinate that is known beforehand; a flight beyond is refused."""
-    parts = [hulls.vertices_world, reference.position_world, *(bounds or ())]
+    ends = () if given is None else (given.start, given.goal)
+    parts = [hulls.vertices_world, reference.position_world, *(bounds or ()), *ends]
     return 2 * max(float(np.abs(part).max(initial=0.0)) for part in parts)
 
 

@@ -23,12 +23,12 @@ from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
 from alula.stages.filtering.splat_filters import GUIDES, NativeSplatFilter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
-from alula.stages.flight.references import rest_to_rest
 from alula.stages.flight.simulate import RunResult
 from alula.stages.flight.splat_judge import SplatJudge
 from alula.stages.flight.splat_log import SplatFlightLog, decimate
 from alula.stages.flight.splat_loop import fly
-from alula.stages.flight.trials import central_box, sample_pairs
+from alula.stages.flight.splat_references import references_of
+from alula.stages.flight.trials import Pairs
 from alula.stages.flight.vehicles import disturbances, plant_options, quadrotor, tracking_gains
 from alula.stages.reporting.metrics import wilson_interval
 
@@ -37,7 +37,7 @@ FloatArray = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 _BATCH = 16  # trials whose full-rate samples are in memory at once
-_PLANT_STEP_S = 1e-3
+_PLANT_STEP_S = 1e-3  # at most, by default of FlightRules
 _STUCK_S = 2.0
 _CATCH_UP = 0.5  # of the reference's peak speed, beyond it, for who was held up
 _ROOM_M = 20.0  # around the scene and the references; a flight that leaves it is refused
@@ -50,8 +50,13 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
         UsageError: a number of trials or a speed is given with a plan, which says both, or the vehicle is
             none that flies among ellipsoids, or a parameter of the filter or the guide is unknown.
     """
-    if vehicle.model == "single-integrator" or (config.plant == "quadrotor" != vehicle.model):
-        raise UsageError(f"{vehicle.name} is a {vehicle.model}, which does not fly among ellipsoids as asked")
+    if vehicle.model == "single-integrator":
+        raise UsageError(
+            f"{vehicle.name} is a single-integrator, which flies among the hulls of a cover, not "
+            "among ellipsoids"
+        )
+    if config.plant == "quadrotor" != vehicle.model:
+        raise UsageError(f"--plant quadrotor: {vehicle.name} is a {vehicle.model}")
     if config.plant == "double-integrator" or vehicle.model == "double-integrator":
         if config.interface != "wrench":
             raise UsageError(f"--interface {config.interface}: a double integrator is told accelerations")
@@ -93,10 +98,11 @@ def simulate_splat(
     *,
     plan: Artifact | None = None,
     cover: Artifact | None = None,
+    given: Pairs | None = None,
     jobs: int = 0,
     progress: Progress | None = None,
 ) -> RunResult:
-    """Fly random start-goal pairs, or a plan, among the ellipsoids of a scene, and judge each flight.
+    """Fly start-goal pairs, or a plan, among the ellipsoids of a scene, and judge each flight.
 
     A rigid body with rotors (or, as `plant` says, an ideal double integrator), in steps of at most 1 ms,
     behind the tracking controller, its guide and the filter at every `dt_s`. A pair is joined by a straight
@@ -112,11 +118,13 @@ def simulate_splat(
         vehicle: body, rotors, controller and disturbances.
         plan: flown instead of random pairs.
         cover: clearance to its hulls is also told.
+        given: flown instead of random pairs.
         jobs: threads, 0 for all processors; only measured times depend on it.
         progress: called with (trials done, trials).
 
     Raises:
-        UsageError: the filter is unknown, a parameter has no meaning, or the plant cannot fly its output.
+        UsageError: the filter is unknown, a parameter has no meaning, the plant cannot fly its output, or a
+            given start or goal is not clear of the map.
         InputError: the scene is not metric, or plan or cover do not fit it.
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
         InfeasibleError: no clear start-goal pairs were found.
@@ -143,11 +151,10 @@ def simulate_splat(
     if config.plant == "double-integrator" and safety_filter is not None and safety_filter.kind == "wrench":
         raise UsageError(f"--plant double-integrator has no thrust and torque, which {config.filter} returns")
     judge = SplatJudge(scene, config.sigma, cover, config.radius_m, jobs)
-    references, sampled = _references(config, scene, plan, judge, keep)
+    references, goals, sampled = references_of(config, scene, plan, given, judge, keep)
     lower, upper = _room(scene, references, config.dt_s)
     rules = _core.FlightRules(
         dt_s=config.dt_s,
-        plant_steps=max(1, math.ceil(config.dt_s / _PLANT_STEP_S - 1e-9)),
         stop_fraction=config.stop_fraction,
         stuck_ticks=max(1, round(_STUCK_S / config.dt_s)),
         max_time_s=config.max_time_s or 0.0,
@@ -161,6 +168,7 @@ def simulate_splat(
         plant=config.plant,
         interface=config.interface,
         max_rate_rad_s=vehicle.rates.max_rad_s,
+        rate_time_constant_s=vehicle.rates.time_constant_s,
         max_acceleration_m_s2=vehicle.limits.max_acceleration_m_s2 or math.inf,
     )
     trials: list[TrialResult] = []
@@ -181,8 +189,7 @@ def simulate_splat(
         )
         for i, (reference, flown) in enumerate(zip(batch, found, strict=True), begin):
             rows = reference.at(np.arange(len(flown.status) + 1, dtype=np.float64) * config.dt_s)
-            end = reference.at(np.array([reference.duration_s]))[0, :3]
-            trials.append(judge.trial(i, rows, end, flown, config.dt_s, index))
+            trials.append(judge.trial(i, rows, goals[i], flown, config.dt_s, index))
             flights.append(decimate(flown, config.dt_s, config.log_rate_hz))
             seconds.append((flown.filter_s, flown.tick_s))
     return RunResult(
@@ -225,42 +232,6 @@ def _index(scene: Artifact, sigma: float, radius_m: float) -> _core.EllipsoidInd
         )
     except ValueError as error:
         raise UsageError(f"no barriers for this scene: {error}") from error
-
-
-def _references(
-    config: SimulateConfig, scene: Artifact, plan: Artifact | None, judge: SplatJudge, keep_m: float
-) -> tuple[list[_core.ReferenceCurve], dict[str, int]]:
-    """The curves to fly, and what was sampled for them."""
-    if plan is not None:
-        time, coefficient = (np.ascontiguousarray(plan[name], np.float64) for name in ("time", "coefficient"))
-        return [_core.ReferenceCurve(time, coefficient)], {}
-    assert config.trials is not None
-    assert config.speed_m_s is not None
-    lower, upper = central_box(np.asarray(scene["mean"], np.float64), config.bounds, "Gaussians")
-    needed = keep_m + config.margin_m
-    pairs = sample_pairs(
-        config.trials,
-        config.seed,
-        (lower, upper),
-        config.separation * float(np.linalg.norm(upper - lower)),
-        lambda points: judge.distance(points, needed),
-        lambda _, distance: np.asarray(distance >= needed),
-        (lambda start, goal: judge.is_blocked(start, goal, keep_m)) if config.pairs == "blocked" else None,
-    )
-    curves = [
-        _core.ReferenceCurve(*rest_to_rest(start, goal, config.speed_m_s, yaw_rad=_heading(goal - start)))
-        for start, goal in zip(pairs.start, pairs.goal, strict=True)
-    ]
-    return curves, {
-        "sampled_points": pairs.sampled,
-        "sampled_inside_ellipsoids": pairs.sampled_inside_hulls,
-        "sampled_pairs": pairs.candidates,
-        "blocked_pairs": int(judge.is_blocked(pairs.start, pairs.goal, keep_m).sum()),
-    }
-
-
-def _heading(way: FloatArray) -> float:
-    return math.atan2(way[1], way[0])
 
 
 def _room(

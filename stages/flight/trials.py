@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.errors import InfeasibleError, UsageError
+from alula.schemas.run import TrialResult
 
 FloatArray = NDArray[np.float64]
 
@@ -30,6 +31,31 @@ class Pairs:
     sampled: int
     sampled_inside_hulls: int
     candidates: int = 0
+
+
+def pairs_flown(trials: Sequence[TrialResult], count: int | None) -> Pairs:
+    """Starts and goals of another run's trials, the first `count` of them or all.
+
+    Raises:
+        UsageError: there are not so many.
+    """
+    if count is not None and count > len(trials):
+        raise UsageError(f"--trials {count}: the run of --pairs-from has {len(trials)}")
+    first = sorted(trials, key=lambda trial: trial.index)[:count]
+    start, goal = (np.array([getattr(t, key) for t in first], np.float64) for key in ("start_m", "goal_m"))
+    return Pairs(start.reshape(-1, 3), goal.reshape(-1, 3), 0, 0)
+
+
+def check_clear(pairs: Pairs, is_clear: Callable[[FloatArray], NDArray[np.bool_]]) -> None:
+    """Raise UsageError where a start or a goal of another run is no place for this one."""
+    for what, points in (("starts", pairs.start), ("ends", pairs.goal)):
+        if not (clear := is_clear(points)).all():
+            i = int(np.argmin(clear))
+            where = " ".join(f"{value:.3f}" for value in points[i])
+            raise UsageError(
+                f"--pairs-from: trial {i} {what} at ({where}), nearer to an obstacle than this run keeps; "
+                "take the pairs of a run in the same map that keeps away at least as far"
+            )
 
 
 def central_box(

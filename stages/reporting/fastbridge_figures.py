@@ -14,13 +14,10 @@ from alula.stages.reporting.fastbridge import (
     GAP_VARIANTS,
     GATED,
     OURS,
-    Sweep,
-    find,
-    speeds_of,
-    succeeded,
 )
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.statistics import mean_estimate
+from alula.stages.reporting.sweeps import Sweep, find, realisation_error, speeds_of, succeeded
 from alula.stages.reporting.tables import text
 
 COLORS = {
@@ -45,9 +42,7 @@ def gap_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
             if not runs:
                 continue
             color = COLORS[variant]
-            said.append(
-                f"{variant}: {_line(top, runs, lambda t: t.peak_realisation_error_m_s2, color, variant)}"
-            )
+            said.append(f"{variant}: {_line(top, runs, realisation_error, color, variant)}")
             speeds = [run.speed_m_s for run in runs]
             gamma = [np.sort(run.values(lambda t: t.min_gamma)) for run in runs]
             bottom.plot(speeds, [np.median(g) for g in gamma], ".-", color=color, linewidth=1.6)
@@ -80,7 +75,7 @@ def comparison_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
             micro = [(v, 1e6 * s / n) for v, s, n in timed if s is not None and n]
             axes[1].plot(*np.array(micro).T if micro else ([], []), ".-", color=color, linewidth=1.6)
             reached = _line(axes[2], runs, lambda t: t.max_speed_m_s, color, variant)
-            _line(axes[3], runs, lambda t: float(succeeded(t)), color, variant)
+            _line(axes[3], runs, lambda t: float(succeeded(t)), color, variant, (0.0, 1.0))
             said.append(f"{variant}: mean jerk {jerk}; top speed {reached}")
         speeds = speeds_of(sweeps, scene, (BASELINE, OURS))
         axes[2].plot(speeds, speeds, color="#b8bec5", linewidth=1)
@@ -149,19 +144,24 @@ def _by_speed(sweeps: Sequence[Sweep], scene: str, variant: str) -> list[Sweep]:
 
 
 def _line(
-    axes: Any, runs: Sequence[Sweep], get: Callable[[TrialResult], float | None], color: str, label: str
+    axes: Any,
+    runs: Sequence[Sweep],
+    get: Callable[[TrialResult], float | None],
+    color: str,
+    label: str,
+    bounds: tuple[float, float] | None = None,
 ) -> str:
     """Mean and interval by speed; says the ends in words."""
     points = []
     for run in runs:
         values = run.values(get)
-        found = mean_estimate(values[np.isfinite(values)])
+        found = mean_estimate(values[np.isfinite(values)], bounds=bounds)
         if found is not None:
             points.append((run.speed_m_s, found.value, found.low, found.high))
     if not points:
         return "nothing"
-    speed, value, low, high = np.array(points).T
+    speed, value, low, high = np.array(points, np.float64).T  # no interval is NaN, which is not drawn
     axes.fill_between(speed, low, high, color=color, alpha=0.18, linewidth=0)
     axes.plot(speed, value, ".-", color=color, linewidth=1.6, label=label)
     ends = [f"{text(float(value[i]))} at {text(float(speed[i]))} m/s" for i in (0, -1)]
-    return f"from {ends[0]} to {ends[1]}"
+    return f"from {ends[0]} to {ends[1]}" if len(points) > 1 else ends[0]

@@ -32,8 +32,9 @@ def headline(material: Material) -> dict[str, Any]:
         found["compression"] = " → ".join(f"{count} {what}" for count, what in counted)
     if material.cover is not None:
         found["conservativeness"] = float(material.cover.manifest.conservativeness)  # type: ignore[attr-defined]
-    covered = is_covered(material.certificate)
-    found["obstacles_covered"] = "not verified" if covered is None else covered
+    if material.cover is not None or material.certificate is not None:
+        covered = is_covered(material.certificate)
+        found["obstacles_covered"] = "not verified" if covered is None else covered
     trials = [(run.label, trial) for run in material.runs for trial in run.record.trials]
     if trials:
         reached = sum(outcome_of(trial) == "reached" for _, trial in trials)

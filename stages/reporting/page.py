@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -16,6 +16,7 @@ from alula.stages.reporting.tables import Table, text
 from alula.stages.reporting.view3d import View
 
 _FOLDED_ROWS = 15  # longer tables are folded
+_DENSE_COLUMNS = 10  # more of them are set closer
 
 # Nothing may be fetched, whatever a page of k3d tries; its code and workers are inside the page.
 _POLICY = (
@@ -71,6 +72,9 @@ thead th { color: var(--soft); font-weight: 600; border-bottom-width: 2px; }
 tbody th { font-weight: 500; }
 tbody tr:last-child > * { border-bottom: 0; }
 tbody tr:hover { background: #f8fafb; }
+.dense table { font-size: 12.5px; }
+.dense th, .dense td { padding: 5px 6px; }
+.dense tbody th, .dense tbody td { white-space: nowrap; }
 .number { text-align: right; font-variant-numeric: tabular-nums; }
 td.number { white-space: nowrap; }
 summary { cursor: pointer; padding: 10px 12px; color: var(--accent); font-weight: 600; font-size: 14px; }
@@ -92,6 +96,7 @@ def page(
     figures: Sequence[Figure],
     view: View | None,
     provenance_line: str = "",
+    facts: Mapping[str, str] | None = None,
 ) -> str:
     """The page: no part of it comes from anywhere else, and every name in it is escaped.
 
@@ -101,6 +106,7 @@ def page(
         figures: in reading order.
         view: the 3D view, shown in a sandboxed frame.
         provenance_line: put into the head, where `read_provenance` finds it.
+        facts: what the report says in short, by subject.
     """
     head = [
         "<!doctype html>",
@@ -115,7 +121,7 @@ def page(
         _chain(material),
     ]
     body = [_cards(title, group) for title, group in cards(material)]
-    body += [_promise(material)]
+    body += [_in_short(facts or {}), _promise(material)]
     if figures:
         body += ["<h2>Figures</h2>", '<div class="figures">', *map(_figure, figures), "</div>"]
     if view is not None:
@@ -176,6 +182,11 @@ def _promise(material: Material) -> str:
     return f"<h2>What is guaranteed</h2>{lines}" if lines else ""
 
 
+def _in_short(facts: Mapping[str, str]) -> str:
+    lines = "".join(f"<p><b>{escape(who)}:</b> {escape(what)}</p>" for who, what in facts.items())
+    return f"<h2>In short</h2>{lines}" if lines else ""
+
+
 def _figure(figure: Figure) -> str:
     data = base64.b64encode(figure.svg.encode()).decode()
     wide = ' class="wide"' if figure.wide else ""
@@ -223,8 +234,10 @@ def _table(table: Table) -> str:
         whole = f"<details><summary>{len(table.rows)} rows</summary>{whole}</details>"
     note = f'<p class="soft">{escape(table.note)}</p>' if table.note else ""
     title = f"<h2>{escape(table.title)}</h2>"
-    panel = "panel narrow" if len(table.columns) <= 4 else "panel"
-    return f'<section id="{escape(table.name)}">{title}<div class="{panel}">{whole}</div>{note}</section>'
+    width = " narrow" if len(table.columns) <= 4 else " dense" if len(table.columns) > _DENSE_COLUMNS else ""
+    return (
+        f'<section id="{escape(table.name)}">{title}<div class="panel{width}">{whole}</div>{note}</section>'
+    )
 
 
 def _is_number(value: Any) -> bool:

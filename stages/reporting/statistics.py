@@ -1,4 +1,14 @@
-"""Intervals of figures that are compared over the same trials."""
+"""Intervals of figures that are compared over the same trials.
+
+A percentile bootstrap only knows the values that it was given. Where they are all equal, or there is one, its
+interval has no width, although the next value may differ. Two ways out:
+
+- Of values with known bounds, as a share of goals reached, n draws all miss a part u of what may be drawn
+  with a probability of (1 - u)^n. At 2.5 % that is u = 1 - 0.025^(1/n), 0.07 of n = 50: the bound of Clopper
+  and Pearson for 0 of n. Were that part at a bound, the mean would be off by u times the distance to it, so
+  the interval reaches at least so far. That matters where failures are few, or n is.
+- Without bounds nothing can be said, and the ends are None.
+"""
 
 from __future__ import annotations
 
@@ -12,25 +22,32 @@ from alula.schemas.errors import InputError
 FloatArray = NDArray[np.float64]
 
 _RESAMPLES = 4000
+_TAIL = 0.025  # on each side of an interval
+_ROUNDING = 1e-12  # relative; means of equal values differ by less
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A figure with its 95 % interval, from `n` trials."""
+    """A figure with its 95 % interval, from `n` trials; the ends are None where those say nothing of it."""
 
     value: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
     n: int
 
 
-def mean_estimate(values: ArrayLike, *, seed: int = 0) -> Estimate | None:
-    """The mean of independent values, shape (n,), and its percentile bootstrap interval; None for none."""
+def mean_estimate(
+    values: ArrayLike, *, bounds: tuple[float, float] | None = None, seed: int = 0
+) -> Estimate | None:
+    """The mean of independent values, shape (n,), and its percentile bootstrap interval; None for none.
+
+    With `bounds`, between which all values lie, the interval also holds what n values cannot exclude.
+    """
     x = _finite(values)
     if len(x) == 0:
         return None
     means = x[_resampled(len(x), seed)].mean(axis=1)
-    return _estimate(float(x.mean()), means, len(x))
+    return _estimate(float(x.mean()), means, len(x), bounds)
 
 
 def ratio_estimate(ours: ArrayLike, theirs: ArrayLike, *, seed: int = 0) -> Estimate | None:
@@ -52,16 +69,29 @@ def ratio_estimate(ours: ArrayLike, theirs: ArrayLike, *, seed: int = 0) -> Esti
     return _estimate(float(a.mean() / b.mean()), ratios, len(a))
 
 
-def difference_estimate(ours: ArrayLike, theirs: ArrayLike, *, seed: int = 0) -> Estimate | None:
-    """Mean of the differences of paired values, shapes (n,), with its interval; None for none."""
+def difference_estimate(
+    ours: ArrayLike, theirs: ArrayLike, *, bounds: tuple[float, float] | None = None, seed: int = 0
+) -> Estimate | None:
+    """Mean of the differences of paired values, shapes (n,), with its interval; None for none.
+
+    `bounds` are those of the differences, as of `mean_estimate`.
+    """
     a, b = _finite(ours), _finite(theirs)
     if len(a) != len(b):
         raise InputError(f"paired values need equal lengths, not {len(a)} and {len(b)}")
-    return mean_estimate(a - b, seed=seed)
+    return mean_estimate(a - b, bounds=bounds, seed=seed)
 
 
-def _estimate(value: float, resampled: FloatArray, n: int) -> Estimate:
+def _estimate(
+    value: float, resampled: FloatArray, n: int, bounds: tuple[float, float] | None = None
+) -> Estimate:
     low, high = np.percentile(resampled, [2.5, 97.5]).tolist()
+    if bounds is not None:
+        unseen = 1 - _TAIL ** (1 / n)
+        low = min(low, value - unseen * (value - bounds[0]))
+        high = max(high, value + unseen * (bounds[1] - value))
+    elif np.ptp(resampled) <= _ROUNDING * abs(value):
+        return Estimate(value, None, None, n)
     return Estimate(value, low, high, n)
 
 

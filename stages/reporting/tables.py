@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -15,12 +15,13 @@ import numpy as np
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.run import TrialResult
-from alula.stages.reporting.material import Material, Run, flew_through, is_covered
+from alula.stages.reporting.material import OUTCOMES, Material, Run, flew_through, is_covered, outcome_of
 from alula.stages.reporting.published import paper_tables
 
 BYTES_PER_GAUSSIAN = 40  # centre, semi-axes, quaternion in single precision
 BYTES_PER_VOXEL = 12  # three 32-bit integers
 BYTES_PER_HALF_PLANE = 16  # normal and offset in single precision
+_ENDS = {"collision": "collided"}
 _LISTED_TRIALS = 500  # per run; the CSV has them all
 
 
@@ -129,7 +130,7 @@ def _summary_of(run: Run) -> dict[str, Any]:
         "success rate": summary.get("success_rate"),
         "success rate, 95 % low": interval[0] if interval else None,
         "success rate, 95 % high": interval[1] if interval else None,
-        **{key: summary.get(key) for key in ("reached", "stuck", "timeout", "refused", "collisions")},
+        **{_ENDS.get(end, end): sum(outcome_of(trial) == end for trial in trials) for end in OUTCOMES},
         "least clearance to the hulls [m]": summary.get("min_map_clearance_m"),
         "least clearance to the splats [m]": summary.get("min_scene_clearance_m"),
         "path / straight line, mean of successes": summary.get("mean_path_ratio"),
@@ -178,14 +179,19 @@ def _known(trials: Sequence[TrialResult], key: str) -> list[Any]:
 
 
 def runs_table(material: Material) -> Table:
-    """The runs side by side."""
+    """The runs side by side; what none of them has, as clearance to hulls without a cover, is left out."""
 
     def values(run: Run) -> dict[str, Any]:
         known = flew_through(run, material)
         return _summary_of(run) | ({} if known is None else {"flew through the cover shown": known})
 
-    note = "Clearances are of the vehicle's sphere, computed after the flight; below zero is a collision."
-    return _beside("runs", "Flights", material.runs, values, note)
+    note = (
+        "Clearances are of the vehicle's sphere, computed after the flight; below zero is a collision. Each "
+        "trial ends in one way: one that collided counts as nothing else."
+    )
+    table = _beside("runs", "Flights", material.runs, values, note)
+    known = tuple(row for row in table.rows if any(value is not None for value in row[1:]))
+    return replace(table, rows=known)
 
 
 def trials_table(run: Run, name: str) -> Table:

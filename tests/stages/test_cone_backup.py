@@ -8,21 +8,23 @@ import splat_filter_model as filters
 from wrench_flight import (
     BACKUP,
     FILTERED,
+    HOVER,
     OK,
+    RANGES,
     RECOVERING,
     REFUSED,
+    VEHICLE,
     Flight,
     Scene,
     attitude_controlled,
     empty_scene,
+    random_case,
     random_scene,
+    tick,
 )
 
 from alula import _core
 
-VEHICLE = body.fastbridge()
-HOVER = VEHICLE.hover_thrust
-RANGES = np.abs(VEHICLE.allocation) @ np.full(4, 4.25)
 ALL_NEAR = {"sweep": False, "count": 0}
 
 
@@ -32,19 +34,6 @@ def policy(kind="brake"):
 
 def backup(scene, kind="brake", **options):
     return _core.ConeBackup(policy(kind), scene.index, **options)
-
-
-def tick(flown, x, wrench, **nominal):
-    return flown.filter(x, (0, 0, 0), wrench=tuple(wrench), thrust=HOVER, **nominal)
-
-
-def random_case(seed):
-    rng = np.random.default_rng(seed)
-    scene = random_scene(rng, 25, size=2.5)
-    x = np.concatenate(
-        [0.3 * rng.normal(size=3), 0.1 * rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)]
-    )
-    return scene, x, np.array([HOVER + rng.normal(), *rng.normal(0, 0.02, 3)])
 
 
 def rows_of(
@@ -107,7 +96,7 @@ def steps_of(kind):
 def test_the_nearest_input_agrees_with_another_solver(kind, first_node):
     seen = {OK: 0, FILTERED: 0, BACKUP: 0}
     for seed in range(40):
-        scene, x, wrench = random_case(seed)
+        scene, x, wrench = random_case(np.random.default_rng(seed), 25)
         flown = backup(
             scene,
             kind,
@@ -138,7 +127,7 @@ def test_the_nearest_input_agrees_with_another_solver(kind, first_node):
 def test_the_interpolation_takes_the_largest_share_that_holds(kind):
     found = 0
     for seed in range(40):
-        scene, x, wrench = random_case(seed)
+        scene, x, wrench = random_case(np.random.default_rng(seed), 25)
         wrench = VEHICLE.limited(wrench[None])[0]
         flown = backup(scene, kind, shield=False, solver="interpolation", pruning=_core.Pruning(**ALL_NEAR))
         report = tick(flown, x, wrench)
@@ -205,7 +194,7 @@ def test_a_solution_and_a_safe_flow_are_different_things():
     """The rows can have a solution while h_b < 0, and h_b >= 0 while they have none."""
     seen = set()
     for seed in range(300):
-        scene, x, wrench = random_case(seed)
+        scene, x, wrench = random_case(np.random.default_rng(seed), 25)
         report = tick(backup(scene, "hover", shield=False, alpha_running=2.0), x, wrench)
         if report["rows"]:
             seen.add((report["infeasible"], report["margin"] >= 0))
@@ -215,7 +204,7 @@ def test_a_solution_and_a_safe_flow_are_different_things():
 def test_rows_far_from_the_boundary_may_be_left_out():
     fewer_rows = 0
     for seed in range(20):
-        scene, x, wrench = random_case(seed)
+        scene, x, wrench = random_case(np.random.default_rng(seed), 25)
         everything = tick(backup(scene, shield=False), x, wrench)
         fewer = tick(backup(scene, shield=False, far=3.0), x, wrench)
         assert fewer["rows"] <= everything["rows"]
@@ -279,7 +268,7 @@ def test_options_without_meaning_are_refused(options):
 
 @pytest.mark.parametrize("kind", ["brake", "cone-escape"])
 def test_clones_and_repetitions_give_the_same_bits(kind):
-    scene, x, wrench = random_case(3)
+    scene, x, wrench = random_case(np.random.default_rng(3), 25)
     flown = backup(scene, kind)
     first = tick(flown, x, wrench)
     flown.reset()

@@ -9,39 +9,29 @@ from hypothesis import strategies as st
 from wrench_flight import (
     BACKUP,
     FILTERED,
+    HOVER,
     OK,
+    RANGES,
     RECOVERING,
     REFUSED,
+    VEHICLE,
     Flight,
     Scene,
     attitude_controlled,
     empty_scene,
+    random_case,
     random_scene,
+    tick,
 )
 
 from alula import _core
 
-VEHICLE = body.fastbridge()
 POLICY = _core.BackupPolicy(VEHICLE, "brake")
-HOVER = VEHICLE.hover_thrust
 DT = 0.01
 
 
 def ecbf(scene, **options):
     return _core.ConeEcbf(POLICY, scene.index, **options)
-
-
-def tick(flown, x, wrench, thrust=HOVER, thrust_rate=0.0, **nominal):
-    return flown.filter(x, (0, 0, 0), wrench=tuple(wrench), thrust=thrust, thrust_rate=thrust_rate, **nominal)
-
-
-def random_case(rng):
-    scene = random_scene(rng, 30, size=2.5)
-    x = np.concatenate(
-        [0.3 * rng.normal(size=3), 0.1 * rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)]
-    )
-    wrench = np.array([HOVER + rng.normal(), *rng.normal(0, 0.02, 3)])
-    return scene, x, wrench, HOVER + 0.5 * rng.normal(), rng.normal()
 
 
 def rows_of(scene, x, thrust, rate, lambda_=14.0, most=40.0, min_speed=0.8):
@@ -75,7 +65,7 @@ def nearest_input(rows, x, wrench, thrust, rate, cascade):
     import cvxpy
 
     m, z = VEHICLE.mass, cvxpy.Variable(4)
-    ranges = np.abs(VEHICLE.allocation) @ np.full(4, 4.25)
+    ranges = RANGES.copy()
     u, u1, w = thrust / m, rate / m, 30.0
     if cascade == "extension":
         asked = w * w * (wrench[0] / m - u) - 2 * w * u1
@@ -107,7 +97,9 @@ def nearest_input(rows, x, wrench, thrust, rate, cascade):
 def test_the_nearest_input_agrees_with_another_solver(cascade):
     seen = {OK: 0, FILTERED: 0, BACKUP: 0}
     for seed in range(60):
-        scene, x, wrench, thrust, rate = random_case(np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        scene, x, wrench = random_case(rng, 30)
+        thrust, rate = HOVER + 0.5 * rng.normal(), rng.normal()
         centres, matrices = scene.index.grown()
         r = centres - x[:3]
         inside = (np.einsum("ni,nij,nj->n", r, matrices, r) < 1).any()
@@ -297,7 +289,9 @@ def test_options_without_meaning_are_refused(options):
 
 
 def test_clones_and_repetitions_give_the_same_bits():
-    scene, x, wrench, thrust, rate = random_case(np.random.default_rng(3))
+    rng = np.random.default_rng(3)
+    scene, x, wrench = random_case(rng, 30)
+    thrust, rate = HOVER + 0.5 * rng.normal(), rng.normal()
     flown = ecbf(scene)
     first = tick(flown, x, wrench, thrust, rate)
     flown.reset()

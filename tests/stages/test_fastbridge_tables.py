@@ -10,8 +10,9 @@ from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import RunRecord, TrialResult
 from alula.stages.reporting import fastbridge, fastbridge_figures
-from alula.stages.reporting.fastbridge import Sweep, compare, comparison_table, flight_table, gap_table
+from alula.stages.reporting.fastbridge import comparison_table, flight_tables, gap_table, ratio_table
 from alula.stages.reporting.material import Run
+from alula.stages.reporting.sweeps import Sweep, compare, succeeded
 
 
 def trial(index, outcome="reached", collision=False, jerk=2.0, speed=1.0, steps=100, **fields):
@@ -47,7 +48,10 @@ def trial(index, outcome="reached", collision=False, jerk=2.0, speed=1.0, steps=
     )
 
 
-def sweep(variant, speed, trials, scene="room", seconds=1e-4):
+SHIELDED = {"filter_parameters": {"policy": "brake", "shield": True, "count": 64}}
+
+
+def sweep(variant, speed, trials, scene="room", seconds=1e-4, parameters=None, filter_name=None):
     calls = sum(t.steps for t in trials)
     timing = {
         "filter_calls": calls,
@@ -61,9 +65,9 @@ def sweep(variant, speed, trials, scene="room", seconds=1e-4):
     record = RunRecord(
         schema="alula/run",
         version="1.0",
-        provenance=Provenance.now("alula/run", "1.0", {}, 0, []),
+        provenance=Provenance.now("alula/run", "1.0", parameters or SHIELDED, 0, []),
         name=variant,
-        filter=variant,
+        filter=filter_name or variant,
         vehicle="test",
         trials=trials,
         summary={},
@@ -104,19 +108,48 @@ def test_runs_over_other_pairs_are_not_compared(pair):
 
 def test_a_pair_counts_only_where_both_flights_qualify(pair):
     ours, theirs = pair
-    found = compare([ours], [theirs], fastbridge.succeeded)
+    found = compare([ours], [theirs], succeeded)
     assert found.mean_jerk is not None
     assert (found.mean_jerk.value, found.mean_jerk.n) == (pytest.approx(0.25), 1)
+    assert found.goals is None  # both reached theirs
 
 
-def test_the_comparison_has_both_filters_their_ratio_and_the_published_one(pair):
-    table = comparison_table(pair)
-    assert [row[1] for row in table.rows[:2]] == ["safer-splat", "cone-ecbf"]
-    rates = [row[3] for row in table.rows[:2]]
-    assert rates == [pytest.approx(1 / 3), 1.0]
-    assert table.rows[0][-1] == 1  # a collision
-    assert table.rows[-1][0] == "published"
+def records_of(table):
+    """Rows by column; of columns of the same name the first."""
     assert all(len(row) == len(table.columns) for row in table.rows)
+    columns = list(reversed(table.columns))
+    return [dict(zip(columns, reversed(row), strict=True)) for row in table.rows]
+
+
+def test_the_comparison_has_both_filters_and_the_published_ones(pair):
+    theirs, ours, *published = records_of(comparison_table(pair))
+    assert (theirs["filter"], ours["filter"]) == ("safer-splat", "cone-ecbf")
+    assert (theirs["goal rate"], ours["goal rate"]) == (pytest.approx(1 / 3), 1.0)
+    assert [theirs[key] for key in ("trials", "reached", "collided", "neither")] == [3, 1, 1, 1]
+    assert ours["filter, mean [µs]"] == pytest.approx(100)
+    assert [(row["scene"], row["top speed [m/s]"]) for row in published] == [
+        ("published", 3.5),
+        ("published", 4.5),
+    ]
+
+
+def test_ratios_have_a_table_of_their_own(pair):
+    found, both, published = records_of(ratio_table(pair))
+    assert (found["filters"], found["flights"], found["pairs"]) == ("cone-ecbf : safer-splat", "all", 3)
+    assert found["mean jerk, ratio"] == pytest.approx(5 / 12)
+    assert found["filter time, ratio"] == pytest.approx(0.1)
+    assert found["goal rate, difference"] == pytest.approx(2 / 3)
+    assert (both["pairs"], both["mean jerk, ratio"]) == (1, pytest.approx(0.25))
+    assert both["95 % low"] is None  # of one pair
+    assert both["goal rate, difference"] is None
+    assert published["mean jerk, ratio"] == 0.53
+    assert published["top speed, difference [m/s]"] == pytest.approx(1.0)
+
+
+def test_a_collision_on_the_way_to_the_goal_is_not_a_success():
+    hit = sweep("cone-di", 1.0, [trial(0, collision=True), trial(1), trial(2, "stuck")])
+    (row,) = records_of(gap_table([hit]))
+    assert [row[key] for key in ("trials", "reached", "collided", "neither")] == [3, 1, 1, 1]
 
 
 def test_the_gap_names_its_extremes():
@@ -131,26 +164,46 @@ def test_the_gap_names_its_extremes():
 
 
 def test_the_flight_table_counts_ticks_and_keeps_the_published_row_apart(pair):
-    table = flight_table(pair, "figure-4", "Figure 4", published=True)
-    ours = dict(zip(table.columns, table.rows[0], strict=False))
+    flights, loops = flight_tables(pair, "figure-4", "Figure 4", published=True)
+    assert (flights.name, loops.name) == ("figure-4", "figure-4-loop")
+    ours, published = records_of(loops)[0], records_of(loops)[-1]
     assert ours["ticks"] == 300
     assert ours["infeasible"] == 9
-    assert ours["feasible ticks"] == pytest.approx(0.97)
-    assert ours["on the backup"] == pytest.approx(15 / 300)
-    assert ours["certified"] == 1
+    assert ours["feasible, share"] == pytest.approx(0.97)
+    assert ours["on the backup, share"] == pytest.approx(15 / 300)
+    assert ours["certified, share"] == 1
     assert ours["loop p99 [µs]"] == pytest.approx(300)
-    assert ours["mean speed [m/s]"] == pytest.approx(7.5 / 3)
-    published = dict(zip(table.columns, table.rows[-1], strict=False))
     assert published["ticks"] == 822
     assert published["loop p99 [µs]"] == 21043
-    assert all(len(row) == len(table.columns) for row in table.rows)
+    ours, theirs, published = records_of(flights)
+    assert ours["mean speed [m/s]"] == pytest.approx(7.5 / 3)
+    assert (theirs["collided"], theirs["least clearance [m]"]) == (1, -0.01)
+    assert published["least clearance [m]"] == 0.154
+
+
+def test_an_ablation_says_what_it_changed_and_who_has_no_shield():
+    base = sweep("cone-ecbf", 1.0, [trial(0)])
+    bare = {"filter_parameters": {"policy": "brake", "shield": False, "count": 16}, "name": "mine"}
+    other = sweep("ecbf-bare", 1.0, [trial(0)], parameters=bare, filter_name="cone-ecbf")
+    foreign = sweep("cone-di", 1.0, [trial(0)], parameters={"filter_parameters": {"alpha": 3.0}})
+    flights, loops = flight_tables([base, other, foreign], "a", "A", bases=[base])
+    assert [row["changed"] for row in records_of(flights)] == ["–", "count 16, shield no", None]
+    shares = [(row["on the backup, share"], row["certified, share"]) for row in records_of(loops)]
+    assert shares == [(0.05, 1.0), (0.05, None), (None, None)]
+
+
+def test_rounding_is_no_realisation_error():
+    exact = sweep("cone-ecbf", 1.0, [trial(i, peak_realisation_error_m_s2=3e-15) for i in range(3)])
+    (row,) = records_of(gap_table([exact]))
+    assert (row["peak |e_a|, mean [m/s²]"], row["largest"]) == (0, 0)
 
 
 def test_a_run_without_times_has_none(pair):
     ours, theirs = pair
     bare = Sweep("room", "cone-ecbf", 2.1, Run("x", _without_timing(ours.run.record)))
     assert compare([bare], [theirs]).filter_time is None
-    assert flight_table([bare], "t", "T").rows[0][10] is None
+    (row,) = records_of(flight_tables([bare], "t", "T")[1])
+    assert row["loop p99 [µs]"] is None
 
 
 def _without_timing(record):
@@ -174,7 +227,8 @@ def test_figures_say_what_they_show(pair):
 def test_the_line_in_short_gives_percent_below_the_baseline(pair):
     words = fastbridge.in_short(pair)["room, cone-ecbf against safer-splat"]
     assert words.startswith("mean jerk 0.42 times its (")
-    assert "filter 10.0 times as fast" in words
+    assert "filter time 0.10 times its" in words
+    assert words.endswith("top speed +1.00 m/s (in all 3 pairs)")
 
 
 def test_values_that_are_missing_become_nan():

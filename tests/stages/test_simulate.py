@@ -334,9 +334,7 @@ def test_filters_that_fail_are_named(others):
     [
         ("radius_m", -1.0),
         ("speed_m_s", 0.0),
-        ("beta", 200.0),
         ("gain", 0.0),
-        ("gain", 300.0),
         ("kappa_per_m", 0.0),
         ("trials", 0),
         ("dt_s", 0.0),
@@ -353,6 +351,12 @@ def test_filters_that_fail_are_named(others):
 def test_configurations_without_meaning_are_refused(field, value):
     with pytest.raises(UsageError):
         SimulateConfig(**{field: value})
+
+
+@pytest.mark.parametrize(("field", "value", "most"), [("beta", 200.0, 100), ("gain", 300.0, 200)])
+def test_gains_that_are_too_high_for_the_time_step_are_refused(field, value, most):
+    with pytest.raises(UsageError, match=f"dt = {most} at --dt 0.01, not {value:g}"):
+        simulate(quick(**{field: value}), box_cover(TWO_BLOCKS))
 
 
 def test_results_are_plain_json():

@@ -109,6 +109,14 @@ def test_body_rates_are_followed_by_a_lagging_loop():
     assert not np.array_equal(direct.state, rates.state)
 
 
+@pytest.mark.parametrize(("dt", "steps"), [(0.01, 10), (0.05, 50), (0.0025, 3), (0.0004, 1)])
+def test_the_plant_moves_in_steps_of_at_most_1_ms_by_default(dt, steps):
+    flown = one(rules=_core.FlightRules(dt_s=dt, max_time_s=0.1))
+    assert len(flown.position) == len(flown.status) * steps + 1
+    coarse = one(rules=_core.FlightRules(dt_s=dt, plant_steps=1, max_time_s=0.1))
+    assert len(coarse.position) == len(coarse.status) + 1
+
+
 def test_a_wrench_for_a_double_integrator_is_refused():
     mine = Passing()
     mine.kind = "wrench"

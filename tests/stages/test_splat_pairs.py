@@ -54,6 +54,11 @@ def test_blocked_pairs_are_those_of_any_under_the_condition():
     assert blocked.summary["sampled_points"] > any_.summary["sampled_points"]
 
 
+def test_pairs_are_the_same_bit_by_bit_at_any_speed():
+    slow, fast = (ends(simulate_splat(quick(speed_m_s=v), FIELD, FASTBRIDGE)) for v in (0.7, 3.1))
+    assert slow == fast
+
+
 def test_a_trial_has_the_same_pair_however_many_there_are():
     twelve, three = (
         ends(simulate_splat(quick(pairs="blocked", trials=n), FIELD, FASTBRIDGE)) for n in (12, 3)

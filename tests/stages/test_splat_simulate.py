@@ -152,7 +152,7 @@ def test_a_double_integrator_of_its_own_file_keeps_its_limit():
     assert result.vehicle == "point: sphere of radius 0.1 m, double integrator"
     assert max(t.max_acceleration_m_s2 for t in result.trials) <= 2 + 1e-9
     assert result.summary["saturated_steps"] > 0
-    with pytest.raises(UsageError, match="does not fly"):
+    with pytest.raises(UsageError, match="--plant quadrotor: point is a double-integrator"):
         simulate_splat(quick(plant="quadrotor"), FIELD, vehicle)
     lone = Vehicle(name="dot", model="single-integrator", body=BodyTable(radius_m=0.1))
     with pytest.raises(UsageError, match="single-integrator"):

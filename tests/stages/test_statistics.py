@@ -7,17 +7,51 @@ from alula.schemas.errors import InputError
 from alula.stages.reporting.statistics import difference_estimate, mean_estimate, ratio_estimate
 
 
-def test_constant_values_have_an_interval_of_no_width() -> None:
-    found = mean_estimate([2.0] * 7)
+@pytest.mark.parametrize("values", [[2.0] * 7, [0.1] * 50, [0.0] * 3, [5.0]])
+def test_equal_values_tell_nothing_of_their_spread(values) -> None:
+    found = mean_estimate(values)
     assert found is not None
-    assert (found.value, found.low, found.high, found.n) == (2.0, 2.0, 2.0, 7)
+    assert (found.value, found.n) == (pytest.approx(values[0]), len(values))
+    assert (found.low, found.high) == (None, None)
 
 
 def test_a_ratio_that_all_pairs_share_is_found_exactly() -> None:
     theirs = np.array([1.0, 2.0, 5.0])
-    found = ratio_estimate(theirs / 2, theirs)
+    found = ratio_estimate(theirs / 3, theirs)
     assert found is not None
-    assert (found.value, found.low, found.high) == pytest.approx((0.5, 0.5, 0.5), rel=1e-15)
+    assert found.value == pytest.approx(1 / 3, rel=1e-15)
+    assert (found.low, found.high) == (None, None)
+
+
+@pytest.mark.parametrize("n", [1, 5, 50])
+def test_successes_without_a_failure_have_the_exact_interval(n) -> None:
+    """Clopper and Pearson: failures are at most as likely as n successes in a row are at 2.5 %."""
+    found = mean_estimate([1.0] * n, bounds=(0.0, 1.0))
+    assert found is not None
+    assert (found.value, found.high) == (1.0, 1.0)
+    assert found.low is not None
+    assert found.low**n == pytest.approx(0.025, rel=1e-9)
+    paired = difference_estimate([1.0] * n, [1.0] * n, bounds=(-1.0, 1.0))
+    assert paired is not None
+    assert (paired.low, paired.high) == (pytest.approx(found.low - 1), pytest.approx(1 - found.low))
+
+
+def test_bounds_do_not_widen_an_interval_that_is_wide() -> None:
+    x = np.arange(50) % 2
+    assert mean_estimate(x, bounds=(0.0, 1.0)) == mean_estimate(x)
+
+
+def test_bounded_intervals_cover_rare_failures() -> None:
+    rng = np.random.default_rng(3)
+    held = [0, 0]
+    for _ in range(300):
+        x = (rng.random(40) < 0.98).astype(float)
+        for i, bounds in enumerate(((0.0, 1.0), None)):
+            found = mean_estimate(x, bounds=bounds)
+            assert found is not None
+            held[i] += found.low is not None and found.high is not None and found.low <= 0.98 <= found.high
+    assert held[0] >= 285
+    assert held[1] < 200  # nearly half of the draws have no failure
 
 
 def test_pairs_are_resampled_together() -> None:

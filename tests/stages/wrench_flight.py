@@ -7,6 +7,23 @@ from alula import _core
 
 OK, FILTERED, RECOVERING, REFUSED, BACKUP = 0, 1, 3, 4, 5
 RADIUS = 0.15
+VEHICLE = body.fastbridge()
+HOVER = VEHICLE.hover_thrust
+RANGES = np.abs(VEHICLE.allocation) @ np.full(4, 4.25)  # of thrust and torque, what rows are scaled by
+
+
+def tick(flown, x, wrench, thrust=HOVER, thrust_rate=0.0, **nominal):
+    """One call of a filter that the controller asks for a wrench."""
+    return flown.filter(x, (0, 0, 0), wrench=tuple(wrench), thrust=thrust, thrust_rate=thrust_rate, **nominal)
+
+
+def random_case(rng, count):
+    """A scene of so many Gaussians, a state among them, and a wrench to ask for."""
+    scene = random_scene(rng, count, size=2.5)
+    x = np.concatenate(
+        [0.3 * rng.normal(size=3), 0.1 * rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)]
+    )
+    return scene, x, np.array([HOVER + rng.normal(), *rng.normal(0, 0.02, 3)])
 
 
 class Scene:

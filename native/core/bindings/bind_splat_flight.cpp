@@ -1,12 +1,15 @@
 // Bindings of alula/splat_flight.hpp.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <cmath>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <tuple>
@@ -105,6 +108,12 @@ PlantKind plant_kind(const std::string& name) {
   throw std::invalid_argument("a plant is a quadrotor or a double-integrator");
 }
 
+// Steps of the plant in a tick of which none is longer than 1 ms: at least as fine as what a shield predicts.
+std::int64_t fine_steps(double dt_s) {
+  const double steps = std::ceil(dt_s / 1e-3 - 1e-9);
+  return steps > 1 && steps < 1e9 ? static_cast<std::int64_t>(steps) : 1;  // 1 too for what `fly` will refuse
+}
+
 CommandInterface command_interface(const std::string& name) {
   if (name == "wrench") return CommandInterface::wrench;
   if (name == "body-rates") return CommandInterface::body_rates;
@@ -138,16 +147,19 @@ void bind_splat_flight(nb::module_& m) {
   nb::class_<FlightRules>(m, "FlightRules", "Times of a flight, and when it ends.")
       .def(
           "__init__",
-          [](FlightRules* self, double dt_s, std::int64_t plant_steps, double stop_fraction, double stop_floor_m,
-             double stop_speed, double stuck_speed, std::int64_t stuck_ticks, double time_factor, double max_time_s,
-             const Triple& lower, const Triple& upper) {
+          [](FlightRules* self, double dt_s, std::optional<std::int64_t> plant_steps, double stop_fraction,
+             double stop_floor_m, double stop_speed, double stuck_speed, std::int64_t stuck_ticks, double time_factor,
+             double max_time_s, const Triple& lower, const Triple& upper) {
+            const std::int64_t steps = plant_steps.value_or(fine_steps(dt_s));
             new (self)
-                FlightRules{dt_s,        plant_steps, stop_fraction, stop_floor_m,     stop_speed,      stuck_speed,
+                FlightRules{dt_s,        steps,       stop_fraction, stop_floor_m,     stop_speed,      stuck_speed,
                             stuck_ticks, time_factor, max_time_s,    vector_of(lower), vector_of(upper)};
           },
-          nb::kw_only(), "dt_s"_a = 0.01, "plant_steps"_a = 10, "stop_fraction"_a = 0.01, "stop_floor_m"_a = 0.05,
-          "stop_speed"_a = 0.1, "stuck_speed"_a = 0.02, "stuck_ticks"_a = 200, "time_factor"_a = 3.0,
-          "max_time_s"_a = 0.0, "lower"_a = Triple{-1e9, -1e9, -1e9}, "upper"_a = Triple{1e9, 1e9, 1e9});
+          nb::kw_only(), "dt_s"_a = 0.01, "plant_steps"_a = nb::none(), "stop_fraction"_a = 0.01,
+          "stop_floor_m"_a = 0.05, "stop_speed"_a = 0.1, "stuck_speed"_a = 0.02, "stuck_ticks"_a = 200,
+          "time_factor"_a = 3.0, "max_time_s"_a = 0.0, "lower"_a = Triple{-1e9, -1e9, -1e9},
+          "upper"_a = Triple{1e9, 1e9, 1e9},
+          "plant_steps: of the plant in a tick; by default as many as make none longer than 1 ms.");
 
   nb::class_<SteppedFlight>(m, "FlightTrial",
                             "One flight a tick at a time: state() and nominal(), then advance() with the answer.")

@@ -49,7 +49,7 @@ void WrenchProgram::push(const Vec4& row, double bound, double soft) {
   double largest = 0;
   for (std::size_t j = 0; j < 4; ++j)
     scaled[j] = row[j] * range_[j], largest = std::max(largest, std::abs(scaled[j]));
-  if (largest == 0 && bound <= 0) return;
+  if (scaled == Vec4{} && bound <= 0) return;  // NaN is no zero
   double square = 0;
   for (double& value : scaled) value /= largest, square += value * value;
   const double length = std::sqrt(square);

@@ -69,9 +69,31 @@ void test_ticks(SplatFilter& filter) {
   CHECK(allocations == before);
 }
 
+// A row that is not finite is never left out: nothing satisfies it, whatever its bound.
+void test_rows_that_are_no_numbers() {
+  WrenchProgram program(vehicle(), 4);
+  Vec4 u{};
+  const double nan = std::nan("");
+  const auto solves = [&](const Vec4& row, double bound) {
+    FilterReport report;
+    program.start({4.5, 0, 0, 0});
+    program.add({row, bound}, 0);
+    return program.solve({4.5, 0, 0, 0}, u, report);
+  };
+  CHECK(solves({0, 0, 0, 0}, -1));
+  CHECK(!solves({0, 0, 0, 0}, 1));
+  for (const double bound : {-1.0, 0.0, 1.0, nan}) {
+    CHECK(!solves({nan, 0, 0, 0}, bound));
+    CHECK(!solves({0, 0, 0, nan}, bound));
+    CHECK(!solves({1, 0, nan, 0}, bound));
+  }
+  CHECK(!solves({1, 0, 0, 0}, nan));
+}
+
 }  // namespace
 
 int main() {
+  test_rows_that_are_no_numbers();
   const auto index = cloud(400);
   for (const BackupKind kind :
        {BackupKind::hover, BackupKind::heading_invariant, BackupKind::brake, BackupKind::cone_escape}) {

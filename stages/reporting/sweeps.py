@@ -1,0 +1,161 @@
+"""Runs of many filters over the same start-goal pairs, and how two of them compare."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.errors import InputError
+from alula.schemas.run import TrialResult
+from alula.stages.reporting.material import Run
+from alula.stages.reporting.statistics import Estimate, difference_estimate, ratio_estimate
+from alula.stages.reporting.tables import flat, text
+
+FloatArray = NDArray[np.float64]
+
+_ROUNDING_M_S2 = 1e-9  # of an acceleration; what flies is off by 1e-15
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """One run of a sweep: flights of one variant of a filter through one scene at one reference speed.
+
+    Attributes:
+        scene: name of the scene.
+        variant: the filter, or a name for it with other parameters.
+        speed_m_s: peak speed of the references [m/s].
+        run: its record and flights; trial i has the same start and goal in all runs of a scene.
+    """
+
+    scene: str
+    variant: str
+    speed_m_s: float
+    run: Run
+
+    def values(self, get: Callable[[TrialResult], float | None]) -> FloatArray:
+        """A figure of each trial, shape (trials,), NaN where there is none."""
+        return np.array([get(trial) for trial in self.run.record.trials], np.float64)
+
+    def timing(self, key: str) -> float | None:
+        """A measured time of the run [s], or count."""
+        found = (self.run.record.timing or {}).get(key)
+        return float(found) if found is not None else None
+
+
+def realisation_error(trial: TrialResult) -> float | None:
+    """The peak realisation error of a flight [m/s^2]; what is only rounding is 0."""
+    error = trial.peak_realisation_error_m_s2
+    return 0.0 if error is not None and error < _ROUNDING_M_S2 else error
+
+
+def changed_parameters(sweep: Sweep, base: Sweep) -> str:
+    """What was flown with another value than in `base`, in words; the name apart."""
+    ours, theirs = (flat(s.run.record.provenance.parameters) for s in (sweep, base))
+    keys = sorted(key for key in ours.keys() | theirs.keys() if ours.get(key) != theirs.get(key))
+    names = {key: key.removeprefix("filter_parameters.") for key in keys if key != "name"}
+    return ", ".join(f"{name} {text(ours.get(key))}" for key, name in names.items())
+
+
+def find(sweeps: Iterable[Sweep], scene: str, variant: str, speed_m_s: float) -> Sweep | None:
+    """The run of a variant, if there is one."""
+    for sweep in sweeps:
+        if (sweep.scene, sweep.variant, sweep.speed_m_s) == (scene, variant, speed_m_s):
+            return sweep
+    return None
+
+
+def scenes_of(sweeps: Sequence[Sweep]) -> list[str]:
+    """Names of the scenes, in the order of the runs."""
+    return list(dict.fromkeys(sweep.scene for sweep in sweeps))
+
+
+def speeds_of(sweeps: Sequence[Sweep], scene: str, variants: Sequence[str]) -> list[float]:
+    """Reference speeds at which all of the variants were flown in a scene, ascending [m/s]."""
+    flown = [{s.speed_m_s for s in sweeps if s.scene == scene and s.variant == v} for v in variants]
+    return sorted(set.intersection(*flown)) if flown else []
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """One filter against another over the same pairs; ratios are ours / baseline.
+
+    Attributes:
+        mean_jerk: ratio of the flights' mean jerk, by pairs.
+        max_jerk: the same of their largest jerk.
+        filter_time: ratio of the mean time of a filter's call; None where not measured.
+        top_speed: difference of the largest speeds of the flights [m/s].
+        goals: difference of the shares that reached the goal without collision, over all flights; None where
+            only some of them are compared.
+    """
+
+    mean_jerk: Estimate | None
+    max_jerk: Estimate | None
+    filter_time: float | None
+    top_speed: Estimate | None
+    goals: Estimate | None
+
+
+def compare(
+    ours: Sequence[Sweep], theirs: Sequence[Sweep], only: Callable[[TrialResult], bool] | None = None
+) -> Comparison:
+    """Compare runs one by one, by pairs of trials of which both are `only`, or by all.
+
+    A pair of start and goal is one draw of the bootstrap with all of its speeds.
+
+    Raises:
+        InputError: trials of the same number do not have the same start and goal.
+    """
+    count = min(len(s.run.record.trials) for s in (*ours, *theirs))
+    pairs = [[(t.start_m, t.goal_m) for t in s.run.record.trials[:count]] for s in (*ours, *theirs)]
+    if any(pair != pairs[0] for pair in pairs):
+        raise InputError("runs that are compared must fly the same pairs of start and goal")
+    both = np.array(
+        [
+            [
+                only is None or (only(a.run.record.trials[i]) and only(b.run.record.trials[i]))
+                for i in range(count)
+            ]
+            for a, b in zip(ours, theirs, strict=True)
+        ]
+    )
+
+    def summed(sweeps: Sequence[Sweep], get: Callable[[TrialResult], float | None]) -> FloatArray:
+        values = np.array([s.values(get)[:count] for s in sweeps])
+        return np.asarray(np.where(both, values, 0.0).sum(axis=0)[both.any(axis=0)])
+
+    def ratio(get: Callable[[TrialResult], float | None]) -> Estimate | None:
+        return ratio_estimate(summed(ours, get), summed(theirs, get))
+
+    def difference(
+        get: Callable[[TrialResult], float | None], bounds: tuple[float, float] | None = None
+    ) -> Estimate | None:
+        weight = both.sum(axis=0)[both.any(axis=0)]
+        mine, other = (summed(sweeps, get) / weight for sweeps in (ours, theirs))
+        return difference_estimate(mine, other, bounds=bounds)
+
+    return Comparison(
+        ratio(lambda t: t.mean_jerk_m_s3),
+        ratio(lambda t: t.max_jerk_m_s3),
+        _time_ratio(ours, theirs),
+        difference(lambda t: t.max_speed_m_s),
+        difference(lambda t: float(succeeded(t)), (-1.0, 1.0)) if only is None else None,
+    )
+
+
+def succeeded(trial: TrialResult) -> bool:
+    """Whether a flight reached its goal without a collision."""
+    return trial.outcome == "reached" and not trial.collision
+
+
+def _time_ratio(ours: Sequence[Sweep], theirs: Sequence[Sweep]) -> float | None:
+    total = []
+    for sweeps in (ours, theirs):
+        seconds = [s.timing("filter_total_s") for s in sweeps]
+        calls = [s.timing("filter_calls") for s in sweeps]
+        if any(x is None for x in (*seconds, *calls)):
+            return None
+        total.append(sum(x or 0.0 for x in seconds) / max(1.0, sum(x or 0.0 for x in calls)))
+    return total[0] / total[1] if total[1] > 0 else None
