@@ -246,7 +246,7 @@ def test_rows_lead_around_a_sphere_at_speed(speed, offset, shield):
 
 
 def test_where_poles_turn_too_late_for_the_rotors_the_shield_stops_the_vehicle():
-    """Head-on at 4.5 m/s, seen late, the turn that a pole of 14 1/s asks for does not keep all of the room."""
+    """Head-on at 4.5 m/s, seen late, a pole of 14 1/s turns too late to keep all of the room."""
     stiff = _core.SmoothWishOptions(release_rad_s=0)
     stopped = past_a_sphere(4.5, 0.0, shield=True, wish_options=stiff, pruning=_core.Pruning())
     assert stopped.clearance > 0.02

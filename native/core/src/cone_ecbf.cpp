@@ -135,7 +135,7 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
   if (wish_.is_on() && (releases || !(holds || program_.clears(asked))) && u > kLeastThrust * vehicle.gravity()) {
     wished = snap_input(vehicle, state, map, wish_.snap(map, nominal), nominal.wrench.torque.z);
     wished[0] = (wished[0] - affine_zero_) / affine_unit_;
-    if (!program_.clears(wished)) wish_.hold();
+    if (!releases || !program_.clears(wished)) wish_.hold();
   }
   if (head_on) {
     const Vec3 torque = tilting_torque(program_, state.x, side_of(state.x.v), o.lateral_bias);
