@@ -304,3 +304,57 @@ def test_clones_and_repetitions_give_the_same_bits():
     first = tick(flown, x, wrench, thrust, rate)
     flown.reset()
     assert tick(flown, x, wrench, thrust, rate) == first == tick(ecbf(scene).clone(), x, wrench, thrust, rate)
+
+
+def jerk_past_a_sphere(**options):
+    """Mean jerk [m/s^3] of a flight whose controller pulls through a sphere beside its course."""
+    flight = past_a_sphere(2.0, 0.2, **options)
+    velocity = np.diff(flight.positions[::10], axis=0) / DT
+    assert flight.clearance > 0.02
+    assert flight.state[0] > 5.5
+    assert all(report["certified"] for report in flight.reports)
+    return np.linalg.norm(np.diff(velocity, n=2, axis=0), axis=1).mean() / DT**2
+
+
+def test_the_wish_makes_flights_smoother():
+    gate = _core.Pruning(reaction_time_s=0.6)
+    stiff = jerk_past_a_sphere(pruning=gate, wish_options=_core.SmoothWishOptions(release_rad_s=0))
+    assert jerk_past_a_sphere(pruning=gate) < 0.8 * stiff
+
+
+def held_then_free():
+    """Statuses and wrenches of hovering ticks: free, held back from a wall by its rows, and free again."""
+    scene = Scene([[1.3, 0, 0]], [[0.3] * 3], [[1, 0, 0, 0]])
+    flown, held, free = ecbf(scene), np.zeros(12), np.zeros(12)
+    held[6], free[0] = 2.0, -50.0
+    u = (HOVER, 0, 0, 0)
+    return flown, lambda x, ticks: [tick(flown, x, u, velocity_error=(0.5, 0, 0)) for _ in range(ticks)], held, free
+
+
+def test_the_wish_fades_into_the_nominal_input_which_then_comes_back_bit_by_bit():
+    _, fly, held, free = held_then_free()
+    assert fly(free, 1)[0]["status"] == OK
+    assert fly(held, 1)[0]["status"] == FILTERED
+    after = fly(free, 200)
+    torque = [abs(report["wrench"][2]) for report in after]
+    assert after[0]["status"] == FILTERED
+    assert torque[0] > 1e-4
+    assert after[-1]["status"] == OK
+    assert after[-1]["wrench"] == [HOVER, 0, 0, 0]
+    assert [report["status"] for report in after] == sorted((r["status"] for r in after), reverse=True)
+    assert 50 < sum(report["status"] == FILTERED for report in after) < 150
+
+
+def test_reset_forgets_that_the_vehicle_was_held_and_a_clone_remembers():
+    flown, fly, held, free = held_then_free()
+    fly(held, 1)
+    other = flown.clone()
+    assert tick(other, free, (HOVER, 0, 0, 0), velocity_error=(0.5, 0, 0)) == fly(free, 1)[0]
+    flown.reset()
+    assert fly(free, 1)[0]["status"] == OK
+
+
+@pytest.mark.parametrize("name", ["release_rad_s", "wish_position_rad_s", "wish_speed_m_s", "wish_cone_rate_1_s"])
+def test_a_wish_that_means_nothing_is_refused(name):
+    with pytest.raises(ValueError, match="a wish needs"):
+        ecbf(empty_scene(), wish_options=_core.SmoothWishOptions(**{name: -1.0}))

@@ -118,19 +118,20 @@ void bind_wish(nb::module_& m) {
       .def(
           "__init__",
           [](SmoothWishOptions* self, double release_rad_s, double release_growth_1_s, double wish_attitude_rad_s,
-             double wish_position_rad_s, double wish_catch_up_m_s, double wish_acceleration,
+             double wish_position_rad_s, double wish_catch_up_m_s, double wish_acceleration, double wish_speed_m_s,
              double wish_cone_rate_1_s) {
             new (self)
                 SmoothWishOptions{release_rad_s,     release_growth_1_s, wish_attitude_rad_s, wish_position_rad_s,
-                                  wish_catch_up_m_s, wish_acceleration,  wish_cone_rate_1_s};
+                                  wish_catch_up_m_s, wish_acceleration,  wish_speed_m_s,      wish_cone_rate_1_s};
           },
           nb::kw_only(), "release_rad_s"_a = o.release_rad_s, "release_growth_1_s"_a = o.release_growth_1_s,
           "wish_attitude_rad_s"_a = o.wish_attitude_rad_s, "wish_position_rad_s"_a = o.wish_position_rad_s,
           "wish_catch_up_m_s"_a = o.wish_catch_up_m_s, "wish_acceleration"_a = o.wish_acceleration,
-          "wish_cone_rate_1_s"_a = o.wish_cone_rate_1_s,
+          "wish_speed_m_s"_a = o.wish_speed_m_s, "wish_cone_rate_1_s"_a = o.wish_cone_rate_1_s,
           "release_rad_s: pole of the acceleration while held, 0 for the nominal input as it is; it grows by\n"
           "e^{release_growth_1_s t} up to wish_attitude_rad_s, the second pole; wish_position_rad_s: double pole of\n"
-          "the position; wish_catch_up_m_s, wish_acceleration [m/s^2]: the most that errors ask for;\n"
+          "the position; wish_catch_up_m_s, wish_acceleration [m/s^2]: the most that errors ask for; all three grow\n"
+          "with the reference's speed above wish_speed_m_s;\n"
           "wish_cone_rate_1_s: of the rows that keep the wish out of the cones.")
       .def_ro("release_rad_s", &SmoothWishOptions::release_rad_s)
       .def_ro("release_growth_1_s", &SmoothWishOptions::release_growth_1_s)
@@ -138,6 +139,7 @@ void bind_wish(nb::module_& m) {
       .def_ro("wish_position_rad_s", &SmoothWishOptions::wish_position_rad_s)
       .def_ro("wish_catch_up_m_s", &SmoothWishOptions::wish_catch_up_m_s)
       .def_ro("wish_acceleration", &SmoothWishOptions::wish_acceleration)
+      .def_ro("wish_speed_m_s", &SmoothWishOptions::wish_speed_m_s)
       .def_ro("wish_cone_rate_1_s", &SmoothWishOptions::wish_cone_rate_1_s);
 }
 

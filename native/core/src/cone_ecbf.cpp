@@ -133,7 +133,7 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
 
   Vec4 wished = asked, best{};
   if (wish_.is_on() && (releases || !(holds || program_.clears(asked))) && u > kLeastThrust * vehicle.gravity()) {
-    wished = snap_input(vehicle, state, map, wish_.snap(map, nominal), nominal.wrench.torque.z);
+    wished = snap_input(vehicle, state, map, wish_.snap(map, state.x.v, nominal), nominal.wrench.torque.z);
     wished[0] = (wished[0] - affine_zero_) / affine_unit_;
     if (!releases || !program_.clears(wished)) wish_.hold();
   }

@@ -22,7 +22,7 @@ SmoothWish::SmoothWish(std::size_t rows, const SmoothWishOptions& options) : opt
   const SmoothWishOptions& o = options_;
   const bool good = o.release_rad_s >= 0 && o.release_growth_1_s > 0 && o.wish_attitude_rad_s > o.release_rad_s &&
                     o.wish_position_rad_s > 0 && o.wish_catch_up_m_s > 0 && o.wish_acceleration > 0 &&
-                    o.wish_cone_rate_1_s > 0 && o.wish_cone_rate_1_s <= kMostReturnRate &&
+                    o.wish_speed_m_s > 0 && o.wish_cone_rate_1_s > 0 && o.wish_cone_rate_1_s <= kMostReturnRate &&
                     std::isfinite(o.wish_attitude_rad_s + o.wish_position_rad_s + o.wish_acceleration);
   if (!good)
     throw std::invalid_argument(
@@ -47,13 +47,16 @@ void SmoothWish::add(const Cone& c, bool on_gamma, std::uint32_t item) {
   program_.add(cone_row(c, c.h > 0 ? rate : std::clamp(returning, rate, kMostReturnRate)), item);
 }
 
-Vec3 SmoothWish::snap(const SnapMap& map, const Nominal& nominal) {
+Vec3 SmoothWish::snap(const SnapMap& map, Vec3 v, const Nominal& nominal) {
   const SmoothWishOptions& o = options_;
-  const double p1 = is_releasing() ? pole() : o.release_rad_s, p2 = o.wish_attitude_rad_s, q = o.wish_position_rad_s;
+  top_speed_ = std::max(top_speed_, geometry::norm(v - nominal.velocity_error));
+  const double haste = std::max(1.0, top_speed_ / o.wish_speed_m_s);
+  const double p1 = is_releasing() ? pole() : o.release_rad_s, p2 = o.wish_attitude_rad_s,
+               q = haste * o.wish_position_rad_s;
   const double c2 = p1 * p2 + 2 * q * (p1 + p2) + q * q, c1 = 2 * q * p1 * p2 + q * q * (p1 + p2),
                c0 = q * q * p1 * p2;
-  const Vec3 behind = at_most(nominal.position_error, o.wish_catch_up_m_s * c1 / c0);
-  const Vec3 pull = at_most(1 / c2 * (c1 * nominal.velocity_error + c0 * behind), o.wish_acceleration);
+  const Vec3 behind = at_most(nominal.position_error, haste * o.wish_catch_up_m_s * c1 / c0);
+  const Vec3 pull = at_most(1 / c2 * (c1 * nominal.velocity_error + c0 * behind), haste * o.wish_acceleration);
   Vec3 target = nominal.reference_acceleration - pull;
   program_.set_nominal(target);
   if (!program_.holds(target, 0, false)) {
