@@ -50,7 +50,7 @@ void SmoothWish::add(const Cone& c, bool on_gamma, std::uint32_t item) {
 Vec3 SmoothWish::snap(const SnapMap& map, Vec3 v, const Nominal& nominal) {
   const SmoothWishOptions& o = options_;
   top_speed_ = std::max(top_speed_, geometry::norm(v - nominal.velocity_error));
-  const double haste = std::max(1.0, top_speed_ / o.wish_speed_m_s);
+  const double faster = std::max(1.0, top_speed_ / o.wish_speed_m_s), haste = faster * std::sqrt(faster);
   const double p1 = is_releasing() ? pole() : o.release_rad_s, p2 = o.wish_attitude_rad_s,
                q = haste * o.wish_position_rad_s;
   const double c2 = p1 * p2 + 2 * q * (p1 + p2) + q * q, c1 = 2 * q * p1 * p2 + q * q * (p1 + p2),

@@ -27,7 +27,7 @@ struct SmoothWishOptions {
   double wish_position_rad_s = 1.2;  // q
   double wish_catch_up_m_s = 0.7;    // how much faster than its reference the wish flies to make up for e_p,
   double wish_acceleration = 3;      // and the most that e_p and e_v ask for [m/s^2]
-  double wish_speed_m_s = 2.2;       // of a reference; a faster one has these three in proportion to its speed
+  double wish_speed_m_s = 2.2;       // of a reference; of one n times as fast these three are n^1.5 times as large
   double wish_cone_rate_1_s = 3;     // of the rows of a*: h' + rate h >= 0, and (d/dt + rate)^2 gamma >= 0
 };
 
