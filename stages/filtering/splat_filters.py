@@ -100,8 +100,12 @@ class _Spec:
         own = {key: value for key, value in defaults_of(self.native).items() if key not in self.parts}
         policy = {**defaults_of(_core.BackupPolicy)} if self.has_policy else {}
         kind = {"policy": policy.pop("kind")} if policy else {}
-        parts = [defaults_of(part) for part in self.parts.values()]
-        merged = own | kind | policy | {key: value for part in parts for key, value in part.items()}
+        of_parts = {
+            key: getattr(defaults_of(self.native)[name], key)
+            for name, part in self.parts.items()
+            for key in defaults_of(part)
+        }
+        merged = own | kind | policy | of_parts
         merged.pop("tick_s", None)  # that of the flight
         merged.pop("qp_backend", None)  # `solver` says it
         return merged | ({"solver": self.solvers[0]} if self.solvers else {})
@@ -129,7 +133,12 @@ _SHIELDED = {"shield_options": _core.ShieldOptions, **_PRUNED}
 _SOLVERS = ("active-set", "clarabel")
 _NATIVE: dict[str, _Spec] = {
     "cone-di": _Spec(_core.ConeDi, _PRUNED, solvers=_SOLVERS),
-    "cone-ecbf": _Spec(_core.ConeEcbf, _SHIELDED, has_policy=True, solvers=_SOLVERS),
+    "cone-ecbf": _Spec(
+        _core.ConeEcbf,
+        {"wish_options": _core.SmoothWishOptions, **_SHIELDED},
+        has_policy=True,
+        solvers=_SOLVERS,
+    ),
     "cone-backup": _Spec(
         _core.ConeBackup, _SHIELDED, has_policy=True, solvers=("active-set", "interpolation", "clarabel")
     ),

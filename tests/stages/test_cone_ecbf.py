@@ -25,6 +25,9 @@ from wrench_flight import (
 )
 
 from alula import _core
+from alula.stages.filtering.splat_filters import NativeSplatFilter
+from alula.stages.flight.references import rest_to_rest
+from alula.stages.flight.splat_loop import fly
 
 POLICY = _core.BackupPolicy(VEHICLE, "brake")
 DT = 0.01
@@ -108,6 +111,7 @@ def test_the_nearest_input_agrees_with_another_solver(cascade):
             shield=False,
             cascade=cascade,
             lateral_bias=0.0,
+            wish_options=_core.SmoothWishOptions(release_rad_s=0),
             pruning=_core.Pruning(sweep=False, count=0),
         )
         report = tick(flown, x, wrench, thrust, rate)
@@ -237,8 +241,9 @@ def test_rows_lead_around_a_sphere_at_speed(speed, offset, shield):
 
 
 def test_where_poles_turn_too_late_for_the_rotors_the_shield_stops_the_vehicle():
-    """Head-on at 4.5 m/s the turn that a pole of 14 1/s asks for comes too late to keep all of the room."""
-    stopped = past_a_sphere(4.5, 0.0, shield=True)
+    """Head-on at 4.5 m/s, seen late, a pole of 14 1/s turns too late to keep all of the room."""
+    stiff = _core.SmoothWishOptions(release_rad_s=0)
+    stopped = past_a_sphere(4.5, 0.0, shield=True, wish_options=stiff, pruning=_core.Pruning())
     assert stopped.clearance > 0.02
     assert stopped.count(BACKUP) > 1
     assert stopped.state[0] < 4.5
@@ -296,3 +301,79 @@ def test_clones_and_repetitions_give_the_same_bits():
     first = tick(flown, x, wrench, thrust, rate)
     flown.reset()
     assert tick(flown, x, wrench, thrust, rate) == first == tick(ecbf(scene).clone(), x, wrench, thrust, rate)
+
+
+def flown_through_a_cloud(**options):
+    """Mean jerk [m/s^3] of flights on straight references through a cloud, and how many reach their goals."""
+    scene = random_scene(np.random.default_rng(4), 100, size=2.5)
+    vehicle = _core.FlightVehicle(VEHICLE, _core.TrackingGains(catch_up_m_s=1.0), _core.PlantOptions())
+    references = []
+    for angle in np.linspace(0, np.pi, 8, endpoint=False):
+        end = 4.0 * np.array([np.cos(angle), np.sin(angle), 0])
+        path = rest_to_rest(-end, end, 2.0)
+        references.append(_core.ReferenceCurve(path.time, path.coefficient))
+    flights = fly(
+        NativeSplatFilter(ecbf(scene, **options), {}),
+        vehicle,
+        references,
+        _core.FlightRules(dt_s=DT, plant_steps=10),
+        jobs=1,
+    )
+    assert all(flight.certified.all() for flight in flights)
+    assert min(scene.clearance(flight.position) for flight in flights) > 0
+    jerk = [np.linalg.norm(np.diff(f.state[:, 6:9], n=2, axis=0), axis=1).mean() / DT**2 for f in flights]
+    return np.mean(jerk), sum(flight.outcome == "reached" for flight in flights)
+
+
+def test_the_wish_makes_flights_smoother_and_loses_no_goal():
+    gate = _core.Pruning(reaction_time_s=0.6)
+    stiff, reached = flown_through_a_cloud(
+        pruning=gate, wish_options=_core.SmoothWishOptions(release_rad_s=0)
+    )
+    smooth, also_reached = flown_through_a_cloud()
+    assert smooth < 0.8 * stiff
+    assert also_reached >= reached >= 6
+
+
+def held_then_free():
+    """Statuses and wrenches of hovering ticks: free, held back from a wall by its rows, and free again."""
+    scene = Scene([[1.3, 0, 0]], [[0.3] * 3], [[1, 0, 0, 0]])
+    flown, held, free = ecbf(scene), np.zeros(12), np.zeros(12)
+    held[6], free[0] = 2.0, -50.0
+    u = (HOVER, 0, 0, 0)
+
+    def ticks(x, count):
+        return [tick(flown, x, u, velocity_error=(0.5, 0, 0)) for _ in range(count)]
+
+    return flown, ticks, held, free
+
+
+def test_the_wish_fades_into_the_nominal_input_which_then_comes_back_bit_by_bit():
+    _, ticks, held, free = held_then_free()
+    assert ticks(free, 1)[0]["status"] == OK
+    assert ticks(held, 1)[0]["status"] == FILTERED
+    after = ticks(free, 200)
+    torque = [abs(report["wrench"][2]) for report in after]
+    assert after[0]["status"] == FILTERED
+    assert torque[0] > 1e-4
+    assert after[-1]["status"] == OK
+    assert after[-1]["wrench"] == [HOVER, 0, 0, 0]
+    assert [report["status"] for report in after] == sorted((r["status"] for r in after), reverse=True)
+    assert 50 < sum(report["status"] == FILTERED for report in after) < 150
+
+
+def test_reset_forgets_that_the_vehicle_was_held_and_a_clone_remembers():
+    flown, ticks, held, free = held_then_free()
+    ticks(held, 1)
+    other = flown.clone()
+    assert tick(other, free, (HOVER, 0, 0, 0), velocity_error=(0.5, 0, 0)) == ticks(free, 1)[0]
+    flown.reset()
+    assert ticks(free, 1)[0]["status"] == OK
+
+
+@pytest.mark.parametrize(
+    "name", ["release_rad_s", "wish_position_rad_s", "wish_speed_m_s", "wish_cone_rate_1_s"]
+)
+def test_a_wish_that_means_nothing_is_refused(name):
+    with pytest.raises(ValueError, match="a wish needs"):
+        ecbf(empty_scene(), wish_options=_core.SmoothWishOptions(**{name: -1.0}))

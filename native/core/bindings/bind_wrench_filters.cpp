@@ -76,8 +76,16 @@ void bind_shield(nb::module_& m) {
           "escape_tries: how many of them; line_search: bisections between backup and a refused input;\n"
           "rest_*: at rest is below all of these, with rest_drift_m left to drift.")
       .def_ro("tick_s", &ShieldOptions::tick_s)
+      .def_ro("substeps", &ShieldOptions::substeps)
       .def_ro("margin_m", &ShieldOptions::margin_m)
-      .def_ro("max_time_s", &ShieldOptions::max_time_s);
+      .def_ro("max_time_s", &ShieldOptions::max_time_s)
+      .def_ro("escape_time_s", &ShieldOptions::escape_time_s)
+      .def_ro("escape_tries", &ShieldOptions::escape_tries)
+      .def_ro("line_search", &ShieldOptions::line_search)
+      .def_ro("rest_speed_m_s", &ShieldOptions::rest_speed_m_s)
+      .def_ro("rest_rate_rad_s", &ShieldOptions::rest_rate_rad_s)
+      .def_ro("rest_tilt_rad", &ShieldOptions::rest_tilt_rad)
+      .def_ro("rest_drift_m", &ShieldOptions::rest_drift_m);
 
   nb::class_<Shield>(m, "Shield", "Checks that a safe manoeuvre to rest is known: alula/shield.hpp.")
       .def(
@@ -104,6 +112,37 @@ void bind_shield(nb::module_& m) {
         "they are turned by, least first.");
 }
 
+void bind_wish(nb::module_& m) {
+  const SmoothWishOptions o;
+  nb::class_<SmoothWishOptions>(m, "SmoothWishOptions", "What a filter of wrenches asks for while it holds.")
+      .def(
+          "__init__",
+          [](SmoothWishOptions* self, double release_rad_s, double release_growth_1_s, double wish_attitude_rad_s,
+             double wish_position_rad_s, double wish_catch_up_m_s, double wish_acceleration, double wish_speed_m_s,
+             double wish_cone_rate_1_s) {
+            new (self)
+                SmoothWishOptions{release_rad_s,     release_growth_1_s, wish_attitude_rad_s, wish_position_rad_s,
+                                  wish_catch_up_m_s, wish_acceleration,  wish_speed_m_s,      wish_cone_rate_1_s};
+          },
+          nb::kw_only(), "release_rad_s"_a = o.release_rad_s, "release_growth_1_s"_a = o.release_growth_1_s,
+          "wish_attitude_rad_s"_a = o.wish_attitude_rad_s, "wish_position_rad_s"_a = o.wish_position_rad_s,
+          "wish_catch_up_m_s"_a = o.wish_catch_up_m_s, "wish_acceleration"_a = o.wish_acceleration,
+          "wish_speed_m_s"_a = o.wish_speed_m_s, "wish_cone_rate_1_s"_a = o.wish_cone_rate_1_s,
+          "release_rad_s: pole of the acceleration while held, 0 for the nominal input as it is; it grows by\n"
+          "e^{release_growth_1_s t} up to wish_attitude_rad_s, the second pole; wish_position_rad_s: double pole of\n"
+          "the position; wish_catch_up_m_s, wish_acceleration [m/s^2]: the most that errors ask for; all three grow\n"
+          "with the reference's speed above wish_speed_m_s;\n"
+          "wish_cone_rate_1_s: of the rows that keep the wish out of the cones.")
+      .def_ro("release_rad_s", &SmoothWishOptions::release_rad_s)
+      .def_ro("release_growth_1_s", &SmoothWishOptions::release_growth_1_s)
+      .def_ro("wish_attitude_rad_s", &SmoothWishOptions::wish_attitude_rad_s)
+      .def_ro("wish_position_rad_s", &SmoothWishOptions::wish_position_rad_s)
+      .def_ro("wish_catch_up_m_s", &SmoothWishOptions::wish_catch_up_m_s)
+      .def_ro("wish_acceleration", &SmoothWishOptions::wish_acceleration)
+      .def_ro("wish_speed_m_s", &SmoothWishOptions::wish_speed_m_s)
+      .def_ro("wish_cone_rate_1_s", &SmoothWishOptions::wish_cone_rate_1_s);
+}
+
 ThrustCascade cascade_of(const std::string& name) {
   if (name == "extension") return ThrustCascade::extension;
   if (name == "difference") return ThrustCascade::difference;
@@ -125,7 +164,8 @@ void bind_filters(nb::module_& m) {
              double return_time, double escape_rate, double min_speed_m_s, const std::string& cascade,
              double bandwidth, double damping, double max_rate, double least_thrust, double lateral_bias,
              double clf_weight, double clf_rate, double clf_kp, double clf_kv, bool shield, double room_m,
-             bool try_nominal, const ShieldOptions& shield_options, const Pruning& pruning, nb::object qp_backend) {
+             bool try_nominal, const SmoothWishOptions& wish_options, const ShieldOptions& shield_options,
+             const Pruning& pruning, nb::object qp_backend) {
             new (self) ConeEcbf(policy, std::move(index),
                                 {.lambda = lambda,
                                  .lambda_max = lambda_max,
@@ -138,6 +178,7 @@ void bind_filters(nb::module_& m) {
                                  .max_thrust_rate_n_s = max_rate,
                                  .least_thrust = least_thrust,
                                  .lateral_bias = lateral_bias,
+                                 .wish = wish_options,
                                  .tracking = {clf_weight, clf_rate, clf_kp, clf_kv},
                                  .shielded = shield,
                                  .room_m = room_m,
@@ -152,8 +193,8 @@ void bind_filters(nb::module_& m) {
           "thrust_damping"_a = e.thrust_damping, "max_thrust_rate_n_s"_a = e.max_thrust_rate_n_s,
           "least_thrust"_a = e.least_thrust, "lateral_bias"_a = e.lateral_bias, "clf_weight"_a = e.tracking.weight,
           "clf_rate"_a = e.tracking.rate, "clf_kp"_a = e.tracking.kp, "clf_kv"_a = e.tracking.kv,
-          "shield"_a = e.shielded, "room_m"_a = e.room_m, "try_nominal"_a = e.try_nominal,
-          "shield_options"_a = ShieldOptions{}, "pruning"_a = Pruning{}, "qp_backend"_a = nb::none(),
+          "shield"_a = e.shielded, "room_m"_a = e.room_m, "try_nominal"_a = e.try_nominal, "wish_options"_a = e.wish,
+          "shield_options"_a = e.shield, "pruning"_a = e.pruning, "qp_backend"_a = nb::none(),
           "lambda_: triple pole of the rows [1/s], moved left up to lambda_max when a row starts beyond its safe "
           "set;\n"
           "return_time: pole of a row with h < 0, times the time to its ellipsoid;\n"
@@ -216,5 +257,6 @@ void bind_filters(nb::module_& m) {
 
 void bind_wrench_filters(nb::module_& m) {
   alula::flight::bind_shield(m);
+  alula::flight::bind_wish(m);
   alula::flight::bind_filters(m);
 }

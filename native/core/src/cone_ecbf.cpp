@@ -9,7 +9,8 @@ namespace alula::flight {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kSameThrust = 0.01;  // of hover: the extension counts as at the nominal thrust
+constexpr double kSameThrust = 0.01;   // of hover: the extension counts as at the nominal thrust
+constexpr double kLeastThrust = 0.05;  // of hover: below, torques turn no thrust
 
 }  // namespace
 
@@ -29,7 +30,8 @@ ConeEcbf::ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIn
       pruner_(index, options.pruning),
       roomy_(index, options.shielded ? options.room_m : 0),
       shield_(policy, index, options.shield),
-      program_(policy.vehicle(), options.pruning.count, std::move(solver)) {
+      program_(policy.vehicle(), options.pruning.count, std::move(solver)),
+      wish_(options.pruning.count, options.wish) {
   const ConeEcbfOptions& o = options_;
   const auto require = [](bool holds, const char* what) {
     if (!holds) throw std::invalid_argument(what);
@@ -68,6 +70,7 @@ bool ConeEcbf::add_rows(const FlightState& state, const SnapMap& map, std::span<
     report.margin = std::min(report.margin, on_gamma ? c.gamma : c.h);
     const SnapRow snap =
         on_gamma ? snap_escape_row(c, d, map, options_.escape_rate) : ecbf_row(c, d, map, pole(c, d));
+    wish_.add(c, on_gamma, found.item);
     program_.add({{snap.row[0] * affine_unit_, snap.row[1], snap.row[2], snap.row[3]},
                   snap.bound - snap.row[0] * affine_zero_},
                  found.item);
@@ -112,6 +115,7 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
   thrust_row(1, o.least_thrust * vehicle.hover_thrust());
   if (extends) rate_row(1), rate_row(-1);
   bool inside = false;
+  wish_.start(dt);
   const bool head_on = add_rows(state, map, near, moves, report, inside);
   program_.track(o.tracking, nominal, map.per_thrust, vehicle.gravity());
 
@@ -123,10 +127,16 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
   };
   const double close = kSameThrust * vehicle.hover_thrust();
   const bool at_nominal = !extends || std::abs(program_.wrench(asked).thrust - nominal.wrench.thrust) <= close;
-  if (at_nominal && program_.holds(asked) && program_.tracks(asked) && vehicle.admissible(nominal.wrench))
+  const bool holds = program_.holds(asked), releases = wish_.is_releasing();
+  if (!releases && at_nominal && holds && program_.tracks(asked) && vehicle.admissible(nominal.wrench))
     return end(nominal.wrench, nominal.thrust_rate, SplatFilterStatus::ok);
 
   Vec4 wished = asked, best{};
+  if (wish_.is_on() && (releases || !(holds || program_.clears(asked))) && u > kLeastThrust * vehicle.gravity()) {
+    wished = snap_input(vehicle, state, map, wish_.snap(map, state.x.v, nominal), nominal.wrench.torque.z);
+    wished[0] = (wished[0] - affine_zero_) / affine_unit_;
+    if (!releases || !program_.clears(wished)) wish_.hold();
+  }
   if (head_on) {
     const Vec3 torque = tilting_torque(program_, state.x, side_of(state.x.v), o.lateral_bias);
     for (std::size_t j = 0; j < 3; ++j) wished[j + 1] += torque[static_cast<int>(j)];
@@ -136,6 +146,7 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
     const double rate = extends ? state.thrust_rate + m * dt * best[0] : (wrench.thrust - state.thrust) / dt;
     return end(wrench, rate, SplatFilterStatus::filtered);
   }
+  wish_.hold();
   fly_backup(o.shielded ? &shield_ : nullptr, policy_, state.x, o.try_nominal ? &nominal.wrench : nullptr, near,
              report);
   return report;

@@ -99,6 +99,12 @@ bool WrenchProgram::holds(const Vec4& u, double tolerance) const {
   return true;
 }
 
+bool WrenchProgram::clears(const Vec4& u) const {
+  for (std::size_t i = 0; i < item_.size(); ++i)
+    if (item_[i] >= 0 && !(slack(i, u) >= 0)) return false;
+  return true;
+}
+
 bool WrenchProgram::tracks(const Vec4& u) const {
   for (std::size_t i = item_.size(); i < bound_.size(); ++i)
     if (!(slack(i, u) >= 0)) return false;

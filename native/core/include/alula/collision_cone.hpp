@@ -126,6 +126,14 @@ inline SnapMap snap_map(const Quadrotor& body, const FlightState& state) {
   return m;
 }
 
+// The torque about x and y, and u_T'', that make the snap; `torque_z` is given. For a thrust that is not zero.
+inline std::array<double, 4> snap_input(const Quadrotor& body, const FlightState& state, const SnapMap& map,
+                                        Vec3 snap, double torque_z) {
+  const Vec3 asked = body_from_inertial(state.x.sigma) * (snap - map.drift), j = body.inertia();
+  const double u = state.thrust / body.mass();
+  return {asked.z, -j.x * asked.y / u, j.y * asked.x / u, torque_z};
+}
+
 // direction . p'''' as a row: direction . p'''' + drift >= 0.
 inline SnapRow snap_row(const SnapMap& m, Vec3 direction, double drift) {
   const Vec3 torque = geometry::transposed_times(m.per_torque, direction);

@@ -6,7 +6,9 @@
 // limits on T = m (u_T + u_T' dt + u_T'' dt^2 / 2) and tau, with bounds on T and T' against wind-up of the extension:
 //
 //   minimise |u_T'' - nom|^2 / range^2 + |tau - tau_nom|^2 / range^2,
-//   nom = T''_nom / m + 2 zeta w (T'_nom / m - u_T') + w^2 (T_nom / m - u_T).
+//   nom = T''_nom / m + 2 zeta w (T'_nom / m - u_T') + w^2 (T_nom / m - u_T),
+//
+// or nearest to the smooth wish of alula/smooth_wish.hpp while it holds the vehicle up and until it has let go.
 //
 // A row keeps h >= 0 only from where psi_1 and psi_2 are >= 0 too. When an ellipsoid becomes a candidate with h > 0
 // and that is not so, its pole is moved left, up to `lambda_max`, until it is. Where that does not help, safety rests
@@ -23,6 +25,7 @@
 
 #include "alula/pruning.hpp"
 #include "alula/shielded.hpp"
+#include "alula/smooth_wish.hpp"
 #include "alula/wrench_program.hpp"
 
 namespace alula::flight {
@@ -46,12 +49,13 @@ struct ConeEcbfOptions {
   double max_thrust_rate_n_s = 150;    // of |T'|
   double least_thrust = 0.1;           // of T, as a share of hover
   double lateral_bias = 0.1;           // torque of a head-on nominal, as a share of the largest
+  SmoothWishOptions wish;
   TrackingRow tracking;
   bool shielded = true;
   double room_m = 0.08;     // kept by the rows beyond the radius when shielded: they steer before the shield stops
   bool try_nominal = true;  // without a solution, let the shield look between backup and nominal
   ShieldOptions shield;     // its tick_s is dt
-  Pruning pruning;
+  Pruning pruning{.reaction_time_s = 0.6};
 };
 
 class ConeEcbf final : public SplatFilter {
@@ -62,7 +66,7 @@ class ConeEcbf final : public SplatFilter {
 
   InputKind kind() const override { return InputKind::wrench; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
-  void reset() override { shield_.reset(); }
+  void reset() override { shield_.reset(), wish_.reset(); }
   std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<ConeEcbf>(*this); }
   const ConeEcbfOptions& options() const { return options_; }
 
@@ -77,6 +81,7 @@ class ConeEcbf final : public SplatFilter {
   RoomyEllipsoids roomy_;
   Shield shield_;
   WrenchProgram program_;
+  SmoothWish wish_;
   double affine_zero_ = 0, affine_unit_ = 1;  // u_T'' of the variable
 };
 

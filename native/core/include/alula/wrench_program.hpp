@@ -35,6 +35,7 @@ class WrenchProgram {
   double range(std::size_t j) const { return range_[j]; }
   double slack(std::size_t i, const Vec4& u) const;       // of row i, scaled
   bool holds(const Vec4& u, double tolerance = 0) const;  // every row but the soft one
+  bool clears(const Vec4& u) const;                       // every row of an ellipsoid
   bool tracks(const Vec4& u) const;                       // the soft one with xi = 0
 
   // The minimiser nearest to `wished`; false, with report.infeasible, when there is none. Sets active, iterations.
