@@ -811,10 +811,34 @@ class ShieldOptions:
     def tick_s(self) -> float: ...
 
     @property
+    def substeps(self) -> int: ...
+
+    @property
     def margin_m(self) -> float: ...
 
     @property
     def max_time_s(self) -> float: ...
+
+    @property
+    def escape_time_s(self) -> float: ...
+
+    @property
+    def escape_tries(self) -> int: ...
+
+    @property
+    def line_search(self) -> int: ...
+
+    @property
+    def rest_speed_m_s(self) -> float: ...
+
+    @property
+    def rest_rate_rad_s(self) -> float: ...
+
+    @property
+    def rest_tilt_rad(self) -> float: ...
+
+    @property
+    def rest_drift_m(self) -> float: ...
 
 class Shield:
     """Checks that a safe manoeuvre to rest is known: alula/shield.hpp."""
@@ -834,10 +858,46 @@ def escape_velocities(index: EllipsoidIndex, p: Sequence[float], v: Sequence[flo
     Velocities (N, 3) of the same speed that meet no cone of the ellipsoids within reach, and the angles [rad] they are turned by, least first.
     """
 
+class SmoothWishOptions:
+    """What a filter of wrenches asks for while it holds."""
+
+    def __init__(self, *, release_rad_s: float = 2.0, release_growth_1_s: float = 3.0, wish_attitude_rad_s: float = 35.0, wish_position_rad_s: float = 1.2, wish_catch_up_m_s: float = 0.7, wish_acceleration: float = 3.0, wish_speed_m_s: float = 2.2, wish_cone_rate_1_s: float = 3.0) -> None:
+        """
+        release_rad_s: pole of the acceleration while held, 0 for the nominal input as it is; it grows by
+        e^{release_growth_1_s t} up to wish_attitude_rad_s, the second pole; wish_position_rad_s: double pole of
+        the position; wish_catch_up_m_s, wish_acceleration [m/s^2]: the most that errors ask for; all three grow
+        with the reference's speed above wish_speed_m_s;
+        wish_cone_rate_1_s: of the rows that keep the wish out of the cones.
+        """
+
+    @property
+    def release_rad_s(self) -> float: ...
+
+    @property
+    def release_growth_1_s(self) -> float: ...
+
+    @property
+    def wish_attitude_rad_s(self) -> float: ...
+
+    @property
+    def wish_position_rad_s(self) -> float: ...
+
+    @property
+    def wish_catch_up_m_s(self) -> float: ...
+
+    @property
+    def wish_acceleration(self) -> float: ...
+
+    @property
+    def wish_speed_m_s(self) -> float: ...
+
+    @property
+    def wish_cone_rate_1_s(self) -> float: ...
+
 class ConeEcbf(SplatFilter):
     """The exponential collision cone filter of a quadrotor."""
 
-    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, *, lambda_: float = 14.0, lambda_max: float = 40.0, return_time: float = 8.0, escape_rate: float = 5.0, min_speed_m_s: float = 0.8, cascade: str = 'extension', thrust_bandwidth_rad_s: float = 30.0, thrust_damping: float = 1.0, max_thrust_rate_n_s: float = 150.0, least_thrust: float = 0.1, lateral_bias: float = 0.1, clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, shield_options: ShieldOptions = ..., pruning: Pruning = ..., qp_backend: object | None = None) -> None:
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, *, lambda_: float = 14.0, lambda_max: float = 40.0, return_time: float = 8.0, escape_rate: float = 5.0, min_speed_m_s: float = 0.8, cascade: str = 'extension', thrust_bandwidth_rad_s: float = 30.0, thrust_damping: float = 1.0, max_thrust_rate_n_s: float = 150.0, least_thrust: float = 0.1, lateral_bias: float = 0.1, clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, wish_options: SmoothWishOptions = ..., shield_options: ShieldOptions = ..., pruning: Pruning = ..., qp_backend: object | None = None) -> None:
         """
         lambda_: triple pole of the rows [1/s], moved left up to lambda_max when a row starts beyond its safe set;
         return_time: pole of a row with h < 0, times the time to its ellipsoid;
@@ -873,7 +933,10 @@ class FlightVehicle:
 class FlightRules:
     """Times of a flight, and when it ends."""
 
-    def __init__(self, *, dt_s: float = 0.01, plant_steps: int = 10, stop_fraction: float = 0.01, stop_floor_m: float = 0.05, stop_speed: float = 0.1, stuck_speed: float = 0.02, stuck_ticks: int = 200, time_factor: float = 3.0, max_time_s: float = 0.0, lower: Sequence[float] = [-1000000000.0, -1000000000.0, -1000000000.0], upper: Sequence[float] = [1000000000.0, 1000000000.0, 1000000000.0]) -> None: ...
+    def __init__(self, *, dt_s: float = 0.01, plant_steps: int | None = None, stop_fraction: float = 0.01, stop_floor_m: float = 0.05, stop_speed: float = 0.1, stuck_speed: float = 0.02, stuck_ticks: int = 200, time_factor: float = 3.0, max_time_s: float = 0.0, lower: Sequence[float] = [-1000000000.0, -1000000000.0, -1000000000.0], upper: Sequence[float] = [1000000000.0, 1000000000.0, 1000000000.0]) -> None:
+        """
+        plant_steps: of the plant in a tick; by default as many as make none longer than 1 ms.
+        """
 
 class FlightTrial:
     """
