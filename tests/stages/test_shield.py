@@ -322,8 +322,30 @@ def test_where_nothing_is_safe_the_least_bad_is_flown_and_said():
         )
         assert report["status"] == 3
         assert not report["certified"]
-        np.testing.assert_array_equal(report["wrench"], policy(x))
+        np.testing.assert_array_equal(report["wrench"], policy.urgent(x))
     assert scene.radius == RADIUS
+
+
+def test_what_is_flown_when_nothing_is_safe_does_not_speed_up():
+    """Turning on at 12 rad/s before a wall, as a brake does that overshoots its tilt by an unknown lag."""
+    scene, policy, gentle = wall_scene(), _core.BackupPolicy(VEHICLE, "brake"), []
+    for rate in (-12.0, -6.0, 6.0, 12.0):
+        for speed in (1.5, 3.0):
+            x = moving((speed, 0, 0), (2.75 - 0.06 * speed, 0, 0))
+            x[10] = rate
+            flown = _core.ConeEcbf(policy, scene.index)
+            flight = Flight(
+                scene, VEHICLE, flown, x, lambda tick, x: VEHICLE.allocation @ np.full(4, 4.25), 60
+            )
+            unsafe = next((i for i, r in enumerate(flight.reports) if r["status"] != 3), 60)
+            assert unsafe > 5
+            path = flight.positions[: 10 * unsafe + 1]
+            assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 1.15e-3 * speed
+            braked = x[None]
+            for _ in range(60):
+                braked = VEHICLE.step(braked, np.array([policy(braked[0])]), dt_s=0.01)
+                gentle.append(np.linalg.norm(braked[0, 6:9]) / speed)
+    assert max(gentle) > 1.5  # of the policy itself
 
 
 def test_a_rest_inside_the_margin_can_be_left_but_not_towards_the_wall():

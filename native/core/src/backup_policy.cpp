@@ -149,6 +149,17 @@ Wrench BackupPolicy::saturated(const Wrench& raw) const {
 
 Wrench BackupPolicy::operator()(const State& x, Vec3 hold) const { return saturated(raw(x, hold)); }
 
+Wrench BackupPolicy::urgent(const State& x, Vec3 hold) const {
+  Wrench u = raw(x, hold);
+  u.torque = kappa_ * u.torque;
+  if (brakes()) {
+    const Vec3 b = thrust_axis(x.sigma), n = tilt_target(x.v, hold);
+    const double lift = vehicle_.hover_thrust() - vehicle_.mass() * k_z_ * (x.v.z - hold.z);
+    u.thrust = std::max(0.0, lift) * std::max(0.0, dot(b, n));
+  }
+  return vehicle_.limited(u);
+}
+
 Wrench BackupPolicy::linearised(const State& x, Vec3 hold, PolicyJacobian& jacobian) const {
   const Mat3 r = body_from_inertial(x.sigma), z_inverse = inverse_rate_matrix(x.sigma);
   const double weight = vehicle_.hover_thrust(), mass = vehicle_.mass();

@@ -61,6 +61,7 @@ FlightTrial::FlightTrial(const FlightVehicle& vehicle, const FlightRules& rules,
       reference_(reference),
       body_(vehicle.body, vehicle.plant, RandomStream{seed, trial}),
       point_(vehicle.max_acceleration, vehicle.plant.sensor, RandomStream{seed, trial}),
+      predictor_(vehicle.body, vehicle.assumed, rules.dt_s),
       guide_(guide == nullptr ? nullptr : guide->clone()) {
   check(vehicle, rules);
   if (guide_) {
@@ -84,6 +85,7 @@ void FlightTrial::observe() {
   const auto before = Clock::now();
   seen_.x = is_rigid() ? body_.measured() : point_.measured();
   seen_.x.sigma = shadowed(seen_.x.sigma);  // sensors know nothing of the switch at the end of the tick
+  if (is_rigid()) seen_.x = predictor_.now(seen_.x, time_s()), seen_.rotors = predictor_.rotors();
   target_ = reference_.at(reference_.start() + time_s());
   // The controller counts with its own thrust, unless another one is flown.
   nominal_ = track(vehicle_.body, vehicle_.gains, seen_.x, target_, is_other_ ? seen_.thrust : own_thrust);
@@ -137,6 +139,7 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
     is_limited = !is_same(asked, flown);
     if (kind == InputKind::wrench) command = acceleration_of(vehicle_.body, x_, answer.wrench.thrust);
     error = fly(answer, kind, flown);
+    predictor_.fly(flown);
     seen_.thrust = flown.thrust;
     is_other_ = flown.thrust != nominal_.wrench.thrust;
   }
