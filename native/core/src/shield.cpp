@@ -271,8 +271,8 @@ void Shield::find_escapes(const State& x, std::span<const Found> near) {
 
 // Whether a manoeuvre is safe after a tick of u. A rest may have drifted into the margin, where no path that begins
 // there keeps it: then one that stays about as far away as now, and drifts hardly at all when it rests, will do.
-bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre) {
-  const double kept = options_.margin_m / 2, least = options_.rest_drift_m / 40, radius = index_->radius();
+bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept) {
+  const double least = options_.rest_drift_m / 40, radius = index_->radius();
   const double here = is_finite(x) ? index_->clearance(x.p, radius + options_.margin_m, hint_) - radius : kInfinity;
   if (here >= options_.margin_m) return certify(x, manoeuvre, options_.margin_m, &u).safe;
   rest_drift_ = least;
@@ -283,11 +283,12 @@ bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& man
 
 // Whether resting, or else the committed manoeuvre, is safe after a tick of u; it becomes `next_`.
 bool Shield::accept(const State& x, const Wrench& u) {
-  next_ = {};
-  if (is_safe_after(x, u, next_)) return true;
+  const double kept = options_.margin_m / 2;
+  next_ = stop();
+  if (is_safe_after(x, u, next_, kept)) return true;
   if (!policy_.escapes() || committed_.ticks == 0) return false;
   next_ = committed_;
-  return is_safe_after(x, u, next_);
+  return is_safe_after(x, u, next_, kept);
 }
 
 // The same, or else a new escape.
@@ -297,7 +298,7 @@ bool Shield::accept_escaping(const State& x, const Wrench& u, std::span<const Fo
   find_escapes(x, near);
   for (std::size_t i = 0; i < escapes_.count; ++i) {
     next_ = {escapes_.velocity[i], hold_ticks()};
-    if (is_safe_after(x, u, next_)) return true;
+    if (is_safe_after(x, u, next_, options_.margin_m / 2)) return true;
   }
   return false;
 }
@@ -313,15 +314,16 @@ bool Shield::choose(const State& x, std::span<const Found> near) {
       if (certify(x, escape, options_.margin_m).safe) return chosen_ = escape, true;
     }
   }
-  if (certify(x, {}, kept).safe) return chosen_ = {}, true;
-  chosen_ = {.hold = {}, .ticks = 0, .is_urgent = true};
-  if (certify(x, chosen_, kept).safe) return true;
+  const Manoeuvre gentle, urgent{.hold = {}, .ticks = 0, .is_urgent = true};
+  for (const Manoeuvre& manoeuvre : {stop(), lags() ? gentle : urgent})
+    if (certify(x, manoeuvre, kept).safe) return chosen_ = manoeuvre, true;
+  chosen_ = urgent;
   Certificate best = certify(x, chosen_, 0, nullptr, true);
   const auto try_one = [&](const Manoeuvre& manoeuvre) {
     const Certificate found = certify(x, manoeuvre, 0, nullptr, true);
     if (is_less_bad(found, best)) best = found, chosen_ = manoeuvre;
   };
-  try_one({});
+  try_one(gentle);
   if (policy_.escapes()) {
     if (committed_.ticks > 0) try_one(committed_);
     for (std::size_t i = 0; i < escapes_.count; ++i) try_one({escapes_.velocity[i], hold_ticks()});
@@ -361,6 +363,11 @@ bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus a
   }
   settle(x, near, report);
   is_planned_ = false;
+  // Inside the margin that is kept nothing is safe, resting neither; what comes no nearer than now lets it leave.
+  if (!report.certified && is_safe_after(x, candidate, stop(), options_.margin_m - index_->radius())) {
+    report.wrench = candidate, committed_ = stop();
+    return true;
+  }
   const Wrench base = report.wrench;
   Manoeuvre next = rest_of(chosen_);
   if (report.certified) {

@@ -78,8 +78,9 @@ class Shield {
 
   // What the backup would do now if nothing else is accepted: the manoeuvre committed last, or the best found.
   // Sets report's wrench, status and `certified`: `candidate` with `accepted` when it is safe, an input between it
-  // and the backup's, or the backup's (status backup), or the least bad (recovering). `near` are the ellipsoids
-  // whose cones `cone_escape` turns away from. Returns whether the candidate itself was taken.
+  // and the backup's, or the backup's (status backup), or the least bad (recovering): the candidate only where it
+  // comes no nearer than now. `near` are the ellipsoids whose cones `cone_escape` turns away from. Returns whether
+  // the candidate itself was taken.
   bool decide(const State& x, const Wrench& candidate, SplatFilterStatus accepted, std::span<const Found> near,
               FilterReport& report);
 
@@ -107,7 +108,9 @@ class Shield {
   bool resting(const State& x) const;
   bool resting(const State& x, const Vec4& rotors) const;
   bool march(double distance, bool thorough, double& least, double& contact_speed);
-  bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre);
+  // What stops the vehicle: the gentle policy, but with lag it overshoots its tilt and speeds up at first.
+  Manoeuvre stop() const { return {.hold = {}, .ticks = 0, .is_urgent = lags()}; }
+  bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept);
   bool accept(const State& x, const Wrench& u);
   bool accept_escaping(const State& x, const Wrench& u, std::span<const Found> near);
   void settle(const State& x, std::span<const Found> near, FilterReport& report);
