@@ -51,6 +51,20 @@ def test_the_prediction_is_the_plant(lag, delay):
         flown.switch_shadow()
 
 
+def test_led_rotors_are_where_they_should_be_a_tick_later():
+    rng = np.random.default_rng(4)
+    predictor = _core.StatePredictor(BODY, _core.ActuatorModel(motor_time_constant_s=LAG), tick_s=0.01)
+    for _ in range(20):
+        wished = rng.uniform(0.9, 1.4, 4)
+        command = np.array(predictor.lead(BODY.allocation @ wished))
+        assert BODY.admissible(command[None], tolerance_n=1e-9)[0]
+        predictor.fly(command)
+        np.testing.assert_allclose(predictor.rotors, wished, rtol=0, atol=1e-9)
+    at_once = _core.StatePredictor(BODY, _core.ActuatorModel(delay_s=0.02), tick_s=0.01)
+    u = rng.normal(size=4)
+    np.testing.assert_array_equal(at_once.lead(u), u)
+
+
 def test_without_delay_what_is_measured_comes_back_bit_by_bit():
     predictor = _core.StatePredictor(BODY, _core.ActuatorModel(motor_time_constant_s=0.1), tick_s=0.01)
     x = np.random.default_rng(0).normal(size=12)
@@ -95,10 +109,14 @@ def test_a_tick_of_a_lagging_rollout_is_what_the_plant_flies(lag):
         flown.reset(x)
         for _ in range(5):
             flown.step(0.001, before)
-        shield.see(np.linalg.solve(BODY.allocation, flown.wrench).tolist())
+        rotors = np.linalg.solve(BODY.allocation, flown.wrench)
+        shield.see(rotors.tolist())
         after = shield.after(np.array(flown.state), tuple(u))
+        wished = np.linalg.solve(BODY.allocation, u)
+        led = BODY.allocation @ (rotors + (wished - rotors) / (1 - np.exp(-0.01 / lag)))
+        command = BODY.limited(led[None])[0]
         for _ in range(10):
-            flown.step(0.001, u)
+            flown.step(0.001, command)
         flown.switch_shadow()
         np.testing.assert_allclose(after, flown.state, rtol=0, atol=1e-3)
         np.testing.assert_allclose(

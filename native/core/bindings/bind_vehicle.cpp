@@ -287,6 +287,12 @@ void bind_predictor(nb::module_& m) {
       .def(
           "fly", [](StatePredictor& self, const In<double, nb::shape<4>>& u) { self.fly(wrench_at(u.data())); },
           "wrench"_a, "It is commanded from now on for a tick [N, N m].")
+      .def(
+          "lead",
+          [](const StatePredictor& self, const In<double, nb::shape<4>>& u) {
+            return flight::to_array(self.lead(wrench_at(u.data())));
+          },
+          "wrench"_a, "The command that leads the rotors to a wrench by the end of a tick that begins now [N, N m].")
       .def_prop_ro("rotors", &StatePredictor::rotors, "What each rotor gives now [N].");
 }
 

@@ -67,14 +67,16 @@ int Shield::hold_ticks() const { return static_cast<int>(std::lround(options_.es
 
 void Shield::reset() { committed_ = {}, hint_ = 0, is_planned_ = false, rotors_ = hovering_; }
 
-// A tick of u with rotors that follow it.
+// A tick of rotors that are led to u.
 State Shield::following(const State& x, Vec4& rotors, const Wrench& u) const {
   const double tick = options_.tick_s, lag = options_.motor_time_constant_s;
   const double needed = std::max({tick / kStep * (1 - 1e-9), norm(x.omega) * tick / kTurn, 2 * tick / lag});
   const int steps = std::max(options_.substeps, static_cast<int>(std::ceil(std::min(needed, 100.0))));
   const auto derivative = [&](const State& at, const Wrench& made) { return policy_.vehicle().derivative(at, made); };
+  const Wrench command = leading(policy_.vehicle(), lag, rotors, u, tick);
   State y = x;
-  for (int i = 0; i < steps; ++i) y = following_step(policy_.vehicle(), lag, y, rotors, u, tick / steps, derivative);
+  for (int i = 0; i < steps; ++i)
+    y = following_step(policy_.vehicle(), lag, y, rotors, command, tick / steps, derivative);
   y.sigma = shadowed(y.sigma);
   return y;
 }
@@ -92,7 +94,7 @@ bool Shield::settles() const {
     State x{{}, geometry::from_rows(&row[3]), geometry::from_rows(&row[0]), geometry::from_rows(&row[6])};
     Vec4 rotors = rotors_;
     for (std::size_t r = 0; r < 4; ++r) rotors[r] += row[9 + r] * unit;
-    x = following(x, rotors, flown(x, rotors, {}, 0));
+    x = following(x, rotors, flown(x, {}, 0));
     if (policy_.kind() != BackupKind::hover) x.sigma.z = 0;
     return Row{x.v.x,           x.v.y,     x.v.z,     x.sigma.x,        x.sigma.y,        x.sigma.z,
                x.omega.x,       x.omega.y, x.omega.z, rotors[0] / unit, rotors[1] / unit, rotors[2] / unit,
@@ -118,11 +120,9 @@ bool Shield::settles() const {
   return largest <= kVanished;
 }
 
-// What a manoeuvre commands in a tick.
-Wrench Shield::flown(const State& x, const Vec4& rotors, const Manoeuvre& manoeuvre, int tick) const {
-  const Vec3 hold = manoeuvre.at(tick);
-  const Wrench u = manoeuvre.is_urgent ? policy_.urgent(x, hold) : policy_(x, hold);
-  return lags() ? leading(policy_.vehicle(), options_.motor_time_constant_s, rotors, u, options_.tick_s) : u;
+// What a manoeuvre flies in a tick.
+Wrench Shield::flown(const State& x, const Manoeuvre& manoeuvre, int tick) const {
+  return manoeuvre.is_urgent ? policy_.urgent(x, manoeuvre.at(tick)) : policy_(x, manoeuvre.at(tick));
 }
 
 State Shield::after(const State& x, const Wrench& u) const {
@@ -180,7 +180,7 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
       return true;
     }
     const bool is_first = tick < before;
-    const Wrench command = is_first ? *first : flown(now, rotors, manoeuvre, tick - before);
+    const Wrench command = is_first ? *first : flown(now, manoeuvre, tick - before);
     const Wrench u = lags() ? vehicle.wrench(rotors) : command;  // at the start
     const State next = lags() ? following(now, rotors, command) : after(now, command);
     // |v'| within the tick: its value at the start, and the thrust axis turning by at most |omega| h. With lag thrust
@@ -342,7 +342,7 @@ Manoeuvre Shield::plan(const State& x, std::span<const Found> near) {
 void Shield::settle(const State& x, std::span<const Found> near, FilterReport& report) {
   report.certified = is_planned_ ? is_chosen_safe_ : choose(x, near);
   report.status = report.certified ? SplatFilterStatus::backup : SplatFilterStatus::recovering;
-  report.wrench = flown(x, rotors_, chosen_, 0);
+  report.wrench = flown(x, chosen_, 0);
 }
 
 void Shield::fall_back(const State& x, std::span<const Found> near, FilterReport& report) {

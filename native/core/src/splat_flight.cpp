@@ -120,7 +120,7 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
   Vec3 command = answer.acceleration;
   double error = 0, realise_s = 0;
   bool is_limited = false;
-  Wrench flown;
+  Wrench flown, led;
   if (!is_rigid()) {
     for (std::int64_t i = 0; i < rules_.plant_steps; ++i) {
       point_.step(rules_.dt_s / static_cast<double>(rules_.plant_steps), command);
@@ -135,11 +135,12 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
                                                    : realise(vehicle_.body, vehicle_.gains, seen_.x, target_,
                                                              nominal_, answer.acceleration);
     flown = vehicle_.body.limited(asked);
+    led = predictor_.lead(flown);
     realise_s = seconds_since(before);
     is_limited = !is_same(asked, flown);
     if (kind == InputKind::wrench) command = acceleration_of(vehicle_.body, x_, answer.wrench.thrust);
-    error = fly(answer, kind, flown);
-    predictor_.fly(flown);
+    error = fly(answer, kind, flown, led);
+    predictor_.fly(led);
     seen_.thrust = flown.thrust;
     is_other_ = flown.thrust != nominal_.wrench.thrust;
   }
@@ -149,8 +150,8 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
   append(log_.a_nominal, nominal_.acceleration);
   append(log_.a_command, command);
   append(log_.u_nominal, nominal_.wrench);
-  append(log_.u, flown);
-  const Vec4 rotors = is_rigid() ? vehicle_.body.rotor_thrust(flown) : Vec4{};
+  append(log_.u, led);
+  const Vec4 rotors = is_rigid() ? vehicle_.body.rotor_thrust(led) : Vec4{};
   log_.rotor_thrust.insert(log_.rotor_thrust.end(), rotors.begin(), rotors.end());
   log_.a_error.push_back(error);
   log_.margin.push_back(answer.margin);
@@ -169,15 +170,16 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
   return log_.outcome;
 }
 
-// Flies a wrench, held, or the body rates that it means, for a tick; returns the largest realisation error at
-// the ends of the plant's steps, where the acceleration that a wrench means has turned with the vehicle.
-double FlightTrial::fly(const FilterReport& answer, InputKind kind, const Wrench& flown) {
+// Flies the command of a wrench, held, or the body rates that the wrench means, for a tick; returns the largest
+// realisation error at the ends of the plant's steps, where the acceleration that a wrench means has turned with the
+// vehicle.
+double FlightTrial::fly(const FilterReport& answer, InputKind kind, const Wrench& flown, const Wrench& led) {
   const double dt = rules_.dt_s / static_cast<double>(rules_.plant_steps);
   const bool by_rates = vehicle_.interface == CommandInterface::body_rates;
   const Vec3 rates = by_rates ? body_rates(vehicle_.body, seen_.x, flown, rules_.dt_s, vehicle_.max_rate) : Vec3{};
   double worst = 0;
   for (std::int64_t i = 0; i < rules_.plant_steps; ++i) {
-    Wrench u = flown;
+    Wrench u = led;
     if (by_rates) {
       const Vec3 inertia = vehicle_.body.inertia();
       u.torque = cross(x_.omega, multiply(inertia, x_.omega)) +

@@ -11,8 +11,9 @@
 // model, whatever the nominal input does. A manoeuvre being flown stays accepted down to half the margin, which
 // so covers rounding and small differences of plan and flight; the other half covers the drift at rest.
 //
-// With a motor time constant the rotors' thrusts are part of the state: `see` says what they are now, rollouts carry
-// them on, and commands of manoeuvres lead them. The induction is the same, for exact thrusts.
+// With a motor time constant the rotors' thrusts are part of the state: `see` says what they are now, and rollouts
+// carry them on. An input is then what the rotors are led to by the end of a tick (`leading`), as far as their limits
+// allow; who flies it must command that. The induction is the same, for exact thrusts.
 //
 // When no manoeuvre is safe, the policy with all that the rotors have is tried, and when that is not safe either the
 // least bad is flown: one that meets nothing, with the most room, else the one that is slowest where it first
@@ -41,7 +42,7 @@ struct ShieldOptions {
   int line_search = 2;         // bisections between the backup's input and one that is refused
   // At rest: all of these, and the linear loop would sway by at most rest_drift_m.
   double rest_speed_m_s = 0.1, rest_rate_rad_s = 0.2, rest_tilt_rad = 0.05, rest_drift_m = 0.008;
-  double motor_time_constant_s = 0;  // of rotors that follow a command; 0: at once
+  double motor_time_constant_s = 0;  // of rotors that are led; 0: they obey at once
 };
 
 struct Certificate {
@@ -103,7 +104,7 @@ class Shield {
   bool lags() const { return options_.motor_time_constant_s > 0; }
   bool settles() const;
   State following(const State& x, Vec4& rotors, const Wrench& u) const;
-  Wrench flown(const State& x, const Vec4& rotors, const Manoeuvre& manoeuvre, int tick) const;
+  Wrench flown(const State& x, const Manoeuvre& manoeuvre, int tick) const;
   bool roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time);
   bool resting(const State& x) const;
   bool resting(const State& x, const Vec4& rotors) const;

@@ -65,7 +65,7 @@ struct SplatFlightLog {
   std::vector<double> a_command;     // (ticks, 3): what the filter let through [m/s^2]
   std::vector<double> a_error;       // (ticks): largest |a - a_command| within the tick, at the rate of the plant
   std::vector<double> u_nominal;     // (ticks, 4): T and tau of the controller [N, N m]
-  std::vector<double> u;             // (ticks, 4): as flown, within the limits of the rotors
+  std::vector<double> u;             // (ticks, 4): as commanded, within the limits of the rotors
   std::vector<double> rotor_thrust;  // (ticks, 4) [N]
   std::vector<double> margin;        // (ticks): FilterReport, from here on
   std::vector<double> gate_m;
@@ -108,7 +108,7 @@ class FlightTrial {
  private:
   bool is_rigid() const { return vehicle_.kind == PlantKind::quadrotor; }
   void observe();
-  double fly(const FilterReport& answer, InputKind kind, const Wrench& flown);
+  double fly(const FilterReport& answer, InputKind kind, const Wrench& flown, const Wrench& led);
   Outcome judged(SplatFilterStatus status);
 
   FlightVehicle vehicle_;

@@ -11,8 +11,8 @@
 
 namespace alula::flight {
 
-// Of one flight. A tick: `now` gives the state for controller and filter, `fly` takes what they decided. Allocates in
-// the constructor only.
+// Of one flight. A tick: `now` gives the state for controller and filter, `lead` makes what they decided a command,
+// and `fly` takes that. Allocates in the constructor only.
 class StatePredictor {
  public:
   // Throws std::invalid_argument for a model or a tick without meaning.
@@ -27,6 +27,12 @@ class StatePredictor {
 
   // What the rotors give now [N].
   const Vec4& rotors() const { return rotors_; }
+
+  // The command that leads the rotors to `wished` by the end of a tick that begins now; `wished` itself without lag.
+  Wrench lead(const Wrench& wished) const {
+    const double lag = model_.motor_time_constant_s;
+    return lag > 0 ? leading(body_, lag, rotors_, wished, tick_s_) : wished;
+  }
 
   // `command` is flown from now on for a tick; one that is not finite leaves the rotors with the last one.
   void fly(const Wrench& command);
