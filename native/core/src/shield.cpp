@@ -364,7 +364,7 @@ bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus a
   settle(x, near, report);
   is_planned_ = false;
   // Inside the margin that is kept nothing is safe, resting neither; what comes no nearer than now lets it leave.
-  if (!report.certified && is_safe_after(x, candidate, stop(), options_.margin_m - index_->radius())) {
+  if (!report.certified && is_safe_after(x, candidate, stop(), -options_.margin_m)) {
     report.wrench = candidate, committed_ = stop();
     return true;
   }
