@@ -132,14 +132,15 @@ def disturbances(vehicle: Vehicle) -> list[str]:
 def left_out(vehicle: Vehicle) -> list[str]:
     """What the plant does and the model of the filters does not, or the other way round, in words."""
     assumed, true = vehicle.assumed, vehicle.disturbance
-    known = {"motor lag", "delay"}
-    other = {
-        "a motor lag other than assumed": assumed.motor_time_constant_s != true.motor_time_constant_s,
-        "a delay other than assumed": assumed.delay_s != true.delay_s,
+    pairs = {
+        "motor lag": (assumed.motor_time_constant_s, true.motor_time_constant_s),
+        "delay": (assumed.delay_s, true.delay_s),
     }
-    return [name for name in disturbances(vehicle) if name not in known] + [
-        name for name, there in other.items() if there
-    ]
+    found = [name for name in disturbances(vehicle) if name not in pairs]
+    for name, (believed, flown) in pairs.items():
+        if believed != flown:
+            found.append(f"a {name} other than assumed" if believed else name)
+    return found
 
 
 def _or_infinity(value: float | None) -> float:
