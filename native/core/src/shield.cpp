@@ -150,8 +150,9 @@ bool Shield::resting(const State& x) const {
   return policy_.sway(x) <= rest_drift_;
 }
 
-// The same with rotors on their way. Left alone they would still give the momentum that is added here, led ones a part
-// of it; a linear loop ends where one without lag does from the state with that part, which lies between the two.
+// The same with rotors on their way. Left alone they would still give the momentum that is added here, led ones a
+// part of it; a linear loop ends where one without lag does from the state with that part, which lies between the
+// two.
 bool Shield::resting(const State& x, const Vec4& rotors) const {
   if (!resting(x)) return false;
   if (!lags()) return true;
