@@ -19,6 +19,7 @@ using geometry::norm;
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kStep = 0.01;      // of RK4 at most [s],
 constexpr double kTurn = 0.1;       // and [rad]
+constexpr int kSweeps = 8;          // chords tried before the path is looked at tick by tick
 constexpr double kTurnPerTick = 1;  // more than that and holding an input for a tick means nothing
 
 }  // namespace
@@ -66,7 +67,7 @@ bool Shield::resting(const State& x) const {
   if (!(b.z > 0) || b.x * b.x + b.y * b.y > o.rest_tilt_rad * o.rest_tilt_rad) return false;
   // With a spring on the heading only the one that it pulls to is a rest.
   if (policy_.kind() == BackupKind::hover && !(4 * std::abs(x.sigma.z) <= o.rest_tilt_rad)) return false;
-  return policy_.sway(x) <= rest_drift_;
+  return policy_.sways_at_most(x, rest_drift_);
 }
 
 // Fills the path; false when it does not come to rest in time.
@@ -79,7 +80,7 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
   path_.clear();
   path_.push_back({x.p, 0, 0});
   State now = x;
-  double speed = norm(now.v);
+  double speed = norm(now.v), spin = norm(now.omega);
   for (int tick = 0; tick < ticks; ++tick) {
     if (tick >= before + manoeuvre.ticks && resting(now)) {
       time = tick * h;
@@ -89,29 +90,62 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
     const Wrench u = is_first ? *first : policy_(now, manoeuvre.at(tick - before));
     const State next = after(now, u);
     // |v'| within the tick: its value at the start, and the thrust axis turning by at most |omega| h.
-    if (!(norm(now.omega) * h <= kTurnPerTick)) return false;
+    const double next_spin = norm(next.omega);
+    if (!(spin * h <= kTurnPerTick)) return false;
     const double thrust = std::abs(u.thrust) / vehicle.mass();
     const Vec3 start = thrust * thrust_axis(now.sigma) - vehicle.gravity() * e3;
     const Vec3 spin_up =
         divide(u.torque - cross(now.omega, multiply(vehicle.inertia(), now.omega)), vehicle.inertia());
-    const double rate = std::max(norm(now.omega), norm(next.omega)) + h * norm(spin_up);
+    const double rate = std::max(spin, next_spin) + h * norm(spin_up);
     const double change = norm(start) + thrust * rate * h;
     const double next_speed = norm(next.v);
     const double length = h * (speed + next_speed) / 2 + change * h * h / 4;
     path_.push_back({next.p, path_.back().arc + length, change * h * h / 8});
-    now = next, speed = next_speed;
+    now = next, speed = next_speed, spin = next_spin;
     if (!std::isfinite(path_.back().arc)) return false;
   }
   time = ticks * h;
   return resting(now);
 }
 
-// Whether the whole path keeps `distance` from all ellipsoids. `least` becomes the least distance that was seen.
-bool Shield::march(double distance, bool thorough, double& least) {
+// Whether all ellipsoids keep `distance` from the chord of the path between two ticks by as much more as the path
+// leaves that chord. Then `march` finds nothing there either: what it looks at is no farther from the chord.
+bool Shield::is_clear(std::size_t from, std::size_t to, double distance) const {
+  const Vec3 a = path_[from].p, d = path_[to].p - a;
+  const double length2 = dot(d, d), per_length2 = length2 > 0 ? 1 / length2 : 0;
+  double off2 = 0, sag = 0;
+  for (std::size_t i = from + 1; i <= to; ++i) {
+    const Vec3 r = path_[i].p - a;
+    const Vec3 off = r - std::clamp(dot(r, d) * per_length2, 0.0, 1.0) * d;
+    off2 = std::max(off2, dot(off, off)), sag = std::max(sag, path_[i].sag);
+  }
+  return !index_->is_near(a, path_[to].p, (1 + 1e-8) * (std::max(distance, 0.0) + std::sqrt(off2) + sag) + 1e-9);
+}
+
+// The tick up to which a few long chords show that the path keeps `distance`.
+std::size_t Shield::sweep(double distance) const {
+  const std::size_t last = path_.size() - 1;
+  std::size_t from = 0, to = last;
+  for (int looks = 0; looks < kSweeps && from < last; ++looks) {
+    if (is_clear(from, to, distance)) {
+      from = to, to = last;
+      continue;
+    }
+    const double middle = (path_[from].arc + path_[to].arc) / 2;
+    const std::size_t all = to;
+    while (to > from && path_[to].arc > middle) --to;
+    if (to <= from || to == all) break;
+  }
+  return from;
+}
+
+// Whether the path keeps `distance` from all ellipsoids from a tick on. `least` becomes the least distance that was
+// seen.
+bool Shield::march(std::size_t from, double distance, bool thorough, double& least) {
   const std::size_t last = path_.size() - 1;
   const double end = path_[last].arc;
   bool clear = true;
-  std::size_t k = 0;
+  std::size_t k = from;
   least = kInfinity;
   while (true) {
     const double enough = distance + (end - path_[k].arc);
@@ -145,10 +179,19 @@ Certificate Shield::certify(const State& x, const Manoeuvre& manoeuvre, double m
   result.rests = roll(x, manoeuvre, first, result.time_s);
   if (!std::isfinite(path_.back().arc) || (!result.rests && !thorough)) return result;
   double least = 0;
-  const bool clear = march(index_->radius() + margin_m, thorough, least);
+  const bool clear = march(0, index_->radius() + margin_m, thorough, least);
   result.clearance = least - index_->radius();
   result.safe = clear && result.rests;
   return result;
+}
+
+// `certify` for its verdict alone.
+bool Shield::is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first) {
+  double unused = 0;
+  if (!is_finite(x) || !roll(x, manoeuvre, first, unused)) return false;
+  const double distance = index_->radius() + margin_m;
+  const std::size_t swept = sweep(distance);
+  return swept + 1 == path_.size() || march(swept, distance, false, unused);
 }
 
 void Shield::find_escapes(const State& x, std::span<const Found> near) {
@@ -163,9 +206,9 @@ void Shield::find_escapes(const State& x, std::span<const Found> near) {
 bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre) {
   const double kept = options_.margin_m / 2, least = options_.rest_drift_m / 40, radius = index_->radius();
   const double here = is_finite(x) ? index_->clearance(x.p, radius + options_.margin_m, hint_) - radius : kInfinity;
-  if (here >= options_.margin_m) return certify(x, manoeuvre, options_.margin_m, &u).safe;
+  if (here >= options_.margin_m) return is_safe(x, manoeuvre, options_.margin_m, &u);
   rest_drift_ = least;
-  const bool safe = certify(x, manoeuvre, std::max(kept, here - 4 * least) + 2 * least, &u).safe;
+  const bool safe = is_safe(x, manoeuvre, std::max(kept, here - 4 * least) + 2 * least, &u);
   rest_drift_ = options_.rest_drift_m;
   return safe;
 }
@@ -195,14 +238,14 @@ bool Shield::accept_escaping(const State& x, const Wrench& u, std::span<const Fo
 bool Shield::choose(const State& x, std::span<const Found> near) {
   const double kept = options_.margin_m / 2;
   if (policy_.escapes()) {
-    if (committed_.ticks > 0 && certify(x, committed_, kept).safe) return chosen_ = committed_, true;
+    if (committed_.ticks > 0 && is_safe(x, committed_, kept)) return chosen_ = committed_, true;
     find_escapes(x, near);
     for (std::size_t i = 0; i < escapes_.count; ++i) {
       const Manoeuvre escape{escapes_.velocity[i], hold_ticks()};
-      if (certify(x, escape, options_.margin_m).safe) return chosen_ = escape, true;
+      if (is_safe(x, escape, options_.margin_m)) return chosen_ = escape, true;
     }
   }
-  if (certify(x, {}, kept).safe) return chosen_ = {}, true;
+  if (is_safe(x, {}, kept)) return chosen_ = {}, true;
   double best = -kInfinity;
   chosen_ = {};
   const auto try_one = [&](const Manoeuvre& manoeuvre) {

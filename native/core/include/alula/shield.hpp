@@ -87,7 +87,10 @@ class Shield {
   };
   bool roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time);
   bool resting(const State& x) const;
-  bool march(double distance, bool thorough, double& least);
+  bool march(std::size_t from, double distance, bool thorough, double& least);
+  std::size_t sweep(double distance) const;
+  bool is_clear(std::size_t from, std::size_t to, double distance) const;
+  bool is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr);
   bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre);
   bool accept(const State& x, const Wrench& u);
   bool accept_escaping(const State& x, const Wrench& u, std::span<const Found> near);
