@@ -252,6 +252,22 @@ double BackupPolicy::sway(const State& x) const {
   return std::hypot(flat, x.v.z / (kappa_ * k_z_));
 }
 
+bool BackupPolicy::sways_at_most(const State& x, double limit) const {
+  // What is left out of `flat` makes it smaller by no more than |swing|, of which a bound is cheap.
+  const double g = vehicle_.gravity(), above = (1 + 1e-9) * limit, most = lean_ * above;
+  if (std::abs(x.v.z) > kappa_ * k_z_ * above) return false;
+  double fx = x.v.x / g, fy = x.v.y / g, swing = 0;
+  if (brakes()) {
+    const Vec3 b = thrust_axis(x.sigma), inertia = vehicle_.inertia();
+    const double per_rate = (k_omega_.x + k_omega_.y) / (k_tilt_.x + k_tilt_.y);
+    const double per_spin = std::max(inertia.x / (kappa_ * k_tilt_.x), inertia.y / (kappa_ * k_tilt_.y));
+    fx += per_rate * b.x, fy += per_rate * b.y;
+    swing = (1 + 1e-9) * per_spin * std::sqrt(x.omega.x * x.omega.x + x.omega.y * x.omega.y);
+  }
+  if (fx * fx + fy * fy > (most + swing) * (most + swing)) return false;
+  return sway(x) <= limit;
+}
+
 State closed_loop(const BackupPolicy& policy, const State& x, Vec3 hold) {
   return policy.vehicle().derivative(x, policy(x, hold));
 }

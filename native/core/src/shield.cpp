@@ -21,6 +21,7 @@ using geometry::norm;
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kStep = 0.01;       // of RK4 at most [s],
 constexpr double kTurn = 0.1;        // and [rad]
+constexpr int kSweeps = 8;           // chords tried before the path is looked at tick by tick
 constexpr double kTurnPerTick = 1;   // more than that and holding an input for a tick means nothing
 constexpr double kSameSpeed = 0.05;  // of two contacts [m/s]
 
@@ -147,7 +148,7 @@ bool Shield::resting(const State& x) const {
   if (!(b.z > 0) || b.x * b.x + b.y * b.y > o.rest_tilt_rad * o.rest_tilt_rad) return false;
   // With a spring on the heading only the one that it pulls to is a rest.
   if (policy_.kind() == BackupKind::hover && !(4 * std::abs(x.sigma.z) <= o.rest_tilt_rad)) return false;
-  return policy_.sway(x) <= rest_drift_;
+  return policy_.sways_at_most(x, rest_drift_);
 }
 
 // The same with rotors on their way. Left alone they would still give the momentum that is added here, led ones a
@@ -174,7 +175,7 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
   path_.push_back({x.p, 0, 0});
   State now = x;
   Vec4 rotors = rotors_;
-  double speed = norm(now.v);
+  double speed = norm(now.v), spin = norm(now.omega);
   for (int tick = 0; tick < ticks; ++tick) {
     if (tick >= before + manoeuvre.ticks && resting(now, rotors)) {
       time = tick * h;
@@ -186,37 +187,69 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
     const State next = lags() ? following(now, rotors, command) : after(now, command);
     // |v'| within the tick: its value at the start, and the thrust axis turning by at most |omega| h. With lag thrust
     // and torques go on a straight line from u to those at the end, so one of the ends has the most.
-    if (!(norm(now.omega) * h <= kTurnPerTick)) return false;
+    const double next_spin = norm(next.omega);
+    if (!(spin * h <= kTurnPerTick)) return false;
     double thrust = std::abs(u.thrust) / vehicle.mass(), growth = 0;
     const Vec3 start = thrust * thrust_axis(now.sigma) - vehicle.gravity() * e3;
     const auto spin_up = [&](Vec3 torque) {
       return norm(divide(torque - cross(now.omega, multiply(vehicle.inertia(), now.omega)), vehicle.inertia()));
     };
-    double spin = spin_up(u.torque);
+    double turning = spin_up(u.torque);
     if (lags()) {
       const Wrench end = vehicle.wrench(rotors);
       growth = std::abs(end.thrust - u.thrust) / vehicle.mass(), thrust += growth;
-      spin = std::max(spin, spin_up(end.torque));
+      turning = std::max(turning, spin_up(end.torque));
     }
-    const double rate = std::max(norm(now.omega), norm(next.omega)) + h * spin;
+    const double rate = std::max(spin, next_spin) + h * turning;
     const double change = norm(start) + growth + thrust * rate * h;
     const double next_speed = norm(next.v);
     const double length = h * (speed + next_speed) / 2 + change * h * h / 4;
     path_.push_back({next.p, path_.back().arc + length, change * h * h / 8});
-    now = next, speed = next_speed;
+    now = next, speed = next_speed, spin = next_spin;
     if (!std::isfinite(path_.back().arc)) return false;
   }
   time = ticks * h;
   return resting(now, rotors);
 }
 
-// Whether the whole path keeps `distance` from all ellipsoids. `least` becomes the least distance that was seen, and
-// `contact_speed` a bound of the speed in the tick where it first is nearer.
-bool Shield::march(double distance, bool thorough, double& least, double& contact_speed) {
+// Whether all ellipsoids keep `distance` from the chord of the path between two ticks by as much more as the path
+// leaves that chord. Then `march` finds nothing there either: what it looks at is no farther from the chord.
+bool Shield::is_clear(std::size_t from, std::size_t to, double distance) const {
+  const Vec3 a = path_[from].p, d = path_[to].p - a;
+  const double length2 = dot(d, d), per_length2 = length2 > 0 ? 1 / length2 : 0;
+  double off2 = 0, sag = 0;
+  for (std::size_t i = from + 1; i <= to; ++i) {
+    const Vec3 r = path_[i].p - a;
+    const Vec3 off = r - std::clamp(dot(r, d) * per_length2, 0.0, 1.0) * d;
+    off2 = std::max(off2, dot(off, off)), sag = std::max(sag, path_[i].sag);
+  }
+  return !index_->is_near(a, path_[to].p, (1 + 1e-8) * (std::max(distance, 0.0) + std::sqrt(off2) + sag) + 1e-9);
+}
+
+// The tick up to which a few long chords show that the path keeps `distance`.
+std::size_t Shield::sweep(double distance) const {
+  const std::size_t last = path_.size() - 1;
+  std::size_t from = 0, to = last;
+  for (int looks = 0; looks < kSweeps && from < last; ++looks) {
+    if (is_clear(from, to, distance)) {
+      from = to, to = last;
+      continue;
+    }
+    const double middle = (path_[from].arc + path_[to].arc) / 2;
+    const std::size_t all = to;
+    while (to > from && path_[to].arc > middle) --to;
+    if (to <= from || to == all) break;
+  }
+  return from;
+}
+
+// Whether the path keeps `distance` from all ellipsoids from a tick on. `least` becomes the least distance that was
+// seen, and `contact_speed` a bound of the speed in the tick where it first is nearer.
+bool Shield::march(std::size_t from, double distance, bool thorough, double& least, double& contact_speed) {
   const std::size_t last = path_.size() - 1;
   const double end = path_[last].arc;
   bool clear = true;
-  std::size_t k = 0;
+  std::size_t k = from;
   least = kInfinity;
   const auto touch = [&](std::size_t tick) {
     if (clear && last > 0) {
@@ -257,10 +290,19 @@ Certificate Shield::certify(const State& x, const Manoeuvre& manoeuvre, double m
   result.rests = roll(x, manoeuvre, first, result.time_s);
   if (!std::isfinite(path_.back().arc) || (!result.rests && !thorough)) return result;
   double least = 0;
-  const bool clear = march(index_->radius() + margin_m, thorough, least, result.contact_speed);
+  const bool clear = march(0, index_->radius() + margin_m, thorough, least, result.contact_speed);
   result.clearance = least - index_->radius();
   result.safe = clear && result.rests;
   return result;
+}
+
+// `certify` for its verdict alone.
+bool Shield::is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first) {
+  double unused = 0;
+  if (!is_finite(x) || !roll(x, manoeuvre, first, unused)) return false;
+  const double distance = index_->radius() + margin_m;
+  const std::size_t swept = sweep(distance);
+  return swept + 1 == path_.size() || march(swept, distance, false, unused, unused);
 }
 
 void Shield::find_escapes(const State& x, std::span<const Found> near) {
@@ -275,9 +317,9 @@ void Shield::find_escapes(const State& x, std::span<const Found> near) {
 bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept) {
   const double least = options_.rest_drift_m / 40, radius = index_->radius();
   const double here = is_finite(x) ? index_->clearance(x.p, radius + options_.margin_m, hint_) - radius : kInfinity;
-  if (here >= options_.margin_m) return certify(x, manoeuvre, options_.margin_m, &u).safe;
+  if (here >= options_.margin_m) return is_safe(x, manoeuvre, options_.margin_m, &u);
   rest_drift_ = least;
-  const bool safe = certify(x, manoeuvre, std::max(kept, here - 4 * least) + 2 * least, &u).safe;
+  const bool safe = is_safe(x, manoeuvre, std::max(kept, here - 4 * least) + 2 * least, &u);
   rest_drift_ = options_.rest_drift_m;
   return safe;
 }
@@ -308,16 +350,16 @@ bool Shield::accept_escaping(const State& x, const Wrench& u, std::span<const Fo
 bool Shield::choose(const State& x, std::span<const Found> near) {
   const double kept = options_.margin_m / 2;
   if (policy_.escapes()) {
-    if (committed_.ticks > 0 && certify(x, committed_, kept).safe) return chosen_ = committed_, true;
+    if (committed_.ticks > 0 && is_safe(x, committed_, kept)) return chosen_ = committed_, true;
     find_escapes(x, near);
     for (std::size_t i = 0; i < escapes_.count; ++i) {
       const Manoeuvre escape{escapes_.velocity[i], hold_ticks()};
-      if (certify(x, escape, options_.margin_m).safe) return chosen_ = escape, true;
+      if (is_safe(x, escape, options_.margin_m)) return chosen_ = escape, true;
     }
   }
   const Manoeuvre gentle, urgent{.hold = {}, .ticks = 0, .is_urgent = true};
   for (const Manoeuvre& manoeuvre : {stop(), lags() ? gentle : urgent})
-    if (certify(x, manoeuvre, kept).safe) return chosen_ = manoeuvre, true;
+    if (is_safe(x, manoeuvre, kept)) return chosen_ = manoeuvre, true;
   chosen_ = urgent;
   Certificate best = certify(x, chosen_, 0, nullptr, true);
   const auto try_one = [&](const Manoeuvre& manoeuvre) {

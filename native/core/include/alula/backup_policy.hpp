@@ -97,6 +97,7 @@ class BackupPolicy {
   // About how far it moves at most on the way [m]. The parts of the drift may cancel in a state that swings out and
   // back, so their lengths are added; those of `brake` are over before that matters.
   double sway(const State& x) const;
+  bool sways_at_most(const State& x, double limit) const;  // sway(x) <= limit, mostly for less
 
  private:
   Vec3 tilt_target(Vec3 v, Vec3 hold) const;

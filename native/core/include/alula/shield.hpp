@@ -108,7 +108,10 @@ class Shield {
   bool roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time);
   bool resting(const State& x) const;
   bool resting(const State& x, const Vec4& rotors) const;
-  bool march(double distance, bool thorough, double& least, double& contact_speed);
+  bool march(std::size_t from, double distance, bool thorough, double& least, double& contact_speed);
+  std::size_t sweep(double distance) const;
+  bool is_clear(std::size_t from, std::size_t to, double distance) const;
+  bool is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr);
   // What stops the vehicle: the gentle policy, but with lag it overshoots its tilt and speeds up at first.
   Manoeuvre stop() const { return {.hold = {}, .ticks = 0, .is_urgent = lags()}; }
   bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept);
