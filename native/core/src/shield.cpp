@@ -302,7 +302,7 @@ bool Shield::is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m
   if (!is_finite(x) || !roll(x, manoeuvre, first, unused)) return false;
   const double distance = index_->radius() + margin_m;
   const std::size_t swept = sweep(distance);
-  return swept + 1 == path_.size() || march(swept, distance, false, unused, unused);
+  return (swept > 0 && swept + 1 == path_.size()) || march(swept, distance, false, unused, unused);
 }
 
 void Shield::find_escapes(const State& x, std::span<const Found> near) {
