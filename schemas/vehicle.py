@@ -24,7 +24,10 @@
     kp_per_s2 = 3.0
     kv_per_s = 2.0
 
-    [disturbance]                 # all off by default
+    [disturbance]                 # what it does in simulation; all off by default
+    motor_time_constant_s = 0.03
+
+    [assumed]                     # what controller and filters count with; off by default
     motor_time_constant_s = 0.03
 
 A quadrotor needs mass, inertia and rotors. A double integrator has `[limits] max_acceleration_m_s2`, a
@@ -111,7 +114,7 @@ class TrackingTable(_Table, frozen=True, kw_only=True):
 
 
 class DisturbanceTable(_Table, frozen=True, kw_only=True):
-    """What the model of the filters leaves out; all off by default. Drag is along the body's axes."""
+    """What the plant adds to a rigid body; all off by default. Drag is along the body's axes."""
 
     motor_time_constant_s: Size = 0.0
     linear_drag_n_s_m: Sizes = (0.0, 0.0, 0.0)
@@ -124,6 +127,13 @@ class DisturbanceTable(_Table, frozen=True, kw_only=True):
     attitude_noise_rad: Size = 0.0
     rate_noise_rad_s: Size = 0.0
     delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.0
+
+
+class AssumedTable(_Table, frozen=True, kw_only=True):
+    """What controller and filters take rotors and sensors for: of a real vehicle what was identified."""
+
+    motor_time_constant_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    delay_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
 
 
 # What each model has no use for.
@@ -149,6 +159,7 @@ _UNUSED = {
         "disturbance.gust_time_s",
         "disturbance.attitude_noise_rad",
         "disturbance.rate_noise_rad_s",
+        "assumed",
     ),
     "single-integrator": (
         "body.mass_kg",
@@ -159,6 +170,7 @@ _UNUSED = {
         "limits.max_acceleration_m_s2",
         "tracking",
         "disturbance",
+        "assumed",
     ),
 }
 _NEEDED = {
@@ -181,6 +193,7 @@ class Vehicle(_Table, frozen=True, kw_only=True):
     rates: RatesTable = RatesTable()
     tracking: TrackingTable = TrackingTable()
     disturbance: DisturbanceTable = DisturbanceTable()
+    assumed: AssumedTable = AssumedTable()
 
     def attitude_gains(self) -> tuple[Sequence[float], Sequence[float]]:
         """K_R [N m] and K_omega [N m s] of a quadrotor: the file's, or in proportion to the inertia."""

@@ -56,6 +56,7 @@ class NativeSplatFilter:
             position_error=nominal.position_error.tolist(),
             velocity_error=nominal.velocity_error.tolist(),
             reference_acceleration=nominal.reference_acceleration.tolist(),
+            rotors=state.rotors,
         )
         return SplatFilterResult(
             u=np.array(report[self.kind]),
@@ -107,12 +108,17 @@ class _Spec:
         }
         merged = own | kind | policy | of_parts
         merged.pop("tick_s", None)  # that of the flight
+        merged.pop("motor_time_constant_s", None)  # that of the vehicle
         merged.pop("qp_backend", None)  # `solver` says it
         return merged | ({"solver": self.solvers[0]} if self.solvers else {})
 
     def build(self, world: SplatWorld, parameters: Mapping[str, Any]) -> _core.SplatFilter:
         """The filter itself, from all parameters."""
-        given = {**parameters, "tick_s": world.dt_s}
+        given = {
+            **parameters,
+            "tick_s": world.dt_s,
+            "motor_time_constant_s": world.motor_time_constant_s,
+        }
         if given.get("solver") == "clarabel":
             given |= {"solver": "active-set", "qp_backend": clarabel_backend}
 

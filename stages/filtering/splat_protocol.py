@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -25,6 +25,7 @@ class FlightState:
         omega: angular velocity of the body, body components, shape (3,) [rad/s].
         thrust: collective thrust that was flown last [N].
         thrust_rate: its rate [N/s].
+        rotors: what each rotor gives now, shape (4,), as the model has it [N]; None: they hover.
     """
 
     position: FloatArray
@@ -33,6 +34,7 @@ class FlightState:
     omega: FloatArray
     thrust: float
     thrust_rate: float
+    rotors: Sequence[float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +93,7 @@ class SplatWorld:
         gains: of the tracking controller.
         radius_m: of the vehicle's sphere, with what the alignment of the scene leaves open [m].
         dt_s: how long an input is held [s].
+        motor_time_constant_s: of the rotors, as filters believe it; 0: they obey at once [s].
     """
 
     index: _core.EllipsoidIndex
@@ -98,6 +101,7 @@ class SplatWorld:
     gains: _core.TrackingGains
     radius_m: float
     dt_s: float
+    motor_time_constant_s: float = 0.0
 
 
 class SplatFilter(Protocol):

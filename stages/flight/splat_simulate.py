@@ -29,7 +29,14 @@ from alula.stages.flight.splat_log import SplatFlightLog, decimate
 from alula.stages.flight.splat_loop import fly
 from alula.stages.flight.splat_references import references_of
 from alula.stages.flight.trials import Pairs
-from alula.stages.flight.vehicles import disturbances, plant_options, quadrotor, tracking_gains
+from alula.stages.flight.vehicles import (
+    actuator_model,
+    disturbances,
+    left_out,
+    plant_options,
+    quadrotor,
+    tracking_gains,
+)
 from alula.stages.reporting.metrics import wilson_interval
 
 FloatArray = NDArray[np.float64]
@@ -144,7 +151,15 @@ def simulate_splat(
     gains = tracking_gains(vehicle, config.catch_up_m_s)
     # A point has no rotors: its controller and filters only use the translation, whatever the body.
     body = quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE)
-    world = SplatWorld(index=index, body=body, gains=gains, radius_m=keep, dt_s=config.dt_s)
+    assumed = actuator_model(vehicle)
+    world = SplatWorld(
+        index=index,
+        body=body,
+        gains=gains,
+        radius_m=keep,
+        dt_s=config.dt_s,
+        motor_time_constant_s=assumed.motor_time_constant_s,
+    )
     safety_filter = make_splat_filter(config.filter, world, config.filter_parameters)
     guide = make_splat_filter(config.guide, world, config.guide_parameters)
     assert guide is None or isinstance(guide, NativeSplatFilter)
@@ -170,6 +185,7 @@ def simulate_splat(
         max_rate_rad_s=vehicle.rates.max_rad_s,
         rate_time_constant_s=vehicle.rates.time_constant_s,
         max_acceleration_m_s2=vehicle.limits.max_acceleration_m_s2 or math.inf,
+        assumed=assumed,
     )
     trials: list[TrialResult] = []
     flights: list[SplatFlightLog] = []
@@ -297,6 +313,15 @@ def _least(values: list[float | None]) -> float | None:
     return min((v for v in values if v is not None), default=None)
 
 
+def _model(vehicle: Vehicle) -> str:
+    """What the filters take the vehicle for."""
+    table = vehicle.assumed
+    lag = f"a motor time constant of {table.motor_time_constant_s:g} s"
+    delay = f"states that are {table.delay_s:g} s old"
+    known = [text for text, value in ((lag, table.motor_time_constant_s), (delay, table.delay_s)) if value]
+    return f"the model with {' and '.join(known)}" if known else "the model without disturbances"
+
+
 def _guarantee(
     config: SimulateConfig, vehicle: Vehicle, scene: Artifact, trials: list[TrialResult], inflation_m: float
 ) -> Guarantee:
@@ -309,9 +334,9 @@ def _guarantee(
     elif certified:
         head = (
             f"In {share} steps the filter proved that a backup manoeuvre from the end of the step keeps the "
-            "radius from every ellipsoid, for the model without disturbances."
+            f"radius from every ellipsoid, for {_model(vehicle)}."
         )
-        if outside := [*disturbances(vehicle), *(["a rate loop"] if config.interface != "wrench" else [])]:
+        if outside := [*left_out(vehicle), *(["a rate loop"] if config.interface != "wrench" else [])]:
             head += f" These flights had {', '.join(outside)}, which that model leaves out."
     else:
         head = f"The filter {config.filter!r} bounds the rate of a barrier at each step; it proves no flight."

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import math
 
-from alula._core import DoubleIntegrator, Plant, PlantOptions, Quadrotor, SensorOptions, TrackingGains
+from alula._core import (
+    ActuatorModel,
+    DoubleIntegrator,
+    Plant,
+    PlantOptions,
+    Quadrotor,
+    SensorOptions,
+    TrackingGains,
+)
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import Vehicle
 
@@ -82,6 +90,12 @@ def plant_options(vehicle: Vehicle) -> PlantOptions:
     )
 
 
+def actuator_model(vehicle: Vehicle) -> ActuatorModel:
+    """Lag and delay that controller and filters count with."""
+    table = vehicle.assumed
+    return ActuatorModel(motor_time_constant_s=table.motor_time_constant_s, delay_s=table.delay_s)
+
+
 def plant(vehicle: Vehicle, *, seed: int = 0, trial: int = 0) -> Plant | DoubleIntegrator:
     """What flies; noise and gusts are a function of seed, trial and step.
 
@@ -99,7 +113,7 @@ def plant(vehicle: Vehicle, *, seed: int = 0, trial: int = 0) -> Plant | DoubleI
 
 
 def disturbances(vehicle: Vehicle) -> list[str]:
-    """What the file adds to the model of the filters, in words."""
+    """What the file adds to a bare rigid body, in words."""
     table = vehicle.disturbance
     noise = (
         *(table.position_noise_m, table.velocity_noise_m_s),
@@ -113,6 +127,20 @@ def disturbances(vehicle: Vehicle) -> list[str]:
         "delay": table.delay_s > 0,
     }
     return [name for name, there in found.items() if there]
+
+
+def left_out(vehicle: Vehicle) -> list[str]:
+    """What the plant does and the model of the filters does not, or the other way round, in words."""
+    assumed, true = vehicle.assumed, vehicle.disturbance
+    pairs = {
+        "motor lag": (assumed.motor_time_constant_s, true.motor_time_constant_s),
+        "delay": (assumed.delay_s, true.delay_s),
+    }
+    found = [name for name in disturbances(vehicle) if name not in pairs]
+    for name, (believed, flown) in pairs.items():
+        if believed != flown:
+            found.append(f"a {name} other than assumed" if believed else name)
+    return found
 
 
 def _or_infinity(value: float | None) -> float:

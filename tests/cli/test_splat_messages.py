@@ -78,3 +78,19 @@ def test_what_the_model_leaves_out_is_said(scene, tmp_path):
     )
     run([*words[:-2], "-o", str(out), "-q", "-f"])
     assert "leaves out" not in read_run(out).guarantee.statement
+
+
+def test_a_lag_and_a_delay_that_are_known_are_part_of_the_model(scene, tmp_path):
+    head = (VEHICLES / "fastbridge.toml").read_text()
+    known = "motor_time_constant_s = 0.03\ndelay_s = 0.02\n"
+    out, words = tmp_path / "a.run.mcap", ["simulate", str(scene), *FAST, "--filter", "cone-ecbf"]
+    (tmp_path / "v.toml").write_text(f"{head}\n[disturbance]\n{known}\n[assumed]\n{known}")
+    assert run([*words, "--vehicle", str(tmp_path / "v.toml"), "-o", str(out), "-q"]) == 0
+    record = read_run(out)
+    assert record.guarantee.claims["every_step_certified"]
+    said = "for the model with a motor time constant of 0.03 s and states that are 0.02 s old."
+    assert said in record.guarantee.statement
+    assert "leaves out" not in record.guarantee.statement
+    (tmp_path / "v.toml").write_text(f"{head}\n[disturbance]\ndelay_s = 0.02\n\n[assumed]\n{known}")
+    run([*words, "--vehicle", str(tmp_path / "v.toml"), "-o", str(out), "-q", "-f"])
+    assert "had a motor lag other than assumed, which" in read_run(out).guarantee.statement

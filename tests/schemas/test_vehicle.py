@@ -147,6 +147,8 @@ def replaced(old, new, text=WHOLE):
         (POINT + "[rates]\nmax_rad_s = [1, 1, 1]\n", UsageError, r"\$\.rates.*no use"),
         (POINT + "max_tilt_rad = 1\n", UsageError, r"\$\.tracking\.max_tilt_rad.*no use"),
         (POINT + "[disturbance]\nattitude_noise_rad = 1\n", UsageError, "attitude_noise_rad.*no use"),
+        (WHOLE + "[assumed]\ndelay_s = 2\n", UsageError, r"\$\.assumed\.delay_s"),
+        (POINT + "[assumed]\ndelay_s = 0.01\n", UsageError, r"\$\.assumed.*no use"),
         (SINGLE + "[tracking]\nkp_per_s2 = 4\n", UsageError, r"\$\.tracking.*no use"),
         (SINGLE + "max_acceleration_m_s2 = 4\n", UsageError, "max_acceleration_m_s2.*no use"),
     ],

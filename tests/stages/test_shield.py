@@ -7,6 +7,7 @@ import quadrotor_model as body
 from wrench_flight import (
     BACKUP,
     RADIUS,
+    RECOVERING,
     Flight,
     Scene,
     admissible_start,
@@ -322,8 +323,51 @@ def test_where_nothing_is_safe_the_least_bad_is_flown_and_said():
         )
         assert report["status"] == 3
         assert not report["certified"]
-        np.testing.assert_array_equal(report["wrench"], policy(x))
+        np.testing.assert_array_equal(report["wrench"], policy.urgent(x))
     assert scene.radius == RADIUS
+
+
+def test_what_is_flown_when_nothing_is_safe_does_not_speed_up():
+    """Turning on at 12 rad/s before a wall, as a brake does that overshoots its tilt by an unknown lag."""
+    scene, policy, gentle = wall_scene(), _core.BackupPolicy(VEHICLE, "brake"), []
+    for rate in (-12.0, -6.0, 6.0, 12.0):
+        for speed in (1.5, 3.0):
+            x = moving((speed, 0, 0), (2.75 - 0.06 * speed, 0, 0))
+            x[10] = rate
+            flown = _core.ConeEcbf(policy, scene.index)
+            flight = Flight(
+                scene, VEHICLE, flown, x, lambda tick, x: VEHICLE.allocation @ np.full(4, 4.25), 60
+            )
+            unsafe = next((i for i, r in enumerate(flight.reports) if r["status"] != 3), 60)
+            assert unsafe > 5
+            path = flight.positions[: 10 * unsafe + 1]
+            path = path[path[:, 0] < 3]
+            assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() < 1.15e-3 * speed
+            braked = x[None]
+            for _ in range(60):
+                braked = VEHICLE.step(braked, np.array([policy(braked[0])]), dt_s=0.01)
+                gentle.append(np.linalg.norm(braked[0, 6:9]) / speed)
+    assert max(gentle) > 1.5  # of the policy itself
+
+
+@pytest.mark.parametrize("clearance", [0.008, 0.001, -0.004])
+def test_a_rest_nearer_than_what_is_kept_can_be_left_too(clearance):
+    """Only a disturbance brings it there. Nothing is certified until it has left; it flies no nearer."""
+    scene, policy = wall_scene(), _core.BackupPolicy(VEHICLE, "brake")
+    start = moving((0, 0, 0), (3 - 0.02 - RADIUS - clearance, 0, 0))
+    for sign in (-1, 1):
+
+        def along(tick, x, sign=sign):
+            return attitude_controlled(
+                VEHICLE, x, 2 * (np.array([0.5 * sign, 0, 0]) - x[6:9]) - [0, 0, 2 * x[2]]
+            )
+
+        flight = Flight(scene, VEHICLE, _core.ConeBackup(policy, scene.index), start, along, 150)
+        assert not flight.reports[0]["certified"]
+        assert flight.reports[0]["status"] == RECOVERING
+        assert flight.clearance >= clearance - 1e-3
+        assert flight.state[0] < start[0] + (-0.2 if sign < 0 else 1e-3)
+        assert sign > 0 or flight.reports[-1]["certified"]
 
 
 def test_a_rest_inside_the_margin_can_be_left_but_not_towards_the_wall():

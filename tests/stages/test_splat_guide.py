@@ -50,7 +50,7 @@ def test_the_nominal_is_what_realises_the_guide_s_acceleration(plant, name):
     guide, bent = filter_of(name), 0
     trial = _core.FlightTrial(vehicle(plant), RULES, REFERENCE, guide=guide.native)
     for i in range(250):
-        p, sigma, v, omega, _, _ = trial.state()
+        p, sigma, v, omega = trial.state()[:4]
         x, row = np.concatenate([p, sigma, v, omega]), REFERENCE.at(np.array([0.01 * i]))
         if plant == "quadrotor":
             asked = _core.track(BODY, GAINS, x[None], row)

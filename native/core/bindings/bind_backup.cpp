@@ -126,6 +126,12 @@ void bind_policy(nb::module_& m) {
           "state"_a, "hold"_a = Triple{},
           "(T, tau) at a state (12,) = (p, sigma, v, omega), regulating about `hold` [m/s].")
       .def(
+          "urgent",
+          [](const BackupPolicy& self, const InState& x, const Triple& hold) {
+            return to_array(self.urgent(state_at(x.data()), vector_of(hold)));
+          },
+          "state"_a, "hold"_a = Triple{}, "The same with all that the rotors have, for where nothing gentle is safe.")
+      .def(
           "closed_loop",
           [](const BackupPolicy& self, const InState& x, const Triple& hold) {
             return to_array(closed_loop(self, state_at(x.data()), vector_of(hold)));

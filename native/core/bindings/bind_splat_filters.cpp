@@ -113,8 +113,9 @@ Record to_record(const FilterReport& report) {
 
 Record filter(SplatFilter& self, const State12& state, const Array3& acceleration, const Array4& wrench,
               double thrust, double thrust_rate, double nominal_thrust_rate, double nominal_thrust_acceleration,
-              const Array3& position_error, const Array3& velocity_error, const Array3& reference_acceleration) {
-  const FlightState now{{at(state, 0), at(state, 3), at(state, 6), at(state, 9)}, thrust, thrust_rate};
+              const Array3& position_error, const Array3& velocity_error, const Array3& reference_acceleration,
+              const std::optional<Array4>& rotors) {
+  const FlightState now{{at(state, 0), at(state, 3), at(state, 6), at(state, 9)}, thrust, thrust_rate, rotors};
   const Nominal nominal{vec(acceleration),          {wrench[0], {wrench[1], wrench[2], wrench[3]}},
                         nominal_thrust_rate,        nominal_thrust_acceleration,
                         vec(position_error),        vec(velocity_error),
@@ -247,9 +248,11 @@ void bind_splat_filters(nb::module_& m) {
       .def("filter", &filter, "state"_a, "acceleration"_a, nb::kw_only(), "wrench"_a = Array4{}, "thrust"_a = 0.0,
            "thrust_rate"_a = 0.0, "nominal_thrust_rate"_a = 0.0, "nominal_thrust_acceleration"_a = 0.0,
            "position_error"_a = zero3, "velocity_error"_a = zero3, "reference_acceleration"_a = zero3,
+           "rotors"_a = nb::none(),
            "One tick: state (p, sigma, v, omega), the nominal acceleration [m/s^2] and wrench (T, tau), thrust and "
            "its "
-           "rate as last applied [N, N/s]. A dict of FilterReport.")
+           "rate as last applied [N, N/s]; rotors: what each gives now [N], hovering when not said. A dict of "
+           "FilterReport.")
       .def("reset", &SplatFilter::reset, "Before another flight: forget warm starts and commitments.")
       .def("clone", &SplatFilter::clone)
       .def_prop_ro("gives_wrench", [](const SplatFilter& self) { return self.kind() == flight::InputKind::wrench; });

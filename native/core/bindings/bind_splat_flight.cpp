@@ -130,7 +130,7 @@ void bind_splat_flight(nb::module_& m) {
           "__init__",
           [](FlightVehicle* self, const Quadrotor& body, const TrackingGains& gains, const PlantOptions& options,
              const std::string& plant, const std::string& interface, const Triple& max_rate,
-             double rate_time_constant, double max_acceleration) {
+             double rate_time_constant, double max_acceleration, const ActuatorModel& assumed) {
             new (self) FlightVehicle{body,
                                      gains,
                                      options,
@@ -138,11 +138,13 @@ void bind_splat_flight(nb::module_& m) {
                                      command_interface(interface),
                                      vector_of(max_rate),
                                      rate_time_constant,
-                                     max_acceleration};
+                                     max_acceleration,
+                                     assumed};
           },
           "body"_a, "gains"_a = TrackingGains{}, "options"_a = PlantOptions{}, nb::kw_only(), "plant"_a = "quadrotor",
           "interface"_a = "wrench", "max_rate_rad_s"_a = Triple{10, 10, 4}, "rate_time_constant_s"_a = 0.02,
-          "max_acceleration_m_s2"_a = std::numeric_limits<double>::infinity());
+          "max_acceleration_m_s2"_a = std::numeric_limits<double>::infinity(), "assumed"_a = ActuatorModel{},
+          "options: what the plant does; assumed: what controller and filters take its rotors and sensors for.");
 
   nb::class_<FlightRules>(m, "FlightRules", "Times of a flight, and when it ends.")
       .def(
@@ -171,9 +173,9 @@ void bind_splat_flight(nb::module_& m) {
           [](const SteppedFlight& self) {
             const FlightState& s = self.trial.state();
             return std::make_tuple(to_array(s.x.p), to_array(s.x.sigma), to_array(s.x.v), to_array(s.x.omega),
-                                   s.thrust, s.thrust_rate);
+                                   s.thrust, s.thrust_rate, s.rotors.value_or(Vec4{}));
           },
-          "Position, attitude (MRP), velocity, body rates, thrust and its rate.")
+          "Position, attitude (MRP), velocity, body rates, thrust and its rate, and what each rotor gives.")
       .def(
           "nominal",
           [](const SteppedFlight& self) {

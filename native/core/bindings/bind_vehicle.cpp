@@ -1,8 +1,10 @@
-// Bindings of alula/attitude.hpp, alula/quadrotor.hpp and alula/plant.hpp.
+// Bindings of alula/attitude.hpp, alula/quadrotor.hpp, alula/plant.hpp and alula/state_predictor.hpp.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 
 #include "alula/plant.hpp"
+#include "alula/state_predictor.hpp"
 #include "flight_arrays.hpp"
 
 namespace nb = nanobind;
@@ -260,6 +262,40 @@ void bind_plants(nb::module_& m) {
       .def_prop_ro("steps", &DoubleIntegrator::steps);
 }
 
+void bind_predictor(nb::module_& m) {
+  nb::class_<ActuatorModel>(m, "ActuatorModel", "Lag of the rotors and age of measurements, as filters believe them.")
+      .def(
+          "__init__",
+          [](ActuatorModel* self, double lag, double delay) {
+            check(ActuatorModel{lag, delay});
+            new (self) ActuatorModel{lag, delay};
+          },
+          nb::kw_only(), "motor_time_constant_s"_a = 0.0, "delay_s"_a = 0.0)
+      .def_ro("motor_time_constant_s", &ActuatorModel::motor_time_constant_s)
+      .def_ro("delay_s", &ActuatorModel::delay_s);
+  nb::class_<StatePredictor>(m, "StatePredictor",
+                             "The state now from one measured a while ago, by the model: alula/state_predictor.hpp.")
+      .def(nb::init<const Quadrotor&, const ActuatorModel&, double>(), "body"_a, "model"_a, nb::kw_only(), "tick_s"_a)
+      .def("reset", &StatePredictor::reset, "It has hovered for as long as matters.")
+      .def(
+          "now",
+          [](const StatePredictor& self, const InState& measured, std::optional<double> age_s) {
+            return flight::to_array(self.now(state_at(measured.data()), age_s.value_or(self.model().delay_s)));
+          },
+          "measured"_a, "age_s"_a = nb::none(),
+          "The state (12,) now from the one age_s ago: at most the delay of the model, which is the default.")
+      .def(
+          "fly", [](StatePredictor& self, const In<double, nb::shape<4>>& u) { self.fly(wrench_at(u.data())); },
+          "wrench"_a, "It is commanded from now on for a tick [N, N m].")
+      .def(
+          "lead",
+          [](const StatePredictor& self, const In<double, nb::shape<4>>& u) {
+            return flight::to_array(self.lead(wrench_at(u.data())));
+          },
+          "wrench"_a, "The command that leads the rotors to a wrench by the end of a tick that begins now [N, N m].")
+      .def_prop_ro("rotors", &StatePredictor::rotors, "What each rotor gives now [N].");
+}
+
 }  // namespace
 }  // namespace alula::flight
 
@@ -267,4 +303,5 @@ void bind_vehicle(nb::module_& m) {
   alula::flight::bind_attitude(m);
   alula::flight::bind_quadrotor(m);
   alula::flight::bind_plants(m);
+  alula::flight::bind_predictor(m);
 }

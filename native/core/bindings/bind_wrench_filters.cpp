@@ -60,21 +60,22 @@ void bind_shield(nb::module_& m) {
           "__init__",
           [](ShieldOptions* self, double tick_s, int substeps, double margin_m, double max_time_s,
              double escape_time_s, int escape_tries, int line_search, double rest_speed_m_s, double rest_rate_rad_s,
-             double rest_tilt_rad, double rest_drift_m) {
-            new (self) ShieldOptions{tick_s,          substeps,      margin_m,    max_time_s,
-                                     escape_time_s,   escape_tries,  line_search, rest_speed_m_s,
-                                     rest_rate_rad_s, rest_tilt_rad, rest_drift_m};
+             double rest_tilt_rad, double rest_drift_m, double motor_time_constant_s) {
+            new (self) ShieldOptions{tick_s,          substeps,      margin_m,     max_time_s,
+                                     escape_time_s,   escape_tries,  line_search,  rest_speed_m_s,
+                                     rest_rate_rad_s, rest_tilt_rad, rest_drift_m, motor_time_constant_s};
           },
           nb::kw_only(), "tick_s"_a = o.tick_s, "substeps"_a = o.substeps, "margin_m"_a = o.margin_m,
           "max_time_s"_a = o.max_time_s, "escape_time_s"_a = o.escape_time_s, "escape_tries"_a = o.escape_tries,
           "line_search"_a = o.line_search, "rest_speed_m_s"_a = o.rest_speed_m_s,
           "rest_rate_rad_s"_a = o.rest_rate_rad_s, "rest_tilt_rad"_a = o.rest_tilt_rad,
-          "rest_drift_m"_a = o.rest_drift_m,
+          "rest_drift_m"_a = o.rest_drift_m, "motor_time_constant_s"_a = o.motor_time_constant_s,
           "tick_s: for which an input is held, of substeps RK4 "
           "steps; margin_m: kept beyond the radius;\n"
           "max_time_s: not at rest by then is not safe; escape_time_s: for which cone-escape holds a velocity,\n"
           "escape_tries: how many of them; line_search: bisections between backup and a refused input;\n"
-          "rest_*: at rest is below all of these, with rest_drift_m left to drift.")
+          "rest_*: at rest is below all of these, with rest_drift_m left to drift;\n"
+          "motor_time_constant_s: of rotors that follow a command, 0 for at once.")
       .def_ro("tick_s", &ShieldOptions::tick_s)
       .def_ro("substeps", &ShieldOptions::substeps)
       .def_ro("margin_m", &ShieldOptions::margin_m)
@@ -104,7 +105,8 @@ void bind_shield(nb::module_& m) {
           [](const Shield& self, const InState& x, const Vec4& u) {
             return to_array(self.after(state_at(x.data()), wrench_at(u.data())));
           },
-          "state"_a, "wrench"_a, "The state a tick later.");
+          "state"_a, "wrench"_a, "The state a tick later.")
+      .def("see", &Shield::see, "rotors"_a, "What each rotor gives in the states that are asked about next [N].");
 
   m.def("escape_velocities", &escapes, "index"_a, "p"_a, "v"_a, nb::kw_only(), "reach"_a, "count"_a = 64,
         "slack_rad"_a = EscapeOptions{}.slack_rad,

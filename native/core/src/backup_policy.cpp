@@ -149,6 +149,17 @@ Wrench BackupPolicy::saturated(const Wrench& raw) const {
 
 Wrench BackupPolicy::operator()(const State& x, Vec3 hold) const { return saturated(raw(x, hold)); }
 
+Wrench BackupPolicy::urgent(const State& x, Vec3 hold) const {
+  Wrench u = raw(x, hold);
+  u.torque = kappa_ * u.torque;
+  if (brakes()) {
+    const Vec3 b = thrust_axis(x.sigma), n = tilt_target(x.v, hold);
+    const double lift = vehicle_.hover_thrust() - vehicle_.mass() * k_z_ * (x.v.z - hold.z);
+    u.thrust = std::max(0.0, lift) * std::max(0.0, dot(b, n));
+  }
+  return vehicle_.limited(u);
+}
+
 Wrench BackupPolicy::linearised(const State& x, Vec3 hold, PolicyJacobian& jacobian) const {
   const Mat3 r = body_from_inertial(x.sigma), z_inverse = inverse_rate_matrix(x.sigma);
   const double weight = vehicle_.hover_thrust(), mass = vehicle_.mass();
@@ -239,6 +250,22 @@ double BackupPolicy::sway(const State& x) const {
   const auto [speed, tilt, swing] = drifts(x);
   const double flat = brakes() ? norm(speed + tilt + swing) : norm(speed) + norm(tilt) + norm(swing);
   return std::hypot(flat, x.v.z / (kappa_ * k_z_));
+}
+
+bool BackupPolicy::sways_at_most(const State& x, double limit) const {
+  // What is left out of `flat` makes it smaller by no more than |swing|, of which a bound is cheap.
+  const double g = vehicle_.gravity(), above = (1 + 1e-9) * limit, most = lean_ * above;
+  if (std::abs(x.v.z) > kappa_ * k_z_ * above) return false;
+  double fx = x.v.x / g, fy = x.v.y / g, swing = 0;
+  if (brakes()) {
+    const Vec3 b = thrust_axis(x.sigma), inertia = vehicle_.inertia();
+    const double per_rate = (k_omega_.x + k_omega_.y) / (k_tilt_.x + k_tilt_.y);
+    const double per_spin = std::max(inertia.x / (kappa_ * k_tilt_.x), inertia.y / (kappa_ * k_tilt_.y));
+    fx += per_rate * b.x, fy += per_rate * b.y;
+    swing = (1 + 1e-9) * per_spin * std::sqrt(x.omega.x * x.omega.x + x.omega.y * x.omega.y);
+  }
+  if (fx * fx + fy * fy > (most + swing) * (most + swing)) return false;
+  return sway(x) <= limit;
 }
 
 State closed_loop(const BackupPolicy& policy, const State& x, Vec3 hold) {

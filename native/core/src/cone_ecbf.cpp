@@ -83,6 +83,7 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
   FilterReport report;
   report.margin = kInfinity;
   if (!is_usable(state, nominal)) return refused(policy_.vehicle());
+  shield_.see(state.rotors);
   const Quadrotor& vehicle = policy_.vehicle();
   const ConeEcbfOptions& o = options_;
   const double m = vehicle.mass(), dt = o.shield.tick_s;

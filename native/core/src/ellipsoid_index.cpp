@@ -37,6 +37,11 @@ Mat3 shape_matrix(const Ellipsoid& e) {
   return a;
 }
 
+std::array<float, 6> upper_half(const Mat3& m) {
+  const auto f = [&](int row, int column) { return static_cast<float>(m[row][column]); };
+  return {f(0, 0), f(0, 1), f(0, 2), f(1, 1), f(1, 2), f(2, 2)};
+}
+
 // The slots of what was found before, as many as there is room for.
 class Guesses {
  public:
@@ -103,10 +108,17 @@ EllipsoidIndex::EllipsoidIndex(const Splats& splats, double sigma, double radius
       if (!splats.loss.empty()) level_[slot] = level_of(splats, i, all);
       const float* scale = row_[slot].scale;
       const Level level = this->level(static_cast<std::uint32_t>(slot));
-      ball[slot] = {{splats.mean[3 * i], splats.mean[3 * i + 1], splats.mean[3 * i + 2]},
-                    level.sigma * std::max({scale[0], scale[1], scale[2]}) + level.inflation};
       const Ellipsoid outer = bounds_of(splats, i, {sigma, radius}).first;
       grown_[slot] = {{outer.centre[0], outer.centre[1], outer.centre[2]}, shape_matrix(outer)};
+      const geometry::Ellipsoid inner = at_slot(static_cast<std::uint32_t>(slot));
+      Mat3 spread;
+      for (int j = 0; j < 3; ++j)
+        spread = spread + geometry::outer(inner.semi[j] * inner.axis[j], inner.semi[j] * inner.axis[j]);
+      ball[slot] = {{splats.mean[3 * i], splats.mean[3 * i + 1], splats.mean[3 * i + 2]},
+                    level.sigma * std::max({scale[0], scale[1], scale[2]}) + level.inflation,
+                    level.inflation,
+                    upper_half(spread),
+                    upper_half(grown_[slot].a)};
       // With the ratio k of the extreme eigenvalues of A the angle between x and A x is at most asin((k - 1)/(k +
       // 1)).
       const auto [least, most] = std::minmax_element(outer.axis.begin(), outer.axis.end());
@@ -221,6 +233,27 @@ double EllipsoidIndex::distance_of(std::uint32_t slot, geometry::Vec3 a, double 
   const double ball = level(slot).inflation;
   const geometry::Sighted e = sighted(slot, a, {}, enough + ball);
   return geometry::distance_below(e.semi, e.start, e.enough) - ball;
+}
+
+bool EllipsoidIndex::is_near(geometry::Vec3 a, geometry::Vec3 b, double reach) const {
+  double within = reach;  // nothing, once one is found
+  std::array<geometry::Sighted, kTogether> each;
+  std::array<std::uint32_t, kTogether> of;
+  std::array<double, kTogether> distance;
+  std::size_t waits = 0;
+  const auto measure = [&] {
+    geometry::distances_below({each.data(), waits}, {distance.data(), waits});
+    for (std::size_t i = 0; i < waits; ++i)
+      if (distance[i] - level(of[i]).inflation < reach) within = -kInfinity;
+    waits = 0;
+  };
+  const auto look_at = [&](std::uint32_t slot) {
+    of[waits] = slot, each[waits++] = sighted(slot, a, b - a, reach + level(slot).inflation);
+    if (waits == kTogether) measure();
+  };
+  tree_.visit({a, b - a, kInfinity}, within, look_at);
+  if (waits > 0) measure();
+  return within < reach;
 }
 
 double EllipsoidIndex::clearance(geometry::Vec3 point, double cap, std::uint32_t& hint) const {

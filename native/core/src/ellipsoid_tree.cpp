@@ -19,6 +19,7 @@ float below(double x) { return -above(-x); }
 EllipsoidTree::EllipsoidTree(const Bvh& binary, const std::vector<Ball>& balls, const std::vector<Shape>& shapes) {
   if (binary.nodes().empty()) return;
   nodes_.reserve(binary.nodes().size() / 4 + 2), leaves_.reserve(binary.nodes().size() / 2 + 1);
+  forms_.reserve(binary.nodes().size() / 2 + 1);
   first_.reserve(binary.nodes().size() / 2 + 2);
   build(binary, 0, balls, shapes);
   first_.push_back(static_cast<std::uint32_t>(balls.size()));
@@ -62,17 +63,21 @@ std::uint32_t EllipsoidTree::build(const Bvh& binary, std::uint32_t at, const st
     if (is_leaf(child[i])) {
       made = kLeaf | static_cast<std::uint32_t>(leaves_.size());
       Leaf leaf{};
+      Forms forms{};
       for (std::uint32_t k = 0; k < 8; ++k) {
         const bool is_there = k < half.count;
-        const Ball ball = is_there ? balls[half.first + k] : Ball{{kFar, kFar, kFar}, 0};
+        const Ball ball = is_there ? balls[half.first + k] : Ball{{kFar, kFar, kFar}, 0, 0, {}, {}};
         // What rounding moves the centre by is added to the radius.
         const auto x = static_cast<float>(ball.centre.x), y = static_cast<float>(ball.centre.y),
                    z = static_cast<float>(ball.centre.z);
         const Vec3 moved = Vec3{x, y, z} - ball.centre;
         leaf.x[k / 4][k % 4] = x, leaf.y[k / 4][k % 4] = y, leaf.z[k / 4][k % 4] = z;
         leaf.radius[k / 4][k % 4] = above((ball.radius + norm(moved)) * (1 + 0x1p-15));
+        for (std::size_t j = 0; j < 6; ++j)
+          forms.s[j][k / 4][k % 4] = ball.s[j], forms.a[j][k / 4][k % 4] = ball.a[j];
+        forms.loss[k / 4][k % 4] = above(ball.loss);
       }
-      leaves_.push_back(leaf), first_.push_back(half.first);
+      forms_.push_back(forms), leaves_.push_back(leaf), first_.push_back(half.first);
     } else {
       made = build(binary, child[i], balls, shapes);
     }

@@ -105,23 +105,9 @@ void Plant::step(double dt, const Wrench& command) {
     x_ = has_drag_ ? rk4_step(x_, dt, [&](double, const State& x) { return derivative(x, wrench_); })
                    : quadrotor_.step(x_, wrench_, dt);
   } else {
-    // The thrusts are known at any time: f(t) = f_command + (f(0) - f_command) e^(-t / lag).
-    const Vec4 goal = quadrotor_.rotor_thrust(command_), from = rotor_;
-    const auto rotors_at = [&](double t) {
-      const double left = std::exp(-t / lag);
-      Vec4 f{};
-      for (std::size_t i = 0; i < 4; ++i)
-        f[i] = std::clamp(goal[i] + left * (from[i] - goal[i]), quadrotor_.rotors().f_min[i],
-                          quadrotor_.rotors().f_max[i]);
-      return f;
-    };
-    const Wrench middle = quadrotor_.wrench(rotors_at(dt / 2));
-    rotor_ = rotors_at(dt);
-    const Wrench first = quadrotor_.wrench(from), last = quadrotor_.wrench(rotor_);
-    x_ = rk4_step(x_, dt, [&](double t, const State& x) {
-      return derivative(x, t == 0 ? first : t < dt ? middle : last);
-    });
-    wrench_ = last;
+    x_ = following_step(quadrotor_, lag, x_, rotor_, command_, dt,
+                        [&](const State& x, const Wrench& u) { return derivative(x, u); });
+    wrench_ = quadrotor_.wrench(rotor_);
   }
   time_ += dt, ++steps_;
   if (has_gusts_) {

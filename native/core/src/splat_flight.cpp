@@ -61,6 +61,7 @@ FlightTrial::FlightTrial(const FlightVehicle& vehicle, const FlightRules& rules,
       reference_(reference),
       body_(vehicle.body, vehicle.plant, RandomStream{seed, trial}),
       point_(vehicle.max_acceleration, vehicle.plant.sensor, RandomStream{seed, trial}),
+      predictor_(vehicle.body, vehicle.assumed, rules.dt_s),
       guide_(guide == nullptr ? nullptr : guide->clone()) {
   check(vehicle, rules);
   if (guide_) {
@@ -84,6 +85,7 @@ void FlightTrial::observe() {
   const auto before = Clock::now();
   seen_.x = is_rigid() ? body_.measured() : point_.measured();
   seen_.x.sigma = shadowed(seen_.x.sigma);  // sensors know nothing of the switch at the end of the tick
+  if (is_rigid()) seen_.x = predictor_.now(seen_.x, time_s()), seen_.rotors = predictor_.rotors();
   target_ = reference_.at(reference_.start() + time_s());
   // The controller counts with its own thrust, unless another one is flown.
   nominal_ = track(vehicle_.body, vehicle_.gains, seen_.x, target_, is_other_ ? seen_.thrust : own_thrust);
@@ -118,7 +120,7 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
   Vec3 command = answer.acceleration;
   double error = 0, realise_s = 0;
   bool is_limited = false;
-  Wrench flown;
+  Wrench flown, led;
   if (!is_rigid()) {
     for (std::int64_t i = 0; i < rules_.plant_steps; ++i) {
       point_.step(rules_.dt_s / static_cast<double>(rules_.plant_steps), command);
@@ -133,10 +135,12 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
                                                    : realise(vehicle_.body, vehicle_.gains, seen_.x, target_,
                                                              nominal_, answer.acceleration);
     flown = vehicle_.body.limited(asked);
+    led = predictor_.lead(flown);
     realise_s = seconds_since(before);
     is_limited = !is_same(asked, flown);
     if (kind == InputKind::wrench) command = acceleration_of(vehicle_.body, x_, answer.wrench.thrust);
-    error = fly(answer, kind, flown);
+    error = fly(answer, kind, flown, led);
+    predictor_.fly(led);
     seen_.thrust = flown.thrust;
     is_other_ = flown.thrust != nominal_.wrench.thrust;
   }
@@ -146,8 +150,8 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
   append(log_.a_nominal, nominal_.acceleration);
   append(log_.a_command, command);
   append(log_.u_nominal, nominal_.wrench);
-  append(log_.u, flown);
-  const Vec4 rotors = is_rigid() ? vehicle_.body.rotor_thrust(flown) : Vec4{};
+  append(log_.u, led);
+  const Vec4 rotors = is_rigid() ? vehicle_.body.rotor_thrust(led) : Vec4{};
   log_.rotor_thrust.insert(log_.rotor_thrust.end(), rotors.begin(), rotors.end());
   log_.a_error.push_back(error);
   log_.margin.push_back(answer.margin);
@@ -166,15 +170,16 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
   return log_.outcome;
 }
 
-// Flies a wrench, held, or the body rates that it means, for a tick; returns the largest realisation error at
-// the ends of the plant's steps, where the acceleration that a wrench means has turned with the vehicle.
-double FlightTrial::fly(const FilterReport& answer, InputKind kind, const Wrench& flown) {
+// Flies the command of a wrench, held, or the body rates that the wrench means, for a tick; returns the largest
+// realisation error at the ends of the plant's steps, where the acceleration that a wrench means has turned with the
+// vehicle.
+double FlightTrial::fly(const FilterReport& answer, InputKind kind, const Wrench& flown, const Wrench& led) {
   const double dt = rules_.dt_s / static_cast<double>(rules_.plant_steps);
   const bool by_rates = vehicle_.interface == CommandInterface::body_rates;
   const Vec3 rates = by_rates ? body_rates(vehicle_.body, seen_.x, flown, rules_.dt_s, vehicle_.max_rate) : Vec3{};
   double worst = 0;
   for (std::int64_t i = 0; i < rules_.plant_steps; ++i) {
-    Wrench u = flown;
+    Wrench u = led;
     if (by_rates) {
       const Vec3 inertia = vehicle_.body.inertia();
       u.torque = cross(x_.omega, multiply(inertia, x_.omega)) +

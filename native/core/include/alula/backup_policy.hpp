@@ -84,6 +84,11 @@ class BackupPolicy {
   // The wrench before saturation, and the policy itself. `hold` is v_d of `brake`; the others ignore it.
   Wrench raw(const State& x, Vec3 hold = {}) const;
   Wrench operator()(const State& x, Vec3 hold = {}) const;
+
+  // The policy with all that the rotors have, torque before thrust, for where no gentle manoeuvre is left. Of `brake`
+  // the thrust is the share of the wished force along the axis, least while the axis points ahead: it never speeds
+  // the vehicle up to hold its height. The same feedback near hover.
+  Wrench urgent(const State& x, Vec3 hold = {}) const;
   Wrench linearised(const State& x, Vec3 hold, PolicyJacobian& jacobian) const;  // the same bits, and its Jacobian
 
   // How far the linear loop about hover would still move before it rests [m]: the time integral of its velocity.
@@ -92,6 +97,7 @@ class BackupPolicy {
   // About how far it moves at most on the way [m]. The parts of the drift may cancel in a state that swings out and
   // back, so their lengths are added; those of `brake` are over before that matters.
   double sway(const State& x) const;
+  bool sways_at_most(const State& x, double limit) const;  // sway(x) <= limit, mostly for less
 
  private:
   Vec3 tilt_target(Vec3 v, Vec3 hold) const;
@@ -109,10 +115,11 @@ class BackupPolicy {
   double k_z_ = 0, kappa_ = 1;
 };
 
-// What a manoeuvre flies: `brake` about `hold` for `ticks` ticks or steps, then to rest.
+// What a manoeuvre flies: `brake` about `hold` for `ticks` ticks or steps, then to rest; or `urgent`.
 struct Manoeuvre {
   Vec3 hold;      // [m/s]
   int ticks = 0;  // 0: to rest at once
+  bool is_urgent = false;
 
   Vec3 at(int tick) const { return tick < ticks ? hold : Vec3{}; }
 };

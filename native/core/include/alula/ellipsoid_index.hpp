@@ -76,6 +76,9 @@ class EllipsoidIndex {
         });
   }
 
+  // Whether some ungrown set is nearer than `reach` to the segment a..b; exact to 1e-9 of the reach.
+  bool is_near(geometry::Vec3 a, geometry::Vec3 b, double reach) const;
+
   // Signed distance of a point to the nearest ungrown set, at most `cap`. `hint` is a guess that is updated; it
   // cannot change the result.
   double clearance(geometry::Vec3 point, double cap, std::uint32_t& hint) const;

@@ -9,6 +9,7 @@
 #include <limits>
 #include <vector>
 
+#include "alula/actuators.hpp"
 #include "alula/quadrotor.hpp"
 #include "alula/random.hpp"
 

@@ -11,6 +11,14 @@
 // model, whatever the nominal input does. A manoeuvre being flown stays accepted down to half the margin, which
 // so covers rounding and small differences of plan and flight; the other half covers the drift at rest.
 //
+// With a motor time constant the rotors' thrusts are part of the state: `see` says what they are now, and rollouts
+// carry them on. An input is then what the rotors are led to by the end of a tick (`leading`), as far as their limits
+// allow; who flies it must command that. The induction is the same, for exact thrusts.
+//
+// When no manoeuvre is safe, the policy with all that the rotors have is tried, and when that is not safe either the
+// least bad is flown: one that meets nothing, with the most room, else the one that is slowest where it first
+// touches.
+//
 // Source: the backup set of Chen, Jankovic, Santillo, Ames 2021, checked by rollout instead of by rows.
 #pragma once
 
@@ -34,14 +42,17 @@ struct ShieldOptions {
   int line_search = 2;         // bisections between the backup's input and one that is refused
   // At rest: all of these, and the linear loop would sway by at most rest_drift_m.
   double rest_speed_m_s = 0.1, rest_rate_rad_s = 0.2, rest_tilt_rad = 0.05, rest_drift_m = 0.008;
+  double motor_time_constant_s = 0;  // of rotors that are led; 0: they obey at once
 };
 
 struct Certificate {
   bool safe = false;
-  bool rests = false;                                           // within max_time_s
-  double clearance = -std::numeric_limits<double>::infinity();  // least distance seen, less the radius [m]: exact
-                                                                // where it was looked, at most what was looked for
-  double time_s = 0;                                            // until rest
+  bool rests = false;                                              // within max_time_s
+  double clearance = -std::numeric_limits<double>::infinity();     // least distance seen, less the radius [m]: exact
+                                                                   // where it was looked, at most what was looked for
+  double time_s = 0;                                               // until rest
+  double contact_speed = std::numeric_limits<double>::infinity();  // bound of the speed where it first is too near,
+                                                                   // when it is and that was looked for [m/s]
 };
 
 // One per thread; allocates in the constructor only.
@@ -62,10 +73,15 @@ class Shield {
   // The state after a tick of u, |sigma| <= 1.
   State after(const State& x, const Wrench& u) const;
 
+  // What each rotor gives now [N], in the states that are asked about from here on. At first, after `reset` and when
+  // it is not said they hover. Only with a motor time constant does it matter.
+  void see(const std::optional<Vec4>& rotors) { rotors_ = rotors.value_or(hovering_); }
+
   // What the backup would do now if nothing else is accepted: the manoeuvre committed last, or the best found.
   // Sets report's wrench, status and `certified`: `candidate` with `accepted` when it is safe, an input between it
-  // and the backup's, or the backup's (status backup), or the least bad (recovering). `near` are the ellipsoids
-  // whose cones `cone_escape` turns away from. Returns whether the candidate itself was taken.
+  // and the backup's, or the backup's (status backup), or the least bad (recovering): the candidate only where it
+  // comes no nearer than now. `near` are the ellipsoids whose cones `cone_escape` turns away from. Returns whether
+  // the candidate itself was taken.
   bool decide(const State& x, const Wrench& candidate, SplatFilterStatus accepted, std::span<const Found> near,
               FilterReport& report);
 
@@ -77,7 +93,7 @@ class Shield {
   Manoeuvre plan(const State& x, std::span<const Found> near);
 
   int hold_ticks() const;  // of an escape
-  void reset() { committed_ = {}, hint_ = 0, is_planned_ = false; }
+  void reset();
 
  private:
   struct Tick {
@@ -85,10 +101,20 @@ class Shield {
     double arc;  // bound of the length of the path up to here
     double sag;  // bound of how far the path leaves the chord before this
   };
+  bool lags() const { return options_.motor_time_constant_s > 0; }
+  bool settles() const;
+  State following(const State& x, Vec4& rotors, const Wrench& u) const;
+  Wrench flown(const State& x, const Manoeuvre& manoeuvre, int tick) const;
   bool roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time);
   bool resting(const State& x) const;
-  bool march(double distance, bool thorough, double& least);
-  bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre);
+  bool resting(const State& x, const Vec4& rotors) const;
+  bool march(std::size_t from, double distance, bool thorough, double& least, double& contact_speed);
+  std::size_t sweep(double distance) const;
+  bool is_clear(std::size_t from, std::size_t to, double distance) const;
+  bool is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr);
+  // What stops the vehicle: the gentle policy, but with lag it overshoots its tilt and speeds up at first.
+  Manoeuvre stop() const { return {.hold = {}, .ticks = 0, .is_urgent = lags()}; }
+  bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept);
   bool accept(const State& x, const Wrench& u);
   bool accept_escaping(const State& x, const Wrench& u, std::span<const Found> near);
   void settle(const State& x, std::span<const Found> near, FilterReport& report);
@@ -99,6 +125,7 @@ class Shield {
   std::shared_ptr<const EllipsoidIndex> index_;
   ShieldOptions options_;
   double rest_drift_;
+  Vec4 hovering_{}, rotors_{};
   std::vector<Tick> path_;
   std::vector<Found> found_;
   std::uint32_t hint_ = 0;

@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 
 #include "alula/ellipsoid_index.hpp"
 #include "alula/quadrotor.hpp"
@@ -23,6 +24,8 @@ struct FlightState {
   State x;
   double thrust = 0;       // T [N]
   double thrust_rate = 0;  // T' [N/s]
+  // Thrust of each rotor now [N], for a shield that knows their lag; when it is not said they hover.
+  std::optional<Vec4> rotors;
 };
 
 // What the tracking controller asks for, and the errors it saw.

@@ -15,6 +15,7 @@
 #include "alula/plant.hpp"
 #include "alula/rollout.hpp"
 #include "alula/splat_filter.hpp"
+#include "alula/state_predictor.hpp"
 #include "alula/tracking.hpp"
 
 namespace alula::flight {
@@ -51,6 +52,9 @@ struct FlightVehicle {
   Vec3 max_rate{10, 10, 4};            // limit of a commanded body rate [rad/s]
   double rate_time_constant_s = 0.02;  // of the vehicle's own rate loop, a first-order lag where the rotors allow it
   double max_acceleration = std::numeric_limits<double>::infinity();  // of the double integrator [m/s^2]
+  // What controller and filters take the rigid body for; `plant` says what it is. With a delay they see the state
+  // that is predicted for now. Of the rotors' thrusts they have the model's, never the plant's.
+  ActuatorModel assumed;
 };
 
 // A row per tick, of the time at its beginning unless said otherwise; `state` has one more, the end.
@@ -61,7 +65,7 @@ struct SplatFlightLog {
   std::vector<double> a_command;     // (ticks, 3): what the filter let through [m/s^2]
   std::vector<double> a_error;       // (ticks): largest |a - a_command| within the tick, at the rate of the plant
   std::vector<double> u_nominal;     // (ticks, 4): T and tau of the controller [N, N m]
-  std::vector<double> u;             // (ticks, 4): as flown, within the limits of the rotors
+  std::vector<double> u;             // (ticks, 4): as commanded, within the limits of the rotors
   std::vector<double> rotor_thrust;  // (ticks, 4) [N]
   std::vector<double> margin;        // (ticks): FilterReport, from here on
   std::vector<double> gate_m;
@@ -104,7 +108,7 @@ class FlightTrial {
  private:
   bool is_rigid() const { return vehicle_.kind == PlantKind::quadrotor; }
   void observe();
-  double fly(const FilterReport& answer, InputKind kind, const Wrench& flown);
+  double fly(const FilterReport& answer, InputKind kind, const Wrench& flown, const Wrench& led);
   Outcome judged(SplatFilterStatus status);
 
   FlightVehicle vehicle_;
@@ -112,6 +116,7 @@ class FlightTrial {
   const ReferenceCurve& reference_;
   Plant body_;  // one of the two flies
   DoubleIntegrator point_;
+  StatePredictor predictor_;
   State x_;  // the true state
   ReferencePoint target_;
   FlightState seen_;
