@@ -501,6 +501,44 @@ class DoubleIntegrator:
     @property
     def steps(self) -> int: ...
 
+class ActuatorModel:
+    """Lag of the rotors and age of measurements, as filters believe them."""
+
+    def __init__(self, *, motor_time_constant_s: float = 0.0, delay_s: float = 0.0) -> None: ...
+
+    @property
+    def motor_time_constant_s(self) -> float: ...
+
+    @property
+    def delay_s(self) -> float: ...
+
+class StatePredictor:
+    """
+    The state now from one measured a while ago, by the model: alula/state_predictor.hpp.
+    """
+
+    def __init__(self, body: Quadrotor, model: ActuatorModel, *, tick_s: float) -> None: ...
+
+    def reset(self) -> None:
+        """It has hovered for as long as matters."""
+
+    def now(self, measured: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], age_s: float | None = None) -> NDArray[numpy.float64]:
+        """
+        The state (12,) now from the one age_s ago: at most the delay of the model, which is the default.
+        """
+
+    def fly(self, wrench: Annotated[NDArray[numpy.float64], dict(shape=(4), order='C', device='cpu', writable=False)]) -> None:
+        """It is commanded from now on for a tick [N, N m]."""
+
+    def lead(self, wrench: Annotated[NDArray[numpy.float64], dict(shape=(4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
+        """
+        The command that leads the rotors to a wrench by the end of a tick that begins now [N, N m].
+        """
+
+    @property
+    def rotors(self) -> list[float]:
+        """What each rotor gives now [N]."""
+
 class ReferenceCurve:
     """
     Pieces of degree 7 of (x, y, z, yaw), as in `alula/plan`; at rest beyond its ends.
@@ -672,9 +710,9 @@ class Pruning:
 class SplatFilter:
     """A filter that flies among ellipsoids; one per thread."""
 
-    def filter(self, state: Sequence[float], acceleration: Sequence[float], *, wrench: Sequence[float] = [0.0, 0.0, 0.0, 0.0], thrust: float = 0.0, thrust_rate: float = 0.0, nominal_thrust_rate: float = 0.0, nominal_thrust_acceleration: float = 0.0, position_error: Sequence[float] = [0.0, 0.0, 0.0], velocity_error: Sequence[float] = [0.0, 0.0, 0.0], reference_acceleration: Sequence[float] = [0.0, 0.0, 0.0]) -> dict[str, Any]:
+    def filter(self, state: Sequence[float], acceleration: Sequence[float], *, wrench: Sequence[float] = [0.0, 0.0, 0.0, 0.0], thrust: float = 0.0, thrust_rate: float = 0.0, nominal_thrust_rate: float = 0.0, nominal_thrust_acceleration: float = 0.0, position_error: Sequence[float] = [0.0, 0.0, 0.0], velocity_error: Sequence[float] = [0.0, 0.0, 0.0], reference_acceleration: Sequence[float] = [0.0, 0.0, 0.0], rotors: Sequence[float] | None = None) -> dict[str, Any]:
         """
-        One tick: state (p, sigma, v, omega), the nominal acceleration [m/s^2] and wrench (T, tau), thrust and its rate as last applied [N, N/s]. A dict of FilterReport.
+        One tick: state (p, sigma, v, omega), the nominal acceleration [m/s^2] and wrench (T, tau), thrust and its rate as last applied [N, N/s]; rotors: what each gives now [N], hovering when not said. A dict of FilterReport.
         """
 
     def reset(self) -> None:
@@ -757,6 +795,11 @@ class BackupPolicy:
         (T, tau) at a state (12,) = (p, sigma, v, omega), regulating about `hold` [m/s].
         """
 
+    def urgent(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], hold: Sequence[float] = [0.0, 0.0, 0.0]) -> NDArray[numpy.float64]:
+        """
+        The same with all that the rotors have, for where nothing gentle is safe.
+        """
+
     def closed_loop(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], hold: Sequence[float] = [0.0, 0.0, 0.0]) -> NDArray[numpy.float64]:
         """f + g pi_b, shape (12,)."""
 
@@ -799,12 +842,13 @@ class BackupFlow:
 class ShieldOptions:
     """How a manoeuvre to rest is checked."""
 
-    def __init__(self, *, tick_s: float = 0.01, substeps: int = 1, margin_m: float = 0.02, max_time_s: float = 8.0, escape_time_s: float = 0.6, escape_tries: int = 3, line_search: int = 2, rest_speed_m_s: float = 0.1, rest_rate_rad_s: float = 0.2, rest_tilt_rad: float = 0.05, rest_drift_m: float = 0.008) -> None:
+    def __init__(self, *, tick_s: float = 0.01, substeps: int = 1, margin_m: float = 0.02, max_time_s: float = 8.0, escape_time_s: float = 0.6, escape_tries: int = 3, line_search: int = 2, rest_speed_m_s: float = 0.1, rest_rate_rad_s: float = 0.2, rest_tilt_rad: float = 0.05, rest_drift_m: float = 0.008, motor_time_constant_s: float = 0.0) -> None:
         """
         tick_s: for which an input is held, of substeps RK4 steps; margin_m: kept beyond the radius;
         max_time_s: not at rest by then is not safe; escape_time_s: for which cone-escape holds a velocity,
         escape_tries: how many of them; line_search: bisections between backup and a refused input;
-        rest_*: at rest is below all of these, with rest_drift_m left to drift.
+        rest_*: at rest is below all of these, with rest_drift_m left to drift;
+        motor_time_constant_s: of rotors that follow a command, 0 for at once.
         """
 
     @property
@@ -852,6 +896,9 @@ class Shield:
 
     def after(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], wrench: Sequence[float]) -> NDArray[numpy.float64]:
         """The state a tick later."""
+
+    def see(self, rotors: Sequence[float] | None) -> None:
+        """What each rotor gives in the states that are asked about next [N]."""
 
 def escape_velocities(index: EllipsoidIndex, p: Sequence[float], v: Sequence[float], *, reach: float, count: int = 64, slack_rad: float = 0.05) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]:
     """
@@ -928,7 +975,10 @@ class ConeBackup(SplatFilter):
 class FlightVehicle:
     """What flies among ellipsoids: body, controller, plant and interface."""
 
-    def __init__(self, body: Quadrotor, gains: TrackingGains = ..., options: PlantOptions = ..., *, plant: str = 'quadrotor', interface: str = 'wrench', max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: float = 0.02, max_acceleration_m_s2: float = float('inf')) -> None: ...
+    def __init__(self, body: Quadrotor, gains: TrackingGains = ..., options: PlantOptions = ..., *, plant: str = 'quadrotor', interface: str = 'wrench', max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: float = 0.02, max_acceleration_m_s2: float = float('inf'), assumed: ActuatorModel = ...) -> None:
+        """
+        options: what the plant does; assumed: what controller and filters take its rotors and sensors for.
+        """
 
 class FlightRules:
     """Times of a flight, and when it ends."""
@@ -945,8 +995,10 @@ class FlightTrial:
 
     def __init__(self, vehicle: FlightVehicle, rules: FlightRules, reference: ReferenceCurve, *, seed: int = 0, trial: int = 0, guide: SplatFilter | None = None) -> None: ...
 
-    def state(self) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64], float, float]:
-        """Position, attitude (MRP), velocity, body rates, thrust and its rate."""
+    def state(self) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64], float, float, list[float]]:
+        """
+        Position, attitude (MRP), velocity, body rates, thrust and its rate, and what each rotor gives.
+        """
 
     def nominal(self) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], float, float, NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64]]:
         """
