@@ -159,6 +159,28 @@ void test_four_at_once_are_four_alone() {
   }
 }
 
+// What is left behind is told apart by single precision first, and segments are asked about without a nearest one.
+void test_shortcuts_change_nothing(const EllipsoidIndex& index) {
+  std::vector<Found> every, ahead, nearest;
+  for (int i = 0; i < 100; ++i) {
+    const FlightState s = state(i);
+    const Point a = s.x.p, v = s.x.v, b = a + 0.5 * v;
+    index.nearest(a, b, 0.8, index.size(), every);
+    index.nearest_ahead(a, b, v, 0.8, index.size(), ahead);
+    std::erase_if(every, [&](const Found& found) {
+      const GrownEllipsoid& e = index.grown(found.item);
+      const Point r = e.centre - a, ar = e.a * r;
+      return !(dot(ar, v) >= 0 || dot(ar, r) < 1);
+    });
+    CHECK(!ahead.empty() && is_same(every, ahead));
+    const Point far = a + Point{5.0 + 0.01 * i, 0, 0};  // outside of the cloud, so not met
+    index.nearest(far, far + 0.2 * v, 10, 1, nearest);
+    const double distance = nearest[0].distance;
+    CHECK(distance > 0.1 && index.is_near(far, far + 0.2 * v, distance * (1 + 1e-6)) &&
+          !index.is_near(far, far + 0.2 * v, distance * (1 - 1e-6)));
+  }
+}
+
 }  // namespace
 
 int main() {
@@ -176,6 +198,7 @@ int main() {
   }
   test_queries_allocate_only_what_is_found(*index);
   test_guesses_change_nothing(*index);
+  test_shortcuts_change_nothing(*index);
   test_far_from_the_origin_nothing_is_missed();
   test_four_at_once_are_four_alone();
   return alula_failures == 0 ? 0 : 1;

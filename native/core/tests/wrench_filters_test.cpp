@@ -90,10 +90,37 @@ void test_rows_that_are_no_numbers() {
   CHECK(!solves({1, 0, 0, 0}, nan));
 }
 
+void test_shortcuts_give_the_same_bits() {
+  std::mt19937_64 random(11);
+  const auto some = [&](double size) {
+    const auto one = [&] { return size * (static_cast<double>(random() >> 11) * 0x1p-52 - 1); };
+    return geometry::Vec3{one(), one(), one()};
+  };
+  const Quadrotor body = vehicle();
+  const BackupPolicy brake(body, BackupKind::brake), hover(body, BackupKind::hover);
+  int rests = 0;
+  for (int i = 0; i < 2000; ++i) {
+    const double size = i % 2 == 0 ? 1 : 0.03;
+    const State x{some(5), some(0.5 * size), some(2 * size), some(4 * size)};
+    const Wrench u{4.5 + size * some(2).x, some(0.1)};
+    const State fused = body.step(x, u, 0.01),
+                plain = rk4_step(x, 0.01, [&](double, const State& at) { return body.derivative(at, u); });
+    CHECK(std::memcmp(&fused, &plain, sizeof fused) == 0);
+    for (const BackupPolicy* policy : {&brake, &hover}) {
+      const double sway = policy->sway(x);
+      rests += sway <= 0.008;
+      for (const double limit : {0.008, sway, std::nextafter(sway, 0.0), 0.5 * sway, 2 * sway})
+        CHECK(policy->sways_at_most(x, limit) == (sway <= limit));
+    }
+  }
+  CHECK(rests > 20);
+}
+
 }  // namespace
 
 int main() {
   test_rows_that_are_no_numbers();
+  test_shortcuts_give_the_same_bits();
   const auto index = cloud(400);
   for (const BackupKind kind :
        {BackupKind::hover, BackupKind::heading_invariant, BackupKind::brake, BackupKind::cone_escape}) {

@@ -191,23 +191,17 @@ class EllipsoidTree {
         return first.value;
       }
       if ((marked = bits(without)) == 15) return apart;
-      // A convex function: tangents bound it from below where they meet. Touched at the ends, where the segment
-      // passes the middle of the box, and by a secant step.
+      // A convex function: tangents bound it from below where they meet. Touched at the ends and where the segment
+      // passes the middle of the box; a secant step more costs more than the nodes that it saves.
       const Tangent last = tangent(all(1), low, high);
       Floats t = all(0);
       for (std::size_t i = 0; i < 3; ++i) t += (low[i] + high[i]) * d[i];
       t = clamped(all(0.5) * t * per_length2, all(0), all(1));
-      Floats at_left = all(0), at_right = all(1);
-      Tangent left = first, right = last;
-      for (int step = 0; step < 2; ++step) {
-        if (step == 1)
-          t = clamped(at_left - left.slope * (at_right - at_left) / (right.slope - left.slope), at_left, at_right);
-        const Tangent middle = tangent(t, low, high);
-        const Bits falls = middle.slope < all(0);
-        at_left = falls ? t : at_left, at_right = falls ? at_right : t;
-        left.value = falls ? middle.value : left.value, left.slope = falls ? middle.slope : left.slope;
-        right.value = falls ? right.value : middle.value, right.slope = falls ? right.slope : middle.slope;
-      }
+      const Tangent middle = tangent(t, low, high);
+      const Bits falls = middle.slope < all(0);
+      const Floats at_left = falls ? t : all(0), at_right = falls ? all(1) : t;
+      const Tangent left{falls ? middle.value : first.value, falls ? middle.slope : first.slope};
+      const Tangent right{falls ? last.value : middle.value, falls ? last.slope : middle.slope};
       const Floats meet =
           (right.value - left.value + left.slope * at_left - right.slope * at_right) / (left.slope - right.slope);
       // Whichever way `meet` is off, one of them is below where they do.

@@ -5,6 +5,8 @@
 // ellipsoid of the map (not only the nearest, not grown) until it rests. The signed distance of the map is
 // 1-Lipschitz, so a distance at one tick clears all ticks within it by arc length; arc lengths and the sag of the
 // path between ticks are bounded, not sampled.
+// Long stretches are first shown to be clear at once: the distance of a point to a chord is convex, so no part of the
+// path leaves a chord by more than its ticks and their sag do.
 //
 // An input is returned when the state after one tick of it has a safe manoeuvre. Then the next tick has at least
 // that manoeuvre, so by induction a flight that starts with one never comes closer than the radius in the
