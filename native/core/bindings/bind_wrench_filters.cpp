@@ -86,7 +86,8 @@ void bind_shield(nb::module_& m) {
       .def_ro("rest_speed_m_s", &ShieldOptions::rest_speed_m_s)
       .def_ro("rest_rate_rad_s", &ShieldOptions::rest_rate_rad_s)
       .def_ro("rest_tilt_rad", &ShieldOptions::rest_tilt_rad)
-      .def_ro("rest_drift_m", &ShieldOptions::rest_drift_m);
+      .def_ro("rest_drift_m", &ShieldOptions::rest_drift_m)
+      .def_ro("motor_time_constant_s", &ShieldOptions::motor_time_constant_s);
 
   nb::class_<Shield>(m, "Shield", "Checks that a safe manoeuvre to rest is known: alula/shield.hpp.")
       .def(
