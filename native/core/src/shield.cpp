@@ -24,6 +24,7 @@ constexpr double kTurn = 0.1;        // and [rad]
 constexpr int kSweeps = 8;           // chords tried before the path is looked at tick by tick
 constexpr double kTurnPerTick = 1;   // more than that and holding an input for a tick means nothing
 constexpr double kSameSpeed = 0.05;  // of two contacts [m/s]
+constexpr double kNearer = 1e-9;     // in a tick: less is no approach [m]
 
 // Whether a beats b when neither is safe.
 bool is_less_bad(const Certificate& a, const Certificate& b) {
@@ -324,6 +325,14 @@ bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& man
   return safe;
 }
 
+// Whether no tick of u and of resting after it is nearer than now: what `is_safe_after` lets slip would add up.
+bool Shield::comes_no_nearer(const State& x, const Wrench& u) {
+  if (!is_safe_after(x, u, stop(), -options_.margin_m)) return false;
+  const double here = index_->clearance(x.p, index_->radius() + options_.margin_m, hint_);
+  return std::all_of(path_.begin(), path_.end(),
+                     [&](const Tick& tick) { return index_->clearance(tick.p, here, hint_) >= here - kNearer; });
+}
+
 // Whether resting, or else the committed manoeuvre, is safe after a tick of u; it becomes `next_`.
 bool Shield::accept(const State& x, const Wrench& u) {
   const double kept = options_.margin_m / 2;
@@ -407,7 +416,7 @@ bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus a
   settle(x, near, report);
   is_planned_ = false;
   // Inside the margin that is kept nothing is safe, resting neither; what comes no nearer than now lets it leave.
-  if (!report.certified && is_safe_after(x, candidate, stop(), -options_.margin_m)) {
+  if (!report.certified && comes_no_nearer(x, candidate)) {
     report.wrench = candidate, committed_ = stop();
     return true;
   }

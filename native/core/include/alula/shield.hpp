@@ -117,6 +117,7 @@ class Shield {
   // What stops the vehicle: the gentle policy, but with lag it overshoots its tilt and speeds up at first.
   Manoeuvre stop() const { return {.hold = {}, .ticks = 0, .is_urgent = lags()}; }
   bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept);
+  bool comes_no_nearer(const State& x, const Wrench& u);
   bool accept(const State& x, const Wrench& u);
   bool accept_escaping(const State& x, const Wrench& u, std::span<const Found> near);
   void settle(const State& x, std::span<const Found> near, FilterReport& report);
