@@ -67,7 +67,7 @@ Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex>
 
 int Shield::hold_ticks() const { return static_cast<int>(std::lround(options_.escape_time_s / options_.tick_s)); }
 
-void Shield::reset() { committed_ = {}, hint_ = 0, is_planned_ = false, rotors_ = hovering_; }
+void Shield::reset() { committed_ = {}, hint_ = 0, is_committed_ = is_planned_ = false, rotors_ = hovering_; }
 
 // A tick of rotors that are led to u.
 State Shield::following(const State& x, Vec4& rotors, const Wrench& u) const {
@@ -367,8 +367,12 @@ bool Shield::choose(const State& x, std::span<const Found> near) {
     }
   }
   const Manoeuvre gentle, urgent{.hold = {}, .ticks = 0, .is_urgent = true};
-  for (const Manoeuvre& manoeuvre : {stop(), lags() ? gentle : urgent})
-    if (is_safe(x, manoeuvre, kept)) return chosen_ = manoeuvre, true;
+  // Half the margin is for what is flown already: another that rests so near would drift out of it.
+  const Manoeuvre& same = committed_.is_urgent ? urgent : gentle;
+  if (is_committed_ && is_safe(x, same, kept)) return chosen_ = same, true;
+  for (const double margin : {options_.margin_m, kept})
+    for (const Manoeuvre& manoeuvre : {stop(), lags() ? gentle : urgent})
+      if (is_safe(x, manoeuvre, margin)) return chosen_ = manoeuvre, true;
   chosen_ = urgent;
   Certificate best = certify(x, chosen_, 0, nullptr, true);
   const auto try_one = [&](const Manoeuvre& manoeuvre) {
@@ -401,7 +405,7 @@ void Shield::fall_back(const State& x, std::span<const Found> near, FilterReport
   has_escapes_ = has_escapes_ && is_planned_;
   settle(x, near, report);
   committed_ = rest_of(chosen_);
-  is_planned_ = false;
+  is_committed_ = report.certified, is_planned_ = false;
 }
 
 bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus accepted, std::span<const Found> near,
@@ -410,11 +414,11 @@ bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus a
   if (accept_escaping(x, candidate, near)) {
     report.wrench = candidate, report.status = accepted, report.certified = true;
     committed_ = next_;
-    is_planned_ = false;
+    is_committed_ = true, is_planned_ = false;
     return true;
   }
   settle(x, near, report);
-  is_planned_ = false;
+  is_committed_ = report.certified, is_planned_ = false;
   // Inside the margin that is kept nothing is safe, resting neither; what comes no nearer than now lets it leave.
   if (!report.certified && comes_no_nearer(x, candidate)) {
     report.wrench = candidate, committed_ = stop();

@@ -135,6 +135,7 @@ class Shield {
   Manoeuvre committed_, chosen_, next_;  // last accepted; to fly now; after the input just accepted
   Escapes escapes_;
   bool has_escapes_ = false, is_planned_ = false, is_chosen_safe_ = false;
+  bool is_committed_ = false;  // and was safe
 };
 
 }  // namespace alula::flight
