@@ -2,7 +2,15 @@
 
 import numpy as np
 import pytest
-from wrench_flight import RADIUS, empty_scene, random_scene, wall_scene
+from wrench_flight import (
+    RADIUS,
+    Scene,
+    admissible_start,
+    attitude_controlled,
+    empty_scene,
+    random_scene,
+    wall_scene,
+)
 
 from alula import _core
 from alula.schemas.vehicle import FASTBRIDGE
@@ -148,6 +156,26 @@ def test_rotors_on_their_way_count_with_lag():
     assert not shield.certify(x)["safe"]
     shield.see(hovering_rotors().tolist())
     assert shield.certify(x)["safe"]
+
+
+def test_a_flight_does_not_begin_with_a_manoeuvre_that_drifts_out_of_half_the_margin():
+    """The gentle one keeps the whole margin here; the urgent one half of it at its rest, and less later."""
+    rng, lag = np.random.default_rng(1000399), 0.005
+    scene = Scene(rng.uniform(-3, 3, (100, 3)), rng.uniform(0.001, 0.5, (100, 3)), rng.normal(size=(100, 4)))
+    shield = lagging_shield(scene, lag)
+    x, direction = admissible_start(rng, shield), rng.normal(size=3)
+    options = _core.ShieldOptions(motor_time_constant_s=lag)
+    flown = _core.ConeBackup(_core.BackupPolicy(BODY, "brake"), scene.index, shield_options=options)
+    predictor = _core.StatePredictor(BODY, _core.ActuatorModel(motor_time_constant_s=lag), tick_s=0.01)
+    for tick in range(100):
+        wish = (14 if tick // 25 % 2 else -14) * direction / np.linalg.norm(direction)
+        rotors = list(predictor.rotors)
+        wrench = tuple(attitude_controlled(BODY, x, wish))
+        report = flown.filter(x, (0, 0, 0), wrench=wrench, thrust=BODY.hover_thrust, rotors=rotors)
+        assert report["certified"]
+        shield.see(rotors)
+        x = np.array(shield.after(x, tuple(report["wrench"])))
+        predictor.fly(np.array(predictor.lead(np.array(report["wrench"]))))
 
 
 def test_a_policy_too_quick_for_the_tick_is_refused_with_lag_too():

@@ -362,6 +362,19 @@ def test_the_wish_fades_into_the_nominal_input_which_then_comes_back_bit_by_bit(
     assert 50 < sum(report["status"] == FILTERED for report in after) < 150
 
 
+@pytest.mark.parametrize("broken", [1e2, 1e6, 1e200, 1.7e308])
+def test_one_broken_error_does_not_stiffen_the_wish_for_good(broken):
+    """The speed of the reference follows from it, and with that the poles of the wish, while it is held."""
+    answers = []
+    for error in (0.5, broken):
+        flown, ticks, held, _ = held_then_free()
+        ticks(held, 1)
+        tick(flown, held, (HOVER, 0, 0, 0), velocity_error=(error, -error, 0))
+        answers.append(ticks(held, 1)[0])
+    assert not answers[1]["infeasible"]
+    np.testing.assert_allclose(answers[1]["wrench"], answers[0]["wrench"], rtol=1e-3, atol=1e-4)
+
+
 def test_reset_forgets_that_the_vehicle_was_held_and_a_clone_remembers():
     flown, ticks, held, free = held_then_free()
     ticks(held, 1)

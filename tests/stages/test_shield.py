@@ -370,6 +370,31 @@ def test_a_rest_nearer_than_what_is_kept_can_be_left_too(clearance):
         assert sign > 0 or flight.reports[-1]["certified"]
 
 
+def test_many_slow_ticks_bring_a_vehicle_in_the_margin_no_nearer():
+    """Held between two walls whose rows contradict each other, it is asked to creep into one of them."""
+    clearance = 0.005
+    far = 3 - 2 * (0.02 + RADIUS + clearance)
+    mean = np.array(
+        [[x, y, z] for x in (3, far) for y in np.arange(-3, 3.1, 0.5) for z in np.arange(-3, 3.1, 0.5)]
+    )
+    scene = Scene(mean, np.tile([0.02, 0.5, 0.5], (len(mean), 1)), np.tile([1, 0, 0, 0], (len(mean), 1)))
+    start = moving((0, 0, 0), (3 - 0.02 - RADIUS - clearance, 0, 0))
+    for name in ("ecbf", "backup"):
+        flown = FILTERS[name](_core.BackupPolicy(VEHICLE, "brake"), scene.index)
+        flight = Flight(
+            scene,
+            VEHICLE,
+            flown,
+            start,
+            lambda tick, x: attitude_controlled(
+                VEHICLE, x, 3 * (np.array([0.01, 0, 0]) - x[6:9]) - [0, 0, 2 * x[2]]
+            ),
+            200,
+        )
+        assert flight.count(RECOVERING) == 200
+        assert flight.clearance >= clearance - 1e-3
+
+
 def test_a_rest_inside_the_margin_can_be_left_but_not_towards_the_wall():
     """Where a last drift ends no path keeps the whole margin; what flies away is accepted all the same."""
     scene = wall_scene()

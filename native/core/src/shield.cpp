@@ -24,6 +24,7 @@ constexpr double kTurn = 0.1;        // and [rad]
 constexpr int kSweeps = 8;           // chords tried before the path is looked at tick by tick
 constexpr double kTurnPerTick = 1;   // more than that and holding an input for a tick means nothing
 constexpr double kSameSpeed = 0.05;  // of two contacts [m/s]
+constexpr double kNearer = 1e-9;     // in a tick: less is no approach [m]
 
 // Whether a beats b when neither is safe.
 bool is_less_bad(const Certificate& a, const Certificate& b) {
@@ -66,7 +67,7 @@ Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex>
 
 int Shield::hold_ticks() const { return static_cast<int>(std::lround(options_.escape_time_s / options_.tick_s)); }
 
-void Shield::reset() { committed_ = {}, hint_ = 0, is_planned_ = false, rotors_ = hovering_; }
+void Shield::reset() { committed_ = {}, hint_ = 0, is_committed_ = is_planned_ = false, rotors_ = hovering_; }
 
 // A tick of rotors that are led to u.
 State Shield::following(const State& x, Vec4& rotors, const Wrench& u) const {
@@ -324,6 +325,14 @@ bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& man
   return safe;
 }
 
+// Whether no tick of u and of resting after it is nearer than now: what `is_safe_after` lets slip would add up.
+bool Shield::comes_no_nearer(const State& x, const Wrench& u) {
+  if (!is_safe_after(x, u, stop(), -options_.margin_m)) return false;
+  const double here = index_->clearance(x.p, index_->radius() + options_.margin_m, hint_);
+  return std::all_of(path_.begin(), path_.end(),
+                     [&](const Tick& tick) { return index_->clearance(tick.p, here, hint_) >= here - kNearer; });
+}
+
 // Whether resting, or else the committed manoeuvre, is safe after a tick of u; it becomes `next_`.
 bool Shield::accept(const State& x, const Wrench& u) {
   const double kept = options_.margin_m / 2;
@@ -358,8 +367,12 @@ bool Shield::choose(const State& x, std::span<const Found> near) {
     }
   }
   const Manoeuvre gentle, urgent{.hold = {}, .ticks = 0, .is_urgent = true};
-  for (const Manoeuvre& manoeuvre : {stop(), lags() ? gentle : urgent})
-    if (is_safe(x, manoeuvre, kept)) return chosen_ = manoeuvre, true;
+  // Half the margin is for what is flown already: another that rests so near would drift out of it.
+  const Manoeuvre& same = committed_.is_urgent ? urgent : gentle;
+  if (is_committed_ && is_safe(x, same, kept)) return chosen_ = same, true;
+  for (const double margin : {options_.margin_m, kept})
+    for (const Manoeuvre& manoeuvre : {stop(), lags() ? gentle : urgent})
+      if (is_safe(x, manoeuvre, margin)) return chosen_ = manoeuvre, true;
   chosen_ = urgent;
   Certificate best = certify(x, chosen_, 0, nullptr, true);
   const auto try_one = [&](const Manoeuvre& manoeuvre) {
@@ -392,7 +405,7 @@ void Shield::fall_back(const State& x, std::span<const Found> near, FilterReport
   has_escapes_ = has_escapes_ && is_planned_;
   settle(x, near, report);
   committed_ = rest_of(chosen_);
-  is_planned_ = false;
+  is_committed_ = report.certified, is_planned_ = false;
 }
 
 bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus accepted, std::span<const Found> near,
@@ -401,13 +414,13 @@ bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus a
   if (accept_escaping(x, candidate, near)) {
     report.wrench = candidate, report.status = accepted, report.certified = true;
     committed_ = next_;
-    is_planned_ = false;
+    is_committed_ = true, is_planned_ = false;
     return true;
   }
   settle(x, near, report);
-  is_planned_ = false;
+  is_committed_ = report.certified, is_planned_ = false;
   // Inside the margin that is kept nothing is safe, resting neither; what comes no nearer than now lets it leave.
-  if (!report.certified && is_safe_after(x, candidate, stop(), -options_.margin_m)) {
+  if (!report.certified && comes_no_nearer(x, candidate)) {
     report.wrench = candidate, committed_ = stop();
     return true;
   }

@@ -10,6 +10,7 @@ namespace {
 constexpr double kMost = 8;             // of a* where cones ask for more [m/s^2]
 constexpr double kReturnsPerTime = 2;   // rate of a row with h < 0 times the time to its ellipsoid,
 constexpr double kMostReturnRate = 20;  // and the most of it [1/s]
+constexpr double kMostSpeedUp = 20;     // of a reference beside the vehicle, for its speed to count [m/s^2]
 
 Vec3 at_most(Vec3 v, double length) {
   const double norm = geometry::norm(v);
@@ -35,7 +36,7 @@ double SmoothWish::pole() const { return options_.release_rad_s * std::exp(optio
 bool SmoothWish::is_releasing() const { return is_on() && pole() < options_.wish_attitude_rad_s; }
 
 void SmoothWish::start(double dt) {
-  since_ += dt;
+  since_ += dt, dt_ = dt;
   program_.start({});
 }
 
@@ -49,9 +50,12 @@ void SmoothWish::add(const Cone& c, bool on_gamma, std::uint32_t item) {
 
 Vec3 SmoothWish::snap(const SnapMap& map, Vec3 v, const Nominal& nominal) {
   const SmoothWishOptions& o = options_;
-  top_speed_ = std::max(top_speed_, geometry::norm(v - nominal.velocity_error));
-  const double faster = std::max(1.0, top_speed_ / o.wish_speed_m_s), haste = faster * std::sqrt(faster);
-  const double p1 = is_releasing() ? pole() : o.release_rad_s, p2 = o.wish_attitude_rad_s,
+  // One broken error must not leave the wish stiff for the rest of a flight.
+  const double speed = std::max(top_speed_, geometry::norm(v)) + kMostSpeedUp * dt_;
+  top_speed_ = std::max(top_speed_, std::min(speed, geometry::norm(v - nominal.velocity_error)));
+  const double p1 = is_releasing() ? pole() : o.release_rad_s, p2 = o.wish_attitude_rad_s;
+  const double faster = std::max(1.0, top_speed_ / o.wish_speed_m_s),
+               most = std::max(1.0, p2 / o.wish_position_rad_s), haste = std::min(faster * std::sqrt(faster), most),
                q = haste * o.wish_position_rad_s;
   const double c2 = p1 * p2 + 2 * q * (p1 + p2) + q * q, c1 = 2 * q * p1 * p2 + q * q * (p1 + p2),
                c0 = q * q * p1 * p2;

@@ -117,6 +117,7 @@ class Shield {
   // What stops the vehicle: the gentle policy, but with lag it overshoots its tilt and speeds up at first.
   Manoeuvre stop() const { return {.hold = {}, .ticks = 0, .is_urgent = lags()}; }
   bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept);
+  bool comes_no_nearer(const State& x, const Wrench& u);
   bool accept(const State& x, const Wrench& u);
   bool accept_escaping(const State& x, const Wrench& u, std::span<const Found> near);
   void settle(const State& x, std::span<const Found> near, FilterReport& report);
@@ -134,6 +135,7 @@ class Shield {
   Manoeuvre committed_, chosen_, next_;  // last accepted; to fly now; after the input just accepted
   Escapes escapes_;
   bool has_escapes_ = false, is_planned_ = false, is_chosen_safe_ = false;
+  bool is_committed_ = false;  // and was safe
 };
 
 }  // namespace alula::flight

@@ -53,6 +53,7 @@ class SmoothWish {
   SmoothWishOptions options_;
   AccelerationProgram program_;
   double since_ = kLongAgo;  // it was held [s]
+  double dt_ = 0;            // a tick [s]
   double top_speed_ = 0;     // of the reference while it was held
 };
 
