@@ -884,6 +884,9 @@ class ShieldOptions:
     @property
     def rest_drift_m(self) -> float: ...
 
+    @property
+    def motor_time_constant_s(self) -> float: ...
+
 class Shield:
     """Checks that a safe manoeuvre to rest is known: alula/shield.hpp."""
 
