@@ -17,6 +17,16 @@ def tick(flown, x, wrench, thrust=HOVER, thrust_rate=0.0, **nominal):
     return flown.filter(x, (0, 0, 0), wrench=tuple(wrench), thrust=thrust, thrust_rate=thrust_rate, **nominal)
 
 
+def shield_of(scene, kind="brake", **options):
+    """A shield of the test vehicle."""
+    return _core.Shield(_core.BackupPolicy(VEHICLE, kind), scene.index, _core.ShieldOptions(**options))
+
+
+def moving(v, p=(0, 0, 0)):
+    """A level state."""
+    return np.array([*p, 0, 0, 0, *v, 0, 0, 0], float)
+
+
 def random_case(rng, count):
     """A scene of so many Gaussians, a state among them, and a wrench to ask for."""
     scene = random_scene(rng, count, size=2.5)
