@@ -58,21 +58,21 @@ typedef struct {
   /* sliding-mode differentiator; the envelope starts at `start`, forgets at `forget` and ends at `cap` */
   float l1, l2, settle_s, envelope_start, envelope_cap, envelope_forget;
   /* warning */
-  int distributional;        /* 0: the simple trigger */
-  float tail;                /* beta */
-  float wasserstein;         /* eps [m] */
-  float obstacle_braking;    /* a_i in D_dyn [m/s^2]; 0 is conservative */
-  float simple_quantile;     /* of the simple trigger */
+  int distributional;     /* 0: the simple trigger */
+  float tail;             /* beta */
+  float wasserstein;      /* eps [m] */
+  float obstacle_braking; /* a_i in D_dyn [m/s^2]; 0 is conservative */
+  float simple_quantile;  /* of the simple trigger */
   /* manoeuvre */
-  float clearance_m;         /* d_cl */
-  float hold_s;              /* t_hd */
-  float kp, kd;              /* of the way to the bypass point [1/s^2, 1/s] */
-  float reach_m;             /* to it: there */
+  float clearance_m; /* d_cl */
+  float hold_s;      /* t_hd */
+  float kp, kd;      /* of the way to the bypass point [1/s^2, 1/s] */
+  float reach_m;     /* to it: there */
   float longest_avoid_s;
-  float improvement;         /* share by which another direction must be better */
-  float stop_s, brake;       /* t_s, k_s */
+  float improvement;   /* share by which another direction must be better */
+  float stop_s, brake; /* t_s, k_s */
   float stopped_m_s;
-  float wall_room_m;         /* kept by bypass points from walls beyond the vehicle's radius */
+  float wall_room_m; /* kept by bypass points from walls beyond the vehicle's radius */
 } alula_avoidance_config;
 
 /* The defaults of the source, and of the specification where it says nothing. */
@@ -115,10 +115,10 @@ typedef struct {
 } alula_avoidance;
 
 typedef struct {
-  float wished[3];   /* what to fly if no barrier forbids: the nominal, or of the manoeuvre */
-  int warned;        /* in this tick */
-  float risk_m;      /* the largest CVaR, -FLT_MAX without obstacles */
-  uint32_t urgent;   /* index of the track with the largest v_cl / d; ALULA_NO_OBSTACLE */
+  float wished[3]; /* what to fly if no barrier forbids: the nominal, or of the manoeuvre */
+  int warned;      /* in this tick */
+  float risk_m;    /* the largest CVaR, -FLT_MAX without obstacles */
+  uint32_t urgent; /* index of the track with the largest v_cl / d; ALULA_NO_OBSTACLE */
   alula_avoidance_mode mode;
 } alula_guidance;
 

@@ -36,19 +36,19 @@ typedef enum { ALULA_SOLVER_EXACT = 0, ALULA_SOLVER_GAUSS_SOUTHWELL } alula_dr_a
 
 typedef struct {
   alula_avoidance_config avoidance;
-  float v_max, j_max;       /* of the vehicle, in R_eff [m/s, m/s^3] */
-  float h_min_s;            /* the longest is that of `avoidance` */
-  uint32_t horizons;        /* searched, evenly spaced */
-  float risk;               /* alpha_total */
-  float warned_risk;        /* factor of it in the tick that enters a manoeuvre, with the longest horizon */
+  float v_max, j_max; /* of the vehicle, in R_eff [m/s, m/s^3] */
+  float h_min_s;      /* the longest is that of `avoidance` */
+  uint32_t horizons;  /* searched, evenly spaced */
+  float risk;         /* alpha_total */
+  float warned_risk;  /* factor of it in the tick that enters a manoeuvre, with the longest horizon */
   alula_dr_acbf_solver solver;
-  uint32_t iterations;      /* of Gauss-Southwell */
-  float relaxation;         /* its omega */
-  float tolerance;          /* of rows, beyond which the command counts as a fallback [m/s^2] */
-  uint32_t failing_ticks;   /* before braking and descending */
+  uint32_t iterations;    /* of Gauss-Southwell */
+  float relaxation;       /* its omega */
+  float tolerance;        /* of rows, beyond which the command counts as a fallback [m/s^2] */
+  uint32_t failing_ticks; /* before braking and descending */
   float descent_m_s;
-  int rows_before_warning;  /* 0, as printed: rows bind only in a manoeuvre. UNSAFE when the warning is late. */
-  float wall_deceleration;  /* a_w [m/s^2], below a_max */
+  int rows_before_warning; /* 0, as printed: rows bind only in a manoeuvre. UNSAFE when the warning is late. */
+  float wall_deceleration; /* a_w [m/s^2], below a_max */
 } alula_dr_acbf_config;
 
 alula_dr_acbf_config alula_dr_acbf_defaults(void);
@@ -56,19 +56,19 @@ alula_dr_acbf_config alula_dr_acbf_defaults(void);
 typedef struct {
   alula_dr_acbf_config config;
   alula_avoidance avoidance;
-  uint32_t failing;                                 /* ticks in a row */
+  uint32_t failing; /* ticks in a row */
   alula_half_space row[ALULA_OBSTACLES + ALULA_WALLS];
   uint32_t row_count;
 } alula_dr_acbf;
 
 typedef struct {
-  float a[3];             /* to fly; in the box in all cases but REFUSED, where it is 0 and must not be flown */
+  float a[3]; /* to fly; in the box in all cases but REFUSED, where it is 0 and must not be flown */
   alula_guidance guidance;
-  float horizon_s;        /* of the rows */
-  int feasible;           /* the rows and the box had a common point at some horizon */
+  float horizon_s; /* of the rows */
+  int feasible;    /* the rows and the box had a common point at some horizon */
   uint32_t rows, iterations;
-  float violation;        /* of the rows by a, -FLT_MAX without rows [m/s^2] */
-  uint32_t failing;       /* ticks in a row without a feasible horizon */
+  float violation;  /* of the rows by a, -FLT_MAX without rows [m/s^2] */
+  uint32_t failing; /* ticks in a row without a feasible horizon */
 } alula_dr_acbf_result;
 
 ALULA_MUST_USE alula_status alula_dr_acbf_init(alula_dr_acbf* filter, const alula_dr_acbf_config* config);
@@ -82,7 +82,8 @@ ALULA_MUST_USE alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, c
                                                         const float nominal[3], alula_dr_acbf_result* result);
 
 /* The parts of a row, for what is compared with it. */
-float alula_effective_clearance(const alula_dr_acbf_config* config, const alula_encounter* encounter, float horizon_s);
+float alula_effective_clearance(const alula_dr_acbf_config* config, const alula_encounter* encounter,
+                                float horizon_s);
 float alula_row_bound(const alula_dr_acbf_config* config, const alula_encounter* encounter, float horizon_s,
                       float lambda);
 float alula_cantelli(float alpha);

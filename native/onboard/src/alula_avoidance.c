@@ -24,23 +24,60 @@ static float variance(const float c[6], const float x[3]) {
 }
 
 alula_avoidance_config alula_avoidance_defaults(void) {
-  const alula_avoidance_config config = {
-      .dt_s = 0.01F, .radius_m = 0.15F, .a_max = 6.0F, .range_m = 40.0F, .latency_s = 0.02F, .h_max_s = 0.4F,
-      .l1 = 3.0F, .l2 = 3.0F, .settle_s = 0.3F, .envelope_start = 1.0F, .envelope_cap = 4.0F,
-      .envelope_forget = 0.5F, .distributional = 1, .tail = 0.05F, .wasserstein = 0.05F, .obstacle_braking = 6.0F,
-      .simple_quantile = 1.645F, .clearance_m = 1.0F, .hold_s = 0.2F, .kp = 60.0F, .kd = 14.0F, .reach_m = 0.15F,
-      .longest_avoid_s = 1.2F, .improvement = 0.2F, .stop_s = 0.5F, .brake = 1.0F, .stopped_m_s = 0.3F,
-      .wall_room_m = 0.1F};
+  const alula_avoidance_config config = {.dt_s = 0.01F,
+                                         .radius_m = 0.15F,
+                                         .a_max = 6.0F,
+                                         .range_m = 40.0F,
+                                         .latency_s = 0.02F,
+                                         .h_max_s = 0.4F,
+                                         .l1 = 3.0F,
+                                         .l2 = 3.0F,
+                                         .settle_s = 0.3F,
+                                         .envelope_start = 1.0F,
+                                         .envelope_cap = 4.0F,
+                                         .envelope_forget = 0.5F,
+                                         .distributional = 1,
+                                         .tail = 0.05F,
+                                         .wasserstein = 0.05F,
+                                         .obstacle_braking = 6.0F,
+                                         .simple_quantile = 1.645F,
+                                         .clearance_m = 1.0F,
+                                         .hold_s = 0.2F,
+                                         .kp = 60.0F,
+                                         .kd = 14.0F,
+                                         .reach_m = 0.15F,
+                                         .longest_avoid_s = 1.2F,
+                                         .improvement = 0.2F,
+                                         .stop_s = 0.5F,
+                                         .brake = 1.0F,
+                                         .stopped_m_s = 0.3F,
+                                         .wall_room_m = 0.1F};
   return config;
 }
 
 alula_status alula_avoidance_init(alula_avoidance* avoidance, const alula_avoidance_config* config) {
   if (!avoidance || !config) return ALULA_BAD_POINTER;
   const alula_avoidance_config* c = config;
-  const float not_negative[] = {c->radius_m, c->latency_s, c->l1, c->l2, c->settle_s, c->envelope_start,
-                                c->envelope_forget, c->wasserstein, c->obstacle_braking, c->simple_quantile,
-                                c->clearance_m, c->hold_s, c->kp, c->kd, c->reach_m, c->longest_avoid_s,
-                                c->improvement, c->brake, c->stopped_m_s, c->wall_room_m};
+  const float not_negative[] = {c->radius_m,
+                                c->latency_s,
+                                c->l1,
+                                c->l2,
+                                c->settle_s,
+                                c->envelope_start,
+                                c->envelope_forget,
+                                c->wasserstein,
+                                c->obstacle_braking,
+                                c->simple_quantile,
+                                c->clearance_m,
+                                c->hold_s,
+                                c->kp,
+                                c->kd,
+                                c->reach_m,
+                                c->longest_avoid_s,
+                                c->improvement,
+                                c->brake,
+                                c->stopped_m_s,
+                                c->wall_room_m};
   const float positive[] = {c->dt_s, c->a_max, c->range_m, c->h_max_s, c->tail, c->stop_s};
   for (uint32_t i = 0; i < sizeof not_negative / sizeof *not_negative; ++i)
     if (!(not_negative[i] >= 0.0F && not_negative[i] < 1.0e6F)) return ALULA_BAD_PARAMETER;
@@ -223,7 +260,8 @@ static float needed_shift(const alula_avoidance_config* config, const float p[3]
   return shift;
 }
 
-/* Score of a direction: the acceleration it takes past all active obstacles; `shift` is how far. Behind a wall: large.*/
+/* Score of a direction: the acceleration it takes past all active obstacles; `shift` is how far. Behind a wall:
+ * large.*/
 static float score_of(const alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track,
                       const alula_wall* wall, uint32_t wall_count, const float c[3], float* shift) {
   float score = 0.0F;

@@ -11,8 +11,8 @@ static float norm(const float a[3]) { return __builtin_sqrtf(dot(a, a)); }
 static float normal_quantile(float u) {
   const float tail = u < 0.5F ? u : 1.0F - u;
   const float t = __builtin_sqrtf(-2.0F * alula_logf(tail));
-  const float z = t - (2.515517F + t * (0.802853F + t * 0.010328F)) /
-                          (1.0F + t * (1.432788F + t * (0.189269F + t * 0.001308F)));
+  const float z =
+      t - (2.515517F + t * (0.802853F + t * 0.010328F)) / (1.0F + t * (1.432788F + t * (0.189269F + t * 0.001308F)));
   return u < 0.5F ? -z : z;
 }
 

@@ -102,8 +102,7 @@ static int exchange(const constraints* c, uint32_t added, const float a0[3], flo
     float x[3] = {a0[0], a0[1], a0[2]};
     for (uint32_t i = 0; i < n; ++i)
       for (int k = 0; k < 3; ++k) x[k] -= mu[i] * active[i].normal[k];
-    for (uint32_t i = 0; i < old && good; ++i)
-      good = dot(h[i].normal, x) - h[i].bound <= ALULA_HALF_SPACE_TOLERANCE;
+    for (uint32_t i = 0; i < old && good; ++i) good = dot(h[i].normal, x) - h[i].bound <= ALULA_HALF_SPACE_TOLERANCE;
     if (!good) continue;
     for (int k = 0; k < 3; ++k) a[k] = x[k];
     for (uint32_t i = 0; i < n; ++i) basis[i] = which[i];
