@@ -14,8 +14,8 @@ namespace alula::flight {
 
 // A position, with a covariance; of the velocity the component along `los` is measured too if `has_doppler`.
 struct Detection {
-  geometry::Vec3 position;  // world frame [m]
-  Mat3 covariance;          // [m^2]
+  geometry::Vec3 position;    // world frame [m]
+  geometry::Mat3 covariance;  // [m^2]
   bool has_doppler = false;
   geometry::Vec3 los;     // from the sensor
   double range_rate = 0;  // of the obstacle along it, the sensor's own motion taken out [m/s]
