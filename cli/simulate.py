@@ -27,6 +27,7 @@ Examples:
   alula simulate room.cover.npz -o room.run.mcap --trials 100 --radius 0.1
   alula simulate loop.plan.npz --map room.cover.npz --scene room.scene.npz -o loop.run.mcap
   alula simulate room.scene.npz -o fast.run.mcap --filter cone-backup --speed 3 --set horizon_s=2
+  alula simulate two.toml -o two.run.mcap --trials 3000 --set clearance_m=3
   alula simulate room.scene.npz -o bent.run.mcap --filter cone-ecbf --guide cone-di --pairs blocked
 """
 
@@ -56,7 +57,13 @@ _GUIDE = "guide."  # before the name of a parameter of the guide
     "settings",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Parameter of a filter among ellipsoids, guide.NAME=VALUE of its guide; may be repeated.",
+    help="Parameter of a filter among ellipsoids or moving obstacles, guide.NAME=VALUE of its guide; may be "
+    "repeated.",
+)
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Send trials among moving obstacles to this dask.distributed scheduler, tcp://host:port.",
 )
 @options.from_config(SimulateConfig)
 @options.output(".run.mcap")
@@ -68,6 +75,7 @@ def command(
     scene_path: Path | None,
     vehicle_path: Path | None,
     settings: tuple[str, ...],
+    scheduler: str | None,
     config: SimulateConfig,
     common: options.Common,
 ) -> None:
@@ -76,15 +84,27 @@ def command(
     SOURCE is a scenario (.toml), a plan with --map, or a cover or a scene, in which random pairs are flown.
     Among the hulls of a cover flies a point with velocities as input (none, polytope-cbf); among the
     ellipsoids of a scene a quadrotor with rotors (none, cone-di, cone-ecbf, cone-backup, safer-splat).
-    Options given here replace those of the scenario. Beside R.run.mcap, R.run.json holds the same
+    Options given here replace those of the scenario. A scenario with [[obstacles]] has moving ones
+    (none, dr-acbf, dr-acbf-qp, mpc, cbf-qp, rp-cbf): --set replaces any of its keys, as in
+    --set sensor.rate_hz=40, or a parameter of the filter; --trials of them are flown, an interrupted run
+    leaves OUTPUT.journal, and the same command again continues from it. Beside R.run.mcap, R.run.json holds the same
     summary and the measured times. Exit code 4: a filtered flight collided with its map.
     """
     from alula.schemas.artifact import read_artifact
+    from alula.schemas.encounters import is_encounters
     from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.run import RUN_SCHEMA, RUN_SUFFIX, RUN_VERSION, read_run
 
     if not common.output.name.endswith(".mcap"):
         raise UsageError(f"{common.output}: the output must end in .mcap (usually {RUN_SUFFIX})")
+    if source.suffix == ".toml" and is_encounters(source):
+        from alula.cli.encounters import simulate_encounters
+
+        changes = dict(_setting(word) for word in settings)
+        simulate_encounters(context, source, map_path, config, changes, scheduler, common)
+        return
+    if scheduler is not None:
+        raise UsageError("--scheduler is for scenarios with moving obstacles")
     paths = _inputs(source, map_path, scene_path, vehicle_path)
     config, given = _configured(context, source, config, common.seed, settings)
     splat = _is_among_ellipsoids(config.filter, paths)
