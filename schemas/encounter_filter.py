@@ -20,10 +20,8 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class MpcTable(_Table, frozen=True, kw_only=True):
-    """Of `mpc`: a horizon of steps, some moves, then held."""
+    """Of `mpc`: a horizon of 20 steps, three moves."""
 
-    horizon: Count = 20
-    moves: Count = 3
     step_s: Positive = 0.02
     velocity_weight: NotNegative = 0.01
     input_weight: NotNegative = 0.001
@@ -42,12 +40,16 @@ class RpCbfTable(_Table, frozen=True, kw_only=True):
 
     horizon_s: Positive = 3.0
     step_s: Positive = 0.1
+    hold_s: Positive = 0.5
     alpha: Positive = 1.0
     samples: Count = 32
 
 
 class FilterParameters(_Table, frozen=True, kw_only=True):
-    """What all filters share, the warning and the manoeuvre; then what the rows of DR-ACBF are made with."""
+    """What all filters share, the warning and the manoeuvre; then what the rows of DR-ACBF are made with.
+
+    `wall_deceleration_m_s2` is by default two thirds of the vehicle's largest acceleration.
+    """
 
     range_m: Positive = 40.0
     latency_s: NotNegative = 0.02
@@ -86,7 +88,7 @@ class FilterParameters(_Table, frozen=True, kw_only=True):
     failing_ticks: Annotated[int, msgspec.Meta(ge=0, le=1_000_000)] = 5
     descent_m_s: NotNegative = 0.5
     rows_before_warning: bool = True
-    wall_deceleration_m_s2: Positive = 4.0
+    wall_deceleration_m_s2: Positive | None = None
 
     mpc: MpcTable = MpcTable()
     cbf_qp: CbfQpTable = CbfQpTable()

@@ -128,7 +128,9 @@ def fly_encounters(
     """
     if cover is not None:
         if cover.manifest.unit != "m":
-            raise InputError(f"the cover is in {cover.manifest.unit} units, not metres; run scale-align first")
+            raise InputError(
+                f"the cover is in {cover.manifest.unit} units, not metres; run scale-align first"
+            )
         require_solid_hulls(cover, jobs=jobs)
     walls = static_walls(scenario, cover)
     native_encounter(scenario, None)  # what is wrong is wrong before any work

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, BinaryIO
 
-
 from alula.schemas.artifact import Artifact
 from alula.schemas.kinds import SCENE
 from alula.schemas.run import RunRecord, TrialResult

@@ -28,7 +28,7 @@ Vec3 clipped(Vec3 a, double limit) {
 // Towards standstill along the velocity, no farther.
 Vec3 braking(Vec3 v, double limit, double dt) {
   const double largest = std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)});
-  return -std::min(1 / dt, limit / std::max(largest, 1e-12)) * v;
+  return clipped(-std::min(1 / dt, limit / std::max(largest, 1e-12)) * v, limit);
 }
 
 struct Scan {
