@@ -27,6 +27,7 @@ extern "C" {
 #define ALULA_WALLS 32U
 #endif
 #define ALULA_SAMPLES 64U
+#define ALULA_LARGEST 1.0e6F /* number of an input; its square of a covariance */
 #define ALULA_NO_OBSTACLE 0xFFFFFFFFU
 
 typedef struct {
@@ -127,8 +128,8 @@ ALULA_MUST_USE alula_status alula_avoidance_init(alula_avoidance* avoidance, con
 
 void alula_avoidance_reset(alula_avoidance* avoidance); /* to before the first tick */
 
-/* One tick. ALULA_BAD_INPUT for numbers that are not finite, negative variances or radii, or more obstacles or walls
- * than there is room for; then nothing changes. */
+/* One tick. ALULA_BAD_INPUT for numbers that are not finite or larger than ALULA_LARGEST, negative variances or
+ * radii, equal ids, or more obstacles or walls than there is room for; then nothing changes. */
 ALULA_MUST_USE alula_status alula_avoidance_step(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
                                                  const alula_track* track, uint32_t count, const alula_wall* wall,
                                                  uint32_t wall_count, const float nominal[3],

@@ -17,7 +17,9 @@
 extern "C" {
 #endif
 
-#define ALULA_HALF_SPACE_TOLERANCE 1.0e-4F /* by which a constraint may be missed and counts as held */
+/* Times the limit: by how much rows are narrowed before the projection, so that it holds them as they are, rounding
+ * and all. Thinner sets may be taken for empty, and the point is that much off the nearest at most. */
+#define ALULA_HALF_SPACE_MARGIN 2.0e-5F
 
 typedef struct {
   float normal[3]; /* of length 1 */
@@ -27,7 +29,7 @@ typedef struct {
 typedef struct {
   float a[3];          /* in the box, always */
   float violation;     /* largest n_i . a - b_i, -FLT_MAX without rows */
-  int feasible;        /* all constraints hold within the tolerance */
+  int feasible;        /* all rows hold: violation <= 0 in float; of Gauss-Southwell within the margin */
   uint32_t iterations; /* bounded by ALULA_PROJECTION_STEPS or the argument */
   /* Of the exact projection. Row i, or count + 2 axis + (1 for the upper face): what is active at a; without a
    * solution the constraints, four at most, that no point satisfies together (or too thin a set to tell). */
@@ -37,8 +39,10 @@ typedef struct {
 
 #define ALULA_PROJECTION_STEPS 64U
 
-/* The nearest point. When there is none, `feasible` is 0 and a is the point reached, cut off at the box. Rows and
- * a_0 must be finite, limit positive. Cost: O(count) per step, in practice as many steps as rows are active. */
+/* The nearest point; a_0 itself, bit by bit, when it obeys all. When there is none, `feasible` is 0 and a is the
+ * point reached, cut off at the box. Rows and a_0 must be finite, limit positive; a_0 counts as no farther out than
+ * 16 limits. `feasible` is checked at a, so never wrong. It is 0 for all sets that are empty, and for some without a
+ * ball of radius ALULA_HALF_SPACE_MARGIN * limit. Cost: O(count) per step, about as many steps as rows are active. */
 void alula_project_exact(const alula_half_space* row, uint32_t count, float limit, const float a0[3],
                          alula_projection* result);
 
@@ -46,10 +50,10 @@ void alula_project_exact(const alula_half_space* row, uint32_t count, float limi
 void alula_project_gauss_southwell(const alula_half_space* row, uint32_t count, float limit, float omega,
                                    uint32_t iterations, const float a0[3], alula_projection* result);
 
-/* The point of the box whose largest violation is least, to 2e-5 of what it is at a_0 cut off, and of these the
- * nearest to a_0; `feasible` says whether the rows hold. */
-void alula_project_least_violation(const alula_half_space* row, uint32_t count, float limit, const float a0[3],
-                                   alula_projection* result);
+/* The point of the box that misses the first `soft` rows by the least, to 2 margins, while the others hold; of these
+ * points the nearest to a_0. Where the others contradict each other, all rows count as soft. */
+void alula_project_least_violation(const alula_half_space* row, uint32_t count, uint32_t soft, float limit,
+                                   const float a0[3], alula_projection* result);
 
 #ifdef __cplusplus
 }

@@ -10,9 +10,10 @@ static float norm(const float a[3]) { return __builtin_sqrtf(dot(a, a)); }
 static float clipped(float x, float limit) { return x > limit ? limit : (x < -limit ? -limit : x); }
 static float absolute(float x) { return x < 0.0F ? -x : x; }
 
-static int are_finite(const float* x, uint32_t n) {
+/* False for NaN too. */
+static int are_within(const float* x, uint32_t n, float limit) {
   for (uint32_t i = 0; i < n; ++i)
-    if (!alula_is_finite(x[i])) return 0;
+    if (!(absolute(x[i]) <= limit)) return 0;
   return 1;
 }
 
@@ -109,13 +110,16 @@ void alula_avoidance_reset(alula_avoidance* avoidance) {
 
 static int is_usable(const alula_vehicle_state* vehicle, const alula_track* track, uint32_t count,
                      const alula_wall* wall, uint32_t wall_count, const float nominal[3]) {
+  const float far = ALULA_LARGEST, wide = ALULA_LARGEST * ALULA_LARGEST;
   if (count > ALULA_OBSTACLES || wall_count > ALULA_WALLS) return 0;
-  if (!are_finite(vehicle->position, 3U) || !are_finite(vehicle->velocity, 3U)) return 0;
-  if (!are_finite(vehicle->covariance, 6U) || !are_finite(nominal, 3U)) return 0;
+  if (!are_within(vehicle->position, 3U, far) || !are_within(vehicle->velocity, 3U, far)) return 0;
+  if (!are_within(vehicle->covariance, 6U, wide) || !are_within(nominal, 3U, far)) return 0;
+  if (vehicle->covariance[0] < 0.0F || vehicle->covariance[3] < 0.0F || vehicle->covariance[5] < 0.0F) return 0;
   for (uint32_t i = 0; i < count; ++i) {
     const alula_track* t = track + i;
-    if (!are_finite(t->position, 3U) || !are_finite(t->velocity, 3U) || !are_finite(t->covariance, 21U)) return 0;
-    if (!(t->radius_m >= 0.0F) || !alula_is_finite(t->radius_m)) return 0;
+    if (!are_within(t->position, 3U, far) || !are_within(t->velocity, 3U, far)) return 0;
+    if (!are_within(t->covariance, 21U, wide)) return 0;
+    if (!(t->radius_m >= 0.0F && t->radius_m <= far)) return 0;
     for (uint32_t j = 0, at = 0; j < 6U; at += ++j + 1U)
       if (t->covariance[at] < 0.0F) return 0;
     for (uint32_t j = 0; j < i; ++j)
@@ -123,7 +127,7 @@ static int is_usable(const alula_vehicle_state* vehicle, const alula_track* trac
   }
   for (uint32_t i = 0; i < wall_count; ++i) {
     const float square = dot(wall[i].normal, wall[i].normal);
-    if (!(absolute(square - 1.0F) < 1.0e-3F) || !alula_is_finite(wall[i].distance_m)) return 0;
+    if (!(absolute(square - 1.0F) < 1.0e-3F) || !are_within(&wall[i].distance_m, 1U, far)) return 0;
   }
   return 1;
 }

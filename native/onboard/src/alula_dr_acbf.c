@@ -34,19 +34,22 @@ alula_status alula_dr_acbf_init(alula_dr_acbf* filter, const alula_dr_acbf_confi
       c->h_min_s <= a->h_max_s && c->horizons >= 1U && c->horizons <= ALULA_HORIZONS && c->risk > 1.0e-6F &&
       c->risk < 1.0F && c->warned_risk > 0.0F && c->risk * c->warned_risk > 1.0e-6F && c->warned_risk <= 1.0F &&
       c->relaxation > 0.0F && c->relaxation <= 1.0F && c->iterations <= 1000U &&
-      c->tolerance >= 4.0F * ALULA_HALF_SPACE_TOLERANCE && c->tolerance < 1.0F && c->descent_m_s >= 0.0F &&
+      c->tolerance >= ALULA_HALF_SPACE_MARGIN * a->a_max && c->tolerance < 1.0F && c->descent_m_s >= 0.0F &&
       c->descent_m_s <= c->v_max && c->wall_deceleration > 0.0F && c->wall_deceleration <= a->a_max &&
       (c->solver == ALULA_SOLVER_EXACT || c->solver == ALULA_SOLVER_GAUSS_SOUTHWELL);
   if (!good) return ALULA_BAD_PARAMETER;
   filter->config = *config;
-  filter->failing = 0U;
-  filter->row_count = 0U;
-  return alula_avoidance_init(&filter->avoidance, a);
+  filter->projector = 0;
+  filter->projector_context = 0;
+  const alula_status status = alula_avoidance_init(&filter->avoidance, a);
+  if (status == ALULA_READY) alula_dr_acbf_reset(filter);
+  return status;
 }
 
 void alula_dr_acbf_reset(alula_dr_acbf* filter) {
   filter->failing = 0U;
   filter->row_count = 0U;
+  for (int k = 0; k < 3; ++k) filter->executed[k] = 0.0F;
   alula_avoidance_reset(&filter->avoidance);
 }
 
@@ -84,45 +87,46 @@ void alula_allocate_risk(const alula_encounter* encounter, uint32_t count, float
 
 float alula_dr_acbf_recursive_speed(float a_max, float horizon_s) { return a_max * horizon_s / PEAK; }
 
-/* Rows of walls, which no horizon changes; after those of the obstacles. */
-static void add_walls(alula_dr_acbf* filter, const alula_vehicle_state* vehicle, const alula_wall* wall,
-                      uint32_t count) {
-  const alula_dr_acbf_config* c = &filter->config;
-  const float dt = c->avoidance.dt_s;
-  for (uint32_t i = 0; i < count; ++i) {
-    alula_half_space* row = filter->row + filter->row_count++;
-    for (int k = 0; k < 3; ++k) row->normal[k] = -wall[i].normal[k];
-    const float room = wall[i].distance_m - c->avoidance.radius_m - c->avoidance.wall_room_m;
-    const float stop = room > 0.0F ? __builtin_sqrtf(2.0F * c->wall_deceleration * room) : 0.0F;
-    row->bound = (stop - c->wall_deceleration * dt - dot(row->normal, vehicle->velocity)) / dt;
+void alula_execute(const alula_dr_acbf_config* config, const float command[3], float executed[3]) {
+  const float step = config->j_max * config->avoidance.dt_s;
+  for (int k = 0; k < 3; ++k) {
+    const float change = command[k] - executed[k];
+    executed[k] = step > 0.0F ? executed[k] + clipped(change, step) : command[k];
   }
 }
 
+alula_half_space alula_wall_row(const alula_dr_acbf_config* config, const alula_wall* wall, const float velocity[3],
+                                const float executed[3], const float commanded[3]) {
+  const float brake = config->wall_deceleration;
+  alula_half_space row;
+  for (int k = 0; k < 3; ++k) row.normal[k] = -wall->normal[k];
+  const float doing = dot(row.normal, executed), told = dot(row.normal, commanded);
+  const float a = doing > told ? doing : told;
+  float lag = config->avoidance.latency_s;
+  if (config->j_max > 0.0F && a > -brake) lag += (a + brake) / (2.0F * config->j_max);
+  const float v = dot(row.normal, velocity), v_then = v + a * lag;
+  const float room = wall->distance_m - config->avoidance.radius_m - config->avoidance.wall_room_m;
+  const float x_then = room - 0.5F * (v + v_then) * lag;
+  const float s = x_then > 0.0F ? __builtin_sqrtf(2.0F * brake * x_then) : 0.0F;
+  row.bound = (s - v_then) / (config->avoidance.dt_s + lag) - brake;
+  return row;
+}
+
 /* The rows of the obstacles at one horizon, before those of the walls; the least bound. */
-static float set_bounds(alula_dr_acbf* filter, const float* lambda, float horizon) {
+static float set_bounds(alula_dr_acbf* filter, float horizon) {
   float least = FLT_MAX;
   uint32_t row = 0U;
   for (uint32_t i = 0; i < filter->avoidance.count; ++i) {
     const alula_encounter* m = filter->avoidance.encounter + i;
     if (!m->active) continue;
-    const float bound = alula_row_bound(&filter->config, m, horizon, lambda[i]);
+    const float bound = alula_row_bound(&filter->config, m, horizon, filter->lambda[i]);
     filter->row[row++].bound = bound;
     if (bound < least) least = bound;
   }
   return least;
 }
 
-static void solve(const alula_dr_acbf* filter, const float wished[3], alula_projection* found) {
-  const alula_dr_acbf_config* c = &filter->config;
-  if (c->solver == ALULA_SOLVER_EXACT) {
-    alula_project_exact(filter->row, filter->row_count, c->avoidance.a_max, wished, found);
-  } else {
-    alula_project_gauss_southwell(filter->row, filter->row_count, c->avoidance.a_max, c->relaxation, c->iterations,
-                                  wished, found);
-  }
-}
-
-/* Whether the rows and the box have a common point; `found` is then the exact projection. */
+/* Whether the rows and the box have a common point; `found` is then the nearest to `wished`. */
 static int is_feasible(const alula_dr_acbf* filter, const float wished[3], alula_projection* found) {
   const float limit = filter->config.avoidance.a_max;
   for (uint32_t i = 0; i < filter->row_count; ++i) {
@@ -131,12 +135,16 @@ static int is_feasible(const alula_dr_acbf* filter, const float wished[3], alula
     for (int k = 0; k < 3; ++k) reach += limit * (n[k] < 0.0F ? -n[k] : n[k]);
     if (filter->row[i].bound < -reach) return 0;
   }
-  alula_project_exact(filter->row, filter->row_count, limit, wished, found);
+  if (filter->projector) {
+    filter->projector(filter->projector_context, filter->row, filter->row_count, limit, wished, found);
+  } else {
+    alula_project_exact(filter->row, filter->row_count, limit, wished, found);
+  }
   return found->feasible;
 }
 
 /* The horizon with the largest least bound of those that are feasible, looked at in that order. */
-static int search(alula_dr_acbf* filter, const float* lambda, int longest_only, const float wished[3], float* horizon,
+static int search(alula_dr_acbf* filter, int longest_only, const float wished[3], float* horizon,
                   alula_projection* found) {
   const alula_dr_acbf_config* c = &filter->config;
   const float longest = c->avoidance.h_max_s;
@@ -144,14 +152,14 @@ static int search(alula_dr_acbf* filter, const float* lambda, int longest_only, 
   float at[ALULA_HORIZONS], least[ALULA_HORIZONS];
   for (uint32_t k = 0; k < count; ++k) {
     at[k] = count == 1U ? longest : c->h_min_s + (longest - c->h_min_s) * (float)k / (float)(count - 1U);
-    least[k] = set_bounds(filter, lambda, at[k]);
+    least[k] = set_bounds(filter, at[k]);
   }
   *horizon = longest;
   for (uint32_t tried = 0; tried < count; ++tried) {
     uint32_t best = 0U;
     for (uint32_t k = 1U; k < count; ++k)
       if (least[k] > least[best]) best = k;
-    (void)set_bounds(filter, lambda, at[best]);
+    (void)set_bounds(filter, at[best]);
     if (tried == 0U) *horizon = at[best];
     if (is_feasible(filter, wished, found)) {
       *horizon = at[best];
@@ -159,7 +167,7 @@ static int search(alula_dr_acbf* filter, const float* lambda, int longest_only, 
     }
     least[best] = -FLT_MAX;
   }
-  (void)set_bounds(filter, lambda, *horizon);
+  (void)set_bounds(filter, *horizon);
   return 0;
 }
 
@@ -175,6 +183,15 @@ static void brake_and_descend(const alula_dr_acbf_config* c, const alula_vehicle
   const float reached = c->avoidance.a_max * c->avoidance.dt_s; /* of speed, in a tick */
   const float scale = largest > reached ? c->avoidance.a_max / largest : 1.0F / c->avoidance.dt_s;
   for (int k = 0; k < 3; ++k) wished[k] = clipped(scale * error[k], c->avoidance.a_max);
+}
+
+static float violation_of(const alula_dr_acbf* filter, const float a[3]) {
+  float most = -FLT_MAX;
+  for (uint32_t i = 0; i < filter->row_count; ++i) {
+    const float excess = dot(filter->row[i].normal, a) - filter->row[i].bound;
+    if (!(excess <= most)) most = excess;
+  }
+  return most;
 }
 
 alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehicle_state* vehicle,
@@ -196,34 +213,47 @@ alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehi
   const int enters = guidance->mode == ALULA_AVOID && before != ALULA_AVOID;
   const int binds = c->rows_before_warning || guidance->mode != ALULA_NOMINAL;
 
-  float alpha[ALULA_OBSTACLES];
   filter->row_count = 0U;
   if (binds) {
-    alula_allocate_risk(filter->avoidance.encounter, count, enters ? c->risk * c->warned_risk : c->risk, alpha);
+    float* lambda = filter->lambda;
+    alula_allocate_risk(filter->avoidance.encounter, count, enters ? c->risk * c->warned_risk : c->risk, lambda);
     for (uint32_t i = 0; i < count; ++i) {
       const alula_encounter* m = filter->avoidance.encounter + i;
       if (!m->active) continue;
       alula_half_space* row = filter->row + filter->row_count++;
       for (int k = 0; k < 3; ++k) row->normal[k] = m->los[k];
-      alpha[i] = alula_cantelli(alpha[i]);
+      lambda[i] = alula_cantelli(lambda[i]);
     }
   }
-  const int has_obstacles = filter->row_count > 0U;
-  add_walls(filter, vehicle, wall, wall_count);
+  const uint32_t obstacles = filter->row_count;
+  for (uint32_t i = 0; i < wall_count; ++i) {
+    filter->row[filter->row_count++] =
+        alula_wall_row(c, wall + i, vehicle->velocity, filter->executed, filter->avoidance.command);
+  }
   result->rows = filter->row_count;
 
+  const float limit = c->avoidance.a_max;
   alula_projection found;
   result->horizon_s = c->avoidance.h_max_s;
-  result->feasible = has_obstacles ? search(filter, alpha, enters, guidance->wished, &result->horizon_s, &found)
-                                   : is_feasible(filter, guidance->wished, &found);
-  if (result->feasible && c->solver == ALULA_SOLVER_GAUSS_SOUTHWELL) solve(filter, guidance->wished, &found);
-  if (!result->feasible || found.violation > c->tolerance) {
-    float wished[3] = {guidance->wished[0], guidance->wished[1], guidance->wished[2]};
-    if (filter->failing >= c->failing_ticks) brake_and_descend(c, vehicle, wished);
-    alula_project_least_violation(filter->row, filter->row_count, c->avoidance.a_max, wished, &found);
+  result->feasible = obstacles > 0U ? search(filter, enters, guidance->wished, &result->horizon_s, &found)
+                                    : is_feasible(filter, guidance->wished, &found);
+  if (result->feasible && c->solver == ALULA_SOLVER_GAUSS_SOUTHWELL) {
+    alula_project_gauss_southwell(filter->row, filter->row_count, limit, c->relaxation, c->iterations,
+                                  guidance->wished, &found);
   }
-  const int holds = found.violation <= c->tolerance;
+  int holds = result->feasible && found.violation <= c->tolerance;
+  if (!holds) {
+    alula_project_least_violation(filter->row, filter->row_count, obstacles, limit, guidance->wished, &found);
+    holds = found.violation <= c->tolerance;
+  }
   filter->failing = holds ? 0U : filter->failing + (filter->failing < 1000000U ? 1U : 0U);
+  if (filter->failing > c->failing_ticks) {
+    float wished[3];
+    brake_and_descend(c, vehicle, wished);
+    alula_project_least_violation(filter->row + obstacles, filter->row_count - obstacles, wall_count, limit, wished,
+                                  &found);
+    found.violation = violation_of(filter, found.a);
+  }
   result->failing = filter->failing;
   result->violation = found.violation;
   result->iterations = found.iterations;
@@ -233,6 +263,7 @@ alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehi
     same = same && found.a[k] == nominal[k];
   }
   alula_avoidance_flown(&filter->avoidance, result->a);
+  alula_execute(c, result->a, filter->executed);
   if (!holds) return ALULA_FILTER_RECOVERING;
   return same ? ALULA_FILTER_OK : ALULA_FILTER_FILTERED;
 }

@@ -1,24 +1,40 @@
 #include "alula_half_spaces.h"
 
-#define DEGENERATE 1.0e-6F /* squared sine below which two constraints count as parallel */
-#define BISECTIONS 16      /* of the least violation */
+#define PARALLEL 1.0e-12F /* squared sine below which constraints count as parallel */
+#define FARTHEST 16.0F    /* limits; a_0 is looked for no farther out */
+#define REFINEMENTS 2
+#define RELAXATIONS 24 /* of the least violation */
 
 typedef struct {
   const alula_half_space* row;
-  uint32_t count;
+  uint32_t count, soft; /* the first `soft` rows are relaxed */
   float limit;
-  float relaxed; /* added to the bounds of rows */
+  float tolerance; /* a quarter of what rows are narrowed by: then they hold after rounding and cutting off */
+  float relaxed;
 } constraints;
 
 static float dot(const float a[3], const float b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 static float clipped(float x, float limit) { return x > limit ? limit : (x < -limit ? -limit : x); }
 
+/* a x b. Of nearly parallel vectors with the difference instead, which is exact: a x b = a x (b -+ a). */
+static void cross(const float a[3], const float b[3], float c[3]) {
+  const float sign = dot(a, b) > 0.0F ? -1.0F : 1.0F;
+  const float d[3] = {b[0] + sign * a[0], b[1] + sign * a[1], b[2] + sign * a[2]};
+  c[0] = a[1] * d[2] - a[2] * d[1];
+  c[1] = a[2] * d[0] - a[0] * d[2];
+  c[2] = a[0] * d[1] - a[1] * d[0];
+}
+
+static float bound_of(const constraints* c, uint32_t i) {
+  return c->row[i].bound - 4.0F * c->tolerance + (i < c->soft ? c->relaxed : 0.0F);
+}
+
 static alula_half_space constraint(const constraints* c, uint32_t i) {
   alula_half_space h;
   if (i < c->count) {
     h = c->row[i];
-    h.bound += c->relaxed;
+    h.bound = bound_of(c, i);
     return h;
   }
   const uint32_t face = i - c->count;
@@ -28,13 +44,12 @@ static alula_half_space constraint(const constraints* c, uint32_t i) {
   return h;
 }
 
-/* The most violated constraint at a, or what there is none after: the number of all. */
+/* The most violated constraint at a, or when there is none the number of all. */
 static uint32_t worst(const constraints* c, const float a[3]) {
-  const uint32_t all = c->count + 6U;
-  uint32_t found = all;
-  float most = ALULA_HALF_SPACE_TOLERANCE;
+  uint32_t found = c->count + 6U;
+  float most = c->tolerance;
   for (uint32_t i = 0; i < c->count; ++i) {
-    const float excess = dot(c->row[i].normal, a) - (c->row[i].bound + c->relaxed);
+    const float excess = dot(c->row[i].normal, a) - bound_of(c, i);
     if (excess > most) most = excess, found = i;
   }
   for (uint32_t axis = 0; axis < 3U; ++axis) {
@@ -45,30 +60,55 @@ static uint32_t worst(const constraints* c, const float a[3]) {
   return found;
 }
 
-/* Multipliers of the projection of a_0 on the planes of one, two or three constraints; 0 when they are parallel. */
-static int multipliers(const alula_half_space* h, uint32_t size, const float a0[3], float mu[3]) {
-  float r[3];
-  for (uint32_t i = 0; i < size; ++i) r[i] = dot(h[i].normal, a0) - h[i].bound;
+/* Vectors d_i in the span of the normals with d_i . n_j = 1 for i = j and 0 otherwise; 0 when parallel. */
+static int dual_vectors(const float* const n[3], uint32_t size, float d[3][3]) {
   if (size == 1U) {
-    mu[0] = r[0];
+    const float square = dot(n[0], n[0]);
+    for (int k = 0; k < 3; ++k) d[0][k] = n[0][k] / square;
     return 1;
   }
-  const float xy = dot(h[0].normal, h[1].normal);
+  float scale;
   if (size == 2U) {
-    const float det = 1.0F - xy * xy;
-    if (!(det > DEGENERATE)) return 0;
-    mu[0] = (r[0] - xy * r[1]) / det;
-    mu[1] = (r[1] - xy * r[0]) / det;
-    return 1;
+    float c[3];
+    cross(n[0], n[1], c);
+    scale = dot(c, c);
+    if (!(scale > PARALLEL)) return 0;
+    cross(n[1], c, d[0]);
+    cross(c, n[0], d[1]);
+  } else {
+    cross(n[1], n[2], d[0]);
+    cross(n[2], n[0], d[1]);
+    cross(n[0], n[1], d[2]);
+    float largest = 0.0F;
+    uint32_t flat = 0U; /* the pair with the largest cross product gives the volume best */
+    for (uint32_t i = 0; i < 3U; ++i)
+      if (dot(d[i], d[i]) > largest) largest = dot(d[i], d[i]), flat = i;
+    scale = dot(n[flat], d[flat]);
+    if (!(scale * scale > PARALLEL * largest)) return 0;
   }
-  const float xz = dot(h[0].normal, h[2].normal), yz = dot(h[1].normal, h[2].normal);
-  const float c0 = 1.0F - yz * yz, c1 = xz * yz - xy, c2 = xy * yz - xz; /* cofactors of the first row */
-  const float det = c0 + xy * c1 + xz * c2;
-  if (!(det > DEGENERATE)) return 0;
-  const float d1 = 1.0F - xz * xz, d2 = xy * xz - yz, e2 = 1.0F - xy * xy;
-  mu[0] = (c0 * r[0] + c1 * r[1] + c2 * r[2]) / det;
-  mu[1] = (c1 * r[0] + d1 * r[1] + d2 * r[2]) / det;
-  mu[2] = (c2 * r[0] + d2 * r[1] + e2 * r[2]) / det;
+  for (uint32_t i = 0; i < size; ++i)
+    for (int k = 0; k < 3; ++k) d[i][k] /= scale;
+  return 1;
+}
+
+/* Projects a_0 on the planes of up to three constraints; 0 when they are parallel or one of them pushes the wrong
+ * way. What a wrong sign within the tolerance moves is below the tolerance too. */
+static int touch(const alula_half_space* h, uint32_t size, const float a0[3], float tolerance, float x[3]) {
+  const float* const n[3] = {h[0].normal, h[size > 1U ? 1 : 0].normal, h[size > 2U ? 2 : 0].normal};
+  float d[3][3];
+  if (!dual_vectors(n, size, d)) return 0;
+  for (int k = 0; k < 3; ++k) x[k] = a0[k];
+  for (int pass = 0; pass <= REFINEMENTS; ++pass) {
+    float r[3];
+    for (uint32_t i = 0; i < size; ++i) r[i] = dot(n[i], x) - h[i].bound;
+    for (uint32_t i = 0; i < size; ++i)
+      for (int k = 0; k < 3; ++k) x[k] -= r[i] * d[i][k];
+  }
+  const float way[3] = {a0[0] - x[0], a0[1] - x[1], a0[2] - x[2]};
+  for (uint32_t i = 0; i < size; ++i) {
+    const float push = dot(d[i], way);
+    if (push < 0.0F && push * push > tolerance * tolerance / 16.0F * dot(d[i], d[i])) return 0;
+  }
   return 1;
 }
 
@@ -81,12 +121,12 @@ static int exchange(const constraints* c, uint32_t added, const float a0[3], flo
   alula_half_space h[4];
   const uint32_t old = *size;
   for (uint32_t i = 0; i < old; ++i) h[i] = constraint(c, basis[i]);
-  h[3] = constraint(c, added);
+  h[old] = constraint(c, added);
   for (uint32_t s = 0; s < 7U; ++s) {
     if ((subset[s] >> old) != 0U) continue;
     alula_half_space active[3];
     uint32_t which[3], n = 1U;
-    active[0] = h[3];
+    active[0] = h[old];
     which[0] = added;
     for (uint32_t i = 0; i < old; ++i) {
       if ((subset[s] >> i & 1U) == 0U) continue;
@@ -94,15 +134,9 @@ static int exchange(const constraints* c, uint32_t added, const float a0[3], flo
       which[n] = basis[i];
       ++n;
     }
-    float mu[3];
-    if (!multipliers(active, n, a0, mu)) continue;
-    int good = 1;
-    for (uint32_t i = 0; i < n; ++i) good = good && mu[i] >= 0.0F;
-    if (!good) continue;
-    float x[3] = {a0[0], a0[1], a0[2]};
-    for (uint32_t i = 0; i < n; ++i)
-      for (int k = 0; k < 3; ++k) x[k] -= mu[i] * active[i].normal[k];
-    for (uint32_t i = 0; i < old && good; ++i) good = dot(h[i].normal, x) - h[i].bound <= ALULA_HALF_SPACE_TOLERANCE;
+    float x[3];
+    int good = touch(active, n, a0, c->tolerance, x);
+    for (uint32_t i = 0; i <= old && good; ++i) good = dot(h[i].normal, x) - h[i].bound <= c->tolerance;
     if (!good) continue;
     for (int k = 0; k < 3; ++k) a[k] = x[k];
     for (uint32_t i = 0; i < n; ++i) basis[i] = which[i];
@@ -112,18 +146,19 @@ static int exchange(const constraints* c, uint32_t added, const float a0[3], flo
   return 0;
 }
 
-static void close_result(const constraints* c, const float a[3], alula_projection* result) {
+static void close_result(const constraints* c, const float a[3], float bears, alula_projection* result) {
   for (int k = 0; k < 3; ++k) result->a[k] = clipped(a[k], c->limit);
   result->violation = -FLT_MAX;
   for (uint32_t i = 0; i < c->count; ++i) {
     const float excess = dot(c->row[i].normal, result->a) - c->row[i].bound;
     if (!(excess <= result->violation)) result->violation = excess;
   }
-  result->feasible = result->violation <= 3.0F * ALULA_HALF_SPACE_TOLERANCE;
+  result->feasible = result->violation <= bears;
 }
 
 static int project(const constraints* c, const float a0[3], alula_projection* result) {
-  float a[3] = {a0[0], a0[1], a0[2]};
+  float start[3], a[3];
+  for (int k = 0; k < 3; ++k) a[k] = start[k] = clipped(a0[k], FARTHEST * c->limit);
   uint32_t size = 0U, steps = 0U;
   int solved = 0;
   for (; steps < ALULA_PROJECTION_STEPS; ++steps) {
@@ -132,26 +167,39 @@ static int project(const constraints* c, const float a0[3], alula_projection* re
       solved = 1;
       break;
     }
-    if (!exchange(c, added, a0, a, result->basis, &size)) {
+    if (!exchange(c, added, start, a, result->basis, &size)) {
       result->basis[size++] = added;
       break;
     }
   }
   result->basis_count = size;
   result->iterations = steps;
-  close_result(c, a, result);
+  close_result(c, a, 0.0F, result);
   return solved;
+}
+
+static constraints all_of(const alula_half_space* row, uint32_t count, uint32_t soft, float limit) {
+  const constraints c = {row, count, soft, limit, 0.25F * ALULA_HALF_SPACE_MARGIN * limit, 0.0F};
+  return c;
+}
+
+/* Whether a_0 needs no change; then it comes back bit by bit. */
+static int stays(const constraints* c, const float a0[3], alula_projection* result) {
+  result->iterations = result->basis_count = 0U;
+  close_result(c, a0, 0.0F, result);
+  return result->feasible && result->a[0] == a0[0] && result->a[1] == a0[1] && result->a[2] == a0[2];
 }
 
 void alula_project_exact(const alula_half_space* row, uint32_t count, float limit, const float a0[3],
                          alula_projection* result) {
-  const constraints c = {row, count, limit, 0.0F};
+  const constraints c = all_of(row, count, 0U, limit);
+  if (stays(&c, a0, result)) return;
   result->feasible = project(&c, a0, result) && result->feasible;
 }
 
 void alula_project_gauss_southwell(const alula_half_space* row, uint32_t count, float limit, float omega,
                                    uint32_t iterations, const float a0[3], alula_projection* result) {
-  const constraints c = {row, count, limit, 0.0F};
+  const constraints c = all_of(row, count, 0U, limit);
   float a[3];
   for (int k = 0; k < 3; ++k) a[k] = clipped(a0[k], limit);
   result->iterations = 0U;
@@ -167,31 +215,71 @@ void alula_project_gauss_southwell(const alula_half_space* row, uint32_t count, 
     for (int k = 0; k < 3; ++k) a[k] = clipped(a[k] - omega * most * row[found].normal[k], limit);
     ++result->iterations;
   }
-  close_result(&c, a, result);
+  close_result(&c, a, ALULA_HALF_SPACE_MARGIN * limit, result);
 }
 
-void alula_project_least_violation(const alula_half_space* row, uint32_t count, float limit, const float a0[3],
-                                   alula_projection* result) {
-  constraints c = {row, count, limit, 0.0F};
-  if (project(&c, a0, result) && result->feasible) return;
+/* What the constraints of a basis of four, which no point satisfies together, must at least be relaxed by: with
+ * y >= 0 and sum y_i n_i = 0, r >= -y . b / (sum of y_i of the soft ones). -FLT_MAX when they do not say. */
+static float least_relaxation(const constraints* c, const alula_projection* tried) {
+  static const uint8_t others[4][3] = {{1U, 2U, 3U}, {0U, 3U, 2U}, {0U, 1U, 3U}, {0U, 2U, 1U}};
+  if (tried->basis_count != 4U) return -FLT_MAX;
+  alula_half_space h[4];
+  float y[4], product = 0.0F, weight = 0.0F, sign = 0.0F;
+  for (uint32_t i = 0; i < 4U; ++i) h[i] = constraint(c, tried->basis[i]);
+  for (uint32_t i = 0; i < 4U; ++i) { /* Cramer's rule */
+    float n[3];
+    cross(h[others[i][1]].normal, h[others[i][2]].normal, n);
+    y[i] = dot(h[others[i][0]].normal, n);
+    sign += y[i];
+  }
+  for (uint32_t i = 0; i < 4U; ++i) {
+    if (sign < 0.0F) y[i] = -y[i];
+    if (y[i] < 0.0F) return -FLT_MAX;
+    product -= y[i] * h[i].bound;
+    if (tried->basis[i] < c->soft) weight += y[i];
+  }
+  return weight > 1.0e-6F ? c->relaxed + product / weight : -FLT_MAX;
+}
+
+/* 0 when the rows that are not soft contradict each other in the box. */
+static int relax(constraints c, const float a0[3], alula_projection* result) {
+  float cut[3], most = 0.0F;
+  for (int k = 0; k < 3; ++k) cut[k] = clipped(a0[k], c.limit);
+  for (uint32_t i = 0; i < c.soft; ++i)
+    if (-c.row[i].bound > most) most = -c.row[i].bound;
+  const float enough = most + 2.0F * c.limit + 8.0F * c.tolerance; /* with that no soft row cuts the box */
+  alula_projection tried;
+  int found = project(&c, a0, result);
   uint32_t steps = result->iterations;
-  float cut[3];
-  for (int k = 0; k < 3; ++k) cut[k] = clipped(a0[k], limit);
-  close_result(&c, cut, result); /* holds with its own violation */
+  if (found && result->feasible) return 1;
+  float low = 0.0F, high = FLT_MAX, next = least_relaxation(&c, result); /* too little, enough */
+  close_result(&c, cut, 0.0F, result);
   result->basis_count = 0U;
-  float high = result->violation, low = 0.0F;
-  for (int i = 0; i < BISECTIONS; ++i) {
-    alula_projection tried;
-    c.relaxed = low + 0.5F * (high - low);
+  found = 0;
+  for (int i = 0; i < RELAXATIONS && high - low > 4.0F * c.tolerance; ++i) {
+    const float half = low + 0.5F * (high - low);
+    c.relaxed = next > low ? next + 2.0F * c.tolerance : (found ? half : enough);
+    if (!(c.relaxed < high)) c.relaxed = half;
     const int solved = project(&c, a0, &tried);
     steps += tried.iterations;
     if (solved) {
       *result = tried;
+      found = 1;
       high = c.relaxed;
+      next = low;
     } else {
+      if (!found && !(c.relaxed < enough)) break;
       low = c.relaxed;
+      next = least_relaxation(&c, &tried);
     }
   }
-  result->feasible = result->violation <= 3.0F * ALULA_HALF_SPACE_TOLERANCE;
   result->iterations = steps;
+  return found;
+}
+
+void alula_project_least_violation(const alula_half_space* row, uint32_t count, uint32_t soft, float limit,
+                                   const float a0[3], alula_projection* result) {
+  const constraints c = all_of(row, count, soft, limit);
+  if (stays(&c, a0, result) || relax(c, a0, result) || soft == count) return;
+  (void)relax(all_of(row, count, count, limit), a0, result);
 }

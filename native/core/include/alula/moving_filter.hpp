@@ -6,6 +6,7 @@
 #include <memory>
 #include <span>
 
+#include "alula/qp.hpp"
 #include "alula/vec3.hpp"
 #include "alula_dr_acbf.h"
 
@@ -45,10 +46,11 @@ enum class MovingMethod : std::uint8_t {
   rp_cbf       // robust policy CBF: rollouts of the avoidance policy
 };
 
+// In AVOID, towards the bypass point; elsewhere it flies what the manoeuvre wishes.
 struct MpcOptions {
-  int horizon = 20, moves = 3;
-  double step_s = 0.02;
-  double velocity_weight = 0.01, input_weight = 0.001, slack_weight = 1e5;
+  double step_s = 0.02;  // 20 of them are the horizon; the first two moves last one each, the third the rest
+  double velocity_weight = 0.01, input_weight = 0.001;
+  double slack_weight = 1e5;  // of the squared slack of the distances
 };
 
 struct CbfQpOptions {
@@ -56,8 +58,10 @@ struct CbfQpOptions {
 };
 
 struct RpCbfOptions {
-  double horizon_s = 3, step_s = 0.1, alpha = 1;
-  int samples = 32;  // half uniform, half bang-bang
+  double horizon_s = 3, step_s = 0.1;  // of the rollouts, 64 steps at most
+  double hold_s = 0.5;                 // how long a sample keeps an acceleration
+  double alpha = 1;                    // [1/s]
+  int samples = 32;                    // half uniform, half bang-bang
 };
 
 struct MovingFilterOptions {
@@ -65,6 +69,7 @@ struct MovingFilterOptions {
   MpcOptions mpc;
   CbfQpOptions cbf_qp;
   RpCbfOptions rp_cbf;
+  QpBackend backend;  // solves the programs of dr_acbf_qp, mpc, cbf_qp and rp_cbf, if there is one
 };
 
 // Throws std::invalid_argument for options that mean nothing.
