@@ -31,7 +31,7 @@ def numpy_model(kind, *, q=0.5, jerk=0.2, turn=0.1):
 
 
 def white(order, dt, axes):
-    """Of the chain of `order` integrators of unit white noise, per axis: int e(s) e(s)' ds by Gauss's rule."""
+    """Covariance of unit white noise through `order` integrators: int e(s) e(s)' ds by Gauss's rule."""
     node, weight = np.polynomial.legendre.leggauss(4)
     total = np.zeros((order, order))
     for s, w in zip((node + 1) / 2 * dt, weight / 2 * dt, strict=True):
@@ -113,7 +113,7 @@ class Reference:
         n = self.models[j][0]
         if i == j:
             return self.x[i], self.P[i]
-        x, P = np.zeros(n), self.lent[self.kinds[j]] * np.eye(n)
+        x, P = np.zeros(n), self.lent.get(self.kinds[j], 0.0) * np.eye(n)
         x[:SHARED], P[:SHARED, :SHARED] = self.x[i][:SHARED], self.P[i][:SHARED, :SHARED]
         return x, P
 

@@ -11,11 +11,12 @@ WIDE = {"gate": 1e12}  # everything is taken
 SINGLE = {"velocity": {"prior": (1, 0)}, "acceleration": {"prior": (0, 1)}}
 STAY = (1, 0, 0, 1)
 SAFE = dict.fromkeys(["gates_models", "heavy_tails", "adapts_transition", "winner_takes_all"], True)
+LENT = {"acceleration": 3.0, "turn": 0.1}  # variances, to the models that have these
 THREE = np.array([[0.986, 0.010, 0.004], [0.010, 0.986, 0.004], [0.015, 0.015, 0.970]])
 
 
 def flight(rng, steps, doppler):
-    """Detections of something that flies straight, then turns; the time between them and misses are irregular."""
+    """Detections of something that flies straight, then turns; at irregular times, some missing."""
     p, v, t, rows = np.array([40.0, 5.0, 10.0]), np.array([-7.0, 1.0, 0.3]), 3.0, []
     for k in range(steps):
         dt = rng.uniform(0.02, 0.1)
@@ -71,12 +72,11 @@ def test_a_single_model_is_a_kalman_filter(kind, doppler):
 @pytest.mark.parametrize("doppler", [False, True])
 @pytest.mark.parametrize("turn", [False, True])
 def test_the_models_interact_as_in_the_reference(mixes, doppler, turn):
-    rows = flight(np.random.default_rng(2), 120, doppler)
+    rows = flight(np.random.default_rng(2), 80, doppler)
     kinds = ["velocity", "acceleration", "turn"][: 3 if turn else 2]
     transition = THREE if turn else [[0.992, 0.008], [0.015, 0.985]]
     prior = [0.9, 0.05, 0.05] if turn else [0.9, 0.1]
-    lent = {"velocity": 0.0, "acceleration": 1.0, "turn": 0.1}
-    reference = Reference(kinds, transition, prior, lent=lent, mixes=mixes)
+    reference = Reference(kinds, transition, prior, lent=LENT, mixes=mixes)
     assert follow(rows, reference, with_turn=turn, mixes=mixes) < 1e-9
     assert reference.mu[0] < 0.9  # there was something to tell apart
 
@@ -85,16 +85,15 @@ def test_the_models_interact_as_in_the_reference(mixes, doppler, turn):
 @pytest.mark.parametrize("jamming", [False, True])
 def test_safe_imm_is_as_in_the_reference(turn, jamming):
     rng = np.random.default_rng(3)
-    rows = flight(rng, 160, doppler=True)
+    rows = flight(rng, 120, doppler=True)
     rows = [
-        (t, dt, None if z is None else z + np.array([0, 0, 3.0 * (k > 60 and rng.uniform() < 0.1)]), R, rate)
+        (t, dt, None if z is None else z + np.array([0, 0, 3.0 * (k > 40 and rng.uniform() < 0.1)]), R, rate)
         for k, (t, dt, z, R, rate) in enumerate(rows)
     ]
     kinds = ["velocity", "acceleration", "turn"][: 3 if turn else 2]
     transition = THREE if turn else [[0.992, 0.008], [0.015, 0.985]]
     prior = [0.9, 0.05, 0.05] if turn else [0.9, 0.1]
-    lent = {"velocity": 0.0, "acceleration": 1.0, "turn": 0.1}
-    reference = SafeReference(kinds, transition, prior, lent=lent)
+    reference = SafeReference(kinds, transition, prior, lent=LENT)
     reference.jamming = jamming
     assert follow(rows, reference, with_turn=turn, jamming=jamming, **SAFE) < 1e-8
     assert reference.seen == {"gated", "heavy", "hard", "soft"}
@@ -172,7 +171,7 @@ def test_mixtures_do_not_promise_too_much(safe):
 
 
 def straight(target, scans, rng, v=(6.0, 0.0, 0.0), jump=()):
-    """Follows something straight; `jump` moves some detections: {scan: offset}. The read-outs after each scan."""
+    """Read-outs of something straight; `jump` moves some detections: (scan, offset)."""
     seen = []
     for k in range(scans):
         z = np.array(v) * k * DT + SIGMA * rng.normal(size=3) + dict(jump).get(k, 0.0)
@@ -187,29 +186,29 @@ def turning(seen):
 
 def test_a_gated_model_does_not_take_an_outlier():
     """Constant acceleration leaves it out; under jamming the gate is twice as wide and it does not."""
-    jump = {60: np.array([0.0, 1.55, 0.0])}
-    a = {}
+    jump, a = {60: np.array([0.0, 1.8, 0.0])}, {}
     for name, options in {
         "open": {},
         "gated": {"gates_models": True},
         "jammed": {"gates_models": True, "jamming": True},
     }.items():
-        # So quiet that a jump is farther from both than the quantile, and within the tracker's gate.
         seen = straight(tracker(**WIDE, **options), 61, np.random.default_rng(0), jump=jump.items())
         a[name] = seen[-1]["a"][0] - seen[-2]["a"][0]
-    assert np.abs(a["gated"][1]) < 0.5 * np.abs(a["open"][1])
+    assert np.abs(a["gated"][1]) < 0.1 * np.abs(a["open"][1])
     assert np.array_equal(a["jammed"], a["open"])
 
 
 def test_heavy_tails_do_not_believe_outliers():
-    """Some bad detections in straight flight: the probabilities of the models move less, least under jamming."""
-    jump = {k: np.array([0.0, 2.5, 0.0]) for k in (60, 66, 72)}
+    """The probabilities of the models move less with bad detections, whatever the degrees of freedom."""
+    jump = {k: np.array([0.0, 4.0, 0.0]) for k in (60, 66, 72)}
     swing = []
     for options in {}, {"heavy_tails": True}, {"heavy_tails": True, "jamming": True}:
-        seen = straight(tracker(**WIDE, **options), 80, np.random.default_rng(1), jump=jump.items())
-        swing.append(np.abs(np.diff(turning(seen)))[59:75].max())
-    assert swing[1] < 0.7 * swing[0]
-    assert swing[2] < 0.7 * swing[1]
+        moved = []
+        for seed in range(8):
+            seen = straight(tracker(**WIDE, **options), 80, np.random.default_rng(seed), jump=jump.items())
+            moved.append(np.abs(np.diff(turning(seen))[[k - 1 for k in jump]]))
+        swing.append(np.mean(moved))
+    assert max(swing[1:]) < 0.5 * swing[0]
 
 
 def manoeuvre(target, rng, a=(0.0, 3.0, 0.0)):
@@ -224,22 +223,25 @@ def manoeuvre(target, rng, a=(0.0, 3.0, 0.0)):
 
 
 def test_an_adapted_transition_follows_a_manoeuvre_sooner():
-    delays = []
+    """More of its acceleration is known after a second; the price is more of it where there is none."""
+    onset, rest = [], []
     for options in {}, {"adapts_transition": True}:
-        runs = [turning(manoeuvre(tracker(**options), np.random.default_rng(seed))) for seed in range(10)]
-        delays.append([60 + int(np.argmax(run[60:] > 0.5)) for run in runs])
-        assert np.mean([run[40:60].mean() for run in runs]) < 0.35  # and straight flight stays straight
-    assert np.mean(delays[1]) < np.mean(delays[0]) - 1
+        runs = [manoeuvre(tracker(**options), np.random.default_rng(seed)) for seed in range(10)]
+        onset.append(np.mean([run[k]["a"][0, 1] for run in runs for k in range(70, 80)]))
+        rest.append(np.mean([turning(run)[30:60].mean() for run in runs]))
+    assert 1.3 * onset[0] < onset[1] < 3.0
+    assert rest[0] < 0.2 < rest[1]
 
 
 def test_the_winner_is_read_alone():
     """Straight: exactly no acceleration. Manoeuvre: all of constant acceleration's, not its share."""
-    mixed = manoeuvre(tracker(), np.random.default_rng(4))
-    hard = manoeuvre(tracker(winner_takes_all=True), np.random.default_rng(4))
+    mixed = manoeuvre(tracker(), np.random.default_rng(4), a=(0.0, 6.0, 0.0))
+    hard = manoeuvre(tracker(winner_takes_all=True), np.random.default_rng(4), a=(0.0, 6.0, 0.0))
     assert np.array_equal(turning(mixed), turning(hard))  # the probabilities stay soft
-    before, after = range(50, 58), range(85, 100)
-    assert all(np.array_equal(hard[k]["a"], np.zeros((1, 3))) and mixed[k]["a"].any() for k in before)
-    for k in after:
+    for k in range(50, 58):
+        assert np.array_equal(hard[k]["a"], np.zeros((1, 3)))
+        assert mixed[k]["a"].all()
+    for k in range(80, 100):
         assert 0.5 < mixed[k]["turning"][0] < 1
         assert hard[k]["a"] * mixed[k]["turning"] == pytest.approx(mixed[k]["a"], rel=1e-12)
 

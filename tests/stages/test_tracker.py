@@ -284,14 +284,14 @@ def test_times_that_mean_nothing_are_refused_and_change_nothing():
     ],
 )
 def test_options_that_mean_nothing_are_refused(options):
-    with pytest.raises(ValueError, match="must|needs|deleted"):
+    with pytest.raises(ValueError, match=r"must|needs|deleted"):
         tracker(**options)
 
 
 def test_arrays_must_fit():
     target, p, R = tracker(), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1))
     for arguments in (p, R[:1]), (p, R, p), (p, R, p[:1], np.zeros(2)), (p, R, p, np.zeros(1)):
-        with pytest.raises(ValueError, match="per position|needs"):
+        with pytest.raises(ValueError, match=r"per position|needs"):
             target.update(0.0, *arguments)
     with pytest.raises(ValueError, match="room"):
         tracker(most=0)
