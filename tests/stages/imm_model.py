@@ -1,6 +1,8 @@
 """Interacting multiple models written down again: matrices, inverses, no structure used."""
 
 import numpy as np
+from scipy.special import gammaln
+from scipy.stats import chi2
 
 SHARED = 6
 FLOOR = 1e-8  # variance that the tracker adds to a measurement
@@ -12,7 +14,10 @@ def numpy_model(kind, *, q=0.5, jerk=0.2, turn=0.1):
     if kind == "velocity":
         return 6, lambda x, dt: np.kron([[1, dt], [0, 1]], eye) @ x, lambda dt: q * white(2, dt, 3)
     if kind == "acceleration":
-        F = lambda dt: np.kron([[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]], eye)  # noqa: E731
+
+        def F(dt):
+            return np.kron([[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]], eye)
+
         return 9, lambda x, dt: F(dt) @ x, lambda dt: jerk * white(3, dt, 3)
     noise = np.zeros((7, 7))
     noise[6, 6] = turn
@@ -26,7 +31,7 @@ def numpy_model(kind, *, q=0.5, jerk=0.2, turn=0.1):
 
 
 def white(order, dt, axes):
-    """Of the chain of `order` integrators of unit white noise, per axis: int e(s) e(s)' ds by Gauss's rule."""
+    """Covariance of unit white noise through `order` integrators: int e(s) e(s)' ds by Gauss's rule."""
     node, weight = np.polynomial.legendre.leggauss(4)
     total = np.zeros((order, order))
     for s, w in zip((node + 1) / 2 * dt, weight / 2 * dt, strict=True):
@@ -45,13 +50,12 @@ def turned(x, dt):
         return np.array([c * v[0] - n * v[1], n * v[0] + c * v[1], v[2]])
 
     moved = sum(w / 2 * dt * rotated((s + 1) / 2 * dt) for s, w in zip(node, weight, strict=True))
-    return np.concatenate([p + moved, rotated(dt), [omega]])
+    return np.concatenate([p + moved, rotated(dt), x[6:]])
 
 
 def jacobian(f, x, dt):
-    """By complex steps: exact to rounding."""
-    columns = [f(x + 1e-30j * e, dt).imag / 1e-30 for e in np.eye(len(x))]
-    return np.array(columns).T
+    """By complex steps, all at once: exact to rounding."""
+    return f(x[:, None] + 1e-30j * np.eye(len(x)), dt).imag / 1e-30
 
 
 class Reference:
@@ -67,6 +71,7 @@ class Reference:
 
     def start(self, z, R, los=None, rate=None, sigma=0.1):
         """The first detection."""
+        self.winner = np.argmax(self.mu)
         (pos, vel, acc), cross, turn = self.start_options
         P = np.zeros((6, 6))
         P[:3, :3] = R + (FLOOR + pos) * np.eye(3)
@@ -87,23 +92,28 @@ class Reference:
 
     def predict(self, dt):
         """Mixing, then every model by dt."""
-        c = self.mu @ self.transition
+        transition = self.transition_now()
+        c = self.mu @ transition
         if self.mixes:
             mixed = []
-            for j, (n, _, _) in enumerate(self.models):
-                weight = self.transition[:, j] * self.mu / c[j] if c[j] > 0 else np.eye(len(c))[j]
+            for j in range(len(c)):
+                weight = transition[:, j] * self.mu / c[j] if c[j] > 0 else np.eye(len(c))[j]
                 xs, Ps = zip(*(self.seen_by(i, j) for i in range(len(c))), strict=True)
                 mixed.append(moments(weight, xs, Ps))
             self.x, self.P = map(list, zip(*mixed, strict=True))
         self.mu = c
         self.x, self.P = self.ahead(dt)
 
+    def transition_now(self):
+        """The transition matrix of the next scan."""
+        return self.transition
+
     def seen_by(self, i, j):
         """State of model i in the space of model j."""
         n = self.models[j][0]
         if i == j:
             return self.x[i], self.P[i]
-        x, P = np.zeros(n), self.lent[self.kinds[j]] * np.eye(n)
+        x, P = np.zeros(n), self.lent.get(self.kinds[j], 0.0) * np.eye(n)
         x[:SHARED], P[:SHARED, :SHARED] = self.x[i][:SHARED], self.P[i][:SHARED, :SHARED]
         return x, P
 
@@ -117,7 +127,7 @@ class Reference:
 
     def correct(self, z, R, los=None, rate=None, sigma=0.1):
         """Every model by one detection, then the probabilities."""
-        log = np.zeros(len(self.models))
+        squared, volume = np.zeros(len(self.models)), np.zeros(len(self.models))
         for j, (n, _, _) in enumerate(self.models):
             H, y, noise = np.eye(3, n), z, R + FLOOR * np.eye(3)
             if los is not None:
@@ -128,11 +138,22 @@ class Reference:
                 )
             S = H @ self.P[j] @ H.T + noise
             gain, left = self.P[j] @ H.T @ np.linalg.inv(S), y - H @ self.x[j]
-            log[j] = -0.5 * (left @ np.linalg.solve(S, left) + np.linalg.slogdet(2 * np.pi * S)[1])
-            self.x[j] = self.x[j] + gain @ left
-            self.P[j] = self.P[j] - gain @ S @ gain.T
+            squared[j], volume[j] = left @ np.linalg.solve(S, left), np.linalg.slogdet(S)[1]
+            if self.updates(j, squared[j], len(y)):
+                self.x[j] = self.x[j] + gain @ left
+                self.P[j] = self.P[j] - gain @ S @ gain.T
+        log = self.log_likelihood(squared, volume, len(y))
         mu = self.mu * np.exp(log - log.max())
         self.mu = mu / mu.sum()
+        self.winner = np.argmax(self.mu)
+
+    def updates(self, j, squared, size):
+        """Whether a model takes a measurement at this squared distance."""
+        return True
+
+    def log_likelihood(self, squared, volume, size):
+        """Of each model, from squared distances and logarithms of determinants of innovations."""
+        return -0.5 * (squared + volume + size * np.log(2 * np.pi))
 
     def read(self, dt=0.0):
         """(p, v), its covariance and the acceleration of the mixture after dt."""
@@ -140,6 +161,80 @@ class Reference:
         x, P = moments(self.mu, [x[:SHARED] for x in xs], [P[:SHARED, :SHARED] for P in Ps])
         a = sum(m * accelerated(kind, state) for m, kind, state in zip(self.mu, self.kinds, xs, strict=True))
         return x, P, a
+
+
+class SafeReference(Reference):
+    """With all the additions of SAFE-IMM."""
+
+    surprise = evidence = clear = 0.0
+    jamming = False
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.seen = set()  # what happened
+
+    def transition_now(self):
+        """Leaning to where the evidence points."""
+        n, base = len(self.mu), self.transition
+        entropy = -np.sum(self.mu * np.log(self.mu))
+        alpha = min(0.7, 0.1 * self.evidence + 0.5 * entropy / np.log(n))
+        leaning, winner = base.copy(), self.winner
+        moved = [(0, 1, 0.15 * alpha), (1, 0, 0.05 * (0.7 - alpha))]
+        moved += [(winner, k, 0.1 * alpha / (n - 1)) for k in range(n) if k != winner]
+        for source, to, share in moved:
+            leaning[source] += share * (np.eye(n)[to] - np.eye(n)[source])
+        blend = (1 - alpha) * base + alpha * leaning
+        return blend / blend.sum(axis=1, keepdims=True)
+
+    def updates(self, j, squared, size):
+        """Within the gate, or the winner."""
+        taken = j == self.winner or squared <= chi2.ppf(0.999, size) * (2 if self.jamming else 1)
+        self.seen.update([] if taken else ["gated"])
+        return taken
+
+    def log_likelihood(self, squared, volume, size):
+        """Of Student's t after an alarm."""
+        self.surprise = np.clip(self.surprise + self.mu @ squared / size - 1.1, 0, 16)
+        log = super().log_likelihood(squared, volume, size)
+        if self.surprise > 8:
+            self.seen.add("heavy")
+            nu = 1 if self.jamming else 5
+            scale = gammaln((nu + size) / 2) - gammaln(nu / 2) - size / 2 * np.log(nu * np.pi)
+            log = scale - 0.5 * (volume + (nu + size) * np.log1p(squared / nu))
+        self.evidence = np.clip(self.evidence + log[1:].max() - log[0], 0, 20)
+        return log
+
+    def correct(self, *args, **kwargs):
+        """And then whether the winner alone may be read."""
+        super().correct(*args, **kwargs)
+        self.clear = self.clear + 1 if self.bound() <= 1.95 and self.is_sure() else 0
+
+    def is_sure(self):
+        """Of the winner."""
+        return self.mu.max() >= 0.6 or self.evidence >= 3
+
+    def bound(self):
+        """How far the winner's position can be from the mixture's [m]."""
+        w = self.winner
+        others = [j for j in range(len(self.mu)) if j != w]
+        t = self.mu[others].sum()
+        share = self.mu[others] / t
+        spread = 0.5 * (
+            self.P[w][:3, :3] + sum(s * self.P[j][:3, :3] for s, j in zip(share, others, strict=True))
+        )
+        off = [self.x[j][:3] - self.x[w][:3] for j in others]
+        squared = sum(s * d @ np.linalg.solve(spread, d) for s, d in zip(share, off, strict=True))
+        return t * np.sqrt(np.trace(spread) * squared)
+
+    def read(self, dt=0.0):
+        """The winner, or the mixture."""
+        self.seen.add("soft" if self.clear < 2 else "hard")
+        if self.clear < 2:
+            return super().read(dt)
+        mu, self.mu = self.mu, np.eye(len(self.mu))[self.winner]
+        result = super().read(dt)
+        self.mu = mu
+        return result
 
 
 def accelerated(kind, x):

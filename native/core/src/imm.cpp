@@ -19,29 +19,40 @@ constexpr int kShared = 6;  // (p, v), states of every model
 
 MotionModel model_of(int i) { return static_cast<MotionModel>(i); }
 
+// Sum <- sum + w (P + d d') over K states.
+template <int K>
+void add_spread(double w, const Belief& belief, const double* d, Belief& sum) {
+  for (int k = 0; k < K; ++k)
+    for (int l = 0; l < K; ++l) sum.P[k][l] += w * (belief.P[k][l] + d[k] * d[l]);
+}
+
 // Sums beliefs with weights into one with N states, `target` being the model that has them all.
 template <int N>
 void mix(const Belief* belief, const double* weight, int models, int target, double lent, Belief& result) {
-  result = {};
+  double mean[N] = {};
   for (int i = 0; i < models; ++i) {
     const int known = i == target ? N : kShared;
-    for (int k = 0; k < known; ++k) result.x[k] += weight[i] * belief[i].x[k];
+    for (int k = 0; k < known; ++k) mean[k] += weight[i] * belief[i].x[k];
   }
+  std::copy_n(mean, N, result.x);
+  for (int k = 0; k < N; ++k) std::fill_n(result.P[k], N, 0.0);
   for (int i = 0; i < models; ++i) {
     if (weight[i] == 0) continue;
-    const int known = i == target ? N : kShared;
     double d[N];
-    for (int k = 0; k < N; ++k) d[k] = (k < known ? belief[i].x[k] : 0) - result.x[k];
-    for (int k = 0; k < N; ++k) {
-      const double scaled = weight[i] * d[k];
-      for (int l = 0; l <= k; ++l) result.P[k][l] += scaled * d[l];
+    if (i == target) {
+      for (int k = 0; k < N; ++k) d[k] = belief[i].x[k] - mean[k];
+      add_spread<N>(weight[i], belief[i], d, result);
+      continue;
     }
-    for (int k = 0; k < known; ++k)
-      for (int l = 0; l <= k; ++l) result.P[k][l] += weight[i] * belief[i].P[k][l];
-    for (int k = known; k < N; ++k) result.P[k][k] += weight[i] * lent;
+    for (int k = 0; k < kShared; ++k) d[k] = belief[i].x[k] - mean[k];
+    add_spread<kShared>(weight[i], belief[i], d, result);
+    // The states that this model lacks are 0, with the variance that it lends.
+    for (int k = kShared; k < N; ++k) d[k] = -mean[k], result.P[k][k] += weight[i] * lent;
+    for (int k = kShared; k < N; ++k)
+      for (int l = 0; l < N; ++l) result.P[k][l] += weight[i] * (d[k] * d[l]);
+    for (int k = 0; k < kShared; ++k)
+      for (int l = kShared; l < N; ++l) result.P[k][l] += weight[i] * (d[k] * d[l]);
   }
-  for (int k = 0; k < N; ++k)
-    for (int l = 0; l < k; ++l) result.P[l][k] = result.P[k][l];
 }
 
 void require(bool holds, const char* what) {
@@ -92,6 +103,7 @@ void Imm::start(const ImmRules& rules, const Measurement& m) {
   *this = {};
   models_ = rules.models;
   std::copy_n(rules.prior, models_, probability_);
+  winner_ = most_probable();
   Belief& first = belief_[0];
   const bool has_rate = m.size == 4;
   for (int i = 0; i < 3; ++i) {
@@ -127,9 +139,8 @@ void Imm::adapt(const ImmRules& rules, double (&transition)[kMostModels][kMostMo
   };
   give(0, 1, 0.15 * alpha);
   give(1, 0, 0.05 * (kMostAlpha - alpha));
-  const int winner = most_probable();
   for (int to = 0; to < models_; ++to)
-    if (to != winner) give(winner, to, 0.1 * alpha / (models_ - 1));
+    if (to != winner_) give(winner_, to, 0.1 * alpha / (models_ - 1));
   for (int i = 0; i < models_; ++i) {
     double sum = 0;
     for (int j = 0; j < models_; ++j)
@@ -162,12 +173,11 @@ void Imm::predict(const ImmRules& rules, double dt) {
 }
 
 void Imm::correct(const ImmRules& rules, const Measurement& m) {
-  const int winner = most_probable();
   const double gate = kGate[m.size - 3] * (rules.options.jamming ? 2 : 1);
   Innovation innovation[kMostModels];
   for (int j = 0; j < models_; ++j) {
     innovation[j] = innovate(belief_[j], m);
-    if (rules.options.gates_models && j != winner && innovation[j].distance > gate) continue;
+    if (rules.options.gates_models && j != winner_ && innovation[j].distance > gate) continue;
     flight::correct(model_of(j), m, innovation[j], belief_[j]);
   }
   weigh(rules, innovation, m.size);
@@ -198,24 +208,24 @@ void Imm::weigh(const ImmRules& rules, const Innovation (&innovation)[kMostModel
   for (int j = 0; j < models_; ++j)
     if (probability_[j] > 0) sum += probability_[j] *= std::exp(likelihood[j] - best);
   for (int j = 0; j < models_; ++j) probability_[j] /= sum;
+  winner_ = most_probable();
 }
 
 bool Imm::may_read_winner() const {
-  const int winner = most_probable();
-  const double rivals = 1 - probability_[winner];
-  if (probability_[winner] < kReadProbability && evidence_ < kEvidence) return false;
+  const double rivals = 1 - probability_[winner_];
+  if (probability_[winner_] < kReadProbability && evidence_ < kEvidence) return false;
   if (!(rivals > 0)) return true;
   // The position alone, as a belief that is measured by each rival without noise.
   Belief mean;
   for (int j = 0; j < models_; ++j) {
-    const double weight = j == winner ? 0.5 : 0.5 * probability_[j] / rivals;
+    const double weight = j == winner_ ? 0.5 : 0.5 * probability_[j] / rivals;
     for (int k = 0; k < 3; ++k)
       for (int l = 0; l < 3; ++l) mean.P[k][l] += weight * belief_[j].P[k][l];
   }
-  std::copy_n(belief_[winner].x, 3, mean.x);
+  std::copy_n(belief_[winner_].x, 3, mean.x);
   double squared = 0;
   for (int j = 0; j < models_; ++j) {
-    if (j == winner) continue;
+    if (j == winner_) continue;
     Measurement rival;
     std::copy_n(belief_[j].x, 3, rival.z);
     const Innovation difference = innovate(mean, rival);
@@ -233,17 +243,16 @@ Belief Imm::mixture() const {
 
 void Imm::read(const ImmRules& rules, double dt, Track& track) const {
   const bool is_hard = clear_scans_ >= kReadScans;
-  const int winner = most_probable();
   Belief ahead[kMostModels], result;
   track.a = {};
   for (int j = 0; j < models_; ++j) {
-    if (is_hard && j != winner) continue;
+    if (is_hard && j != winner_) continue;
     ahead[j] = belief_[j];
     flight::predict(model_of(j), rules.noise, dt, ahead[j]);
     track.a += (is_hard ? 1 : probability_[j]) * acceleration(model_of(j), ahead[j]);
   }
   if (is_hard) {
-    result = ahead[winner];
+    result = ahead[winner_];
   } else {
     mix<kShared>(ahead, probability_, models_, -1, 0, result);
   }

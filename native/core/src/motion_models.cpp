@@ -106,8 +106,9 @@ void predict_turn(const MotionNoise& noise, double dt, Belief& b) {
   double FP[N][N];
   for (int i = 0; i < N; ++i)
     for (int j = 0; j < N; ++j) {
-      FP[i][j] = 0;
-      for (int k = 0; k < N; ++k) FP[i][j] += F[i][k] * b.P[k][j];
+      double sum = 0;
+      for (int k = 0; k < N; ++k) sum += F[i][k] * b.P[k][j];
+      FP[i][j] = sum;
     }
   for (int i = 0; i < N; ++i)
     for (int j = 0; j < N; ++j) {
@@ -120,56 +121,50 @@ void predict_turn(const MotionNoise& noise, double dt, Belief& b) {
   symmetrize<N>(b.P);
 }
 
-// P H' with H = (I 0 0; 0 los' 0).
+// H P with H = (I 0 0; 0 los' 0).
 template <int N>
-void project(const Rows& P, const Measurement& m, double (&result)[N][4]) {
-  for (int i = 0; i < N; ++i) {
-    for (int j = 0; j < 3; ++j) result[i][j] = P[i][j];
-    result[i][3] = m.los[0] * P[i][3] + m.los[1] * P[i][4] + m.los[2] * P[i][5];
-  }
+void project(const Rows& P, const Measurement& m, double (&result)[4][N]) {
+  for (int j = 0; j < 3; ++j) std::copy_n(P[j], N, result[j]);
+  for (int i = 0; i < N; ++i) result[3][i] = m.los[0] * P[3][i] + m.los[1] * P[4][i] + m.los[2] * P[5][i];
 }
 
-// P <- (I - K H) P (I - K H)' + K R K', grouped as P1 + (K R - P1 H') K' with P1 = P - K (P H')'.
+// P <- P + a' b, rows of the factors being M.
+template <int M, int N>
+void add_product(const double (&a)[4][N], const double (&b)[4][N], Rows& P) {
+  for (int i = 0; i < N; ++i)
+    for (int k = 0; k < M; ++k)
+      for (int j = 0; j < N; ++j) P[i][j] += a[k][i] * b[k][j];
+}
+
+// P <- (I - K H) P (I - K H)' + K R K', grouped as P1 + (K R - P1 H') K' with P1 = P - K H P. Matrices of gains and
+// projections are kept transposed, so that all inner loops run along the states.
 template <int N, int M>
 void correct(const Measurement& m, const Innovation& y, Belief& b) {
-  double PH[N][4], K[N][M];
-  project<N>(b.P, m, PH);
-  for (int i = 0; i < N; ++i) {
-    double half[M];  // inv(L) of the row
-    for (int j = 0; j < M; ++j) {
-      double sum = PH[i][j];
-      for (int k = 0; k < j; ++k) sum -= y.L[j][k] * half[k];
-      half[j] = sum / y.L[j][j];
-    }
-    double step = 0;
-    for (int j = 0; j < M; ++j) step += half[j] * y.whitened[j];
-    b.x[i] += step;
-    for (int j = M - 1; j >= 0; --j) {
-      double sum = half[j];
-      for (int k = j + 1; k < M; ++k) sum -= y.L[k][j] * K[i][k];
-      K[i][j] = sum / y.L[j][j];
-    }
+  double HP[4][N], gain[4][N];  // K' = inv(L') inv(L) H P
+  project<N>(b.P, m, HP);
+  for (int j = 0; j < M; ++j) {
+    std::copy_n(HP[j], N, gain[j]);
+    for (int k = 0; k < j; ++k)
+      for (int i = 0; i < N; ++i) gain[j][i] -= y.L[j][k] * gain[k][i];
+    for (int i = 0; i < N; ++i) gain[j][i] /= y.L[j][j];
+    for (int i = 0; i < N; ++i) b.x[i] += gain[j][i] * y.whitened[j];
   }
-  for (int i = 0; i < N; ++i)
-    for (int j = 0; j < N; ++j) {
-      double sum = 0;
-      for (int k = 0; k < M; ++k) sum += K[i][k] * PH[j][k];
-      b.P[i][j] -= sum;
-    }
-  project<N>(b.P, m, PH);
-  double rest[N][M];
-  for (int i = 0; i < N; ++i)
-    for (int j = 0; j < M; ++j) {
-      double sum = -PH[i][j];
-      for (int k = 0; k < M; ++k) sum += K[i][k] * m.R[k][j];
-      rest[i][j] = sum;
-    }
-  for (int i = 0; i < N; ++i)
-    for (int j = 0; j < N; ++j) {
-      double sum = 0;
-      for (int k = 0; k < M; ++k) sum += rest[i][k] * K[j][k];
-      b.P[i][j] += sum;
-    }
+  for (int j = M - 1; j >= 0; --j) {
+    for (int k = j + 1; k < M; ++k)
+      for (int i = 0; i < N; ++i) gain[j][i] -= y.L[k][j] * gain[k][i];
+    for (int i = 0; i < N; ++i) gain[j][i] /= y.L[j][j];
+  }
+  double rest[4][N];
+  for (int j = 0; j < M; ++j)
+    for (int i = 0; i < N; ++i) rest[j][i] = -gain[j][i];
+  add_product<M>(rest, HP, b.P);
+  project<N>(b.P, m, HP);
+  for (int j = 0; j < M; ++j) {
+    for (int i = 0; i < N; ++i) rest[j][i] = -HP[j][i];
+    for (int k = 0; k < M; ++k)
+      for (int i = 0; i < N; ++i) rest[j][i] += m.R[k][j] * gain[k][i];
+  }
+  add_product<M>(rest, gain, b.P);
   symmetrize<N>(b.P);
 }
 
@@ -236,8 +231,8 @@ bool measure(const Detection& d, Measurement& m) {
 
 Innovation innovate(const Belief& b, const Measurement& m) {
   Innovation result;
-  double PH[6][4], S[4][4];
-  project<6>(b.P, m, PH);
+  double HP[4][6], S[4][4];
+  project<6>(b.P, m, HP);
   double y[4] = {m.z[0] - b.x[0], m.z[1] - b.x[1], m.z[2] - b.x[2], 0};
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j <= i; ++j) S[i][j] = b.P[i][j] + m.R[i][j];
@@ -246,8 +241,8 @@ Innovation innovate(const Belief& b, const Measurement& m) {
     S[3][3] = m.R[3][3];
     for (int i = 0; i < 3; ++i) {
       y[3] -= m.los[i] * b.x[i + 3];
-      S[3][i] = PH[i][3];
-      S[3][3] += m.los[i] * PH[i + 3][3];
+      S[3][i] = HP[3][i];
+      S[3][3] += m.los[i] * HP[3][i + 3];
     }
   }
   double determinant = 1;

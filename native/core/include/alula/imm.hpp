@@ -62,6 +62,7 @@ class Imm {
   int most_probable() const;
 
   int models_ = 2;
+  int winner_ = 0;  // the most probable at the last correction
   double probability_[kMostModels] = {};
   Belief belief_[kMostModels];
   double surprise_ = 0;  // cumulative sum of innovations that are too large

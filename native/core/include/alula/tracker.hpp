@@ -33,8 +33,10 @@ struct TrackerOptions {
   std::array<double, 3> start_variance{4, 25, 25};
   double cross_range_variance = 100;  // of the velocity across the line of sight, at the start [m^2/s^2]
   double turn_variance = 0.1;         // of the turn rate, at the start and for a model that has none [rad^2/s^2]
-  double mixing_variance = 1;         // of the acceleration of a model that has none, where models mix [m^2/s^4]
-  bool mixes = true;                  // initial conditions, as in the textbook; false: at read-out only
+  // Of the acceleration of a model that has none, where models mix [m^2/s^4]: about the square of the manoeuvres to
+  // expect. With 0, as the letter has it, constant acceleration is told at every scan that there is none.
+  double mixing_variance = 3;
+  bool mixes = true;  // initial conditions, as in the textbook; false: at read-out only
   // SAFE-IMM, each on its own: see imm.hpp.
   bool gates_models = false, heavy_tails = false, adapts_transition = false, winner_takes_all = false;
   bool jamming = false;
