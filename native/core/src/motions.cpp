@@ -10,6 +10,7 @@ namespace {
 
 using geometry::e3;
 
+constexpr double kSameTime = 1e-9;            // of two sums of the same steps [s]
 constexpr double kSamePlace = 1e-9;           // [m]
 constexpr double kLongestStep = 0.001;        // of the second quadrotor's controller [s]
 constexpr double kLongestBallistic = 0.0025;  // step of the thrown [s]
@@ -22,7 +23,7 @@ class Starting : public ObstacleMotion {
   void step(double dt, const Kinematics& vehicle) final {
     time_ += dt;
     const double moving = std::min(dt, time_ - start_);
-    if (moving > 0) move(moving, vehicle);
+    if (moving > kSameTime) move(moving, vehicle);
   }
   const Kinematics& state() const final { return state_; }
 
@@ -86,7 +87,8 @@ class Curving final : public Starting {
     if (turns_) {
       const Vec3 to = aim(vehicle) - state_.p;
       const double distance = norm(to);
-      if (distance > kSamePlace) heading_ = turned_towards(heading_, 1 / distance * to, rate_ * dt);
+      if (distance > kSamePlace && std::isfinite(distance))
+        heading_ = turned_towards(heading_, 1 / distance * to, rate_ * dt);
     }
     const double way = pace_.way(moved_ + dt) - pace_.way(moved_);
     moved_ += dt;
