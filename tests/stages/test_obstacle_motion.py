@@ -143,6 +143,25 @@ def test_all_is_a_function_of_seed_trial_and_obstacle():
         assert (paths(SCENARIO_1[0], vehicle, trials=8, **other)[:, 0, 0] != whole[:, 0, 0]).all()
 
 
+def test_who_aims_at_the_vehicle_heads_for_its_start_and_a_curving_one_for_where_it_is():
+    vehicle = vehicle_path(900)
+    table = {
+        "distance_m": 30,
+        "azimuth_rad": (1, 1),
+        "speed_m_s": (6, 6),
+        "aims_at_vehicle": True,
+        "start_s": 1.0,
+    }
+    straight = paths(table, vehicle)[0]
+    assert np.linalg.norm(straight[:, :3] - vehicle[0, :3], axis=1).min() < 6 * DT
+    released = {"turn_rate_rad_s": 10, "release_m": 0.0, "max_speed_m_s": 6}
+    pursuing = paths(table | {"kind": "curving"} | released, vehicle)[0]
+    to = vehicle[:-1, :3] - pursuing[:-1, :3]
+    far = np.flatnonzero((np.linalg.norm(to, axis=1) > 1) & (np.arange(len(to)) > 110))
+    assert len(far) > 200
+    assert angles(pursuing[far + 1, 3:6], to[far]).max() < 1e-7
+
+
 def test_before_its_start_it_rests_where_it_starts():
     vehicle = vehicle_path(101, v=(0, 0, 0))
     for kind in ("constant-velocity", "accelerating", "curving", "ballistic", "quadrotor"):
@@ -406,7 +425,7 @@ def test_a_body_needs_its_gains():
             vehicle_path(1, v=(0, 0, 0)),
             "above or below",
         ),
-        ({"kind": "ballistic", "drag_per_m": 1.0}, vehicle_path(1, v=(0, 0, 0)), "no throw reaches"),
+        ({"kind": "ballistic", "drag_per_m": 5.0}, vehicle_path(1, v=(0, 0, 0)), "no throw reaches"),
         (
             {"kind": "quadrotor", "is_relative": False, "way_points": [(0, 0, 0)]},
             vehicle_path(1),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from moving_worlds import MOCAP, SCENARIO_1, closing, obstacle, vehicle_path
+from moving_worlds import HARDWARE, MOCAP, SCENARIO_1, closing, obstacle, vehicle_path
 from scipy import stats
 
 from alula._core import RadarOptions, obstacle_paths, own_states, radar_scans
@@ -214,6 +214,19 @@ def test_the_radar_sees_the_obstacles_of_scenario_1_until_they_are_near():
     assert stats.binomtest(len(d["scan"]), inside.sum(), 0.95).pvalue > 1e-3
     found = np.linalg.norm(d["position"][:, None] - truth[every][d["scan"], :, :3], axis=2).min(1)
     assert np.median(found) < 0.8
+
+
+def test_mocap_at_120_hz_sees_what_is_thrown_and_who_approaches():
+    dt = 1 / 120
+    vehicle = vehicle_path(360, v=(0, 0, 0), p=(0, 0, 1), dt=dt)
+    truth = np.stack(
+        [obstacle_paths(obstacle(t), vehicle, dt_s=dt, obstacle=i)[0] for i, t in enumerate(HARDWARE)], axis=1
+    )
+    d = scans(truth, vehicle, **MOCAP)
+    assert stats.binomtest(len(d["scan"]), 720, 0.99).pvalue > 1e-3
+    error = np.abs(d["position"][:, None] - truth[d["scan"], :, :3]).max(2).min(1)
+    assert 0.001 < error.mean() < 0.002
+    assert d["covariance"] == pytest.approx(np.broadcast_to(1e-6 * np.eye(3), (len(error), 3, 3)))
 
 
 @pytest.mark.parametrize(
