@@ -20,7 +20,7 @@ namespace {
 
 using Pair = std::array<double, 2>;
 using InKinematics = In<double, nb::shape<-1, 9>>;  // p, v, a
-using Scans = nb::typed<nb::dict, nb::str, nb::ndarray<nb::numpy>>;
+using Scans = nb::typed<nb::dict, nb::str, nb::any>;
 
 Range range_of(const Pair& pair) { return {pair[0], pair[1]}; }
 Pair pair_of(const Range& range) { return {range.from, range.to}; }

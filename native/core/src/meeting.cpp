@@ -18,7 +18,7 @@ double meeting_time(geometry::Vec3 r, geometry::Vec3 v, double s) {
   const double speed = norm(v);
   if (speed == 0) return 0;
   const double along = B / speed, q = std::sqrt(std::max(0.0, C - along * along));
-  const double u = q * s / std::sqrt(std::max(0.0, speed * speed - s * s));
+  const double u = q > 0 ? q * s / std::sqrt(std::max(0.0, speed * speed - s * s)) : 0;
   return std::clamp((u - along) / speed, 0.0, kLongest);
 }
 

@@ -10,9 +10,11 @@ namespace {
 
 using geometry::e3;
 
-constexpr double kSamePlace = 1e-9;           // [m]
-constexpr double kLongestStep = 0.001;        // of the second quadrotor's controller [s]
-constexpr double kLongestBallistic = 0.0025;  // step of the thrown [s]
+constexpr double kSameTime = 1e-9;           // of two sums of the same steps [s]
+constexpr double kSamePlace = 1e-9;          // [m]
+constexpr double kLongestStep = 0.001;       // of the second quadrotor's controller [s]
+constexpr double kLongestBallistic = 0.005;  // step of the thrown [s]
+constexpr double kMostDrag = 100;            // of a throw: then it loses 99 % of its speed
 
 // What holds before it starts, and time.
 class Starting : public ObstacleMotion {
@@ -22,7 +24,7 @@ class Starting : public ObstacleMotion {
   void step(double dt, const Kinematics& vehicle) final {
     time_ += dt;
     const double moving = std::min(dt, time_ - start_);
-    if (moving > 0) move(moving, vehicle);
+    if (moving > kSameTime) move(moving, vehicle);
   }
   const Kinematics& state() const final { return state_; }
 
@@ -86,7 +88,8 @@ class Curving final : public Starting {
     if (turns_) {
       const Vec3 to = aim(vehicle) - state_.p;
       const double distance = norm(to);
-      if (distance > kSamePlace) heading_ = turned_towards(heading_, 1 / distance * to, rate_ * dt);
+      if (distance > kSamePlace && std::isfinite(distance))
+        heading_ = turned_towards(heading_, 1 / distance * to, rate_ * dt);
     }
     const double way = pace_.way(moved_ + dt) - pace_.way(moved_);
     moved_ += dt;
@@ -207,9 +210,12 @@ Vec3 throw_velocity(Vec3 p, Vec3 target, double t, double drag) {
   for (int round = 0; drag > 0; ++round) {
     const Vec3 miss = target - flown({p, v}, t, drag).p;
     if (norm(miss) < kSamePlace) break;
-    if (round == 500 || !(norm(v) < 1000))
+    // Without gravity it goes log(1 + c) / (drag |v|) far, c = drag |v| t: so much more speed makes up for a miss
+    // across the path, and for a part of one along it.
+    const double c = drag * norm(v) * t;
+    if (round == 500 || !(c < kMostDrag))
       throw std::invalid_argument("with this drag no throw reaches the meeting point");
-    v += 1 / t * miss;
+    v += c / (std::log1p(c) * t) * miss;
   }
   return v;
 }

@@ -13,8 +13,10 @@ namespace {
 
 using geometry::e3;
 
-constexpr double kSamePlace = 1e-9;    // [m]
-constexpr double kShortestLeg = 1e-3;  // [m]
+constexpr double kSamePlace = 1e-9;      // [m]
+constexpr double kShortestLeg = 1e-3;    // [m]
+constexpr double kLongestWait = 1e4;     // until a meeting [s]
+constexpr double kShortestThrow = 1e-3;  // [s]
 
 void require(bool good, const char* message) {
   if (!good) throw std::invalid_argument(message);
@@ -74,7 +76,7 @@ struct Draw {
     const double t =
         with_mean_speed([&](double s) { return leaving_time(ahead, target_v + s * bearing, spec.distance_m); },
                         [&](double after) { return way(after); }, 1);
-    require(std::isfinite(t), "an obstacle with this speed crosses the vehicle's path nowhere");
+    require(t < kLongestWait, "an obstacle with this speed crosses the vehicle's path nowhere");
     return target_p + t * target_v + way(t) * bearing;
   }
 
@@ -180,7 +182,7 @@ std::unique_ptr<ObstacleMotion> draw(const ObstacleSpec& spec, const Kinematics&
     case MotionKind::ballistic: {
       if (has_velocity(spec)) return move_thrown(spec.start_s, drawn.p, spec.velocity, spec.drag_per_m);
       const double t = drawn.meeting_after(true);
-      require(t > 0, "what is thrown must not start above or below the meeting point");
+      require(t > kShortestThrow, "what is thrown must not start above or below the meeting point");
       const Vec3 v = throw_velocity(drawn.p, drawn.target_at(t), t, spec.drag_per_m);
       return move_thrown(spec.start_s, drawn.p, drawn.outwards(v), spec.drag_per_m);
     }

@@ -26,9 +26,10 @@ inline Counter philox(Counter counter, std::array<std::uint32_t, 2> key) {
   return counter;
 }
 
-// Where the channels of those who draw begin; each has all up to the next. A plant and its sensor come first.
+// Where the channels of those who draw begin; each has all up to the next. Those before are a plant's and its
+// sensor's.
 namespace channel {
-inline constexpr std::uint32_t kPlant = 0, kObstacle = 0x1000'0000, kDetection = 0x2000'0000, kClutter = 0x3000'0000,
+inline constexpr std::uint32_t kObstacle = 0x1000'0000, kDetection = 0x2000'0000, kClutter = 0x3000'0000,
                                kOwnState = 0x4000'0000;
 }
 
