@@ -29,7 +29,9 @@ class Journal(Protocol):
 
     def __len__(self) -> int: ...
 
-    def snapshot(self) -> bytes: ...
+    def snapshot(self) -> bytes:
+        """All of it."""
+        ...
 
 
 J = TypeVar("J", bound=Journal)

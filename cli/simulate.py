@@ -87,8 +87,10 @@ def command(
     Options given here replace those of the scenario. A scenario with [[obstacles]] has moving ones
     (none, dr-acbf, dr-acbf-qp, mpc, cbf-qp, rp-cbf): --set replaces any of its keys, as in
     --set sensor.rate_hz=40, or a parameter of the filter; --trials of them are flown, an interrupted run
-    leaves OUTPUT.journal, and the same command again continues from it. Beside R.run.mcap, R.run.json holds the same
-    summary and the measured times. Exit code 4: a filtered flight collided with its map.
+    leaves OUTPUT.journal, and the same command again continues from it.
+
+    Beside R.run.mcap, R.run.json holds the same summary and the measured times. Exit code 4: a filtered
+    flight collided with its map.
     """
     from alula.schemas.artifact import read_artifact
     from alula.schemas.encounters import is_encounters

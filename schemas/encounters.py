@@ -104,7 +104,7 @@ class ObstacleTable(_Table, frozen=True, kw_only=True):
     motion: Literal["constant-velocity", "accelerating", "curving", "ballistic", "quadrotor"] = (
         "constant-velocity"
     )
-    radius_m: NotNegative = 0.15
+    radius_m: Positive = 0.15
     position_m: Vector | None = None
     distance_m: Positive = 50.0
     azimuth_rad: Interval = 0.0
@@ -170,7 +170,7 @@ class TrackerTable(_Table, frozen=True, kw_only=True):
     start_variance: tuple[Positive, Positive, Positive] = (4.0, 25.0, 25.0)
     cross_range_variance: Positive = 100.0
     turn_variance: Positive = 0.1
-    mixing_variance: Positive = 1.0
+    mixing_variance: NotNegative = 3.0
     mixes: bool = True
     gates_models: bool = False
     heavy_tails: bool = False

@@ -22,11 +22,11 @@ Outcome = Literal["reached", "stuck", "timeout", "refused", "passed"]
 
 
 class ObstacleResult(msgspec.Struct, frozen=True, kw_only=True):
-    """How a trial met one moving obstacle; None for what never was. All of the truth, not of what was tracked.
+    """How a trial met one moving obstacle; None for what never was. Of the truth, not of what was tracked.
 
     `closest_m` is the least distance of the centres over the run, `separation_m` that from its warning until
     the vehicle has stopped hovering. Its warning is the first in which it is the most urgent;
-    `closing_m_s` the closing speed then; `reaction_s` the simulated time from it until the command differs from
+    `closing_m_s` the closing speed then; `reaction_s` the simulated time from it until the command is not
     the nominal one, `avoid_s` from there to the end of hovering.
     """
 
@@ -57,11 +57,11 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     the rotors could not do what was asked; and what the clearance of the straight line from start to goal
     would be, whose sphere meets an ellipsoid where it is negative.
 
-    What follows `line_clearance_m` is of encounters with moving obstacles, and None for others: each obstacle,
-    steps in a manoeuvre or with a warning, steps that the filter refused, iterations of its projection, the
-    largest violation of its rows, and the sum over steps of the risk that flown rows left. There
-    "passed" says that all obstacles have receded, `map_clearance_m` is that of static walls, and a `collision` is
-    one with either.
+    What follows `line_clearance_m` is of encounters with moving obstacles, and None for others: each
+    obstacle, steps in a manoeuvre or with a warning, steps that the filter refused, iterations of its
+    projection, the largest violation of its rows, and the sum over steps of the risk that flown rows left.
+    There "passed" says that all obstacles have receded, `map_clearance_m` is that of static walls, and a
+    `collision` is one with either.
     """
 
     index: int

@@ -61,7 +61,7 @@ class EncounterFlight(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def rows(self, name: str) -> FloatArray:
-        """The vehicle, the command or the nominal, shape (T, columns); obstacles or tracks, shape (T, n, 3)."""
+        """Of the vehicle, command or nominal, shape (T, columns); of obstacles or tracks, shape (T, n, 3)."""
         flat = np.frombuffer(getattr(self, name), np.float64)
         if name in ("obstacles", "tracks"):
             return flat.reshape(len(self.mode), -1, 3)
@@ -86,7 +86,8 @@ def write_encounter_log(
 ) -> None:
     """Write a log of the trials that are shown; equal arguments give equal bytes.
 
-    Channels as `write_log` writes them, and `/obstacles`: a sphere for each obstacle and for the track next to it.
+    Channels as `write_log` writes them, and `/obstacles`: a sphere for each obstacle, and a larger one for
+    the track next to it.
     The margin of `/safety` is the least true distance to an obstacle less both radii.
 
     Args:

@@ -70,7 +70,7 @@ def _mean(values: list[float | None]) -> float | None:
 
 
 def encounter_timing(scenario: Encounters, flown: EncounterRun) -> dict[str, Any]:
-    """Spread of the measured times: of the filter in active ticks, and per obstacle to command and to reaction."""
+    """Measured times: of the filter in active ticks, and per obstacle to the command and to the reaction."""
     timing: dict[str, Any] = {"filter_calls": len(flown.tick_s)}
     if len(flown.tick_s):
         found = np.percentile(flown.tick_s, [50, 99, 100]).tolist()
@@ -91,13 +91,13 @@ def encounter_guarantee(scenario: Encounters, trials: list[TrialResult]) -> Guar
         head = "No filter was flown; nothing was guaranteed beforehand."
     else:
         head = (
-            f"{scenario.filter.name} bounds a risk per tick from what was tracked, not that of a flight, and alone "
-            "is recursively feasible only for slow closing speeds; nothing was guaranteed beforehand."
+            f"{scenario.filter.name} decides by what was tracked, tick by tick; nothing was guaranteed "
+            "beforehand."
         )
     found = f"{hits or 'none'} of {len(trials)} trials touched an obstacle or a wall"
     body = (
-        f"Judged from the simulated truth, between ticks too: {found}. This holds for the obstacles, the sensor "
-        "and the vehicle as simulated."
+        f"Judged from the simulated truth, between ticks too: {found}. This holds for the obstacles, the "
+        "sensor and the vehicle as simulated."
     )
     return Guarantee(
         statement=f"{head} {body}",

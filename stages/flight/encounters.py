@@ -34,8 +34,8 @@ class FlownChunk(msgspec.Struct, frozen=True, kw_only=True):
     """Trials that follow one another; the arrays, as bytes, are measured times and differ from run to run.
 
     `tick_s` has the time of the filter in each active tick, float32; `command_s` and `reaction_s` per trial
-    and obstacle the time of the filter in the tick of its warning and with it the time to react, float64, NaN for
-    what never was.
+    and obstacle the time of the filter in the tick of its warning and with it the time to react, float64,
+    NaN for what never was.
     """
 
     first: int
@@ -79,7 +79,7 @@ class EncounterRun:
         flights: of those that the log shows.
         walls: what was static; None for nothing.
         tick_s: time of the filter in every active tick, shape (T,) [s].
-        command_s: of the filter in the tick of each obstacle's warning, shape (trials, n) [s], NaN without one.
+        command_s: of the filter in the tick of each obstacle's warning, shape (trials, n) [s], else NaN.
         reaction_s: with it the time from the warning to the reaction, shape (trials, n) [s].
     """
 

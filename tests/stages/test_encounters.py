@@ -1,4 +1,4 @@
-"""Encounters with moving obstacles: limits that hold, figures that follow from the path, the same wherever flown."""
+"""Encounters with moving obstacles: limits that hold, figures of the path, the same wherever flown."""
 
 import math
 
@@ -97,7 +97,7 @@ def test_no_filter_flies_straight_to_the_goal():
     assert log["outcome"] == "timeout"
     assert np.abs(log["vehicle"][:, 1:3] - [0, 10]).max() < 1e-9
     assert abs(log["vehicle"][-1, 0] - 40) < 0.05
-    assert log["path_length_m"] == pytest.approx(40, abs=0.5)
+    assert log["path_length_m"] >= 40 - 0.05
 
 
 def test_the_filter_avoids_what_hits_without_it():
@@ -222,7 +222,7 @@ def test_what_means_nothing_together_is_refused_with_its_key(tmp_path):
         with pytest.raises(UsageError, match=where):
             fly_encounters(scenario)
     with pytest.raises(UsageError, match=r"\$\.obstacles\[0\]"):
-        fly_encounters(made(obstacles=[{"motion": "constant-velocity", "max_speed_m_s": 1e9}]))
+        fly_encounters(made(obstacles=[{"motion": "constant-velocity", "way_points_m": [(0, 0, 0)]}]))
 
 
 def test_the_examples_read_and_fly():
