@@ -142,7 +142,7 @@ def test_crossing_targets_keep_their_names(seed):
         doppler_scan(target, t, list(zip(p, v, strict=True)), rng)
         got = target.tracks(t)
         if k in (20, 119):
-            for i, name in enumerate(got["id"][got["is_confirmed"] != 0]):
+            for i, name in enumerate(got["id"][got["is_confirmed"]]):
                 names.setdefault(k, {})[name] = int(np.argmin(np.linalg.norm(p - got["p"][i], axis=1)))
     assert names[20] == names[119]
     assert sorted(names[119].values()) == [0, 1]
@@ -165,7 +165,7 @@ def test_clutter_is_hardly_ever_confirmed(mean, scans, most):
         position, los, rate = clutter(rng, mean)
         scan(target, k * DT, *position, los=los, range_rate=rate)
         got = target.tracks(k * DT)
-        confirmed.update(got["id"][got["is_confirmed"] != 0].tolist())
+        confirmed.update(got["id"][got["is_confirmed"]].tolist())
     assert len(confirmed) <= most
     assert target.dropped == 0
 
