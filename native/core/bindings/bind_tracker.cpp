@@ -156,7 +156,7 @@ void bind_tracker(nb::module_& m) {
           "One scan at t [s]: positions (N, 3) [m] with covariances (N, 3, 3), world frame; optionally the rates "
           "(N,) "
           "[m/s] along the lines of sight (N, 3) from the sensor. Rows that are not finite or have no covariance are "
-          "dropped and counted. ValueError if t is not finite or before the last scan.")
+          "dropped and counted. ValueError unless t is within 1e6 s after the last scan.")
       .def("tracks", &tracks, "t"_a,
            "All tracks predicted to t [s], oldest first: id, is_confirmed, p, v, a (N, 3), covariance of (p, v) "
            "(N, 6, 6), turning (N,): the probability of the models that accelerate or turn.")
