@@ -142,7 +142,7 @@ def test_crossing_targets_keep_their_names(seed):
         doppler_scan(target, t, list(zip(p, v, strict=True)), rng)
         got = target.tracks(t)
         if k in (20, 119):
-            for i, name in enumerate(got["id"][got["is_confirmed"] != 0]):
+            for i, name in enumerate(got["id"][got["is_confirmed"]]):
                 names.setdefault(k, {})[name] = int(np.argmin(np.linalg.norm(p - got["p"][i], axis=1)))
     assert names[20] == names[119]
     assert sorted(names[119].values()) == [0, 1]
@@ -165,7 +165,7 @@ def test_clutter_is_hardly_ever_confirmed(mean, scans, most):
         position, los, rate = clutter(rng, mean)
         scan(target, k * DT, *position, los=los, range_rate=rate)
         got = target.tracks(k * DT)
-        confirmed.update(got["id"][got["is_confirmed"] != 0].tolist())
+        confirmed.update(got["id"][got["is_confirmed"]].tolist())
     assert len(confirmed) <= most
     assert target.dropped == 0
 
@@ -218,7 +218,9 @@ def test_equal_scans_give_equal_tracks_whatever_was_before():
 
 BAD = {
     "position": {"position": [np.nan, 0, 0]},
-    "far": {"position": [np.inf, 0, 0]},
+    "infinite": {"position": [np.inf, 0, 0]},
+    "far": {"position": [0, 0, -2e9]},
+    "vague": {"covariance": 1e19 * np.eye(3)},
     "covariance": {"covariance": np.diag([1.0, np.nan, 1.0])},
     "negative": {"covariance": np.diag([1.0, -1.0, 1.0])},
     "indefinite": {"covariance": np.array([[1.0, 2, 0], [2, 1, 0], [0, 0, 1]])},
@@ -241,6 +243,31 @@ def test_detections_that_mean_nothing_are_dropped_and_counted(name):
     assert target.tracks(0.0)["p"].tolist() == [[9.0, 9, 9], [90.0, 9, 9]]
 
 
+@settings(deadline=None, max_examples=150)
+@given(st.integers(0, 2**32 - 1), st.booleans(), st.booleans())
+def test_tracks_are_finite_whatever_is_detected(seed, safe, mixes):
+    """Sizes and times over many orders of magnitude: beliefs stay finite, symmetric, positive to rounding."""
+    rng = np.random.default_rng(seed)
+    options = dict.fromkeys(["gates_models", "heavy_tails", "adapts_transition", "winner_takes_all"], safe)
+    target, t = tracker(most=8, with_turn=True, mixes=mixes, confirm_hits=2, **options), 0.0
+    size = 10.0 ** rng.uniform(-3, 9)
+    for _ in range(12):
+        t += rng.choice([0, 10.0 ** rng.uniform(-4, 5)])
+        n = rng.integers(0, 4)
+        root = rng.normal(size=(n, 3, 3)) * 10.0 ** rng.uniform(-9, 4, (n, 1, 1))
+        los, rate = rng.normal(size=(n, 3)), 10.0 ** rng.uniform(-3, 3) * rng.normal(size=n)
+        position = size * rng.normal(size=(n, 3)) / 5
+        target.update(t, position, root @ root.transpose(0, 2, 1), los, rate, 10.0 ** rng.uniform(-6, 1))
+        for ahead in (0.0, 0.01, 100.0):
+            got = target.tracks(t + ahead)
+            assert all(np.isfinite(value).all() for value in got.values())
+            for P in got["covariance"]:
+                assert np.array_equal(P, P.T)
+                scale = np.sqrt(np.maximum(np.diag(P), 1e-300))
+                assert np.linalg.eigvalsh(P / np.outer(scale, scale)).min() > -1e-6
+            assert np.all((got["turning"] >= 0) & (got["turning"] <= 1))
+
+
 def test_there_is_no_room_for_more_than_the_most():
     target = tracker(most=2)
     for k in range(2):
@@ -253,11 +280,12 @@ def test_times_that_mean_nothing_are_refused_and_change_nothing():
     target = tracker()
     scan(target, 1.0, (1, 2, 3))
     before = target.tracks(1.0)
-    for t in (0.5, np.nan, np.inf):
+    for t in (0.5, 2e6, np.nan, np.inf):
         with pytest.raises(ValueError, match="time of a scan"):
             scan(target, t, (1, 2, 3))
-    with pytest.raises(ValueError, match="time of a prediction"):
-        target.tracks(np.nan)
+    for t in (2e6, np.nan):
+        with pytest.raises(ValueError, match="time of a prediction"):
+            target.tracks(t)
     assert all(np.array_equal(before[name], target.tracks(1.0)[name]) for name in before)
 
 

@@ -54,7 +54,8 @@ TracksDict tracks(const Tracker& self, double t) {
   const std::span<const Track> all = self.tracks(t);
   const std::size_t n = all.size();
   std::vector<std::uint32_t> id(n);
-  std::vector<std::uint8_t> is_confirmed(n);
+  auto* is_confirmed = new bool[n];
+  const nb::capsule owner(is_confirmed, [](void* p) noexcept { delete[] static_cast<bool*>(p); });
   std::vector<double> p, v, a, covariance(36 * n), turning(n);
   const auto add = [](std::vector<double>& rows, geometry::Vec3 x) { rows.insert(rows.end(), {x.x, x.y, x.z}); };
   for (std::size_t i = 0; i < n; ++i) {
@@ -68,7 +69,7 @@ TracksDict tracks(const Tracker& self, double t) {
   }
   nb::dict result;
   result["id"] = to_numpy(std::move(id), {n});
-  result["is_confirmed"] = to_numpy(std::move(is_confirmed), {n});
+  result["is_confirmed"] = nb::ndarray<nb::numpy, bool>(is_confirmed, {n}, owner);
   result["p"] = to_numpy(std::move(p), {n, 3});
   result["v"] = to_numpy(std::move(v), {n, 3});
   result["a"] = to_numpy(std::move(a), {n, 3});
@@ -77,7 +78,7 @@ TracksDict tracks(const Tracker& self, double t) {
   return result;
 }
 
-nb::typed<nb::ndarray<nb::numpy, int>> assigned(In<double, nb::shape<-1, -1>> cost, double gate) {
+nb::ndarray<nb::numpy, int> assigned(In<double, nb::shape<-1, -1>> cost, double gate) {
   std::vector<int> column;
   {
     const nb::gil_scoped_release release;
@@ -155,7 +156,7 @@ void bind_tracker(nb::module_& m) {
           "One scan at t [s]: positions (N, 3) [m] with covariances (N, 3, 3), world frame; optionally the rates "
           "(N,) "
           "[m/s] along the lines of sight (N, 3) from the sensor. Rows that are not finite or have no covariance are "
-          "dropped and counted. ValueError if t is not finite or before the last scan.")
+          "dropped and counted. ValueError unless t is within 1e6 s after the last scan.")
       .def("tracks", &tracks, "t"_a,
            "All tracks predicted to t [s], oldest first: id, is_confirmed, p, v, a (N, 3), covariance of (p, v) "
            "(N, 6, 6), turning (N,): the probability of the models that accelerate or turn.")

@@ -59,7 +59,7 @@ void require(bool holds, const char* what) {
   if (!holds) throw std::invalid_argument(what);
 }
 
-bool is_variance(double value) { return std::isfinite(value) && value >= 0; }
+bool is_variance(double value) { return value >= 0 && value <= 1e18; }
 
 // Copies rows of probabilities.
 void set_probabilities(const double* from, int count, double* to) {
@@ -87,10 +87,10 @@ ImmRules::ImmRules(const TrackerOptions& o)
           "confirmation needs 1 <= hits <= scans <= 64");
   require(o.delete_misses >= 1, "a track is deleted after at least 1 miss");
   require(is_variance(o.acceleration_noise) && is_variance(o.jerk_noise) && is_variance(o.turn_noise),
-          "spectral densities of noise must be finite and at least 0");
-  for (const double v : o.start_variance) require(is_variance(v), "start variances must be finite and at least 0");
+          "spectral densities of noise must be in [0, 1e18]");
+  for (const double v : o.start_variance) require(is_variance(v), "start variances must be in [0, 1e18]");
   require(is_variance(o.cross_range_variance) && is_variance(o.turn_variance) && is_variance(o.mixing_variance),
-          "variances must be finite and at least 0");
+          "variances must be in [0, 1e18]");
   for (int i = 0; i < models; ++i)
     set_probabilities(o.with_turn ? &o.turn_transition[static_cast<std::size_t>(3 * i)]
                                   : &o.transition[static_cast<std::size_t>(2 * i)],

@@ -6,7 +6,9 @@
 namespace alula::flight {
 namespace {
 
-constexpr double kFloor = 1e-8;  // variance added to a measurement [m^2, m^2/s^2]
+constexpr double kFloor = 1e-8;    // variance added to a measurement [m^2, m^2/s^2]
+constexpr double kPivot = 1e-14;   // least share of a variance that the other states may leave
+constexpr double kFarthest = 1e9;  // measurement and standard deviation [m, m/s]
 
 using Rows = double[kMostStates][kMostStates];
 
@@ -121,6 +123,37 @@ void predict_turn(const MotionNoise& noise, double dt, Belief& b) {
   symmetrize<N>(b.P);
 }
 
+// Whether P = L D L' with pivots that rounding cannot have made.
+template <int N>
+bool is_positive(const Rows& P) {
+  double L[N][N], D[N];
+  for (int j = 0; j < N; ++j) {
+    double pivot = P[j][j];
+    for (int k = 0; k < j; ++k) pivot -= L[j][k] * L[j][k] * D[k];
+    if (!(pivot > kPivot * P[j][j])) return false;
+    D[j] = pivot;
+    for (int i = j + 1; i < N; ++i) {
+      double sum = P[i][j];
+      for (int k = 0; k < j; ++k) sum -= L[i][k] * L[j][k] * D[k];
+      L[i][j] = sum / pivot;
+    }
+  }
+  return true;
+}
+
+// Weakens correlations until P is positive definite, which costs something only where variances differ by so many
+// orders of magnitude that an update has no digits left for the small ones.
+template <int N>
+void keep_positive(Rows& P) {
+  for (double weaken = 1e-14; weaken <= 100 && !is_positive<N>(P); weaken *= 10) {
+    for (int i = 0; i < N; ++i) {
+      if (!(P[i][i] > kFloor * kPivot)) P[i][i] = kFloor;
+      for (int j = 0; j < N; ++j)
+        if (i != j) P[i][j] = weaken < 1 ? P[i][j] * (1 - weaken) : 0;
+    }
+  }
+}
+
 // H P with H = (I 0 0; 0 los' 0).
 template <int N>
 void project(const Rows& P, const Measurement& m, double (&result)[4][N]) {
@@ -166,6 +199,7 @@ void correct(const Measurement& m, const Innovation& y, Belief& b) {
   }
   add_product<M>(rest, gain, b.P);
   symmetrize<N>(b.P);
+  keep_positive<N>(b.P);
 }
 
 template <int N>
@@ -175,7 +209,7 @@ void correct(const Measurement& m, const Innovation& y, Belief& b) {
 
 bool is_covariance(const geometry::Mat3& r) {
   const double scale = r[0][0] + r[1][1] + r[2][2];
-  if (!std::isfinite(scale)) return false;
+  if (!(scale <= kFarthest * kFarthest)) return false;
   for (int i = 0; i < 3; ++i) {
     const int j = (i + 1) % 3;
     if (!(r[i][i] >= 0) || !(std::abs(r[i][j] - r[j][i]) <= 1e-9 * scale)) return false;
@@ -211,7 +245,7 @@ geometry::Vec3 acceleration(MotionModel model, const Belief& b) {
 }
 
 bool measure(const Detection& d, Measurement& m) {
-  if (!geometry::is_finite(d.position) || !is_covariance(d.covariance)) return false;
+  if (!(geometry::norm(d.position) <= kFarthest) || !is_covariance(d.covariance)) return false;
   m = {};
   for (int i = 0; i < 3; ++i) {
     m.z[i] = d.position[i];
@@ -220,8 +254,8 @@ bool measure(const Detection& d, Measurement& m) {
   }
   if (!d.has_doppler) return true;
   const double length = geometry::norm(d.los);
-  if (!(length > 0) || !std::isfinite(length) || !std::isfinite(d.range_rate)) return false;
-  if (!std::isfinite(d.range_rate_sigma) || d.range_rate_sigma < 0) return false;
+  if (!(length > 0) || !std::isfinite(length) || !(std::abs(d.range_rate) <= kFarthest)) return false;
+  if (!(d.range_rate_sigma >= 0 && d.range_rate_sigma <= kFarthest)) return false;
   m.size = 4;
   for (int i = 0; i < 3; ++i) m.los[i] = d.los[i] / length;
   m.z[3] = d.range_rate;

@@ -14,6 +14,7 @@ namespace alula::flight {
 namespace {
 
 constexpr std::size_t kUsualDetections = 64;  // in a scan; more make the memory grow
+constexpr double kLongest = 1e6;              // without a scan [s]; covariances must stay finite
 
 // A track and what it has been given so far.
 struct Kept {
@@ -141,8 +142,8 @@ void Tracker::reset() {
 
 void Tracker::update(double t, std::span<const Detection> detections) {
   State& s = *state_;
-  if (!std::isfinite(t) || (s.has_begun && t < s.last))
-    throw std::invalid_argument("the time of a scan must be finite and not before the last");
+  if (!std::isfinite(t) || (s.has_begun && !(t >= s.last && t - s.last <= kLongest)))
+    throw std::invalid_argument("the time of a scan must be within 1e6 s after the last");
   s.gather(detections);
   s.mixtures.clear();
   for (Kept& track : s.tracks) {
@@ -160,7 +161,8 @@ void Tracker::update(double t, std::span<const Detection> detections) {
 
 std::span<const Track> Tracker::tracks(double t) const {
   State& s = *state_;
-  if (!std::isfinite(t)) throw std::invalid_argument("the time of a prediction must be finite");
+  if (!std::isfinite(t) || (s.has_begun && t - s.last > kLongest))
+    throw std::invalid_argument("the time of a prediction must be within 1e6 s after the last scan");
   s.answer.resize(s.tracks.size());
   const double dt = s.has_begun ? std::max(0.0, t - s.last) : 0;
   for (std::size_t i = 0; i < s.tracks.size(); ++i) {

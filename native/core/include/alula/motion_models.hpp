@@ -42,9 +42,9 @@ struct Measurement {
   double los[3] = {};
 };
 
-// False for a detection that is not finite or has no covariance. `los` becomes a unit vector. A tenth of a millimetre
-// (per second) is added to R in quadrature: a perfect sensor must not make the covariance of two things at once
-// singular.
+// False for a detection that is not finite, is beyond 1e9 (m, m/s), or has no covariance. `los` becomes a unit
+// vector. A tenth of a millimetre (per second) is added to R in quadrature: a perfect sensor must not make the
+// covariance of two things at once singular.
 bool measure(const Detection& detection, Measurement& result);
 
 // y = z - H x, with the Cholesky factor L of its covariance H P H' + R.

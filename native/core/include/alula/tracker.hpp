@@ -34,7 +34,7 @@ struct TrackerOptions {
   double cross_range_variance = 100;  // of the velocity across the line of sight, at the start [m^2/s^2]
   double turn_variance = 0.1;         // of the turn rate, at the start and for a model that has none [rad^2/s^2]
   // Of the acceleration of a model that has none, where models mix [m^2/s^4]: about the square of the manoeuvres to
-  // expect. With 0, as the letter has it, constant acceleration is told at every scan that there is none.
+  // expect. With 0 the model of constant acceleration would be told at every scan that there is none.
   double mixing_variance = 3;
   bool mixes = true;  // initial conditions, as in the textbook; false: at read-out only
   // SAFE-IMM, each on its own: see imm.hpp.
@@ -61,10 +61,12 @@ class Tracker {
 
   void reset();
   // To time t [s]; `detections` were all made then, by one sensor that sees a thing once. A detection that is not
-  // finite, or whose covariance is not positive semidefinite, is dropped and counted, and so is one for whose track
-  // there is no room. Throws std::invalid_argument, and changes nothing, if t is not finite or before the last scan.
+  // finite, or beyond 1e9 (m, m/s), or whose covariance is not positive semidefinite, is dropped and counted, and so
+  // is one for whose track there is no room. Throws std::invalid_argument, and changes nothing, unless t is within
+  // 1e6 s after the last scan.
   void update(double t, std::span<const Detection> detections);
   // All tracks predicted to `t`, oldest first; as of the last scan for a t before it. Valid until the next call.
+  // Throws std::invalid_argument if t is not finite or more than 1e6 s after the last scan.
   std::span<const Track> tracks(double t) const;
   std::uint64_t dropped() const;
 
