@@ -4,7 +4,7 @@ from math import radians
 
 import numpy as np
 
-from alula._core import ObstacleSpec
+from alula._core import ObstacleSpec, obstacle_paths
 
 DT = 0.01
 
@@ -87,3 +87,14 @@ def closing(vehicle, path):
     P, V = path[..., :3] - vehicle[:, :3], path[..., 3:6] - vehicle[:, 3:6]
     distance = np.linalg.norm(P, axis=-1)
     return distance, -(P * V).sum(-1) / distance
+
+
+def paths(table, vehicle, dt=DT, **where):
+    """Obstacle paths (trials, N, 9) of a table beside a vehicle."""
+    return obstacle_paths(obstacle(table), vehicle, dt_s=dt, **where)
+
+
+def angles(a, b):
+    """Angles between vectors [rad]."""
+    cosine = (a * b).sum(-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
+    return np.arccos(np.clip(cosine, -1, 1))

@@ -14,7 +14,7 @@ constexpr double kSameTime = 1e-9;           // of two sums of the same steps [s
 constexpr double kSamePlace = 1e-9;          // [m]
 constexpr double kLongestStep = 0.001;       // of the second quadrotor's controller [s]
 constexpr double kLongestBallistic = 0.005;  // step of the thrown [s]
-constexpr double kMostDrag = 100;            // of a throw: then it loses 99 % of its speed
+constexpr double kMostDrag = 20;             // of a throw: then it loses 95 % of its speed
 
 // What holds before it starts, and time.
 class Starting : public ObstacleMotion {

@@ -13,10 +13,10 @@ namespace {
 
 using geometry::e3;
 
-constexpr double kSamePlace = 1e-9;      // [m]
-constexpr double kShortestLeg = 1e-3;    // [m]
-constexpr double kLongestWait = 1e4;     // until a meeting [s]
-constexpr double kShortestThrow = 1e-3;  // [s]
+constexpr double kSamePlace = 1e-9;                          // [m]
+constexpr double kShortestLeg = 1e-3;                        // [m]
+constexpr double kLongestWait = 1e4;                         // until a meeting [s]
+constexpr double kShortestThrow = 1e-3, kLongestThrow = 60;  // [s]
 
 void require(bool good, const char* message) {
   if (!good) throw std::invalid_argument(message);
@@ -183,6 +183,7 @@ std::unique_ptr<ObstacleMotion> draw(const ObstacleSpec& spec, const Kinematics&
       if (has_velocity(spec)) return move_thrown(spec.start_s, drawn.p, spec.velocity, spec.drag_per_m);
       const double t = drawn.meeting_after(true);
       require(t > kShortestThrow, "what is thrown must not start above or below the meeting point");
+      require(t <= kLongestThrow, "what is thrown must reach the meeting point within a minute");
       const Vec3 v = throw_velocity(drawn.p, drawn.target_at(t), t, spec.drag_per_m);
       return move_thrown(spec.start_s, drawn.p, drawn.outwards(v), spec.drag_per_m);
     }
