@@ -249,7 +249,7 @@ alula_encounter encounter_of(double distance, double closing, double radius, dou
   m.envelope = static_cast<float>(envelope);
   m.sigma2_p = static_cast<float>(sigma2_p);
   m.sigma2_v = static_cast<float>(sigma2_v);
-  m.active = closing > 0;
+  m.active = m.closing_m_s > 0;
   return m;
 }
 

@@ -18,7 +18,8 @@ extern "C" {
 #endif
 
 /* Times the limit: by how much rows are narrowed before the projection, so that it holds them as they are, rounding
- * and all. Thinner sets may be taken for empty, and the point is that much off the nearest at most. */
+ * and all. The point is then farther from a_0 than the nearest by at most margin / r times the diameter of the set,
+ * where r is the radius of a ball in it; sets without a ball of that margin may be taken for empty. */
 #define ALULA_HALF_SPACE_MARGIN 2.0e-5F
 
 typedef struct {

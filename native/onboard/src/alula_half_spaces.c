@@ -15,11 +15,13 @@ typedef struct {
 
 static float dot(const float a[3], const float b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
+static float absolute(float x) { return x < 0.0F ? -x : x; }
+
 static float clipped(float x, float limit) { return x > limit ? limit : (x < -limit ? -limit : x); }
 
-/* a x b. Of nearly parallel vectors with the difference instead, which is exact: a x b = a x (b -+ a). */
+/* a x b. Of nearly parallel unit vectors with the difference instead, which is exact: a x b = a x (b -+ a). */
 static void cross(const float a[3], const float b[3], float c[3]) {
-  const float sign = dot(a, b) > 0.0F ? -1.0F : 1.0F;
+  const float along = dot(a, b), sign = along > 0.5F ? -1.0F : (along < -0.5F ? 1.0F : 0.0F);
   const float d[3] = {b[0] + sign * a[0], b[1] + sign * a[1], b[2] + sign * a[2]};
   c[0] = a[1] * d[2] - a[2] * d[1];
   c[1] = a[2] * d[0] - a[0] * d[2];
@@ -79,12 +81,13 @@ static int dual_vectors(const float* const n[3], uint32_t size, float d[3][3]) {
     cross(n[1], n[2], d[0]);
     cross(n[2], n[0], d[1]);
     cross(n[0], n[1], d[2]);
-    float largest = 0.0F;
-    uint32_t flat = 0U; /* the pair with the largest cross product gives the volume best */
-    for (uint32_t i = 0; i < 3U; ++i)
-      if (dot(d[i], d[i]) > largest) largest = dot(d[i], d[i]), flat = i;
-    scale = dot(n[flat], d[flat]);
-    if (!(scale * scale > PARALLEL * largest)) return 0;
+    uint32_t narrow = 0U, wide = 0U; /* the pair with the least angle gives the volume best */
+    for (uint32_t i = 1; i < 3U; ++i) {
+      if (dot(d[i], d[i]) < dot(d[narrow], d[narrow])) narrow = i;
+      if (dot(d[i], d[i]) > dot(d[wide], d[wide])) wide = i;
+    }
+    scale = dot(n[narrow], d[narrow]);
+    if (!(scale * scale > PARALLEL * dot(d[wide], d[wide]))) return 0;
   }
   for (uint32_t i = 0; i < size; ++i)
     for (int k = 0; k < 3; ++k) d[i][k] /= scale;
@@ -92,7 +95,7 @@ static int dual_vectors(const float* const n[3], uint32_t size, float d[3][3]) {
 }
 
 /* Projects a_0 on the planes of up to three constraints; 0 when they are parallel or one of them pushes the wrong
- * way. What a wrong sign within the tolerance moves is below the tolerance too. */
+ * way by more than rounding of x in units of the tolerance: without it that one would be missed by so little. */
 static int touch(const alula_half_space* h, uint32_t size, const float a0[3], float tolerance, float x[3]) {
   const float* const n[3] = {h[0].normal, h[size > 1U ? 1 : 0].normal, h[size > 2U ? 2 : 0].normal};
   float d[3][3];
@@ -107,7 +110,7 @@ static int touch(const alula_half_space* h, uint32_t size, const float a0[3], fl
   const float way[3] = {a0[0] - x[0], a0[1] - x[1], a0[2] - x[2]};
   for (uint32_t i = 0; i < size; ++i) {
     const float push = dot(d[i], way);
-    if (push < 0.0F && push * push > tolerance * tolerance / 16.0F * dot(d[i], d[i])) return 0;
+    if (push < -0.25F * tolerance * dot(d[i], d[i])) return 0;
   }
   return 1;
 }
@@ -134,9 +137,11 @@ static int exchange(const constraints* c, uint32_t added, const float a0[3], flo
       which[n] = basis[i];
       ++n;
     }
-    float x[3];
+    float x[3] = {0.0F, 0.0F, 0.0F};
     int good = touch(active, n, a0, c->tolerance, x);
-    for (uint32_t i = 0; i <= old && good; ++i) good = dot(h[i].normal, x) - h[i].bound <= c->tolerance;
+    /* Edges of narrow wedges may lie far out, where rounding is larger, before a face of the box is added. */
+    const float bears = c->tolerance + 4.0F * FLT_EPSILON * (absolute(x[0]) + absolute(x[1]) + absolute(x[2]));
+    for (uint32_t i = 0; i <= old && good; ++i) good = dot(h[i].normal, x) - h[i].bound <= bears;
     if (!good) continue;
     for (int k = 0; k < 3; ++k) a[k] = x[k];
     for (uint32_t i = 0; i < n; ++i) basis[i] = which[i];
