@@ -107,7 +107,7 @@ def _changes(
     """What the command line replaces, by the keys of the scenario."""
     changes: dict[str, Any] = {}
     for field in dataclasses.fields(config):
-        if not options.is_given(context, field.name):
+        if field.name == "seed" or not options.is_given(context, field.name):
             continue
         if field.name not in _KEYS:
             name = field.metadata.get("option", "--" + field.name.replace("_", "-"))
