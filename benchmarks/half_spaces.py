@@ -1,6 +1,7 @@
 """The onboard projection on half-spaces in a box against the proved QP solver, in all families of its tests.
 
-Ends with 1 unless no set that is empty is called feasible, no point called feasible misses a row, and every set called infeasible is empty or has no ball of the margin.
+Ends with 1 unless no set that is empty is called feasible, no point called feasible misses a row, and every
+set called infeasible is empty or has no ball of the margin.
 
     python benchmarks/half_spaces.py --problems 100000
 """
