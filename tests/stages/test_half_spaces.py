@@ -1,4 +1,4 @@
-"""The onboard projections on half-spaces in a box, against the proved solver, linear programs and Clarabel."""
+"""The onboard projections on half-spaces in a box against the proved solver, linear programs, Clarabel."""
 
 import numpy as np
 import pytest
@@ -68,10 +68,12 @@ def test_what_obeys_all_rows_comes_back_bit_by_bit_and_nothing_else_does():
     rows = np.array([[1.0, 0, 0, 2.0], [0, 0.6, 0.8, -1.0]])
     inside = np.array([2.0, 6.0, -6.0], np.float32)
     a, feasible, missed, iterations, basis = project(rows, inside.astype(float))
-    assert (feasible, iterations, basis) == (True, 0, []) and missed <= 0
+    assert (feasible, iterations, basis) == (True, 0, [])
+    assert missed <= 0
     assert np.array_equal(a.astype(np.float32), inside)
     a, feasible, *_, basis = project(rows, np.array([3.0, 0, 0]))
-    assert feasible and sorted(basis) == [0, 1]
+    assert feasible
+    assert sorted(basis) == [0, 1]
     assert np.allclose(a, [2, -0.6, -0.8], atol=3e-4)
 
 
@@ -79,7 +81,9 @@ def test_no_rows_leave_the_box():
     none = np.empty((0, 4))
     for solver in ("exact", "gs", "least-violation"):
         a, feasible, missed, *_ = project(none, np.array([9.0, -7.0, 1.0]), solver)
-        assert a.tolist() == [6, -6, 1] and feasible and missed == -np.inf
+        assert a.tolist() == [6, -6, 1]
+        assert feasible
+        assert missed == -np.inf
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -135,7 +139,8 @@ def test_gauss_southwell_is_the_printed_iteration():
                 break
             x = np.clip(x - excess[worst] * normal[worst], -LIMIT, LIMIT)
         assert np.allclose(a, x, atol=2e-3)
-        assert iterations <= 15 and np.abs(a).max() <= LIMIT
+        assert iterations <= 15
+        assert np.abs(a).max() <= LIMIT
         assert feasible == (missed <= np.float32(MARGIN))
         reached += feasible
     assert reached > 100
@@ -154,7 +159,8 @@ def test_every_projection_stays_in_the_box_and_tells_the_truth(rows, a0, limit):
     table = np.c_[unit(raw[:, :3]), raw[:, 3]].astype(np.float32).astype(float)
     for solver in ("exact", "gs", "least-violation"):
         a, feasible, missed, *_ = project(table, np.array(a0), solver, limit=limit)
-        assert np.isfinite(a).all() and np.abs(a).max() <= np.float32(limit)
+        assert np.isfinite(a).all()
+        assert np.abs(a).max() <= np.float32(limit)
         assert missed == pytest.approx(violation(table, a), abs=1e-6 * (limit + 1e3))
         if feasible and solver != "gs":
             assert missed <= 0
