@@ -62,15 +62,14 @@ class EncounterFlight(msgspec.Struct, frozen=True, kw_only=True):
 
     def rows(self, name: str) -> FloatArray:
         """Of the vehicle, command or nominal, shape (T, columns); of obstacles or tracks, shape (T, n, 3)."""
-        flat = np.frombuffer(getattr(self, name), np.float64)
+        flat: FloatArray = np.frombuffer(getattr(self, name), np.float64)
         if name in ("obstacles", "tracks"):
             return flat.reshape(len(self.mode), -1, 3)
         return flat.reshape(len(self.mode), -1)
 
     def time_s(self, dt_s: float) -> FloatArray:
         """When the samples are, shape (T,) [s]."""
-        time: FloatArray = np.frombuffer(self.tick, np.int64) * dt_s
-        return time
+        return np.frombuffer(self.tick, np.int64).astype(np.float64) * dt_s
 
 
 def write_encounter_log(
@@ -159,7 +158,7 @@ def _sphere(position: FloatArray, radius_m: float, color: dict[str, float]) -> d
 def _obstacle_message(
     obstacles: FloatArray, tracks: FloatArray, radii_m: list[float], frame: str, time_s: float
 ) -> dict[str, Any]:
-    seen = np.isfinite(tracks).all(axis=1)
+    seen = [bool(np.isfinite(track).all()) for track in tracks]
     true = [_sphere(p, r, _OBSTACLE_COLOR) for p, r in zip(obstacles, radii_m, strict=True)]
     tracked = [_sphere(p, 2 * r, _TRACK_COLOR) for p, r, s in zip(tracks, radii_m, seen, strict=True) if s]
     entities = [

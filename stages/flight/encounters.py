@@ -212,7 +212,7 @@ def _trial(scenario: Encounters, index: int, log: dict[str, Any]) -> TrialResult
     goal = way.start_m if way.hovers else way.goal_m
     obstacles = []
     for row, hit in zip(log["obstacle"], log["collided"], strict=True):
-        figures = {name: _known(value) for name, value in zip(_FIGURES, row, strict=True)}
+        figures: dict[str, Any] = {name: _known(value) for name, value in zip(_FIGURES, row, strict=True)}
         del figures["command_s"]
         obstacles.append(ObstacleResult(**figures, collision=bool(hit)))
     clearance = log["wall_clearance_m"] if math.isfinite(log["wall_clearance_m"]) else None

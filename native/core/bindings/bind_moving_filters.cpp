@@ -274,7 +274,8 @@ void bind_moving_filters(nb::module_& m) {
       .def_ro("feasible", &MovingReport::feasible, "Rows and box have a common point.")
       .def_ro("rows", &MovingReport::rows, "How many there were.")
       .def_ro("iterations", &MovingReport::iterations, "Of the solver.")
-      .def_ro("violation", &MovingReport::violation, "Of the rows, minus infinity without.");
+      .def_ro("violation", &MovingReport::violation, "Of the rows, minus infinity without.")
+      .def_ro("risk_left", &MovingReport::risk_left, "Sum over obstacles of Cantelli's bound at the command.");
   nb::class_<MovingFilter>(m, "MovingFilter", "A filter among moving obstacles; make one with `moving_filter`.")
       .def(
           "filter", &filter, "position"_a, "velocity"_a, "tracks"_a, "walls"_a, "nominal"_a,

@@ -34,12 +34,28 @@ class DrAcbf final : public MovingFilter {
     report.rows = result.rows;
     report.iterations = result.iterations;
     if (result.rows > 0) report.violation = result.violation;
+    if (result.rows > walls.size()) report.risk_left = risk_left(result);
     return report;
   }
   void reset() override { alula_dr_acbf_reset(&filter_); }
   std::unique_ptr<MovingFilter> clone() const override { return std::make_unique<DrAcbf>(*this); }
 
  private:
+  // The lambda for which the row would hold with equality, n . a = b(H), and the probability that goes with it.
+  double risk_left(const alula_dr_acbf_result& result) const {
+    const double h = result.horizon_s;
+    double sum = 0;
+    for (std::uint32_t i = 0; i < filter_.avoidance.count; ++i) {
+      const alula_encounter& m = filter_.avoidance.encounter[i];
+      if (!m.active) continue;
+      const double bound = alula_row_bound(&filter_.config, &m, result.horizon_s, 0);
+      const double slack = (bound - dot(to_vec3(m.los), to_vec3(result.a))) * h * h / 2;
+      const double variance = m.sigma2_p + h * h * m.sigma2_v;
+      sum += slack > 0 ? variance / (variance + slack * slack) : 1;
+    }
+    return sum;
+  }
+
   static void project(void* context, const alula_half_space* row, std::uint32_t count, float limit, const float a0[3],
                       alula_projection* result) {
     NearestPoint& nearest = static_cast<DrAcbf*>(context)->nearest_;

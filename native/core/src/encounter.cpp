@@ -249,6 +249,7 @@ void Encounter::judge_answer(const MovingReport& report, Vec3 command, Vec3 nomi
   log_.recovering_ticks += report.status == MovingStatus::recovering;
   log_.infeasible_ticks += !is_refused && !report.feasible;
   log_.iterations += report.iterations;
+  log_.risk_spent += report.risk_left;
   log_.worst_violation = std::max(log_.worst_violation, report.violation);
   if (!report.warned && report.mode == ALULA_NOMINAL) return;
   ++log_.active_ticks;

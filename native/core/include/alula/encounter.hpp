@@ -78,7 +78,7 @@ struct EncounterLog {
   std::int64_t ticks = 0, active_ticks = 0, filtered_ticks = 0, infeasible_ticks = 0, recovering_ticks = 0,
                refused_ticks = 0, iterations = 0;
   double worst_violation = 0;  // of rows, in any tick [m/s^2]
-  double risk_spent = 0;       // sum over ticks of the risk that the flown rows left, a bound of the mission's
+  double risk_spent = 0;       // sum over ticks of what the commands left: bounds that any row of the flight fails
   double path_length_m = 0, max_speed_m_s = 0;
   double mean_jerk_m_s3 = 0, max_jerk_m_s3 = 0;  // second differences of the velocity at the rate of the filter
   std::vector<float> active_tick_s;              // processing time of each active tick (t_cp): not reproducible

@@ -26,6 +26,7 @@ struct MovingReport {
   bool feasible = true;
   std::uint32_t rows = 0, iterations = 0;
   double violation = 0;  // of the rows; minus infinity without rows
+  double risk_left = 0;  // by the command: sum over obstacles with a row of Cantelli's bound for it, 1 at most each
 };
 
 class MovingFilter {
