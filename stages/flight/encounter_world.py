@@ -73,6 +73,7 @@ def native_encounter(scenario: Encounters, walls: _core.PolytopeSet | None) -> _
                 max_jerk_m_s3=body.j_max_m_s3,
                 actuation_delay_s=body.actuation_delay_s,
                 hovers=way.hovers,
+                yaw_rate_rad_s=body.yaw_rate_rad_s,
             ),
             rules=_core.EncounterRules(
                 dt_s=run.dt_s,

@@ -75,15 +75,15 @@ void bind_vehicle_and_rules(nb::module_& m) {
           "__init__",
           [](EncounterVehicle* self, const Triple& start, const Triple& goal, double start_speed, double cruise,
              double gain, double radius, double max_speed, double max_acceleration, double max_jerk, double delay,
-             bool hovers) {
-            new (self) EncounterVehicle{vector_of(start), vector_of(goal),  start_speed, cruise, gain,  radius,
-                                        max_speed,        max_acceleration, max_jerk,    delay,  hovers};
+             bool hovers, double yaw_rate) {
+            new (self) EncounterVehicle{vector_of(start), vector_of(goal),  start_speed, cruise, gain,   radius,
+                                        max_speed,        max_acceleration, max_jerk,    delay,  hovers, yaw_rate};
           },
           nb::kw_only(), "start"_a = triple_of(v.start), "goal"_a = triple_of(v.goal),
           "start_speed_m_s"_a = v.start_speed_m_s, "cruise_m_s"_a = v.cruise_m_s, "gain"_a = v.gain,
           "radius_m"_a = v.radius_m, "max_speed_m_s"_a = v.max_speed_m_s,
           "max_acceleration_m_s2"_a = v.max_acceleration_m_s2, "max_jerk_m_s3"_a = v.max_jerk_m_s3,
-          "actuation_delay_s"_a = v.actuation_delay_s, "hovers"_a = v.hovers,
+          "actuation_delay_s"_a = v.actuation_delay_s, "hovers"_a = v.hovers, "yaw_rate_rad_s"_a = v.yaw_rate_rad_s,
           "A sphere that moves as a double integrator: |a|_inf of commands, |da/dt|_inf and |v| of what is executed, "
           "late by the delay. It holds its start or goes to its goal.");
   const EncounterRules r;

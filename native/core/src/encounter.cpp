@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <numbers>
 #include <utility>
 
 #include "alula/encounter_plant.hpp"
@@ -58,6 +59,7 @@ class Encounter {
   void begin(std::uint32_t trial);
   void sense(std::int64_t step);
   void see(double now, std::int64_t tick);
+  void look();
   void see_walls();
   Vec3 nominal() const;
   void judge_answer(const MovingReport& report, Vec3 command, Vec3 nominal, double now, double took);
@@ -91,7 +93,7 @@ class Encounter {
     double reacted_s = EncounterMetrics::kNever;
   };
   std::vector<Window> window_;
-  double receded_s_ = 0;
+  double receded_s_ = 0, yaw_ = 0;
   std::uint32_t nearest_wall_ = 0;
   std::vector<double> scratch_;
   EncounterLog log_;
@@ -110,6 +112,7 @@ void Encounter::begin(std::uint32_t trial) {
   }
   scans_ = 0, scanned_ = 0;
   receded_s_ = 0;
+  yaw_ = std::atan2(course_.y, course_.x);
   window_.assign(truth_.size(), {});
   log_ = {};
   log_.obstacle.resize(truth_.size());
@@ -125,8 +128,7 @@ void Encounter::sense(std::int64_t step) {
   Scan& made = scan_[scans_++];
   made.time = now;
   made.detections.clear();
-  scan(radar, plant_.state(), std::atan2(course_.y, course_.x), truth_, random_, static_cast<std::uint64_t>(step),
-       made.detections);
+  scan(radar, plant_.state(), yaw_, truth_, random_, static_cast<std::uint64_t>(step), made.detections);
 }
 
 // What the vehicle knows in a tick: scans that have arrived, confirmed tracks, its own state.
@@ -166,7 +168,28 @@ void Encounter::see(double now, std::int64_t tick) {
     EncounterMetrics& m = log_.obstacle[static_cast<std::size_t>(of)];
     if (std::isnan(m.detected_s)) m.detected_s = now;
   }
+  if (spec_.vehicle.yaw_rate_rad_s > 0) look();
   see_walls();
+}
+
+// Towards the middle between the leftmost and the rightmost track that closes in; along the course without any.
+void Encounter::look() {
+  double least = 0, most = 0;
+  bool has_track = false;
+  const auto bearing = [&](double y, double x) {
+    return std::remainder(std::atan2(y, x) - yaw_, 2 * std::numbers::pi);
+  };
+  for (const alula_track& t : tracks_) {
+    const Vec3 p = geometry::Vec3{t.position[0], t.position[1], t.position[2]} - seen_p_;
+    if (dot(p, Vec3{t.velocity[0], t.velocity[1], t.velocity[2]} - seen_v_) >= 0) continue;
+    const double angle = bearing(p.y, p.x);
+    least = has_track ? std::min(least, angle) : angle;
+    most = has_track ? std::max(most, angle) : angle;
+    has_track = true;
+  }
+  const double turn = has_track ? (least + most) / 2 : bearing(course_.y, course_.x);
+  const double limit = spec_.vehicle.yaw_rate_rad_s * spec_.rules.dt_s;
+  yaw_ += std::clamp(turn, -limit, limit);
 }
 
 // Of each polytope the plane that separates it best from the vehicle; its distance is at most the polytope's.

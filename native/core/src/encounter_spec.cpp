@@ -52,6 +52,7 @@ void check(const EncounterSpec& spec) {
   require(is_within(v.radius_m, 0, 1e3), "the radius must be in 0..1000 m");
   require(is_within(v.max_acceleration_m_s2, 1e-3, 1e4), "the largest acceleration must be in 0.001..10000 m/s^2");
   require(is_within(v.max_jerk_m_s3, 1e-3, 1e9), "the largest jerk must be in 0.001..1e9 m/s^3");
+  require(is_within(v.yaw_rate_rad_s, 0, 100), "the rate of yaw must be in 0..100 rad/s");
   require(is_within(v.actuation_delay_s, 0, 10), "the delay of the actuation must be in 0..10 s");
   require(spec.obstacles.size() <= ALULA_OBSTACLES, "there are too many obstacles");
   check(spec.radar);

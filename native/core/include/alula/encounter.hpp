@@ -34,6 +34,8 @@ struct EncounterVehicle {
   double max_jerk_m_s3 = 60;         // |da/dt|_inf, of what is executed; the limit of the speed aside
   double actuation_delay_s = 0;      // of a command until it begins to act
   bool hovers = false;               // the goal is the start: hold it
+  // The sensor looks along the course; above 0 it turns, this fast, to the middle of all tracks that close in.
+  double yaw_rate_rad_s = 0;
 };
 
 struct EncounterRules {
