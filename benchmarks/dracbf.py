@@ -1,12 +1,13 @@
 """The filters among moving obstacles tick by tick, their projections and programs, and trials of scenario 1.
 
-Trials of scenario 1 (examples/dr-acbf) are flown with DR-ACBF, and their active ticks recorded: the state, every
-track, the nominal command. Each filter is then led through the same ticks of the same trials, in turns, so all answer
-the same questions in the same run; every active tick is timed on copies of the filter, and their median counts.
+Trials of scenario 1 (examples/dr-acbf) are flown with DR-ACBF, and their active ticks recorded: the state,
+every track, the nominal command. Each filter is then led through the same ticks of the same trials, in
+turns, so all answer the same questions in the same run; every active tick is timed on copies of the filter,
+and their median counts.
 
-`general_qp` figures are of the rows of `dr-acbf` through a general QP solver: ours, and where they are installed
-Clarabel and quadprog, called as Python calls them, set-up included. `exact_projection` and `gs_projection` are the
-projections alone on rows like those of these ticks.
+`general_qp` figures are of the rows of `dr-acbf` through a general QP solver: ours, and where they are
+installed Clarabel and quadprog, called as Python calls them, set-up included. `exact_projection` and
+`gs_projection` are the projections alone on rows like those of these ticks.
 """
 
 from __future__ import annotations
@@ -77,8 +78,8 @@ class Tick:
 def record(scenario: Encounters, count: int, seed: int) -> list[list[Tick]]:
     """All ticks of some trials, flown with DR-ACBF.
 
-    Positions of tracks are those of the flight. What it does not record are their velocities, here the truth over
-    ten ticks, and covariances, here about what the sensor's noise leaves at that distance.
+    Positions of tracks are those of the flight. What it does not record are their velocities, here the truth
+    over ten ticks, and covariances, here about what the sensor's noise leaves at that distance.
     """
     spec, native = native_encounter(scenario, None), native_filter(scenario)
     logs = _core.fly_encounters(spec, native, seed=seed, first=0, count=count, keeps_path=True, jobs=0)
@@ -108,7 +109,7 @@ def _ticks(log: dict[str, Any], scenario: Encounters) -> Iterator[Tick]:
 
 
 def through(native: Any, ticks: list[Tick], repeats: int) -> list[float]:
-    """Times of a filter in the active ticks of a trial [s], each the median of its copies; it flies the others too."""
+    """Times of a filter in a trial's active ticks [s], medians of copies; the others it just flies."""
     native.reset()
     found = []
     for tick in ticks:
@@ -202,14 +203,12 @@ def projections(count: int, seed: int) -> Figures:
     for size, suffix in ((_ROWS, ""), (2, "_2_rows")):
         took: dict[str, list[float]] = {"exact": [], "gs": []}
         for _ in range(count):
-            normal = rng.normal(size=(size, 3)) + [1.5, 0, 0]
+            normal = rng.normal([1.5, 0.0, 0.0], 1.0, (size, 3))
             normal /= np.linalg.norm(normal, axis=1)[:, None]
             rows = np.column_stack([normal, rng.uniform(-3, 12, size)])
             start = rng.uniform(-_LIMIT, _LIMIT, 3).tolist()
             for solver, times in took.items():
-                times.append(
-                    _core.half_space_projection(rows, start, solver, limit=_LIMIT, repeats=500)[-1]
-                )
+                times.append(_core.half_space_projection(rows, start, solver, limit=_LIMIT, repeats=500)[-1])
         for solver, times in took.items():
             figures[f"{solver}_projection{suffix}_us"] = 1e6 * float(np.median(times))
     return figures
@@ -222,7 +221,9 @@ def flights(scenario: Encounters, size: int, rounds: int) -> Figures:
     hits = np.zeros(len(scenario.obstacles), np.int64)
     good = 0
     for number in range(rounds):
-        table = msgspec.structs.replace(scenario.trials, count=size, seed=scenario.trials.seed + number, logged=0)
+        table = msgspec.structs.replace(
+            scenario.trials, count=size, seed=scenario.trials.seed + number, logged=0
+        )
         block = msgspec.structs.replace(scenario, trials=table)
         for jobs in (1, 2) if number % 2 == 0 else (2, 1):
             start = time.perf_counter()
@@ -290,7 +291,8 @@ def table(found: Figures) -> str:
         lines.append(f"| {label} | {' | '.join(cell(f'{name}_{k}_us') for k in ('p50', 'p99', 'mean'))} |")
     lines += [
         "",
-        f"{found['active_ticks']:,} active ticks of scenario 1, the same for all, in one run. Among 100 obstacles "
+        f"{found['active_ticks']:,} active ticks of scenario 1, the same for all, in one run. Among 100 "
+        f"obstacles "
         f"{cell('tick_100_obstacles_p50_us')} µs. The projection alone, {_ROWS} rows: exact "
         f"{cell('exact_projection_us')} µs, Gauss–Southwell {cell('gs_projection_us')} µs; two rows: "
         f"{cell('exact_projection_2_rows_us')} and {cell('gs_projection_2_rows_us')} µs.",

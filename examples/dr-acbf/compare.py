@@ -1,4 +1,4 @@
-"""The tables of DR-ACBF, the sensitivity of what it leaves open, and what goes beyond it, from the runs in a folder.
+"""The tables of DR-ACBF, the sensitivity of what it leaves open, and more, from the runs in a folder.
 
 Usage: python compare.py FOLDER RUN [RUN ...]
 
@@ -49,6 +49,4 @@ for figure in figures:
     write_text(folder / f"{figure.name}.svg", figure.svg)
 write_text(folder / "dr-acbf.md", to_markdown(TITLE, facts, tables, ""))
 short = Table("short", "In short", ("", "found"), tuple(facts.items()))
-write_text(
-    folder / "dr-acbf.html", page(material, [short, *tables, inputs_table(material)], figures, None)
-)
+write_text(folder / "dr-acbf.html", page(material, [short, *tables, inputs_table(material)], figures, None))

@@ -161,7 +161,8 @@ def success_table(
     columns += ["mean of obstacles [%]", "runs [%]", "95 % low", "95 % high"]
     columns += [f"published: {key.removeprefix('success_')} [%]" for key in shown]
     note = (
-        "Success of an obstacle: it was never touched, in truth and between ticks too; of a run: nothing was. "
+        "Success of an obstacle: it was never touched, in truth and between ticks too; of a run: nothing "
+        "was. "
         "Intervals are Wilson's. All variants fly the same trials."
     )
     return Table(name, title, tuple(columns), tuple(rows), note)
@@ -198,7 +199,8 @@ def time_table(
         *("published: t_cm", "published: t_r"),
     )
     note = (
-        "t_cp: the filter in a tick that is warned or in a manoeuvre; t_cm: in the tick of the warning; t_r: with "
+        "t_cp: the filter in a tick that is warned or in a manoeuvre; t_cm: in the tick of the warning; "
+        "t_r: with "
         "the simulated time until the command is not the nominal one. Measured while the trials flew, with "
         "whatever else the machine did; benchmarks/dracbf.py times them side by side."
     )
@@ -246,8 +248,10 @@ def separation_table(
         *("worst violation [m/s²]", "published: v_cl", "published: d_s"),
     )
     note = (
-        "d_s is the least distance from an obstacle's first warning to the end of hovering, of those that were "
-        "warned of; d_cpa the least of the whole run, of all trials. Published values of Table II are means of "
+        "d_s is the least distance from an obstacle's first warning to the end of hovering, of those that "
+        "were "
+        "warned of; d_cpa the least of the whole run, of all trials. Published values of Table II are "
+        "means of "
         "both obstacles."
     )
     return Table(name, title, columns, tuple(rows), note)
@@ -338,9 +342,12 @@ def hardware_table(flown: Sequence[Flown]) -> Table | None:
         "published: d_s",
     )
     note = (
-        "Simulated: 0.8 m/s², radii of 0.1 m, motion capture at 120 Hz. t_a: from the first command that avoids to "
-        "the end of hovering; t_d: from the first detection to that command. Published: means of five flights each, "
-        "all without collision (at best 57 to 100 % by Wilson's interval), thrown by hand and with a radio link, so "
+        "Simulated: 0.8 m/s², radii of 0.1 m, motion capture at 120 Hz. t_a: from the first command that "
+        "avoids to "
+        "the end of hovering; t_d: from the first detection to that command. Published: means of five "
+        "flights each, "
+        "all without collision (at best 57 to 100 % by Wilson's interval), thrown by hand and with a radio "
+        "link, so "
         "only the kind of numbers compares; our radio, if any, is in the delays of the scenario."
     )
     return Table("hardware", "Tables IV and V: a small vehicle", columns, tuple(rows), note)

@@ -1,4 +1,6 @@
-"""What goes beyond the tables of DR-ACBF: where its rows suffice, what its risk is worth, where a trigger fails."""
+"""What goes beyond the tables of DR-ACBF: where its rows suffice, what its risk is worth, where a trigger
+fails.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.stages.reporting.dracbf import BASE, DRACBF, FREE, METHODS, Flown, Rate, find, rate, select, success
+from alula.stages.reporting.dracbf import (
+    BASE,
+    FREE,
+    METHODS,
+    Flown,
+    Rate,
+    find,
+    rate,
+    select,
+    success,
+)
+from alula.stages.reporting.published import DRACBF
 from alula.stages.reporting.tables import Table, flat
 
 FloatArray = NDArray[np.float64]
@@ -69,7 +82,8 @@ def stop(speed_m_s: float, horizon_s: float, a_max: float = math.inf) -> Stop:
         if v <= 0:  # it recedes: no row any more
             used = i + 1
             break
-    return Stop(h * np.arange(used), found[:used, 0], found[:used, 1])
+    time = np.arange(used, dtype=np.float64) * h
+    return Stop(np.asarray(time, np.float64), found[:used, 0], found[:used, 1])
 
 
 def _row(distance: float, closing: float, horizon: float, options: dict[str, float]) -> float:
@@ -123,9 +137,9 @@ class RiskBin:
 def risk_bins(flown: Flown, count: int = 6) -> list[RiskBin]:
     """Trials by their bound, min(1, sum over ticks of the risk left), in bins of equal numbers.
 
-    The bound adds up, tick by tick and obstacle by obstacle, the probability (Cantelli) that a row does not hold
-    for the true state. It is that of any row failing, not of a collision, and knows nothing of what no track
-    shows.
+    The bound adds up, tick by tick and obstacle by obstacle, the probability (Cantelli) that a row does not
+    hold for the true state. It is that of any row failing, not of a collision, and knows nothing of what no
+    track shows.
     """
     risks = np.array([trial.risk_spent or 0.0 for trial in flown.record.trials])
     hits = np.array([trial.collision for trial in flown.record.trials])
@@ -158,13 +172,24 @@ def risk_table(flown: Sequence[Flown]) -> Table | None:
     if not rows:
         return None
     columns = (
-        *("scenario", "bound of the run", "trials", "mean bound [%]", "collided [%]", "95 % low", "95 % high"),
+        *(
+            "scenario",
+            "bound of the run",
+            "trials",
+            "mean bound [%]",
+            "collided [%]",
+            "95 % low",
+            "95 % high",
+        ),
         "the bound",
     )
     note = (
-        "A budget of alpha per tick says little of a mission: over K ticks the union bound is K alpha. Summed here "
-        "is instead what the flown commands left, sum of var / (var + slack²) over ticks and obstacles with a row, "
-        "capped at 1. It bounds the probability that any row of the flight fails, given tracks whose covariance is "
+        "A budget of alpha per tick says little of a mission: over K ticks the union bound is K alpha. "
+        "Summed here "
+        "is instead what the flown commands left, sum of var / (var + slack²) over ticks and obstacles "
+        "with a row, "
+        "capped at 1. It bounds the probability that any row of the flight fails, given tracks whose "
+        "covariance is "
         "honest; obstacles without a track are in no bound. The last row of each scenario is all trials."
     )
     return Table("risk", "Risk of a whole run: bound and observed", columns, tuple(rows), note)
@@ -184,10 +209,11 @@ class Cell:
 
 def collapse_cells(flown: Sequence[Flown]) -> list[Cell]:
     """Conditions that were flown with both triggers, by their sensing; worst simple trigger first."""
-    found: dict[tuple[float, ...], dict[str, Rate]] = {}
+    found: dict[tuple[float, float, float, float], dict[str, Rate]] = {}
     for f in select(flown, "collapse"):
         values = flat(f.record.provenance.parameters)
-        key = tuple(float(values[axis]) for axis in _AXES)
+        delay, noise, hertz, detection = (float(values[axis]) for axis in _AXES)
+        key = (delay, noise, hertz, detection)
         found.setdefault(key, {})[str(values["filter.parameters.trigger"])] = success(f)
     cells = [Cell(*key, each["cvar"], each["simple"]) for key, each in found.items() if len(each) == 2]
     return sorted(cells, key=lambda c: (c.simple.value or 0.0, c.delay_s, c.noise_scale, -c.rate_hz))
@@ -220,8 +246,10 @@ def collapse_table(flown: Sequence[Flown]) -> Table | None:
     on, off = DRACBF["trigger"][BASE], DRACBF["trigger"]["trigger-simple"]
     note = (
         f"Scenario 2. Published: {(on['success_1'] + on['success_2']) / 2:.1f} % on, "
-        f"{(off['success_1'] + off['success_2']) / 2:.1f} % off, by obstacle. Collapses: at most {_COLLAPSED:g} % of "
-        f"runs with the simple trigger where DR-CVaR keeps {_HOLDS:g} %. The simple trigger as printed: rows bind "
+        f"{(off['success_1'] + off['success_2']) / 2:.1f} % off, by obstacle. Collapses: at most "
+        f"{_COLLAPSED:g} % of "
+        f"runs with the simple trigger where DR-CVaR keeps {_HOLDS:g} %. The simple trigger as printed: "
+        f"rows bind "
         "only in a manoeuvre."
     )
     return Table("collapse", "Where the simple trigger collapses", columns, rows, note)
@@ -253,7 +281,8 @@ def in_short(flown: Sequence[Flown]) -> dict[str, str]:
         gone = [c for c in cells if has_collapsed(c)]
         worst_cell = cells[0]
         where = (
-            f"{worst_cell.delay_s:g} s late, noise times {worst_cell.noise_scale:g}, {worst_cell.rate_hz:g} Hz, "
+            f"{worst_cell.delay_s:g} s late, noise times {worst_cell.noise_scale:g}, "
+            f"{worst_cell.rate_hz:g} Hz, "
             f"detected with {worst_cell.detection:g}"
         )
         facts["simple trigger"] = (

@@ -57,8 +57,10 @@ def recursion_figure(a_max: float = 6.0) -> Figure:
         axes.legend(fontsize=9)
         svg = render()
     alt = (
-        f"The closing speed up to which a row asks for no more than {a_max:g} m/s² grows with the horizon, from "
-        f"{text(float(limit[0]))} m/s at {horizons[0]:g} s to {text(float(limit[-1]))} m/s at {horizons[-1]:g} s."
+        f"The closing speed up to which a row asks for no more than {a_max:g} m/s² grows with the horizon, "
+        f"from "
+        f"{text(float(limit[0]))} m/s at {horizons[0]:g} s to {text(float(limit[-1]))} m/s at "
+        f"{horizons[-1]:g} s."
     )
     return Figure("recursion", "Where the rows alone are recursively feasible", alt, svg)
 
@@ -82,7 +84,8 @@ def stop_figure(a_max: float = 6.0, horizon_s: float = 0.4) -> Figure:
         axes.legend(fontsize=9, title="from v₀, undershoot")
         svg = render()
     alt = (
-        f"With only a row of H = {horizon_s:g} s and the box of {a_max:g} m/s² acting along one axis, the range less "
+        f"With only a row of H = {horizon_s:g} s and the box of {a_max:g} m/s² acting along one axis, the "
+        f"range less "
         f"all clearance falls below zero {', '.join(said)}."
     )
     return Figure("undershoot", "Undershoot of a row that is followed exactly", alt, svg)
@@ -110,7 +113,8 @@ def risk_figure(flown: Sequence[Flown]) -> Figure | None:
         axes.legend(fontsize=9)
         svg = render()
     alt = (
-        "Bound of a whole run against the observed share of collisions, with 95 % intervals, in six bins of equal "
+        "Bound of a whole run against the observed share of collisions, with 95 % intervals, in six bins "
+        "of equal "
         f"numbers of trials; above the line the bound is too small. Bound: observed, {'; '.join(said)}."
     )
     return Figure("risk", "Risk of a whole run: bound and observed", alt, svg)
@@ -135,7 +139,8 @@ def collapse_figure(flown: Sequence[Flown]) -> Figure | None:
         axes.legend()
         svg = render()
     alt = (
-        f"Success of runs in {len(cells)} conditions of delay, noise, rate and detection probability, worst for the "
+        f"Success of runs in {len(cells)} conditions of delay, noise, rate and detection probability, "
+        f"worst for the "
         f"simple trigger first: {cells[0].simple} against {cells[0].distributional} with DR-CVaR."
     )
     return Figure("collapse", "Either trigger under worse sensing", alt, svg, wide=True)

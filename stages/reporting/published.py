@@ -64,12 +64,19 @@ FASTBRIDGE: dict[str, dict[str, float]] = {
         "max_speed_m_s": 1.481,
     },
 }
-# DR-ACBF (arXiv 2512.00462), Tables I to V. Of two obstacles the first and the second, or "mean"; success [%], closing
-# speed [m/s], reaction, command and processing [ms], separation [m].
+# DR-ACBF (arXiv 2512.00462), Tables I to V. Of two obstacles the first and the second, or "mean"; success
+# [%], closing speed [m/s], reaction, command and processing [ms], separation [m].
 DRACBF: dict[str, dict[str, dict[str, float]]] = {
     "scenario-1": {
         name: {
-            **{"success_1": s1, "success_2": s2, "reaction": tr, "command": tcm, "tick": tick, "tick_std": std},
+            **{
+                "success_1": s1,
+                "success_2": s2,
+                "reaction": tr,
+                "command": tcm,
+                "tick": tick,
+                "tick_std": std,
+            },
             **{"closing_1": 10.43, "closing_2": 10.97, "separation_1": 2.82, "separation_2": d2},
         }
         for name, s1, s2, tr, tcm, tick, std, d2 in (
@@ -96,9 +103,17 @@ DRACBF: dict[str, dict[str, dict[str, float]]] = {
     },
     "trigger": {
         "dr-acbf": {"success_1": 80.0, "success_2": 84.7, "separation_1": 2.969, "separation_2": 0.985},
-        "trigger-simple": {"success_1": 32.0, "success_2": 37.9, "separation_1": 0.707, "separation_2": 0.858},
+        "trigger-simple": {
+            "success_1": 32.0,
+            "success_2": 37.9,
+            "separation_1": 0.707,
+            "separation_2": 0.858,
+        },
     },
-    "solver": {"dr-acbf-gs": {"tick": 0.475, "command": 2.24}, "dr-acbf-qp": {"tick": 0.766, "command": 5.36}},
+    "solver": {
+        "dr-acbf-gs": {"tick": 0.475, "command": 2.24},
+        "dr-acbf-qp": {"tick": 0.766, "command": 5.36},
+    },
     "hardware": {
         name: {
             **{"closing": v, "reaction": tr, "command": tcm, "avoid": ta, "detection": td, "separation": d},
