@@ -32,7 +32,10 @@ _STEP = 5e-4  # of a stop, in horizons: the undershoot is off by less than 1 %
 _SPAN = 12.0  # horizons after which a stop is over
 _COLLAPSED = 50.0  # runs that succeed [%]: at most with one trigger, while
 _HOLDS = 82.5  # at least with the other, as published
-_AXES = ("sensor.delay_s", "sensor.noise_scale", "sensor.rate_hz", "sensor.detection_probability")
+_AXES = (
+    *("sensor.delay_s", "vehicle.actuation_delay_s", "sensor.noise_scale", "sensor.rate_hz"),
+    "sensor.detection_probability",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,9 +200,10 @@ def risk_table(flown: Sequence[Flown]) -> Table | None:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One sensing condition: success of runs with either trigger."""
+    """One condition of sensing and latency: success of runs with either trigger."""
 
     delay_s: float
+    lag_s: float
     noise_scale: float
     rate_hz: float
     detection: float
@@ -209,14 +213,14 @@ class Cell:
 
 def collapse_cells(flown: Sequence[Flown]) -> list[Cell]:
     """Conditions that were flown with both triggers, by their sensing; worst simple trigger first."""
-    found: dict[tuple[float, float, float, float], dict[str, Rate]] = {}
+    found: dict[tuple[float, float, float, float, float], dict[str, Rate]] = {}
     for f in select(flown, "collapse"):
         values = flat(f.record.provenance.parameters)
-        delay, noise, hertz, detection = (float(values[axis]) for axis in _AXES)
-        key = (delay, noise, hertz, detection)
+        delay, lag, noise, hertz, detection = (float(values[axis]) for axis in _AXES)
+        key = (delay, lag, noise, hertz, detection)
         found.setdefault(key, {})[str(values["filter.parameters.trigger"])] = success(f)
     cells = [Cell(*key, each["cvar"], each["simple"]) for key, each in found.items() if len(each) == 2]
-    return sorted(cells, key=lambda c: (c.simple.value or 0.0, c.delay_s, c.noise_scale, -c.rate_hz))
+    return sorted(cells, key=lambda c: (c.simple.value or 0.0, c.delay_s, c.lag_s, c.noise_scale))
 
 
 def has_collapsed(cell: Cell) -> bool:
@@ -225,13 +229,13 @@ def has_collapsed(cell: Cell) -> bool:
 
 
 def collapse_table(flown: Sequence[Flown]) -> Table | None:
-    """Success with either trigger over delay, noise, rate and detection; None without runs."""
+    """Success with either trigger over both delays, noise, rate and detection; None without runs."""
     cells = collapse_cells(flown)
     if not cells:
         return None
     rows = tuple(
         (
-            *(c.delay_s, c.noise_scale, c.rate_hz, c.detection),
+            *(c.delay_s, c.lag_s, c.noise_scale, c.rate_hz, c.detection),
             *(*c.distributional.cells, *c.simple.cells),
             (c.distributional.value or 0.0) - (c.simple.value or 0.0),
             "collapses" if has_collapsed(c) else "",
@@ -239,7 +243,7 @@ def collapse_table(flown: Sequence[Flown]) -> Table | None:
         for c in cells
     )
     columns = (
-        *("delay [s]", "noise scale", "rate [Hz]", "detection probability"),
+        *("sensor delay [s]", "actuation delay [s]", "noise scale", "rate [Hz]", "detection probability"),
         *("DR-CVaR: runs [%]", "95 % low", "95 % high", "simple: runs [%]", "95 % low", "95 % high"),
         *("difference [points]", "simple trigger"),
     )
@@ -250,7 +254,7 @@ def collapse_table(flown: Sequence[Flown]) -> Table | None:
         f"{_COLLAPSED:g} % of "
         f"runs with the simple trigger where DR-CVaR keeps {_HOLDS:g} %. The simple trigger as printed: "
         f"rows bind "
-        "only in a manoeuvre."
+        "only in a manoeuvre. Neither filter is told of the delays."
     )
     return Table("collapse", "Where the simple trigger collapses", columns, rows, note)
 
@@ -281,7 +285,8 @@ def in_short(flown: Sequence[Flown]) -> dict[str, str]:
         gone = [c for c in cells if has_collapsed(c)]
         worst_cell = cells[0]
         where = (
-            f"{worst_cell.delay_s:g} s late, noise times {worst_cell.noise_scale:g}, "
+            f"sensed {worst_cell.delay_s:g} s and executed {worst_cell.lag_s:g} s late, noise times "
+            f"{worst_cell.noise_scale:g}, "
             f"{worst_cell.rate_hz:g} Hz, "
             f"detected with {worst_cell.detection:g}"
         )

@@ -133,13 +133,16 @@ def collapse_figure(flown: Sequence[Flown]) -> Figure | None:
         ):
             values = [r.value or 0.0 for r in rates]
             axes.errorbar(at, values, yerr=_bars(rates), fmt="o", color=color, capsize=2, label=name)
-        labels = [f"{c.delay_s:g} s, ×{c.noise_scale:g}, {c.rate_hz:g} Hz, {c.detection:g}" for c in cells]
+        labels = [
+            f"{c.delay_s:g} + {c.lag_s:g} s, ×{c.noise_scale:g}, {c.rate_hz:g} Hz, {c.detection:g}"
+            for c in cells
+        ]
         axes.set_xticks(at, labels, rotation=90, fontsize=8)
         axes.set(ylabel="runs without a collision [%]", ylim=(-3, 103))
         axes.legend()
         svg = render()
     alt = (
-        f"Success of runs in {len(cells)} conditions of delay, noise, rate and detection probability, "
+        f"Success of runs in {len(cells)} conditions of delays, noise, rate and detection probability, "
         f"worst for the "
         f"simple trigger first: {cells[0].simple} against {cells[0].distributional} with DR-CVaR."
     )

@@ -190,6 +190,7 @@ def condition(trigger, delay, hits):
         [trial(i, [met(hit=i < hits)]) for i in range(10)],
         filter__parameters__trigger=trigger,
         sensor__delay_s=delay,
+        vehicle__actuation_delay_s=0.3,
         sensor__noise_scale=2.0,
         sensor__rate_hz=20.0,
         sensor__detection_probability=0.95,
@@ -209,7 +210,7 @@ def test_a_trigger_collapses_where_it_fails_most_runs_and_the_other_does_not():
     table = dracbf_beyond.collapse_table(runs)
     assert [row[-1] for row in table.rows] == ["", "collapses", ""]
     assert "collapses in 1 of 3 conditions" in dracbf_beyond.in_short(runs)["simple trigger"]
-    assert "0.4 s, ×2, 20 Hz, 0.95" in dracbf_figures.collapse_figure(runs).svg
+    assert "0.4 + 0.3 s, ×2, 20 Hz, 0.95" in dracbf_figures.collapse_figure(runs).svg
 
 
 @pytest.mark.parametrize("speed", [0.5, 3.0, 8.0])
