@@ -9,7 +9,7 @@ VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
 CONSTRAINTS := .ci/constraints.txt
 
-.PHONY: help demo test setup lint format typecheck typing-view test-native fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-alignment docs schemas clean
+.PHONY: help demo test setup lint format typecheck typing-view test-native fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-alignment docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -90,6 +90,9 @@ bench-formats: setup ## readers of splat formats against those of others, some m
 
 bench-filters: setup ## filters among ellipsoids tick by tick, and the QP solver beside others, some minutes, into docs/benchmarks-filters.md
 	$(BIN)/python -P benchmarks/filters.py --markdown docs/benchmarks-filters.md
+
+bench-dracbf: setup ## filters among moving obstacles side by side, some minutes, into docs/benchmarks-dracbf.md
+	$(BIN)/python -P benchmarks/dracbf.py --markdown docs/benchmarks-dracbf.md
 
 bench-alignment: setup ## how often the intervals of scale-align hold, some minutes
 	$(BIN)/python -P benchmarks/alignment.py

@@ -138,6 +138,7 @@ def _toml(path: Path) -> Explained:
     """A vehicle has a model; whatever else is taken for a scenario."""
     import msgspec
 
+    from alula.schemas.encounters import is_encounters, read_encounters
     from alula.schemas.scenario import SCENARIO_SCHEMA, read_scenario
     from alula.schemas.toml_file import has_key
     from alula.schemas.vehicle import VEHICLE_SCHEMA, read_vehicle
@@ -146,6 +147,10 @@ def _toml(path: Path) -> Explained:
     if has_key(path, "model"):
         vehicle = msgspec.to_builtins(read_vehicle(path))
         return {**about(VEHICLE_SCHEMA, vehicle.pop("version", "")), **vehicle}, None
+    if is_encounters(path):
+        scenario = msgspec.to_builtins(read_encounters(path))
+        del scenario["schema"]
+        return {**about(SCENARIO_SCHEMA, scenario.pop("version")), **scenario}, None
     return {**about(SCENARIO_SCHEMA, ""), **msgspec.to_builtins(read_scenario(path))}, None
 
 

@@ -35,10 +35,12 @@ def command(source: Path, config: MergeConfig, common: options.Common) -> None:
     Memory: about 600 bytes per voxel of surfaces; at most 2,600 where voxels are scattered or --block is
     0. More than 16,777,216 voxels are refused.
     """
+    from alula import _core
     from alula.cli.journal import JournalFile
     from alula.cli.runner import Progress, run_stage
     from alula.schemas.artifact import Artifact, read_artifact
     from alula.schemas.errors import WrongKindError
+    from alula.schemas.journal import MERGE
     from alula.schemas.kinds import COVER, VOXELS
     from alula.stages.compression.merge import merge
 
@@ -49,6 +51,6 @@ def command(source: Path, config: MergeConfig, common: options.Common) -> None:
         with journal.kept(progress) as (measured, watched):
             return merge(config, artifact, jobs=common.jobs, progress=watched, journal=measured)
 
-    journal = JournalFile(common)
+    journal = JournalFile(common, MERGE, _core.MergeJournal)
     run_stage(common, COVER, config, {"source": source}, build, begin=journal.begin)
     journal.remove()

@@ -29,6 +29,7 @@ Examples:
   alula simulate loop.plan.npz --map room.cover.npz --scene room.scene.npz -o loop.run.mcap
   alula simulate room.scene.npz -o fast.run.mcap --filter cone-backup --speed 3 --set horizon_s=2
   alula simulate room.scene.npz -o bent.run.mcap --filter cone-ecbf --guide cone-di --pairs-from fast.run.mcap
+  alula simulate two.toml -o two.run.mcap --trials 3000 --set clearance_m=3
 """
 
 
@@ -63,7 +64,13 @@ _GUIDE = "guide."  # before the name of a parameter of the guide
     "settings",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Parameter of a filter among ellipsoids, guide.NAME=VALUE of its guide; may be repeated.",
+    help="Parameter of a filter among ellipsoids or moving obstacles, guide.NAME=VALUE of its guide; may be "
+    "repeated.",
+)
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Send trials among moving obstacles to this dask.distributed scheduler, tcp://host:port.",
 )
 @options.from_config(SimulateConfig)
 @options.output(".run.mcap")
@@ -76,6 +83,7 @@ def command(
     vehicle_path: Path | None,
     pairs_path: Path | None,
     settings: tuple[str, ...],
+    scheduler: str | None,
     config: SimulateConfig,
     common: options.Common,
 ) -> None:
@@ -85,16 +93,30 @@ def command(
     Among the hulls of a cover flies a single integrator, a point with velocities as input (none,
     polytope-cbf); among the ellipsoids of a scene a quadrotor with rotors, or a double integrator, a point
     with accelerations as input (none, cone-di, safer-splat, and with rotors cone-ecbf, cone-backup).
-    Options given here replace those of the scenario. Beside R.run.mcap, R.run.json holds the same
-    summary and the measured times. Exit code 4: a filtered flight collided with its map.
+    Options given here replace those of the scenario. A scenario with [[obstacles]] has moving ones
+    (none, dr-acbf, dr-acbf-qp, mpc, cbf-qp, rp-cbf): --set replaces any of its keys, as in
+    --set sensor.rate_hz=40, or a parameter of the filter; --trials of them are flown, an interrupted run
+    leaves OUTPUT.journal, and the same command again continues from it.
+
+    Beside R.run.mcap, R.run.json holds the same summary and the measured times. Exit code 4: a filtered
+    flight collided with its map.
     """
     from alula.schemas.artifact import read_artifact
+    from alula.schemas.encounters import is_encounters
     from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.run import RUN_SCHEMA, RUN_SUFFIX, RUN_VERSION, read_run
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
 
     if not common.output.name.endswith(".mcap"):
         raise UsageError(f"{common.output}: the output must end in .mcap (usually {RUN_SUFFIX})")
+    if source.suffix == ".toml" and is_encounters(source):
+        from alula.cli.encounters import simulate_encounters
+
+        changes = dict(_setting(word) for word in settings)
+        simulate_encounters(context, source, map_path, config, changes, scheduler, common)
+        return
+    if scheduler is not None:
+        raise UsageError("--scheduler is for scenarios with moving obstacles")
     paths = _inputs(source, map_path, scene_path, vehicle_path)
     config, given = _configured(context, source, config, common.seed, settings)
     splat = _is_among_ellipsoids(config.filter, paths)

@@ -1,9 +1,10 @@
-"""Journals: what an interrupted merge had measured, and of which merge that was."""
+"""Journals: what an interrupted command had done, and which command that was."""
 
 from __future__ import annotations
 
 import struct
 import zlib
+from dataclasses import dataclass
 
 import msgspec
 
@@ -11,29 +12,42 @@ from alula.schemas.errors import DamagedError, VersionError
 from alula.schemas.provenance import Provenance, differences
 
 SUFFIX = ".journal"
-MAGIC = b"ALMJ"
 _VERSION = 1
 _START = struct.Struct("<4sII")  # magic, version, CRC-32 of all that follows
 _SIZES = struct.Struct("<IQ")  # bytes of JSON and of measurements
 _HEAD = _START.size + _SIZES.size
 
 
-def pack(provenance: Provenance, measured: bytes) -> bytes:
-    """The file: the provenance of the output that was being made, and `MergeJournal.snapshot()`."""
+@dataclass(frozen=True, slots=True)
+class JournalKind:
+    """Whose journal: the first bytes of the file, what is interrupted, and what it has done so far."""
+
+    magic: bytes
+    command: str
+    done: str
+
+
+MERGE = JournalKind(b"ALMJ", "merge", "measurements")
+TRIALS = JournalKind(b"ALTJ", "run", "trials")
+MAGIC = MERGE.magic
+
+
+def pack(provenance: Provenance, measured: bytes, kind: JournalKind = MERGE) -> bytes:
+    """The file: the provenance of the output that was being made, and what was done, as bytes."""
     record = msgspec.json.encode(provenance, order="sorted")
     rest = _SIZES.pack(len(record), len(measured)) + record + measured
-    return _START.pack(MAGIC, _VERSION, zlib.crc32(rest)) + rest
+    return _START.pack(kind.magic, _VERSION, zlib.crc32(rest)) + rest
 
 
-def unpack(raw: bytes) -> tuple[Provenance, bytes]:
+def unpack(raw: bytes, kind: JournalKind = MERGE) -> tuple[Provenance, bytes]:
     """What `pack` was given.
 
     Raises:
         VersionError: it was written by another version of this format.
         DamagedError: it is no journal, or its bytes are not those that were written.
     """
-    if not raw.startswith(MAGIC):
-        raise DamagedError("it is no journal of a merge")
+    if not raw.startswith(kind.magic):
+        raise DamagedError(f"it is no journal of a {kind.command}")
     if len(raw) < _HEAD:
         raise DamagedError("it is cut off")
     _, version, crc = _START.unpack_from(raw)
@@ -52,7 +66,7 @@ def unpack(raw: bytes) -> tuple[Provenance, bytes]:
 
 
 def strangeness(recorded: Provenance, wanted: Provenance) -> list[str]:
-    """In a few words each, why a journal is not of the merge that is wanted; empty when it is.
+    """In a few words each, why a journal is not of the output that is wanted; empty when it is.
 
     Unlike an output, a journal is only of use to the very program that wrote it, commit included.
     """

@@ -18,7 +18,26 @@ RUN_SCHEMA = "alula/run"
 RUN_VERSION = VERSION
 RUN_SUFFIX = ".run.mcap"
 
-Outcome = Literal["reached", "stuck", "timeout", "refused"]
+Outcome = Literal["reached", "stuck", "timeout", "refused", "passed"]
+
+
+class ObstacleResult(msgspec.Struct, frozen=True, kw_only=True):
+    """How a trial met one moving obstacle; None for what never was. Of the truth, not of what was tracked.
+
+    `closest_m` is the least distance of the centres over the run, `separation_m` that from its warning until
+    the vehicle has stopped hovering. Its warning is the first in which it is the most urgent;
+    `closing_m_s` the closing speed then; `reaction_s` the simulated time from it until the command is not
+    the nominal one, `avoid_s` from there to the end of hovering.
+    """
+
+    closest_m: float
+    separation_m: float | None
+    closing_m_s: float | None
+    detected_s: float | None
+    warned_s: float | None
+    reaction_s: float | None
+    avoid_s: float | None
+    collision: bool
 
 
 class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -37,6 +56,12 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     manoeuvre was proven to remain, in which the cap on the number of ellipsoids cut some off, and in which
     the rotors could not do what was asked; and what the clearance of the straight line from start to goal
     would be, whose sphere meets an ellipsoid where it is negative.
+
+    What follows `line_clearance_m` is of encounters with moving obstacles, and None for others: each
+    obstacle, steps in a manoeuvre or with a warning, steps that the filter refused, iterations of its
+    projection, the largest violation of its rows, and the sum over steps of the risk that flown rows left.
+    There "passed" says that all obstacles have receded, `map_clearance_m` is that of static walls, and a
+    `collision` is one with either.
     """
 
     index: int
@@ -69,6 +94,12 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     capped_steps: int | None = None
     saturated_steps: int | None = None
     line_clearance_m: float | None = None
+    obstacles: list[ObstacleResult] | None = None
+    active_steps: int | None = None
+    refused_steps: int | None = None
+    iterations: int | None = None
+    worst_violation_m_s2: float | None = None
+    risk_spent: float | None = None
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):

@@ -70,7 +70,7 @@ def solve_qp(
     compare filters, not to fly.
 
     Args:
-        hessian: symmetric positive definite, shape (n, n), n = 1..8; only its symmetric part matters.
+        hessian: symmetric positive definite, shape (n, n), n = 1..10; only its symmetric part matters.
         gradient: shape (n,).
         rows: shape (m, n).
         bounds: shape (m,).
@@ -89,14 +89,14 @@ def solve_qp(
     if solver not in ("active-set", "clarabel"):
         raise UsageError(f"no QP solver is called {solver!r}; there are active-set and clarabel")
     n, m = gradient.size, bounds.size
-    if not 1 <= n <= 8 or (hessian.shape, gradient.shape, rows.shape, bounds.shape) != (
+    if not 1 <= n <= 10 or (hessian.shape, gradient.shape, rows.shape, bounds.shape) != (
         (n, n),
         (n,),
         (m, n),
         (m,),
     ):
         shapes = ", ".join(str(part.shape) for part in (hessian, gradient, rows, bounds))
-        raise UsageError(f"not a quadratic program of 1 to 8 variables: shapes {shapes}")
+        raise UsageError(f"not a quadratic program of 1 to 10 variables: shapes {shapes}")
     native = _core.QpSolver(clarabel_backend if solver == "clarabel" else None)
     result = native.solve(hessian, gradient, rows, bounds, names)
     multipliers = np.zeros(m)

@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, BinaryIO
 
-import msgspec
-import numpy as np
-from numpy.typing import NDArray
-
 from alula.schemas.artifact import Artifact
 from alula.schemas.kinds import SCENE
-from alula.schemas.provenance import RUN_METADATA
 from alula.schemas.run import RunRecord, TrialResult
 from alula.stages.compression.facets import mesh
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.log_schemas import SCHEMAS
+from alula.stages.flight.log_writer import (
+    DECIMALS,
+    GAP_S,
+    UPRIGHT,
+    LogWriter,
+    log_message,
+    path_message,
+    point_message,
+    stamp,
+)
 from alula.stages.flight.simulate import FlightLog
 from alula.stages.flight.splat_log import SplatFlightLog, ellipsoid_entity, safety_fields, state_fields
 
@@ -29,10 +33,6 @@ _CHANNELS = {
     "/log": "foxglove.Log",
 }
 _RIGID_CHANNELS = {"/pose": "foxglove.PoseInFrame"}
-_GAP_S = 1.0  # between trials, which follow one another in log time
-_DECIMALS = 6  # micrometres; the record has the exact figures
-_LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
-_UPRIGHT = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 _MAP_COLOR = {"r": 0.55, "g": 0.6, "b": 0.68, "a": 0.6}
 
 
@@ -53,65 +53,33 @@ def write_log(
         flown_through: the map, an `alula/cover` or an `alula/scene`.
         frame: name of the frame of all positions.
     """
-    from mcap.writer import Writer
-
-    writer = Writer(stream)
-    writer.start(profile="", library="alula")
-    channels = {}
     rigid = any(isinstance(flight, SplatFlightLog) for flight in flights)
-    for topic, schema in (_CHANNELS | (_RIGID_CHANNELS if rigid else {})).items():
-        data = msgspec.json.encode(SCHEMAS[schema], order="sorted")
-        schema_id = writer.register_schema(schema, "jsonschema", data)
-        channels[topic] = writer.register_channel(topic, "json", schema_id)
-
-    def send(topic: str, time_s: float, message: dict[str, Any]) -> None:
-        nanoseconds = _nanoseconds(time_s)
-        writer.add_message(channels[topic], nanoseconds, msgspec.json.encode(message), nanoseconds)
-
-    send("/map", 0.0, _map_message(flown_through, record, flights, frame))
+    log = LogWriter(stream, _CHANNELS | (_RIGID_CHANNELS if rigid else {}))
+    log.send("/map", 0.0, _map_message(flown_through, record, flights, frame))
     begin_s = 0.0
     for trial, flight in zip(record.trials, flights, strict=True):
-        send("/path", begin_s, _path_message(flight, frame, begin_s))
+        log.send("/path", begin_s, path_message(flight.position, frame, begin_s))
         for i in range(len(flight.time_s)):
             now_s = begin_s + float(flight.time_s[i])
             if isinstance(flight, SplatFlightLog):
-                send("/pose", now_s, _pose_message(flight, i, frame, now_s))
-            send("/state", now_s, _state_message(trial.index, flight, i))
-            send("/safety", now_s, _safety_message(trial.index, flight, i))
+                log.send("/pose", now_s, _pose_message(flight, i, frame, now_s))
+            log.send("/state", now_s, _state_message(trial.index, flight, i))
+            log.send("/safety", now_s, _safety_message(trial.index, flight, i))
         begin_s += float(flight.time_s[-1])
-        send("/log", begin_s, _log_message(trial, begin_s))
-        begin_s += _GAP_S
-    bare = msgspec.structs.replace(record, timing=None)
-    texts = {"record": bare, "provenance": bare.provenance}
-    encoded = {key: msgspec.json.encode(value, order="sorted").decode() for key, value in texts.items()}
-    writer.add_metadata(RUN_METADATA, encoded)
-    writer.finish()
-
-
-def _nanoseconds(time_s: float) -> int:
-    return round(time_s * 1e9)
-
-
-def _stamp(time_s: float) -> dict[str, int]:
-    sec, nsec = divmod(_nanoseconds(time_s), 10**9)
-    return {"sec": sec, "nsec": nsec}
-
-
-def _xyz(vector: NDArray[np.float64]) -> dict[str, float]:
-    # adding zero turns a rounded -0.0 into 0.0
-    x, y, z = (round(float(value), _DECIMALS) + 0.0 for value in vector)
-    return {"x": x, "y": y, "z": z}
+        log.send("/log", begin_s, log_message(_words(trial), begin_s))
+        begin_s += GAP_S
+    log.finish(record)
 
 
 def _state_message(trial: int, flight: AnyFlight, i: int) -> dict[str, Any]:
     common = {
         "trial": trial,
         "time_s": round(float(flight.time_s[i]), 9),
-        "position_m": _xyz(flight.position[i]),
+        "position_m": point_message(flight.position[i]),
     }
     if isinstance(flight, SplatFlightLog):
         return common | state_fields(flight, i)
-    return common | {"velocity_m_s": _xyz(flight.velocity[i])}
+    return common | {"velocity_m_s": point_message(flight.velocity[i])}
 
 
 def _safety_message(trial: int, flight: AnyFlight, i: int) -> dict[str, Any]:
@@ -120,42 +88,27 @@ def _safety_message(trial: int, flight: AnyFlight, i: int) -> dict[str, Any]:
         return common | safety_fields(flight, i)
     status = FilterStatus(int(flight.status[i]))
     return common | {
-        "h_m": round(float(flight.margin[i]), _DECIMALS),
+        "h_m": round(float(flight.margin[i]), DECIMALS),
         "status": int(status),
         "status_name": status.name.lower(),
-        "u_nom_m_s": _xyz(flight.u_nom[i]),
-        "u_safe_m_s": _xyz(flight.velocity[i]),
+        "u_nom_m_s": point_message(flight.u_nom[i]),
+        "u_safe_m_s": point_message(flight.velocity[i]),
     }
 
 
 def _pose_message(flight: SplatFlightLog, i: int, frame: str, time_s: float) -> dict[str, Any]:
-    pose = {"position": _xyz(flight.position[i]), "orientation": state_fields(flight, i)["attitude"]}
-    return {"timestamp": _stamp(time_s), "frame_id": frame, "pose": pose}
+    pose = {"position": point_message(flight.position[i]), "orientation": state_fields(flight, i)["attitude"]}
+    return {"timestamp": stamp(time_s), "frame_id": frame, "pose": pose}
 
 
-def _path_message(flight: AnyFlight, frame: str, time_s: float) -> dict[str, Any]:
-    poses = [{"position": _xyz(point), "orientation": _UPRIGHT} for point in flight.position]
-    return {"timestamp": _stamp(time_s), "frame_id": frame, "poses": poses}
-
-
-def _log_message(trial: TrialResult, time_s: float) -> dict[str, Any]:
-    level = _LEVEL_INFO if trial.outcome == "reached" else _LEVEL_WARNING
+def _words(trial: TrialResult) -> tuple[str, bool, bool]:
     words = f"trial {trial.index}: {trial.outcome} after {trial.duration_s:.2f} s"
     clearance = (
         trial.map_clearance_m if trial.peak_realisation_error_m_s2 is None else trial.scene_clearance_m
     )
     if clearance is not None:
         words += f", least clearance {clearance:.4f} m"
-    if trial.collision:
-        level, words = _LEVEL_ERROR, words + ", COLLISION"
-    return {
-        "timestamp": _stamp(time_s),
-        "level": level,
-        "message": words,
-        "name": "simulate",
-        "file": "",
-        "line": 0,
-    }
+    return words, trial.outcome == "reached", trial.collision
 
 
 def _map_message(
@@ -167,10 +120,10 @@ def _map_message(
     else:
         shape = _hull_entity(flown_through)
     entity = {
-        "timestamp": _stamp(0.0),
+        "timestamp": stamp(0.0),
         "frame_id": frame,
         "id": "map",
-        "lifetime": _stamp(0.0),
+        "lifetime": stamp(0.0),
         "frame_locked": True,
     }
     return {"deletions": [], "entities": [entity | shape]}
@@ -186,8 +139,8 @@ def _hull_entity(cover: Artifact) -> dict[str, Any]:
         rows = surface.triangles[surface.triangle_start[k] : surface.triangle_start[k + 1]] - first
         triangles.append(
             {
-                "pose": {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": _UPRIGHT},
-                "points": [_xyz(point) for point in points[first:end]],
+                "pose": {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": UPRIGHT},
+                "points": [point_message(point) for point in points[first:end]],
                 "color": _MAP_COLOR,
                 "colors": [],
                 "indices": rows.ravel().tolist(),

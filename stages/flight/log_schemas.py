@@ -74,6 +74,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 u_safe_m_s=_VECTOR,
                 margin=_NUMBER,
                 margin_unit=_TEXT,
+                mode_name=_TEXT,
                 infeasible=_FLAG,
                 certified=_FLAG,
                 capped=_FLAG,

@@ -16,13 +16,14 @@ from alula.stages.reporting.tables import text
 
 COLORS = {
     "reached": "#0072b2",
+    "passed": "#009e73",
     "stuck": "#e69f00",
     "timeout": "#8c6bb1",
     "refused": "#7f7f7f",
     "collision": "#d7301f",
     "planned": "#222222",
 }
-_DASHES = {"reached": "-", "stuck": "--", "timeout": "-.", "refused": ":", "collision": "-", "planned": "-"}
+_DASHES = dict.fromkeys(COLORS, "-") | {"stuck": "--", "timeout": "-.", "refused": ":"}
 _RUN_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#222222")
 _STYLE = {
     "svg.hashsalt": "alula",

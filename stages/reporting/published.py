@@ -64,6 +64,69 @@ FASTBRIDGE: dict[str, dict[str, float]] = {
         "max_speed_m_s": 1.481,
     },
 }
+# DR-ACBF (arXiv 2512.00462), Tables I to V. Of two obstacles the first and the second, or "mean"; success
+# [%], closing speed [m/s], reaction, command and processing [ms], separation [m].
+DRACBF: dict[str, dict[str, dict[str, float]]] = {
+    "scenario-1": {
+        name: {
+            **{
+                "success_1": s1,
+                "success_2": s2,
+                "reaction": tr,
+                "command": tcm,
+                "tick": tick,
+                "tick_std": std,
+            },
+            **{"closing_1": 10.43, "closing_2": 10.97, "separation_1": 2.82, "separation_2": d2},
+        }
+        for name, s1, s2, tr, tcm, tick, std, d2 in (
+            ("mpc", 99.52, 99.89, 10.07, 3.22, 0.956, 0.666, 6.64),
+            ("cbf-qp", 99.51, 99.84, 10.02, 2.20, 0.714, 0.476, 6.65),
+            ("rp-cbf", 99.52, 99.89, 59.83, 2.08, 0.642, 0.416, 6.64),
+            ("dr-acbf", 99.48, 99.80, 10.03, 1.40, 0.444, 0.270, 6.64),
+        )
+    },
+    "scenario-2": {
+        name: {
+            **{"success_mean": s, "closing_mean": v, "reaction": tr, "command": tcm, "tick": tick},
+            "separation_mean": d,
+        }
+        for name, s, v, tr, tcm, tick, d in (
+            ("dr-acbf", 82.5, 8.18, 12.74, 2.24, 0.475, 1.881),
+            ("h-max-0.2", 79.8, 8.16, 11.88, 1.58, 0.312, 1.822),
+            ("h-max-0.8", 82.5, 8.28, 12.35, 1.85, 0.382, 2.105),
+            ("clearance-1", 82.3, 8.02, 12.87, 2.07, 0.234, 1.864),
+            ("clearance-4", 77.6, 7.16, 12.16, 1.66, 0.423, 2.054),
+            ("hold-0.1", 82.6, 7.10, 11.92, 1.72, 0.362, 1.924),
+            ("hold-0.4", 82.6, 8.18, 12.17, 1.97, 0.403, 1.945),
+        )
+    },
+    "trigger": {
+        "dr-acbf": {"success_1": 80.0, "success_2": 84.7, "separation_1": 2.969, "separation_2": 0.985},
+        "trigger-simple": {
+            "success_1": 32.0,
+            "success_2": 37.9,
+            "separation_1": 0.707,
+            "separation_2": 0.858,
+        },
+    },
+    "solver": {
+        "dr-acbf-gs": {"tick": 0.475, "command": 2.24},
+        "dr-acbf-qp": {"tick": 0.766, "command": 5.36},
+    },
+    "hardware": {
+        name: {
+            **{"closing": v, "reaction": tr, "command": tcm, "avoid": ta, "detection": td, "separation": d},
+            "success": 100.0,
+        }
+        for name, v, tr, tcm, ta, td, d in (
+            ("thrown/1", 3.10, 66.6, 60.3, 239.0, 3209.0, 0.479),
+            ("moving/1", 3.40, 78.8, 66.4, 223.0, 2708.0, 0.351),
+            ("both/1", 2.35, 61.5, 41.5, 180.0, 671.0, 0.325),
+            ("both/2", 1.49, 99.4, 78.7, 217.0, 4246.0, 0.685),
+        )
+    },
+}
 POLYMERGE_BYTES_PER_SPLAT = 447
 POLYMERGE_BYTES_PER_HALF_PLANE = 235
 

@@ -182,7 +182,7 @@ void bind_qp(nb::module_& m) {
           "Largest (b_i - a_i . x) / |a_i|, at least 0; when infeasible what every x exceeds; infinite when failed.")
       .def_prop_ro("iterations", [](const Answer& self) { return self.result.iterations; }, "Exchanges done.");
   nb::class_<QpSolver>(m, "QpSolver",
-                       "min 1/2 x^T H x + g^T x with rows x >= bounds; dense, up to 8 variables, active set.")
+                       "min 1/2 x^T H x + g^T x with rows x >= bounds; dense, up to 10 variables, active set.")
       .def(
           "__init__", [](QpSolver* self, nb::object backend) { new (self) QpSolver(qp_solver(std::move(backend))); },
           "backend"_a = nb::none(),

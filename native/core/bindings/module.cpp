@@ -23,6 +23,10 @@ void bind_splat_filters(nb::module_& m);
 void bind_backup(nb::module_& m);
 void bind_wrench_filters(nb::module_& m);
 void bind_splat_flight(nb::module_& m);
+void bind_tracker(nb::module_& m);
+void bind_moving_world(nb::module_& m);
+void bind_encounter(nb::module_& m);
+void bind_moving_filters(nb::module_& m);
 
 NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
@@ -47,4 +51,8 @@ NB_MODULE(_core, m) {
   bind_backup(m);
   bind_wrench_filters(m);
   bind_splat_flight(m);
+  bind_tracker(m);
+  bind_moving_world(m);
+  bind_moving_filters(m);
+  bind_encounter(m);
 }

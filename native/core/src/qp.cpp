@@ -22,7 +22,7 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 void check_sizes(const QpProblem& p) {
   const std::size_t m = p.bounds.size();
-  if (p.n < 1 || p.n > kQpMaxVariables) throw std::invalid_argument("a quadratic program has 1 to 8 variables");
+  if (p.n < 1 || p.n > kQpMaxVariables) throw std::invalid_argument("a quadratic program has 1 to 10 variables");
   if (m >= qp::kNone) throw std::invalid_argument("too many rows");
   if (p.hessian.size() != p.n * p.n || p.gradient.size() != p.n || p.rows.size() != m * p.n) {
     throw std::invalid_argument("the arrays of a quadratic program do not fit together");
@@ -126,6 +126,8 @@ QpResult QpSolver::solve(const QpProblem& problem, std::span<const std::uint32_t
       return solve_with<5>(problem, warm);
     case 8:
       return solve_with<8>(problem, warm);
+    case 10:
+      return solve_with<10>(problem, warm);
     default:
       return solve_with<0>(problem, warm);
   }

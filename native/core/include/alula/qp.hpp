@@ -17,7 +17,7 @@
 
 namespace alula {
 
-inline constexpr std::size_t kQpMaxVariables = 8;
+inline constexpr std::size_t kQpMaxVariables = 10;
 
 // u = 2^-53, absolute values and comparisons are componentwise.
 enum class QpStatus : std::uint8_t {

@@ -1,0 +1,370 @@
+"""The filters among moving obstacles tick by tick, their projections and programs, and trials of scenario 1.
+
+Trials of scenario 1 (examples/dr-acbf) are flown with DR-ACBF, and their active ticks recorded: the state,
+every track, the nominal command. Each filter is then led through the same ticks of the same trials, in
+turns, so all answer the same questions in the same run; every active tick is timed on copies of the filter,
+and their median counts.
+
+`general_qp` figures are of the rows of `dr-acbf` through a general QP solver: ours, and where they are
+installed Clarabel and quadprog, called as Python calls them, set-up included. `exact_projection` and
+`gs_projection` are the projections alone on rows like those of these ticks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.encounters import Encounters, read_encounters
+from alula.stages.filtering.qp import clarabel_backend
+from alula.stages.flight.encounter_world import filter_options, native_encounter, native_filter
+from alula.stages.flight.encounters import fly_encounters
+from alula.stages.reporting.metrics import wilson_interval
+
+FloatArray = NDArray[np.float64]
+Figures = dict[str, Any]
+
+SCENARIO = Path(__file__).resolve().parents[1] / "examples/dr-acbf/scenario-1.toml"
+METHODS = ("dr_acbf", "dr_acbf_qp", "mpc", "cbf_qp", "rp_cbf")
+_KEYS = {
+    "dr_acbf": "tick",
+    "dr_acbf_qp": "general_qp_tick",
+    "mpc": "mpc_tick",
+    "cbf_qp": "cbf_qp_tick",
+    "rp_cbf": "rp_cbf_tick",
+}
+_RATIOS = {
+    "tick_over_general_qp": ("tick_p50_us", "general_qp_tick_p50_us"),
+    "tick_over_quadprog": ("tick_p50_us", "general_qp_quadprog_tick_p50_us"),
+    "tick_over_clarabel": ("tick_p50_us", "general_qp_clarabel_tick_p50_us"),
+    "tick_over_mpc": ("tick_p50_us", "mpc_tick_p50_us"),
+    "tick_over_cbf_qp": ("tick_p50_us", "cbf_qp_tick_p50_us"),
+    "tick_over_rp_cbf": ("tick_p50_us", "rp_cbf_tick_p50_us"),
+    "exact_over_general_qp": ("exact_projection_us", "general_qp_projection_us"),
+    "exact_over_gs": ("exact_projection_us", "gs_projection_us"),
+    "workers_2_over_1": ("trials_per_s_2_workers", "trials_per_s_1_worker"),
+}
+_ROWS = 10  # of the projections that are timed
+_LIMIT = 6.0
+_NO_WALLS = np.empty((0, 4))
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """What a filter is asked in a tick; `tracks` as `MovingFilter.filter` takes them."""
+
+    position: list[float]
+    velocity: list[float]
+    tracks: FloatArray
+    nominal: list[float]
+    is_active: bool
+
+
+def record(scenario: Encounters, count: int, seed: int) -> list[list[Tick]]:
+    """All ticks of some trials, flown with DR-ACBF.
+
+    Positions of tracks are those of the flight. What it does not record are their velocities, here the truth
+    over ten ticks, and covariances, here about what the sensor's noise leaves at that distance.
+    """
+    spec, native = native_encounter(scenario, None), native_filter(scenario)
+    logs = _core.fly_encounters(spec, native, seed=seed, first=0, count=count, keeps_path=True, jobs=0)
+    return [list(_ticks(log, scenario)) for log in logs]
+
+
+def _ticks(log: dict[str, Any], scenario: Encounters) -> Iterator[Tick]:
+    vehicle, tracks, sensor = log["vehicle"], log["tracks"], scenario.sensor
+    back, dt = 10, scenario.run.dt_s
+    for k in range(back, len(vehicle)):
+        rows = []
+        for i in range(tracks.shape[1]):
+            now, before = tracks[k, i], tracks[k - back, i]
+            if not (np.isfinite(now).all() and np.isfinite(before).all()):
+                continue
+            velocity = (log["obstacles"][k, i] - log["obstacles"][k - back, i]) / (back * dt)
+            across = float(np.linalg.norm(now - vehicle[k, :3])) * sensor.sigma_azimuth_rad
+            variance = np.diag([*[0.25 * (sensor.sigma_range_m**2 + across**2)] * 3, *[0.25] * 3])
+            rows.append([i, *now, *velocity, *variance[np.tril_indices(6)], scenario.obstacles[i].radius_m])
+        yield Tick(
+            position=vehicle[k, :3].tolist(),
+            velocity=vehicle[k, 3:6].tolist(),
+            tracks=np.array(rows, np.float64).reshape(-1, 29),
+            nominal=log["nominal"][k].tolist(),
+            is_active=bool(log["mode"][k] != 0),
+        )
+
+
+def through(native: Any, ticks: list[Tick], repeats: int) -> list[float]:
+    """Times of a filter in a trial's active ticks [s], medians of copies; the others it just flies."""
+    native.reset()
+    found = []
+    for tick in ticks:
+        asked = repeats if tick.is_active and len(tick.tracks) else 0
+        _, took = native.filter(
+            tick.position, tick.velocity, tick.tracks, _NO_WALLS, tick.nominal, repeats=asked
+        )
+        if asked:
+            found.append(took)
+    return found
+
+
+def quadprog_backend(
+    hessian: FloatArray, gradient: FloatArray, rows: FloatArray, bounds: FloatArray
+) -> tuple[int, list[float], list[int], list[float]]:
+    """Let quadprog solve the program; a backend of `_core.QpSolver`."""
+    import quadprog
+
+    try:
+        x, _, _, _, multipliers, active = quadprog.solve_qp(hessian, -gradient, rows.T.copy(), bounds)
+    except ValueError:  # infeasible
+        return 1, [0.0] * len(gradient), [], []
+    kept = [int(i) - 1 for i in active if i > 0]
+    return 0, x.tolist(), kept, multipliers[kept].tolist()
+
+
+def backends() -> dict[str, Any]:
+    """Other solvers for the rows of `dr-acbf`, where they are installed."""
+    found: dict[str, Any] = {}
+    if importlib.util.find_spec("quadprog") is not None:
+        found["quadprog"] = quadprog_backend
+    if importlib.util.find_spec("clarabel") is not None:
+        found["clarabel"] = clarabel_backend
+    return found
+
+
+def ticks_side_by_side(
+    scenario: Encounters, trials: list[list[Tick]], repeats: int, seconds: float
+) -> Figures:
+    """Percentiles of every filter over the same active ticks, trial by trial in turns."""
+    options = filter_options(scenario)
+    filters = {_KEYS[name]: _core.moving_filter(name, options) for name in METHODS}
+    filters |= {
+        f"general_qp_{name}_tick": _core.moving_filter("dr_acbf_qp", options, backend)
+        for name, backend in backends().items()
+    }
+    times: dict[str, list[float]] = {name: [] for name in filters}
+    end = time.perf_counter() + seconds
+    for number, ticks in enumerate(trials):
+        names = list(filters) if number % 2 == 0 else list(filters)[::-1]
+        for name in names:
+            times[name] += through(filters[name], ticks, repeats if "_qp_" not in name else 1)
+        if time.perf_counter() > end:
+            break
+    figures: Figures = {"active_ticks": len(times["tick"])}
+    for name, took in times.items():
+        for key, value in zip(("p50", "p99"), np.percentile(took, [50, 99]), strict=True):
+            figures[f"{name}_{key}_us"] = 1e6 * float(value)
+        figures[f"{name}_mean_us"] = 1e6 * float(np.mean(took))
+    for name in ("quadprog", "clarabel"):
+        figures.setdefault(f"general_qp_{name}_tick_p50_us", None)
+    return figures
+
+
+def crowd(scenario: Encounters, obstacles: int, repeats: int, seed: int) -> float:
+    """Median time of a warned tick among many obstacles that all close in [us]."""
+    rng = np.random.default_rng(seed)
+    native = _core.moving_filter("dr_acbf", filter_options(scenario))
+    variance = np.diag([0.02] * 3 + [0.25] * 3)[np.tril_indices(6)]
+    found = []
+    for _ in range(5):
+        native.reset()
+        direction = rng.normal(size=(obstacles, 3)) * [1, 0.6, 0.2]
+        direction /= np.linalg.norm(direction, axis=1)[:, None]
+        place = direction * rng.uniform(3, 38, (obstacles, 1))
+        velocity = -direction * rng.uniform(1, 9, (obstacles, 1)) + rng.normal(0, 0.5, (obstacles, 3))
+        for _ in range(5):
+            rows = [[i, *place[i], *velocity[i], *variance, 0.15] for i in range(obstacles)]
+            _, took = native.filter(
+                [0.0, 0, 0], [4.0, 0, 0], np.array(rows), _NO_WALLS, [0.0, 0, 0], repeats=repeats
+            )
+            found.append(took)
+            place += 0.01 * velocity
+    return 1e6 * float(np.median(found))
+
+
+def projections(count: int, seed: int) -> Figures:
+    """Median times of both projections alone, on `_ROWS` rows of which about one is violated, and on two."""
+    rng = np.random.default_rng(seed)
+    figures: Figures = {}
+    for size, suffix in ((_ROWS, ""), (2, "_2_rows")):
+        took: dict[str, list[float]] = {"exact": [], "gs": []}
+        programs: list[tuple[FloatArray, list[float]]] = []
+        for _ in range(count):
+            normal = rng.normal([1.5, 0.0, 0.0], 1.0, (size, 3))
+            normal /= np.linalg.norm(normal, axis=1)[:, None]
+            rows = np.column_stack([normal, rng.uniform(-3, 12, size)])
+            start = rng.uniform(-_LIMIT, _LIMIT, 3).tolist()
+            programs.append((rows, start))
+            for solver, times in took.items():
+                times.append(_core.half_space_projection(rows, start, solver, limit=_LIMIT, repeats=500)[-1])
+        for solver, times in took.items():
+            figures[f"{solver}_projection{suffix}_us"] = 1e6 * float(np.median(times))
+        figures[f"general_qp_projection{suffix}_us"] = 1e6 * _by_qp(programs)
+    return figures
+
+
+def _by_qp(programs: list[tuple[FloatArray, list[float]]], runs: int = 15) -> float:
+    """The same projections by our general QP solver, the box as rows: the median run, per program [s]."""
+    box = np.vstack([np.eye(3), -np.eye(3)])
+    normals = np.array([np.vstack([rows[:, :3], box]) for rows, _ in programs])
+    bounds = np.array([np.append(rows[:, 3], np.full(6, _LIMIT)) for rows, _ in programs])
+    hessian = np.repeat(np.eye(3)[None], len(programs), axis=0)
+    wishes = np.array([start for _, start in programs])
+    solver, took = _core.QpSolver(), []
+    for _ in range(runs):
+        start = time.perf_counter()
+        solver.solve_many(hessian, -wishes, -normals, -bounds)
+        took.append((time.perf_counter() - start) / len(programs))
+    return float(np.median(took))
+
+
+def flights(scenario: Encounters, size: int, rounds: int, seconds: float) -> Figures:
+    """Trials per second with one and with two workers in turns, and the success of all that were flown."""
+    wall = {1: 0.0, 2: 0.0}
+    flown = 0
+    hits = np.zeros(len(scenario.obstacles), np.int64)
+    good = 0
+    end = time.perf_counter() + seconds
+    for number in range(rounds):
+        if number >= 2 and time.perf_counter() > end:
+            break
+        table = msgspec.structs.replace(
+            scenario.trials, count=size, seed=scenario.trials.seed + number, logged=0
+        )
+        block = msgspec.structs.replace(scenario, trials=table)
+        for jobs in (1, 2) if number % 2 == 0 else (2, 1):
+            start = time.perf_counter()
+            trials = fly_encounters(block, jobs=jobs).trials
+            wall[jobs] += time.perf_counter() - start
+        flown += size
+        good += sum(not trial.collision for trial in trials)
+        hits += np.array([[met.collision for met in trial.obstacles or []] for trial in trials]).sum(axis=0)
+    per = [100 * (1 - int(h) / flown) for h in hits]
+    low, high = wilson_interval(good, flown)
+    return {
+        "trials": flown,
+        "trials_per_s_1_worker": flown / wall[1],
+        "trials_per_s_2_workers": flown / wall[2],
+        "success_pct": float(np.mean(per)),
+        **{f"success_obstacle_{i + 1}_pct": value for i, value in enumerate(per)},
+        "success_run_pct": 100 * good / flown,
+        "success_run_low_pct": 100 * low,
+        "success_run_high_pct": 100 * high,
+        "seconds_for_3000_trials_2_workers": 3000 * wall[2] / flown,
+    }
+
+
+def run(options: argparse.Namespace) -> Figures:
+    """All figures."""
+    start = time.perf_counter()
+    scenario = read_encounters(SCENARIO, {"trials.seed": options.seed})
+    recorded = record(scenario, options.recorded, options.seed)
+    figures = ticks_side_by_side(scenario, recorded, options.repeats, options.tick_seconds)
+    figures["tick_100_obstacles_p50_us"] = crowd(scenario, 100, 9, options.seed)
+    figures |= projections(options.projections, options.seed)
+    figures |= flights(scenario, options.trials, options.rounds, options.flight_seconds)
+    ratios = {
+        name: None if not figures[a] or not figures[b] else figures[a] / figures[b]
+        for name, (a, b) in _RATIOS.items()
+    }
+    return {
+        "quick": options.quick,
+        "machine": f"{platform.machine()}, {os.cpu_count()} processors",
+        "python": platform.python_version(),
+        **figures,
+        "ratios": ratios,
+        "total_s": time.perf_counter() - start,
+    }
+
+
+def table(found: Figures) -> str:
+    """The figures as Markdown."""
+
+    def cell(name: str) -> str:
+        value = found.get(name)
+        return "" if value is None else f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+    lines = ["| filter, µs per active tick | p50 | p99 | mean |", "| --- | --- | --- | --- |"]
+    names = {
+        "dr-acbf, exact projection": "tick",
+        "the same rows, our QP solver": "general_qp_tick",
+        "the same rows, quadprog": "general_qp_quadprog_tick",
+        "the same rows, Clarabel": "general_qp_clarabel_tick",
+        "mpc": "mpc_tick",
+        "cbf-qp": "cbf_qp_tick",
+        "rp-cbf": "rp_cbf_tick",
+    }
+    for label, name in names.items():
+        lines.append(f"| {label} | {' | '.join(cell(f'{name}_{k}_us') for k in ('p50', 'p99', 'mean'))} |")
+    lines += [
+        "",
+        f"{found['active_ticks']:,} active ticks of scenario 1, the same for all, in one run. Among 100 "
+        f"obstacles "
+        f"{cell('tick_100_obstacles_p50_us')} µs. The projection alone, {_ROWS} rows: exact "
+        f"{cell('exact_projection_us')} µs, Gauss–Southwell {cell('gs_projection_us')} µs, QP solver "
+        f"{cell('general_qp_projection_us')} µs; two rows: {cell('exact_projection_2_rows_us')}, "
+        f"{cell('gs_projection_2_rows_us')} and {cell('general_qp_projection_2_rows_us')} µs.",
+        "",
+        f"Scenario 1: {cell('trials_per_s_1_worker')} trials a second with one worker, "
+        f"{cell('trials_per_s_2_workers')} with two. Of {found['trials']:,} trials obstacles were missed in "
+        f"{found['success_pct']:.2f} % ({found['success_obstacle_1_pct']:.2f} and "
+        f"{found['success_obstacle_2_pct']:.2f} %), both in {found['success_run_pct']:.2f} % "
+        f"({found['success_run_low_pct']:.2f} to {found['success_run_high_pct']:.2f}).",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+_PREFACE = """# Filters among moving obstacles, measured
+
+Written by `python benchmarks/dracbf.py --markdown FILE` on {machine}, Python {python}.
+
+"""
+
+
+def main() -> int:
+    """Run everything."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="fewer trials, half a minute")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
+    parser.add_argument("--seed", type=int, default=0)
+    sizes = {
+        "recorded": (30, 200, "trials whose ticks are asked again"),
+        "repeats": (5, 9, "copies of a tick, of which the median counts"),
+        "projections": (200, 2000, "problems for each projection"),
+        "trials": (200, 500, "trials of a round"),
+        "rounds": (5, 6, "rounds with either number of workers"),
+        "tick-seconds": (12, 120, "for the ticks of all filters, at most"),
+        "flight-seconds": (12, 600, "for the trials, at most"),
+    }
+    for name, (quick, full, text) in sizes.items():
+        parser.add_argument(f"--{name}", type=int, metavar="N", help=f"{text}: {full:,}, quick {quick:,}")
+    options = parser.parse_args()
+    for name, (quick, full, _) in sizes.items():
+        key = name.replace("-", "_")
+        if getattr(options, key) is None:
+            setattr(options, key, quick if options.quick else full)
+    found = run(options)
+    if options.markdown is not None:
+        options.markdown.write_text(_PREFACE.format(**found) + table(found))
+    print(json.dumps(found, indent=1) if options.json else table(found).rstrip("\n"))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,63 @@
+"""The onboard projection on half-spaces in a box against the proved QP solver, in all families of its tests.
+
+Ends with 1 unless no set that is empty is called feasible, no point called feasible misses a row, and every
+set called infeasible is empty or has no ball of the margin.
+
+    python benchmarks/half_spaces.py --problems 100000
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests/stages"))  # half_space_families
+
+import numpy as np
+from half_space_families import KINDS, LIMIT, MARGIN, half_spaces, roomiest
+
+from alula import _core
+
+_BATCH = 500
+
+
+def main() -> int:
+    """Compare, print, and tell whether all holds."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--problems", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    box = np.vstack([np.eye(3), -np.eye(3)])
+    solver, wrong, missed, disputed, thickest, feasible_count, most = _core.QpSolver(), 0, 0.0, 0, 0.0, 0, 0
+    done = batch = 0
+    while done < options.problems:
+        rng = np.random.default_rng([options.seed, batch])
+        kind, count = KINDS[batch % len(KINDS)], int(rng.integers(1, 13))
+        size = min(_BATCH, options.problems - done)
+        rows = np.stack([half_spaces(rng, kind, count) for _ in range(size)])
+        a0 = rng.uniform(-LIMIT, LIMIT, (size, 3)).astype(np.float32).astype(float)
+        a, feasible, _, iterations = _core.half_space_projections(rows, a0, LIMIT)
+        normals = np.concatenate([rows[:, :, :3], np.broadcast_to(box, (size, 6, 3))], axis=1)
+        bounds = np.concatenate([rows[:, :, 3], np.full((size, 6), LIMIT)], axis=1)
+        hessian = np.broadcast_to(np.eye(3), (size, 3, 3)).copy()
+        truth = solver.solve_many(hessian, -a0, -normals, -bounds)["status"]
+        excess = ((normals @ a.astype(float)[:, :, None])[:, :, 0] - bounds).max(axis=1)
+        held = feasible.astype(bool)
+        wrong += int((held & (truth != 0)).sum())
+        missed = max(missed, float(excess[held].max(initial=0.0)))
+        for index in np.flatnonzero(~held & (truth == 0)):
+            disputed += 1
+            thickest = max(thickest, roomiest(rows[index]))
+        feasible_count += int(held.sum())
+        most = max(most, int(iterations.max()))
+        done += size
+        batch += 1
+    print(f"{done} problems, {feasible_count} called feasible, {wrong} of them wrongly")
+    print(f"{disputed} sets called infeasible are not empty; the roomiest has a ball of {thickest:.2e}")
+    print(f"rows are missed by {missed:.1e}; the margin is {MARGIN:.2e}; at most {most} steps")
+    return 0 if wrong == 0 and missed < 3e-6 and thickest <= 1.05 * MARGIN else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

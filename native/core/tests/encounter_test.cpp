@@ -1,0 +1,254 @@
+// Encounters fly what is asked within the vehicle's limits, and are judged from the truth between steps too.
+#include "alula/encounter.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <functional>
+#include <stdexcept>
+
+#include "alula/encounter_plant.hpp"
+#include "check.hpp"
+
+namespace alula::flight {
+namespace {
+
+using geometry::Vec3;
+
+using Answer = std::function<MovingReport(int tick, std::span<const alula_track>, std::span<const alula_wall>, Vec3)>;
+
+MovingReport flown(Vec3 a, std::uint8_t mode = ALULA_NOMINAL) {
+  MovingReport report;
+  report.status = MovingStatus::ok;
+  report.acceleration = a;
+  report.mode = mode;
+  return report;
+}
+
+// Says what the test says, in each tick.
+class Scripted final : public MovingFilter {
+ public:
+  explicit Scripted(Answer answer) : answer_(std::move(answer)) {}
+  MovingReport filter(const alula_vehicle_state&, std::span<const alula_track> tracks,
+                      std::span<const alula_wall> walls, Vec3 nominal) override {
+    return answer_(tick_++, tracks, walls, nominal);
+  }
+  void reset() override { tick_ = 0; }
+  std::unique_ptr<MovingFilter> clone() const override { return std::make_unique<Scripted>(answer_); }
+
+ private:
+  Answer answer_;
+  int tick_ = 0;
+};
+
+Scripted nominal() {
+  return Scripted([](int, auto, auto, Vec3 a) { return flown(a); });
+}
+
+std::vector<EncounterLog> fly(const EncounterSpec& spec, const MovingFilter& filter, std::uint32_t first = 0,
+                              std::uint32_t count = 1, unsigned jobs = 1) {
+  Control control;
+  return fly_encounters(spec, filter, 7, first, count, true, jobs, control);
+}
+
+ObstacleSpec ahead(Vec3 position, Vec3 velocity) {
+  ObstacleSpec o;
+  o.is_relative = false;
+  o.position = position;
+  o.velocity = velocity;
+  return o;
+}
+
+EncounterSpec ideal() {
+  EncounterSpec spec;
+  spec.radar.kind = SensorKind::ideal;
+  return spec;
+}
+
+void test_the_closest_approach_is_that_of_the_parabola() {
+  const RandomStream random{1, 0};
+  for (std::uint64_t i = 0; i < 2000; ++i) {
+    const Vec3 r0 = random.normals(i, 1), v = 3 * random.normals(i, 2), a = 5 * random.normals(i, 3);
+    const double h = i % 2 ? 0.05 : 0.001;
+    const auto at = [&](double t) { return r0 + t * v + t * t / 2 * a; };
+    double least = INFINITY;
+    for (int k = 0; k <= 2000; ++k) least = std::min(least, norm(at(h * k / 2000)));
+    const double found = closest_approach(r0, at(h), a, h);
+    CHECK(found <= least + 1e-12 + norm(a) * h * h / 8);
+    CHECK(found >= least - 1e-4 * h * norm(v) - 1e-9);
+    CHECK(found <= std::min(norm(r0), norm(at(h))) + 1e-12);
+  }
+  CHECK(closest_approach({1, 0, 0}, {1, 0, 0}, {}, 0.01) == 1);
+  CHECK(std::abs(closest_approach({-1, 0.5, 0}, {1, 0.5, 0}, {}, 0.01) - 0.5) < 1e-15);
+}
+
+void test_the_plant_is_late_and_keeps_its_limits() {
+  EncounterVehicle vehicle;
+  vehicle.max_jerk_m_s3 = 60, vehicle.max_speed_m_s = 2, vehicle.actuation_delay_s = 0.025;
+  EncounterRules rules;  // steps of 1 ms
+  EncounterPlant plant(vehicle, rules);
+  plant.reset({{1, 2, 3}, {}, {}});
+  plant.command({6, -3, 0});
+  int begun = -1, speed_reached = -1;
+  Kinematics last = plant.state();
+  for (int k = 0; k < 1000; ++k) {
+    if (k == 10) plant.command({6, -3, 0});
+    plant.step();
+    const Kinematics& x = plant.state();
+    if (begun < 0 && norm(x.a) > 0) begun = k;
+    if (speed_reached < 0 && norm(x.v) > 2 - 1e-9) speed_reached = k;
+    for (int i = 0; i < 3 && speed_reached < 0; ++i) CHECK(std::abs(x.a[i] - last.a[i]) <= 0.06 + 1e-12);
+    CHECK(norm(x.v) <= 2 + 1e-12);
+    const Vec3 moved = last.p + 0.001 * last.v + 5e-7 * x.a;
+    CHECK(norm(moved - x.p) < 1e-12);
+    last = x;
+  }
+  CHECK(begun == 25 && speed_reached > 0);
+  plant.reset({});
+  for (int k = 0; k < 30; ++k) plant.step();
+  CHECK(norm(plant.state().v) == 0);  // nothing is left of the commands before
+}
+
+void test_an_obstacle_that_is_not_avoided_comes_as_near_as_geometry_says() {
+  EncounterSpec spec = ideal();
+  spec.obstacles = {ahead({50, 1, 10}, {-6, 0, 0}), ahead({50, 0.2, 10}, {-6, 0, 0})};
+  const EncounterLog log = fly(spec, nominal())[0];
+  CHECK(std::abs(log.obstacle[0].closest_m - 1) < 1e-9 && !log.obstacle[0].collided);
+  CHECK(std::abs(log.obstacle[1].closest_m - 0.2) < 1e-9 && log.obstacle[1].collided);
+  CHECK(log.outcome == EncounterOutcome::passed && log.active_ticks == 0 && log.filtered_ticks == 0);
+  CHECK(std::abs(static_cast<double>(log.ticks) * 0.01 - (5 + 1)) < 0.025);  // met after 5 s, receding for one
+  CHECK(std::isnan(log.obstacle[0].warned_s) && std::isnan(log.obstacle[0].separation_m));
+  CHECK(std::abs(log.path_length_m - 4 * 0.01 * static_cast<double>(log.ticks)) < 1e-6);
+  CHECK(log.obstacle[0].detected_s < 0.5);
+}
+
+void test_warnings_and_manoeuvres_are_timed() {
+  EncounterSpec spec = ideal();
+  spec.obstacles = {ahead({50, 1, 10}, {-6, 0, 0})};
+  const Scripted filter([](int tick, std::span<const alula_track> tracks, auto, Vec3 a) {
+    const std::uint8_t mode = tick < 400 ? ALULA_NOMINAL : tick < 450 ? ALULA_AVOID : ALULA_HOVER;
+    MovingReport report = flown(a, tick < 480 ? mode : std::uint8_t{ALULA_NOMINAL});
+    report.warned = tick >= 400 && tick < 410;
+    report.urgent = report.warned && !tracks.empty() ? 0 : -1;
+    if (tick >= 403 && tick < 480) report.acceleration.z += 0.06;
+    return report;
+  });
+  const EncounterLog log = fly(spec, filter)[0];
+  const EncounterMetrics& m = log.obstacle[0];
+  CHECK(std::abs(m.warned_s - 4) < 1e-9 && std::abs(m.reaction_s - 0.03) < 1e-9);
+  CHECK(std::abs(m.avoid_s - 0.77) < 1e-9);
+  const double gap = std::hypot(50 - 10 * 4.8, 1);  // at the end of HOVER, before the closest approach
+  CHECK(std::abs(m.separation_m - gap) < 0.05 && m.closest_m < 1.1);
+  CHECK(std::abs(m.closing_m_s - 10 * 10 / std::hypot(10, 1)) < 1e-6);
+  CHECK(log.active_ticks == 80 && log.active_tick_s.size() == 80 && m.command_s >= 0);
+}
+
+void test_what_a_filter_refuses_is_braked_within_the_box() {
+  EncounterSpec spec = ideal();
+  spec.rules.max_time_s = 4;
+  const EncounterLog log = fly(spec, Scripted([](int, auto, auto, Vec3) { return MovingReport{}; }))[0];
+  CHECK(log.refused_ticks == 400 && log.ticks == 400 && log.outcome == EncounterOutcome::timeout);
+  for (const double a : log.command) CHECK(std::abs(a) <= spec.vehicle.max_acceleration_m_s2);
+  const double* last = log.vehicle.data() + log.vehicle.size() - 9;
+  CHECK(std::abs(last[3]) < 1e-3 && last[0] < 4.0 * 4 / 2);
+}
+
+void test_trials_do_not_depend_on_their_order() {
+  EncounterSpec spec;
+  spec.obstacles.resize(2);
+  spec.obstacles[0].azimuth = {0.2, 0.5}, spec.obstacles[0].either_side = true;
+  spec.rules.max_time_s = 3;
+  const std::vector<EncounterLog> all = fly(spec, nominal(), 0, 9, 1), many = fly(spec, nominal(), 0, 9, 3);
+  const EncounterLog alone = fly(spec, nominal(), 5)[0];
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    CHECK(all[i].vehicle == many[i].vehicle && all[i].obstacles == many[i].obstacles);
+    CHECK(all[i].obstacle[1].closest_m == many[i].obstacle[1].closest_m && all[i].ticks == many[i].ticks);
+  }
+  CHECK(alone.obstacles == all[5].obstacles && alone.obstacles != all[4].obstacles);
+  // Tracks may be missing, so not all numbers compare.
+  CHECK(alone.tracks.size() == all[5].tracks.size() &&
+        std::memcmp(alone.tracks.data(), all[5].tracks.data(), alone.tracks.size() * sizeof(double)) == 0);
+}
+
+PolytopeSet boxes(const std::vector<std::array<double, 6>>& bounds) {
+  std::vector<double> normals, offsets, vertices;
+  std::vector<std::int64_t> planes{0}, corners{0};
+  for (const auto& b : bounds) {
+    for (std::size_t i = 0; i < 3; ++i)
+      for (const double sign : {-1.0, 1.0}) {
+        for (std::size_t j = 0; j < 3; ++j) normals.push_back(i == j ? sign : 0);
+        offsets.push_back(sign * b[sign < 0 ? i : i + 3]);
+      }
+    for (std::size_t k = 0; k < 8; ++k)
+      for (std::size_t i = 0; i < 3; ++i) vertices.push_back(b[(k >> i & 1U) ? i + 3 : i]);
+    planes.push_back(planes.back() + 6), corners.push_back(corners.back() + 8);
+  }
+  return {normals, offsets, planes, vertices, corners};
+}
+
+void test_walls_are_shown_nearest_first_and_judged_exactly() {
+  std::vector<std::array<double, 6>> bounds{{3, 2, 9, 4, 5, 11}};  // 2 m to the left of the way
+  for (int i = 0; i < 40; ++i) bounds.push_back({3, 4.0 + i, 5, 4, 4.5 + i, 15});
+  const PolytopeSet walls = boxes(bounds);
+  EncounterSpec spec = ideal();
+  spec.walls = &walls;
+  spec.rules.max_time_s = 2;
+  int ticks = 0;
+  const Scripted filter([&](int tick, auto, std::span<const alula_wall> seen, Vec3 a) {
+    CHECK(seen.size() == ALULA_WALLS);
+    for (std::size_t i = 1; i < seen.size(); ++i) CHECK(seen[i - 1].distance_m <= seen[i].distance_m);
+    if (tick == 0)  // ahead of it: 3 m to the front, of all of them
+      CHECK(std::abs(seen[0].distance_m - 3) < 1e-6 && seen[0].normal[0] == -1);
+    if (tick == 85) CHECK(std::abs(seen[0].distance_m - 2) < 1e-6 && seen[0].normal[1] == -1);  // beside the first
+    ++ticks;
+    return flown(a);
+  });
+  const EncounterLog log = fly(spec, filter)[0];
+  CHECK(ticks == 200);
+  CHECK(log.wall_clearance_m <= 2 - 0.15 && log.wall_clearance_m > 2 - 0.15 - 1e-9);
+
+  const PolytopeSet across = boxes({{3, -1, 9, 4, 1, 11}});
+  spec.walls = &across;
+  CHECK(std::abs(fly(spec, nominal())[0].wall_clearance_m - (-0.5 - 0.15)) < 2e-3);  // right through it
+}
+
+void test_specifications_without_meaning_are_refused() {
+  const auto refused = [](const std::function<void(EncounterSpec&)>& change) {
+    EncounterSpec spec;
+    change(spec);
+    try {
+      check(spec);
+    } catch (const std::invalid_argument&) {
+      return true;
+    }
+    return false;
+  };
+  CHECK(!refused([](EncounterSpec&) {}));
+  CHECK(refused([](EncounterSpec& s) { s.vehicle.goal = s.vehicle.start; }));
+  CHECK(refused([](EncounterSpec& s) { s.vehicle.start.x = NAN; }));
+  CHECK(refused([](EncounterSpec& s) { s.vehicle.cruise_m_s = 13; }));
+  CHECK(refused([](EncounterSpec& s) { s.vehicle.max_jerk_m_s3 = NAN; }));
+  CHECK(refused([](EncounterSpec& s) { s.rules.dt_s = 0; }));
+  CHECK(refused([](EncounterSpec& s) { s.rules.plant_steps = 0; }));
+  CHECK(refused([](EncounterSpec& s) { s.obstacles.resize(ALULA_OBSTACLES + 1); }));
+  CHECK(refused([](EncounterSpec& s) { s.radar.rate_hz = 0; }));
+}
+
+void test_all() {
+  test_the_closest_approach_is_that_of_the_parabola();
+  test_the_plant_is_late_and_keeps_its_limits();
+  test_an_obstacle_that_is_not_avoided_comes_as_near_as_geometry_says();
+  test_warnings_and_manoeuvres_are_timed();
+  test_what_a_filter_refuses_is_braked_within_the_box();
+  test_trials_do_not_depend_on_their_order();
+  test_walls_are_shown_nearest_first_and_judged_exactly();
+  test_specifications_without_meaning_are_refused();
+}
+
+}  // namespace
+}  // namespace alula::flight
+
+int main() {
+  alula::flight::test_all();
+  return alula_failures == 0 ? 0 : 1;
+}

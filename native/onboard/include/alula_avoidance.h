@@ -1,0 +1,152 @@
+/* When and where to dodge moving obstacles: what DR-ACBF and the filters compared with it share.
+ *
+ * Per tick and obstacle i, with P = p_i - p, V = v_i - v, d = |P|, n = P / d and v_cl = max(0, -n . V):
+ *
+ *   envelope     ahat_i: a sliding-mode differentiator of v_i, and the largest of it lately
+ *   warning      CVaR of Z = R + v tau + v^2 / (2 (a_e + a_i)) - |P(t)| over samples of the tracker's Gaussian,
+ *                plus eps L_Z, at five times up to H_max; or a chance constraint at one time (the ablation)
+ *   manoeuvre    NOMINAL -> AVOID -> HOVER -> NOMINAL: to a bypass point in the best of twelve directions, a stop,
+ *                and on
+ *
+ * Source: Mandaokar, Rinner 2025 (DR-ACBF, arXiv 2512.00462), sections III-B to III-D, IV-A.
+ * One inertial frame, SI units, single precision; all memory in the structs; every loop bounded.
+ */
+#ifndef ALULA_AVOIDANCE_H
+#define ALULA_AVOIDANCE_H
+
+#include "alula_onboard.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#ifndef ALULA_OBSTACLES
+#define ALULA_OBSTACLES 128U /* at most, per tick; define it smaller for a microcontroller */
+#endif
+#ifndef ALULA_WALLS
+#define ALULA_WALLS 32U
+#endif
+#define ALULA_SAMPLES 64U
+#define ALULA_LARGEST 1.0e6F /* number of an input; its square of a covariance */
+#define ALULA_NO_OBSTACLE 0xFFFFFFFFU
+
+typedef struct {
+  float position[3], velocity[3];
+  float covariance[6]; /* of the position: xx, xy, xz, yy, yz, zz */
+} alula_vehicle_state;
+
+/* A confirmed track. */
+typedef struct {
+  uint32_t id; /* of the same obstacle the same in every tick */
+  float position[3], velocity[3];
+  float covariance[21]; /* of (position, velocity): the lower triangle, row by row */
+  float radius_m;
+} alula_track;
+
+/* Static obstacles stay beyond a plane: n . (x - p) <= -distance_m would be inside one of them. */
+typedef struct {
+  float normal[3];  /* of length 1, from the obstacle to the vehicle */
+  float distance_m; /* from the vehicle's centre */
+} alula_wall;
+
+typedef struct {
+  float dt_s;
+  float radius_m; /* of the vehicle */
+  float a_max;    /* |a|_inf of a command [m/s^2] */
+  float range_m;  /* obstacles farther away do not count */
+  float latency_s;
+  float h_max_s;
+  /* sliding-mode differentiator; the envelope starts at `start`, forgets at `forget` and ends at `cap` */
+  float l1, l2, settle_s, envelope_start, envelope_cap, envelope_forget;
+  /* warning */
+  int distributional;     /* 0: the simple trigger */
+  float tail;             /* beta */
+  float wasserstein;      /* eps [m] */
+  float obstacle_braking; /* a_i in D_dyn [m/s^2]; 0 is conservative */
+  float simple_quantile;  /* of the simple trigger */
+  /* manoeuvre */
+  float clearance_m; /* d_cl */
+  float hold_s;      /* t_hd */
+  float kp, kd;      /* of the way to the bypass point [1/s^2, 1/s] */
+  float reach_m;     /* to it: there */
+  float longest_avoid_s;
+  float improvement;   /* share by which another direction must be better */
+  float stop_s, brake; /* t_s, k_s */
+  float stopped_m_s;
+  float wall_room_m; /* kept by bypass points from walls beyond the vehicle's radius */
+} alula_avoidance_config;
+
+/* The defaults of the source, and of the specification where it says nothing. */
+alula_avoidance_config alula_avoidance_defaults(void);
+
+typedef enum { ALULA_NOMINAL = 0, ALULA_AVOID, ALULA_HOVER } alula_avoidance_mode;
+
+/* An obstacle in this tick. */
+typedef struct {
+  float los[3];      /* n, to the obstacle */
+  float distance_m;  /* d */
+  float closing_m_s; /* v_cl */
+  float radius_m;    /* the sum of both */
+  float envelope;    /* ahat [m/s^2] */
+  float sigma2_p;    /* n . (Sigma_e + Sigma_i) n [m^2] */
+  float sigma2_v;    /* n . Sigma_vv n [m^2/s^2] */
+  uint32_t active;   /* closing and in range */
+} alula_encounter;
+
+typedef struct {
+  uint32_t id, age; /* ticks since the first */
+  uint32_t seen;    /* in this tick */
+  float z0[3], z1[3], bound;
+} alula_envelope;
+
+typedef struct {
+  alula_avoidance_config config;
+  alula_avoidance_mode mode;
+  uint32_t ticks_in_mode;
+  float bypass[3], direction[3];
+  uint32_t has_bypass;
+  uint32_t threat;  /* id of the obstacle that is avoided */
+  float command[3]; /* flown in the last tick, for the prediction */
+  uint32_t envelope_count;
+  alula_envelope envelope[ALULA_OBSTACLES];
+  uint32_t count;
+  alula_encounter encounter[ALULA_OBSTACLES]; /* in the order of the tracks */
+  float sample[ALULA_SAMPLES / 2U][6];        /* standard normal, each also with the other sign */
+  float worst_sample;                         /* the longest of them */
+} alula_avoidance;
+
+typedef struct {
+  float wished[3]; /* what to fly if no barrier forbids: the nominal, or of the manoeuvre */
+  int warned;      /* in this tick */
+  float risk_m;    /* the largest CVaR, -FLT_MAX without obstacles */
+  uint32_t urgent; /* index of the track with the largest v_cl / d; ALULA_NO_OBSTACLE */
+  alula_avoidance_mode mode;
+} alula_guidance;
+
+/* ALULA_BAD_PARAMETER unless all numbers mean something. */
+ALULA_MUST_USE alula_status alula_avoidance_init(alula_avoidance* avoidance, const alula_avoidance_config* config);
+
+void alula_avoidance_reset(alula_avoidance* avoidance); /* to before the first tick */
+
+/* One tick. ALULA_BAD_INPUT for numbers that are not finite or larger than ALULA_LARGEST, negative variances or
+ * radii, equal ids, or more obstacles or walls than there is room for; then nothing changes. */
+ALULA_MUST_USE alula_status alula_avoidance_step(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
+                                                 const alula_track* track, uint32_t count, const alula_wall* wall,
+                                                 uint32_t wall_count, const float nominal[3],
+                                                 alula_guidance* guidance);
+
+/* What is flown after it: the next prediction counts with that. */
+void alula_avoidance_flown(alula_avoidance* avoidance, const float command[3]);
+
+/* The largest CVaR of Z plus eps L_Z of one track: at least 0 warns. `relative_acceleration` is
+ * a_i - a_e [m/s^2]. Where a bound over all samples is negative already, that bound. */
+float alula_early_warning(const alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
+                          const alula_track* track, const float relative_acceleration[3]);
+
+/* Standard normal points of low discrepancy for it. */
+void alula_early_warning_samples(float sample[ALULA_SAMPLES / 2U][6]);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,127 @@
+/* Distributionally robust acceleration barriers among moving obstacles, in freestanding C99.
+ *
+ * For a horizon H each obstacle that closes in allows the accelerations
+ *
+ *   n . a <= b(H) = 2 / H^2 (d - R_eff(H) - v_cl H - lambda sigma(H))
+ *   R_eff  = R + v_max D + a_max D^2 / 2 + j_max H^3 / 6 + ahat H^2 / 2      (D: latency)
+ *   sigma  = sqrt(n . (Sigma_e + Sigma_i) n + (H sigma_v)^2),  lambda = sqrt((1 - alpha) / alpha)
+ *
+ * that keep D + H D' + H^2 / 2 D'' >= 0 of the range less what is uncertain, with probability 1 - alpha of the
+ * obstacle's share of the budget (Cantelli). Of the horizons at which these rows and |a|_inf <= a_max have a common
+ * point the one with the largest least b is taken, and what the manoeuvre of alula_avoidance.h wishes is projected
+ * on them. Without such a horizon the command misses the rows by the least that is possible, and after some ticks of
+ * that the vehicle brakes and descends, as far as walls let it.
+ *
+ * A wall (a plane beyond which something static is) adds a row, with x the room left, v the speed towards it, both
+ * predicted by the lag L, and s = sqrt(2 a_w max(0, x)):
+ *
+ *   n . a <= (s - v) / (dt + L) - a_w
+ *
+ * L = 0: a vehicle with v <= s never reaches the wall, and the row can always be met with a_w. Proof over a tick,
+ * with v' = v + n.a dt and x' = x - (v + v') dt / 2: v' <= v + (s - v) - a_w dt = s - a_w dt, as dt / (dt + L) <= 1.
+ * So 2 a_w x' >= s^2 - a_w dt (2 s - a_w dt) = (s - a_w dt)^2, hence x' >= 0, and v' <= s' whether s >= a_w dt or v'
+ * < 0. The row asks for no less than -a_w as v <= s. Within a tick x is least at its ends, or, for v' < 0 < v, at
+ * least x - v^2 dt / (2 (v - v')) >= x - v^2 dt / (2 (v + a_w dt - s)) >= x - s^2 / (2 a_w) = 0. L > 0: a command
+ * that acts L later acts on the predicted state, to which the same applies when the prediction is no farther from the
+ * wall and no slower than the vehicle will be. It takes the larger of what was commanded and what the jerk limit lets
+ * be executed along n, held for latency + (a + a_w) / (2 j_max): an acceleration that falls to -a_w at the rate j_max
+ * is never ahead, in v or x, of one that stays for half that time and then jumps.
+ *
+ * What it does not give: the rows bound one step of H, and alone are recursively feasible only for closing speeds
+ * below alula_dr_acbf_recursive_speed; beyond it the manoeuvre is what avoids.
+ *
+ * Source: Mandaokar, Rinner 2025 (DR-ACBF, arXiv 2512.00462), eq. 16 to 30.
+ */
+#ifndef ALULA_DR_ACBF_H
+#define ALULA_DR_ACBF_H
+
+#include "alula_avoidance.h"
+#include "alula_half_spaces.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define ALULA_HORIZONS 16U /* of the search, at most */
+
+typedef enum { ALULA_SOLVER_EXACT = 0, ALULA_SOLVER_GAUSS_SOUTHWELL } alula_dr_acbf_solver;
+
+typedef struct {
+  alula_avoidance_config avoidance;
+  float v_max, j_max; /* of the vehicle, in R_eff [m/s, m/s^3] */
+  float h_min_s;      /* the longest is that of `avoidance` */
+  uint32_t horizons;  /* searched, evenly spaced */
+  float risk;         /* alpha_total */
+  float warned_risk;  /* factor of it in the tick that enters a manoeuvre, with the longest horizon */
+  alula_dr_acbf_solver solver;
+  uint32_t iterations;    /* of Gauss-Southwell */
+  float relaxation;       /* its omega */
+  float tolerance;        /* of rows, beyond which the command counts as a fallback [m/s^2] */
+  uint32_t failing_ticks; /* before braking and descending */
+  float descent_m_s;
+  int rows_before_warning; /* 0, as printed: rows bind only in a manoeuvre. UNSAFE when the warning is late. */
+  float wall_deceleration; /* a_w [m/s^2], below a_max */
+} alula_dr_acbf_config;
+
+alula_dr_acbf_config alula_dr_acbf_defaults(void);
+
+typedef void (*alula_projector)(void* context, const alula_half_space* row, uint32_t count, float limit,
+                                const float a0[3], alula_projection* result);
+
+typedef struct {
+  alula_dr_acbf_config config;
+  alula_avoidance avoidance;
+  uint32_t failing;                                    /* ticks in a row */
+  float executed[3];                                   /* what the jerk limit lets the vehicle do of its commands */
+  alula_half_space row[ALULA_OBSTACLES + ALULA_WALLS]; /* of obstacles, then of walls */
+  uint32_t row_count;
+  float lambda[ALULA_OBSTACLES];
+  alula_projector projector; /* instead of the solver, for comparisons; set it after init */
+  void* projector_context;
+} alula_dr_acbf;
+
+typedef struct {
+  float a[3]; /* to fly; in the box in all cases but REFUSED, where it is 0 and must not be flown */
+  alula_guidance guidance;
+  float horizon_s; /* of the rows */
+  int feasible;    /* the rows and the box had a common point at some horizon */
+  uint32_t rows, iterations;
+  float violation;  /* of the rows by a, -FLT_MAX without rows [m/s^2] */
+  uint32_t failing; /* ticks in a row without a feasible horizon */
+} alula_dr_acbf_result;
+
+ALULA_MUST_USE alula_status alula_dr_acbf_init(alula_dr_acbf* filter, const alula_dr_acbf_config* config);
+void alula_dr_acbf_reset(alula_dr_acbf* filter);
+
+/* OK: the nominal, bit by bit. FILTERED: another command; all rows hold. RECOVERING: rows are missed, as little as
+ * possible, those of walls last. REFUSED: bad input (see alula_avoidance_step); the state is as before. The caller
+ * then brakes, or holds the last command for a tick or two when it knows that the input comes back. */
+ALULA_MUST_USE alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehicle_state* vehicle,
+                                                        const alula_track* track, uint32_t count,
+                                                        const alula_wall* wall, uint32_t wall_count,
+                                                        const float nominal[3], alula_dr_acbf_result* result);
+
+/* The row of a wall for a vehicle with this velocity. `acceleration` is what it may still execute while a command
+ * lags: along the way to the wall the larger of `executed` and `commanded` counts. */
+alula_half_space alula_wall_row(const alula_dr_acbf_config* config, const alula_wall* wall, const float velocity[3],
+                                const float executed[3], const float commanded[3]);
+
+/* `executed` follows `command` for a tick, as fast as the jerk limit lets it. */
+void alula_execute(const alula_dr_acbf_config* config, const float command[3], float executed[3]);
+
+/* The parts of a row, for what is compared with it. */
+float alula_effective_clearance(const alula_dr_acbf_config* config, const alula_encounter* encounter,
+                                float horizon_s);
+float alula_row_bound(const alula_dr_acbf_config* config, const alula_encounter* encounter, float horizon_s,
+                      float lambda);
+float alula_cantelli(float alpha);
+/* alpha_i of each active encounter; sums to `total`. The others get 0. */
+void alula_allocate_risk(const alula_encounter* encounter, uint32_t count, float total, float* alpha);
+
+/* Closing speed below which following a row from D = v H never asks for more than a_max along an axis. */
+float alula_dr_acbf_recursive_speed(float a_max, float horizon_s);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

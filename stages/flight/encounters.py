@@ -1,0 +1,249 @@
+"""Monte Carlo of encounters with moving obstacles, in chunks of trials, wherever these are computed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.encounters import Encounters
+from alula.schemas.errors import InputError
+from alula.schemas.run import ObstacleResult, TrialResult
+from alula.stages.compression.certificate import require_solid_hulls
+from alula.stages.compression.hulls import Hulls
+from alula.stages.distribute import distribute
+from alula.stages.flight.encounter_log import EncounterFlight
+from alula.stages.flight.encounter_world import native_encounter, native_filter, static_walls
+from alula.stages.reporting.metrics import COLLISION_TOLERANCE_M, hull_obstacles
+
+CHUNK = 16  # trials: some tenths of a second
+_FIGURES = (
+    *("closest_m", "separation_m", "closing_m_s", "detected_s", "warned_s"),
+    *("command_s", "reaction_s", "avoid_s"),
+)  # columns of what the native loop says of each obstacle
+
+
+class FlownChunk(msgspec.Struct, frozen=True, kw_only=True):
+    """Trials that follow one another; the arrays, as bytes, are measured times and differ from run to run.
+
+    `tick_s` has the time of the filter in each active tick, float32; `command_s` and `reaction_s` per trial
+    and obstacle the time of the filter in the tick of its warning and with it the time to react, float64,
+    NaN for what never was.
+    """
+
+    first: int
+    trials: list[TrialResult]
+    tick_s: bytes
+    command_s: bytes
+    reaction_s: bytes
+    flights: list[EncounterFlight]
+
+
+class TrialJournal:
+    """The chunks of a run that are done; `snapshot` and back is the identity.
+
+    Raises:
+        ValueError: the bytes are not those of a snapshot.
+    """
+
+    def __init__(self, snapshot: bytes = b"") -> None:
+        chunks = msgspec.msgpack.decode(snapshot, type=list[FlownChunk]) if snapshot else []
+        self.chunks = {chunk.first: chunk for chunk in chunks}
+
+    def __len__(self) -> int:
+        """Trials that are done."""
+        return sum(len(chunk.trials) for chunk in self.chunks.values())
+
+    def add(self, chunk: FlownChunk) -> None:
+        """Keep one more."""
+        self.chunks[chunk.first] = chunk
+
+    def snapshot(self) -> bytes:
+        """All chunks, as bytes."""
+        return msgspec.msgpack.encode([self.chunks[first] for first in sorted(self.chunks)])
+
+
+@dataclass(frozen=True, slots=True)
+class EncounterRun:
+    """All trials of a scenario; `tick_s`, `command_s` and `reaction_s` are measured, the rest is not.
+
+    Attributes:
+        trials: in their order.
+        flights: of those that the log shows.
+        walls: what was static; None for nothing.
+        tick_s: time of the filter in every active tick, shape (T,) [s].
+        command_s: of the filter in the tick of each obstacle's warning, shape (trials, n) [s], else NaN.
+        reaction_s: with it the time from the warning to the reaction, shape (trials, n) [s].
+    """
+
+    trials: list[TrialResult]
+    flights: list[EncounterFlight]
+    walls: Hulls | None
+    tick_s: NDArray[np.float32]
+    command_s: NDArray[np.float64]
+    reaction_s: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    scenario: Encounters
+    walls: Hulls | None
+    first: int
+    count: int
+
+
+def fly_encounters(
+    scenario: Encounters,
+    *,
+    cover: Artifact | None = None,
+    journal: TrialJournal | None = None,
+    jobs: int = 0,
+    scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> EncounterRun:
+    """Fly all trials of a scenario with moving obstacles.
+
+    Trial k is a function of the scenario and (seed, k) alone, so results do not depend on jobs, on the
+    scheduler or on what a journal brings, measured times aside.
+
+    Args:
+        scenario: all parameters.
+        cover: static obstacles, beside the scenario's own.
+        journal: chunks that are done already are taken from it, others added.
+        jobs: threads, 0 for all processors.
+        scheduler: address of a `dask.distributed` scheduler, instead of threads.
+        progress: called with (trials done, trials).
+
+    Raises:
+        UsageError: numbers of the scenario mean nothing together; the message has the path of their key.
+        ArtifactError, InputError: the cover is damaged, or not in metres.
+        LinkError: see `distribute`.
+    """
+    if cover is not None:
+        if cover.manifest.unit != "m":
+            raise InputError(
+                f"the cover is in {cover.manifest.unit} units, not metres; run scale-align first"
+            )
+        require_solid_hulls(cover, jobs=jobs)
+    walls = static_walls(scenario, cover)
+    native_encounter(scenario, None)  # what is wrong is wrong before any work
+    native_filter(scenario)
+    kept = TrialJournal() if journal is None else journal
+    total = scenario.trials.count
+    missing = [
+        _Chunk(scenario, walls, first, min(CHUNK, total - first))
+        for first in range(0, total, CHUNK)
+        if first not in kept.chunks
+    ]
+    done = total - sum(chunk.count for chunk in missing)
+    if progress is not None and done > 0:
+        progress(done, total)
+    if missing:
+        for chunk in distribute(fly_chunk, missing, jobs=jobs, scheduler=scheduler):
+            kept.add(chunk)
+            done += len(chunk.trials)
+            if progress is not None:
+                progress(done, total)
+    return _joined(scenario, walls, [kept.chunks[first] for first in sorted(kept.chunks)])
+
+
+def _joined(scenario: Encounters, walls: Hulls | None, chunks: list[FlownChunk]) -> EncounterRun:
+    shape = (-1, len(scenario.obstacles))
+
+    def rows(name: str) -> NDArray[np.float64]:
+        flat = np.frombuffer(b"".join(getattr(chunk, name) for chunk in chunks), np.float64)
+        return flat.reshape(shape) if shape[1] > 0 else np.empty((scenario.trials.count, 0))
+
+    return EncounterRun(
+        trials=[trial for chunk in chunks for trial in chunk.trials],
+        flights=[flight for chunk in chunks for flight in chunk.flights],
+        walls=walls,
+        tick_s=np.frombuffer(b"".join(chunk.tick_s for chunk in chunks), np.float32),
+        command_s=rows("command_s"),
+        reaction_s=rows("reaction_s"),
+    )
+
+
+def fly_chunk(chunk: _Chunk) -> FlownChunk:
+    """Fly some trials on the calling thread, without holding the interpreter."""
+    scenario, logged = chunk.scenario, chunk.scenario.trials.logged
+    spec = native_encounter(scenario, None if chunk.walls is None else hull_obstacles(chunk.walls))
+    native, seed = native_filter(scenario), scenario.trials.seed
+
+    def flown(first: int, count: int, keeps_path: bool) -> Iterator[tuple[int, dict[str, Any]]]:
+        logs = _core.fly_encounters(
+            spec, native, seed=seed, first=first, count=count, keeps_path=keeps_path, jobs=1
+        )
+        return enumerate(logs, first)
+
+    shown = min(max(logged - chunk.first, 0), chunk.count)
+    trials, ticks, commands, reactions, flights = [], [], [], [], []
+    for index, log in (
+        *flown(chunk.first, shown, True),
+        *flown(chunk.first + shown, chunk.count - shown, False),
+    ):
+        trials.append(_trial(scenario, index, log))
+        ticks.append(log["active_tick_s"].tobytes())
+        columns = dict(zip(_FIGURES, log["obstacle"].T, strict=True))
+        commands.append(columns["command_s"].tobytes())
+        reactions.append((columns["command_s"] + columns["reaction_s"]).tobytes())
+        if index < logged:
+            flights.append(EncounterFlight.of(index, log, scenario.run.dt_s, scenario.run.log_rate_hz))
+    return FlownChunk(
+        first=chunk.first,
+        trials=trials,
+        tick_s=b"".join(ticks),
+        command_s=b"".join(commands),
+        reaction_s=b"".join(reactions),
+        flights=flights,
+    )
+
+
+def _trial(scenario: Encounters, index: int, log: dict[str, Any]) -> TrialResult:
+    """The verdict on one trial: nothing in it was measured by a clock."""
+    way = scenario.encounter
+    goal = way.start_m if way.hovers else way.goal_m
+    obstacles = []
+    for row, hit in zip(log["obstacle"], log["collided"], strict=True):
+        figures: dict[str, Any] = {name: _known(value) for name, value in zip(_FIGURES, row, strict=True)}
+        del figures["command_s"]
+        obstacles.append(ObstacleResult(**figures, collision=bool(hit)))
+    clearance = log["wall_clearance_m"] if math.isfinite(log["wall_clearance_m"]) else None
+    return TrialResult(
+        index=index,
+        start_m=list(way.start_m),
+        goal_m=list(goal),
+        outcome=log["outcome"],
+        collision=any(obstacle.collision for obstacle in obstacles)
+        or (clearance is not None and clearance < -COLLISION_TOLERANCE_M),
+        steps=log["ticks"],
+        duration_s=log["ticks"] * scenario.run.dt_s,
+        path_length_m=log["path_length_m"],
+        straight_length_m=math.dist(way.start_m, goal),
+        map_clearance_m=clearance,
+        scene_clearance_m=None,
+        max_speed_m_s=log["max_speed_m_s"],
+        filtered_steps=log["filtered_ticks"],
+        shortened_steps=0,
+        infeasible_steps=log["infeasible_ticks"],
+        fallback_steps=log["recovering_ticks"],
+        mean_jerk_m_s3=log["mean_jerk_m_s3"],
+        max_jerk_m_s3=log["max_jerk_m_s3"],
+        obstacles=obstacles,
+        active_steps=log["active_ticks"],
+        refused_steps=log["refused_ticks"],
+        iterations=log["iterations"],
+        worst_violation_m_s2=log["worst_violation"],
+        risk_spent=log["risk_spent"],
+    )
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

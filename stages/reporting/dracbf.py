@@ -1,0 +1,394 @@
+"""The tables of DR-ACBF from runs of encounters: filters, sweeps, triggers, solvers, small vehicles, walls.
+
+Runs of one scenario fly the same trials: obstacles, sensor noise and clutter are functions of (seed, trial).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from alula.schemas.run import ObstacleResult, RunRecord, TrialResult
+from alula.stages.reporting.metrics import wilson_interval
+from alula.stages.reporting.published import DRACBF
+from alula.stages.reporting.tables import Table, flat, text
+
+FREE, BASE = "none", "dr-acbf"  # variants: without a filter, and as specified
+METHODS = (FREE, BASE, "dr-acbf-gs", "dr-acbf-qp", "mpc", "cbf-qp", "rp-cbf")
+SWEEP = (BASE, "h-max-0.2", "h-max-0.8", "clearance-1", "clearance-4", "hold-0.1", "hold-0.4")
+TRIGGERS = (BASE, "trigger-simple", "rows-late", "trigger-simple-rows-late")
+SOLVERS = ("dr-acbf-gs", BASE, "dr-acbf-qp")
+HARDWARE = ("thrown", "moving", "approaching", "both")
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """One run: trials of one variant of a filter in one scenario, which is its folder's name."""
+
+    scenario: str
+    variant: str
+    record: RunRecord
+
+    @property
+    def obstacles(self) -> int:
+        """How many there are."""
+        return len(self.record.trials[0].obstacles or [])
+
+    def met(self, obstacle: int) -> list[ObstacleResult]:
+        """What each trial says of an obstacle."""
+        return [(trial.obstacles or [])[obstacle] for trial in self.record.trials]
+
+    def mean(self, obstacle: int, get: Callable[[ObstacleResult], float | None]) -> float | None:
+        """The mean of a figure over the trials that have it."""
+        return mean_of(get(met) for met in self.met(obstacle))
+
+    def timing(self, key: str, obstacle: int | None = None) -> float | None:
+        """A measured time [s], or count."""
+        found = (self.record.timing or {}).get(key)
+        if obstacle is not None and found is not None:
+            found = found[obstacle]
+        return None if found is None else float(found)
+
+    @property
+    def dt_s(self) -> float:
+        """The tick [s]."""
+        run = self.record.provenance.parameters.get("run", {})
+        return float(run.get("dt_s", 0.01))
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """A share of trials in percent, with its 95 % Wilson interval; the value is None without trials."""
+
+    value: float | None
+    low: float
+    high: float
+    n: int
+
+    @property
+    def cells(self) -> tuple[float | None, float, float]:
+        """Of a table."""
+        return self.value, self.low, self.high
+
+    def __str__(self) -> str:
+        return f"{text(self.value)} % ({text(self.low)} to {text(self.high)})"
+
+
+def rate(values: Iterable[bool]) -> Rate:
+    """The share that is true."""
+    each = list(values)
+    good, n = sum(each), len(each)
+    low, high = wilson_interval(good, n)
+    return Rate(100 * good / n if n else None, 100 * low, 100 * high, n)
+
+
+def success(flown: Flown, obstacle: int | None = None) -> Rate:
+    """Trials that touched nothing, or not that obstacle."""
+    if obstacle is None:
+        return rate(not trial.collision for trial in flown.record.trials)
+    return rate(not met.collision for met in flown.met(obstacle))
+
+
+def avoided(flown: Flown, free: Flown | None, obstacle: int) -> Rate | None:
+    """Of the trials that hit an obstacle without a filter, those that do not with one."""
+    if free is None:
+        return None
+    pairs = zip(flown.met(obstacle), free.met(obstacle), strict=False)
+    return rate(not mine.collision for mine, other in pairs if other.collision)
+
+
+def mean_of(values: Iterable[float | None]) -> float | None:
+    """The mean of those that are known."""
+    known = [value for value in values if value is not None and math.isfinite(value)]
+    return math.fsum(known) / len(known) if known else None
+
+
+def select(flown: Sequence[Flown], scenario: str, variants: Sequence[str] | None = None) -> list[Flown]:
+    """Runs of a scenario: those of the variants, in their order, or all."""
+    here = [f for f in flown if f.scenario == scenario]
+    if variants is None:
+        return here
+    return [f for name in variants for f in here if f.variant == name]
+
+
+def find(flown: Iterable[Flown], scenario: str, variant: str) -> Flown | None:
+    """The run of a variant, if there is one."""
+    return next((f for f in flown if (f.scenario, f.variant) == (scenario, variant)), None)
+
+
+def changed(flown: Flown, base: Flown | None) -> str:
+    """What was flown with another value than in `base`, in words."""
+    if base is None:
+        return ""
+    ours, theirs = (flat(f.record.provenance.parameters) for f in (flown, base))
+    keys = sorted(
+        key for key in ours.keys() | theirs.keys() if key != "name" and ours.get(key) != theirs.get(key)
+    )
+    return ", ".join(f"{key.removeprefix('filter.parameters.')} {text(ours.get(key))}" for key in keys)
+
+
+def success_table(
+    runs: Sequence[Flown],
+    name: str,
+    title: str,
+    *,
+    free: Flown | None = None,
+    published: Mapping[str, Mapping[str, float]] | None = None,
+) -> Table:
+    """Success of each run by obstacle and by trial, in percent, beside what is published."""
+    count = max((f.obstacles for f in runs), default=0)
+    keys = [f"success_{i + 1}" for i in range(count)] + ["success_mean"]
+    printed = {} if published is None else published
+    shown = [key for key in keys if any(key in values for values in printed.values())]
+    rows = []
+    for f in runs:
+        per = [success(f, i) for i in range(f.obstacles)]
+        row: list[Any] = [f.variant, len(f.record.trials)]
+        for i, each in enumerate(per):
+            row += each.cells
+            if free is not None:
+                found = avoided(f, free, i)
+                row.append(None if found is None else found.value)
+        row += [mean_of(each.value for each in per), *success(f).cells]
+        row += [printed.get(f.variant, {}).get(key) for key in shown]
+        rows.append(tuple(row))
+    columns = ["variant", "trials"]
+    for i in range(count):
+        columns += [f"obstacle {i + 1} [%]", "95 % low", "95 % high"]
+        columns += [f"of hits without filter avoided, {i + 1} [%]"] if free is not None else []
+    columns += ["mean of obstacles [%]", "runs [%]", "95 % low", "95 % high"]
+    columns += [f"published: {key.removeprefix('success_')} [%]" for key in shown]
+    note = (
+        "Success of an obstacle: it was never touched, in truth and between ticks too; of a run: nothing "
+        "was. "
+        "Intervals are Wilson's. All variants fly the same trials."
+    )
+    return Table(name, title, tuple(columns), tuple(rows), note)
+
+
+def time_table(
+    runs: Sequence[Flown],
+    name: str,
+    title: str,
+    published: Mapping[str, Mapping[str, float]] | None = None,
+) -> Table:
+    """Processing, command and reaction times, beside what is published; ratios are to the first run."""
+    printed = {} if published is None else published
+    first = _milli(runs[0].timing("filter_mean_s")) if runs else None
+    paper = printed.get(runs[0].variant, {}).get("tick") if runs else None
+    rows = []
+    for f in runs:
+        ms = [_milli(f.timing(f"filter_{key}_s")) for key in ("p50", "mean", "std", "p99")]
+        command = mean_of(f.timing("command_mean_s", i) for i in range(f.obstacles))
+        reaction = mean_of(f.timing("reaction_mean_s", i) for i in range(f.obstacles))
+        said = printed.get(f.variant, {})
+        rows.append(
+            (
+                *(f.variant, f.timing("filter_calls"), *ms, _over(ms[1], first)),
+                *(_milli(command), _milli(reaction), _milli(reaction_in_ticks(f))),
+                *(said.get("tick"), said.get("tick_std"), _over(said.get("tick"), paper)),
+                *(said.get("command"), said.get("reaction")),
+            )
+        )
+    columns = (
+        *("variant", "active ticks", "t_cp p50 [ms]", "t_cp mean [ms]", "t_cp std [ms]", "t_cp p99 [ms]"),
+        *("t_cp over the first", "t_cm [ms]", "t_r [ms]", "t_r in whole ticks [ms]"),
+        *("published: t_cp mean", "published: std", "published: over the first"),
+        *("published: t_cm", "published: t_r"),
+    )
+    note = (
+        "t_cp: the filter in a tick that is warned or in a manoeuvre; t_cm: in the tick of the warning; "
+        "t_r: with "
+        "the simulated time until the command is not the nominal one. Measured while the trials flew, with "
+        "whatever else the machine did; benchmarks/dracbf.py times them side by side."
+    )
+    return Table(name, title, columns, tuple(rows), note)
+
+
+def reaction_in_ticks(flown: Flown) -> float | None:
+    """Mean time from a warning to the first tick that ends with another command, in whole ticks [s]."""
+    dt = flown.dt_s
+    met = [m for i in range(flown.obstacles) for m in flown.met(i)]
+    return mean_of(None if m.reaction_s is None else (round(m.reaction_s / dt) + 1) * dt for m in met)
+
+
+def separation_table(
+    runs: Sequence[Flown],
+    name: str,
+    title: str,
+    published: Mapping[str, Mapping[str, float]] | None = None,
+) -> Table:
+    """Closing speed and separation per obstacle, over the avoidance window and over the run."""
+    printed = {} if published is None else published
+    rows = []
+    for f in runs:
+        steps = sum(trial.active_steps or 0 for trial in f.record.trials)
+        missed = sum(trial.infeasible_steps for trial in f.record.trials)
+        worst = max((trial.worst_violation_m_s2 or 0.0 for trial in f.record.trials), default=0.0)
+        for i in range(f.obstacles):
+            said = printed.get(f.variant, {})
+            rows.append(
+                (
+                    *(f.variant, i + 1, sum(m.warned_s is not None for m in f.met(i))),
+                    f.mean(i, lambda m: m.closing_m_s),
+                    f.mean(i, lambda m: m.separation_m),
+                    f.mean(i, lambda m: m.closest_m),
+                    min(m.closest_m for m in f.met(i)),
+                    _over(100.0 * missed, steps or None),
+                    worst,
+                    said.get(f"closing_{i + 1}", said.get("closing_mean")),
+                    said.get(f"separation_{i + 1}", said.get("separation_mean")),
+                )
+            )
+    columns = (
+        *("variant", "obstacle", "warned of", "v_cl at the warning [m/s]", "d_s, avoidance window [m]"),
+        *("d_cpa, whole run [m]", "least of all [m]", "infeasible, per active tick [%]"),
+        *("worst violation [m/s²]", "published: v_cl", "published: d_s"),
+    )
+    note = (
+        "d_s is the least distance from an obstacle's first warning to the end of hovering, of those that "
+        "were "
+        "warned of; d_cpa the least of the whole run, of all trials. Published values of Table II are "
+        "means of "
+        "both obstacles."
+    )
+    return Table(name, title, columns, tuple(rows), note)
+
+
+def group_tables(flown: Sequence[Flown]) -> list[Table]:
+    """Tables I to III and the solvers, three of each; those without runs are left out."""
+    scenarios = {
+        "table-1": ("scenario-1", METHODS, "scenario-1", "Table I, scenario 1"),
+        "table-2": ("scenario-2", SWEEP, "scenario-2", "Table II, scenario 2: sweep"),
+        "table-2-methods": ("scenario-2", METHODS, None, "Scenario 2: all filters"),
+        "table-3": ("scenario-2", TRIGGERS, "trigger", "Table III, scenario 2: trigger on and off"),
+        "solvers-1": ("scenario-1", SOLVERS, "solver", "Projection against QP, scenario 1"),
+        "solvers-2": ("scenario-2", SOLVERS, "solver", "Projection against QP, scenario 2"),
+    }
+    tables = []
+    for name, (scenario, variants, paper, title) in scenarios.items():
+        runs = select(flown, scenario, variants)
+        if len(runs) < 2:
+            continue
+        published = DRACBF[paper] if paper is not None else None
+        free = find(flown, scenario, FREE)
+        timed = [f for f in runs if f.variant != FREE]
+        tables.append(success_table(runs, name, f"{title}: success", free=free, published=published))
+        tables.append(time_table(timed, f"{name}-times", f"{title}: times", published))
+        if not name.startswith("solvers"):
+            tables.append(separation_table(runs, f"{name}-separation", f"{title}: separation", published))
+    return tables
+
+
+def sensitivity_table(flown: Sequence[Flown], scenario: str) -> Table | None:
+    """What each free choice changes, one at a time; None without runs."""
+    runs = select(flown, scenario)
+    base = find(runs, scenario, BASE)
+    if base is None or len(runs) < 2:
+        return None
+    rows = []
+    whole = success(base)
+    for f in runs:
+        per = [success(f, i) for i in range(f.obstacles)]
+        now = success(f)
+        apart = now.low > whole.high or now.high < whole.low
+        rows.append(
+            (
+                *(f.variant, changed(f, base) or "as specified", now.n, *(each.value for each in per)),
+                *(*now.cells, "apart" if apart else ""),
+                mean_of(f.mean(i, lambda m: m.separation_m) for i in range(f.obstacles)),
+                sum(m.warned_s is not None for i in range(f.obstacles) for m in f.met(i)) / now.n,
+            )
+        )
+    columns = (
+        *("variant", "changed", "trials", *(f"obstacle {i + 1} [%]" for i in range(base.obstacles))),
+        *("runs [%]", "95 % low", "95 % high", "against the first", "mean d_s [m]", "warnings per run"),
+    )
+    note = "One choice at a time; apart: its interval and that of the specified choice do not overlap."
+    return Table(scenario, f"Free choices one at a time, {scenario[-1:]}", columns, tuple(rows), note)
+
+
+def hardware_table(flown: Sequence[Flown]) -> Table | None:
+    """Tables IV and V: the small vehicle, per obstacle; None without runs."""
+    rows = []
+    for scenario in HARDWARE:
+        for f in select(flown, scenario):
+            for i in range(f.obstacles):
+                said = DRACBF["hardware"].get(f"{scenario}/{i + 1}", {}) if f.variant == "as-printed" else {}
+                dt = f.dt_s
+                reaction = f.mean(i, lambda m: m.reaction_s)
+                rows.append(
+                    (
+                        *(scenario, f.variant, i + 1, *success(f, i).cells),
+                        f.mean(i, lambda m: m.closing_m_s),
+                        _milli(None if reaction is None else reaction + dt),
+                        _milli(f.timing("command_mean_s", i)),
+                        _milli(f.mean(i, lambda m: m.avoid_s)),
+                        _milli(f.mean(i, detection_time)),
+                        f.mean(i, lambda m: m.separation_m),
+                        min(m.closest_m for m in f.met(i)),
+                        *(said.get(key) for key in ("closing", "reaction", "command", "avoid", "detection")),
+                        said.get("separation"),
+                    )
+                )
+    if not rows:
+        return None
+    columns = (
+        *("scenario", "variant", "obstacle", "success [%]", "95 % low", "95 % high", "v_cl [m/s]"),
+        *("t_r, to the next tick [ms]", "t_cm [ms]", "t_a [ms]", "t_d [ms]", "d_s [m]", "least distance [m]"),
+        *("published: v_cl", "published: t_r", "published: t_cm", "published: t_a", "published: t_d"),
+        "published: d_s",
+    )
+    note = (
+        "Simulated: 0.8 m/s², radii of 0.1 m, motion capture at 120 Hz. t_a: from the first command that "
+        "avoids to "
+        "the end of hovering; t_d: from the first detection to that command. Published: means of five "
+        "flights each, "
+        "all without collision (at best 57 to 100 % by Wilson's interval), thrown by hand and with a radio "
+        "link, so "
+        "only the kind of numbers compares; our radio, if any, is in the delays of the scenario."
+    )
+    return Table("hardware", "Tables IV and V: a small vehicle", columns, tuple(rows), note)
+
+
+def detection_time(met: ObstacleResult) -> float | None:
+    """From the first detection until the avoidance command (t_d) [s]."""
+    if met.detected_s is None or met.warned_s is None or met.reaction_s is None:
+        return None
+    return met.warned_s + met.reaction_s - met.detected_s
+
+
+def wall_table(flown: Sequence[Flown]) -> Table | None:
+    """Dodging between walls; None without runs."""
+    runs = select(flown, "wall")
+    if not runs:
+        return None
+    rows = []
+    for f in runs:
+        gaps = [t.map_clearance_m for t in f.record.trials if t.map_clearance_m is not None]
+        rows.append(
+            (
+                *(f.variant, len(f.record.trials), *success(f, 0).cells),
+                *(_touched(f.record.trials), min(gaps, default=None), mean_of(gaps), *success(f).cells),
+            )
+        )
+    columns = (
+        *("variant", "trials", "obstacle [%]", "95 % low", "95 % high", "trials that touch a wall"),
+        *("least clearance of walls [m]", "its mean [m]", "runs [%]", "95 % low", "95 % high"),
+    )
+    note = "Walls are rows of the same projection; clearance is that of the vehicle's sphere."
+    return Table("wall", "A corridor: dodging without touching a wall", columns, tuple(rows), note)
+
+
+def _touched(trials: Sequence[TrialResult]) -> int:
+    return sum(t.map_clearance_m is not None and t.map_clearance_m < 0 for t in trials)
+
+
+def _milli(value: float | None) -> float | None:
+    return None if value is None else 1e3 * value
+
+
+def _over(value: float | None, by: float | None) -> float | None:
+    return value / by if value is not None and by else None
