@@ -1,6 +1,6 @@
 """Hot loops of alula, in C++20 and C99."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import enum
 from typing import Annotated, Any
 
@@ -628,7 +628,7 @@ class QpResult:
 
 class QpSolver:
     """
-    min 1/2 x^T H x + g^T x with rows x >= bounds; dense, up to 8 variables, active set.
+    min 1/2 x^T H x + g^T x with rows x >= bounds; dense, up to 10 variables, active set.
     """
 
     def __init__(self, backend: object | None = None) -> None:
@@ -1024,4 +1024,234 @@ def fly(vehicle: FlightVehicle, rules: FlightRules, references: Sequence[Referen
 def least_gamma(index: EllipsoidIndex, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> float:
     """
     Least r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.
+    """
+
+class TrackerOptions:
+    """How moving obstacles are tracked; fixed once made."""
+
+    def __init__(self, *, gate: float = 30.0, confirm_hits: int = 5, confirm_scans: int = 6, delete_misses: int = 5, acceleration_noise: float = 0.5, jerk_noise: float = 0.2, turn_noise: float = 0.1, with_turn: bool = False, transition: Sequence[float] = [0.992, 0.008, 0.015, 0.985], prior: Sequence[float] = [0.9, 0.1], turn_transition: Sequence[float] = ..., turn_prior: Sequence[float] = [0.9, 0.05, 0.05], start_variance: Sequence[float] = [4.0, 25.0, 25.0], cross_range_variance: float = 100.0, turn_variance: float = 0.1, mixing_variance: float = 3.0, mixes: bool = True, gates_models: bool = False, heavy_tails: bool = False, adapts_transition: bool = False, winner_takes_all: bool = False, jamming: bool = False) -> None:
+        """
+        gate: of a squared Mahalanobis distance. *_noise: spectral densities [m^2/s^3, m^2/s^5, rad^2/s^3]. transition (per scan) and prior: of constant velocity and acceleration; turn_*: of these and a coordinated turn, used with_turn. start_variance: position, velocity, acceleration per axis. mixing_variance, turn_variance: of the acceleration and the turn rate that a model without them lends to the others. mixes: models restart from mixtures each scan. The last five are additions of SAFE-IMM.
+        """
+
+class Tracker:
+    """
+    Tracks of moving obstacles: nearest neighbours and interacting multiple models.
+    """
+
+    def __init__(self, options: TrackerOptions = ..., most: int = 128) -> None:
+        """
+        Of at most `most` tracks at a time. ValueError for options that mean nothing.
+        """
+
+    def reset(self) -> None:
+        """Forget everything."""
+
+    def update(self, t: float, position: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], covariance: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order='C', device='cpu', writable=False)], los: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None, range_rate: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, range_rate_sigma: float = 0.1) -> None:
+        """
+        One scan at t [s]: positions (N, 3) [m] with covariances (N, 3, 3), world frame; optionally the rates (N,) [m/s] along the lines of sight (N, 3) from the sensor. Rows that are not finite or have no covariance are dropped and counted. ValueError unless t is within 1e6 s after the last scan.
+        """
+
+    def tracks(self, t: float) -> dict[str, Any]:
+        """
+        All tracks predicted to t [s], oldest first: id, is_confirmed, p, v, a (N, 3), covariance of (p, v) (N, 6, 6), turning (N,): the probability of the models that accelerate or turn.
+        """
+
+    @property
+    def dropped(self) -> int:
+        """Detections that were not used since the start."""
+
+def assign(cost: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], gate: float = float('inf')) -> NDArray[numpy.int32]:
+    """
+    For each row of the costs its column or -1, at least cost: a row without a column costs `gate`, costs above it or not finite are forbidden; without a gate as many rows as possible get one.
+    """
+
+class ObstacleSpec:
+    """
+    A moving obstacle, to be drawn for each trial: alula/obstacle_motion.hpp.
+
+    Kinds: constant-velocity, accelerating, curving, ballistic, quadrotor. Pairs are ranges; angles in radian.
+    """
+
+    def __init__(self, *, kind: str = 'constant-velocity', radius_m: float = 0.15, is_relative: bool = True, position: Sequence[float] = [0.0, 0.0, 0.0], distance_m: float = 50.0, azimuth_rad: Sequence[float] = [0.0, 0.0], elevation_rad: Sequence[float] = [0.0, 0.0], either_side: bool = False, crosses: bool = False, offset_sigma_m: Sequence[float] = [0.0, 0.0, 0.0], speed_m_s: Sequence[float] = [5.0, 8.0], heading_rad: Sequence[float] = [0.0, 0.0], acceleration_m_s2: Sequence[float] = [0.0, 0.0], velocity_m_s: Sequence[float] = [0.0, 0.0, 0.0], aims_at_vehicle: bool = False, meeting_sigma_m: Sequence[float] = [0.0, 0.0, 0.0], max_speed_m_s: float = 12.0, turn_rate_rad_s: float = 0.25, release_m: float = 12.0, drag_per_m: float = 0.0, start_s: float = 0.0, way_points: Sequence[Sequence[float]] = [], body: Quadrotor | None = None, gains: TrackingGains | None = None) -> None: ...
+
+    @property
+    def kind(self) -> str: ...
+
+    @property
+    def radius_m(self) -> float: ...
+
+    @property
+    def start_s(self) -> float: ...
+
+def obstacle_paths(spec: ObstacleSpec, vehicle: Annotated[NDArray[numpy.float64], dict(shape=(None, 9), order='C', device='cpu', writable=False)], *, dt_s: float, seed: int = 0, first_trial: int = 0, trials: int = 1, obstacle: int = 0) -> NDArray[numpy.float64]:
+    """
+    What an obstacle does beside a vehicle whose states at k dt are rows (p, v, a) (N, 9), of each trial, shape (trials, N, 9).
+    """
+
+def meeting_time(r: Sequence[float], v: Sequence[float], s: float) -> float:
+    """
+    The least t with |r + v t| = s t; where there is none, that of the nearest approach.
+    """
+
+class RadarOptions:
+    """
+    A sensor of obstacles: alula/radar.hpp. Kinds: radar, ideal (all, always), mocap.
+    """
+
+    def __init__(self, *, kind: str = 'radar', rate_hz: float = 20.0, half_azimuth_rad: float = 0.6981317007977318, half_elevation_rad: float = 0.17453292519943295, max_range_m: float = 150.0, detection_probability: float = 0.95, sigma_range_m: float = 0.15, sigma_azimuth_rad: float = 0.008726646259971648, sigma_elevation_rad: float = 0.012217304763960306, sigma_range_rate_m_s: float = 0.1, clutter_per_scan: float = 0.1, clutter_range_rate_m_s: float = 15.0, noise_scale: float = 1.0, position_sigma_m: float = 0.0, delay_s: float = 0.0, own_position_sigma_m: float = 0.0, own_velocity_sigma_m_s: float = 0.0) -> None: ...
+
+    @property
+    def rate_hz(self) -> float: ...
+
+    @property
+    def delay_s(self) -> float: ...
+
+def radar_scans(options: RadarOptions, vehicle: Annotated[NDArray[numpy.float64], dict(shape=(None, 9), order='C', device='cpu', writable=False)], yaw: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], truth: Annotated[NDArray[numpy.float64], dict(shape=(None, None, 9), order='C', device='cpu', writable=False)], *, seed: int = 0, trial: int = 0, first_step: int = 0) -> dict[str, Any]:
+    """
+    Detections of scans at states (N, 9), headings (N,) and truths (N, obstacles, 9); `scan` says of which one.
+    """
+
+def own_states(options: RadarOptions, vehicle: Annotated[NDArray[numpy.float64], dict(shape=(None, 9), order='C', device='cpu', writable=False)], *, seed: int = 0, trial: int = 0, first_step: int = 0) -> NDArray[numpy.float64]:
+    """What a vehicle at states (N, 9) believes of itself."""
+
+class MovingReport:
+    """What a filter among moving obstacles did in a tick."""
+
+    @property
+    def status(self) -> int:
+        """
+        0 the nominal, 1 another command, all rows hold, 3 rows are missed by as little as possible, 4 refused.
+        """
+
+    @property
+    def acceleration(self) -> list[float]:
+        """To be flown [m/s^2]; zero when refused, and then not to be flown."""
+
+    @property
+    def mode(self) -> int:
+        """0 nominal, 1 avoid, 2 hover."""
+
+    @property
+    def warned(self) -> bool:
+        """Whether an obstacle warns in this tick."""
+
+    @property
+    def risk_m(self) -> float:
+        """The largest CVaR; 0 or more warns."""
+
+    @property
+    def urgent(self) -> int:
+        """Index of the most urgent track or -1."""
+
+    @property
+    def horizon_s(self) -> float:
+        """Of the rows."""
+
+    @property
+    def feasible(self) -> bool:
+        """Rows and box have a common point."""
+
+    @property
+    def rows(self) -> int:
+        """How many there were."""
+
+    @property
+    def iterations(self) -> int:
+        """Of the solver."""
+
+    @property
+    def violation(self) -> float:
+        """Of the rows, minus infinity without."""
+
+    @property
+    def risk_left(self) -> float:
+        """Sum over obstacles of Cantelli's bound at the command."""
+
+class MovingFilter:
+    """A filter among moving obstacles; make one with `moving_filter`."""
+
+    def filter(self, position: Sequence[float], velocity: Sequence[float], tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, 29), order='C', device='cpu', writable=False)], walls: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], nominal: Sequence[float], covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], repeats: int = 0) -> tuple[MovingReport, float]:
+        """
+        One tick: the report, and the median time [s] of `repeats` copies of it. `tracks` (n, 29): id, position,
+        velocity, lower triangle of their covariance row by row, radius. `walls` (m, 4): unit normal towards the
+        vehicle, distance. `covariance` xx, xy, xz, yy, yz, zz of the vehicle's position.
+        """
+
+    def reset(self) -> None:
+        """To before the first tick."""
+
+    def clone(self) -> MovingFilter:
+        """A copy with the same state."""
+
+def moving_filter(method: str, options: Mapping[str, float] = {}, backend: object | None = None) -> MovingFilter:
+    """
+    none, dr_acbf, dr_acbf_qp, mpc, cbf_qp or rp_cbf; `options` over those of `moving_filter_defaults`; `backend`
+    solves its quadratic programs, as in QpSolver. ValueError for what means nothing.
+    """
+
+def moving_filter_defaults() -> dict[str, float]:
+    """All options of `moving_filter`, with their defaults."""
+
+def half_space_projection(rows: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], a0: Sequence[float], solver: str = 'exact', *, limit: float = 6.0, omega: float = 1.0, iterations: int = 15, soft: int = 4294967295, repeats: int = 1) -> tuple[list[float], bool, float, int, list[int], float]:
+    """
+    min |a - a0| with rows (n, b): n . a <= b and |a|_inf <= limit, by exact, gs or least-violation: (a, feasible,
+    violation, iterations, basis, seconds).
+    """
+
+def half_space_projections(rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None, 4), order='C', device='cpu', writable=False)], a0: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], limit: float = 6.0) -> tuple[NDArray[numpy.float32], NDArray[numpy.uint8], NDArray[numpy.float32], NDArray[numpy.uint32]]:
+    """
+    Exact projections of rows (k, n, 4): a (k, 3), feasible, violation and iterations (k).
+    """
+
+def early_warning(position: Sequence[float], velocity: Sequence[float], track: Annotated[NDArray[numpy.float64], dict(shape=(None, 29), order='C', device='cpu', writable=False)], relative_acceleration: Sequence[float], covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], options: Mapping[str, float] = {}) -> float:
+    """
+    The largest CVaR of Z over five times plus eps L_Z, or a bound of it below 0 [m].
+    """
+
+def early_warning_samples() -> NDArray[numpy.float32]:
+    """Standard normal points (32, 6); each is also used with the other sign."""
+
+def acceleration_envelope(velocity: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], options: Mapping[str, float] = {}) -> NDArray[numpy.float32]:
+    """z1 and ahat (k, 4) after each of the velocities (k, 3)."""
+
+def allocate_risk(distance: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], closing: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], total: float) -> NDArray[numpy.float32]:
+    """alpha_i of obstacles; 0 of those with closing <= 0."""
+
+def row_bound(distance: float, closing: float, horizon_s: float, lambda_: float, *, radius_m: float = 0.3, envelope: float = 1.0, sigma2_p: float = 0.0, sigma2_v: float = 0.0, options: Mapping[str, float] = {}) -> float:
+    """b(H) of a row [m/s^2]."""
+
+def cantelli(alpha: float) -> float:
+    """sqrt((1 - alpha) / alpha)."""
+
+def recursive_speed(a_max: float, horizon_s: float) -> float:
+    """Closing speed below which rows alone never ask for more than a_max."""
+
+class EncounterVehicle:
+    """What flies among moving obstacles, and where to."""
+
+    def __init__(self, *, start: Sequence[float] = [0.0, 0.0, 10.0], goal: Sequence[float] = [200.0, 0.0, 10.0], start_speed_m_s: float = 4.0, cruise_m_s: float = 4.0, gain: float = 2.0, radius_m: float = 0.15, max_speed_m_s: float = 12.0, max_acceleration_m_s2: float = 6.0, max_jerk_m_s3: float = 60.0, actuation_delay_s: float = 0.0, hovers: bool = False, yaw_rate_rad_s: float = 0.0) -> None:
+        """
+        A sphere that moves as a double integrator: |a|_inf of commands, |da/dt|_inf and |v| of what is executed, late by the delay. It holds its start or goes to its goal.
+        """
+
+class EncounterRules:
+    """Times of an encounter, and when it ends."""
+
+    def __init__(self, *, dt_s: float = 0.01, plant_steps: int = 10, max_time_s: float = 14.0, receded_s: float = 1.0) -> None: ...
+
+class EncounterSpec:
+    """All of an encounter but the filter."""
+
+    def __init__(self, *, vehicle: EncounterVehicle = ..., rules: EncounterRules = ..., obstacles: Sequence[ObstacleSpec] = [], radar: RadarOptions = ..., tracker: TrackerOptions = ..., walls: PolytopeSet | None = None) -> None:
+        """ValueError for a specification that means nothing."""
+
+def fly_encounters(spec: EncounterSpec, filter: MovingFilter, *, seed: int = 0, first: int = 0, count: int = 1, keeps_path: bool = False, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
+    """
+    Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial. `obstacle` has a row per obstacle: closest [m], separation [m], closing [m/s], detected, warned, command (measured), reaction and avoid [s], NaN for what never was; with keeps_path also a row per tick of the vehicle (p, v, a), obstacles, tracks, command, nominal, mode and status.
+    """
+
+def closest_approach(r0: Sequence[float], r1: Sequence[float], a: Sequence[float], h: float) -> float:
+    """
+    Least |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.
     """
