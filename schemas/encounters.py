@@ -156,6 +156,8 @@ class TrackerTable(_Table, frozen=True, kw_only=True):
     confirm_hits: Annotated[int, msgspec.Meta(ge=1)] = 5
     confirm_scans: Annotated[int, msgspec.Meta(ge=1)] = 6
     delete_misses: Annotated[int, msgspec.Meta(ge=1)] = 5
+    coast_s: NotNegative = 3.0
+    field_margin: NotNegative = 2.0
     acceleration_noise: NotNegative = 0.5
     jerk_noise: NotNegative = 0.2
     with_turn: bool = False

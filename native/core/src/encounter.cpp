@@ -34,6 +34,7 @@ Vec3 braking(Vec3 v, double limit, double dt) {
 
 struct Scan {
   double time = 0;
+  FieldOfView field;
   std::vector<Detection> detections;
 };
 
@@ -128,6 +129,7 @@ void Encounter::sense(std::int64_t step) {
   Scan& made = scan_[scans_++];
   made.time = now;
   made.detections.clear();
+  made.field = field_of_view(radar, own_state(radar, plant_.state(), random_, static_cast<std::uint64_t>(step)), yaw_);
   scan(radar, plant_.state(), yaw_, truth_, random_, static_cast<std::uint64_t>(step), made.detections);
 }
 
@@ -138,7 +140,7 @@ void Encounter::see(double now, std::int64_t tick) {
   sense(step);
   std::size_t arrived = 0;
   for (; arrived < scans_ && scan_[arrived].time + radar.delay_s <= now + kSameTime; ++arrived)
-    tracker_.update(scan_[arrived].time, scan_[arrived].detections);
+    tracker_.update(scan_[arrived].time, scan_[arrived].detections, &scan_[arrived].field);
   std::rotate(scan_.begin(), scan_.begin() + static_cast<std::ptrdiff_t>(arrived), scan_.end());
   scans_ -= arrived;
 
@@ -172,22 +174,27 @@ void Encounter::see(double now, std::int64_t tick) {
   see_walls();
 }
 
-// Towards the middle between the leftmost and the rightmost track that closes in; along the course without any.
+// Towards the middle between the leftmost and the rightmost track that closes in, or, when the field is too narrow for
+// both, towards the most urgent one; along the course without any.
 void Encounter::look() {
-  double least = 0, most = 0;
+  double least = 0, most = 0, urgent = 0, urgency = 0;
   bool has_track = false;
   const auto bearing = [&](double y, double x) {
     return std::remainder(std::atan2(y, x) - yaw_, 2 * std::numbers::pi);
   };
   for (const alula_track& t : tracks_) {
     const Vec3 p = geometry::Vec3{t.position[0], t.position[1], t.position[2]} - seen_p_;
-    if (dot(p, Vec3{t.velocity[0], t.velocity[1], t.velocity[2]} - seen_v_) >= 0) continue;
+    const double closing = -dot(p, Vec3{t.velocity[0], t.velocity[1], t.velocity[2]} - seen_v_);
+    if (!(closing > 0)) continue;
     const double angle = bearing(p.y, p.x);
     least = has_track ? std::min(least, angle) : angle;
     most = has_track ? std::max(most, angle) : angle;
     has_track = true;
+    const double now = closing / std::max(dot(p, p), 1e-6);  // closing speed over distance
+    if (now > urgency) urgency = now, urgent = angle;
   }
-  const double turn = has_track ? (least + most) / 2 : bearing(course_.y, course_.x);
+  const bool fits = most - least <= 2 * spec_.radar.half_azimuth_rad;
+  const double turn = !has_track ? bearing(course_.y, course_.x) : (fits ? (least + most) / 2 : urgent);
   const double limit = spec_.vehicle.yaw_rate_rad_s * spec_.rules.dt_s;
   yaw_ += std::clamp(turn, -limit, limit);
 }

@@ -71,6 +71,7 @@ typedef struct {
   float reach_m;     /* to it: there */
   float longest_avoid_s;
   float improvement;   /* share by which another direction must be better */
+  int accelerated;     /* the miss is predicted with the obstacle's estimated acceleration; 0: on a straight line */
   float stop_s, brake; /* t_s, k_s */
   float stopped_m_s;
   float wall_room_m; /* kept by bypass points from walls beyond the vehicle's radius */
@@ -91,6 +92,8 @@ typedef struct {
   float sigma2_p;    /* n . (Sigma_e + Sigma_i) n [m^2] */
   float sigma2_v;    /* n . Sigma_vv n [m^2/s^2] */
   uint32_t active;   /* closing and in range */
+  float miss[3];     /* relative position at the closest approach, were the vehicle to hover here, */
+  float miss_s;      /* in so long; of those that are active, in a manoeuvre */
 } alula_encounter;
 
 typedef struct {

@@ -4,6 +4,8 @@
 #define CANDIDATES 12U
 #define SHORTEST_S 0.05F /* of the time to the closest approach, */
 #define LONGEST_S 3.0F   /* and the longest that is looked at */
+#define LOOKS 24U        /* at the distance in between, and then thirds of it */
+#define THIRDS 12U
 
 static float dot(const float a[3], const float b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 static float norm(const float a[3]) { return __builtin_sqrtf(dot(a, a)); }
@@ -49,6 +51,7 @@ alula_avoidance_config alula_avoidance_defaults(void) {
                                          .reach_m = 0.15F,
                                          .longest_avoid_s = 1.2F,
                                          .improvement = 0.2F,
+                                         .accelerated = 0,
                                          .stop_s = 0.5F,
                                          .brake = 1.0F,
                                          .stopped_m_s = 0.3F,
@@ -204,12 +207,12 @@ static void meet(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
   }
 }
 
-/* The estimate of the differentiator, in its direction but not longer than the bound, less the vehicle's own. */
-static void relative_acceleration(const alula_avoidance* avoidance, const alula_envelope* e, float a[3]) {
+/* The estimate of the differentiator, in its direction but not longer than the bound. */
+static void acceleration_of(const alula_avoidance* avoidance, const alula_envelope* e, float a[3]) {
   const float size = norm(e->z1);
   float scale = size > e->bound ? e->bound / size : 1.0F;
   if ((float)e->age * avoidance->config.dt_s < avoidance->config.settle_s) scale = 0.0F;
-  for (int k = 0; k < 3; ++k) a[k] = scale * e->z1[k] - avoidance->command[k];
+  for (int k = 0; k < 3; ++k) a[k] = scale * e->z1[k];
 }
 
 /* |P + V t| - q sigma <= R at one time: the chance constraint without the tail. */
@@ -233,7 +236,8 @@ static void warn(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
     if (!(m->distance_m < avoidance->config.range_m)) continue;
     float a[3], risk;
     if (avoidance->config.distributional) {
-      relative_acceleration(avoidance, find(avoidance, track[i].id), a);
+      acceleration_of(avoidance, find(avoidance, track[i].id), a);
+      for (int k = 0; k < 3; ++k) a[k] -= avoidance->command[k]; /* the vehicle's own */
       risk = alula_early_warning(avoidance, vehicle, track + i, a);
     } else {
       risk = simple_warning(&avoidance->config, vehicle, track + i, m);
@@ -245,40 +249,83 @@ static void warn(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
   guidance->warned = !(guidance->risk_m < 0.0F);
 }
 
+static float offset_at(const float p[3], const float v[3], const float a[3], float t, float at[3]) {
+  for (int k = 0; k < 3; ++k) at[k] = p[k] + (v[k] + 0.5F * a[k] * t) * t;
+  return dot(at, at);
+}
+
+/* When |p + v t + a t^2 / 2| is least, SHORTEST_S to LONGEST_S from now: of evenly spaced times the best, then by
+ * thirds between its neighbours, where the distance has one minimum but for accelerations that turn an obstacle
+ * round within a step. */
+static float closest_time(const float p[3], const float v[3], const float a[3]) {
+  const float step = (LONGEST_S - SHORTEST_S) / (float)(LOOKS - 1U);
+  float at[3], least = FLT_MAX, from = SHORTEST_S;
+  for (uint32_t i = 0; i < LOOKS; ++i) {
+    const float t = SHORTEST_S + step * (float)i, square = offset_at(p, v, a, t, at);
+    if (square < least) least = square, from = t;
+  }
+  float to = from + step;
+  from -= step;
+  for (uint32_t i = 0; i < THIRDS; ++i) {
+    const float third = (to - from) / 3.0F;
+    if (offset_at(p, v, a, from + third, at) < offset_at(p, v, a, to - third, at)) {
+      to -= third;
+    } else {
+      from += third;
+    }
+  }
+  const float t = 0.5F * (from + to);
+  return t < SHORTEST_S ? SHORTEST_S : (t > LONGEST_S ? LONGEST_S : t);
+}
+
+/* Where each active obstacle comes closest to a vehicle that hovers here, as it is to do at the bypass point: what
+ * is left to shift then is what is left of the way, however fast the vehicle is on it. */
+static void predict_misses(alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track) {
+  for (uint32_t i = 0; i < avoidance->count; ++i) {
+    alula_encounter* m = avoidance->encounter + i;
+    if (!m->active) continue;
+    float p[3], v[3], a[3] = {0.0F, 0.0F, 0.0F};
+    for (int k = 0; k < 3; ++k) {
+      p[k] = track[i].position[k] - vehicle->position[k];
+      v[k] = track[i].velocity[k];
+    }
+    if (avoidance->config.accelerated) {
+      acceleration_of(avoidance, find(avoidance, track[i].id), a);
+      m->miss_s = closest_time(p, v, a);
+    } else {
+      const float square = dot(v, v), t = square > 0.0F ? -dot(p, v) / square : LONGEST_S;
+      m->miss_s = t < SHORTEST_S ? SHORTEST_S : (t > LONGEST_S ? LONGEST_S : t);
+    }
+    (void)offset_at(p, v, a, m->miss_s, m->miss);
+  }
+}
+
 /* How far along c the closest approach to an obstacle has to move to keep `clearance`, and the acceleration that
  * this takes. */
-static float needed_shift(const alula_avoidance_config* config, const float p[3], const float v[3], float clearance,
-                          const float c[3], float* acceleration) {
-  const float square = dot(v, v);
-  float t = square > 0.0F ? -dot(p, v) / square : LONGEST_S;
-  t = t < SHORTEST_S ? SHORTEST_S : (t > LONGEST_S ? LONGEST_S : t);
-  float miss[3];
-  for (int k = 0; k < 3; ++k) miss[k] = p[k] + v[k] * t;
+static float needed_shift(const alula_avoidance_config* config, const alula_encounter* m, const float c[3],
+                          float* acceleration) {
+  const float clearance = m->radius_m + config->clearance_m, *miss = m->miss;
   const float inside = clearance * clearance - dot(miss, miss);
   *acceleration = 0.0F;
   if (!(inside > 0.0F)) return 0.0F;
   const float along = dot(c, miss);
   const float shift = along + __builtin_sqrtf(along * along + inside);
-  const float time = t > config->h_max_s ? t : config->h_max_s;
+  const float time = m->miss_s > config->h_max_s ? m->miss_s : config->h_max_s;
   *acceleration = 2.0F * shift / (time * time);
   return shift;
 }
 
 /* Score of a direction: the acceleration it takes past all active obstacles; `shift` is how far. Behind a wall:
  * large.*/
-static float score_of(const alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track,
-                      const alula_wall* wall, uint32_t wall_count, const float c[3], float* shift) {
+static float score_of(const alula_avoidance* avoidance, const alula_wall* wall, uint32_t wall_count,
+                      const float c[3], float* shift) {
   float score = 0.0F;
   *shift = 0.0F;
   for (uint32_t i = 0; i < avoidance->count; ++i) {
     const alula_encounter* m = avoidance->encounter + i;
     if (!m->active) continue;
-    float p[3], v[3], takes;
-    for (int k = 0; k < 3; ++k) {
-      p[k] = track[i].position[k] - vehicle->position[k];
-      v[k] = track[i].velocity[k] - vehicle->velocity[k];
-    }
-    const float s = needed_shift(&avoidance->config, p, v, m->radius_m + avoidance->config.clearance_m, c, &takes);
+    float takes;
+    const float s = needed_shift(&avoidance->config, m, c, &takes);
     if (s > *shift) *shift = s;
     if (takes > score) score = takes;
   }
@@ -293,6 +340,7 @@ static float score_of(const alula_avoidance* avoidance, const alula_vehicle_stat
 static void choose_direction(alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track,
                              const alula_wall* wall, uint32_t wall_count, uint32_t urgent) {
   static const float diagonal = 0.70710678F;
+  predict_misses(avoidance, vehicle, track);
   const float* n = avoidance->encounter[urgent].los;
   float e1[3] = {-n[1], n[0], 0.0F};
   float length = norm(e1);
@@ -310,7 +358,7 @@ static void choose_direction(alula_avoidance* avoidance, const alula_vehicle_sta
       c[k] = u * e1[k] + w * e2[k];
       if (i >= 8U) c[k] = diagonal * (c[k] - n[k]);
     }
-    const float score = score_of(avoidance, vehicle, track, wall, wall_count, c, &shift);
+    const float score = score_of(avoidance, wall, wall_count, c, &shift);
     if (!(score < best)) continue;
     best = score;
     best_shift = shift;
@@ -318,8 +366,11 @@ static void choose_direction(alula_avoidance* avoidance, const alula_vehicle_sta
   }
   if (avoidance->has_bypass) {
     float shift;
-    const float held = score_of(avoidance, vehicle, track, wall, wall_count, avoidance->direction, &shift);
-    if (!(best < (1.0F - avoidance->config.improvement) * held)) return;
+    const float held = score_of(avoidance, wall, wall_count, avoidance->direction, &shift);
+    if (!(best < (1.0F - avoidance->config.improvement) * held)) {
+      best_shift = shift; /* the direction stays; how far is estimated better now than when it was chosen */
+      for (int k = 0; k < 3; ++k) best_direction[k] = avoidance->direction[k];
+    }
   }
   for (int k = 0; k < 3; ++k) {
     avoidance->direction[k] = best_direction[k];
