@@ -96,7 +96,7 @@ class VehicleTable(_Table, frozen=True, kw_only=True):
     a_max_m_s2: Positive = 6.0
     j_max_m_s3: Positive = 60.0
     actuation_delay_s: NotNegative = 0.0
-    yaw_rate_rad_s: NotNegative = 0.0
+    yaw_rate_rad_s: NotNegative = 1.0
 
 
 class ObstacleTable(_Table, frozen=True, kw_only=True):

@@ -50,6 +50,7 @@ LogDict to_dict(EncounterLog&& log, bool keeps_path) {
   result["iterations"] = log.iterations;
   result["worst_violation"] = log.worst_violation;
   result["risk_spent"] = log.risk_spent;
+  result["mission_risk"] = log.mission_risk;
   result["path_length_m"] = log.path_length_m;
   result["max_speed_m_s"] = log.max_speed_m_s;
   result["mean_jerk_m_s3"] = log.mean_jerk_m_s3;
@@ -90,11 +91,12 @@ void bind_vehicle_and_rules(nb::module_& m) {
   nb::class_<EncounterRules>(m, "EncounterRules", "Times of an encounter, and when it ends.")
       .def(
           "__init__",
-          [](EncounterRules* self, double dt, int plant_steps, double max_time, double receded) {
-            new (self) EncounterRules{dt, plant_steps, max_time, receded};
+          [](EncounterRules* self, double dt, int plant_steps, double max_time, double receded, double risk_window) {
+            new (self) EncounterRules{dt, plant_steps, max_time, receded, risk_window};
           },
           nb::kw_only(), "dt_s"_a = r.dt_s, "plant_steps"_a = r.plant_steps, "max_time_s"_a = r.max_time_s,
-          "receded_s"_a = r.receded_s);
+          "receded_s"_a = r.receded_s,
+          "risk_window_s"_a = r.risk_window_s);
 }
 
 }  // namespace

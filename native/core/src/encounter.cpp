@@ -66,6 +66,8 @@ class Encounter {
   void judge_answer(const MovingReport& report, Vec3 command, Vec3 nominal, double now, double took);
   void advance();
   bool have_receded(double now);
+  void add_risk(std::int64_t tick, Vec3 command);
+  void close_risk_window();
   void keep(const MovingReport& report, Vec3 command, Vec3 nominal);
   std::int64_t obstacle_near(const float* position) const;
 
@@ -95,6 +97,7 @@ class Encounter {
   };
   std::vector<Window> window_;
   double receded_s_ = 0, yaw_ = 0;
+  std::vector<std::pair<std::uint32_t, double>> window_risk_;  // of tracks, by id
   std::uint32_t nearest_wall_ = 0;
   std::vector<double> scratch_;
   EncounterLog log_;
@@ -115,6 +118,7 @@ void Encounter::begin(std::uint32_t trial) {
   receded_s_ = 0;
   yaw_ = std::atan2(course_.y, course_.x);
   window_.assign(truth_.size(), {});
+  window_risk_.clear();
   log_ = {};
   log_.obstacle.resize(truth_.size());
 }
@@ -325,6 +329,28 @@ bool Encounter::have_receded(double now) {
   return now - receded_s_ >= spec_.rules.receded_s - kSameTime;
 }
 
+void Encounter::close_risk_window() {
+  for (const auto& [id, risk] : window_risk_) log_.mission_risk += risk;
+  window_risk_.clear();
+}
+
+void Encounter::add_risk(std::int64_t tick, Vec3 command) {
+  const double window = spec_.rules.risk_window_s;
+  const auto ticks = std::max<std::int64_t>(1, std::llround(window / spec_.rules.dt_s));
+  if (tick % ticks == 0) close_risk_window();
+  for (const alula_track& t : tracks_) {
+    const double risk = risk_of(t, seen_, command, spec_.vehicle.radius_m + static_cast<double>(t.radius_m), window);
+    if (!(risk > 0)) continue;
+    const auto found =
+        std::find_if(window_risk_.begin(), window_risk_.end(), [&](const auto& w) { return w.first == t.id; });
+    if (found == window_risk_.end()) {
+      window_risk_.emplace_back(t.id, risk);
+    } else {
+      found->second = std::max(found->second, risk);
+    }
+  }
+}
+
 void Encounter::keep(const MovingReport& report, Vec3 command, Vec3 nominal) {
   const auto add = [](std::vector<double>& rows, Vec3 v) { rows.insert(rows.end(), {v.x, v.y, v.z}); };
   const Kinematics& x = plant_.state();
@@ -366,6 +392,7 @@ EncounterLog Encounter::fly(std::uint32_t trial) {
                              ? braking(seen_v_, spec_.vehicle.max_acceleration_m_s2, rules.dt_s)
                              : clipped(report.acceleration, spec_.vehicle.max_acceleration_m_s2);
     judge_answer(report, command, wished, now, took);
+    add_risk(tick, command);
     if (keeps_path_) keep(report, command, wished);
     plant_.command(command);
     for (std::int64_t s = 0; s < rules.plant_steps; ++s) {
@@ -381,6 +408,7 @@ EncounterLog Encounter::fly(std::uint32_t trial) {
     older_v = last_v, last_v = v;
     ++log_.ticks;
   }
+  close_risk_window();
   log_.mean_jerk_m_s3 = log_.ticks > 1 ? jerk / static_cast<double>(log_.ticks - 1) : 0;
   for (std::size_t i = 0; i < truth_.size(); ++i)
     log_.obstacle[i].collided = log_.obstacle[i].closest_m <= spec_.vehicle.radius_m + spec_.obstacles[i].radius_m;
