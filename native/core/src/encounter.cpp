@@ -166,6 +166,7 @@ void Encounter::see(double now, std::int64_t tick) {
     for (int i = 0; i < 3; ++i) {
       t.position[i] = static_cast<float>(track.p[i]);
       t.velocity[i] = static_cast<float>(track.v[i]);
+      t.acceleration[i] = static_cast<float>(track.a[i]);
     }
     for (std::size_t i = 0; i < track.covariance.size(); ++i)
       t.covariance[i] = static_cast<float>(track.covariance[i]);

@@ -41,6 +41,7 @@ typedef struct {
   float position[3], velocity[3];
   float covariance[21]; /* of (position, velocity): the lower triangle, row by row */
   float radius_m;
+  float acceleration[3]; /* as estimated; 0 when it is not known */
 } alula_track;
 
 /* Static obstacles stay beyond a plane: n . (x - p) <= -distance_m would be inside one of them. */
@@ -71,7 +72,7 @@ typedef struct {
   float reach_m;     /* to it: there */
   float longest_avoid_s;
   float improvement;   /* share by which another direction must be better */
-  int accelerated;     /* the miss is predicted with the obstacle's estimated acceleration; 0: on a straight line */
+  int accelerated;     /* the miss is predicted with the track's acceleration, cut at envelope_cap; 0: on a line */
   float stop_s, brake; /* t_s, k_s */
   float stopped_m_s;
   float wall_room_m; /* kept by bypass points from walls beyond the vehicle's radius */

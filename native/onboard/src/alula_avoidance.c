@@ -121,7 +121,7 @@ static int is_usable(const alula_vehicle_state* vehicle, const alula_track* trac
   for (uint32_t i = 0; i < count; ++i) {
     const alula_track* t = track + i;
     if (!are_within(t->position, 3U, far) || !are_within(t->velocity, 3U, far)) return 0;
-    if (!are_within(t->covariance, 21U, wide)) return 0;
+    if (!are_within(t->covariance, 21U, wide) || !are_within(t->acceleration, 3U, far)) return 0;
     if (!(t->radius_m >= 0.0F && t->radius_m <= far)) return 0;
     for (uint32_t j = 0, at = 0; j < 6U; at += ++j + 1U)
       if (t->covariance[at] < 0.0F) return 0;
@@ -207,12 +207,12 @@ static void meet(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
   }
 }
 
-/* The estimate of the differentiator, in its direction but not longer than the bound. */
-static void acceleration_of(const alula_avoidance* avoidance, const alula_envelope* e, float a[3]) {
+/* The estimate of the differentiator, in its direction but not longer than the bound, less the vehicle's own. */
+static void relative_acceleration(const alula_avoidance* avoidance, const alula_envelope* e, float a[3]) {
   const float size = norm(e->z1);
   float scale = size > e->bound ? e->bound / size : 1.0F;
   if ((float)e->age * avoidance->config.dt_s < avoidance->config.settle_s) scale = 0.0F;
-  for (int k = 0; k < 3; ++k) a[k] = scale * e->z1[k];
+  for (int k = 0; k < 3; ++k) a[k] = scale * e->z1[k] - avoidance->command[k];
 }
 
 /* |P + V t| - q sigma <= R at one time: the chance constraint without the tail. */
@@ -236,8 +236,7 @@ static void warn(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
     if (!(m->distance_m < avoidance->config.range_m)) continue;
     float a[3], risk;
     if (avoidance->config.distributional) {
-      acceleration_of(avoidance, find(avoidance, track[i].id), a);
-      for (int k = 0; k < 3; ++k) a[k] -= avoidance->command[k]; /* the vehicle's own */
+      relative_acceleration(avoidance, find(avoidance, track[i].id), a);
       risk = alula_early_warning(avoidance, vehicle, track + i, a);
     } else {
       risk = simple_warning(&avoidance->config, vehicle, track + i, m);
@@ -290,7 +289,9 @@ static void predict_misses(alula_avoidance* avoidance, const alula_vehicle_state
       v[k] = track[i].velocity[k];
     }
     if (avoidance->config.accelerated) {
-      acceleration_of(avoidance, find(avoidance, track[i].id), a);
+      const float size = norm(track[i].acceleration), most = avoidance->config.envelope_cap;
+      const float scale = size > most ? most / size : 1.0F;
+      for (int k = 0; k < 3; ++k) a[k] = scale * track[i].acceleration[k];
       m->miss_s = closest_time(p, v, a);
     } else {
       const float square = dot(v, v), t = square > 0.0F ? -dot(p, v) / square : LONGEST_S;
