@@ -133,7 +133,8 @@ void Encounter::sense(std::int64_t step) {
   Scan& made = scan_[scans_++];
   made.time = now;
   made.detections.clear();
-  made.field = field_of_view(radar, own_state(radar, plant_.state(), random_, static_cast<std::uint64_t>(step)), yaw_);
+  made.field =
+      field_of_view(radar, own_state(radar, plant_.state(), random_, static_cast<std::uint64_t>(step)), yaw_);
   scan(radar, plant_.state(), yaw_, truth_, random_, static_cast<std::uint64_t>(step), made.detections);
 }
 
@@ -179,8 +180,8 @@ void Encounter::see(double now, std::int64_t tick) {
   see_walls();
 }
 
-// Towards the middle between the leftmost and the rightmost track that closes in, or, when the field is too narrow for
-// both, towards the most urgent one; along the course without any.
+// Towards the middle between the leftmost and the rightmost track that closes in, or, when the field is too narrow
+// for both, towards the most urgent one; along the course without any.
 void Encounter::look() {
   double least = 0, most = 0, urgent = 0, urgency = 0;
   bool has_track = false;

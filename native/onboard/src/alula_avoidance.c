@@ -318,8 +318,8 @@ static float needed_shift(const alula_avoidance_config* config, const alula_enco
 
 /* Score of a direction: the acceleration it takes past all active obstacles; `shift` is how far. Behind a wall:
  * large.*/
-static float score_of(const alula_avoidance* avoidance, const alula_wall* wall, uint32_t wall_count,
-                      const float c[3], float* shift) {
+static float score_of(const alula_avoidance* avoidance, const alula_wall* wall, uint32_t wall_count, const float c[3],
+                      float* shift) {
   float score = 0.0F;
   *shift = 0.0F;
   for (uint32_t i = 0; i < avoidance->count; ++i) {

@@ -34,8 +34,8 @@ struct EncounterVehicle {
   double max_jerk_m_s3 = 60;         // |da/dt|_inf, of what is executed; the limit of the speed aside
   double actuation_delay_s = 0;      // of a command until it begins to act
   bool hovers = false;               // the goal is the start: hold it
-  // How fast the sensor turns, with a vehicle whose yaw is free: to the middle of all tracks that close in, if the field
-  // is wide enough for them, else to the most urgent one. 0: it looks along the course, whatever comes.
+  // How fast the sensor turns, with a vehicle whose yaw is free: to the middle of all tracks that close in, if the
+  // field is wide enough for them, else to the most urgent one. 0: it looks along the course, whatever comes.
   double yaw_rate_rad_s = 1;
 };
 
@@ -43,7 +43,7 @@ struct EncounterRules {
   double dt_s = 0.01;
   int plant_steps = 10;
   double max_time_s = 14;
-  double receded_s = 1;  // ends when all obstacles have receded for so long
+  double receded_s = 1;        // ends when all obstacles have receded for so long
   double risk_window_s = 0.4;  // of `mission_risk`: how far a command is taken to last
 };
 
