@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "alula/encounter.hpp"
+#include "alula/encounter_watch.hpp"
 #include "flight_arrays.hpp"
 #include "python_control.hpp"
 

@@ -3,10 +3,10 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <numbers>
 #include <utility>
 
 #include "alula/encounter_plant.hpp"
+#include "alula/encounter_watch.hpp"
 
 namespace alula::flight {
 namespace {
@@ -60,14 +60,11 @@ class Encounter {
   void begin(std::uint32_t trial);
   void sense(std::int64_t step);
   void see(double now, std::int64_t tick);
-  void look();
   void see_walls();
   Vec3 nominal() const;
   void judge_answer(const MovingReport& report, Vec3 command, Vec3 nominal, double now, double took);
   void advance();
   bool have_receded(double now);
-  void add_risk(std::int64_t tick, Vec3 command);
-  void close_risk_window();
   void keep(const MovingReport& report, Vec3 command, Vec3 nominal);
   std::int64_t obstacle_near(const float* position) const;
 
@@ -97,7 +94,7 @@ class Encounter {
   };
   std::vector<Window> window_;
   double receded_s_ = 0, yaw_ = 0;
-  std::vector<std::pair<std::uint32_t, double>> window_risk_;  // of tracks, by id
+  RiskWindows risk_;
   std::uint32_t nearest_wall_ = 0;
   std::vector<double> scratch_;
   EncounterLog log_;
@@ -118,7 +115,7 @@ void Encounter::begin(std::uint32_t trial) {
   receded_s_ = 0;
   yaw_ = std::atan2(course_.y, course_.x);
   window_.assign(truth_.size(), {});
-  window_risk_.clear();
+  risk_.reset(spec_.rules.risk_window_s, spec_.rules.dt_s);
   log_ = {};
   log_.obstacle.resize(truth_.size());
 }
@@ -176,33 +173,11 @@ void Encounter::see(double now, std::int64_t tick) {
     EncounterMetrics& m = log_.obstacle[static_cast<std::size_t>(of)];
     if (std::isnan(m.detected_s)) m.detected_s = now;
   }
-  if (spec_.vehicle.yaw_rate_rad_s > 0) look();
-  see_walls();
-}
-
-// Towards the middle between the leftmost and the rightmost track that closes in, or, when the field is too narrow
-// for both, towards the most urgent one; along the course without any.
-void Encounter::look() {
-  double least = 0, most = 0, urgent = 0, urgency = 0;
-  bool has_track = false;
-  const auto bearing = [&](double y, double x) {
-    return std::remainder(std::atan2(y, x) - yaw_, 2 * std::numbers::pi);
-  };
-  for (const alula_track& t : tracks_) {
-    const Vec3 p = geometry::Vec3{t.position[0], t.position[1], t.position[2]} - seen_p_;
-    const double closing = -dot(p, Vec3{t.velocity[0], t.velocity[1], t.velocity[2]} - seen_v_);
-    if (!(closing > 0)) continue;
-    const double angle = bearing(p.y, p.x);
-    least = has_track ? std::min(least, angle) : angle;
-    most = has_track ? std::max(most, angle) : angle;
-    has_track = true;
-    const double now = closing / std::max(dot(p, p), 1e-6);  // closing speed over distance
-    if (now > urgency) urgency = now, urgent = angle;
+  if (spec_.vehicle.yaw_rate_rad_s > 0) {
+    const double limit = spec_.vehicle.yaw_rate_rad_s * spec_.rules.dt_s;
+    yaw_ += std::clamp(turn_to(tracks_, seen_, yaw_, radar.half_azimuth_rad, course_), -limit, limit);
   }
-  const bool fits = most - least <= 2 * spec_.radar.half_azimuth_rad;
-  const double turn = !has_track ? bearing(course_.y, course_.x) : (fits ? (least + most) / 2 : urgent);
-  const double limit = spec_.vehicle.yaw_rate_rad_s * spec_.rules.dt_s;
-  yaw_ += std::clamp(turn, -limit, limit);
+  see_walls();
 }
 
 // Of each polytope the plane that separates it best from the vehicle; its distance is at most the polytope's.
@@ -331,28 +306,6 @@ bool Encounter::have_receded(double now) {
   return now - receded_s_ >= spec_.rules.receded_s - kSameTime;
 }
 
-void Encounter::close_risk_window() {
-  for (const auto& [id, risk] : window_risk_) log_.mission_risk += risk;
-  window_risk_.clear();
-}
-
-void Encounter::add_risk(std::int64_t tick, Vec3 command) {
-  const double window = spec_.rules.risk_window_s;
-  const auto ticks = std::max<std::int64_t>(1, std::llround(window / spec_.rules.dt_s));
-  if (tick % ticks == 0) close_risk_window();
-  for (const alula_track& t : tracks_) {
-    const double risk = risk_of(t, seen_, command, spec_.vehicle.radius_m + static_cast<double>(t.radius_m), window);
-    if (!(risk > 0)) continue;
-    const auto found =
-        std::find_if(window_risk_.begin(), window_risk_.end(), [&](const auto& w) { return w.first == t.id; });
-    if (found == window_risk_.end()) {
-      window_risk_.emplace_back(t.id, risk);
-    } else {
-      found->second = std::max(found->second, risk);
-    }
-  }
-}
-
 void Encounter::keep(const MovingReport& report, Vec3 command, Vec3 nominal) {
   const auto add = [](std::vector<double>& rows, Vec3 v) { rows.insert(rows.end(), {v.x, v.y, v.z}); };
   const Kinematics& x = plant_.state();
@@ -394,7 +347,7 @@ EncounterLog Encounter::fly(std::uint32_t trial) {
                              ? braking(seen_v_, spec_.vehicle.max_acceleration_m_s2, rules.dt_s)
                              : clipped(report.acceleration, spec_.vehicle.max_acceleration_m_s2);
     judge_answer(report, command, wished, now, took);
-    add_risk(tick, command);
+    risk_.add(tracks_, seen_, command, spec_.vehicle.radius_m);
     if (keeps_path_) keep(report, command, wished);
     plant_.command(command);
     for (std::int64_t s = 0; s < rules.plant_steps; ++s) {
@@ -410,7 +363,7 @@ EncounterLog Encounter::fly(std::uint32_t trial) {
     older_v = last_v, last_v = v;
     ++log_.ticks;
   }
-  close_risk_window();
+  log_.mission_risk = risk_.sum();
   log_.mean_jerk_m_s3 = log_.ticks > 1 ? jerk / static_cast<double>(log_.ticks - 1) : 0;
   for (std::size_t i = 0; i < truth_.size(); ++i)
     log_.obstacle[i].collided = log_.obstacle[i].closest_m <= spec_.vehicle.radius_m + spec_.obstacles[i].radius_m;

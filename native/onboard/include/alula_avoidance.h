@@ -142,6 +142,10 @@ ALULA_MUST_USE alula_status alula_avoidance_step(alula_avoidance* avoidance, con
 /* What is flown after it: the next prediction counts with that. */
 void alula_avoidance_flown(alula_avoidance* avoidance, const float command[3]);
 
+/* Of a track, or null; and all of them a tick on: those that are gone are forgotten. */
+alula_envelope* alula_find_envelope(alula_avoidance* avoidance, uint32_t id);
+void alula_update_envelopes(alula_avoidance* avoidance, const alula_track* track, uint32_t count);
+
 /* The largest CVaR of Z plus eps L_Z of one track: at least 0 warns. `relative_acceleration` is
  * a_i - a_e [m/s^2]. Where a bound over all samples is negative already, that bound. */
 float alula_early_warning(const alula_avoidance* avoidance, const alula_vehicle_state* vehicle,

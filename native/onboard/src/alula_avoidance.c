@@ -135,52 +135,6 @@ static int is_usable(const alula_vehicle_state* vehicle, const alula_track* trac
   return 1;
 }
 
-static alula_envelope* find(alula_avoidance* avoidance, uint32_t id) {
-  for (uint32_t i = 0; i < avoidance->envelope_count; ++i)
-    if (avoidance->envelope[i].id == id) return avoidance->envelope + i;
-  return 0;
-}
-
-/* One Euler step of the differentiator, and the bound: a running maximum that forgets. */
-static void differentiate(const alula_avoidance_config* c, alula_envelope* e, const float velocity[3]) {
-  for (int k = 0; k < 3; ++k) {
-    const float error = e->z0[k] - velocity[k];
-    const float sign = error > 0.0F ? 1.0F : (error < 0.0F ? -1.0F : 0.0F);
-    e->z0[k] += c->dt_s * (e->z1[k] - c->l1 * __builtin_sqrtf(absolute(error)) * sign);
-    e->z1[k] -= c->dt_s * c->l2 * sign;
-  }
-  if (e->age < ALULA_NO_OBSTACLE) ++e->age;
-  if ((float)e->age * c->dt_s < c->settle_s) return;
-  const float now = norm(e->z1), held = e->bound - c->envelope_forget * c->dt_s;
-  e->bound = now > held ? now : held;
-  if (e->bound > c->envelope_cap) e->bound = c->envelope_cap;
-}
-
-/* Follows each track; those that are gone are forgotten. */
-static void update_envelopes(alula_avoidance* avoidance, const alula_track* track, uint32_t count) {
-  const alula_avoidance_config* c = &avoidance->config;
-  for (uint32_t i = 0; i < avoidance->envelope_count; ++i) avoidance->envelope[i].seen = 0U;
-  for (uint32_t i = 0; i < count; ++i) {
-    alula_envelope* e = find(avoidance, track[i].id);
-    if (e) e->seen = 1U;
-  }
-  uint32_t kept = 0U;
-  for (uint32_t i = 0; i < avoidance->envelope_count; ++i)
-    if (avoidance->envelope[i].seen) avoidance->envelope[kept++] = avoidance->envelope[i];
-  avoidance->envelope_count = kept;
-  for (uint32_t i = 0; i < count; ++i) {
-    alula_envelope* e = find(avoidance, track[i].id);
-    if (!e) {
-      e = avoidance->envelope + avoidance->envelope_count++;
-      e->id = track[i].id;
-      e->age = 0U;
-      e->bound = c->envelope_start;
-      for (int k = 0; k < 3; ++k) e->z0[k] = track[i].velocity[k], e->z1[k] = 0.0F;
-    }
-    differentiate(c, e, track[i].velocity);
-  }
-}
-
 static void meet(alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track,
                  uint32_t count) {
   avoidance->count = count;
@@ -198,7 +152,7 @@ static void meet(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
     const float towards = -dot(m->los, v);
     m->closing_m_s = towards > 0.0F ? towards : 0.0F;
     m->radius_m = avoidance->config.radius_m + track[i].radius_m;
-    m->envelope = find(avoidance, track[i].id)->bound;
+    m->envelope = alula_find_envelope(avoidance, track[i].id)->bound;
     const float* c = track[i].covariance;
     const float cp[6] = {c[0], c[1], c[3], c[2], c[4], c[5]}, cv[6] = {c[9], c[13], c[18], c[14], c[19], c[20]};
     m->sigma2_p = variance(cp, m->los) + variance(vehicle->covariance, m->los);
@@ -236,7 +190,7 @@ static void warn(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
     if (!(m->distance_m < avoidance->config.range_m)) continue;
     float a[3], risk;
     if (avoidance->config.distributional) {
-      relative_acceleration(avoidance, find(avoidance, track[i].id), a);
+      relative_acceleration(avoidance, alula_find_envelope(avoidance, track[i].id), a);
       risk = alula_early_warning(avoidance, vehicle, track + i, a);
     } else {
       risk = simple_warning(&avoidance->config, vehicle, track + i, m);
@@ -425,7 +379,7 @@ alula_status alula_avoidance_step(alula_avoidance* avoidance, const alula_vehicl
   if (!avoidance || !vehicle || !nominal || !guidance || (count > 0U && !track) || (wall_count > 0U && !wall))
     return ALULA_BAD_POINTER;
   if (!is_usable(vehicle, track, count, wall, wall_count, nominal)) return ALULA_BAD_INPUT;
-  update_envelopes(avoidance, track, count);
+  alula_update_envelopes(avoidance, track, count);
   meet(avoidance, vehicle, track, count);
   warn(avoidance, vehicle, track, guidance);
   leave(avoidance, vehicle, track);

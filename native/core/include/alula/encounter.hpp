@@ -83,8 +83,8 @@ struct EncounterLog {
                refused_ticks = 0, iterations = 0;
   double worst_violation = 0;  // of rows, in any tick [m/s^2]
   double risk_spent = 0;       // sum over ticks of what the commands left: bounds that any row of the flight fails
-  // Sum over windows, one after the other, and tracks of the largest `risk_of` in the window: an estimate for the
-  // flight that is about as large as its probability of a collision when dangers of a window are one danger.
+  // Sum over windows, one after the other, and tracks of the largest `risk_of` (encounter_watch.hpp) in each. No bound:
+  // other ticks of a window could fail too, and obstacles are taken to keep their velocity.
   double mission_risk = 0;
   double path_length_m = 0, max_speed_m_s = 0;
   double mean_jerk_m_s3 = 0, max_jerk_m_s3 = 0;  // second differences of the velocity at the rate of the filter
@@ -102,13 +102,6 @@ void check(const EncounterSpec& spec);
 std::vector<EncounterLog> fly_encounters(const EncounterSpec& spec, const MovingFilter& filter, std::uint64_t seed,
                                          std::uint32_t first, std::uint32_t count, bool keeps_path, unsigned jobs,
                                          Control& control);
-
-// Bound of the probability that an obstacle is within `radius` when it comes closest in the next `window` [s], while
-// the vehicle keeps the command and the obstacle its velocity. With m the predicted relative position then, S its
-// covariance and s = |m| - radius: whoever is within the radius is so along m too, so that Cantelli says
-// m' S m / |m|^2 / (m' S m / |m|^2 + s^2), and 1 for s <= 0. 0 for a track that recedes already.
-double risk_of(const alula_track& track, const alula_vehicle_state& vehicle, geometry::Vec3 command, double radius,
-               double window);
 
 // Least |r(t)| for 0 <= t <= h of the parabola from r0 to r1 with the acceleration a: exact to rounding where the
 // distance has one minimum, else too much by at most |a| h^2 / 8.
