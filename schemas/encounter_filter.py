@@ -72,6 +72,7 @@ class FilterParameters(_Table, frozen=True, kw_only=True):
     reach_m: NotNegative = 0.15
     longest_avoid_s: NotNegative = 1.2
     improvement: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.2
+    accelerated: bool = False
     stop_s: Positive = 0.5
     brake: NotNegative = 1.0
     stopped_m_s: NotNegative = 0.3

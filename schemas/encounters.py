@@ -96,7 +96,7 @@ class VehicleTable(_Table, frozen=True, kw_only=True):
     a_max_m_s2: Positive = 6.0
     j_max_m_s3: Positive = 60.0
     actuation_delay_s: NotNegative = 0.0
-    yaw_rate_rad_s: NotNegative = 0.0
+    yaw_rate_rad_s: NotNegative = 1.0
 
 
 class ObstacleTable(_Table, frozen=True, kw_only=True):
@@ -156,6 +156,8 @@ class TrackerTable(_Table, frozen=True, kw_only=True):
     confirm_hits: Annotated[int, msgspec.Meta(ge=1)] = 5
     confirm_scans: Annotated[int, msgspec.Meta(ge=1)] = 6
     delete_misses: Annotated[int, msgspec.Meta(ge=1)] = 5
+    coast_s: NotNegative = 3.0
+    field_margin: NotNegative = 2.0
     acceleration_noise: NotNegative = 0.5
     jerk_noise: NotNegative = 0.2
     with_turn: bool = False

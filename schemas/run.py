@@ -100,6 +100,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     iterations: int | None = None
     worst_violation_m_s2: float | None = None
     risk_spent: float | None = None
+    mission_risk: float | None = None
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):

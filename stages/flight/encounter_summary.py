@@ -44,6 +44,7 @@ def encounter_summary(scenario: Encounters, trials: list[TrialResult]) -> dict[s
         "mean_iterations": sum(trial.iterations or 0 for trial in trials) / steps if steps else None,
         "worst_violation_m_s2": max((trial.worst_violation_m_s2 or 0.0 for trial in trials), default=0.0),
         "mean_risk_spent": _mean([trial.risk_spent for trial in trials]),
+        "mean_mission_risk": _mean([trial.mission_risk for trial in trials]),
         "max_jerk_limit_m_s3": scenario.vehicle.j_max_m_s3,
     }
 

@@ -80,6 +80,7 @@ def native_encounter(scenario: Encounters, walls: _core.PolytopeSet | None) -> _
                 plant_steps=run.plant_steps,
                 max_time_s=run.max_time_s,
                 receded_s=way.receded_s,
+                risk_window_s=scenario.filter.parameters.h_max_s,
             ),
             obstacles=[_obstacle(i, table) for i, table in enumerate(scenario.obstacles)],
             radar=_made(_core.RadarOptions, msgspec.structs.asdict(scenario.sensor), "sensor"),

@@ -242,6 +242,7 @@ def _trial(scenario: Encounters, index: int, log: dict[str, Any]) -> TrialResult
         iterations=log["iterations"],
         worst_violation_m_s2=log["worst_violation"],
         risk_spent=log["risk_spent"],
+        mission_risk=log["mission_risk"],
     )
 
 

@@ -308,3 +308,23 @@ def test_options_that_mean_nothing_raise(options):
             _core.moving_filter(method, options)
     with pytest.raises(ValueError, match="no such option"):
         _core.moving_filter("dr_acbf", {"nothing": 1})
+
+
+def test_the_bypass_point_follows_the_estimate_and_waits_for_no_brake():
+    """Believed to pass by at first, then to hit; rows are missed for longer than the brake waits."""
+    filters = _core.moving_filter("dr_acbf", {"failing_ticks": 5})
+    p, v = np.array([0.0, 0.0, 10.0]), np.array([4.0, 0.0, 0.0])
+    far, aside, missed = 7.0, [], 0
+    for k in range(60):
+        across = 1.2 if k < 5 else 0.0
+        at = np.array([far - 9.0 * 0.01 * k, 0.0, 10.0])
+        report, _ = filters.filter(
+            p, v, tracks(track(1, at, (-9.0, across, 0.0), 0.1, 0.1)), NO_WALLS, (0, 0, 0)
+        )
+        assert report.mode == 1
+        missed += report.status == 3
+        a = np.array(report.acceleration)
+        p, v = p + 0.01 * v + 0.00005 * a, v + 0.01 * a
+        aside.append(np.hypot(p[1], p[2] - 10))
+    assert missed > 5
+    assert max(aside) > 0.6

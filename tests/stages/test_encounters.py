@@ -236,3 +236,60 @@ def test_the_examples_read_and_fly():
         run = fly_encounters(scenario)
         assert math.isfinite(sum(o.closest_m for t in run.trials for o in t.obstacles))
         assert all(o.detected_s is not None for t in run.trials for o in t.obstacles)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32 - 1))
+def test_the_risk_bounds_how_often_an_obstacle_hits(seed):
+    rng = np.random.default_rng(seed)
+    p = rng.normal(size=3) * [4, 1, 1] + [5, 0, 0]
+    v, a = rng.normal(size=3) * 2 - [8, 0, 0], rng.uniform(-6, 6, 3)
+    factor = np.diag([0.2] * 3 + [0.6] * 3) @ rng.normal(size=(6, 6)) / 2
+    covariance = factor @ factor.T
+    risk = _core.collision_risk(p, v, covariance[np.tril_indices(6)], a, 0.3, 0.4)
+    if p @ v >= 0:
+        assert risk == 0
+        return
+    t = np.linspace(0, 0.4, 4001)[:, None]
+    way = p + v * t - a * t**2 / 2
+    best = np.linalg.norm(way, axis=1).argmin()
+    drawn = rng.multivariate_normal(np.r_[p, v], covariance, 4000)
+    then = drawn[:, :3] + t[best] * drawn[:, 3:] - a * t[best] ** 2 / 2
+    hits = np.mean(np.linalg.norm(then, axis=1) <= 0.3)
+    assert 0 <= risk <= 1
+    assert hits <= risk + 4 * math.sqrt(max(risk * (1 - risk), 1e-4) / 4000)
+    assert risk == 1 if np.linalg.norm(way[best]) < 0.3 - 1e-6 else True
+
+
+def test_the_risk_of_a_flight_is_less_with_a_filter_and_bounds_its_collisions():
+    risks = {}
+    for name in ("none", "dr-acbf", "cbf-qp"):
+        trials = fly_encounters(made(filter={"name": name})).trials
+        hits = np.mean([sum(o.collision for o in t.obstacles) for t in trials])
+        risks[name] = np.mean([t.mission_risk for t in trials])
+        assert hits <= risks[name]
+    assert max(risks["dr-acbf"], risks["cbf-qp"]) < 0.5 * risks["none"]
+
+
+def test_a_sensor_that_turns_loses_fewer_obstacles():
+    warned = []
+    for rate in (0.0, 1.0):
+        aside = ASIDE | {"distance_m": 50.0}
+        scenario = made(obstacles=[aside], vehicle={"yaw_rate_rad_s": rate}, tracker={"coast_s": 0.0})
+        trials = fly_encounters(scenario).trials
+        warned.append(sum(t.obstacles[0].warned_s is not None for t in trials))
+    assert warned[1] > warned[0]
+
+
+def test_what_is_thrown_is_dodged_on_its_parabola():
+    from pathlib import Path
+
+    path = Path(__file__).resolve().parents[2] / "examples" / "dr-acbf" / "thrown.toml"
+
+    def good(changes):
+        trials = fly_encounters(read_encounters(path, {"trials.count": 60} | changes)).trials
+        return sum(not t.collision for t in trials)
+
+    assert good({}) >= 48
+    assert good({"filter.parameters.accelerated": False}) <= 40
+    assert good({"filter.name": "none"}) <= 36

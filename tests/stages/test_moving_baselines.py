@@ -27,7 +27,10 @@ def solve(objective, constraints):
 
 
 def bypass(rows, velocity):
-    """The bypass point from the origin: twelve directions, the least acceleration past all that close in."""
+    """The bypass point from the origin: twelve directions, the least acceleration past all that close in.
+
+    To hover there keeps the clearance, so obstacles pass it with their own velocity.
+    """
     p, v = rows[:, 1:4], rows[:, 4:7] - velocity
     distance = np.linalg.norm(p, axis=1)
     los = p / distance[:, None]
@@ -41,8 +44,9 @@ def bypass(rows, velocity):
     for c in lateral + [(x - n) / np.sqrt(2) for x in lateral[::2]]:
         score, shift = 0.0, 0.0
         for i in np.flatnonzero(closing > 0):
-            t = np.clip(-(p[i] @ v[i]) / (v[i] @ v[i]), 0.05, 3)
-            m, room = p[i] + v[i] * t, rows[i, 28] + 0.15 + 1.0
+            own = rows[i, 4:7]
+            t = np.clip(-(p[i] @ own) / (own @ own), 0.05, 3)
+            m, room = p[i] + own * t, rows[i, 28] + 0.15 + 1.0
             if np.linalg.norm(m) >= room:
                 continue
             s = c @ m + np.sqrt((c @ m) ** 2 - m @ m + room**2)

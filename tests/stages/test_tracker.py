@@ -324,3 +324,83 @@ def test_arrays_must_fit():
     with pytest.raises(ValueError, match="room"):
         tracker(most=0)
     assert len(target.tracks(0.0)["id"]) == 0
+
+
+def looking():
+    """Along x, 40 degrees to each side."""
+    return _core.FieldOfView(position=(0.0, 0.0, 0.0), half_azimuth_rad=0.7, max_range_m=100.0)
+
+
+INSIDE, OUTSIDE = (30.0, 0.0, 0.0), (30.0, 40.0, 0.0)
+
+
+def confirmed(at, **options):
+    """A tracker whose only track, at rest, has just been confirmed; the time of its last scan."""
+    target = tracker(**options)
+    for k in range(20):
+        scan(target, k * DT, at)
+    return target, 19 * DT
+
+
+@pytest.mark.parametrize(
+    ("at", "has_field", "coast_s", "lives"),
+    [
+        (OUTSIDE, True, 1.0, True),
+        (INSIDE, True, 1.0, False),  # a scan that should have seen it
+        (OUTSIDE, False, 1.0, False),
+        (OUTSIDE, True, 0.0, False),
+        ((30.0, 25.1, 0.0), True, 1.0, True),  # inside, but by less than its uncertainty
+    ],
+)
+def test_a_track_out_of_sight_coasts(at, has_field, coast_s, lives):
+    field = looking() if has_field else None
+    target, last = confirmed(at, coast_s=coast_s)
+    was = target.tracks(last)["covariance"][0].trace()
+    for k in range(1, 20):
+        scan(target, last + k * DT, field=field)
+    alive = target.tracks(last + 19 * DT)
+    assert len(alive["id"]) == lives
+    if lives:
+        assert alive["covariance"][0].trace() > was
+        scan(target, last + 20 * DT, at, field=field)
+        assert target.tracks(last + 20 * DT)["id"].tolist() == [1]
+
+
+def test_coasting_ends():
+    target, last = confirmed(OUTSIDE, coast_s=1.0)
+    lives = []
+    for k in range(1, 40):
+        scan(target, last + k * DT, field=looking())
+        lives.append(len(target.tracks(last + k * DT)["id"]))
+    assert lives == sorted(lives, reverse=True)
+    assert 1.0 <= sum(lives) * DT <= 1.0 + 5 * DT  # then misses count
+
+
+def test_what_is_not_confirmed_does_not_coast():
+    target = tracker()
+    scan(target, 0.0, OUTSIDE)
+    for k in range(1, 6):
+        scan(target, k * DT, field=looking())
+    assert len(target.tracks(5 * DT)["id"]) == 0
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.integers(0, 2**32 - 1), st.floats(0, 3))
+def test_a_field_holds_what_is_within_its_angles_and_range(seed, margin):
+    rng = np.random.default_rng(seed)
+    p, yaw = rng.normal(size=3) * [20, 20, 4], rng.uniform(-3, 3)
+    factor = 0.3 * rng.normal(size=(3, 3))
+    field = _core.FieldOfView(position=(0, 0, 0), yaw=yaw, max_range_m=25.0)
+
+    def polar(x):
+        c, s = np.cos(yaw), np.sin(yaw)
+        u, v = c * x[0] + s * x[1], c * x[1] - s * x[0]
+        return np.array([np.linalg.norm(x), np.arctan2(v, u), np.arctan2(x[2], np.hypot(u, v))])
+
+    steps = 1e-6 * np.eye(3)
+    slopes = np.array([(polar(p + h) - polar(p - h)) / 2e-6 for h in steps]).T
+    sigma = np.linalg.norm(slopes @ factor, axis=1)
+    reach = np.abs(polar(p)) + margin * sigma
+    left = np.array([25.0, np.radians(40), np.radians(10)]) - reach
+    if np.abs(left).min() > 1e-4:
+        assert field.holds(p, factor @ factor.T, margin) == bool((left > 0).all())

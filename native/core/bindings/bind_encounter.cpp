@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "alula/encounter.hpp"
+#include "alula/encounter_watch.hpp"
 #include "flight_arrays.hpp"
 #include "python_control.hpp"
 
@@ -50,6 +51,7 @@ LogDict to_dict(EncounterLog&& log, bool keeps_path) {
   result["iterations"] = log.iterations;
   result["worst_violation"] = log.worst_violation;
   result["risk_spent"] = log.risk_spent;
+  result["mission_risk"] = log.mission_risk;
   result["path_length_m"] = log.path_length_m;
   result["max_speed_m_s"] = log.max_speed_m_s;
   result["mean_jerk_m_s3"] = log.mean_jerk_m_s3;
@@ -90,11 +92,11 @@ void bind_vehicle_and_rules(nb::module_& m) {
   nb::class_<EncounterRules>(m, "EncounterRules", "Times of an encounter, and when it ends.")
       .def(
           "__init__",
-          [](EncounterRules* self, double dt, int plant_steps, double max_time, double receded) {
-            new (self) EncounterRules{dt, plant_steps, max_time, receded};
+          [](EncounterRules* self, double dt, int plant_steps, double max_time, double receded, double risk_window) {
+            new (self) EncounterRules{dt, plant_steps, max_time, receded, risk_window};
           },
           nb::kw_only(), "dt_s"_a = r.dt_s, "plant_steps"_a = r.plant_steps, "max_time_s"_a = r.max_time_s,
-          "receded_s"_a = r.receded_s);
+          "receded_s"_a = r.receded_s, "risk_window_s"_a = r.risk_window_s);
 }
 
 }  // namespace
@@ -141,6 +143,22 @@ void bind_encounter(nb::module_& m) {
       "and avoid [s], NaN for what never was; with keeps_path also a row per tick of the vehicle (p, v, a), "
       "obstacles, "
       "tracks, command, nominal, mode and status.");
+  m.def(
+      "collision_risk",
+      [](const Triple& position, const Triple& velocity, const std::array<double, 21>& covariance,
+         const Triple& command, double radius, double window) {
+        const alula_vehicle_state vehicle{};
+        alula_track track{};
+        for (std::size_t k = 0; k < 3; ++k) {
+          track.position[k] = static_cast<float>(position[k]);
+          track.velocity[k] = static_cast<float>(velocity[k]);
+        }
+        for (std::size_t k = 0; k < 21; ++k) track.covariance[k] = static_cast<float>(covariance[k]);
+        return risk_of(track, vehicle, vector_of(command), radius, window);
+      },
+      "position"_a, "velocity"_a, "covariance"_a, "command"_a, "radius"_a, "window_s"_a,
+      "Of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: bound of the "
+      "probability that it is within the radius when it comes closest in the window.");
   m.def(
       "closest_approach",
       [](const Triple& r0, const Triple& r1, const Triple& a, double h) {

@@ -61,7 +61,8 @@ void each_option(MovingFilterOptions& o, Visit visit) {
   visit("wasserstein", a.wasserstein), visit("obstacle_braking", a.obstacle_braking);
   visit("simple_quantile", a.simple_quantile), visit("clearance_m", a.clearance_m), visit("hold_s", a.hold_s);
   visit("kp", a.kp), visit("kd", a.kd), visit("reach_m", a.reach_m), visit("longest_avoid_s", a.longest_avoid_s);
-  visit("improvement", a.improvement), visit("stop_s", a.stop_s), visit("brake", a.brake);
+  visit("improvement", a.improvement), visit("accelerated", a.accelerated), visit("stop_s", a.stop_s),
+      visit("brake", a.brake);
   visit("stopped_m_s", a.stopped_m_s), visit("wall_room_m", a.wall_room_m);
   visit("v_max", c.v_max), visit("j_max", c.j_max), visit("h_min_s", c.h_min_s), visit("horizons", c.horizons);
   visit("risk", c.risk), visit("warned_risk", c.warned_risk), visit("solver", c.solver);

@@ -164,6 +164,26 @@ void bind_radar(nb::module_& m) {
           "own_position_sigma_m"_a = d.own_position_sigma_m, "own_velocity_sigma_m_s"_a = d.own_velocity_sigma_m_s)
       .def_ro("rate_hz", &RadarOptions::rate_hz)
       .def_ro("delay_s", &RadarOptions::delay_s);
+  nb::class_<FieldOfView>(m, "FieldOfView", "Where a scan could find something.")
+      .def(
+          "__init__",
+          [](FieldOfView* self, const Triple& position, double yaw, double half_azimuth, double half_elevation,
+             double max_range) {
+            new (self) FieldOfView{vector_of(position), yaw, half_azimuth, half_elevation, max_range};
+          },
+          nb::kw_only(), "position"_a, "yaw"_a = 0.0, "half_azimuth_rad"_a = d.half_azimuth_rad,
+          "half_elevation_rad"_a = d.half_elevation_rad, "max_range_m"_a = d.max_range_m,
+          "Of a sensor at a position [m], levelled, looking along yaw [rad].")
+      .def(
+          "holds",
+          [](const FieldOfView& self, const Triple& mean, const std::array<Triple, 3>& covariance, double margin) {
+            geometry::Mat3 m;
+            for (std::size_t k = 0; k < 3; ++k)
+              for (std::size_t l = 0; l < 3; ++l) m[static_cast<int>(k)][static_cast<int>(l)] = covariance[k][l];
+            return self.holds(vector_of(mean), m, margin);
+          },
+          "mean"_a, "covariance"_a, "margin"_a,
+          "Whether it has all within `margin` standard deviations of the range and of both angles.");
 
   m.def(
       "radar_scans",

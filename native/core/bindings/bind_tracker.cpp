@@ -29,7 +29,8 @@ void expect_rows(std::size_t rows, std::size_t expected, const char* what) {
 }
 
 void update(Tracker& self, double t, InRows3<double> position, Covariances covariance,
-            std::optional<InRows3<double>> los, std::optional<InVector<double>> range_rate, double range_rate_sigma) {
+            std::optional<InRows3<double>> los, std::optional<InVector<double>> range_rate, double range_rate_sigma,
+            const FieldOfView* field) {
   const std::size_t n = position.shape(0);
   expect_rows(covariance.shape(0), n, "there must be a covariance per position");
   if (los.has_value() != range_rate.has_value()) throw std::invalid_argument("range_rate needs los, and los it");
@@ -47,7 +48,7 @@ void update(Tracker& self, double t, InRows3<double> position, Covariances covar
     d.range_rate = range_rate->data()[i];
     d.range_rate_sigma = range_rate_sigma;
   }
-  self.update(t, detections);  // microseconds, and of an object that threads may share: with the GIL
+  self.update(t, detections, field);  // microseconds, and of an object that threads may share: with the GIL
 }
 
 TracksDict tracks(const Tracker& self, double t) {
@@ -94,15 +95,18 @@ void bind_options(nb::module_& m) {
       .def(
           "__init__",
           [](TrackerOptions* self, double gate, int confirm_hits, int confirm_scans, int delete_misses,
-             double acceleration_noise, double jerk_noise, double turn_noise, bool with_turn,
-             std::array<double, 4> transition, std::array<double, 2> prior, std::array<double, 9> turn_transition,
-             std::array<double, 3> turn_prior, std::array<double, 3> start_variance, double cross_range_variance,
-             double turn_variance, double mixing_variance, bool mixes, bool gates_models, bool heavy_tails,
-             bool adapts_transition, bool winner_takes_all, bool jamming) {
+             double coast_s, double field_margin, double acceleration_noise, double jerk_noise, double turn_noise,
+             bool with_turn, std::array<double, 4> transition, std::array<double, 2> prior,
+             std::array<double, 9> turn_transition, std::array<double, 3> turn_prior,
+             std::array<double, 3> start_variance, double cross_range_variance, double turn_variance,
+             double mixing_variance, bool mixes, bool gates_models, bool heavy_tails, bool adapts_transition,
+             bool winner_takes_all, bool jamming) {
             new (self) TrackerOptions{.gate = gate,
                                       .confirm_hits = confirm_hits,
                                       .confirm_scans = confirm_scans,
                                       .delete_misses = delete_misses,
+                                      .coast_s = coast_s,
+                                      .field_margin = field_margin,
                                       .acceleration_noise = acceleration_noise,
                                       .jerk_noise = jerk_noise,
                                       .with_turn = with_turn,
@@ -123,14 +127,15 @@ void bind_options(nb::module_& m) {
                                       .jamming = jamming};
           },
           nb::kw_only(), "gate"_a = o.gate, "confirm_hits"_a = o.confirm_hits, "confirm_scans"_a = o.confirm_scans,
-          "delete_misses"_a = o.delete_misses, "acceleration_noise"_a = o.acceleration_noise,
-          "jerk_noise"_a = o.jerk_noise, "turn_noise"_a = o.turn_noise, "with_turn"_a = o.with_turn,
-          "transition"_a = o.transition, "prior"_a = o.prior, "turn_transition"_a = o.turn_transition,
-          "turn_prior"_a = o.turn_prior, "start_variance"_a = o.start_variance,
-          "cross_range_variance"_a = o.cross_range_variance, "turn_variance"_a = o.turn_variance,
-          "mixing_variance"_a = o.mixing_variance, "mixes"_a = o.mixes, "gates_models"_a = o.gates_models,
-          "heavy_tails"_a = o.heavy_tails, "adapts_transition"_a = o.adapts_transition,
-          "winner_takes_all"_a = o.winner_takes_all, "jamming"_a = o.jamming,
+          "delete_misses"_a = o.delete_misses, "coast_s"_a = o.coast_s, "field_margin"_a = o.field_margin,
+          "acceleration_noise"_a = o.acceleration_noise, "jerk_noise"_a = o.jerk_noise, "turn_noise"_a = o.turn_noise,
+          "with_turn"_a = o.with_turn, "transition"_a = o.transition, "prior"_a = o.prior,
+          "turn_transition"_a = o.turn_transition, "turn_prior"_a = o.turn_prior,
+          "start_variance"_a = o.start_variance, "cross_range_variance"_a = o.cross_range_variance,
+          "turn_variance"_a = o.turn_variance, "mixing_variance"_a = o.mixing_variance, "mixes"_a = o.mixes,
+          "gates_models"_a = o.gates_models, "heavy_tails"_a = o.heavy_tails,
+          "adapts_transition"_a = o.adapts_transition, "winner_takes_all"_a = o.winner_takes_all,
+          "jamming"_a = o.jamming,
           "gate: of a squared Mahalanobis distance. *_noise: spectral densities [m^2/s^3, m^2/s^5, rad^2/s^3]. "
           "transition (per scan) and prior: of constant velocity and acceleration; turn_*: of these and a "
           "coordinated "
@@ -152,11 +157,12 @@ void bind_tracker(nb::module_& m) {
       .def("reset", &Tracker::reset, "Forget everything.")
       .def(
           "update", &update, "t"_a, "position"_a, "covariance"_a, "los"_a = nb::none(), "range_rate"_a = nb::none(),
-          "range_rate_sigma"_a = 0.1,
+          "range_rate_sigma"_a = 0.1, "field"_a.none() = nb::none(),
           "One scan at t [s]: positions (N, 3) [m] with covariances (N, 3, 3), world frame; optionally the rates "
           "(N,) "
           "[m/s] along the lines of sight (N, 3) from the sensor. Rows that are not finite or have no covariance are "
-          "dropped and counted. ValueError unless t is within 1e6 s after the last scan.")
+          "dropped and counted. A confirmed track that the field does not hold coasts. ValueError unless t is within "
+          "1e6 s after the last scan.")
       .def("tracks", &tracks, "t"_a,
            "All tracks predicted to t [s], oldest first: id, is_confirmed, p, v, a (N, 3), covariance of (p, v) "
            "(N, 6, 6), turning (N,): the probability of the models that accelerate or turn.")

@@ -3,10 +3,10 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <numbers>
 #include <utility>
 
 #include "alula/encounter_plant.hpp"
+#include "alula/encounter_watch.hpp"
 
 namespace alula::flight {
 namespace {
@@ -34,6 +34,7 @@ Vec3 braking(Vec3 v, double limit, double dt) {
 
 struct Scan {
   double time = 0;
+  FieldOfView field;
   std::vector<Detection> detections;
 };
 
@@ -59,7 +60,6 @@ class Encounter {
   void begin(std::uint32_t trial);
   void sense(std::int64_t step);
   void see(double now, std::int64_t tick);
-  void look();
   void see_walls();
   Vec3 nominal() const;
   void judge_answer(const MovingReport& report, Vec3 command, Vec3 nominal, double now, double took);
@@ -94,6 +94,7 @@ class Encounter {
   };
   std::vector<Window> window_;
   double receded_s_ = 0, yaw_ = 0;
+  RiskWindows risk_;
   std::uint32_t nearest_wall_ = 0;
   std::vector<double> scratch_;
   EncounterLog log_;
@@ -114,6 +115,7 @@ void Encounter::begin(std::uint32_t trial) {
   receded_s_ = 0;
   yaw_ = std::atan2(course_.y, course_.x);
   window_.assign(truth_.size(), {});
+  risk_.reset(spec_.rules.risk_window_s, spec_.rules.dt_s);
   log_ = {};
   log_.obstacle.resize(truth_.size());
 }
@@ -128,6 +130,8 @@ void Encounter::sense(std::int64_t step) {
   Scan& made = scan_[scans_++];
   made.time = now;
   made.detections.clear();
+  made.field =
+      field_of_view(radar, own_state(radar, plant_.state(), random_, static_cast<std::uint64_t>(step)), yaw_);
   scan(radar, plant_.state(), yaw_, truth_, random_, static_cast<std::uint64_t>(step), made.detections);
 }
 
@@ -138,7 +142,7 @@ void Encounter::see(double now, std::int64_t tick) {
   sense(step);
   std::size_t arrived = 0;
   for (; arrived < scans_ && scan_[arrived].time + radar.delay_s <= now + kSameTime; ++arrived)
-    tracker_.update(scan_[arrived].time, scan_[arrived].detections);
+    tracker_.update(scan_[arrived].time, scan_[arrived].detections, &scan_[arrived].field);
   std::rotate(scan_.begin(), scan_.begin() + static_cast<std::ptrdiff_t>(arrived), scan_.end());
   scans_ -= arrived;
 
@@ -160,6 +164,7 @@ void Encounter::see(double now, std::int64_t tick) {
     for (int i = 0; i < 3; ++i) {
       t.position[i] = static_cast<float>(track.p[i]);
       t.velocity[i] = static_cast<float>(track.v[i]);
+      t.acceleration[i] = static_cast<float>(track.a[i]);
     }
     for (std::size_t i = 0; i < track.covariance.size(); ++i)
       t.covariance[i] = static_cast<float>(track.covariance[i]);
@@ -168,28 +173,11 @@ void Encounter::see(double now, std::int64_t tick) {
     EncounterMetrics& m = log_.obstacle[static_cast<std::size_t>(of)];
     if (std::isnan(m.detected_s)) m.detected_s = now;
   }
-  if (spec_.vehicle.yaw_rate_rad_s > 0) look();
-  see_walls();
-}
-
-// Towards the middle between the leftmost and the rightmost track that closes in; along the course without any.
-void Encounter::look() {
-  double least = 0, most = 0;
-  bool has_track = false;
-  const auto bearing = [&](double y, double x) {
-    return std::remainder(std::atan2(y, x) - yaw_, 2 * std::numbers::pi);
-  };
-  for (const alula_track& t : tracks_) {
-    const Vec3 p = geometry::Vec3{t.position[0], t.position[1], t.position[2]} - seen_p_;
-    if (dot(p, Vec3{t.velocity[0], t.velocity[1], t.velocity[2]} - seen_v_) >= 0) continue;
-    const double angle = bearing(p.y, p.x);
-    least = has_track ? std::min(least, angle) : angle;
-    most = has_track ? std::max(most, angle) : angle;
-    has_track = true;
+  if (spec_.vehicle.yaw_rate_rad_s > 0) {
+    const double limit = spec_.vehicle.yaw_rate_rad_s * spec_.rules.dt_s;
+    yaw_ += std::clamp(turn_to(tracks_, seen_, yaw_, radar.half_azimuth_rad, course_), -limit, limit);
   }
-  const double turn = has_track ? (least + most) / 2 : bearing(course_.y, course_.x);
-  const double limit = spec_.vehicle.yaw_rate_rad_s * spec_.rules.dt_s;
-  yaw_ += std::clamp(turn, -limit, limit);
+  see_walls();
 }
 
 // Of each polytope the plane that separates it best from the vehicle; its distance is at most the polytope's.
@@ -359,6 +347,7 @@ EncounterLog Encounter::fly(std::uint32_t trial) {
                              ? braking(seen_v_, spec_.vehicle.max_acceleration_m_s2, rules.dt_s)
                              : clipped(report.acceleration, spec_.vehicle.max_acceleration_m_s2);
     judge_answer(report, command, wished, now, took);
+    risk_.add(tracks_, seen_, command, spec_.vehicle.radius_m);
     if (keeps_path_) keep(report, command, wished);
     plant_.command(command);
     for (std::int64_t s = 0; s < rules.plant_steps; ++s) {
@@ -374,6 +363,7 @@ EncounterLog Encounter::fly(std::uint32_t trial) {
     older_v = last_v, last_v = v;
     ++log_.ticks;
   }
+  log_.mission_risk = risk_.sum();
   log_.mean_jerk_m_s3 = log_.ticks > 1 ? jerk / static_cast<double>(log_.ticks - 1) : 0;
   for (std::size_t i = 0; i < truth_.size(); ++i)
     log_.obstacle[i].collided = log_.obstacle[i].closest_m <= spec_.vehicle.radius_m + spec_.obstacles[i].radius_m;

@@ -45,6 +45,7 @@ void check(const EncounterSpec& spec) {
           "steps of the plant");
   require(is_within(r.max_time_s, r.dt_s, 1e5), "max_time_s must be in dt_s..1e5 s");
   require(is_within(r.receded_s, 0, 1e5), "receded_s must be >= 0");
+  require(is_within(r.risk_window_s, 1e-6, 1e5), "risk_window_s must be positive");
   require(is_within(v.max_speed_m_s, 1e-3, 1e3), "the largest speed must be in 0.001..1000 m/s");
   require(is_within(v.start_speed_m_s, 0, v.max_speed_m_s), "the speed at the start must be in 0..the largest speed");
   require(is_within(v.cruise_m_s, 1e-3, v.max_speed_m_s), "the cruise speed must be in 0.001..the largest speed");

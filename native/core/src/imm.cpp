@@ -86,6 +86,8 @@ ImmRules::ImmRules(const TrackerOptions& o)
   require(o.confirm_hits >= 1 && o.confirm_hits <= o.confirm_scans && o.confirm_scans <= 64,
           "confirmation needs 1 <= hits <= scans <= 64");
   require(o.delete_misses >= 1, "a track is deleted after at least 1 miss");
+  require(o.coast_s >= 0 && o.coast_s <= 1e6, "a track may coast for 0..1e6 s");
+  require(o.field_margin >= 0 && o.field_margin <= 100, "the margin of a field of view must be in 0..100");
   require(is_variance(o.acceleration_noise) && is_variance(o.jerk_noise) && is_variance(o.turn_noise),
           "spectral densities of noise must be in [0, 1e18]");
   for (const double v : o.start_variance) require(is_variance(v), "start variances must be in [0, 1e18]");

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numbers>
 #include <stdexcept>
 
@@ -87,6 +88,32 @@ void check(const RadarOptions& o) {
   require(o.clutter_per_scan >= 0 && o.clutter_per_scan <= 100, "clutter must be in 0..100 per scan");
   require(is_size(o.clutter_range_rate_m_s), "the range rate of clutter must be >= 0");
   require(is_size(o.delay_s) && o.delay_s <= 10, "a delay must be in 0..10 s");
+}
+
+bool FieldOfView::holds(Vec3 mean, const Mat3& covariance, double margin) const {
+  const Frame frame(yaw);
+  const Vec3 p = mean - position;
+  const Polar at = polar_of(frame, p);
+  if (!(at.range > 0)) return true;
+  const auto deviation = [&](Vec3 along) { return std::sqrt(std::max(0.0, dot(along, covariance * along))); };
+  if (!(at.range + margin * deviation(1 / at.range * p) <= max_range_m)) return false;
+  const double ca = std::cos(at.azimuth), sa = std::sin(at.azimuth);
+  const Vec3 outwards = ca * frame.forward + sa * frame.left, left = ca * frame.left - sa * frame.forward;
+  const double flat = std::max(std::hypot(p.x, p.y), kLeastRange);
+  const Vec3 upwards = flat / at.range * geometry::e3 - p.z / at.range * outwards;
+  const auto within = [&](double angle, double sigma, double half, double all) {
+    return half >= all || std::abs(angle) + margin * sigma <= half;
+  };
+  return within(at.azimuth, deviation(left) / flat, half_azimuth_rad, std::numbers::pi) &&
+         within(at.elevation, deviation(upwards) / at.range, half_elevation_rad, std::numbers::pi / 2);
+}
+
+FieldOfView field_of_view(const RadarOptions& o, const Kinematics& own, double yaw) {
+  constexpr double everywhere = std::numeric_limits<double>::infinity();
+  const bool is_radar = o.kind == SensorKind::radar;
+  return {own.p, yaw, is_radar ? o.half_azimuth_rad : std::numbers::pi,
+          is_radar ? o.half_elevation_rad : std::numbers::pi / 2,
+          o.kind == SensorKind::ideal ? everywhere : o.max_range_m};
 }
 
 Kinematics own_state(const RadarOptions& o, const Kinematics& vehicle, const RandomStream& random,

@@ -22,6 +22,7 @@ struct Kept {
   bool is_confirmed = false;
   std::uint64_t hits = 0;  // of the last 64 scans, the latest in bit 0
   int misses = 0;          // in a row
+  double seen_s = 0;       // time of the last hit
   Imm imm;
 };
 
@@ -45,10 +46,12 @@ struct Tracker::State {
   void gather(std::span<const Detection> detections);
   void associate(bool confirmed);
   void record(Kept& track, bool is_hit);
+  bool is_out_of_sight(const Kept& track, const Belief& mixture) const;
   void start(const Measurement& measurement);
 
   ImmRules rules;
   std::size_t most;
+  const FieldOfView* field = nullptr;  // of this scan
   bool has_begun = false;
   double last = 0;
   std::uint32_t next_id = 1;
@@ -80,8 +83,18 @@ void Tracker::State::record(Kept& track, bool is_hit) {
   const TrackerOptions& o = rules.options;
   track.hits = track.hits << 1 | (is_hit ? 1U : 0U);
   track.misses = is_hit ? 0 : track.misses + 1;
+  if (is_hit) track.seen_s = last;
   const std::uint64_t window = ~std::uint64_t{0} >> (64 - o.confirm_scans);
   track.is_confirmed |= std::popcount(track.hits & window) >= o.confirm_hits;
+}
+
+bool Tracker::State::is_out_of_sight(const Kept& track, const Belief& mixture) const {
+  const TrackerOptions& o = rules.options;
+  if (field == nullptr || !track.is_confirmed || !(last - track.seen_s <= o.coast_s)) return false;
+  geometry::Mat3 covariance;
+  for (int k = 0; k < 3; ++k)
+    for (int l = 0; l < 3; ++l) covariance[k][l] = mixture.P[k][l];
+  return !field->holds({mixture.x[0], mixture.x[1], mixture.x[2]}, covariance, o.field_margin);
 }
 
 // Gives what is left of the detections to the tracks that are confirmed, or to those that are not.
@@ -113,7 +126,7 @@ void Tracker::State::associate(bool confirmed) {
       is_taken[j] = 1;
       track.imm.correct(rules, measured[j]);
     }
-    record(track, column[i] >= 0);
+    if (column[i] >= 0 || !is_out_of_sight(track, mixtures[rows[i]])) record(track, column[i] >= 0);
   }
 }
 
@@ -140,7 +153,7 @@ void Tracker::reset() {
   s.tracks.clear();
 }
 
-void Tracker::update(double t, std::span<const Detection> detections) {
+void Tracker::update(double t, std::span<const Detection> detections, const FieldOfView* field) {
   State& s = *state_;
   if (!std::isfinite(t) || (s.has_begun && !(t >= s.last && t - s.last <= kLongest)))
     throw std::invalid_argument("the time of a scan must be within 1e6 s after the last");
@@ -152,6 +165,7 @@ void Tracker::update(double t, std::span<const Detection> detections) {
   }
   s.has_begun = true;
   s.last = t;
+  s.field = field;
   s.associate(true);  // before the others, which may become confirmed now
   s.associate(false);
   std::erase_if(s.tracks, [&](const Kept& track) { return track.misses >= s.rules.options.delete_misses; });

@@ -41,6 +41,7 @@ typedef struct {
   float position[3], velocity[3];
   float covariance[21]; /* of (position, velocity): the lower triangle, row by row */
   float radius_m;
+  float acceleration[3]; /* as estimated; 0 when it is not known */
 } alula_track;
 
 /* Static obstacles stay beyond a plane: n . (x - p) <= -distance_m would be inside one of them. */
@@ -71,6 +72,7 @@ typedef struct {
   float reach_m;     /* to it: there */
   float longest_avoid_s;
   float improvement;   /* share by which another direction must be better */
+  int accelerated;     /* the miss is predicted with the track's acceleration, cut at envelope_cap; 0: on a line */
   float stop_s, brake; /* t_s, k_s */
   float stopped_m_s;
   float wall_room_m; /* kept by bypass points from walls beyond the vehicle's radius */
@@ -91,6 +93,8 @@ typedef struct {
   float sigma2_p;    /* n . (Sigma_e + Sigma_i) n [m^2] */
   float sigma2_v;    /* n . Sigma_vv n [m^2/s^2] */
   uint32_t active;   /* closing and in range */
+  float miss[3];     /* relative position at the closest approach, were the vehicle to hover here, */
+  float miss_s;      /* in so long; of those that are active, in a manoeuvre */
 } alula_encounter;
 
 typedef struct {
@@ -137,6 +141,10 @@ ALULA_MUST_USE alula_status alula_avoidance_step(alula_avoidance* avoidance, con
 
 /* What is flown after it: the next prediction counts with that. */
 void alula_avoidance_flown(alula_avoidance* avoidance, const float command[3]);
+
+/* Of a track, or null; and all of them a tick on: those that are gone are forgotten. */
+alula_envelope* alula_find_envelope(alula_avoidance* avoidance, uint32_t id);
+void alula_update_envelopes(alula_avoidance* avoidance, const alula_track* track, uint32_t count);
 
 /* The largest CVaR of Z plus eps L_Z of one track: at least 0 warns. `relative_acceleration` is
  * a_i - a_e [m/s^2]. Where a bound over all samples is negative already, that bound. */

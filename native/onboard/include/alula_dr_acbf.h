@@ -10,7 +10,8 @@
  * obstacle's share of the budget (Cantelli). Of the horizons at which these rows and |a|_inf <= a_max have a common
  * point the one with the largest least b is taken, and what the manoeuvre of alula_avoidance.h wishes is projected
  * on them. Without such a horizon the command misses the rows by the least that is possible, and after some ticks of
- * that the vehicle brakes and descends, as far as walls let it.
+ * that, unless a manoeuvre is on its way to the bypass point (what closes in fast is dodged, not waited for), the
+ * vehicle brakes and descends, as far as walls let it.
  *
  * A wall (a plane beyond which something static is) adds a row, with x the room left, v the speed towards it, both
  * predicted by the lag L, and s = sqrt(2 a_w max(0, x)):
@@ -57,7 +58,7 @@ typedef struct {
   uint32_t iterations;    /* of Gauss-Southwell */
   float relaxation;       /* its omega */
   float tolerance;        /* of rows, beyond which the command counts as a fallback [m/s^2] */
-  uint32_t failing_ticks; /* before braking and descending */
+  uint32_t failing_ticks; /* before braking and descending, but in AVOID */
   float descent_m_s;
   int rows_before_warning; /* 0, as printed: rows bind only in a manoeuvre. UNSAFE when the warning is late. */
   float wall_deceleration; /* a_w [m/s^2], below a_max */

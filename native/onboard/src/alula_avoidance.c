@@ -4,6 +4,8 @@
 #define CANDIDATES 12U
 #define SHORTEST_S 0.05F /* of the time to the closest approach, */
 #define LONGEST_S 3.0F   /* and the longest that is looked at */
+#define LOOKS 24U        /* at the distance in between, and then thirds of it */
+#define THIRDS 12U
 
 static float dot(const float a[3], const float b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 static float norm(const float a[3]) { return __builtin_sqrtf(dot(a, a)); }
@@ -49,6 +51,7 @@ alula_avoidance_config alula_avoidance_defaults(void) {
                                          .reach_m = 0.15F,
                                          .longest_avoid_s = 1.2F,
                                          .improvement = 0.2F,
+                                         .accelerated = 0,
                                          .stop_s = 0.5F,
                                          .brake = 1.0F,
                                          .stopped_m_s = 0.3F,
@@ -118,7 +121,7 @@ static int is_usable(const alula_vehicle_state* vehicle, const alula_track* trac
   for (uint32_t i = 0; i < count; ++i) {
     const alula_track* t = track + i;
     if (!are_within(t->position, 3U, far) || !are_within(t->velocity, 3U, far)) return 0;
-    if (!are_within(t->covariance, 21U, wide)) return 0;
+    if (!are_within(t->covariance, 21U, wide) || !are_within(t->acceleration, 3U, far)) return 0;
     if (!(t->radius_m >= 0.0F && t->radius_m <= far)) return 0;
     for (uint32_t j = 0, at = 0; j < 6U; at += ++j + 1U)
       if (t->covariance[at] < 0.0F) return 0;
@@ -130,52 +133,6 @@ static int is_usable(const alula_vehicle_state* vehicle, const alula_track* trac
     if (!(absolute(square - 1.0F) < 1.0e-3F) || !are_within(&wall[i].distance_m, 1U, far)) return 0;
   }
   return 1;
-}
-
-static alula_envelope* find(alula_avoidance* avoidance, uint32_t id) {
-  for (uint32_t i = 0; i < avoidance->envelope_count; ++i)
-    if (avoidance->envelope[i].id == id) return avoidance->envelope + i;
-  return 0;
-}
-
-/* One Euler step of the differentiator, and the bound: a running maximum that forgets. */
-static void differentiate(const alula_avoidance_config* c, alula_envelope* e, const float velocity[3]) {
-  for (int k = 0; k < 3; ++k) {
-    const float error = e->z0[k] - velocity[k];
-    const float sign = error > 0.0F ? 1.0F : (error < 0.0F ? -1.0F : 0.0F);
-    e->z0[k] += c->dt_s * (e->z1[k] - c->l1 * __builtin_sqrtf(absolute(error)) * sign);
-    e->z1[k] -= c->dt_s * c->l2 * sign;
-  }
-  if (e->age < ALULA_NO_OBSTACLE) ++e->age;
-  if ((float)e->age * c->dt_s < c->settle_s) return;
-  const float now = norm(e->z1), held = e->bound - c->envelope_forget * c->dt_s;
-  e->bound = now > held ? now : held;
-  if (e->bound > c->envelope_cap) e->bound = c->envelope_cap;
-}
-
-/* Follows each track; those that are gone are forgotten. */
-static void update_envelopes(alula_avoidance* avoidance, const alula_track* track, uint32_t count) {
-  const alula_avoidance_config* c = &avoidance->config;
-  for (uint32_t i = 0; i < avoidance->envelope_count; ++i) avoidance->envelope[i].seen = 0U;
-  for (uint32_t i = 0; i < count; ++i) {
-    alula_envelope* e = find(avoidance, track[i].id);
-    if (e) e->seen = 1U;
-  }
-  uint32_t kept = 0U;
-  for (uint32_t i = 0; i < avoidance->envelope_count; ++i)
-    if (avoidance->envelope[i].seen) avoidance->envelope[kept++] = avoidance->envelope[i];
-  avoidance->envelope_count = kept;
-  for (uint32_t i = 0; i < count; ++i) {
-    alula_envelope* e = find(avoidance, track[i].id);
-    if (!e) {
-      e = avoidance->envelope + avoidance->envelope_count++;
-      e->id = track[i].id;
-      e->age = 0U;
-      e->bound = c->envelope_start;
-      for (int k = 0; k < 3; ++k) e->z0[k] = track[i].velocity[k], e->z1[k] = 0.0F;
-    }
-    differentiate(c, e, track[i].velocity);
-  }
 }
 
 static void meet(alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track,
@@ -195,7 +152,7 @@ static void meet(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
     const float towards = -dot(m->los, v);
     m->closing_m_s = towards > 0.0F ? towards : 0.0F;
     m->radius_m = avoidance->config.radius_m + track[i].radius_m;
-    m->envelope = find(avoidance, track[i].id)->bound;
+    m->envelope = alula_find_envelope(avoidance, track[i].id)->bound;
     const float* c = track[i].covariance;
     const float cp[6] = {c[0], c[1], c[3], c[2], c[4], c[5]}, cv[6] = {c[9], c[13], c[18], c[14], c[19], c[20]};
     m->sigma2_p = variance(cp, m->los) + variance(vehicle->covariance, m->los);
@@ -233,7 +190,7 @@ static void warn(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
     if (!(m->distance_m < avoidance->config.range_m)) continue;
     float a[3], risk;
     if (avoidance->config.distributional) {
-      relative_acceleration(avoidance, find(avoidance, track[i].id), a);
+      relative_acceleration(avoidance, alula_find_envelope(avoidance, track[i].id), a);
       risk = alula_early_warning(avoidance, vehicle, track + i, a);
     } else {
       risk = simple_warning(&avoidance->config, vehicle, track + i, m);
@@ -245,40 +202,85 @@ static void warn(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
   guidance->warned = !(guidance->risk_m < 0.0F);
 }
 
+static float offset_at(const float p[3], const float v[3], const float a[3], float t, float at[3]) {
+  for (int k = 0; k < 3; ++k) at[k] = p[k] + (v[k] + 0.5F * a[k] * t) * t;
+  return dot(at, at);
+}
+
+/* When |p + v t + a t^2 / 2| is least, SHORTEST_S to LONGEST_S from now: of evenly spaced times the best, then by
+ * thirds between its neighbours, where the distance has one minimum but for accelerations that turn an obstacle
+ * round within a step. */
+static float closest_time(const float p[3], const float v[3], const float a[3]) {
+  const float step = (LONGEST_S - SHORTEST_S) / (float)(LOOKS - 1U);
+  float at[3], least = FLT_MAX, from = SHORTEST_S;
+  for (uint32_t i = 0; i < LOOKS; ++i) {
+    const float t = SHORTEST_S + step * (float)i, square = offset_at(p, v, a, t, at);
+    if (square < least) least = square, from = t;
+  }
+  float to = from + step;
+  from -= step;
+  for (uint32_t i = 0; i < THIRDS; ++i) {
+    const float third = (to - from) / 3.0F;
+    if (offset_at(p, v, a, from + third, at) < offset_at(p, v, a, to - third, at)) {
+      to -= third;
+    } else {
+      from += third;
+    }
+  }
+  const float t = 0.5F * (from + to);
+  return t < SHORTEST_S ? SHORTEST_S : (t > LONGEST_S ? LONGEST_S : t);
+}
+
+/* Where each active obstacle comes closest to a vehicle that hovers here, as it is to do at the bypass point: what
+ * is left to shift then is what is left of the way, however fast the vehicle is on it. */
+static void predict_misses(alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track) {
+  for (uint32_t i = 0; i < avoidance->count; ++i) {
+    alula_encounter* m = avoidance->encounter + i;
+    if (!m->active) continue;
+    float p[3], v[3], a[3] = {0.0F, 0.0F, 0.0F};
+    for (int k = 0; k < 3; ++k) {
+      p[k] = track[i].position[k] - vehicle->position[k];
+      v[k] = track[i].velocity[k];
+    }
+    if (avoidance->config.accelerated) {
+      const float size = norm(track[i].acceleration), most = avoidance->config.envelope_cap;
+      const float scale = size > most ? most / size : 1.0F;
+      for (int k = 0; k < 3; ++k) a[k] = scale * track[i].acceleration[k];
+      m->miss_s = closest_time(p, v, a);
+    } else {
+      const float square = dot(v, v), t = square > 0.0F ? -dot(p, v) / square : LONGEST_S;
+      m->miss_s = t < SHORTEST_S ? SHORTEST_S : (t > LONGEST_S ? LONGEST_S : t);
+    }
+    (void)offset_at(p, v, a, m->miss_s, m->miss);
+  }
+}
+
 /* How far along c the closest approach to an obstacle has to move to keep `clearance`, and the acceleration that
  * this takes. */
-static float needed_shift(const alula_avoidance_config* config, const float p[3], const float v[3], float clearance,
-                          const float c[3], float* acceleration) {
-  const float square = dot(v, v);
-  float t = square > 0.0F ? -dot(p, v) / square : LONGEST_S;
-  t = t < SHORTEST_S ? SHORTEST_S : (t > LONGEST_S ? LONGEST_S : t);
-  float miss[3];
-  for (int k = 0; k < 3; ++k) miss[k] = p[k] + v[k] * t;
+static float needed_shift(const alula_avoidance_config* config, const alula_encounter* m, const float c[3],
+                          float* acceleration) {
+  const float clearance = m->radius_m + config->clearance_m, *miss = m->miss;
   const float inside = clearance * clearance - dot(miss, miss);
   *acceleration = 0.0F;
   if (!(inside > 0.0F)) return 0.0F;
   const float along = dot(c, miss);
   const float shift = along + __builtin_sqrtf(along * along + inside);
-  const float time = t > config->h_max_s ? t : config->h_max_s;
+  const float time = m->miss_s > config->h_max_s ? m->miss_s : config->h_max_s;
   *acceleration = 2.0F * shift / (time * time);
   return shift;
 }
 
 /* Score of a direction: the acceleration it takes past all active obstacles; `shift` is how far. Behind a wall:
  * large.*/
-static float score_of(const alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track,
-                      const alula_wall* wall, uint32_t wall_count, const float c[3], float* shift) {
+static float score_of(const alula_avoidance* avoidance, const alula_wall* wall, uint32_t wall_count, const float c[3],
+                      float* shift) {
   float score = 0.0F;
   *shift = 0.0F;
   for (uint32_t i = 0; i < avoidance->count; ++i) {
     const alula_encounter* m = avoidance->encounter + i;
     if (!m->active) continue;
-    float p[3], v[3], takes;
-    for (int k = 0; k < 3; ++k) {
-      p[k] = track[i].position[k] - vehicle->position[k];
-      v[k] = track[i].velocity[k] - vehicle->velocity[k];
-    }
-    const float s = needed_shift(&avoidance->config, p, v, m->radius_m + avoidance->config.clearance_m, c, &takes);
+    float takes;
+    const float s = needed_shift(&avoidance->config, m, c, &takes);
     if (s > *shift) *shift = s;
     if (takes > score) score = takes;
   }
@@ -293,6 +295,7 @@ static float score_of(const alula_avoidance* avoidance, const alula_vehicle_stat
 static void choose_direction(alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track,
                              const alula_wall* wall, uint32_t wall_count, uint32_t urgent) {
   static const float diagonal = 0.70710678F;
+  predict_misses(avoidance, vehicle, track);
   const float* n = avoidance->encounter[urgent].los;
   float e1[3] = {-n[1], n[0], 0.0F};
   float length = norm(e1);
@@ -310,7 +313,7 @@ static void choose_direction(alula_avoidance* avoidance, const alula_vehicle_sta
       c[k] = u * e1[k] + w * e2[k];
       if (i >= 8U) c[k] = diagonal * (c[k] - n[k]);
     }
-    const float score = score_of(avoidance, vehicle, track, wall, wall_count, c, &shift);
+    const float score = score_of(avoidance, wall, wall_count, c, &shift);
     if (!(score < best)) continue;
     best = score;
     best_shift = shift;
@@ -318,8 +321,11 @@ static void choose_direction(alula_avoidance* avoidance, const alula_vehicle_sta
   }
   if (avoidance->has_bypass) {
     float shift;
-    const float held = score_of(avoidance, vehicle, track, wall, wall_count, avoidance->direction, &shift);
-    if (!(best < (1.0F - avoidance->config.improvement) * held)) return;
+    const float held = score_of(avoidance, wall, wall_count, avoidance->direction, &shift);
+    if (!(best < (1.0F - avoidance->config.improvement) * held)) {
+      best_shift = shift; /* the direction stays; how far is estimated better now than when it was chosen */
+      for (int k = 0; k < 3; ++k) best_direction[k] = avoidance->direction[k];
+    }
   }
   for (int k = 0; k < 3; ++k) {
     avoidance->direction[k] = best_direction[k];
@@ -373,7 +379,7 @@ alula_status alula_avoidance_step(alula_avoidance* avoidance, const alula_vehicl
   if (!avoidance || !vehicle || !nominal || !guidance || (count > 0U && !track) || (wall_count > 0U && !wall))
     return ALULA_BAD_POINTER;
   if (!is_usable(vehicle, track, count, wall, wall_count, nominal)) return ALULA_BAD_INPUT;
-  update_envelopes(avoidance, track, count);
+  alula_update_envelopes(avoidance, track, count);
   meet(avoidance, vehicle, track, count);
   warn(avoidance, vehicle, track, guidance);
   leave(avoidance, vehicle, track);

@@ -247,7 +247,7 @@ alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehi
     holds = found.violation <= c->tolerance;
   }
   filter->failing = holds ? 0U : filter->failing + (filter->failing < 1000000U ? 1U : 0U);
-  if (filter->failing > c->failing_ticks) {
+  if (filter->failing > c->failing_ticks && guidance->mode != ALULA_AVOID) {
     float wished[3];
     brake_and_descend(c, vehicle, wished);
     alula_project_least_violation(filter->row + obstacles, filter->row_count - obstacles, wall_count, limit, wished,

@@ -34,15 +34,17 @@ struct EncounterVehicle {
   double max_jerk_m_s3 = 60;         // |da/dt|_inf, of what is executed; the limit of the speed aside
   double actuation_delay_s = 0;      // of a command until it begins to act
   bool hovers = false;               // the goal is the start: hold it
-  // The sensor looks along the course; above 0 it turns, this fast, to the middle of all tracks that close in.
-  double yaw_rate_rad_s = 0;
+  // How fast the sensor turns, with a vehicle whose yaw is free: to the middle of all tracks that close in, if the
+  // field is wide enough for them, else to the most urgent one. 0: it looks along the course, whatever comes.
+  double yaw_rate_rad_s = 1;
 };
 
 struct EncounterRules {
   double dt_s = 0.01;
   int plant_steps = 10;
   double max_time_s = 14;
-  double receded_s = 1;  // ends when all obstacles have receded for so long
+  double receded_s = 1;        // ends when all obstacles have receded for so long
+  double risk_window_s = 0.4;  // of `mission_risk`: how far a command is taken to last
 };
 
 struct EncounterSpec {
@@ -81,6 +83,9 @@ struct EncounterLog {
                refused_ticks = 0, iterations = 0;
   double worst_violation = 0;  // of rows, in any tick [m/s^2]
   double risk_spent = 0;       // sum over ticks of what the commands left: bounds that any row of the flight fails
+  // Sum over windows, one after the other, and tracks of the largest `risk_of` (encounter_watch.hpp) in each. No bound:
+  // other ticks of a window could fail too, and obstacles are taken to keep their velocity.
+  double mission_risk = 0;
   double path_length_m = 0, max_speed_m_s = 0;
   double mean_jerk_m_s3 = 0, max_jerk_m_s3 = 0;  // second differences of the velocity at the rate of the filter
   std::vector<float> active_tick_s;              // processing time of each active tick (t_cp): not reproducible

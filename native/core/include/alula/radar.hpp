@@ -45,6 +45,20 @@ struct RadarOptions {
   double own_position_sigma_m = 0, own_velocity_sigma_m_s = 0;  // of the vehicle's own state, per axis
 };
 
+// Where a scan could find something: what is in it is seen with the detection probability, what is not with none.
+struct FieldOfView {
+  geometry::Vec3 position;  // of the sensor, as it believes
+  double yaw = 0;
+  double half_azimuth_rad = 0, half_elevation_rad = 0;  // pi and pi / 2: all around
+  double max_range_m = 0;
+
+  // Whether all within `margin` standard deviations of a Gaussian position is in it: of the
+  // range and of both angles, each on its own and to first order.
+  bool holds(geometry::Vec3 mean, const geometry::Mat3& covariance, double margin) const;
+};
+
+FieldOfView field_of_view(const RadarOptions& options, const Kinematics& own, double yaw);
+
 // What the vehicle believes of itself at `step`: position and velocity with their noise. Acceleration as it is.
 Kinematics own_state(const RadarOptions& options, const Kinematics& vehicle, const RandomStream& random,
                      std::uint64_t step);

@@ -4,7 +4,7 @@
 // Hungarian method on squared Mahalanobis distances of innovations within a gate, confirmed tracks first, so that one
 // that has just begun, and fits anything, takes nothing from them. Every detection left over begins a track. A track
 // is confirmed after `confirm_hits` of the last `confirm_scans` scans and deleted after `delete_misses` misses in a
-// row.
+// row, or, out of sight of the sensor, after `coast_s`.
 //
 // Source: Bar-Shalom, Li, Kirubarajan 2001, ch. 11.6 (IMM); the SAFE options: Mandaokar, Rinner 2025 (SAFE-IMM).
 #pragma once
@@ -22,6 +22,11 @@ namespace alula::flight {
 struct TrackerOptions {
   double gate = 30;  // squared Mahalanobis distance
   int confirm_hits = 5, confirm_scans = 6, delete_misses = 5;
+  // A scan that could not see a confirmed track, as the sensor's field of view does not hold its position with
+  // `field_margin` standard deviations, is no miss: there the probability of a detection is 0, or not known. The
+  // track is predicted on, with a growing covariance, and deleted after `coast_s` without a detection. 0: every
+  // scan counts. 3 s is the longest time to the closest approach that a manoeuvre looks at.
+  double coast_s = 3, field_margin = 2;
   double acceleration_noise = 0.5, jerk_noise = 0.2;  // spectral densities of the white acceleration and jerk
   bool with_turn = false;                             // third model
   double turn_noise = 0.1;  // spectral density of the white turn rate's derivative [rad^2/s^3]
@@ -60,11 +65,12 @@ class Tracker {
   Tracker& operator=(Tracker&&) noexcept;
 
   void reset();
-  // To time t [s]; `detections` were all made then, by one sensor that sees a thing once. A detection that is not
+  // To time t [s]; `detections` were all made then, by one sensor that sees a thing once, within `field`, or anywhere
+  // without one. A detection that is not
   // finite, or beyond 1e9 (m, m/s), or whose covariance is not positive semidefinite, is dropped and counted, and so
   // is one for whose track there is no room. Throws std::invalid_argument, and changes nothing, unless t is within
   // 1e6 s after the last scan.
-  void update(double t, std::span<const Detection> detections);
+  void update(double t, std::span<const Detection> detections, const FieldOfView* field = nullptr);
   // All tracks predicted to `t`, oldest first; as of the last scan for a t before it. Valid until the next call.
   // Throws std::invalid_argument if t is not finite or more than 1e6 s after the last scan.
   std::span<const Track> tracks(double t) const;
