@@ -146,6 +146,12 @@ void alula_avoidance_flown(alula_avoidance* avoidance, const float command[3]);
 alula_envelope* alula_find_envelope(alula_avoidance* avoidance, uint32_t id);
 void alula_update_envelopes(alula_avoidance* avoidance, const alula_track* track, uint32_t count);
 
+/* The bypass point of this tick: of twelve directions, and the one held, that which takes the least acceleration past
+ * all active obstacles, and not beyond a wall. After the encounters of the tick are known; `urgent` is one of them.
+ */
+void alula_choose_bypass(alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track,
+                         const alula_wall* wall, uint32_t wall_count, uint32_t urgent);
+
 /* The largest CVaR of Z plus eps L_Z of one track: at least 0 warns. `relative_acceleration` is
  * a_i - a_e [m/s^2]. Where a bound over all samples is negative already, that bound. */
 float alula_early_warning(const alula_avoidance* avoidance, const alula_vehicle_state* vehicle,

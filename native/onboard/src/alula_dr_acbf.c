@@ -1,10 +1,9 @@
 #include "alula_dr_acbf.h"
 
+#include "vector.h"
+
 #define PEAK 0.64479396F /* sqrt(2) e^(-pi / 4): deceleration over v_0 / H on the way along an active row */
 #define NEAREST 1.0e-3F
-
-static float dot(const float a[3], const float b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-static float clipped(float x, float limit) { return x > limit ? limit : (x < -limit ? -limit : x); }
 
 alula_dr_acbf_config alula_dr_acbf_defaults(void) {
   const alula_dr_acbf_config config = {.avoidance = alula_avoidance_defaults(),

@@ -1,11 +1,9 @@
 /* The conditional value at risk of coming too close, from samples of a track's Gaussian. */
 #include "alula_avoidance.h"
+#include "vector.h"
 
 #define TIMES 5U /* of the prediction, from 0 to h_max_s */
 #define HALF (ALULA_SAMPLES / 2U)
-
-static float dot(const float a[3], const float b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-static float norm(const float a[3]) { return __builtin_sqrtf(dot(a, a)); }
 
 /* Quantile of the standard normal for 0 < u < 1, to 5e-4 (Abramowitz, Stegun 26.2.23). */
 static float normal_quantile(float u) {

@@ -1,8 +1,6 @@
 /* Bounds of the accelerations of what is tracked. */
 #include "alula_avoidance.h"
-
-static float absolute(float x) { return x < 0.0F ? -x : x; }
-static float norm(const float a[3]) { return __builtin_sqrtf(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]); }
+#include "vector.h"
 
 alula_envelope* alula_find_envelope(alula_avoidance* avoidance, uint32_t id) {
   for (uint32_t i = 0; i < avoidance->envelope_count; ++i)

@@ -1,5 +1,7 @@
 #include "alula_half_spaces.h"
 
+#include "vector.h"
+
 #define PARALLEL 1.0e-12F /* squared sine below which constraints count as parallel */
 #define FARTHEST 16.0F    /* limits; a_0 is looked for no farther out */
 #define REFINEMENTS 2
@@ -12,12 +14,6 @@ typedef struct {
   float tolerance; /* a quarter of what rows are narrowed by: then they hold after rounding and cutting off */
   float relaxed;
 } constraints;
-
-static float dot(const float a[3], const float b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
-static float absolute(float x) { return x < 0.0F ? -x : x; }
-
-static float clipped(float x, float limit) { return x > limit ? limit : (x < -limit ? -limit : x); }
 
 /* a x b. Of nearly parallel unit vectors with the difference instead, which is exact: a x b = a x (b -+ a). */
 static void cross(const float a[3], const float b[3], float c[3]) {

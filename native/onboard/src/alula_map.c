@@ -1,5 +1,7 @@
 #include "alula_map.h"
 
+#include "vector.h"
+
 #define EXTENT_OF_MARGIN 262144.0F /* 2^18 */
 #define MARGIN_OF_EXTENT (1.0F / EXTENT_OF_MARGIN)
 #define LARGEST_POSITION 1.0e12F
@@ -33,8 +35,6 @@ static float f32_at(const uint8_t* p) {
   word.bits = u32_at(p);
   return word.value;
 }
-
-static float absolute(float x) { return x < 0.0F ? -x : x; }
 
 /* CRC-32 as in zlib and Ethernet, half a byte at a time. */
 static uint32_t crc32_of(const uint8_t* data, uint32_t length) {

@@ -1,5 +1,7 @@
 #include "alula_polytope_cbf.h"
 
+#include "vector.h"
+
 /* A term below exp(-18) = 1.5e-8 of the largest is under half a unit in the last place of their sum
  * (which is at least 1) and is left out by rule, so that skipping the hull that has it changes nothing.
  * n hulls left out raise s by less than n 1.5e-8 / kappa, and never above psi. */
@@ -9,8 +11,6 @@
 #define FLAT 1.0e-6F           /* squared gradient below which there is no direction to leave in */
 #define DIVISION_ERROR 2.4e-7F /* 4 units in the last place: two subtractions and a division */
 #define SPEED_ROUNDING 1.000001F
-
-static float dot(const float a[3], const float b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 static float plane_value(const float* plane, const float x[3]) {
   return ((plane[0] * x[0] + plane[1] * x[1]) + plane[2] * x[2]) - plane[3];

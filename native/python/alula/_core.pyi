@@ -1029,7 +1029,7 @@ def least_gamma(index: EllipsoidIndex, points: Annotated[NDArray[numpy.float64],
 class TrackerOptions:
     """How moving obstacles are tracked; fixed once made."""
 
-    def __init__(self, *, gate: float = 30.0, confirm_hits: int = 5, confirm_scans: int = 6, delete_misses: int = 5, acceleration_noise: float = 0.5, jerk_noise: float = 0.2, turn_noise: float = 0.1, with_turn: bool = False, transition: Sequence[float] = [0.992, 0.008, 0.015, 0.985], prior: Sequence[float] = [0.9, 0.1], turn_transition: Sequence[float] = ..., turn_prior: Sequence[float] = [0.9, 0.05, 0.05], start_variance: Sequence[float] = [4.0, 25.0, 25.0], cross_range_variance: float = 100.0, turn_variance: float = 0.1, mixing_variance: float = 3.0, mixes: bool = True, gates_models: bool = False, heavy_tails: bool = False, adapts_transition: bool = False, winner_takes_all: bool = False, jamming: bool = False) -> None:
+    def __init__(self, *, gate: float = 30.0, confirm_hits: int = 5, confirm_scans: int = 6, delete_misses: int = 5, coast_s: float = 3.0, field_margin: float = 2.0, acceleration_noise: float = 0.5, jerk_noise: float = 0.2, turn_noise: float = 0.1, with_turn: bool = False, transition: Sequence[float] = [0.992, 0.008, 0.015, 0.985], prior: Sequence[float] = [0.9, 0.1], turn_transition: Sequence[float] = ..., turn_prior: Sequence[float] = [0.9, 0.05, 0.05], start_variance: Sequence[float] = [4.0, 25.0, 25.0], cross_range_variance: float = 100.0, turn_variance: float = 0.1, mixing_variance: float = 3.0, mixes: bool = True, gates_models: bool = False, heavy_tails: bool = False, adapts_transition: bool = False, winner_takes_all: bool = False, jamming: bool = False) -> None:
         """
         gate: of a squared Mahalanobis distance. *_noise: spectral densities [m^2/s^3, m^2/s^5, rad^2/s^3]. transition (per scan) and prior: of constant velocity and acceleration; turn_*: of these and a coordinated turn, used with_turn. start_variance: position, velocity, acceleration per axis. mixing_variance, turn_variance: of the acceleration and the turn rate that a model without them lends to the others. mixes: models restart from mixtures each scan. The last five are additions of SAFE-IMM.
         """
@@ -1047,9 +1047,9 @@ class Tracker:
     def reset(self) -> None:
         """Forget everything."""
 
-    def update(self, t: float, position: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], covariance: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order='C', device='cpu', writable=False)], los: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None, range_rate: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, range_rate_sigma: float = 0.1) -> None:
+    def update(self, t: float, position: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], covariance: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order='C', device='cpu', writable=False)], los: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None, range_rate: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, range_rate_sigma: float = 0.1, field: FieldOfView | None = None) -> None:
         """
-        One scan at t [s]: positions (N, 3) [m] with covariances (N, 3, 3), world frame; optionally the rates (N,) [m/s] along the lines of sight (N, 3) from the sensor. Rows that are not finite or have no covariance are dropped and counted. ValueError unless t is within 1e6 s after the last scan.
+        One scan at t [s]: positions (N, 3) [m] with covariances (N, 3, 3), world frame; optionally the rates (N,) [m/s] along the lines of sight (N, 3) from the sensor. Rows that are not finite or have no covariance are dropped and counted. A confirmed track that the field does not hold coasts. ValueError unless t is within 1e6 s after the last scan.
         """
 
     def tracks(self, t: float) -> dict[str, Any]:
@@ -1106,6 +1106,17 @@ class RadarOptions:
 
     @property
     def delay_s(self) -> float: ...
+
+class FieldOfView:
+    """Where a scan could find something."""
+
+    def __init__(self, *, position: Sequence[float], yaw: float = 0.0, half_azimuth_rad: float = 0.6981317007977318, half_elevation_rad: float = 0.17453292519943295, max_range_m: float = 150.0) -> None:
+        """Of a sensor at a position [m], levelled, looking along yaw [rad]."""
+
+    def holds(self, mean: Sequence[float], covariance: Sequence[Sequence[float]], margin: float) -> bool:
+        """
+        Whether it has all within `margin` standard deviations of the range and of both angles.
+        """
 
 def radar_scans(options: RadarOptions, vehicle: Annotated[NDArray[numpy.float64], dict(shape=(None, 9), order='C', device='cpu', writable=False)], yaw: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], truth: Annotated[NDArray[numpy.float64], dict(shape=(None, None, 9), order='C', device='cpu', writable=False)], *, seed: int = 0, trial: int = 0, first_step: int = 0) -> dict[str, Any]:
     """
@@ -1230,7 +1241,7 @@ def recursive_speed(a_max: float, horizon_s: float) -> float:
 class EncounterVehicle:
     """What flies among moving obstacles, and where to."""
 
-    def __init__(self, *, start: Sequence[float] = [0.0, 0.0, 10.0], goal: Sequence[float] = [200.0, 0.0, 10.0], start_speed_m_s: float = 4.0, cruise_m_s: float = 4.0, gain: float = 2.0, radius_m: float = 0.15, max_speed_m_s: float = 12.0, max_acceleration_m_s2: float = 6.0, max_jerk_m_s3: float = 60.0, actuation_delay_s: float = 0.0, hovers: bool = False, yaw_rate_rad_s: float = 0.0) -> None:
+    def __init__(self, *, start: Sequence[float] = [0.0, 0.0, 10.0], goal: Sequence[float] = [200.0, 0.0, 10.0], start_speed_m_s: float = 4.0, cruise_m_s: float = 4.0, gain: float = 2.0, radius_m: float = 0.15, max_speed_m_s: float = 12.0, max_acceleration_m_s2: float = 6.0, max_jerk_m_s3: float = 60.0, actuation_delay_s: float = 0.0, hovers: bool = False, yaw_rate_rad_s: float = 1.0) -> None:
         """
         A sphere that moves as a double integrator: |a|_inf of commands, |da/dt|_inf and |v| of what is executed, late by the delay. It holds its start or goes to its goal.
         """
@@ -1238,7 +1249,7 @@ class EncounterVehicle:
 class EncounterRules:
     """Times of an encounter, and when it ends."""
 
-    def __init__(self, *, dt_s: float = 0.01, plant_steps: int = 10, max_time_s: float = 14.0, receded_s: float = 1.0) -> None: ...
+    def __init__(self, *, dt_s: float = 0.01, plant_steps: int = 10, max_time_s: float = 14.0, receded_s: float = 1.0, risk_window_s: float = 0.4) -> None: ...
 
 class EncounterSpec:
     """All of an encounter but the filter."""
@@ -1249,6 +1260,11 @@ class EncounterSpec:
 def fly_encounters(spec: EncounterSpec, filter: MovingFilter, *, seed: int = 0, first: int = 0, count: int = 1, keeps_path: bool = False, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
     """
     Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial. `obstacle` has a row per obstacle: closest [m], separation [m], closing [m/s], detected, warned, command (measured), reaction and avoid [s], NaN for what never was; with keeps_path also a row per tick of the vehicle (p, v, a), obstacles, tracks, command, nominal, mode and status.
+    """
+
+def collision_risk(position: Sequence[float], velocity: Sequence[float], covariance: Sequence[float], command: Sequence[float], radius: float, window_s: float) -> float:
+    """
+    Of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: bound of the probability that it is within the radius when it comes closest in the window.
     """
 
 def closest_approach(r0: Sequence[float], r1: Sequence[float], a: Sequence[float], h: float) -> float:

@@ -83,8 +83,8 @@ struct EncounterLog {
                refused_ticks = 0, iterations = 0;
   double worst_violation = 0;  // of rows, in any tick [m/s^2]
   double risk_spent = 0;       // sum over ticks of what the commands left: bounds that any row of the flight fails
-  // Sum over windows, one after the other, and tracks of the largest `risk_of` (encounter_watch.hpp) in each. No bound:
-  // other ticks of a window could fail too, and obstacles are taken to keep their velocity.
+  // Sum over windows, one after the other, and tracks of the largest `risk_of` (encounter_watch.hpp) in each. No
+  // bound: other ticks of a window could fail too, and obstacles are taken to keep their velocity.
   double mission_risk = 0;
   double path_length_m = 0, max_speed_m_s = 0;
   double mean_jerk_m_s3 = 0, max_jerk_m_s3 = 0;  // second differences of the velocity at the rate of the filter
