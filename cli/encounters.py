@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import platform
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -137,8 +135,8 @@ def _write(
     """The log, then the record beside it."""
     import msgspec
 
-    from alula.schemas.atomic import atomic_output
-    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord, record_path
+    from alula.cli.run_files import write_run
+    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
     from alula.stages.flight.encounter_log import write_encounter_log
     from alula.stages.flight.encounter_summary import encounter_guarantee, encounter_timing
 
@@ -155,11 +153,11 @@ def _write(
         summary=summary,
         guarantee=encounter_guarantee(scenario, flown.trials),
     )
-    machine = {"cpu_count": os.cpu_count(), "machine": platform.machine(), "system": platform.system()}
-    timed = msgspec.structs.replace(record, timing=machine | timing | encounter_timing(scenario, flown))
-    text = msgspec.json.format(msgspec.json.encode(timed, order="sorted"), indent=2) + b"\n"
-    with atomic_output(output) as log, atomic_output(record_path(output)) as beside:
-        write_encounter_log(
+    write_run(
+        output,
+        record,
+        timing | encounter_timing(scenario, flown),
+        lambda log: write_encounter_log(
             log,
             record,
             flown.flights,
@@ -168,5 +166,5 @@ def _write(
             dt_s=scenario.run.dt_s,
             radii_m=[obstacle.radius_m for obstacle in scenario.obstacles],
             radius_m=body.radius_m,
-        )
-        beside.write(text)
+        ),
+    )

@@ -338,8 +338,8 @@ def _write(
     """The log, then the record beside it."""
     import msgspec
 
-    from alula.schemas.atomic import atomic_output
-    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord, record_path
+    from alula.cli.run_files import flight_timing, write_run
+    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
     from alula.stages.flight.log import write_log
 
     record = RunRecord(
@@ -353,40 +353,12 @@ def _write(
         summary=result.summary,
         guarantee=result.guarantee,
     )
-    timed = msgspec.structs.replace(record, timing=_timing(result, config.dt_s))
-    text = msgspec.json.format(msgspec.json.encode(timed, order="sorted"), indent=2) + b"\n"
-    with atomic_output(output) as log, atomic_output(record_path(output)) as beside:
-        write_log(log, record, result.flights, result.map, frame)
-        beside.write(text)
-
-
-def _timing(result: RunResult, dt_s: float) -> dict[str, Any]:
-    """Measured times of the filter, of whole ticks where known, and the machine they were measured on."""
-    import os
-    import platform
-
-    import numpy as np
-
-    timing: dict[str, Any] = {
-        "cpu_count": os.cpu_count(),
-        "machine": platform.machine(),
-        "system": platform.system(),
-    }
-    if result.filter != "none":
-        timing |= {"filter_calls": len(result.filter_s)} | _spread("filter", result.filter_s)
-        timing["filter_total_s"] = float(result.filter_s.sum(dtype=np.float64))
-    if result.tick_s is not None:
-        timing |= {"ticks": len(result.tick_s)} | _spread("tick", result.tick_s)
-        timing["tick_mean_s"] = float(result.tick_s.mean(dtype=np.float64))
-        timing["overruns"] = int((result.tick_s > dt_s).sum())
-    return timing
-
-
-def _spread(what: str, seconds: Any) -> dict[str, float]:
-    import numpy as np
-
-    found = np.percentile(seconds, [50, 99, 100]).tolist()
-    return dict(zip((f"{what}_p50_s", f"{what}_p99_s", f"{what}_max_s"), found, strict=True))
+    write_run(
+        output,
+        record,
+        flight_timing(result, config.dt_s),
+        lambda log: write_log(log, record, result.flights, result.map, frame),
+    )
 
 
 def _check(output: Path, trials: list[Any], *, splat: bool) -> None:

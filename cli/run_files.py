@@ -1,0 +1,53 @@
+"""The two files of a run: its log, and the record beside it with the measured times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+if TYPE_CHECKING:
+    from alula.schemas.run import RunRecord
+    from alula.stages.flight.simulate import RunResult
+
+
+def write_run(
+    output: Path, record: RunRecord, timing: Mapping[str, Any], write_log: Callable[[BinaryIO], None]
+) -> None:
+    """Write both or none; the machine that the times were measured on goes with them."""
+    import os
+    import platform
+
+    import msgspec
+
+    from alula.schemas.atomic import atomic_output
+    from alula.schemas.run import record_path
+
+    machine = {"cpu_count": os.cpu_count(), "machine": platform.machine(), "system": platform.system()}
+    timed = msgspec.structs.replace(record, timing=machine | dict(timing))
+    text = msgspec.json.format(msgspec.json.encode(timed, order="sorted"), indent=2) + b"\n"
+    with atomic_output(output) as log, atomic_output(record_path(output)) as beside:
+        write_log(log)
+        beside.write(text)
+
+
+def flight_timing(result: RunResult, dt_s: float) -> dict[str, Any]:
+    """Measured times of the filter, and of whole ticks where known."""
+    import numpy as np
+
+    timing: dict[str, Any] = {}
+    if result.filter != "none":
+        timing |= {"filter_calls": len(result.filter_s)} | _spread("filter", result.filter_s)
+        timing["filter_total_s"] = float(result.filter_s.sum(dtype=np.float64))
+    if result.tick_s is not None:
+        timing |= {"ticks": len(result.tick_s)} | _spread("tick", result.tick_s)
+        timing["tick_mean_s"] = float(result.tick_s.mean(dtype=np.float64))
+        timing["overruns"] = int((result.tick_s > dt_s).sum())
+    return timing
+
+
+def _spread(what: str, seconds: Any) -> dict[str, float]:
+    import numpy as np
+
+    found = np.percentile(seconds, [50, 99, 100]).tolist()
+    return dict(zip((f"{what}_p50_s", f"{what}_p99_s", f"{what}_max_s"), found, strict=True))
