@@ -146,6 +146,17 @@ def test_ratios_have_a_table_of_their_own(pair):
     assert published["top speed, difference [m/s]"] == pytest.approx(1.0)
 
 
+def test_ratios_are_of_all_speeds_and_of_each():
+    runs = [
+        sweep(variant, speed, [trial(i, mean_jerk_m_s3=jerk * speed) for i in range(3)])
+        for variant, jerk in (("cone-ecbf", 1.0), ("safer-splat", 4.0))
+        for speed in (1.0, 2.0)
+    ]
+    rows = [row for row in records_of(ratio_table(runs)) if row["flights"] == "all"][:-1]
+    assert [row["reference speed [m/s]"] for row in rows] == ["all", 1.0, 2.0]
+    assert [row["mean jerk, ratio"] for row in rows] == [pytest.approx(0.25)] * 3
+
+
 def test_a_collision_on_the_way_to_the_goal_is_not_a_success():
     hit = sweep("cone-di", 1.0, [trial(0, collision=True), trial(1), trial(2, "stuck")])
     (row,) = records_of(gap_table([hit]))
