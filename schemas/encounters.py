@@ -70,6 +70,7 @@ Vector = tuple[float, float, float]
 Interval = float | tuple[float, float]  # a number, or one drawn between two
 
 MOST_TRIALS = 1_000_000
+LARGEST = 1e6  # of a number that says where something is or how it moves: ALULA_LARGEST of native/onboard
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -257,8 +258,12 @@ def read_encounters(path: Path, changes: Mapping[str, Any] | None = None) -> Enc
             scenario = msgspec.convert(tree, Encounters)
         except msgspec.ValidationError as error:
             raise UsageError(f"{path}: {error}") from error
-    if wrong := _not_finite(msgspec.to_builtins(scenario), "$"):
+    tree = msgspec.to_builtins(scenario)
+    if wrong := _beyond(tree, "$", math.inf):
         raise UsageError(f"{path}: {wrong} must be a finite number")
+    for table in ("encounter", "obstacles", "walls"):
+        if wrong := _beyond(tree[table], f"$.{table}", LARGEST):
+            raise UsageError(f"{path}: {wrong} must be below {LARGEST:g}")
     _check(path, scenario)
     return scenario
 
@@ -278,16 +283,16 @@ def _set(tree: Any, key: str, value: Any) -> None:
     at[last] = value
 
 
-def _not_finite(value: Any, path: str) -> str | None:
-    """The path of the first number that is none."""
+def _beyond(value: Any, path: str, limit: float) -> str | None:
+    """The path of the first number whose size is not below a limit."""
     if isinstance(value, float):
-        return None if math.isfinite(value) else f"`{path}`"
+        return None if abs(value) < limit else f"`{path}`"
     items: list[tuple[str, Any]] = []
     if isinstance(value, dict):
         items = [(f"{path}.{key}", child) for key, child in value.items()]
     elif isinstance(value, list | tuple):
         items = [(f"{path}[{i}]", child) for i, child in enumerate(value)]
-    return next((found for where, child in items if (found := _not_finite(child, where))), None)
+    return next((found for where, child in items if (found := _beyond(child, where, limit))), None)
 
 
 def _check(path: Path, scenario: Encounters) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from alula.schemas.run import TrialResult
 from alula.stages.reporting.material import Material, Run, clearance_of, is_covered, outcome_of, proof
 from alula.stages.reporting.tables import (
     BYTES_PER_HALF_PLANE,
@@ -37,12 +39,23 @@ def headline(material: Material) -> dict[str, Any]:
         found["obstacles_covered"] = "not verified" if covered is None else covered
     trials = [(run.label, trial) for run in material.runs for trial in run.record.trials]
     if trials:
-        reached = sum(outcome_of(trial) == "reached" for _, trial in trials)
+        static = [trial for _, trial in trials if trial.obstacles is None]
+        moving = [trial for _, trial in trials if trial.obstacles is not None]
+        said = [_said(part) for part in (static, moving) if part]
         collisions = sum(trial.collision for _, trial in trials)
-        found["flights"] = f"{reached} of {len(trials)} reached the goal, {collisions} collided"
+        found["flights"] = f"{'; '.join(said)}, {collisions} collided"
     if known := [c for _, trial in trials if (c := clearance_of(trial)) is not None]:
         found["least_clearance_m"] = min(known)
     return found
+
+
+def _said(trials: Sequence[TrialResult]) -> str:
+    """How many flights were good, all of one kind: past moving obstacles nobody waits for the goal."""
+    if any(trial.obstacles is not None for trial in trials):
+        good, word = sum(not trial.collision for trial in trials), "touched nothing"
+    else:
+        good, word = sum(outcome_of(trial) == "reached" for trial in trials), "reached the goal"
+    return f"{text(good)} of {text(len(trials))} {word}"
 
 
 def cards(material: Material) -> list[tuple[str, list[Card]]]:
@@ -69,8 +82,9 @@ def _run_cards(run: Run) -> list[Card]:
     summary, trials = run.record.summary, run.record.trials
     interval = success_interval(run)
     rate, collisions = summary.get("success_rate"), summary.get("collisions")
-    good = sum(outcome_of(trial) == "reached" for trial in trials)
-    detail = f"{text(good)} of {text(len(trials))} reached the goal unharmed"
+    detail = _said(trials)
+    if detail.endswith("goal"):
+        detail += " unharmed"
     if interval:
         detail += f"; 95 %: {text(interval[0])} to {text(interval[1])}"
     found = [

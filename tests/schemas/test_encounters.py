@@ -83,6 +83,8 @@ def test_keys_set_and_changes_replace(tmp_path):
         ("[encounter]\ngoal_m = [0, 0, 10]", r"`\$\.encounter\.goal_m` is the start"),
         ("[encounter]\n[[walls]]\nlower_m=[0,0,0]\nupper_m=[1,0,1]", r"`\$\.walls\[0\]\.upper_m` must be"),
         ("[encounter]\n[[walls]]\nlower_m=[0,0,0]", r"missing required field `upper_m`"),
+        ("[[obstacles]]\ndistance_m = 1e300", r"`\$\.obstacles\[0\]\.distance_m` must be below 1e\+06"),
+        ("[encounter]\nstart_m = [0, -1e7, 0]", r"`\$\.encounter\.start_m\[1\]` must be below"),
         ("name = ' '\n[encounter]", r"`\$\.name` must not be empty"),
     ],
 )

@@ -299,6 +299,8 @@ def test_negative_variances_radii_equal_ids_and_too_many_are_refused():
         {"h_min_s": 0.5},
         {"horizons": 17},
         {"a_max": np.nan},
+        {"envelope_cap": np.nan},
+        {"envelope_cap": np.inf},
         {"wall_deceleration": 7},
     ],
 )

@@ -192,6 +192,32 @@ def test_walls_are_avoided_and_judged_as_the_exact_distance_says():
     assert all(trial.outcome == "timeout" for trial in blind)
 
 
+def test_walls_that_are_passed_by_do_not_hide_the_one_ahead():
+    slabs = [{"lower_m": (-2, -5 + i / 4, 9), "upper_m": (-0.5, -4.8 + i / 4, 11)} for i in range(40)]
+    ahead = {"lower_m": (10, -20, 0), "upper_m": (11, 20, 20)}
+    way = {"start_speed_m_s": 0.0, "cruise_m_s": 10.0, "gain_per_s": 4.0}
+    scenario = made(obstacles=[], encounter=way, walls=[*slabs, ahead], run={"max_time_s": 4.0})
+    (log,) = flown(scenario, static_walls(scenario, None), count=1)
+    assert log["wall_clearance_m"] > 0
+
+
+def test_a_weak_vehicle_sees_a_wall_in_time_to_stop():
+    wall = {"lower_m": (150, -20, 0), "upper_m": (151, 20, 20)}
+    way = {"goal_m": (1000.0, 0, 10), "start_speed_m_s": 12.0, "cruise_m_s": 12.0}
+    body = {"a_max_m_s2": 1.0}
+    scenario = made(obstacles=[], encounter=way, vehicle=body, walls=[wall], run={"max_time_s": 40.0})
+    (log,) = flown(scenario, static_walls(scenario, None), count=1)
+    assert log["wall_clearance_m"] > 0
+
+
+def test_a_trial_is_flown_even_if_nothing_comes():
+    gone = {"position_m": (-20.0, 0, 10), "velocity_m_s": (-6.0, 0, 0)}
+    scenario = made(obstacles=[gone], encounter={"receded_s": 0.0}, trials={"count": 1})
+    (trial,) = fly_encounters(scenario).trials
+    assert (trial.outcome, trial.steps) == ("passed", 1)
+    assert trial.obstacles[0].closest_m == pytest.approx(20, abs=0.2)
+
+
 def test_the_summary_counts_runs_and_obstacles():
     scenario = made(filter={"name": "none"}, trials={"count": 30})
     run = fly_encounters(scenario)

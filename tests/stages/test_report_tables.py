@@ -173,6 +173,21 @@ def test_the_headline_adds_up_the_runs():
     assert f"- flights: {facts['flights']}" in shown
 
 
+def test_flights_past_moving_obstacles_need_not_reach_a_goal():
+    kinds = [("passed", 0.5), ("timeout", 0.5), ("passed", -0.03125)]
+    passed = [
+        msgspec.structs.replace(make_trial(i, outcome, clearance=clearance), obstacles=[])
+        for i, (outcome, clearance) in enumerate(kinds)
+    ]
+    facts = headline(Material("t", runs=(run_of("m", passed),)))
+    assert facts["flights"] == "2 of 3 touched nothing, 1 collided"
+    groups = dict(cards(Material("t", runs=(run_of("m", passed),))))
+    (success,) = (card for card in groups["Flights"] if card.label == "success rate")
+    assert success.detail.startswith("2 of 3 touched nothing")
+    both = headline(Material("t", runs=(run_of("a"), run_of("m", passed))))
+    assert both["flights"] == "1 of 4 reached the goal; 2 of 3 touched nothing, 2 collided"
+
+
 def test_only_the_named_tables_are_kept():
     material = Material("t", runs=(run_of("a"), run_of("b")), cover=COVER)
     assert [t.name for t in all_tables(material, ["trials-2", "runs"])] == ["runs", "trials-2"]

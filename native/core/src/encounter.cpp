@@ -19,7 +19,8 @@ using Clock = std::chrono::steady_clock;
 constexpr double kSameTime = 1e-9;  // of two multiples of a step [s]
 constexpr double kNear = 5;         // a track this near an obstacle may be of it [m]
 constexpr double kReacted = 0.05;   // an acceleration this far from the nominal is a reaction [m/s^2]
-constexpr double kWallsAhead = 5;   // walls farther than the way of so long at full speed are not shown [s]
+constexpr double kWallsAhead = 5;   // walls farther than the way of so long at full speed are not shown [s], ...
+constexpr double kBraking = 0.5;    // ... unless it takes this share of the largest acceleration to stop before them
 
 Vec3 clipped(Vec3 a, double limit) {
   for (int i = 0; i < 3; ++i) a[i] = std::clamp(a[i], -limit, limit);
@@ -87,7 +88,11 @@ class Encounter {
   Vec3 seen_p_, seen_v_;
   std::vector<alula_track> tracks_;
   std::vector<alula_wall> walls_;
-  std::vector<std::pair<double, Vec3>> separating_;
+  struct Separating {
+    double gap, spare;  // spare: how much faster towards it the vehicle might be
+    Vec3 normal;
+  };
+  std::vector<Separating> separating_;
   struct Window {  // of an obstacle
     bool is_open = false;
     double reacted_s = EncounterMetrics::kNever;
@@ -180,11 +185,15 @@ void Encounter::see(double now, std::int64_t tick) {
   see_walls();
 }
 
-// Of each polytope the plane that separates it best from the vehicle; its distance is at most the polytope's.
+// Of each polytope the plane that separates it best from the vehicle; its distance is at most the polytope's. Where
+// there are too many, those count that the vehicle could not stop before if it were a little faster: near ones that
+// it passes by must not hide the one that it flies at.
 void Encounter::see_walls() {
   walls_.clear();
   if (spec_.walls == nullptr) return;
   separating_.clear();
+  const double speed = spec_.vehicle.max_speed_m_s, brake = kBraking * spec_.vehicle.max_acceleration_m_s2;
+  const double farthest = std::max(kWallsAhead * speed, speed * speed / (2 * brake));
   for (std::size_t k = 0; k < spec_.walls->size(); ++k) {
     const geometry::PolytopeView hull = spec_.walls->polytope(k);
     double best = -std::numeric_limits<double>::infinity();
@@ -194,13 +203,17 @@ void Encounter::see_walls() {
       const double gap = dot(n, seen_p_) - hull.offsets[l];
       if (gap > best) best = gap, normal = n;
     }
-    if (best < kWallsAhead * spec_.vehicle.max_speed_m_s) separating_.emplace_back(best, normal);
+    if (!(best < farthest)) continue;
+    const double stops_from = std::sqrt(2 * brake * std::max(0.0, best - spec_.vehicle.radius_m));
+    separating_.push_back({best, stops_from + dot(normal, seen_v_), normal});
   }
-  const std::size_t most = std::min<std::size_t>(separating_.size(), ALULA_WALLS);
-  std::partial_sort(separating_.begin(), separating_.begin() + static_cast<std::ptrdiff_t>(most), separating_.end(),
-                    [](const auto& a, const auto& b) { return a.first < b.first; });
-  for (std::size_t i = 0; i < most; ++i) {
-    const auto& [gap, n] = separating_[i];
+  if (separating_.size() > ALULA_WALLS) {
+    std::nth_element(separating_.begin(), separating_.begin() + ALULA_WALLS, separating_.end(),
+                     [](const auto& a, const auto& b) { return a.spare < b.spare; });
+    separating_.resize(ALULA_WALLS);
+  }
+  std::sort(separating_.begin(), separating_.end(), [](const auto& a, const auto& b) { return a.gap < b.gap; });
+  for (const auto& [gap, spare, n] : separating_) {
     walls_.push_back(
         {{static_cast<float>(n.x), static_cast<float>(n.y), static_cast<float>(n.z)}, static_cast<float>(gap)});
   }
@@ -334,7 +347,7 @@ EncounterLog Encounter::fly(std::uint32_t trial) {
   double jerk = 0;
   for (std::int64_t tick = 0; tick < ticks; ++tick) {
     const double now = static_cast<double>(tick) * rules.dt_s;
-    if (have_receded(now)) {
+    if (tick > 0 && have_receded(now)) {
       log_.outcome = EncounterOutcome::passed;
       break;
     }

@@ -60,6 +60,7 @@ alula_status alula_avoidance_init(alula_avoidance* avoidance, const alula_avoida
                                 c->l2,
                                 c->settle_s,
                                 c->envelope_start,
+                                c->envelope_cap,
                                 c->envelope_forget,
                                 c->wasserstein,
                                 c->obstacle_braking,

@@ -53,7 +53,8 @@ struct EncounterSpec {
   std::vector<ObstacleSpec> obstacles;
   RadarOptions radar;
   TrackerOptions tracker;
-  // Not owned, may be null. The filter sees of each polytope the plane that separates it best, nearest first.
+  // Not owned, may be null. The filter sees of each polytope the plane that separates it best, nearest first;
+  // of more than ALULA_WALLS those that leave the vehicle the least speed.
   const PolytopeSet* walls = nullptr;
 };
 
