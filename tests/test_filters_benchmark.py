@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-SMALL = "--quick --splats 20000 --pairs 1 --repeats 2 --qp-problems 200 --brute-seconds 0.1 --cbfpy-ticks 5"
+SMALL = (
+    "--quick --splats 20000 --pairs 1 --repeats 2 --qp-problems 200 --qp-seconds 600 --brute-seconds 0.1 "
+    "--cbfpy-ticks 5"
+)
 FLOWN = ("cone_di", "cone_ecbf", "cone_backup", "cone_backup_hover", "safer_splat")
 OPTIONAL = ("cbfpy", "daqp", "quadprog")
 

@@ -275,7 +275,7 @@ void bind_splat_filters(nb::module_& m) {
           "max_acceleration"_a = cone_di.max_acceleration, "max_braking"_a = cone_di.max_braking,
           "lateral_bias"_a = cone_di.lateral_bias, "clf_weight"_a = cone_di.clf_weight,
           "clf_rate"_a = cone_di.clf_rate, "clf_kp"_a = cone_di.clf_kp, "clf_kv"_a = cone_di.clf_kv,
-          "pruning"_a = Pruning{}, "qp_backend"_a = nb::none(),
+          "pruning"_a = cone_di.pruning, "qp_backend"_a = nb::none(),
           "alpha: of h' >= -alpha h [1/s], and at least recovery over the time to contact;\n"
           "swell: rows are of ellipsoids longer by this part; escape_rate: double pole "
           "of the rows on gamma [1/s];\n"

@@ -55,7 +55,7 @@ struct ConeEcbfOptions {
   double room_m = 0.08;     // kept by the rows beyond the radius when shielded: they steer before the shield stops
   bool try_nominal = true;  // without a solution, let the shield look between backup and nominal
   ShieldOptions shield;     // its tick_s is dt
-  Pruning pruning{.reaction_time_s = 0.6};
+  Pruning pruning{.reaction_time_s = 0.6, .count = 32};
 };
 
 class ConeEcbf final : public SplatFilter {
