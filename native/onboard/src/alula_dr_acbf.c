@@ -20,7 +20,7 @@ alula_dr_acbf_config alula_dr_acbf_defaults(void) {
                                        .failing_ticks = 5U,
                                        .descent_m_s = 0.5F,
                                        .rows_before_warning = 1,
-                                       .wall_deceleration = 4.0F};
+                                       .wall_deceleration = 3.36F};
   return config;
 }
 
