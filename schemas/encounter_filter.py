@@ -48,7 +48,7 @@ class RpCbfTable(_Table, frozen=True, kw_only=True):
 class FilterParameters(_Table, frozen=True, kw_only=True):
     """What all filters share, the warning and the manoeuvre; then what the rows of DR-ACBF are made with.
 
-    `wall_deceleration_m_s2` is by default two thirds of the vehicle's largest acceleration.
+    `wall_deceleration_m_s2` is by default 0.56 of the vehicle's largest acceleration.
     """
 
     range_m: Positive = 40.0

@@ -15,7 +15,9 @@ from alula.stages.compression.hulls import Hulls
 
 _FACES = np.concatenate([np.eye(3), -np.eye(3)])
 SOLVERS = ("exact", "gs")  # by number
-WALL_SHARE = 2 / 3  # of the largest acceleration, with which a wall is reckoned to be stopped at
+# Of the largest acceleration, with which a wall is reckoned to be stopped at. Below 1 / sqrt(3), so that the
+# box holds what three walls at right angles ask for together, however they are turned.
+WALL_SHARE = 0.56
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
 
 

@@ -131,6 +131,16 @@ def test_walls_are_never_entered_at_full_thrust(direction, delay, jerk):
         assert RECOVERING not in statuses
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.5, 1.2])
+def test_a_corner_of_right_angles_is_safe_however_turned(turn):
+    third = turn + 2 * np.pi / 3 * np.arange(3)  # the axis of the corner is x: one face of the box has to do
+    normals = np.c_[-np.ones(3), np.sqrt(2) * np.cos(third), np.sqrt(2) * np.sin(third)] / np.sqrt(3)
+    np.testing.assert_allclose(normals @ normals.T, np.eye(3), atol=1e-12)
+    walls = np.c_[normals, np.full(3, -10 / np.sqrt(3))]
+    closest, _ = fly(make(), walls, lambda t, p, v: [6.0, 0, 0], 5.0, delay=2, jerk=60.0)
+    assert closest >= 0.15
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_walls_are_never_entered_while_dodging(seed):
     rng = np.random.default_rng(seed)
@@ -146,3 +156,22 @@ def test_walls_are_never_entered_while_dodging(seed):
     walls = CORRIDOR[:4]
     closest, _ = fly(filter_, walls, nominal, 3.0, delay=2, jerk=60.0, rows=rows, start=[3.0, 0, 0])
     assert closest >= 0.15
+
+
+@pytest.mark.parametrize("seed", [0, 1, 7])
+def test_where_walls_contradict_each_other_obstacles_still_come_last(seed):
+    """A blind alley so narrow that after a change of the command both sides ask for the other."""
+    rng = np.random.default_rng(seed)
+    speed, lateral = rng.uniform(4, 12), rng.normal(scale=0.2, size=2)
+    walls = np.vstack([CORRIDOR[:4], [1.0, 0, 0, -0.6]])
+    walls[:4, 3] = -0.5
+
+    def rows(t, p):
+        position = [8 - speed * t, *lateral]
+        return tracks(track(1, position, [-speed, 0, 0], sigma_p=0.05, sigma_v=0.1))
+
+    def nominal(t, p, v):
+        return np.clip(-4 * p - 3 * v, -6, 6).tolist()
+
+    closest, _ = fly(make(), walls, nominal, 3.0, delay=2, jerk=60.0, rows=rows)
+    assert closest >= 0.15 + 0.09  # nearly all of the room kept from walls

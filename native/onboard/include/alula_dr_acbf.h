@@ -28,6 +28,12 @@
  * be executed along n, held for latency + (a + a_w) / (2 j_max): an acceleration that falls to -a_w at the rate j_max
  * is never ahead, in v or x, of one that stays for half that time and then jumps.
  *
+ * That is of one wall. Rows of walls that meet have a common point in the box when so have n_i . a <= -a_w: for walls
+ * at right angles, however turned, if a_w sqrt(3) <= a_max. In narrower corners they may not, and then the vehicle
+ * can end up in a wall. And a command that waits for longer than the next tick is not remembered, so that with a
+ * latency of many ticks the prediction may be slower than the vehicle will be: up to 0.1 s wall_room_m has made up
+ * for it.
+ *
  * What it does not give: the rows bound one step of H, and alone are recursively feasible only for closing speeds
  * below alula_dr_acbf_recursive_speed; beyond it the manoeuvre is what avoids.
  *
@@ -61,7 +67,7 @@ typedef struct {
   uint32_t failing_ticks; /* before braking and descending, but in AVOID */
   float descent_m_s;
   int rows_before_warning; /* 0, as printed: rows bind only in a manoeuvre. UNSAFE when the warning is late. */
-  float wall_deceleration; /* a_w [m/s^2], below a_max */
+  float wall_deceleration; /* a_w [m/s^2]; up to a_max / sqrt(3) corners of right angles are safe however turned */
 } alula_dr_acbf_config;
 
 alula_dr_acbf_config alula_dr_acbf_defaults(void);
@@ -96,7 +102,8 @@ void alula_dr_acbf_reset(alula_dr_acbf* filter);
 
 /* OK: the nominal, bit by bit. FILTERED: another command; all rows hold. RECOVERING: rows are missed, as little as
  * possible, those of walls last. REFUSED: bad input (see alula_avoidance_step); the state is as before. The caller
- * then brakes, or holds the last command for a tick or two when it knows that the input comes back. */
+ * then brakes, or holds the last command for a tick or two when it knows that the input comes back. Rows of walls
+ * count with what is flown: alula_avoidance_flown and alula_execute tell the filter when that was not its own. */
 ALULA_MUST_USE alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehicle_state* vehicle,
                                                         const alula_track* track, uint32_t count,
                                                         const alula_wall* wall, uint32_t wall_count,

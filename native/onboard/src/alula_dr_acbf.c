@@ -20,7 +20,7 @@ alula_dr_acbf_config alula_dr_acbf_defaults(void) {
                                        .failing_ticks = 5U,
                                        .descent_m_s = 0.5F,
                                        .rows_before_warning = 1,
-                                       .wall_deceleration = 4.0F};
+                                       .wall_deceleration = 3.36F};
   return config;
 }
 
@@ -184,9 +184,10 @@ static void brake_and_descend(const alula_dr_acbf_config* c, const alula_vehicle
   for (int k = 0; k < 3; ++k) wished[k] = clipped(scale * error[k], c->avoidance.a_max);
 }
 
-static float violation_of(const alula_dr_acbf* filter, const float a[3]) {
+/* Of the rows from the first on. */
+static float violation_of(const alula_dr_acbf* filter, uint32_t first, const float a[3]) {
   float most = -FLT_MAX;
-  for (uint32_t i = 0; i < filter->row_count; ++i) {
+  for (uint32_t i = first; i < filter->row_count; ++i) {
     const float excess = dot(filter->row[i].normal, a) - filter->row[i].bound;
     if (!(excess <= most)) most = excess;
   }
@@ -244,6 +245,10 @@ alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehi
   if (!holds) {
     alula_project_least_violation(filter->row, filter->row_count, obstacles, limit, guidance->wished, &found);
     holds = found.violation <= c->tolerance;
+    if (obstacles > 0U && violation_of(filter, obstacles, found.a) > c->tolerance) { /* walls contradict each other */
+      alula_project_least_violation(filter->row + obstacles, wall_count, wall_count, limit, guidance->wished, &found);
+      found.violation = violation_of(filter, 0U, found.a);
+    }
   }
   filter->failing = holds ? 0U : filter->failing + (filter->failing < 1000000U ? 1U : 0U);
   if (filter->failing > c->failing_ticks && guidance->mode != ALULA_AVOID) {
@@ -251,7 +256,7 @@ alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehi
     brake_and_descend(c, vehicle, wished);
     alula_project_least_violation(filter->row + obstacles, filter->row_count - obstacles, wall_count, limit, wished,
                                   &found);
-    found.violation = violation_of(filter, found.a);
+    found.violation = violation_of(filter, 0U, found.a);
   }
   result->failing = filter->failing;
   result->violation = found.violation;
