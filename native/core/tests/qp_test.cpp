@@ -128,7 +128,8 @@ void test_sizes() {
     return false;
   };
   CHECK(refused(0, 0, 0, 0, 0));
-  CHECK(refused(9, 81, 9, 0, 0));
+  CHECK(refused(kQpMaxVariables + 1, 0, 0, 0, 0));
+  CHECK(!refused(kQpMaxVariables, kQpMaxVariables * kQpMaxVariables, kQpMaxVariables, 0, 0));
   CHECK(refused(2, 3, 2, 2, 1));
   CHECK(refused(2, 4, 1, 2, 1));
   CHECK(refused(2, 4, 2, 3, 1));
