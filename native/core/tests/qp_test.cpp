@@ -117,7 +117,7 @@ void test_any_numbers() {
 
 void test_sizes() {
   QpSolver solver;
-  const std::vector<double> one(100, 1.0);
+  const std::vector<double> one(200, 1.0);
   const auto refused = [&](std::size_t n, std::size_t hessian, std::size_t gradient, std::size_t rows,
                            std::size_t bounds) {
     try {
@@ -128,8 +128,9 @@ void test_sizes() {
     return false;
   };
   CHECK(refused(0, 0, 0, 0, 0));
-  CHECK(refused(kQpMaxVariables + 1, 0, 0, 0, 0));
-  CHECK(!refused(kQpMaxVariables, kQpMaxVariables * kQpMaxVariables, kQpMaxVariables, 0, 0));
+  for (const std::size_t n : {kQpMaxVariables, kQpMaxVariables + 1}) {
+    CHECK(refused(n, n * n, n, 0, 0) == (n > kQpMaxVariables));
+  }
   CHECK(refused(2, 3, 2, 2, 1));
   CHECK(refused(2, 4, 1, 2, 1));
   CHECK(refused(2, 4, 2, 3, 1));
