@@ -221,6 +221,7 @@ def test_a_run_that_is_killed_loses_little(here, name):
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", EAGER, producer().commit, *WORDS, "--trials", "20000"],
         env=env, text=True, stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs ignore it
     )  # fmt: skip
     while process.poll() is None and not JOURNAL.exists():
         time.sleep(0.01)
