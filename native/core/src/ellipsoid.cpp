@@ -114,16 +114,16 @@ Bounds bounds_of(const Splats& splats, std::size_t i, const Level& all) {
   if (r == 0) return bounds;
 
   for (double& h : bounds.half) h += r;
-  const double mean = std::sqrt((axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]) / 3);  // p r
+  const Sum sum = outer_sum(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2], r);
   Vec3 loose, tight;
   for (std::size_t j = 0; j < 3; ++j) {
     const double square = axis[j] * axis[j];
     bounds.inner[j] = axis[j] + r;
-    loose[j] = std::sqrt((1 + r / mean) * square + (r + mean) * r);  // p itself may overflow
+    loose[j] = std::sqrt(sum.scale * square + sum.add);
     tight[j] = std::sqrt(3 * square + 1.5 * r * r);
     bounds.excess = std::max(bounds.excess, loose[j] - bounds.inner[j]);
   }
-  if (mean > r) shape(bounds.second.emplace(e), tight);
+  if (sum.add > 2 * r * r) shape(bounds.second.emplace(e), tight);
   shape(e, loose);
   return bounds;
 }

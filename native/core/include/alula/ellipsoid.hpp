@@ -11,6 +11,7 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <limits>
 #include <optional>
@@ -19,6 +20,15 @@
 namespace alula {
 
 using Vec3 = std::array<double, 3>;
+
+// Semi-axes, or a shape matrix Sigma, of the first: a^2 -> scale a^2 + add, with the p that fits long ones.
+struct Sum {
+  double scale, add;
+};
+inline Sum outer_sum(double squares, double r) {  // squares = sum_j (k s_j)^2 = tr Sigma
+  const double mean = std::sqrt(squares / 3);     // p r; p itself may overflow
+  return {1 + r / mean, (r + mean) * r};
+}
 
 // Rows of a scene: centres (N, 3), one-sigma semi-axes (N, 3), quaternions w x y z (N, 4) of any
 // positive norm; all in the unit of the scene. `loss` is empty, or holds how far each row may be from

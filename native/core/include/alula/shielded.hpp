@@ -19,9 +19,8 @@ inline GrownEllipsoid with_room(const GrownEllipsoid& e, double room) {
   };
   if (!(room > 0)) return e;
   Mat3 covariance = inverse(e.a);
-  const double trace = covariance[0][0] + covariance[1][1] + covariance[2][2];
-  const double p = std::sqrt(trace / 3) / room;
-  covariance = (1 + 1 / p) * covariance + (1 + p) * room * room * geometry::identity();
+  const Sum sum = outer_sum(covariance[0][0] + covariance[1][1] + covariance[2][2], room);
+  covariance = sum.scale * covariance + sum.add * geometry::identity();
   return {e.centre, inverse(covariance)};
 }
 
