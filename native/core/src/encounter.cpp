@@ -359,6 +359,7 @@ EncounterLog Encounter::fly(std::uint32_t trial) {
     const Vec3 command = report.status == MovingStatus::refused
                              ? braking(seen_v_, spec_.vehicle.max_acceleration_m_s2, rules.dt_s)
                              : clipped(report.acceleration, spec_.vehicle.max_acceleration_m_s2);
+    if (report.status == MovingStatus::refused) filter_->flown(command);
     judge_answer(report, command, wished, now, took);
     risk_.add(tracks_, seen_, command, spec_.vehicle.radius_m);
     if (keeps_path_) keep(report, command, wished);
