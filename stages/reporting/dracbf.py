@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from alula.schemas.run import ObstacleResult, RunRecord, TrialResult
@@ -15,6 +15,7 @@ from alula.stages.reporting.metrics import wilson_interval
 from alula.stages.reporting.published import DRACBF
 from alula.stages.reporting.tables import Table, flat, text
 
+LOW, HIGH = "95 % low", "95 % high"  # columns after that of a share
 FREE, BASE = "none", "dr-acbf"  # variants: without a filter, and as specified
 METHODS = (FREE, BASE, "dr-acbf-gs", "dr-acbf-qp", "mpc", "cbf-qp", "rp-cbf")
 SWEEP = (BASE, "h-max-0.2", "h-max-0.8", "clearance-1", "clearance-4", "hold-0.1", "hold-0.4")
@@ -176,7 +177,7 @@ def time_table(
 ) -> Table:
     """Processing, command and reaction times, beside what is published; ratios are to the first run."""
     printed = {} if published is None else published
-    first = _milli(runs[0].timing("filter_mean_s")) if runs else None
+    first = _milli(runs[0].timing("filter_p50_s")) if runs else None
     paper = printed.get(runs[0].variant, {}).get("tick") if runs else None
     rows = []
     for f in runs:
@@ -186,7 +187,7 @@ def time_table(
         said = printed.get(f.variant, {})
         rows.append(
             (
-                *(f.variant, f.timing("filter_calls"), *ms, _over(ms[1], first)),
+                *(f.variant, f.timing("filter_calls"), *ms, _over(ms[0], first)),
                 *(_milli(command), _milli(reaction), _milli(reaction_in_ticks(f))),
                 *(said.get("tick"), said.get("tick_std"), _over(said.get("tick"), paper)),
                 *(said.get("command"), said.get("reaction")),
@@ -194,8 +195,8 @@ def time_table(
         )
     columns = (
         *("variant", "active ticks", "t_cp p50 [ms]", "t_cp mean [ms]", "t_cp std [ms]", "t_cp p99 [ms]"),
-        *("t_cp over the first", "t_cm [ms]", "t_r [ms]", "t_r in whole ticks [ms]"),
-        *("published: t_cp mean", "published: std", "published: over the first"),
+        *("p50 over the first", "t_cm [ms]", "t_r [ms]", "t_r in whole ticks [ms]"),
+        *("published: t_cp mean", "published: std", "published: mean over the first"),
         *("published: t_cm", "published: t_r"),
     )
     note = (
@@ -224,9 +225,7 @@ def separation_table(
     printed = {} if published is None else published
     rows = []
     for f in runs:
-        steps = sum(trial.active_steps or 0 for trial in f.record.trials)
-        missed = sum(trial.infeasible_steps for trial in f.record.trials)
-        worst = max((trial.worst_violation_m_s2 or 0.0 for trial in f.record.trials), default=0.0)
+        share, worst = _missed(f)
         for i in range(f.obstacles):
             said = printed.get(f.variant, {})
             rows.append(
@@ -236,7 +235,7 @@ def separation_table(
                     f.mean(i, lambda m: m.separation_m),
                     f.mean(i, lambda m: m.closest_m),
                     min(m.closest_m for m in f.met(i)),
-                    _over(100.0 * missed, steps or None),
+                    share,
                     worst,
                     said.get(f"closing_{i + 1}", said.get("closing_mean")),
                     said.get(f"separation_{i + 1}", said.get("separation_mean")),
@@ -244,7 +243,7 @@ def separation_table(
             )
     columns = (
         *("variant", "obstacle", "warned of", "v_cl at the warning [m/s]", "d_s, avoidance window [m]"),
-        *("d_cpa, whole run [m]", "least of all [m]", "infeasible, per active tick [%]"),
+        *("d_cpa, whole run [m]", "least of all [m]", "ticks without a common point [%]"),
         *("worst violation [m/s²]", "published: v_cl", "published: d_s"),
     )
     note = (
@@ -252,9 +251,60 @@ def separation_table(
         "were "
         "warned of; d_cpa the least of the whole run, of all trials. Published values of Table II are "
         "means of "
-        "both obstacles."
+        "both obstacles. Without a common point: of all ticks, those in which no command held all rows. The "
+        "worst violation is of the method's rows by what was flown, as an acceleration: for mpc that which "
+        "makes up for its slack over the horizon, for cbf-qp the velocity missed over its time constant."
     )
     return Table(name, title, columns, tuple(rows), note)
+
+
+def _missed(flown: Flown) -> tuple[float | None, float | None]:
+    """Share of ticks without a common point of the rows [%], and the worst violation; None without rows."""
+    if flown.variant == FREE:
+        return None, None
+    trials = flown.record.trials
+    steps = sum(trial.steps for trial in trials)
+    worst = max((trial.worst_violation_m_s2 or 0.0 for trial in trials), default=0.0)
+    return _over(100.0 * sum(trial.infeasible_steps for trial in trials), steps or None), worst
+
+
+def folded(table: Table) -> Table:
+    """As read: each share with its interval in one cell that does not break, such as 99.5 (99.1 to 99.7);
+    without columns of published values where nothing is.
+    """
+    at = [i for i, name in enumerate(table.columns) if name == LOW]
+    empty = [
+        i
+        for i, name in enumerate(table.columns)
+        if name.startswith("published") and all(row[i] is None for row in table.rows)
+    ]
+    left_out = {*at, *(i + 1 for i in at), *empty}
+
+    def fold(row: Sequence[Any], name: bool) -> tuple[Any, ...]:
+        cells = list(row)
+        for i in at:
+            value, low, high = row[i - 1], row[i], row[i + 1]
+            known = f"{text(value)} ({text(low)} to {text(high)})".replace(" ", "\u00a0")
+            cells[i - 1] = f"{value} (95 %)" if name else None if value is None else known
+        return tuple(cell for i, cell in enumerate(cells) if i not in left_out)
+
+    rows = tuple(fold(row, False) for row in table.rows)
+    return replace(table, columns=fold(table.columns, True), rows=rows)
+
+
+def effort(flown: Sequence[Flown]) -> str:
+    """How many trials there are, and how long they took."""
+    flights = [(f.timing("trials_flown"), f.timing("wall_s")) for f in flown]
+    timed = [(count, seconds) for count, seconds in flights if count is not None and seconds]
+    total = sum(len(f.record.trials) for f in flown)
+    seconds = math.fsum(seconds for _, seconds in timed)
+    if not seconds:
+        return f"{total:,} trials in {len(flown)} runs"
+    speed = sum(count for count, _ in timed) / seconds
+    return (
+        f"{total:,} trials in {len(flown)} runs, flown one thread each at {speed:.0f} trials a second: "
+        f"{total / speed / 60:.0f} minutes of a core, about half of that with two at once"
+    )
 
 
 def group_tables(flown: Sequence[Flown]) -> list[Table]:

@@ -161,7 +161,10 @@ def test_cbf_qp_is_the_program_of_the_velocity():
         assert np.allclose(report.acceleration, expected, atol=2e-2)
         reached = velocity + 0.1 * np.array(report.acceleration)  # the box may cut it off
         missed = max(
-            (los @ (reached - r[4:7]) - (r[1:4] @ r[1:4] - clearance(0.4) ** 2) / (0.8 * np.linalg.norm(r[1:4])))
+            (
+                los @ (reached - r[4:7])
+                - (r[1:4] @ r[1:4] - clearance(0.4) ** 2) / (0.8 * np.linalg.norm(r[1:4]))
+            )
             / 0.1
             for r, los in zip(*active(rows, velocity), strict=True)
         )

@@ -56,12 +56,12 @@ bool NearestPoint::solve(Vec3 wish, Vec3& x, int& iterations) {
   return true;
 }
 
-double NearestPoint::violation(Vec3 x) const {
+double NearestPoint::violation(Vec3 x, double shortest) const {
   double most = -std::numeric_limits<double>::infinity();
   for (std::size_t i = 0; i < size(); ++i) {
     const Vec3 n = geometry::from_rows(rows_.data() + 3 * i);
     const double length = norm(n);
-    if (length > 1e-9) most = std::max(most, (bounds_[i] - dot(n, x)) / length);
+    if (length > shortest) most = std::max(most, (bounds_[i] - dot(n, x)) / length);
   }
   return most;
 }

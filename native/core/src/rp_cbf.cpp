@@ -5,7 +5,8 @@
 // The policy (to the bypass point, or a stop) does not look at obstacles, so one rollout of the vehicle serves all
 // samples. At the worst one, with n towards the obstacle and S = d p(t) / d (p, v):
 //   n . (S_p v + S_v u - v_i - t a_i(0)) <= -alpha V.
-// The violation reported is that of this row at unit length, so an acceleration.
+// The violation reported is that of this row at unit length, so an acceleration, unless the row is short: when the
+// worst time is far off, a command now changes next to nothing there.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -22,6 +23,7 @@ using geometry::Vec3;
 
 namespace {
 
+constexpr double kNoSay = 0.01;  // [s]: what is flown next to does not change a shorter row
 constexpr int kMostSteps = 64, kSubsteps = 10;
 
 // Of the vehicle at one time: where, and how that depends on the start, per axis.
@@ -62,7 +64,7 @@ class RpCbf final : public MovingFilter {
     report.feasible = holds;
     report.rows = nearest_.size() > 0 ? 1 : 0;
     report.iterations = static_cast<std::uint32_t>(iterations);
-    guide_.missed(nearest_.violation(report.acceleration), report);
+    guide_.missed(nearest_.violation(report.acceleration, kNoSay), report);
     return report;
   }
   void flown(Vec3 a) override { guide_.flown(a); }

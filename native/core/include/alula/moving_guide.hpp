@@ -32,8 +32,9 @@ class NearestPoint {
   // False when there is none, or the solver fails.
   bool solve(geometry::Vec3 wish, geometry::Vec3& x, int& iterations);
 
-  // Of the rows by x, each taken at unit length: at most 0 where all hold, minus infinity without rows.
-  double violation(geometry::Vec3 x) const;
+  // Of the rows by x, each taken at unit length: at most 0 where all hold, minus infinity without rows that are
+  // longer than `shortest`.
+  double violation(geometry::Vec3 x, double shortest = 1e-9) const;
 
   // The point of the box that misses the rows, whatever their length, by the least.
   geometry::Vec3 least_violation(geometry::Vec3 wish, double limit);
