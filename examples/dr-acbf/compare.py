@@ -14,7 +14,7 @@ from pathlib import Path
 from alula.cli.runner import input_ref
 from alula.schemas.atomic import write_text
 from alula.schemas.run import read_run
-from alula.stages.reporting import dracbf, dracbf_beyond, dracbf_figures
+from alula.stages.reporting import dracbf, dracbf_beyond, dracbf_figures, dracbf_small
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.page import page
 from alula.stages.reporting.tables import inputs_table, table_csv, to_markdown
@@ -33,8 +33,8 @@ flown = [
 found = [
     *dracbf.group_tables(flown),
     dracbf_beyond.collapse_table(flown),
-    dracbf.hardware_table(flown),
-    dracbf.wall_table(flown),
+    dracbf_small.hardware_table(flown),
+    dracbf_small.wall_table(flown),
     dracbf_beyond.recursion_table(flown),
     dracbf_beyond.risk_table(flown),
     dracbf.sensitivity_table(flown, "sensitivity-1"),

@@ -8,7 +8,7 @@ from alula import _core
 from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import ObstacleResult, RunRecord, TrialResult
-from alula.stages.reporting import dracbf, dracbf_beyond, dracbf_figures
+from alula.stages.reporting import dracbf, dracbf_beyond, dracbf_figures, dracbf_small
 from alula.stages.reporting.metrics import wilson_interval
 from alula.stages.reporting.tables import Table, text
 
@@ -147,8 +147,8 @@ def test_separation_is_over_those_that_were_warned_of_and_over_all():
 
 def test_a_table_without_two_runs_is_left_out():
     assert dracbf.group_tables([OURS]) == []
-    assert dracbf.hardware_table([OURS]) is None
-    assert dracbf.wall_table([OURS]) is None
+    assert dracbf_small.hardware_table([OURS]) is None
+    assert dracbf_small.wall_table([OURS]) is None
     assert dracbf_beyond.collapse_table([OURS]) is None
     assert dracbf.sensitivity_table([OURS], "sensitivity-1") is None
 
@@ -170,7 +170,7 @@ def test_a_choice_is_named_by_what_it_changes():
 
 def test_the_times_of_a_small_vehicle_are_from_detection_and_to_the_end_of_hovering():
     run = flown("thrown", "as-printed", [trial(0, [met(warned=3.0, reaction=0.02)])])
-    row = row_of(dracbf.hardware_table([run]), "thrown")
+    row = row_of(dracbf_small.hardware_table([run]), "thrown")
     assert row["t_d [ms]"] == pytest.approx(2020)
     assert row["t_a [ms]"] == pytest.approx(500)
     assert row["t_r, to the next tick [ms]"] == pytest.approx(30)
@@ -179,7 +179,7 @@ def test_the_times_of_a_small_vehicle_are_from_detection_and_to_the_end_of_hover
 
 def test_walls_that_are_touched_count():
     run = flown("wall", "dr-acbf", [trial(i, [met()], clearance=c) for i, c in enumerate((0.5, -0.1, 0.2))])
-    row = row_of(dracbf.wall_table([run]), "dr-acbf")
+    row = row_of(dracbf_small.wall_table([run]), "dr-acbf")
     assert (row["trials that touch a wall"], row["least clearance of walls [m]"]) == (1, -0.1)
     assert row["obstacle [%]"] == 100
     assert row["runs [%]"] == pytest.approx(200 / 3)

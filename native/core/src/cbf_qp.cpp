@@ -1,6 +1,6 @@
 // A barrier on the velocity: 2 P . (v_i - v) + (d^2 - R_eff^2) / T >= 0, min |v - v_avoid|^2, a = clip((v - v_e) /
-// t_v), where v_avoid is what the manoeuvre's acceleration reaches in t_v. The violation reported is that of the rows,
-// divided by 2 d, by the velocity that what is flown reaches in t_v, per t_v: an acceleration.
+// t_v), where v_avoid is what the manoeuvre's acceleration reaches in t_v. The violation reported is that of the
+// rows, divided by 2 d, by the velocity that what is flown reaches in t_v, per t_v: an acceleration.
 #include <algorithm>
 #include <stdexcept>
 

@@ -3,9 +3,9 @@
 //   min sum_k |p_k - p_b|^2 + w_v |v_k|^2 + w_u |u_k|^2 + w_xi xi^2
 //   n_i . (p_k - p_e) <= d_i + n_i . v_i k T - R_eff(H_max) + xi,  xi >= 0,  |u|_inf <= a_max
 //
-// in the 9 + 1 variables (u_0, u_1, u_2, xi). The violation reported is the acceleration that makes up for xi over the
-// whole horizon, 2 xi / (20 T)^2, as rows of DR-ACBF with H = 20 T count it. The penalty leaves some slack wherever a
-// distance binds: up to kMissed the distances count as kept.
+// in the 9 + 1 variables (u_0, u_1, u_2, xi). The violation reported is the acceleration that makes up for xi over
+// the whole horizon, 2 xi / (20 T)^2, as rows of DR-ACBF with H = 20 T count it. The penalty leaves some slack
+// wherever a distance binds: up to kMissed the distances count as kept.
 #include <algorithm>
 #include <array>
 #include <stdexcept>

@@ -109,7 +109,8 @@ ALULA_MUST_USE alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, c
                                                         const alula_wall* wall, uint32_t wall_count,
                                                         const float nominal[3], alula_dr_acbf_result* result);
 
-/* What is flown in this tick, where it is not what the filter said: after each refusal, once. Ignored unless finite. */
+/* What is flown in this tick, where it is not what the filter said: after each refusal, once. Ignored unless finite.
+ */
 void alula_dr_acbf_flown(alula_dr_acbf* filter, const float command[3]);
 
 /* The row of a wall for a vehicle with this velocity. `acceleration` is what it may still execute while a command

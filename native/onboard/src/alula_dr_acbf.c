@@ -29,10 +29,10 @@ alula_status alula_dr_acbf_init(alula_dr_acbf* filter, const alula_dr_acbf_confi
   const alula_dr_acbf_config* c = config;
   const alula_avoidance_config* a = &c->avoidance;
   const int good =
-      c->v_max > 0.0F && c->v_max < 1.0e4F && (c->j_max == 0.0F || c->j_max >= 1.0e-3F) && c->j_max < 1.0e6F && c->h_min_s >= a->dt_s &&
-      c->h_min_s <= a->h_max_s && c->horizons >= 1U && c->horizons <= ALULA_HORIZONS && c->risk > 1.0e-6F &&
-      c->risk < 1.0F && c->warned_risk > 0.0F && c->risk * c->warned_risk > 1.0e-6F && c->warned_risk <= 1.0F &&
-      c->relaxation > 0.0F && c->relaxation <= 1.0F && c->iterations <= 1000U &&
+      c->v_max > 0.0F && c->v_max < 1.0e4F && (c->j_max == 0.0F || c->j_max >= 1.0e-3F) && c->j_max < 1.0e6F &&
+      c->h_min_s >= a->dt_s && c->h_min_s <= a->h_max_s && c->horizons >= 1U && c->horizons <= ALULA_HORIZONS &&
+      c->risk > 1.0e-6F && c->risk < 1.0F && c->warned_risk > 0.0F && c->risk * c->warned_risk > 1.0e-6F &&
+      c->warned_risk <= 1.0F && c->relaxation > 0.0F && c->relaxation <= 1.0F && c->iterations <= 1000U &&
       c->tolerance >= ALULA_HALF_SPACE_MARGIN * a->a_max && c->tolerance < 1.0F && c->descent_m_s >= 0.0F &&
       c->descent_m_s <= c->v_max && c->wall_deceleration > 0.0F && c->wall_deceleration <= a->a_max &&
       (c->solver == ALULA_SOLVER_EXACT || c->solver == ALULA_SOLVER_GAUSS_SOUTHWELL);

@@ -1,7 +1,5 @@
 // The onboard filter among moving obstacles as firmware calls it: what it refuses, and that every answer to inputs of
 // all kinds is finite, in the box and honest about its rows. Inputs are pseudo-random and the same in every run.
-#include "alula_dr_acbf.h"
-
 #include <algorithm>
 #include <array>
 #include <cfloat>
@@ -11,6 +9,7 @@
 #include <initializer_list>
 #include <limits>
 
+#include "alula_dr_acbf.h"
 #include "check.hpp"
 
 namespace {
@@ -121,7 +120,8 @@ void test_projections_are_finite_in_the_box_and_honest() {
       if (found[1].feasible != 0 && static_cast<double>(found[1].violation) < -2 * margin)
         CHECK(std::sqrt(near) <= std::sqrt(other) + 0.05 * static_cast<double>(limit));
     }
-    if (found[1].feasible != 0 && static_cast<double>(found[1].violation) < -4 * margin) CHECK(found[0].feasible != 0);
+    if (found[1].feasible != 0 && static_cast<double>(found[1].violation) < -4 * margin)
+      CHECK(found[0].feasible != 0);
     if (found[0].feasible == 0) {
       ++missed;
       alula_projection all;
@@ -283,12 +283,16 @@ void test_there_is_room_for_so_many_and_no_more() {
   CHECK(run(filter, s, result) == ALULA_FILTER_REFUSED);
   s.walls = ALULA_WALLS, s.track[1].id = s.track[0].id;
   CHECK(run(filter, s, result) == ALULA_FILTER_REFUSED);
-  CHECK(alula_dr_acbf_filter(nullptr, &s.vehicle, nullptr, 0, nullptr, 0, s.nominal, &result) == ALULA_FILTER_REFUSED);
+  CHECK(alula_dr_acbf_filter(nullptr, &s.vehicle, nullptr, 0, nullptr, 0, s.nominal, &result) ==
+        ALULA_FILTER_REFUSED);
   CHECK(alula_dr_acbf_filter(&filter, nullptr, nullptr, 0, nullptr, 0, s.nominal, &result) == ALULA_FILTER_REFUSED);
-  CHECK(alula_dr_acbf_filter(&filter, &s.vehicle, nullptr, 1, nullptr, 0, s.nominal, &result) == ALULA_FILTER_REFUSED);
-  CHECK(alula_dr_acbf_filter(&filter, &s.vehicle, nullptr, 0, nullptr, 1, s.nominal, &result) == ALULA_FILTER_REFUSED);
+  CHECK(alula_dr_acbf_filter(&filter, &s.vehicle, nullptr, 1, nullptr, 0, s.nominal, &result) ==
+        ALULA_FILTER_REFUSED);
+  CHECK(alula_dr_acbf_filter(&filter, &s.vehicle, nullptr, 0, nullptr, 1, s.nominal, &result) ==
+        ALULA_FILTER_REFUSED);
   CHECK(alula_dr_acbf_filter(&filter, &s.vehicle, nullptr, 0, nullptr, 0, nullptr, &result) == ALULA_FILTER_REFUSED);
-  CHECK(alula_dr_acbf_filter(&filter, &s.vehicle, nullptr, 0, nullptr, 0, s.nominal, nullptr) == ALULA_FILTER_REFUSED);
+  CHECK(alula_dr_acbf_filter(&filter, &s.vehicle, nullptr, 0, nullptr, 0, s.nominal, nullptr) ==
+        ALULA_FILTER_REFUSED);
 }
 
 void test_parameters_without_meaning_are_refused() {
