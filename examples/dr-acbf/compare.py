@@ -33,7 +33,7 @@ flown = [
 found = [
     *dracbf.group_tables(flown),
     dracbf_beyond.collapse_table(flown),
-    dracbf_small.hardware_table(flown),
+    *dracbf_small.hardware_tables(flown),
     dracbf_small.wall_table(flown),
     dracbf_beyond.recursion_table(flown),
     dracbf_beyond.risk_table(flown),

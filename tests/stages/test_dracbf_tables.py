@@ -147,7 +147,7 @@ def test_separation_is_over_those_that_were_warned_of_and_over_all():
 
 def test_a_table_without_two_runs_is_left_out():
     assert dracbf.group_tables([OURS]) == []
-    assert dracbf_small.hardware_table([OURS]) is None
+    assert dracbf_small.hardware_tables([OURS]) == []
     assert dracbf_small.wall_table([OURS]) is None
     assert dracbf_beyond.collapse_table([OURS]) is None
     assert dracbf.sensitivity_table([OURS], "sensitivity-1") is None
@@ -170,7 +170,9 @@ def test_a_choice_is_named_by_what_it_changes():
 
 def test_the_times_of_a_small_vehicle_are_from_detection_and_to_the_end_of_hovering():
     run = flown("thrown", "as-printed", [trial(0, [met(warned=3.0, reaction=0.02)])])
-    row = row_of(dracbf_small.hardware_table([run]), "thrown")
+    (table,) = dracbf_small.hardware_tables([run])
+    assert table.name == "table-4"
+    row = row_of(table, "thrown")
     assert row["t_d [ms]"] == pytest.approx(2020)
     assert row["t_a [ms]"] == pytest.approx(500)
     assert row["t_r, to the next tick [ms]"] == pytest.approx(30)
