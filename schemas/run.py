@@ -59,7 +59,8 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
 
     What follows `line_clearance_m` is of encounters with moving obstacles, and None for others: each
     obstacle, steps in a manoeuvre or with a warning, steps that the filter refused, iterations of its
-    projection, the largest violation of its rows, and the sum over steps of the risk that flown rows left.
+    projection, the largest violation of its rows as an acceleration, the sum over steps of the risk that
+    flown rows left (None for filters without such rows), and the sum over windows of the risk of a collision.
     There "passed" says that all obstacles have receded, `map_clearance_m` is that of static walls, and a
     `collision` is one with either.
     """

@@ -7,20 +7,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from alula.schemas.run import ObstacleResult, RunRecord, TrialResult
+from alula.schemas.run import ObstacleResult, RunRecord
 from alula.stages.reporting.metrics import wilson_interval
 from alula.stages.reporting.published import DRACBF
 from alula.stages.reporting.tables import Table, flat, text
 
+LOW, HIGH = "95 % low", "95 % high"  # columns after that of a share
 FREE, BASE = "none", "dr-acbf"  # variants: without a filter, and as specified
 METHODS = (FREE, BASE, "dr-acbf-gs", "dr-acbf-qp", "mpc", "cbf-qp", "rp-cbf")
 SWEEP = (BASE, "h-max-0.2", "h-max-0.8", "clearance-1", "clearance-4", "hold-0.1", "hold-0.4")
 TRIGGERS = (BASE, "trigger-simple", "rows-late", "trigger-simple-rows-late")
 SOLVERS = ("dr-acbf-gs", BASE, "dr-acbf-qp")
-HARDWARE = ("thrown", "moving", "approaching", "both")
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,26 +176,26 @@ def time_table(
 ) -> Table:
     """Processing, command and reaction times, beside what is published; ratios are to the first run."""
     printed = {} if published is None else published
-    first = _milli(runs[0].timing("filter_mean_s")) if runs else None
+    first = milli(runs[0].timing("filter_p50_s")) if runs else None
     paper = printed.get(runs[0].variant, {}).get("tick") if runs else None
     rows = []
     for f in runs:
-        ms = [_milli(f.timing(f"filter_{key}_s")) for key in ("p50", "mean", "std", "p99")]
+        ms = [milli(f.timing(f"filter_{key}_s")) for key in ("p50", "mean", "std", "p99")]
         command = mean_of(f.timing("command_mean_s", i) for i in range(f.obstacles))
         reaction = mean_of(f.timing("reaction_mean_s", i) for i in range(f.obstacles))
         said = printed.get(f.variant, {})
         rows.append(
             (
-                *(f.variant, f.timing("filter_calls"), *ms, _over(ms[1], first)),
-                *(_milli(command), _milli(reaction), _milli(reaction_in_ticks(f))),
+                *(f.variant, f.timing("filter_calls"), *ms, _over(ms[0], first)),
+                *(milli(command), milli(reaction), milli(reaction_in_ticks(f))),
                 *(said.get("tick"), said.get("tick_std"), _over(said.get("tick"), paper)),
                 *(said.get("command"), said.get("reaction")),
             )
         )
     columns = (
         *("variant", "active ticks", "t_cp p50 [ms]", "t_cp mean [ms]", "t_cp std [ms]", "t_cp p99 [ms]"),
-        *("t_cp over the first", "t_cm [ms]", "t_r [ms]", "t_r in whole ticks [ms]"),
-        *("published: t_cp mean", "published: std", "published: over the first"),
+        *("p50 over the first", "t_cm [ms]", "t_r [ms]", "t_r in whole ticks [ms]"),
+        *("published: t_cp mean", "published: std", "published: mean over the first"),
         *("published: t_cm", "published: t_r"),
     )
     note = (
@@ -224,9 +224,7 @@ def separation_table(
     printed = {} if published is None else published
     rows = []
     for f in runs:
-        steps = sum(trial.active_steps or 0 for trial in f.record.trials)
-        missed = sum(trial.infeasible_steps for trial in f.record.trials)
-        worst = max((trial.worst_violation_m_s2 or 0.0 for trial in f.record.trials), default=0.0)
+        share, worst = _missed(f)
         for i in range(f.obstacles):
             said = printed.get(f.variant, {})
             rows.append(
@@ -236,7 +234,7 @@ def separation_table(
                     f.mean(i, lambda m: m.separation_m),
                     f.mean(i, lambda m: m.closest_m),
                     min(m.closest_m for m in f.met(i)),
-                    _over(100.0 * missed, steps or None),
+                    share,
                     worst,
                     said.get(f"closing_{i + 1}", said.get("closing_mean")),
                     said.get(f"separation_{i + 1}", said.get("separation_mean")),
@@ -244,7 +242,7 @@ def separation_table(
             )
     columns = (
         *("variant", "obstacle", "warned of", "v_cl at the warning [m/s]", "d_s, avoidance window [m]"),
-        *("d_cpa, whole run [m]", "least of all [m]", "infeasible, per active tick [%]"),
+        *("d_cpa, whole run [m]", "least of all [m]", "ticks without a common point [%]"),
         *("worst violation [m/s²]", "published: v_cl", "published: d_s"),
     )
     note = (
@@ -252,9 +250,60 @@ def separation_table(
         "were "
         "warned of; d_cpa the least of the whole run, of all trials. Published values of Table II are "
         "means of "
-        "both obstacles."
+        "both obstacles. Without a common point: of all ticks, those in which no command held all rows. The "
+        "worst violation is of the method's rows by what was flown, as an acceleration: for mpc that which "
+        "makes up for its slack over the horizon, for cbf-qp the velocity missed over its time constant."
     )
     return Table(name, title, columns, tuple(rows), note)
+
+
+def _missed(flown: Flown) -> tuple[float | None, float | None]:
+    """Share of ticks without a common point of the rows [%], and the worst violation; None without rows."""
+    if flown.variant == FREE:
+        return None, None
+    trials = flown.record.trials
+    steps = sum(trial.steps for trial in trials)
+    worst = max((trial.worst_violation_m_s2 or 0.0 for trial in trials), default=0.0)
+    return _over(100.0 * sum(trial.infeasible_steps for trial in trials), steps or None), worst
+
+
+def folded(table: Table) -> Table:
+    """As read: each share with its interval in one cell that does not break, such as 99.5 (99.1 to 99.7);
+    without columns of published values where nothing is.
+    """
+    at = [i for i, name in enumerate(table.columns) if name == LOW]
+    empty = [
+        i
+        for i, name in enumerate(table.columns)
+        if name.startswith("published") and all(row[i] is None for row in table.rows)
+    ]
+    left_out = {*at, *(i + 1 for i in at), *empty}
+
+    def fold(row: Sequence[Any], name: bool) -> tuple[Any, ...]:
+        cells = list(row)
+        for i in at:
+            value, low, high = row[i - 1], row[i], row[i + 1]
+            known = f"{text(value)} ({text(low)} to {text(high)})".replace(" ", "\u00a0")
+            cells[i - 1] = f"{value} (95 %)" if name else None if value is None else known
+        return tuple(cell for i, cell in enumerate(cells) if i not in left_out)
+
+    rows = tuple(fold(row, False) for row in table.rows)
+    return replace(table, columns=fold(table.columns, True), rows=rows)
+
+
+def effort(flown: Sequence[Flown]) -> str:
+    """How many trials there are, and how long they took."""
+    flights = [(f.timing("trials_flown"), f.timing("wall_s")) for f in flown]
+    timed = [(count, seconds) for count, seconds in flights if count is not None and seconds]
+    total = sum(len(f.record.trials) for f in flown)
+    seconds = math.fsum(seconds for _, seconds in timed)
+    if not seconds:
+        return f"{total:,} trials in {len(flown)} runs"
+    speed = sum(count for count, _ in timed) / seconds
+    return (
+        f"{total:,} trials in {len(flown)} runs, flown one thread each at {speed:.0f} trials a second: "
+        f"{total / speed / 60:.0f} minutes of a core, about half of that with two at once"
+    )
 
 
 def group_tables(flown: Sequence[Flown]) -> list[Table]:
@@ -310,83 +359,8 @@ def sensitivity_table(flown: Sequence[Flown], scenario: str) -> Table | None:
     return Table(scenario, f"Free choices one at a time, {scenario[-1:]}", columns, tuple(rows), note)
 
 
-def hardware_table(flown: Sequence[Flown]) -> Table | None:
-    """Tables IV and V: the small vehicle, per obstacle; None without runs."""
-    rows = []
-    for scenario in HARDWARE:
-        for f in select(flown, scenario):
-            for i in range(f.obstacles):
-                said = DRACBF["hardware"].get(f"{scenario}/{i + 1}", {}) if f.variant == "as-printed" else {}
-                dt = f.dt_s
-                reaction = f.mean(i, lambda m: m.reaction_s)
-                rows.append(
-                    (
-                        *(scenario, f.variant, i + 1, *success(f, i).cells),
-                        f.mean(i, lambda m: m.closing_m_s),
-                        _milli(None if reaction is None else reaction + dt),
-                        _milli(f.timing("command_mean_s", i)),
-                        _milli(f.mean(i, lambda m: m.avoid_s)),
-                        _milli(f.mean(i, detection_time)),
-                        f.mean(i, lambda m: m.separation_m),
-                        min(m.closest_m for m in f.met(i)),
-                        *(said.get(key) for key in ("closing", "reaction", "command", "avoid", "detection")),
-                        said.get("separation"),
-                    )
-                )
-    if not rows:
-        return None
-    columns = (
-        *("scenario", "variant", "obstacle", "success [%]", "95 % low", "95 % high", "v_cl [m/s]"),
-        *("t_r, to the next tick [ms]", "t_cm [ms]", "t_a [ms]", "t_d [ms]", "d_s [m]", "least distance [m]"),
-        *("published: v_cl", "published: t_r", "published: t_cm", "published: t_a", "published: t_d"),
-        "published: d_s",
-    )
-    note = (
-        "Simulated: 0.8 m/s², radii of 0.1 m, motion capture at 120 Hz. t_a: from the first command that "
-        "avoids to "
-        "the end of hovering; t_d: from the first detection to that command. Published: means of five "
-        "flights each, "
-        "all without collision (at best 57 to 100 % by Wilson's interval), thrown by hand and with a radio "
-        "link, so "
-        "only the kind of numbers compares; our radio, if any, is in the delays of the scenario."
-    )
-    return Table("hardware", "Tables IV and V: a small vehicle", columns, tuple(rows), note)
-
-
-def detection_time(met: ObstacleResult) -> float | None:
-    """From the first detection until the avoidance command (t_d) [s]."""
-    if met.detected_s is None or met.warned_s is None or met.reaction_s is None:
-        return None
-    return met.warned_s + met.reaction_s - met.detected_s
-
-
-def wall_table(flown: Sequence[Flown]) -> Table | None:
-    """Dodging between walls; None without runs."""
-    runs = select(flown, "wall")
-    if not runs:
-        return None
-    rows = []
-    for f in runs:
-        gaps = [t.map_clearance_m for t in f.record.trials if t.map_clearance_m is not None]
-        rows.append(
-            (
-                *(f.variant, len(f.record.trials), *success(f, 0).cells),
-                *(_touched(f.record.trials), min(gaps, default=None), mean_of(gaps), *success(f).cells),
-            )
-        )
-    columns = (
-        *("variant", "trials", "obstacle [%]", "95 % low", "95 % high", "trials that touch a wall"),
-        *("least clearance of walls [m]", "its mean [m]", "runs [%]", "95 % low", "95 % high"),
-    )
-    note = "Walls are rows of the same projection; clearance is that of the vehicle's sphere."
-    return Table("wall", "A corridor: dodging without touching a wall", columns, tuple(rows), note)
-
-
-def _touched(trials: Sequence[TrialResult]) -> int:
-    return sum(t.map_clearance_m is not None and t.map_clearance_m < 0 for t in trials)
-
-
-def _milli(value: float | None) -> float | None:
+def milli(value: float | None) -> float | None:
+    """In thousandths."""
     return None if value is None else 1e3 * value
 
 

@@ -37,8 +37,8 @@ def success_figure(flown: Sequence[Flown], scenario: str) -> Figure | None:
             )
         axes.set_xticks(np.arange(len(runs)), [f.variant for f in runs])
         axes.set(ylabel="trials with a collision [%]")
-        axes.set_ylim(bottom=0)
-        axes.legend()
+        axes.set_ylim(0, 1.25 * axes.get_ylim()[1])  # room for the legend
+        axes.legend(loc="upper right", ncols=2)
         svg = render()
     said = "; ".join(f"{f.variant} {', '.join(str(success(f, i)) for i in range(f.obstacles))}" for f in runs)
     alt = f"Collisions by filter and obstacle with 95 % intervals. Success: {said}."
@@ -92,32 +92,32 @@ def stop_figure(a_max: float = 6.0, horizon_s: float = 0.4) -> Figure:
 
 
 def risk_figure(flown: Sequence[Flown]) -> Figure | None:
-    """The bound of a run against the share that collided; None without runs."""
+    """The figure of a run's risk against the share that collided; None without runs."""
     runs = [f for s in ("scenario-1", "scenario-2") if (f := find(flown, s, BASE)) is not None]
     if not runs:
         return None
     said = []
     with drawing(6.4, 4.6) as (axes, render):
         for f, color in zip(runs, (OURS, OTHER), strict=False):
-            bins = risk_bins(f)
-            bound = [max(_LEAST_RISK, b.bound) for b in bins]
+            bins = risk_bins(f.record.trials)
+            bound = [max(_LEAST_RISK, b.figure) for b in bins]
             shown = [max(_LEAST_RISK, (b.observed.value or 0.0) / 100) for b in bins]
             low = [max(_LEAST_RISK, b.observed.low / 100) for b in bins]
             high = [b.observed.high / 100 for b in bins]
             spread = [np.subtract(shown, low), np.subtract(high, shown)]
             axes.errorbar(bound, shown, yerr=spread, fmt="o", color=color, capsize=3, label=f.scenario)
-            said += [f"{b.bound:.3g}: {text(b.observed.value)} %" for b in bins]
+            said += [f"{b.figure:.3g}: {text(b.observed.value)} %" for b in bins]
         line = [_LEAST_RISK, 1.0]
-        axes.plot(line, line, color=SOFT, linewidth=1, label="observed = bound")
-        axes.set(xscale="log", yscale="log", xlabel="mean bound of a run", ylabel="runs that collided")
+        axes.plot(line, line, color=SOFT, linewidth=1, label="observed = figure")
+        axes.set(xscale="log", yscale="log", xlabel="mean figure of a run", ylabel="runs that collided")
         axes.legend(fontsize=9)
         svg = render()
     alt = (
-        "Bound of a whole run against the observed share of collisions, with 95 % intervals, in six bins "
-        "of equal "
-        f"numbers of trials; above the line the bound is too small. Bound: observed, {'; '.join(said)}."
+        "Figure of the risk of a whole run against the observed share of collisions, with 95 % intervals, in "
+        "six bins of equal numbers of trials; above the line the figure is too small. Figure: observed, "
+        f"{'; '.join(said)}."
     )
-    return Figure("risk", "Risk of a whole run: bound and observed", alt, svg)
+    return Figure("risk", "Risk of a whole run: figure and observed", alt, svg)
 
 
 def collapse_figure(flown: Sequence[Flown]) -> Figure | None:

@@ -330,3 +330,22 @@ def test_the_bypass_point_follows_the_estimate_and_waits_for_no_brake():
         aside.append(np.hypot(p[1], p[2] - 10))
     assert missed > 5
     assert max(aside) > 0.6
+
+
+@pytest.mark.parametrize("method", ["dr_acbf", "dr_acbf_qp", "mpc", "cbf_qp", "rp_cbf"])
+def test_what_is_flown_while_input_is_refused_counts(method):
+    """Away from the wall was commanded; then the input breaks, and towards it is flown."""
+    walls = np.array([[-1.0, 0, 0, 50.0]])
+    told = _core.moving_filter(method)
+    for _ in range(20):
+        told.filter(ZERO, ZERO, NO_TRACKS, walls, [-6.0, 0, 0])
+    untold = told.clone()
+    for _ in range(20):
+        assert told.filter(ZERO, ZERO, NO_TRACKS, walls, [np.nan, 0, 0])[0].status == REFUSED
+        told.flown([6.0, 0, 0])
+        told.flown([np.nan, 0, 0])  # ignored
+    near = np.array([[-1.0, 0, 0, 2.0]])
+    braked, late = (
+        f.filter(ZERO, [3.0, 0, 0], NO_TRACKS, near, [6.0, 0, 0])[0].acceleration for f in (told, untold)
+    )
+    assert braked[0] < late[0] - 1

@@ -8,8 +8,9 @@ from alula import _core
 from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import ObstacleResult, RunRecord, TrialResult
-from alula.stages.reporting import dracbf, dracbf_beyond, dracbf_figures
+from alula.stages.reporting import dracbf, dracbf_beyond, dracbf_figures, dracbf_small
 from alula.stages.reporting.metrics import wilson_interval
+from alula.stages.reporting.tables import Table, text
 
 
 def met(hit=False, closest=2.0, separation=1.5, warned=3.0, reaction=0.0):
@@ -26,7 +27,7 @@ def met(hit=False, closest=2.0, separation=1.5, warned=3.0, reaction=0.0):
     )
 
 
-def trial(index, obstacles, risk=0.0, clearance=None):
+def trial(index, obstacles, risk=0.0, clearance=None, spent=0.75):
     return TrialResult(
         index=index,
         start_m=[0.0, 0.0, 10.0],
@@ -49,7 +50,8 @@ def trial(index, obstacles, risk=0.0, clearance=None):
         obstacles=obstacles,
         active_steps=20,
         worst_violation_m_s2=0.25,
-        risk_spent=risk,
+        risk_spent=spent,
+        mission_risk=risk,
     )
 
 
@@ -126,7 +128,7 @@ def test_times_are_in_milliseconds_and_over_the_first():
     tables = {t.name: t for t in dracbf.group_tables([FREE, OURS, QP])}
     row = row_of(tables["table-1-times"], "dr-acbf-qp")
     assert row["t_cp mean [ms]"] == pytest.approx(0.02)
-    assert row["t_cp over the first"] == pytest.approx(2)
+    assert row["p50 over the first"] == pytest.approx(2)
     assert row["t_cm [ms]"] == pytest.approx(0.02)
     # Seven warnings react in the same tick, so by its end; one two ticks later.
     assert row["t_r in whole ticks [ms]"] == pytest.approx((6 * 10 + 30) / 7)
@@ -145,8 +147,8 @@ def test_separation_is_over_those_that_were_warned_of_and_over_all():
 
 def test_a_table_without_two_runs_is_left_out():
     assert dracbf.group_tables([OURS]) == []
-    assert dracbf.hardware_table([OURS]) is None
-    assert dracbf.wall_table([OURS]) is None
+    assert dracbf_small.hardware_tables([OURS]) == []
+    assert dracbf_small.wall_table([OURS]) is None
     assert dracbf_beyond.collapse_table([OURS]) is None
     assert dracbf.sensitivity_table([OURS], "sensitivity-1") is None
 
@@ -168,7 +170,9 @@ def test_a_choice_is_named_by_what_it_changes():
 
 def test_the_times_of_a_small_vehicle_are_from_detection_and_to_the_end_of_hovering():
     run = flown("thrown", "as-printed", [trial(0, [met(warned=3.0, reaction=0.02)])])
-    row = row_of(dracbf.hardware_table([run]), "thrown")
+    (table,) = dracbf_small.hardware_tables([run])
+    assert table.name == "table-4"
+    row = row_of(table, "thrown")
     assert row["t_d [ms]"] == pytest.approx(2020)
     assert row["t_a [ms]"] == pytest.approx(500)
     assert row["t_r, to the next tick [ms]"] == pytest.approx(30)
@@ -177,18 +181,19 @@ def test_the_times_of_a_small_vehicle_are_from_detection_and_to_the_end_of_hover
 
 def test_walls_that_are_touched_count():
     run = flown("wall", "dr-acbf", [trial(i, [met()], clearance=c) for i, c in enumerate((0.5, -0.1, 0.2))])
-    row = row_of(dracbf.wall_table([run]), "dr-acbf")
+    row = row_of(dracbf_small.wall_table([run]), "dr-acbf")
     assert (row["trials that touch a wall"], row["least clearance of walls [m]"]) == (1, -0.1)
     assert row["obstacle [%]"] == 100
     assert row["runs [%]"] == pytest.approx(200 / 3)
 
 
-def condition(trigger, delay, hits):
+def condition(trigger, delay, hits, always=None):
     return flown(
         "collapse",
         f"{trigger}_{delay}",
         [trial(i, [met(hit=i < hits)]) for i in range(10)],
         filter__parameters__trigger=trigger,
+        filter__parameters__rows_before_warning=trigger == "cvar" if always is None else always,
         sensor__delay_s=delay,
         vehicle__actuation_delay_s=0.3,
         sensor__noise_scale=2.0,
@@ -202,6 +207,7 @@ def test_a_trigger_collapses_where_it_fails_most_runs_and_the_other_does_not():
         *(condition("cvar", 0.0, 0), condition("simple", 0.0, 0)),
         *(condition("cvar", 0.4, 1), condition("simple", 0.4, 6)),
         *(condition("cvar", 0.8, 7), condition("simple", 0.8, 8)),
+        condition("simple", 0.4, 2, always=True),
         condition("cvar", 1.6, 0),  # without the other
     ]
     cells = dracbf_beyond.collapse_cells(runs)
@@ -209,7 +215,9 @@ def test_a_trigger_collapses_where_it_fails_most_runs_and_the_other_does_not():
     assert [dracbf_beyond.has_collapsed(cell) for cell in cells] == [False, True, False]
     table = dracbf_beyond.collapse_table(runs)
     assert [row[-1] for row in table.rows] == ["", "collapses", ""]
-    assert "collapses in 1 of 3 conditions" in dracbf_beyond.in_short(runs)["simple trigger"]
+    assert [row[11] for row in table.rows] == [None, 80, None]
+    said = dracbf_beyond.in_short(runs)["simple trigger"]
+    assert "collapses in 1 of 3 conditions: 1 with a late command, 0 on time" in said
     assert "0.4 + 0.3 s, ×2, 20 Hz, 0.95" in dracbf_figures.collapse_figure(runs).svg
 
 
@@ -245,13 +253,19 @@ def test_the_recursion_table_says_how_many_warnings_the_rows_alone_could_answer(
 
 
 def test_the_bound_of_a_run_is_capped_and_held_against_collisions():
-    one = dracbf_beyond.risk_bins(OURS, 1)[0]
-    assert one.bound == pytest.approx((0.5 + 0.1 + 1.0 + 0.0) / 4)
+    trials = OURS.record.trials
+    one = dracbf_beyond.risk_bins(trials, 1)[0]
+    assert one.figure == pytest.approx((0.5 + 0.1 + 1.0 + 0.0) / 4)
+    assert one.bound == 0.75
     assert one.observed.value == 50
-    least = dracbf_beyond.risk_bins(OURS, 4)[0]
-    assert (least.bound, least.observed.value) == (0, 0)
-    table = dracbf_beyond.risk_table([OURS])
-    assert len(table.rows) == 4 + 1
+    least = dracbf_beyond.risk_bins(trials, 4)[0]
+    assert (least.figure, least.observed.value) == (0, 0)
+    assert len(dracbf_beyond.risk_table([OURS]).rows) == 4 + 1
+    bare = flown("scenario-1", "mpc", [trial(0, [met()], risk=0.2, spent=None)])
+    table = dracbf_beyond.risk_table([OURS, bare])
+    mpc = dict(zip(table.columns, table.rows[-1], strict=True))
+    assert (mpc["variant"], mpc["mean figure [%]"], mpc["mean bound of rows [%]"]) == ("mpc", 20, None)
+    assert text(mpc["mean bound of rows [%]"]) == "–"
     optimist = flown(
         "scenario-1", "dr-acbf", [trial(i, [met(hit=True), met()], risk=0.01) for i in range(50)]
     )
@@ -275,3 +289,33 @@ def test_it_is_said_whether_what_was_asked_for_is_met():
     assert "obstacle 2 0 %" in facts["without a filter, scenario-1"]
     good = flown("scenario-2", "dr-acbf", [trial(i, [met(), met()]) for i in range(5)])
     assert "at least 82.5 %" in dracbf_beyond.in_short([good])["dr-acbf, scenario-2"]
+
+
+def test_what_was_infeasible_or_missed_is_of_all_ticks_and_of_filters_with_rows():
+    tables = {t.name: t for t in dracbf.group_tables([FREE, OURS, QP])}
+    table = tables["table-1-separation"]
+    found = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.rows}
+    share, worst = "ticks without a common point [%]", "worst violation [m/s²]"
+    assert (found["dr-acbf"][share], found["dr-acbf"][worst]) == (2, 0.25)  # 2 of 100 ticks
+    assert (found["none"][share], found["none"][worst]) == (None, None)
+
+
+def test_shares_are_read_with_their_intervals_in_one_cell():
+    table = Table(
+        "t",
+        "T",
+        ("who", "a [%]", "95 % low", "95 % high", "b"),
+        (("x", 50.0, 20.0, 80.0, 3), ("y",) + 4 * (None,)),
+    )
+    read = dracbf.folded(table)
+    assert read.columns == ("who", "a [%] (95 %)", "b")
+    assert read.rows == (("x", "50\u00a0(20\u00a0to\u00a080)", 3), ("y", None, None))
+    assert table.rows[0][1:4] == (50.0, 20.0, 80.0)
+
+
+def test_the_effort_is_counted_from_what_was_flown():
+    assert dracbf.effort([OURS]) == "4 trials in 1 runs"
+    timed = flown("scenario-1", "dr-acbf", OURS.record.trials)
+    timed.record.timing.update(trials_flown=4, wall_s=0.04)
+    assert "8 trials in 2 runs" in dracbf.effort([timed, OURS])
+    assert "at 100 trials a second" in dracbf.effort([timed, OURS])

@@ -292,6 +292,7 @@ def test_the_risk_of_a_flight_is_less_with_a_filter_and_bounds_its_collisions():
     for name in ("none", "dr-acbf", "cbf-qp"):
         trials = fly_encounters(made(filter={"name": name})).trials
         hits = np.mean([sum(o.collision for o in t.obstacles) for t in trials])
+        assert all((t.risk_spent is None) == (name != "dr-acbf") for t in trials)
         risks[name] = np.mean([t.mission_risk for t in trials])
         assert hits <= risks[name]
     assert max(risks["dr-acbf"], risks["cbf-qp"]) < 0.5 * risks["none"]

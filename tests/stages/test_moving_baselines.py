@@ -10,7 +10,7 @@ from alula import _core
 from alula.stages.filtering.qp import clarabel_backend
 
 ZERO = [0.0, 0.0, 0.0]
-AVOID = 1
+AVOID, RECOVERING = 1, 3
 LIMIT = 6.0
 
 
@@ -130,14 +130,16 @@ def test_mpc_is_the_program_of_20_steps_and_3_moves():
         assert report.mode == AVOID
         assert report.rows == 20 * len(near) + 19
         assert np.allclose(report.acceleration, u.value[:3], atol=2e-2)
-        assert report.violation == pytest.approx(float(slack.value), abs=1e-3)
+        missed = float(slack.value)  # as the acceleration that makes up for it over the horizon
+        assert report.violation == pytest.approx(2 * missed / 0.4**2 if missed > 1e-3 else 0, abs=1e-2)
+        assert report.feasible == (missed <= 1e-3) == (report.status != RECOVERING)
 
 
 def test_cbf_qp_is_the_program_of_the_velocity():
     import cvxpy as cp
 
     rng = np.random.default_rng(2)
-    changed = 0
+    changed = cut = 0
     for _ in range(30):
         rows, velocity = scene(rng), rng.uniform(-0.5, 0.5, 3).astype(np.float32).astype(float)
         report, _ = _core.moving_filter("cbf_qp").filter(ZERO, velocity.tolist(), rows, NO_WALLS, ZERO)
@@ -157,7 +159,20 @@ def test_cbf_qp_is_the_program_of_the_velocity():
         changed += np.abs(expected - avoid_wish(rows, velocity)).max() > 0.1
         assert report.feasible
         assert np.allclose(report.acceleration, expected, atol=2e-2)
+        reached = velocity + 0.1 * np.array(report.acceleration)  # the box may cut it off
+        missed = max(
+            (
+                los @ (reached - r[4:7])
+                - (r[1:4] @ r[1:4] - clearance(0.4) ** 2) / (0.8 * np.linalg.norm(r[1:4]))
+            )
+            / 0.1
+            for r, los in zip(*active(rows, velocity), strict=True)
+        )
+        assert report.violation == pytest.approx(missed, abs=1e-2)
+        cut += missed > 0.1
+        assert (report.status == RECOVERING) == (report.violation > 1e-3)
     assert changed > 5
+    assert cut > 0
 
 
 def rolled_out(p, v, target, rows, kp=60.0, kd=14.0, steps=30):
@@ -218,6 +233,9 @@ def test_rp_cbf_is_the_row_of_the_rollouts_gradient():
         if not ok:
             infeasible += 1
             assert not report.feasible
+            row = np.array(by_v)
+            missed = np.array(gradient) @ velocity + moves + row @ np.array(report.acceleration) + value
+            assert report.violation == pytest.approx(missed / np.linalg.norm(row), abs=0.05, rel=0.01)
             continue
         bound += np.abs(u.value - wish).max() > 0.05
         assert np.allclose(report.acceleration, u.value, atol=5e-2)

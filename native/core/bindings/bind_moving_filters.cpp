@@ -284,6 +284,9 @@ void bind_moving_filters(nb::module_& m) {
           "One tick: the report, and the median time [s] of `repeats` copies of it. `tracks` (n, 29): id, position,\n"
           "velocity, lower triangle of their covariance row by row, radius. `walls` (m, 4): unit normal towards the\n"
           "vehicle, distance. `covariance` xx, xy, xz, yy, yz, zz of the vehicle's position.")
+      .def(
+          "flown", [](MovingFilter& self, std::array<double, 3> a) { self.flown({a[0], a[1], a[2]}); },
+          "acceleration"_a, "What is flown in a tick that was refused.")
       .def("reset", &MovingFilter::reset, "To before the first tick.")
       .def("clone", &MovingFilter::clone, "A copy with the same state.");
   m.def("moving_filter", &make, "method"_a, "options"_a = Numbers{}, "backend"_a = nb::none(),

@@ -1,5 +1,6 @@
 // A barrier on the velocity: 2 P . (v_i - v) + (d^2 - R_eff^2) / T >= 0, min |v - v_avoid|^2, a = clip((v - v_e) /
-// t_v), where v_avoid is what the manoeuvre's acceleration reaches in t_v.
+// t_v), where v_avoid is what the manoeuvre's acceleration reaches in t_v. The violation reported is that of the
+// rows, divided by 2 d, by the velocity that what is flown reaches in t_v, per t_v: an acceleration.
 #include <algorithm>
 #include <stdexcept>
 
@@ -39,12 +40,11 @@ class CbfQp final : public MovingFilter {
     Vec3 a = wished;
     bool holds = true;
     int iterations = 0;
-    double violation = 0;
     if (nearest_.size() > 0) {
       const Vec3 towards = v + time * wished;
       Vec3 command = towards;
       holds = nearest_.solve(towards, command, iterations);
-      if (!holds) command = nearest_.least_violation(towards, guide_.config().v_max, violation);
+      if (!holds) command = nearest_.least_violation(towards, guide_.config().v_max);
       // Unchanged where no row acts, whatever v + (x - v) rounds to.
       if (norm(command - towards) > 1e-12) a = (1 / time) * (command - v);
     }
@@ -52,9 +52,10 @@ class CbfQp final : public MovingFilter {
     report.feasible = holds;
     report.rows = static_cast<std::uint32_t>(nearest_.size());
     report.iterations = static_cast<std::uint32_t>(iterations);
-    if (report.rows > 0) report.violation = violation;
+    guide_.missed(nearest_.violation(v + time * report.acceleration) / time, report);
     return report;
   }
+  void flown(Vec3 a) override { guide_.flown(a); }
   void reset() override { guide_.reset(); }
   std::unique_ptr<MovingFilter> clone() const override { return std::make_unique<CbfQp>(*this); }
 

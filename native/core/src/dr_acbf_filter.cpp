@@ -37,6 +37,7 @@ class DrAcbf final : public MovingFilter {
     if (result.rows > walls.size()) report.risk_left = risk_left(result);
     return report;
   }
+  void flown(Vec3 a) override { alula_dr_acbf_flown(&filter_, to_float(a).data()); }
   void reset() override { alula_dr_acbf_reset(&filter_); }
   std::unique_ptr<MovingFilter> clone() const override { return std::make_unique<DrAcbf>(*this); }
 

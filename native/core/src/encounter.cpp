@@ -116,8 +116,7 @@ void Encounter::begin(std::uint32_t trial) {
     obstacle_.push_back(draw(spec_.obstacles[i], start, random_, static_cast<std::uint32_t>(i)));
     truth_.push_back(obstacle_.back()->state());
   }
-  scans_ = 0, scanned_ = 0;
-  receded_s_ = 0;
+  scans_ = 0, scanned_ = 0, receded_s_ = 0;
   yaw_ = std::atan2(course_.y, course_.x);
   window_.assign(truth_.size(), {});
   risk_.reset(spec_.rules.risk_window_s, spec_.rules.dt_s);
@@ -259,9 +258,9 @@ void Encounter::judge_answer(const MovingReport& report, Vec3 command, Vec3 nomi
   }
   const bool has_reacted = norm(command - nominal) > kReacted;
   for (std::size_t i = 0; i < window_.size(); ++i) {
+    if (!window_[i].is_open) continue;
     EncounterMetrics& m = log_.obstacle[i];
     Window& w = window_[i];
-    if (!w.is_open) continue;
     if (has_reacted && std::isnan(w.reacted_s)) w.reacted_s = now, m.reaction_s = now - m.warned_s;
     if (report.mode != ALULA_NOMINAL || now == m.warned_s) continue;
     w.is_open = false;
@@ -359,6 +358,7 @@ EncounterLog Encounter::fly(std::uint32_t trial) {
     const Vec3 command = report.status == MovingStatus::refused
                              ? braking(seen_v_, spec_.vehicle.max_acceleration_m_s2, rules.dt_s)
                              : clipped(report.acceleration, spec_.vehicle.max_acceleration_m_s2);
+    if (report.status == MovingStatus::refused) filter_->flown(command);
     judge_answer(report, command, wished, now, took);
     risk_.add(tracks_, seen_, command, spec_.vehicle.radius_m);
     if (keeps_path_) keep(report, command, wished);

@@ -63,7 +63,8 @@ double risk_of(const alula_track& track, const alula_vehicle_state& vehicle, Vec
     }
   }
   variance = std::max(0.0, variance) / (distance * distance);
-  return variance / (variance + slack * slack);
+  const double cantelli = variance / (variance + slack * slack);
+  return cantelli <= 3.0 / 8 ? 4.0 / 9 * cantelli : 4.0 / 3 * cantelli - 1.0 / 3;  // of one mode
 }
 
 double turn_to(std::span<const alula_track> tracks, const alula_vehicle_state& vehicle, double yaw,

@@ -56,7 +56,17 @@ bool NearestPoint::solve(Vec3 wish, Vec3& x, int& iterations) {
   return true;
 }
 
-Vec3 NearestPoint::least_violation(Vec3 wish, double limit, double& violation) {
+double NearestPoint::violation(Vec3 x, double shortest) const {
+  double most = -std::numeric_limits<double>::infinity();
+  for (std::size_t i = 0; i < size(); ++i) {
+    const Vec3 n = geometry::from_rows(rows_.data() + 3 * i);
+    const double length = norm(n);
+    if (length > shortest) most = std::max(most, (bounds_[i] - dot(n, x)) / length);
+  }
+  return most;
+}
+
+Vec3 NearestPoint::least_violation(Vec3 wish, double limit) {
   unit_.clear();
   for (std::size_t i = 0; i < size(); ++i) {
     const Vec3 n = -1 * geometry::from_rows(rows_.data() + 3 * i);
@@ -68,7 +78,6 @@ Vec3 NearestPoint::least_violation(Vec3 wish, double limit, double& violation) {
   alula_projection found;
   const auto count = static_cast<std::uint32_t>(unit_.size());
   alula_project_least_violation(unit_.data(), count, count, static_cast<float>(limit), to_float(wish).data(), &found);
-  violation = found.violation;
   return to_vec3(found.a);
 }
 
@@ -85,6 +94,13 @@ void Guide::reset() {
   executed_ = {};
 }
 
+void Guide::flown(Vec3 acceleration) {
+  const auto a = to_float(acceleration);
+  if (!std::all_of(a.begin(), a.end(), [](float x) { return std::abs(x) <= ALULA_LARGEST; })) return;
+  alula_avoidance_flown(&avoidance_, a.data());
+  alula_execute(&config_, a.data(), executed_.data());
+}
+
 bool Guide::step(const alula_vehicle_state& vehicle, std::span<const alula_track> tracks,
                  std::span<const alula_wall> walls, Vec3 nominal, alula_guidance& guidance) {
   return alula_avoidance_step(&avoidance_, &vehicle, tracks.data(), static_cast<std::uint32_t>(tracks.size()),
@@ -98,6 +114,7 @@ MovingReport Guide::finish(const alula_guidance& guidance, const alula_vehicle_s
   const auto wish = to_float(a);
   std::array<float, 3> flown;
   for (std::size_t k = 0; k < 3; ++k) flown[k] = std::clamp(wish[k], -limit, limit);
+  double missed = -std::numeric_limits<double>::infinity();
   if (!walls.empty()) {
     std::array<alula_half_space, ALULA_WALLS> row;
     for (std::size_t i = 0; i < walls.size(); ++i) {
@@ -108,12 +125,15 @@ MovingReport Guide::finish(const alula_guidance& guidance, const alula_vehicle_s
     alula_project_least_violation(row.data(), count, count, limit, flown.data(), &found);
     std::copy_n(found.a, 3, flown.begin());
     holds = holds && found.violation <= config_.tolerance;
+    missed = found.violation;
   }
-  alula_avoidance_flown(&avoidance_, flown.data());
-  alula_execute(&config_, flown.data(), executed_.data());
+  this->flown(to_vec3(flown.data()));
   const bool same = guidance.mode == ALULA_NOMINAL && flown == to_float(nominal);
-  return moving_report(!holds ? MovingStatus::recovering : (same ? MovingStatus::ok : MovingStatus::filtered),
-                       same ? nominal : to_vec3(flown.data()), guidance);
+  MovingReport report =
+      moving_report(!holds ? MovingStatus::recovering : (same ? MovingStatus::ok : MovingStatus::filtered),
+                    same ? nominal : to_vec3(flown.data()), guidance);
+  report.violation = missed;
+  return report;
 }
 
 namespace {
@@ -137,6 +157,7 @@ class NoFilter final : public MovingFilter {
     }
     return report;
   }
+  void flown(Vec3) override {}
   void reset() override { guide_.reset(); }
   std::unique_ptr<MovingFilter> clone() const override { return std::make_unique<NoFilter>(*this); }
 

@@ -5,6 +5,8 @@
 // The policy (to the bypass point, or a stop) does not look at obstacles, so one rollout of the vehicle serves all
 // samples. At the worst one, with n towards the obstacle and S = d p(t) / d (p, v):
 //   n . (S_p v + S_v u - v_i - t a_i(0)) <= -alpha V.
+// The violation reported is that of this row at unit length, so an acceleration, unless the row is short: when the
+// worst time is far off, a command now changes next to nothing there.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -21,6 +23,7 @@ using geometry::Vec3;
 
 namespace {
 
+constexpr double kNoSay = 0.01;  // [s]: what is flown next to does not change a shorter row
 constexpr int kMostSteps = 64, kSubsteps = 10;
 
 // Of the vehicle at one time: where, and how that depends on the start, per axis.
@@ -51,20 +54,20 @@ class RpCbf final : public MovingFilter {
     Vec3 a = wished;
     bool holds = true;
     int iterations = 0;
-    double violation = 0;
     if (guide_.binds(guidance) && add_row(guidance, vehicle, tracks)) {
       const double limit = guide_.config().avoidance.a_max;
       nearest_.add_box(limit);
       holds = nearest_.solve(wished, a, iterations);
-      if (!holds) a = nearest_.least_violation(wished, limit, violation);
+      if (!holds) a = nearest_.least_violation(wished, limit);
     }
     MovingReport report = guide_.finish(guidance, vehicle, walls, nominal, a, holds);
     report.feasible = holds;
     report.rows = nearest_.size() > 0 ? 1 : 0;
     report.iterations = static_cast<std::uint32_t>(iterations);
-    if (report.rows > 0) report.violation = violation;
+    guide_.missed(nearest_.violation(report.acceleration, kNoSay), report);
     return report;
   }
+  void flown(Vec3 a) override { guide_.flown(a); }
   void reset() override { guide_.reset(); }
   std::unique_ptr<MovingFilter> clone() const override { return std::make_unique<RpCbf>(*this); }
 

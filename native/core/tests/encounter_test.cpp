@@ -28,17 +28,21 @@ MovingReport flown(Vec3 a, std::uint8_t mode = ALULA_NOMINAL) {
 // Says what the test says, in each tick.
 class Scripted final : public MovingFilter {
  public:
-  explicit Scripted(Answer answer) : answer_(std::move(answer)) {}
+  explicit Scripted(Answer answer, std::vector<Vec3>* told = nullptr) : answer_(std::move(answer)), told_(told) {}
   MovingReport filter(const alula_vehicle_state&, std::span<const alula_track> tracks,
                       std::span<const alula_wall> walls, Vec3 nominal) override {
     return answer_(tick_++, tracks, walls, nominal);
   }
+  void flown(Vec3 a) override {
+    if (told_ != nullptr) told_->push_back(a);
+  }
   void reset() override { tick_ = 0; }
-  std::unique_ptr<MovingFilter> clone() const override { return std::make_unique<Scripted>(answer_); }
+  std::unique_ptr<MovingFilter> clone() const override { return std::make_unique<Scripted>(answer_, told_); }
 
  private:
   Answer answer_;
   int tick_ = 0;
+  std::vector<Vec3>* told_;  // what was flown instead
 };
 
 Scripted nominal() {
@@ -153,6 +157,20 @@ void test_what_a_filter_refuses_is_braked_within_the_box() {
   CHECK(std::abs(last[3]) < 1e-3 && last[0] < 4.0 * 4 / 2);
 }
 
+void test_a_filter_is_told_what_is_flown_where_it_refused() {
+  EncounterSpec spec = ideal();
+  spec.rules.max_time_s = 0.1;
+  std::vector<Vec3> told;
+  const Scripted filter(
+      [](int tick, auto, auto, Vec3) { return tick == 3 || tick == 4 ? MovingReport{} : flown({0, 1, 0}); }, &told);
+  const EncounterLog log = fly(spec, filter)[0];
+  CHECK(told.size() == 2 && log.refused_ticks == 2);
+  for (std::size_t i = 0; i < told.size(); ++i) {
+    for (int k = 0; k < 3; ++k) CHECK(told[i][k] == log.command[3 * (3 + i) + static_cast<std::size_t>(k)]);
+  }
+  CHECK(told[0].x == -6);  // it brakes
+}
+
 void test_trials_do_not_depend_on_their_order() {
   EncounterSpec spec;
   spec.obstacles.resize(2);
@@ -240,6 +258,7 @@ void test_all() {
   test_an_obstacle_that_is_not_avoided_comes_as_near_as_geometry_says();
   test_warnings_and_manoeuvres_are_timed();
   test_what_a_filter_refuses_is_braked_within_the_box();
+  test_a_filter_is_told_what_is_flown_where_it_refused();
   test_trials_do_not_depend_on_their_order();
   test_walls_are_shown_nearest_first_and_judged_exactly();
   test_specifications_without_meaning_are_refused();

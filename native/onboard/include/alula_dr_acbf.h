@@ -102,12 +102,16 @@ void alula_dr_acbf_reset(alula_dr_acbf* filter);
 
 /* OK: the nominal, bit by bit. FILTERED: another command; all rows hold. RECOVERING: rows are missed, as little as
  * possible, those of walls last. REFUSED: bad input (see alula_avoidance_step); the state is as before. The caller
- * then brakes, or holds the last command for a tick or two when it knows that the input comes back. Rows of walls
- * count with what is flown: alula_avoidance_flown and alula_execute tell the filter when that was not its own. */
+ * then brakes, or holds the last command for a tick or two when it knows that the input comes back, and says so with
+ * alula_dr_acbf_flown: the next prediction and the rows of walls count with what was flown. */
 ALULA_MUST_USE alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehicle_state* vehicle,
                                                         const alula_track* track, uint32_t count,
                                                         const alula_wall* wall, uint32_t wall_count,
                                                         const float nominal[3], alula_dr_acbf_result* result);
+
+/* What is flown in this tick, where it is not what the filter said: after each refusal, once. Ignored unless finite.
+ */
+void alula_dr_acbf_flown(alula_dr_acbf* filter, const float command[3]);
 
 /* The row of a wall for a vehicle with this velocity. `acceleration` is what it may still execute while a command
  * lags: along the way to the wall the larger of `executed` and `commanded` counts. */

@@ -29,10 +29,10 @@ alula_status alula_dr_acbf_init(alula_dr_acbf* filter, const alula_dr_acbf_confi
   const alula_dr_acbf_config* c = config;
   const alula_avoidance_config* a = &c->avoidance;
   const int good =
-      c->v_max > 0.0F && c->v_max < 1.0e4F && c->j_max >= 0.0F && c->j_max < 1.0e6F && c->h_min_s >= a->dt_s &&
-      c->h_min_s <= a->h_max_s && c->horizons >= 1U && c->horizons <= ALULA_HORIZONS && c->risk > 1.0e-6F &&
-      c->risk < 1.0F && c->warned_risk > 0.0F && c->risk * c->warned_risk > 1.0e-6F && c->warned_risk <= 1.0F &&
-      c->relaxation > 0.0F && c->relaxation <= 1.0F && c->iterations <= 1000U &&
+      c->v_max > 0.0F && c->v_max < 1.0e4F && (c->j_max == 0.0F || c->j_max >= 1.0e-3F) && c->j_max < 1.0e6F &&
+      c->h_min_s >= a->dt_s && c->h_min_s <= a->h_max_s && c->horizons >= 1U && c->horizons <= ALULA_HORIZONS &&
+      c->risk > 1.0e-6F && c->risk < 1.0F && c->warned_risk > 0.0F && c->risk * c->warned_risk > 1.0e-6F &&
+      c->warned_risk <= 1.0F && c->relaxation > 0.0F && c->relaxation <= 1.0F && c->iterations <= 1000U &&
       c->tolerance >= ALULA_HALF_SPACE_MARGIN * a->a_max && c->tolerance < 1.0F && c->descent_m_s >= 0.0F &&
       c->descent_m_s <= c->v_max && c->wall_deceleration > 0.0F && c->wall_deceleration <= a->a_max &&
       (c->solver == ALULA_SOLVER_EXACT || c->solver == ALULA_SOLVER_GAUSS_SOUTHWELL);
@@ -109,6 +109,13 @@ alula_half_space alula_wall_row(const alula_dr_acbf_config* config, const alula_
   const float s = x_then > 0.0F ? __builtin_sqrtf(2.0F * brake * x_then) : 0.0F;
   row.bound = (s - v_then) / (config->avoidance.dt_s + lag) - brake;
   return row;
+}
+
+void alula_dr_acbf_flown(alula_dr_acbf* filter, const float command[3]) {
+  for (int k = 0; k < 3; ++k)
+    if (!(absolute(command[k]) <= ALULA_LARGEST)) return;
+  alula_avoidance_flown(&filter->avoidance, command);
+  alula_execute(&filter->config, command, filter->executed);
 }
 
 /* The rows of the obstacles at one horizon, before those of the walls; the least bound. */
@@ -203,14 +210,14 @@ alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehi
   if (!filter) return ALULA_FILTER_REFUSED;
   const alula_dr_acbf_config* c = &filter->config;
   alula_guidance* guidance = &result->guidance;
-  const alula_avoidance_mode before = filter->avoidance.mode;
   const alula_status step =
       alula_avoidance_step(&filter->avoidance, vehicle, track, count, wall, wall_count, nominal, guidance);
   if (step != ALULA_READY) {
     *result = nothing;
     return ALULA_FILTER_REFUSED;
   }
-  const int enters = guidance->mode == ALULA_AVOID && before != ALULA_AVOID;
+  /* Also when a manoeuvre follows on the one that this tick ended. */
+  const int enters = guidance->mode == ALULA_AVOID && filter->avoidance.ticks_in_mode == 1U;
   const int binds = c->rows_before_warning || guidance->mode != ALULA_NOMINAL;
 
   filter->row_count = 0U;
@@ -266,8 +273,7 @@ alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehi
     result->a[k] = found.a[k];
     same = same && found.a[k] == nominal[k];
   }
-  alula_avoidance_flown(&filter->avoidance, result->a);
-  alula_execute(c, result->a, filter->executed);
+  alula_dr_acbf_flown(filter, result->a);
   if (!holds) return ALULA_FILTER_RECOVERING;
   return same ? ALULA_FILTER_OK : ALULA_FILTER_FILTERED;
 }

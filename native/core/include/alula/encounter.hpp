@@ -82,7 +82,7 @@ struct EncounterLog {
   // Active: in a manoeuvre, or warned. Filtered: the command is not the nominal.
   std::int64_t ticks = 0, active_ticks = 0, filtered_ticks = 0, infeasible_ticks = 0, recovering_ticks = 0,
                refused_ticks = 0, iterations = 0;
-  double worst_violation = 0;  // of rows, in any tick [m/s^2]
+  double worst_violation = 0;  // of rows by what was flown, in any tick, as an acceleration [m/s^2]
   double risk_spent = 0;       // sum over ticks of what the commands left: bounds that any row of the flight fails
   // Sum over windows, one after the other, and tracks of the largest `risk_of` (encounter_watch.hpp) in each. No
   // bound: other ticks of a window could fail too, and obstacles are taken to keep their velocity.

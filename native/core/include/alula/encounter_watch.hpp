@@ -18,8 +18,10 @@ double turn_to(std::span<const alula_track> tracks, const alula_vehicle_state& v
 
 // Bound of the probability that an obstacle is within `radius` when it comes closest in the next `window` [s], while
 // the vehicle keeps the command and the obstacle its velocity. With m the predicted relative position then, S its
-// covariance and s = |m| - radius: whoever is within the radius is so along m too, so that Cantelli says
-// m' S m / |m|^2 / (m' S m / |m|^2 + s^2), and 1 for s <= 0. 0 for a track that recedes already.
+// covariance and s = |m| - radius: whoever is within the radius is so along m too, where the variance is
+// w = m' S m / |m|^2, so that with c = w / (w + s^2) it is at most c (Cantelli), and for errors with one mode, as
+// here, 4 c / 9 or, from c = 3 / 8 on, 4 c / 3 - 1 / 3 (Vysochanskij, Petunin 1985, one-sided); 1 for s <= 0. 0 for a
+// track that recedes already.
 double risk_of(const alula_track& track, const alula_vehicle_state& vehicle, geometry::Vec3 command, double radius,
                double window);
 

@@ -25,7 +25,9 @@ struct MovingReport {
   double horizon_s = 0;
   bool feasible = true;
   std::uint32_t rows = 0, iterations = 0;
-  double violation = 0;  // of the rows; minus infinity without rows
+  // By how much what is flown misses the rows of the method and of walls, as an acceleration [m/s^2]: at most 0 where
+  // they hold, minus infinity without rows. See each method for what its rows come to.
+  double violation = 0;
   double risk_left = 0;  // by the command: sum over obstacles with a row of Cantelli's bound for it, 1 at most each
 };
 
@@ -34,6 +36,8 @@ class MovingFilter {
   virtual ~MovingFilter() = default;
   virtual MovingReport filter(const alula_vehicle_state& vehicle, std::span<const alula_track> tracks,
                               std::span<const alula_wall> walls, geometry::Vec3 nominal) = 0;
+  // What is flown in this tick instead, after a refusal: the next one counts with it.
+  virtual void flown(geometry::Vec3 acceleration) = 0;
   virtual void reset() = 0;
   virtual std::unique_ptr<MovingFilter> clone() const = 0;
 };

@@ -1,6 +1,7 @@
 // What the filters compared with DR-ACBF share with it: warning, manoeuvre, walls and how they report.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <span>
 #include <vector>
@@ -31,8 +32,12 @@ class NearestPoint {
   // False when there is none, or the solver fails.
   bool solve(geometry::Vec3 wish, geometry::Vec3& x, int& iterations);
 
+  // Of the rows by x, each taken at unit length: at most 0 where all hold, minus infinity without rows that are
+  // longer than `shortest`.
+  double violation(geometry::Vec3 x, double shortest = 1e-9) const;
+
   // The point of the box that misses the rows, whatever their length, by the least.
-  geometry::Vec3 least_violation(geometry::Vec3 wish, double limit, double& violation);
+  geometry::Vec3 least_violation(geometry::Vec3 wish, double limit);
 
  private:
   QpSolver solver_;
@@ -42,10 +47,17 @@ class NearestPoint {
 
 class Guide {
  public:
+  // Of the method's own rows by what is flown, beside that of the walls.
+  void missed(double violation, MovingReport& report) const {
+    report.violation = std::max(report.violation, violation);
+    if (violation > config_.tolerance) report.status = MovingStatus::recovering;
+  }
+
   // Throws std::invalid_argument for a configuration that means nothing.
   explicit Guide(const alula_dr_acbf_config& config);
 
   void reset();
+  void flown(geometry::Vec3 acceleration);
   // False for input that is refused; nothing has changed then.
   bool step(const alula_vehicle_state& vehicle, std::span<const alula_track> tracks,
             std::span<const alula_wall> walls, geometry::Vec3 nominal, alula_guidance& guidance);
@@ -58,7 +70,8 @@ class Guide {
   const alula_avoidance& avoidance() const { return avoidance_; }
   const alula_dr_acbf_config& config() const { return config_; }
 
-  // Cuts `a` off at the box and holds it against the walls' rows, as DR-ACBF does; then it is flown.
+  // Cuts `a` off at the box and holds it against the walls' rows, as DR-ACBF does; then it is flown. The violation
+  // reported is that of the walls.
   MovingReport finish(const alula_guidance& guidance, const alula_vehicle_state& vehicle,
                       std::span<const alula_wall> walls, geometry::Vec3 nominal, geometry::Vec3 a, bool holds);
 
