@@ -1189,6 +1189,9 @@ class MovingFilter:
         vehicle, distance. `covariance` xx, xy, xz, yy, yz, zz of the vehicle's position.
         """
 
+    def flown(self, acceleration: Sequence[float]) -> None:
+        """What is flown in a tick that was refused."""
+
     def reset(self) -> None:
         """To before the first tick."""
 
