@@ -137,6 +137,23 @@ def test_what_counts_as_rest_stays_within_half_the_margin(kind, tick):
     assert rests > 10
 
 
+@pytest.mark.parametrize("kind", ["hover", "heading-invariant", "brake"])
+def test_states_near_rest_go_little_beyond_their_excursion(kind):
+    """The shield takes twice that as free when it ends a rollout at four times what counts as rest."""
+    policy, rng, worst = _core.BackupPolicy(VEHICLE, kind), np.random.default_rng(2), 0.0
+    for _ in range(60):
+        yaw = rng.uniform(-3.1, 3.1) if kind != "hover" else rng.uniform(-0.05, 0.05)
+        x = swinging(rng, yaw)
+        x[6:9] *= 0.4 * rng.uniform(0.7, 1) / np.linalg.norm(x[6:9])
+        x[9:] *= 0.8 * rng.uniform(0, 1) / np.linalg.norm(x[9:])
+        bound, farthest = policy.excursion(x), 0.0
+        for _ in range(150 if kind == "brake" else 400):
+            x = VEHICLE.step(x[None], np.array(policy(x))[None], dt_s=0.01)[0]
+            farthest = max(farthest, np.linalg.norm(x[:3]))
+        worst = max(worst, farthest / bound)
+    assert 0.5 < worst < 1.3
+
+
 def test_to_hover_turned_away_is_no_rest():
     """The regulator's spring on the heading makes it turn, and sway meanwhile."""
     turned = np.array([0, 0, 0, 0, 0, np.tan(3 / 4), 0, 0, 0, 0, 0, 0])

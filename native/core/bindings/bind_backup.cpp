@@ -146,7 +146,10 @@ void bind_policy(nb::module_& m) {
       .def(
           "drift",
           [](const BackupPolicy& self, const InState& x) { return vector_array(self.drift(state_at(x.data()))); },
-          "state"_a, "How far the linear loop about hover would still move before it rests [m].");
+          "state"_a, "How far the linear loop about hover would still move before it rests [m].")
+      .def(
+          "excursion", [](const BackupPolicy& self, const InState& x) { return self.excursion(state_at(x.data())); },
+          "state"_a, "About how far it moves at most before it rests, whatever cancels in `drift` [m].");
 }
 
 void bind_flow(nb::module_& m) {

@@ -246,11 +246,12 @@ Vec3 BackupPolicy::drift(const State& x) const {
   return result;
 }
 
-double BackupPolicy::sway(const State& x) const {
+double BackupPolicy::excursion(const State& x) const {
   const auto [speed, tilt, swing] = drifts(x);
-  const double flat = brakes() ? norm(speed + tilt + swing) : norm(speed) + norm(tilt) + norm(swing);
-  return std::hypot(flat, x.v.z / (kappa_ * k_z_));
+  return std::hypot(norm(speed) + norm(tilt) + norm(swing), x.v.z / (kappa_ * k_z_));
 }
+
+double BackupPolicy::sway(const State& x) const { return brakes() ? norm(drift(x)) : excursion(x); }
 
 bool BackupPolicy::sways_at_most(const State& x, double limit) const {
   // What is left out of `flat` makes it smaller by no more than |swing|, of which a bound is cheap.

@@ -67,19 +67,20 @@ void Shield::find_escapes(const State& x, std::span<const Found> near) {
 
 // Whether a manoeuvre is safe after a tick of u. A rest may have drifted into the margin, where no path that begins
 // there keeps it: then one that stays about as far away as now, and drifts hardly at all when it rests, will do.
-bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept) {
+bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept,
+                           bool until_rest) {
   const double least = options_.rest_drift_m / 40, radius = index_->radius();
   const double here = is_finite(x) ? index_->clearance(x.p, radius + options_.margin_m, hint_) - radius : kInfinity;
-  if (here >= options_.margin_m) return is_safe(x, manoeuvre, options_.margin_m, &u);
+  if (here >= options_.margin_m) return is_safe(x, manoeuvre, options_.margin_m, &u, until_rest);
   rest_drift_ = least;
-  const bool safe = is_safe(x, manoeuvre, std::max(kept, here - 4 * least) + 2 * least, &u);
+  const bool safe = is_safe(x, manoeuvre, std::max(kept, here - 4 * least) + 2 * least, &u, until_rest);
   rest_drift_ = options_.rest_drift_m;
   return safe;
 }
 
 // Whether no tick of u and of resting after it is nearer than now: what `is_safe_after` lets slip would add up.
 bool Shield::comes_no_nearer(const State& x, const Wrench& u) {
-  if (!is_safe_after(x, u, stop(), -options_.margin_m)) return false;
+  if (!is_safe_after(x, u, stop(), -options_.margin_m, true)) return false;
   const double here = index_->clearance(x.p, index_->radius() + options_.margin_m, hint_);
   return std::all_of(path_.begin(), path_.end(),
                      [&](const Tick& tick) { return index_->clearance(tick.p, here, hint_) >= here - kNearer; });

@@ -21,6 +21,9 @@ constexpr double kStep = 0.01;      // of RK4 at most [s],
 constexpr double kTurn = 0.1;       // and [rad]
 constexpr int kSweeps = 8;          // chords tried before the path is looked at tick by tick
 constexpr double kTurnPerTick = 1;  // more than that and holding an input for a tick means nothing
+constexpr double kAlmost = 4;       // times what counts as rest, in speed, rate and tilt
+constexpr double kRoom = 2;         // times its excursion
+constexpr double kMost = 0.25;      // of an excursion that is looked at [m]
 
 }  // namespace
 
@@ -120,8 +123,26 @@ bool Shield::resting(const State& x, const Vec4& rotors) const {
   return resting(y);
 }
 
-// Fills the path; false when it does not come to rest in time.
-bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time) {
+// Whether x is so near to rest, and so far from everything, that on its way to rest it keeps `distance`. Asked along
+// a path, it looks at the map whenever the excursion has halved.
+bool Shield::settles_clear(const State& x, double distance, double& looked) {
+  const ShieldOptions& o = options_;
+  const double speed = kAlmost * o.rest_speed_m_s, rate = kAlmost * o.rest_rate_rad_s;
+  if (dot(x.v, x.v) > speed * speed || dot(x.omega, x.omega) > rate * rate) return false;
+  const Vec3 b = thrust_axis(x.sigma);
+  const double tilt = kAlmost * o.rest_tilt_rad;
+  if (!(b.z > 0) || b.x * b.x + b.y * b.y > tilt * tilt) return false;
+  if (policy_.kind() == BackupKind::hover && !(4 * std::abs(x.sigma.z) <= tilt)) return false;
+  const double excursion = policy_.excursion(x);
+  if (!(excursion <= looked / 2)) return false;
+  looked = excursion;
+  const double needed = distance + kRoom * excursion;
+  return index_->clearance(x.p, needed, hint_) >= needed;
+}
+
+// Fills the path; false when it does not come to rest in time. With a `distance` it ends also where the rest of the
+// way is known to keep that.
+bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time, double distance) {
   const Quadrotor& vehicle = policy_.vehicle();
   const double h = options_.tick_s;
   // What is accepted rests a little early, so that small differences of plan and flight do not take it back.
@@ -131,9 +152,11 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
   path_.push_back({x.p, 0, 0});
   State now = x;
   Vec4 rotors = rotors_;
-  double speed = norm(now.v), spin = norm(now.omega);
+  double speed = norm(now.v), spin = norm(now.omega), looked = 2 * kMost;
+  const bool may_settle = distance < kInfinity && !lags() && !manoeuvre.is_urgent;
   for (int tick = 0; tick < ticks; ++tick) {
-    if (tick >= before + manoeuvre.ticks && resting(now, rotors)) {
+    if (tick >= before + manoeuvre.ticks &&
+        (resting(now, rotors) || (may_settle && settles_clear(now, distance, looked)))) {
       time = tick * h;
       return true;
     }
@@ -252,11 +275,12 @@ Certificate Shield::certify(const State& x, const Manoeuvre& manoeuvre, double m
   return result;
 }
 
-// `certify` for its verdict alone.
-bool Shield::is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first) {
+// `certify` for its verdict alone, though not flown to its end when what is left is clear.
+bool Shield::is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first,
+                     bool until_rest) {
   double unused = 0;
-  if (!is_finite(x) || !roll(x, manoeuvre, first, unused)) return false;
   const double distance = index_->radius() + margin_m;
+  if (!is_finite(x) || !roll(x, manoeuvre, first, unused, until_rest ? kInfinity : distance)) return false;
   const std::size_t swept = sweep(distance);
   return (swept > 0 && swept + 1 == path_.size()) || march(swept, distance, false, unused, unused);
 }

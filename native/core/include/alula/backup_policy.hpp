@@ -95,7 +95,9 @@ class BackupPolicy {
   Vec3 drift(const State& x) const;
 
   // About how far it moves at most on the way [m]. The parts of the drift may cancel in a state that swings out and
-  // back, so their lengths are added; those of `brake` are over before that matters.
+  // back, so their lengths are added.
+  double excursion(const State& x) const;
+  // The same where it is slow: the parts of `brake` are over before it matters that they cancel.
   double sway(const State& x) const;
   bool sways_at_most(const State& x, double limit) const;  // sway(x) <= limit, mostly for less
 

@@ -5,8 +5,9 @@
 // ellipsoid of the map (not only the nearest, not grown) until it rests. The signed distance of the map is
 // 1-Lipschitz, so a distance at one tick clears all ticks within it by arc length; arc lengths and the sag of the
 // path between ticks are bounded, not sampled.
-// Long stretches are first shown to be clear at once: the distance of a point to a chord is convex, so no part of the
-// path leaves a chord by more than its ticks and their sag do.
+// Where it has all but stopped and twice its excursion is free all around, the rest of the way is not
+// flown. Long stretches are first shown to be clear at once: the distance of a point to a chord is convex, so no part
+// of the path leaves a chord by more than its ticks and their sag do.
 //
 // An input is returned when the state after one tick of it has a safe manoeuvre. Then the next tick has at least
 // that manoeuvre, so by induction a flight that starts with one never comes closer than the radius in the
@@ -107,16 +108,20 @@ class Shield {
   bool settles() const;
   State following(const State& x, Vec4& rotors, const Wrench& u) const;
   Wrench flown(const State& x, const Manoeuvre& manoeuvre, int tick) const;
-  bool roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time);
+  bool roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time,
+            double distance = std::numeric_limits<double>::infinity());
   bool resting(const State& x) const;
   bool resting(const State& x, const Vec4& rotors) const;
+  bool settles_clear(const State& x, double distance, double& looked);
   bool march(std::size_t from, double distance, bool thorough, double& least, double& contact_speed);
   std::size_t sweep(double distance) const;
   bool is_clear(std::size_t from, std::size_t to, double distance) const;
-  bool is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr);
+  bool is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr,
+               bool until_rest = false);
   // What stops the vehicle: the gentle policy, but with lag it overshoots its tilt and speeds up at first.
   Manoeuvre stop() const { return {.hold = {}, .ticks = 0, .is_urgent = lags()}; }
-  bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept);
+  bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept,
+                     bool until_rest = false);
   bool comes_no_nearer(const State& x, const Wrench& u);
   bool accept(const State& x, const Wrench& u);
   bool accept_escaping(const State& x, const Wrench& u, std::span<const Found> near);
