@@ -1,11 +1,12 @@
 """Figures 2 to 4 of FastBridge, and the ablations, from the runs in a folder.
 
-Usage: python compare.py FOLDER RUN [RUN ...]
+Usage: python compare.py [--markdown FILE] FOLDER RUN [RUN ...]
 
-A run is SCENE/VARIANT@SPEED.run.mcap with its record beside it; tables and figures are written into FOLDER.
+A run is SCENE/VARIANT@SPEED.run.mcap with its record beside it; tables and figures are written into
+FOLDER, the same tables as one page of Markdown into FILE.
 """
 
-import sys
+import argparse
 from pathlib import Path
 
 from alula.cli.runner import input_ref
@@ -18,9 +19,26 @@ from alula.stages.reporting.page import page
 from alula.stages.reporting.sweeps import Sweep
 from alula.stages.reporting.tables import inputs_table, table_csv, to_markdown
 
-folder, runs = Path(sys.argv[1]), [Path(word) for word in sys.argv[2:]]
+parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
+parser.add_argument("folder", type=Path)
+parser.add_argument("runs", type=Path, nargs="+", metavar="RUN")
+options = parser.parse_args()
+folder, runs = options.folder, options.runs
 names = list(dict.fromkeys(path.parent.name for path in runs))
 TITLE = "FastBridge: collision cones through the quadrotor"
+HEAD = """Written by `make -C examples/fastbridge page` with `ALULA_DATA` set. All filters fly the same
+pairs, references, gains, rate (100 Hz) and plant (rigid body, 1 kHz): in the built-in room pairs whose
+straight line meets an obstacle, in the outdoor tile pairs drawn at random. A collision is what the exact
+clearance of the flown path says, never a filter's own barrier; e_a is the body's acceleration less the
+commanded one, gamma is r'Ar - 1 of the ellipsoids as grown for the filter. Times are in
+[benchmarks-filters.md](benchmarks-filters.md), measured on an idle machine.
+
+How to read the jerk: the filter `none` shows that of the reference itself. Where that is most of what a
+filter has, as in the room from 3 m/s on, none that follows the reference can be far below another that
+does. `safer-splat` with a row for every ellipsoid is smooth because its barrier caps the speed: see how
+many flights arrive, and how fast. The gated form is the one that the paper compares with; its mean is also
+over flights that collide, so the ratios are given for pairs that both filters fly to the goal, too."""
 PATHS = (fastbridge.BASELINE, fastbridge.GATED, fastbridge.OURS)
 
 
@@ -74,7 +92,10 @@ for table in tables:
     write_text(folder / f"{table.name}.csv", table_csv(table))
 for figure in figures:
     write_text(folder / f"{figure.name}.svg", figure.svg)
-write_text(folder / "fastbridge.md", to_markdown(TITLE, facts, tables, ""))
+text = to_markdown(TITLE, facts, tables, "")
+write_text(folder / "fastbridge.md", text)
+if options.markdown is not None:
+    write_text(options.markdown, text.replace("\n\n", f"\n\n{HEAD}\n\n", 1))
 write_text(
     folder / "fastbridge.html", page(material, [*tables, inputs_table(material)], figures, None, facts=facts)
 )
