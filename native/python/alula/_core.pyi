@@ -811,6 +811,11 @@ class BackupPolicy:
         How far the linear loop about hover would still move before it rests [m].
         """
 
+    def excursion(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)]) -> float:
+        """
+        About how far it moves at most before it rests, whatever cancels in `drift` [m].
+        """
+
 class BackupFlow:
     """The flow of a backup policy and how the input now moves it."""
 
