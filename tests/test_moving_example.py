@@ -39,7 +39,7 @@ def test_every_table_is_made_from_runs_of_the_same_trials_and_only_once(tmp_path
     assert "- without a filter, scenario-1: " in said
     assert "- simple trigger: collapses in " in said
     out = folder / "out"
-    names = {"table-1", "table-2", "table-3", "collapse", "hardware", "wall", "recursion", "risk"}
+    names = {"table-1", "table-2", "table-3", "collapse", "table-4", "wall", "recursion", "risk"}
     assert {path.stem for path in out.glob("*.csv")} > names | {"sensitivity-1"}
     assert "Where the simple trigger collapses" in (out / "dr-acbf.html").read_text()
     counts = {len(json.loads(p.read_text())["trials"]) for p in out.glob("*/*.run.json")}
