@@ -16,9 +16,13 @@
  *
  * Margin. The flow is integrated with steps dt and, beside it, 2 dt. The command is extrapolated to the middle of the
  * step, so the method is of second order, and of first where a limit of u_B begins or ends to act. Then the error of
- * the fine flow is |fine - coarse| / 3 or / 1 to leading order: the full difference is taken off, at every node, with
- * (T + g) dt^2 / 8 for leaving the chord between nodes and
+ * the fine flow is |fine - coarse| / 3 or / 1 to leading order. Taken off at every node is
  *
+ *   max over the nodes so far of |p_fine - p_coarse| + 2 dt |v_fine - v_coarse|
+ *                     the full difference; with the velocities, and the maximum, as the two flows may cross. A flow
+ *                     that was upside down is far from leading order (a turn of almost 180 degrees has no preferred
+ *                     axis): there it counts five times
+ *   (T + g) dt^2 / 8  a node's chord may be left by that much
  *   |v| dt_s          u_B is held for a tick: at any time it is the one of at most a tick ago, as if the flow had
  *                     begun that much later
  *   (2 N + 64) u (E + 3 V)   each node is a sum of one with two roundings, u = 2^-24; E: coordinates, V: speed

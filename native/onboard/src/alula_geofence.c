@@ -1,8 +1,9 @@
 #include "alula_geofence.h"
 
-#include "vector.h"
+#include "racer_steps.h"
 
 #define UNIT 5.9604645e-8F /* 2^-24 */
+#define INVERTED_FACTOR 5.0F
 #define MOST_TICK 0.1F
 #define MOST_RATE_GAIN 1000.0F
 #define MOST_GAIN 1000.0F
@@ -118,23 +119,25 @@ static void begin(const alula_geofence* filter, const float origin[3], alula_fen
 typedef struct {
   alula_racer_state state; /* position relative to the tracker's origin, as is the hold */
   alula_racer_command last;
-  float thrust;
+  float thrust, zeta; /* of the last step, at its beginning */
 } course;
 
-static void advance(const alula_geofence* filter, const alula_racer_step_size* step, const alula_backup_hold* hold,
+static inline void advance(const alula_geofence* filter, const alula_racer_step_size* step, const alula_backup_hold* hold,
                     alula_fence_tracker* tracker, int is_first, course* flow) {
   alula_racer_command now, middle;
   float v_d[3];
   alula_fence_push(tracker, flow->state.position, v_d);
-  alula_backup_command(&filter->config.model, &filter->config.backup, hold, filter->hover, &flow->state, v_d, &now);
+  backup_command(&filter->config.model, &filter->config.backup, hold, filter->hover, &flow->state, v_d, &now);
   middle = now;
   if (!is_first) {
     middle.throttle = 1.5F * now.throttle - 0.5F * flow->last.throttle;
     for (int i = 0; i < 3; ++i) middle.rates[i] = 1.5F * now.rates[i] - 0.5F * flow->last.rates[i];
-    alula_racer_limit(&filter->config.model, &middle);
+    limit_command(&filter->config.model, &middle);
   }
   flow->last = now;
-  flow->thrust = alula_racer_step(&filter->config.model, step, &middle, &flow->state);
+  flow->zeta = 1.0F - 2.0F * (flow->state.attitude[1] * flow->state.attitude[1] +
+                              flow->state.attitude[2] * flow->state.attitude[2]);
+  flow->thrust = step_racer(&filter->config.model, step, &middle, &flow->state);
 }
 
 static float distance_between(const float a[3], const float b[3]) {
@@ -210,20 +213,25 @@ void alula_geofence_evaluate(const alula_geofence* filter, const alula_racer_sta
   fine.state.position[0] = fine.state.position[1] = fine.state.position[2] = 0.0F;
   coarse.state = fine.state;
   float error = 0.0F, allowance = 0.0F;
+  int was_inverted = 0;
   for (uint32_t k = 0; k < config->steps; k += 2U) {
     float node[3][3], sag = 0.0F;
     for (int j = 0; j < 2; ++j) {
       for (int i = 0; i < 3; ++i) node[j][i] = fine.state.position[i];
       advance(filter, &filter->fine, &relative, &tracker, k == 0U && j == 0, &fine);
       if (k == 0U && j == 0) value->first = fine.last;
-      const float size = (fine.thrust + config->model.gravity) * chord;
-      if (size > sag) sag = size;
+      const float bow = (fine.thrust + config->model.gravity) * chord;
+      if (bow > sag) sag = bow;
     }
     for (int i = 0; i < 3; ++i) node[2][i] = fine.state.position[i];
     advance(filter, &filter->coarse, &relative, &tracker, k == 0U, &coarse);
-    const float now = distance_between(fine.state.position, coarse.state.position);
-    allowance = fixed + sag + (now > error ? now : error);
-    error = now;
+    const float now = distance_between(fine.state.position, coarse.state.position) +
+                      2.0F * config->step_s * distance_between(fine.state.velocity, coarse.state.velocity);
+    float size = now;
+    if (fine.zeta < 0.0F || coarse.zeta < 0.0F) was_inverted = 1;
+    if (was_inverted) size *= INVERTED_FACTOR;
+    if (size > error) error = size; /* the two flows may cross */
+    allowance = fixed + sag + error;
     alula_fence_follow(&tracker, node[0], node[1], allowance);
     alula_fence_follow(&tracker, node[1], node[2], allowance);
   }
