@@ -45,6 +45,13 @@ PilotKind pilot_of(const std::string& name) {
   return found->second;
 }
 
+FenceRule rule_of(const std::string& name) {
+  if (name == "none") return FenceRule::none;
+  if (name == "geofence") return FenceRule::geofence;
+  if (name == "backup-qp") return FenceRule::backup_qp;
+  throw std::invalid_argument("no rule is called " + name);
+}
+
 // Sets numbers of the parameters by name.
 void set(alula_geofence_config& c, const std::string& key, double value) {
   const std::map<std::string, float*> numbers{
@@ -223,6 +230,41 @@ void bind_filter(nb::module_& m) {
           "Of flows that begin at states (N, 13): (h_I, min h_c / v_c, margin, distance, h_B) (N, 5), and u_B (N, 4).");
 }
 
+void bind_backup_qp(nb::module_& m) {
+  nb::class_<BackupQp>(m, "BackupQp",
+                       "The backup-set barrier with gradients, by a quadratic program, with the flow of a Geofence.")
+      .def(nb::init<const Geofence&, double>(), "geofence"_a, "alpha"_a = 2.0)
+      .def("reset", &BackupQp::reset, "To before the first tick.")
+      .def(
+          "filter",
+          [](BackupQp& self, const InRacers& states, const In<double, nb::shape<-1, 4>>& pilots) {
+            const std::size_t count = states.shape(0);
+            require_rows(pilots.shape(0), count);
+            std::vector<double> commands, h_i;
+            std::vector<std::int64_t> rows;
+            std::vector<std::uint8_t> infeasible;
+            {
+              const nb::gil_scoped_release release;
+              for (std::size_t i = 0; i < count; ++i) {
+                const BackupQpReport r =
+                    self.filter(racer_at(states.data() + kRacerNumbers * i), command_at(pilots.data() + 4 * i));
+                commands.insert(commands.end(),
+                                {r.command.throttle, r.command.rates.x, r.command.rates.y, r.command.rates.z});
+                h_i.push_back(r.h_i);
+                rows.push_back(static_cast<std::int64_t>(r.rows));
+                infeasible.push_back(r.is_infeasible ? 1 : 0);
+              }
+            }
+            return nb::make_tuple(to_numpy(std::move(commands), {count, 4}), to_numpy(std::move(h_i), {count}),
+                                  to_numpy(std::move(rows), {count}), to_numpy(std::move(infeasible), {count}));
+          },
+          "states"_a, "pilots"_a,
+          nb::sig("def filter(self, states: numpy.typing.NDArray, pilots: numpy.typing.NDArray) -> tuple["
+                  "numpy.typing.NDArray, numpy.typing.NDArray, numpy.typing.NDArray, numpy.typing.NDArray]"),
+          "Ticks at states (N, 13) with pilots (N, 4): commands (N, 4), h_I, rows of the program, and whether it had "
+          "no solution.");
+}
+
 void bind_flight(nb::module_& m) {
   const Pilot p;
   nb::class_<Pilot>(m, "Pilot", "A simulated pilot.")
@@ -240,13 +282,13 @@ void bind_flight(nb::module_& m) {
   nb::class_<GeofenceRules>(m, "GeofenceRules", "Times of a flight, and when navigation or radio are missing.")
       .def(
           "__init__",
-          [](GeofenceRules* self, double duration, int plant_steps, bool filters, double stale_from, double stale_for,
+          [](GeofenceRules* self, double duration, int plant_steps, const std::string& rule, double alpha, double stale_from, double stale_for,
              double radio_from, double radio_for) {
-            const GeofenceRules made{duration, plant_steps, filters, stale_from, stale_for, radio_from, radio_for};
+            const GeofenceRules made{duration, plant_steps, rule_of(rule), alpha, stale_from, stale_for, radio_from, radio_for};
             check(made);
             new (self) GeofenceRules(made);
           },
-          nb::kw_only(), "duration_s"_a = r.duration_s, "plant_steps"_a = r.plant_steps, "filters"_a = r.filters,
+          nb::kw_only(), "duration_s"_a = r.duration_s, "plant_steps"_a = r.plant_steps, "rule"_a = "geofence", "alpha"_a = r.alpha,
           "stale_from_s"_a = r.stale_from_s, "stale_for_s"_a = r.stale_for_s, "radio_from_s"_a = r.radio_from_s,
           "radio_for_s"_a = r.radio_for_s);
   nb::class_<GeofenceSpec>(m, "GeofenceSpec", "All of a flight but the filter and the random numbers.")
@@ -291,5 +333,6 @@ void bind_flight(nb::module_& m) {
 void bind_geofence(nb::module_& m) {
   alula::flight::bind_fence(m);
   alula::flight::bind_filter(m);
+  alula::flight::bind_backup_qp(m);
   alula::flight::bind_flight(m);
 }

@@ -115,10 +115,37 @@ void check(const GeofenceRules& rules) {
   if (!(rules.duration_s > 0 && rules.duration_s <= 3600) || rules.plant_steps < 1 || rules.plant_steps > 1000) {
     throw std::invalid_argument("a flight takes 0 to 3600 s, with 1 to 1000 steps of the plant per tick");
   }
+  if (!(rules.alpha > 0)) throw std::invalid_argument("alpha must be positive");
   if (!(rules.stale_for_s >= 0) || !(rules.radio_for_s >= 0)) {
     throw std::invalid_argument("outages last 0 s or longer");
   }
 }
+
+namespace {
+
+// What is flown in a tick. Of backup_qp lambda is 1 or, when it changed the pilot's command, 0.
+GeofenceReport decide(const RacerState* navigation, const std::optional<RacerCommand>& pilot, FenceRule rule,
+                      Geofence& filter, std::optional<BackupQp>& program) {
+  if (rule == FenceRule::geofence) return filter.filter(navigation, pilot ? &*pilot : nullptr);
+  GeofenceReport report;
+  if (!pilot || navigation == nullptr) return report;
+  report.status = ALULA_GEOFENCE_PASSED;
+  report.command = *pilot;
+  report.detail.lambda = 1;
+  if (program) {
+    const BackupQpReport found = program->filter(*navigation, *pilot);
+    report.command = found.command;
+    report.detail.h_i = static_cast<float>(found.h_i);
+    if (!found.is_passed) {
+      report.status = found.is_infeasible ? ALULA_GEOFENCE_BACKUP : ALULA_GEOFENCE_BLENDED;
+      report.detail.lambda = 0;
+    }
+  }
+  report.detail.command = to_onboard(report.command);
+  return report;
+}
+
+}  // namespace
 
 GeofenceLog fly_in_fence(const GeofenceSpec& spec, const Geofence& original, RandomStream random, bool keeps_trace) {
   check(spec.rules);
@@ -131,6 +158,8 @@ GeofenceLog fly_in_fence(const GeofenceSpec& spec, const Geofence& original, Ran
   plant.reset(log.start);
   PilotHand hand(spec.pilot, spec.model, random, log.start.p.z);
   Log notes(log, keeps_trace);
+  std::optional<BackupQp> program;
+  if (spec.rules.rule == FenceRule::backup_qp) program.emplace(filter, spec.rules.alpha);
   const auto ticks = static_cast<std::int64_t>(std::ceil(spec.rules.duration_s / tick - 1e-9));
   double distance = filter.fence().clearance(log.start.p, log.start.p) - radius;
   log.min_distance_m = distance;
@@ -139,16 +168,8 @@ GeofenceLog fly_in_fence(const GeofenceSpec& spec, const Geofence& original, Ran
     const auto is_out = [time](double from, double length) { return time >= from && time < from + length; };
     std::optional<RacerCommand> pilot = hand(time, plant.state());
     if (is_out(spec.rules.radio_from_s, spec.rules.radio_for_s)) pilot.reset();
-    GeofenceReport report;
-    if (spec.rules.filters) {
-      const bool is_stale = is_out(spec.rules.stale_from_s, spec.rules.stale_for_s);
-      report = filter.filter(is_stale ? nullptr : &plant.state(), pilot ? &*pilot : nullptr);
-    } else if (pilot) {
-      report.status = ALULA_GEOFENCE_PASSED;
-      report.command = *pilot;
-      report.detail.command = to_onboard(*pilot);
-      report.detail.lambda = 1;
-    }
+    const bool is_stale = is_out(spec.rules.stale_from_s, spec.rules.stale_for_s);
+    const GeofenceReport report = decide(is_stale ? nullptr : &plant.state(), pilot, spec.rules.rule, filter, program);
     notes.note(plant.state(), pilot, report, config, distance);
     for (int j = 0; j < spec.rules.plant_steps; ++j) {
       const Vec3 before = plant.state().p;

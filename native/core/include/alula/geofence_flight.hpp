@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "alula/control.hpp"
-#include "alula/geofence.hpp"
+#include "alula/backup_qp.hpp"
 
 namespace alula::flight {
 
@@ -59,10 +59,13 @@ class PilotHand {
   double heading_ = 0, tilt_ = 0, climb_ = 0;
 };
 
+enum class FenceRule : std::uint8_t { none, geofence, backup_qp };
+
 struct GeofenceRules {
   double duration_s = 8;
   int plant_steps = 4;  // per tick of the filter
-  bool filters = true;  // false: the pilot alone
+  FenceRule rule = FenceRule::geofence;
+  double alpha = 2;  // of backup_qp
   // Navigation is missing in [from, from + for); `radio` the same for the pilot.
   double stale_from_s = std::numeric_limits<double>::infinity(), stale_for_s = 0;
   double radio_from_s = std::numeric_limits<double>::infinity(), radio_for_s = 0;
