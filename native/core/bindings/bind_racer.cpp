@@ -75,6 +75,6 @@ void bind_racer(nb::module_& m) {
             self.step(dt, command_at(u.data()));
           },
           "dt"_a, "u"_a, "A step with a command (4): throttle, rates.")
-      .def_prop_ro("state", [](const Racer& self) { return to_array(self.state()); })
+      .def_prop_ro("state", [](const Racer& self) { return to_array(self.state()); }, nb::rv_policy::move)
       .def_prop_ro("time", &Racer::time);
 }

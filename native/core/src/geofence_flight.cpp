@@ -69,12 +69,12 @@ class Log {
     }
     if (!is_in_limits(report.command, config.model) || !(r.lambda >= 0 && r.lambda <= 1)) ++log_.out_of_range;
     if (report.status < ALULA_GEOFENCE_HAND_OVER) log_.min_h_i = std::min(log_.min_h_i, double{r.h_i});
-    if (report.status <= ALULA_GEOFENCE_BACKUP) note_lambda(x, r.lambda, config.tick_s, distance);
+    if (report.status <= ALULA_GEOFENCE_BACKUP) note_lambda(x, r.lambda, report.status, config.tick_s, distance);
     if (keeps_trace_) trace(x, pilot, report);
   }
 
  private:
-  void note_lambda(const RacerState& x, double lambda, double dt, double distance) {
+  void note_lambda(const RacerState& x, double lambda, alula_geofence_status status, double dt, double distance) {
     log_.min_lambda = std::min(log_.min_lambda, lambda);
     if (lambda < 0.5 && is_free_) {
       ++log_.interventions;
@@ -85,7 +85,7 @@ class Log {
     if (log_.interventions > 0 && std::isnan(log_.stop_distance_m) && geometry::norm(x.v) < 0.5) {
       log_.stop_distance_m = distance;
     }
-    backup_s_ = lambda == 0 ? backup_s_ + dt : 0;
+    backup_s_ = status == ALULA_GEOFENCE_BACKUP ? backup_s_ + dt : 0;
     log_.longest_backup_s = std::max(log_.longest_backup_s, backup_s_);
   }
 

@@ -103,7 +103,7 @@ struct GeofenceLog {
   std::int64_t interventions = 0;   // times lambda fell below 1/2, after having been above 9/10
   std::int64_t altered_passes = 0;  // commands of PASSED that are not the pilot's bits: 0
   std::int64_t out_of_range = 0;    // commands outside the model's limits, or lambda outside [0, 1]: 0
-  double longest_backup_s = 0;      // with lambda = 0
+  double longest_backup_s = 0;      // of u_B alone
   RacerState start, end;
   GeofenceTrace trace;
 };
