@@ -21,7 +21,7 @@
     time_constant_s = 0.02        # of the loop that follows it
 
     [throttle]                    # for flying by throttle and rates, as a racing pilot does
-    acceleration_m_s2 = [0.0, 7.75478, 73.89458]  # of the thrust: a_0 + a_1 u + a_2 u^2 of a throttle u in [0, 1]
+    acceleration_m_s2 = [0.0, 7.75474, 73.895455]  # of the thrust: a_0 + a_1 u + a_2 u^2 of a throttle u in [0, 1]
 
     [tracking]
     kp_per_s2 = 3.0

@@ -35,7 +35,6 @@ def test_a_second_with_a_held_command_is_that_of_the_equations(seed):
     expected = solve_ivp(lambda _, y: model.derivative(y, u), (0, 1), x, rtol=1e-10, atol=1e-11).y[:, -1]
     got = flown(x, u, 0.001, 1000)
     expected[6:10] = same_attitude(got[6:10], expected[6:10])
-    # 1 - 1e-5: the map's coefficients have seven digits in the file and in the model
     np.testing.assert_allclose(got, expected, rtol=1e-5, atol=1e-5)
 
 

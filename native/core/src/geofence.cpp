@@ -94,8 +94,9 @@ GeofenceReport Geofence::filter(const RacerState* navigation, const RacerCommand
 }
 
 alula_geofence_value Geofence::evaluate(const RacerState& x) const {
-  const alula_racer_state state = to_onboard(x);
+  alula_racer_state state = to_onboard(x);
   if (!alula_racer_state_is_valid(&state)) throw std::invalid_argument("not a state of a racer");
+  alula_racer_normalise(&state);
   const alula_backup_hold hold = alula_geofence_hold(&filter_, &state);
   alula_geofence_value value;
   alula_geofence_evaluate(&filter_, &state, &hold, 0, &value);

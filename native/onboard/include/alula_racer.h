@@ -79,6 +79,7 @@ void alula_racer_limit(const alula_racer_model* model, alula_racer_command* comm
 
 /* Finite and a plausible state: |v_i| <= 200 m/s, |omega_i| <= 100 rad/s, |p_i| <= 10^5 m, | |q| - 1 | <= 0.05. */
 ALULA_MUST_USE int alula_racer_state_is_valid(const alula_racer_state* state);
+void alula_racer_normalise(alula_racer_state* state); /* to |q| = 1, of a valid state */
 ALULA_MUST_USE int alula_racer_command_is_finite(const alula_racer_command* command);
 
 /* The hold of a flow that starts here; `climb` is how much higher than here it wants to end. */

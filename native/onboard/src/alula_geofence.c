@@ -13,8 +13,8 @@ alula_geofence_config alula_geofence_defaults(void) {
   config.model.gravity = 9.81F;
   /* 2.7508051e-5 P^2 - 4.7313846e-3 P with P = 1639 throttle + 172 */
   config.model.thrust[0] = 0.0F;
-  config.model.thrust[1] = 7.75478F;
-  config.model.thrust[2] = 73.89458F;
+  config.model.thrust[1] = 7.75474F;
+  config.model.thrust[2] = 73.895455F;
   config.model.rate_gain = 50.0F;
   config.model.max_rate[0] = config.model.max_rate[1] = 12.0F;
   config.model.max_rate[2] = 6.0F;
@@ -265,10 +265,8 @@ static const alula_racer_command* sent_ago(const alula_geofence* filter, uint32_
 /* The state now: measured, or the last one taken on by a tick with the command that acted in it. */
 static void update_state(alula_geofence* filter, const alula_racer_state* navigation) {
   if (navigation && alula_racer_state_is_valid(navigation)) {
-    const float* q = navigation->attitude;
-    const float inverse = 1.0F / __builtin_sqrtf(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
     filter->state = *navigation;
-    for (int i = 0; i < 4; ++i) filter->state.attitude[i] *= inverse;
+    alula_racer_normalise(&filter->state);
     filter->has_state = 1;
     filter->stale = 0U;
     return;

@@ -44,6 +44,12 @@ int alula_racer_state_is_valid(const alula_racer_state* state) {
   return square >= 0.9025F && square <= 1.1025F;
 }
 
+void alula_racer_normalise(alula_racer_state* state) {
+  float* q = state->attitude;
+  const float inverse = 1.0F / __builtin_sqrtf(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+  for (int i = 0; i < 4; ++i) q[i] *= inverse;
+}
+
 int alula_racer_command_is_finite(const alula_racer_command* command) {
   return alula_is_finite(command->throttle) && alula_is_finite(command->rates[0]) &&
          alula_is_finite(command->rates[1]) && alula_is_finite(command->rates[2]);

@@ -32,7 +32,7 @@ inline bool is_finite(const RacerCommand& u) { return std::isfinite(u.throttle) 
 // The model that filters know.
 struct RacerModel {
   double gravity = 9.81;
-  std::array<double, 3> thrust{0, 7.75478, 73.89458};  // a_0, a_1, a_2 [m/s^2]
+  std::array<double, 3> thrust{0, 7.75474, 73.895455};  // a_0, a_1, a_2 [m/s^2]
   double rate_gain = 50;                               // C [1/s]
   Vec3 max_rate{12, 12, 6};                            // of a command
 
