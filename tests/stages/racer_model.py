@@ -66,7 +66,10 @@ def backup(x, held, box=BOX, kept=0.0):
     size, most = np.linalg.norm(tilt), np.pi / 2.1
     tilt *= np.clip(1 + 4 * zeta, 0, 1) * min(1.0, most / max(size, 1e-9))
     target = about_z(yaw) @ expm(hat([-tilt[1], tilt[0], 0]))
-    skew = 0.5 * (target.T @ turn - turn.T @ target)
+    error = target.T @ turn
+    skew, cosine = 0.5 * (error - error.T), (np.trace(error) - 1) / 2
+    if cosine < 0:  # beyond 90 degrees
+        skew *= np.sqrt(0.5) / np.sqrt((1 + cosine) / 2)
     rates = -10 * np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
     steep = np.interp(zeta, [-0.25, 0.0], [1 / 3, 2]) if zeta < 0.5 else 1 / zeta
     throttle = HOVER * steep

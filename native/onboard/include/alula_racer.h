@@ -9,10 +9,12 @@
  *   R_d = Rz(yaw_0) exp(-t_y, t_x, 0),  omega_des = -10 e_R,  e_R = vee(R_d^T R - R^T R_d) / 2
  *   throttle = hover / zeta + cut(0.1 (z_0 - z), 0.3) + cut(0.05 (v_d,z - v_z), 0.3)
  *
+ * Beyond 90 degrees of error e_R keeps growing like the sine of half the angle, up to sqrt 2; as printed it vanishes
+ * at 180 degrees, where a drone that its pilot had flipped would fall on its back.
  * zeta is the third component of z(q), and 1 / zeta is 2 below zeta = 1/2 and falls to 1/3 from the horizon to a
  * quarter below it. The hold (z_0, yaw_0) is frozen when a flow starts, and is part of the state of whoever flies it.
  *
- * Differences to the published controller, whose flow jumps where the thrust passes the horizon, and which at high
+ * Other differences to the published controller, whose flow jumps where the thrust passes the horizon, and which at high
  * speed over a diagonal brakes one axis after the other: the tilt is one rotation instead of a pitch and then a roll
  * (the same along an axis), what jumped is a ramp of a quarter, yaw_0 also turns the error of the velocity (the same
  * while the yaw is held), and the height is steered as (17) steers x and y.

@@ -8,6 +8,7 @@
 #define FADE 4.0F              /* one over the zeta below the horizon at which what jumped has faded */
 #define STEEPEST 2.0F          /* 1 / zeta of a body on its side, */
 #define INVERTED (1.0F / 3.0F) /* and of one upside down */
+#define QUARTER 0.707106781F   /* w of a turn of 90 degrees */
 
 /* cos and sin(x) / x from x^2; below 1e-7 off up to x = 1. */
 static inline float cosine_of_square(float z) {
@@ -59,7 +60,8 @@ static inline void backup_command(const alula_racer_model* model, const alula_ba
   const float dx = -s * (hold->half_c * ty + hold->half_s * tx);
   const float dy = s * (hold->half_c * tx - hold->half_s * ty);
   /* (w, x, y, z) = q_d* q; e_R = 2 w (x, y, z) */
-  const float w = dw * q[0] + dx * q[1] + dy * q[2] + dz * q[3];
+  float w = dw * q[0] + dx * q[1] + dy * q[2] + dz * q[3];
+  if (absolute(w) < QUARTER) w = w < 0.0F ? -QUARTER : QUARTER;
   const float gain = -2.0F * gains->attitude_gain * w;
   command->rates[0] = gain * (dw * q[1] - dx * q[0] - dy * q[3] + dz * q[2]);
   command->rates[1] = gain * (dw * q[2] - dy * q[0] - dz * q[1] + dx * q[3]);

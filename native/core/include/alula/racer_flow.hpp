@@ -85,7 +85,9 @@ class BackupController {
     }
     const S dw = S(hc) * c, dz = S(hs) * c, dx = -s * (S(hc) * ty + S(hs) * tx), dy = s * (S(hc) * tx - S(hs) * ty);
     const auto& q = x.q;
-    const S gain = S(-2 * static_cast<double>(c_.backup.attitude_gain)) * (dw * q[0] + dx * q[1] + dy * q[2] + dz * q[3]);
+    S w = dw * q[0] + dx * q[1] + dy * q[2] + dz * q[3];
+    if (w < S(std::sqrt(0.5)) && w > S(-std::sqrt(0.5))) w = w < S(0) ? S(-std::sqrt(0.5)) : S(std::sqrt(0.5));
+    const S gain = S(-2 * static_cast<double>(c_.backup.attitude_gain)) * w;
     const S steep = zeta > S(0.5) ? S(1) / zeta : cut<S>(S(2) + S(20.0 / 3) * zeta, 1.0 / 3, 2);
     const double cap = c_.backup.most_throttle;
     FlowCommand<S> u{S(hover_) * steep + cut<S>(S(c_.backup.height_gain) * (S(hold.height) - x.p[2]), -cap, cap) +
