@@ -21,7 +21,7 @@
     time_constant_s = 0.02        # of the loop that follows it
 
     [throttle]                    # for flying by throttle and rates, as a racing pilot does
-    acceleration_m_s2 = [0.0, 7.75474, 73.895455]  # of the thrust: a_0 + a_1 u + a_2 u^2 of a throttle u in [0, 1]
+    acceleration_m_s2 = [0.0, 7.75474, 73.895455]  # a_0 + a_1 u + a_2 u^2 of a throttle u in [0, 1]
 
     [tracking]
     kp_per_s2 = 3.0
@@ -104,7 +104,7 @@ class RatesTable(_Table, frozen=True, kw_only=True):
 
 
 class ThrottleTable(_Table, frozen=True, kw_only=True):
-    """What a throttle gives, with a fresh battery; thrust falls by at most `sag_share` at full throttle, held."""
+    """What a throttle gives with a fresh battery; held at full it falls by at most `sag_share`."""
 
     acceleration_m_s2: tuple[float, Size, Size]
     sag_share: Annotated[float, Meta(ge=0, lt=1)] = 0.0

@@ -1,4 +1,4 @@
-"""An independent model of the racing drone and its backup controller: rotation matrices, adaptive integration.
+"""A model of the racing drone and its backup controller by rotation matrices and adaptive integration.
 
 Nothing here uses the closed forms of the library. States are p, v, q wxyz, omega (13).
 """
@@ -80,7 +80,9 @@ def backup(x, held, box=BOX, kept=0.0):
 def derivative(x, u, *, force=0.0):
     """x' under throttle and rates, with another acceleration."""
     acceleration = thrust(u[0]) * rotation(x[6:10])[:, 2] - GRAVITY * np.array([0, 0, 1]) + force
-    return np.concatenate([x[3:6], acceleration, quaternion_rate(x[6:10], x[10:]), RATE_GAIN * (u[1:] - x[10:])])
+    return np.concatenate(
+        [x[3:6], acceleration, quaternion_rate(x[6:10], x[10:]), RATE_GAIN * (u[1:] - x[10:])]
+    )
 
 
 def flow(x, horizon, box=BOX, kept=0.0):
@@ -107,8 +109,13 @@ def random_states(count, seed, *, speed=20.0, tilt=1.2, low=(-35, -35, 3), high=
     rng = np.random.default_rng(seed)
     yaw, towards = rng.uniform(-np.pi, np.pi, (2, count))
     half = 0.5 * rng.uniform(0, tilt, count)
-    y, t = np.stack([np.cos(yaw / 2), np.sin(yaw / 2)]), np.stack([np.cos(towards), np.sin(towards)]) * np.sin(half)
-    q = np.stack([y[0] * np.cos(half), y[0] * t[0] - y[1] * t[1], y[0] * t[1] + y[1] * t[0], y[1] * np.cos(half)])
+    y, t = (
+        np.stack([np.cos(yaw / 2), np.sin(yaw / 2)]),
+        np.stack([np.cos(towards), np.sin(towards)]) * np.sin(half),
+    )
+    q = np.stack(
+        [y[0] * np.cos(half), y[0] * t[0] - y[1] * t[1], y[0] * t[1] + y[1] * t[0], y[1] * np.cos(half)]
+    )
     v = rng.normal(size=(count, 3))
     v *= speed * rng.uniform(0, 1, (count, 1)) / np.linalg.norm(v, axis=1, keepdims=True)
     return np.concatenate([rng.uniform(low, high, (count, 3)), v, q.T, rng.normal(size=(count, 3))], axis=1)

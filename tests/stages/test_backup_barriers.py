@@ -54,7 +54,9 @@ def test_the_pendulums_program_has_the_rows_of_the_flow():
     for x, (u, *_, infeasible) in zip(states, got, strict=True):
         h, eps = barriers(x), 1e-6
         drift = np.array([x[1], np.sin(x[0])])
-        along = [(barriers(x + eps * d) - barriers(x - eps * d)) / (2 * eps) for d in (drift, np.array([0, 1.0]))]
+        along = [
+            (barriers(x + eps * d) - barriers(x - eps * d)) / (2 * eps) for d in (drift, np.array([0, 1.0]))
+        ]
         low, high = -20.0, 20.0
         for a, b in zip(along[1], -(along[0] + alpha * h), strict=True):
             if a > 1e-9:
@@ -116,13 +118,14 @@ def test_its_flow_is_that_of_the_geofence_without_the_margin(geofence):
     decided = values[:, 0] < values[:, 4]
     assert decided.sum() > 40
     assert (values[decided, 0] <= h_i[decided]).all()
-    assert (h_i[decided] - values[decided, 0] <= values[decided, 2] + 0.02).all()  # cos and sin are exact there
+    assert (
+        h_i[decided] - values[decided, 0] <= values[decided, 2] + 0.02
+    ).all()  # cos and sin are exact there
     assert first.shape == (60, 4)
 
 
 def test_the_program_on_the_drone_is_the_least_change_that_keeps_the_rows(geofence):
-    """Rows by finite differences of the geofence's own flow are too coarse in float, so the optimum is checked by
-    its effect: no input nearer to the pilot's lets the discrete barrier decay no faster."""
+    """By its effect: it lets h_I fall no faster than alpha h_I, and the pilot's input does."""
     x = np.r_[15.0, 0, 30, 18.0, 0, 0, np.cos(0.3), 0, np.sin(0.3), 0, 0, 0, 0]
     pilot = np.array([0.6, 0.0, 3.0, 0.0])
     program, alpha = _core.BackupQp(geofence, 2.0), 2.0

@@ -1,5 +1,7 @@
 """The onboard geofence, evaluation by evaluation and tick by tick."""
 
+import itertools
+
 import covers
 import numpy as np
 import pytest
@@ -59,16 +61,15 @@ def test_what_is_flown_stays_above_the_prediction(tilt, seed):
 
 def test_finer_steps_need_less_margin():
     states = model.random_states(50, 3, speed=25)
-    margins = [
-        np.median(filter_in(steps=n, step_s=3 / n).evaluate(states)[0][:, 2]) for n in (100, 200, 400)
-    ]
+    margins = [np.median(filter_in(steps=n, step_s=3 / n).evaluate(states)[0][:, 2]) for n in (100, 200, 400)]
     assert margins[0] > 1.4 * margins[1] > margins[1] > margins[2]
 
 
 def test_a_box_and_its_six_faces_are_the_same_fence():
     lower, upper = model.BOX
     faces = np.array(
-        [[*-row, -lower[i]] for i, row in enumerate(np.eye(3))] + [[*row, upper[i]] for i, row in enumerate(np.eye(3))]
+        [[*-row, -lower[i]] for i, row in enumerate(np.eye(3))]
+        + [[*row, upper[i]] for i, row in enumerate(np.eye(3))]
     )
     states = model.random_states(40, 4)
     as_box, u_box = filter_in().evaluate(states)
@@ -120,7 +121,9 @@ def test_a_cover_keeps_out_and_h_i_is_below_its_distance_along_the_flow(cover):
     speed=st.floats(0, 40),
     tilt=st.floats(0, 3.1),
     pilot=st.tuples(st.floats(-2, 3), *[st.floats(-50, 50)] * 3),
-    parameters=st.sampled_from([{}, {"fast_m_s": 1.0}, {"reserve_m": 2.0}, {"beta": 30.0}, {"latency_s": 0.02}]),
+    parameters=st.sampled_from(
+        [{}, {"fast_m_s": 1.0}, {"reserve_m": 2.0}, {"beta": 30.0}, {"latency_s": 0.02}]
+    ),
 )
 @settings(max_examples=150, deadline=None)
 def test_commands_stay_in_their_limits_and_lambda_decides_between_pilot_and_backup(
@@ -200,7 +203,7 @@ def test_with_stale_navigation_the_margin_grows_and_then_it_is_handed_over():
     geofence.filter(HOVERING, pilot)
     seen = [geofence.filter(None, pilot) for _ in range(60)]
     margins = [detail["margin_m"] for _, _, detail in seen[:39]]
-    assert all(a < b for a, b in zip(margins, margins[1:], strict=False))
+    assert all(a < b for a, b in itertools.pairwise(margins))
     t = 39 * 0.0025
     expected = 0.5 * t + 0.5 * 5 * t**2
     assert margins[-1] - geofence_margin() == pytest.approx(expected, abs=2e-3)

@@ -38,7 +38,7 @@ def wall():
 
 
 def test_the_wall_of_the_paper_is_met_at_100_km_h_and_not_passed(wall):
-    """40 m ahead, pitched by 72 degrees: 104 to 107 km/h, braked from 15 m at nearly 90 degrees, 0.12 m left."""
+    """40 m ahead, 72 degrees; the paper: 104 to 107 km/h, braked from 15 m near 90 degrees, 0.12 m left."""
     states, lambdas = wall["state"], wall["figure"][:, 0]
     assert 104 < wall["max_speed_m_s"] * 3.6 < 120
     assert wall["min_distance_m"] >= 0.25  # the reserve; the margin is what is left of it
@@ -64,7 +64,7 @@ def test_the_fall_from_70_m_ends_above_the_ground(reserve):
     assert log["min_distance_m"] < reserve + 0.3
     rest = log["state"][-1]
     assert abs(rest[5]) < 0.05
-    # lambda u_des + (1 - lambda) u_B hovers where u_B asks for more than hovering, so not quite at the reserve
+    # the blend hovers where u_B asks for more than hovering: not quite at the reserve
     assert 0.1 < rest[2] - 0.5 - reserve < 0.4
 
 

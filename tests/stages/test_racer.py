@@ -58,7 +58,14 @@ def test_drag_and_wind_meet_at_the_terminal_speed():
     """Falling level with linear drag: v' = -g + a(u) - (c/m)(v - w)."""
     x = np.r_[np.zeros(6), 1, 0, 0, 0, 0, 0, 0]
     got = flown(
-        x, np.zeros(4), 0.001, 8000, mass=0.5, mass_scale=2, linear_drag=(1.0, 1.0, 2.0), wind_m_s=(3.0, 0, 1.0)
+        x,
+        np.zeros(4),
+        0.001,
+        8000,
+        mass=0.5,
+        mass_scale=2,
+        linear_drag=(1.0, 1.0, 2.0),
+        wind_m_s=(3.0, 0, 1.0),
     )
     np.testing.assert_allclose(got[3:6], [3.0, 0, 1.0 - 9.81 / 2.0], atol=2e-3)
     fast = flown(x, np.zeros(4), 0.001, 8000, mass=1.0, quadratic_drag=(0.1, 0.1, 0.1))
@@ -71,9 +78,10 @@ def test_scales_sag_and_delay():
     assert flown(x, u, 0.001, 1)[5] / 0.001 == pytest.approx(full - 9.81, rel=1e-5)
     scaled = flown(x, u, 0.001, 1, mass_scale=1.2, thrust_scale=0.85)[5] / 0.001
     assert scaled == pytest.approx(full * 0.85 / 1.2 - 9.81, rel=1e-5)
-    sagged = flown(x, u, 0.001, 3001, sag_share=0.2, sag_time_s=0.2)[5] - flown(
-        x, u, 0.001, 3000, sag_share=0.2, sag_time_s=0.2
-    )[5]
+    sagged = (
+        flown(x, u, 0.001, 3001, sag_share=0.2, sag_time_s=0.2)[5]
+        - flown(x, u, 0.001, 3000, sag_share=0.2, sag_time_s=0.2)[5]
+    )
     assert sagged / 0.001 == pytest.approx(0.8 * full - 9.81, rel=1e-4)
     assert np.abs(flown(x, u, 0.001, 20, delay_s=0.02)[5]) < 1e-9  # still hovering
     assert flown(x, u, 0.001, 21, delay_s=0.02)[5] == pytest.approx(flown(x, u, 0.001, 1)[5])
@@ -91,7 +99,13 @@ def test_commands_that_are_not_finite_are_ignored_and_others_cut():
 
 @pytest.mark.parametrize(
     "options",
-    [{"mass": 0.0}, {"delay_s": -1.0}, {"sag_share": 1.0}, {"linear_drag": (-1.0, 0, 0)}, {"thrust_scale": np.nan}],
+    [
+        {"mass": 0.0},
+        {"delay_s": -1.0},
+        {"sag_share": 1.0},
+        {"linear_drag": (-1.0, 0, 0)},
+        {"thrust_scale": np.nan},
+    ],
 )
 def test_options_without_meaning_are_refused(options):
     with pytest.raises(ValueError):
@@ -100,7 +114,9 @@ def test_options_without_meaning_are_refused(options):
         racer_options(read_vehicle(RACER7), **options)
 
 
-@pytest.mark.parametrize("changed", [{"thrust": (0.0, 1.0, 1.0)}, {"rate_gain": 0.0}, {"thrust": (0.0, -1.0, 90.0)}])
+@pytest.mark.parametrize(
+    "changed", [{"thrust": (0.0, 1.0, 1.0)}, {"rate_gain": 0.0}, {"thrust": (0.0, -1.0, 90.0)}]
+)
 def test_models_without_meaning_are_refused(changed):
     with pytest.raises(ValueError):
         _core.RacerModel(**changed)

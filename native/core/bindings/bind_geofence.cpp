@@ -1,6 +1,7 @@
 // Bindings of alula/geofence.hpp and alula/geofence_flight.hpp.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/map.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
@@ -37,8 +38,8 @@ const char* name_of(alula_geofence_status status) {
 
 PilotKind pilot_of(const std::string& name) {
   static const std::map<std::string, PilotKind> kKinds{
-      {"straight", PilotKind::straight},     {"diagonal", PilotKind::diagonal}, {"fall", PilotKind::fall},
-      {"sticks", PilotKind::sticks},         {"aggressive", PilotKind::aggressive}, {"silent", PilotKind::silent},
+      {"straight", PilotKind::straight}, {"diagonal", PilotKind::diagonal},     {"fall", PilotKind::fall},
+      {"sticks", PilotKind::sticks},     {"aggressive", PilotKind::aggressive}, {"silent", PilotKind::silent},
       {"repeated", PilotKind::repeated}};
   const auto found = kKinds.find(name);
   if (found == kKinds.end()) throw std::invalid_argument("no pilot is called " + name);
@@ -97,12 +98,6 @@ alula_geofence_config config_of(const RacerModel& model, const std::map<std::str
   for (int i = 0; i < 3; ++i) c.model.max_rate[i] = static_cast<float>(model.max_rate[i]);
   for (const auto& [key, value] : given) set(c, key, value);
   return c;
-}
-
-std::map<std::string, double> numbers_of(const nb::dict& parameters) {
-  std::map<std::string, double> result;
-  for (const auto& [key, value] : parameters) result[nb::cast<std::string>(key)] = nb::cast<double>(value);
-  return result;
 }
 
 LogDict detail_of(const GeofenceReport& report) {
@@ -177,20 +172,25 @@ void bind_fence(nb::module_& m) {
           "map for the filter, `keep_out` the same polytopes for the judge.")
       .def(
           "clearance",
-          [](const Fence& self, const Triple& a, const Triple& b) { return self.clearance(vector_of(a), vector_of(b)); },
+          [](const Fence& self, const Triple& a, const Triple& b) {
+            return self.clearance(vector_of(a), vector_of(b));
+          },
           "a"_a, "b"_a, "Least distance of a segment from what is forbidden; negative there.");
 }
 
 void bind_filter(nb::module_& m) {
-  nb::class_<Geofence>(m, "Geofence",
-                       "The onboard geofence: an implicit control barrier function by simulating the backup controller."
-                       "\n\nParameters by name, see alula_geofence_config; ValueError for those it does not accept.")
+  nb::class_<Geofence>(
+      m, "Geofence",
+      "The onboard geofence: an implicit control barrier function by simulating the backup controller."
+      "\n\nParameters by name, see alula_geofence_config; ValueError for those it does not accept.")
       .def(
           "__init__",
-          [](Geofence* self, const Fence& fence, const RacerModel& model, const nb::dict& parameters) {
-            new (self) Geofence(fence, config_of(model, numbers_of(parameters)));
+          [](Geofence* self, const Fence& fence, const RacerModel& model,
+             const std::map<std::string, double>& parameters) {
+            new (self) Geofence(fence, config_of(model, parameters));
           },
-          "fence"_a, "model"_a = RacerModel{}, "parameters"_a = nb::dict(), nb::keep_alive<1, 2>())
+          "fence"_a, "model"_a = RacerModel{}, "parameters"_a = std::map<std::string, double>{},
+          nb::keep_alive<1, 2>())
       .def_prop_ro("hover_throttle", &Geofence::hover_throttle)
       .def("reset", &Geofence::reset, "To before the first tick.")
       .def(
@@ -204,8 +204,8 @@ void bind_filter(nb::module_& m) {
             return nb::make_tuple(to_array(report.command), name_of(report.status), detail_of(report));
           },
           "navigation"_a.none(), "pilot"_a.none(),
-          nb::sig("def filter(self, navigation: numpy.typing.NDArray | None, pilot: numpy.typing.NDArray | None)"
-                  " -> tuple[numpy.typing.NDArray, str, dict[str, typing.Any]]"),
+          nb::sig("def filter(self, navigation: NDArray[numpy.float64] | None, pilot: NDArray[numpy.float64] | None)"
+                  " -> tuple[NDArray[numpy.float64], str, dict[str, float]]"),
           "One tick: command (4), status and details. None: no navigation, or no pilot.")
       .def(
           "evaluate",
@@ -225,9 +225,10 @@ void bind_filter(nb::module_& m) {
             return nb::make_tuple(to_numpy(std::move(values), {count, 5}), to_numpy(std::move(first), {count, 4}));
           },
           "states"_a,
-          nb::sig("def evaluate(self, states: numpy.typing.NDArray) -> tuple[numpy.typing.NDArray, "
-                  "numpy.typing.NDArray]"),
-          "Of flows that begin at states (N, 13): (h_I, min h_c / v_c, margin, distance, h_B) (N, 5), and u_B (N, 4).");
+          nb::sig("def evaluate(self, states: NDArray[numpy.float64]) -> "
+                  "tuple[NDArray[numpy.float64], NDArray[numpy.float64]]"),
+          "Of flows that begin at states (N, 13): (h_I, min h_c / v_c, margin, distance, h_B) (N, 5), and u_B (N, "
+          "4).");
 }
 
 void bind_backup_qp(nb::module_& m) {
@@ -259,8 +260,9 @@ void bind_backup_qp(nb::module_& m) {
                                   to_numpy(std::move(rows), {count}), to_numpy(std::move(infeasible), {count}));
           },
           "states"_a, "pilots"_a,
-          nb::sig("def filter(self, states: numpy.typing.NDArray, pilots: numpy.typing.NDArray) -> tuple["
-                  "numpy.typing.NDArray, numpy.typing.NDArray, numpy.typing.NDArray, numpy.typing.NDArray]"),
+          nb::sig(
+              "def filter(self, states: NDArray[numpy.float64], pilots: NDArray[numpy.float64]) -> "
+              "tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.int64], NDArray[numpy.uint8]]"),
           "Ticks at states (N, 13) with pilots (N, 4): commands (N, 4), h_I, rows of the program, and whether it had "
           "no solution.");
 }
@@ -282,15 +284,16 @@ void bind_flight(nb::module_& m) {
   nb::class_<GeofenceRules>(m, "GeofenceRules", "Times of a flight, and when navigation or radio are missing.")
       .def(
           "__init__",
-          [](GeofenceRules* self, double duration, int plant_steps, const std::string& rule, double alpha, double stale_from, double stale_for,
-             double radio_from, double radio_for) {
-            const GeofenceRules made{duration, plant_steps, rule_of(rule), alpha, stale_from, stale_for, radio_from, radio_for};
+          [](GeofenceRules* self, double duration, int plant_steps, const std::string& rule, double alpha,
+             double stale_from, double stale_for, double radio_from, double radio_for) {
+            const GeofenceRules made{duration,   plant_steps, rule_of(rule), alpha,
+                                     stale_from, stale_for,   radio_from,    radio_for};
             check(made);
             new (self) GeofenceRules(made);
           },
-          nb::kw_only(), "duration_s"_a = r.duration_s, "plant_steps"_a = r.plant_steps, "rule"_a = "geofence", "alpha"_a = r.alpha,
-          "stale_from_s"_a = r.stale_from_s, "stale_for_s"_a = r.stale_for_s, "radio_from_s"_a = r.radio_from_s,
-          "radio_for_s"_a = r.radio_for_s);
+          nb::kw_only(), "duration_s"_a = r.duration_s, "plant_steps"_a = r.plant_steps, "rule"_a = "geofence",
+          "alpha"_a = r.alpha, "stale_from_s"_a = r.stale_from_s, "stale_for_s"_a = r.stale_for_s,
+          "radio_from_s"_a = r.radio_from_s, "radio_for_s"_a = r.radio_for_s);
   nb::class_<GeofenceSpec>(m, "GeofenceSpec", "All of a flight but the filter and the random numbers.")
       .def(
           "__init__",

@@ -42,9 +42,8 @@ void bind_pendulum(nb::module_& m) {
           [](PendulumFilter* self, const std::string& rule, double largest_angle, double end_rate, double k,
              double push_distance, double push_gain, double push_rate, double horizon, int steps, double beta,
              double alpha, double largest_input) {
-            new (self) PendulumFilter(rule_of(rule),
-                                      {largest_angle, end_rate, k, push_distance, push_gain, push_rate, horizon, steps,
-                                       beta, alpha, largest_input});
+            new (self) PendulumFilter(rule_of(rule), {largest_angle, end_rate, k, push_distance, push_gain, push_rate,
+                                                      horizon, steps, beta, alpha, largest_input});
           },
           "rule"_a, nb::kw_only(), "largest_angle"_a = o.largest_angle, "end_rate"_a = o.end_rate, "k"_a = o.k,
           "push_distance"_a = o.push_distance, "push_gain"_a = o.push_gain, "push_rate"_a = o.push_rate,

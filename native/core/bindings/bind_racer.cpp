@@ -11,9 +11,10 @@ void bind_racer(nb::module_& m) {
   using namespace alula;
   using namespace alula::flight;
   const RacerModel model;
-  nb::class_<RacerModel>(m, "RacerModel",
-                         "A drone behind a rate loop: thrust a_0 + a_1 u + a_2 u^2 [m/s^2] of the throttle, and rates "
-                         "that follow their command with a gain [1/s].")
+  nb::class_<RacerModel>(
+      m, "RacerModel",
+      "A drone behind a rate loop: thrust a_0 + a_1 u + a_2 u^2 [m/s^2] of the throttle, and rates "
+      "that follow their command with a gain [1/s].")
       .def(
           "__init__",
           [](RacerModel* self, double gravity, const std::array<double, 3>& thrust, double rate_gain,
@@ -31,7 +32,8 @@ void bind_racer(nb::module_& m) {
       .def("throttle_for", &RacerModel::throttle_for, "acceleration"_a,
            "The throttle for an acceleration [m/s^2], in [0, 1].");
   const RacerOptions o;
-  nb::class_<RacerOptions>(m, "RacerOptions", "What a racing drone's plant does beside its model; all off by default.")
+  nb::class_<RacerOptions>(m, "RacerOptions",
+                           "What a racing drone's plant does beside its model; all off by default.")
       .def(
           "__init__",
           [](RacerOptions* self, double mass, double mass_scale, double thrust_scale, double rate_gain_scale,
@@ -75,6 +77,7 @@ void bind_racer(nb::module_& m) {
             self.step(dt, command_at(u.data()));
           },
           "dt"_a, "u"_a, "A step with a command (4): throttle, rates.")
-      .def_prop_ro("state", [](const Racer& self) { return to_array(self.state()); }, nb::rv_policy::move)
+      .def_prop_ro(
+          "state", [](const Racer& self) { return to_array(self.state()); }, nb::rv_policy::move)
       .def_prop_ro("time", &Racer::time);
 }

@@ -7,9 +7,9 @@
 namespace alula::flight {
 
 inline constexpr std::size_t kRacerNumbers = 13;
-using InRacer = In<double, nanobind::shape<13>>;        // p, v, q wxyz, omega
+using InRacer = In<double, nanobind::shape<13>>;  // p, v, q wxyz, omega
 using InRacers = In<double, nanobind::shape<-1, 13>>;
-using InCommand = In<double, nanobind::shape<4>>;       // throttle, rates
+using InCommand = In<double, nanobind::shape<4>>;  // throttle, rates
 
 inline RacerState racer_at(const double* row) {
   using geometry::from_rows;

@@ -8,10 +8,8 @@ namespace alula::flight {
 namespace {
 
 RacerModel model_of(const alula_racer_model& m) {
-  return {m.gravity,
-          {m.thrust[0], m.thrust[1], m.thrust[2]},
-          m.rate_gain,
-          {m.max_rate[0], m.max_rate[1], m.max_rate[2]}};
+  return {
+      m.gravity, {m.thrust[0], m.thrust[1], m.thrust[2]}, m.rate_gain, {m.max_rate[0], m.max_rate[1], m.max_rate[2]}};
 }
 
 }  // namespace
@@ -95,9 +93,8 @@ BackupQpReport BackupQp::filter(const RacerState& x, const RacerCommand& pilot) 
     return report;
   }
   report.is_passed = found.active_count == 0;
-  report.command = report.is_passed
-                       ? pilot
-                       : RacerCommand{model_.throttle_for(found.x[0]), {found.x[1], found.x[2], found.x[3]}};
+  report.command =
+      report.is_passed ? pilot : RacerCommand{model_.throttle_for(found.x[0]), {found.x[1], found.x[2], found.x[3]}};
   return report;
 }
 

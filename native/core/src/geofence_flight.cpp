@@ -169,7 +169,8 @@ GeofenceLog fly_in_fence(const GeofenceSpec& spec, const Geofence& original, Ran
     std::optional<RacerCommand> pilot = hand(time, plant.state());
     if (is_out(spec.rules.radio_from_s, spec.rules.radio_for_s)) pilot.reset();
     const bool is_stale = is_out(spec.rules.stale_from_s, spec.rules.stale_for_s);
-    const GeofenceReport report = decide(is_stale ? nullptr : &plant.state(), pilot, spec.rules.rule, filter, program);
+    const GeofenceReport report =
+        decide(is_stale ? nullptr : &plant.state(), pilot, spec.rules.rule, filter, program);
     notes.note(plant.state(), pilot, report, config, distance);
     for (int j = 0; j < spec.rules.plant_steps; ++j) {
       const Vec3 before = plant.state().p;

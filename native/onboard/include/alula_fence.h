@@ -30,7 +30,7 @@ extern "C" {
 typedef struct {
   int has_box;
   float lower[3], upper[3];
-  uint32_t face_count; /* of the polytope; 0 without */
+  uint32_t face_count;              /* of the polytope; 0 without */
   float face[ALULA_FENCE_FACES][4]; /* n, d: n . p <= d inside, |n| = 1 */
   const alula_map* keep_out;        /* null without; lives as long as the fence */
 } alula_fence;
@@ -41,19 +41,19 @@ ALULA_MUST_USE alula_status alula_fence_check(const alula_fence* fence);
 /* Faces are numbered: 0 to 2 lower, 3 to 5 upper, then the polytope's, ALULA_FENCE_MAP for the map. */
 typedef struct {
   const alula_fence* fence;
-  float origin[3];   /* positions below are relative to it, so that small steps stay exact in float */
+  float origin[3];             /* positions below are relative to it, so that small steps stay exact in float */
   float room[ALULA_FENCE_MAP]; /* of each face at the origin, less the clearance kept */
-  float clearance;   /* kept from everything: radius and reserve */
+  float clearance;             /* kept from everything: radius and reserve */
   float push_distance, push_gain, push_speed;
   float least[ALULA_FENCE_CONSTRAINTS];
-  float map_normal[3]; /* away from the hull that decides least[ALULA_FENCE_MAP] */
+  float map_normal[3];                           /* away from the hull that decides least[ALULA_FENCE_MAP] */
   float known_psi, known_at[3], known_normal[3]; /* the last look at the map */
-  int damaged;         /* the map could not be evaluated: nothing is safe */
+  int damaged;                                   /* the map could not be evaluated: nothing is safe */
 } alula_fence_tracker;
 
 /* Begin at `origin`: least values are those there. */
-void alula_fence_begin(alula_fence_tracker* tracker, const alula_fence* fence, const float origin[3],
-                       float clearance, float push_distance, float push_gain, float push_speed);
+void alula_fence_begin(alula_fence_tracker* tracker, const alula_fence* fence, const float origin[3], float clearance,
+                       float push_distance, float push_gain, float push_speed);
 
 /* v_d at a position relative to the origin, (17): of each face within push_distance cut(gain (push_distance - its
  * distance), 0, speed) away from it. Along each axis the strongest push to either side counts. */

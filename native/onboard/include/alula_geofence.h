@@ -10,9 +10,9 @@
  * face that is (19); with several it has no jump where another face becomes the nearest. v_c = 1 for all gives (10).
  * When lambda rounds to 1 the pilot's command is returned bit by bit.
  *
- * Hold. u_B steers to a height and a yaw frozen where the flow began; so they are state. They are frozen anew in every
- * tick with h_I > 0; as soon as h_I <= 0 the last ones are kept, so that what is flown with lambda = 0 is the flow
- * that was found safe, not another that begins again in every tick.
+ * Hold. u_B steers to a height and a yaw frozen where the flow began; so they are state. They are frozen anew in
+ * every tick with h_I > 0; as soon as h_I <= 0 the last ones are kept, so that what is flown with lambda = 0 is the
+ * flow that was found safe, not another that begins again in every tick.
  *
  * Margin. The flow is integrated with steps dt and, beside it, 2 dt. The command is extrapolated to the middle of the
  * step, so the method is of second order, and of first where a limit of u_B begins or ends to act. Then the error of
@@ -28,9 +28,9 @@
  *   (2 N + 64) u (E + 3 V)   each node is a sum of one with two roundings, u = 2^-24; E: coordinates, V: speed
  *
  * With these h_I is below that of the flow as flown, h_true. As h_true does not fall along u_B, and a command with
- * weight lambda <= beta h_I / v_c lowers it in a tick by at most lambda D, D = what the pilot alone could do in a tick
- * (some centimetres), h_true >= h_I (1 - beta D / v_c) > 0 in the tick in which u_B takes over. What the model leaves
- * out (mass, wind, delay) is for `reserve_m`. The bound is to leading order, not an enclosure.
+ * weight lambda <= beta h_I / v_c lowers it in a tick by at most lambda D, D = what the pilot alone could do in a
+ * tick (some centimetres), h_true >= h_I (1 - beta D / v_c) > 0 in the tick in which u_B takes over. What the model
+ * leaves out (mass, wind, delay) is for `reserve_m`. The bound is to leading order, not an enclosure.
  *
  * Without a pilot (null, or a number that is not finite) u_B is flown, with the hold of when he fell silent. Without
  * navigation (null, or not plausible) the model takes the last state on, and what it may be off by,
@@ -50,8 +50,8 @@
 extern "C" {
 #endif
 
-#define ALULA_GEOFENCE_STEPS 400U   /* of a flow, at most */
-#define ALULA_GEOFENCE_LATENCY 32U  /* ticks, at most */
+#define ALULA_GEOFENCE_STEPS 400U  /* of a flow, at most */
+#define ALULA_GEOFENCE_LATENCY 32U /* ticks, at most */
 #define ALULA_GEOFENCE_NONE 0xFFFFFFFFU
 #define ALULA_GEOFENCE_END 0xFFFFFFFEU /* h_B decides */
 
@@ -59,14 +59,14 @@ typedef struct {
   alula_racer_model model;
   alula_backup_gains backup;
   float push_distance_m, push_gain, push_speed_m_s; /* (17) */
-  uint32_t steps;  /* N, even */
-  float step_s;    /* dt */
-  float tick_s;    /* between two calls, dt_s */
+  uint32_t steps;                                   /* N, even */
+  float step_s;                                     /* dt */
+  float tick_s;                                     /* between two calls, dt_s */
   float beta;
-  float slow_m_s, fast_m_s; /* limits of v_c; both 1: (10) */
+  float slow_m_s, fast_m_s;      /* limits of v_c; both 1: (10) */
   float end_speed_m_s, end_gain; /* h_B */
-  float radius_m;  /* of the vehicle */
-  float reserve_m; /* kept beyond the margin: for what the model leaves out */
+  float radius_m;                /* of the vehicle */
+  float reserve_m;               /* kept beyond the margin: for what the model leaves out */
   float latency_s; /* from a command, or from the state, until it acts; the flow starts that much later */
   float stale_limit_s, stale_speed_m_s, stale_acceleration_m_s2;
   float descent; /* throttle of HAND_OVER, in that of hovering */

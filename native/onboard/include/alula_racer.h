@@ -14,10 +14,10 @@
  * zeta is the third component of z(q), and 1 / zeta is 2 below zeta = 1/2 and falls to 1/3 from the horizon to a
  * quarter below it. The hold (z_0, yaw_0) is frozen when a flow starts, and is part of the state of whoever flies it.
  *
- * Other differences to the published controller, whose flow jumps where the thrust passes the horizon, and which at high
- * speed over a diagonal brakes one axis after the other: the tilt is one rotation instead of a pitch and then a roll
- * (the same along an axis), what jumped is a ramp of a quarter, yaw_0 also turns the error of the velocity (the same
- * while the yaw is held), and the height is steered as (17) steers x and y.
+ * Other differences to the published controller, whose flow jumps where the thrust passes the horizon, and which at
+ * high speed over a diagonal brakes one axis after the other: the tilt is one rotation instead of a pitch and then a
+ * roll (the same along an axis), what jumped is a ramp of a quarter, yaw_0 also turns the error of the velocity (the
+ * same while the yaw is held), and the height is steered as (17) steers x and y.
  *
  * Source: Singletary, Swann, Chen, Ames 2022 (arXiv 2201.04331), eq. 15, 17, section IV-B.
  * Single precision; SI units. Every loop is bounded by a constant.
@@ -62,9 +62,9 @@ typedef struct {
 alula_backup_gains alula_backup_defaults(void);
 
 typedef struct {
-  float height;           /* z_0 */
-  float cosine, sine;     /* of yaw_0 */
-  float half_c, half_s;   /* of yaw_0 / 2 */
+  float height;         /* z_0 */
+  float cosine, sine;   /* of yaw_0 */
+  float half_c, half_s; /* of yaw_0 / 2 */
 } alula_backup_hold;
 
 /* What a fixed step needs of the model: 1 - exp(-C dt), and the mean of exp(-C t) over it. */
@@ -74,9 +74,9 @@ typedef struct {
 
 alula_racer_step_size alula_racer_step_of(const alula_racer_model* model, float dt);
 
-float alula_racer_thrust(const alula_racer_model* model, float throttle);    /* [m/s^2] */
-float alula_racer_hover_throttle(const alula_racer_model* model);            /* a(throttle) = g; above 1: it cannot */
-void alula_racer_axis(const float attitude[4], float axis[3]);               /* z(q) */
+float alula_racer_thrust(const alula_racer_model* model, float throttle); /* [m/s^2] */
+float alula_racer_hover_throttle(const alula_racer_model* model);         /* a(throttle) = g; above 1: it cannot */
+void alula_racer_axis(const float attitude[4], float axis[3]);            /* z(q) */
 void alula_racer_limit(const alula_racer_model* model, alula_racer_command* command); /* into its box */
 
 /* Finite and a plausible state: |v_i| <= 200 m/s, |omega_i| <= 100 rad/s, |p_i| <= 10^5 m, | |q| - 1 | <= 0.05. */

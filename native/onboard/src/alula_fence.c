@@ -43,8 +43,8 @@ static float remembered(const alula_fence_tracker* tracker, const float at[3]) {
   return tracker->known_psi - 1.00001F * norm(way);
 }
 
-void alula_fence_begin(alula_fence_tracker* tracker, const alula_fence* fence, const float origin[3],
-                       float clearance, float push_distance, float push_gain, float push_speed) {
+void alula_fence_begin(alula_fence_tracker* tracker, const alula_fence* fence, const float origin[3], float clearance,
+                       float push_distance, float push_gain, float push_speed) {
   static const float HERE[3] = {0.0F, 0.0F, 0.0F};
   tracker->fence = fence;
   tracker->clearance = clearance;

@@ -54,15 +54,15 @@ static int config_is_valid(const alula_geofence_config* config) {
          is_in(backup->max_tilt, 0.01F, 1.57F) && is_in(backup->attitude_gain, 0.01F, MOST_GAIN) &&
          is_in(backup->height_gain, 0.0F, 10.0F) && is_in(backup->climb_gain, 0.0F, 10.0F) &&
          is_in(backup->most_throttle, 0.0F, 1.0F) && is_in(config->push_distance_m, 0.0F, 100.0F) &&
-         is_in(config->push_gain, 0.0F, 10.0F) && is_in(config->push_speed_m_s, 0.0F, 10.0F) &&
-         config->steps >= 2U && config->steps <= ALULA_GEOFENCE_STEPS && config->steps % 2U == 0U &&
-         is_in(config->step_s, 1.0e-4F, 0.1F) && is_in(config->tick_s, 1.0e-4F, MOST_TICK) &&
-         is_in(config->beta, 1.0e-3F, MOST_GAIN) && is_in(config->slow_m_s, 1.0e-2F, 100.0F) &&
-         is_in(config->fast_m_s, config->slow_m_s, 100.0F) && is_in(config->end_speed_m_s, 0.0F, 10.0F) &&
-         is_in(config->end_gain, 0.1F, MOST_GAIN) && is_in(config->radius_m, 0.0F, 100.0F) &&
-         is_in(config->reserve_m, 0.0F, 100.0F) && is_in(config->latency_s, 0.0F, 1.0F) &&
-         is_in(config->stale_limit_s, 0.0F, 10.0F) && is_in(config->stale_speed_m_s, 0.0F, 100.0F) &&
-         is_in(config->stale_acceleration_m_s2, 0.0F, 100.0F) && is_in(config->descent, 0.0F, 1.0F);
+         is_in(config->push_gain, 0.0F, 10.0F) && is_in(config->push_speed_m_s, 0.0F, 10.0F) && config->steps >= 2U &&
+         config->steps <= ALULA_GEOFENCE_STEPS && config->steps % 2U == 0U && is_in(config->step_s, 1.0e-4F, 0.1F) &&
+         is_in(config->tick_s, 1.0e-4F, MOST_TICK) && is_in(config->beta, 1.0e-3F, MOST_GAIN) &&
+         is_in(config->slow_m_s, 1.0e-2F, 100.0F) && is_in(config->fast_m_s, config->slow_m_s, 100.0F) &&
+         is_in(config->end_speed_m_s, 0.0F, 10.0F) && is_in(config->end_gain, 0.1F, MOST_GAIN) &&
+         is_in(config->radius_m, 0.0F, 100.0F) && is_in(config->reserve_m, 0.0F, 100.0F) &&
+         is_in(config->latency_s, 0.0F, 1.0F) && is_in(config->stale_limit_s, 0.0F, 10.0F) &&
+         is_in(config->stale_speed_m_s, 0.0F, 100.0F) && is_in(config->stale_acceleration_m_s2, 0.0F, 100.0F) &&
+         is_in(config->descent, 0.0F, 1.0F);
 }
 
 static float extent_of(const alula_fence* fence) {
@@ -122,8 +122,8 @@ typedef struct {
   float thrust, zeta; /* of the last step, at its beginning */
 } course;
 
-static inline void advance(const alula_geofence* filter, const alula_racer_step_size* step, const alula_backup_hold* hold,
-                    alula_fence_tracker* tracker, int is_first, course* flow) {
+static inline void advance(const alula_geofence* filter, const alula_racer_step_size* step,
+                           const alula_backup_hold* hold, alula_fence_tracker* tracker, int is_first, course* flow) {
   alula_racer_command now, middle;
   float v_d[3];
   alula_fence_push(tracker, flow->state.position, v_d);

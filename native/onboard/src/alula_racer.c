@@ -5,7 +5,7 @@
 #define LARGEST_POSITION 1.0e5F
 #define LARGEST_SPEED 200.0F
 #define LARGEST_RATE 100.0F
-#define SHORT 1.0e-6F   /* of a squared length: no direction */
+#define SHORT 1.0e-6F /* of a squared length: no direction */
 
 alula_backup_gains alula_backup_defaults(void) {
   alula_backup_gains gains;
@@ -78,7 +78,9 @@ float alula_racer_thrust(const alula_racer_model* model, float throttle) { retur
 
 void alula_racer_axis(const float attitude[4], float axis[3]) { axis_of(attitude, axis); }
 
-void alula_racer_limit(const alula_racer_model* model, alula_racer_command* command) { limit_command(model, command); }
+void alula_racer_limit(const alula_racer_model* model, alula_racer_command* command) {
+  limit_command(model, command);
+}
 
 void alula_backup_command(const alula_racer_model* model, const alula_backup_gains* gains,
                           const alula_backup_hold* hold, float hover, const alula_racer_state* state,

@@ -42,8 +42,8 @@ static inline float steepness(float zeta) {
 }
 
 static inline void backup_command(const alula_racer_model* model, const alula_backup_gains* gains,
-                          const alula_backup_hold* hold, float hover, const alula_racer_state* state,
-                          const float v_d[3], alula_racer_command* command) {
+                                  const alula_backup_hold* hold, float hover, const alula_racer_state* state,
+                                  const float v_d[3], alula_racer_command* command) {
   const float* q = state->attitude;
   const float zeta = 1.0F - 2.0F * (q[1] * q[1] + q[2] * q[2]);
   const float ex = v_d[0] - state->velocity[0], ey = v_d[1] - state->velocity[1];
@@ -73,7 +73,7 @@ static inline void backup_command(const alula_racer_model* model, const alula_ba
 }
 
 static inline float step_racer(const alula_racer_model* model, const alula_racer_step_size* step,
-                       const alula_racer_command* command, alula_racer_state* state) {
+                               const alula_racer_command* command, alula_racer_state* state) {
   float before[3], after[3], half[3], square = 0.0F, norm_square = 0.0F;
   float* q = state->attitude;
   axis_of(q, before);

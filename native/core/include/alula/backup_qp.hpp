@@ -4,9 +4,9 @@
 //                                d/dt h_B(phi_N(x)) + alpha h_B(phi_N(x)) >= 0,  u within its limits
 //
 // with d/dt along f(x) + g(x) u. The input is u = (thrust acceleration, omega_des), in which the model is affine; the
-// throttle follows by the inverse of the thrust map. The flow is that of the geofence with its N steps, and carries its
-// sensitivity along f and the four columns of g: the derivative of the very steps that are taken. Rows that no input
-// within the limits can miss are left out, which does not change the solution. Margins and hold are as of the
+// throttle follows by the inverse of the thrust map. The flow is that of the geofence with its N steps, and carries
+// its sensitivity along f and the four columns of g: the derivative of the very steps that are taken. Rows that no
+// input within the limits can miss are left out, which does not change the solution. Margins and hold are as of the
 // geofence's flow without its error estimate: radius and reserve. Without a solution u_B is flown.
 //
 // Source: Chen, Jankovic, Santillo, Ames 2021 (arXiv 2104.11332); Singletary et al. 2022, (3), (5) to (7).

@@ -16,7 +16,7 @@ namespace alula::flight {
 // Where to fly: in the box, in the polytope, outside the hulls of a map; at least one of them.
 struct Fence {
   std::optional<geometry::Box> box;
-  std::vector<std::array<double, 4>> faces;               // n . p <= d inside, unit n
+  std::vector<std::array<double, 4>> faces;                // n . p <= d inside, unit n
   std::shared_ptr<const std::vector<std::uint8_t>> image;  // of an onboard map, read by the filter
   const PolytopeSet* keep_out = nullptr;                   // the same for the judge; not owned
 

@@ -5,8 +5,8 @@
 //   h_B = eps - |theta'|,  h = theta_max - |theta|                                              (13, 14)
 //
 // Both filters simulate the flow phi under u_B with N steps (explicit midpoint rule). `regulation` is the rule of the
-// geofence, u = lambda u_des + (1 - lambda) u_B with lambda = 1 - exp(-beta max(h_I, 0)). `backup_qp` also carries the
-// sensitivity of the flow along drift and input, and takes the nearest u with
+// geofence, u = lambda u_des + (1 - lambda) u_B with lambda = 1 - exp(-beta max(h_I, 0)). `backup_qp` also carries
+// the sensitivity of the flow along drift and input, and takes the nearest u with
 //
 //   d/dt h(phi_k(x)) + alpha h(phi_k(x)) >= 0 for all k,  d/dt h_B(phi_N(x)) + alpha h_B(phi_N(x)) >= 0
 //
@@ -33,8 +33,8 @@ struct PendulumOptions {
   double push_distance = 0.1, push_gain = 1, push_rate = 0.1;
   double horizon_s = 3;
   int steps = 100;
-  double beta = 15;          // of the regulation
-  double alpha = 5;          // of the QP
+  double beta = 15;           // of the regulation
+  double alpha = 5;           // of the QP
   double largest_input = 20;  // of u_des and the QP
 };
 
@@ -44,8 +44,8 @@ void check(const PendulumOptions& options);
 struct PendulumReport {
   double u = 0;
   double h_i = 0;
-  double lambda = 0;          // of the regulation
-  std::size_t rows = 0;       // of the QP
+  double lambda = 0;           // of the regulation
+  std::size_t rows = 0;        // of the QP
   bool is_infeasible = false;  // the QP had no input; u_B was taken
 };
 

@@ -33,8 +33,8 @@ inline bool is_finite(const RacerCommand& u) { return std::isfinite(u.throttle) 
 struct RacerModel {
   double gravity = 9.81;
   std::array<double, 3> thrust{0, 7.75474, 73.895455};  // a_0, a_1, a_2 [m/s^2]
-  double rate_gain = 50;                               // C [1/s]
-  Vec3 max_rate{12, 12, 6};                            // of a command
+  double rate_gain = 50;                                // C [1/s]
+  Vec3 max_rate{12, 12, 6};                             // of a command
 
   double acceleration(double throttle) const { return thrust[0] + throttle * (thrust[1] + throttle * thrust[2]); }
   double throttle_for(double acceleration) const;  // in [0, 1], nearest
@@ -47,7 +47,7 @@ void check(const RacerModel& model);
 struct RacerOptions {
   double mass = 1;  // [kg]; matters for drag alone
   double mass_scale = 1, thrust_scale = 1, rate_gain_scale = 1;
-  double delay_s = 0;  // of a command until it acts, in whole steps
+  double delay_s = 0;                // of a command until it acts, in whole steps
   Vec3 linear_drag, quadratic_drag;  // along the body's axes, of the air speed [N s/m, N s^2/m^2]
   Vec3 wind_m_s, gust_m_s;           // gusts: first-order Gauss-Markov, standard deviation per axis
   double gust_time_s = 1;

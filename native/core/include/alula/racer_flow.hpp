@@ -73,7 +73,8 @@ class BackupController {
     const double hc = hold.half_c, hs = hold.half_s, yc = hc * hc - hs * hs, ys = 2 * hc * hs;
     const S zeta = S(1) - S(2) * (x.q[1] * x.q[1] + x.q[2] * x.q[2]);
     const S ex = vd[0] - x.v[0], ey = vd[1] - x.v[1];
-    S tx = S(c_.backup.tilt_gain) * (S(yc) * ex + S(ys) * ey), ty = S(c_.backup.tilt_gain) * (S(yc) * ey - S(ys) * ex);
+    S tx = S(c_.backup.tilt_gain) * (S(yc) * ex + S(ys) * ey),
+      ty = S(c_.backup.tilt_gain) * (S(yc) * ey - S(ys) * ex);
     S square = tx * tx + ty * ty, scale = cut<S>(S(1) + S(4) * zeta, 0, 1);
     const double most = c_.backup.max_tilt;
     if (square > S(most * most)) scale = scale * S(most) / root(square);
