@@ -5,7 +5,6 @@ Nothing here uses the closed forms of the library. States are p, v, q wxyz, omeg
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 from scipy.optimize import brentq
 
 GRAVITY, RATE_GAIN = 9.81, 50.0
@@ -32,12 +31,15 @@ def about_z(angle):
 
 
 def rotation(q):
-    """The matrix of a quaternion, from its rotation vector."""
-    vector = np.asarray(q[1:], float)
-    size = np.linalg.norm(vector)
-    if size == 0:
-        return np.eye(3)
-    return expm(hat(vector / size * 2 * np.arctan2(size, q[0])))
+    """The matrix of a quaternion."""
+    k = hat(q[1:])
+    return np.eye(3) + 2 * q[0] * k + 2 * k @ k
+
+
+def exponential(vector):
+    """The matrix of a rotation vector, after Rodrigues."""
+    size, k = np.linalg.norm(vector), hat(vector)
+    return np.eye(3) + np.sinc(size / np.pi) * k + 0.5 * np.sinc(size / (2 * np.pi)) ** 2 * k @ k
 
 
 def quaternion_rate(q, w):
@@ -65,7 +67,7 @@ def backup(x, held, box=BOX, kept=0.0):
     tilt = 0.15 * (about_z(yaw).T @ (wanted - v))[:2]
     size, most = np.linalg.norm(tilt), np.pi / 2.1
     tilt *= np.clip(1 + 4 * zeta, 0, 1) * min(1.0, most / max(size, 1e-9))
-    target = about_z(yaw) @ expm(hat([-tilt[1], tilt[0], 0]))
+    target = about_z(yaw) @ exponential([-tilt[1], tilt[0], 0])
     error = target.T @ turn
     skew, cosine = 0.5 * (error - error.T), (np.trace(error) - 1) / 2
     if cosine < 0:  # beyond 90 degrees

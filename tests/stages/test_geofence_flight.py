@@ -94,7 +94,7 @@ def test_commands_of_the_trace_are_the_blend_and_those_passed_are_the_pilots_bit
 def test_no_pilot_leaves_the_fence(pilot):
     logs = fly(ROOM, pilot, starts=STARTS, count=24, seed=7, rules={"duration_s": 6})
     assert min(log["min_distance_m"] for log in logs) >= 0
-    assert sum(log["interventions"] for log in logs) >= 20
+    assert sum(log["interventions"] for log in logs) >= 12
     assert sum(log["altered_passes"] + log["out_of_range"] + log["refused"] for log in logs) == 0
     assert sum(log["no_pilot"] > 0 for log in logs) == (24 if pilot == "silent" else 0)
     free = fly(ROOM, pilot, starts=STARTS, count=8, seed=7, rules={"duration_s": 6, "rule": "none"})
@@ -144,9 +144,9 @@ def test_a_short_outage_of_navigation_is_bridged_and_a_long_one_handed_over():
 
 
 def test_the_latency_that_is_known_is_made_up_for():
-    how = {"starts": STARTS, "count": 16, "seed": 1, "options": {"delay_s": 0.02}, "rules": {"duration_s": 6}}
+    how = {"starts": STARTS, "count": 16, "seed": 1, "options": {"delay_s": 0.05}, "rules": {"duration_s": 6}}
     blind = fly(ROOM, "aggressive", **how)
-    knowing = fly(ROOM, "aggressive", parameters={"latency_s": 0.02}, **how)
+    knowing = fly(ROOM, "aggressive", parameters={"latency_s": 0.05}, **how)
     least = [min(log["min_distance_m"] for log in logs) for logs in (blind, knowing)]
     assert least[1] >= 0 > least[0]
 
