@@ -123,10 +123,11 @@ void check(const GeofenceRules& rules) {
 
 namespace {
 
-// What is flown in a tick. Of backup_qp lambda is 1 or, when it changed the pilot's command, 0.
+// What is flown in a tick. Of backup_qp lambda is 1 or, when it changed the pilot's command, 0; without a pilot it
+// flies the geofence's backup.
 GeofenceReport decide(const RacerState* navigation, const std::optional<RacerCommand>& pilot, FenceRule rule,
                       Geofence& filter, std::optional<BackupQp>& program) {
-  if (rule == FenceRule::geofence) return filter.filter(navigation, pilot ? &*pilot : nullptr);
+  if (rule == FenceRule::geofence || (program && !pilot)) return filter.filter(navigation, pilot ? &*pilot : nullptr);
   GeofenceReport report;
   if (!pilot || navigation == nullptr) return report;
   report.status = ALULA_GEOFENCE_PASSED;
