@@ -25,6 +25,7 @@ extern "C" {
 #define ALULA_FENCE_BOX_FACES 6U
 #define ALULA_FENCE_MAP (ALULA_FENCE_BOX_FACES + ALULA_FENCE_FACES) /* number of the map among the constraints */
 #define ALULA_FENCE_CONSTRAINTS (ALULA_FENCE_MAP + 1U)
+#define ALULA_FENCE_LOOKS 4U   /* remembered: nodes are looked at up to three times */
 #define ALULA_FENCE_FAR 1.0e4F /* [m] farthest coordinate of a fence, and of who flies in it */
 
 typedef struct {
@@ -38,6 +39,11 @@ typedef struct {
 /* Whether there is a fence, its numbers mean something and its box is not empty. */
 ALULA_MUST_USE alula_status alula_fence_check(const alula_fence* fence);
 
+/* psi at a place relative to the tracker's origin. */
+typedef struct {
+  float psi, at[3], normal[3];
+} alula_fence_look;
+
 /* Faces are numbered: 0 to 2 lower, 3 to 5 upper, then the polytope's, ALULA_FENCE_MAP for the map. */
 typedef struct {
   const alula_fence* fence;
@@ -46,9 +52,10 @@ typedef struct {
   float clearance;             /* kept from everything: radius and reserve */
   float push_distance, push_gain, push_speed;
   float least[ALULA_FENCE_CONSTRAINTS];
-  float map_normal[3];                           /* away from the hull that decides least[ALULA_FENCE_MAP] */
-  float known_psi, known_at[3], known_normal[3]; /* the last look at the map */
-  int damaged;                                   /* the map could not be evaluated: nothing is safe */
+  float map_normal[3];                      /* away from the hull that decides least[ALULA_FENCE_MAP] */
+  alula_fence_look look[ALULA_FENCE_LOOKS]; /* the last ones at the map, as a ring */
+  uint32_t newest, next;
+  int damaged; /* the map could not be evaluated: nothing is safe */
 } alula_fence_tracker;
 
 /* Begin at `origin`: least values are those there. */

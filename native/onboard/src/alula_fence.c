@@ -24,23 +24,37 @@ alula_status alula_fence_check(const alula_fence* fence) {
   return ALULA_READY;
 }
 
-/* Look at the map; what cannot be evaluated is as near as can be. */
-static void look(alula_fence_tracker* tracker, const float at[3]) {
+static const alula_fence_look* newest(const alula_fence_tracker* tracker) { return &tracker->look[tracker->newest]; }
+
+/* Look at the map, unless that was done lately; what cannot be evaluated is as near as can be. */
+static const alula_fence_look* look(alula_fence_tracker* tracker, const float at[3]) {
+  for (uint32_t k = 0; k < ALULA_FENCE_LOOKS; ++k) {
+    const alula_fence_look* old = &tracker->look[k];
+    if (old->at[0] == at[0] && old->at[1] == at[1] && old->at[2] == at[2]) {
+      tracker->newest = k;
+      return old;
+    }
+  }
+  tracker->newest = tracker->next;
+  tracker->next = (tracker->next + 1U) % ALULA_FENCE_LOOKS;
+  alula_fence_look* place = &tracker->look[tracker->newest];
   float x[3];
   alula_map_value value;
   for (int i = 0; i < 3; ++i) x[i] = tracker->origin[i] + at[i];
   if (alula_map_evaluate(tracker->fence->keep_out, x, &value) != ALULA_MAP_READY) tracker->damaged = 1;
-  tracker->known_psi = value.psi_m;
+  place->psi = value.psi_m;
   for (int i = 0; i < 3; ++i) {
-    tracker->known_at[i] = at[i];
-    tracker->known_normal[i] = value.normal[i];
+    place->at[i] = at[i];
+    place->normal[i] = value.normal[i];
   }
+  return place;
 }
 
 /* A lower bound of psi here from the last look. The factor is for the rounding of the distance. */
 static float remembered(const alula_fence_tracker* tracker, const float at[3]) {
-  const float way[3] = {at[0] - tracker->known_at[0], at[1] - tracker->known_at[1], at[2] - tracker->known_at[2]};
-  return tracker->known_psi - 1.00001F * norm(way);
+  const alula_fence_look* last = newest(tracker);
+  const float way[3] = {at[0] - last->at[0], at[1] - last->at[1], at[2] - last->at[2]};
+  return last->psi - 1.00001F * norm(way);
 }
 
 void alula_fence_begin(alula_fence_tracker* tracker, const alula_fence* fence, const float origin[3], float clearance,
@@ -65,9 +79,11 @@ void alula_fence_begin(alula_fence_tracker* tracker, const alula_fence* fence, c
   for (uint32_t k = 0; k < ALULA_FENCE_BOX_FACES + fence->face_count; ++k) tracker->least[k] = tracker->room[k];
   tracker->least[ALULA_FENCE_MAP] = FLT_MAX;
   if (!fence->keep_out) return;
-  look(tracker, HERE);
-  tracker->least[ALULA_FENCE_MAP] = tracker->known_psi - clearance;
-  for (int i = 0; i < 3; ++i) tracker->map_normal[i] = tracker->known_normal[i];
+  tracker->newest = tracker->next = 0U;
+  for (uint32_t k = 0; k < ALULA_FENCE_LOOKS; ++k) tracker->look[k].at[0] = FLT_MAX; /* nowhere */
+  const alula_fence_look* here = look(tracker, HERE);
+  tracker->least[ALULA_FENCE_MAP] = here->psi - clearance;
+  for (int i = 0; i < 3; ++i) tracker->map_normal[i] = here->normal[i];
 }
 
 /* The strongest push so far to either side of each axis. */
@@ -98,8 +114,8 @@ void alula_fence_push(alula_fence_tracker* tracker, const float at[3], float v_d
   if (fence->keep_out) {
     const float reach = tracker->push_distance + tracker->clearance;
     if (remembered(tracker, at) < reach) {
-      look(tracker, at);
-      add_push(tracker, tracker->known_psi - tracker->clearance, tracker->known_normal, 1.0F, up, down);
+      const alula_fence_look* here = look(tracker, at);
+      add_push(tracker, here->psi - tracker->clearance, here->normal, 1.0F, up, down);
     }
   }
   for (int i = 0; i < 3; ++i) v_d[i] = up[i] + down[i];
@@ -115,19 +131,20 @@ static void follow_map(alula_fence_tracker* tracker, const float from[3], const 
   const float wanted = length * (1.0F / PIECE);
   const uint32_t pieces = wanted < (float)PIECES ? 1U + (uint32_t)wanted : PIECES; /* NaN: all of them */
   const float piece = length / (float)pieces;
-  look(tracker, from);
+  float before = look(tracker, from)->psi;
   for (uint32_t k = 1U; k <= pieces; ++k) {
-    const float part = (float)k / (float)pieces, before = tracker->known_psi;
-    const float at[3] = {from[0] + part * way[0], from[1] + part * way[1], from[2] + part * way[2]};
-    look(tracker, at);
-    const float after = tracker->known_psi;
+    const float part = (float)k / (float)pieces;
+    const float between[3] = {from[0] + part * way[0], from[1] + part * way[1], from[2] + part * way[2]};
+    const alula_fence_look* here = look(tracker, k == pieces ? to : between);
+    const float after = here->psi;
     float bound = 0.5F * (before + after - piece);
     if (before < bound) bound = before; /* only by rounding */
     if (after < bound) bound = after;
     if (bound - kept < *least) {
       *least = bound - kept;
-      for (int i = 0; i < 3; ++i) tracker->map_normal[i] = tracker->known_normal[i];
+      for (int i = 0; i < 3; ++i) tracker->map_normal[i] = here->normal[i];
     }
+    before = after;
   }
 }
 
