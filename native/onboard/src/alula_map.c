@@ -1,5 +1,7 @@
 #include "alula_map.h"
 
+#include "bytes.h"
+#include "map_index.h"
 #include "vector.h"
 
 #define EXTENT_OF_MARGIN 262144.0F /* 2^18 */
@@ -16,25 +18,6 @@ static const int8_t DIRECTION[DIRECTIONS][3] = {{-1, -1, -1}, {-1, -1, 0}, {-1, 
                                                 {-1, 1, -1},  {-1, 1, 0},  {-1, 1, 1},  {0, -1, -1}, {0, -1, 1},
                                                 {0, 1, -1},   {0, 1, 1},   {1, -1, -1}, {1, -1, 0},  {1, -1, 1},
                                                 {1, 0, -1},   {1, 0, 1},   {1, 1, -1},  {1, 1, 0},   {1, 1, 1}};
-
-static uint32_t u16_at(const uint8_t* p) { return (uint32_t)p[0] | (uint32_t)p[1] << 8; }
-static uint32_t u32_at(const uint8_t* p) { return u16_at(p) | u16_at(p + 2) << 16; }
-static int32_t i8_at(const uint8_t* p) { return *p < 0x80U ? (int32_t)*p : (int32_t)*p - 0x100; }
-static int32_t i16_at(const uint8_t* p) { return (int32_t)u16_at(p) - (p[1] < 0x80U ? 0 : 0x10000); }
-
-static int32_t i32_at(const uint8_t* p) {
-  const uint32_t bits = u32_at(p);
-  return bits < 0x80000000U ? (int32_t)bits : -(int32_t)(~bits) - 1;
-}
-
-static float f32_at(const uint8_t* p) {
-  union {
-    uint32_t bits;
-    float value;
-  } word;
-  word.bits = u32_at(p);
-  return word.value;
-}
 
 /* CRC-32 as in zlib and Ethernet, half a byte at a time. */
 static uint32_t crc32_of(const uint8_t* data, uint32_t length) {
@@ -83,11 +66,12 @@ static alula_map_status check_records(alula_map* map, int32_t largest, int index
     if (alula_map_read(map, at, &hull) != ALULA_MAP_READY) return ALULA_MAP_MALFORMED;
     if (!hull_is_valid(map, &hull, largest)) return ALULA_MAP_MALFORMED;
     map->plane_count += hull.plane_count;
+    if (hull.plane_count > map->most_planes) map->most_planes = hull.plane_count;
     at = hull.next;
   }
-  if (at != map->total_bytes && !indexed) return ALULA_MAP_MALFORMED;
   map->records_end = at;
-  return ALULA_MAP_READY;
+  if (!indexed) return at == map->total_bytes ? ALULA_MAP_READY : ALULA_MAP_MALFORMED;
+  return alula_map_index_open(map) ? ALULA_MAP_READY : ALULA_MAP_MALFORMED;
 }
 
 static alula_map_status open_map(alula_map* map, const uint8_t* data, uint32_t length) {
