@@ -92,6 +92,7 @@ typedef struct {
   float crowd_m;        /* log(hulls) / kappa */
   int is_damaged;       /* the image is no longer what it was */
   alula_polytope_work work;
+  int is_full; /* there was no room to keep all planes that the last tick looked at */
   uint32_t kept_count, row_count;
   struct {
     uint32_t hull, first;

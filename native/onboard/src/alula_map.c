@@ -11,10 +11,8 @@
 #define LARGEST_VOXEL 1.0e5F
 #define LARGEST_ORIGIN (1 << 22) /* so that floats hold all coordinates exactly */
 #define LARGEST_SHIFT 16U
-#define DIRECTION_BITS 5U
-#define DIRECTIONS 20U
 
-static const int8_t DIRECTION[DIRECTIONS][3] = {{-1, -1, -1}, {-1, -1, 0}, {-1, -1, 1}, {-1, 0, -1}, {-1, 0, 1},
+const int8_t alula_map_direction[ALULA_MAP_DIRECTIONS][3] = {{-1, -1, -1}, {-1, -1, 0}, {-1, -1, 1}, {-1, 0, -1}, {-1, 0, 1},
                                                 {-1, 1, -1},  {-1, 1, 0},  {-1, 1, 1},  {0, -1, -1}, {0, -1, 1},
                                                 {0, 1, -1},   {0, 1, 1},   {1, -1, -1}, {1, -1, 0},  {1, -1, 1},
                                                 {1, 0, -1},   {1, 0, 1},   {1, 1, -1},  {1, 1, 0},   {1, 1, 1}};
@@ -44,7 +42,7 @@ static int hull_is_valid(const alula_map* map, const alula_map_hull* hull, int32
   }
   for (uint32_t l = 0; l < hull->plane_count; ++l) {
     const uint8_t* at = hull->planes + l * map->plane_bytes;
-    if (map->plane_bytes == ALULA_MAP_KDOP_PLANE_BYTES && (at[0] & 31U) >= DIRECTIONS) return 0;
+    if (map->plane_bytes == ALULA_MAP_KDOP_PLANE_BYTES && (at[0] & 31U) >= ALULA_MAP_DIRECTIONS) return 0;
     const alula_map_plane plane = alula_map_plane_at(map, hull, l);
     int64_t reach = 0;
     int oblique = 0;
@@ -139,18 +137,7 @@ alula_map_status alula_map_read(const alula_map* map, uint32_t at, alula_map_hul
 }
 
 alula_map_plane alula_map_plane_at(const alula_map* map, const alula_map_hull* hull, uint32_t l) {
-  alula_map_plane plane;
-  const uint8_t* at = hull->planes + l * map->plane_bytes;
-  if (map->plane_bytes == ALULA_MAP_KDOP_PLANE_BYTES) {
-    const uint32_t word = u16_at(at);
-    const uint32_t number = (word & 31U) % DIRECTIONS;
-    for (int i = 0; i < 3; ++i) plane.normal[i] = DIRECTION[number][i];
-    plane.depth = word >> DIRECTION_BITS << hull->shift;
-  } else {
-    for (int i = 0; i < 3; ++i) plane.normal[i] = i8_at(at + i);
-    plane.depth = u16_at(at + 3) << hull->shift;
-  }
-  return plane;
+  return alula_map_plane_in(hull->planes + l * map->plane_bytes, map->plane_bytes, hull->shift);
 }
 
 /* Signed distances to the faces of the box, positive outside: below[i] = lower - x, above[i] = x - upper.

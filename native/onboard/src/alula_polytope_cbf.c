@@ -21,9 +21,10 @@ static float lowering(const alula_polytope_cbf* cbf, uint32_t planes) {
 static float smooth_value(alula_polytope_cbf* cbf, const alula_walk* walk, const float x[3], float hard,
                           float* gradient) {
   const float* const end = walk->plane + 4U * walk->plane_count;
+  const float at[3] = {x[0], x[1], x[2]}, kappa = cbf->config.kappa;
   float sum = 0.0F, slope[3] = {0.0F, 0.0F, 0.0F};
   for (const float* plane = walk->plane; plane < end; plane += 4) {
-    const float exponent = cbf->config.kappa * (alula_plane_value(plane, x) - hard);
+    const float exponent = kappa * (alula_plane_value(plane, at) - hard);
     if (exponent < -CUTOFF) continue;
     const float weight = alula_expf(exponent);
     ++cbf->work.exponentials;
@@ -83,7 +84,7 @@ static alula_status set_up(alula_polytope_cbf* cbf, const alula_map* image, cons
   cbf->max_lowering_m = most_planes > 0U ? lowering(cbf, most_planes) : 0.0F;
   cbf->crowd_m = map->hull_count > 0U ? alula_logf((float)map->hull_count) * cbf->inverse_kappa : 0.0F;
   cbf->is_damaged = 0;
-  cbf->kept_count = cbf->row_count = 0U;
+  cbf->is_full = 1; /* nothing is kept yet */
   cbf->work = NONE;
   return ALULA_READY;
 }
@@ -180,6 +181,8 @@ static alula_status begin(alula_polytope_cbf* cbf, const float x[3], alula_polyt
   value->gradient[0] = value->gradient[1] = value->gradient[2] = 0.0F;
   value->nearest = ALULA_NO_HULL;
   cbf->work = NONE;
+  if (cbf->is_full) cbf->kept_count = cbf->row_count = 0U;
+  cbf->is_full = 0;
   if (!inside_extent(&cbf->map, x)) return ALULA_BAD_INPUT;
   if (cbf->map.hull_count > 0U) find_hard(cbf, x, value);
   return cbf->is_damaged ? ALULA_BAD_MAP : ALULA_READY;

@@ -17,13 +17,21 @@ static float beside(float found, float lower, float upper, float x) {
   return above > found ? above : found;
 }
 
-static float lattice_value(const alula_polytope_cbf* cbf, const int32_t lower[3], const int32_t upper[3],
-                           const float x[3]) {
-  const float g = cbf->image.voxel_size_m, outward = cbf->outward_m;
+/* Of a box of the image: int16 lower[3], upper[3] at `at`, of a node or a record. */
+static float lattice_value(const alula_polytope_cbf* cbf, const uint8_t* at, const float x[3]) {
+  const alula_map* map = &cbf->image;
+  const float g = map->voxel_size_m, outward = cbf->outward_m;
   float value = -FLT_MAX;
-  for (int i = 0; i < 3; ++i)
-    value = beside(value, (float)lower[i] * g - outward, (float)upper[i] * g + outward, x[i]);
+  for (int i = 0; i < 3; ++i) {
+    const float lower = (float)(map->origin[i] + i16_at(at + 2 * i)) * g - outward;
+    const float upper = (float)(map->origin[i] + i16_at(at + 6 + 2 * i)) * g + outward;
+    value = beside(value, lower, upper, x[i]);
+  }
   return value;
+}
+
+static const uint8_t* node_at(const alula_map* map, uint32_t level, uint32_t node) {
+  return map->data + map->level_at[level] + ALULA_MAP_NODE_BYTES * node;
 }
 
 static float array_value(const alula_polytope_map* map, uint32_t hull, const float x[3]) {
@@ -53,8 +61,7 @@ static int next_leaf(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const
   if (map->leaf_hulls == 0U) return 0;
   while (walk->node < map->level_size[walk->level]) {
     const uint32_t leaf = walk->node << 2U * walk->level; /* the first below; 4^level */
-    const alula_map_box box = alula_map_node(map, walk->level, walk->node);
-    const float bound = lattice_value(cbf, box.lower, box.upper, x);
+    const float bound = lattice_value(cbf, node_at(map, walk->level, walk->node), x);
     ++cbf->work.boxes;
     if (leaves_out(cbf, rule, bound, leaf * map->leaf_hulls)) {
       advance(map, walk);
@@ -82,18 +89,22 @@ void alula_walk_begin(const alula_polytope_cbf* cbf, alula_walk* walk) {
 
 /* The next hull of the leaf, which has one. */
 static void step(alula_polytope_cbf* cbf, const float x[3], alula_walk* walk) {
+  const alula_map* map = &cbf->image;
   walk->hull = walk->next++;
   ++cbf->work.boxes;
-  if (!cbf->image.data) {
+  if (!map->data) {
     walk->bound = array_value(&cbf->map, walk->hull, x);
-  } else if (alula_map_read(&cbf->image, walk->at, &walk->record) == ALULA_MAP_READY) {
-    walk->bound = lattice_value(cbf, walk->record.lower, walk->record.upper, x);
-    walk->at = walk->record.next;
-  } else {
+    return;
+  }
+  walk->record = walk->at;
+  if (walk->at > map->records_end - ALULA_MAP_HULL_BYTES) {
     cbf->is_damaged = 1; /* the image was whole when it was opened */
     walk->bound = FLT_MAX;
-    walk->record.plane_count = 0U;
+    return;
   }
+  const uint8_t* at = map->data + walk->at;
+  walk->bound = lattice_value(cbf, at, x);
+  walk->at += ALULA_MAP_HULL_BYTES + at[12] * map->plane_bytes;
 }
 
 int alula_walk_next(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const float x[3], alula_walk* walk) {
@@ -127,8 +138,7 @@ uint32_t alula_walk_guess(alula_polytope_cbf* cbf, const float x[3]) {
       float least = FLT_MAX;
       best = first;
       for (uint32_t i = first; i < first + ALULA_MAP_FANOUT && i < map->level_size[level]; ++i) {
-        const alula_map_box box = alula_map_node(map, level, i);
-        const float bound = lattice_value(cbf, box.lower, box.upper, x);
+        const float bound = lattice_value(cbf, node_at(map, level, i), x);
         ++cbf->work.boxes;
         if (bound < least) {
           least = bound;
@@ -150,23 +160,21 @@ uint32_t alula_walk_guess(alula_polytope_cbf* cbf, const float x[3]) {
   return guess;
 }
 
-/* The first row of the hull, when they are still there, else of room for them: then *is_there is 0. */
+/* The first row of a hull when its planes are still there, else of room for them: then *is_there is 0. What is
+ * kept stays for the whole tick, and when that was not enough goes before the next; the rest goes through rows
+ * at the end that hold any hull. */
 static uint32_t room_for(alula_polytope_cbf* cbf, uint32_t hull, uint32_t count, int* is_there) {
-  for (uint32_t i = 0; i < cbf->kept_count; ++i) {
-    if (cbf->kept[i].hull == hull) {
-      *is_there = 1;
-      return cbf->kept[i].first;
-    }
-  }
+  *is_there = 1;
+  for (uint32_t i = 0; i < cbf->kept_count; ++i)
+    if (cbf->kept[i].hull == hull) return cbf->kept[i].first;
   *is_there = 0;
-  if (cbf->kept_count == ALULA_KEPT_HULLS || cbf->row_count + count > ALULA_PLANE_ROWS) {
-    cbf->kept_count = 0U;
-    cbf->row_count = 0U;
-  }
-  return cbf->row_count;
+  const uint32_t passing = cbf->image.most_planes + 6U;
+  if (cbf->kept_count == ALULA_KEPT_HULLS || cbf->row_count + count + passing > ALULA_PLANE_ROWS) cbf->is_full = 1;
+  return cbf->is_full ? ALULA_PLANE_ROWS - passing : cbf->row_count;
 }
 
 static void keep(alula_polytope_cbf* cbf, uint32_t hull, uint32_t count) {
+  if (cbf->is_full) return;
   cbf->kept[cbf->kept_count].hull = hull;
   cbf->kept[cbf->kept_count].first = cbf->row_count;
   ++cbf->kept_count;
@@ -174,8 +182,7 @@ static void keep(alula_polytope_cbf* cbf, uint32_t hull, uint32_t count) {
 }
 
 /* Rows of the six faces of a record; their values are those that walk->bound is the largest of. */
-static void face_rows(const alula_polytope_cbf* cbf, const alula_map_hull* record, float row[6][4]) {
-  const float g = cbf->image.voxel_size_m, outward = cbf->outward_m;
+static void face_rows(float g, float outward, const alula_map_hull* record, float row[6][4]) {
   for (int i = 0; i < 6; ++i) {
     const int axis = i % 3;
     row[i][0] = row[i][1] = row[i][2] = 0.0F;
@@ -186,40 +193,83 @@ static void face_rows(const alula_polytope_cbf* cbf, const alula_map_hull* recor
 
 /* See alula_polytope_cbf_open for what rounding costs. All sums of integers are below 2^31: normals are at most
  * 127, coordinates 2^22 + 2^15, and a plane cuts its box, so that its depth is below 2^25. */
-static void plane_row(const alula_polytope_cbf* cbf, const alula_map_hull* record, uint32_t l, float row[4]) {
-  const alula_map_plane plane = alula_map_plane_at(&cbf->image, record, l);
-  int32_t square = 0, offset = -(int32_t)plane.depth;
-  for (int i = 0; i < 3; ++i) {
-    const int32_t n = plane.normal[i];
-    square += n * n;
-    offset += n * (n > 0 ? record->upper[i] : record->lower[i]);
-  }
-  const float inverse = 1.0F / __builtin_sqrtf((float)square);
-  for (int i = 0; i < 3; ++i) row[i] = (float)plane.normal[i] * inverse;
-  row[3] = ((float)offset * cbf->image.voxel_size_m) * inverse + cbf->outward_m;
+static inline void plane_row(const alula_map_plane* plane, const alula_map_hull* record, float g, float outward,
+                             float row[4]) {
+  const int32_t i = plane->normal[0], j = plane->normal[1], k = plane->normal[2];
+  const int32_t support = i * (i > 0 ? record->upper[0] : record->lower[0]) +
+                          j * (j > 0 ? record->upper[1] : record->lower[1]) +
+                          k * (k > 0 ? record->upper[2] : record->lower[2]);
+  const float offset = (float)(support - (int32_t)plane->depth);
+  const float inverse = 1.0F / __builtin_sqrtf((float)(i * i + j * j + k * k));
+  row[0] = (float)i * inverse;
+  row[1] = (float)j * inverse;
+  row[2] = (float)k * inverse;
+  row[3] = (offset * g) * inverse + outward;
 }
 
-static int decode(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const float x[3], alula_walk* walk,
-                  float* hard) {
-  const uint32_t count = 6U + walk->record.plane_count;
-  int is_there;
-  float(*row)[4] = cbf->row + room_for(cbf, walk->hull, count, &is_there);
-  walk->plane = row[0];
-  walk->plane_count = count;
-  *hard = walk->bound;
-  if (!is_there) face_rows(cbf, &walk->record, row);
-  for (uint32_t l = 6U; l < count; ++l) {
-    if (!is_there) plane_row(cbf, &walk->record, l - 6U, row[l]);
-    const float a = alula_plane_value(row[l], x);
-    if (!(a > *hard)) continue;
-    *hard = a;
+/* The largest value of the rows and *hard; 0 as soon as the rule leaves the hull out. */
+static int largest(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const float x[3], const alula_walk* walk,
+                   float* hard) {
+  const float at[3] = {x[0], x[1], x[2]};
+  const float* plane = walk->plane;
+  float found = *hard;
+  for (uint32_t l = 0; l < walk->plane_count; ++l, plane += 4) {
+    const float a = alula_plane_value(plane, at);
+    if (!(a > found)) continue;
+    found = a;
     if (leaves_out(cbf, rule, a, walk->hull)) {
       cbf->work.planes += l + 1U;
       return 0;
     }
   }
-  if (!is_there) keep(cbf, walk->hull, count);
-  cbf->work.planes += count;
+  cbf->work.planes += walk->plane_count;
+  *hard = found;
+  return 1;
+}
+
+/* The same for a record whose rows are made on the way. */
+static int largest_made(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const float x[3],
+                        const alula_walk* walk, float (*row)[4], float* hard) {
+  const float at[3] = {x[0], x[1], x[2]}, g = cbf->image.voxel_size_m, outward = cbf->outward_m;
+  const uint32_t plane_bytes = cbf->image.plane_bytes;
+  alula_map_hull record;
+  if (alula_map_read(&cbf->image, walk->record, &record) != ALULA_MAP_READY) {
+    cbf->is_damaged = 1;
+    return 0;
+  }
+  face_rows(g, outward, &record, row);
+  float found = *hard;
+  const uint8_t* stored = record.planes;
+  for (uint32_t l = 6U; l < walk->plane_count; ++l, stored += plane_bytes) {
+    const alula_map_plane plane = alula_map_plane_in(stored, plane_bytes, record.shift);
+    plane_row(&plane, &record, g, outward, row[l]);
+    const float a = alula_plane_value(row[l], at);
+    if (!(a > found)) continue;
+    found = a;
+    if (leaves_out(cbf, rule, a, walk->hull)) {
+      cbf->work.planes += l + 1U;
+      return 0;
+    }
+  }
+  cbf->work.planes += walk->plane_count;
+  *hard = found;
+  return 1;
+}
+
+static int decode(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const float x[3], alula_walk* walk,
+                  float* hard) {
+  int is_there;
+  walk->plane_count = 6U + cbf->image.data[walk->record + 12U];
+  if (walk->plane_count > cbf->image.most_planes + 6U) {
+    cbf->is_damaged = 1; /* no longer the image that was opened: the rows would not hold it */
+    return 0;
+  }
+  float(*row)[4] = cbf->row + room_for(cbf, walk->hull, walk->plane_count, &is_there);
+  walk->plane = row[0];
+  *hard = walk->bound;
+  if (is_there) return largest(cbf, rule, x, walk, hard);
+  if (!largest_made(cbf, rule, x, walk, row, hard)) return 0;
+  keep(cbf, walk->hull, walk->plane_count);
   return 1;
 }
 
@@ -231,15 +281,5 @@ int alula_walk_planes(alula_polytope_cbf* cbf, const alula_walk_rule* rule, cons
   walk->plane = cbf->map.plane + 4U * begin;
   walk->plane_count = cbf->map.plane_start[walk->hull + 1U] - begin;
   *hard = -FLT_MAX;
-  for (uint32_t l = 0; l < walk->plane_count; ++l) {
-    const float a = alula_plane_value(walk->plane + 4U * l, x);
-    if (!(a > *hard)) continue;
-    *hard = a;
-    if (leaves_out(cbf, rule, a, walk->hull)) {
-      cbf->work.planes += l + 1U;
-      return 0;
-    }
-  }
-  cbf->work.planes += walk->plane_count;
-  return 1;
+  return largest(cbf, rule, x, walk, hard);
 }
