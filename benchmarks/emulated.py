@@ -33,7 +33,7 @@ POLYTOPE_TICK = np.dtype(
         ("fraction", "<f4"),
         ("active", "<u4"),
         ("counted", "<u4"),
-        *((name, "<u4") for name in ("boxes", "hulls", "planes", "exponentials")),
+        *((name, "<u4") for name in ("boxes", "hulls", "planes", "made", "exponentials")),
     ]
 )
 DR_ACBF_TICK = np.dtype(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -157,6 +158,7 @@ def _image(cover: Artifact, provenance: Provenance) -> bytes:
         cover,
         largest_normal=int(provenance.parameters.get("largest_normal", LARGEST_NORMAL)),
         cover_sha256=made_from[0] if made_from else "",
+        indexed="target" in provenance.parameters,
     )
 
 
@@ -168,10 +170,15 @@ def map_binary(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
 
 def map_c_header(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
     """The image as a constant array in C, aligned to 8 bytes, in a guarded header."""
-    image, name = _image(cover, provenance), str(provenance.parameters.get("name", "map"))
-    guard = f"{name.upper()}_H"
+    yield from image_c_header(_image(cover, provenance), provenance)
+
+
+def image_c_header(image: bytes, provenance: Provenance) -> Iterator[bytes]:
+    """The same for an image that is there."""
+    name = str(provenance.parameters.get("name", "map"))
+    guard, (hulls,) = f"{name.upper()}_H", struct.unpack_from("<I", image, 12)
     yield (
-        f"/* An onboard map of {len(cover['vertex_start']) - 1} hulls, {len(image)} bytes; read it with"
+        f"/* An onboard map of {hulls} hulls, {len(image)} bytes; read it with"
         f" alula_map_open(). */\n// {provenance.line()}\n#ifndef {guard}\n#define {guard}\n\n"
         f"#include <stdint.h>\n\n#define {name.upper()}_BYTES {len(image)}U\n\n"
         "#if defined(__GNUC__)\n__attribute__((aligned(8)))\n#endif\n"

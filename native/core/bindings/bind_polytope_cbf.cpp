@@ -97,9 +97,9 @@ std::tuple<Out<float>, Out<std::uint32_t>, Out<float>, Out<float>, double, doubl
           map.slack_m};
 }
 
-std::tuple<std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t> work(const PolytopeCbf& self) {
+std::tuple<std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t> work(const PolytopeCbf& self) {
   const alula_polytope_work& w = self.work();
-  return {w.boxes, w.hulls, w.planes, w.exponentials};
+  return {w.boxes, w.hulls, w.planes, w.made, w.exponentials};
 }
 
 }  // namespace
@@ -122,7 +122,8 @@ void bind_polytope_cbf(nb::module_& m) {
                   "The filter on an image of an onboard map, as a microcontroller runs it. Raises ValueError with\n"
                   "the reader's complaint for an image that it refuses.")
       .def("work", &work,
-           "What the last call of `filter` looked at: boxes, hulls, planes of these, exponentials of planes.")
+           "What the last call of `filter` looked at: boxes, hulls, planes of these, how many of them were\n"
+           "decoded, exponentials of planes.")
       .def("psi", &psi, "points"_a, nb::kw_only(), "jobs"_a = 0,
            "Smooth psi (N), hard psi (N) and the gradient of the smooth one (N, 3) at points (N, 3) [m].")
       .def("map_arrays", &map_arrays,

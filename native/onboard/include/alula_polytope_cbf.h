@@ -34,7 +34,7 @@ extern "C" {
 #define ALULA_PLANE_ROWS 1024U /* decoded planes of an image that are kept, 16 bytes each; 261 hold any hull */
 #endif
 #ifndef ALULA_KEPT_HULLS
-#define ALULA_KEPT_HULLS 16U /* at most, whose planes are kept */
+#define ALULA_KEPT_HULLS 16U /* at most, whose planes are kept; not above 31 */
 #endif
 #define ALULA_MAX_PLANES 16777216U /* counts must be exact in float */
 
@@ -77,6 +77,7 @@ typedef struct {
   uint32_t boxes;        /* of nodes and hulls */
   uint32_t hulls;        /* times that planes of one were looked at */
   uint32_t planes;       /* of them, once per time */
+  uint32_t made;         /* of these, decoded from the image */
   uint32_t exponentials; /* of planes */
 } alula_polytope_work;
 
@@ -92,8 +93,8 @@ typedef struct {
   float crowd_m;        /* log(hulls) / kappa */
   int is_damaged;       /* the image is no longer what it was */
   alula_polytope_work work;
-  int is_full; /* there was no room to keep all planes that the last tick looked at */
   uint32_t kept_count, row_count;
+  uint32_t used, used_before; /* in this tick and the last: a bit for each of what is kept */
   struct {
     uint32_t hull, first;
   } kept[ALULA_KEPT_HULLS];

@@ -73,7 +73,7 @@ static int config_is_good(const alula_polytope_cbf_config* config, float extent_
 
 static alula_status set_up(alula_polytope_cbf* cbf, const alula_map* image, const alula_polytope_map* map,
                            const alula_polytope_cbf_config* config, uint32_t most_planes) {
-  static const alula_polytope_work NONE = {0U, 0U, 0U, 0U};
+  static const alula_polytope_work NONE = {0U, 0U, 0U, 0U, 0U};
   if (!config_is_good(config, map->extent_m)) return ALULA_BAD_PARAMETER;
   cbf->map = *map;
   cbf->image = *image;
@@ -84,7 +84,7 @@ static alula_status set_up(alula_polytope_cbf* cbf, const alula_map* image, cons
   cbf->max_lowering_m = most_planes > 0U ? lowering(cbf, most_planes) : 0.0F;
   cbf->crowd_m = map->hull_count > 0U ? alula_logf((float)map->hull_count) * cbf->inverse_kappa : 0.0F;
   cbf->is_damaged = 0;
-  cbf->is_full = 1; /* nothing is kept yet */
+  cbf->kept_count = cbf->row_count = cbf->used = cbf->used_before = 0U;
   cbf->work = NONE;
   return ALULA_READY;
 }
@@ -176,13 +176,13 @@ static void find_smooth(alula_polytope_cbf* cbf, const float x[3], alula_polytop
 
 /* psi; 0 for a position that is refused. */
 static alula_status begin(alula_polytope_cbf* cbf, const float x[3], alula_polytope_value* value) {
-  static const alula_polytope_work NONE = {0U, 0U, 0U, 0U};
+  static const alula_polytope_work NONE = {0U, 0U, 0U, 0U, 0U};
   value->hard = value->smooth = FLT_MAX;
   value->gradient[0] = value->gradient[1] = value->gradient[2] = 0.0F;
   value->nearest = ALULA_NO_HULL;
   cbf->work = NONE;
-  if (cbf->is_full) cbf->kept_count = cbf->row_count = 0U;
-  cbf->is_full = 0;
+  cbf->used_before = cbf->used;
+  cbf->used = 0U;
   if (!inside_extent(&cbf->map, x)) return ALULA_BAD_INPUT;
   if (cbf->map.hull_count > 0U) find_hard(cbf, x, value);
   return cbf->is_damaged ? ALULA_BAD_MAP : ALULA_READY;

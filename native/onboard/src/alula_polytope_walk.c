@@ -18,16 +18,16 @@ static float beside(float found, float lower, float upper, float x) {
 }
 
 /* Of a box of the image: int16 lower[3], upper[3] at `at`, of a node or a record. */
+static inline float lattice_axis(const alula_polytope_cbf* cbf, const uint8_t* at, int i, float x, float found) {
+  const float g = cbf->image.voxel_size_m, outward = cbf->outward_m;
+  const float lower = (float)(cbf->image.origin[i] + i16_at(at + 2 * i)) * g - outward;
+  const float upper = (float)(cbf->image.origin[i] + i16_at(at + 6 + 2 * i)) * g + outward;
+  return beside(found, lower, upper, x);
+}
+
 static float lattice_value(const alula_polytope_cbf* cbf, const uint8_t* at, const float x[3]) {
-  const alula_map* map = &cbf->image;
-  const float g = map->voxel_size_m, outward = cbf->outward_m;
-  float value = -FLT_MAX;
-  for (int i = 0; i < 3; ++i) {
-    const float lower = (float)(map->origin[i] + i16_at(at + 2 * i)) * g - outward;
-    const float upper = (float)(map->origin[i] + i16_at(at + 6 + 2 * i)) * g + outward;
-    value = beside(value, lower, upper, x[i]);
-  }
-  return value;
+  const float one = lattice_axis(cbf, at, 0, x[0], -FLT_MAX);
+  return lattice_axis(cbf, at, 2, x[2], lattice_axis(cbf, at, 1, x[1], one));
 }
 
 static const uint8_t* node_at(const alula_map* map, uint32_t level, uint32_t node) {
@@ -160,21 +160,33 @@ uint32_t alula_walk_guess(alula_polytope_cbf* cbf, const float x[3]) {
   return guess;
 }
 
-/* The first row of a hull when its planes are still there, else of room for them: then *is_there is 0. What is
- * kept stays for the whole tick, and when that was not enough goes before the next; the rest goes through rows
- * at the end that hold any hull. */
-static uint32_t room_for(alula_polytope_cbf* cbf, uint32_t hull, uint32_t count, int* is_there) {
-  *is_there = 1;
-  for (uint32_t i = 0; i < cbf->kept_count; ++i)
-    if (cbf->kept[i].hull == hull) return cbf->kept[i].first;
-  *is_there = 0;
+enum { THERE, TO_KEEP, PASSING };
+
+/* The first row of a hull whose planes are there, else of room for them. What is kept goes when there is no room
+ * for more and some of it was of no use in this tick and the last; else the hull passes through rows at the end,
+ * which hold any. */
+static uint32_t room_for(alula_polytope_cbf* cbf, uint32_t hull, uint32_t count, int* how) {
   const uint32_t passing = cbf->image.most_planes + 6U;
-  if (cbf->kept_count == ALULA_KEPT_HULLS || cbf->row_count + count + passing > ALULA_PLANE_ROWS) cbf->is_full = 1;
-  return cbf->is_full ? ALULA_PLANE_ROWS - passing : cbf->row_count;
+  for (uint32_t i = 0; i < cbf->kept_count; ++i) {
+    if (cbf->kept[i].hull != hull) continue;
+    cbf->used |= 1U << i;
+    *how = THERE;
+    return cbf->kept[i].first;
+  }
+  for (int attempt = 0; attempt < 2; ++attempt) {
+    if (cbf->kept_count < ALULA_KEPT_HULLS && cbf->row_count + count + passing <= ALULA_PLANE_ROWS) {
+      *how = TO_KEEP;
+      return cbf->row_count;
+    }
+    if ((cbf->used | cbf->used_before) == (1U << cbf->kept_count) - 1U) break;
+    cbf->kept_count = cbf->row_count = cbf->used = cbf->used_before = 0U;
+  }
+  *how = PASSING;
+  return ALULA_PLANE_ROWS - passing;
 }
 
 static void keep(alula_polytope_cbf* cbf, uint32_t hull, uint32_t count) {
-  if (cbf->is_full) return;
+  cbf->used |= 1U << cbf->kept_count;
   cbf->kept[cbf->kept_count].hull = hull;
   cbf->kept[cbf->kept_count].first = cbf->row_count;
   ++cbf->kept_count;
@@ -248,28 +260,30 @@ static int largest_made(alula_polytope_cbf* cbf, const alula_walk_rule* rule, co
     found = a;
     if (leaves_out(cbf, rule, a, walk->hull)) {
       cbf->work.planes += l + 1U;
+      cbf->work.made += l + 1U;
       return 0;
     }
   }
   cbf->work.planes += walk->plane_count;
+  cbf->work.made += walk->plane_count;
   *hard = found;
   return 1;
 }
 
 static int decode(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const float x[3], alula_walk* walk,
                   float* hard) {
-  int is_there;
+  int how;
   walk->plane_count = 6U + cbf->image.data[walk->record + 12U];
   if (walk->plane_count > cbf->image.most_planes + 6U) {
     cbf->is_damaged = 1; /* no longer the image that was opened: the rows would not hold it */
     return 0;
   }
-  float(*row)[4] = cbf->row + room_for(cbf, walk->hull, walk->plane_count, &is_there);
+  float(*row)[4] = cbf->row + room_for(cbf, walk->hull, walk->plane_count, &how);
   walk->plane = row[0];
   *hard = walk->bound;
-  if (is_there) return largest(cbf, rule, x, walk, hard);
+  if (how == THERE) return largest(cbf, rule, x, walk, hard);
   if (!largest_made(cbf, rule, x, walk, row, hard)) return 0;
-  keep(cbf, walk->hull, walk->plane_count);
+  if (how == TO_KEEP) keep(cbf, walk->hull, walk->plane_count);
   return 1;
 }
 
