@@ -147,7 +147,8 @@ def test_the_c_header_compiles_and_is_the_same_map(here):
     assert run(["export", "tiny.cover.npz", "-o", "tiny-1.map.h", "-q"]) == 0
     assert read_provenance(Path("tiny-1.map.h")).parameters["name"] == "tiny_1_map"
     Path("main.c").write_text(PROGRAM)
-    include = [f"-I{ROOT / 'native/onboard/include'}", str(ROOT / "native/onboard/src/alula_map.c")]
+    include = [f"-I{ROOT / 'native/onboard/include'}"]
+    include += [str(ROOT / "native/onboard/src" / name) for name in ("alula_map.c", "alula_map_index.c")]
     flags = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-ffp-contract=off"]
     flags += ["-fno-math-errno"]
     subprocess.run(["cc", *flags, "main.c", *include, "-o", "main"], check=True)

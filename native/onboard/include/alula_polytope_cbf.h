@@ -37,6 +37,10 @@ extern "C" {
 #define ALULA_KEPT_HULLS 16U /* at most, whose planes are kept; not above 31 */
 #endif
 #define ALULA_MAX_PLANES 16777216U /* counts must be exact in float */
+#ifndef ALULA_NEAR_HULLS
+#define ALULA_NEAR_HULLS 64U /* near enough to count in a tick that are listed; with more of them it takes longer */
+#endif
+#define ALULA_NO_LIST 0xFFFFFFFFU
 
 /* Read-only arrays of the caller's, in flash on a microcontroller.
  *
@@ -93,6 +97,11 @@ typedef struct {
   float crowd_m;        /* log(hulls) / kappa */
   int is_damaged;       /* the image is no longer what it was */
   alula_polytope_work work;
+  uint32_t near_count; /* or ALULA_NO_LIST */
+  struct {
+    uint32_t hull, record;
+    float bound;
+  } near[ALULA_NEAR_HULLS];
   uint32_t kept_count, row_count;
   uint32_t used, used_before; /* in this tick and the last: a bit for each of what is kept */
   struct {

@@ -11,6 +11,7 @@
 #define FLAT 1.0e-6F           /* squared gradient below which there is no direction to leave in */
 #define DIVISION_ERROR 2.4e-7F /* 4 units in the last place: two subtractions and a division */
 #define SPEED_ROUNDING 1.000001F
+#define ROUNDING 1.0e-5F /* of sums of a few numbers, with room */
 
 static float lowering(const alula_polytope_cbf* cbf, uint32_t planes) {
   if (cbf->config.smoothing == ALULA_SMOOTHING_PAPER) return 0.0F;
@@ -138,6 +139,18 @@ static void find_hard(alula_polytope_cbf* cbf, const float x[3], alula_polytope_
   value->nearest = rule.nearest;
 }
 
+/* Lists the hulls that matter below: with s_k near the least, which is at most `start`, or in reach of a step. More
+ * than rounding of what is compared there is added; u differs from v_max by less. */
+static void gather(alula_polytope_cbf* cbf, const float x[3], const alula_polytope_value* value, float start) {
+  const alula_polytope_cbf_config* c = &cbf->config;
+  const float base = start > value->hard ? start : value->hard, kept = c->radius_m + cbf->map.slack_m;
+  const float smooth = base + cbf->max_lowering_m + cbf->cutoff_m;
+  const float step = (kept > value->hard ? kept : value->hard) + c->v_max * c->dt_s + cbf->map.slack_m;
+  const float farthest = smooth > step ? smooth : step;
+  const float rounding = absolute(base) + cbf->max_lowering_m + cbf->cutoff_m + kept + c->v_max * c->dt_s;
+  alula_walk_gather(cbf, farthest + ROUNDING * rounding, x);
+}
+
 /* The least s_k. */
 static float find_least(alula_polytope_cbf* cbf, const float x[3], const alula_polytope_value* value) {
   alula_walk walk;
@@ -145,6 +158,7 @@ static float find_least(alula_polytope_cbf* cbf, const float x[3], const alula_p
   float hard;
   alula_walk_to(cbf, value->nearest, x, &walk);
   if (alula_walk_planes(cbf, &rule, x, &walk, &hard)) rule.least = smooth_value(cbf, &walk, x, hard, 0);
+  gather(cbf, x, value, rule.least);
   alula_walk_begin(cbf, &walk);
   while (alula_walk_next(cbf, &rule, x, &walk)) {
     if (walk.hull == value->nearest || !alula_walk_planes(cbf, &rule, x, &walk, &hard)) continue;
@@ -181,6 +195,7 @@ static alula_status begin(alula_polytope_cbf* cbf, const float x[3], alula_polyt
   value->gradient[0] = value->gradient[1] = value->gradient[2] = 0.0F;
   value->nearest = ALULA_NO_HULL;
   cbf->work = NONE;
+  alula_walk_forget(cbf);
   cbf->used_before = cbf->used;
   cbf->used = 0U;
   if (!inside_extent(&cbf->map, x)) return ALULA_BAD_INPUT;

@@ -80,6 +80,7 @@ static int next_leaf(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const
 void alula_walk_begin(const alula_polytope_cbf* cbf, alula_walk* walk) {
   const alula_map* map = &cbf->image;
   const int indexed = map->leaf_hulls > 0U;
+  walk->listed = 0U;
   walk->level = indexed ? map->level_count - 1U : 0U;
   walk->node = 0U;
   walk->next = 0U;
@@ -91,12 +92,12 @@ void alula_walk_begin(const alula_polytope_cbf* cbf, alula_walk* walk) {
 static void step(alula_polytope_cbf* cbf, const float x[3], alula_walk* walk) {
   const alula_map* map = &cbf->image;
   walk->hull = walk->next++;
+  walk->record = walk->at;
   ++cbf->work.boxes;
   if (!map->data) {
     walk->bound = array_value(&cbf->map, walk->hull, x);
     return;
   }
-  walk->record = walk->at;
   if (walk->at > map->records_end - ALULA_MAP_HULL_BYTES) {
     cbf->is_damaged = 1; /* the image was whole when it was opened */
     walk->bound = FLT_MAX;
@@ -107,7 +108,21 @@ static void step(alula_polytope_cbf* cbf, const float x[3], alula_walk* walk) {
   walk->at += ALULA_MAP_HULL_BYTES + at[12] * map->plane_bytes;
 }
 
+static int next_listed(alula_polytope_cbf* cbf, const alula_walk_rule* rule, alula_walk* walk) {
+  while (walk->listed < cbf->near_count) {
+    const uint32_t i = walk->listed++;
+    walk->hull = cbf->near[i].hull;
+    walk->bound = cbf->near[i].bound;
+    walk->record = cbf->near[i].record;
+    if (!leaves_out(cbf, rule, walk->bound, walk->hull)) return 1;
+  }
+  return 0;
+}
+
+void alula_walk_forget(alula_polytope_cbf* cbf) { cbf->near_count = ALULA_NO_LIST; }
+
 int alula_walk_next(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const float x[3], alula_walk* walk) {
+  if (cbf->near_count != ALULA_NO_LIST) return next_listed(cbf, rule, walk);
   do {
     while (walk->next < walk->end) {
       step(cbf, x, walk);
@@ -115,6 +130,22 @@ int alula_walk_next(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const 
     }
   } while (next_leaf(cbf, rule, x, walk));
   return 0;
+}
+
+void alula_walk_gather(alula_polytope_cbf* cbf, float farthest, const float x[3]) {
+  const alula_walk_rule rule = {farthest, ALULA_NO_HULL, 0.0F, 0.0F, -FLT_MAX};
+  uint32_t count = 0U;
+  alula_walk walk;
+  alula_walk_forget(cbf);
+  alula_walk_begin(cbf, &walk);
+  while (alula_walk_next(cbf, &rule, x, &walk)) {
+    if (count == ALULA_NEAR_HULLS) return;
+    cbf->near[count].hull = walk.hull;
+    cbf->near[count].bound = walk.bound;
+    cbf->near[count].record = walk.record;
+    ++count;
+  }
+  cbf->near_count = count;
 }
 
 void alula_walk_to(alula_polytope_cbf* cbf, uint32_t hull, const float x[3], alula_walk* walk) {

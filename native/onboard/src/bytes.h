@@ -6,7 +6,7 @@
 
 static inline uint32_t u16_at(const uint8_t* p) { return (uint32_t)p[0] | (uint32_t)p[1] << 8; }
 static inline uint32_t u32_at(const uint8_t* p) { return u16_at(p) | u16_at(p + 2) << 16; }
-static inline int32_t i8_at(const uint8_t* p) { return (int32_t)(*p ^ 0x80U) - 0x80; }
+static inline int32_t i8_at(const uint8_t* p) { return *(const int8_t*)p; }
 static inline int32_t i16_at(const uint8_t* p) { return (int32_t)(u16_at(p) ^ 0x8000U) - 0x8000; }
 
 static inline int32_t i32_at(const uint8_t* p) {

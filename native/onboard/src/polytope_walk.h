@@ -20,6 +20,7 @@ typedef struct {
   float bound;        /* at most psi_k */
   const float* plane; /* after alula_walk_planes: rows of 4, as in alula_polytope_map */
   uint32_t plane_count;
+  uint32_t listed;        /* next of the list */
   uint32_t level, node;   /* of the index, where to go on */
   uint32_t next, end;     /* of the leaf: next hull, hull after the last */
   uint32_t record, at;    /* byte of the hull's record and of the next */
@@ -28,6 +29,12 @@ typedef struct {
 static inline float alula_plane_value(const float* plane, const float x[3]) {
   return ((plane[0] * x[0] + plane[1] * x[1]) + plane[2] * x[2]) - plane[3];
 }
+
+/* Lists the hulls whose bound is at most `farthest`; walks then go through the list, when it has room for all. */
+void alula_walk_gather(alula_polytope_cbf* cbf, float farthest, const float x[3]);
+
+/* The walks that follow go through all hulls. */
+void alula_walk_forget(alula_polytope_cbf* cbf);
 
 void alula_walk_begin(const alula_polytope_cbf* cbf, alula_walk* walk);
 
