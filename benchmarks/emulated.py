@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).resolve().parents[1]
 FIRMWARE = ROOT / "native/onboard/targets/emulated"
 TOOLS = {"arm-none-eabi-gcc": "gcc-arm-none-eabi", "qemu-system-arm": "qemu-system-arm"}
-INSTALL = "apt-get install -y --no-install-recommends gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
+INSTALL = (
+    "apt-get install -y --no-install-recommends gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
+)
 _RAN_OVER = 2**32 - 1
 
 POLYTOPE_TICK = np.dtype(
@@ -111,9 +113,7 @@ class Replay:
     stack_bytes: int
 
 
-def replay(
-    build_folder: Path, work: Path, core: str, name: str, inputs: bytes, image: bytes = b""
-) -> Replay:
+def replay(build_folder: Path, work: Path, core: str, name: str, inputs: bytes, image: bytes = b"") -> Replay:
     """Run one replay on a core, or on `host`, in the folder `work`.
 
     Raises:
@@ -128,7 +128,9 @@ def replay(
     else:
         board = CORES[core]
         if len(image) > board.map_room:
-            raise RuntimeError(f"a map of {len(image)} bytes does not fit into the {board.map_room} of {core}")
+            raise RuntimeError(
+                f"a map of {len(image)} bytes does not fit into the {board.map_room} of {core}"
+            )
         words = ["qemu-system-arm", "-M", board.machine, "-kernel", str(build_folder / core / f"{name}.elf")]
         words += ["-nographic", "-monitor", "none", "-serial", "null", "-icount", "shift=6"]
         words += ["-semihosting-config", "enable=on,target=native"]
@@ -175,8 +177,10 @@ def polytope_inputs(
     return struct.pack("<I6f", len(rows), *parameters) + rows.tobytes()
 
 
-def dr_acbf_inputs(ticks: Sequence[tuple[Sequence[float], Sequence[float], NDArray[np.float64], Sequence[float]]]) -> bytes:
-    """Inputs of the replay `dr_acbf`: position, velocity, tracks (n, 29) as in `MovingFilter.filter`, nominal."""
+def dr_acbf_inputs(
+    ticks: Sequence[tuple[Sequence[float], Sequence[float], NDArray[np.float64], Sequence[float]]],
+) -> bytes:
+    """Inputs of the replay `dr_acbf`: position, velocity, tracks as in `MovingFilter.filter`, nominal."""
     parts = [struct.pack("<I", len(ticks))]
     for position, velocity, tracks, nominal in ticks:
         parts.append(struct.pack("<12f3f2I", *position, *velocity, *[0.0] * 6, *nominal, len(tracks), 0))
@@ -223,8 +227,8 @@ _EDGE = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
 def stack_bound(build_folder: Path, core: str, function: str) -> int:
     """Bytes of the stack that a function of the library needs at most: the longest path of its call graph.
 
-    Library routines that the compiler adds (copies of memory) count 64 bytes; calls through pointers, which are
-    only there for comparisons on a host, count nothing.
+    Library routines that the compiler adds (copies of memory) count 64 bytes; calls through pointers, which
+    are only there for comparisons on a host, count nothing.
 
     Raises:
         RuntimeError: the graph has a cycle, or a frame is of no fixed size.
@@ -252,5 +256,3 @@ def stack_bound(build_folder: Path, core: str, function: str) -> int:
     if function not in frame:
         raise KeyError(function)
     return longest(function, ())
-
-

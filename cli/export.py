@@ -35,18 +35,18 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
     (Gaussians), GLB or OBJ (points). Of Gaussians, it is measured and told what the format lost. Coordinates
     are not turned. A .splat has no room to say where it came from, so that only -f replaces one.
 
-    With --target the map gets an index, and the C header is written beside it. Printed are its bytes, and the
-    instructions and time of a tick of polytope-cbf (0.1 m radius, 1 m/s, the other parameters as by default): the
-    most at positions all over the map, its share of each control rate's tick, and a bound for any position
-    (every hull counts). A map too large for the target ends with exit code 5 and the bytes that would do.
+    With --target the map gets an index, and the C header is written beside it. Printed are its bytes, and
+    the instructions and time of a tick of polytope-cbf (0.1 m radius, 1 m/s, other parameters as by default):
+    the most at positions all over the map, its share of each control rate's tick, and a bound for any
+    position (every hull counts). What does not fit ends with exit code 5 and the bytes that would.
     """
     from alula.cli.runner import check_output, current, run
     from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import atomic_output
     from alula.schemas.errors import InputError
-    from alula.stages.compression.map_image import decode_map
     from alula.schemas.targets import TARGETS
-    from alula.stages.compression.onboard import image_c_header, map_facts
+    from alula.stages.compression.map_image import decode_map
+    from alula.stages.compression.onboard import map_facts
     from alula.stages.compression.onboard_cost import require_fit, target_facts
     from alula.stages.reporting.export import export
     from alula.stages.reporting.export_scene import SCENE_ENCODERS, written_losses

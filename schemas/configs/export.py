@@ -33,8 +33,8 @@ class ExportConfig:
     target: Literal["none", "crazyflie", "teensy", "c"] = field(
         default="none",
         metadata={
-            "help": "Onboard map for a microcontroller: with its index, the C header beside the image; says what"
-            " a tick takes at worst. What does not fit is refused; c fits anything."
+            "help": "Onboard map for a microcontroller: with an index, and a C header beside the image; says"
+            " what a tick takes at worst. What does not fit is refused; c fits anything."
         },
     )
     largest_normal: int = field(
@@ -68,7 +68,9 @@ class ExportConfig:
         Raises:
             UsageError: `auto`, and the suffix is not that of a format; or a target, and it is not .bin.
         """
-        if self.target != "none" and (self.format not in ("auto", "onboard") or output.suffix.lower() != ".bin"):
+        if self.target != "none" and (
+            self.format not in ("auto", "onboard") or output.suffix.lower() != ".bin"
+        ):
             raise UsageError(f"{output}: with --target the output is an image, .bin; its header gets .h")
         if self.format != "auto":
             return self.format

@@ -1,4 +1,4 @@
-"""Maps for a microcontroller: indexed, with their header, their cost told, and refused when they do not fit."""
+"""Maps for a microcontroller: indexed, with a header, their cost told, and refused when too large."""
 
 import json
 from pathlib import Path
@@ -83,7 +83,9 @@ def test_the_bound_holds_wherever_the_vehicle_is(here):
 
 def test_what_does_not_fit_is_refused_and_what_is_named_fits(here, capsys, monkeypatch):
     def with_room(room):
-        monkeypatch.setitem(TARGETS, "crazyflie", Target("crazyflie", 32_000 + room, 36_000, 168e6, 2.0, (500,)))
+        monkeypatch.setitem(
+            TARGETS, "crazyflie", Target("crazyflie", 32_000 + room, 36_000, 168e6, 2.0, (500,))
+        )
 
     whole = len(encode_map(read_artifact(Path("tiny.cover.npz")), indexed=True))
     for room in (whole - 1, whole // 2, 400):
@@ -94,8 +96,12 @@ def test_what_does_not_fit_is_refused_and_what_is_named_fits(here, capsys, monke
         assert not Path("a.map.bin").exists()
         assert not Path("a.map.h").exists()
         budget = said.split("--max-bytes ")[1].split()[0]
-        assert run(["merge", "tiny.cover.npz", "-o", "less.cover.npz", "--max-bytes", budget, "-f", "-q"]) == 0
-        assert run(["export", "less.cover.npz", "-o", "less.map.bin", "--target", "crazyflie", "-f", "-q"]) == 0
+        assert (
+            run(["merge", "tiny.cover.npz", "-o", "less.cover.npz", "--max-bytes", budget, "-f", "-q"]) == 0
+        )
+        assert (
+            run(["export", "less.cover.npz", "-o", "less.map.bin", "--target", "crazyflie", "-f", "-q"]) == 0
+        )
         assert decode_map(Path("less.map.bin").read_bytes()).image_bytes <= room
     with_room(whole)
     assert run(["export", "tiny.cover.npz", "-o", "a.map.bin", "--target", "crazyflie", "-q"]) == 0

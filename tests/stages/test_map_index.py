@@ -1,4 +1,4 @@
-"""polytope-cbf on an onboard map: the tree of boxes changes no bit, costs little, and is refused when wrong."""
+"""polytope-cbf on an onboard map: its tree of boxes changes no bit, saves work, and is refused when wrong."""
 
 import shutil
 import struct
@@ -259,7 +259,14 @@ def test_a_hull_with_more_planes_than_rows_and_a_map_that_vanished_are_refused(t
     sources = [str(path) for path in sorted((ROOT / "native/onboard/src").glob("*.c"))]
     said = {}
     for rows in (8, 1024):
-        words = ["cc", "-std=c99", "-O1", "-fno-math-errno", f"-DALULA_PLANE_ROWS={rows}U", f"-I{ROOT / 'native/onboard/include'}"]
+        words = [
+            "cc",
+            "-std=c99",
+            "-O1",
+            "-fno-math-errno",
+            f"-DALULA_PLANE_ROWS={rows}U",
+            f"-I{ROOT / 'native/onboard/include'}",
+        ]
         subprocess.run([*words, str(tmp_path / "main.c"), *sources, "-o", str(tmp_path / "a")], check=True)
         done = subprocess.run([str(tmp_path / "a")], input=IMAGE, capture_output=True, check=True)
         said[rows] = done.stdout.split()

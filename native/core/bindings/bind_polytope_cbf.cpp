@@ -48,8 +48,8 @@ void construct(PolytopeCbf* self, const InRows3<double>& normal, const InVector<
   new (self) PolytopeCbf(std::move(map), config_of(radius_m, beta, kappa, dt_s, v_max, smoothing, brute_force));
 }
 
-PolytopeCbf from_image(const nb::bytes& image, double extent_m, double radius_m, double beta, double kappa, double dt_s,
-                       double v_max, const std::string& smoothing, bool brute_force) {
+PolytopeCbf from_image(const nb::bytes& image, double extent_m, double radius_m, double beta, double kappa,
+                       double dt_s, double v_max, const std::string& smoothing, bool brute_force) {
   const auto* first = static_cast<const std::uint8_t*>(image.data());
   auto open = std::make_shared<const OnboardImage>(std::vector<std::uint8_t>(first, first + image.size()));
   return {std::move(open), extent_m, config_of(radius_m, beta, kappa, dt_s, v_max, smoothing, brute_force)};

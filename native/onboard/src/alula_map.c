@@ -12,10 +12,10 @@
 #define LARGEST_ORIGIN (1 << 22) /* so that floats hold all coordinates exactly */
 #define LARGEST_SHIFT 16U
 
-const int8_t alula_map_direction[ALULA_MAP_DIRECTIONS][3] = {{-1, -1, -1}, {-1, -1, 0}, {-1, -1, 1}, {-1, 0, -1}, {-1, 0, 1},
-                                                {-1, 1, -1},  {-1, 1, 0},  {-1, 1, 1},  {0, -1, -1}, {0, -1, 1},
-                                                {0, 1, -1},   {0, 1, 1},   {1, -1, -1}, {1, -1, 0},  {1, -1, 1},
-                                                {1, 0, -1},   {1, 0, 1},   {1, 1, -1},  {1, 1, 0},   {1, 1, 1}};
+const int8_t alula_map_direction[ALULA_MAP_DIRECTIONS][3] = {
+    {-1, -1, -1}, {-1, -1, 0}, {-1, -1, 1}, {-1, 0, -1}, {-1, 0, 1}, {-1, 1, -1}, {-1, 1, 0},
+    {-1, 1, 1},   {0, -1, -1}, {0, -1, 1},  {0, 1, -1},  {0, 1, 1},  {1, -1, -1}, {1, -1, 0},
+    {1, -1, 1},   {1, 0, -1},  {1, 0, 1},   {1, 1, -1},  {1, 1, 0},  {1, 1, 1}};
 
 /* CRC-32 as in zlib and Ethernet, half a byte at a time. */
 static uint32_t crc32_of(const uint8_t* data, uint32_t length) {

@@ -309,7 +309,7 @@ static int decode(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const fl
     cbf->is_damaged = 1; /* no longer the image that was opened: the rows would not hold it */
     return 0;
   }
-  float(*row)[4] = cbf->row + room_for(cbf, walk->hull, walk->plane_count, &how);
+  float (*row)[4] = cbf->row + room_for(cbf, walk->hull, walk->plane_count, &how);
   walk->plane = row[0];
   *hard = walk->bound;
   if (how == THERE) return largest(cbf, rule, x, walk, hard);

@@ -20,10 +20,10 @@ typedef struct {
   float bound;        /* at most psi_k */
   const float* plane; /* after alula_walk_planes: rows of 4, as in alula_polytope_map */
   uint32_t plane_count;
-  uint32_t listed;        /* next of the list */
-  uint32_t level, node;   /* of the index, where to go on */
-  uint32_t next, end;     /* of the leaf: next hull, hull after the last */
-  uint32_t record, at;    /* byte of the hull's record and of the next */
+  uint32_t listed;      /* next of the list */
+  uint32_t level, node; /* of the index, where to go on */
+  uint32_t next, end;   /* of the leaf: next hull, hull after the last */
+  uint32_t record, at;  /* byte of the hull's record and of the next */
 } alula_walk;
 
 static inline float alula_plane_value(const float* plane, const float x[3]) {
