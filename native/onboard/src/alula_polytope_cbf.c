@@ -1,22 +1,9 @@
 #include "polytope_walk.h"
 #include "vector.h"
 
-/* A term below exp(-18) = 1.5e-8 of the largest is under half a unit in the last place of their sum
- * (which is at least 1) and is left out by rule, so that skipping the hull that has it changes nothing.
- * n hulls left out raise s by less than n 1.5e-8 / kappa, and never above psi. */
-#define CUTOFF 18.0F
-#define OUTWARD_OF_EXTENT (1.0F / 262144.0F) /* 2^-18, see alula_polytope_cbf_open */
-#define KAPPA_MAX 1.0e5F
-#define SPEED_MAX 1.0e6F
 #define FLAT 1.0e-6F           /* squared gradient below which there is no direction to leave in */
 #define DIVISION_ERROR 2.4e-7F /* 4 units in the last place: two subtractions and a division */
-#define SPEED_ROUNDING 1.000001F
-#define ROUNDING 1.0e-5F /* of sums of a few numbers, with room */
-
-static float lowering(const alula_polytope_cbf* cbf, uint32_t planes) {
-  if (cbf->config.smoothing == ALULA_SMOOTHING_PAPER) return 0.0F;
-  return alula_logf((float)planes) * cbf->inverse_kappa;
-}
+#define ROUNDING 1.0e-5F       /* of sums of a few numbers, with room */
 
 /* s_k, given psi_k and the planes; its gradient too unless that is null. */
 static float smooth_value(alula_polytope_cbf* cbf, const alula_walk* walk, const float x[3], float hard,
@@ -26,7 +13,7 @@ static float smooth_value(alula_polytope_cbf* cbf, const alula_walk* walk, const
   float sum = 0.0F, slope[3] = {0.0F, 0.0F, 0.0F};
   for (const float* plane = walk->plane; plane < end; plane += 4) {
     const float exponent = kappa * (alula_plane_value(plane, at) - hard);
-    if (exponent < -CUTOFF) continue;
+    if (exponent < -ALULA_WALK_CUTOFF) continue;
     const float weight = alula_expf(exponent);
     ++cbf->work.exponentials;
     sum += weight;
@@ -37,7 +24,7 @@ static float smooth_value(alula_polytope_cbf* cbf, const alula_walk* walk, const
     for (int i = 0; i < 3; ++i) gradient[i] = slope[i] / sum;
   const float raised = alula_logf(sum) * cbf->inverse_kappa;
   if (cbf->config.smoothing == ALULA_SMOOTHING_PAPER) return hard + raised;
-  const float down = lowering(cbf, walk->plane_count);
+  const float down = alula_walk_lowering(cbf, walk->plane_count);
   return hard - (raised < down ? down - raised : 0.0F);
 }
 
@@ -46,74 +33,6 @@ static int inside_extent(const alula_polytope_map* map, const float x[3]) {
     if (!(x[i] >= -map->extent_m && x[i] <= map->extent_m)) return 0; /* also NaN */
   }
   return 1;
-}
-
-static int map_is_valid(const alula_polytope_map* map) {
-  if (map->plane_start[0] != 0U || !(map->extent_m > 0.0F) || !(map->extent_m < 1.0e12F)) return 0;
-  if (!(map->slack_m >= 0.0F) || !alula_is_finite(map->slack_m)) return 0;
-  for (uint32_t k = 0; k < map->hull_count; ++k) {
-    const uint32_t begin = map->plane_start[k], end = map->plane_start[k + 1U];
-    if (end <= begin || end > ALULA_MAX_PLANES) return 0;
-    for (uint32_t l = 4U * begin; l < 4U * end; ++l) {
-      if (!alula_is_finite(map->plane[l])) return 0;
-    }
-    for (uint32_t i = 3U * k; i < 3U * (k + 1U); ++i) {
-      if (!alula_is_finite(map->lower[i]) || !alula_is_finite(map->upper[i])) return 0;
-    }
-  }
-  return 1;
-}
-
-static int config_is_good(const alula_polytope_cbf_config* config, float extent_m) {
-  return config->radius_m >= 0.0F && config->radius_m <= extent_m && config->beta > 0.0F && config->dt_s > 0.0F &&
-         config->beta * config->dt_s <= SPEED_ROUNDING && config->kappa > 0.0F && config->kappa <= KAPPA_MAX &&
-         config->v_max > 0.0F && config->v_max <= SPEED_MAX && config->v_max * config->dt_s <= extent_m &&
-         alula_is_finite(1.0F / config->kappa * CUTOFF) &&
-         (config->smoothing == ALULA_SMOOTHING_SOUND || config->smoothing == ALULA_SMOOTHING_PAPER);
-}
-
-static alula_status set_up(alula_polytope_cbf* cbf, const alula_map* image, const alula_polytope_map* map,
-                           const alula_polytope_cbf_config* config, uint32_t most_planes) {
-  static const alula_polytope_work NONE = {0U, 0U, 0U, 0U, 0U};
-  if (!config_is_good(config, map->extent_m)) return ALULA_BAD_PARAMETER;
-  cbf->map = *map;
-  cbf->image = *image;
-  cbf->config = *config;
-  cbf->outward_m = map->slack_m;
-  cbf->inverse_kappa = 1.0F / config->kappa;
-  cbf->cutoff_m = CUTOFF * cbf->inverse_kappa;
-  cbf->max_lowering_m = most_planes > 0U ? lowering(cbf, most_planes) : 0.0F;
-  cbf->crowd_m = map->hull_count > 0U ? alula_logf((float)map->hull_count) * cbf->inverse_kappa : 0.0F;
-  cbf->is_damaged = 0;
-  cbf->kept_count = cbf->row_count = cbf->used = cbf->used_before = 0U;
-  cbf->work = NONE;
-  return ALULA_READY;
-}
-
-alula_status alula_polytope_cbf_init(alula_polytope_cbf* cbf, const alula_polytope_map* map,
-                                     const alula_polytope_cbf_config* config) {
-  static const alula_map NO_IMAGE = {0};
-  if (!cbf || !map || !config || !map->plane_start) return ALULA_BAD_POINTER;
-  if (map->hull_count > 0U && (!map->plane || !map->lower || !map->upper)) return ALULA_BAD_POINTER;
-  if (map->hull_count > ALULA_MAX_PLANES || !map_is_valid(map)) return ALULA_BAD_MAP;
-  uint32_t most = 0U;
-  for (uint32_t k = 0; k < map->hull_count; ++k) {
-    const uint32_t planes = map->plane_start[k + 1U] - map->plane_start[k];
-    if (planes > most) most = planes;
-  }
-  return set_up(cbf, &NO_IMAGE, map, config, most);
-}
-
-alula_status alula_polytope_cbf_open(alula_polytope_cbf* cbf, const alula_map* image, float extent_m,
-                                     const alula_polytope_cbf_config* config) {
-  if (!cbf || !image || !config || !image->data) return ALULA_BAD_POINTER;
-  if (image->most_planes + 6U > ALULA_PLANE_ROWS) return ALULA_BAD_MAP;
-  if (!(extent_m >= 0.0F && extent_m < 1.0e12F)) return ALULA_BAD_PARAMETER;
-  alula_polytope_map map = {0, 0, 0, 0, 0U, 0.0F, 0.0F};
-  map.hull_count = image->hull_count;
-  map.extent_m = extent_m > image->extent_m ? extent_m : image->extent_m;
-  map.slack_m = map.extent_m * OUTWARD_OF_EXTENT;
-  return set_up(cbf, image, &map, config, image->hull_count > 0U ? image->most_planes + 6U : 0U);
 }
 
 /* psi and the nearest hull. */
@@ -250,7 +169,7 @@ static float clear_fraction(alula_polytope_cbf* cbf, const float x[3], const flo
 /* Scale u down to the speed limit; nonzero when that changed it. */
 static int limit_speed(float u[3], float v_max) {
   const float speed_squared = dot(u, u);
-  if (speed_squared <= v_max * v_max * SPEED_ROUNDING) return 0;
+  if (speed_squared <= v_max * v_max * ALULA_SPEED_ROUNDING) return 0;
   float largest = 0.0F; /* u may be so large that its square overflows */
   for (int i = 0; i < 3; ++i) {
     const float size = u[i] < 0.0F ? -u[i] : u[i];
@@ -291,7 +210,7 @@ static alula_filter_status project(const alula_polytope_cbf* cbf, const alula_po
     return ALULA_FILTER_FILTERED;
   }
   for (int i = 0; i < 3; ++i) u[i] += gradient[i] * ((row - along) / square);
-  if (row > 0.0F && dot(u, u) > v_max * v_max * SPEED_ROUNDING) {
+  if (row > 0.0F && dot(u, u) > v_max * v_max * ALULA_SPEED_ROUNDING) {
     /* Both constraints bind: the nearest point of a circle keeps the part along the gradient. */
     float normal[3], tangent[3];
     for (int i = 0; i < 3; ++i) {
@@ -309,7 +228,7 @@ static alula_filter_status project(const alula_polytope_cbf* cbf, const alula_po
 static float checked(alula_polytope_cbf* cbf, const float x[3], const float u[3], float least) {
   float end[3];
   for (int i = 0; i < 3; ++i) end[i] = x[i] + u[i] * cbf->config.dt_s;
-  const float reach = __builtin_sqrtf(dot(u, u)) * cbf->config.dt_s * SPEED_ROUNDING + cbf->map.slack_m;
+  const float reach = __builtin_sqrtf(dot(u, u)) * cbf->config.dt_s * ALULA_SPEED_ROUNDING + cbf->map.slack_m;
   return clear_fraction(cbf, x, end, reach, least);
 }
 
@@ -354,7 +273,7 @@ static void check_recovery(alula_polytope_cbf* cbf, const float x[3], const alul
 static int is_near(const alula_polytope_cbf* cbf, alula_polytope_value* value) {
   if (cbf->map.hull_count == 0U) return 0;
   const float bound = (value->hard - cbf->max_lowering_m) - cbf->crowd_m;
-  if (cbf->config.beta * (bound - cbf->config.radius_m) < cbf->config.v_max * SPEED_ROUNDING) return 1;
+  if (cbf->config.beta * (bound - cbf->config.radius_m) < cbf->config.v_max * ALULA_SPEED_ROUNDING) return 1;
   value->smooth = bound;
   return 0;
 }

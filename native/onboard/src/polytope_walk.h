@@ -4,6 +4,14 @@
 
 #include "alula_polytope_cbf.h"
 
+/* A term below exp(-18) = 1.5e-8 of the largest is under half a unit in the last place of their sum
+ * (which is at least 1) and is left out by rule, so that skipping the hull that has it changes nothing.
+ * n hulls left out raise s by less than n 1.5e-8 / kappa, and never above psi. */
+#define ALULA_WALK_CUTOFF 18.0F
+
+/* More than squaring and a root round a speed by. */
+#define ALULA_SPEED_ROUNDING 1.000001F
+
 /* What a search needs no look at: a hull (or all of a box) whose psi_k is at least `bound` when
  * bound > nearer, or as much and it is no earlier one than `nearest`, and (bound - lowering) - least > cutoff.
  * All of this is monotone in `bound`, also after rounding, so that a bound of a box, the maximum over some
@@ -35,6 +43,12 @@ void alula_walk_gather(alula_polytope_cbf* cbf, float farthest, const float x[3]
 
 /* The walks that follow go through all hulls. */
 void alula_walk_forget(alula_polytope_cbf* cbf);
+
+/* How far s_k lies below psi_k at most. */
+static inline float alula_walk_lowering(const alula_polytope_cbf* cbf, uint32_t planes) {
+  if (cbf->config.smoothing == ALULA_SMOOTHING_PAPER) return 0.0F;
+  return alula_logf((float)planes) * cbf->inverse_kappa;
+}
 
 void alula_walk_begin(const alula_polytope_cbf* cbf, alula_walk* walk);
 
