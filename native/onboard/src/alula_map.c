@@ -10,7 +10,6 @@
 #define SMALLEST_VOXEL 1.0e-6F
 #define LARGEST_VOXEL 1.0e5F
 #define LARGEST_ORIGIN (1 << 22) /* so that floats hold all coordinates exactly */
-#define LARGEST_SHIFT 16U
 
 const int8_t alula_map_direction[ALULA_MAP_DIRECTIONS][3] = {
     {-1, -1, -1}, {-1, -1, 0}, {-1, -1, 1}, {-1, 0, -1}, {-1, 0, 1}, {-1, 1, -1}, {-1, 1, 0},
@@ -34,7 +33,7 @@ static uint32_t crc32_of(const uint8_t* data, uint32_t length) {
 /* Whether a record is one that a writer makes: a box with volume within the extent, and planes that
  * cut it but leave something. */
 static int hull_is_valid(const alula_map* map, const alula_map_hull* hull, int32_t largest) {
-  if (hull->shift > LARGEST_SHIFT) return 0;
+  if (hull->shift > ALULA_MAP_MOST_SHIFT) return 0;
   for (int i = 0; i < 3; ++i) {
     if (hull->lower[i] >= hull->upper[i]) return 0;
     if (absolute((float)hull->lower[i] * map->voxel_size_m) > map->extent_m) return 0;

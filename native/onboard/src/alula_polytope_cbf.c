@@ -3,7 +3,8 @@
 
 #define FLAT 1.0e-6F           /* squared gradient below which there is no direction to leave in */
 #define DIVISION_ERROR 2.4e-7F /* 4 units in the last place: two subtractions and a division */
-#define ROUNDING 1.0e-5F       /* of sums of a few numbers, with room */
+#define SPEED_TOLERANCE 1.0001F
+#define ROUNDING 1.0e-5F /* of sums of a few numbers, with room */
 
 /* s_k, given psi_k and the planes; its gradient too unless that is null. */
 static float smooth_value(alula_polytope_cbf* cbf, const alula_walk* walk, const float x[3], float hard,
@@ -251,7 +252,7 @@ static void check_recovery(alula_polytope_cbf* cbf, const float x[3], const alul
     alula_walk walk;
     float hard;
     alula_walk_to(cbf, value->nearest, x, &walk);
-    (void)alula_walk_planes(cbf, &all, x, &walk, &hard);
+    if (!alula_walk_planes(cbf, &all, x, &walk, &hard)) return; /* damaged */
     const float *nearest = walk.plane, *const end = walk.plane + 4U * walk.plane_count;
     for (const float* plane = nearest; plane < end; plane += 4) {
       if (alula_plane_value(plane, x) > alula_plane_value(nearest, x)) nearest = plane;
@@ -319,7 +320,10 @@ alula_filter_status alula_polytope_cbf_filter(alula_polytope_cbf* cbf, const flo
     return ALULA_FILTER_REFUSED;
   }
   const alula_filter_status status = filter(cbf, x, u_nom, result);
-  if (!cbf->is_damaged) return status;
+  /* the latter only ever fails on a map that is no longer what it was */
+  if (!cbf->is_damaged && dot(result->u, result->u) <= SPEED_TOLERANCE * cbf->config.v_max * cbf->config.v_max) {
+    return status;
+  }
   clear_result(result);
   return ALULA_FILTER_REFUSED;
 }

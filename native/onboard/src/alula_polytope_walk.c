@@ -242,7 +242,7 @@ static inline void plane_row(const alula_map_plane* plane, const alula_map_hull*
   const int32_t support = i * (i > 0 ? record->upper[0] : record->lower[0]) +
                           j * (j > 0 ? record->upper[1] : record->lower[1]) +
                           k * (k > 0 ? record->upper[2] : record->lower[2]);
-  const float offset = (float)(support - (int32_t)plane->depth);
+  const float offset = (float)(int32_t)((uint32_t)support - plane->depth);
   const float inverse = 1.0F / __builtin_sqrtf((float)(i * i + j * j + k * k));
   row[0] = (float)i * inverse;
   row[1] = (float)j * inverse;
@@ -276,7 +276,7 @@ static int largest_made(alula_polytope_cbf* cbf, const alula_walk_rule* rule, co
   const float at[3] = {x[0], x[1], x[2]}, g = cbf->image.voxel_size_m, outward = cbf->outward_m;
   const uint32_t plane_bytes = cbf->image.plane_bytes;
   alula_map_hull record;
-  if (alula_map_read(&cbf->image, walk->record, &record) != ALULA_MAP_READY) {
+  if (alula_map_read(&cbf->image, walk->record, &record) != ALULA_MAP_READY || record.shift > ALULA_MAP_MOST_SHIFT) {
     cbf->is_damaged = 1;
     return 0;
   }
@@ -321,6 +321,7 @@ static int decode(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const fl
 int alula_walk_planes(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const float x[3], alula_walk* walk,
                       float* hard) {
   ++cbf->work.hulls;
+  if (cbf->is_damaged) return 0; /* where the record begins is not known */
   if (cbf->image.data) return decode(cbf, rule, x, walk, hard);
   const uint32_t begin = cbf->map.plane_start[walk->hull];
   walk->plane = cbf->map.plane + 4U * begin;

@@ -7,6 +7,7 @@
 
 #define ALULA_MAP_DIRECTIONS 20U
 #define ALULA_MAP_DIRECTION_BITS 5U
+#define ALULA_MAP_MOST_SHIFT 16U
 
 extern const int8_t alula_map_direction[ALULA_MAP_DIRECTIONS][3];
 
