@@ -26,6 +26,7 @@ sys.path.append(str(Path(__file__).resolve().parent))
 sys.path.sort(key=sys.path[-1].__eq__)  # last: newer standard libraries have a package `compression`
 
 import numpy as np
+from cycles import cycles_per_instruction
 from dracbf import SCENARIO, record
 from emulated import (
     FIRMWARE,
@@ -228,6 +229,11 @@ def measure(folder: Path, say: Callable[[str], None]) -> Measured:
             )
             found["host_target_mismatches"] += polytope_mismatches(recorded, out)
             found["ticks"] += len(out.ticks)
+            if name == "m4_polytope_150":
+                worst = max(int(out.instructions.argmax()), 1)
+                found["m4_cycles_per_instruction"] = cycles_per_instruction(
+                    firmware, work, recorded.inputs, worst, recorded.image
+                )
             looked = np.column_stack([out.ticks[word].astype(np.int64) for word in WORK])
             tight[name] = tick_instructions(looked) / out.instructions
         cycles = found[f"m4_polytope_{hulls}_instructions"] * crazyflie.cycles_per_instruction
@@ -317,6 +323,8 @@ def complaints(figures: dict[str, Any]) -> list[str]:
         said.append(f"{figures['flash_bytes']} bytes do not fit into {crazyflie.flash_bytes} of flash")
     if figures["ram_bytes"] > crazyflie.ram_bytes:
         said.append(f"{figures['ram_bytes']} bytes do not fit into {crazyflie.ram_bytes} of RAM")
+    if figures["m4_cycles_per_instruction"] > crazyflie.cycles_per_instruction:
+        said.append(f"{figures['m4_cycles_per_instruction']:.3f} cycles per instruction are more than stated")
     for hulls, rate in RATES.items():
         if figures[f"m4_polytope_{hulls}_hz"] < rate:
             said.append(f"{hulls} hulls reach {figures[f'm4_polytope_{hulls}_hz']} Hz, not {rate}")
