@@ -59,6 +59,8 @@ FIELDS = {150: (100, 80, 30), 1000: (200, 150, 45)}  # hulls: half the field's s
 PARAMETERS = {"radius_m": 0.1, "beta": 2.0, "kappa": 100.0, "dt_s": 0.002, "v_max": 1.0}
 RATES = {150: 500, 1000: 125}
 EVERY, FLIGHTS, TICKS, ANYWHERE = 50, 10, 80, 300
+ENCOUNTER_TICKS, CROWD = 1500, 8
+FloatArray = NDArray[np.float64]
 ENTRIES = (
     "alula_map_open",
     "alula_polytope_cbf_open",
@@ -67,6 +69,15 @@ ENTRIES = (
     "alula_dr_acbf_filter",
 )
 WORK = ("boxes", "hulls", "planes", "made", "exponentials")
+
+
+Asked = tuple[list[float], list[float], FloatArray, list[float]]
+"""A tick of dr-acbf: position, velocity, tracks (n, 29), nominal command; all of them floats."""
+
+
+def single(v: Any) -> list[float]:
+    """The nearest floats."""
+    return np.asarray(v, np.float32).astype(float).tolist()  # type: ignore[no-any-return]
 
 
 def lattice_hull(points: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -150,9 +161,6 @@ def fly(hulls: int) -> Recorded:
     rng, half = np.random.default_rng(2), np.array(FIELDS[hulls]) * G
     extent = float(half.max()) + 2.0
     native = _core.PolytopeCbf.from_image(image, extent_m=extent, **PARAMETERS)
-
-    def single(v: NDArray[np.float64]) -> list[float]:
-        return v.astype(np.float32).astype(float).tolist()
 
     rows: list[tuple[Any, ...]] = []
     for _ in range(FLIGHTS):
@@ -239,45 +247,53 @@ def measure(folder: Path, say: Callable[[str], None]) -> Measured:
         cycles = found[f"m4_polytope_{hulls}_instructions"] * crazyflie.cycles_per_instruction
         found[f"m4_polytope_{hulls}_hz"] = int(crazyflie.clock_hz / cycles)
     say("encounters")
-    found |= encounters(firmware, work, found)
+    more, ticks, mismatches = encounters(firmware, work)
+    found |= more
+    found["ticks"] += ticks
+    found["host_target_mismatches"] += mismatches
     # The geofence's replay goes here: m7_geofence_instructions, host_geofence_p50_us.
     found |= room(firmware, found)
     return Measured(found, tight)
 
 
-def encounters(firmware: Path, work: Path, before: dict[str, Any]) -> dict[str, Any]:
-    """Replay dr-acbf on the active ticks of recorded encounters, and what is around them."""
-    ticks = [tick for trial in record(read_encounters(SCENARIO), 3, 1) for tick in trial][:1500]
-    asked = []
-    for tick in ticks:
-        tracks = tick.tracks.astype(np.float32).astype(float)
-        asked.append(
-            (
-                np.float32(tick.position).tolist(),
-                np.float32(tick.velocity).tolist(),
-                tracks,
-                np.float32(tick.nominal).tolist(),
+def crowd(rng: np.random.Generator, tracks: int) -> Asked:
+    """A tick with so many obstacles close and coming closer."""
+    at = rng.normal(size=(tracks, 3))
+    at *= rng.uniform(1.5, 8.0, (tracks, 1)) / np.linalg.norm(at, axis=1)[:, None]
+    velocity = -at * rng.uniform(0.3, 1.5, (tracks, 1)) + rng.normal(scale=0.5, size=(tracks, 3))
+    spread = np.diag([0.02, 0.02, 0.02, 0.3, 0.3, 0.3])[np.tril_indices(6)]
+    rows = np.column_stack(
+        [np.arange(tracks), at, velocity, np.tile(spread, (tracks, 1)), np.full(tracks, 0.2)]
+    )
+    return [0.0, 0.0, 0.0], single(rng.normal(size=3)), rows.astype(np.float32).astype(float), [0.0, 0.0, 0.0]
+
+
+def encounters(firmware: Path, work: Path) -> tuple[dict[str, Any], int, int]:
+    """dr-acbf on recorded encounters and on crowds; also how many ticks there were and how many differ."""
+    recorded: list[Asked] = [
+        (single(t.position), single(t.velocity), t.tracks.astype(np.float32).astype(float), single(t.nominal))
+        for trial in record(read_encounters(SCENARIO), 3, 1)
+        for t in trial
+    ][:ENCOUNTER_TICKS]
+    rng = np.random.default_rng(3)
+    ticks = mismatches = 0
+    found: dict[str, Any] = {}
+    for suffix, asked in (("", recorded), (f"_{CROWD}_tracks", [crowd(rng, CROWD) for _ in range(150)])):
+        native = _core.moving_filter("dr_acbf")
+        reports = [native.filter(p, v, tracks, np.empty((0, 4)), u)[0] for p, v, tracks, u in asked]
+        want = np.array([report.acceleration for report in reports], np.float32)
+        status = np.array([report.status for report in reports])
+        for core in ("m4", "m7"):
+            out = replay(firmware, work, core, "dr_acbf", dr_acbf_inputs(asked))
+            same = (want.view(np.uint32) == np.ascontiguousarray(out.ticks["a"]).view(np.uint32)).all(axis=1)
+            mismatches += int((~(same & (status == out.ticks["status"]))).sum())
+            ticks += len(out.ticks)
+            found[f"{core}_dracbf{suffix}_instructions"] = int(out.instructions.max())
+            found[f"{core}_dracbf{suffix}_median_instructions"] = int(np.median(out.instructions))
+            found[f"{core}_dracbf_stack_bytes"] = max(
+                out.stack_bytes, found.get(f"{core}_dracbf_stack_bytes", 0)
             )
-        )
-    native = _core.moving_filter("dr_acbf")
-    reports = [native.filter(p, v, tracks, np.empty((0, 4)), u)[0] for p, v, tracks, u in asked]
-    want = np.array([report.acceleration for report in reports], np.float32)
-    status = np.array([report.status for report in reports])
-    found: dict[str, Any] = {
-        "ticks": before["ticks"],
-        "host_target_mismatches": before["host_target_mismatches"],
-    }
-    for core in ("m4", "m7"):
-        out = replay(firmware, work, core, "dr_acbf", dr_acbf_inputs(asked))
-        same = (want.view(np.uint32) == np.ascontiguousarray(out.ticks["a"]).view(np.uint32)).all(axis=1)
-        same &= status == out.ticks["status"]
-        found["host_target_mismatches"] += int((~same).sum())
-        found["ticks"] += len(out.ticks)
-        found[f"{core}_dracbf_instructions"] = int(out.instructions.max())
-        found[f"{core}_dracbf_median_instructions"] = int(np.median(out.instructions))
-        found[f"{core}_dracbf_stack_bytes"] = out.stack_bytes
-        found[f"{core}_dracbf_tracks"] = int(max(len(tracks) for _, _, tracks, _ in asked))
-    return found
+    return found, ticks, mismatches
 
 
 def room(firmware: Path, measured: dict[str, Any]) -> dict[str, Any]:

@@ -108,6 +108,50 @@ def test_what_is_not_finite_is_refused_on_the_target_too(short, core):
     assert (ticks["status"][8:] < 4).all()
 
 
+@pytest.mark.parametrize("core", CORES)
+def test_a_simulated_flight_is_flown_the_same_on_the_target(measured, monkeypatch, core):
+    """What `simulate --onboard` flies in each tick is what the microcontroller commands."""
+    from alula.schemas.configs.simulate import SimulateConfig
+    from alula.stages.flight import simulate
+
+    worlds, make = [], simulate.make_filter
+    monkeypatch.setattr(
+        simulate,
+        "make_filter",
+        lambda name, world, set_to: [worlds.append(world), make(name, world, set_to)][1],
+    )
+    config = SimulateConfig(
+        onboard=True, trials=2, dt_s=0.02, log_rate_hz=50.0, margin_m=0.05, max_time_s=12.0
+    )
+    flown = simulate.simulate(config, onboard.field(150))
+    (world,) = worlds
+    x, u_nom, u = (
+        np.concatenate([getattr(flight, name)[:-1] for flight in flown.flights])
+        for name in ("position", "u_nom", "velocity")
+    )
+    status, margin = (
+        np.concatenate([getattr(flight, name)[:-1] for flight in flown.flights])
+        for name in ("status", "margin")
+    )
+    up = [
+        np.float32(v) if np.float32(v) >= v else np.nextafter(np.float32(v), np.float32(np.inf))
+        for v in (world.extent_m, world.radius_m)
+    ]
+    inputs = emulated.polytope_inputs(
+        x.astype(np.float32),
+        u_nom.astype(np.float32),
+        [*up, config.beta, config.kappa_per_m, world.dt_s, world.speed_m_s],
+    )
+    folder = measured[1]
+    ticks = emulated.replay(folder / "firmware", folder / "work", core, "polytope", inputs, world.image).ticks
+    assert (ticks["status"] == status).all()
+    assert (ticks["margin_m"] == margin).all()
+    changed = status > 0
+    assert changed.sum() > 20
+    assert (ticks["u"][changed] == u[changed].astype(np.float32)).all()
+    assert (ticks["u"][~changed] == u_nom[~changed].astype(np.float32)).all()
+
+
 def resealed(raw, at, value):
     image = bytearray(raw)
     image[at : at + len(value)] = value
