@@ -1,4 +1,5 @@
 // polytope-cbf on images in memory of exactly their size: mutated before they are opened, and after.
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
