@@ -17,7 +17,7 @@ from alula.stages.compression.onboard import LEAF_HULLS, index_bytes
 # against every tick that `make onboard` replays. Per box, hull, plane, plane decoded, exponential of a plane.
 BASE_INSTRUCTIONS = 2400
 INSTRUCTIONS = np.array([136, 155, 30, 43, 135])
-SAMPLES = 3000
+SAMPLES, REFINED = 3000, 300
 ASSUMED: dict[str, Any] = {"radius_m": 0.1, "beta": 2.0, "kappa": 100.0, "v_max": 1.0, "dt_s": 0.002}
 _WALKS = (
     7  # through all hulls that a tick makes at most: two guesses, psi, least, sum, two checks of the step
@@ -37,9 +37,9 @@ def tick_instructions(work: NDArray[np.int64]) -> NDArray[np.int64]:
 def worst_tick(raw: bytes, image: MapImage) -> dict[str, int]:
     """Instructions of a tick of polytope-cbf on a map, with the parameters `ASSUMED`.
 
-    `measured` is the most among `SAMPLES` positions in and around hulls' boxes, flying at them, one somewhere
-    else than the last, so that little is decoded before; `bound` holds for any position and any parameters:
-    every walk of a tick visits every hull and decodes it.
+    `measured` is the most among `SAMPLES` positions in and around hulls' boxes, flying at them, and more
+    around the worst of these, one somewhere else than the last, so that little is decoded before. `bound`
+    holds for any position and any parameters: every walk of a tick visits every hull and decodes it.
 
     Args:
         raw: the image.
@@ -60,10 +60,21 @@ def worst_tick(raw: bytes, image: MapImage) -> dict[str, int]:
     )
     nominal = 0.5 * (low + high) - points
     native = _core.PolytopeCbf.from_image(raw, extent_m=extent, **ASSUMED)
-    most = BASE_INSTRUCTIONS
-    for x, u in zip(np.clip(points, -extent, extent).tolist(), nominal.tolist(), strict=True):
-        native.filter(x, u)
-        most = max(most, int(tick_instructions(np.array(native.work()))))
+
+    def cost(at: NDArray[np.float64]) -> NDArray[np.int64]:
+        work = []
+        for x, u in zip(np.clip(at, -extent, extent).tolist(), nominal.tolist(), strict=True):
+            native.filter(x, u)
+            work.append(native.work())
+        return tick_instructions(np.array(work))
+
+    found = cost(points)
+    most = int(found.max())
+    for reach_m in (0.2, 0.1, 0.05, 0.02):
+        worst = rng.permutation(np.argsort(-found)[:REFINED])
+        points, nominal = points[worst] + reach_m * rng.normal(size=(REFINED, 3)), nominal[worst]
+        found = cost(points)
+        most = max(most, int(found.max()))
     nodes = -(-hulls // LEAF_HULLS) * 4 // 3 + 16
     every = np.array([hulls + nodes, hulls, image.half_planes, image.half_planes, image.half_planes])
     return {"measured": most, "bound": int(tick_instructions(_WALKS * every))}
