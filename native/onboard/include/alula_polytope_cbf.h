@@ -38,7 +38,7 @@ extern "C" {
 #endif
 #define ALULA_MAX_PLANES 16777216U /* counts must be exact in float */
 #ifndef ALULA_NEAR_HULLS
-#define ALULA_NEAR_HULLS 64U /* near enough to count in a tick that are listed; with more of them it takes longer */
+#define ALULA_NEAR_HULLS 128U /* near enough to count in a tick that are listed; with more of them it takes longer */
 #endif
 #define ALULA_NO_LIST 0xFFFFFFFFU
 
@@ -98,6 +98,7 @@ typedef struct {
   int is_damaged;       /* the image is no longer what it was */
   alula_polytope_work work;
   uint32_t near_count; /* or ALULA_NO_LIST */
+  float near_base_m;   /* psi may be up to this for the list to hold what matters */
   struct {
     uint32_t hull, record;
     float bound;

@@ -36,6 +36,29 @@ static int inside_extent(const alula_polytope_map* map, const float x[3]) {
   return 1;
 }
 
+/* Lists the hulls that matter where psi and the least s_k are at most `base`: those whose s_k may be near it, and
+ * those in reach of a step. More than rounding of what is compared is added; u differs from v_max by less. */
+static void gather(alula_polytope_cbf* cbf, const float x[3], float base) {
+  const alula_polytope_cbf_config* c = &cbf->config;
+  const float kept = c->radius_m + cbf->map.slack_m;
+  const float smooth = base + cbf->max_lowering_m + cbf->cutoff_m;
+  const float step = (kept > base ? kept : base) + c->v_max * c->dt_s + cbf->map.slack_m;
+  const float farthest = smooth > step ? smooth : step;
+  const float rounding = absolute(base) + cbf->max_lowering_m + cbf->cutoff_m + kept + c->v_max * c->dt_s;
+  alula_walk_gather(cbf, farthest + ROUNDING * rounding, x);
+  cbf->near_base_m = base;
+}
+
+/* A lower bound of s where psi is `hard`. */
+static float smooth_bound(const alula_polytope_cbf* cbf, float hard) {
+  return (hard - cbf->max_lowering_m) - cbf->crowd_m;
+}
+
+/* Whether the row could bind: it does not while beta (s - r) >= v_max, as no gradient is longer than 1. */
+static int could_bind(const alula_polytope_cbf* cbf, float smooth) {
+  return cbf->config.beta * (smooth - cbf->config.radius_m) < cbf->config.v_max * ALULA_SPEED_ROUNDING;
+}
+
 /* psi and the nearest hull. */
 static void find_hard(alula_polytope_cbf* cbf, const float x[3], alula_polytope_value* value) {
   alula_walk walk;
@@ -46,6 +69,7 @@ static void find_hard(alula_polytope_cbf* cbf, const float x[3], alula_polytope_
   if (alula_walk_planes(cbf, &rule, x, &walk, &hard)) {
     rule.nearer = hard;
     rule.nearest = guess;
+    if (could_bind(cbf, smooth_bound(cbf, hard))) gather(cbf, x, hard); /* one walk for all that follows */
   }
   alula_walk_begin(cbf, &walk);
   while (alula_walk_next(cbf, &rule, x, &walk)) {
@@ -59,18 +83,6 @@ static void find_hard(alula_polytope_cbf* cbf, const float x[3], alula_polytope_
   value->nearest = rule.nearest;
 }
 
-/* Lists the hulls that matter below: with s_k near the least, which is at most `start`, or in reach of a step. More
- * than rounding of what is compared there is added; u differs from v_max by less. */
-static void gather(alula_polytope_cbf* cbf, const float x[3], const alula_polytope_value* value, float start) {
-  const alula_polytope_cbf_config* c = &cbf->config;
-  const float base = start > value->hard ? start : value->hard, kept = c->radius_m + cbf->map.slack_m;
-  const float smooth = base + cbf->max_lowering_m + cbf->cutoff_m;
-  const float step = (kept > value->hard ? kept : value->hard) + c->v_max * c->dt_s + cbf->map.slack_m;
-  const float farthest = smooth > step ? smooth : step;
-  const float rounding = absolute(base) + cbf->max_lowering_m + cbf->cutoff_m + kept + c->v_max * c->dt_s;
-  alula_walk_gather(cbf, farthest + ROUNDING * rounding, x);
-}
-
 /* The least s_k. */
 static float find_least(alula_polytope_cbf* cbf, const float x[3], const alula_polytope_value* value) {
   alula_walk walk;
@@ -78,7 +90,8 @@ static float find_least(alula_polytope_cbf* cbf, const float x[3], const alula_p
   float hard;
   alula_walk_to(cbf, value->nearest, x, &walk);
   if (alula_walk_planes(cbf, &rule, x, &walk, &hard)) rule.least = smooth_value(cbf, &walk, x, hard, 0);
-  gather(cbf, x, value, rule.least);
+  const float base = rule.least > value->hard ? rule.least : value->hard;
+  if (cbf->near_count == ALULA_NO_LIST || base > cbf->near_base_m) gather(cbf, x, base);
   alula_walk_begin(cbf, &walk);
   while (alula_walk_next(cbf, &rule, x, &walk)) {
     if (walk.hull == value->nearest || !alula_walk_planes(cbf, &rule, x, &walk, &hard)) continue;
@@ -269,21 +282,14 @@ static void check_recovery(alula_polytope_cbf* cbf, const float x[3], const alul
   for (int i = 0; i < 3; ++i) result->u[i] *= result->fraction;
 }
 
-/* Whether the row could bind: it does not while beta (s - r) >= v_max, as no gradient is longer than 1. When
- * psi already says so, the bound psi - log(L) / kappa - log(n) / kappa takes the place of s. */
-static int is_near(const alula_polytope_cbf* cbf, alula_polytope_value* value) {
-  if (cbf->map.hull_count == 0U) return 0;
-  const float bound = (value->hard - cbf->max_lowering_m) - cbf->crowd_m;
-  if (cbf->config.beta * (bound - cbf->config.radius_m) < cbf->config.v_max * ALULA_SPEED_ROUNDING) return 1;
-  value->smooth = bound;
-  return 0;
-}
-
 static alula_filter_status filter(alula_polytope_cbf* cbf, const float x[3], const float u_nom[3],
                                   alula_polytope_result* result) {
   alula_polytope_value value;
   if (begin(cbf, x, &value) != ALULA_READY) return ALULA_FILTER_REFUSED;
-  if (is_near(cbf, &value)) find_smooth(cbf, x, &value);
+  if (cbf->map.hull_count > 0U) {
+    value.smooth = smooth_bound(cbf, value.hard); /* stands for s when the row cannot bind */
+    if (could_bind(cbf, value.smooth)) find_smooth(cbf, x, &value);
+  }
   result->margin_m = value.smooth - cbf->config.radius_m;
   result->hard_margin_m = value.hard - cbf->config.radius_m;
   result->active = value.nearest;
