@@ -40,6 +40,9 @@ extern "C" {
 #ifndef ALULA_NEAR_HULLS
 #define ALULA_NEAR_HULLS 128U /* near enough to count in a tick that are listed; with more of them it takes longer */
 #endif
+#if ALULA_KEPT_HULLS > 31U || ALULA_KEPT_HULLS < 1U || ALULA_PLANE_ROWS < 7U
+#error "capacities out of range"
+#endif
 #define ALULA_NO_LIST 0xFFFFFFFFU
 
 /* Read-only arrays of the caller's, in flash on a microcontroller.
