@@ -38,7 +38,7 @@ extern "C" {
 #endif
 #define ALULA_MAX_PLANES 16777216U /* counts must be exact in float */
 #ifndef ALULA_NEAR_HULLS
-#define ALULA_NEAR_HULLS 128U /* near enough to count in a tick that are listed; with more of them it takes longer */
+#define ALULA_NEAR_HULLS 128U /* near enough to count in a tick that are listed; more of them take longer */
 #endif
 #if ALULA_KEPT_HULLS > 31U || ALULA_KEPT_HULLS < 1U || ALULA_PLANE_ROWS < 7U
 #error "capacities out of range"
