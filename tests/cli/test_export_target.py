@@ -11,7 +11,7 @@ from alula import _core
 from alula.cli.main import run
 from alula.schemas.artifact import read_artifact, write_artifact
 from alula.schemas.provenance import read_provenance
-from alula.schemas.targets import TARGETS, Target
+from alula.schemas.targets import CODE_BYTES, TARGETS, Target
 from alula.stages.compression.map_image import decode_map
 from alula.stages.compression.onboard import encode_map, index_bytes
 from alula.stages.compression.onboard_cost import (
@@ -84,7 +84,7 @@ def test_the_bound_holds_wherever_the_vehicle_is(here):
 def test_what_does_not_fit_is_refused_and_what_is_named_fits(here, capsys, monkeypatch):
     def with_room(room):
         monkeypatch.setitem(
-            TARGETS, "crazyflie", Target("crazyflie", 32_000 + room, 36_000, 168e6, 2.0, (500,))
+            TARGETS, "crazyflie", Target("crazyflie", CODE_BYTES + room, 36_000, 168e6, 2.0, (500,))
         )
 
     whole = len(encode_map(read_artifact(Path("tiny.cover.npz")), indexed=True))
