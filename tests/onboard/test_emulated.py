@@ -73,7 +73,7 @@ def test_what_exceeds_it_is_told(measured, name):
 
 
 def test_the_model_bounds_every_tick_and_not_by_much(measured):
-    """What `alula export --target` says of a map holds of flights too. The model is fitted to ticks like these."""
+    """What `alula export --target` says of a map holds of flights too; the model is fitted to such ticks."""
     for name, ratio in measured[0].tight.items():
         assert ratio.min() >= 1, name
         assert np.median(ratio) < 1.35, name
