@@ -47,13 +47,13 @@ def test_the_nearest_to_a_point_are_those_of_a_full_search(seed, count, sigma, r
     for point, row in zip(points, expected, strict=True):
         item, distance = index.nearest(point, point, reach=reach, count=count)
         order = in_order(row, reach, count)
-        np.testing.assert_allclose(distance, row[order], rtol=1e-10, atol=1e-13)
-        np.testing.assert_allclose(row[item], row[order], rtol=1e-10, atol=1e-13)
+        np.testing.assert_allclose(distance, row[order], rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(row[item], row[order], rtol=1e-12, atol=1e-13)
         assert np.all(np.diff(distance) >= 0)
         assert len(set(item)) == len(item)
-    np.testing.assert_allclose(index.clearance(points), expected.min(axis=1), rtol=1e-10, atol=1e-13)
+    np.testing.assert_allclose(index.clearance(points), expected.min(axis=1), rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(
-        index.clearance(points, cap=0.1), np.minimum(0.1, expected.min(axis=1)), rtol=1e-10, atol=1e-13
+        index.clearance(points, cap=0.1), np.minimum(0.1, expected.min(axis=1)), atol=1e-13
     )
 
 

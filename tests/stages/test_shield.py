@@ -1,5 +1,7 @@
 """Certified manoeuvres to rest, and flights that return only inputs which leave one."""
 
+from pathlib import Path
+
 import backup_model as model
 import numpy as np
 import pytest
@@ -18,6 +20,10 @@ from wrench_flight import (
 )
 
 from alula import _core
+from alula.schemas.vehicle import read_vehicle
+from alula.stages.flight.vehicles import quadrotor
+
+VEHICLES = Path(__file__).resolve().parents[2] / "examples/vehicles"
 
 
 @pytest.mark.parametrize("kind", ["hover", "heading-invariant", "brake"])
@@ -152,6 +158,30 @@ def test_states_near_rest_go_little_beyond_their_excursion(kind):
             farthest = max(farthest, np.linalg.norm(x[:3]))
         worst = max(worst, farthest / bound)
     assert 0.5 < worst < 1.3
+
+
+@pytest.mark.parametrize(
+    ("gains", "ends_early"),
+    [
+        ({}, True),
+        ({"full_tilt_speed_m_s": 5.0}, True),
+        ({"torque_share": 0.05}, False),  # goes 14 times as far as the loop without caps would
+        ({"attitude_rad_s": 5.0}, False),
+        ({"tilt_rad": 0.1, "full_tilt_speed_m_s": 0.1}, False),
+    ],
+)
+def test_rollouts_end_early_only_where_caps_let_them(gains, ends_early):
+    policy = _core.BackupPolicy(VEHICLE, "brake", **gains)
+    assert _core.Shield(policy, empty_scene().index).ends_early == ends_early
+
+
+@pytest.mark.parametrize("name", ["fastbridge", "crazyflie21", "racer7"])
+def test_rollouts_of_our_vehicles_end_early(name):
+    body = quadrotor(read_vehicle(VEHICLES / f"{name}.toml"))
+    index = empty_scene().index
+    assert _core.Shield(_core.BackupPolicy(body, "brake"), index).ends_early
+    lagging = _core.ShieldOptions(motor_time_constant_s=0.03)
+    assert not _core.Shield(_core.BackupPolicy(body, "brake"), index, lagging).ends_early
 
 
 def test_to_hover_turned_away_is_no_rest():

@@ -1,4 +1,4 @@
-"""The tracker against Stone Soup, a library that is no dependency: `pip install stonesoup` to run this.
+"""The tracker against Stone Soup.
 
 Stone Soup keeps the derivatives of an axis together (x, vx, y, vy, z, vz) and time in microseconds.
 """
@@ -7,10 +7,6 @@ import datetime
 
 import numpy as np
 import pytest
-from tracked import SIGMA, scan, tracker
-
-pytest.importorskip("stonesoup", reason="Stone Soup is not installed: pip install stonesoup")
-
 from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
 from stonesoup.hypothesiser.distance import DistanceHypothesiser
 from stonesoup.measures import Mahalanobis
@@ -25,6 +21,7 @@ from stonesoup.types.detection import Detection
 from stonesoup.types.state import GaussianState
 from stonesoup.types.track import Track
 from stonesoup.updater.kalman import KalmanUpdater
+from tracked import SIGMA, scan, tracker
 
 START = datetime.datetime(2000, 1, 1)
 DT = 0.05

@@ -195,7 +195,7 @@ struct SegmentDual {
 // From a multiplier where g > 1 is known at 0. Newton's iteration on 1 / sqrt(g), which is concave but where the
 // closest point of a segment leaves an end; a step too far is caught by the bracket. Nothing is done for those that
 // are `done`.
-constexpr double kClose = 1e-6;  // of sqrt(g) to 1: the bound, which is flat there, is off by the square of it
+constexpr double kClose = 1e-8;  // of sqrt(g) to 1: the bound, which is flat there, is off by the square of it
 
 template <class Real, class Function, class Is>
 Real maximise(const Function& dual, Real mu, Dual<Real> at, Real size, Real enough, Is done) {

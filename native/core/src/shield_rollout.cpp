@@ -17,13 +17,15 @@ using geometry::multiply;
 using geometry::norm;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kStep = 0.01;      // of RK4 at most [s],
-constexpr double kTurn = 0.1;       // and [rad]
-constexpr int kSweeps = 8;          // chords tried before the path is looked at tick by tick
-constexpr double kTurnPerTick = 1;  // more than that and holding an input for a tick means nothing
-constexpr double kAlmost = 4;       // times what counts as rest, in speed, rate and tilt
-constexpr double kRoom = 2;         // times its excursion
-constexpr double kMost = 0.25;      // of an excursion that is looked at [m]
+constexpr double kStep = 0.01;                   // of RK4 at most [s],
+constexpr double kTurn = 0.1;                    // and [rad]
+constexpr int kSweeps = 8;                       // chords tried before the path is looked at tick by tick
+constexpr double kTurnPerTick = 1;               // more than that and holding an input for a tick means nothing
+constexpr double kAlmost = 4;                    // times what counts as rest, in speed, rate and tilt
+constexpr double kRoom = 2;                      // times its excursion
+constexpr double kMostPassed = 1.5;              // of an excursion, by what is flown
+constexpr double kQuarter = 1.5707963267948966;  // of a turn [rad]
+constexpr double kMost = 0.25;                   // of an excursion that is looked at [m]
 
 }  // namespace
 
@@ -123,6 +125,32 @@ bool Shield::resting(const State& x, const Vec4& rotors) const {
   return resting(y);
 }
 
+// Whether what is flown from where `settles_clear` may end a path stays well within the room that it asks for. Of the
+// loop about hover the excursion is a bound; caps of tilt, thrust or torque, or a slow attitude, may be too low for
+// it. Flown from corners of what counts, scaled to the longest excursion that is looked at.
+bool Shield::keeps_to_excursion() const {
+  if (lags()) return false;
+  const ShieldOptions& o = options_;
+  const double speed = kAlmost * o.rest_speed_m_s, tilt = kAlmost * o.rest_tilt_rad / 4,
+               rate = kAlmost * o.rest_rate_rad_s;
+  const int ticks = static_cast<int>(std::min(o.max_time_s, 5.0) / o.tick_s);
+  for (int corner = 0; corner < 96; ++corner) {
+    const double turn = corner % 4 * kQuarter, side = corner / 4 % 4 * kQuarter, climb = corner / 16 % 2 ? 0.4 : -0.4;
+    const double spin = corner / 32 - 1;  // -1, 0, 1
+    State x;
+    x.v = speed * Vec3{0.9 * std::cos(turn), 0.9 * std::sin(turn), climb};
+    x.sigma = tilt * Vec3{std::cos(side), std::sin(side), 0};
+    x.omega = spin * rate * Vec3{std::cos(side), std::sin(side), 0};
+    x = std::min(1.0, kMost / policy_.excursion(x)) * x;
+    const double most = kMostPassed * policy_.excursion(x);
+    for (int tick = 0; tick < ticks && !resting(x); ++tick) {
+      x = after(x, flown(x, {}, 0));
+      if (!(norm(x.p) <= most)) return false;
+    }
+  }
+  return true;
+}
+
 // Whether x is so near to rest, and so far from everything, that on its way to rest it keeps `distance`. Asked along
 // a path, it looks at the map whenever the excursion has halved.
 bool Shield::settles_clear(const State& x, double distance, double& looked) {
@@ -153,7 +181,7 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
   State now = x;
   Vec4 rotors = rotors_;
   double speed = norm(now.v), spin = norm(now.omega), looked = 2 * kMost;
-  const bool may_settle = distance < kInfinity && !lags() && !manoeuvre.is_urgent;
+  const bool may_settle = ends_early_ && distance < kInfinity && !manoeuvre.is_urgent;
   for (int tick = 0; tick < ticks; ++tick) {
     if (tick >= before + manoeuvre.ticks &&
         (resting(now, rotors) || (may_settle && settles_clear(now, distance, looked)))) {

@@ -129,7 +129,7 @@ void test_far_from_the_origin_nothing_is_missed() {
     std::sort(found.begin(), found.end(), [](const Found& a, const Found& b) { return a.item < b.item; });
     double least = 1;
     for (std::size_t k = 0; k < std::min(found.size(), expected.size()); ++k) {
-      CHECK(found[k].item == expected[k].item && std::abs(found[k].distance - expected[k].distance) < 1e-10);
+      CHECK(found[k].item == expected[k].item && std::abs(found[k].distance - expected[k].distance) < 1e-12);
       least = std::min(least, expected[k].distance);
     }
     std::uint32_t hint = 0;

@@ -910,6 +910,12 @@ class Shield:
 
     def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ShieldOptions = ...) -> None: ...
 
+    @property
+    def ends_early(self) -> bool:
+        """
+        Whether rollouts for a verdict end where the policy's excursion is free all around.
+        """
+
     def certify(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], *, first: Sequence[float] | None = None, hold: Sequence[float] = [0.0, 0.0, 0.0], hold_ticks: int = 0, margin_m: float | None = None, thorough: bool = False) -> dict[str, Any]:
         """
         Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a dict of safe, rests, clearance_m (least seen, less the radius) and time_s.

@@ -41,8 +41,7 @@ double signed_distance(const Ellipsoid& ellipsoid, Vec3 a, Vec3 b, double enough
 // of a point, and of the segment start + t along, 0 <= t <= 1, with 0 where that meets it. Infinity once it is known
 // to be above `enough`: the squared distance is the maximum over mu >= 0 of the concave
 //   q(mu) = mu min_t (sum_i z_i(t)^2 / (mu + semi_i^2) - 1),
-// so what Newton's iteration sees at each of its steps is a lower bound, and t has a closed form. It ends where that
-// is known to about 1e-11 of itself.
+// so what Newton's iteration sees at each of its steps is a lower bound, and t has a closed form.
 double distance_below(Vec3 semi, Vec3 point, double enough);
 double distance_below(Vec3 semi, Vec3 start, Vec3 along, double enough);
 

@@ -50,10 +50,10 @@ class EllipsoidIndex {
   double ball(std::uint32_t item) const { return level(slot_[item]).inflation; }
 
   // The at most `count` ellipsoids nearest to the segment a..b of those nearer than `reach` to it, by distance, ties
-  // by number. The distance is that of the ungrown set: of a point (a == b) to 1e-10 of itself and negative inside,
-  // of a segment to 1e-9 of the reach. Those that a segment meets are at distance 0 and ordered by that of a, those
-  // not nearer than `reach` to a are left out. `found` is replaced; what it holds before is looked at first, which
-  // makes a query fast that is much like the last one and cannot change its result.
+  // by number. The distance is that of the ungrown set: of a point (a == b) exact and negative inside, of a segment
+  // exact to 1e-9 of the reach. Those that a segment meets are at distance 0 and ordered by that of a, those not
+  // nearer than `reach` to a are left out. `found` is replaced; what it holds before is looked at first, which makes
+  // a query fast that is much like the last one and cannot change its result.
   QueryCost nearest(geometry::Vec3 a, geometry::Vec3 b, double reach, std::size_t count,
                     std::vector<Found>& found) const;
 
@@ -79,8 +79,8 @@ class EllipsoidIndex {
   // Whether some ungrown set is nearer than `reach` to the segment a..b; exact to 1e-9 of the reach.
   bool is_near(geometry::Vec3 a, geometry::Vec3 b, double reach) const;
 
-  // Signed distance of a point to the nearest ungrown set, to 1e-10 of itself, at most `cap`. `hint` is a guess that
-  // is updated; it cannot change the result.
+  // Signed distance of a point to the nearest ungrown set, at most `cap`. `hint` is a guess that is updated; it
+  // cannot change the result.
   double clearance(geometry::Vec3 point, double cap, std::uint32_t& hint) const;
 
  private:

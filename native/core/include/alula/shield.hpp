@@ -96,6 +96,10 @@ class Shield {
   Manoeuvre plan(const State& x, std::span<const Found> near);
 
   int hold_ticks() const;  // of an escape
+
+  // Whether rollouts may end before rest: not with lag, nor where the policy's caps let it go farther than its
+  // excursion, which is tried at the start.
+  bool ends_early() const { return ends_early_; }
   void reset();
 
  private:
@@ -112,6 +116,7 @@ class Shield {
             double distance = std::numeric_limits<double>::infinity());
   bool resting(const State& x) const;
   bool resting(const State& x, const Vec4& rotors) const;
+  bool keeps_to_excursion() const;
   bool settles_clear(const State& x, double distance, double& looked);
   bool march(std::size_t from, double distance, bool thorough, double& least, double& contact_speed);
   std::size_t sweep(double distance) const;
@@ -133,6 +138,7 @@ class Shield {
   std::shared_ptr<const EllipsoidIndex> index_;
   ShieldOptions options_;
   double rest_drift_;
+  bool ends_early_ = false;
   Vec4 hovering_{}, rotors_{};
   std::vector<Tick> path_;
   std::vector<Found> found_;
