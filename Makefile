@@ -9,7 +9,7 @@ VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
 CONSTRAINTS := .ci/constraints.txt
 
-.PHONY: help demo test setup lint format typecheck typing-view test-native fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-alignment docs schemas clean
+.PHONY: help demo test setup lint format typecheck typing-view test-native onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-alignment docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -60,6 +60,10 @@ test-native: setup ## build the native tests with sanitizers and run them
 	  .ci/fixed-addresses $(BIN)/ctest --test-dir $$build --output-on-failure; \
 	done
 
+onboard: setup ## run the filters on emulated microcontrollers: the host's bits, instructions, sizes, stacks
+	.ci/system-packages --onboard
+	$(BIN)/python -P benchmarks/onboard.py
+
 fuzz: setup ## mutated splat files against every reader, for SECONDS=600
 	$(BIN)/python -P tests/fuzz_splats.py --seconds $(or $(SECONDS),600) --keep build/fuzz
 
@@ -93,6 +97,9 @@ bench-filters: setup ## filters among ellipsoids tick by tick, and the QP solver
 
 bench-dracbf: setup ## filters among moving obstacles side by side, some minutes, into docs/benchmarks-dracbf.md
 	$(BIN)/python -P benchmarks/dracbf.py --markdown docs/benchmarks-dracbf.md
+
+bench-onboard: setup ## what the onboard filters take on emulated microcontrollers, into docs/onboard.md
+	$(BIN)/python -P benchmarks/onboard.py --markdown docs/onboard.md
 
 bench-alignment: setup ## how often the intervals of scale-align hold, some minutes
 	$(BIN)/python -P benchmarks/alignment.py

@@ -19,7 +19,7 @@ EXAMPLES = """\b
 Examples:
   alula export room.cover.npz -o room.glb
   alula export room.scene.npz -o room.spz
-  alula export room.cover.npz -o room.map.bin
+  alula export room.cover.npz -o room.map.bin --target crazyflie
 """
 
 
@@ -34,18 +34,26 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
     a microcontroller reads in place (.bin; the same as a C array in .h); a scene becomes PLY, SPLAT or SPZ
     (Gaussians), GLB or OBJ (points). Of Gaussians, it is measured and told what the format lost. Coordinates
     are not turned. A .splat has no room to say where it came from, so that only -f replaces one.
+
+    With --target the map gets an index, and the C header is written beside it. Printed are its bytes, and
+    the instructions and time of a tick of polytope-cbf (0.1 m radius, 1 m/s, other parameters as by default):
+    the most at positions all over the map, its share of each control rate's tick, and a bound for any
+    position (every hull counts). What does not fit ends with exit code 5 and the bytes that would.
     """
-    from alula.cli.runner import run
+    from alula.cli.runner import check_output, current, run
     from alula.schemas.artifact import read_artifact
     from alula.schemas.atomic import atomic_output
     from alula.schemas.errors import InputError
+    from alula.schemas.targets import TARGETS
     from alula.stages.compression.map_image import decode_map
     from alula.stages.compression.onboard import map_facts
+    from alula.stages.compression.onboard_cost import require_fit, target_facts
     from alula.stages.reporting.export import export
     from alula.stages.reporting.export_scene import SCENE_ENCODERS, written_losses
 
     parameters = config.parameters(common.output)
     name = str(parameters["format"])
+    header = common.output.with_suffix(".h")
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
         found = read_artifact(artifact)
@@ -53,6 +61,11 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
             parts = list(export(found, name, provenance))
         except InputError as error:
             raise type(error)(f"{artifact}: {error}") from error
+
+        if config.target != "none":
+            require_fit(parts[0], decode_map(parts[0]), TARGETS[config.target])
+            check_output(header, {"input": artifact})
+            current(header, provenance, force=common.force)
 
         def write() -> None:
             with atomic_output(common.output) as file:
@@ -65,7 +78,10 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
         if "hulls" in counts:
             counts["hulls"] -= 1
         if name == "onboard":
-            counts |= map_facts(decode_map(parts[0]))
+            image = decode_map(parts[0])
+            counts |= map_facts(image)
+            if config.target != "none":
+                counts |= {"header": str(header), **target_facts(parts[0], image, TARGETS[config.target])}
         if name in SCENE_ENCODERS:
             counts |= written_losses(found, name, b"".join(parts))
             if "loss" in found.arrays:
@@ -73,3 +89,23 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
         return write, {"format": name, **counts, "bytes": sum(map(len, parts))}
 
     run(common, "alula/export", "1.0", parameters, {"input": artifact}, make)
+    if config.target != "none" and not common.dry_run:
+        _write_header(common.output, header, force=common.force)
+
+
+def _write_header(output: Path, header: Path, *, force: bool) -> None:
+    """The C header of a map that is there, unless it is there too."""
+    from alula.cli.runner import current
+    from alula.schemas.atomic import atomic_output
+    from alula.schemas.provenance import read_provenance
+    from alula.stages.compression.map_image import decode_map
+    from alula.stages.compression.onboard import image_c_header
+
+    raw, provenance = output.read_bytes(), read_provenance(output)
+    assert provenance is not None
+    wanted = b"".join(image_c_header(raw[: decode_map(raw).image_bytes], provenance))
+    if header.exists() and header.read_bytes() == wanted:
+        return
+    current(header, provenance, force=force)
+    with atomic_output(header) as file:
+        file.write(wanted)

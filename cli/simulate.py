@@ -258,7 +258,11 @@ def _check_options(config: SimulateConfig, given: Set[str], *, splat: bool) -> N
         whom = "hulls of a cover" if splat else "ellipsoids of a scene"
         raise UsageError(f"{_option_of(wrong[0])} is for flights among the {whom}, which these are not")
     if not splat and config.filter_parameters and config.filter in ("none", "polytope-cbf"):
-        known = "no parameters" if config.filter == "none" else "the options --beta, --kappa and --smoothing"
+        known = (
+            "no parameters"
+            if config.filter == "none"
+            else "the options --beta, --kappa, --smoothing and --onboard"
+        )
         raise UsageError(f"--set: the filter {config.filter} has {known}")
 
 

@@ -19,7 +19,7 @@
 
     [filter]
     name = "polytope-cbf"
-    parameters = { beta = 2.0, kappa_per_m = 100.0, smoothing = "sound" }
+    parameters = { beta = 2.0, kappa_per_m = 100.0, smoothing = "sound", onboard = false }
 
     [controller]
     gain = 2.0
@@ -55,7 +55,7 @@ from alula.schemas.toml_file import read_toml
 
 SCENARIO_SCHEMA: Literal["alula/scenario"] = "alula/scenario"
 
-_BUILT_IN_PARAMETERS = ("beta", "kappa_per_m", "smoothing")
+_BUILT_IN_PARAMETERS = {"beta": float, "kappa_per_m": float, "smoothing": str, "onboard": bool}
 # Where a scenario says what an option of `simulate` says.
 _KEYS = {
     "--name": "name",
@@ -64,6 +64,7 @@ _KEYS = {
     "--beta": "filter.parameters.beta",
     "--kappa": "filter.parameters.kappa_per_m",
     "--smoothing": "filter.parameters.smoothing",
+    "--onboard": "filter.parameters.onboard",
     "--sigma": "map.sigma",
     "--confidence": "map.confidence",
     "--inflate": "map.inflation_m",
@@ -221,6 +222,6 @@ def _check_built_in_parameters(path: Path, parameters: dict[str, Any]) -> None:
         where = f"{path}: `$.filter.parameters.{key}`"
         if key not in _BUILT_IN_PARAMETERS:
             raise UsageError(f"{where}: unknown; polytope-cbf has {', '.join(_BUILT_IN_PARAMETERS)}")
-        wanted = str if key == "smoothing" else float | int
-        if not isinstance(value, wanted) or isinstance(value, bool):
-            raise UsageError(f"{where}: Expected `{'str' if key == 'smoothing' else 'float'}`")
+        wanted = _BUILT_IN_PARAMETERS[key]
+        if not (isinstance(value, wanted) or (wanted is float and type(value) is int)):
+            raise UsageError(f"{where}: Expected `{wanted.__name__}`")

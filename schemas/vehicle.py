@@ -20,6 +20,9 @@
     max_rad_s = [10, 10, 4]       # of a rate command
     time_constant_s = 0.02        # of the loop that follows it
 
+    [throttle]                    # for flying by throttle and rates, as a racing pilot does
+    acceleration_m_s2 = [0.0, 7.75474, 73.895455]  # a_0 + a_1 u + a_2 u^2 of a throttle u in [0, 1]
+
     [tracking]
     kp_per_s2 = 3.0
     kv_per_s = 2.0
@@ -100,6 +103,14 @@ class RatesTable(_Table, frozen=True, kw_only=True):
     time_constant_s: Positive = 0.02
 
 
+class ThrottleTable(_Table, frozen=True, kw_only=True):
+    """What a throttle gives with a fresh battery; held at full it falls by at most `sag_share`."""
+
+    acceleration_m_s2: tuple[float, Size, Size]
+    sag_share: Annotated[float, Meta(ge=0, lt=1)] = 0.0
+    sag_time_s: Positive = 0.5
+
+
 class TrackingTable(_Table, frozen=True, kw_only=True):
     """Gains of the geometric controller, and what a large error may ask for; see `alula/tracking.hpp`."""
 
@@ -145,6 +156,7 @@ _UNUSED = {
         "body.gravity_m_s2",
         "rotors",
         "rates",
+        "throttle",
         "limits.max_speed_m_s",
         "tracking.attitude_n_m",
         "tracking.rate_n_m_s",
@@ -167,6 +179,7 @@ _UNUSED = {
         "body.gravity_m_s2",
         "rotors",
         "rates",
+        "throttle",
         "limits.max_acceleration_m_s2",
         "tracking",
         "disturbance",
@@ -191,6 +204,7 @@ class Vehicle(_Table, frozen=True, kw_only=True):
     rotors: RotorsTable | None = None
     limits: LimitsTable = LimitsTable()
     rates: RatesTable = RatesTable()
+    throttle: ThrottleTable | None = None
     tracking: TrackingTable = TrackingTable()
     disturbance: DisturbanceTable = DisturbanceTable()
     assumed: AssumedTable = AssumedTable()
@@ -285,9 +299,24 @@ def _check_quadrotor(vehicle: Vehicle) -> None:
         raise UsageError(
             f"`$.rotors.max_thrust_n`: {sum(low):g} to {sum(high):g} N of thrust cannot hover {weight:.3g} N"
         )
+    _check_throttle(vehicle, sum(high) / mass)
     share = vehicle.tracking.max_thrust_share
     if share is not None and 0.95 * share * sum(high) < weight:
         raise UsageError(f"`$.tracking.max_thrust_share`: {share:g} of the thrust cannot hover")
+
+
+def _check_throttle(vehicle: Vehicle, strongest_m_s2: float) -> None:
+    if vehicle.throttle is None:
+        return
+    least, full = vehicle.throttle.acceleration_m_s2[0], sum(vehicle.throttle.acceleration_m_s2)
+    gravity = vehicle.body.gravity_m_s2
+    if not least < gravity < full * (1 - vehicle.throttle.sag_share):
+        raise UsageError(f"`$.throttle.acceleration_m_s2`: {least:g} to {full:.3g} m/s^2 cannot hover")
+    if abs(full - strongest_m_s2) > 0.05 * strongest_m_s2:
+        raise UsageError(
+            f"`$.throttle.acceleration_m_s2`: {full:.3g} m/s^2 at full throttle,"
+            f" but the rotors give {strongest_m_s2:.3g}"
+        )
 
 
 def _has(values: Any, key: str) -> bool:

@@ -30,6 +30,13 @@ class ExportConfig:
     format: Literal["auto", "glb", "obj", "json", "ply", "splat", "spz", "stl", "onboard", "c-header"] = (
         field(default="auto", metadata={"help": "Format to write; auto goes by the output's suffix."})
     )
+    target: Literal["none", "crazyflie", "teensy", "c"] = field(
+        default="none",
+        metadata={
+            "help": "Onboard map for a microcontroller: with an index, and a C header beside the image; says"
+            " what a tick takes at worst. What does not fit is refused; c fits anything."
+        },
+    )
     largest_normal: int = field(
         default=127,
         metadata={
@@ -59,8 +66,12 @@ class ExportConfig:
         """The format for an output file.
 
         Raises:
-            UsageError: `auto`, and the suffix is not that of a format.
+            UsageError: `auto`, and the suffix is not that of a format; or a target, and it is not .bin.
         """
+        if self.target != "none" and (
+            self.format not in ("auto", "onboard") or output.suffix.lower() != ".bin"
+        ):
+            raise UsageError(f"{output}: with --target the output is an image, .bin; its header gets .h")
         if self.format != "auto":
             return self.format
         if (name := SUFFIXES.get(output.suffix.lower())) is None:
@@ -75,6 +86,8 @@ class ExportConfig:
         shaping: dict[str, Any] = {"format": name}
         if name in ONBOARD:
             shaping["largest_normal"] = self.largest_normal
+        if self.target != "none":
+            shaping |= {"target": self.target, "name": c_name(output)}
         if name == "spz":
             shaping["spz_version"] = self.spz_version
         if name == "c-header":

@@ -13,7 +13,7 @@ DEFAULT_RADIUS_M = 0.1
 DEFAULT_SPEED_M_S = 1.0
 
 # Fields that only flights among the hulls of a cover have, and those among the ellipsoids of a scene.
-HULLS_ONLY = ("gain", "beta", "kappa_per_m", "smoothing")
+HULLS_ONLY = ("gain", "beta", "kappa_per_m", "smoothing", "onboard")
 ELLIPSOIDS_ONLY = (
     *("sigma", "confidence", "inflation_m", "plant", "guide", "guide_parameters", "catch_up_m_s"),
     *("interface", "pairs"),
@@ -59,6 +59,13 @@ class SimulateConfig:
     smoothing: Literal["sound", "paper"] = field(
         default="sound",
         metadata={"help": "paper: smoothing and steps as printed, which is UNSAFE; for comparison."},
+    )
+    onboard: bool = field(
+        default=False,
+        metadata={
+            "help": "Let polytope-cbf read the map that `export --target` writes: the commands are then those"
+            " of a microcontroller, bit by bit."
+        },
     )
     trials: int | None = field(
         default=None, metadata={"help": "Number of random start-goal pairs; default 100."}
@@ -179,6 +186,8 @@ class SimulateConfig:
             raise UsageError("--bounds needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
         if self.smoothing not in ("sound", "paper"):
             raise UsageError(f"--smoothing must be sound or paper, not {self.smoothing!r}")
+        if self.onboard and self.filter != "polytope-cbf":
+            raise UsageError("--onboard is for the filter polytope-cbf")
         _between("--sigma", self.sigma, 0.01, 100)
         if self.confidence is not None and not (0 < self.confidence < 1):
             raise UsageError(f"--confidence must be between 0 and 1, not {self.confidence}")

@@ -22,6 +22,7 @@ MAGIC = b"ALMP"
 HEADER = struct.Struct("<4s2B2H2B3I3ifdf8s")
 HEADER_BYTES, HULL_BYTES, PLANE_BYTES, KDOP_PLANE_BYTES = 64, 14, 5, 2
 KDOP, INDEXED = 1, 2
+NODE_BYTES, FANOUT = 12, 4  # of the index
 MARGIN_OF_EXTENT = 2.0**-18  # 64 roundings; derived in alula_map.h
 DIRECTIONS = np.array([n for n in product((-1, 0, 1), repeat=3) if np.count_nonzero(n) >= 2], np.int32)
 
@@ -39,7 +40,7 @@ class MapImage:
         is_kdop: planes are numbers of directions.
         cover_hash: first 8 bytes of the SHA-256 of the cover's file; zeros when unknown.
         image_bytes: length of the image; what follows in a file is not part of it.
-        index_bytes: length of the section after the records.
+        index_bytes: length of the index after the records.
         lower: shape (n, 3).
         upper: shape (n, 3).
         normal: of the oblique planes, shape (K, 3).
@@ -112,7 +113,9 @@ def decode_map(raw: bytes) -> MapImage:
     if not plausible or not size_f32 <= margin / MARGIN_OF_EXTENT <= 1e12:
         raise DamagedError("the onboard map has an impossible voxel size or margin")
     boxes, counts, shifts, starts, end = _records(raw, hulls, total, bool(flags & KDOP))
-    if end != total and not flags & INDEXED:
+    if flags & INDEXED:
+        _check_index(raw[end:total], boxes.reshape(-1, 2, 3), starts - HULL_BYTES)
+    elif end != total:
         raise DamagedError(f"the onboard map has {total - end} bytes after its records")
     lower, upper = (boxes.reshape(-1, 2, 3)[:, i] + np.array(origin, np.int64) for i in (0, 1))
     if (lower >= upper).any() or max(abs(lower).max(initial=0), abs(upper).max(initial=0)) > 2**23:
@@ -166,6 +169,29 @@ def _records(
     if (table[:, 7] > 16).any():
         raise DamagedError("a hull of the onboard map has an impossible shift")
     return table[:, :6], table[:, 6], table[:, 7], np.array(starts, np.int64), at
+
+
+def _check_index(raw: bytes, boxes: NDArray[np.int64], starts: NDArray[np.int64]) -> None:
+    """Each node is the union of what is below it, and each leaf knows where its records start."""
+    wrong = DamagedError("the index of the onboard map does not fit its records")
+    if len(boxes) == 0 or len(raw) < 4 or raw[0] == 0 or raw[2:4] != b"\0\0":
+        raise wrong
+    leaf_hulls, levels, depth, at, below, width = raw[0], raw[1], 0, 4, boxes, raw[0]
+    while depth == 0 or len(below) > 1:
+        depth += 1
+        first = np.arange(0, len(below), width)
+        low = np.minimum.reduceat(below[:, 0], first, axis=0)
+        high = np.maximum.reduceat(below[:, 1], first, axis=0)
+        end = at + NODE_BYTES * len(first)
+        if end > len(raw):
+            raise wrong
+        below = np.frombuffer(raw[at:end], "<i2").reshape(-1, 2, 3).astype(np.int64)
+        if (below[:, 0] != low).any() or (below[:, 1] != high).any():
+            raise wrong
+        at, width = end, FANOUT
+    listed = starts[::leaf_hulls]
+    if levels != depth or raw[at:] != listed.astype("<u4").tobytes():
+        raise wrong
 
 
 def _planes(

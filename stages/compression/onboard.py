@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -12,11 +13,24 @@ from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError, InfeasibleError, InputError
 from alula.schemas.provenance import Provenance
-from alula.stages.compression.map_image import HEADER, HEADER_BYTES, KDOP, MAGIC, MARGIN_OF_EXTENT, MapImage
+from alula.stages.compression.map_image import (
+    FANOUT,
+    HEADER,
+    HEADER_BYTES,
+    HULL_BYTES,
+    INDEXED,
+    KDOP,
+    KDOP_PLANE_BYTES,
+    MAGIC,
+    MARGIN_OF_EXTENT,
+    PLANE_BYTES,
+    MapImage,
+)
 
 LARGEST_NORMAL = 127
 _SMALLEST_M, _LARGEST_M = 1e-6, 1e5
 _MOST_BYTES, _MOST_HULLS = 2**32 - 1, 2**24
+LEAF_HULLS = 4
 
 Progress = Callable[[int, int], None] | None
 
@@ -26,6 +40,7 @@ def encode_map(
     *,
     largest_normal: int = LARGEST_NORMAL,
     cover_sha256: str = "",
+    indexed: bool = False,
     jobs: int = 0,
     progress: Progress = None,
 ) -> bytes:
@@ -39,6 +54,8 @@ def encode_map(
         cover: an `alula/cover`.
         largest_normal: bound of the components of normals; with 1 all planes are of the 26-DOP family.
         cover_sha256: of the cover's file, in hexadecimal; its first 8 bytes go into the header.
+        indexed: with the tree of boxes that makes a search near a position cost no look at every hull; it
+            takes `index_bytes` more.
         jobs: threads, 0 for all processors; the result does not depend on it.
         progress: called with (done, total) now and then.
 
@@ -75,18 +92,56 @@ def encode_map(
         )
     except ValueError as error:
         raise ArtifactError(f"the cover cannot be encoded: {error}") from error
-    hulls, total = len(cover["vertex_start"]) - 1, HEADER_BYTES + len(records)
+    hulls, flags = len(cover["vertex_start"]) - 1, KDOP * is_kdop
+    if indexed and hulls > 0:
+        flags |= INDEXED
+        records += _index(records, hulls, is_kdop=is_kdop)
+    total = HEADER_BYTES + len(records)
     if total > _MOST_BYTES or hulls > _MOST_HULLS:
         raise InfeasibleError(f"{hulls} hulls in {total} bytes are too many for an onboard map; merge more")
     extent = max(int(np.abs([low, high]).max()), 1) * size
     head = HEADER.pack(
         MAGIC,
-        *(1, 0, HEADER_BYTES, KDOP * is_kdop, largest, 0),
+        *(1, 0, HEADER_BYTES, flags, largest, 0),
         *(hulls, total, zlib.crc32(records), *origin.tolist()),
         *(np.float32(size), size, _margin_m(extent)),
         bytes.fromhex(cover_sha256)[:8].ljust(8, b"\0"),
     )
     return head + zlib.crc32(head).to_bytes(4, "little") + records
+
+
+def _index(records: bytes, hulls: int, *, is_kdop: bool) -> bytes:
+    """The tree of boxes over records in their order, as alula_map.h describes it."""
+    per_plane = KDOP_PLANE_BYTES if is_kdop else PLANE_BYTES
+    start = np.empty(hulls, np.int64)
+    at = 0
+    for hull in range(hulls):
+        start[hull] = at
+        at += HULL_BYTES + per_plane * records[at + 12]
+    box = np.frombuffer(records, np.uint8)[start[:, None] + np.arange(12)].copy().view("<i2")
+    levels, width = [], LEAF_HULLS
+    while True:
+        first = np.arange(0, len(box), width)
+        lower = np.minimum.reduceat(box[:, :3], first, axis=0)
+        box = np.hstack([lower, np.maximum.reduceat(box[:, 3:], first, axis=0)])
+        levels.append(box.tobytes())
+        width = FANOUT
+        if len(box) == 1:
+            break
+    head = bytes([LEAF_HULLS, len(levels), 0, 0])
+    return head + b"".join(levels) + (start[::LEAF_HULLS] + HEADER_BYTES).astype("<u4").tobytes()
+
+
+def index_bytes(hulls: int) -> int:
+    """How many bytes an index takes; never less for more hulls."""
+    size, total = -(-hulls // LEAF_HULLS), 0
+    if hulls == 0:
+        return 0
+    total = 4 + 4 * size + 12 * size
+    while size > 1:
+        size = -(-size // FANOUT)
+        total += 12 * size
+    return total
 
 
 def _margin_m(extent_m: float) -> np.float32:
@@ -103,6 +158,7 @@ def _image(cover: Artifact, provenance: Provenance) -> bytes:
         cover,
         largest_normal=int(provenance.parameters.get("largest_normal", LARGEST_NORMAL)),
         cover_sha256=made_from[0] if made_from else "",
+        indexed="target" in provenance.parameters,
     )
 
 
@@ -114,10 +170,15 @@ def map_binary(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
 
 def map_c_header(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
     """The image as a constant array in C, aligned to 8 bytes, in a guarded header."""
-    image, name = _image(cover, provenance), str(provenance.parameters.get("name", "map"))
-    guard = f"{name.upper()}_H"
+    yield from image_c_header(_image(cover, provenance), provenance)
+
+
+def image_c_header(image: bytes, provenance: Provenance) -> Iterator[bytes]:
+    """The same for an image that is there."""
+    name = str(provenance.parameters.get("name", "map"))
+    guard, (hulls,) = f"{name.upper()}_H", struct.unpack_from("<I", image, 12)
     yield (
-        f"/* An onboard map of {len(cover['vertex_start']) - 1} hulls, {len(image)} bytes; read it with"
+        f"/* An onboard map of {hulls} hulls, {len(image)} bytes; read it with"
         f" alula_map_open(). */\n// {provenance.line()}\n#ifndef {guard}\n#define {guard}\n\n"
         f"#include <stdint.h>\n\n#define {name.upper()}_BYTES {len(image)}U\n\n"
         "#if defined(__GNUC__)\n__attribute__((aligned(8)))\n#endif\n"

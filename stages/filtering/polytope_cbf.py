@@ -19,8 +19,10 @@ class NativeFilter:
     s <= psi(p) = min_k max_l (n_kl . p - d_kl); the step held for dt is then clipped against every
     hull grown by r. So a flight that starts with psi >= r keeps psi >= r at all times, between
     samples too, and stays at least r away from every hull. With smoothing "paper" nothing of
-    this is guaranteed. Source: PolyMerge (arXiv 2606.16232), eq. 2, 3, 17;
-    native/onboard/include/alula_polytope_cbf.h.
+    this is guaranteed. With `world.image` the hulls are those of an onboard map, which contain the
+    cover's, and the commands those of a microcontroller that has it.
+
+    Source: PolyMerge (arXiv 2606.16232), eq. 2, 3, 17; native/onboard/include/alula_polytope_cbf.h.
 
     Args:
         world: obstacles, vehicle and rate.
@@ -37,19 +39,25 @@ class NativeFilter:
             raise UsageError(f"polytope-cbf: unknown parameter {unknown[0]!r}; it has {', '.join(known)}")
         values = {**known, **parameters}
         hulls = world.hulls
+        options: dict[str, Any] = {
+            "extent_m": world.extent_m,
+            "radius_m": world.radius_m,
+            "beta": float(values["beta"]),
+            "kappa": float(values["kappa_per_m"]),
+            "dt_s": world.dt_s,
+            "v_max": world.speed_m_s,
+            "smoothing": str(values["smoothing"]),
+        }
         try:
-            self.native = _core.PolytopeCbf(
-                np.ascontiguousarray(hulls.normal_world),
-                np.ascontiguousarray(hulls.offset_m),
-                np.ascontiguousarray(hulls.plane_start),
-                extent_m=world.extent_m,
-                radius_m=world.radius_m,
-                beta=float(values["beta"]),
-                kappa=float(values["kappa_per_m"]),
-                dt_s=world.dt_s,
-                v_max=world.speed_m_s,
-                smoothing=str(values["smoothing"]),
-            )
+            if world.image and enabled:
+                self.native = _core.PolytopeCbf.from_image(world.image, **options)
+            else:
+                self.native = _core.PolytopeCbf(
+                    np.ascontiguousarray(hulls.normal_world),
+                    np.ascontiguousarray(hulls.offset_m),
+                    np.ascontiguousarray(hulls.plane_start),
+                    **options,
+                )
         except ValueError as error:
             raise UsageError(f"polytope-cbf: {error}") from error
         self.enabled = enabled

@@ -61,6 +61,7 @@ class World:
         speed_m_s: speed limit [m/s].
         dt_s: how long an input is held [s].
         extent_m: no coordinate of a position exceeds this [m].
+        image: the hulls as an onboard map with an index, when `polytope-cbf` is to read that instead.
     """
 
     hulls: Hulls
@@ -68,6 +69,7 @@ class World:
     speed_m_s: float
     dt_s: float
     extent_m: float
+    image: bytes = b""
 
 
 class Filter(Protocol):

@@ -20,6 +20,7 @@ from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.stages.compression.certificate import require_solid_hulls
 from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.onboard import encode_map
 from alula.stages.filtering.polytope_cbf import NativeFilter
 from alula.stages.filtering.protocol import Filter, FilterStatus, World
 from alula.stages.filtering.registry import make_filter
@@ -169,6 +170,7 @@ def simulate(
         speed_m_s=config.speed_m_s,
         dt_s=config.dt_s,
         extent_m=_extent(hulls, bounds, reference, given) + config.radius_m + config.speed_m_s,
+        image=encode_map(cover, indexed=True, jobs=jobs) if config.onboard else b"",
     )
     safety_filter = make_filter(config.filter, world, _filter_parameters(config))
     psi = NativeFilter(world, {}, enabled=False).native.psi

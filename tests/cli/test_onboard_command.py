@@ -125,6 +125,17 @@ def test_info_says_what_it_is(here, capsys):
     assert facts["written by"]["parameters"]["format"] == "onboard"
 
 
+def test_a_flight_on_the_map_is_clear_of_the_cover(here, capsys):
+    words = ["simulate", "tiny.cover.npz", "--trials", "3", "--seed", "4", "--json"]
+    assert run([*words, "-o", "a.run.mcap", "--onboard"]) == 0
+    summary = json.loads(capsys.readouterr().out)["summary"]
+    assert summary["collisions"] == 0
+    assert summary["filter_kind"] == "native"
+    assert read_provenance(Path("a.run.mcap")).parameters["onboard"] is True
+    assert run([*words, "-o", "b.run.mcap", "--onboard", "--filter", "none"]) == 2
+    assert "--onboard is for the filter polytope-cbf" in capsys.readouterr().err
+
+
 PROGRAM = r"""
 #include <stdio.h>
 #include "alula_map.h"
@@ -147,7 +158,8 @@ def test_the_c_header_compiles_and_is_the_same_map(here):
     assert run(["export", "tiny.cover.npz", "-o", "tiny-1.map.h", "-q"]) == 0
     assert read_provenance(Path("tiny-1.map.h")).parameters["name"] == "tiny_1_map"
     Path("main.c").write_text(PROGRAM)
-    include = [f"-I{ROOT / 'native/onboard/include'}", str(ROOT / "native/onboard/src/alula_map.c")]
+    include = [f"-I{ROOT / 'native/onboard/include'}"]
+    include += [str(ROOT / "native/onboard/src" / name) for name in ("alula_map.c", "alula_map_index.c")]
     flags = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-ffp-contract=off"]
     flags += ["-fno-math-errno"]
     subprocess.run(["cc", *flags, "main.c", *include, "-o", "main"], check=True)

@@ -109,6 +109,8 @@ def test_parameters_of_a_foreign_filter_are_its_own(tmp_path):
         ('[map]\ncover = "c"\n[filter.parameters]\nbta = 1', r"\$\.filter\.parameters\.bta`: unknown"),
         ('[map]\ncover = "c"\n[filter.parameters]\nbeta = "x"', r"\$\.filter\.parameters\.beta"),
         ('[map]\ncover = "c"\n[filter.parameters]\nsmoothing = 1', r"\$\.filter\.parameters\.smoothing"),
+        ('[map]\ncover = "c"\n[filter.parameters]\nonboard = 1', r"\$\.filter\.parameters\.onboard"),
+        ('[map]\ncover = "c"\n[filter.parameters]\nbeta = true', r"\$\.filter\.parameters\.beta"),
         ('[map]\ncover = "c"\n[filter]\nname = "none"\nparameters = { beta = 1 }', "none has no parameters"),
         ('speed = 1\n[map]\ncover = "c"', "`speed`"),
     ],

@@ -82,13 +82,11 @@ def test_other_compilations_of_the_same_c_give_the_same_bits(tmp_path, level):
     cbf = _core.PolytopeCbf(*polytopes(rng, 30), extent_m=20.0, **options)
     *arrays, extent, slack = cbf.map_arrays()
     pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in arrays]
-    state, workspace = ctypes.create_string_buffer(512), np.empty(30, np.float32)
-    room = workspace.ctypes.data_as(ctypes.c_void_p)
+    state = ctypes.create_string_buffer(1 << 15)
     made = c.alula_polytope_cbf_init(
         state,
         ctypes.byref(Map(*pointers, 30, extent, slack)),
         ctypes.byref(Config(*options.values(), 0, 0)),
-        room,
     )
     assert made == 0
     result, seen = (ctypes.c_float * 8)(), set()

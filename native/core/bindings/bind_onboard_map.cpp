@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "alula/map_check.hpp"
+#include "alula/onboard_image.hpp"
 #include "alula/onboard_map.hpp"
 #include "alula/parallel.hpp"
 #include "alula_map.h"
@@ -75,42 +76,16 @@ Out<std::int64_t> check_polytopes(const InRows3<std::int32_t>& lower, const InRo
   return to_numpy(std::move(outside), {count});
 }
 
-const char* status_text(alula_map_status status) {
-  switch (status) {
-    case ALULA_MAP_READY:
-      return "ready";
-    case ALULA_MAP_BAD_POINTER:
-      return "no bytes";
-    case ALULA_MAP_FOREIGN:
-      return "not an onboard map";
-    case ALULA_MAP_NEWER:
-      return "of a newer layout";
-    case ALULA_MAP_TRUNCATED:
-      return "truncated";
-    case ALULA_MAP_DAMAGED:
-      return "damaged";
-    case ALULA_MAP_MALFORMED:
-      return "malformed";
-    case ALULA_MAP_BAD_POSITION:
-      return "position not finite or too far away";
-  }
-  return "unknown status";
+std::vector<std::uint8_t> copied(const nb::bytes& image) {
+  const auto* first = static_cast<const std::uint8_t*>(image.data());
+  return {first, first + image.size()};
 }
 
-// An image in memory of its own, of exactly its size, so that a sanitizer sees any step outside.
 class OnboardMap {
  public:
-  explicit OnboardMap(const nb::bytes& image)
-      : image_(static_cast<const std::uint8_t*>(image.data()),
-               static_cast<const std::uint8_t*>(image.data()) + image.size()) {
-    if (image_.size() > UINT32_MAX) throw std::invalid_argument("more than 2^32 bytes");
-    const auto status = alula_map_open(&map_, image_.data(), static_cast<std::uint32_t>(image_.size()));
-    if (status != ALULA_MAP_READY) throw std::invalid_argument(status_text(status));
-  }
-  OnboardMap(const OnboardMap&) = delete;
-  OnboardMap& operator=(const OnboardMap&) = delete;
+  explicit OnboardMap(const nb::bytes& image) : image_(copied(image)) {}
 
-  const alula_map& map() const { return map_; }
+  const alula_map& map() const { return image_.map(); }
 
   std::tuple<Out<float>, Out<std::uint32_t>, Out<float>> psi(const InRows3<float>& points, unsigned jobs) const {
     const std::size_t count = points.shape(0);
@@ -122,7 +97,7 @@ class OnboardMap {
       parallel_chunks(count, 256, jobs, control, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
           alula_map_value at;
-          if (alula_map_evaluate(&map_, points.data() + 3 * i, &at) != ALULA_MAP_READY)
+          if (alula_map_evaluate(&map(), points.data() + 3 * i, &at) != ALULA_MAP_READY)
             throw std::invalid_argument(status_text(ALULA_MAP_BAD_POSITION));
           value[i] = at.psi_m;
           hull[i] = at.hull;
@@ -140,14 +115,14 @@ class OnboardMap {
     std::vector<std::int32_t> lower, upper, normal;
     std::vector<std::uint32_t> count, depth;
     std::uint32_t at = ALULA_MAP_HEADER_BYTES;
-    for (std::uint32_t h = 0; h < map_.hull_count; ++h) {
+    for (std::uint32_t h = 0; h < map().hull_count; ++h) {
       alula_map_hull hull;
-      if (alula_map_read(&map_, at, &hull) != ALULA_MAP_READY) throw std::logic_error("an open map is not readable");
+      if (alula_map_read(&map(), at, &hull) != ALULA_MAP_READY) throw std::logic_error("an open map is not readable");
       lower.insert(lower.end(), hull.lower, hull.lower + 3);
       upper.insert(upper.end(), hull.upper, hull.upper + 3);
       count.push_back(hull.plane_count);
       for (std::uint32_t l = 0; l < hull.plane_count; ++l) {
-        const alula_map_plane plane = alula_map_plane_at(&map_, &hull, l);
+        const alula_map_plane plane = alula_map_plane_at(&map(), &hull, l);
         normal.insert(normal.end(), plane.normal, plane.normal + 3);
         depth.push_back(plane.depth);
       }
@@ -162,8 +137,7 @@ class OnboardMap {
   }
 
  private:
-  std::vector<std::uint8_t> image_;
-  alula_map map_{};
+  OnboardImage image_;
 };
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include <stdexcept>
 #include <string>
 #include <tuple>
+#include <vector>
 
 #include "alula/parallel.hpp"
 #include "alula/polytope_cbf.hpp"
@@ -28,19 +29,30 @@ alula_smoothing smoothing_of(const std::string& name) {
   throw std::invalid_argument("smoothing must be 'sound' or 'paper'");
 }
 
+PolytopeCbfConfig config_of(double radius_m, double beta, double kappa, double dt_s, double v_max,
+                            const std::string& smoothing, bool brute_force) {
+  return {.radius_m = radius_m,
+          .beta = beta,
+          .kappa = kappa,
+          .dt_s = dt_s,
+          .v_max = v_max,
+          .smoothing = smoothing_of(smoothing),
+          .brute_force = brute_force};
+}
+
 void construct(PolytopeCbf* self, const InRows3<double>& normal, const InVector<double>& offset,
                const InVector<std::int64_t>& plane_start, double extent_m, double radius_m, double beta, double kappa,
                double dt_s, double v_max, const std::string& smoothing, bool brute_force) {
   const Polytopes polytopes{as_span(normal), as_span(offset), as_span(plane_start)};
   auto map = std::make_shared<const PolytopeMap>(make_polytope_map(polytopes, extent_m));
-  const PolytopeCbfConfig config{.radius_m = radius_m,
-                                 .beta = beta,
-                                 .kappa = kappa,
-                                 .dt_s = dt_s,
-                                 .v_max = v_max,
-                                 .smoothing = smoothing_of(smoothing),
-                                 .brute_force = brute_force};
-  new (self) PolytopeCbf(std::move(map), config);
+  new (self) PolytopeCbf(std::move(map), config_of(radius_m, beta, kappa, dt_s, v_max, smoothing, brute_force));
+}
+
+PolytopeCbf from_image(const nb::bytes& image, double extent_m, double radius_m, double beta, double kappa,
+                       double dt_s, double v_max, const std::string& smoothing, bool brute_force) {
+  const auto* first = static_cast<const std::uint8_t*>(image.data());
+  auto open = std::make_shared<const OnboardImage>(std::vector<std::uint8_t>(first, first + image.size()));
+  return {std::move(open), extent_m, config_of(radius_m, beta, kappa, dt_s, v_max, smoothing, brute_force)};
 }
 
 std::tuple<Vec3, int, double, double, std::int64_t> filter(PolytopeCbf& self, const Vec3& x, const Vec3& u_nom) {
@@ -74,7 +86,8 @@ std::tuple<Out<double>, Out<double>, Out<double>> psi(const PolytopeCbf& self, c
 
 std::tuple<Out<float>, Out<std::uint32_t>, Out<float>, Out<float>, double, double> map_arrays(
     const PolytopeCbf& self) {
-  const PolytopeMap& map = self.map();
+  if (self.map() == nullptr) throw std::invalid_argument("the filter reads an image");
+  const PolytopeMap& map = *self.map();
   const std::size_t hulls = map.plane_start.size() - 1;
   return {to_numpy(std::vector(map.plane), {map.plane.size() / 4, 4}),
           to_numpy(std::vector(map.plane_start), {hulls + 1}),
@@ -82,6 +95,11 @@ std::tuple<Out<float>, Out<std::uint32_t>, Out<float>, Out<float>, double, doubl
           to_numpy(std::vector(map.upper), {hulls, 3}),
           map.extent_m,
           map.slack_m};
+}
+
+std::tuple<std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t> work(const PolytopeCbf& self) {
+  const alula_polytope_work& w = self.work();
+  return {w.boxes, w.hulls, w.planes, w.made, w.exponentials};
 }
 
 }  // namespace
@@ -98,6 +116,14 @@ void bind_polytope_cbf(nb::module_& m) {
            "brute_force"_a = false)
       .def("filter", &filter, "x"_a, "u_nom"_a,
            "(u, status, margin of the smooth psi, margin of the hard psi, nearest hull or -1); margins in metres.")
+      .def_static("from_image", &from_image, "image"_a, nb::kw_only(), "extent_m"_a, "radius_m"_a, "beta"_a = 2.0,
+                  "kappa"_a = 100.0, "dt_s"_a = 0.01, "v_max"_a = 1.0, "smoothing"_a = "sound",
+                  "brute_force"_a = false,
+                  "The filter on an image of an onboard map, as a microcontroller runs it. Raises ValueError with\n"
+                  "the reader's complaint for an image that it refuses.")
+      .def("work", &work,
+           "What the last call of `filter` looked at: boxes, hulls, planes of these, how many of them were\n"
+           "decoded, exponentials of planes.")
       .def("psi", &psi, "points"_a, nb::kw_only(), "jobs"_a = 0,
            "Smooth psi (N), hard psi (N) and the gradient of the smooth one (N, 3) at points (N, 3) [m].")
       .def("map_arrays", &map_arrays,

@@ -27,6 +27,9 @@ void bind_tracker(nb::module_& m);
 void bind_moving_world(nb::module_& m);
 void bind_encounter(nb::module_& m);
 void bind_moving_filters(nb::module_& m);
+void bind_racer(nb::module_& m);
+void bind_geofence(nb::module_& m);
+void bind_pendulum(nb::module_& m);
 
 NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
@@ -55,4 +58,7 @@ NB_MODULE(_core, m) {
   bind_moving_world(m);
   bind_moving_filters(m);
   bind_encounter(m);
+  bind_racer(m);
+  bind_geofence(m);
+  bind_pendulum(m);
 }

@@ -11,19 +11,18 @@ std::array<float, 3> to_float(const Vec3& v) {
   return {static_cast<float>(v[0]), static_cast<float>(v[1]), static_cast<float>(v[2])};
 }
 
-}  // namespace
+alula_polytope_cbf_config single(const PolytopeCbfConfig& config) {
+  return {.radius_m = round_up(config.radius_m),
+          .beta = static_cast<float>(config.beta),
+          .kappa = static_cast<float>(config.kappa),
+          .dt_s = static_cast<float>(config.dt_s),
+          .v_max = static_cast<float>(config.v_max),
+          .smoothing = config.smoothing,
+          .brute_force = config.brute_force};
+}
 
-PolytopeCbf::PolytopeCbf(std::shared_ptr<const PolytopeMap> map, const PolytopeCbfConfig& config)
-    : map_(std::move(map)), config_(config), workspace_(map_->plane_start.size()) {
-  const alula_polytope_map view = map_->view();
-  const alula_polytope_cbf_config single{.radius_m = round_up(config.radius_m),
-                                         .beta = static_cast<float>(config.beta),
-                                         .kappa = static_cast<float>(config.kappa),
-                                         .dt_s = static_cast<float>(config.dt_s),
-                                         .v_max = static_cast<float>(config.v_max),
-                                         .smoothing = config.smoothing,
-                                         .brute_force = config.brute_force};
-  switch (alula_polytope_cbf_init(&cbf_, &view, &single, workspace_.data())) {
+void require_ready(alula_status status) {
+  switch (status) {
     case ALULA_READY:
       return;
     case ALULA_BAD_PARAMETER:
@@ -33,6 +32,21 @@ PolytopeCbf::PolytopeCbf(std::shared_ptr<const PolytopeMap> map, const PolytopeC
     default:
       throw std::invalid_argument("the map is not valid");
   }
+}
+
+}  // namespace
+
+PolytopeCbf::PolytopeCbf(std::shared_ptr<const PolytopeMap> map, const PolytopeCbfConfig& config)
+    : map_(std::move(map)), config_(config) {
+  const alula_polytope_map view = map_->view();
+  const alula_polytope_cbf_config rounded = single(config);
+  require_ready(alula_polytope_cbf_init(&cbf_, &view, &rounded));
+}
+
+PolytopeCbf::PolytopeCbf(std::shared_ptr<const OnboardImage> image, double extent_m, const PolytopeCbfConfig& config)
+    : image_(std::move(image)), config_(config) {
+  const alula_polytope_cbf_config rounded = single(config);
+  require_ready(alula_polytope_cbf_open(&cbf_, &image_->map(), round_up(extent_m), &rounded));
 }
 
 FilterOutput PolytopeCbf::filter(const Vec3& x, const Vec3& u_nom) {

@@ -15,7 +15,7 @@
  *   16  4  bytes of the whole image
  *   20  4  CRC-32 of bytes 64..end
  *
- * Then n records, and after them, with ALULA_MAP_INDEXED, a section that readers may ignore.
+ * Then n records, and after them, with ALULA_MAP_INDEXED, the index up to the end of the image.
  * Record of a hull, 14 + 5 k bytes, or 14 + 2 k with ALULA_MAP_KDOP:
  *    0  6  int16 lower[3]    6  6  int16 upper[3]    12  1  k    13  1  shift
  *   14  .  k planes: int8 normal[3], uint16 depth; with ALULA_MAP_KDOP uint16, of which the low 5 bits
@@ -24,6 +24,14 @@
  *
  * The hull is {x in [lower, upper] : normal . (x - corner) <= -depth 2^shift}, corner being the corner
  * of its box that lies farthest along the normal: depth says how far the plane cuts that corner off.
+ *
+ * Index: a tree of boxes over the records in their order, so that a search leaves out most of them.
+ *    0  1  records per leaf b, 1 to 255      1  1  levels      2  2  zero
+ *    4  .  the nodes of level 0, the leaves, then of level 1 and so on up to the one root: int16 lower[3],
+ *          upper[3], the exact union of what is below it. Leaf i holds the records b i to b i + b - 1, node i
+ *          of a higher level the nodes 4 i to 4 i + 3 below; the last of a level may hold fewer.
+ *    .  .  per leaf uint32, the byte at which its first record begins
+ * So m = ceil(n / b) leaves and about m / 3 other nodes, of 12 bytes, and 4 m more bytes.
  *
  * Nothing here reads outside the given bytes, and alula_map_open refuses every image that is not whole.
  */
@@ -41,7 +49,10 @@ extern "C" {
 #define ALULA_MAP_PLANE_BYTES 5U
 #define ALULA_MAP_KDOP_PLANE_BYTES 2U
 #define ALULA_MAP_KDOP 1U    /* flag: normals are numbers of directions */
-#define ALULA_MAP_INDEXED 2U /* flag: a section follows the records */
+#define ALULA_MAP_INDEXED 2U /* flag: an index follows the records */
+#define ALULA_MAP_NODE_BYTES 12U
+#define ALULA_MAP_FANOUT 4U  /* nodes under one of a higher level */
+#define ALULA_MAP_LEVELS 13U /* of the most hulls, one per leaf */
 #define ALULA_MAP_MOST_HULLS (1U << 24)
 #define ALULA_MAP_NO_HULL UINT32_MAX
 
@@ -63,7 +74,13 @@ typedef struct {
   uint32_t records_end; /* first byte after the records */
   uint32_t hull_count;
   uint32_t plane_count; /* oblique planes of all hulls */
+  uint32_t most_planes; /* oblique planes of one hull, at most */
   uint32_t plane_bytes; /* of one plane */
+  uint32_t leaf_hulls;  /* 0 without an index */
+  uint32_t level_count;
+  uint32_t level_at[ALULA_MAP_LEVELS]; /* byte where the nodes of a level begin; level 0 are the leaves */
+  uint32_t level_size[ALULA_MAP_LEVELS];
+  uint32_t starts_at; /* byte where the leaves' first records are listed */
   int32_t origin[3];
   float voxel_size_m;
   float margin_m;
@@ -91,8 +108,8 @@ typedef struct {
   float normal[3]; /* unit outward normal of the deciding plane: psi grows along it */
 } alula_map_value;
 
-/* Check an image of at most `length` bytes: magic, version, lengths, both CRC-32 and every record.
- * Anything but ALULA_MAP_READY leaves an empty map. Time O(length), no memory besides *map. */
+/* Check an image of at most `length` bytes: magic, version, lengths, both CRC-32, every record and every
+ * node of the index. Anything but ALULA_MAP_READY leaves an empty map. Time O(length), no memory besides *map. */
 ALULA_MUST_USE alula_map_status alula_map_open(alula_map* map, const uint8_t* data, uint32_t length);
 
 /* The record that begins at byte `at`: ALULA_MAP_HEADER_BYTES, then hull->next; ALULA_MAP_MALFORMED

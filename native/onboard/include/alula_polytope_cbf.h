@@ -17,20 +17,33 @@
  *
  * Source: PolyMerge (arXiv 2606.16232), eq. 2, 3, 17; Molnar, CCTA 2025.
  * Frames and units: positions, planes and velocities in the map's frame; metres, seconds.
- * Cost: O(hulls) box tests, and O(planes) of the hulls near enough to matter; at worst each plane is
- * evaluated twelve times, with two exponentials.
+ * Cost: the planes of the hulls near enough to matter, and box tests: of an image with an index some per level
+ * of the tree and hull near by, else of all hulls. `work` counts what a call did. At worst every hull matters.
  */
 #ifndef ALULA_POLYTOPE_CBF_H
 #define ALULA_POLYTOPE_CBF_H
 
-#include "alula_onboard.h"
+#include "alula_map.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
 #define ALULA_NO_HULL 0xFFFFFFFFU
+#ifndef ALULA_PLANE_ROWS
+#define ALULA_PLANE_ROWS 1024U /* decoded planes of an image that are kept, 16 bytes each; 261 hold any hull */
+#endif
+#ifndef ALULA_KEPT_HULLS
+#define ALULA_KEPT_HULLS 16U /* at most, whose planes are kept; not above 31 */
+#endif
 #define ALULA_MAX_PLANES 16777216U /* counts must be exact in float */
+#ifndef ALULA_NEAR_HULLS
+#define ALULA_NEAR_HULLS 128U /* near enough to count in a tick that are listed; more of them take longer */
+#endif
+#if ALULA_KEPT_HULLS > 31U || ALULA_KEPT_HULLS < 1U || ALULA_PLANE_ROWS < 7U
+#error "capacities out of range"
+#endif
+#define ALULA_NO_LIST 0xFFFFFFFFU
 
 /* Read-only arrays of the caller's, in flash on a microcontroller.
  *
@@ -66,14 +79,39 @@ typedef struct {
   int brute_force; /* nonzero: look at every plane; the results are the same, bit by bit */
 } alula_polytope_cbf_config;
 
-/* Made by alula_polytope_cbf_init; the fields are not for the caller. */
+/* What a call looked at. */
 typedef struct {
-  alula_polytope_map map;
+  uint32_t boxes;        /* of nodes and hulls */
+  uint32_t hulls;        /* times that planes of one were looked at */
+  uint32_t planes;       /* of them, once per time */
+  uint32_t made;         /* of these, decoded from the image */
+  uint32_t exponentials; /* of planes */
+} alula_polytope_work;
+
+/* Made by alula_polytope_cbf_init or _open; the fields are not for the caller, but for `work`. */
+typedef struct {
+  alula_polytope_map map; /* without arrays when there is an image */
+  alula_map image;        /* without data when there are arrays */
   alula_polytope_cbf_config config;
+  float outward_m; /* what planes of the image are moved outward by */
   float inverse_kappa;
   float cutoff_m;       /* hulls this much farther than the nearest do not count */
   float max_lowering_m; /* largest log(L_k) / kappa */
-  float* hull_value;    /* workspace, hull_count */
+  float crowd_m;        /* log(hulls) / kappa */
+  int is_damaged;       /* the image is no longer what it was */
+  alula_polytope_work work;
+  uint32_t near_count; /* or ALULA_NO_LIST */
+  float near_base_m;   /* psi may be up to this for the list to hold what matters */
+  struct {
+    uint32_t hull, record;
+    float bound;
+  } near[ALULA_NEAR_HULLS];
+  uint32_t kept_count, row_count;
+  uint32_t used, used_before; /* in this tick and the last: a bit for each of what is kept */
+  struct {
+    uint32_t hull, first;
+  } kept[ALULA_KEPT_HULLS];
+  float row[ALULA_PLANE_ROWS][4];
 } alula_polytope_cbf;
 
 typedef struct {
@@ -85,18 +123,31 @@ typedef struct {
 
 typedef struct {
   float u[3];
-  float margin_m;      /* s - r */
+  float margin_m;      /* s - r, or where the row cannot bind a bound below it */
   float hard_margin_m; /* psi - r */
   float fraction;      /* of the command that the step check left, 1 when untouched */
   uint32_t active;     /* as `nearest` */
 } alula_polytope_result;
 
-/* Check a map and parameters and set up a filter.
- *
- * `hull_value` is room for hull_count floats that live as long as the filter; one filter per thread.
- * Reads the whole map once. */
+/* Check arrays and parameters and set up a filter; one per thread. Reads the whole map once. */
 ALULA_MUST_USE alula_status alula_polytope_cbf_init(alula_polytope_cbf* cbf, const alula_polytope_map* map,
-                                                    const alula_polytope_cbf_config* config, float* hull_value);
+                                                    const alula_polytope_cbf_config* config);
+
+/* The same for an open image, whose bytes stay where they are. Positions may lie up to extent_m from the origin
+ * of each axis, and as far as the map does. ALULA_BAD_MAP when a hull has more planes than there are rows.
+ *
+ * A hull's planes are the six faces of its box and its oblique planes, made unit vectors in single precision and
+ * moved outward, so that their value at p is at most the true one. With u = 2^-24, E the extent, n a unit normal
+ * and S = |n_1| + |n_2| + |n_3| <= sqrt 3, so that |n . p|, |d| <= sqrt 3 E:
+ *
+ *   normal    root, quotient and product    3 u S E        offset    integer to float, g, its product, root,
+ *   position  three roundings of p          3 u S E                  quotient, product              6 u |d|
+ *   value     products, two sums            3 u S E        last difference          u (|n . p| + |d|)
+ *
+ * together 17 sqrt 3 u E = 29.5 u E, and 2 u E for adding what it is moved by: 64 u E = 2^-18 E. A hull whose box
+ * has faces of its own that the cover's hull touches loses nothing by them: they contain it. */
+ALULA_MUST_USE alula_status alula_polytope_cbf_open(alula_polytope_cbf* cbf, const alula_map* image, float extent_m,
+                                                    const alula_polytope_cbf_config* config);
 
 /* psi, its smooth version and gradient at x; ALULA_BAD_INPUT when x is not finite or beyond extent_m. */
 ALULA_MUST_USE alula_status alula_polytope_cbf_evaluate(alula_polytope_cbf* cbf, const float x[3],

@@ -1,5 +1,7 @@
 #include "alula_map.h"
 
+#include "bytes.h"
+#include "map_index.h"
 #include "vector.h"
 
 #define EXTENT_OF_MARGIN 262144.0F /* 2^18 */
@@ -8,33 +10,11 @@
 #define SMALLEST_VOXEL 1.0e-6F
 #define LARGEST_VOXEL 1.0e5F
 #define LARGEST_ORIGIN (1 << 22) /* so that floats hold all coordinates exactly */
-#define LARGEST_SHIFT 16U
-#define DIRECTION_BITS 5U
-#define DIRECTIONS 20U
 
-static const int8_t DIRECTION[DIRECTIONS][3] = {{-1, -1, -1}, {-1, -1, 0}, {-1, -1, 1}, {-1, 0, -1}, {-1, 0, 1},
-                                                {-1, 1, -1},  {-1, 1, 0},  {-1, 1, 1},  {0, -1, -1}, {0, -1, 1},
-                                                {0, 1, -1},   {0, 1, 1},   {1, -1, -1}, {1, -1, 0},  {1, -1, 1},
-                                                {1, 0, -1},   {1, 0, 1},   {1, 1, -1},  {1, 1, 0},   {1, 1, 1}};
-
-static uint32_t u16_at(const uint8_t* p) { return (uint32_t)p[0] | (uint32_t)p[1] << 8; }
-static uint32_t u32_at(const uint8_t* p) { return u16_at(p) | u16_at(p + 2) << 16; }
-static int32_t i8_at(const uint8_t* p) { return *p < 0x80U ? (int32_t)*p : (int32_t)*p - 0x100; }
-static int32_t i16_at(const uint8_t* p) { return (int32_t)u16_at(p) - (p[1] < 0x80U ? 0 : 0x10000); }
-
-static int32_t i32_at(const uint8_t* p) {
-  const uint32_t bits = u32_at(p);
-  return bits < 0x80000000U ? (int32_t)bits : -(int32_t)(~bits) - 1;
-}
-
-static float f32_at(const uint8_t* p) {
-  union {
-    uint32_t bits;
-    float value;
-  } word;
-  word.bits = u32_at(p);
-  return word.value;
-}
+const int8_t alula_map_direction[ALULA_MAP_DIRECTIONS][3] = {
+    {-1, -1, -1}, {-1, -1, 0}, {-1, -1, 1}, {-1, 0, -1}, {-1, 0, 1}, {-1, 1, -1}, {-1, 1, 0},
+    {-1, 1, 1},   {0, -1, -1}, {0, -1, 1},  {0, 1, -1},  {0, 1, 1},  {1, -1, -1}, {1, -1, 0},
+    {1, -1, 1},   {1, 0, -1},  {1, 0, 1},   {1, 1, -1},  {1, 1, 0},  {1, 1, 1}};
 
 /* CRC-32 as in zlib and Ethernet, half a byte at a time. */
 static uint32_t crc32_of(const uint8_t* data, uint32_t length) {
@@ -53,7 +33,7 @@ static uint32_t crc32_of(const uint8_t* data, uint32_t length) {
 /* Whether a record is one that a writer makes: a box with volume within the extent, and planes that
  * cut it but leave something. */
 static int hull_is_valid(const alula_map* map, const alula_map_hull* hull, int32_t largest) {
-  if (hull->shift > LARGEST_SHIFT) return 0;
+  if (hull->shift > ALULA_MAP_MOST_SHIFT) return 0;
   for (int i = 0; i < 3; ++i) {
     if (hull->lower[i] >= hull->upper[i]) return 0;
     if (absolute((float)hull->lower[i] * map->voxel_size_m) > map->extent_m) return 0;
@@ -61,7 +41,7 @@ static int hull_is_valid(const alula_map* map, const alula_map_hull* hull, int32
   }
   for (uint32_t l = 0; l < hull->plane_count; ++l) {
     const uint8_t* at = hull->planes + l * map->plane_bytes;
-    if (map->plane_bytes == ALULA_MAP_KDOP_PLANE_BYTES && (at[0] & 31U) >= DIRECTIONS) return 0;
+    if (map->plane_bytes == ALULA_MAP_KDOP_PLANE_BYTES && (at[0] & 31U) >= ALULA_MAP_DIRECTIONS) return 0;
     const alula_map_plane plane = alula_map_plane_at(map, hull, l);
     int64_t reach = 0;
     int oblique = 0;
@@ -83,11 +63,12 @@ static alula_map_status check_records(alula_map* map, int32_t largest, int index
     if (alula_map_read(map, at, &hull) != ALULA_MAP_READY) return ALULA_MAP_MALFORMED;
     if (!hull_is_valid(map, &hull, largest)) return ALULA_MAP_MALFORMED;
     map->plane_count += hull.plane_count;
+    if (hull.plane_count > map->most_planes) map->most_planes = hull.plane_count;
     at = hull.next;
   }
-  if (at != map->total_bytes && !indexed) return ALULA_MAP_MALFORMED;
   map->records_end = at;
-  return ALULA_MAP_READY;
+  if (!indexed) return at == map->total_bytes ? ALULA_MAP_READY : ALULA_MAP_MALFORMED;
+  return alula_map_index_open(map) ? ALULA_MAP_READY : ALULA_MAP_MALFORMED;
 }
 
 static alula_map_status open_map(alula_map* map, const uint8_t* data, uint32_t length) {
@@ -155,18 +136,7 @@ alula_map_status alula_map_read(const alula_map* map, uint32_t at, alula_map_hul
 }
 
 alula_map_plane alula_map_plane_at(const alula_map* map, const alula_map_hull* hull, uint32_t l) {
-  alula_map_plane plane;
-  const uint8_t* at = hull->planes + l * map->plane_bytes;
-  if (map->plane_bytes == ALULA_MAP_KDOP_PLANE_BYTES) {
-    const uint32_t word = u16_at(at);
-    const uint32_t number = (word & 31U) % DIRECTIONS;
-    for (int i = 0; i < 3; ++i) plane.normal[i] = DIRECTION[number][i];
-    plane.depth = word >> DIRECTION_BITS << hull->shift;
-  } else {
-    for (int i = 0; i < 3; ++i) plane.normal[i] = i8_at(at + i);
-    plane.depth = u16_at(at + 3) << hull->shift;
-  }
-  return plane;
+  return alula_map_plane_in(hull->planes + l * map->plane_bytes, map->plane_bytes, hull->shift);
 }
 
 /* Signed distances to the faces of the box, positive outside: below[i] = lower - x, above[i] = x - upper.

@@ -43,9 +43,8 @@ alula_status init_with(Change change) {
   alula_polytope_map map = cube();
   alula_polytope_cbf_config parameters = config();
   change(map, parameters);
-  static float workspace[1];
   alula_polytope_cbf cbf;
-  return alula_polytope_cbf_init(&cbf, &map, &parameters, workspace);
+  return alula_polytope_cbf_init(&cbf, &map, &parameters);
 }
 
 void test_init_refuses_what_it_cannot_use() {
@@ -74,15 +73,14 @@ void test_init_refuses_what_it_cannot_use() {
   CHECK(init_with([](Map&, Config& c) { c.beta = 100.1F; }) == ALULA_BAD_PARAMETER);  // beta dt > 1
   CHECK(init_with([](Map&, Config& c) { c.kappa = std::numeric_limits<float>::denorm_min(); }) ==
         ALULA_BAD_PARAMETER);
-  CHECK(alula_polytope_cbf_init(nullptr, nullptr, nullptr, nullptr) == ALULA_BAD_POINTER);
+  CHECK(alula_polytope_cbf_init(nullptr, nullptr, nullptr) == ALULA_BAD_POINTER);
 }
 
 void test_filter_refuses_without_a_command() {
   const alula_polytope_map map = cube();
   const alula_polytope_cbf_config parameters = config();
-  float workspace[1];
   alula_polytope_cbf cbf;
-  CHECK(alula_polytope_cbf_init(&cbf, &map, &parameters, workspace) == ALULA_READY);
+  CHECK(alula_polytope_cbf_init(&cbf, &map, &parameters) == ALULA_READY);
   const float good[3] = {3, 3, 3};
   alula_polytope_result result;
   for (const float bad : {kNan, kInfinity, -kInfinity, 3e38F}) {
@@ -107,9 +105,8 @@ void test_filter_refuses_without_a_command() {
 void test_flight_at_a_wall_stops_before_it() {
   const alula_polytope_map map = cube();
   const alula_polytope_cbf_config parameters = config();
-  float workspace[1];
   alula_polytope_cbf cbf;
-  CHECK(alula_polytope_cbf_init(&cbf, &map, &parameters, workspace) == ALULA_READY);
+  CHECK(alula_polytope_cbf_init(&cbf, &map, &parameters) == ALULA_READY);
   float x[3] = {-2, 0.5F, 0.5F};
   const float u_nom[3] = {1, 0, 0};
   alula_polytope_result result;

@@ -118,6 +118,19 @@ class PolytopeCbf:
         (u, status, margin of the smooth psi, margin of the hard psi, nearest hull or -1); margins in metres.
         """
 
+    @staticmethod
+    def from_image(image: bytes, *, extent_m: float, radius_m: float, beta: float = 2.0, kappa: float = 100.0, dt_s: float = 0.01, v_max: float = 1.0, smoothing: str = 'sound', brute_force: bool = False) -> PolytopeCbf:
+        """
+        The filter on an image of an onboard map, as a microcontroller runs it. Raises ValueError with
+        the reader's complaint for an image that it refuses.
+        """
+
+    def work(self) -> tuple[int, int, int, int, int]:
+        """
+        What the last call of `filter` looked at: boxes, hulls, planes of these, how many of them were
+        decoded, exponentials of planes.
+        """
+
     def psi(self, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], *, jobs: int = 0) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64]]:
         """
         Smooth psi (N), hard psi (N) and the gradient of the smooth one (N, 3) at points (N, 3) [m].
@@ -1285,3 +1298,145 @@ def closest_approach(r0: Sequence[float], r1: Sequence[float], a: Sequence[float
     """
     Least |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.
     """
+
+class RacerModel:
+    """
+    A drone behind a rate loop: thrust a_0 + a_1 u + a_2 u^2 [m/s^2] of the throttle, and rates that follow their command with a gain [1/s].
+    """
+
+    def __init__(self, *, gravity: float = 9.81, thrust: Sequence[float] = [0.0, 7.75474, 73.895455], rate_gain: float = 50.0, max_rate: Sequence[float] = [12.0, 12.0, 6.0]) -> None:
+        """ValueError for numbers without meaning."""
+
+    @property
+    def gravity(self) -> float: ...
+
+    @property
+    def thrust(self) -> list[float]: ...
+
+    @property
+    def rate_gain(self) -> float: ...
+
+    @property
+    def max_rate(self) -> list[float]: ...
+
+    def throttle_for(self, acceleration: float) -> float:
+        """The throttle for an acceleration [m/s^2], in [0, 1]."""
+
+class RacerOptions:
+    """What a racing drone's plant does beside its model; all off by default."""
+
+    def __init__(self, *, mass: float = 1.0, mass_scale: float = 1.0, thrust_scale: float = 1.0, rate_gain_scale: float = 1.0, delay_s: float = 0.0, linear_drag: Sequence[float] = [0.0, 0.0, 0.0], quadratic_drag: Sequence[float] = [0.0, 0.0, 0.0], wind_m_s: Sequence[float] = [0.0, 0.0, 0.0], gust_m_s: Sequence[float] = [0.0, 0.0, 0.0], gust_time_s: float = 1.0, sag_share: float = 0.0, sag_time_s: float = 0.5) -> None:
+        """
+        Mass [kg] is for the drag [N s/m, N s^2/m^2] along the body's axes alone. ValueError for numbers without meaning.
+        """
+
+class Racer:
+    """A flight of a racing drone; a function of commands, seed and trial."""
+
+    def __init__(self, model: RacerModel, options: RacerOptions = ..., *, seed: int = 0, trial: int = 0) -> None: ...
+
+    def reset(self, x: Annotated[NDArray[numpy.float64], dict(shape=(13), order='C', device='cpu', writable=False)]) -> None:
+        """To a state (13): p, v, q wxyz, omega."""
+
+    def step(self, dt: float, u: Annotated[NDArray[numpy.float64], dict(shape=(4), order='C', device='cpu', writable=False)]) -> None:
+        """A step with a command (4): throttle, rates."""
+
+    @property
+    def state(self) -> NDArray[numpy.float64]: ...
+
+    @property
+    def time(self) -> float: ...
+
+class Fence:
+    """
+    Where to fly: in a box, in a polytope, outside the hulls of an onboard map.
+    """
+
+    def __init__(self, *, box: tuple[Sequence[float], Sequence[float]] | None = None, faces: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)] | None = None, image: bytes | None = None, keep_out: PolytopeSet | None = None) -> None:
+        """
+        `box` (lower, upper); `faces` (L, 4), rows n, d with n . p <= d inside and |n| = 1; `image` of an onboard map for the filter, `keep_out` the same polytopes for the judge.
+        """
+
+    def clearance(self, a: Sequence[float], b: Sequence[float]) -> float:
+        """Least distance of a segment from what is forbidden; negative there."""
+
+class Geofence:
+    """
+    The onboard geofence: an implicit control barrier function by simulating the backup controller.
+
+    Parameters by name, see alula_geofence_config; ValueError for those it does not accept.
+    """
+
+    def __init__(self, fence: Fence, model: RacerModel = ..., parameters: Mapping[str, float] = {}) -> None: ...
+
+    @property
+    def hover_throttle(self) -> float: ...
+
+    def reset(self) -> None:
+        """To before the first tick."""
+
+    def filter(self, navigation: NDArray[numpy.float64] | None, pilot: NDArray[numpy.float64] | None) -> tuple[NDArray[numpy.float64], str, dict[str, float]]:
+        """
+        One tick: command (4), status and details. None: no navigation, or no pilot.
+        """
+
+    def evaluate(self, states: NDArray[numpy.float64]) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]:
+        """
+        Of flows that begin at states (N, 13): (h_I, min h_c / v_c, margin, distance, h_B) (N, 5), and u_B (N, 4).
+        """
+
+class BackupQp:
+    """
+    The backup-set barrier with gradients, by a quadratic program, with the flow of a Geofence.
+    """
+
+    def __init__(self, geofence: Geofence, alpha: float = 2.0) -> None: ...
+
+    def reset(self) -> None:
+        """To before the first tick."""
+
+    def filter(self, states: NDArray[numpy.float64], pilots: NDArray[numpy.float64]) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.int64], NDArray[numpy.uint8]]:
+        """
+        Ticks at states (N, 13) with pilots (N, 4): commands (N, 4), h_I, rows of the program, and whether it had no solution.
+        """
+
+class Pilot:
+    """A simulated pilot."""
+
+    def __init__(self, kind: str, *, heading_rad: float = 0.0, tilt_rad: float = 1.2566, climb_m_s2: float = 0.0, silent_after_s: float = 1.5) -> None:
+        """
+        straight, diagonal, fall, sticks, aggressive, silent or repeated; ValueError for others.
+        """
+
+class GeofenceRules:
+    """Times of a flight, and when navigation or radio are missing."""
+
+    def __init__(self, *, duration_s: float = 8.0, plant_steps: int = 4, rule: str = 'geofence', alpha: float = 2.0, stale_from_s: float = float('inf'), stale_for_s: float = 0.0, radio_from_s: float = float('inf'), radio_for_s: float = 0.0) -> None: ...
+
+class GeofenceSpec:
+    """All of a flight but the filter and the random numbers."""
+
+    def __init__(self, *, model: RacerModel = ..., options: RacerOptions = ..., pilot: Pilot = ..., rules: GeofenceRules = ..., start: Annotated[NDArray[numpy.float64], dict(shape=(13), order='C', device='cpu', writable=False)] | None = None, start_box: tuple[Sequence[float], Sequence[float]] | None = None, start_speed_m_s: float = 10.0, start_tilt_rad: float = 1.0) -> None:
+        """
+        From `start` (13), or from random states with h_I > 0 in a box (lower, upper).
+        """
+
+def fly_in_fences(spec: GeofenceSpec, filter: Geofence, *, seed: int = 0, first: int = 0, count: int = 1, keeps_trace: bool = False, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
+    """
+    Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial, with keeps_trace also per tick state (13), pilot and command (4), figure (lambda, h_I, distance, margin, v_c) and status (number).
+    """
+
+class PendulumFilter:
+    """
+    A safety filter of the inverted pendulum theta'' = sin theta + u: `regulation` or `backup-qp`.
+    """
+
+    def __init__(self, rule: str, *, largest_angle: float = 1.0, end_rate: float = 0.1, k: float = 3.0, push_distance: float = 0.1, push_gain: float = 1.0, push_rate: float = 0.1, horizon_s: float = 3.0, steps: int = 100, beta: float = 15.0, alpha: float = 5.0, largest_input: float = 20.0) -> None: ...
+
+    def filter(self, states: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], u_des: float) -> NDArray[numpy.float64]:
+        """At states (N, 2): u, h_I, lambda, rows, infeasible (N, 5)."""
+
+    def fly(self, angle: float, rate: float, u_des: float, dt: float, ticks: int) -> NDArray[numpy.float64]:
+        """
+        Closed loop: theta, theta', u, h_I, lambda, rows, infeasible (ticks, 7).
+        """

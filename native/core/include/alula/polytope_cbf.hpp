@@ -1,10 +1,11 @@
-// The onboard polytope filter with its map and workspace, for host programs.
+// The onboard polytope filter with its map, for host programs.
 #pragma once
 
 #include <array>
 #include <memory>
 #include <vector>
 
+#include "alula/onboard_image.hpp"
 #include "alula/polytope_map.hpp"
 
 namespace alula {
@@ -28,13 +29,12 @@ struct FilterOutput {
   alula_polytope_result detail;
 };
 
-// Calls the onboard code. Copies share the map and have a workspace each: one copy per thread.
+// Calls the onboard code, on a map of arrays or on an image. Copies share the map: one copy per thread.
 // Throws std::invalid_argument for parameters that the onboard code does not accept.
 class PolytopeCbf {
  public:
   PolytopeCbf(std::shared_ptr<const PolytopeMap> map, const PolytopeCbfConfig& config);
-  PolytopeCbf(const PolytopeCbf& other) : PolytopeCbf(other.map_, other.config_) {}
-  PolytopeCbf& operator=(const PolytopeCbf&) = delete;
+  PolytopeCbf(std::shared_ptr<const OnboardImage> image, double extent_m, const PolytopeCbfConfig& config);
 
   FilterOutput filter(const Vec3& x, const Vec3& u_nom);
 
@@ -42,12 +42,13 @@ class PolytopeCbf {
   alula_polytope_value evaluate(const Vec3& x);
 
   const PolytopeCbfConfig& config() const { return config_; }
-  const PolytopeMap& map() const { return *map_; }
+  const PolytopeMap* map() const { return map_.get(); }  // null with an image
+  const alula_polytope_work& work() const { return cbf_.work; }
 
  private:
   std::shared_ptr<const PolytopeMap> map_;
+  std::shared_ptr<const OnboardImage> image_;
   PolytopeCbfConfig config_;
-  std::vector<float> workspace_;
   alula_polytope_cbf cbf_;
 };
 

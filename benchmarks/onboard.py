@@ -1,0 +1,393 @@
+"""The filters on emulated microcontrollers: instructions of a tick, bytes, and whether they match the host.
+
+Flights among 150 and 1,000 hulls of 83 half-planes or more (as many as PolyMerge's have) are simulated with
+polytope-cbf on an onboard map, 500 ticks a second, and every fiftieth tick is recorded; so are ticks at
+positions anywhere, also inside hulls, one somewhere else than the last, which is the worst case for what a
+tick keeps. Encounters of examples/dr-acbf are recorded with dr-acbf. All of it is replayed under QEMU on a
+Cortex-M4 and a Cortex-M7, and compared bit by bit with the library that the simulator calls. Nothing here is
+a time: instructions are counted, and are the same in every run with the same compiler.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.sort(key=sys.path[-1].__eq__)  # last: newer standard libraries have a package `compression`
+
+import numpy as np
+from cycles import cycles_per_instruction
+from dracbf import SCENARIO, record
+from emulated import (
+    FIRMWARE,
+    Replay,
+    build,
+    dr_acbf_inputs,
+    library_sizes,
+    missing_tools,
+    polytope_inputs,
+    replay,
+    stack_bound,
+    symbol_bytes,
+)
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.artifact import Artifact, make_artifact
+from alula.schemas.encounters import read_encounters
+from alula.schemas.kinds import COVER
+from alula.schemas.manifest import Guarantee
+from alula.schemas.targets import CODE_BYTES, TARGETS
+from alula.stages.compression.map_image import decode_map
+from alula.stages.compression.onboard import encode_map
+from alula.stages.compression.onboard_cost import tick_instructions
+
+BUDGET = FIRMWARE / "budget.toml"
+HALF_PLANES = 83  # a hull of PolyMerge's has on average
+G = 0.05
+FIELDS = {150: (100, 80, 30), 1000: (200, 150, 45)}  # hulls: half the field's size in voxels
+PARAMETERS = {"radius_m": 0.1, "beta": 2.0, "kappa": 100.0, "dt_s": 0.002, "v_max": 1.0}
+RATES = {150: 500, 1000: 125}
+EVERY, FLIGHTS, TICKS, ANYWHERE = 50, 10, 80, 300
+ENCOUNTER_TICKS, CROWD = 1500, 8
+FloatArray = NDArray[np.float64]
+ENTRIES = (
+    "alula_map_open",
+    "alula_polytope_cbf_open",
+    "alula_polytope_cbf_filter",
+    "alula_dr_acbf_init",
+    "alula_dr_acbf_filter",
+)
+WORK = ("boxes", "hulls", "planes", "made", "exponentials")
+
+
+Asked = tuple[list[float], list[float], FloatArray, list[float]]
+"""A tick of dr-acbf: position, velocity, tracks (n, 29), nominal command; all of them floats."""
+
+
+def single(v: Any) -> list[float]:
+    """The nearest floats."""
+    return np.asarray(v, np.float32).astype(float).tolist()  # type: ignore[no-any-return]
+
+
+def lattice_hull(points: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Vertices (n, 3) and primitive planes (m, 4) of the convex hull of lattice points."""
+    from scipy.spatial import ConvexHull
+
+    solid = ConvexHull(points)
+    a, b, c = (points[solid.simplices[:, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    normal *= np.where((normal * solid.equations[:, :3]).sum(axis=1) < 0, -1, 1)[:, None]
+    normal //= np.gcd.reduce(normal, axis=1)[:, None]
+    return points[solid.vertices], np.unique(np.column_stack([normal, (normal * a).sum(axis=1)]), axis=0)
+
+
+def field(hulls: int, seed: int = 1) -> Artifact:
+    """A cover of round hulls, 0.5 to 1.4 m across, that overlap, in a room for them."""
+    rng, half = np.random.default_rng(seed), np.array(FIELDS[hulls])
+    parts = []
+    for _ in range(hulls):
+        way = rng.normal(size=(60, 3))
+        way /= np.linalg.norm(way, axis=1)[:, None]
+        parts.append(
+            lattice_hull(np.rint(rng.uniform(-half, half) + way * rng.uniform(5, 14, 3)).astype(np.int64))
+        )
+    vertices, planes = [v for v, _ in parts], [p for _, p in parts]
+
+    def start(rows: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+        return np.concatenate([[0], np.cumsum([len(r) for r in rows])])
+
+    every = np.concatenate(planes)
+    arrays = {
+        "vertex": np.concatenate(vertices),
+        "vertex_start": start(vertices),
+        "plane_normal": every[:, :3],
+        "plane_offset": every[:, 3],
+        "plane_start": start(planes),
+        "member_index": np.array([v[0] for v in vertices]),
+        "member_start": np.arange(hulls + 1),
+        "history": np.empty((0, 3)),
+    }
+    return make_artifact(
+        COVER,
+        arrays,
+        frame="world",
+        unit="m",
+        parameters={},
+        summary={},
+        guarantee=Guarantee("Made for measuring."),
+        certificate={},
+        voxel_size_m=G,
+        sigma=1.0,
+        min_overlap=1,
+        conservativeness=1.0,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """Ticks of polytope-cbf and the host's answers.
+
+    Attributes:
+        image: the map.
+        inputs: of the replay.
+        u: shape (ticks, 3).
+        status: shape (ticks,).
+        margin_m: shape (ticks,).
+        in_flight: which are of flights, not anywhere.
+    """
+
+    image: bytes
+    inputs: bytes
+    u: NDArray[np.float32]
+    status: NDArray[np.int64]
+    margin_m: NDArray[np.float32]
+    in_flight: NDArray[np.bool_]
+
+
+def fly(hulls: int) -> Recorded:
+    """Simulate flights through a field of so many hulls on its onboard map."""
+    image = encode_map(field(hulls), indexed=True)
+    rng, half = np.random.default_rng(2), np.array(FIELDS[hulls]) * G
+    extent = float(half.max()) + 2.0
+    native = _core.PolytopeCbf.from_image(image, extent_m=extent, **PARAMETERS)
+
+    rows: list[tuple[Any, ...]] = []
+    for _ in range(FLIGHTS):
+        x = rng.uniform(-half, half)
+        while native.psi(x[None])[1][0] < PARAMETERS["radius_m"] + 0.05:
+            x = rng.uniform(-half, half)
+        goal = rng.uniform(-half, half)
+        for tick in range(EVERY * TICKS):
+            wished = goal - x
+            at, nominal = single(x), single(wished / max(float(np.linalg.norm(wished)), 1.0))
+            u, status, margin, _, _ = native.filter(at, nominal)
+            if tick % EVERY == 0:
+                rows.append((at, nominal, u, status, margin, True))
+            x = np.array(at) + PARAMETERS["dt_s"] * np.array(u)
+    for _ in range(ANYWHERE):
+        at, nominal = single(rng.uniform(-half, half)), single(rng.normal(size=3))
+        u, status, margin, _, _ = native.filter(at, nominal)
+        rows.append((at, nominal, u, status, margin, False))
+    at, nominal, u, status, margin, in_flight = (np.array(column) for column in zip(*rows, strict=True))
+    order = ("radius_m", "beta", "kappa", "dt_s", "v_max")
+    inputs = polytope_inputs(
+        at.astype(np.float32), nominal.astype(np.float32), [extent, *(PARAMETERS[name] for name in order)]
+    )
+    return Recorded(
+        image, inputs, u.astype(np.float32), status, margin.astype(np.float32), in_flight.astype(bool)
+    )
+
+
+def polytope_mismatches(recorded: Recorded, found: Replay) -> int:
+    """Ticks whose command, status or margin differ from the host's in a bit."""
+    ticks = found.ticks
+    u = np.where((recorded.status == 0)[:, None], ticks["u"], recorded.u)  # the host gives back doubles then
+    same = (u.view(np.uint32) == np.ascontiguousarray(ticks["u"]).view(np.uint32)).all(axis=1)
+    same &= (recorded.status == ticks["status"]) & (recorded.margin_m == ticks["margin_m"])
+    return int((~same).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What was found.
+
+    Attributes:
+        figures: numbers by name, as printed.
+        tight: of each core and field, the model's instructions over those counted, shape (ticks,).
+    """
+
+    figures: dict[str, Any]
+    tight: dict[str, NDArray[np.float64]]
+
+
+def measure(folder: Path, say: Callable[[str], None]) -> Measured:
+    """Build, replay and compare everything in a folder."""
+    say("building")
+    firmware, work = folder / "firmware", folder / "work"
+    work.mkdir(parents=True, exist_ok=True)
+    build(firmware)
+    found: dict[str, Any] = {"host_target_mismatches": 0, "ticks": 0}
+    tight: dict[str, NDArray[np.float64]] = {}
+    crazyflie = TARGETS["crazyflie"]
+    for hulls in FIELDS:
+        say(f"{hulls} hulls")
+        recorded = fly(hulls)
+        planes = decode_map(recorded.image).half_planes / hulls
+        assert planes >= HALF_PLANES
+        found |= {f"map_{hulls}_bytes": len(recorded.image), f"map_{hulls}_half_planes_per_hull": planes}
+        for core in ("m4", "m7"):
+            out = replay(firmware, work, core, "polytope", recorded.inputs, recorded.image)
+            name = f"{core}_polytope_{hulls}"
+            found[f"{name}_instructions"] = int(out.instructions.max())
+            found[f"{name}_flight_instructions"] = int(out.instructions[recorded.in_flight].max())
+            found[f"{name}_median_instructions"] = int(np.median(out.instructions[recorded.in_flight]))
+            found[f"{core}_polytope_stack_bytes"] = max(
+                out.stack_bytes, found.get(f"{core}_polytope_stack_bytes", 0)
+            )
+            found["host_target_mismatches"] += polytope_mismatches(recorded, out)
+            found["ticks"] += len(out.ticks)
+            if name == "m4_polytope_150":
+                worst = max(int(out.instructions.argmax()), 1)
+                found["m4_cycles_per_instruction"] = cycles_per_instruction(
+                    firmware, work, recorded.inputs, worst, recorded.image
+                )
+            looked = np.column_stack([out.ticks[word].astype(np.int64) for word in WORK])
+            tight[name] = tick_instructions(looked) / out.instructions
+        cycles = found[f"m4_polytope_{hulls}_instructions"] * crazyflie.cycles_per_instruction
+        found[f"m4_polytope_{hulls}_hz"] = int(crazyflie.clock_hz / cycles)
+    say("encounters")
+    more, ticks, mismatches = encounters(firmware, work)
+    found |= more
+    found["ticks"] += ticks
+    found["host_target_mismatches"] += mismatches
+    # The geofence's replay goes here: m7_geofence_instructions, host_geofence_p50_us.
+    found |= room(firmware, found)
+    return Measured(found, tight)
+
+
+def crowd(rng: np.random.Generator, tracks: int) -> Asked:
+    """A tick with so many obstacles close and coming closer."""
+    at = rng.normal(size=(tracks, 3))
+    at *= rng.uniform(1.5, 8.0, (tracks, 1)) / np.linalg.norm(at, axis=1)[:, None]
+    velocity = -at * rng.uniform(0.3, 1.5, (tracks, 1)) + rng.normal(scale=0.5, size=(tracks, 3))
+    spread = np.diag([0.02, 0.02, 0.02, 0.3, 0.3, 0.3])[np.tril_indices(6)]
+    rows = np.column_stack(
+        [np.arange(tracks), at, velocity, np.tile(spread, (tracks, 1)), np.full(tracks, 0.2)]
+    )
+    return [0.0, 0.0, 0.0], single(rng.normal(size=3)), rows.astype(np.float32).astype(float), [0.0, 0.0, 0.0]
+
+
+def encounters(firmware: Path, work: Path) -> tuple[dict[str, Any], int, int]:
+    """dr-acbf on recorded encounters and on crowds; also how many ticks there were and how many differ."""
+    recorded: list[Asked] = [
+        (single(t.position), single(t.velocity), t.tracks.astype(np.float32).astype(float), single(t.nominal))
+        for trial in record(read_encounters(SCENARIO), 3, 1)
+        for t in trial
+    ][:ENCOUNTER_TICKS]
+    rng = np.random.default_rng(3)
+    ticks = mismatches = 0
+    found: dict[str, Any] = {}
+    for suffix, asked in (("", recorded), (f"_{CROWD}_tracks", [crowd(rng, CROWD) for _ in range(150)])):
+        native = _core.moving_filter("dr_acbf")
+        reports = [native.filter(p, v, tracks, np.empty((0, 4)), u)[0] for p, v, tracks, u in asked]
+        want = np.array([report.acceleration for report in reports], np.float32)
+        status = np.array([report.status for report in reports])
+        for core in ("m4", "m7"):
+            out = replay(firmware, work, core, "dr_acbf", dr_acbf_inputs(asked))
+            same = (want.view(np.uint32) == np.ascontiguousarray(out.ticks["a"]).view(np.uint32)).all(axis=1)
+            mismatches += int((~(same & (status == out.ticks["status"]))).sum())
+            ticks += len(out.ticks)
+            found[f"{core}_dracbf{suffix}_instructions"] = int(out.instructions.max())
+            found[f"{core}_dracbf{suffix}_median_instructions"] = int(np.median(out.instructions))
+            found[f"{core}_dracbf_stack_bytes"] = max(
+                out.stack_bytes, found.get(f"{core}_dracbf_stack_bytes", 0)
+            )
+    return found, ticks, mismatches
+
+
+def room(firmware: Path, measured: dict[str, Any]) -> dict[str, Any]:
+    """Bytes in flash and RAM of the library, its state, the larger map and the deepest stack, on the M4."""
+    sizes = library_sizes(firmware, "m4")
+    state = sum(
+        symbol_bytes(firmware, "m4", name, symbol)
+        for name, symbol in (
+            ("polytope", "replayed_map"),
+            ("polytope", "replayed_polytope_cbf"),
+            ("dr_acbf", "replayed_dr_acbf"),
+        )
+    )
+    stack = {entry: stack_bound(firmware, "m4", entry) for entry in ENTRIES}
+    code = sizes["text"] + sizes["rodata"] + sizes["data"]
+    return {
+        "text_bytes": sizes["text"],
+        "rodata_bytes": sizes["rodata"],
+        "data_bytes": sizes["data"],
+        "bss_bytes": sizes["bss"],
+        "code_bytes": code,
+        "flash_bytes": code + measured[f"map_{max(FIELDS)}_bytes"],
+        "state_bytes": state,
+        "stack_bytes": max(stack.values()),
+        "ram_bytes": sizes["data"] + sizes["bss"] + state + max(stack.values()),
+        **{f"stack_{entry.removeprefix('alula_')}_bytes": value for entry, value in stack.items()},
+    }
+
+
+def complaints(figures: dict[str, Any]) -> list[str]:
+    """What is over the checked-in budget, does not fit the Crazyflie, or differs from the host."""
+    with BUDGET.open("rb") as file:
+        budget = tomllib.load(file)
+    crazyflie, said = TARGETS["crazyflie"], []
+    for name, most in budget["most"].items():
+        if figures[name] > most * (1 + budget["slack"]):
+            said.append(f"{name} is {figures[name]}, budgeted are {most} and {budget['slack']:.0%} of slack")
+    if figures["host_target_mismatches"]:
+        said.append(f"{figures['host_target_mismatches']} ticks differ from the host")
+    if figures["code_bytes"] > CODE_BYTES:
+        said.append(f"the code takes {figures['code_bytes']} bytes, maps leave it {CODE_BYTES}")
+    if figures["flash_bytes"] > crazyflie.flash_bytes:
+        said.append(f"{figures['flash_bytes']} bytes do not fit into {crazyflie.flash_bytes} of flash")
+    if figures["ram_bytes"] > crazyflie.ram_bytes:
+        said.append(f"{figures['ram_bytes']} bytes do not fit into {crazyflie.ram_bytes} of RAM")
+    if figures["m4_cycles_per_instruction"] > crazyflie.cycles_per_instruction:
+        said.append(f"{figures['m4_cycles_per_instruction']:.3f} cycles per instruction are more than stated")
+    for hulls, rate in RATES.items():
+        if figures[f"m4_polytope_{hulls}_hz"] < rate:
+            said.append(f"{hulls} hulls reach {figures[f'm4_polytope_{hulls}_hz']} Hz, not {rate}")
+    return said
+
+
+def main() -> int:
+    """Measure, print, and fail when something is over its budget."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--keep", type=Path, help="folder for the firmware and the last replay")
+    parser.add_argument("--markdown", type=Path, help="replace the table of this page")
+    chosen = parser.parse_args()
+    if missing := missing_tools():
+        print(f"nothing can be emulated here: {missing}", file=sys.stderr)
+        return 3
+
+    def say(what: str) -> None:
+        print(what, file=sys.stderr)
+
+    with tempfile.TemporaryDirectory() as temporary:
+        figures = measure(chosen.keep or Path(temporary), say).figures
+    if chosen.json:
+        print(json.dumps(figures, indent=2))
+    else:
+        for name, value in figures.items():
+            print(f"{name:<40} {value:,.6g}" if isinstance(value, float) else f"{name:<40} {value:,}")
+    if chosen.markdown is not None:
+        write_table(chosen.markdown, figures)
+    said = complaints(figures)
+    for line in said:
+        print(line, file=sys.stderr)
+    return 4 if said else 0
+
+
+def write_table(page: Path, figures: dict[str, Any]) -> None:
+    """Put the figures between the page's two marks."""
+    begin, end = "<!-- measured: benchmarks/onboard.py --markdown -->\n", "<!-- end -->\n"
+    rows = ["| figure | value |", "| --- | ---: |"]
+    rows += [
+        f"| `{name}` | {value:,.4g} |" if isinstance(value, float) else f"| `{name}` | {value:,} |"
+        for name, value in figures.items()
+    ]
+    text = page.read_text()
+    before, after = text.index(begin) + len(begin), text.index(end)
+    page.write_text(text[:before] + "\n".join(rows) + "\n" + text[after:])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

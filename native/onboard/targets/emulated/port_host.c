@@ -1,0 +1,29 @@
+/* The same replay as a program of the host, which reads the map from map.bin. */
+#include <stdio.h>
+
+#include "port.h"
+
+static FILE *inputs, *outputs;
+static uint8_t map[1U << 24];
+
+int port_open(void) {
+  inputs = fopen("inputs.bin", "rb");
+  outputs = fopen("outputs.bin", "wb");
+  return inputs && outputs;
+}
+
+int port_read(void* to, uint32_t bytes) { return fread(to, 1, bytes, inputs) == bytes; }
+
+int port_write(const void* from, uint32_t bytes) {
+  return fwrite(from, 1, bytes, outputs) == bytes && fflush(outputs) == 0;
+}
+
+const uint8_t* port_map(uint32_t* bytes) {
+  FILE* file = fopen("map.bin", "rb");
+  *bytes = file ? (uint32_t)fread(map, 1, sizeof map, file) : 0U;
+  return map;
+}
+
+void port_start(void) {}
+uint32_t port_stop(void) { return 0U; }
+uint32_t port_stack(void) { return 0U; }

@@ -1,0 +1,133 @@
+// The geofence as firmware calls it: whatever comes in, what goes out is in the limits or refused.
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <random>
+
+#include "alula_geofence.h"
+#include "check.hpp"
+
+namespace {
+
+alula_fence box() {
+  alula_fence fence{};
+  fence.has_box = 1;
+  for (int i = 0; i < 3; ++i) fence.lower[i] = -20.0F, fence.upper[i] = 20.0F;
+  return fence;
+}
+
+alula_racer_state hovering() {
+  alula_racer_state x{};
+  x.attitude[0] = 1.0F;
+  return x;
+}
+
+bool is_in_limits(const alula_racer_command& u, const alula_racer_model& model) {
+  bool good = u.throttle >= 0.0F && u.throttle <= 1.0F;
+  for (int i = 0; i < 3; ++i) good = good && std::fabs(u.rates[i]) <= model.max_rate[i];
+  return good;
+}
+
+bool is_nothing(const alula_geofence_result& r) {
+  return r.command.throttle == 0.0F && r.command.rates[0] == 0.0F && r.lambda == 0.0F;
+}
+
+void test_without_a_filter_or_a_fence_nothing_is_flown() {
+  const alula_racer_state x = hovering();
+  const alula_racer_command pilot{0.5F, {1.0F, 0.0F, 0.0F}};
+  alula_geofence_result result;
+  CHECK(alula_geofence_filter(nullptr, &x, &pilot, &result) == ALULA_GEOFENCE_REFUSED && is_nothing(result));
+  alula_geofence filter{};
+  CHECK(alula_geofence_filter(&filter, &x, &pilot, &result) == ALULA_GEOFENCE_REFUSED && is_nothing(result));
+  CHECK(alula_geofence_filter(&filter, &x, &pilot, nullptr) == ALULA_GEOFENCE_REFUSED);
+  const alula_geofence_config config = alula_geofence_defaults();
+  alula_fence fence = box();
+  CHECK(alula_geofence_init(nullptr, &fence, &config) == ALULA_BAD_POINTER);
+  CHECK(alula_geofence_init(&filter, nullptr, &config) == ALULA_BAD_POINTER);
+  CHECK(alula_geofence_init(&filter, &fence, nullptr) == ALULA_BAD_POINTER);
+  fence.upper[1] = -20.0F;
+  CHECK(alula_geofence_init(&filter, &fence, &config) == ALULA_BAD_PARAMETER);
+  const alula_map closed{};
+  fence = box();
+  fence.keep_out = &closed;
+  CHECK(alula_geofence_init(&filter, &fence, &config) == ALULA_BAD_MAP);
+  CHECK(alula_geofence_filter(&filter, &x, &pilot, &result) == ALULA_GEOFENCE_REFUSED && is_nothing(result));
+  fence = box();
+  CHECK(alula_geofence_init(&filter, &fence, &config) == ALULA_READY);
+  CHECK(alula_geofence_filter(&filter, nullptr, &pilot, &result) == ALULA_GEOFENCE_REFUSED && is_nothing(result));
+}
+
+void test_every_number_of_the_parameters_is_checked() {
+  const alula_fence fence = box();
+  alula_geofence filter;
+  const alula_geofence_config good = alula_geofence_defaults();
+  CHECK(alula_geofence_init(&filter, &fence, &good) == ALULA_READY);
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  for (std::size_t at = 0; at + sizeof nan <= sizeof good; at += sizeof nan) {
+    alula_geofence_config bad = good;
+    std::memcpy(reinterpret_cast<char*>(&bad) + at, &nan, sizeof nan);
+    CHECK(alula_geofence_init(&filter, &fence, &bad) == ALULA_BAD_PARAMETER);
+  }
+}
+
+// Random bits, and random bits in one place of something sensible.
+void test_whatever_comes_in_the_command_stays_in_its_limits() {
+  const alula_fence fence = box();
+  const alula_geofence_config config = alula_geofence_defaults();
+  alula_geofence filter;
+  CHECK(alula_geofence_init(&filter, &fence, &config) == ALULA_READY);
+  std::mt19937 random(1);
+  int flown = 0;
+  for (int k = 0; k < 20000; ++k) {
+    alula_racer_state x = hovering();
+    alula_racer_command u{0.3F, {0.0F, 0.0F, 0.0F}};
+    std::uint32_t bits[17];
+    for (std::uint32_t& b : bits) b = static_cast<std::uint32_t>(random());
+    if (k % 3 == 0) {
+      std::memcpy(&x, bits, sizeof x);
+      std::memcpy(&u, bits + 13, sizeof u);
+    } else {
+      std::memcpy(reinterpret_cast<char*>(&x) + 4 * (bits[0] % 13), bits + 1, 4);
+      std::memcpy(reinterpret_cast<char*>(&u) + 4 * (bits[2] % 4), bits + 3, 4);
+    }
+    alula_geofence_result result;
+    const alula_geofence_status status =
+        alula_geofence_filter(&filter, k % 7 == 0 ? nullptr : &x, k % 11 == 0 ? nullptr : &u, &result);
+    CHECK(is_in_limits(result.command, config.model));
+    CHECK(result.lambda >= 0.0F && result.lambda <= 1.0F);
+    if (status == ALULA_GEOFENCE_PASSED) CHECK(std::memcmp(&result.command, &u, sizeof u) == 0);
+    if (status == ALULA_GEOFENCE_REFUSED) {
+      CHECK(is_nothing(result));
+    } else {
+      ++flown;
+    }
+  }
+  CHECK(flown > 10000);
+}
+
+void test_reset_forgets() {
+  const alula_fence fence = box();
+  const alula_geofence_config config = alula_geofence_defaults();
+  alula_geofence filter;
+  CHECK(alula_geofence_init(&filter, &fence, &config) == ALULA_READY);
+  const alula_racer_state x = hovering();
+  const alula_racer_command u{0.4F, {0.0F, 1.0F, 0.0F}};
+  alula_geofence_result first, again;
+  CHECK(alula_geofence_filter(&filter, &x, &u, &first) != ALULA_GEOFENCE_REFUSED);
+  CHECK(alula_geofence_filter(&filter, nullptr, nullptr, &again) == ALULA_GEOFENCE_NO_PILOT);
+  alula_geofence_reset(&filter);
+  CHECK(alula_geofence_filter(&filter, nullptr, &u, &again) == ALULA_GEOFENCE_REFUSED);
+  CHECK(alula_geofence_filter(&filter, &x, &u, &again) != ALULA_GEOFENCE_REFUSED);
+  CHECK(std::memcmp(&first, &again, sizeof first) == 0);
+}
+
+}  // namespace
+
+int main() {
+  test_without_a_filter_or_a_fence_nothing_is_flown();
+  test_every_number_of_the_parameters_is_checked();
+  test_whatever_comes_in_the_command_stays_in_its_limits();
+  test_reset_forgets();
+  return alula_failures == 0 ? 0 : 1;
+}
