@@ -13,6 +13,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 
 FloatArray = NDArray[np.float64]
 
+_GRAVITY = 9.81
 _AXES = (("+x", (1.0, 0.0, 0.0)), ("+y", (0.0, 1.0, 0.0)), ("+z", (0.0, 0.0, 1.0)))
 
 
@@ -35,7 +36,9 @@ class HandCheck:
         """What to do next; empty when all is done."""
         if len(self.moved) == len(_AXES):
             return ""
-        return f"move the vehicle by hand at least {self.far_m:g} m along {_AXES[len(self.moved)][0]} of the map"
+        return (
+            f"move the vehicle by hand at least {self.far_m:g} m along {_AXES[len(self.moved)][0]} of the map"
+        )
 
     def update(self, state: VehicleState) -> None:
         """Look at where it is now."""
@@ -62,72 +65,86 @@ class HandCheck:
         return len(self.moved) == len(_AXES) and float(np.linalg.det(np.array(self.moved))) < 0
 
 
-@dataclass(slots=True)
+class _Pairs:
+    """Expected and found motion over windows, without their means: a steady wind is none of the frame's."""
+
+    def __init__(self, floor: float) -> None:
+        self.floor = floor
+        self.expected: list[FloatArray] = []
+        self.found: list[FloatArray] = []
+        self.amount = 0.0
+
+    def add(self, expected: FloatArray, found: FloatArray) -> None:
+        """Take in a window; only what really moved counts as motion."""
+        self.expected.append(expected)
+        self.found.append(found)
+        moved = float(np.linalg.norm(found))
+        self.amount += moved if moved >= self.floor else 0.0
+
+    def correlation(self) -> float:
+        """Of both, over all windows and axes, less the means: 1 when they agree."""
+        a, b = np.array(self.expected), np.array(self.found)
+        a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+        return float((a * b).sum()) / math.sqrt(float((a * a).sum() * (b * b).sum()) + 1e-12)
+
+
 class MotionCheck:
     """In flight: velocities against positions, and accelerations against where the thrust points.
 
     Over windows of `window_s`, the displacement must be the integral of the velocity, and the change of the
     horizontal velocity that of g tan(tilt) in the direction of the tilt, which holds where the height hardly
-    changes. Each comparison is decided once there was enough motion, by the correlation of the two: 1 when
-    they agree, 0 for a frame turned by a right angle, negative for one turned further. A mirror shows as soon
-    as there is motion along the mirrored axis.
+    changes. Each comparison is decided once, when there was enough motion, by the correlation of the two: 1
+    when they agree, 0 for a frame turned by a right angle, negative for one turned further. A mirror shows as
+    soon as there is motion along the mirrored axis. What can be seen of a frame in a hover is nothing.
     """
 
-    window_s: float = 0.2
-    least: float = 0.5
-    path_m: float = 0.3
-    speed_m_s: float = 0.6
-    gravity_m_s2: float = 9.81
-    _start: tuple[float, FloatArray, FloatArray] | None = None
-    _last_s: float = 0.0
-    _travel: FloatArray = field(default_factory=lambda: np.zeros(3))
-    _push: FloatArray = field(default_factory=lambda: np.zeros(2))
-    _position: FloatArray = field(default_factory=lambda: np.zeros(3))  # sums: a.b, a.a, b.b
-    _velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
-    _moved: float = 0.0
-    _pushed: float = 0.0
+    def __init__(
+        self, *, window_s: float = 0.2, path_m: float = 0.3, speed_m_s: float = 1.0, least: float = 0.3
+    ) -> None:
+        self.window_s, self.least = window_s, least
+        self._displacement = _Pairs(0.02)
+        self._acceleration = _Pairs(0.1)
+        self._open = [
+            (self._displacement, path_m, "positions do not move as velocities say"),
+            (self._acceleration, speed_m_s, "it does not accelerate to where it tilts"),
+        ]
+        self.wrong = ""
+        self._start: tuple[float, FloatArray, FloatArray] | None = None
+        self._last_s = 0.0
+        self._travel, self._push = np.zeros(3), np.zeros(2)
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether both comparisons are made, or one was wrong."""
+        return not self._open or bool(self.wrong)
 
     def update(self, state: VehicleState) -> None:
-        """Take in a state; older ones and gaps begin a new window."""
+        """Take in a state; a gap begins a new window."""
         now = state.received_s
+        if self.is_decided or (self._start is not None and now <= self._last_s):
+            return
         if self._start is None or now - self._last_s > 2 * self.window_s:
             self._begin(state)
             return
-        dt = now - self._last_s
-        if dt <= 0:
-            return
-        self._last_s = now
+        dt, self._last_s = now - self._last_s, now
         axis = matrix_from_quat_wxyz(state.attitude_wxyz)[:, 2]
         self._travel += dt * state.velocity
         if axis[2] > 0.3:
-            self._push += dt * self.gravity_m_s2 * axis[:2] / axis[2]
+            self._push += dt * _GRAVITY * axis[:2] / axis[2]
         begin, position, velocity = self._start
         if now - begin < self.window_s:
             return
-        self._moved += _add(self._position, self._travel, state.position - position)
-        self._pushed += _add(self._velocity, self._push, (state.velocity - velocity)[:2])
+        self._displacement.add(self._travel, state.position - position)
+        self._acceleration.add(self._push, (state.velocity - velocity)[:2])
         self._begin(state)
-
-    def verdict(self) -> str:
-        """What is wrong, in words; empty so far."""
-        for moved, needed, sums, words in (
-            (self._moved, self.path_m, self._position, "positions do not move as velocities say"),
-            (self._pushed, self.speed_m_s, self._velocity, "it does not accelerate to where it tilts"),
-        ):
-            if moved >= needed:
-                found = float(sums[0]) / math.sqrt(float(sums[1] * sums[2]) + 1e-12)
-                if found < self.least:
-                    return f"{words} (correlation {found:.2f}): the frame is turned or mirrored"
-        return ""
+        for item in list(self._open):
+            pairs, needed, words = item
+            if pairs.amount >= needed and len(pairs.found) > 2:
+                self._open.remove(item)
+                if (found := pairs.correlation()) < self.least:
+                    self.wrong = f"{words} (correlation {found:.2f}): the frame is turned or mirrored"
 
     def _begin(self, state: VehicleState) -> None:
         self._start = (state.received_s, state.position.copy(), state.velocity.copy())
         self._last_s = state.received_s
-        self._travel = np.zeros(3)
-        self._push = np.zeros(2)
-
-
-def _add(sums: FloatArray, expected: FloatArray, found: FloatArray) -> float:
-    """Add a window to the sums; the size of what was expected in it, or found, whichever is larger."""
-    sums += (float(expected @ found), float(expected @ expected), float(found @ found))
-    return max(float(np.linalg.norm(expected)), float(np.linalg.norm(found)))
+        self._travel, self._push = np.zeros(3), np.zeros(2)

@@ -152,7 +152,9 @@ def _level(seen: Observed, needs: Needs) -> Verdict:
         return Verdict("level", False, "no state")
     up = float(matrix_from_quat_wxyz(seen.state.attitude_wxyz)[2, 2])
     tilt = math.acos(max(-1.0, min(1.0, up)))
-    resting = float(np.linalg.norm(seen.state.velocity)) < 0.5 and float(np.linalg.norm(seen.state.omega)) < 0.5
+    resting = (
+        float(np.linalg.norm(seen.state.velocity)) < 0.5 and float(np.linalg.norm(seen.state.omega)) < 0.5
+    )
     words = f"tilted {math.degrees(tilt):.0f} degrees" + ("" if resting else ", and moving")
     return Verdict("level", tilt <= needs.max_tilt_rad and resting, words)
 

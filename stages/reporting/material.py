@@ -11,7 +11,7 @@ from alula.schemas.flights import Flight
 from alula.schemas.manifest import InputRef
 from alula.schemas.run import RunRecord, TrialResult
 
-OUTCOMES = ("reached", "passed", "stuck", "timeout", "refused", "collision")
+OUTCOMES = ("reached", "passed", "stuck", "timeout", "refused", "stopped", "collision")
 
 
 @dataclass(frozen=True, slots=True)

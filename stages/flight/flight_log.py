@@ -1,0 +1,268 @@
+"""The log of a real flight: a pipe that never waits, and the process behind it that writes the file."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import struct
+import subprocess
+import sys
+import time
+from array import array
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.errors import OutputError
+from alula.schemas.provenance import Provenance
+from alula.schemas.run import FLIGHT_METADATA, RunRecord
+from alula.stages.flight.flight_messages import (
+    CHANNELS,
+    log_line,
+    pose_message,
+    safety_message,
+    state_message,
+    step_message,
+    tick_message,
+)
+from alula.stages.flight.flight_samples import TickSample
+from alula.stages.flight.log_writer import LogWriter, path_message
+from alula.stages.flight.supervisor import State, Taken
+
+FloatArray = NDArray[np.float64]
+
+_LENGTH = struct.Struct("<I")
+_ATOMIC = 4096  # PIPE_BUF on Linux: what is written at once is whole or not at all
+_PIPE_BYTES = 2**20
+_CHUNK_BYTES = 2**14  # some ticks: what a crash may cost
+_SYNC_S = 1.0  # what a power cut may cost
+_WORDS = 1000  # characters of a line, at most
+_COLUMNS = 13
+_PATH_POINTS = 2000
+
+
+class FlightHead(msgspec.Struct, frozen=True, kw_only=True):
+    """What a flight's log begins with: all that is known before it."""
+
+    name: str
+    filter: str
+    vehicle: str
+    frame: str
+    is_splat: bool
+    log_every: int
+    provenance: Provenance
+    map_message: dict[str, Any]
+
+
+class _Step(msgspec.Struct, array_like=True):
+    time_s: float
+    state: str
+    event: str
+    action: str
+    words: str
+
+
+class _Line(msgspec.Struct, array_like=True):
+    time_s: float
+    level: int
+    words: str
+
+
+class FlightRecorder:
+    """Hands a flight to a writer process; `Recorder` for the loop.
+
+    Nothing here waits for disk or terminal: what the pipe has no room for is dropped and counted, and a
+    writer that has died costs the log, not the flight. Samples of flying and holding are also kept here, in
+    `rows`, to judge the flight by.
+
+    Args:
+        path: the log; it must not exist. None keeps no log, and only says lines.
+        head: what is known before the flight.
+        echo: the writer also says lines of the flight on its standard error.
+
+    Raises:
+        OutputError: the log cannot be made.
+    """
+
+    def __init__(self, path: Path | None, head: FlightHead, *, echo: bool = True) -> None:
+        try:
+            where, how = (os.devnull, 0) if path is None else (path, os.O_CREAT | os.O_EXCL)
+            file = os.open(where, os.O_WRONLY | how, 0o644)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot write: {error.strerror}") from error
+        code = "from alula.stages.flight.flight_log import main; main()"
+        self._process = subprocess.Popen(  # in a session of its own: Ctrl-C is not for it
+            [sys.executable, "-P", "-c", code, str(file), str(int(echo))],
+            stdin=subprocess.PIPE,
+            pass_fds=(file,),
+            start_new_session=True,
+        )
+        os.close(file)
+        assert self._process.stdin is not None
+        self._pipe = self._process.stdin.fileno()
+        fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+        self._encode = msgspec.msgpack.Encoder().encode
+        self._put_whole(b"h" + self._encode(head))
+        os.set_blocking(self._pipe, False)
+        self.dropped = 0
+        self._rows = array("d")
+
+    @property
+    def pid(self) -> int:
+        """Of the writer."""
+        return self._process.pid
+
+    @property
+    def rows(self) -> FloatArray:
+        """Ticks of flying and holding, shape (n, 13): time, position, velocity, status (-1 while holding),
+        1 infeasible + 2 certified, margin, error, time of the filter, reference's time.
+        """
+        return np.array(self._rows, np.float64).reshape(-1, _COLUMNS)
+
+    def tick(self, sample: TickSample) -> None:
+        """See `Recorder`."""
+        self._put(b"t", sample)
+        if sample.position is None or sample.velocity is None:
+            return
+        done = sample.filter
+        if done is not None:
+            flags = done.infeasible + 2 * done.certified
+            last = (done.status, flags, done.margin, done.error_m, done.filter_s, done.plan_s)
+        elif sample.state in (State.FLY.value, State.HOLD.value):
+            last = (-1, 0, np.nan, np.nan, np.nan, np.nan)
+        else:
+            return
+        self._rows.extend((sample.time_s, *sample.position, *sample.velocity, *last))
+
+    def step(self, time_s: float, taken: Taken) -> None:
+        """See `Recorder`."""
+        step = taken.step
+        self._put(
+            b"s", _Step(time_s, step.state.value, taken.event.value, step.action.value, step.words[:_WORDS])
+        )
+
+    def say(self, time_s: float, level: int, words: str) -> None:
+        """See `Recorder`."""
+        self._put(b"l", _Line(time_s, level, words[:_WORDS]))
+
+    def finish(self, record: RunRecord | None, timeout_s: float = 30.0) -> bool:
+        """Let the writer end the log, with the record if there is one; whether it did."""
+        try:
+            os.set_blocking(self._pipe, True)
+            if record is not None:
+                self._put_whole(b"f" + self._encode(record))
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+            return self._process.wait(timeout_s) == 0
+        except (OSError, subprocess.TimeoutExpired):
+            self._process.kill()
+            self._process.wait()
+            return False
+
+    def _put(self, kind: bytes, what: Any) -> None:
+        message = kind + self._encode(what)
+        frame = _LENGTH.pack(len(message)) + message
+        try:
+            if len(frame) > _ATOMIC:
+                raise BlockingIOError
+            os.write(self._pipe, frame)
+        except OSError:  # full, or nobody reads any more
+            self.dropped += 1
+
+    def _put_whole(self, message: bytes) -> None:
+        frame = memoryview(_LENGTH.pack(len(message)) + message)
+        while frame:
+            frame = frame[os.write(self._pipe, frame) :]
+
+
+class _Writer:
+    """What the other process does with what it reads."""
+
+    def __init__(self, stream: BinaryIO, head: FlightHead, *, echo: bool) -> None:
+        self.head, self.echo, self.ticks = head, echo, 0
+        self.log = LogWriter(stream, CHANNELS, chunk_bytes=_CHUNK_BYTES)
+        known = msgspec.structs.asdict(head)
+        known.pop("map_message")
+        texts = {
+            key: value if isinstance(value, str) else msgspec.json.encode(value).decode()
+            for key, value in known.items()
+        }
+        self.log.note(FLIGHT_METADATA, texts)
+        self.log.send("/map", 0.0, head.map_message)
+        self.path: list[tuple[float, float, float]] = []
+        self.last_s = 0.0
+
+    def take(self, message: bytes) -> bool:
+        """A message; False after the last."""
+        kind, body = message[:1], message[1:]
+        if kind == b"t":
+            self._tick(msgspec.msgpack.decode(body, type=TickSample))
+        elif kind == b"s":
+            step = msgspec.msgpack.decode(body, type=_Step)
+            fields = step_message(step.time_s, step.state, step.event, step.action)
+            self.log.send("/supervisor", step.time_s, fields)
+        elif kind == b"l":
+            line = msgspec.msgpack.decode(body, type=_Line)
+            self.log.send("/log", line.time_s, log_line(line.time_s, line.level, line.words))
+            if self.echo:
+                sys.stderr.write(f"{line.time_s:7.2f} s  {line.words}\n")
+                sys.stderr.flush()
+        elif kind == b"f":
+            record = msgspec.msgpack.decode(body, type=RunRecord)
+            if self.path:
+                stride = max(1, len(self.path) // _PATH_POINTS)
+                points = np.array(self.path[::stride] + self.path[-1:])
+                self.log.send("/path", self.last_s, path_message(points, self.head.frame, self.last_s))
+            self.log.finish(record)
+            return False
+        return True
+
+    def _tick(self, sample: TickSample) -> None:
+        now, self.last_s = sample.time_s, sample.time_s
+        self.ticks += 1
+        if sample.filter is not None and sample.position is not None:
+            self.path.append(sample.position)
+        if self.ticks % self.head.log_every:
+            return
+        self.log.send("/supervisor", now, tick_message(sample))
+        if sample.position is None:
+            return
+        self.log.send("/state", now, state_message(sample))
+        self.log.send("/pose", now, pose_message(sample, self.head.frame))
+        if sample.filter is not None:
+            self.log.send("/safety", now, safety_message(sample, sample.filter, is_splat=self.head.is_splat))
+
+
+def main() -> None:
+    """The writer process: reads frames from standard input, writes the log to the given file descriptor.
+
+    When the pipe ends without a record, because whoever flew was killed, the log is closed without one.
+    """
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # it ends when the pipe does
+    file, echo = int(sys.argv[1]), sys.argv[2] == "1"
+    source = sys.stdin.buffer
+    writer: _Writer | None = None
+    synced = time.monotonic()
+    with os.fdopen(file, "wb") as stream:
+        while True:
+            raw = source.read(_LENGTH.size)
+            body = source.read(_LENGTH.unpack(raw)[0]) if len(raw) == _LENGTH.size else b""
+            if not body:
+                if writer is not None:
+                    writer.log.close()
+                break
+            if writer is None:
+                writer = _Writer(stream, msgspec.msgpack.decode(body[1:], type=FlightHead), echo=echo)
+            elif not writer.take(body):
+                break
+            if time.monotonic() - synced > _SYNC_S:
+                stream.flush()
+                os.fsync(stream.fileno())
+                synced = time.monotonic()
+        stream.flush()
+        os.fsync(stream.fileno())
