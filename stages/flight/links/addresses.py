@@ -1,10 +1,10 @@
 """Addresses of vehicles: `scheme:place?name=value&...`, and which of them stay on this machine.
 
-    udpin:127.0.0.1:14550             wait there for a vehicle
-    udpout:127.0.0.1:14540            speak to it first
-    tcp:127.0.0.1:5760
-    serial:/dev/ttyACM0:921600
-    sim:?delay_ms=20
+udpin:127.0.0.1:14550             wait there for a vehicle
+udpout:127.0.0.1:14540            speak to it first
+tcp:127.0.0.1:5760
+serial:/dev/ttyACM0:921600
+sim:?delay_ms=20
 """
 
 from __future__ import annotations
@@ -101,4 +101,6 @@ def check_address(text: str, allow_remote: bool) -> None:
         if is_loopback(host):
             return
         raise UsageError(f"{text}: {host} is not this machine; give --allow-remote if it is meant")
-    raise UsageError(f"{text}: whether {address.scheme}: stays on this machine is unknown; give --allow-remote")
+    raise UsageError(
+        f"{text}: whether {address.scheme}: stays on this machine is unknown; give --allow-remote"
+    )
