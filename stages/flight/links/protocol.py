@@ -69,6 +69,8 @@ class Order(Enum):
     TAKE_OFF = "take off"
     HOLD = "hold"
     LAND = "land"
+    NOTHING = "nothing"
+    """Nothing is told: what is still being repeated is dropped."""
 
 
 @dataclass(slots=True)
