@@ -78,7 +78,7 @@ def parse_address(text: str) -> Address:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether packets to and from this host stay on this machine; a name other than localhost counts as remote."""
+    """Whether packets to and from this host stay on this machine; of names only localhost does."""
     if host == "localhost":
         return True
     try:
@@ -102,5 +102,5 @@ def check_address(text: str, allow_remote: bool) -> None:
             return
         raise UsageError(f"{text}: {host} is not this machine; give --allow-remote if it is meant")
     raise UsageError(
-        f"{text}: whether {address.scheme}: stays on this machine is unknown; give --allow-remote"
+        f"{text}: {address.scheme}: may leave this machine; give --allow-remote if that is meant"
     )

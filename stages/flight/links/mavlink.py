@@ -15,7 +15,7 @@ from alula.stages.flight.links.addresses import Address
 from alula.stages.flight.links.hover import HoverThrottle
 from alula.stages.flight.links.mavlink_autopilots import ALL_SETPOINTS, ARDUPILOT, Autopilot, autopilot_of
 from alula.stages.flight.links.mavlink_estimate import Estimate
-from alula.stages.flight.links.mavlink_orders import Orders
+from alula.stages.flight.links.mavlink_orders import Orders, check_height
 from alula.stages.flight.links.mavlink_parameters import Parameters
 from alula.stages.flight.links.mavlink_session import COMPONENT, GROUND_STATION, Session
 from alula.stages.flight.links.mavlink_setpoints import SetpointEncoder
@@ -48,8 +48,8 @@ def make_link(address: Address, options: LinkOptions) -> MavlinkLink:
 class MavlinkLink:
     """A `Link` to an autopilot.
 
-    What is sent: a heartbeat a second, set-points as they come, orders until answered, and with motion capture
-    its poses. What is changed: the parameters of `mavlink_autopilots`, put back by `close`.
+    What is sent: a heartbeat a second, set-points as they come, orders until answered, and with motion
+    capture its poses. What is changed: the parameters of `mavlink_autopilots`, put back by `close`.
     """
 
     def __init__(self, address: Address, options: LinkOptions) -> None:
@@ -151,7 +151,6 @@ class MavlinkLink:
             telemetry.say("the vehicle's clock jumped: it may have started anew")
         if self._orders is None:
             return
-        self._orders.mode = telemetry.mode
         self._orders.poll(now_s)
         if self._stream is not None and now_s - self._streamed_s >= _STREAM_S:
             self._streamed_s = now_s
@@ -175,27 +174,25 @@ class MavlinkLink:
     def order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:
         """Tell it something; repeated by `poll` until done, refused or replaced by another order.
 
-        HOLD is a stream of zero velocity, and PX4's TAKE_OFF one of a position above; both end with the next
-        set-point or order, and neither changes the mode: a pilot who took over keeps control.
+        ARM takes control first, where the vehicle does not obey yet. HOLD is a stream of zero velocity, and
+        PX4's TAKE_OFF one of a position above; both end with the next set-point or order, and neither
+        changes the mode: a pilot who took over keeps control.
 
         Raises:
             LinkError: it makes no sense now.
         """
         if self._orders is None or self._encoder is None:
             raise LinkError("an order before the vehicle was prepared")
-        is_climb = order is Order.TAKE_OFF and not self._autopilot.takes_off_by_command
         if order is Order.HOLD and self._is_without_position:
             raise LinkError("holding needs a position, and guided_nogps has none")
-        if order is Order.HOLD or is_climb:
-            stream = self._climb(self._encoder, height_m) if is_climb else self._encoder.stop
+        is_climb = order is Order.TAKE_OFF and not self._autopilot.takes_off_by_command
+        is_followed = order in (Order.ARM, Order.TAKE_CONTROL) and self._autopilot.streams_first
+        stream = self._climb(self._encoder, height_m) if is_climb else self._encoder.stop
+        if is_climb or order is Order.HOLD:
             self._orders.drop()
-            self._stream = stream
         else:
             self._orders.start(order, now_s, height_m)
-            if order is Order.TAKE_CONTROL and self._autopilot.streams_first:
-                self._stream = self._encoder.stop
-            elif order is not Order.ARM:
-                self._stream = None
+        self._stream = stream if is_climb or is_followed or order is Order.HOLD else None
         self._streamed_s = -math.inf
         self.poll(now_s)
 
@@ -265,8 +262,7 @@ class MavlinkLink:
                 break
         target, limits = self._session.target, self._options.all_limits()
         self._encoder = SetpointEncoder(target, self._options.frame, limits, self._hover)
-        self._orders = Orders(self._session, self._autopilot, self.status)
-        self._orders.mode = self._telemetry.mode
+        self._orders = Orders(self._session, self._autopilot, self._telemetry)
         return lines
 
     def _take(self, message: Any, now_s: float) -> None:
@@ -307,8 +303,7 @@ class MavlinkLink:
 
     def _climb(self, encoder: SetpointEncoder, height_m: float) -> Callable[[int], Any]:
         """A stream of the position above the present one."""
-        if not 0 < height_m <= 100:
-            raise LinkError(f"take-off to {height_m:g} m is refused: heights are above 0 and up to 100 m")
+        check_height(height_m)
         if self._state is None:
             raise LinkError("take-off is refused: the vehicle has not said where it is")
         above = self._options.frame.position_to_ned(self._state.position + np.array([0.0, 0.0, height_m]))

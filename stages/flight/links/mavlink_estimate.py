@@ -187,7 +187,7 @@ def _is_within(values: Any, largest: float) -> bool:
 
 
 def _is_quaternion(values: Any) -> bool:
-    return 0.9 < sum(value * value for value in values) < 1.1
+    return bool(0.9 < sum(value * value for value in values) < 1.1)
 
 
 def _unit(quat: Any) -> FloatArray:

@@ -22,7 +22,7 @@ class Parameters:
 
     Args:
         session: with the vehicle.
-        is_bytewise: whether integers travel bit by bit in the place of a float (PX4) or as its value (ArduPilot).
+        is_bytewise: whether integers travel bit by bit in the place of a float (PX4), or as its value.
     """
 
     def __init__(self, session: Session, is_bytewise: bool) -> None:
@@ -87,7 +87,7 @@ class Parameters:
             raise LinkError(f"for motion capture set these and restart the vehicle: {'; '.join(wrong)}")
 
     def restore(self, timeout_s: float) -> list[str]:
-        """Put back what was changed, the newest first; a line for each that could not be, or was changed since."""
+        """Put back what was changed, the newest first; a line for each that was not."""
         lines = []
         end_s = self._session.options.clock() + timeout_s
         for name, (before, ours) in reversed(self._changed.items()):

@@ -22,7 +22,7 @@ from alula.stages.flight.links.protocol import (
 FloatArray = NDArray[np.float64]
 
 # What a message says to ignore.
-RATES_MASK = 128  # SET_ATTITUDE_TARGET: the attitude, and nothing else: all three rates and the thrust count
+RATES_MASK = 128  # SET_ATTITUDE_TARGET: the attitude alone: all three rates and the thrust count
 _NO_POSITION, _NO_VELOCITY, _NO_ACCELERATION = 0b111, 0b111 << 3, 0b111 << 6
 _NO_YAW, _NO_YAW_RATE = 1 << 10, 1 << 11
 VELOCITY_MASK = _NO_POSITION | _NO_ACCELERATION | _NO_YAW_RATE
@@ -40,8 +40,8 @@ _FAR_OUT = 2.0  # times a limit
 class SetpointEncoder:
     """Checks, clips, slows down and turns set-points into messages for one vehicle.
 
-    Not finite, or beyond twice a limit: refused with the field's name. Beyond the limit: clipped, and counted.
-    Faster than the slew limit: brought as far as it goes since the last one.
+    Not finite, or beyond twice a limit: refused with the field's name. Beyond the limit: clipped, and
+    counted. Faster than the slew limit: brought as far as it goes since the last one.
 
     Attributes:
         clipped: set-points that did not go out as they came in.

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -46,7 +45,7 @@ class Signer:
 
     Args:
         key: 32 bytes.
-        file: keeps a stamp above all that were used; without one, clocks set back make packets that are refused.
+        file: keeps a stamp above all that were used; without one a clock set back makes packets refused.
         wall_clock: seconds since 1970, asked once; `clock` carries on from there.
         link: number of this link, so that several may share a key.
 
@@ -117,7 +116,7 @@ class Signer:
         part = self._file.with_name(self._file.name + ".part")
         try:
             part.write_text(f"{self._kept}\n")
-            os.replace(part, self._file)
+            part.replace(self._file)
         except OSError as error:
             raise LinkError(f"{self._file}: {error.strerror or error}") from error
 

@@ -2,7 +2,7 @@
 
 A datagram is one JSON object of at most 1 KiB, in the world frame (z up, body x forward, y left, z up):
 
-    {"time_s": 12.345, "position_m": [1.0, 2.0, 0.5], "attitude_wxyz": [1, 0, 0, 0], "velocity_m_s": [0, 0, 0]}
+    {"time_s": 12.345, "position_m": [1, 2, 0.5], "attitude_wxyz": [1, 0, 0, 0], "velocity_m_s": [0, 0, 0]}
 
 `time_s` is the sender's clock and grows; `velocity_m_s` may be left out.
 """

@@ -23,7 +23,7 @@ class VehicleClock:
         self._witnesses: list[tuple[float, float]] = []
 
     def arrival(self, stamp_s: float, now_s: float) -> float | None:
-        """When a packet that came now would have come by the fastest way; None while the clock is in doubt."""
+        """When a packet that came now would have come by the fastest way; None while in doubt."""
         offset = now_s - stamp_s
         if self._offset is None:
             self._offset = offset
