@@ -88,6 +88,7 @@ class VehicleStatus:
         texts: what it says to people, oldest first; the reader takes them out.
         refusals: orders that it declined, with its reason; the reader takes them out.
         bad_packets, lost_packets: counted.
+        clock_jumps: how often the vehicle's own clock jumped; it started anew, and knows nothing of before.
     """
 
     heard_s: float | None = None
@@ -103,6 +104,7 @@ class VehicleStatus:
     refusals: list[tuple[Order, str]] = field(default_factory=list)
     bad_packets: int = 0
     lost_packets: int = 0
+    clock_jumps: int = 0
 
 
 class Link(Protocol):
