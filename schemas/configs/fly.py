@@ -21,7 +21,7 @@ class FlyConfig:
     margin_m: float = field(
         default=0.1,
         metadata={
-            "help": "What filters keep beyond the vehicle's radius, for errors of tracking and estimation [m].",
+            "help": "What filters keep beyond the vehicle's radius, for errors of tracking and state [m].",
             "option": "--margin",
         },
     )
@@ -29,8 +29,8 @@ class FlyConfig:
     fence: tuple[float, float, float, float, float, float] | None = field(
         default=None,
         metadata={
-            "help": "Box not to leave, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; default: around the plan, with 2 m of "
-            "room.",
+            "help": "Box not to leave, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; default: the plan's, and 2 m "
+            "around it.",
             "metavar": "BOX",
         },
     )
@@ -113,7 +113,7 @@ class FlyConfig:
     max_time_s: float | None = field(
         default=None,
         metadata={
-            "help": "It lands when the plan takes longer [s]; default: 10 s and three times the plan's duration.",
+            "help": "It lands when the plan takes longer [s]; default: 10 s and three times its duration.",
             "option": "--max-time",
         },
     )

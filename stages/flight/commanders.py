@@ -21,7 +21,6 @@ from alula.stages.flight.links.protocol import (
 )
 
 FloatArray = NDArray[np.float64]
-_Floats = tuple[float, ...]
 
 
 @dataclass(slots=True)
@@ -32,7 +31,7 @@ class Decision:
         setpoint: None where the filter knows no safe input.
         status: of the filter.
         margin: its barrier; in metres among hulls.
-        nominal, safe: velocities or accelerations, before and after the filter, three numbers each.
+        nominal, safe: velocities or accelerations, before and after the filter, shape (3,).
         error_m: distance from the reference.
         active: obstacle that decides, -1 for none.
         infeasible, certified: as the filter says.
@@ -42,8 +41,8 @@ class Decision:
     setpoint: Setpoint | None
     status: FilterStatus
     margin: float
-    nominal: _Floats
-    safe: _Floats
+    nominal: FloatArray
+    safe: FloatArray
     error_m: float
     active: int = -1
     infeasible: bool = False
@@ -109,8 +108,8 @@ class VelocityCommander:
             setpoint=None if refused else VelocitySetpoint(u, float(row[15])),
             status=status,
             margin=float(result.margin),
-            nominal=tuple(u_nominal.tolist()),
-            safe=tuple(u.tolist()),
+            nominal=u_nominal,
+            safe=u,
             error_m=math.sqrt(float(error @ error)),
             active=int(result.active),
         )
@@ -198,8 +197,8 @@ class SplatCommander:
             setpoint=setpoint,
             status=status,
             margin=float(margin),
-            nominal=tuple(seen.nominal.acceleration.tolist()),
-            safe=tuple(safe.tolist()),
+            nominal=seen.nominal.acceleration,
+            safe=safe,
             error_m=math.sqrt(float(error @ error)),
             active=int(active),
             infeasible=bool(infeasible),
@@ -269,7 +268,7 @@ class SplatCommander:
 
 
 def _mrp(quat_wxyz: FloatArray) -> FloatArray:
-    """Modified Rodrigues Parameters of an attitude with any sign of its quaternion: v / (1 + w) for w >= 0."""
+    """Modified Rodrigues Parameters of a quaternion of either sign: v / (1 + w) for w >= 0."""
     quat = quat_wxyz if quat_wxyz[0] >= 0 else -quat_wxyz
     made: FloatArray = quat[1:] / (1.0 + quat[0])
     return made
@@ -282,7 +281,9 @@ class PlanClock:
     reference are those of the slowed time, its rate held.
     """
 
-    def __init__(self, curve: _core.ReferenceCurve, *, near_m: float, far_m: float, slew_per_s: float = 2.0):
+    def __init__(
+        self, curve: _core.ReferenceCurve, *, near_m: float, far_m: float, slew_per_s: float = 2.0
+    ) -> None:
         self.curve = curve
         self.near_m, self.far_m, self.slew_per_s = near_m, far_m, slew_per_s
         self.time_s, self.rate = 0.0, 0.0

@@ -10,19 +10,13 @@ from dataclasses import dataclass, field
 
 from alula.schemas.errors import LinkError
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.commanders import Commander, Decision, PlanClock
+from alula.stages.flight.commanders import Commander, PlanClock
 from alula.stages.flight.fence_guard import FenceGuard, Guarded
 from alula.stages.flight.flight_checks import FlightChecks
-from alula.stages.flight.flight_samples import ERROR, INFO, WARNING, FilterSample, Recorder, TickSample
+from alula.stages.flight.flight_samples import ERROR, INFO, WARNING, FilterSample, Recorder
+from alula.stages.flight.flight_sampling import filter_sample, tick_sample
 from alula.stages.flight.frame_check import MotionCheck
-from alula.stages.flight.links.protocol import (
-    AccelerationSetpoint,
-    Link,
-    Order,
-    RatesSetpoint,
-    Setpoint,
-    VehicleState,
-)
+from alula.stages.flight.links.protocol import Link, Order, VehicleState
 from alula.stages.flight.mode_watch import ModeWatch
 from alula.stages.flight.supervisor import (
     Action,
@@ -132,6 +126,7 @@ class ControlLoop:
         self._overruns = 0
         self._fence_m: float | None = None
         self._refused_s = math.inf
+        self._jumps: int | None = None
         self._deaf = False
         self._was_there = False
 
@@ -235,6 +230,7 @@ class ControlLoop:
             landed=status.landed,
             obeys=status.obeys,
             is_failsafe=status.is_failsafe,
+            restarted=self._jumps is not None and status.clock_jumps > self._jumps,
             estimator_ready=status.is_estimator_ready,
             battery_share=status.battery_share,
             is_ours=self._modes.is_ours(status, now_s),
@@ -264,7 +260,8 @@ class ControlLoop:
         for each in taken:
             self.taken.append((now_s - self._begin_s, each))
             self.recorder.step(now_s - self._begin_s, each)
-            level = ERROR if each.event in _BAD else INFO if each.event in _FINE else WARNING
+            is_fine = each.event in _FINE or (each.event, each.state) == (Event.DISARMED, State.LAND)
+            level = ERROR if each.event in _BAD else INFO if is_fine else WARNING
             detail = self._motion.wrong if each.event is Event.FRAME_WRONG else ""
             if each.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and each.state is State.CHECKS:
                 detail = self.checks.failure()
@@ -280,6 +277,8 @@ class ControlLoop:
         if action is Action.ARM:
             if self._ground_m is None and state is not None:
                 self._ground_m = float(state.position[2])
+            if self._jumps is None:
+                self._jumps = status.clock_jumps
             self._order(Order.ARM, now_s)
         elif action is Action.TAKE_OFF:
             self._order(Order.TAKE_OFF, now_s, self._start_height_m - (self._ground_m or 0.0))
@@ -334,29 +333,7 @@ class ControlLoop:
             and speed < self.options.stop_speed_m_s
         ):
             self._was_there = True
-        return self._sample(decision, guarded, filter_s)
-
-    def _sample(self, decision: Decision, guarded: Guarded, filter_s: float) -> FilterSample:
-        kind, values = _numbers(guarded.setpoint)
-        return FilterSample(
-            status=int(decision.status),
-            margin=decision.margin,
-            active=decision.active,
-            infeasible=decision.infeasible,
-            certified=decision.certified,
-            nominal=decision.nominal,  # type: ignore[arg-type]
-            safe=decision.safe,  # type: ignore[arg-type]
-            thrust_nominal_n=decision.thrust_nominal_n,
-            error_m=decision.error_m,
-            plan_s=self.plan.time_s,
-            plan_rate=self.plan.rate,
-            filter_s=filter_s,
-            fence_h_m=guarded.h_m,
-            fence_share=guarded.share,
-            fence_flies=guarded.takes_over,
-            sent=kind,
-            sent_values=values,
-        )
+        return filter_sample(decision, guarded, self.plan, filter_s)
 
     def _record(
         self,
@@ -366,25 +343,9 @@ class ControlLoop:
         spent_s: float,
         flown: FilterSample | None,
     ) -> None:
-        status = self.link.status
+        times = (now_s - self._begin_s, late_s, spent_s, 0.0 if state is None else now_s - state.received_s)
         self.recorder.tick(
-            TickSample(
-                time_s=now_s - self._begin_s,
-                late_s=late_s,
-                tick_s=spent_s,
-                state=self.state.value,
-                age_s=now_s - state.received_s if state is not None else None,
-                position=tuple(state.position.tolist()) if state is not None else None,
-                velocity=tuple(state.velocity.tolist()) if state is not None else None,
-                attitude_wxyz=tuple(state.attitude_wxyz.tolist()) if state is not None else None,
-                omega=tuple(state.omega.tolist()) if state is not None else None,
-                mode=status.mode,
-                armed=status.armed,
-                landed=status.landed,
-                battery_share=status.battery_share,
-                fence_m=self._fence_m,
-                filter=flown,
-            )
+            tick_sample(times, self.state.value, state, self.link.status, self._fence_m, flown)
         )
 
     def say(self, now_s: float, level: int, words: str) -> None:
@@ -408,14 +369,3 @@ class ControlLoop:
                 now = self._clock()
         except Exception:  # noqa: BLE001  nothing more can be done; the first error is the one to see
             return
-
-
-def _numbers(setpoint: Setpoint | None) -> tuple[str, tuple[float, ...]]:
-    """A set-point for the log: its kind and its numbers."""
-    if setpoint is None:
-        return "", ()
-    if isinstance(setpoint, RatesSetpoint):
-        return "rates", (setpoint.thrust_m_s2, *setpoint.omega.tolist())
-    if isinstance(setpoint, AccelerationSetpoint):
-        return "acceleration", (*setpoint.acceleration.tolist(), setpoint.yaw_rad)
-    return "velocity", (*setpoint.velocity.tolist(), setpoint.yaw_rad)

@@ -38,7 +38,7 @@ class Guarded(NamedTuple):
 
 
 def rates_model(vehicle: Vehicle) -> RacerModel:
-    """A vehicle behind its rate loop: its map from throttle to thrust, or a straight one up to its rotors' most.
+    """A vehicle behind its rate loop: its map from throttle to thrust, or a straight one up to its rotors'.
 
     Raises:
         UsageError: it has no rotors.

@@ -44,7 +44,8 @@ class FlightChecks:
         self._hand = HandCheck() if by_hand else None
         self._prompt = ""
         self._first_s: float | None = None
-        self._restart(0.0)
+        self._ticks = self._states = 0
+        self._late_s, self._seen_s, self._since_s = 0.0, -1.0, 0.0
 
     def look(self, link: Link, now_s: float, late_s: float, say: Say) -> None:
         """Take in a tick; sets `result` when it is known."""

@@ -14,7 +14,7 @@ Three = tuple[float, float, float]
 
 
 class FilterSample(msgspec.Struct, array_like=True, gc=False):
-    """What controller, filter and fence did in a tick; see `commanders.Decision` and `fence_guard.Guarded`."""
+    """What controller, filter and fence did in a tick; see `Decision` and `Guarded`."""
 
     status: int
     margin: float

@@ -120,8 +120,8 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 plan_rate=_NUMBER,
                 error_m=_NUMBER,
             ),
-            "description": "Who flies, tick by tick: the supervisor's state, what the vehicle says, and the times "
-            "of the loop. A step has the event that led to it and the action that was taken.",
+            "description": "Who flies, tick by tick: the supervisor's state, what the vehicle says, and the "
+            "times of the loop. A step has the event that led to it and the action that was taken.",
         },
         "foxglove.PosesInFrame": _object(timestamp=_TIME, frame_id=_TEXT, poses=_array(_POSE)),
         "foxglove.PoseInFrame": _object(timestamp=_TIME, frame_id=_TEXT, pose=_POSE),

@@ -71,6 +71,7 @@ class Facts:
         armed, landed, obeys, is_failsafe, estimator_ready, battery_share: as the vehicle says.
         is_ours: False once somebody else has changed the mode.
         order_refused: the vehicle has declined the last order, some time ago.
+        restarted: the vehicle has started anew since the checks, and forgotten what it was told.
         checks: whether all pre-flight checks passed; None while they run.
         dry_run: checks are all there is to do.
         climbed_m: since the motors were armed.
@@ -90,6 +91,7 @@ class Facts:
     landed: bool | None = None
     obeys: bool = False
     is_failsafe: bool = False
+    restarted: bool = False
     estimator_ready: bool | None = None
     battery_share: float | None = None
     is_ours: bool = True
@@ -192,6 +194,7 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.INTERRUPT_IN_AIR, second and facts.landed is not True),
         (Event.INTERRUPT, facts.interrupts == 1),
         (Event.FRAME_WRONG, facts.frame_wrong),
+        (Event.RESTARTED, facts.restarted),
         (Event.ESTIMATOR_BAD, facts.estimator_ready is False),
         (Event.BATTERY_LOW, battery is not None and battery < limits.battery_share),
         (Event.STATE_STALE, facts.state_age_s > limits.stale_s),

@@ -1,0 +1,211 @@
+"""A flight of `alula fly`: open the link, fly, close it, write what there is to write."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from alula.cli.interruption import InterruptedWithAdvice
+from alula.cli.options import Common
+from alula.schemas.errors import CheckError, LinkError
+
+if TYPE_CHECKING:
+    from alula.schemas.provenance import Provenance
+    from alula.schemas.run import RunRecord
+    from alula.stages.flight.control_loop import ControlLoop
+    from alula.stages.flight.flight_log import FlightRecorder
+    from alula.stages.flight.fly import Mission
+    from alula.stages.flight.links.protocol import Link
+
+_OPEN_S = 15.0  # for the vehicle to be heard
+_SHOWN = ("rate_hz", "ticks", "tick_p99_s", "lateness_p99_s", "overruns", "dropped_samples")
+
+
+def fly(mission: Mission, link: Link, provenance: Provenance, common: Common) -> None:
+    """Fly a mission over a link.
+
+    Raises:
+        CheckError, LinkError, KeyboardInterrupt: how it ended, unless well.
+    """
+    from alula.stages.flight.control_loop import ControlLoop
+    from alula.stages.flight.flight_checks import FlightChecks
+    from alula.stages.flight.flight_log import FlightHead, FlightRecorder
+    from alula.stages.flight.fly import (
+        head_facts,
+        make_clock,
+        make_commander,
+        make_guard,
+        make_needs,
+        make_options,
+    )
+    from alula.stages.flight.log import map_message
+
+    interrupts = 0
+
+    def asked() -> int:
+        return interrupts
+
+    def count(number: int, frame: object) -> None:
+        nonlocal interrupts
+        interrupts += 1
+
+    recorder: FlightRecorder | None = None
+    try:
+        what = link.open(_OPEN_S)
+        if not common.quiet:
+            click.echo(f"link: {what}", err=True)
+        trouble, changed = "", list[str]()
+        try:
+            changed = link.prepare()
+        except LinkError as error:
+            trouble = str(error)
+        commander, wanted = make_commander(mission, link.accepts, jobs=common.jobs)
+        head = FlightHead(
+            provenance=provenance,
+            map_message=map_message(
+                mission.map, {"sigma": mission.config.sigma}, [_points(mission)], mission.map.manifest.frame
+            ),
+            **head_facts(mission),
+        )
+        checks = FlightChecks(
+            make_needs(mission, wanted),
+            changed=changed,
+            trouble=trouble,
+            by_hand=mission.config.frame_check == "hand",
+        )
+        if common.force and not common.dry_run:
+            common.output.unlink(missing_ok=True)
+        recorder = FlightRecorder(None if common.dry_run else common.output, head, echo=not common.quiet)
+        loop = ControlLoop(
+            link,
+            commander,
+            make_guard(mission, link.accepts),
+            make_clock(mission),
+            checks,
+            float(mission.start[2]),
+            recorder,
+            make_options(mission.config, dry_run=common.dry_run),
+            interrupts=asked,
+        )
+        with _signals(count):
+            loop.run()
+            link.close()
+            _finish(mission, loop, recorder, provenance, common)
+    except BaseException:
+        link.close()
+        if recorder is not None:
+            recorder.finish(None)
+        raise
+    _conclude(mission, loop, checks.is_of_link, checks.failure(), common)
+
+
+def _points(mission: Mission) -> Any:
+    """Points of the plan, shape (T, 3)."""
+    from alula.stages.flight.reference import sample_plan
+
+    return sample_plan(mission.plan, 0.1).position_world
+
+
+@contextmanager
+def _signals(handler: Any) -> Iterator[None]:
+    """Ctrl-C, SIGTERM and a closed terminal are counted: what they mean is for the supervisor."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
+
+
+def _finish(
+    mission: Mission,
+    loop: ControlLoop,
+    recorder: FlightRecorder,
+    provenance: Provenance,
+    common: Common,
+) -> None:
+    """The end of the log, and the record beside it; a flight that never flew leaves neither."""
+    import platform
+
+    import msgspec
+
+    from alula.cli.runner import show
+    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord, record_path
+    from alula.stages.flight.fly import describe
+    from alula.stages.flight.fly_judge import guarantee_of, judge, summary_of, timing_of
+
+    rows = recorder.rows
+    timing = timing_of(loop.counters, recorder.dropped, mission.config.rate_hz)
+    if len(rows) == 0:
+        recorder.finish(None)
+        if not common.dry_run:
+            common.output.unlink(missing_ok=True)
+        elif loop.checks.result:
+            show(common, "dry-run", {v.name: v.words for v in loop.checks.verdicts} | timing)
+        return
+    trial = judge(mission, rows, loop.supervision.cause, common.jobs)
+    summary = summary_of(trial, loop.supervision, loop.taken)
+    record = RunRecord(
+        schema=RUN_SCHEMA,
+        version=RUN_VERSION,
+        provenance=msgspec.structs.replace(provenance, summary=summary),
+        name=mission.config.name,
+        filter=mission.config.filter,
+        vehicle=describe(mission),
+        trials=[trial],
+        summary=summary,
+        guarantee=guarantee_of(mission, trial),
+    )
+    if not recorder.finish(record):
+        summary = summary | {"notes": ["the log is not complete: its writer failed"]}
+    timing = timing_of(loop.counters, recorder.dropped, mission.config.rate_hz)
+    machine = {"cpu_count": os.cpu_count(), "machine": platform.machine(), "system": platform.system()}
+    _write_record(record_path(common.output), msgspec.structs.replace(record, timing=machine | timing))
+    show(common, "written", summary | {key: timing[key] for key in _SHOWN if key in timing})
+
+
+def _write_record(path: Path, record: RunRecord) -> None:
+    import msgspec
+
+    from alula.schemas.atomic import atomic_output
+
+    with atomic_output(path) as beside:
+        beside.write(msgspec.json.format(msgspec.json.encode(record, order="sorted"), indent=2) + b"\n")
+
+
+def _conclude(mission: Mission, loop: ControlLoop, is_of_link: bool, failure: str, common: Common) -> None:
+    """Fail as the flight did.
+
+    Raises:
+        CheckError, LinkError, KeyboardInterrupt: how it ended, unless well.
+    """
+    from alula.schemas.run import read_run
+    from alula.stages.flight.supervisor import Event
+
+    cause = loop.supervision.cause
+    if cause is Event.CHECKS_PASSED_DRY:
+        return
+    if cause in (Event.INTERRUPT, Event.INTERRUPT_IN_AIR, Event.INTERRUPT_ON_GROUND):
+        raise InterruptedWithAdvice("the flight ended early")
+    if loop.checks.result is not True:
+        words = f"pre-flight: {failure or 'took too long'}"
+        raise LinkError(words) if is_of_link or cause is Event.LINK_LOST else CheckError(words)
+    of_vehicle = (
+        *(Event.LINK_LOST, Event.FAILSAFE, Event.NOT_OBEYED, Event.ORDER_REFUSED, Event.ESTIMATOR_BAD),
+        *(Event.DISARMED, Event.BATTERY_LOW),
+    )
+    said = "no reason is known" if cause is None else cause.value
+    if cause in of_vehicle or not loop.counters.filter_s:
+        raise LinkError(f"the flight ended early: {said}")
+    if cause is not Event.PLAN_FINISHED:
+        raise CheckError(f"{common.output}: the plan was not finished: {said}")
+    trial = read_run(common.output).trials[0]
+    if trial.collision:
+        raise CheckError(f"{common.output}: the flight came closer to the map than the vehicle's radius")
