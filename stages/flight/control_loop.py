@@ -173,8 +173,8 @@ class ControlLoop:
             counters.overruns += has_overrun
             self._overruns = self._overruns + 1 if has_overrun else 0
             deadline += period
-            missed = int((self._clock() - deadline) / period)
-            if missed > 0:
+            if (behind := self._clock() - deadline) >= period:
+                missed = int(behind / period) + 1
                 counters.skipped += missed
                 deadline += missed * period
 

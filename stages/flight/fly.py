@@ -347,7 +347,8 @@ def _index(scene: Artifact, sigma: float, radius_m: float) -> _core.EllipsoidInd
 def describe(mission: Mission) -> str:
     """The vehicle, in words."""
     vehicle = mission.vehicle
-    return f"{vehicle.name}: a real quadrotor of {vehicle.body.mass_kg:g} kg in a sphere of radius {vehicle.body.radius_m:g} m"
+    sphere = f"a sphere of radius {vehicle.body.radius_m:g} m"
+    return f"{vehicle.name}: a real quadrotor of {vehicle.body.mass_kg:g} kg in {sphere}"
 
 
 def head_facts(mission: Mission) -> dict[str, Any]:

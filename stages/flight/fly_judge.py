@@ -140,11 +140,8 @@ def timing_of(counters: Counters, dropped: int, rate_hz: float) -> dict[str, Any
 
 def guarantee_of(mission: Mission, trial: TrialResult) -> Guarantee:
     """What a flight shows; a real one proves nothing beyond itself."""
-    who = (
-        f"behind the filter {mission.config.filter!r}"
-        if mission.config.filter != "none"
-        else "without a filter"
-    )
+    name = mission.config.filter
+    who = "without a filter" if name == "none" else f"behind the filter {name!r}"
     touched = "came closer to the map than its radius" if trial.collision else "kept its radius from the map"
     proven, how = mission.is_clear
     return Guarantee(

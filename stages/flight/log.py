@@ -117,7 +117,7 @@ def _words(trial: TrialResult) -> tuple[str, bool, bool]:
 def map_message(
     flown_through: Artifact, summary: Mapping[str, Any], paths: list[NDArray[np.float64]], frame: str
 ) -> dict[str, Any]:
-    """The map as `foxglove.SceneUpdate`: hulls, or the ellipsoids nearest to the paths at `summary["sigma"]`."""
+    """The map as `foxglove.SceneUpdate`: hulls, or ellipsoids near the paths at `summary["sigma"]`."""
     if flown_through.kind is SCENE:
         shape = ellipsoid_entity(flown_through, float(summary["sigma"]), paths)
     else:

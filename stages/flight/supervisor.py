@@ -177,7 +177,7 @@ def begun(now_s: float) -> tuple[Supervision, list[Taken]]:
 
 
 def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterator[Event]:
-    """All that is the case, most urgent first."""
+    """All that is the case, most urgent first; what is not a number is as bad as can be."""
     state = was.state
     longest = _longest(limits)[state]
     fence = facts.fence_m
@@ -189,19 +189,19 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.MODE_CHANGED, not facts.is_ours or (state is State.FLY and engaged and not facts.obeys)),
         (Event.FAILSAFE, facts.is_failsafe),
         (Event.DISARMED, facts.armed is False),
-        (Event.LINK_LOST, facts.silence_s > limits.silence_s),
+        (Event.LINK_LOST, not facts.silence_s <= limits.silence_s),
         (Event.INTERRUPT_ON_GROUND, second and facts.landed is True),
         (Event.INTERRUPT_IN_AIR, second and facts.landed is not True),
         (Event.INTERRUPT, facts.interrupts == 1),
         (Event.FRAME_WRONG, facts.frame_wrong),
         (Event.RESTARTED, facts.restarted),
         (Event.ESTIMATOR_BAD, facts.estimator_ready is False),
-        (Event.BATTERY_LOW, battery is not None and battery < limits.battery_share),
-        (Event.STATE_STALE, facts.state_age_s > limits.stale_s),
+        (Event.BATTERY_LOW, battery is not None and not battery >= limits.battery_share),
+        (Event.STATE_STALE, not facts.state_age_s <= limits.stale_s),
         (Event.LOOP_LATE, facts.late_s > limits.late_s or facts.overruns >= limits.overruns),
         (Event.FILTER_FAILED, facts.filter is FilterHealth.FAILED),
         (Event.FILTER_REFUSED, facts.filter is FilterHealth.REFUSED),
-        (Event.FENCE, fence is not None and fence < limits.fence_m),
+        (Event.FENCE, fence is not None and not fence >= limits.fence_m),
         (Event.FALLBACK_LONG, facts.fallback_s > limits.fallback_s),
         (Event.ORDER_REFUSED, facts.order_refused),
         (Event.CHECK_FAILED, facts.checks is False),

@@ -17,7 +17,7 @@ from alula.stages.flight.links.protocol import (
 )
 from alula.stages.flight.vehicles import quadrotor
 
-STEP_S = 1e-3
+STEP_S = 2.5e-3
 
 
 class FakeClock:
