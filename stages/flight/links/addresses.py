@@ -88,7 +88,7 @@ def is_loopback(host: str) -> bool:
 
 
 def check_address(text: str, allow_remote: bool) -> None:
-    """Refuse what leaves this machine by a network unless that is allowed; serial lines and `sim:` always pass.
+    """Refuse what leaves this machine by a network unless that is allowed; serial and `sim:` always pass.
 
     Raises:
         UsageError: the address is remote, cannot be understood, or nothing is known of its scheme.

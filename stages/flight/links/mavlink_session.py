@@ -193,8 +193,9 @@ class Session:
                     continue
                 self._peer = peer
                 self._transport.use(peer)
-            self.heard_s = now_s
             self._count(packet.sequence)
+            if packet.is_checked:
+                self.heard_s = now_s
             if packet.message is not None:
                 self._take(packet.message, now_s)
 

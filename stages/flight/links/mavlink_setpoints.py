@@ -27,7 +27,7 @@ _NO_POSITION, _NO_VELOCITY, _NO_ACCELERATION = 0b111, 0b111 << 3, 0b111 << 6
 _NO_YAW, _NO_YAW_RATE = 1 << 10, 1 << 11
 VELOCITY_MASK = _NO_POSITION | _NO_ACCELERATION | _NO_YAW_RATE
 STOP_MASK = VELOCITY_MASK | _NO_YAW
-# The position that an acceleration was computed at has passed when it is flown: sent along, it would pull back.
+# The position that an acceleration was computed at is past when it is flown: sent along, it would pull back.
 ACCELERATION_MASK = _NO_POSITION | _NO_YAW_RATE
 POSITION_MASK = _NO_VELOCITY | _NO_ACCELERATION | _NO_YAW_RATE | _NO_YAW
 

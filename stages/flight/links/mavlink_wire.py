@@ -24,12 +24,16 @@ _MOST_BAD = 32  # frames per call, after which the rest of the bytes is given up
 
 
 class Packet(NamedTuple):
-    """A valid frame; `message` is None for those that nobody asked for."""
+    """A frame; `message` is None for those that nobody asked for.
+
+    Of a message without a definition the checksum cannot be checked: it may be from anybody.
+    """
 
     system: int
     component: int
     sequence: int
     message: Any
+    is_checked: bool = True
 
 
 class Wire:
@@ -112,7 +116,7 @@ class Wire:
         if self._signer is not None and not (signed and self._signer.accepts(frame, system, component)):
             return None
         if number not in self._wanted:
-            return Packet(system, component, sequence, None)
+            return Packet(system, component, sequence, None, kind is not None)
         try:
             message = self._reader.decode(bytearray(frame))
         except dialect.MAVError:
