@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +43,8 @@ def fly(mission: Mission, link: Link, provenance: Provenance, common: Common) ->
         make_guard,
         make_needs,
         make_options,
+        make_safety,
+        wanted_setpoints,
     )
     from alula.stages.flight.log import map_message
 
@@ -55,7 +57,17 @@ def fly(mission: Mission, link: Link, provenance: Provenance, common: Common) ->
         nonlocal interrupts
         interrupts += 1
 
-    recorder: FlightRecorder | None = None
+    safety = make_safety(mission)
+    frame = mission.map.manifest.frame
+    head = FlightHead(
+        provenance=provenance,
+        map_message=map_message(mission.map, {"sigma": mission.config.sigma}, [_points(mission)], frame),
+        **head_facts(mission),
+    )
+    if common.force and not common.dry_run:
+        common.output.unlink(missing_ok=True)
+    recorder = FlightRecorder(None if common.dry_run else common.output, head, echo=not common.quiet)
+    # From here on the vehicle hears us, and everything that takes long is behind us.
     try:
         what = link.open(_OPEN_S)
         if not common.quiet:
@@ -65,26 +77,15 @@ def fly(mission: Mission, link: Link, provenance: Provenance, common: Common) ->
             changed = link.prepare()
         except LinkError as error:
             trouble = str(error)
-        commander, wanted = make_commander(mission, link.accepts, jobs=common.jobs)
-        head = FlightHead(
-            provenance=provenance,
-            map_message=map_message(
-                mission.map, {"sigma": mission.config.sigma}, [_points(mission)], mission.map.manifest.frame
-            ),
-            **head_facts(mission),
-        )
         checks = FlightChecks(
-            make_needs(mission, wanted),
+            make_needs(mission, wanted_setpoints(mission, safety)),
             changed=changed,
             trouble=trouble,
             by_hand=mission.config.frame_check == "hand",
         )
-        if common.force and not common.dry_run:
-            common.output.unlink(missing_ok=True)
-        recorder = FlightRecorder(None if common.dry_run else common.output, head, echo=not common.quiet)
         loop = ControlLoop(
             link,
-            commander,
+            make_commander(mission, safety, link.accepts),
             make_guard(mission, link.accepts),
             make_clock(mission),
             checks,
@@ -94,13 +95,15 @@ def fly(mission: Mission, link: Link, provenance: Provenance, common: Common) ->
             interrupts=asked,
         )
         with _signals(count):
-            loop.run()
+            with _priority():
+                loop.run()
             link.close()
             _finish(mission, loop, recorder, provenance, common)
     except BaseException:
         link.close()
-        if recorder is not None:
-            recorder.finish(None)
+        recorder.finish(None)
+        if len(recorder.rows) == 0 and not common.dry_run:
+            common.output.unlink(missing_ok=True)
         raise
     _conclude(mission, loop, checks.is_of_link, checks.failure(), common)
 
@@ -122,6 +125,19 @@ def _signals(handler: Any) -> Iterator[None]:
     finally:
         for number, old in before.items():
             signal.signal(number, old)
+
+
+@contextmanager
+def _priority() -> Iterator[None]:
+    """This thread before all ordinary ones, where the system allows it: wake-ups are late otherwise."""
+    before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            os.sched_setscheduler(0, before & ~os.SCHED_RESET_ON_FORK, parameter)
 
 
 def _finish(

@@ -164,13 +164,13 @@ class FlightRecorder:
             return False
 
     def _put(self, kind: bytes, what: Any) -> None:
-        message = kind + self._encode(what)
-        frame = _LENGTH.pack(len(message)) + message
         try:
+            message = kind + self._encode(what)
+            frame = _LENGTH.pack(len(message)) + message
             if len(frame) > _ATOMIC:
                 raise BlockingIOError
             os.write(self._pipe, frame)
-        except OSError:  # full, or nobody reads any more
+        except (OSError, TypeError, ValueError):  # full, nobody reads any more, or no number of ours
             self.dropped += 1
 
     def _put_whole(self, message: bytes) -> None:

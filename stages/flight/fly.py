@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from alula.stages.compression.certificate import require_solid_hulls
 from alula.stages.compression.ellipsoids import retained, rows_of
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard import encode_map
-from alula.stages.filtering.protocol import World
+from alula.stages.filtering.protocol import Filter, World
 from alula.stages.filtering.registry import complete_parameters, make_filter, make_splat_filter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.flight.certificate import certify
@@ -196,61 +197,26 @@ def _inflation(config: FlyConfig, scene: Artifact | None) -> float:
     return 0.0 if scene is None else float(scene.manifest.suggested_inflation_m)  # type: ignore[attr-defined]
 
 
-def wanted_setpoints(mission: Mission, safety_filter: SplatFilter | None) -> tuple[type[Setpoint], ...]:
-    """Kinds of set-points that the filter's answer can be sent as, the best first."""
-    if not mission.is_splat:
-        return (VelocitySetpoint,)
-    if safety_filter is not None and safety_filter.kind == "acceleration":
-        return (AccelerationSetpoint, RatesSetpoint)
-    return (RatesSetpoint,) if safety_filter is not None else (RatesSetpoint, AccelerationSetpoint)
-
-
-def make_commander(
-    mission: Mission, accepts: frozenset[type[Setpoint]], *, jobs: int = 0
-) -> tuple[Commander, frozenset[type[Setpoint]]]:
-    """What turns states into set-points: the filters, parameters and controllers of `simulate`.
-
-    Args:
-        mission: what is flown.
-        accepts: kinds of set-points that the link takes.
-        jobs: threads to prepare with.
-
-    Returns:
-        The commander, and the kinds of set-points that would do.
+def make_safety(mission: Mission) -> Filter | SplatFilter | None:
+    """The filter, with the parameters of `simulate`; None flies what the controller asks for.
 
     Raises:
         UsageError: the filter is unknown or a parameter is wrong.
-        LinkError: the link takes no kind of set-point that the filter's answer can be sent as.
     """
     config, vehicle = mission.config, mission.vehicle
     keep = vehicle.body.radius_m + config.margin_m + mission.inflation_m
     dt = 1 / config.rate_hz
     if mission.is_splat:
         assert mission.scene is not None
-        body, gains = quadrotor(vehicle), tracking_gains(vehicle, config.catch_up_m_s)
-        lag = vehicle.assumed.motor_time_constant_s
         world = SplatWorld(
             index=_index(mission.scene, config.sigma, keep),
-            body=body,
-            gains=gains,
+            body=quadrotor(vehicle),
+            gains=tracking_gains(vehicle, config.catch_up_m_s),
             radius_m=keep,
             dt_s=dt,
-            motor_time_constant_s=lag,
+            motor_time_constant_s=vehicle.assumed.motor_time_constant_s,
         )
-        safety = make_splat_filter(config.filter, world, config.filter_parameters)
-        wanted = wanted_setpoints(mission, safety)
-        delay = vehicle.assumed.delay_s
-        commander: Commander = SplatCommander(
-            filter=safety,
-            body=body,
-            gains=gains,
-            actuators=_core.ActuatorModel(motor_time_constant_s=lag, delay_s=delay + config.stale_s),
-            delay_s=delay,
-            dt_s=dt,
-            max_rate_rad_s=vehicle.rates.max_rad_s,
-            setpoint=_pick(wanted, accepts, config.filter),
-        )
-        return commander, frozenset(wanted)
+        return make_splat_filter(config.filter, world, config.filter_parameters)
     assert mission.cover is not None
     assert config.speed_m_s is not None
     assert config.fence is not None
@@ -266,12 +232,52 @@ def make_commander(
         dt_s=dt,
         extent_m=2 * max(reach, *(abs(value) for value in config.fence)) + keep + config.speed_m_s,
     )
-    wanted = wanted_setpoints(mission, None)
-    _pick(wanted, accepts, config.filter)
-    velocity = VelocityCommander(
-        make_filter(config.filter, hull_world, parameters), config.gain, config.speed_m_s
+    return make_filter(config.filter, hull_world, parameters)
+
+
+def wanted_setpoints(mission: Mission, safety: Filter | SplatFilter | None) -> tuple[type[Setpoint], ...]:
+    """Kinds of set-points that the filter's answer can be sent as, the best first."""
+    if not mission.is_splat:
+        return (VelocitySetpoint,)
+    if safety is None:
+        return (RatesSetpoint, AccelerationSetpoint)
+    kind = cast(SplatFilter, safety).kind
+    return (AccelerationSetpoint, RatesSetpoint) if kind == "acceleration" else (RatesSetpoint,)
+
+
+def make_commander(
+    mission: Mission, safety: Filter | SplatFilter | None, accepts: frozenset[type[Setpoint]]
+) -> Commander:
+    """What turns states into set-points: the controllers of `simulate` behind a filter.
+
+    Args:
+        mission: what is flown.
+        safety: from `make_safety`.
+        accepts: kinds of set-points that the link takes.
+
+    Raises:
+        LinkError: the link takes no kind of set-point that the filter's answer can be sent as.
+    """
+    config, vehicle = mission.config, mission.vehicle
+    wanted = wanted_setpoints(mission, safety)
+    kind = next((kind for kind in wanted if kind in accepts), None)
+    if kind is None:
+        names = " or ".join(kind.__name__ for kind in wanted)
+        raise LinkError(f"the filter {config.filter} needs a link that takes {names}; this one does not")
+    if not mission.is_splat:
+        assert config.speed_m_s is not None
+        return VelocityCommander(cast(Filter, safety), config.gain, config.speed_m_s)
+    lag, delay = vehicle.assumed.motor_time_constant_s, vehicle.assumed.delay_s
+    return SplatCommander(
+        filter=cast(SplatFilter | None, safety),
+        body=quadrotor(vehicle),
+        gains=tracking_gains(vehicle, config.catch_up_m_s),
+        actuators=_core.ActuatorModel(motor_time_constant_s=lag, delay_s=delay + config.stale_s),
+        delay_s=delay,
+        dt_s=1 / config.rate_hz,
+        max_rate_rad_s=vehicle.rates.max_rad_s,
+        setpoint=kind,
     )
-    return velocity, frozenset(wanted)
 
 
 def make_guard(mission: Mission, accepts: frozenset[type[Setpoint]]) -> FenceGuard:
@@ -286,11 +292,11 @@ def make_guard(mission: Mission, accepts: frozenset[type[Setpoint]]) -> FenceGua
     )
 
 
-def make_needs(mission: Mission, setpoints: frozenset[type[Setpoint]]) -> Needs:
+def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
     """What the pre-flight checks ask for."""
     config = mission.config
     return Needs(
-        setpoints=setpoints,
+        setpoints=frozenset(setpoints),
         start=mission.start,
         obstacles=mission.obstacles,
         radius_m=mission.vehicle.body.radius_m,
@@ -322,16 +328,6 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
 def make_clock(mission: Mission) -> PlanClock:
     """The time along the plan."""
     return PlanClock(mission.curve, near_m=_NEAR_M, far_m=_FAR_M)
-
-
-def _pick(
-    wanted: tuple[type[Setpoint], ...], accepts: frozenset[type[Setpoint]], name: str
-) -> type[Setpoint]:
-    for kind in wanted:
-        if kind in accepts:
-            return kind
-    kinds = " or ".join(kind.__name__ for kind in wanted)
-    raise LinkError(f"the filter {name} needs a link that takes {kinds}; this one does not")
 
 
 def _index(scene: Artifact, sigma: float, radius_m: float) -> _core.EllipsoidIndex:

@@ -145,9 +145,9 @@ def guarantee_of(mission: Mission, trial: TrialResult) -> Guarantee:
     touched = "came closer to the map than its radius" if trial.collision else "kept its radius from the map"
     proven, how = mission.is_clear
     return Guarantee(
-        statement=f"A real flight {who}, above a geofence. The plan before it: {how}. By its positions as the "
-        f"vehicle measured them, joined by chords at {mission.config.rate_hz:g} Hz, it {touched}. Nothing is said "
-        "of what the vehicle did not measure, and of the real scene only as far as the map holds it.",
+        statement=f"A real flight {who}, above a geofence. The plan before it: {how}. By its positions, "
+        f"as measured by the vehicle and joined at {mission.config.rate_hz:g} Hz, it {touched}. Nothing "
+        "is said of what the vehicle did not measure, and of the real scene only as far as the map holds it.",
         claims={
             "proven_by_filter": False,
             "plan_certified": proven,

@@ -17,6 +17,8 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 
 FloatArray = NDArray[np.float64]
 
+_FOOT = 1.5  # of the clearance needed: so far above its feet a vehicle on the ground must be clear of all
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Needs:
@@ -182,7 +184,7 @@ def _clearance(seen: Observed, needs: Needs) -> Verdict:
     if seen.state is None:
         return Verdict("clearance", False, "no state")
     needed = needs.radius_m + needs.margin_m
-    way = climb(seen.state.position, needs.start, needed)
+    way = climb(seen.state.position, needs.start, _FOOT * needed)
     for name, obstacles in needs.obstacles:
         least = float(path_clearance(way, obstacles, jobs=1).min())
         if least < needed:

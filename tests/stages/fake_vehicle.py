@@ -123,7 +123,7 @@ class FakeVehicle:
         self.x[3:6] = _core.shadowed(self.x[None, 3:6])[0]
         if self.x[2] <= self.ground_m:
             self.x[2], self.x[3:] = self.ground_m, 0.0
-        self.status.landed = self.x[2] < self.ground_m + 0.02
+        self.status.landed = bool(self.x[2] < self.ground_m + 0.02)
         if self.status.landed and self.status.mode == "LAND":
             self.status.armed = False
 

@@ -16,6 +16,8 @@ from alula.stages.flight.fly import (
     make_mission,
     make_needs,
     make_options,
+    make_safety,
+    wanted_setpoints,
 )
 
 PILLAR = [((18, 0, 0), (22, 15, 20))]  # x 1.8 to 2.2, y 0 to 1.5
@@ -36,8 +38,9 @@ def mission(name="polytope-cbf", *, cover=None, scene=None, plan=None, is_clear=
 
 def loop_of(made, vehicle, *, interrupts=lambda: 0, dry_run=False, by_hand=False, recorder=None):
     """The loop for a mission over a fake vehicle."""
-    commander, wanted = make_commander(made, vehicle.accepts)
-    checks = FlightChecks(make_needs(made, wanted), by_hand=by_hand, patience_s=5.0)
+    safety = make_safety(made)
+    commander = make_commander(made, safety, vehicle.accepts)
+    checks = FlightChecks(make_needs(made, wanted_setpoints(made, safety)), by_hand=by_hand, patience_s=5.0)
     return ControlLoop(
         vehicle,
         commander,

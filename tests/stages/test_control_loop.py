@@ -138,7 +138,11 @@ def test_a_lost_link_is_told_to_land_and_given_up():
     ("fault", "cause", "path"),
     [
         (lambda v: setattr(v.status, "battery_share", 0.1), Event.BATTERY_LOW, ["fly", "land", "done"]),
-        (lambda v: setattr(v.status, "is_estimator_ready", False), Event.ESTIMATOR_BAD, ["fly", "land", "done"]),
+        (
+            lambda v: setattr(v.status, "is_estimator_ready", False),
+            Event.ESTIMATOR_BAD,
+            ["fly", "land", "done"],
+        ),
         (lambda v: setattr(v.status, "clock_jumps", 1), Event.RESTARTED, ["fly", "land", "done"]),
         (lambda v: setattr(v.status, "armed", False), Event.DISARMED, ["fly", "done"]),
     ],
@@ -255,7 +259,7 @@ def test_a_late_loop_is_held_counted_and_not_made_up_for():
     loop.run()
     assert Event.LOOP_LATE in causes(loop)
     assert loop.supervision.cause is Event.PLAN_FINISHED
-    assert loop.counters.skipped in (29, 30)
+    assert loop.counters.skipped in (28, 29, 30)
     assert loop.counters.overruns >= 1
     assert max(loop.counters.late_s) == pytest.approx(0.3, abs=1e-6)
     times = [s.time_s for s in loop.recorder.samples]

@@ -26,7 +26,14 @@ from alula.stages.flight.supervisor_table import IGNORED, TABLE
 LIMITS = SupervisorLimits(flight_s=100.0)
 NOW = 1000.0
 WELL = Facts(
-    now_s=NOW, state_age_s=0.01, silence_s=0.01, armed=True, landed=False, obeys=True, height_m=1.0, fence_m=1.0
+    now_s=NOW,
+    state_age_s=0.01,
+    silence_s=0.01,
+    armed=True,
+    landed=False,
+    obeys=True,
+    height_m=1.0,
+    fence_m=1.0,
 )
 ON_GROUND = dataclasses.replace(WELL, armed=False, landed=True, obeys=False)
 # Facts that show an event, beside which all is well; some depend on the state or its duration.
@@ -84,7 +91,12 @@ def test_every_event_is_defined_in_every_state_once():
         assert not TABLE[state].keys() & IGNORED[state], state
 
 
-STEPS = [(state, event) for state in State for event in TABLE[state] if event is not Event.START and state is not State.IDLE]
+STEPS = [
+    (state, event)
+    for state in State
+    for event in TABLE[state]
+    if event is not Event.START and state is not State.IDLE
+]
 
 
 @pytest.mark.parametrize(("state", "event"), STEPS, ids=lambda part: part.value)
@@ -101,7 +113,10 @@ def test_each_step_of_the_table_is_taken(state, event):
 
 
 IGNORING = [
-    (state, event) for state in State for event in IGNORED[state] if event in SHOWN and state is not State.IDLE
+    (state, event)
+    for state in State
+    for event in IGNORED[state]
+    if event in SHOWN and state is not State.IDLE
 ]
 
 
@@ -154,7 +169,11 @@ def test_motors_are_armed_after_checks_alone_and_take_off_after_arming():
                 assert state in (State.CHECKS, State.ARMING)
             if step.action is Action.TAKE_OFF:
                 assert state is State.ARMING
-    assert all(step.state is not State.ARMING for e, step in TABLE[State.CHECKS].items() if e is not Event.CHECKS_PASSED)
+    assert all(
+        step.state is not State.ARMING
+        for e, step in TABLE[State.CHECKS].items()
+        if e is not Event.CHECKS_PASSED
+    )
 
 
 def test_the_pilot_comes_before_everything_else():
