@@ -141,10 +141,10 @@ class ControlLoop:
         Raises:
             Exception: what the loop itself failed with, after the vehicle was told to land.
         """
-        self._begin_s = self._clock()
         gc.collect()
         gc.freeze()
         gc.disable()
+        self._begin_s = self._clock()
         try:
             self._loop()
         except BaseException:

@@ -10,7 +10,9 @@ from alula.stages.flight.frame_check import HandCheck
 from alula.stages.flight.links.protocol import Link
 from alula.stages.flight.preflight import Needs, Observed, Verdict, verdicts
 
+# What time may mend, and what somebody who carries the vehicle still will.
 MAY_COME = frozenset({"heartbeat", "state", "rate", "estimator", "loop", "level"})
+CARRIED = frozenset({"start", "clearance", "fence", "on the ground"})
 
 Say = Callable[[int, str], None]
 
@@ -87,6 +89,7 @@ class FlightChecks:
             self._prompt = prompt
         if wrong or not prompt:
             if self.needs.frame is None:
+                self._first_s = now_s
                 self._restart(now_s)
             self.needs = dataclasses.replace(self.needs, frame=wrong)
             return False
@@ -109,7 +112,13 @@ class FlightChecks:
         before = {v.name for v in self.verdicts if not v.holds}
         self.verdicts = verdicts(seen, self.needs)
         failed = {v.name for v in self.verdicts if not v.holds}
-        if failed and failed <= MAY_COME and now_s - self._first_s < self._patience_s:
+        may_come = MAY_COME if self._hand is None else MAY_COME | CARRIED
+        if (
+            failed
+            and not self.needs.frame
+            and failed <= may_come
+            and now_s - self._first_s < self._patience_s
+        ):
             if failed != before:
                 say(INFO, f"waiting for {', '.join(sorted(failed))}: {self.failure()}")
             self._restart(now_s)

@@ -43,6 +43,7 @@ _CATCH_UP = 0.5  # of the plan's speed
 _NEAR_M, _FAR_M = 0.3, 1.0  # errors at which the plan's time slows down, and stands still
 _SAMPLE_S = 1e-3  # of the plan, where its clearance is found by samples
 _EXTRA_TIME_S = 10.0
+_CARRYING_S = 600.0  # for checks with moves by hand
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,6 +320,7 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
         fallback_s=config.fallback_s,
         battery_share=config.battery * 2 / 3,
         flight_s=config.max_time_s,
+        checks_s=_CARRYING_S if config.frame_check == "hand" else SupervisorLimits.checks_s,
     )
     return LoopOptions(
         rate_hz=config.rate_hz, limits=limits, dry_run=dry_run, watch_frame=config.frame_check != "none"

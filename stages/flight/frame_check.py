@@ -99,7 +99,7 @@ class MotionCheck:
     """
 
     def __init__(
-        self, *, window_s: float = 0.2, path_m: float = 0.3, speed_m_s: float = 1.0, least: float = 0.3
+        self, *, window_s: float = 0.2, path_m: float = 0.3, speed_m_s: float = 0.6, least: float = 0.3
     ) -> None:
         self.window_s, self.least = window_s, least
         self._displacement = _Pairs(0.02)

@@ -185,6 +185,8 @@ def _clearance(seen: Observed, needs: Needs) -> Verdict:
         return Verdict("clearance", False, "no state")
     needed = needs.radius_m + needs.margin_m
     way = climb(seen.state.position, needs.start, _FOOT * needed)
+    if not np.isfinite(way).all():
+        return Verdict("clearance", False, "no finite position")
     for name, obstacles in needs.obstacles:
         least = float(path_clearance(way, obstacles, jobs=1).min())
         if least < needed:

@@ -24,7 +24,7 @@ class FilterHealth(Enum):
     FAILED = "failed"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class SupervisorLimits:
     """When an observation is an event.
 
