@@ -15,6 +15,7 @@ from alula.stages.flight.autopilot.airframe import TICK_S
 
 KINDS = ("udpout", "udpin", "tcpin")
 _PERIOD_S = 2 * TICK_S
+_MOST_DATAGRAMS = 1000  # at once: a flood must not stop the vehicle
 _Address = tuple[Any, ...]
 _LATE_S = 0.25  # a machine that stood still for longer is not caught up with
 
@@ -67,22 +68,22 @@ def open_endpoint(link: str, *, allow_remote: bool = False) -> Endpoint:
 
 
 class _Udp:
-    """Datagrams: to a fixed place first, or to whoever wrote last."""
+    """Datagrams: with one place only, or with whoever wrote last."""
 
     def __init__(self, family: int, address: _Address, kind: str) -> None:
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        self._peer: _Address | None = address if kind == "udpout" else None
+        self._waits = kind == "udpin"
+        self._peer: _Address | None = None
         try:
-            if kind == "udpin":
+            if self._waits:
                 self._socket.bind(address)
             else:
-                self._socket.bind(("", 0) if family == socket.AF_INET else ("::", 0))
+                self._socket.connect(address)  # nobody else is heard then
         except OSError:
             self._socket.close()
             raise
-        self._keeps = kind == "udpout"
-        where = self._socket.getsockname() if kind == "udpin" else address
+        where = self._socket.getsockname() if self._waits else address
         self.name = f"{kind}:{where[0]}:{where[1]}"
 
     def fileno(self) -> int:
@@ -90,23 +91,23 @@ class _Udp:
 
     def read(self) -> list[bytes]:
         found: list[bytes] = []
-        while True:
+        while len(found) < _MOST_DATAGRAMS:
             try:
-                data, peer = self._socket.recvfrom(65536)
+                data, self._peer = self._socket.recvfrom(65536)
             except ConnectionError:
-                continue  # nobody listens yet
+                continue  # nobody listens there yet
             except OSError:
-                return found
-            if not self._keeps:
-                self._peer = peer
+                break
             found.append(data)
+        return found
 
     def write(self, packets: list[bytes]) -> None:
-        if self._peer is None:
-            return
         for packet in packets:
             with suppress(OSError):
-                self._socket.sendto(packet, self._peer)
+                if not self._waits:
+                    self._socket.send(packet)
+                elif self._peer is not None:
+                    self._socket.sendto(packet, self._peer)
 
     def close(self) -> None:
         self._socket.close()

@@ -10,9 +10,10 @@ import numpy as np
 
 from alula.stages.flight.autopilot.airframe import TICK_S, Motion
 from alula.stages.flight.autopilot.parameters import Parameters
-from alula.stages.flight.autopilot.quaternions import Quat, Vector, added, from_euler, from_vector, multiply, to_euler
+from alula.stages.flight.autopilot.quaternions import (
     Quat,
     Vector,
+    added,
     from_euler,
     from_vector,
     multiply,
