@@ -18,7 +18,7 @@ from alula.stages.flight.autopilot.quaternions import (
     unit,
 )
 
-_RATE_INPUT_S = 0.017  # of a rate command; with the loop behind it 63 % of a step are there after 40 ms
+_RATE_INPUT_S = 0.0185  # of a rate command; with the loop behind it 63 % of a step are there after 40 ms
 _THROTTLE_S = 0.04  # of the observed rotors: -5.5 m/s, 0.6 s after the throttle went to its minimum
 _MAX_ERROR_RAD = 0.7  # of the attitude that is corrected at once
 

@@ -10,7 +10,16 @@ from alula.stages.flight.autopilot.attitude import AttitudeControl
 from alula.stages.flight.autopilot.packets import Message, mavlink
 from alula.stages.flight.autopilot.parameters import Parameters
 from alula.stages.flight.autopilot.position import PositionControl
-from alula.stages.flight.autopilot.quaternions import Quat, Vector, from_euler, rotate, to_euler, unit
+from alula.stages.flight.autopilot.quaternions import (
+    Quat,
+    Vector,
+    added,
+    from_euler,
+    rotate,
+    scaled,
+    to_euler,
+    unit,
+)
 
 THRUST_AS_THRUST = 8  # of GUID_OPTIONS
 _RATE_BITS, _THRUST_BIT, _ATTITUDE_BIT = 0b111, 64, 128
