@@ -8,9 +8,9 @@ from alula.stages.flight.autopilot.estimator import EstimatorOptions
 from alula.stages.flight.autopilot.packets import mavlink
 from alula.stages.flight.autopilot.simulator import SimulatedVehicle
 
-QUICK = EstimatorOptions(boot_time_s=2.0)
+QUICK = EstimatorOptions(boot_time_s=0.5)
 EXACT = EstimatorOptions(
-    boot_time_s=2.0,
+    boot_time_s=0.5,
     position_noise_m=0.0,
     velocity_noise_m_s=0.0,
     attitude_noise_rad=0.0,
@@ -72,12 +72,22 @@ class Client:
 
     def fly(self, height=5.0):
         """In the air, hovering in GUIDED."""
-        self.wait(2.5)
+        self.wait(0.6)
         assert self.mode(GUIDED) == 0
         assert self.arm() == 0
+        self.wait(3.0)
+        fast = {"WPNAV_SPEED_UP": 1000.0, "WPNAV_ACCEL_Z": 600.0, "TKOFF_SLEW_TIME": 0.25}
+        normal = {name: self.copter.parameters[name] for name in fast}
+        for name, value in fast.items():
+            self.copter.parameters.set(name, value)
         assert self.command(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height) == 0
-        self.wait(6 + height)
-        assert abs(self.height - height) < 0.2
+        begin = self.vehicle.time_s
+        while abs(self.height - height) > 0.1 or abs(self.climb) > 0.1:
+            assert self.vehicle.time_s < begin + 20
+            self.wait(0.25)
+        for name, value in normal.items():
+            self.copter.parameters.set(name, value)
+        self.wait(1.0)
         return self
 
     def rates(self, omega=(0.0, 0.0, 0.0), thrust=0.5, mask=RATES, q=(1.0, 0.0, 0.0, 0.0)):

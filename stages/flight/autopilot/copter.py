@@ -99,6 +99,11 @@ class Copter:
         """STATUSTEXT."""
         self.texts.append((severity, text))
 
+    @property
+    def _is_spooling(self) -> bool:
+        """Armed too short a time ago: the rotors stand, come to idle, and come to obey."""
+        return self.time_s - self._armed_s < _ARMING_DELAY_S + 2 * self.parameters["MOT_SPOOL_TIME"]
+
     def tick(self) -> None:
         """Live for `TICK_S`."""
         self._ticks += 1
@@ -114,7 +119,7 @@ class Copter:
         if not self.is_armed:
             self.flying.rest(motion)
             self.attitude.throttle = 0.0
-        elif self.time_s - self._armed_s < _ARMING_DELAY_S + self.parameters["MOT_SPOOL_TIME"] or (
+        elif self._is_spooling or (
             self.is_landed and not self.flying.wants_to_climb(self.mode, self.time_s)
         ):
             self.flying.rest(motion)

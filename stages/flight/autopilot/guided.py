@@ -172,13 +172,12 @@ class Guided:
             position = rotate(turn, position)
             if offset:
                 position = added(position, motion.position)
-        self._set_yaw(message, mask, motion, body)
         if position is not None and velocity is None:
-            return self.go_to(motion, position)
+            self.go_to(motion, position)
+            return self._set_yaw(message, mask, motion, body)
         if self.sub is not Sub.VELOCITY:
-            yaw, rate = self._position.yaw, self._position.yaw_rate
             self._position.reset(motion)
-            self._position.yaw, self._position.yaw_rate = yaw, rate
+        self._set_yaw(message, mask, motion, body)
         zero = (0.0, 0.0, 0.0)
         if velocity is None and not self._is_streamed:
             self._velocity = motion.velocity
@@ -201,11 +200,13 @@ class Guided:
                 assert self._point is not None
                 most = self.speed_m_s or self._parameters["WPNAV_SPEED"] / 100
                 self._position.point(motion, self._point[:2], most)
-                self._position.height(motion, self._point[2])
-                if self.sub is Sub.TAKE_OFF:
-                    self._climbing_s += TICK_S
-                    most = self._climbing_s / max(self._parameters["TKOFF_SLEW_TIME"], 0.25)
-                    self._attitude.wanted_throttle = min(self._attitude.wanted_throttle, most)
+                self._climbing_s += TICK_S
+                throttle = self._climbing_s / max(self._parameters["TKOFF_SLEW_TIME"], 0.25)
+                if self.sub is Sub.TAKE_OFF and throttle < self._parameters["MOT_THST_HOVER"]:
+                    self._position.reset_vertical(motion)
+                    self._attitude.set_throttle(throttle)
+                else:
+                    self._position.height(motion, self._point[2])
 
     def _run_angle(self, motion: Motion, silent: bool) -> None:
         if silent:
