@@ -224,9 +224,9 @@ def test_an_estimator_that_gives_up_lands_it_where_it_needs_a_position():
 def test_the_pilot_takes_over_by_the_switch_and_by_an_override():
     client = Client().fly(3)
     client.copter.pilot.move(5, 1000)
-    client.wait(0.1)
+    client.wait(0.2)
     client.copter.pilot.move(5, 1700)  # the fifth place: LOITER
-    client.wait(0.1)
+    client.wait(0.2)
     assert client.copter.mode is Mode.LOITER
     client.wait(2)
     assert client.height == pytest.approx(3, abs=0.3)
@@ -234,11 +234,11 @@ def test_the_pilot_takes_over_by_the_switch_and_by_an_override():
     channels = [65535] * 8 + [0] * 10
     channels[4] = 1300  # the second place: LAND
     client.send(mavlink.MAVLink_rc_channels_override_message(1, 1, *channels))
-    client.wait(0.1)
+    client.wait(0.2)
     assert client.copter.mode is Mode.LAND
     other = Client(system=9).fly(2)
     other.send(mavlink.MAVLink_rc_channels_override_message(1, 1, *channels))
-    other.wait(0.1)
+    other.wait(0.2)
     assert other.copter.mode is Mode.GUIDED  # only the ground station may
 
 

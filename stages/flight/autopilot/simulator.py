@@ -102,6 +102,8 @@ class SimulatedVehicle:
 
     def _fail(self) -> None:
         """Faults of the vehicle itself, of which each is drawn once, when its time comes."""
+        if not self._schedule:
+            return
         estimator, copter = self.copter.estimator, self.copter
         acting: dict[str, Fault] = {}
         for fault in self._schedule.acting(self.time_s):
