@@ -119,9 +119,7 @@ class Copter:
         if not self.is_armed:
             self.flying.rest(motion)
             self.attitude.throttle = 0.0
-        elif self._is_spooling or (
-            self.is_landed and not self.flying.wants_to_climb(self.mode, self.time_s)
-        ):
+        elif self._is_spooling or (self.is_landed and not self.flying.wants_to_climb(self.mode, self.time_s)):
             self.flying.rest(motion)
         else:
             self.flying.run(self.mode, motion, self.time_s)
