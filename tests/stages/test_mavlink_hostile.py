@@ -8,6 +8,7 @@ import os
 import pty
 import socket
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from mavlink_peer import Peer, Time, m
 from test_mavlink_link import vehicle
 
 from alula.schemas.errors import InputError, LinkError
+from alula.stages.flight.frames import LocalFrame
+from alula.stages.flight.links.mavlink_estimate import Estimate
 from alula.stages.flight.links.mavlink_signing import Signer, read_key
 from alula.stages.flight.links.mavlink_wire import Wire
 from alula.stages.flight.links.open_link import open_link
@@ -61,6 +64,42 @@ def test_random_bytes_raise_nothing_and_change_nothing():
         before = said(link)
         link.poll(time())
         assert said(link) != before  # and it still listens
+
+
+def test_of_a_real_log_all_that_pymavlink_reads_is_read_and_the_restart_in_it_is_found():
+    folder = os.environ.get("ALULA_DATA")
+    if folder is None:
+        pytest.skip("ALULA_DATA is not set")
+    data = (Path(folder) / "flight-logs" / "dronekit-flight.tlog").read_bytes()
+    at, frames = 0, []
+    while at < len(data):  # a time stamp, then a frame of MAVLink 1
+        length = 8 + data[at + 9]
+        frames.append((int.from_bytes(data[at : at + 8], "big") * 1e-6, data[at + 8 : at + 8 + length]))
+        at += 8 + length
+    wire, reference = Wire(255, 191, m.mavlink_map), m.MAVLink(None)
+    estimate = Estimate(LocalFrame())
+    read, states, refused = 0, 0, set()
+    last = None
+    for now, frame in frames:
+        packets = [p for p in wire.take(frame, is_datagram=True) if p.message is not None]
+        try:
+            expected = reference.decode(bytearray(frame))
+        except m.MAVError:
+            refused.add(frame[5])
+            assert packets == []
+            continue
+        (packet,) = packets
+        assert packet.message.get_type() == expected.get_type()
+        assert bytes(packet.message.get_msgbuf()) == frame
+        read += 1
+        if packet.system == 1:
+            estimate.take(packet.message, now)
+            states += estimate.state is not last
+            last = estimate.state
+    assert (read, refused) == (75477, {0, 142})  # one heartbeat is damaged; 142 has changed since
+    assert estimate.jumps == 1
+    assert estimate.dropped == 0
+    assert states > 400
 
 
 def test_every_damaged_byte_is_noticed():
@@ -410,6 +449,11 @@ def test_a_key_has_32_bytes_and_needs_a_file_for_its_stamps(tmp_path):
     path = tmp_path / "key"
     path.write_bytes(KEY)
     assert read_key(path) == KEY
+    path.write_text(KEY.hex() + "\n")
+    assert read_key(path) == KEY
+    path.write_text("g" * 64)
+    with pytest.raises(InputError, match="hexadecimal"):
+        read_key(path)
     path.write_bytes(KEY[:-1])
     with pytest.raises(InputError, match="32 bytes"):
         read_key(path)

@@ -185,7 +185,7 @@ class Session:
             return
         if is_stranger or self._peer is None:
             self._wire.forget()
-        for packet in self._wire.take(data):
+        for packet in self._wire.take(data, is_datagram=self._transport.is_datagram):
             if not self._is_of_vehicle(packet):
                 continue
             if peer is not None and peer != self._peer:

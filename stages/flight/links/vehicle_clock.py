@@ -4,7 +4,8 @@ from __future__ import annotations
 
 _DRIFT = 2e-4  # that two clocks may have against each other
 _EARLY_S = 0.05  # no packet is this much faster than the fastest before, unless a clock was set
-_JUMP_S = 0.5
+_BACK_S = 0.5  # further back than packets overtake each other
+_AHEAD_S = 5.0  # a queue on the way that empties looks like a clock set ahead, but by less
 _WITNESSES = 3  # packets in a row that must agree that a clock was set
 
 
@@ -12,7 +13,7 @@ class VehicleClock:
     """Finds the least (arrival - time stamp), the way of the fastest packet, and lets it drift.
 
     Attributes:
-        jumps: how often the vehicle's clock was set by more than half a second: it started anew.
+        jumps: how often the vehicle's clock was set back, or far ahead: it started anew.
     """
 
     def __init__(self) -> None:
@@ -27,10 +28,10 @@ class VehicleClock:
         offset = now_s - stamp_s
         if self._offset is None:
             self._offset = offset
-        elif offset < self._offset - _EARLY_S or stamp_s < self._last_stamp - _JUMP_S:
+        elif offset < self._offset - _EARLY_S or stamp_s < self._last_stamp - _BACK_S:
             if not self._is_confirmed(stamp_s, offset):
                 return None
-            if abs(offset - self._offset) > _JUMP_S:
+            if not -_AHEAD_S < offset - self._offset < _BACK_S:
                 self.jumps += 1
             self._offset = offset
             self._last_stamp = stamp_s
@@ -46,7 +47,7 @@ class VehicleClock:
         """Whether several in a row, none older than the one before, tell of the same new time."""
         if self._witnesses:
             before_s, before_offset = self._witnesses[-1]
-            if stamp_s < before_s or abs(offset - before_offset) > _JUMP_S / 2:
+            if stamp_s < before_s or abs(offset - before_offset) > _BACK_S / 2:
                 self._witnesses.clear()
         self._witnesses.append((stamp_s, offset))
         return len(self._witnesses) >= _WITNESSES and stamp_s > self._witnesses[0][0]
