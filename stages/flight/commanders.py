@@ -22,6 +22,8 @@ from alula.stages.flight.links.protocol import (
 
 FloatArray = NDArray[np.float64]
 
+_TURN_RAD_S = 0.7  # from the heading that it has to the plan's
+
 
 @dataclass(slots=True)
 class Decision:
@@ -137,6 +139,8 @@ class SplatCommander:
         delay_s: how old a state is when it arrives.
         dt_s: of a tick.
         max_rate_rad_s: of a rate command.
+        rate_lag_s: time constant of the loop that follows it. A torque that is asked for as the rate that it
+            would lead to after this time is what a first-order loop with this lag makes of it now.
         setpoint: what to send: `RatesSetpoint` or `AccelerationSetpoint`.
     """
 
@@ -147,6 +151,7 @@ class SplatCommander:
     delay_s: float
     dt_s: float
     max_rate_rad_s: tuple[float, float, float]
+    rate_lag_s: float
     setpoint: type[Setpoint] = RatesSetpoint
     _predictor: _core.StatePredictor = field(init=False)
     _thrust: float = field(init=False)
@@ -252,7 +257,9 @@ class SplatCommander:
             u = _core.realise(self.body, self.gains, x, target, np.ascontiguousarray(u[None]))[0]
         flown = self.body.limited(u[None])
         led = self._predictor.lead(flown[0])
-        rates = _core.body_rates(self.body, x, flown, dt_s=self.dt_s, max_rate_rad_s=self.max_rate_rad_s)[0]
+        rates = _core.body_rates(
+            self.body, x, flown, dt_s=self.rate_lag_s, max_rate_rad_s=self.max_rate_rad_s
+        )[0]
         before, self._torque = self._thrust, led[1:]
         self._thrust_rate = (
             (float(flown[0, 0]) - before) / self.dt_s if math.isnan(thrust_rate) else thrust_rate
@@ -265,6 +272,12 @@ class SplatCommander:
         axis = _core.rotation_of(seen.x[None, 3:6])[0].T @ np.array([0.0, 0.0, 1.0])
         made: FloatArray = thrust / self.body.mass * axis - np.array([0.0, 0.0, self.body.gravity])
         return made
+
+
+def heading_of(quat_wxyz: FloatArray) -> float:
+    """The direction of body x seen from above [rad]."""
+    w, x, y, z = quat_wxyz.tolist()
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def _mrp(quat_wxyz: FloatArray) -> FloatArray:
@@ -286,7 +299,7 @@ class PlanClock:
     ) -> None:
         self.curve = curve
         self.near_m, self.far_m, self.slew_per_s = near_m, far_m, slew_per_s
-        self.time_s, self.rate = 0.0, 0.0
+        self.time_s, self.rate, self._turn = 0.0, 0.0, 0.0
         self._query = np.zeros(1)
 
     @property
@@ -294,9 +307,12 @@ class PlanClock:
         """Whether the end of the plan is reached."""
         return self.time_s >= self.curve.duration_s
 
-    def pause(self) -> None:
-        """It stands still: the flight holds, and begins anew from here."""
+    def pause(self, heading_rad: float) -> None:
+        """It stands still: the flight begins anew from here, with this heading at first, then the plan's."""
         self.rate = 0.0
+        self._query[0] = self.time_s
+        turn = heading_rad - float(self.curve.at(self._query)[0, 15])
+        self._turn = (turn + math.pi) % (2 * math.pi) - math.pi
 
     def advance(self, dt_s: float, error_m: float) -> None:
         """Let `dt_s` of the clock pass."""
@@ -304,6 +320,7 @@ class PlanClock:
         most = self.slew_per_s * dt_s
         self.rate += min(most, max(-most, wanted - self.rate))
         self.time_s = min(self.time_s + self.rate * dt_s, self.curve.duration_s)
+        self._turn -= min(_TURN_RAD_S * dt_s, max(-_TURN_RAD_S * dt_s, self._turn))
 
     def target(self) -> FloatArray:
         """The reference now, a row of `ReferenceCurve.at`, shape (1, 18)."""
@@ -312,7 +329,8 @@ class PlanClock:
         s = self.rate
         for begin, factor in ((3, s), (6, s * s), (9, s**3), (12, s**4)):
             row[0, begin : begin + 3] *= factor
-        row[0, 16] *= s
+        row[0, 15] += self._turn
+        row[0, 16] = s * row[0, 16] - (math.copysign(_TURN_RAD_S, self._turn) if self._turn else 0.0)
         row[0, 17] *= s * s
         result: FloatArray = row
         return result

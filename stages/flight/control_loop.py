@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from alula.schemas.errors import LinkError
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.commanders import Commander, PlanClock
+from alula.stages.flight.commanders import Commander, PlanClock, heading_of
 from alula.stages.flight.fence_guard import FenceGuard, Guarded
 from alula.stages.flight.flight_checks import FlightChecks
 from alula.stages.flight.flight_samples import ERROR, INFO, WARNING, FilterSample, Recorder
@@ -285,7 +285,8 @@ class ControlLoop:
         elif action is Action.ENGAGE:
             self.commander.reset()
             self.guard.reset()
-            self.plan.pause()
+            if state is not None:
+                self.plan.pause(heading_of(state.attitude_wxyz))
             self._filter, self._fallback_s, self._overruns = FilterHealth.GOOD, 0.0, 0
             self._order(Order.TAKE_CONTROL, now_s)
         elif action is Action.HOLD:

@@ -277,6 +277,7 @@ def make_commander(
         delay_s=delay,
         dt_s=1 / config.rate_hz,
         max_rate_rad_s=vehicle.rates.max_rad_s,
+        rate_lag_s=max(vehicle.rates.time_constant_s, 1 / config.rate_hz),
         setpoint=kind,
     )
 
