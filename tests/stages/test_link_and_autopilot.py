@@ -159,6 +159,17 @@ def test_rates_and_thrust_mean_what_they_say():
         assert served.copter.flying.guided.rejected == 0
 
 
+def test_a_wrong_throttle_at_hover_is_found_in_flight():
+    right = Copter(FASTBRIDGE).hover_throttle
+    served = Served(parameters={"MOT_THST_HOVER": 1.25 * right})
+    with flight(served=served, learns_hover=True) as (served, time, link):
+        assert link.hover.value == pytest.approx(1.25 * right)
+        take_off(time, link)
+        stream(time, link, 12.0, lambda s: RatesSetpoint(G - 4.0 * s.velocity[2], np.zeros(3)))
+        assert link.hover.value < 1.12 * right
+        assert abs(served.true_state()[1][2]) < 0.35
+
+
 def test_without_set_points_it_stops_by_itself():
     with flight() as (served, time, link):
         take_off(time, link)

@@ -20,10 +20,12 @@ from test_mavlink_link import vehicle
 from alula.schemas.errors import InputError, LinkError
 from alula.stages.flight.frames import LocalFrame
 from alula.stages.flight.links.mavlink_estimate import Estimate
+from alula.stages.flight.links.mavlink_session import WANTED
 from alula.stages.flight.links.mavlink_signing import Signer, read_key
 from alula.stages.flight.links.mavlink_wire import Wire
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
+from alula.stages.flight.links.protocol import Order
 from alula.stages.flight.links.vehicle_clock import VehicleClock
 
 KEY = bytes(range(32))
@@ -100,6 +102,45 @@ def test_of_a_real_log_all_that_pymavlink_reads_is_read_and_the_restart_in_it_is
     assert estimate.jumps == 1
     assert estimate.dropped == 0
     assert states > 400
+
+
+def framed(peer, number, payload):
+    """A frame with a right checksum, whatever it carries."""
+    kind = m.mavlink_map[number]
+    head = bytes([len(payload), 0, 0, peer.mav.seq, 1, 1]) + number.to_bytes(3, "little")
+    crc = m.x25crc(head + payload + bytes([kind.crc_extra])).crc
+    peer.mav.seq = (peer.mav.seq + 1) % 256
+    return b"\xfd" + head + payload + crc.to_bytes(2, "little")
+
+
+@pytest.mark.parametrize("autopilot", [m.MAV_AUTOPILOT_ARDUPILOTMEGA, m.MAV_AUTOPILOT_PX4])
+def test_whatever_the_vehicle_itself_says_raises_nothing_and_states_stay_finite(autopilot):
+    numbers = sorted({getattr(m, f"MAVLINK_MSG_ID_{name}") for name in WANTED.split()})
+    message = st.tuples(st.sampled_from(numbers), st.binary(min_size=1, max_size=255))
+
+    @settings(deadline=None, max_examples=300)
+    @given(st.lists(message, min_size=1, max_size=6))
+    def check(messages):
+        time.now_s += 0.01
+        for number, payload in messages:
+            peer.send_bytes(framed(peer, number, payload))
+        link.poll(time())
+        if link.state is not None:
+            for each in dataclasses.fields(link.state):
+                assert np.isfinite(getattr(link.state, each.name)).all()
+            assert np.linalg.norm(link.state.attitude_wxyz) == pytest.approx(1.0)
+        assert all(text.isprintable() for text in link.status.texts)
+        assert len(link.status.texts) <= 100
+        share = link.status.battery_share
+        assert share is None or 0 <= share <= 1
+
+    with vehicle(peer=Peer(autopilot=autopilot)) as (peer, time, link):
+        link.order(Order.ARM, time())
+        check()
+        before = link.status.bad_packets
+        peer.send_bytes(framed(peer, 0, bytes(9)))
+        link.poll(time())
+        assert link.status.bad_packets == before  # such frames are right
 
 
 def test_every_damaged_byte_is_noticed():

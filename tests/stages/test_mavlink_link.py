@@ -312,7 +312,7 @@ def test_px4_has_its_own_parameters_bit_by_bit_and_its_own_modes():
             "COM_RC_OVERRIDE": 3,
             "MPC_THR_HOVER": 0.5,
         }
-        link.order(Order.TAKE_CONTROL, time())
+        link.order(Order.TAKE_CONTROL, time())  # at once: it must wait until enough has been streamed
         time.run(link, 1.05)
         assert not peer.commands(m.MAV_CMD_DO_SET_MODE)
         stream = peer.of("SET_POSITION_TARGET_LOCAL_NED")
@@ -337,6 +337,16 @@ def test_px4_has_its_own_parameters_bit_by_bit_and_its_own_modes():
         assert link.status.mode == "AUTO.LAND"
         assert not link.status.obeys
     assert peer.parameters == PX4
+
+
+def test_px4_that_has_heard_set_points_for_long_enough_is_asked_at_once():
+    with vehicle(peer=Peer(autopilot=m.MAV_AUTOPILOT_PX4)) as (peer, time, link):
+        time.run(link, 2.0)
+        assert len(peer.of("SET_POSITION_TARGET_LOCAL_NED")) > 30
+        link.order(Order.ARM, time())
+        time.run(link, 0.1)
+        assert link.status.obeys
+        assert link.status.armed
 
 
 def test_arming_takes_control_first_and_orders_end_when_done():

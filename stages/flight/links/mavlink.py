@@ -34,6 +34,7 @@ _ANSWER_S = 2.0
 _RESTORE_S = 4.0
 _OTHERS_S = 1.2  # more than a heartbeat: long enough to hear whether there is a second vehicle
 _STREAM_S = 0.05
+_STREAM_FIRST_S = 1.1  # of set-points, before PX4 is asked to follow them
 _STATE_S = 1.0  # without state, intervals are asked for again: it may have started anew
 _ASK_AGAIN_S = 2.0
 _ORIGIN_S = 1.0
@@ -72,6 +73,7 @@ class MavlinkLink:
         self._encoder: SetpointEncoder | None = None
         self._hover: HoverThrottle | None = None
         self._stream: Callable[[int], Any] | None = None  # what goes out while nobody sends
+        self._stream_since_s = math.inf  # without a break
         self._state: VehicleState | None = None
 
     @property
@@ -154,6 +156,7 @@ class MavlinkLink:
         self._orders.poll(now_s)
         if self._stream is not None and now_s - self._streamed_s >= _STREAM_S:
             self._streamed_s = now_s
+            self._stream_since_s = min(self._stream_since_s, now_s)
             self._session.send(self._stream(self._session.time_ms(now_s)))
         if self._hover is not None and self._state is not None and self._state is not before:
             self._learn(self._hover, self._state)
@@ -169,6 +172,7 @@ class MavlinkLink:
             raise LinkError("a set-point before the vehicle was prepared")
         message = self._encoder.encode(setpoint, now_s, self._session.time_ms(now_s))
         self._stream = None
+        self._stream_since_s = math.inf
         self._session.send(message)
 
     def order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:
@@ -191,8 +195,12 @@ class MavlinkLink:
         if is_climb or order is Order.HOLD:
             self._orders.drop()
         else:
-            self._orders.start(order, now_s, height_m)
+            streamed_s = max(now_s - self._stream_since_s, 0.0)
+            wait_s = max(_STREAM_FIRST_S - streamed_s, 0.0) if is_followed else 0.0
+            self._orders.start(order, now_s, height_m, wait_s)
         self._stream = stream if is_climb or is_followed or order is Order.HOLD else None
+        if self._stream is None:
+            self._stream_since_s = math.inf
         self._streamed_s = -math.inf
         self.poll(now_s)
 
@@ -263,6 +271,8 @@ class MavlinkLink:
         target, limits = self._session.target, self._options.all_limits()
         self._encoder = SetpointEncoder(target, self._options.frame, limits, self._hover)
         self._orders = Orders(self._session, self._autopilot, self._telemetry)
+        if self._autopilot.streams_first:  # so that it follows at once when it is asked to
+            self._stream = self._encoder.stop
         return lines
 
     def _take(self, message: Any, now_s: float) -> None:

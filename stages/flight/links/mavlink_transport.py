@@ -11,7 +11,7 @@ from alula.schemas.errors import LinkError
 from alula.stages.flight.links.addresses import Address
 
 _DATAGRAM = 2048
-_MOST_WAITING = 4096  # bytes that a stream has not taken yet; more are dropped, the oldest kept whole
+_MOST_WAITING = 1024  # bytes that a stream has not taken yet; beyond, frames are dropped whole
 _BUFFER = 1 << 18
 
 
