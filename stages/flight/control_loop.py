@@ -174,7 +174,7 @@ class ControlLoop:
             self._overruns = self._overruns + 1 if has_overrun else 0
             deadline += period
             if (behind := self._clock() - deadline) >= period:
-                missed = int(behind / period) + 1
+                missed = int(behind / period + 0.1) + 1  # the next one is not at once
                 counters.skipped += missed
                 deadline += missed * period
 
@@ -233,7 +233,7 @@ class ControlLoop:
             restarted=self._jumps is not None and status.clock_jumps > self._jumps,
             estimator_ready=status.is_estimator_ready,
             battery_share=status.battery_share,
-            is_ours=self._modes.is_ours(status, now_s),
+            is_ours=self._modes.is_ours(status),
             order_refused=now_s - self._refused_s > 1.0,
             checks=self.checks.result,
             dry_run=self.options.dry_run,
@@ -299,7 +299,7 @@ class ControlLoop:
             self.link.order(Order.NOTHING, now_s)
 
     def _order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:
-        self._modes.ordered(order, self.link.status, now_s)
+        self._modes.ordered(order, self.link.status)
         self.link.order(order, now_s, height_m)
 
     def _fly(self, state: VehicleState, now_s: float) -> FilterSample | None:

@@ -1,41 +1,40 @@
-"""Whose the vehicle's mode is: changes that follow an order of ours are its effect, all others are not."""
+"""Whose the vehicle's mode is: ours as long as it follows us, or lands because we said so."""
 
 from __future__ import annotations
 
 from alula.stages.flight.links.protocol import Order, VehicleStatus
 
-_SETTLE_S = 1.0
-_FOLLOWING = (Order.ARM, Order.TAKE_OFF, Order.TAKE_CONTROL)  # change no mode that follows us already
-
 
 class ModeWatch:
-    """Keeps the mode that the last order led to.
+    """Tells a pilot's change of the mode from the effect of an order.
 
-    After an order the first change is taken for its effect, for at most a second; a vehicle that follows
-    set-points already changes no mode to arm, to take off or to be taken control of. A pilot who changes the
-    mode in the very moment between an order and its effect is seen when the effect, too late, takes it back.
+    All orders but LAND are carried out in a mode that follows set-points, and that of landing has "land" in
+    its name (`Order`). So after the first order the mode may only stay as it was until the vehicle follows;
+    follow; and, once landing was ordered, land. Every other change is somebody else's, and stays so.
     """
 
     def __init__(self) -> None:
-        self._kept: str | None = None
-        self._before = ""
-        self._until_s = -1.0
-        self._lost = False
+        self._before: str | None = None
+        self._follows = self._may_land = self._lands = self._lost = False
 
-    def ordered(self, order: Order, status: VehicleStatus, now_s: float) -> None:
+    def ordered(self, order: Order, status: VehicleStatus) -> None:
         """An order is on its way."""
-        if order in _FOLLOWING and status.obeys:
-            self._kept = status.mode
-            return
-        self._kept, self._before, self._until_s = None, status.mode, now_s + _SETTLE_S
+        if self._before is None:
+            self._before = status.mode
+        self._may_land = self._may_land or order is Order.LAND
 
-    def is_ours(self, status: VehicleStatus, now_s: float) -> bool:
-        """Whether nobody else has changed the mode; once somebody has, it stays so."""
-        if self._until_s < 0 and self._kept is None:
-            return True  # nothing was ordered yet
-        if self._kept is None:
-            if status.mode != self._before or now_s > self._until_s:
-                self._kept = status.mode
+    def is_ours(self, status: VehicleStatus) -> bool:
+        """Whether nobody else has changed the mode; a mode that is not told, "", is no change."""
+        if self._before is None or self._lost or not status.mode:
             return not self._lost
-        self._lost = self._lost or status.mode != self._kept
+        if self._may_land and "land" in status.mode.lower():
+            self._lands = True
+        elif self._may_land and status.armed is False:
+            pass  # nobody flies it any more
+        elif self._lands:
+            self._lost = True
+        elif status.obeys:
+            self._follows = True
+        elif self._follows or status.mode != self._before:
+            self._lost = True
         return not self._lost

@@ -1,7 +1,7 @@
 """Who flies: the states of a flight and what leads from one to the next, as a table.
 
-The vehicle is sent set-points in `State.FLY` alone. Holding, taking off and landing are done by the vehicle's
-own modes, which need neither our state nor our filter. Nothing leads from `State.HAND_OVER` back.
+The vehicle is sent set-points in `State.FLY` alone. Taking off, holding and landing are done by the vehicle
+itself, and need neither our state nor our filter. Nothing leads from `State.HAND_OVER` back.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
     second = facts.interrupts >= 2
     for event, is_so in (
         # Whoever took the vehicle has it, before anything else.
-        (Event.MODE_CHANGED, not facts.is_ours or (state is State.FLY and engaged and not facts.obeys)),
+        (Event.MODE_CHANGED, not facts.is_ours),
         (Event.FAILSAFE, facts.is_failsafe),
         (Event.DISARMED, facts.armed is False),
         (Event.LINK_LOST, not facts.silence_s <= limits.silence_s),

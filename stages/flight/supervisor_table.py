@@ -65,8 +65,8 @@ class Action(Enum):
     ARM = "arm"
     TAKE_OFF = "take off"
     ENGAGE = "take control and send set-points"
-    HOLD = "hold, by the vehicle's own mode"
-    LAND = "land, by the vehicle's own mode"
+    HOLD = "hold in place, by the vehicle itself"
+    LAND = "land, by the vehicle itself"
     DISARM = "disarm"
     LET_GO = "send nothing any more"
 
@@ -200,3 +200,16 @@ IGNORED: Mapping[State, frozenset[Event]] = {
     ),
     _S.DONE: frozenset(Event),
 }
+
+
+def described() -> str:
+    """The table in Markdown: per state, what leads where and what is done."""
+    lines = ["| in | when | then | and |", "| --- | --- | --- | --- |"]
+    for state, row in TABLE.items():
+        together: dict[tuple[State, Action], list[str]] = {}
+        for event, step in row.items():
+            together.setdefault((step.state, step.action), []).append(event.value)
+        for (following, action), events in together.items():
+            then = "stay" if following is state else following.value
+            lines.append(f"| {state.value} | {'; '.join(events)} | {then} | {action.value} |")
+    return "\n".join(lines) + "\n"

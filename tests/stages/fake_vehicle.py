@@ -35,7 +35,7 @@ class FakeClock:
 
 
 class FakeVehicle:
-    """A link and its vehicle: the body of FastBridge with a rate loop, and modes MANUAL, GUIDED, HOLD, LAND.
+    """A link and its vehicle: the body of FastBridge with a rate loop, and modes MANUAL, GUIDED, LAND.
 
     Faults are fields that tests set while it flies, or functions of the vehicle called at each poll.
     """
@@ -98,7 +98,7 @@ class FakeVehicle:
         elif order is Order.TAKE_CONTROL:
             self.status.mode = "GUIDED"
         elif order is Order.HOLD:
-            self.status.mode, self.hold_at, self.setpoint = "HOLD", self.x[:3].copy(), None
+            self.hold_at, self.setpoint = self.x[:3].copy(), None
         elif order is Order.LAND:
             self.status.mode, self.setpoint = "LAND", None
             self.hold_at = np.array([*self.x[:2], self.ground_m - 1.0])

@@ -259,7 +259,7 @@ def test_a_late_loop_is_held_counted_and_not_made_up_for():
     loop.run()
     assert Event.LOOP_LATE in causes(loop)
     assert loop.supervision.cause is Event.PLAN_FINISHED
-    assert loop.counters.skipped in (28, 29, 30)
+    assert loop.counters.skipped == 30
     assert loop.counters.overruns >= 1
     assert max(loop.counters.late_s) == pytest.approx(0.3, abs=1e-6)
     times = [s.time_s for s in loop.recorder.samples]

@@ -3,11 +3,14 @@
 import dataclasses
 import itertools
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from alula.stages.flight.links.protocol import Order, VehicleStatus
+from alula.stages.flight.mode_watch import ModeWatch
 from alula.stages.flight.supervisor import (
     Action,
     Event,
@@ -21,7 +24,7 @@ from alula.stages.flight.supervisor import (
     observe,
     sends_setpoints,
 )
-from alula.stages.flight.supervisor_table import IGNORED, TABLE
+from alula.stages.flight.supervisor_table import IGNORED, TABLE, described
 
 LIMITS = SupervisorLimits(flight_s=100.0)
 NOW = 1000.0
@@ -150,6 +153,11 @@ def test_no_way_leads_from_hand_over_to_set_points_or_orders():
         assert step.action is Action.LET_GO
 
 
+def test_the_documentation_has_the_table():
+    text = (Path(__file__).parents[2] / "docs" / "fly.md").read_text()
+    assert described() in text
+
+
 def test_landing_is_never_taken_back():
     assert not reachable(State.LAND) & {State.FLY, State.HOLD, State.TAKE_OFF, State.ARMING}
 
@@ -188,13 +196,43 @@ def test_the_pilot_comes_before_everything_else():
         )
 
 
-def test_a_vehicle_that_no_longer_follows_is_the_pilots():
+def test_a_vehicle_has_a_while_to_follow():
     facts = dataclasses.replace(WELL, obeys=False)
-    after, _ = advance(standing(State.FLY), facts, LIMITS)
-    assert after.state is State.HAND_OVER
-    fresh = Supervision(State.FLY, NOW - 0.5)  # it has not followed yet
-    assert advance(fresh, facts, LIMITS)[0].state is State.FLY
-    assert advance(fresh, WELL, LIMITS)[0].engaged
+    for seconds, expected in ((0.5, State.FLY), (2.5, State.LAND)):
+        fresh = Supervision(State.FLY, NOW - seconds)
+        assert advance(fresh, facts, LIMITS)[0].state is expected
+        assert advance(fresh, WELL, LIMITS)[0].engaged
+
+
+STATUS = {"GUIDED": True, "LAND": False, "LOITER": False, "STANDBY": False, "": False}
+
+
+@pytest.mark.parametrize(
+    ("story", "lost_at"),
+    [  # orders and the modes that are seen after them
+        (
+            ["STANDBY", Order.ARM, "STANDBY", "GUIDED", Order.HOLD, "GUIDED", Order.LAND, "GUIDED", "LAND"],
+            None,
+        ),
+        (["LOITER"], None),  # nothing was ordered yet
+        ([Order.ARM, "STANDBY", "LOITER"], 2),
+        ([Order.ARM, "GUIDED", "LOITER", "GUIDED"], 2),  # and it stays so
+        ([Order.ARM, "GUIDED", "", "GUIDED"], None),
+        ([Order.ARM, "GUIDED", Order.HOLD, "LOITER"], 3),
+        ([Order.ARM, "GUIDED", "LAND"], 2),  # the pilot lands it
+        ([Order.ARM, "GUIDED", Order.LAND, "LOITER"], 3),
+        ([Order.ARM, "GUIDED", Order.LAND, "LAND", "GUIDED"], 4),
+        ([Order.ARM, "GUIDED", Order.LAND, "LAND", "LOITER"], 4),
+    ],
+)
+def test_whose_the_mode_is(story, lost_at):
+    watch, status = ModeWatch(), VehicleStatus(armed=True, mode="STANDBY")
+    for i, each in enumerate(story):
+        if isinstance(each, Order):
+            watch.ordered(each, status)
+        else:
+            status.mode, status.obeys = each, STATUS[each]
+        assert watch.is_ours(status) == (lost_at is None or i < lost_at), i
 
 
 def test_a_hold_ends_when_all_was_well_for_a_while_and_not_too_often():

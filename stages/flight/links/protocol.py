@@ -61,7 +61,10 @@ Setpoint = RatesSetpoint | AccelerationSetpoint | VelocitySetpoint
 
 
 class Order(Enum):
-    """What a vehicle can be told beside set-points; the answer is seen in `VehicleStatus`."""
+    """What a vehicle can be told beside set-points; the answer is seen in `VehicleStatus`.
+
+    All but LAND are carried out in a mode that follows set-points; that of landing has "land" in its name.
+    """
 
     TAKE_CONTROL = "take control"
     ARM = "arm"
