@@ -215,6 +215,18 @@ def test_state_ages_under_faults_of_the_line():
         assert link.status.bad_packets > 50
 
 
+def test_a_simulation_that_lost_time_is_not_stale_for_ever_but_one_behind_a_long_line_is():
+    with flight() as (served, time, link):
+        time.run(link, 1.0)
+        served.begin += 0.4  # its machine was busy
+        time.run(link, 0.41)
+        time.run(link, 1.0)
+        assert time() - link.state.received_s < 0.05
+        served.vehicle.inject(Fault(kind="delay", duration=10.0, amount=0.3))
+        time.run(link, 5.0)
+        assert time() - link.state.received_s > 0.2
+
+
 def test_flights_survive_other_faults_of_the_line():
     with flight() as (served, time, link):
         take_off(time, link)

@@ -25,6 +25,7 @@ from alula.stages.flight.links.mavlink_estimate import euler_from_quat
 from alula.stages.flight.links.vehicle_clock import VehicleClock
 
 STALE_S = 0.15
+_PATIENCE_S = 2.0  # with a camera whose clock was set back a little
 _PERIOD_S = 0.02
 _MOST_BYTES = 1024
 _MOST_READS = 64
@@ -65,7 +66,7 @@ class Mocap:
         self._frame = frame
         self._socket: socket.socket | None = None
         self._decoder = msgspec.json.Decoder(MocapSample)
-        self._clock = VehicleClock()
+        self._clock = VehicleClock(_PATIENCE_S)
         self._recent: deque[tuple[float, MocapSample]] = deque(maxlen=256)
         self._arrival_s = -math.inf
         self._next_s = -math.inf
