@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import struct
 from typing import Any
 
-os.environ["MAVLINK20"] = "1"
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 ARDUPILOT = {
