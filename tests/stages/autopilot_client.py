@@ -57,7 +57,7 @@ class Client:
         self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *values))
         acks = [m for m in self.wait(0.01) if m.get_type() == "COMMAND_ACK" and m.command == number]
         assert len(acks) == 1
-        assert (acks[0].target_system, acks[0].target_component) == (255, 190)
+        assert (acks[0].target_system, acks[0].target_component) == (self.mav.srcSystem, 190)
         return acks[0].result
 
     def mode(self, number):

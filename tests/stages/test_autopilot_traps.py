@@ -22,7 +22,7 @@ def test_take_off_to_ten_metres_takes_about_nine_seconds():
     assert client.command(22, 0, 0, 0, 0, 0, 0, 10.0) == 0
     while client.height < 9.5 and client.vehicle.time_s < begin + 20:
         client.wait(0.05)
-    assert client.vehicle.time_s - begin == pytest.approx(9.4, abs=1.2)
+    assert client.vehicle.time_s - begin == pytest.approx(9.4, abs=0.4)
 
 
 def test_thrust_is_a_climb_rate_unless_the_option_is_set():

@@ -109,12 +109,9 @@ class Copter:
         self._ticks += 1
         self.estimator.update(self.airframe.sensed, is_still=self.airframe.on_ground)
         motion = self.estimator.motion
-        self._announce()
         if self.time_s - self._checked_s >= _CHECK_S - 1e-9:
             self._check(self.time_s - self._checked_s)
             self._checked_s = self.time_s
-        if (switched := self.pilot.moved_switch(self.time_s)) is not None:
-            self.set_mode(switched)
         self.flying.has_position = self.estimator.has_position
         if not self.is_armed:
             self.flying.rest(motion)
@@ -193,7 +190,10 @@ class Copter:
             self._gcs_s = self.time_s
 
     def _check(self, passed_s: float) -> None:
-        """Failsafes, each by the table of its actions."""
+        """What is looked at less often: the switch, failsafes by the tables of their actions, texts."""
+        self._announce()
+        if (switched := self.pilot.moved_switch(self.time_s)) is not None:
+            self.set_mode(switched)
         charge = self.battery.use(passed_s, self.attitude.throttle / self.hover_throttle)
         for level, name in ((Charge.LOW, "LOW"), (Charge.CRITICAL, "CRT")):
             if charge >= level and f"battery {level}" not in self._active:

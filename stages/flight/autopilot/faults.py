@@ -109,6 +109,9 @@ class Schedule:
         self._faults = list(faults)
         self._began = {"boot": 0.0}
 
+    def __bool__(self) -> bool:
+        return bool(self._faults)
+
     def add(self, fault: Fault) -> None:
         """One more."""
         self._faults.append(fault)

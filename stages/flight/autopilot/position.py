@@ -12,7 +12,7 @@ from alula.stages.flight.autopilot.quaternions import Vector, from_euler, to_eul
 _SPEED_GAIN = 2.5  # of velocity errors [1/s]
 _SPEED_INTEGRAL = 0.6  # [1/s^2]
 _MOST_INTEGRAL = 3.0  # [m/s^2]
-_JERK = 5.0  # of shaped vertical speeds [m/s^3]
+_JERK_PER_S = 5.0  # of shaped vertical speeds, over their largest acceleration
 
 
 class PositionControl:
@@ -53,7 +53,8 @@ class PositionControl:
         """Throttle for a climb rate, reached with WPNAV_ACCEL_Z."""
         most = max(self._parameters["WPNAV_ACCEL_Z"], 1.0) / 100
         wanted = max(-most, min(most, (climb_m_s - self._climb_m_s) / 0.3))
-        change = max(-_JERK * TICK_S, min(_JERK * TICK_S, wanted - self._climb_m_s2))
+        jerk = _JERK_PER_S * most * TICK_S
+        change = max(-jerk, min(jerk, wanted - self._climb_m_s2))
         self._climb_m_s2 += change
         self._climb_m_s += self._climb_m_s2 * TICK_S
         self._throttle(motion, self._climb_m_s, self._climb_m_s2)
@@ -67,7 +68,7 @@ class PositionControl:
         """Throttle for a height, given as the NED coordinate."""
         error = motion.position[2] - down_m
         up, down = (self._parameters[f"WPNAV_SPEED_{way}"] / 100 for way in ("UP", "DN"))
-        acceleration = max(self._parameters["WPNAV_ACCEL_Z"], 1.0) / 100
+        acceleration = max(self._parameters["WPNAV_ACCEL_Z"], 1.0) / 100 * 0.7
         self.climb(motion, self.speed_to(error, up if error > 0 else down, acceleration))
 
     def velocity(

@@ -42,8 +42,9 @@ def conjugate(q: Quat) -> Quat:
 
 def unit(q: Quat) -> Quat:
     """Of length 1, with w >= 0."""
-    scale = math.copysign(1 / math.sqrt(sum(c * c for c in q)), q[0])
-    return q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale
+    w, x, y, z = q
+    scale = math.copysign(1 / math.sqrt(w * w + x * x + y * y + z * z), w)
+    return w * scale, x * scale, y * scale, z * scale
 
 
 def rotate(q: Quat, v: Vector) -> Vector:

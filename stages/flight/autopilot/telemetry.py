@@ -111,7 +111,7 @@ class Telemetry:
 
     @property
     def _now_ms(self) -> int:
-        return int(self._copter.time_s * 1000)
+        return round(self._copter.time_s * 1000)
 
     @property
     def _motion(self) -> Motion:
@@ -292,6 +292,7 @@ class Telemetry:
             *truth.omega,
             *(lat, lon, alt, 0.0, 0.0),
             *truth.velocity,
+            *_degrees(lat, lon),
         )
 
     def _mission_current(self) -> Message:
