@@ -650,6 +650,8 @@ def test_tcp_carries_the_same_and_its_end_is_one_line():
     ("address", "words"),
     [
         ("tcp:127.0.0.1:1", "refused"),
+        ("udpin:no.such.host.invalid:14550", "udpin:no.such.host.invalid:14550: "),
+        ("udpin:203.0.113.7:14550", "[Cc]annot assign"),
         ("serial:/dev/does-not-exist:921600", "No such file"),
         ("serial:/dev/null:921600", "serial line"),
         ("serial:/dev/null:12345", "no rate"),
@@ -657,5 +659,5 @@ def test_tcp_carries_the_same_and_its_end_is_one_line():
 )
 def test_a_line_that_cannot_be_opened_is_one_line(address, words):
     with pytest.raises(LinkError, match=words) as caught:
-        open_link(address).open(0.2)
+        open_link(address, LinkOptions(allow_remote=True)).open(0.2)
     assert "\n" not in str(caught.value)

@@ -22,6 +22,7 @@ from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.frames import LocalFrame
 from alula.stages.flight.links.addresses import parse_address
 from alula.stages.flight.links.mavlink_estimate import euler_from_quat
+from alula.stages.flight.links.mavlink_transport import find_udp
 from alula.stages.flight.links.vehicle_clock import VehicleClock
 
 STALE_S = 0.15
@@ -80,11 +81,11 @@ class Mocap:
         Raises:
             LinkError: the address is taken or not ours.
         """
-        found = socket.getaddrinfo(*self._place, type=socket.SOCK_DGRAM)[0]
-        self._socket = socket.socket(found[0], socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
         try:
-            self._socket.bind(found[4])
+            family, place = find_udp(*self._place)
+            self._socket = socket.socket(family, socket.SOCK_DGRAM)
+            self._socket.setblocking(False)
+            self._socket.bind(place)
         except OSError as error:
             self.close()
             raise LinkError(f"udp:{self._place[0]}:{self._place[1]}: {error.strerror or error}") from error
