@@ -221,7 +221,8 @@ class MavlinkLink:
             if self._parameters is not None:
                 self._telemetry.say(*self._parameters.restore(_RESTORE_S))
                 for number in self._autopilot.intervals(1.0):
-                    self._session.send(self._interval(number, 0.0))
+                    is_heartbeat = number == dialect.MAVLINK_MSG_ID_HEARTBEAT  # always once a second
+                    self._session.send(self._interval(number, 1.0 if is_heartbeat else 0.0))
         except LinkError as error:
             self._telemetry.say(f"parameters could not be put back: {error}")
         finally:
