@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import struct
 from typing import Any
 
-os.environ["MAVLINK20"] = "1"
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 ARDUPILOT = {
@@ -123,6 +121,8 @@ class Peer:
             self.say_parameter(name)
         elif kind == "COMMAND_LONG":
             self.command(message)
+        elif kind == "TIMESYNC" and message.tc1 == 0:
+            self.send(m.MAVLink_timesync_message(round((self.now_s + self.boot_s) * 1e9), message.ts1))
 
     def say_parameter(self, name: str) -> None:
         if name not in self.parameters:

@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -64,7 +64,7 @@ def hop(client):
 
     assert client.wait_heartbeat(timeout=10) is not None
     until(lambda: ordered(176, 1, GUIDED))
-    assert ordered(511, 32, 20000)  # LOCAL_POSITION_NED
+    assert ordered(511, 32, 100000)  # LOCAL_POSITION_NED
     assert ordered(400, 1)
     assert ordered(22, 0, 0, 0, 0, 0, 0, 1.5)
 
@@ -203,6 +203,8 @@ def test_mavproxy_arms_takes_off_and_lands_it(tmp_path):
         (["--link", "udpin:127.0.0.1:0", "--boot-time", "0"], 2, "--boot-time"),
         (["--link", "udpin:127.0.0.1:0", "--param", "NOPE=1"], 2, "no parameter is called 'NOPE'"),
         (["--link", "udpin:127.0.0.1:0", "--param", "GUID_OPTIONS"], 2, "NAME=VALUE"),
+        (["--link", "udpin:127.0.0.1:0", "--mocap", "tcp:127.0.0.1:9"], 2, "not udp:HOST:PORT"),
+        (["--link", "udpin:127.0.0.1:0", "--mocap", "udp:192.0.2.1:9"], 2, "--allow-remote"),
         (["--link", "udpin:127.0.0.1:0", "--fault", "flood"], 2, "fault 'flood'"),
         (["--link", "udpin:127.0.0.1:0", "--vehicle", "none.toml"], 3, "none.toml"),
         (["--link", "udpin:127.0.0.1:0", "--signing-key", "none.key"], 3, "none.key"),
@@ -227,7 +229,7 @@ def test_a_point_is_no_vehicle_and_a_key_is_64_digits(tmp_path, capsys):
     point = Path(__file__).parents[2] / "examples/vehicles/double-integrator.toml"
     assert run(["sim-vehicle", "--link", "udpin:127.0.0.1:0", "--vehicle", str(point)]) == 2
     assert "a quadrotor is needed" in capsys.readouterr().err
-    for text in ("xyz", "00" * 32, "ab" * 31):
+    for text in ("xyz", "ab" * 31):
         (tmp_path / "key").write_text(text)
         options = ["--link", "udpin:127.0.0.1:0", "--signing-key", str(tmp_path / "key")]
         assert run(["sim-vehicle", *options]) == 3
@@ -248,3 +250,32 @@ def test_a_vehicle_with_a_key_answers_who_signs(tmp_path):
         client.setup_signing(key, sign_outgoing=True)
         assert until(answers, 10).get_signed()
         client.close()
+
+
+def test_motion_capture_sees_it_until_a_fault():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as camera:
+        camera.bind(("127.0.0.1", 0))
+        camera.settimeout(3)
+        address = f"udp:127.0.0.1:{camera.getsockname()[1]}"
+        options = (
+            "--mocap",
+            address,
+            "--heading",
+            "90",
+            "--fault",
+            "mocap-loss:start=0.5",
+            "--duration",
+            "1",
+        )
+        with vehicle("udpin:127.0.0.1:0", *options) as (process, _):
+            seen = json.loads(camera.recv(1024))
+            assert seen["position_m"] == pytest.approx([0, 0, 0], abs=0.01)
+            assert seen["attitude_wxyz"] == pytest.approx([1, 0, 0, 0], abs=1e-6)  # east is x
+            assert process.wait(10) == 0
+        camera.setblocking(False)
+        times = [seen["time_s"]]
+        with suppress(BlockingIOError):
+            while True:
+                times.append(json.loads(camera.recv(1024))["time_s"])
+    assert 0.3 < max(times) < 0.51
+    assert len(times) > 20

@@ -383,6 +383,49 @@ def test_a_clock_drifts_but_does_not_jump():
     assert clock.jumps == 0
 
 
+def test_a_clock_that_stood_still_is_told_from_packets_that_are_late():
+    with vehicle() as (peer, time, link):
+
+        def state():
+            peer.send_state((1, 2, 3))
+
+        def age():
+            return time() - link.state.received_s
+
+        time.run(link, 1.0, each=state)
+        assert age() < 0.012
+        assert link.round_trip_s == pytest.approx(0.01, abs=0.011)
+        peer.boot_s -= 0.3  # it stood still
+        time.run(link, 0.1, each=state)
+        assert age() > 0.0
+        time.run(link, 1.0, each=state)
+        assert age() < 0.03
+        waiting = []
+
+        def late():  # packets of both ways wait for 0.3 s
+            waiting.append(peer.boot_ms())
+            if len(waiting) > 30:
+                stamp = waiting[-31]
+                peer.send(m.MAVLink_local_position_ned_message(stamp, 1, 2, 3, 0, 0, 0))
+                peer.send(m.MAVLink_attitude_quaternion_message(stamp, 1, 0, 0, 0, 0, 0, 0))
+
+        time.run(link, 5.0, each=late)
+        assert age() > 0.27
+        assert link.status.clock_jumps == 0
+
+
+def test_patience_ends_where_nobody_can_be_asked():
+    clock = VehicleClock(patience_s=2.0)
+    for k in range(1000):
+        now = 10 + k * 0.01
+        stamp = k * 0.01 - (0.2 if k > 200 else 0.0)
+        arrival = clock.arrival(stamp, now)
+        if k > 402:
+            assert now - arrival < 0.01
+        elif 221 < k < 400:
+            assert now - arrival == pytest.approx(0.2, abs=0.01)
+
+
 def test_silence_is_seen_and_what_was_said_long_ago_is_unknown():
     with vehicle() as (peer, time, link):
         peer.send(m.MAVLink_sys_status_message(0, 0, 0, 0, 15200, 0, 80, 0, 0, 0, 0, 0, 0))
@@ -607,6 +650,8 @@ def test_tcp_carries_the_same_and_its_end_is_one_line():
     ("address", "words"),
     [
         ("tcp:127.0.0.1:1", "refused"),
+        ("udpin:no.such.host.invalid:14550", "udpin:no.such.host.invalid:14550: "),
+        ("udpin:203.0.113.7:14550", "[Cc]annot assign"),
         ("serial:/dev/does-not-exist:921600", "No such file"),
         ("serial:/dev/null:921600", "serial line"),
         ("serial:/dev/null:12345", "no rate"),
@@ -614,5 +659,5 @@ def test_tcp_carries_the_same_and_its_end_is_one_line():
 )
 def test_a_line_that_cannot_be_opened_is_one_line(address, words):
     with pytest.raises(LinkError, match=words) as caught:
-        open_link(address).open(0.2)
+        open_link(address, LinkOptions(allow_remote=True)).open(0.2)
     assert "\n" not in str(caught.value)

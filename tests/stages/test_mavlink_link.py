@@ -58,6 +58,12 @@ def test_a_vehicle_is_found_and_named_and_asked_for_its_state():
         before = len(peer.of("HEARTBEAT"))
         time.run(link, 5.0)
         assert len(peer.of("HEARTBEAT")) - before == 5
+        peer.heard.clear()
+        link.close()
+        peer.tick(time())
+        seen = {int(e.param1): e.param2 for e in peer.commands(m.MAV_CMD_SET_MESSAGE_INTERVAL)}
+        assert seen.pop(m.MAVLINK_MSG_ID_HEARTBEAT) == 1e6
+        assert set(seen.values()) == {0.0}
 
 
 @pytest.mark.parametrize(
@@ -232,6 +238,7 @@ def test_parameters_are_set_verified_and_put_back():
             "MOT_THST_HOVER": 0.35,
             "SYSID_MYGCS": 255,
         }
+        peer.heard.clear()
     assert peer.parameters == ARDUPILOT
     assert "ARMING_CHECK" not in {e.param_id for e in peer.of("PARAM_SET")}
 

@@ -31,6 +31,7 @@ class Dialogue:
         self._commands = Commands(copter, telemetry)
         self._listing: deque[str] = deque()
         self._text_id = 0
+        self._place_told = (copter.estimator.origin, copter.flying.home)
         self._table: dict[str, Callable[[Message], list[Message]]] = {
             "HEARTBEAT": self._heartbeat,
             "COMMAND_LONG": self._command,
@@ -71,6 +72,10 @@ class Dialogue:
     def due(self) -> list[Message]:
         """What is to be sent now without being asked."""
         found = self._telemetry.due()
+        place = (self._copter.estimator.origin, self._copter.flying.home)
+        if place != self._place_told:  # both are told by themselves whenever they change
+            self._place_told = place
+            found += self._one("GPS_GLOBAL_ORIGIN") + self._one("HOME_POSITION")
         while self._copter.texts:
             found += self._text(*self._copter.texts.popleft())
         for _ in range(min(_PARAMETERS_AT_ONCE, len(self._listing))):
@@ -153,7 +158,8 @@ class Dialogue:
 
     def _set_origin(self, message: Message) -> list[Message]:
         place = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
-        return self._one("GPS_GLOBAL_ORIGIN") if self._copter.estimator.set_origin(place) else []
+        self._copter.estimator.set_origin(place)
+        return []
 
     def _vision_position(self, message: Message) -> list[Message]:
         self._copter.estimator.vision_position((message.x, message.y, message.z), message.yaw)

@@ -292,6 +292,7 @@ class Telemetry:
             *truth.omega,
             *(lat, lon, alt, 0.0, 0.0),
             *truth.velocity,
+            *_degrees(lat, lon),
         )
 
     def _mission_current(self) -> Message:

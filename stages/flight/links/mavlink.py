@@ -38,6 +38,7 @@ _STREAM_FIRST_S = 1.1  # of set-points, before PX4 is asked to follow them
 _STATE_S = 1.0  # without state, intervals are asked for again: it may have started anew
 _ASK_AGAIN_S = 2.0
 _ORIGIN_S = 1.0
+_SYNC_S = 0.5
 _GUIDED_NOGPS = (20, 0)
 
 
@@ -67,7 +68,8 @@ class MavlinkLink:
         self._autopilot: Autopilot = ARDUPILOT
         self._version: Any = None
         self._origin: Any = None
-        self._origin_s = self._asked_s = self._streamed_s = -math.inf
+        self._origin_s = self._asked_s = self._streamed_s = self._sync_s = -math.inf
+        self._round_trip_s: float | None = None
         self._parameters: Parameters | None = None
         self._orders: Orders | None = None
         self._encoder: SetpointEncoder | None = None
@@ -105,6 +107,11 @@ class MavlinkLink:
     def unsent(self) -> int:
         """Packets that the line had no room for."""
         return self._session.unsent
+
+    @property
+    def round_trip_s(self) -> float | None:
+        """How long an answer of the vehicle took; a state is older than it says by at most that."""
+        return self._round_trip_s
 
     def open(self, timeout_s: float) -> str:
         """Find the vehicle; returns what it is, in words.
@@ -154,6 +161,9 @@ class MavlinkLink:
         if self._orders is None:
             return
         self._orders.poll(now_s)
+        if now_s - self._sync_s >= _SYNC_S:
+            self._sync_s = now_s
+            self._session.send(dialect.MAVLink_timesync_message(0, round(now_s * 1e9)))
         if self._stream is not None and now_s - self._streamed_s >= _STREAM_S:
             self._streamed_s = now_s
             self._stream_since_s = min(self._stream_since_s, now_s)
@@ -211,7 +221,8 @@ class MavlinkLink:
             if self._parameters is not None:
                 self._telemetry.say(*self._parameters.restore(_RESTORE_S))
                 for number in self._autopilot.intervals(1.0):
-                    self._session.send(self._interval(number, 0.0))
+                    is_heartbeat = number == dialect.MAVLINK_MSG_ID_HEARTBEAT  # always once a second
+                    self._session.send(self._interval(number, 1.0 if is_heartbeat else 0.0))
         except LinkError as error:
             self._telemetry.say(f"parameters could not be put back: {error}")
         finally:
@@ -286,6 +297,8 @@ class MavlinkLink:
                 self._orders.take_answer(message, now_s)
         elif kind == "AUTOPILOT_VERSION":
             self._version = message
+        elif kind == "TIMESYNC":
+            self._take_time(message, now_s)
         elif kind == "GPS_GLOBAL_ORIGIN":
             self._origin = message
         else:
@@ -293,6 +306,12 @@ class MavlinkLink:
             for text in self._telemetry.take(message, now_s):
                 if self._orders is not None:
                     self._orders.take_text(text, now_s)
+
+    def _take_time(self, message: Any, now_s: float) -> None:
+        """An answer to the newest question; the vehicle's own is left unanswered: it keeps its time."""
+        if message.tc1 > 0 and message.ts1 == round(self._sync_s * 1e9):
+            self._round_trip_s = now_s - self._sync_s
+            self._estimate.synchronise(message.tc1 * 1e-9, self._sync_s)
 
     def _forward_mocap(self, now_s: float) -> None:
         if self._mocap is None:
