@@ -5,7 +5,7 @@ import math
 
 import pytest
 from autopilot_client import EXACT, GUIDED, Client
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula.schemas.errors import UsageError
@@ -82,6 +82,7 @@ def test_a_parameter_that_is_set_answers_with_what_now_holds():
     assert of("HEARTBEAT", client.wait(1.1))[0].get_srcSystem() == 7
 
 
+@settings(deadline=None)
 @given(st.sampled_from(sorted(TABLE)), st.floats(allow_nan=False, allow_infinity=False, width=32))
 def test_integer_parameters_stay_within_their_type(name, value):
     parameters = Parameters()
@@ -221,6 +222,7 @@ def test_messages_for_others_and_unknown_commands_are_left_alone():
     assert client.command(31000) == mavlink.MAV_RESULT_UNSUPPORTED
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=300))
 def test_noise_on_the_line_harms_nothing(noise):
     client = Client()
@@ -228,6 +230,58 @@ def test_noise_on_the_line_harms_nothing(noise):
     client.vehicle.receive(bytes(300))  # whatever length was announced is over
     client.wait(0.1)
     assert client.command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_ATTITUDE) == 0
+
+
+def extremes(kind):
+    """Messages of a kind with fields over the whole of their types."""
+    fields = []
+    for name, length in zip(kind.ordered_fieldnames, kind.array_lengths, strict=True):
+        sort = kind.fieldtypes[kind.fieldnames.index(name)]
+        if sort == "char":
+            one = st.sampled_from([name.encode() for name in sorted(TABLE)])
+        elif sort in ("float", "double"):
+            one = st.one_of(st.floats(width=32), st.floats(-3, 3, width=32))
+        elif name == "target_system" or name == "target_component":
+            one = st.just(1)
+        elif name == "command":
+            one = st.sampled_from(COMMANDS)
+        else:
+            bits, low = int(sort.strip("uint_")), 0 if sort[0] == "u" else 1
+            one = st.integers(-low * 2 ** (bits - 1), 2 ** (bits - low) - 1)
+        fields.append(
+            one if length < 2 or sort == "char" else st.lists(one, min_size=length, max_size=length)
+        )
+    order = [kind.ordered_fieldnames.index(name) for name in kind.fieldnames]
+    return st.tuples(*[fields[i] for i in order]).map(lambda values: kind(*values))
+
+
+COMMANDS = (16, 20, 21, 22, 115, 176, 178, 179, 185, 192, 400, 401, 410, 510, 511, 512, 520)
+ASKED = (
+    *("command_long", "command_int", "set_attitude_target", "set_position_target_local_ned", "param_set"),
+    *("set_mode", "param_request_read", "request_data_stream", "set_gps_global_origin", "ping"),
+    *("vision_position_estimate", "vision_speed_estimate", "rc_channels_override", "timesync"),
+    *("mission_request_list", "file_transfer_protocol", "heartbeat"),
+)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(st.one_of([extremes(getattr(mavlink, f"MAVLink_{n}_message")) for n in ASKED]), max_size=40))
+def test_no_message_whatever_it_holds_stops_the_vehicle(messages):
+    client = Client(parameters={"VISO_TYPE": 1})
+    client.wait(0.6)
+    client.mode(GUIDED)
+    client.arm()
+    client.wait(3.1)
+    client.command(22, 0, 0, 0, 0, 0, 0, 2.0)
+    client.wait(0.5)
+    client.send(mavlink.MAVLink_request_data_stream_message(1, 1, 0, 20, 1))
+    for message in messages:
+        client.send(message)
+        client.wait(0.02)
+    client.wait(0.3)
+    motion = client.copter.airframe.truth
+    values = (*motion.position, *motion.velocity, *motion.attitude, *motion.omega)
+    assert all(map(math.isfinite, values))
 
 
 def signed(client, key=KEY, since=1):
@@ -378,11 +432,14 @@ def test_mocap_is_lost_by_a_fault_and_faults_can_be_injected():
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_every_fault_is_parsed(kind):
-    fault = parse_fault(f"{kind}:start=1,duration=2,probability=0.5,amount=3,since=arm")
+    default, _, most = KINDS[kind]
+    fault = parse_fault(f"{kind}:start=1,duration=2,probability=0.5,amount={most},since=arm")
     assert fault == Fault(
-        kind=kind, start=1.0, duration=2.0, probability=0.5, amount=3.0, way="out", since="arm"
+        kind=kind, start=1.0, duration=2.0, probability=0.5, amount=most, way="out", since="arm"
     )
-    assert parse_fault(kind).size == KINDS[kind][1]
+    assert parse_fault(kind).size == default
+    with pytest.raises(UsageError, match="amount"):
+        parse_fault(f"{kind}:amount={most + 1}")
 
 
 @pytest.mark.parametrize(

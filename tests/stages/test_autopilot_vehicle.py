@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from autopilot_client import GUIDED, LAND, LOITER, NOGPS, QUICK, Client
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula.schemas.errors import UsageError
@@ -24,6 +24,7 @@ numbers = st.floats(-3, 3)
 units = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: sum(c * c for c in q) > 0.01)
 
 
+@settings(deadline=None)
 @given(units, units, st.tuples(numbers, numbers, numbers))
 def test_plain_rotations_equal_those_of_arrays(a, b, v):
     p, q = quaternions.unit(a), quaternions.unit(b)
@@ -34,6 +35,7 @@ def test_plain_rotations_equal_those_of_arrays(a, b, v):
     assert quaternions.cos_tilt(p) == pytest.approx(matrix_from_quat_wxyz(np.array(p))[2, 2], abs=1e-12)
 
 
+@settings(deadline=None)
 @given(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1))
 def test_angles_survive_a_quaternion(roll, pitch, yaw):
     q = quaternions.from_euler(roll, pitch, yaw)

@@ -10,7 +10,7 @@ from alula.stages.flight.autopilot.copter import INFO, WARNING, Copter
 from alula.stages.flight.autopilot.modes import MODES
 from alula.stages.flight.autopilot.packets import COMPONENT, Codec, Message, mavlink
 from alula.stages.flight.autopilot.parameters import TABLE
-from alula.stages.flight.autopilot.telemetry import Telemetry
+from alula.stages.flight.autopilot.telemetry import STREAMS, Telemetry
 
 _CHUNK = 50  # characters of a STATUSTEXT
 _PARAMETERS_AT_ONCE = 4  # a tick
@@ -149,6 +149,9 @@ class Dialogue:
         self._copter.parameters.set(name, message.param_value)
         if name == "SYSID_THISMAV":
             self._codec.system = max(1, min(255, self._copter.parameters.whole(name)))
+        for group, (rate, _) in STREAMS.items():
+            if name == rate:
+                self._telemetry.set_stream(group, self._copter.parameters[name])
         return [self._parameter(name)]
 
     def _stream(self, message: Message) -> list[Message]:
