@@ -54,6 +54,7 @@ class LoopOptions:
         dry_run: only the checks.
         watch_frame: compare motion and frame from take-off on.
         stop_m, stop_speed_m_s: at the end of the plan this near and this slow is there.
+        margin_m: how much farther a filter may keep it from there; so near is there after `rest_s` of rest.
     """
 
     rate_hz: float = 100.0
@@ -62,6 +63,8 @@ class LoopOptions:
     watch_frame: bool = True
     stop_m: float = 0.2
     stop_speed_m_s: float = 0.3
+    margin_m: float = 0.0
+    rest_s: float = 1.5
 
 
 @dataclass(slots=True)
@@ -129,6 +132,7 @@ class ControlLoop:
         self._jumps: int | None = None
         self._deaf = False
         self._was_there = False
+        self._rested_s = 0.0
 
     @property
     def state(self) -> State:
@@ -327,14 +331,16 @@ class ControlLoop:
         is_fallback = decision.status in _FALLBACKS or guarded.takes_over
         self._fallback_s = self._fallback_s + period if is_fallback else 0.0
         self.plan.advance(period, decision.error_m)
-        speed = math.sqrt(float(state.velocity @ state.velocity))
-        if (
-            self.plan.is_over
-            and decision.error_m < self.options.stop_m
-            and speed < self.options.stop_speed_m_s
-        ):
-            self._was_there = True
+        self._arrive(math.sqrt(float(state.velocity @ state.velocity)), decision.error_m, period)
         return filter_sample(decision, guarded, self.plan, filter_s)
+
+    def _arrive(self, speed_m_s: float, error_m: float, period_s: float) -> None:
+        """Whether it is at the end of the plan, or as near as its filter lets it."""
+        options = self.options
+        is_slow = self.plan.is_over and speed_m_s < options.stop_speed_m_s
+        self._rested_s = self._rested_s + period_s if is_slow else 0.0
+        near = options.stop_m + (options.margin_m if self._rested_s > options.rest_s else 0.0)
+        self._was_there = self._was_there or (is_slow and error_m < near)
 
     def _record(
         self,

@@ -324,7 +324,11 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
         checks_s=_CARRYING_S if config.frame_check == "hand" else SupervisorLimits.checks_s,
     )
     return LoopOptions(
-        rate_hz=config.rate_hz, limits=limits, dry_run=dry_run, watch_frame=config.frame_check != "none"
+        rate_hz=config.rate_hz,
+        limits=limits,
+        dry_run=dry_run,
+        watch_frame=config.frame_check != "none",
+        margin_m=config.margin_m,
     )
 
 

@@ -315,3 +315,12 @@ def test_the_plan_waits_for_a_vehicle_that_was_moved_off():
     steps = np.diff([f.plan_s for f in flown])
     assert steps.min() >= 0
     assert steps.max() <= 0.01 + 1e-9
+
+
+def test_as_near_to_the_goal_as_the_filter_lets_it_is_there():
+    beside = line_plan((0.3, 2.0, 1.0), (1.55, 1.2, 1.0))  # 0.25 m from the pillar; filters keep 0.45
+    loop, _ = fly(mission(plan=beside, margin_m=0.3, near_m=1.0))
+    assert loop.supervision.cause is Event.PLAN_FINISHED
+    end = loop.recorder.positions("fly")[-1]
+    assert 0.2 < np.linalg.norm(end - (1.55, 1.2, 1.0)) < 0.5
+    assert 1.8 - end[0] > 0.4
