@@ -157,6 +157,8 @@ class SplatCommander:
     _thrust: float = field(init=False)
     _thrust_rate: float = field(init=False, default=0.0)
     _is_other: bool = field(init=False, default=False)
+    _made: RatesSetpoint | None = field(init=False, default=None)
+    _flown: float = field(init=False, default=0.0)
     _acceleration: FloatArray = field(init=False)
     _torque: FloatArray = field(init=False)
 
@@ -214,8 +216,9 @@ class SplatCommander:
     def sent(self, setpoint: Setpoint) -> None:
         """The model of the rotors follows what was sent, be it another's."""
         if isinstance(setpoint, RatesSetpoint):
-            self._thrust = setpoint.thrust_m_s2 * self.body.mass
-            self._predictor.fly(np.array([self._thrust, *self._torque]))
+            told = setpoint.thrust_m_s2 * self.body.mass
+            self._thrust = self._flown if setpoint is self._made else told
+            self._predictor.fly(np.array([told, *self._torque]))
         elif isinstance(setpoint, AccelerationSetpoint):
             self._acceleration = setpoint.acceleration
 
@@ -260,12 +263,12 @@ class SplatCommander:
         rates = _core.body_rates(
             self.body, x, flown, dt_s=self.rate_lag_s, max_rate_rad_s=self.max_rate_rad_s
         )[0]
-        before, self._torque = self._thrust, led[1:]
-        self._thrust_rate = (
-            (float(flown[0, 0]) - before) / self.dt_s if math.isnan(thrust_rate) else thrust_rate
-        )
-        self._is_other = float(flown[0, 0]) != float(seen.nominal.wrench[0])
-        return RatesSetpoint(float(led[0]) / self.body.mass, rates)
+        self._flown, self._torque = float(flown[0, 0]), led[1:]
+        change = (self._flown - self._thrust) / self.dt_s
+        self._thrust_rate = change if math.isnan(thrust_rate) else thrust_rate
+        self._is_other = self._flown != float(seen.nominal.wrench[0])
+        self._made = RatesSetpoint(float(led[0]) / self.body.mass, rates)
+        return self._made
 
     def _acceleration_of(self, seen: _Seen, thrust: float) -> FloatArray:
         """Of the translation, along the true axis."""
