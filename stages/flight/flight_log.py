@@ -100,13 +100,18 @@ class FlightRecorder:
             stdin=subprocess.PIPE,
             pass_fds=(file,),
             start_new_session=True,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
         )
         os.close(file)
         assert self._process.stdin is not None
         self._pipe = self._process.stdin.fileno()
         fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         self._encode = msgspec.msgpack.Encoder().encode
-        self._put_whole(b"h" + self._encode(head))
+        try:
+            self._put_whole(b"h" + self._encode(head))
+        except OSError as error:
+            self.finish(None)
+            raise OutputError(f"{path}: the process that writes the log does not run") from error
         os.set_blocking(self._pipe, False)
         self.dropped = 0
         self._rows = array("d")
