@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import socket
 import struct
+from contextlib import contextmanager
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as m
+
+from alula.stages.flight.frames import LocalFrame
+from alula.stages.flight.links.open_link import open_link
+from alula.stages.flight.links.options import LinkOptions
+
+FRAME = LocalFrame(yaw_rad=0.7, origin_enu_m=(1.0, -2.0, 0.5))
 
 ARDUPILOT = {
     "GUID_OPTIONS": (1.0, m.MAV_PARAM_TYPE_INT32),
@@ -173,3 +181,32 @@ class Time:
             if each is not None:
                 each()
             link.poll(self.now_s)
+
+
+@contextmanager
+def vehicle(*, ready=True, address="", peer=None, frame=FRAME, **options):
+    """A peer, its clock and an open, and if ready prepared, link."""
+    peer = peer or Peer()
+    time = Time(peer)
+    given_options = LinkOptions(frame=frame, clock=time, sleep=time.sleep, **options)
+    link = open_link(f"udpout:127.0.0.1:{peer.port}{address}", given_options)
+    try:
+        link.open(5.0)
+        if ready:
+            link.prepare()
+        yield peer, time, link
+    finally:
+        link.close()
+        peer.close()
+
+
+_COUNTED = ("bad_packets", "lost_packets")
+
+
+def said(link, *but):
+    """All that a link says of its vehicle, but for counts of packets."""
+    state = (
+        None if link.state is None else [getattr(link.state, f.name) for f in dataclasses.fields(link.state)]
+    )
+    status = {k: v for k, v in dataclasses.asdict(link.status).items() if k not in (*_COUNTED, *but)}
+    return repr(state), repr(status)

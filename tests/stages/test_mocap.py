@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mavlink_peer import Peer, m
+from mavlink_peer import FRAME, Peer, m, vehicle
 from scipy.spatial.transform import Rotation
-from test_mavlink_link import FRAME, vehicle
 
 from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.frames import LocalFrame
