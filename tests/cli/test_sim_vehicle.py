@@ -108,6 +108,7 @@ def test_it_ends_by_itself_after_its_duration():
         assert process.wait(10) == 0
 
 
+@pytest.mark.slow
 def test_mavsdk_arms_takes_off_and_lands_it():
     pytest.importorskip("mavsdk", reason="mavsdk 4 is needed: pip install --group dev")
     script = """
@@ -148,6 +149,7 @@ mavsdk.destroy()
     assert "landed" in done.stdout, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_mavproxy_arms_takes_off_and_lands_it(tmp_path):
     for needed in ("MAVProxy", "serial", "defusedxml"):
         if importlib.util.find_spec(needed) is None:

@@ -47,7 +47,7 @@ class EstimatorOptions:
         boot_time_s: from boot until position may be flown on, with satellites; others in proportion.
         position_noise_m: a first-order Gauss-Markov process.
         velocity_noise_m_s: the same.
-        noise_time_s: of both.
+        noise_time_s: of both; at least 0.05.
         attitude_noise_rad, rate_noise_rad_s: of lean angles and heading, and of rates.
         accelerometer_bias_m_s2: what makes position drift when nothing holds it.
         delay_s: of what is told to others; the vehicle's own loops do not wait for it.
@@ -276,10 +276,12 @@ class Estimator:
     def _next_noise(self) -> list[float]:
         if not self._noise:
             options, white = self._options, self._random.standard_normal((_BLOCK, 12))
-            kept = math.exp(-TICK_S / options.noise_time_s)
+            kept = math.exp(-TICK_S / max(options.noise_time_s, 0.05))
             scale = np.repeat([options.position_noise_m, options.velocity_noise_m_s], 3)
-            for row in white:
-                self._walk = kept * self._walk + math.sqrt(1 - kept**2) * scale * row[:6]
-                row[:6] = self._walk
+            # x_k = kept x_(k-1) + r_k, all at once: x_k = kept^k (x_0 + sum of kept^-j r_j).
+            powers = kept ** np.arange(1, _BLOCK + 1)[:, None]
+            steps = math.sqrt(1 - kept**2) * scale * white[:, :6]
+            white[:, :6] = powers * (self._walk + np.cumsum(steps / powers, axis=0))
+            self._walk = white[-1, :6].copy()
             self._noise = white[::-1].tolist()
         return self._noise.pop()
