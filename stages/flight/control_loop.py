@@ -15,7 +15,7 @@ from alula.stages.flight.fence_guard import FenceGuard, Guarded
 from alula.stages.flight.flight_checks import FlightChecks
 from alula.stages.flight.flight_samples import ERROR, INFO, WARNING, FilterSample, Recorder
 from alula.stages.flight.flight_sampling import filter_sample, tick_sample
-from alula.stages.flight.frame_check import MotionCheck
+from alula.stages.flight.frame_check import Jump, MotionCheck
 from alula.stages.flight.links.protocol import Link, Order, VehicleState
 from alula.stages.flight.mode_watch import ModeWatch
 from alula.stages.flight.supervisor import (
@@ -123,6 +123,7 @@ class ControlLoop:
         self._begin_s = 0.0
         self._modes = ModeWatch()
         self._motion = MotionCheck()
+        self._jump, self._jump_m = Jump(), 0.0
         self._ground_m: float | None = None
         self._filter = FilterHealth.GOOD
         self._fallback_s = 0.0
@@ -219,6 +220,7 @@ class ControlLoop:
             self.checks.look(self.link, now_s, late_s, self._words)
         elif state is not None and where in (State.FLY, State.HOLD):
             self._fence_m = self.guard.distance(state)
+        self._jump_m = 0.0 if state is None else self._jump.of(state)
         if state is not None and self.options.watch_frame and where in (State.TAKE_OFF, State.FLY):
             self._motion.update(state)
 
@@ -229,6 +231,7 @@ class ControlLoop:
         return Facts(
             now_s=now_s,
             state_age_s=math.inf if state is None else now_s - state.received_s,
+            jump_m=self._jump_m,
             silence_s=silence,
             armed=status.armed,
             landed=status.landed,

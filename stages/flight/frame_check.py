@@ -148,3 +148,22 @@ class MotionCheck:
         self._start = (state.received_s, state.position.copy(), state.velocity.copy())
         self._last_s = state.received_s
         self._travel, self._push = np.zeros(3), np.zeros(2)
+
+
+class Jump:
+    """How far positions jump: the distance from where the velocities lead from the state before.
+
+    What an acceleration of 20 m/s^2 may do between the two is taken off.
+    """
+
+    def __init__(self) -> None:
+        self._last: VehicleState | None = None
+
+    def of(self, state: VehicleState) -> float:
+        """Of a state, against the one before; 0 for the same one [m]."""
+        last, self._last = self._last, state
+        if last is None or last is state:
+            return 0.0
+        dt = max(0.0, state.received_s - last.received_s)
+        away = state.position - last.position - 0.5 * dt * (state.velocity + last.velocity)
+        return max(0.0, math.sqrt(float(away @ away)) - 10.0 * dt * dt)

@@ -30,6 +30,7 @@ class SupervisorLimits:
 
     Attributes:
         stale_s: oldest state that is flown on.
+        jump_m: of a position beyond what velocities explain.
         silence_s: without any word of the vehicle for this long the link is lost.
         late_s: a tick that begins this late is an event, as are `overruns` that overran in a row.
         fallback_s: how long a filter may fly its fallback.
@@ -42,6 +43,7 @@ class SupervisorLimits:
     """
 
     stale_s: float = 0.15
+    jump_m: float = 0.4
     silence_s: float = 1.5
     late_s: float = 0.1
     overruns: int = 20
@@ -66,7 +68,7 @@ class Facts:
 
     Attributes:
         now_s: monotonic clock.
-        state_age_s: of the newest state.
+        state_age_s: of the newest state; jump_m: how far it lies from where velocities led to.
         silence_s: since anything valid arrived.
         armed, landed, obeys, is_failsafe, estimator_ready, battery_share: as the vehicle says.
         is_ours: False once somebody else has changed the mode.
@@ -86,6 +88,7 @@ class Facts:
 
     now_s: float
     state_age_s: float = math.inf
+    jump_m: float = 0.0
     silence_s: float = math.inf
     armed: bool | None = None
     landed: bool | None = None
@@ -198,6 +201,7 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.ESTIMATOR_BAD, facts.estimator_ready is False),
         (Event.BATTERY_LOW, battery is not None and not battery >= limits.battery_share),
         (Event.STATE_STALE, not facts.state_age_s <= limits.stale_s),
+        (Event.STATE_JUMPED, not facts.jump_m <= limits.jump_m),
         (Event.LOOP_LATE, facts.late_s > limits.late_s or facts.overruns >= limits.overruns),
         (Event.FILTER_FAILED, facts.filter is FilterHealth.FAILED),
         (Event.FILTER_REFUSED, facts.filter is FilterHealth.REFUSED),

@@ -35,6 +35,7 @@ class Event(Enum):
     LANDED = "on the ground"
     FRAME_WRONG = "motion contradicts the frame"
     STATE_STALE = "state too old"
+    STATE_JUMPED = "position jumped"
     LOOP_LATE = "loop too late"
     FILTER_REFUSED = "filter knows no safe input"
     FILTER_FAILED = "filter failed"
@@ -125,23 +126,55 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.ORDER_REFUSED: Step(_S.ARMING, _A.ARM, "arming refused: asking again"),
     }
     | _hand_over(*_TAKEN)
-    | _abort(_E.STATE_STALE, _E.LINK_LOST, _E.RESTARTED, _E.ESTIMATOR_BAD, _E.BATTERY_LOW, _E.TIMED_OUT)
+    | _abort(
+        _E.STATE_STALE,
+        _E.LINK_LOST,
+        _E.RESTARTED,
+        _E.STATE_JUMPED,
+        _E.ESTIMATOR_BAD,
+        _E.BATTERY_LOW,
+        _E.TIMED_OUT,
+    )
     | _abort(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.TAKE_OFF: {_E.AIRBORNE: Step(_S.FLY, _A.ENGAGE, "take-off height reached: flying the plan")}
     | _hand_over(*_TAKEN)
     | _done(_E.DISARMED)
-    | _land(_E.FRAME_WRONG, _E.STATE_STALE, _E.LINK_LOST, _E.RESTARTED, _E.ESTIMATOR_BAD, _E.BATTERY_LOW)
+    | _land(
+        _E.FRAME_WRONG,
+        _E.STATE_STALE,
+        _E.LINK_LOST,
+        _E.RESTARTED,
+        _E.STATE_JUMPED,
+        _E.ESTIMATOR_BAD,
+        _E.BATTERY_LOW,
+    )
     | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.FLY: _hand_over(*_TAKEN)
     | _done(_E.DISARMED)
     | _hold(_E.STATE_STALE, _E.LOOP_LATE, _E.FILTER_REFUSED, _E.FILTER_FAILED, _E.FALLBACK_LONG, _E.FENCE)
-    | _land(_E.PLAN_FINISHED, _E.FRAME_WRONG, _E.LINK_LOST, _E.RESTARTED, _E.ESTIMATOR_BAD, _E.BATTERY_LOW)
+    | _land(
+        _E.PLAN_FINISHED,
+        _E.FRAME_WRONG,
+        _E.LINK_LOST,
+        _E.RESTARTED,
+        _E.STATE_JUMPED,
+        _E.ESTIMATOR_BAD,
+        _E.BATTERY_LOW,
+    )
     | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.HOLD: {_E.RECOVERED: Step(_S.FLY, _A.ENGAGE, "all is well again: flying on")}
     | _hand_over(*_TAKEN)
     | _done(_E.DISARMED)
-    | _land(_E.LINK_LOST, _E.RESTARTED, _E.ESTIMATOR_BAD, _E.BATTERY_LOW, _E.FRAME_WRONG, _E.HOLDS_USED_UP)
+    | _land(
+        _E.LINK_LOST,
+        _E.RESTARTED,
+        _E.STATE_JUMPED,
+        _E.ESTIMATOR_BAD,
+        _E.BATTERY_LOW,
+        _E.FRAME_WRONG,
+        _E.HOLDS_USED_UP,
+    )
     | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.LAND: _hand_over(*_TAKEN, _E.TIMED_OUT)
     | _done(_E.DISARMED)
@@ -160,7 +193,15 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
 _BEFORE = (_E.CHECKS_PASSED, _E.CHECKS_PASSED_DRY, _E.CHECK_FAILED)
 _OF_FLIGHT = (_E.LOOP_LATE, _E.FILTER_REFUSED, _E.FILTER_FAILED, _E.FALLBACK_LONG, _E.PLAN_FINISHED)
 _OF_HOLD = (_E.RECOVERED, _E.HOLDS_USED_UP)
-_HEALTH = (_E.FRAME_WRONG, _E.STATE_STALE, _E.RESTARTED, _E.ESTIMATOR_BAD, _E.BATTERY_LOW, _E.FENCE)
+_HEALTH = (
+    _E.FRAME_WRONG,
+    _E.STATE_STALE,
+    _E.RESTARTED,
+    _E.STATE_JUMPED,
+    _E.ESTIMATOR_BAD,
+    _E.BATTERY_LOW,
+    _E.FENCE,
+)
 _INTERRUPTS = (_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR)
 
 IGNORED: Mapping[State, frozenset[Event]] = {

@@ -304,13 +304,24 @@ def test_an_error_of_the_loop_itself_lands_first():
     assert vehicle.status.mode == "LAND"
 
 
-def test_the_plan_waits_for_a_vehicle_that_was_moved_off():
-    def push(vehicle):
-        vehicle.x[:3] += (0, 1.2, 0)
+def test_a_position_that_jumps_is_not_flown_on():
+    def jump(vehicle):
+        vehicle.x[:3] += (0, 0.6, 0)
 
-    loop, _ = fly(on_poll=after(2.0, push))
+    loop, _ = fly(on_poll=after(2.0, jump))
+    assert loop.supervision.cause is Event.STATE_JUMPED
+    assert loop.recorder.states == AS_PLANNED
+
+
+def test_the_plan_waits_for_a_vehicle_that_was_moved_off():
+    def push(vehicle, now, pushed=[]):  # noqa: B006  by 2 m/s for 0.6 s
+        if vehicle.sent and now - vehicle.sent[0][0] > 2.0 and len(pushed) < 60:
+            pushed.append(now)
+            vehicle.x[1] += 0.02
+
+    loop, _ = fly(on_poll=push)
     flown = [s.filter for s in loop.recorder.samples if s.filter]
-    assert min(f.plan_rate for f in flown[220:]) < 0.2
+    assert min(f.plan_rate for f in flown[220:]) < 0.6
     assert loop.supervision.cause is Event.PLAN_FINISHED
     steps = np.diff([f.plan_s for f in flown])
     assert steps.min() >= 0

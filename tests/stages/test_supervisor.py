@@ -50,6 +50,7 @@ SHOWN = {
     Event.LANDED: {"landed": True},
     Event.FRAME_WRONG: {"frame_wrong": True},
     Event.STATE_STALE: {"state_age_s": 0.16},
+    Event.STATE_JUMPED: {"jump_m": 0.41},
     Event.LOOP_LATE: {"late_s": 0.11},
     Event.FILTER_REFUSED: {"filter": FilterHealth.REFUSED},
     Event.FILTER_FAILED: {"filter": FilterHealth.FAILED},
