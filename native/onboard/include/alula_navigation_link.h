@@ -32,8 +32,7 @@ typedef struct {
 
 /* Zero, and nothing written, when a number is not finite or does not fit: positions of 2147 km, velocities of
  * 327.67 m/s, components of the attitude of 1, rates of 65.5 rad/s. */
-ALULA_MUST_USE int alula_navigation_encode(const alula_navigation* navigation,
-                                           uint8_t bytes[ALULA_NAVIGATION_BYTES]);
+ALULA_MUST_USE int alula_navigation_encode(const alula_navigation* navigation, uint8_t bytes[ALULA_NAVIGATION_BYTES]);
 
 /* Nonzero, and *navigation written, when these are the bytes of a packet. */
 ALULA_MUST_USE int alula_navigation_decode(const uint8_t bytes[ALULA_NAVIGATION_BYTES], alula_navigation* navigation);

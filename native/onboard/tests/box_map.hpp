@@ -1,7 +1,9 @@
-// An onboard map of boxes, for tests: no index, voxels of 0.25 m.
+// An onboard map of boxes, for tests: no index, voxels of 0.25 m. And a field of them.
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <cstring>
 #include <vector>
@@ -45,4 +47,26 @@ inline std::vector<std::uint8_t> box_map(const std::vector<LatticeBox>& boxes) {
   put(20, crc(64, bytes.size()), 4);
   put(60, crc(0, 60), 4);
   return bytes;
+}
+
+// Pillars, a wall and a table in a field of 12 m.
+inline std::vector<LatticeBox> obstacles() {
+  std::vector<LatticeBox> boxes{{24, -24, -4, 26, 24, 16}, {-2, -2, -4, 2, 2, 3}};
+  for (int i = -3; i <= 3; ++i)
+    for (int j = -3; j <= 3; ++j)
+      if ((i + j) % 2 != 0) boxes.push_back({6 * i, 6 * j, -4, 6 * i + 2, 6 * j + 1 + (i & 1), 16});
+  return boxes;
+}
+
+inline double distance(const std::array<double, 3>& p) {
+  double least = 1e9;
+  for (const LatticeBox& box : obstacles()) {
+    double square = 0;
+    for (std::size_t i = 0; i < 3; ++i) {
+      const double away = std::max({kBoxMapVoxel * box[i] - p[i], p[i] - kBoxMapVoxel * box[i + 3], 0.0});
+      square += away * away;
+    }
+    least = std::min(least, std::sqrt(square));
+  }
+  return least;
 }

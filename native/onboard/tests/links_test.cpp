@@ -63,7 +63,8 @@ void test_every_bit_of_a_channel_is_where_it_belongs() {
   Bytes bytes;
   append(bytes, beyond);
   alula_sbus_frame read{};
-  CHECK(alula_sbus_decode(bytes.data(), &read) && read.channel[3] == 2047 && read.channel[4] == 0 && read.flags == 15);
+  CHECK(alula_sbus_decode(bytes.data(), &read) && read.channel[3] == 2047 && read.channel[4] == 0 &&
+        read.flags == 15);
 }
 
 void test_bytes_that_are_no_frame_are_none() {

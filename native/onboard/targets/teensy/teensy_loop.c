@@ -8,9 +8,9 @@
 #define SPAN_US 500.0F
 #define ON 1811U
 #define BAD_FLAGS (ALULA_SBUS_LOST | ALULA_SBUS_FAILSAFE)
-#define IDLE_US 1000U        /* longer than any pause within a frame, shorter than that between two */
-#define RESTART_US 1000000U  /* without navigation, after which its sender may have begun anew */
-#define OVER_FULL 1.0001F    /* of a limit that full sticks may come to */
+#define IDLE_US 1000U       /* longer than any pause within a frame, shorter than that between two */
+#define RESTART_US 1000000U /* without navigation, after which its sender may have begun anew */
+#define OVER_FULL 1.0001F   /* of a limit that full sticks may come to */
 
 static const float SIGN[3] = {1.0F, 1.0F, -1.0F}; /* sticks to the right are right; yaw is positive to the left */
 
@@ -152,8 +152,7 @@ void alula_teensy_receive(alula_teensy_loop* loop, uint32_t now_us, const uint8_
 static int is_news(const alula_teensy_loop* loop, uint32_t now_us, const alula_navigation* packet) {
   if ((packet->flags & ALULA_NAVIGATION_VALID) == 0U) return 0;
   if (!loop->has_navigation || now_us - loop->navigation_us > RESTART_US) return 1;
-  return packet->sequence != loop->navigation.sequence &&
-         (int32_t)(packet->time_us - loop->navigation.time_us) > 0;
+  return packet->sequence != loop->navigation.sequence && (int32_t)(packet->time_us - loop->navigation.time_us) > 0;
 }
 
 void alula_teensy_navigate(alula_teensy_loop* loop, uint32_t now_us, const uint8_t* bytes, uint32_t count) {

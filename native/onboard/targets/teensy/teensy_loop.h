@@ -1,7 +1,7 @@
 /* The geofence between a receiver and a flight controller: bytes in, bytes out, without the board's headers.
  *
- * SBUS frames of the receiver and packets of navigation come in as bytes at any time; every period T a frame goes out.
- * What it carries, the first row that holds:
+ * SBUS frames of the receiver and packets of navigation come in as bytes at any time; every period T a frame goes
+ * out. What it carries, the first row that holds:
  *
  *   never a frame of the receiver           sticks centred, no throttle, failsafe flag
  *   override switch on, receiver heard      the receiver's last frame, bit by bit
@@ -18,15 +18,16 @@
  * All other channels are those of the last good frame: whoever has armed stays armed.
  *
  * The receiver is silent when no frame without the lost or failsafe flag came for radio_limit_us, and at once on the
- * failsafe flag. A frame has no checksum, so the override switch must stand the same way in SWITCH_FRAMES of them in a
- * row. Navigation is what came since the last frame out, with a good checksum, its flag `valid`, a new sequence number
- * and a later time than the last one; else the geofence has none in this period, and goes on by its model.
+ * failsafe flag. A frame has no checksum, so the override switch must stand the same way in SWITCH_FRAMES of them in
+ * a row. Navigation is what came since the last frame out, with a good checksum, its flag `valid`, a new sequence
+ * number and a later time than the last one; else the geofence has none in this period, and goes on by its model.
  *
  * Rounding. Sticks have steps of 5/8 us; no direction of them is the safe one, so what a stick was off by is added to
  * the next command: after any number of frames the sum of what was flown is within half a step of what was asked for,
- * in each stick, as long as none is at its end. At full deflection half a step is 0.03 rad/s (rates of alula_rates.h),
- * so attitudes are off by at most 0.03 T rad; with T = 5 ms and 80 m/s^2 that is 0.012 m/s^2, 2 cm in 1.7 s.
- * With what packets of navigation round, 0.05 m of `reserve_m` is enough; docs/firmware.md has what flights lost.
+ * in each stick, as long as none is at its end. At full deflection half a step is 0.03 rad/s (rates of
+ * alula_rates.h), so attitudes are off by at most 0.03 T rad; with T = 5 ms and 80 m/s^2 that is 0.012 m/s^2, 2 cm
+ * in 1.7 s. With what packets of navigation round, 0.05 m of `reserve_m` is enough; docs/firmware.md has what flights
+ * lost.
  *
  * Freestanding C99.
  */
@@ -46,8 +47,8 @@ extern "C" {
 #define ALULA_TEENSY_SWITCH_FRAMES 3U
 
 typedef struct {
-  alula_geofence_config geofence; /* tick_s is T; model.max_rate at least what full sticks ask for */
-  alula_rates rates;              /* of the flight controller */
+  alula_geofence_config geofence;     /* tick_s is T; model.max_rate at least what full sticks ask for */
+  alula_rates rates;                  /* of the flight controller */
   uint8_t roll, pitch, throttle, yaw; /* channels, from 0 */
   uint8_t override_channel;           /* of a switch that only the pilot moves */
   uint8_t level_channel;              /* that makes the flight controller level itself, or ALULA_TEENSY_NO_CHANNEL */

@@ -113,12 +113,11 @@ void controllerOutOfTree(control_t* control, const setpoint_t* setpoint, const s
       {setpoint->position.x, setpoint->position.y, setpoint->position.z},
       {setpoint->velocity.x, setpoint->velocity.y, setpoint->velocity.z},
       setpoint->thrust};
-  const alula_crazyflie_state now = {
-      {state->position.x, state->position.y, state->position.z},
-      {state->velocity.x, state->velocity.y, state->velocity.z},
-      {state->attitudeQuaternion.w, state->attitudeQuaternion.x, state->attitudeQuaternion.y,
-       state->attitudeQuaternion.z},
-      variance_now()};
+  const alula_crazyflie_state now = {{state->position.x, state->position.y, state->position.z},
+                                     {state->velocity.x, state->velocity.y, state->velocity.z},
+                                     {state->attitudeQuaternion.w, state->attitudeQuaternion.x,
+                                      state->attitudeQuaternion.y, state->attitudeQuaternion.z},
+                                     variance_now()};
   const uint32_t steps = (uint32_t)(filter.config.period_s * (float)BASE_HZ + 0.5F);
   const bool isDue = RATE_DO_EXECUTE(BASE_HZ, stabilizerStep) &&
                      stabilizerStep / (RATE_MAIN_LOOP / BASE_HZ) % (steps > 0U ? steps : 1U) == 0U;

@@ -33,8 +33,8 @@ static int config_is_good(const alula_crazyflie_config* c) {
 }
 
 int alula_crazyflie_configure(alula_crazyflie_filter* filter, const alula_crazyflie_config* config) {
-  const alula_polytope_cbf_config wanted = {config->radius_m, config->beta,  config->kappa,          config->period_s,
-                                            config->v_max,    ALULA_SMOOTHING_SOUND, 0};
+  const alula_polytope_cbf_config wanted = {
+      config->radius_m, config->beta, config->kappa, config->period_s, config->v_max, ALULA_SMOOTHING_SOUND, 0};
   if (!filter->map.data || !config_is_good(config)) return 0;
   /* refused parameters leave the filter as it was */
   if (alula_polytope_cbf_open(&filter->cbf, &filter->map, ALULA_CRAZYFLIE_EXTENT, &wanted) != ALULA_READY) return 0;
@@ -84,7 +84,8 @@ static int heading(const float q[4], float* cosine, float* sine) {
 }
 
 /* The state as it is now, or why it cannot be flown with. */
-static alula_crazyflie_status judge(alula_crazyflie_filter* filter, const alula_crazyflie_state* state, float step_s) {
+static alula_crazyflie_status judge(alula_crazyflie_filter* filter, const alula_crazyflie_state* state,
+                                    float step_s) {
   const float* u = filter->output.velocity;
   int is_same = 1;
   for (int i = 0; i < 6; ++i) {

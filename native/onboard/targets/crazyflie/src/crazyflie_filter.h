@@ -9,8 +9,8 @@
  *      flown now leads, and where the one that is worked out now begins to act.
  *
  * So every velocity is flown for exactly the T, and from the position, that polytope-cbf checked; a wish acts T to
- * 2 T after it was read. What the vehicle leaves of p + T u by not following a velocity exactly is for the radius, as is
- * the error of the estimator.
+ * 2 T after it was read. What the vehicle leaves of p + T u by not following a velocity exactly is for the radius, as
+ * is the error of the estimator.
  *
  * What is flown is always one of: the set-point itself where no thrust is asked for or the pilot turned the filter
  * off, a velocity of polytope-cbf, or zero velocity. When the work is not done in time, or the state or the wish
@@ -33,8 +33,8 @@
 extern "C" {
 #endif
 
-#define ALULA_CRAZYFLIE_EXTENT 30.0F   /* [m] farthest coordinate of a position */
-#define ALULA_CRAZYFLIE_STALE_STEPS 50 /* that a state may be the same bits while the vehicle is told to move */
+#define ALULA_CRAZYFLIE_EXTENT 30.0F    /* [m] farthest coordinate of a position */
+#define ALULA_CRAZYFLIE_STALE_STEPS 50  /* that a state may be the same bits while the vehicle is told to move */
 #define ALULA_CRAZYFLIE_STALE_WAY 0.01F /* [m] and by at least so much */
 
 typedef enum { ALULA_AXIS_OFF = 0, ALULA_AXIS_POSITION = 1, ALULA_AXIS_VELOCITY = 2 } alula_axis_mode;
@@ -86,8 +86,8 @@ typedef enum {
 
 typedef struct {
   alula_crazyflie_status status;
-  int is_off;         /* fly with all motors off */
-  int is_replaced;    /* fly `velocity`, in the world, on all three axes; else the set-point itself */
+  int is_off;      /* fly with all motors off */
+  int is_replaced; /* fly `velocity`, in the world, on all three axes; else the set-point itself */
   float velocity[3];
 } alula_crazyflie_output;
 

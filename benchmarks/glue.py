@@ -1,0 +1,196 @@
+"""The firmware glue, compiled for its boards as far as that goes without their firmware, and measured.
+
+The Crazyflie's app and the Teensy's sketch (native/onboard/targets) are compiled with the cross-compiler, all
+warnings as errors, against declarations that stand for the firmware's headers (their folders `check`). Maps
+of 150 and 1,000 hulls go in as `alula export --target crazyflie` writes them. Of the objects, flash, RAM and
+the deepest stack are held to what the Crazyflie's firmware leaves; what they need from outside must be
+functions of the firmware or of a C library; and no instruction may be a fused product and sum.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.sort(key=sys.path[-1].__eq__)  # last: newer standard libraries have a package `compression`
+
+from emulated import missing_tools, stack_bound
+from onboard import FIELDS, field
+
+from alula.schemas.provenance import Provenance
+from alula.schemas.targets import TARGETS
+from alula.stages.compression.onboard import encode_map, image_c_header
+
+ROOT = Path(__file__).resolve().parents[1]
+BOARDS = ROOT / "native/onboard/targets"
+INCLUDE = ROOT / "native/onboard/include"
+WARNINGS = ["-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Wvla", "-Werror"]
+COMMON = ["-mthumb", "-mfloat-abi=hard", "-ffunction-sections", "-fdata-sections", "-fcallgraph-info=su"]
+EXACT = ["-ffp-contract=off", "-fno-math-errno"]
+CRAZYFLIE = [*COMMON, *["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-std=gnu11", "-Os"], *EXACT, *WARNINGS]
+TEENSY = [*COMMON, *["-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-O2", "-ffreestanding"], *EXACT, *WARNINGS]
+APP_STACK_BYTES = 4 * 350  # CONFIG_APP_STACKSIZE counts words
+CONTEXT_BYTES = 4 * (9 + 16 + 26)  # that FreeRTOS keeps of a task which uses floats, on its stack
+FIRMWARE = {
+    "check_print",  # stands for what DEBUG_PRINT calls
+    *("controllerPid", "controllerPidInit", "controllerPidTest"),
+    *("logGetFloat", "logGetVarId", "usecTimestamp", "vTaskDelay"),
+}
+SKETCH = {
+    *("Serial", "Serial1", "Serial2", "Serial3", "micros()"),
+    *("WDOG1_WCR", "WDOG1_WMCR", "WDOG1_WSR"),
+    *("HardwareSerial::", "usb_serial_class::"),
+}
+LIBRARY = {"memcpy", "memset", "memmove", "__aeabi_"}
+
+
+def run(words: Sequence[str | Path]) -> str:
+    """A tool's output.
+
+    Raises:
+        RuntimeError: it failed; with what it says.
+    """
+    done = subprocess.run([str(w) for w in words], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise RuntimeError(f"{words[0]}: {done.stderr}{done.stdout}")
+    return done.stdout
+
+
+def map_header(folder: Path, hulls: int) -> int:
+    """Write `cover_map.h` as the export does; the bytes of the image."""
+    image = encode_map(field(hulls), indexed=True)
+    made_by = Provenance.now("alula/export", "1.0", {"name": "cover_map"}, None, [])
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "cover_map.h").write_bytes(b"".join(image_c_header(image, made_by)))
+    return len(image)
+
+
+def compile_crazyflie(folder: Path, header: Path | None) -> list[Path]:
+    """The app's three objects, with the map of a folder or without any."""
+    board, objects = BOARDS / "crazyflie", []
+    folder.mkdir(parents=True, exist_ok=True)
+    includes = [board / "check/include", INCLUDE, INCLUDE.parent / "src", *([header] if header else [])]
+    for source, name in (
+        ("alula_app", "alula_app"),
+        ("crazyflie_filter", "alula_filter"),
+        ("onboard", "alula_all"),
+    ):
+        target = folder / f"{name}.o"
+        flags = [f"-I{i}" for i in includes]
+        run(["arm-none-eabi-gcc", *CRAZYFLIE, *flags, "-c", board / f"src/{source}.c", "-o", target])
+        objects.append(target)
+    return objects
+
+
+def compile_teensy(folder: Path) -> list[Path]:
+    """The objects of the sketch's folder, made as its Makefile makes it, one file at a time."""
+    sketch = folder / "sketch"
+    run(["make", "-s", "-C", BOARDS / "teensy", "sketch", f"SKETCH={sketch}"])
+    objects = []
+    for source in sorted([*sketch.glob("*.c"), *sketch.glob("*.ino")]):
+        target = folder / f"alula_{source.stem.removeprefix('alula_')}.o"
+        if source.suffix == ".c":
+            words = ["arm-none-eabi-gcc", "-std=gnu11"]
+        else:
+            words = ["arm-none-eabi-g++", "-std=gnu++17", "-fno-exceptions", "-fno-rtti"]
+            words += ["-I", str(BOARDS / "teensy/check/include"), "-include", "Arduino.h", "-x", "c++"]
+        run([*words, *TEENSY, "-c", source, "-o", target])
+        objects.append(target)
+    return objects
+
+
+def sizes(objects: Sequence[Path]) -> dict[str, int]:
+    """Bytes of flash (code, constants, first values) and RAM (variables) of objects together."""
+    rows = run(["arm-none-eabi-size", *objects]).splitlines()[1:]
+    text, data, bss = (sum(int(row.split()[i]) for row in rows) for i in range(3))
+    return {"flash": text + data, "ram": data + bss}
+
+
+def foreign(objects: Sequence[Path], known: set[str]) -> set[str]:
+    """What objects need that neither they, nor a C library, nor `known` have."""
+    names = {"U": set[str](), "T": set[str]()}
+    for line in run(["arm-none-eabi-nm", "-C", *objects]).splitlines():
+        found = re.match(r"(?:[0-9a-f]{8})? +([A-Za-z]) (.+)$", line)
+        if found:
+            names["U" if found[1] == "U" else "T"].add(found[2])
+    allowed = known | LIBRARY
+    return {
+        name
+        for name in names["U"] - names["T"]
+        if name not in allowed and not any(name.startswith(a) for a in allowed if a.endswith(("_", ":")))
+    }
+
+
+def fused(objects: Sequence[Path]) -> int:
+    """Instructions that round a product and a sum once."""
+    code = "\n".join(run(["arm-none-eabi-objdump", "-d", "--no-show-raw-insn", o]) for o in objects)
+    return len(re.findall(r"\tvfn?m[as]\.f", code))
+
+
+def measure(folder: Path) -> tuple[dict[str, Any], list[str]]:
+    """All figures, and what does not hold."""
+    room, said = TARGETS["crazyflie"], list[str]()
+    found: dict[str, Any] = {}
+    app: list[Path] = []
+    for hulls in FIELDS:
+        found[f"map_{hulls}_bytes"] = map_header(folder / f"map{hulls}", hulls)
+        app = compile_crazyflie(folder / f"app{hulls}", folder / f"map{hulls}")
+        size = sizes(app)
+        found[f"crazyflie_{hulls}_flash_bytes"], found["crazyflie_ram_bytes"] = size["flash"], size["ram"]
+        if size["flash"] > room.flash_bytes:
+            said.append(
+                f"with {hulls} hulls the app takes {size['flash']} bytes of {room.flash_bytes} of flash"
+            )
+    found["crazyflie_code_bytes"] = found["crazyflie_150_flash_bytes"] - found["map_150_bytes"]
+    found["crazyflie_app_stack_bytes"] = stack_bound(folder, "app150", "appMain") + CONTEXT_BYTES
+    found["crazyflie_loop_stack_bytes"] = stack_bound(folder, "app150", "controllerOutOfTree")
+    if found["crazyflie_app_stack_bytes"] > APP_STACK_BYTES:
+        said.append(f"the app's task needs {found['crazyflie_app_stack_bytes']} bytes of {APP_STACK_BYTES}")
+    if found["crazyflie_ram_bytes"] + APP_STACK_BYTES > room.ram_bytes:
+        said.append(f"{found['crazyflie_ram_bytes']} bytes of RAM and the stack do not fit {room.ram_bytes}")
+    sketch = compile_teensy(folder / "teensy")
+    size, room = sizes(sketch), TARGETS["teensy"]
+    found["teensy_flash_bytes"], found["teensy_ram_bytes"] = size["flash"], size["ram"]
+    found["teensy_tick_stack_bytes"] = stack_bound(folder, "teensy", "alula_teensy_tick")
+    if size["flash"] > room.flash_bytes or size["ram"] > room.ram_bytes:
+        said.append(f"the sketch takes {size} bytes")
+    for name, objects, known in (("app", app, FIRMWARE), ("sketch", sketch, SKETCH)):
+        if missing := foreign(objects, known):
+            said.append(f"the {name} needs {', '.join(sorted(missing))}")
+        if count := fused(objects):
+            said.append(f"the {name} has {count} fused instructions")
+    return found, said
+
+
+def main() -> int:
+    """Print the figures; 1 when something does not hold."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    asked = parser.parse_args()
+    if missing := missing_tools():
+        print(missing, file=sys.stderr)
+        return 1
+    with tempfile.TemporaryDirectory() as folder:
+        found, said = measure(Path(folder))
+    if asked.json:
+        print(json.dumps(found))
+    else:
+        for name, value in found.items():
+            print(f"{name:34} {value:>10,}")
+    for line in said:
+        print(line, file=sys.stderr)
+    return 1 if said else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
