@@ -137,9 +137,8 @@ def fused(objects: Sequence[Path]) -> int:
     return len(re.findall(r"\tvfn?m[as]\.f", code))
 
 
-def measure(folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """All figures, and what does not hold."""
-    room, said = TARGETS["crazyflie"], list[str]()
+def measure(folder: Path) -> dict[str, Any]:
+    """All figures of what is compiled into a folder."""
     found: dict[str, Any] = {}
     app: list[Path] = []
     for hulls in FIELDS:
@@ -147,29 +146,34 @@ def measure(folder: Path) -> tuple[dict[str, Any], list[str]]:
         app = compile_crazyflie(folder / f"app{hulls}", folder / f"map{hulls}")
         size = sizes(app)
         found[f"crazyflie_{hulls}_flash_bytes"], found["crazyflie_ram_bytes"] = size["flash"], size["ram"]
-        if size["flash"] > room.flash_bytes:
-            said.append(
-                f"with {hulls} hulls the app takes {size['flash']} bytes of {room.flash_bytes} of flash"
-            )
     found["crazyflie_code_bytes"] = found["crazyflie_150_flash_bytes"] - found["map_150_bytes"]
     found["crazyflie_app_stack_bytes"] = stack_bound(folder, "app150", "appMain") + CONTEXT_BYTES
     found["crazyflie_loop_stack_bytes"] = stack_bound(folder, "app150", "controllerOutOfTree")
-    if found["crazyflie_app_stack_bytes"] > APP_STACK_BYTES:
-        said.append(f"the app's task needs {found['crazyflie_app_stack_bytes']} bytes of {APP_STACK_BYTES}")
-    if found["crazyflie_ram_bytes"] + APP_STACK_BYTES > room.ram_bytes:
-        said.append(f"{found['crazyflie_ram_bytes']} bytes of RAM and the stack do not fit {room.ram_bytes}")
     sketch = compile_teensy(folder / "teensy")
-    size, room = sizes(sketch), TARGETS["teensy"]
+    size = sizes(sketch)
     found["teensy_flash_bytes"], found["teensy_ram_bytes"] = size["flash"], size["ram"]
     found["teensy_tick_stack_bytes"] = stack_bound(folder, "teensy", "alula_teensy_tick")
-    if size["flash"] > room.flash_bytes or size["ram"] > room.ram_bytes:
-        said.append(f"the sketch takes {size} bytes")
-    for name, objects, known in (("app", app, FIRMWARE), ("sketch", sketch, SKETCH)):
-        if missing := foreign(objects, known):
-            said.append(f"the {name} needs {', '.join(sorted(missing))}")
-        if count := fused(objects):
-            said.append(f"the {name} has {count} fused instructions")
-    return found, said
+    found["fused_instructions"] = fused([*app, *sketch])
+    found["unknown_symbols"] = sorted(foreign(app, FIRMWARE) | foreign(sketch, SKETCH))
+    return found
+
+
+def complaints(figures: dict[str, Any]) -> list[str]:
+    """What does not fit its board, or is not as it must be."""
+    crazyflie, teensy = TARGETS["crazyflie"], TARGETS["teensy"]
+    said = [f"{name} is not in the firmware" for name in figures["unknown_symbols"]]
+    if count := figures["fused_instructions"]:
+        said.append(f"{count} instructions round a product and a sum once")
+    most = {f"crazyflie_{hulls}_flash_bytes": crazyflie.flash_bytes for hulls in FIELDS} | {
+        "crazyflie_ram_bytes": crazyflie.ram_bytes - APP_STACK_BYTES,
+        "crazyflie_app_stack_bytes": APP_STACK_BYTES,
+        "teensy_flash_bytes": teensy.flash_bytes,
+        "teensy_ram_bytes": teensy.ram_bytes,
+    }
+    said += [
+        f"{name} is {figures[name]}, above {limit}" for name, limit in most.items() if figures[name] > limit
+    ]
+    return said
 
 
 def main() -> int:
@@ -181,12 +185,13 @@ def main() -> int:
         print(missing, file=sys.stderr)
         return 1
     with tempfile.TemporaryDirectory() as folder:
-        found, said = measure(Path(folder))
+        found = measure(Path(folder))
+    said = complaints(found)
     if asked.json:
         print(json.dumps(found))
     else:
         for name, value in found.items():
-            print(f"{name:34} {value:>10,}")
+            print(f"{name:30} {value:>10,}" if isinstance(value, int) else f"{name:30} {value!s:>10}")
     for line in said:
         print(line, file=sys.stderr)
     return 1 if said else 0

@@ -19,8 +19,12 @@ inline alula_fence onboard_yard() {
 inline std::uint16_t channel_of(float us) { return static_cast<std::uint16_t>(std::lround((us - 880) * 1.6F)); }
 
 // What a flight controller makes of a frame.
-inline alula::flight::RacerCommand heard_by_controller(const alula_teensy_config& c, const alula_sbus_frame& frame) {
-  const auto us = [&](std::uint8_t channel) { return 880 + 0.625F * static_cast<float>(frame.channel[channel]); };
+inline alula::flight::RacerCommand heard_by_controller(const alula_teensy_config& c, const alula_sbus_frame& frame,
+                                                       bool truncates = false) {
+  const auto us = [&](std::uint8_t channel) {
+    const float exact = 880 + 0.625F * static_cast<float>(frame.channel[channel]);
+    return truncates ? std::floor(exact) : exact;
+  };
   const auto rate = [&](int axis, std::uint8_t channel) {
     const float x = (us(channel) - c.rates.middle_us) / 500;
     return static_cast<double>((axis == 2 ? -1.0F : 1.0F) * alula_rates_at(&c.rates.axis[axis], x));

@@ -10,8 +10,9 @@
 #include "teensy_config.h"
 #include "teensy_loop.h"
 
-static constexpr uint32_t kSbusBaud = 100000, kNavigationBaud = 921600, kReportUs = 100000;
-static constexpr uint32_t kChunk = 64;
+static constexpr uint32_t kReceiverBaud = 100000, kNavigationBaud = 921600, kReportUs = 100000;
+static constexpr uint32_t kBitsOfByte = 12;  // with start, parity and two stop bits
+static constexpr uint32_t kChunk = 64, kPauseUs = 500;  // between two frames
 
 static alula_teensy_loop loop_state;
 static alula_teensy_status status = ALULA_TEENSY_NO_RECEIVER;
@@ -52,13 +53,14 @@ static void report() {
 
 void setup() {
   Serial.begin(115200);
-  Serial1.begin(kSbusBaud, SERIAL_8E2_RXINV_TXINV);
-  Serial2.begin(kSbusBaud, SERIAL_8E2_RXINV_TXINV);
+  Serial1.begin(kReceiverBaud, SERIAL_8E2_RXINV_TXINV);
+  Serial2.begin(kControllerBaud, SERIAL_8E2_RXINV_TXINV);
   Serial3.begin(kNavigationBaud, SERIAL_8N1);
   Serial3.addStorageForRead(navigation_buffer, sizeof navigation_buffer);
   const alula_teensy_config config = vehicle_config();
   period_us = static_cast<uint32_t>(config.geofence.tick_s * 1e6F + 0.5F);
-  is_ready = alula_teensy_init(&loop_state, vehicle_fence(), &config) == ALULA_READY;
+  const uint32_t frame_us = ALULA_SBUS_BYTES * kBitsOfByte * 1000000U / kControllerBaud;
+  is_ready = frame_us + kPauseUs <= period_us && alula_teensy_init(&loop_state, vehicle_fence(), &config) == ALULA_READY;
   next_us = micros() + period_us;
   start_watchdog();
 }

@@ -56,7 +56,7 @@ typedef struct {
   uint32_t radio_limit_us, give_up_us;
 } alula_teensy_config;
 
-/* Sticks on channels 1 to 4, override on 8; 200 frames a second, which 100,000 baud carry. */
+/* Sticks on channels 1 to 4, override on 8; 200 frames a second, as many as 100,000 baud carry with a pause. */
 alula_teensy_config alula_teensy_defaults(void);
 
 typedef enum {
