@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,7 +56,7 @@ def native_world(scenario: FenceScenario, vehicle: Vehicle, cover: Artifact | No
     table = scenario.vehicle
     radius = vehicle.body.radius_m if table.radius_m is None else table.radius_m
     box = scenario.fence.box_m
-    unit = unit_faces(scenario)
+    unit = unit_faces(scenario.fence.faces)
     where = fence(
         box=None if box is None else (box[:3], box[3:]),
         faces=unit if len(unit) else None,
@@ -76,26 +77,28 @@ def native_world(scenario: FenceScenario, vehicle: Vehicle, cover: Artifact | No
         spec=_spec(scenario, vehicle, start),
         filter=filter_,
         radius_m=radius,
-        faces=np.concatenate([_box_faces(box), unit]),
+        faces=fence_faces(box, scenario.fence.faces),
         hulls=None if cover is None else Hulls.from_cover(cover),
         start_h_i_m=start_h_i,
     )
 
 
-def unit_faces(scenario: FenceScenario) -> FloatArray:
-    """The faces of the polytope with unit normals, shape (L, 4)."""
-    faces = np.array(scenario.fence.faces, np.float64).reshape(-1, 4)
+def unit_faces(rows: Sequence[Sequence[float]]) -> FloatArray:
+    """The faces of a polytope with unit normals, shape (L, 4), rows (n, d) with n . p <= d inside."""
+    faces = np.array(rows, np.float64).reshape(-1, 4)
     unit: FloatArray = faces / np.linalg.norm(faces[:, :3], axis=1, keepdims=True)
     return unit
 
 
-def _box_faces(box: tuple[float, ...] | None) -> FloatArray:
+def fence_faces(box: Sequence[float] | None, rows: Sequence[Sequence[float]]) -> FloatArray:
+    """Those of a box, upper before lower, and of a polytope together, as `unit_faces`."""
+    faces = unit_faces(rows)
     if box is None:
-        return np.empty((0, 4))
+        return faces
     axes = np.eye(3)
     upper = np.column_stack([axes, np.array(box[3:])])
     lower = np.column_stack([-axes, -np.array(box[:3])])
-    return np.concatenate([upper, lower])
+    return np.concatenate([upper, lower, faces])
 
 
 def start_state(scenario: FenceScenario) -> FloatArray | None:
