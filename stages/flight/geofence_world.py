@@ -36,6 +36,7 @@ class FlownWorld:
         faces: of box and polytope together, shape (L, 4), rows (n, d) with unit n and n . p <= d inside.
         hulls: to keep out of, None without a cover.
         start_h_i_m: h_I of a fixed start, None with random ones, of which each has one above 0.
+        deviations: in a few words each, in what the vehicle is not as the filter's model.
     """
 
     spec: _core.GeofenceSpec
@@ -44,6 +45,7 @@ class FlownWorld:
     faces: FloatArray
     hulls: Hulls | None
     start_h_i_m: float | None
+    deviations: tuple[str, ...]
 
 
 def native_world(scenario: FenceScenario, vehicle: Vehicle, cover: Artifact | None) -> FlownWorld:
@@ -80,7 +82,27 @@ def native_world(scenario: FenceScenario, vehicle: Vehicle, cover: Artifact | No
         faces=fence_faces(box, scenario.fence.faces),
         hulls=None if cover is None else Hulls.from_cover(cover),
         start_h_i_m=start_h_i,
+        deviations=_deviations(scenario, vehicle),
     )
+
+
+def _deviations(scenario: FenceScenario, vehicle: Vehicle) -> tuple[str, ...]:
+    table = scenario.vehicle
+    scales = {key: getattr(table, key) for key in ("mass_scale", "thrust_scale", "rate_gain_scale")}
+    found = [f"{key} {value:g}" for key, value in scales.items() if value != 1]
+    for key in ("delay_s", "linear_drag_n_s_m", "quadratic_drag_n_s2_m2", "wind_m_s", "gust_m_s"):
+        value = getattr(table, key)
+        value = getattr(vehicle.disturbance, key) if value is None else value
+        if key == "delay_s" and value > scenario.filter.parameters.latency_s:
+            found.append(f"delay_s {value:g} beyond latency_s")
+        elif key != "delay_s" and any(value):
+            found.append(key)
+    sag = (
+        table.sag_share
+        if table.sag_share is not None or vehicle.throttle is None
+        else vehicle.throttle.sag_share
+    )
+    return tuple(found + ([f"sag_share {sag:g}"] if sag else []))
 
 
 def unit_faces(rows: Sequence[Sequence[float]]) -> FloatArray:
@@ -117,7 +139,7 @@ def _filter(scenario: FenceScenario, vehicle: Vehicle, where: _core.Fence, radiu
     try:
         return _core.Geofence(where, racer_model(vehicle), given | {"radius_m": radius_m})
     except (TypeError, ValueError) as error:
-        raise UsageError(f"`$.filter.parameters`: {error}") from error
+        raise UsageError(f"`$.filter.parameters`, or the model of {vehicle.name}: {error}") from error
 
 
 def _spec(scenario: FenceScenario, vehicle: Vehicle, start: FloatArray | None) -> _core.GeofenceSpec:
