@@ -225,6 +225,8 @@ def _check(path: Path, scenario: FenceScenario) -> None:
         "needs box_m, faces or cover",
     )
     require(fence.cover is None or bool(fence.cover), "fence.cover", "must not be empty")
+    is_qp = scenario.filter.name == "backup-qp"
+    require(not is_qp or fence.cover is None, "filter.name", "backup-qp knows box and faces, but no cover")
     for i, face in enumerate(fence.faces):
         length = math.hypot(*face[:3])
         require(

@@ -121,6 +121,7 @@ def test_keys_set_and_changes_replace(tmp_path):
         ),
         ("[trials]", "[filter]\nparameters = { fast_m_s = 0.5 }\n[trials]", r"fast_m_s` must not be below"),
         ("[trials]", "[filter]\nparameters = { latency_s = 0.1 }\n[trials]", r"is above 32 ticks, 0\.08 s"),
+        ("[fence]", "filter.name = 'backup-qp'\n[fence]\ncover = 'a'", r"`\$\.filter\.name` backup-qp knows"),
         ("[fence]", "name = ' '\n[fence]", r"`\$\.name` must not be empty"),
         ("[fence]", "schema = 'alula/vehicle'\n[fence]", r"at `\$\.schema`"),
     ],
