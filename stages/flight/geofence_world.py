@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 import numpy as np
@@ -17,12 +17,31 @@ from alula.schemas.errors import UsageError
 from alula.schemas.geofence import FenceScenario
 from alula.schemas.vehicle import Vehicle
 from alula.stages.compression.hulls import Hulls
-from alula.stages.flight.racer import fence, racer_model, racer_options
+from alula.stages.compression.onboard import encode_map
+from alula.stages.flight.racer import racer_model, racer_options
+from alula.stages.reporting.metrics import hull_obstacles
 
 FloatArray = NDArray[np.float64]
 
 # Where the native options are called otherwise.
 _PLANT_NAMES = {"linear_drag_n_s_m": "linear_drag", "quadratic_drag_n_s2_m2": "quadratic_drag"}
+
+
+@dataclass(frozen=True, slots=True)
+class KeepOut:
+    """A cover: the image of its onboard map, which the filter reads, and the hulls that it is judged by."""
+
+    image: bytes
+    hulls: Hulls
+
+    @classmethod
+    def of(cls, cover: Artifact) -> Self:
+        """Encode a cover.
+
+        Raises:
+            InfeasibleError, InputError, ArtifactError: it has no onboard map, see `encode_map`.
+        """
+        return cls(encode_map(cover), Hulls.from_cover(cover))
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,21 +67,21 @@ class FlownWorld:
     deviations: tuple[str, ...]
 
 
-def native_world(scenario: FenceScenario, vehicle: Vehicle, cover: Artifact | None) -> FlownWorld:
+def native_world(scenario: FenceScenario, vehicle: Vehicle, keep_out: KeepOut | None) -> FlownWorld:
     """Everything native; made once, used by many threads.
 
     Raises:
         UsageError: numbers mean nothing together; the message has the path of their key.
-        InfeasibleError, InputError, ArtifactError: the cover has no onboard map, see `encode_map`.
     """
     table = scenario.vehicle
     radius = vehicle.body.radius_m if table.radius_m is None else table.radius_m
     box = scenario.fence.box_m
     unit = unit_faces(scenario.fence.faces)
-    where = fence(
+    where = _core.Fence(
         box=None if box is None else (box[:3], box[3:]),
         faces=unit if len(unit) else None,
-        cover=cover,
+        image=None if keep_out is None else keep_out.image,
+        keep_out=None if keep_out is None else hull_obstacles(keep_out.hulls),
     )
     filter_ = _filter(scenario, vehicle, where, radius)
     start = start_state(scenario)
@@ -80,7 +99,7 @@ def native_world(scenario: FenceScenario, vehicle: Vehicle, cover: Artifact | No
         filter=filter_,
         radius_m=radius,
         faces=fence_faces(box, scenario.fence.faces),
-        hulls=None if cover is None else Hulls.from_cover(cover),
+        hulls=None if keep_out is None else keep_out.hulls,
         start_h_i_m=start_h_i,
         deviations=_deviations(scenario, vehicle),
     )

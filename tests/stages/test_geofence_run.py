@@ -1,6 +1,7 @@
 """Runs in a fence: what is kept of which flight, times, logs, the drawing of the fence."""
 
 import io
+import pickle
 from pathlib import Path
 
 import msgspec
@@ -176,6 +177,20 @@ def test_the_log_says_what_was_flown(room):
     state = topics["/state"][0]
     assert state["attitude"] == topics["/pose"][0]["pose"]["orientation"]
     assert sum(value**2 for value in state["attitude"].values()) == pytest.approx(1, abs=1e-5)
+
+
+def test_a_chunk_can_be_sent_elsewhere():
+    scene = scenario(trials={"count": 3})
+    chunk = stage._Chunk(scene, RACER, None, 0, 3)
+    there = stage.fly_chunk(pickle.loads(pickle.dumps(chunk)))
+    here = stage.fly_chunk(chunk, native_world(scene, RACER, None))
+    assert (there.trials, there.flights) == (here.trials, here.flights)
+
+
+def test_long_flights_are_flown_one_by_one():
+    assert stage._chunk_size(scenario(run={"duration_s": 600})) == 1
+    assert stage._chunk_size(scenario(run={"duration_s": 20})) == 2
+    assert stage._chunk_size(scenario()) == stage.CHUNK
 
 
 def test_a_silent_pilot_has_no_wish_in_the_log():
