@@ -24,8 +24,8 @@ FENCE = {"box_m": [-10.0, -10, 0, 10, 10, 20], "faces": []}
 def trial(index, distance):
     fence = FenceResult(
         passed_steps=60, blended_steps=30, backup_steps=10, no_pilot_steps=0, hand_over_steps=0,
-        refused_steps=0, interventions=1, altered_passes=0, out_of_range=0, longest_backup_s=0.1, min_lambda=0.0,
-        min_h_i_m=-0.1, brake_distance_m=6.0, stop_distance_m=None,
+        refused_steps=0, interventions=1, altered_passes=0, out_of_range=0, longest_backup_s=0.1,
+        min_lambda=0.0, min_h_i_m=-0.1, brake_distance_m=6.0, stop_distance_m=None,
     )  # fmt: skip
     return TrialResult(
         index=index, start_m=[0, 0, 5], goal_m=[9, 0, 5], outcome="outside" if distance < 0 else "inside",
