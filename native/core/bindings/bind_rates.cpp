@@ -17,7 +17,7 @@ using namespace nb::literals;
 namespace alula::flight {
 namespace {
 
-Triple of_axes(const alula_rates& r, float alula_rates_axis::*number) {
+Triple of_axes(const alula_rates& r, float alula_rates_axis::* number) {
   return {r.axis[0].*number, r.axis[1].*number, r.axis[2].*number};
 }
 
@@ -50,14 +50,14 @@ void bind_rates(nb::module_& m) {
   using namespace alula;
   using namespace alula::flight;
   const alula_rates d = alula_rates_defaults();
-  nb::class_<alula_rates>(m, "Rates",
-                          "A flight controller's rate profile (rates_type BETAFLIGHT) as the onboard code maps it, in "
-                          "single precision; axes are roll, pitch, yaw.")
+  nb::class_<alula_rates>(
+      m, "Rates",
+      "A flight controller's rate profile (rates_type BETAFLIGHT) as the onboard code maps it, in "
+      "single precision; axes are roll, pitch, yaw.")
       .def(
           "__init__",
           [](alula_rates* self, const Triple& rc_rate, const Triple& super_rate, const Triple& expo, double middle,
-             double low,
-             double high) { new (self) alula_rates(make(rc_rate, super_rate, expo, middle, low, high)); },
+             double low, double high) { new (self) alula_rates(make(rc_rate, super_rate, expo, middle, low, high)); },
           nb::kw_only(), "rc_rate"_a = of_axes(d, &alula_rates_axis::rc_rate), "super_rate"_a = Triple{0.7, 0.7, 0.7},
           "expo"_a = of_axes(d, &alula_rates_axis::expo), "middle_us"_a = d.middle_us,
           "throttle_low_us"_a = d.throttle_low_us, "throttle_high_us"_a = d.throttle_high_us,

@@ -10,11 +10,11 @@
  *
  * Pulses are whole microseconds, middle + 500 x and low + (high - low) throttle, rounded to the nearest, for a
  * controller without a deadband. So a rate is met to half a microsecond of stick: omega'(x) / 1000, 0.2 deg/s in the
- * middle and 1.1 deg/s near the end of rc_rate 1, super_rate 0.7. A pulse that becomes a command and a pulse again is
+ * middle and 2.2 deg/s at the end of rc_rate 1, super_rate 0.7. A pulse that becomes a command and a pulse again is
  * the same pulse: a filter that passes the pilot's command bit by bit passes his sticks.
  *
- * Body x forward, y left, z up: rolling right, pitching down and turning left are positive. Sticks: right, forward and
- * right; so yaw changes its sign. Single precision, SI units; every loop is bounded by a constant.
+ * Body x forward, y left, z up: rolling right, pitching down and turning left are positive. Sticks: right, forward
+ * and right; so yaw changes its sign. Single precision, SI units; every loop is bounded by a constant.
  */
 #ifndef ALULA_RATES_H
 #define ALULA_RATES_H
@@ -25,7 +25,8 @@
 extern "C" {
 #endif
 
-#define ALULA_RATES_SHORTEST 885U /* [us] shorter and longer pulses are none: Betaflight's rx_min_usec, rx_max_usec */
+/* [us] What is shorter or longer is no pulse: Betaflight's rx_min_usec and rx_max_usec. */
+#define ALULA_RATES_SHORTEST 885U
 #define ALULA_RATES_LONGEST 2115U
 
 /* In the order of Betaflight's default map AETR1234. */
