@@ -231,7 +231,7 @@ void test_a_state_or_a_wish_that_cannot_be_used_stops_at_once() {
       CHECK(stops_at(phase, ALULA_CRAZYFLIE_BAD_STATE, [&](auto&, auto& s) { s.position[1] = bad; }));
     }
     CHECK(stops_at(phase, ALULA_CRAZYFLIE_BAD_STATE, [&](auto&, auto& s) { s.velocity[2] = kNaN; }));
-    for (const float bad : {kNaN, 0.0026F, -1.0F}) {
+    for (const float bad : {kNaN, 0.0026F, -1.0F, 0.0F}) {
       CHECK(stops_at(phase, ALULA_CRAZYFLIE_UNCERTAIN, [&](auto&, auto& s) { s.variance = bad; }));
     }
   }
@@ -274,6 +274,21 @@ void test_work_that_is_not_done_in_time_is_not_flown() {
   CHECK(rig.out.status == ALULA_CRAZYFLIE_STARTING && rig.is_still());  // worked out, but for a place left since
   for (int k = 0; k < 10; ++k) rig.run(up);
   CHECK(rig.out.status == ALULA_CRAZYFLIE_OK && rig.out.velocity[2] == 0.5F);
+}
+
+void test_what_was_worked_out_elsewhere_is_not_flown() {
+  Rig rig;
+  const alula_crazyflie_wish up = velocity_wish(0, 0, 0.5F);
+  for (int k = 0; k < 55; ++k) rig.run(up);
+  CHECK(rig.out.status == ALULA_CRAZYFLIE_OK);
+  rig.p = {5.7, 0, 1};  // flown there by another controller
+  alula_crazyflie_restart(&rig.filter);
+  for (int k = 0; k < 15; ++k) {
+    rig.run(velocity_wish(1, 0, 0));
+    CHECK(rig.out.status == ALULA_CRAZYFLIE_STARTING && rig.is_still());
+  }
+  for (int k = 0; k < 40; ++k) rig.run(velocity_wish(1, 0, 0));
+  CHECK(rig.out.status == ALULA_CRAZYFLIE_FILTERED && rig.out.velocity[0] < 0.5F);
 }
 
 void test_parameters_that_mean_nothing_leave_the_last_ones() {
@@ -336,6 +351,7 @@ int main() {
   test_a_state_or_a_wish_that_cannot_be_used_stops_at_once();
   test_an_estimator_that_stands_still_is_found_and_one_at_rest_is_not();
   test_work_that_is_not_done_in_time_is_not_flown();
+  test_what_was_worked_out_elsewhere_is_not_flown();
   test_parameters_that_mean_nothing_leave_the_last_ones();
   test_the_hand_over_has_no_race();
   return alula_failures == 0 ? 0 : 1;

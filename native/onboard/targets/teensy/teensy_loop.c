@@ -1,6 +1,5 @@
 #include "teensy_loop.h"
 
-#define MIDDLE 992U /* SBUS of 1500 us */
 #define LOW_US 1000.0F
 #define HIGH_US 2000.0F
 #define FIRST_US 880.0F /* a channel c is 880 + 5/8 c us */
@@ -71,7 +70,7 @@ alula_status alula_teensy_init(alula_teensy_loop* loop, const alula_fence* fence
 static float microseconds(uint32_t channel) { return FIRST_US + STEP_US * (float)channel; }
 
 static uint16_t channel_at(float us) {
-  const float cut = us < LOW_US ? LOW_US : (us > HIGH_US ? HIGH_US : us);
+  const float cut = us > LOW_US ? (us < HIGH_US ? us : HIGH_US) : LOW_US; /* also of NaN */
   return (uint16_t)((cut - FIRST_US) / STEP_US + 0.5F);
 }
 
@@ -119,7 +118,7 @@ static void put_command(alula_teensy_loop* loop, const alula_racer_command* comm
 static void put_centred(alula_teensy_loop* loop, float throttle) {
   const alula_teensy_config* c = &loop->config;
   loop->sent.channel[c->throttle] = to_channel(c, 0, throttle);
-  for (int i = 1; i < 4; ++i) loop->sent.channel[stick(c, i)] = MIDDLE;
+  for (int i = 1; i < 4; ++i) loop->sent.channel[stick(c, i)] = to_channel(c, i, 0.0F);
   forget_carry(loop);
 }
 
@@ -181,6 +180,7 @@ static void put_hand_over(alula_teensy_loop* loop) {
 
 /* The geofence's outcome as a frame that began as a copy of the last good one. */
 static alula_teensy_status put_outcome(alula_teensy_loop* loop, alula_geofence_status outcome) {
+  if (!alula_racer_command_is_finite(&loop->result.command)) outcome = ALULA_GEOFENCE_REFUSED;
   if (outcome != ALULA_GEOFENCE_REFUSED) loop->has_flown = 1;
   switch (outcome) {
     case ALULA_GEOFENCE_PASSED:

@@ -75,7 +75,10 @@ void appMain() {
 
 void controllerOutOfTreeInit(void) {
   controllerPidInit();
-  if (isOpened) return; /* switched to again: the app's task may be at work */
+  if (isOpened) { /* switched to again, with the app's task perhaps at work */
+    alula_crazyflie_restart(&filter);
+    return;
+  }
   isOpened = true;
   wanted = alula_crazyflie_defaults();
   const alula_crazyflie_config config = parameters();

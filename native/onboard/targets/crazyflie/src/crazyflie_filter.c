@@ -106,7 +106,7 @@ static alula_crazyflie_status judge(alula_crazyflie_filter* filter, const alula_
     const float x = state->position[i];
     if (x < -ALULA_CRAZYFLIE_EXTENT || x > ALULA_CRAZYFLIE_EXTENT) return ALULA_CRAZYFLIE_BAD_STATE;
   }
-  if (!(state->variance >= 0.0F && state->variance <= filter->config.variance)) return ALULA_CRAZYFLIE_UNCERTAIN;
+  if (!(state->variance > 0.0F && state->variance <= filter->config.variance)) return ALULA_CRAZYFLIE_UNCERTAIN;
   if (filter->still >= ALULA_CRAZYFLIE_STALE_STEPS && filter->still_way >= ALULA_CRAZYFLIE_STALE_WAY) {
     return ALULA_CRAZYFLIE_STALE;
   }
@@ -180,6 +180,8 @@ static void interrupt(alula_crazyflie_filter* filter, alula_crazyflie_status sta
     set_velocity(&filter->output, status, 0);
   }
 }
+
+void alula_crazyflie_restart(alula_crazyflie_filter* filter) { interrupt(filter, ALULA_CRAZYFLIE_STARTING, 0); }
 
 void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_wish* wish,
                           const alula_crazyflie_state* state, int is_due, float step_s,

@@ -63,7 +63,7 @@ typedef struct {
 typedef struct {
   float position[3], velocity[3];
   float attitude[4]; /* w, x, y, z */
-  float variance;    /* the largest of the position's three [m^2] */
+  float variance;    /* the largest of the position's three [m^2]; 0 of an estimator that does not run */
 } alula_crazyflie_state;
 
 typedef enum {
@@ -126,6 +126,9 @@ ALULA_MUST_USE int alula_crazyflie_configure(alula_crazyflie_filter* filter, con
 void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_wish* wish,
                           const alula_crazyflie_state* state, int is_due, float step_s,
                           alula_crazyflie_output* output);
+
+/* The loop was elsewhere: what was flown, or worked out, is for another place. From the loop. */
+void alula_crazyflie_restart(alula_crazyflie_filter* filter);
 
 /* Work out what was handed over, if anything: nonzero when there was something. */
 int alula_crazyflie_work(alula_crazyflie_filter* filter);
