@@ -4,7 +4,8 @@ The Crazyflie's app and the Teensy's sketch (native/onboard/targets) are compile
 warnings as errors, against declarations that stand for the firmware's headers (their folders `check`). Maps
 of 150 and 1,000 hulls go in as `alula export --target crazyflie` writes them. Of the objects, flash, RAM and
 the deepest stack are held to what the Crazyflie's firmware leaves; what they need from outside must be
-functions of the firmware or of a C library; and no instruction may be a fused product and sum.
+functions of the firmware or of a C library; and no instruction may be a fused product and sum. The Teensy's
+loop flies on an emulated Cortex-M7 and on the host: every frame must be the same.
 """
 
 from __future__ import annotations
@@ -24,7 +25,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.append(str(Path(__file__).resolve().parent))
 sys.path.sort(key=sys.path[-1].__eq__)  # last: newer standard libraries have a package `compression`
 
-from emulated import missing_tools, stack_bound
+import numpy as np
+from emulated import CORES, missing_tools, stack_bound
+from emulated import FIRMWARE as FIRMWARE_OF_EMULATOR
+from numpy.typing import NDArray
 from onboard import FIELDS, field
 
 from alula.schemas.provenance import Provenance
@@ -40,6 +44,7 @@ EXACT = ["-ffp-contract=off", "-fno-math-errno"]
 CRAZYFLIE = [*COMMON, *["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-std=gnu11", "-Os"], *EXACT, *WARNINGS]
 TEENSY = [*COMMON, *["-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-O2", "-ffreestanding"], *EXACT, *WARNINGS]
 APP_STACK_BYTES = 4 * 350  # CONFIG_APP_STACKSIZE counts words
+TICK_S = 0.5e-3  # a fifth of the shortest period of the Teensy's loop
 CONTEXT_BYTES = 4 * (9 + 16 + 26)  # that FreeRTOS keeps of a task which uses floats, on its stack
 FIRMWARE = {
     "check_print",  # stands for what DEBUG_PRINT calls
@@ -137,6 +142,94 @@ def fused(objects: Sequence[Path]) -> int:
     return len(re.findall(r"\tvfn?m[as]\.f", code))
 
 
+LOOP_TICK = np.dtype(
+    [
+        ("frame", "u1", 25),
+        ("status", "u1"),
+        ("zero", "u1", 2),
+        ("position", "<f4", 3),
+        ("counted", "<u4"),
+    ]
+)
+
+
+def fly_loop(folder: Path, core: str) -> NDArray[np.void]:
+    """The Teensy's loop in flight on an emulated Cortex-M7 (`m7`) or the host: its ticks.
+
+    Raises:
+        RuntimeError: it does not compile or does not end as it must.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    board = BOARDS / "teensy"
+    sources = [*sorted((INCLUDE.parent / "src").glob("*.c")), board / "teensy_loop.c"]
+    sources += [
+        board / "check/replay_loop.c",
+        FIRMWARE_OF_EMULATOR / f"port_{'host' if core == 'host' else 'emulated'}.c",
+    ]
+    flags = [
+        "-std=gnu11",
+        "-O2",
+        *EXACT,
+        "-I",
+        str(INCLUDE),
+        "-I",
+        str(board),
+        "-I",
+        str(FIRMWARE_OF_EMULATOR),
+    ]
+    (folder / "inputs.bin").write_bytes(b"")
+    if core == "host":
+        run(["cc", *flags, *sources, "-o", folder / "loop"])
+        words = [str(folder / "loop")]
+    else:
+        sources.append(FIRMWARE_OF_EMULATOR / "startup.c")
+        link = [
+            "-nostartfiles",
+            "-nostdlib",
+            "-L",
+            str(FIRMWARE_OF_EMULATOR),
+            f"-T{core}.ld",
+            "-Wl,--gc-sections",
+        ]
+        target = [*COMMON[:-1], "-mcpu=cortex-m7", "-mfpu=fpv5-sp-d16", "-ffreestanding"]
+        run(
+            ["arm-none-eabi-gcc", *target, *flags, *sources, *link, "-lc", "-lgcc", "-o", folder / "loop.elf"]
+        )
+        words = [
+            "qemu-system-arm",
+            "-M",
+            CORES[core].machine,
+            "-kernel",
+            "loop.elf",
+            "-nographic",
+            "-monitor",
+            "none",
+        ]
+        words += ["-serial", "null", "-icount", "shift=6", "-semihosting-config", "enable=on,target=native"]
+    done = subprocess.run(
+        words, cwd=folder, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
+    )
+    if done.returncode != 0:
+        raise RuntimeError(f"{core}: the loop ended with {done.returncode}: {done.stderr}")
+    return np.frombuffer((folder / "outputs.bin").read_bytes()[:-4], LOOP_TICK)
+
+
+def loop_figures(folder: Path) -> dict[str, Any]:
+    """The loop on the emulated core beside the host: differences, instructions of a tick, how it flew."""
+    host, target = (fly_loop(folder / core, core) for core in ("host", "m7"))
+    same = [
+        (host[name].view("u1") == target[name].view("u1")).all() for name in ("frame", "status", "position")
+    ]
+    most = int(np.ceil(target["counted"].max() / CORES["m7"].ticks_per_instruction))
+    return {
+        "teensy_flight_ticks": len(target),
+        "teensy_flight_differs": int(len(host) != len(target) or not all(same)),
+        "teensy_flight_outcomes": len(np.unique(target["status"])),
+        "teensy_wall_cm": int(np.floor(100 * (40 - target["position"][:, 0].max()))),
+        "m7_teensy_tick_instructions": most,
+    }
+
+
 def measure(folder: Path) -> dict[str, Any]:
     """All figures of what is compiled into a folder."""
     found: dict[str, Any] = {}
@@ -153,6 +246,7 @@ def measure(folder: Path) -> dict[str, Any]:
     size = sizes(sketch)
     found["teensy_flash_bytes"], found["teensy_ram_bytes"] = size["flash"], size["ram"]
     found["teensy_tick_stack_bytes"] = stack_bound(folder, "teensy", "alula_teensy_tick")
+    found |= loop_figures(folder / "loop")
     found["fused_instructions"] = fused([*app, *sketch])
     found["unknown_symbols"] = sorted(foreign(app, FIRMWARE) | foreign(sketch, SKETCH))
     return found
@@ -169,6 +263,8 @@ def complaints(figures: dict[str, Any]) -> list[str]:
         "crazyflie_app_stack_bytes": APP_STACK_BYTES,
         "teensy_flash_bytes": teensy.flash_bytes,
         "teensy_ram_bytes": teensy.ram_bytes,
+        "teensy_flight_differs": 0,
+        "m7_teensy_tick_instructions": int(teensy.clock_hz / teensy.cycles_per_instruction * TICK_S),
     }
     said += [
         f"{name} is {figures[name]}, above {limit}" for name, limit in most.items() if figures[name] > limit

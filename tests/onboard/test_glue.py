@@ -38,6 +38,14 @@ def test_both_boards_compile_fit_and_need_nothing_unknown(measured):
     assert figures["crazyflie_code_bytes"] < glue.TARGETS["crazyflie"].flash_bytes / 20
 
 
+def test_the_loop_sends_the_same_frames_on_the_emulated_core(measured):
+    figures = measured[0]
+    assert figures["teensy_flight_ticks"] == 1600
+    assert figures["teensy_flight_differs"] == 0
+    assert figures["teensy_flight_outcomes"] >= 5  # passed, blended, backup, no pilot, hand over
+    assert 40 < figures["teensy_wall_cm"] < 200
+
+
 @pytest.mark.parametrize(
     "name",
     [
@@ -45,6 +53,8 @@ def test_both_boards_compile_fit_and_need_nothing_unknown(measured):
         "crazyflie_ram_bytes",
         "crazyflie_app_stack_bytes",
         "teensy_ram_bytes",
+        "teensy_flight_differs",
+        "m7_teensy_tick_instructions",
         "fused_instructions",
     ],
 )
