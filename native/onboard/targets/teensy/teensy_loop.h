@@ -24,10 +24,11 @@
  *
  * Rounding. Sticks have steps of 5/8 us; no direction of them is the safe one, so what a stick was off by is added to
  * the next command: after any number of frames the sum of what was flown is within half a step of what was asked for,
- * in each stick, as long as none is at its end. At full deflection half a step is 0.03 rad/s (rates of
- * alula_rates.h), so attitudes are off by at most 0.03 T rad; with T = 5 ms and 80 m/s^2 that is 0.012 m/s^2, 2 cm
- * in 1.7 s. With what packets of navigation round, 0.05 m of `reserve_m` is enough; docs/firmware.md has what flights
- * lost.
+ * in each stick, as long as none is at its end. Half a step is at most 0.025 rad/s (at full deflection, with the
+ * rates of alula_rates_defaults), so attitudes are off by at most 0.025 T rad: with T = 5 ms and 80 m/s^2 that is
+ * 0.01 m/s^2. Over the 1.7 s of a stop from 100 km/h it leads 15 mm astray; what packets of navigation round, 0.9 mm,
+ * 9 mm/s and 6e-5 rad together along a direction, 23 mm. 0.05 m of `reserve_m` cover both; docs/firmware.md has what
+ * flights lost.
  *
  * Freestanding C99.
  */

@@ -43,10 +43,14 @@ static uint8_t status;
 static uint32_t work_us, refusedParameters;
 static float velocity[3];
 
+/* NaN is like itself: what was refused once is not tried again every millisecond. */
 static bool is_same(const alula_crazyflie_config* a, const alula_crazyflie_config* b) {
-  return a->radius_m == b->radius_m && a->beta == b->beta && a->kappa == b->kappa && a->v_max == b->v_max &&
-         a->period_s == b->period_s && a->gain == b->gain && a->variance == b->variance && a->enabled == b->enabled &&
-         a->attitude == b->attitude;
+  const float one[] = {a->radius_m, a->beta, a->kappa, a->v_max, a->period_s, a->gain, a->variance};
+  const float other[] = {b->radius_m, b->beta, b->kappa, b->v_max, b->period_s, b->gain, b->variance};
+  for (uint32_t i = 0; i < sizeof one / sizeof one[0]; ++i) {
+    if (one[i] != other[i] && (one[i] == one[i] || other[i] == other[i])) return false;
+  }
+  return a->enabled == b->enabled && a->attitude == b->attitude;
 }
 
 /* The parameters with the period of the divider. */
