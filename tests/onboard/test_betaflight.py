@@ -88,6 +88,10 @@ def test_the_filter_did_it(flights):
 def test_rates_follow_the_model(flights):
     for flight in flights.values():
         assert flight["firmware"]["rate_error_rms_rad_s"] < 0.6
+        assert (
+            flight["firmware"]["rate_error_free_rms_rad_s"]
+            <= flight["firmware"]["rate_error_rms_rad_s"] + 0.05
+        )
 
 
 def processes():
