@@ -27,7 +27,7 @@ sys.path.sort(key=sys.path[-1].__eq__)  # last: this file has the name of the pa
 
 import firmware
 import numpy as np
-from airframe import LOOKS, STEP_S, TICK_S, Airframe, Cockpit, configured, throttle_model
+from airframe import IDLE, LOOKS, STEP_S, TICK_S, Airframe, Cockpit, configured, throttle_model
 from numpy.typing import NDArray
 
 from alula import _core
@@ -139,7 +139,7 @@ class Bench:
         hand = _core.PilotHand(_core.Pilot(flight.pilot), model, flight.start[2], seed=flight.seed)
         x, distance, speed, least_lambda, braking = flight.state, math.inf, 0.0, 1.0, math.nan
         outcomes: dict[str, int] = {}
-        commands, rates = [], []
+        commands, rates, motors = [], [], []
         with firmware.Firmware(self._folder) as program:
             cockpit = self.cockpit(program)
             cockpit.start(x, self.hover)
@@ -158,11 +158,12 @@ class Bench:
                     speed = max(speed, float(np.linalg.norm(after[3:6])))
                     x = after
                 rates.append(x[10:])
+                motors.append(cockpit.motors)
             packets = cockpit.motor_packets() / (len(rates) * LOOKS)
         flown = summary(distance, speed, least_lambda, braking) | {
             "ticks": outcomes,
             "motor_packets_per_step": packets,
-            **rate_errors(np.array(commands), np.array(rates), model, latency_s),
+            **rate_errors(np.array(commands), np.array(rates), np.array(motors), model, latency_s),
         }
         return {
             "name": flight.name,
@@ -202,9 +203,12 @@ def fly_ideally(flight: Flight, model: _core.RacerModel, guard: _core.Geofence, 
 
 
 def rate_errors(
-    commands: FloatArray, rates: FloatArray, model: _core.RacerModel, latency_s: float
+    commands: FloatArray, rates: FloatArray, motors: FloatArray, model: _core.RacerModel, latency_s: float
 ) -> Figures:
-    """How far roll and pitch rates are from those the filter's model has for the same commands."""
+    """How far roll and pitch rates are from those the filter's model has for the same commands.
+
+    Apart also where no motor is at a limit, at the end of a tick.
+    """
     latency = round(latency_s / TICK_S)
     keep, expected, errors = math.exp(-model.rate_gain * TICK_S), np.zeros(3), []
     for tick, rate in enumerate(rates):
@@ -212,9 +216,12 @@ def rate_errors(
         expected = command + keep * (expected - command)
         errors.append(np.linalg.norm((rate - expected)[:2]))
     error = np.array(errors)
+    free = ((motors > IDLE + 0.01) & (motors < 0.99)).all(axis=1)
     return {
         "rate_error_rms_rad_s": float(np.sqrt(np.mean(error**2))),
+        "rate_error_free_rms_rad_s": float(np.sqrt(np.mean(error[free] ** 2))),
         "rate_error_max_rad_s": float(error.max()),
+        "saturated_share": float(1 - free.mean()),
     }
 
 
@@ -290,8 +297,8 @@ def tables(figures: Figures) -> str:
         f"the filter counts with {1e3 * figures['filter_latency_s']:.1f} ms.",
         "",
         "| flight | reserve | least distance, firmware | ideal | peak, firmware | ideal "
-        "| braking from, firmware | ideal | least λ | rates off by, RMS | at most |",
-        "| --- |" + " ---: |" * 10,
+        "| braking from, firmware | ideal | least λ | rates off by, RMS | with free motors | at most |",
+        "| --- |" + " ---: |" * 11,
     ]
     for flight in figures["flights"]:
         real, ideal = flight["firmware"], flight["ideal"]
@@ -303,6 +310,7 @@ def tables(figures: Figures) -> str:
             *("–" if (d := x["brake_distance_m"]) is None else f"{d:.1f} m" for x in (real, ideal)),
             f"{real['min_lambda']:.2f}",
             f"{real['rate_error_rms_rad_s']:.2f} rad/s",
+            f"{real['rate_error_free_rms_rad_s']:.2f} rad/s",
             f"{real['rate_error_max_rad_s']:.2f} rad/s",
         ]
         rows.append(f"| {name} | " + " | ".join(cells) + " |")
