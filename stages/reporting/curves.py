@@ -17,7 +17,7 @@ from alula.stages.reporting.tables import path_ratio, voxel_count
 
 Floats = NDArray[np.float64]
 
-_QUIET = ("", "ok", "filtered")  # what a filter does all the time
+_QUIET = ("", "ok", "filtered", "passed", "blended")  # what a filter does all the time
 _PLAN_SAMPLES = 400
 _DRAWN_PATHS = 300  # per run; those that ended badly first
 _DRAWN_POINTS = 600  # per path; more are not told apart on a page

@@ -17,9 +17,11 @@ from alula.stages.reporting.tables import text
 COLORS = {
     "reached": "#0072b2",
     "passed": "#009e73",
+    "inside": "#0072b2",
     "stuck": "#e69f00",
     "timeout": "#8c6bb1",
     "refused": "#7f7f7f",
+    "outside": "#d7301f",
     "collision": "#d7301f",
     "planned": "#222222",
 }
