@@ -120,6 +120,8 @@ def _ticks(states: list[_State], answers: list[_Answer]) -> Ticks:
         share=known([a.share for a in answers]),
         h_i_m=known([a.h_m for a in answers]),
         distance_m=np.array([a.margin for a in answers]),
-        throttle=np.stack([known([a.throttle_nom for a in answers]), [a.throttle_safe for a in answers]], axis=1),
+        throttle=np.stack(
+            [known([a.throttle_nom for a in answers]), [a.throttle_safe for a in answers]], axis=1
+        ),
         status=tuple(a.status_name for a in answers),
     )

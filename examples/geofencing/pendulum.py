@@ -2,9 +2,9 @@
 
 Usage: python pendulum.py [--quick] FILE
 
-Both native filters answer the states of one flight against the boundary, in turns; a solver gets every row of the
-program at these states, as Python calls it, set-up included: what it adds to building the rows, which is in the time
-of the native program. FILE is JSON.
+Both native filters answer the states of one flight against the boundary, in turns; a solver gets every row
+of the program at these states, as Python calls it, set-up included: what it adds to building the rows, which
+is in the time of the native program. FILE is JSON.
 """
 
 import argparse
@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from alula import _core
 from alula.schemas.atomic import write_text
 from alula.stages.filtering.qp import clarabel_backend
@@ -77,5 +78,6 @@ for name, solver in solvers.items():
         found[f"solver {name} [us]"] = statistics.median(solved)
 write_text(
     options.file,
-    json.dumps({"times": found, "rows": a.shape[1], "states": len(states), "solved": len(picked)}, indent=2) + "\n",
+    json.dumps({"times": found, "rows": a.shape[1], "states": len(states), "solved": len(picked)}, indent=2)
+    + "\n",
 )

@@ -20,12 +20,13 @@ from alula.stages.reporting.tables import Table, flat, text
 
 KM_H = 3.6  # of 1 m/s
 FREE, BASE, PROGRAM = "none", "geofence", "backup-qp"
+_ASKED = ("passed", "blended", "backup")  # statuses with a share of the pilot
 _SHARES = ("passed", "blended", "backup", "no_pilot", "hand_over")
 
 
 @dataclass(frozen=True, slots=True)
 class Fenced:
-    """One run: flights of one variant in one scenario, which is its folder's name, and the ticks of the first."""
+    """One run: flights of one variant in one scenario, which is its folder's name; and its first's ticks."""
 
     scenario: str
     variant: str
@@ -88,9 +89,10 @@ def find(runs: Iterable[Fenced], scenario: str, variant: str) -> Fenced | None:
 class Approach:
     """One flight against a barrier, from its ticks.
 
-    Distances are those of the sphere; `braking_m` is that when it was fastest, `halved_m` when the pilot's share
-    first fell below 1/2, `rest_m` at the end. `tilt_deg` is the largest after it was fastest; `helpless_s` how
-    long the pilot's share was 0 in all; `engagements` how often it fell below 1/2 from above 9/10.
+    Distances are those of the sphere to the nearest face; `braking_m` is that when it was fastest, `halved_m`
+    when the pilot's share first fell below 1/2, `rest_m` at the end. `tilt_deg` is the largest after it was
+    fastest; `helpless_s` how long the share was 0 in all, outages of radio and navigation aside;
+    `engagements` how often it fell below 1/2 from above 9/10.
     """
 
     peak_km_h: float
@@ -108,7 +110,8 @@ def approach(ticks: Ticks) -> Approach:
     """What a flight was like; its samples are the filter's ticks, at equal times."""
     speed = np.linalg.norm(ticks.velocity, axis=1)
     fastest = int(np.argmax(speed))
-    share = np.where(np.isfinite(ticks.share), ticks.share, 1.0)
+    asked = np.array([word in _ASKED for word in ticks.status])
+    share = np.where(asked & np.isfinite(ticks.share), ticks.share, 1.0)
     low = np.flatnonzero(share < 0.5)
     tick_s = float(ticks.time_s[1] - ticks.time_s[0]) if len(ticks.time_s) > 1 else 0.0
     return Approach(
@@ -141,38 +144,50 @@ def approach_table(runs: Sequence[Fenced], scenario: str, title: str, note: str)
         if run.ticks is None:
             continue
         a = approach(run.ticks)
+        shares = (a.halved_m, a.least_share, 1e3 * a.helpless_s)  # of the other filters there is no lambda
+        halved, least_share, helpless = shares if run.record.filter == BASE else (None, None, None)
         rows.append(
             (
-                *(run.variant, changed(run), a.peak_km_h, a.braking_m, a.halved_m, a.tilt_deg),
-                *(run.least_m, run.least_m + run.radius_m, a.rest_m, a.least_share, 1e3 * a.helpless_s),
+                *(run.variant, changed(run), a.peak_km_h, a.braking_m + run.radius_m),
+                *(None if halved is None else halved + run.radius_m, a.tilt_deg, run.least_m),
+                *(run.least_m + run.radius_m, a.rest_m + run.radius_m, least_share, helpless),
                 "left" if run.left.value else "held",
             )
         )
     if not rows:
         return None
     for name, said in GEOFENCING[scenario].items():
-        keys = ("peak_km_h", "braking_m", None, "tilt_deg", None, "least_m", None, "least_share")
+        keys = ("peak_km_h", "braking_m", None, "tilt_deg", None, "least_m", "rest_m", "least_share")
         rows.append(
             (f"published, {name}", "", *(said.get(key) if key else None for key in keys), None, "held")
         )
     columns = (
         *("variant", "changed", "fastest [km/h]", "brakes from [m]", "λ below 1/2 from [m]", "tilt [°]"),
-        *("least distance [m]", "of the centre [m]", "at the end [m]", "least λ", "λ = 0 [ms]", "fence"),
+        *(
+            "least distance [m]",
+            "of the centre [m]",
+            "centre at the end [m]",
+            "least λ",
+            "λ = 0 [ms]",
+            "fence",
+        ),
     )
     return Table(scenario, title, columns, tuple(rows), note)
 
 
 WALL_NOTE = (
-    "Distances are to the nearest face, less the radius of the vehicle's sphere; brakes from: where it was "
-    "fastest; tilt: the largest after that. Published distances are taken as those of the centre. The model has "
-    "no drag, like the paper's; `drag` flies with some that the filter does not know of."
+    "Distances are those of the centre, as the published ones are taken to be, but for the least distance, "
+    "which is that of the sphere. Brakes from: where it was fastest; tilt: the largest after that. The model "
+    "has no drag, like the paper's; `drag` flies with some that the filter does not know of. `rule-10`: the "
+    "regulation (10) without the scaling by the speed (19)."
 )
+_PLUNGE_M_S = GEOFENCING["fall"]["simulation"]["peak_km_h"] / KM_H
 FALL_NOTE = (
-    "As above. A fall without drag that ends at 70 km/h is one of 19.3 m: the published filter stops it 50 m "
-    "above its barrier. Ours, with the published gains, brakes where braking still suffices, and so later; "
-    "`gentle` has a slower regulation (beta 0.5, v_c up to 100 m/s), `drag` 0.02 N s²/m² along the body's axis. "
-    "`radio`: nothing comes in at all, which the filter, unlike a silent throttle, takes for a lost link and "
-    "hovers."
+    f"As above. A fall without drag that is at its fastest with {KM_H * _PLUNGE_M_S:.0f} km/h is one of "
+    f"{_PLUNGE_M_S**2 / (2 * 9.81):.1f} m, so the published filter brakes far above its barrier. Ours, with "
+    "the published gains, brakes where braking still suffices, and so later; `gentle` has a slower regulation, "
+    "`drag` some drag. `radio`: not even a silent throttle comes in, which the filter takes for a lost link, "
+    "and hovers."
 )
 
 
@@ -223,12 +238,18 @@ def flights_table(runs: Sequence[Fenced], name: str, title: str, scenarios: Sequ
         )
     columns = (
         *("fence", "variant", "changed", "flights", "left the fence [%]", "95 % low", "95 % high"),
-        *("least distance [m]", "fastest [km/h]", "engagements per flight", "pilot's bits [%]", "blended [%]"),
+        *(
+            "least distance [m]",
+            "fastest [km/h]",
+            "engagements per flight",
+            "pilot's bits [%]",
+            "blended [%]",
+        ),
         *("u_B alone [%]", "no pilot [%]", "handed over [%]", "longest u_B alone [s]"),
     )
     note = (
-        "Judged at every step of the plant, in double precision, along the chord since the last; an engagement "
-        "begins where λ falls below 1/2 after it was above 9/10. Intervals are Wilson's."
+        "Judged at every step of the plant, in double precision, along the chord since the last. An "
+        "engagement begins where λ falls below 1/2 after it was above 9/10. Intervals are Wilson's."
     )
     return Table(name, title, columns, tuple(rows), note) if rows else None
 
@@ -251,9 +272,9 @@ def filters_table(runs: Sequence[Fenced], scenario: str, names: Sequence[str]) -
         *("pilot's bits [%]", "changed [%]", "u_B alone [%]", "tick p50 [µs]", "tick p99 [µs]"),
     )
     note = (
-        "The same pilots from the same starts. u_B alone: h_I is not positive, or the program has no solution. "
-        "Times are measured while the flights were flown, with whatever else the machine did; the program's "
-        "rows are ours, pruned of those that cannot bind."
+        "The same pilots from the same starts. u_B alone: h_I is not positive, or the program has no "
+        "solution. Times are measured while the flights were flown, with whatever else the machine did; "
+        "the program's rows are ours, pruned of those that cannot bind."
     )
     return Table("filters", "Filters beside each other", columns, tuple(rows), note) if rows else None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,8 @@ class Swing:
 
 def swing(rule: str, gain: float, tick_s: float, duration_s: float = 15.0) -> Swing:
     """Fly a rule with a gain for the paper's command, the input held for a tick."""
-    made = _core.PendulumFilter(rule, **{GAIN[rule]: gain})
+    is_program = rule == PROGRAM
+    made = _core.PendulumFilter(rule, alpha=gain) if is_program else _core.PendulumFilter(rule, beta=gain)
     rows = made.fly(0.0, 0.0, PUSH, tick_s, round(duration_s / tick_s))
     angle, rate, u = rows[:, 0].copy(), rows[:, 1].copy(), rows[:, 2].copy()
     tail = slice(-max(2, round(_TAIL * len(rows))), None)
@@ -72,7 +73,7 @@ def swing(rule: str, gain: float, tick_s: float, duration_s: float = 15.0) -> Sw
         rule=rule,
         gain=gain,
         tick_s=tick_s,
-        time_s=tick_s * np.arange(len(rows)),
+        time_s=tick_s * np.arange(len(rows), dtype=np.float64),
         angle=angle,
         rate=rate,
         input=u,
@@ -148,8 +149,3 @@ def _field(o: Pendulum, x: FloatArray) -> FloatArray:
 def _turned(o: Pendulum, x: FloatArray, tangent: FloatArray) -> FloatArray:
     slope = _pull(o, x[0])[1]
     return np.array([tangent[1], o.k * (slope * tangent[0] - tangent[1])])
-
-
-def options_of(options: Pendulum) -> dict[str, float]:
-    """As `_core.PendulumFilter` takes them."""
-    return asdict(options)
