@@ -185,9 +185,9 @@ _PLUNGE_M_S = GEOFENCING["fall"]["simulation"]["peak_km_h"] / KM_H
 FALL_NOTE = (
     f"As above. A fall without drag that is at its fastest with {KM_H * _PLUNGE_M_S:.0f} km/h is one of "
     f"{_PLUNGE_M_S**2 / (2 * 9.81):.1f} m, so the published filter brakes far above its barrier. Ours, with "
-    "the published gains, brakes where braking still suffices, and so later; `gentle` has a slower regulation, "
-    "`drag` some drag. `radio`: not even a silent throttle comes in, which the filter takes for a lost link, "
-    "and hovers."
+    "the published gains, brakes where braking still suffices, and so later; `gentle` has a slower "
+    "regulation, `drag` some drag. `radio`: not even a silent throttle comes in, which the filter takes for a "
+    "lost link, and hovers."
 )
 
 

@@ -60,9 +60,9 @@ def robustness_table(runs: Sequence[Fenced]) -> Table | None:
     )
     grid = sorted({run.reserve_m for run in select(runs, ROBUSTNESS)})
     note = (
-        f"Aggressive pilots in the box, each with reserves of {text(grid)} m; the least is that from which on "
-        "no flight with any larger one left either. None of n is no proof of none: the interval says what n "
-        "flights cannot exclude. Starts are safe for the filter with its reserve, so they differ a little. "
+        f"Aggressive pilots in the box, each with reserves of {text(grid)} m; the least is that from which "
+        "on no flight with any larger one left either. None of n is no proof of none: the interval says what "
+        "n flights cannot exclude. Starts are safe for the filter with its reserve, so they differ a little. "
         "`delay-known`: the filter knows of the delay (latency_s)."
     )
     return Table(ROBUSTNESS, "Robustness, and the reserve that makes up for it", columns, tuple(rows), note)

@@ -147,7 +147,8 @@ def _gains(swings: Sequence[Swing]) -> str:
             continue
         words.append(
             f"{rule} chatters by less than {_CALM:g} rad/s² per s at {len(calm)} of {len(here)} gains, "
-            f"least by {text(least.chatter)} at {GAIN[rule]} {least.gain:g}, settled at {text(least.settled_rad)} rad"
+            f"least by {text(least.chatter)} at {GAIN[rule]} {least.gain:g}, settled at "
+            f"{text(least.settled_rad)} rad"
         )
     return "; ".join(words)
 
