@@ -186,8 +186,8 @@ FALL_NOTE = (
     f"As above. A fall without drag that is at its fastest with {KM_H * _PLUNGE_M_S:.0f} km/h is one of "
     f"{_PLUNGE_M_S**2 / (2 * 9.81):.1f} m, so the published filter brakes far above its barrier. Ours, with "
     "the published gains, brakes where braking still suffices, and so later; `gentle` has a slower "
-    "regulation, `drag` some drag. `radio`: not even a silent throttle comes in, which the filter takes for a "
-    "lost link, and hovers."
+    "regulation, `drag` some drag. `radio`: not even a silent throttle comes in, which the filter takes for "
+    "a lost link, and hovers."
 )
 
 
@@ -294,8 +294,10 @@ def passes_table(runs: Sequence[Fenced]) -> Table | None:
     rows.append(("all", *_passes(guarded)))
     columns = ("fence", "flights", "ticks", "passed: λ rounds to 1", "of these altered", "beyond the limits")
     note = (
-        "Altered: a passed command of which any bit is not the pilot's, counted in the flight. Beyond the "
-        "limits: commands outside of the throttle's or the rates' range, or λ outside of 0 to 1."
+        "Passed only where 1 - exp(-x) rounds to 1 in single precision, so far from the fence; closer, where "
+        "the pilot's share is almost 1, his command is rounded. Altered: a passed command of which a bit is "
+        "not his, counted in the flight. Beyond the limits: commands outside of the throttle's or the rates' "
+        "range, or λ outside of 0 to 1."
     )
     return Table("passes", "Passed commands, bit by bit", columns, tuple(rows), note)
 

@@ -76,12 +76,11 @@ def chatter_figure(swings: Sequence[Swing]) -> Figure | None:
                     label=f"{rule}, tick {1e3 * tick:g} ms",
                     markersize=4,
                 )
-                for s in here:
-                    if tick == ticks[0]:
+                if tick == ticks[0]:
+                    for s in (here[0], *here[1::2]):  # of all, some would lie on others
                         at = (s.arrival_s or 0.0, max(_LEAST_CHATTER, s.chatter))
-                        axes.annotate(
-                            f"{s.gain:g}", at, fontsize=8, xytext=(4, 3), textcoords="offset points"
-                        )
+                        words = {"fontsize": 8, "xytext": (5, 3), "textcoords": "offset points"}
+                        axes.annotate(f"{s.gain:g}", at, **words)
                 said.append(
                     f"{rule} at {1e3 * tick:g} ms from {text(here[0].chatter)} to {text(here[-1].chatter)}"
                 )
@@ -172,17 +171,17 @@ def robustness_figure(runs: Sequence[Fenced]) -> Figure | None:
         return None
     said = []
     with drawing(9.4, 6.4, rows=2) as ((top, bottom), render):
-        for group, color in zip(groups, _COLORS, strict=False):
-            reserve = [run.reserve_m for run in group.runs]
+        for place, (group, color) in enumerate(zip(groups, _COLORS, strict=False)):
+            reserve = np.array([run.reserve_m for run in group.runs])
             rates = [run.left for run in group.runs]
-            values = [r.value or 0.0 for r in rates]
-            top.fill_between(
-                reserve, [r.low for r in rates], [r.high for r in rates], color=color, alpha=0.1, linewidth=0
+            values = np.array([r.value or 0.0 for r in rates])
+            spread = [values - [r.low for r in rates], [r.high for r in rates] - values]
+            line = {"color": color, "markersize": 4, "linewidth": 1.4}
+            apart = reserve + 0.008 * (place - len(groups) / 2)
+            top.errorbar(
+                apart, values, yerr=spread, fmt="o-", capsize=2, elinewidth=0.8, label=group.name, **line
             )
-            top.plot(reserve, values, "o-", color=color, markersize=4, linewidth=1.5, label=group.name)
-            bottom.plot(
-                reserve, [run.least_m for run in group.runs], "o-", color=color, markersize=4, linewidth=1.5
-            )
+            bottom.plot(reserve, [run.least_m for run in group.runs], "o-", **line)
             enough = "none of the grid" if group.enough is None else f"{text(group.enough.reserve_m)} m"
             said.append(f"{group.name} {text(rates[0].value)} % without, enough: {enough}")
         bottom.axhline(0, color=BAD, linewidth=1)
@@ -217,7 +216,8 @@ def distances_figure(runs: Sequence[Fenced]) -> Figure | None:
         if not said:
             return None
         axes.axvline(0, color=SOFT, linewidth=1)
-        axes.set(xscale=("symlog"), xlabel="least distance of a flight [m]", ylabel="share of flights")
+        axes.set_xscale("symlog", linthresh=0.01)
+        axes.set(xlabel="least distance of a flight [m]", ylabel="share of flights")
         axes.legend(fontsize=9)
         svg = render()
     alt = f"Share of flights whose least distance to the fence is at most a value. {'; '.join(said)}."
