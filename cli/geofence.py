@@ -167,7 +167,7 @@ def _write(
         vehicle=f"{vehicle}, by throttle and rates, radius {flown.world.radius_m:g} m",
         trials=flown.trials,
         summary=summary,
-        guarantee=fence_guarantee(scenario, flown.trials),
+        guarantee=fence_guarantee(scenario, flown),
     )
     tick_s = scenario.filter.parameters.tick_s
     write_run(

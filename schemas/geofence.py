@@ -49,6 +49,9 @@ from alula.schemas.toml_file import first_beyond, has_key, read_changed
 
 NotNegative = Annotated[float, Meta(ge=0)]
 Positive = Annotated[float, Meta(gt=0)]
+Hundred = Annotated[float, Meta(ge=0, le=100)]
+Ten = Annotated[float, Meta(ge=0, le=10)]
+Step = Annotated[float, Meta(ge=1e-4, le=0.1)]
 Scale = Annotated[float, Meta(ge=0.01, le=100)]
 Vector = tuple[float, float, float]
 Sizes = tuple[NotNegative, NotNegative, NotNegative]
@@ -56,6 +59,7 @@ Box = tuple[float, float, float, float, float, float]
 Face = tuple[float, float, float, float]
 
 MOST_TRIALS = 1_000_000
+MOST_LATENCY = 32  # ticks: ALULA_GEOFENCE_LATENCY of native/onboard
 MOST_FACES = 32  # ALULA_FENCE_FACES of native/onboard
 FARTHEST_M = 1e4  # ALULA_FENCE_FAR of native/onboard
 
@@ -96,28 +100,28 @@ class RacerTable(_Table, frozen=True, kw_only=True):
 class GeofenceParameters(_Table, frozen=True, kw_only=True):
     """Of the filter, by the names of `alula_geofence_config`; `alpha` is of `backup-qp` alone."""
 
-    reserve_m: Annotated[float, Meta(ge=0, le=100)] = 0.0
+    reserve_m: Hundred = 0.0
     latency_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
-    tick_s: Positive = 0.0025
+    tick_s: Step = 0.0025
     steps: Annotated[int, Meta(ge=2, le=400, multiple_of=2)] = 100
-    step_s: Positive = 0.03
-    beta: Positive = 1.5
+    step_s: Step = 0.03
+    beta: Annotated[float, Meta(ge=1e-3, le=1000)] = 1.5
     slow_m_s: Annotated[float, Meta(ge=0.01, le=100)] = 1.0
     fast_m_s: Annotated[float, Meta(ge=0.01, le=100)] = 10.0
-    end_speed_m_s: Annotated[float, Meta(ge=0, le=10)] = 1.0
-    end_gain: Positive = 40.0
-    push_distance_m: NotNegative = 1.0
-    push_gain: NotNegative = 1.0
-    push_speed_m_s: NotNegative = 1.0
-    tilt_gain: NotNegative = 0.15
-    max_tilt_rad: Annotated[float, Meta(gt=0, lt=math.pi / 2)] = math.pi / 2.1
-    attitude_gain: NotNegative = 10.0
-    height_gain: NotNegative = 0.1
-    climb_gain: NotNegative = 0.05
+    end_speed_m_s: Ten = 1.0
+    end_gain: Annotated[float, Meta(ge=0.1, le=1000)] = 40.0
+    push_distance_m: Hundred = 1.0
+    push_gain: Ten = 1.0
+    push_speed_m_s: Ten = 1.0
+    tilt_gain: Ten = 0.15
+    max_tilt_rad: Annotated[float, Meta(ge=0.01, le=1.57)] = math.pi / 2.1
+    attitude_gain: Annotated[float, Meta(ge=0.01, le=1000)] = 10.0
+    height_gain: Ten = 0.1
+    climb_gain: Ten = 0.05
     most_throttle: Annotated[float, Meta(ge=0, le=1)] = 0.3
-    stale_limit_s: Annotated[float, Meta(ge=0, le=10)] = 0.3
-    stale_speed_m_s: Annotated[float, Meta(ge=0, le=100)] = 0.5
-    stale_acceleration_m_s2: Annotated[float, Meta(ge=0, le=100)] = 5.0
+    stale_limit_s: Ten = 0.3
+    stale_speed_m_s: Hundred = 0.5
+    stale_acceleration_m_s2: Hundred = 5.0
     descent: Annotated[float, Meta(ge=0, le=1)] = 0.9
     alpha: Positive = 2.0
 
@@ -221,6 +225,8 @@ def _check(path: Path, scenario: FenceScenario) -> None:
         "needs box_m, faces or cover",
     )
     require(fence.cover is None or bool(fence.cover), "fence.cover", "must not be empty")
+    is_qp = scenario.filter.name == "backup-qp"
+    require(not is_qp or fence.cover is None, "filter.name", "backup-qp knows box and faces, but no cover")
     for i, face in enumerate(fence.faces):
         length = math.hypot(*face[:3])
         require(
@@ -240,7 +246,13 @@ def _check(path: Path, scenario: FenceScenario) -> None:
         begins, lasts = getattr(run, f"{what}_from_s"), getattr(run, f"{what}_for_s")
         require(begins is not None or lasts is None, f"run.{what}_for_s", f"needs {what}_from_s")
     require(1e-3 <= run.log_rate_hz <= 1e5, "run.log_rate_hz", "must be between 0.001 and 100000")
-    ticks = run.duration_s / scenario.filter.parameters.tick_s
+    values = scenario.filter.parameters
+    require(values.slow_m_s <= values.fast_m_s, "filter.parameters.fast_m_s", "must not be below slow_m_s")
+    most = MOST_LATENCY * values.tick_s
+    require(
+        values.latency_s <= most, "filter.parameters.latency_s", f"is above {MOST_LATENCY} ticks, {most:g} s"
+    )
+    ticks = run.duration_s / values.tick_s
     require(ticks <= 1e7, "run.duration_s", f"has {ticks:.3g} ticks of the filter, more than 10,000,000")
 
 

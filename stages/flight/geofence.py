@@ -20,9 +20,9 @@ from alula.schemas.vehicle import Vehicle
 from alula.stages.compression.certificate import require_solid_hulls
 from alula.stages.distribute import distribute
 from alula.stages.flight.geofence_log import FenceFlight
-from alula.stages.flight.geofence_world import FlownWorld, native_world
+from alula.stages.flight.geofence_world import FlownWorld, KeepOut, native_world
 
-CHUNK = 4  # trials: about a second
+CHUNK, CHUNK_TICKS = 4, 20_000  # trials and ticks, at most: less than a second
 _LEAST_S, _BINS, _PER_OCTAVE = 1e-8, 2400, 60  # of the histogram of times: to 1.2 % from 10 ns to hours
 
 
@@ -121,7 +121,7 @@ class FenceRun:
 class _Chunk:
     scenario: FenceScenario
     vehicle: Vehicle
-    cover: Artifact | None
+    keep_out: KeepOut | None
     first: int
     count: int
 
@@ -155,6 +155,7 @@ def fly_in_fence(
         UsageError: numbers of the scenario mean nothing together, or it begins outside of its fence; the
             message has the path of their key.
         ArtifactError, InputError: the cover is damaged, or not in metres.
+        InfeasibleError: it has no onboard map, see `encode_map`.
         LinkError: see `distribute`.
     """
     if cover is not None:
@@ -163,12 +164,14 @@ def fly_in_fence(
                 f"the cover is in {cover.manifest.unit} units, not metres; run scale-align first"
             )
         require_solid_hulls(cover, jobs=jobs)
-    world = native_world(scenario, vehicle, cover)  # what is wrong is wrong before any work
+    keep_out = None if cover is None else KeepOut.of(cover)
+    world = native_world(scenario, vehicle, keep_out)  # what is wrong is wrong before any work
     kept = FenceJournal() if journal is None else journal
     total = scenario.trials.count
+    size = _chunk_size(scenario)
     missing = [
-        _Chunk(scenario, vehicle, cover, first, min(CHUNK, total - first))
-        for first in range(0, total, CHUNK)
+        _Chunk(scenario, vehicle, keep_out, first, min(size, total - first))
+        for first in range(0, total, size)
         if first not in kept.chunks
     ]
     done = total - sum(chunk.count for chunk in missing)
@@ -192,6 +195,12 @@ def fly_in_fence(
     return FenceRun(trials, flights, world, Times.joined([chunk.times for chunk in chunks]))
 
 
+def _chunk_size(scenario: FenceScenario) -> int:
+    """Trials that are flown together; fewer where flights are long, as no flight can be interrupted."""
+    ticks = scenario.run.duration_s / scenario.filter.parameters.tick_s
+    return max(1, min(CHUNK, int(CHUNK_TICKS / ticks)))
+
+
 def worst_trial(trials: list[TrialResult]) -> TrialResult:
     """The first of those that came closest to their fence."""
     return min(trials, key=lambda trial: (trial.map_clearance_m or 0.0, trial.index))
@@ -201,7 +210,7 @@ def fly_chunk(chunk: _Chunk, world: FlownWorld | None = None) -> FlownChunk:
     """Fly some trials on the calling thread, without holding the interpreter."""
     scenario = chunk.scenario
     if world is None:
-        world = native_world(scenario, chunk.vehicle, chunk.cover)
+        world = native_world(scenario, chunk.vehicle, chunk.keep_out)
     shown = min(max(scenario.run.traces - chunk.first, 0), chunk.count)
     trials, times, flights = _flown(scenario, world, chunk.first, shown, keeps_trace=True)
     rest, more, _ = _flown(scenario, world, chunk.first + shown, chunk.count - shown, keeps_trace=False)

@@ -102,12 +102,12 @@ def fence_timing(times: Times) -> dict[str, Any]:
     }
 
 
-def fence_guarantee(scenario: FenceScenario, trials: list[TrialResult]) -> Guarantee:
+def fence_guarantee(scenario: FenceScenario, flown: FenceRun) -> Guarantee:
     """What holds beforehand, for which model, and what the run shows."""
+    trials, deviates = flown.trials, flown.world.deviations
     out = sum(trial.collision for trial in trials)
     name = scenario.filter.name
     found = f"{out or 'none'} of {len(trials)} flights left the fence"
-    deviates = _deviations(scenario)
     body = f"Judged from the simulated truth, along chords of the plant's steps: {found}."
     if deviates and name != "none":
         body += f" The vehicle was not as the filter's model: {', '.join(deviates)}."
@@ -121,23 +121,3 @@ def fence_guarantee(scenario: FenceScenario, trials: list[TrialResult]) -> Guara
             "proven": False,
         },
     )
-
-
-def _deviations(scenario: FenceScenario) -> list[str]:
-    """Keys of the vehicle that the filter does not know of."""
-    table = scenario.vehicle
-    scales = ("mass_scale", "thrust_scale", "rate_gain_scale")
-    found = [f"{key} {getattr(table, key):g}" for key in scales if getattr(table, key) != 1]
-    delay = table.delay_s or 0.0
-    if delay > scenario.filter.parameters.latency_s:
-        found.append(f"delay_s {delay:g} beyond latency_s")
-    return found + [
-        key
-        for key in ("linear_drag_n_s_m", "quadratic_drag_n_s2_m2", "wind_m_s", "gust_m_s", "sag_share")
-        if (value := getattr(table, key)) is not None and _is_on(value)
-    ]
-
-
-def _is_on(value: float | tuple[float, ...]) -> bool:
-    """Whether a number, or one of several, is not 0."""
-    return any(value) if isinstance(value, tuple) else bool(value)

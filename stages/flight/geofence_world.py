@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 import numpy as np
@@ -16,12 +17,31 @@ from alula.schemas.errors import UsageError
 from alula.schemas.geofence import FenceScenario
 from alula.schemas.vehicle import Vehicle
 from alula.stages.compression.hulls import Hulls
-from alula.stages.flight.racer import fence, racer_model, racer_options
+from alula.stages.compression.onboard import encode_map
+from alula.stages.flight.racer import racer_model, racer_options
+from alula.stages.reporting.metrics import hull_obstacles
 
 FloatArray = NDArray[np.float64]
 
 # Where the native options are called otherwise.
 _PLANT_NAMES = {"linear_drag_n_s_m": "linear_drag", "quadratic_drag_n_s2_m2": "quadratic_drag"}
+
+
+@dataclass(frozen=True, slots=True)
+class KeepOut:
+    """A cover: the image of its onboard map, which the filter reads, and the hulls that it is judged by."""
+
+    image: bytes
+    hulls: Hulls
+
+    @classmethod
+    def of(cls, cover: Artifact) -> Self:
+        """Encode a cover.
+
+        Raises:
+            InfeasibleError, InputError, ArtifactError: it has no onboard map, see `encode_map`.
+        """
+        return cls(encode_map(cover), Hulls.from_cover(cover))
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +55,7 @@ class FlownWorld:
         faces: of box and polytope together, shape (L, 4), rows (n, d) with unit n and n . p <= d inside.
         hulls: to keep out of, None without a cover.
         start_h_i_m: h_I of a fixed start, None with random ones, of which each has one above 0.
+        deviations: in a few words each, in what the vehicle is not as the filter's model.
     """
 
     spec: _core.GeofenceSpec
@@ -43,23 +64,24 @@ class FlownWorld:
     faces: FloatArray
     hulls: Hulls | None
     start_h_i_m: float | None
+    deviations: tuple[str, ...]
 
 
-def native_world(scenario: FenceScenario, vehicle: Vehicle, cover: Artifact | None) -> FlownWorld:
+def native_world(scenario: FenceScenario, vehicle: Vehicle, keep_out: KeepOut | None) -> FlownWorld:
     """Everything native; made once, used by many threads.
 
     Raises:
         UsageError: numbers mean nothing together; the message has the path of their key.
-        InfeasibleError, InputError, ArtifactError: the cover has no onboard map, see `encode_map`.
     """
     table = scenario.vehicle
     radius = vehicle.body.radius_m if table.radius_m is None else table.radius_m
     box = scenario.fence.box_m
-    unit = unit_faces(scenario)
-    where = fence(
+    unit = unit_faces(scenario.fence.faces)
+    where = _core.Fence(
         box=None if box is None else (box[:3], box[3:]),
         faces=unit if len(unit) else None,
-        cover=cover,
+        image=None if keep_out is None else keep_out.image,
+        keep_out=None if keep_out is None else hull_obstacles(keep_out.hulls),
     )
     filter_ = _filter(scenario, vehicle, where, radius)
     start = start_state(scenario)
@@ -76,26 +98,48 @@ def native_world(scenario: FenceScenario, vehicle: Vehicle, cover: Artifact | No
         spec=_spec(scenario, vehicle, start),
         filter=filter_,
         radius_m=radius,
-        faces=np.concatenate([_box_faces(box), unit]),
-        hulls=None if cover is None else Hulls.from_cover(cover),
+        faces=fence_faces(box, scenario.fence.faces),
+        hulls=None if keep_out is None else keep_out.hulls,
         start_h_i_m=start_h_i,
+        deviations=_deviations(scenario, vehicle),
     )
 
 
-def unit_faces(scenario: FenceScenario) -> FloatArray:
-    """The faces of the polytope with unit normals, shape (L, 4)."""
-    faces = np.array(scenario.fence.faces, np.float64).reshape(-1, 4)
+def _deviations(scenario: FenceScenario, vehicle: Vehicle) -> tuple[str, ...]:
+    table = scenario.vehicle
+    scales = {key: getattr(table, key) for key in ("mass_scale", "thrust_scale", "rate_gain_scale")}
+    found = [f"{key} {value:g}" for key, value in scales.items() if value != 1]
+    for key in ("delay_s", "linear_drag_n_s_m", "quadratic_drag_n_s2_m2", "wind_m_s", "gust_m_s"):
+        value = getattr(table, key)
+        value = getattr(vehicle.disturbance, key) if value is None else value
+        if key == "delay_s" and value > scenario.filter.parameters.latency_s:
+            found.append(f"delay_s {value:g} beyond latency_s")
+        elif key != "delay_s" and any(value):
+            found.append(key)
+    sag = (
+        table.sag_share
+        if table.sag_share is not None or vehicle.throttle is None
+        else vehicle.throttle.sag_share
+    )
+    return tuple(found + ([f"sag_share {sag:g}"] if sag else []))
+
+
+def unit_faces(rows: Sequence[Sequence[float]]) -> FloatArray:
+    """The faces of a polytope with unit normals, shape (L, 4), rows (n, d) with n . p <= d inside."""
+    faces = np.array(rows, np.float64).reshape(-1, 4)
     unit: FloatArray = faces / np.linalg.norm(faces[:, :3], axis=1, keepdims=True)
     return unit
 
 
-def _box_faces(box: tuple[float, ...] | None) -> FloatArray:
+def fence_faces(box: Sequence[float] | None, rows: Sequence[Sequence[float]]) -> FloatArray:
+    """Those of a box, upper before lower, and of a polytope together, as `unit_faces`."""
+    faces = unit_faces(rows)
     if box is None:
-        return np.empty((0, 4))
+        return faces
     axes = np.eye(3)
     upper = np.column_stack([axes, np.array(box[3:])])
     lower = np.column_stack([-axes, -np.array(box[:3])])
-    return np.concatenate([upper, lower])
+    return np.concatenate([upper, lower, faces])
 
 
 def start_state(scenario: FenceScenario) -> FloatArray | None:
@@ -114,7 +158,7 @@ def _filter(scenario: FenceScenario, vehicle: Vehicle, where: _core.Fence, radiu
     try:
         return _core.Geofence(where, racer_model(vehicle), given | {"radius_m": radius_m})
     except (TypeError, ValueError) as error:
-        raise UsageError(f"`$.filter.parameters`: {error}") from error
+        raise UsageError(f"`$.filter.parameters`, or the model of {vehicle.name}: {error}") from error
 
 
 def _spec(scenario: FenceScenario, vehicle: Vehicle, start: FloatArray | None) -> _core.GeofenceSpec:
