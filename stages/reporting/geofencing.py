@@ -91,7 +91,7 @@ class Approach:
 
     Distances are those of the sphere to the nearest face; `braking_m` is that when it was fastest, `halved_m`
     when the pilot's share first fell below 1/2, `rest_m` at the end. `tilt_deg` is the largest after it was
-    fastest; `helpless_s` how long the share was 0 in all, outages of radio and navigation aside;
+    fastest; `helpless_s` how long u_B flew alone in all, outages of radio and navigation aside;
     `engagements` how often it fell below 1/2 from above 9/10.
     """
 
@@ -122,7 +122,7 @@ def approach(ticks: Ticks) -> Approach:
         least_m=float(ticks.distance_m.min()),
         rest_m=float(ticks.distance_m[-1]),
         least_share=float(share.min()),
-        helpless_s=tick_s * int((share == 0).sum()),
+        helpless_s=tick_s * ticks.status.count("backup"),
         engagements=engagements(share),
     )
 
