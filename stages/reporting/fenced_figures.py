@@ -52,7 +52,7 @@ def _side_figure(run: Run, name: str) -> Figure:
     alt = (
         f"The {len(paths)} logged flights of {run.label} from the side, heights from "
         f"{text(float(points[:, 2].min()))} m to {text(float(points[:, 2].max()))} m"
-        f"{'; the dark line is the outline of the fence' if shape is not None else ''}. Circles are starts, "
+        f"{'; dark lines are the outline of the fence' if shape is not None else ''}. Circles are starts, "
         "crosses ends."
     )
     return Figure(name, f"From the side: {run.label}", alt, svg, wide=True)

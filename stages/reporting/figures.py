@@ -183,7 +183,7 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
                 f", those between the flown heights {text(shown.band_m[0])} m and {text(shown.band_m[1])} m"
             )
     if shown.fence is not None:
-        where += "; the dark line is the outline of the fence"
+        where += "; dark lines are the outline of the fence"
     alt = (
         f"Map from above of {shown.label}: paths {counts or 'none'}{where}. Circles are starts, crosses ends."
     )

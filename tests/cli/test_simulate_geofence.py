@@ -281,7 +281,7 @@ def test_the_run_can_be_explained_and_reported(here, capsys):
     page, markdown = Path("page.html").read_text(), Path("page.md").read_text()
     for title in ("From above: r", "From the side: wall", "The closest flight: wall, trial 0"):
         assert title in page
-    assert "the dark line is the outline of the fence" in page
+    assert "dark lines are the outline of the fence" in page
     assert "Below 0 is outside." in page
     assert "| left the fence | 0 | 0 |" in markdown
     assert "reached" not in markdown.split("## Parameters")[0]

@@ -16,10 +16,11 @@ from alula.schemas.geofence import FenceScenario, GeofenceParameters
 from alula.schemas.vehicle import read_vehicle
 from alula.stages.flight import geofence as stage
 from alula.stages.flight.geofence import FenceJournal, Times, fly_in_fence, worst_trial
-from alula.stages.flight.geofence_log import FenceFlight, write_fence_log
+from alula.stages.flight.geofence_log import CHANNELS, FenceFlight, write_fence_log
 from alula.stages.flight.geofence_map import SHOWN_BEYOND_M, fence_shell
 from alula.stages.flight.geofence_summary import fence_guarantee, fence_summary, fence_timing
 from alula.stages.flight.geofence_world import fence_faces, native_world
+from alula.stages.flight.log_schemas import SCHEMAS
 from alula.stages.flight.racer import racer_model
 
 RACER = read_vehicle(Path(__file__).resolve().parents[2] / "examples" / "vehicles" / "racer7.toml")
@@ -174,6 +175,9 @@ def test_the_log_says_what_was_flown(room):
     assert blend["throttle_nom"] != blend["throttle_safe"]
     assert blend["h_m"] > 0
     assert blend["allowance_m"] > 0
+    for topic, schema in CHANNELS.items():
+        for message in topics[topic]:
+            assert message.keys() <= SCHEMAS[schema]["properties"].keys()
     state = topics["/state"][0]
     assert state["attitude"] == topics["/pose"][0]["pose"]["orientation"]
     assert sum(value**2 for value in state["attitude"].values()) == pytest.approx(1, abs=1e-5)
