@@ -96,7 +96,9 @@ def chatter_figure(swings: Sequence[Swing]) -> Figure | None:
         "Total variation of the input per second while the pendulum stands at its boundary, over the time it "
         f"took to get there, one point for each gain (numbers: beta, alpha): {'; '.join(said)}."
     )
-    return Figure("chatter", "Oscillation at the boundary over the speed of the approach", alt, svg)
+    return Figure(
+        "chatter", "Oscillation at the boundary over the speed of the approach", alt, svg, wide=True
+    )
 
 
 def approach_figure(
@@ -221,7 +223,7 @@ def distances_figure(runs: Sequence[Fenced]) -> Figure | None:
         axes.legend(fontsize=9)
         svg = render()
     alt = f"Share of flights whose least distance to the fence is at most a value. {'; '.join(said)}."
-    return Figure("distances", "Least distance of each flight", alt, svg)
+    return Figure("distances", "Least distance of each flight", alt, svg, wide=True)
 
 
 def engaged_run(runs: Sequence[Fenced]) -> Fenced | None:

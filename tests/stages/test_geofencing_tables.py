@@ -226,7 +226,12 @@ def test_what_is_said_in_short_is_what_the_tables_say():
     assert "takes 3 times as long" in facts["pendulum, time"]
     assert "15 times through quadprog" in facts["pendulum, time"]
     assert facts["wall, 40 m"].startswith("36 km/h, brakes from 5.25 m, tilt 75°")
-    assert facts["again and again"].startswith("5 engagements in 2 flights, 0 left the fence; in 1 flights")
+    assert "104 km/h, 15 m of braking, 1.7 m left)" in facts["wall, 40 m"]
+    again = facts["again and again, geofence"]
+    assert again.startswith(
+        "5 engagements in 2 flights at up to 72 km/h, 0 left the fence; λ falls to 0 in 1 of"
+    )
+    assert "for 0.1 s at a time" in again
     assert facts["fence of box"].startswith("0 of 1 flights")  # a fence that was handed over is not guarded
     assert facts["unknown mass"].endswith("enough: 0.5 m")
     assert facts["passed commands"] == "0 of 250 are not the pilot's, bit by bit"
