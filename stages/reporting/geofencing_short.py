@@ -151,8 +151,8 @@ def _approached(run: Fenced, a: Approach, published: Mapping[str, Mapping[str, f
     return (
         f"{text(a.peak_km_h)} km/h, brakes from {text(a.braking_m + run.radius_m)} m, tilt "
         f"{text(a.tilt_deg)}°, least distance {text(a.least_m)} m of the sphere and "
-        f"{text(a.least_m + run.radius_m)} m of its centre, at rest {text(a.rest_m + run.radius_m)} m; least λ "
-        f"{text(a.least_share)}, λ = 0 for {text(1e3 * a.helpless_s)} ms (published: {said})"
+        f"{text(a.least_m + run.radius_m)} m of its centre, at rest {text(a.rest_m + run.radius_m)} m; "
+        f"least λ {text(a.least_share)}, λ = 0 for {text(1e3 * a.helpless_s)} ms (published: {said})"
     )
 
 
