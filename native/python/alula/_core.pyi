@@ -1372,6 +1372,10 @@ class Geofence:
     @property
     def hover_throttle(self) -> float: ...
 
+    @property
+    def parameters(self) -> dict[str, float]:
+        """All of them by name, as the filter holds them: in single precision."""
+
     def reset(self) -> None:
         """To before the first tick."""
 
@@ -1423,7 +1427,7 @@ class GeofenceSpec:
 
 def fly_in_fences(spec: GeofenceSpec, filter: Geofence, *, seed: int = 0, first: int = 0, count: int = 1, keeps_trace: bool = False, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
     """
-    Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial, with keeps_trace also per tick state (13), pilot and command (4), figure (lambda, h_I, distance, margin, v_c) and status (number).
+    Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial, with keeps_trace also per tick state (13), pilot and command (4), figure (lambda, h_I, distance, margin, v_c), true distance and status (number). Only tick_s, the filter's time in each tick, is measured.
     """
 
 class PendulumFilter:
