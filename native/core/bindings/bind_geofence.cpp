@@ -299,6 +299,22 @@ void bind_flight(nb::module_& m) {
           "kind"_a, nb::kw_only(), "heading_rad"_a = p.heading_rad, "tilt_rad"_a = p.tilt_rad,
           "climb_m_s2"_a = p.climb_m_s2, "silent_after_s"_a = p.silent_after_s,
           "straight, diagonal, fall, sticks, aggressive, silent or repeated; ValueError for others.");
+  nb::class_<PilotHand>(m, "PilotHand", "A pilot in one flight, as fly_in_fences has him.")
+      .def(
+          "__init__",
+          [](PilotHand* self, const Pilot& pilot, const RacerModel& model, double start_height, std::uint64_t seed,
+             std::uint32_t trial) { new (self) PilotHand(pilot, model, RandomStream{seed, trial}, start_height); },
+          "pilot"_a, "model"_a, "start_height"_a, nb::kw_only(), "seed"_a = 0, "trial"_a = 0)
+      .def(
+          "command",
+          [](PilotHand& self, double time, const InRacer& x) -> std::optional<Doubles> {
+            const auto u = self(time, racer_at(x.data()));
+            if (!u) return {};
+            return to_array(*u);
+          },
+          "time"_a, "x"_a,
+          nb::sig("def command(self, time: float, x: NDArray[numpy.float64]) -> NDArray[numpy.float64] | None"),
+          "His command (4) at a state (13); None: no radio.");
   const GeofenceRules r;
   nb::class_<GeofenceRules>(m, "GeofenceRules", "Times of a flight, and when navigation or radio are missing.")
       .def(
