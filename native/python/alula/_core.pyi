@@ -1412,6 +1412,14 @@ class Pilot:
         straight, diagonal, fall, sticks, aggressive, silent or repeated; ValueError for others.
         """
 
+class PilotHand:
+    """A pilot in one flight, as fly_in_fences has him."""
+
+    def __init__(self, pilot: Pilot, model: RacerModel, start_height: float, *, seed: int = 0, trial: int = 0) -> None: ...
+
+    def command(self, time: float, x: NDArray[numpy.float64]) -> NDArray[numpy.float64] | None:
+        """His command (4) at a state (13); None: no radio."""
+
 class GeofenceRules:
     """Times of a flight, and when navigation or radio are missing."""
 
@@ -1444,3 +1452,25 @@ class PendulumFilter:
         """
         Closed loop: theta, theta', u, h_I, lambda, rows, infeasible (ticks, 7).
         """
+
+class Rates:
+    """
+    A flight controller's rate profile (rates_type BETAFLIGHT) as the onboard code maps it, in single precision; axes are roll, pitch, yaw.
+    """
+
+    def __init__(self, *, rc_rate: Sequence[float] = [1.0, 1.0, 1.0], super_rate: Sequence[float] = [0.7, 0.7, 0.7], expo: Sequence[float] = [0.0, 0.0, 0.0], middle_us: float = 1500.0, throttle_low_us: float = 1050.0, throttle_high_us: float = 2000.0) -> None:
+        """ValueError for numbers out of range."""
+
+    def rate(self, axis: int, deflection: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float32]:
+        """Rates [rad/s] of deflections (N)."""
+
+    def deflection(self, axis: int, rate: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float32]:
+        """Deflections of rates (N) [rad/s]."""
+
+    def channels(self, commands: NDArray[numpy.float64]) -> tuple[NDArray[numpy.uint16], NDArray[numpy.uint8]]:
+        """
+        Pulses (N, 4) [us] of roll, pitch, throttle, yaw of commands (N, 4): throttle, rates; and which are refused.
+        """
+
+    def commands(self, channels: NDArray[numpy.uint16]) -> tuple[NDArray[numpy.float64], NDArray[numpy.uint8]]:
+        """Commands (N, 4) of pulses (N, 4), and which are refused."""
