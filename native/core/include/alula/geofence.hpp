@@ -51,6 +51,7 @@ class Geofence {
 
   const alula_geofence_config& config() const { return filter_.config; }
   const Fence& fence() const { return fence_; }
+  const alula_fence& onboard_fence() const { return onboard_; }  // as firmware is given it
   double hover_throttle() const { return filter_.hover; }
 
  private:
