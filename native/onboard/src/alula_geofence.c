@@ -119,6 +119,7 @@ static void begin(const alula_geofence* filter, const float origin[3], alula_fen
 typedef struct {
   alula_racer_state state; /* position relative to the tracker's origin, as is the hold */
   alula_racer_command last;
+  float axis[3];
   float thrust, zeta; /* of the last step, at its beginning */
 } course;
 
@@ -127,17 +128,18 @@ static inline void advance(const alula_geofence* filter, const alula_racer_step_
   alula_racer_command now, middle;
   float v_d[3];
   alula_fence_push(tracker, flow->state.position, v_d);
-  backup_command(&filter->config.model, &filter->config.backup, hold, filter->hover, &flow->state, v_d, &now);
+  flow->zeta = flow->axis[2];
+  backup_command(&filter->config.model, &filter->config.backup, hold, filter->hover, &flow->state, flow->zeta, v_d,
+                 &now);
   middle = now;
   if (!is_first) {
     middle.throttle = 1.5F * now.throttle - 0.5F * flow->last.throttle;
+    ALULA_UNROLL
     for (int i = 0; i < 3; ++i) middle.rates[i] = 1.5F * now.rates[i] - 0.5F * flow->last.rates[i];
     limit_command(&filter->config.model, &middle);
   }
   flow->last = now;
-  flow->zeta = 1.0F - 2.0F * (flow->state.attitude[1] * flow->state.attitude[1] +
-                              flow->state.attitude[2] * flow->state.attitude[2]);
-  flow->thrust = step_racer(&filter->config.model, step, &middle, &flow->state);
+  flow->thrust = step_racer(&filter->config.model, step, &middle, flow->axis, &flow->state);
 }
 
 static float distance_between(const float a[3], const float b[3]) {
@@ -212,17 +214,21 @@ void alula_geofence_evaluate(const alula_geofence* filter, const alula_racer_sta
   fine.state = *state;
   fine.state.position[0] = fine.state.position[1] = fine.state.position[2] = 0.0F;
   coarse.state = fine.state;
+  axis_of(fine.state.attitude, fine.axis);
+  axis_of(coarse.state.attitude, coarse.axis);
   float error = 0.0F, allowance = 0.0F;
   int was_inverted = 0;
   for (uint32_t k = 0; k < config->steps; k += 2U) {
     float node[3][3], sag = 0.0F;
     for (int j = 0; j < 2; ++j) {
+      ALULA_UNROLL
       for (int i = 0; i < 3; ++i) node[j][i] = fine.state.position[i];
       advance(filter, &filter->fine, &relative, &tracker, k == 0U && j == 0, &fine);
       if (k == 0U && j == 0) value->first = fine.last;
       const float bow = (fine.thrust + config->model.gravity) * chord;
       if (bow > sag) sag = bow;
     }
+    ALULA_UNROLL
     for (int i = 0; i < 3; ++i) node[2][i] = fine.state.position[i];
     advance(filter, &filter->coarse, &relative, &tracker, k == 0U, &coarse);
     const float now = distance_between(fine.state.position, coarse.state.position) +
