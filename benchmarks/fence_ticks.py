@@ -167,7 +167,7 @@ def measure(firmware: Path, work: Path, image: bytes, half_m: FloatArray) -> dic
     """Figures of all ticks on the M4, the M7 and the host, by name."""
     found: dict[str, Any] = {"host_target_mismatches": 0, "ticks": 0}
     plain, among = scenes(), scenes_in(image, half_m)
-    for suffix, flown, jumping, raw in CASES(plain, among, image):
+    for suffix, flown, jumping, raw in (("", plain, plain[3], b""), ("_map", among, among[0], image)):
         host = answered(flown, jumping)
         inputs = geofence_inputs(host.flights, has_map=bool(raw))
         in_flight = np.arange(len(host.status)) < len(host.status) - ANYWHERE

@@ -41,7 +41,7 @@ static const alula_fence_look* look(alula_fence_tracker* tracker, const float at
   float x[3];
   alula_map_value value;
   for (int i = 0; i < 3; ++i) x[i] = tracker->origin[i] + at[i];
-  if (alula_map_evaluate(tracker->fence->keep_out, x, &value) != ALULA_MAP_READY) tracker->damaged = 1;
+  if (alula_map_near_evaluate(tracker->near, x, &value) != ALULA_MAP_READY) tracker->damaged = 1;
   place->psi = value.psi_m;
   for (int i = 0; i < 3; ++i) {
     place->at[i] = at[i];
@@ -57,10 +57,12 @@ static float remembered(const alula_fence_tracker* tracker, const float at[3]) {
   return last->psi - 1.00001F * norm(way);
 }
 
-void alula_fence_begin(alula_fence_tracker* tracker, const alula_fence* fence, const float origin[3], float clearance,
-                       float push_distance, float push_gain, float push_speed) {
+void alula_fence_begin(alula_fence_tracker* tracker, const alula_fence* fence, alula_map_near* near,
+                       const float origin[3], float clearance, float push_distance, float push_gain,
+                       float push_speed) {
   static const float HERE[3] = {0.0F, 0.0F, 0.0F};
   tracker->fence = fence;
+  tracker->near = near;
   tracker->clearance = clearance;
   tracker->push_distance = push_distance;
   tracker->push_gain = push_gain;

@@ -94,6 +94,7 @@ alula_status alula_geofence_init(alula_geofence* filter, const alula_fence* fenc
   filter->fine = alula_racer_step_of(&config->model, config->step_s);
   filter->coarse = alula_racer_step_of(&config->model, 2.0F * config->step_s);
   filter->tick = alula_racer_step_of(&config->model, config->tick_s);
+  alula_map_near_open(&filter->near, fence->keep_out);
   alula_geofence_reset(filter);
   return ALULA_READY;
 }
@@ -109,10 +110,10 @@ void alula_geofence_reset(alula_geofence* filter) {
   }
 }
 
-static void begin(const alula_geofence* filter, const float origin[3], alula_fence_tracker* tracker) {
+static void begin(alula_geofence* filter, const float origin[3], alula_fence_tracker* tracker) {
   const alula_geofence_config* config = &filter->config;
-  alula_fence_begin(tracker, filter->fence, origin, config->radius_m + config->reserve_m, config->push_distance_m,
-                    config->push_gain, config->push_speed_m_s);
+  alula_fence_begin(tracker, filter->fence, &filter->near, origin, config->radius_m + config->reserve_m,
+                    config->push_distance_m, config->push_gain, config->push_speed_m_s);
 }
 
 /* A flow and the command of its last node, from which the next step extrapolates. */
@@ -187,7 +188,7 @@ static void conclude(const alula_geofence* filter, const alula_fence_tracker* tr
   if (tracker->damaged || !alula_is_finite(value->h_i)) value->h_i = -FLT_MAX;
 }
 
-void alula_geofence_evaluate(const alula_geofence* filter, const alula_racer_state* state,
+void alula_geofence_evaluate(alula_geofence* filter, const alula_racer_state* state,
                              const alula_backup_hold* hold, float extra, alula_geofence_value* value) {
   const alula_geofence_config* config = &filter->config;
   alula_fence_tracker tracker;
@@ -247,7 +248,7 @@ void alula_geofence_evaluate(const alula_geofence* filter, const alula_racer_sta
   conclude(filter, &tracker, state->velocity, value);
 }
 
-alula_backup_hold alula_geofence_hold(const alula_geofence* filter, const alula_racer_state* state) {
+alula_backup_hold alula_geofence_hold(alula_geofence* filter, const alula_racer_state* state) {
   static const float HERE[3] = {0.0F, 0.0F, 0.0F};
   alula_fence_tracker tracker;
   float v_d[3];
