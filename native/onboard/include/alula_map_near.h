@@ -36,7 +36,7 @@ typedef struct {
 } alula_listed_hull;
 
 typedef struct {
-  uint32_t hull, count;
+  uint32_t hull, count, last; /* the last that was the largest */
   float at[3], reach_square; /* negative: the planes are some of it, psi_h may be larger */
   float plane[ALULA_NEAR_PLANES][4];
 } alula_kept_planes;
@@ -46,6 +46,7 @@ typedef struct {
   const alula_map* map;
   float centre[3], limit;
   uint32_t count, last; /* listed; the last that decided */
+  float thickness;      /* planes down to psi_h less this are tried to be kept */
   alula_listed_hull listed[ALULA_LISTED_HULLS];
   alula_kept_planes kept[ALULA_NEAR_KEPT];
 } alula_map_near;

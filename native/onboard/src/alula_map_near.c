@@ -8,7 +8,7 @@
 #define WIDER 0.5F
 #define NARROW 0.01F     /* [m] */
 #define THICK 8.0F       /* [m] kept are planes down to psi_h less this, or less */
-#define THIN 1.0e-3F     /* [m] */
+#define THIN 1.0e-2F     /* [m] */
 #define THINNER 0.7F
 
 typedef struct {
@@ -28,6 +28,7 @@ void alula_map_near_open(alula_map_near* near, const alula_map* map) {
   if (!near) return;
   near->map = map;
   near->count = near->last = 0U;
+  near->thickness = THICK;
   for (uint32_t k = 0; k < ALULA_NEAR_KEPT; ++k) near->kept[k].hull = ALULA_MAP_NO_HULL;
 }
 
@@ -62,17 +63,19 @@ static uint32_t drop(alula_kept_planes* kept, float* value, uint32_t count, floa
 
 /* Decode a hull's planes up to the one that shows it to be beyond, and keep those that decide around x. `psi` is the
  * box's value, of `face`. */
-static void look_at_all(const alula_map* map, const alula_listed_hull* hull, float psi, int face,
+static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, float psi, int face,
                         alula_kept_planes* kept, query* q) {
+  const alula_map* map = near->map;
   alula_map_hull record;
   if (alula_map_read(map, hull->record, &record) != ALULA_MAP_READY) {
     q->status = ALULA_MAP_MALFORMED; /* it was whole when it was opened */
     return;
   }
-  float value[ALULA_NEAR_PLANES], row[4], deciding[3] = {0.0F, 0.0F, 0.0F}, thickness = THICK;
+  float value[ALULA_NEAR_PLANES], row[4], deciding[3] = {0.0F, 0.0F, 0.0F}, thickness = near->thickness;
   uint32_t count = 0U;
   int is_face = 1;
   kept->hull = hull->hull;
+  kept->last = 0U;
   kept->reach_square = -1.0F;
   const uint8_t* stored = record.planes;
   for (uint32_t l = 0; l < record.plane_count; ++l, stored += map->plane_bytes) {
@@ -105,9 +108,17 @@ static void look_at_all(const alula_map* map, const alula_listed_hull* hull, flo
   }
   kept->count = drop(kept, value, count, psi - thickness);
   for (int i = 0; i < 3; ++i) kept->at[i] = q->x[i];
+  const float next = thickness * (2.0F * THINNER); /* almost half as much again as there was room for */
+  near->thickness = next < THIN ? THIN : (next < THICK ? next : THICK);
   const float reach = 0.5F * SHRUNK * (thickness - q->slack);
   if (reach > 0.0F) kept->reach_square = reach * reach;
   accept(q, hull->hull, psi, face, is_face ? 0 : deciding);
+}
+
+/* alula_plane_value of a position in registers. */
+static inline float row_value(const float* row, float x, float y, float z) {
+  const float at[3] = {x, y, z};
+  return alula_plane_value(row, at);
 }
 
 /* Replace what was found by psi_h when that is less, or the same and h earlier. */
@@ -117,21 +128,24 @@ static void consider(alula_map_near* near, const alula_listed_hull* hull, query*
   if (is_beyond(&q->found, box, hull->hull)) return;
   alula_kept_planes* kept = &near->kept[hull->hull % ALULA_NEAR_KEPT];
   if (kept->hull == hull->hull) {
-    const float* row = 0;
+    const float x = q->x[0], y = q->x[1], z = q->x[2];
+    if (kept->count > 0U && is_beyond(&q->found, row_value(kept->plane[kept->last], x, y, z), hull->hull)) return;
+    uint32_t decides = ALULA_NEAR_PLANES;
     float psi = box;
     for (uint32_t l = 0; l < kept->count; ++l) {
-      const float a = alula_plane_value(kept->plane[l], q->x);
+      const float a = row_value(kept->plane[l], x, y, z);
       if (!(a > psi)) continue;
       psi = a;
-      row = kept->plane[l];
+      decides = l;
     }
+    if (decides < ALULA_NEAR_PLANES) kept->last = decides;
     if (is_beyond(&q->found, psi, hull->hull)) return;
     if (square_between(q->x, kept->at) <= kept->reach_square) {
-      accept(q, hull->hull, psi, face, row);
+      accept(q, hull->hull, psi, face, decides < ALULA_NEAR_PLANES ? kept->plane[decides] : 0);
       return;
     }
   }
-  look_at_all(near->map, hull, box, face, kept, q);
+  look_at_all(near, hull, box, face, kept, q);
 }
 
 static walk begin(const alula_map* map) {
