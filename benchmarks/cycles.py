@@ -124,7 +124,7 @@ def cycles_per_instruction(build_folder: Path, work: Path, name: str, inputs: by
     log = trace(build_folder, work, name)
     instructions, cycles = count(log, ENTRY[name], "port_stop")[-1]
     log.unlink()
-    if abs(instructions - counted) > 0.001 * counted + 100:
+    if abs(instructions - counted) > 0.002 * counted + 100:
         raise RuntimeError(f"{instructions} instructions traced, {counted} counted")
     return cycles / instructions
 

@@ -17,6 +17,10 @@ from emulated import Flight, Replay, geofence_inputs, replay
 from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.onboard import encode_map
+from alula.stages.reporting.metrics import hull_obstacles
 
 FloatArray = NDArray[np.float64]
 WALL = ((-100.0, -100.0, 0.5), (40.0, 100.0, 100.0))
@@ -82,10 +86,10 @@ def scenes() -> list[Scene]:
     ]
 
 
-def scenes_in(image: bytes, half_m: FloatArray) -> list[Scene]:
-    """Flights among the hulls of a map that reaches so far to either side of 0."""
+def scenes_in(cover: Artifact, image: bytes, half_m: FloatArray) -> list[Scene]:
+    """Flights outside the hulls of a cover that reaches so far to either side of 0."""
     box = (tuple((-half_m - 4.0).tolist()), tuple((half_m + 4.0).tolist()))
-    fence = _core.Fence(box=box, image=image)
+    fence = _core.Fence(box=box, image=image, keep_out=hull_obstacles(Hulls.from_cover(cover)))
     starts = (tuple((-half_m).tolist()), tuple(half_m.tolist()))
     return [
         Scene(fence, _core.Pilot(kind), starts, 1.0, parameters={"radius_m": 0.15}, speed_m_s=8.0)
@@ -118,13 +122,16 @@ def record(scene: Scene, seed: int) -> tuple[Flight, NDArray[np.int64], NDArray[
 
 
 def anywhere(scene: Scene, seed: int) -> tuple[Flight, NDArray[np.int64], NDArray[np.float32]]:
-    """The same geofence, with states and sticks that have nothing to do with the last."""
+    """The same geofence, with states and sticks that have nothing to do with the last, inside the fence."""
     rng, (low, high) = np.random.default_rng(seed), np.array(scene.start)
     geofence = _core.Geofence(scene.fence, parameters=scene.parameters)
+    places = rng.uniform(low, high, (20 * ANYWHERE, 3)).astype(np.float32).astype(float)
+    inside = np.array([scene.fence.clearance(tuple(p), tuple(p)) > 0 for p in places.tolist()])
+    assert inside.sum() >= ANYWHERE
     states = np.empty((ANYWHERE, 13), np.float32)
-    states[:, :3] = rng.uniform(low, high, (ANYWHERE, 3))
+    states[:, :3] = places[inside][:ANYWHERE]
     way = rng.normal(size=(ANYWHERE, 3))
-    states[:, 3:6] = way / np.linalg.norm(way, axis=1)[:, None] * rng.uniform(0, 20, (ANYWHERE, 1))
+    states[:, 3:6] = way / np.linalg.norm(way, axis=1)[:, None] * rng.uniform(0, scene.speed_m_s, (ANYWHERE, 1))
     turn = rng.normal(size=(ANYWHERE, 4))
     states[:, 6:10] = turn / np.linalg.norm(turn, axis=1)[:, None]
     states[:, 10:] = rng.normal(scale=3, size=(ANYWHERE, 3))
@@ -163,10 +170,11 @@ def traced(firmware: Path, work: Path, host: Answered, tick: int, image: bytes) 
     return cycles_per_instruction(firmware, work, "geofence", inputs, image)
 
 
-def measure(firmware: Path, work: Path, image: bytes, half_m: FloatArray) -> dict[str, Any]:
+def measure(firmware: Path, work: Path, cover: Artifact, half_m: FloatArray) -> dict[str, Any]:
     """Figures of all ticks on the M4, the M7 and the host, by name."""
     found: dict[str, Any] = {"host_target_mismatches": 0, "ticks": 0}
-    plain, among = scenes(), scenes_in(image, half_m)
+    image = encode_map(cover, indexed=True)
+    plain, among = scenes(), scenes_in(cover, image, half_m)
     for suffix, flown, jumping, raw in (("", plain, plain[3], b""), ("_map", among, among[0], image)):
         host = answered(flown, jumping)
         inputs = geofence_inputs(host.flights, has_map=bool(raw))
@@ -188,6 +196,6 @@ def measure(firmware: Path, work: Path, image: bytes, half_m: FloatArray) -> dic
             stack = f"{core}_geofence_stack_bytes"
             found[stack] = max(out.stack_bytes, found.get(stack, 0))
             if core == "m4":
-                worst = int(out.instructions.argmax())
+                worst = int(out.instructions[in_flight].argmax())
                 found[f"{name}_cycles_per_instruction"] = traced(firmware, work, host, worst, raw)
     return found

@@ -251,7 +251,7 @@ def measure(folder: Path, say: Callable[[str], None]) -> Measured:
     say("encounters")
     parts = [encounter_ticks.measure(firmware, work)]
     say("geofences")
-    kept_out = encode_map(field(KEEP_OUT, g=KEEP_OUT_G), indexed=True)
+    kept_out = field(KEEP_OUT, g=KEEP_OUT_G)
     parts.append(fence_ticks.measure(firmware, work, kept_out, np.array(HALVES[KEEP_OUT]) * KEEP_OUT_G))
     for part in parts:
         for name in ("ticks", "host_target_mismatches"):
