@@ -67,7 +67,7 @@ class Answered:
 
 
 def scenes() -> list[Scene]:
-    """Flights without a map."""
+    """Flights in boxes, as the paper's."""
     plain, room = _core.Pilot("straight"), _core.Fence(box=ROOM)
     return [
         Scene(_core.Fence(box=WALL), plain, (0.0, 0.0, 50.0), 4.5),
@@ -76,6 +76,12 @@ def scenes() -> list[Scene]:
         Scene(room, _core.Pilot("aggressive"), STARTS, 3.0),
         Scene(room, _core.Pilot("silent", silent_after_s=0.8), STARTS, 3.0),
         Scene(_core.Fence(box=WALL), plain, (0.0, 0.0, 50.0), 2.5, stale=(1.0, 0.6)),
+    ]
+
+
+def polytope() -> list[Scene]:
+    """A flight in a box that slanted faces cut, with latency."""
+    return [
         Scene(
             _core.Fence(box=ROOM, faces=SLANTS),
             _core.Pilot("aggressive"),
@@ -174,8 +180,12 @@ def measure(firmware: Path, work: Path, cover: Artifact, half_m: FloatArray) -> 
     """Figures of all ticks on the M4, the M7 and the host, by name."""
     found: dict[str, Any] = {"host_target_mismatches": 0, "ticks": 0}
     image = encode_map(cover, indexed=True)
-    plain, among = scenes(), scenes_in(cover, image, half_m)
-    for suffix, flown, jumping, raw in (("", plain, plain[3], b""), ("_map", among, among[0], image)):
+    plain, cut, among = scenes(), polytope(), scenes_in(cover, image, half_m)
+    for suffix, flown, jumping, raw in (
+        ("", plain, plain[3], b""),
+        ("_faces", cut, cut[0], b""),
+        ("_map", among, among[0], image),
+    ):
         host = answered(flown, jumping)
         inputs = geofence_inputs(host.flights, has_map=bool(raw))
         in_flight = np.arange(len(host.status)) < len(host.status) - ANYWHERE

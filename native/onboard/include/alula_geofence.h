@@ -112,7 +112,7 @@ typedef struct {
   float stale_s;
 } alula_geofence_result;
 
-/* What h_I is made of; `first` is u_B at the start of the flow. */
+/* What h_I is made of; `first` is u_B at the start of the flow, `push` its v_d. */
 typedef struct {
   float h_i, end, margin_m;
   float exponent; /* min_c h_c / v_c */
@@ -120,6 +120,7 @@ typedef struct {
   float v_towards;
   float distance_m;
   alula_racer_command first;
+  float push[3];
 } alula_geofence_value;
 
 /* ALULA_BAD_PARAMETER unless all numbers mean something; `fence` lives as long as the filter. */

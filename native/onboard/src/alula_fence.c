@@ -106,26 +106,26 @@ static void add_push(float size, const float along[3], float up[3], float down[3
 
 void alula_fence_push(alula_fence_tracker* tracker, const float at[3], float v_d[3]) {
   const alula_fence* fence = tracker->fence;
-  const float near = tracker->push_distance;
+  const float near = tracker->push_distance, here[3] = {at[0], at[1], at[2]}; /* what no store can change */
   float up[3] = {0.0F, 0.0F, 0.0F}, down[3] = {0.0F, 0.0F, 0.0F};
   if (fence->has_box) {
     ALULA_UNROLL
     for (int i = 0; i < 3; ++i) {
-      const float below = tracker->room[i] + at[i], above = tracker->room[3 + i] - at[i];
+      const float below = tracker->room[i] + here[i], above = tracker->room[3 + i] - here[i];
       if (below < near) up[i] = push_of(tracker, below);
       if (above < near) down[i] = -push_of(tracker, above);
     }
   }
   const float* room = tracker->room + ALULA_FENCE_BOX_FACES;
   for (uint32_t l = 0; l < fence->face_count; ++l) {
-    const float distance = room[l] - dot(fence->face[l], at);
+    const float distance = room[l] - dot(fence->face[l], here);
     if (distance < near) add_push(-push_of(tracker, distance), fence->face[l], up, down);
   }
   if (fence->keep_out) {
     const float reach = tracker->push_distance + tracker->clearance;
     if (remembered(tracker, at) < reach) {
-      const alula_fence_look* here = look(tracker, at);
-      add_push(push_of(tracker, here->psi - tracker->clearance), here->normal, up, down);
+      const alula_fence_look* found = look(tracker, at);
+      add_push(push_of(tracker, found->psi - tracker->clearance), found->normal, up, down);
     }
   }
   for (int i = 0; i < 3; ++i) v_d[i] = up[i] + down[i];
@@ -160,11 +160,12 @@ static void follow_map(alula_fence_tracker* tracker, const float from[3], const 
 
 void alula_fence_follow(alula_fence_tracker* tracker, const float from[3], const float to[3], float allowance) {
   const alula_fence* fence = tracker->fence;
+  const float end[3] = {to[0], to[1], to[2]};
   float* least = tracker->least;
   if (fence->has_box) {
     ALULA_UNROLL
     for (int i = 0; i < 3; ++i) {
-      const float below = tracker->room[i] + to[i] - allowance, above = tracker->room[3 + i] - to[i] - allowance;
+      const float below = tracker->room[i] + end[i] - allowance, above = tracker->room[3 + i] - end[i] - allowance;
       if (!(below >= least[i])) least[i] = below;
       if (!(above >= least[3 + i])) least[3 + i] = above;
     }
@@ -172,7 +173,7 @@ void alula_fence_follow(alula_fence_tracker* tracker, const float from[3], const
   const float* room = tracker->room + ALULA_FENCE_BOX_FACES;
   float* least_of_face = least + ALULA_FENCE_BOX_FACES;
   for (uint32_t l = 0; l < fence->face_count; ++l) {
-    const float value = room[l] - dot(fence->face[l], to) - allowance;
+    const float value = room[l] - dot(fence->face[l], end) - allowance;
     if (!(value >= least_of_face[l])) least_of_face[l] = value;
   }
   if (fence->keep_out) follow_map(tracker, from, to, allowance);

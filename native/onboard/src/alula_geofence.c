@@ -125,9 +125,9 @@ typedef struct {
 } course;
 
 static inline void advance(const alula_geofence* filter, const alula_racer_step_size* step,
-                           const alula_backup_hold* hold, alula_fence_tracker* tracker, int is_first, course* flow) {
+                           const alula_backup_hold* hold, alula_fence_tracker* tracker, int is_first, float v_d[3],
+                           course* flow) {
   alula_racer_command now, middle;
-  float v_d[3];
   alula_fence_push(tracker, flow->state.position, v_d);
   flow->zeta = flow->axis[2];
   backup_command(&filter->config.model, &filter->config.backup, hold, filter->hover, &flow->state, flow->zeta, v_d,
@@ -220,18 +220,21 @@ void alula_geofence_evaluate(alula_geofence* filter, const alula_racer_state* st
   float error = 0.0F, allowance = 0.0F;
   int was_inverted = 0;
   for (uint32_t k = 0; k < config->steps; k += 2U) {
-    float node[3][3], sag = 0.0F;
+    float node[3][3], v_d[3], sag = 0.0F;
     for (int j = 0; j < 2; ++j) {
       ALULA_UNROLL
       for (int i = 0; i < 3; ++i) node[j][i] = fine.state.position[i];
-      advance(filter, &filter->fine, &relative, &tracker, k == 0U && j == 0, &fine);
-      if (k == 0U && j == 0) value->first = fine.last;
+      advance(filter, &filter->fine, &relative, &tracker, k == 0U && j == 0, v_d, &fine);
+      if (k == 0U && j == 0) {
+        value->first = fine.last;
+        for (int i = 0; i < 3; ++i) value->push[i] = v_d[i];
+      }
       const float bow = (fine.thrust + config->model.gravity) * chord;
       if (bow > sag) sag = bow;
     }
     ALULA_UNROLL
     for (int i = 0; i < 3; ++i) node[2][i] = fine.state.position[i];
-    advance(filter, &filter->coarse, &relative, &tracker, k == 0U, &coarse);
+    advance(filter, &filter->coarse, &relative, &tracker, k == 0U, v_d, &coarse);
     const float now = distance_between(fine.state.position, coarse.state.position) +
                       2.0F * config->step_s * distance_between(fine.state.velocity, coarse.state.velocity);
     float size = now;
@@ -357,12 +360,8 @@ alula_geofence_status alula_geofence_filter(alula_geofence* filter, const alula_
     filter->hold = hold;
     filter->has_hold = 1;
   } else if (!keeps) { /* go on with the flow that was found safe */
-    alula_fence_tracker tracker;
-    float v_d[3];
-    static const float HERE[3] = {0.0F, 0.0F, 0.0F};
-    begin(filter, ahead.position, &tracker);
-    alula_fence_push(&tracker, HERE, v_d);
-    alula_backup_command(&config->model, &config->backup, &filter->hold, filter->hover, &ahead, v_d, &value.first);
+    alula_backup_command(&config->model, &config->backup, &filter->hold, filter->hover, &ahead, value.push,
+                         &value.first);
   }
   filter->silent = !has_pilot;
   result->h_i = value.h_i;
