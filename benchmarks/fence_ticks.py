@@ -31,7 +31,7 @@ SLANTS = np.array([[x / 3, y / 3, 2 / 3, 35.0] for x in (-1, 1, -2, 2) for y in 
 STATUSES = ("passed", "blended", "backup", "no-pilot", "hand-over", "refused")
 DETAILS = ("lambda", "h_i", "distance_m", "margin_m", "v_towards")
 NEVER = float("inf")
-ANYWHERE = 300
+ANYWHERE = 150
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +70,12 @@ def scenes() -> list[Scene]:
     """Flights in boxes, as the paper's."""
     plain, room = _core.Pilot("straight"), _core.Fence(box=ROOM)
     return [
-        Scene(_core.Fence(box=WALL), plain, (0.0, 0.0, 50.0), 4.5),
-        Scene(_core.Fence(box=GROUND), _core.Pilot("fall"), (0.0, 0.0, 70.0), 5.0),
-        Scene(room, _core.Pilot("sticks"), STARTS, 3.0),
-        Scene(room, _core.Pilot("aggressive"), STARTS, 3.0),
-        Scene(room, _core.Pilot("silent", silent_after_s=0.8), STARTS, 3.0),
-        Scene(_core.Fence(box=WALL), plain, (0.0, 0.0, 50.0), 2.5, stale=(1.0, 0.6)),
+        Scene(_core.Fence(box=WALL), plain, (0.0, 0.0, 50.0), 3.5),
+        Scene(_core.Fence(box=GROUND), _core.Pilot("fall"), (0.0, 0.0, 70.0), 4.5),
+        Scene(room, _core.Pilot("sticks"), STARTS, 1.5),
+        Scene(room, _core.Pilot("aggressive"), STARTS, 1.5),
+        Scene(room, _core.Pilot("silent", silent_after_s=0.5), STARTS, 1.5),
+        Scene(_core.Fence(box=WALL), plain, (0.0, 0.0, 50.0), 1.8, stale=(1.0, 0.6)),
     ]
 
 
@@ -86,7 +86,7 @@ def polytope() -> list[Scene]:
             _core.Fence(box=ROOM, faces=SLANTS),
             _core.Pilot("aggressive"),
             STARTS,
-            3.0,
+            1.5,
             parameters={"latency_s": 0.02, "radius_m": 0.15, "reserve_m": 0.5},
         ),
     ]
@@ -137,7 +137,9 @@ def anywhere(scene: Scene, seed: int) -> tuple[Flight, NDArray[np.int64], NDArra
     states = np.empty((ANYWHERE, 13), np.float32)
     states[:, :3] = places[inside][:ANYWHERE]
     way = rng.normal(size=(ANYWHERE, 3))
-    states[:, 3:6] = way / np.linalg.norm(way, axis=1)[:, None] * rng.uniform(0, scene.speed_m_s, (ANYWHERE, 1))
+    states[:, 3:6] = (
+        way / np.linalg.norm(way, axis=1)[:, None] * rng.uniform(0, scene.speed_m_s, (ANYWHERE, 1))
+    )
     turn = rng.normal(size=(ANYWHERE, 4))
     states[:, 6:10] = turn / np.linalg.norm(turn, axis=1)[:, None]
     states[:, 10:] = rng.normal(scale=3, size=(ANYWHERE, 3))

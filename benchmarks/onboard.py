@@ -56,7 +56,11 @@ from alula.stages.compression.onboard_cost import tick_instructions
 BUDGET = FIRMWARE / "budget.toml"
 HALF_PLANES = 83  # a hull of PolyMerge's has on average
 G = 0.05
-HALVES = {150: (100, 80, 30), 290: (125, 100, 40), 1000: (200, 150, 45)}  # hulls: half the field's size in voxels
+HALVES = {
+    150: (100, 80, 30),
+    290: (125, 100, 40),
+    1000: (200, 150, 45),
+}  # hulls: half the field's size in voxels
 FIELDS = (150, 1000)  # flown with polytope-cbf
 KEEP_OUT, KEEP_OUT_G = 290, 0.1  # hulls outside of which the geofence stays
 PARAMETERS = {"radius_m": 0.1, "beta": 2.0, "kappa": 100.0, "dt_s": 0.002, "v_max": 1.0}
@@ -311,9 +315,13 @@ def complaints(figures: dict[str, Any]) -> list[str]:
         said.append(f"{figures['ram_bytes']} bytes do not fit into {crazyflie.ram_bytes} of RAM")
     for name in ("m4", "m4_geofence", "m4_geofence_faces", "m4_geofence_map"):
         if figures[f"{name}_cycles_per_instruction"] > crazyflie.cycles_per_instruction:
-            said.append(f"{name}_cycles_per_instruction is more than {crazyflie.cycles_per_instruction}")
+            said.append(
+                f"{name}_cycles_per_instruction is {figures[f'{name}_cycles_per_instruction']}, not 2 at most"
+            )
     if figures["m7_geofence_us"] > GEOFENCE_US:
-        said.append(f"a tick of the geofence takes {figures['m7_geofence_us']:.0f} µs, the paper's {GEOFENCE_US}")
+        said.append(
+            f"a tick of the geofence takes {figures['m7_geofence_us']:.0f} µs, the paper's {GEOFENCE_US}"
+        )
     for hulls, rate in RATES.items():
         if figures[f"m4_polytope_{hulls}_hz"] < rate:
             said.append(f"{hulls} hulls reach {figures[f'm4_polytope_{hulls}_hz']} Hz, not {rate}")

@@ -43,7 +43,9 @@ def images() -> list[bytes]:
 
     from alula.stages.compression.onboard import encode_map
 
-    covers = [cover_of(voxels_of(furniture(seed, 12)), hulls=count) for seed, count in enumerate((1, 3, 9, 24))]
+    covers = [
+        cover_of(voxels_of(furniture(seed, 12)), hulls=count) for seed, count in enumerate((1, 3, 9, 24))
+    ]
     if scene := os.environ.get("ALULA_DATA"):
         covers.append(real_cover(Path(scene)))
     found = [
@@ -54,7 +56,7 @@ def images() -> list[bytes]:
     return [image for image in found if len(image) < LONGEST - 1000]
 
 
-def real_cover(data: Path):  # noqa: ANN201
+def real_cover(data: Path):
     """Of a tile of a street."""
     from alula.cli.main import run
     from alula.schemas.artifact import read_artifact
@@ -108,7 +110,11 @@ def fuzz(build: Path, keep: Path, seconds: float) -> list[str]:
         corpus = build / "corpus" / target
         corpus.mkdir(parents=True, exist_ok=True)
         words = [str(build / target), str(corpus), str(build / "seeds" / target), "-print_final_stats=1"]
-        words += [f"-max_total_time={max(int(seconds / len(TARGETS)), 1)}", f"-max_len={LONGEST}", "-timeout=20"]
+        words += [
+            f"-max_total_time={max(int(seconds / len(TARGETS)), 1)}",
+            f"-max_len={LONGEST}",
+            "-timeout=20",
+        ]
         words += [f"-artifact_prefix={keep}/{target}-", "-seed=1"]
         done = subprocess.run(words, capture_output=True, text=True, errors="replace", check=False)
         executed = re.findall(r"number_of_executed_units:\s*(\d+)", done.stderr)
