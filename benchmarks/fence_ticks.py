@@ -1,8 +1,8 @@
 """Ticks of the geofence: recorded in simulated flights, replayed on emulated cores, compared with the host's.
 
-A wall at 100 km/h, a fall from 70 m, random sticks, a radio and a navigation that fall silent, a polytope with
-latency, and the hulls of a map; and states anywhere, one somewhere else than the last, which is the worst case
-for what a tick remembers of a map.
+A wall at 100 km/h, a fall from 70 m, random sticks, a radio and a navigation that fall silent, a polytope
+with latency, and the hulls of a map; and states anywhere, one somewhere else than the last, which is the
+worst case for what a tick remembers of a map.
 """
 
 from __future__ import annotations

@@ -3,10 +3,10 @@
 Flights among 150 and 1,000 hulls of 83 half-planes or more (as many as PolyMerge's have) are simulated with
 polytope-cbf on an onboard map, 500 ticks a second, and every fiftieth tick is recorded; so are ticks at
 positions anywhere, also inside hulls, one somewhere else than the last, which is the worst case for what a
-tick keeps. Encounters of examples/dr-acbf are recorded with dr-acbf, and flights inside fences with the geofence. All
-of it is replayed under QEMU on a Cortex-M4 and a Cortex-M7, and compared bit by bit with the library that the
-simulator calls. Nothing here is a time but host_*_us: instructions are counted, and are the same in every run with
-the same compiler.
+tick keeps. Encounters of examples/dr-acbf are recorded with dr-acbf, and flights inside fences with the
+geofence. All of it is replayed under QEMU on a Cortex-M4 and a Cortex-M7, and compared bit by bit with the
+library that the simulator calls. Nothing here is a time but host_*_us: instructions are counted, and are the
+same in every run with the same compiler.
 """
 
 from __future__ import annotations
@@ -269,7 +269,7 @@ def measure(folder: Path, say: Callable[[str], None]) -> Measured:
 
 
 def room(firmware: Path, measured: dict[str, Any]) -> dict[str, Any]:
-    """Bytes in flash and RAM of the library, all filters' state, the larger map and the deepest stack, on the M4."""
+    """Bytes on the M4: of the library, all filters' state, the larger map and the deepest stack."""
     sizes = library_sizes(firmware, "m4")
     state = sum(
         symbol_bytes(firmware, "m4", name, symbol)

@@ -199,7 +199,7 @@ def test_the_stack_used_stays_within_the_bound_of_the_call_graph(measured):
 
 
 def test_a_tick_of_the_geofence_takes_no_longer_than_the_papers(measured):
-    """350 µs on a Teensy 4.1 at 600 MHz, and within its 400 Hz also on a Crazyflie, at 2 cycles per instruction."""
+    """350 µs on a Teensy 4.1 at 600 MHz, and its 400 Hz on a Crazyflie too, at 2 cycles per instruction."""
     figures = measured[0].figures
     assert figures["m7_geofence_us"] <= onboard.GEOFENCE_US
     assert figures["m7_geofence_us"] == figures["m7_geofence_instructions"] * 2 / 600
@@ -245,7 +245,7 @@ def test_navigation_and_sticks_that_are_no_numbers_are_refused_on_the_target(fen
 
 @pytest.mark.parametrize("core", CORES)
 def test_a_fence_around_a_damaged_map_flies_nothing(fence, short, core):
-    flight, _, again = fence
+    _, _, again = fence
     image = short[0]
     found = again(core, raw=image[:100] + bytes([image[100] ^ 1]) + image[101:])
     assert found.set_up[0] == DAMAGED

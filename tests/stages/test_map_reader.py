@@ -111,8 +111,8 @@ def test_a_header_that_lies_is_refused(at, code, value, said):
     assert refusal(sealed(image)) == said
 
 
-# Bytes that say where and of what the map is: other values make another map, within the limits tested above; and the
-# sums, which are set anew.
+# Bytes that say where and of what the map is: other values make another map, within the limits tested above;
+# and the sums, which are set anew.
 FREE = {5, 10, *range(20, 64)}
 
 

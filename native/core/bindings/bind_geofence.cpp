@@ -194,8 +194,9 @@ void bind_filter(nb::module_& m) {
           "fence"_a, "model"_a = RacerModel{}, "parameters"_a = std::map<std::string, double>{},
           nb::keep_alive<1, 2>())
       .def_prop_ro("hover_throttle", &Geofence::hover_throttle)
-      .def_prop_ro("config_words", [](const Geofence& self) { return to_bytes(&self.config(), sizeof self.config()); },
-                   nb::sig("def config_words(self) -> bytes"), "The bytes of its alula_geofence_config.")
+      .def_prop_ro(
+          "config_words", [](const Geofence& self) { return to_bytes(&self.config(), sizeof self.config()); },
+          nb::sig("def config_words(self) -> bytes"), "The bytes of its alula_geofence_config.")
       .def_prop_ro(
           "fence_words",
           [](const Geofence& self) {

@@ -10,12 +10,12 @@
 
 #include "alula.h"
 
-#define CHECK(what)                                                       \
-  do {                                                                    \
-    if (!(what)) {                                                        \
+#define CHECK(what)                                                             \
+  do {                                                                          \
+    if (!(what)) {                                                              \
       fprintf(stderr, "%s:%d: does not hold: %s\n", __FILE__, __LINE__, #what); \
-      abort();                                                            \
-    }                                                                     \
+      abort();                                                                  \
+    }                                                                           \
   } while (0)
 
 int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size);

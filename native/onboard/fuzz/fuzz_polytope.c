@@ -9,8 +9,8 @@ static void tick(const alula_polytope_cbf_config* config, const float x[3], cons
   CHECK(alula_polytope_cbf_filter(&brute, x, u_nom, &other) == status);
   CHECK(same_bits(&result, &other, sizeof result));
   CHECK(all_finite(result.u, 3) && result.fraction >= 0.0F && result.fraction <= 1.0F);
-  const double square = (double)result.u[0] * result.u[0] + (double)result.u[1] * result.u[1] +
-                        (double)result.u[2] * result.u[2];
+  const double square =
+      (double)result.u[0] * result.u[0] + (double)result.u[1] * result.u[1] + (double)result.u[2] * result.u[2];
   CHECK(square <= 1.0001 * config->v_max * config->v_max);
   if (status == ALULA_FILTER_OK) CHECK(same_bits(result.u, u_nom, sizeof result.u));
   if (status == ALULA_FILTER_REFUSED) {
@@ -27,13 +27,13 @@ int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   alula_map map;
   if (open_image(image, length, &map)) {
     const float extent = take_between(&in, 0.0F, 2.0F * map.extent_m);
-    alula_polytope_cbf_config config = {.radius_m = take_between(&in, 0.0F, 0.5F),
-                                        .beta = take_between(&in, 0.1F, 20.0F),
-                                        .kappa = take_between(&in, 1.0F, 1000.0F),
-                                        .dt_s = take_between(&in, 0.001F, 0.1F),
-                                        .v_max = take_between(&in, 0.1F, 5.0F),
-                                        .smoothing = take(&in, 1) % 8U == 0U ? ALULA_SMOOTHING_PAPER
-                                                                             : ALULA_SMOOTHING_SOUND};
+    alula_polytope_cbf_config config = {
+        .radius_m = take_between(&in, 0.0F, 0.5F),
+        .beta = take_between(&in, 0.1F, 20.0F),
+        .kappa = take_between(&in, 1.0F, 1000.0F),
+        .dt_s = take_between(&in, 0.001F, 0.1F),
+        .v_max = take_between(&in, 0.1F, 5.0F),
+        .smoothing = take(&in, 1) % 8U == 0U ? ALULA_SMOOTHING_PAPER : ALULA_SMOOTHING_SOUND};
     const alula_status made = alula_polytope_cbf_open(&cbf, &map, extent, &config);
     config.brute_force = 1;
     CHECK(alula_polytope_cbf_open(&brute, &map, extent, &config) == made);

@@ -129,8 +129,8 @@ ALULA_MUST_USE alula_status alula_geofence_init(alula_geofence* filter, const al
 void alula_geofence_reset(alula_geofence* filter); /* to before the first tick */
 
 /* h_I of a state with a hold; `extra` is taken off as well. Changes nothing but what is remembered of the map. */
-void alula_geofence_evaluate(alula_geofence* filter, const alula_racer_state* state,
-                             const alula_backup_hold* hold, float extra, alula_geofence_value* value);
+void alula_geofence_evaluate(alula_geofence* filter, const alula_racer_state* state, const alula_backup_hold* hold,
+                             float extra, alula_geofence_value* value);
 
 /* The hold a flow from here begins with: this yaw, and this height moved by the push of (17). */
 alula_backup_hold alula_geofence_hold(alula_geofence* filter, const alula_racer_state* state);

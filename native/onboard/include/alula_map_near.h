@@ -3,8 +3,8 @@
  * Listed are the hulls whose boxes come within `limit` of a centre. As every psi_h is 1-Lipschitz, none that is not
  * listed decides psi at p as long as psi(p) + |p - centre| is below the limit; else the tree of the map's index finds
  * the hulls around p, and they are the new list. For a few hulls the planes are kept that decide psi_h within `reach`
- * of the place where all were looked at: at least psi_h - 2 reach there. All comparisons leave room for four times the
- * margin of alula_map_evaluate, of which the rounding of a value is less than half.
+ * of the place where all were looked at: at least psi_h - 2 reach there. All comparisons leave room for four times
+ * the margin of alula_map_evaluate, of which the rounding of a value is less than half.
  *
  * So what is found does not depend on what is remembered. Without an index, or far from the last position, a call
  * takes as long as a search does.
@@ -37,7 +37,7 @@ typedef struct {
 
 typedef struct {
   uint32_t hull, count, last; /* the last that was the largest */
-  float at[3], reach_square; /* negative: the planes are some of it, psi_h may be larger */
+  float at[3], reach_square;  /* negative: the planes are some of it, psi_h may be larger */
   float plane[ALULA_NEAR_PLANES][4];
 } alula_kept_planes;
 

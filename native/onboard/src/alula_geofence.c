@@ -188,8 +188,8 @@ static void conclude(const alula_geofence* filter, const alula_fence_tracker* tr
   if (tracker->damaged || !alula_is_finite(value->h_i)) value->h_i = -FLT_MAX;
 }
 
-void alula_geofence_evaluate(alula_geofence* filter, const alula_racer_state* state,
-                             const alula_backup_hold* hold, float extra, alula_geofence_value* value) {
+void alula_geofence_evaluate(alula_geofence* filter, const alula_racer_state* state, const alula_backup_hold* hold,
+                             float extra, alula_geofence_value* value) {
   const alula_geofence_config* config = &filter->config;
   alula_fence_tracker tracker;
   begin(filter, state->position, &tracker);

@@ -2,13 +2,13 @@
 
 #include "map_index.h"
 
-#define SLACK 4.0F       /* margins that comparisons leave for rounding */
-#define SHRUNK 0.9999F   /* more than distances round by, and the margin grows by */
-#define WIDE 1.0F        /* [m] listed are hulls up to psi + WIDE + WIDER psi */
+#define SLACK 4.0F     /* margins that comparisons leave for rounding */
+#define SHRUNK 0.9999F /* more than distances round by, and the margin grows by */
+#define WIDE 1.0F      /* [m] listed are hulls up to psi + WIDE + WIDER psi */
 #define WIDER 0.5F
-#define NARROW 0.01F     /* [m] */
-#define THICK 8.0F       /* [m] kept are planes down to psi_h less this, or less */
-#define THIN 1.0e-2F     /* [m] */
+#define NARROW 0.01F /* [m] */
+#define THICK 8.0F   /* [m] kept are planes down to psi_h less this, or less */
+#define THIN 1.0e-2F /* [m] */
 #define THINNER 0.7F
 
 typedef struct {

@@ -32,8 +32,8 @@ static inline alula_map_plane alula_map_plane_in(const uint8_t* at, uint32_t pla
 }
 
 /* A plane as a row n, d: unit normal, and offset moved outward; alula_polytope_cbf_open has what rounding costs. All
- * sums of integers are below 2^31: normals are at most 127, coordinates 2^22 + 2^15, and a plane cuts its box, so that
- * its depth is below 2^25. */
+ * sums of integers are below 2^31: normals are at most 127, coordinates 2^22 + 2^15, and a plane cuts its box, so
+ * that its depth is below 2^25. */
 static inline void alula_map_plane_row(const alula_map_plane* plane, const alula_map_hull* record, float g,
                                        float outward, float row[4]) {
   const int32_t i = plane->normal[0], j = plane->normal[1], k = plane->normal[2];
