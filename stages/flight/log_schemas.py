@@ -89,10 +89,18 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 realisation_error_m_s2=_NUMBER,
                 thrust_nom_n=_NUMBER,
                 torque_nom_body_nm=_VECTOR,
+                **{"lambda": _NUMBER},
+                allowance_m=_NUMBER,
+                towards_m_s=_NUMBER,
+                throttle_nom=_NUMBER,
+                throttle_safe=_NUMBER,
+                rates_nom_rad_s=_VECTOR,
+                rates_safe_rad_s=_VECTOR,
             ),
             "description": "The filter's margin and status, the nominal and the filtered input: h_m and "
             "velocities among hulls; among ellipsoids the filter's own barrier, not in metres, and "
-            "accelerations.",
+            "accelerations; in a geofence the true distance to it as margin, h_I as h_m with the allowance "
+            "that is taken off, the pilot's share lambda, and throttles and rates.",
         },
         "foxglove.PosesInFrame": _object(timestamp=_TIME, frame_id=_TEXT, poses=_array(_POSE)),
         "foxglove.PoseInFrame": _object(timestamp=_TIME, frame_id=_TEXT, pose=_POSE),
