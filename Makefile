@@ -57,7 +57,7 @@ typing-view: setup ## link the sources under one namespace for static tools
 typecheck: typing-view ## check types, strictly
 	$(BIN)/mypy -p alula
 
-test-native: setup ## build the native tests with sanitizers and run them
+test-native: setup ## build the native tests with sanitizers and run them, and fuzz for 20 s where clang can
 	@for sanitizers in address,undefined thread; do \
 	  build=build/native-$${sanitizers%%,*}; \
 	  $(BIN)/cmake -S . -B $$build -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja \
@@ -65,14 +65,17 @@ test-native: setup ## build the native tests with sanitizers and run them
 	  $(BIN)/cmake --build $$build; \
 	  .ci/fixed-addresses $(BIN)/ctest --test-dir $$build --output-on-failure; \
 	done
+	.ci/fixed-addresses $(BIN)/python -P tests/fuzz_onboard.py --seconds 20
 
 onboard: setup ## run the filters on emulated microcontrollers: the host's bits, instructions, sizes, stacks
 	.ci/system-packages --onboard
 	$(BIN)/python -P benchmarks/onboard.py
 	$(BIN)/python -P benchmarks/glue.py
 
-fuzz: setup ## mutated splat files against every reader, for SECONDS=600
-	$(BIN)/python -P tests/fuzz_splats.py --seconds $(or $(SECONDS),600) --keep build/fuzz
+fuzz: setup ## mutated splat files against every reader, and the onboard code, for FUZZ_SECONDS=600 each
+	$(BIN)/python -P tests/fuzz_splats.py --seconds $(or $(FUZZ_SECONDS),600) --keep build/fuzz
+	.ci/system-packages --fuzz
+	$(BIN)/python -P tests/fuzz_onboard.py --seconds $(or $(FUZZ_SECONDS),600)
 
 wheel: setup ## build the wheel and the sdist into dist/
 	rm -rf dist

@@ -31,6 +31,8 @@ geometry::Box box_of(const Corners& c) {
   return box;
 }
 
+nb::bytes to_bytes(const void* from, std::size_t size) { return nb::bytes(from, size); }
+
 const char* name_of(alula_geofence_status status) {
   static constexpr const char* kNames[] = {"passed", "blended", "backup", "no-pilot", "hand-over", "refused"};
   return kNames[status];
@@ -202,6 +204,17 @@ void bind_filter(nb::module_& m) {
           "fence"_a, "model"_a = RacerModel{}, "parameters"_a = std::map<std::string, double>{},
           nb::keep_alive<1, 2>())
       .def_prop_ro("hover_throttle", &Geofence::hover_throttle)
+      .def_prop_ro(
+          "config_words", [](const Geofence& self) { return to_bytes(&self.config(), sizeof self.config()); },
+          nb::sig("def config_words(self) -> bytes"), "The bytes of its alula_geofence_config.")
+      .def_prop_ro(
+          "fence_words",
+          [](const Geofence& self) {
+            const alula_fence& fence = self.onboard_fence();
+            return to_bytes(&fence, offsetof(alula_fence, face) + fence.face_count * sizeof fence.face[0]);
+          },
+          nb::sig("def fence_words(self) -> bytes"),
+          "Of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).")
       .def_prop_ro(
           "parameters",
           [](const Geofence& self) {
