@@ -9,7 +9,7 @@ VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
 CONSTRAINTS := .ci/constraints.txt
 
-.PHONY: help demo test setup lint format typecheck typing-view test-native onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-alignment docs schemas clean
+.PHONY: help demo test setup firmware lint format typecheck typing-view test-native onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -34,6 +34,12 @@ setup: .venv/.installed ## make the environment in .venv/
 	$(BIN)/pip install -q -c $(CONSTRAINTS) --no-build-isolation -e .
 	touch $@
 
+firmware: .venv/.firmware ## compile Betaflight's firmware for the flights through it (GPL), half a minute
+
+.venv/.firmware: .venv/.dependencies
+	MAKEFLAGS=-j$$(nproc) $(BIN)/pip install -q -c $(CONSTRAINTS) --build-constraint $(CONSTRAINTS) --group firmware
+	touch $@
+
 format: setup ## format all sources
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
@@ -52,7 +58,7 @@ typing-view: setup ## link the sources under one namespace for static tools
 typecheck: typing-view ## check types, strictly
 	$(BIN)/mypy -p alula
 
-test-native: setup ## build the native tests with sanitizers and run them
+test-native: setup ## build the native tests with sanitizers and run them, and fuzz for 20 s where clang can
 	@for sanitizers in address,undefined thread; do \
 	  build=build/native-$${sanitizers%%,*}; \
 	  $(BIN)/cmake -S . -B $$build -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja \
@@ -60,13 +66,17 @@ test-native: setup ## build the native tests with sanitizers and run them
 	  $(BIN)/cmake --build $$build; \
 	  .ci/fixed-addresses $(BIN)/ctest --test-dir $$build --output-on-failure; \
 	done
+	.ci/fixed-addresses $(BIN)/python -P tests/fuzz_onboard.py --seconds 20
 
 onboard: setup ## run the filters on emulated microcontrollers: the host's bits, instructions, sizes, stacks
 	.ci/system-packages --onboard
 	$(BIN)/python -P benchmarks/onboard.py
+	$(BIN)/python -P benchmarks/glue.py
 
-fuzz: setup ## mutated splat files against every reader, for SECONDS=600
-	$(BIN)/python -P tests/fuzz_splats.py --seconds $(or $(SECONDS),600) --keep build/fuzz
+fuzz: setup ## mutated splat files against every reader, and the onboard code, for FUZZ_SECONDS=600 each
+	$(BIN)/python -P tests/fuzz_splats.py --seconds $(or $(FUZZ_SECONDS),600) --keep build/fuzz
+	.ci/system-packages --fuzz
+	$(BIN)/python -P tests/fuzz_onboard.py --seconds $(or $(FUZZ_SECONDS),600)
 
 wheel: setup ## build the wheel and the sdist into dist/
 	rm -rf dist
@@ -102,6 +112,9 @@ bench-dracbf: setup ## filters among moving obstacles side by side, some minutes
 
 bench-onboard: setup ## what the onboard filters take on emulated microcontrollers, into docs/onboard.md
 	$(BIN)/python -P benchmarks/onboard.py --markdown docs/onboard.md
+
+bench-betaflight: setup firmware ## fly the geofence through Betaflight's firmware, a minute, into docs/betaflight.md
+	$(BIN)/python -P benchmarks/betaflight.py --markdown docs/betaflight.md
 
 bench-alignment: setup ## how often the intervals of scale-align hold, some minutes
 	$(BIN)/python -P benchmarks/alignment.py

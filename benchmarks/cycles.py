@@ -18,6 +18,7 @@ _INSTRUCTION = re.compile(r"^0x([0-9a-f]+):\s+((?:[0-9a-f]{4} ?)+)\s+(\S+)\s*(.*
 _TRACE = re.compile(r"^Trace \d+: \S+ \[[0-9a-f]+/([0-9a-f]+)/[^\]]*\] (\S*)")
 _BRANCH = re.compile(r"^(b|bl|bx|blx|cbz|cbnz|b(eq|ne|hs|lo|mi|pl|vs|vc|hi|ls|ge|lt|gt|le))(\.w|\.n)?$")
 _TAKEN = 4
+ENTRY = {"polytope": "alula_polytope_cbf_filter", "geofence": "alula_geofence_filter"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,21 +114,17 @@ def count(log: Path, first: str, after: str) -> list[tuple[int, int]]:
     return found
 
 
-def cycles_per_instruction(build_folder: Path, work: Path, inputs: bytes, tick: int, image: bytes) -> float:
-    """Of one tick of polytope-cbf, at most, after the tick before it.
+def cycles_per_instruction(build_folder: Path, work: Path, name: str, inputs: bytes, image: bytes) -> float:
+    """Of the last tick of a replay's inputs, at most; of `polytope` or `geofence`.
 
     Raises:
         RuntimeError: the instructions that were traced are not those that were counted.
     """
-    head, row = 4 + 4 * 6, 4 * 6
-    two = (
-        (2).to_bytes(4, "little") + inputs[4:head] + inputs[head + row * (tick - 1) : head + row * (tick + 1)]
-    )
-    counted = int(replay(build_folder, work, "m4", "polytope", two, image).instructions[1])
-    log = trace(build_folder, work, "polytope")
-    _, (instructions, cycles) = count(log, "alula_polytope_cbf_filter", "port_stop")
+    counted = int(replay(build_folder, work, "m4", name, inputs, image).instructions[-1])
+    log = trace(build_folder, work, name)
+    instructions, cycles = count(log, ENTRY[name], "port_stop")[-1]
     log.unlink()
-    if abs(instructions - counted) > 0.001 * counted + 100:
+    if abs(instructions - counted) > 0.002 * counted + 100:
         raise RuntimeError(f"{instructions} instructions traced, {counted} counted")
     return cycles / instructions
 

@@ -14,6 +14,7 @@ import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,19 @@ DR_ACBF_TICK = np.dtype(
         ("counted", "<u4"),
     ]
 )
+GEOFENCE_TICK = np.dtype(
+    [
+        ("status", "<u4"),
+        ("command", "<f4", 4),
+        *((name, "<f4") for name in ("lambda", "h_i", "distance_m", "margin_m")),
+        ("deciding", "<u4"),
+        ("v_towards", "<f4"),
+        ("stale_s", "<f4"),
+        ("counted", "<u4"),
+    ]
+)
+TICKS = {"polytope": (2, POLYTOPE_TICK), "dr_acbf": (1, DR_ACBF_TICK), "geofence": (2, GEOFENCE_TICK)}
+"""Of each replay: statuses of its set-up, and the row of a tick."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +116,8 @@ class Replay:
 
     Attributes:
         set_up: statuses of opening the map and of the filter's set-up, 0 for good.
-        ticks: one row per tick, POLYTOPE_TICK or DR_ACBF_TICK.
-        instructions: of each tick, shape (ticks,).
+        ticks: one row per tick, as in TICKS.
+        instructions: of each tick, shape (ticks,); nanoseconds on the host.
         stack_bytes: that were ever used.
     """
 
@@ -141,7 +155,7 @@ def replay(build_folder: Path, work: Path, core: str, name: str, inputs: bytes, 
         words, cwd=work, capture_output=True, text=True, check=False, timeout=600, stdin=subprocess.DEVNULL
     )
     out = (work / "outputs.bin").read_bytes() if (work / "outputs.bin").exists() else b""
-    heads, row = (2, POLYTOPE_TICK) if name == "polytope" else (1, DR_ACBF_TICK)
+    heads, row = TICKS[name]
     if len(out) < 4 * heads:
         raise RuntimeError(f"{core}: {name} ended with {done.returncode}: {done.stderr.strip()}")
     set_up = struct.unpack_from(f"<{heads}I", out)
@@ -169,6 +183,11 @@ def same_bits(one: NDArray[np.void], other: NDArray[np.void]) -> NDArray[np.bool
     return equal
 
 
+def single(v: Any) -> list[float]:
+    """The nearest floats."""
+    return np.asarray(v, np.float32).astype(float).tolist()  # type: ignore[no-any-return]
+
+
 def polytope_inputs(
     positions: NDArray[np.float32], nominal: NDArray[np.float32], parameters: Sequence[float]
 ) -> bytes:
@@ -186,6 +205,36 @@ def dr_acbf_inputs(
         parts.append(struct.pack("<12f3f2I", *position, *velocity, *[0.0] * 6, *nominal, len(tracks), 0))
         for row in tracks:
             parts.append(struct.pack("<I31f", int(row[0]), *row[1:28], row[28], 0.0, 0.0, 0.0))
+    return b"".join(parts)
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """Ticks for one geofence.
+
+    Attributes:
+        config: bytes, `Geofence.config_words`.
+        fence: bytes, `Geofence.fence_words`.
+        states: shape (ticks, 13); rows of NaN without navigation.
+        pilots: shape (ticks, 4); rows of NaN without a pilot.
+    """
+
+    config: bytes
+    fence: bytes
+    states: NDArray[np.float32]
+    pilots: NDArray[np.float32]
+
+
+def geofence_inputs(flights: Sequence[Flight], *, has_map: bool) -> bytes:
+    """Inputs of the replay `geofence`."""
+    row = np.dtype([("there", "<u4"), ("state", "<f4", 13), ("pilot", "<f4", 4)])
+    parts = [struct.pack("<2I", len(flights), has_map)]
+    for flight in flights:
+        ticks = np.zeros(len(flight.states), row)
+        ticks["state"], ticks["pilot"] = flight.states, flight.pilots
+        gone = [np.isnan(rows).all(axis=1) for rows in (flight.states, flight.pilots)]
+        ticks["there"] = ~gone[0] + 2 * ~gone[1]
+        parts += [flight.config, flight.fence, struct.pack("<I", len(ticks)), ticks.tobytes()]
     return b"".join(parts)
 
 

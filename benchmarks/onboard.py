@@ -3,9 +3,10 @@
 Flights among 150 and 1,000 hulls of 83 half-planes or more (as many as PolyMerge's have) are simulated with
 polytope-cbf on an onboard map, 500 ticks a second, and every fiftieth tick is recorded; so are ticks at
 positions anywhere, also inside hulls, one somewhere else than the last, which is the worst case for what a
-tick keeps. Encounters of examples/dr-acbf are recorded with dr-acbf. All of it is replayed under QEMU on a
-Cortex-M4 and a Cortex-M7, and compared bit by bit with the library that the simulator calls. Nothing here is
-a time: instructions are counted, and are the same in every run with the same compiler.
+tick keeps. Encounters of examples/dr-acbf are recorded with dr-acbf, and flights inside fences with the
+geofence. All of it is replayed under QEMU on a Cortex-M4 and a Cortex-M7, and compared bit by bit with the
+library that the simulator calls. Nothing here is a time but host_*_us: instructions are counted, and are the
+same in every run with the same compiler.
 """
 
 from __future__ import annotations
@@ -25,18 +26,19 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.append(str(Path(__file__).resolve().parent))
 sys.path.sort(key=sys.path[-1].__eq__)  # last: newer standard libraries have a package `compression`
 
+import encounter_ticks
+import fence_ticks
 import numpy as np
 from cycles import cycles_per_instruction
-from dracbf import SCENARIO, record
 from emulated import (
     FIRMWARE,
     Replay,
     build,
-    dr_acbf_inputs,
     library_sizes,
     missing_tools,
     polytope_inputs,
     replay,
+    single,
     stack_bound,
     symbol_bytes,
 )
@@ -44,7 +46,6 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.encounters import read_encounters
 from alula.schemas.kinds import COVER
 from alula.schemas.manifest import Guarantee
 from alula.schemas.targets import CODE_BYTES, TARGETS
@@ -55,11 +56,17 @@ from alula.stages.compression.onboard_cost import tick_instructions
 BUDGET = FIRMWARE / "budget.toml"
 HALF_PLANES = 83  # a hull of PolyMerge's has on average
 G = 0.05
-FIELDS = {150: (100, 80, 30), 1000: (200, 150, 45)}  # hulls: half the field's size in voxels
+HALVES = {
+    150: (100, 80, 30),
+    290: (125, 100, 40),
+    1000: (200, 150, 45),
+}  # hulls: half the field's size in voxels
+FIELDS = (150, 1000)  # flown with polytope-cbf
+KEEP_OUT, KEEP_OUT_G = 290, 0.1  # hulls outside of which the geofence stays
 PARAMETERS = {"radius_m": 0.1, "beta": 2.0, "kappa": 100.0, "dt_s": 0.002, "v_max": 1.0}
 RATES = {150: 500, 1000: 125}
+GEOFENCE_US = 350  # what a tick takes on the paper's M7
 EVERY, FLIGHTS, TICKS, ANYWHERE = 50, 10, 80, 300
-ENCOUNTER_TICKS, CROWD = 1500, 8
 FloatArray = NDArray[np.float64]
 ENTRIES = (
     "alula_map_open",
@@ -67,17 +74,10 @@ ENTRIES = (
     "alula_polytope_cbf_filter",
     "alula_dr_acbf_init",
     "alula_dr_acbf_filter",
+    "alula_geofence_init",
+    "alula_geofence_filter",
 )
 WORK = ("boxes", "hulls", "planes", "made", "exponentials")
-
-
-Asked = tuple[list[float], list[float], FloatArray, list[float]]
-"""A tick of dr-acbf: position, velocity, tracks (n, 29), nominal command; all of them floats."""
-
-
-def single(v: Any) -> list[float]:
-    """The nearest floats."""
-    return np.asarray(v, np.float32).astype(float).tolist()  # type: ignore[no-any-return]
 
 
 def lattice_hull(points: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -92,9 +92,9 @@ def lattice_hull(points: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[
     return points[solid.vertices], np.unique(np.column_stack([normal, (normal * a).sum(axis=1)]), axis=0)
 
 
-def field(hulls: int, seed: int = 1) -> Artifact:
-    """A cover of round hulls, 0.5 to 1.4 m across, that overlap, in a room for them."""
-    rng, half = np.random.default_rng(seed), np.array(FIELDS[hulls])
+def field(hulls: int, seed: int = 1, g: float = G) -> Artifact:
+    """A cover of round hulls, 10 to 28 voxels across, that overlap, in a room for them."""
+    rng, half = np.random.default_rng(seed), np.array(HALVES[hulls])
     parts = []
     for _ in range(hulls):
         way = rng.normal(size=(60, 3))
@@ -127,7 +127,7 @@ def field(hulls: int, seed: int = 1) -> Artifact:
         summary={},
         guarantee=Guarantee("Made for measuring."),
         certificate={},
-        voxel_size_m=G,
+        voxel_size_m=g,
         sigma=1.0,
         min_overlap=1,
         conservativeness=1.0,
@@ -154,11 +154,17 @@ class Recorded:
     margin_m: NDArray[np.float32]
     in_flight: NDArray[np.bool_]
 
+    def ticks(self, begin: int, end: int) -> bytes:
+        """Inputs of some ticks alone."""
+        head, row = 4 + 4 * 6, 4 * 6
+        chosen = self.inputs[head + row * begin : head + row * end]
+        return (end - begin).to_bytes(4, "little") + self.inputs[4:head] + chosen
+
 
 def fly(hulls: int) -> Recorded:
     """Simulate flights through a field of so many hulls on its onboard map."""
     image = encode_map(field(hulls), indexed=True)
-    rng, half = np.random.default_rng(2), np.array(FIELDS[hulls]) * G
+    rng, half = np.random.default_rng(2), np.array(HALVES[hulls]) * G
     extent = float(half.max()) + 2.0
     native = _core.PolytopeCbf.from_image(image, extent_m=extent, **PARAMETERS)
 
@@ -216,7 +222,7 @@ def measure(folder: Path, say: Callable[[str], None]) -> Measured:
     say("building")
     firmware, work = folder / "firmware", folder / "work"
     work.mkdir(parents=True, exist_ok=True)
-    build(firmware)
+    build(firmware, "all", "host")
     found: dict[str, Any] = {"host_target_mismatches": 0, "ticks": 0}
     tight: dict[str, NDArray[np.float64]] = {}
     crazyflie = TARGETS["crazyflie"]
@@ -240,64 +246,30 @@ def measure(folder: Path, say: Callable[[str], None]) -> Measured:
             if name == "m4_polytope_150":
                 worst = max(int(out.instructions.argmax()), 1)
                 found["m4_cycles_per_instruction"] = cycles_per_instruction(
-                    firmware, work, recorded.inputs, worst, recorded.image
+                    firmware, work, "polytope", recorded.ticks(worst - 1, worst + 1), recorded.image
                 )
             looked = np.column_stack([out.ticks[word].astype(np.int64) for word in WORK])
             tight[name] = tick_instructions(looked) / out.instructions
         cycles = found[f"m4_polytope_{hulls}_instructions"] * crazyflie.cycles_per_instruction
         found[f"m4_polytope_{hulls}_hz"] = int(crazyflie.clock_hz / cycles)
     say("encounters")
-    more, ticks, mismatches = encounters(firmware, work)
-    found |= more
-    found["ticks"] += ticks
-    found["host_target_mismatches"] += mismatches
-    # The geofence's replay goes here: m7_geofence_instructions, host_geofence_p50_us.
+    parts = [encounter_ticks.measure(firmware, work)]
+    say("geofences")
+    kept_out = field(KEEP_OUT, g=KEEP_OUT_G)
+    parts.append(fence_ticks.measure(firmware, work, kept_out, np.array(HALVES[KEEP_OUT]) * KEEP_OUT_G))
+    for part in parts:
+        for name in ("ticks", "host_target_mismatches"):
+            found[name] += part.pop(name)
+        found |= part
+    teensy = TARGETS["teensy"]
+    per_us = teensy.clock_hz / teensy.cycles_per_instruction / 1e6
+    found["m7_geofence_us"] = found["m7_geofence_instructions"] / per_us
     found |= room(firmware, found)
     return Measured(found, tight)
 
 
-def crowd(rng: np.random.Generator, tracks: int) -> Asked:
-    """A tick with so many obstacles close and coming closer."""
-    at = rng.normal(size=(tracks, 3))
-    at *= rng.uniform(1.5, 8.0, (tracks, 1)) / np.linalg.norm(at, axis=1)[:, None]
-    velocity = -at * rng.uniform(0.3, 1.5, (tracks, 1)) + rng.normal(scale=0.5, size=(tracks, 3))
-    spread = np.diag([0.02, 0.02, 0.02, 0.3, 0.3, 0.3])[np.tril_indices(6)]
-    rows = np.column_stack(
-        [np.arange(tracks), at, velocity, np.tile(spread, (tracks, 1)), np.full(tracks, 0.2)]
-    )
-    return [0.0, 0.0, 0.0], single(rng.normal(size=3)), rows.astype(np.float32).astype(float), [0.0, 0.0, 0.0]
-
-
-def encounters(firmware: Path, work: Path) -> tuple[dict[str, Any], int, int]:
-    """dr-acbf on recorded encounters and on crowds; also how many ticks there were and how many differ."""
-    recorded: list[Asked] = [
-        (single(t.position), single(t.velocity), t.tracks.astype(np.float32).astype(float), single(t.nominal))
-        for trial in record(read_encounters(SCENARIO), 3, 1)
-        for t in trial
-    ][:ENCOUNTER_TICKS]
-    rng = np.random.default_rng(3)
-    ticks = mismatches = 0
-    found: dict[str, Any] = {}
-    for suffix, asked in (("", recorded), (f"_{CROWD}_tracks", [crowd(rng, CROWD) for _ in range(150)])):
-        native = _core.moving_filter("dr_acbf")
-        reports = [native.filter(p, v, tracks, np.empty((0, 4)), u)[0] for p, v, tracks, u in asked]
-        want = np.array([report.acceleration for report in reports], np.float32)
-        status = np.array([report.status for report in reports])
-        for core in ("m4", "m7"):
-            out = replay(firmware, work, core, "dr_acbf", dr_acbf_inputs(asked))
-            same = (want.view(np.uint32) == np.ascontiguousarray(out.ticks["a"]).view(np.uint32)).all(axis=1)
-            mismatches += int((~(same & (status == out.ticks["status"]))).sum())
-            ticks += len(out.ticks)
-            found[f"{core}_dracbf{suffix}_instructions"] = int(out.instructions.max())
-            found[f"{core}_dracbf{suffix}_median_instructions"] = int(np.median(out.instructions))
-            found[f"{core}_dracbf_stack_bytes"] = max(
-                out.stack_bytes, found.get(f"{core}_dracbf_stack_bytes", 0)
-            )
-    return found, ticks, mismatches
-
-
 def room(firmware: Path, measured: dict[str, Any]) -> dict[str, Any]:
-    """Bytes in flash and RAM of the library, its state, the larger map and the deepest stack, on the M4."""
+    """Bytes on the M4: of the library, all filters' state, the larger map and the deepest stack."""
     sizes = library_sizes(firmware, "m4")
     state = sum(
         symbol_bytes(firmware, "m4", name, symbol)
@@ -305,6 +277,8 @@ def room(firmware: Path, measured: dict[str, Any]) -> dict[str, Any]:
             ("polytope", "replayed_map"),
             ("polytope", "replayed_polytope_cbf"),
             ("dr_acbf", "replayed_dr_acbf"),
+            ("geofence", "replayed_geofence"),
+            ("geofence", "replayed_fence"),
         )
     )
     stack = {entry: stack_bound(firmware, "m4", entry) for entry in ENTRIES}
@@ -339,8 +313,15 @@ def complaints(figures: dict[str, Any]) -> list[str]:
         said.append(f"{figures['flash_bytes']} bytes do not fit into {crazyflie.flash_bytes} of flash")
     if figures["ram_bytes"] > crazyflie.ram_bytes:
         said.append(f"{figures['ram_bytes']} bytes do not fit into {crazyflie.ram_bytes} of RAM")
-    if figures["m4_cycles_per_instruction"] > crazyflie.cycles_per_instruction:
-        said.append(f"{figures['m4_cycles_per_instruction']:.3f} cycles per instruction are more than stated")
+    for name in ("m4", "m4_geofence", "m4_geofence_faces", "m4_geofence_map"):
+        if figures[f"{name}_cycles_per_instruction"] > crazyflie.cycles_per_instruction:
+            said.append(
+                f"{name}_cycles_per_instruction is {figures[f'{name}_cycles_per_instruction']}, not 2 at most"
+            )
+    if figures["m7_geofence_us"] > GEOFENCE_US:
+        said.append(
+            f"a tick of the geofence takes {figures['m7_geofence_us']:.0f} µs, the paper's {GEOFENCE_US}"
+        )
     for hulls, rate in RATES.items():
         if figures[f"m4_polytope_{hulls}_hz"] < rate:
             said.append(f"{hulls} hulls reach {figures[f'm4_polytope_{hulls}_hz']} Hz, not {rate}")

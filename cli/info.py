@@ -145,6 +145,7 @@ def _toml(path: Path) -> Explained:
     import msgspec
 
     from alula.schemas.encounters import is_encounters, read_encounters
+    from alula.schemas.geofence import is_fence_scenario, read_fence_scenario
     from alula.schemas.scenario import SCENARIO_SCHEMA, read_scenario
     from alula.schemas.toml_file import has_key
     from alula.schemas.vehicle import VEHICLE_SCHEMA, read_vehicle
@@ -153,8 +154,9 @@ def _toml(path: Path) -> Explained:
     if has_key(path, "model"):
         vehicle = msgspec.to_builtins(read_vehicle(path))
         return {**about(VEHICLE_SCHEMA, vehicle.pop("version", "")), **vehicle}, None
-    if is_encounters(path):
-        scenario = msgspec.to_builtins(read_encounters(path))
+    if is_fence_scenario(path) or is_encounters(path):
+        reads = read_fence_scenario if is_fence_scenario(path) else read_encounters
+        scenario = msgspec.to_builtins(reads(path))
         del scenario["schema"]
         return {**about(SCENARIO_SCHEMA, scenario.pop("version")), **scenario}, None
     return {**about(SCENARIO_SCHEMA, ""), **msgspec.to_builtins(read_scenario(path))}, None

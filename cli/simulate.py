@@ -30,6 +30,7 @@ Examples:
   alula simulate room.scene.npz -o fast.run.mcap --filter cone-backup --speed 3 --set horizon_s=2
   alula simulate room.scene.npz -o bent.run.mcap --filter cone-ecbf --guide cone-di --pairs-from fast.run.mcap
   alula simulate two.toml -o two.run.mcap --trials 3000 --set clearance_m=3
+  alula simulate fence.toml -o fence.run.mcap --trials 10000 --set vehicle.mass_scale=1.2 --set reserve_m=2.5
 """
 
 
@@ -64,13 +65,13 @@ _GUIDE = "guide."  # before the name of a parameter of the guide
     "settings",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Parameter of a filter among ellipsoids or moving obstacles, guide.NAME=VALUE of its guide; may be "
-    "repeated.",
+    help="Parameter of a filter among ellipsoids or moving obstacles or in a fence, guide.NAME=VALUE of its "
+    "guide; may be repeated.",
 )
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
-    help="Send trials among moving obstacles to this dask.distributed scheduler, tcp://host:port.",
+    help="Send trials among moving obstacles or in a fence to this dask.distributed scheduler, tcp://host:port.",
 )
 @options.from_config(SimulateConfig)
 @options.output(".run.mcap")
@@ -96,19 +97,29 @@ def command(
     Options given here replace those of the scenario. A scenario with [[obstacles]] has moving ones
     (none, dr-acbf, dr-acbf-qp, mpc, cbf-qp, rp-cbf): --set replaces any of its keys, as in
     --set sensor.rate_hz=40, or a parameter of the filter; --trials of them are flown, an interrupted run
-    leaves OUTPUT.journal, and the same command again continues from it.
+    leaves OUTPUT.journal, and the same command again continues from it. So it is with a scenario with
+    [fence]: a racing drone and a simulated pilot, whose commands a geofence keeps inside (geofence,
+    backup-qp, none).
 
     Beside R.run.mcap, R.run.json holds the same summary and the measured times. Exit code 4: a filtered
-    flight collided with its map.
+    flight collided with its map, or left its fence.
     """
     from alula.schemas.artifact import read_artifact
     from alula.schemas.encounters import is_encounters
+    from alula.schemas.geofence import is_fence_scenario
     from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.run import RUN_SCHEMA, RUN_SUFFIX, RUN_VERSION, read_run
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
 
     if not common.output.name.endswith(".mcap"):
         raise UsageError(f"{common.output}: the output must end in .mcap (usually {RUN_SUFFIX})")
+    if source.suffix == ".toml" and is_fence_scenario(source):
+        from alula.cli.geofence import simulate_geofence
+
+        changes = dict(_setting(word) for word in settings)
+        files = {"vehicle": vehicle_path, "cover": map_path}
+        simulate_geofence(context, source, files, config, changes, scheduler, common)
+        return
     if source.suffix == ".toml" and is_encounters(source):
         from alula.cli.encounters import simulate_encounters
 
@@ -116,7 +127,7 @@ def command(
         simulate_encounters(context, source, map_path, config, changes, scheduler, common)
         return
     if scheduler is not None:
-        raise UsageError("--scheduler is for scenarios with moving obstacles")
+        raise UsageError("--scheduler is for scenarios with moving obstacles or a fence")
     paths = inputs_of(source, map_path, scene_path, vehicle_path)
     config, given = _configured(context, source, config, common.seed, settings)
     splat = is_among_ellipsoids(config.filter, paths)

@@ -61,7 +61,7 @@ from alula.schemas.encounter_filter import FilterTable
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import VERSION
 from alula.schemas.scenario import SCENARIO_SCHEMA
-from alula.schemas.toml_file import has_key, read_toml
+from alula.schemas.toml_file import first_beyond, has_key, read_changed
 
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
@@ -249,50 +249,13 @@ def read_encounters(path: Path, changes: Mapping[str, Any] | None = None) -> Enc
         VersionError: it was written for a later major version.
         UsageError: a key is unknown, of the wrong type or out of range; the message has its path.
     """
-    scenario = read_toml(path, Encounters, SCENARIO_SCHEMA)
-    if changes:
-        tree = msgspec.to_builtins(scenario)
-        for key, value in changes.items():
-            _set(tree, key, value)
-        try:
-            scenario = msgspec.convert(tree, Encounters)
-        except msgspec.ValidationError as error:
-            raise UsageError(f"{path}: {error}") from error
+    scenario = read_changed(path, Encounters, SCENARIO_SCHEMA, changes)
     tree = msgspec.to_builtins(scenario)
-    if wrong := _beyond(tree, "$", math.inf):
-        raise UsageError(f"{path}: {wrong} must be a finite number")
     for table in ("encounter", "obstacles", "walls"):
-        if wrong := _beyond(tree[table], f"$.{table}", LARGEST):
+        if wrong := first_beyond(tree[table], f"$.{table}", LARGEST):
             raise UsageError(f"{path}: {wrong} must be below {LARGEST:g}")
     _check(path, scenario)
     return scenario
-
-
-def _set(tree: Any, key: str, value: Any) -> None:
-    *parents, last = key.split(".")
-    at = tree
-    for part in parents:
-        if isinstance(at, list | tuple) and part.isdecimal() and int(part) < len(at):
-            at = at[int(part)]
-        elif isinstance(at, dict) and isinstance(at.get(part), dict | list | tuple):
-            at = at[part]
-        else:
-            raise UsageError(f"--set {key}: the scenario has no {part!r} there")
-    if not isinstance(at, dict):
-        raise UsageError(f"--set {key}: the scenario has no {last!r} there")
-    at[last] = value
-
-
-def _beyond(value: Any, path: str, limit: float) -> str | None:
-    """The path of the first number whose size is not below a limit."""
-    if isinstance(value, float):
-        return None if abs(value) < limit else f"`{path}`"
-    items: list[tuple[str, Any]] = []
-    if isinstance(value, dict):
-        items = [(f"{path}.{key}", child) for key, child in value.items()]
-    elif isinstance(value, list | tuple):
-        items = [(f"{path}[{i}]", child) for i, child in enumerate(value)]
-    return next((found for where, child in items if (found := _beyond(child, where, limit))), None)
 
 
 def _check(path: Path, scenario: Encounters) -> None:

@@ -31,6 +31,7 @@ class Flight:
         margin: margin that the filter reported, NaN where it had none, shape (m,).
         margin_unit: "m", or what else it measures in words.
         status: status that the filter reported, m words.
+        share: of the pilot in what was flown, in a geofence, NaN where unknown, shape (m,); None elsewhere.
     """
 
     time_s: NDArray[np.float64]
@@ -40,6 +41,7 @@ class Flight:
     margin: NDArray[np.float64]
     margin_unit: str
     status: tuple[str, ...]
+    share: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,7 @@ class _Safety(msgspec.Struct, gc=False):
     margin: float | None = None
     margin_unit: str | None = None  # absent among hulls, where h_m is the margin
     status_name: str = ""
+    share: float | None = msgspec.field(default=None, name="lambda")
 
 
 class _Pair(msgspec.Struct):
@@ -147,6 +150,9 @@ def _flight(states: list[_State], safety: list[_Safety]) -> Flight:
         ),
         margin_unit=(safety[0].margin_unit if safety else None) or "m",
         status=tuple(answer.status_name for answer in safety),
+        share=None
+        if all(a.share is None for a in safety)
+        else np.array([a.share for a in safety], np.float64),
     )
 
 

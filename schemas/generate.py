@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from alula.schemas.encounters import Encounters
+from alula.schemas.geofence import FenceScenario
 from alula.schemas.kinds import KINDS
 from alula.schemas.manifest import VERSION
 from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
@@ -24,6 +25,7 @@ def documents() -> dict[str, bytes]:
     types[RUN_SCHEMA] = (RUN_VERSION, RunRecord)
     types[SCENARIO_SCHEMA] = (VERSION, Scenario)
     types[f"{SCENARIO_SCHEMA}-encounters"] = (VERSION, Encounters)
+    types[f"{SCENARIO_SCHEMA}-geofence"] = (VERSION, FenceScenario)
     types[VEHICLE_SCHEMA] = (VERSION, Vehicle)
     result = {}
     for name, (version, struct) in types.items():

@@ -21,7 +21,7 @@ RUN_SUFFIX = ".run.mcap"
 FLIGHT_METADATA = "alula/flight"  # at the beginning of the log of a real flight: what is known before it
 
 # "stopped": a real flight that ended before its goal, by landing or in the hands of the pilot.
-Outcome = Literal["reached", "stuck", "timeout", "refused", "passed", "stopped"]
+Outcome = Literal["reached", "stuck", "timeout", "refused", "passed", "inside", "outside", "stopped"]
 
 
 class ObstacleResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -41,6 +41,33 @@ class ObstacleResult(msgspec.Struct, frozen=True, kw_only=True):
     reaction_s: float | None
     avoid_s: float | None
     collision: bool
+
+
+class FenceResult(msgspec.Struct, frozen=True, kw_only=True):
+    """What a flight in a geofence was like; steps are ticks of its filter, None stands for what never was.
+
+    Steps in which the pilot's command was passed, blended, replaced by the backup controller's, or there was
+    no pilot, navigation was too old, or nothing could be done. An intervention begins where lambda falls
+    below 1/2, after having been above 9/10. `altered_passes` and `out_of_range` are 0 of a filter that works:
+    passed commands that are not the pilot's bits, and commands beyond the limits. `brake_distance_m` is the
+    distance to the fence at the first intervention, `stop_distance_m` that when first slower than 0.5 m/s
+    after it.
+    """
+
+    passed_steps: int
+    blended_steps: int
+    backup_steps: int
+    no_pilot_steps: int
+    hand_over_steps: int
+    refused_steps: int
+    interventions: int
+    altered_passes: int
+    out_of_range: int
+    longest_backup_s: float
+    min_lambda: float | None
+    min_h_i_m: float | None
+    brake_distance_m: float | None
+    stop_distance_m: float | None
 
 
 class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -66,6 +93,9 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     flown rows left (None for filters without such rows), and the sum over windows of the risk of a collision.
     There "passed" says that all obstacles have receded, `map_clearance_m` is that of static walls, and a
     `collision` is one with either.
+
+    `fence` is of flights in a geofence, and None for others. There `map_clearance_m` is the least distance
+    to the fence, faces and hulls, `goal_m` is where the flight ended, and a `collision` says that it left.
     """
 
     index: int
@@ -105,6 +135,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     worst_violation_m_s2: float | None = None
     risk_spent: float | None = None
     mission_risk: float | None = None
+    fence: FenceResult | None = None
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):

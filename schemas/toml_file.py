@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -50,3 +52,51 @@ def read_toml(path: Path, table: type[Table], schema: str) -> Table:
         return msgspec.toml.decode(raw, type=table)
     except msgspec.ValidationError as error:
         raise UsageError(f"{path}: {error}") from error
+
+
+def read_changed(path: Path, table: type[Table], schema: str, changes: Mapping[str, Any] | None) -> Table:
+    """As `read_toml`, with values replaced by their keys with dots between; all numbers are finite.
+
+    Raises:
+        InputError, VersionError, UsageError: as `read_toml`; the last for changes too.
+    """
+    value = read_toml(path, table, schema)
+    if changes:
+        tree = msgspec.to_builtins(value)
+        for key, change in changes.items():
+            _set(tree, key, change)
+        try:
+            value = msgspec.convert(tree, table)
+        except msgspec.ValidationError as error:
+            raise UsageError(f"{path}: {error}") from error
+    if wrong := first_beyond(msgspec.to_builtins(value), "$", math.inf):
+        raise UsageError(f"{path}: {wrong} must be a finite number")
+    return value
+
+
+def _set(tree: Any, key: str, value: Any) -> None:
+    *parents, last = key.split(".")
+    at = tree
+    for part in parents:
+        if isinstance(at, list | tuple) and part.isdecimal() and int(part) < len(at):
+            at = at[int(part)]
+        elif isinstance(at, dict) and isinstance(at.get(part), dict | list | tuple):
+            at = at[part]
+        else:
+            raise UsageError(f"--set {key}: the scenario has no {part!r} there")
+    if not isinstance(at, dict):
+        raise UsageError(f"--set {key}: the scenario has no {last!r} there")
+    at[last] = value
+
+
+def first_beyond(value: Any, path: str, limit: float) -> str | None:
+    """The path of the first number whose size is not below a limit."""
+    if isinstance(value, float):
+        return None if abs(value) < limit else f"`{path}`"
+    items: list[tuple[str, Any]] = []
+    if isinstance(value, dict):
+        items = [(f"{path}.{key}", child) for key, child in value.items()]
+    elif isinstance(value, list | tuple):
+        items = [(f"{path}[{i}]", child) for i, child in enumerate(value)]
+    found = (first_beyond(child, where, limit) for where, child in items)
+    return next((where for where in found if where), None)

@@ -89,14 +89,23 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 realisation_error_m_s2=_NUMBER,
                 thrust_nom_n=_NUMBER,
                 torque_nom_body_nm=_VECTOR,
+                **{"lambda": _NUMBER},
+                allowance_m=_NUMBER,
+                towards_m_s=_NUMBER,
+                throttle_nom=_NUMBER,
+                throttle_safe=_NUMBER,
+                rates_nom_rad_s=_VECTOR,
+                rates_safe_rad_s=_VECTOR,
                 sent=_TEXT,
                 sent_values=_array(_NUMBER),
                 solve_time_s=_NUMBER,
             ),
             "description": "The filter's margin and status, the nominal and the filtered input: h_m and "
             "velocities among hulls; among ellipsoids the filter's own barrier, not in metres, and "
-            "accelerations. Of a real flight also what was sent in the end (rates: thrust per mass and body "
-            "rates; acceleration, velocity: in the world, and the yaw) and how long the filter took.",
+            "accelerations; in a geofence the true distance to it as margin, h_I as h_m with the allowance "
+            "that is taken off, the pilot's share lambda, and throttles and rates. Of a real flight also what "
+            "was sent in the end (rates: thrust per mass and body rates; acceleration, velocity: in the world, "
+            "and the yaw) and how long the filter took.",
         },
         "alula.Supervisor": {
             **_object(

@@ -91,7 +91,7 @@ def fence(
         raise UsageError("a fence needs a box, faces or a cover")
     image, keep_out = None, None
     if cover is not None:
-        image, keep_out = encode_map(cover), hull_obstacles(Hulls.from_cover(cover))
+        image, keep_out = encode_map(cover, indexed=True), hull_obstacles(Hulls.from_cover(cover))
     return Fence(
         box=box,
         faces=None if faces is None else np.ascontiguousarray(faces, np.float64),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.run import TrialResult
 from alula.stages.compression.hulls import Hulls
+from alula.stages.reporting.fenced import fence_shape
 from alula.stages.reporting.material import OUTCOMES, Material, Run, clearance_of, flew_through, outcome_of
 from alula.stages.reporting.tables import path_ratio, voxel_count
 
 Floats = NDArray[np.float64]
 
-_QUIET = ("", "ok", "filtered")  # what a filter does all the time
+_QUIET = ("", "ok", "filtered", "passed", "blended")  # what a filter does all the time
 _PLAN_SAMPLES = 400
 _DRAWN_PATHS = 300  # per run; those that ended badly first
 _DRAWN_POINTS = 600  # per path; more are not told apart on a page
@@ -53,6 +54,7 @@ class FlightMap:
     paths: tuple[Path, ...]
     band_m: tuple[float, float] | None
     hulls: int
+    fence: Floats | None = None  # corners of its outline, shape (n, 2); None without a fence
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +144,9 @@ def flight_maps(material: Material) -> list[FlightMap]:
         flown = paths_of(run)
         if flown:
             cover = material.cover if flew_through(run, material) is not False else None
-            maps.append(_flight_map(cover, run.label, planned + flown))
+            shape = fence_shape(run)
+            fence = None if shape is None else footprint(shape.corners_world[:, :2])
+            maps.append(replace(_flight_map(cover, run.label, planned + flown), fence=fence))
     if not maps and (material.cover is not None or planned):
         maps.append(_flight_map(material.cover, "plan" if planned else "cover", planned))
     return maps

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from alula.schemas.run import ObstacleResult, RunRecord
-from alula.stages.reporting.metrics import wilson_interval
 from alula.stages.reporting.published import DRACBF
+from alula.stages.reporting.statistics import Rate, mean_of, rate
 from alula.stages.reporting.tables import Table, flat, text
 
 LOW, HIGH = "95 % low", "95 % high"  # columns after that of a share
@@ -58,32 +58,6 @@ class Flown:
         return float(run.get("dt_s", 0.01))
 
 
-@dataclass(frozen=True, slots=True)
-class Rate:
-    """A share of trials in percent, with its 95 % Wilson interval; the value is None without trials."""
-
-    value: float | None
-    low: float
-    high: float
-    n: int
-
-    @property
-    def cells(self) -> tuple[float | None, float, float]:
-        """Of a table."""
-        return self.value, self.low, self.high
-
-    def __str__(self) -> str:
-        return f"{text(self.value)} % ({text(self.low)} to {text(self.high)})"
-
-
-def rate(values: Iterable[bool]) -> Rate:
-    """The share that is true."""
-    each = list(values)
-    good, n = sum(each), len(each)
-    low, high = wilson_interval(good, n)
-    return Rate(100 * good / n if n else None, 100 * low, 100 * high, n)
-
-
 def success(flown: Flown, obstacle: int | None = None) -> Rate:
     """Trials that touched nothing, or not that obstacle."""
     if obstacle is None:
@@ -97,12 +71,6 @@ def avoided(flown: Flown, free: Flown | None, obstacle: int) -> Rate | None:
         return None
     pairs = zip(flown.met(obstacle), free.met(obstacle), strict=False)
     return rate(not mine.collision for mine, other in pairs if other.collision)
-
-
-def mean_of(values: Iterable[float | None]) -> float | None:
-    """The mean of those that are known."""
-    known = [value for value in values if value is not None and math.isfinite(value)]
-    return math.fsum(known) / len(known) if known else None
 
 
 def select(flown: Sequence[Flown], scenario: str, variants: Sequence[str] | None = None) -> list[Flown]:

@@ -20,14 +20,12 @@ from alula.stages.reporting.dracbf import (
     LOW,
     METHODS,
     Flown,
-    Rate,
     find,
-    mean_of,
-    rate,
     select,
     success,
 )
 from alula.stages.reporting.published import DRACBF
+from alula.stages.reporting.statistics import Rate, mean_of, rate
 from alula.stages.reporting.tables import Table, flat
 
 FloatArray = NDArray[np.float64]

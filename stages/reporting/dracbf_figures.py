@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from alula import _core
-from alula.stages.reporting.dracbf import BASE, METHODS, Flown, Rate, find, select, success
+from alula.stages.reporting.dracbf import BASE, METHODS, Flown, find, select, success
 from alula.stages.reporting.dracbf_beyond import collapse_cells, risk_bins, stop
 from alula.stages.reporting.figures import Figure, drawing
+from alula.stages.reporting.statistics import Rate
 from alula.stages.reporting.tables import text
 
 OURS, OTHER, BAD, SOFT = "#0072b2", "#e69f00", "#d7301f", "#8a9099"

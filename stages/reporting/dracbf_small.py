@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from alula.schemas.run import ObstacleResult, TrialResult
-from alula.stages.reporting.dracbf import Flown, mean_of, milli, select, success
+from alula.stages.reporting.dracbf import Flown, milli, select, success
 from alula.stages.reporting.published import DRACBF
+from alula.stages.reporting.statistics import mean_of
 from alula.stages.reporting.tables import Table
 
 HARDWARE = {

@@ -10,17 +10,21 @@ from typing import Any
 
 import numpy as np
 
+from alula.stages.flight.geofence_map import SHOWN_BEYOND_M
 from alula.stages.reporting import curves
+from alula.stages.reporting.fenced import is_fenced
 from alula.stages.reporting.material import OUTCOMES, Material
 from alula.stages.reporting.tables import text
 
 COLORS = {
     "reached": "#0072b2",
     "passed": "#009e73",
+    "inside": "#0072b2",
     "stuck": "#e69f00",
     "timeout": "#8c6bb1",
     "refused": "#7f7f7f",
     "stopped": "#cc79a7",
+    "outside": "#d7301f",
     "collision": "#d7301f",
     "planned": "#222222",
 }
@@ -58,14 +62,17 @@ class Figure:
 
 def all_figures(material: Material) -> list[Figure]:
     """The figures that the material has data for, in reading order."""
+    from alula.stages.reporting.fenced_figures import fence_figures  # which draws with what is here
+
     found = []
     for number, shown in enumerate(curves.flight_maps(material)[:_MOST_MAPS], 1):
         found.append(_map_figure(shown, f"map-{number}"))
+    found += fence_figures(material)
     if clearances := curves.clearances(material.runs):
-        found.append(_clearance_figure(clearances))
+        found.append(_clearance_figure(clearances, all(map(is_fenced, material.runs))))
     if ratios := curves.path_ratios(material.runs):
         found.append(_ratio_figure(ratios))
-    if (worst := curves.worst_flight(material.runs)) is not None:
+    if (worst := curves.worst_flight([run for run in material.runs if not is_fenced(run)])) is not None:
         found.append(_worst_figure(worst))
     if (curve := curves.compression(material.cover)) is not None:
         found.append(_compression_figure(curve))
@@ -96,6 +103,22 @@ def drawing(
         yield axes, render
 
 
+def window(lines: Sequence[curves.Floats]) -> tuple[curves.Floats, curves.Floats]:
+    """Corners of what is shown around points in the plane; nearer than where `fence_shell` cuts open ones."""
+    low = np.min([line.min(axis=0) for line in lines], axis=0)
+    high = np.max([line.max(axis=0) for line in lines], axis=0)
+    size = high - low
+    pad = np.clip(np.maximum(0.1 * size.max(), 0.5 * (0.25 * size.max() - size)), 1.0, 0.9 * SHOWN_BEYOND_M)
+    return low - pad, high + pad
+
+
+def outline(axes: Any, corners: curves.Floats) -> None:
+    """The outline of a fence, of the corners that are seen from a side, shape (V, 2)."""
+    if len(corners):
+        line = curves.footprint(corners)
+        axes.plot(*np.vstack([line, line[:1]]).T, color="#1c2430", linewidth=1.8, zorder=2)
+
+
 def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
     from matplotlib.collections import LineCollection, PolyCollection
 
@@ -103,7 +126,9 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
     points = [p for p in points if len(p)]
     low = np.min([p.min(axis=0) for p in points], axis=0) if points else np.zeros(2)
     high = np.max([p.max(axis=0) for p in points], axis=0) if points else np.ones(2)
-    size = np.maximum(high - low, 1e-3)
+    margin = 0.02 * np.maximum(high - low, 1e-3).max()
+    low, high = (low - margin, high + margin) if shown.fence is None else window(points)
+    size = high - low
     height = float(np.clip(9.5 * size[1] / size[0] + 0.9, 3.0, 9.5))
     with drawing(9.5, height) as (axes, render):
         axes.grid(visible=False)
@@ -139,8 +164,9 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
             axes.scatter(
                 *ends[:, 1].T, s=size_of_end, color=COLORS[outcome], marker="X", linewidths=0, zorder=4
             )
-        margin = 0.02 * size.max()
-        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+        if shown.fence is not None:
+            outline(axes, shown.fence)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
         if shown.paths:
             axes.legend(loc="upper left", bbox_to_anchor=(0, -0.08), ncols=5, fontsize=10)
@@ -157,6 +183,8 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
             where += (
                 f", those between the flown heights {text(shown.band_m[0])} m and {text(shown.band_m[1])} m"
             )
+    if shown.fence is not None:
+        where += "; dark lines are the outline of the fence"
     alt = (
         f"Map from above of {shown.label}: paths {counts or 'none'}{where}. Circles are starts, crosses ends."
     )
@@ -182,18 +210,19 @@ def _spread(shown: Sequence[curves.Distribution], unit: str) -> str:
     )
 
 
-def _clearance_figure(shown: Sequence[curves.Distribution]) -> Figure:
+def _clearance_figure(shown: Sequence[curves.Distribution], is_to_fence: bool) -> Figure:
+    what, below = ("distance to the fence", "outside") if is_to_fence else ("clearance", "a collision")
     with drawing(6.2, 3.6) as (axes, render):
         axes.axvline(0, color=COLORS["collision"], linewidth=1.2)
         least = min(float(one.value[0]) for one in shown)
         if least < 0:
             axes.axvspan(least, 0, color=COLORS["collision"], alpha=0.08, linewidth=0)
         _steps(axes, shown)
-        axes.set(xlabel="least clearance of a trial [m]")
+        axes.set(xlabel=f"least {what} of a trial [m]")
         svg = render()
     spread = _spread(shown, " m")
-    alt = f"Share of trials whose least clearance is at most a value. {spread}. Below 0 is a collision."
-    return Figure("clearance", "Least clearance of each trial", alt, svg)
+    alt = f"Share of trials whose least {what} is at most a value. {spread}. Below 0 is {below}."
+    return Figure("clearance", f"Least {what} of each trial", alt, svg)
 
 
 def _ratio_figure(shown: Sequence[curves.Distribution]) -> Figure:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from alula.schemas.run import TrialResult
+from alula.stages.reporting.fenced import is_fenced
 from alula.stages.reporting.material import Material, Run, clearance_of, is_covered, outcome_of, proof
 from alula.stages.reporting.tables import (
     BYTES_PER_HALF_PLANE,
@@ -39,11 +40,12 @@ def headline(material: Material) -> dict[str, Any]:
         found["obstacles_covered"] = "not verified" if covered is None else covered
     trials = [(run.label, trial) for run in material.runs for trial in run.record.trials]
     if trials:
-        static = [trial for _, trial in trials if trial.obstacles is None]
+        static = [trial for _, trial in trials if trial.obstacles is None and trial.fence is None]
         moving = [trial for _, trial in trials if trial.obstacles is not None]
-        said = [_said(part) for part in (static, moving) if part]
-        collisions = sum(trial.collision for _, trial in trials)
-        found["flights"] = f"{'; '.join(said)}, {collisions} collided"
+        fenced = [trial for _, trial in trials if trial.fence is not None]
+        said = [_said(part) for part in (static, moving, fenced) if part]
+        collisions = sum(trial.collision for _, trial in trials if trial.fence is None)
+        found["flights"] = "; ".join(said) + (f", {collisions} collided" if static or moving else "")
     if known := [c for _, trial in trials if (c := clearance_of(trial)) is not None]:
         found["least_clearance_m"] = min(known)
     if notes := [
@@ -55,7 +57,9 @@ def headline(material: Material) -> dict[str, Any]:
 
 def _said(trials: Sequence[TrialResult]) -> str:
     """How many flights were good, all of one kind: past moving obstacles nobody waits for the goal."""
-    if any(trial.obstacles is not None for trial in trials):
+    if any(trial.fence is not None for trial in trials):
+        good, word = sum(not trial.collision for trial in trials), "stayed in the fence"
+    elif any(trial.obstacles is not None for trial in trials):
         good, word = sum(not trial.collision for trial in trials), "touched nothing"
     else:
         good, word = sum(outcome_of(trial) == "reached" for trial in trials), "reached the goal"
@@ -83,6 +87,8 @@ def _map_cards(material: Material) -> list[Card]:
 
 
 def _run_cards(run: Run) -> list[Card]:
+    if is_fenced(run):
+        return _fence_cards(run)
     summary, trials = run.record.summary, run.record.trials
     interval = success_interval(run)
     rate, collisions = summary.get("success_rate"), summary.get("collisions")
@@ -103,6 +109,26 @@ def _run_cards(run: Run) -> list[Card]:
         Card("path length", text(summary.get("mean_path_ratio")), "× straight line, mean of successes")
     )
     return found
+
+
+def _fence_cards(run: Run) -> list[Card]:
+    summary, interval = run.record.summary, success_interval(run)
+    least, left = float(summary["min_distance_m"]), int(summary["violations"])
+    share = summary["passed"] / summary["ticks"] if summary["ticks"] else None
+    detail = f"{_said(run.record.trials)}"
+    if interval:
+        detail += f"; 95 %: {text(interval[0])} to {text(interval[1])}"
+    return [
+        Card("left the fence", text(left), detail, left == 0),
+        Card(
+            "least distance to the fence", f"{text(least)} m", f"trial {summary['worst_trial']}", least >= 0
+        ),
+        Card("top speed", f"{text(summary['max_speed_km_h'])} km/h"),
+        Card(
+            "interventions", text(summary["interventions"]), f"in {text(summary['engaged_trials'])} flights"
+        ),
+        Card("pilot alone", text(share), "share of ticks in which his command passed bit by bit"),
+    ]
 
 
 def chain(material: Material) -> list[tuple[str, str]]:

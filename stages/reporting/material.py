@@ -11,7 +11,9 @@ from alula.schemas.flights import Flight
 from alula.schemas.manifest import InputRef
 from alula.schemas.run import RunRecord, TrialResult
 
-OUTCOMES = ("reached", "passed", "stuck", "timeout", "refused", "stopped", "collision")
+OUTCOMES = (
+    *("reached", "passed", "inside", "stuck", "timeout", "refused", "stopped", "outside", "collision"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +44,8 @@ class Material:
 
 
 def outcome_of(trial: TrialResult) -> str:
-    """The outcome that colours a trial: a collision counts before how the flight ended."""
-    return "collision" if trial.collision else trial.outcome
+    """The outcome that colours a trial: a collision counts before how the flight ended; not so of a fence."""
+    return "collision" if trial.collision and trial.fence is None else trial.outcome
 
 
 def clearance_of(trial: TrialResult) -> float | None:

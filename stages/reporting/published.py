@@ -130,6 +130,20 @@ DRACBF: dict[str, dict[str, dict[str, float]]] = {
 POLYMERGE_BYTES_PER_SPLAT = 447
 POLYMERGE_BYTES_PER_HALF_PLANE = 235
 
+# Geofencing (arXiv 2201.04331), sections III-C, IV-D and V-C.
+GEOFENCING: dict[str, dict[str, dict[str, float]]] = {
+    "wall": {
+        "simulation": {"peak_km_h": 107.0, "least_m": 0.12},
+        "flight": {"peak_km_h": 104.0, "braking_m": 15.0, "tilt_deg": 90.0, "least_m": 1.7},
+    },
+    "fall": {
+        "simulation": {"peak_km_h": 70.0, "rest_m": 1.2},
+        "flight": {"peak_km_h": 60.0, "rest_m": 1.3},  # 1.8 m above the ground, the barrier is at 0.5 m
+    },
+    "pendulum": {"backup-qp": {"time_ratio": 10.0}},
+    "filter": {"Teensy 4.1": {"tick_us": 350.0}},
+}
+
 
 def paper_tables(paper: str, material: Material) -> list[Parts]:
     """Name, title, columns, rows and note of the tables that a paper adds.

@@ -1,4 +1,4 @@
-"""Intervals of figures that are compared over the same trials.
+"""Shares, means and intervals of figures of trials, also of those that are compared over the same ones.
 
 A percentile bootstrap only knows the values that it was given. Where they are all equal, or there is one, its
 interval has no width, although the next value may differ. Two ways out:
@@ -12,12 +12,16 @@ interval has no width, although the next value may differ. Two ways out:
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from alula.schemas.errors import InputError
+from alula.stages.reporting.metrics import wilson_interval
+from alula.stages.reporting.tables import text
 
 FloatArray = NDArray[np.float64]
 
@@ -34,6 +38,38 @@ class Estimate:
     low: float | None
     high: float | None
     n: int
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """A share of trials in percent, with its 95 % Wilson interval; the value is None without trials."""
+
+    value: float | None
+    low: float
+    high: float
+    n: int
+
+    @property
+    def cells(self) -> tuple[float | None, float, float]:
+        """Of a table."""
+        return self.value, self.low, self.high
+
+    def __str__(self) -> str:
+        return f"{text(self.value)} % ({text(self.low)} to {text(self.high)})"
+
+
+def rate(values: Iterable[bool]) -> Rate:
+    """The share that is true."""
+    each = list(values)
+    good, n = sum(each), len(each)
+    low, high = wilson_interval(good, n)
+    return Rate(100 * good / n if n else None, 100 * low, 100 * high, n)
+
+
+def mean_of(values: Iterable[float | None]) -> float | None:
+    """The mean of those that are known."""
+    known = [value for value in values if value is not None and math.isfinite(value)]
+    return math.fsum(known) / len(known) if known else None
 
 
 def mean_estimate(

@@ -14,7 +14,8 @@ import numpy as np
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
-from alula.schemas.run import TrialResult
+from alula.schemas.run import FenceResult, TrialResult
+from alula.stages.reporting.fenced import FENCE_NOTE, fence_columns, fence_rows, is_fenced
 from alula.stages.reporting.material import OUTCOMES, Material, Run, flew_through, is_covered, outcome_of
 from alula.stages.reporting.published import paper_tables
 
@@ -122,11 +123,12 @@ def _summary_of(run: Run) -> dict[str, Any]:
         "share of steps infeasible": sum(trial.infeasible_steps for trial in trials),
         "share of steps on the fallback": sum(trial.fallback_steps for trial in trials),
     }
+    head: dict[str, Any] = {"filter": record.filter, "vehicle": record.vehicle}
+    head |= {"hulls of the map": run.hulls, "trials": len(trials)}
+    if is_fenced(run):
+        return head | fence_rows(run)
     return {
-        "filter": record.filter,
-        "vehicle": record.vehicle,
-        "hulls of the map": run.hulls,
-        "trials": len(trials),
+        **head,
         "success rate": summary.get("success_rate"),
         "success rate, 95 % low": interval[0] if interval else None,
         "success rate, 95 % high": interval[1] if interval else None,
@@ -193,6 +195,8 @@ def runs_table(material: Material) -> Table:
         "Clearances are of the vehicle's sphere, computed after the flight; below zero is a collision. Each "
         "trial ends in one way: one that collided counts as nothing else."
     )
+    if all(map(is_fenced, material.runs)):
+        note = FENCE_NOTE
     table = _beside("runs", "Flights", material.runs, values, note)
     known = tuple(row for row in table.rows if any(value is not None for value in row[1:]))
     return replace(table, rows=known)
@@ -216,6 +220,8 @@ def trials_table(run: Run, name: str) -> Table:
         "fallback": lambda t: t.fallback_steps,
     }
     trials = run.record.trials
+    if is_fenced(run):
+        columns = fence_columns()
     if _known(trials, "peak_realisation_error_m_s2"):
         columns = {"qp infeasible" if key == "infeasible" else key: get for key, get in columns.items()}
         columns |= {
@@ -344,7 +350,9 @@ def table_csv(table: Table) -> str:
     return out.getvalue()
 
 
-CSV_COLUMNS = ("run", "filter", "vehicle", *(f.name for f in msgspec.structs.fields(TrialResult)))
+_FENCE_FIELDS = tuple(field.name for field in msgspec.structs.fields(FenceResult))
+_TRIAL_FIELDS = tuple(f.name for f in msgspec.structs.fields(TrialResult) if f.name != "fence")
+CSV_COLUMNS = ("run", "filter", "vehicle", *_TRIAL_FIELDS, *(f"fence_{name}" for name in _FENCE_FIELDS))
 
 
 def to_csv(material: Material) -> str:
@@ -354,7 +362,8 @@ def to_csv(material: Material) -> str:
     writer.writerow(CSV_COLUMNS)
     for run in material.runs:
         for trial in run.record.trials:
-            values = msgspec.structs.asdict(trial).values()
+            values = [getattr(trial, name) for name in _TRIAL_FIELDS]
+            values += [getattr(trial.fence, name, None) for name in _FENCE_FIELDS]
             writer.writerow([run.label, run.record.filter, run.record.vehicle, *map(_csv_cell, values)])
     return out.getvalue()
 

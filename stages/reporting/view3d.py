@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from alula.schemas.artifact import Artifact
 from alula.stages.compression.facets import Mesh, mesh
 from alula.stages.reporting.curves import Path, paths_of, plan_positions, thin
+from alula.stages.reporting.fenced import FenceShape, fence_shape
 from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.material import OUTCOMES, Material
 
@@ -55,6 +56,8 @@ def view(material: Material) -> View | None:
         if len(points) < len(material.scene["mean"]):
             notes.append(f"{len(points):,} of {len(material.scene['mean']):,} Gaussians")
         objects += _cloud_objects(points, colors, top)
+    fences = [shape for run in material.runs if (shape := fence_shape(run)) is not None]
+    objects += _fence_objects(list({shape.corners_world.tobytes(): shape for shape in fences}.values()))
     objects += _path_objects(paths)
     note = f"Shown: {' and '.join(notes)}." if notes else ""
     if any(not item.visible for item in objects):
@@ -146,10 +149,29 @@ def _cloud_objects(points: NDArray[np.float32], colors: NDArray[np.uint32], top:
     return objects
 
 
+def _fence_objects(shapes: Sequence[FenceShape]) -> list[Any]:
+    import k3d
+
+    return [
+        k3d.mesh(
+            shape.corners_world.astype(np.float32),
+            shape.triangles.astype(np.uint32),
+            color=0x1A8CCC,
+            opacity=0.12,
+            side="double",
+            flat_shading=True,
+            name="fence",
+        )
+        for shape in shapes
+    ]
+
+
 def _path_objects(paths: Sequence[Path]) -> list[Any]:
     import k3d
 
     objects = []
+    spans = [np.ptp(path.position_world, axis=0).max() for path in paths]
+    width = max(0.02, float(max(spans, default=0.0)) / 300)  # seen of flights over hundreds of metres too
     for outcome in (*OUTCOMES, "planned"):
         own = [path.position_world.astype(np.float32) for path in paths if path.outcome == outcome]
         if not own:
@@ -163,7 +185,7 @@ def _path_objects(paths: Sequence[Path]) -> list[Any]:
                     segments,
                     indices_type="segment",
                     color=color,
-                    width=0.02,
+                    width=width,
                     shader="mesh",
                     name=f"paths: {outcome}",
                 )
@@ -171,7 +193,7 @@ def _path_objects(paths: Sequence[Path]) -> list[Any]:
         for what, row in (("starts", 0), ("ends", -1)):
             ends = np.array([points[row] for points in own])
             objects.append(
-                k3d.points(ends, color=color, point_size=0.08, shader="3d", name=f"{what}: {outcome}")
+                k3d.points(ends, color=color, point_size=4 * width, shader="3d", name=f"{what}: {outcome}")
             )
     return objects
 

@@ -4,6 +4,7 @@ import shutil
 import struct
 import sys
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +65,16 @@ def test_nothing_exceeds_its_budget_or_the_crazyflie(measured):
 
 
 @pytest.mark.parametrize(
-    "name", ["m4_dracbf_instructions", "code_bytes", "ram_bytes", "host_target_mismatches"]
+    "name",
+    [
+        "m4_dracbf_instructions",
+        "m7_geofence_instructions",
+        "m7_geofence_us",
+        "m4_geofence_map_cycles_per_instruction",
+        "code_bytes",
+        "ram_bytes",
+        "host_target_mismatches",
+    ],
 )
 def test_what_exceeds_it_is_told(measured, name):
     said = onboard.complaints({**measured[0].figures, name: 10**7})
@@ -184,4 +194,59 @@ def test_the_stack_used_stays_within_the_bound_of_the_call_graph(measured):
     outside = 400  # main() and the replay's own calls
     assert figures["m4_polytope_stack_bytes"] <= figures["stack_polytope_cbf_filter_bytes"] + outside
     assert figures["m4_dracbf_stack_bytes"] <= figures["stack_dr_acbf_filter_bytes"] + 1.5 * outside
+    assert figures["m4_geofence_stack_bytes"] <= figures["stack_geofence_filter_bytes"] + 1.5 * outside
     assert figures["ram_bytes"] <= TARGETS["crazyflie"].ram_bytes
+
+
+def test_a_tick_of_the_geofence_takes_no_longer_than_the_papers(measured):
+    """350 µs on a Teensy 4.1 at 600 MHz, and its 400 Hz on a Crazyflie too, at 2 cycles per instruction."""
+    figures = measured[0].figures
+    assert figures["m7_geofence_us"] <= onboard.GEOFENCE_US
+    assert figures["m7_geofence_us"] == figures["m7_geofence_instructions"] * 2 / 600
+    assert figures["m4_geofence_instructions"] * 2 / TARGETS["crazyflie"].clock_hz < 1 / 400
+    assert figures["m7_geofence_map_flight_instructions"] * 2 / TARGETS["teensy"].clock_hz < 1 / 400
+
+
+@pytest.fixture(scope="module")
+def fence(measured):
+    """A recorded flight and how to replay it."""
+    _, folder = measured
+    flight, status, values = onboard.fence_ticks.record(onboard.fence_ticks.scenes()[3], 5)
+
+    def again(core, flown=flight, raw=b""):
+        inputs = emulated.geofence_inputs([flown], has_map=bool(raw))
+        return emulated.replay(folder / "firmware", folder / "work", core, "geofence", inputs, raw)
+
+    return flight, onboard.fence_ticks.Answered([flight], status, values), again
+
+
+@pytest.mark.parametrize("core", CORES)
+def test_recorded_flights_in_a_fence_are_flown_the_same_on_the_target(fence, core):
+    flight, answered, again = fence
+    assert {1, 2} & set(answered.status.tolist())
+    assert onboard.fence_ticks.mismatches(answered, again(core)) == 0
+    changed = replace(flight, pilots=flight.pilots * np.float32(1.01))
+    assert onboard.fence_ticks.mismatches(answered, again(core, changed)) > 100
+
+
+@pytest.mark.parametrize("core", CORES)
+def test_navigation_and_sticks_that_are_no_numbers_are_refused_on_the_target(fence, core):
+    flight, _, again = fence
+    states, pilots = flight.states[:60].copy(), flight.pilots[:60].copy()
+    states[:3, 4], states[20:30, 1] = np.inf, np.inf
+    pilots[40:50, 2] = np.nan
+    ticks = again(core, replace(flight, states=states, pilots=pilots)).ticks
+    assert (ticks["status"][:3] == 5).all()
+    assert (ticks["command"][:3] == 0).all()
+    assert np.isfinite(ticks["command"]).all()
+    assert (ticks["stale_s"][20:30] > 0).all()
+    assert (ticks["status"][40:50] == 3).all()
+
+
+@pytest.mark.parametrize("core", CORES)
+def test_a_fence_around_a_damaged_map_flies_nothing(fence, short, core):
+    _, _, again = fence
+    image = short[0]
+    found = again(core, raw=image[:100] + bytes([image[100] ^ 1]) + image[101:])
+    assert found.set_up[0] == DAMAGED
+    assert len(found.ticks) == 0

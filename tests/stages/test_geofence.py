@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.onboard import encode_map
 from alula.stages.flight.racer import fence
 
 HOVERING = np.r_[0, 0, 30.0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]
@@ -114,6 +115,21 @@ def test_a_cover_keeps_out_and_h_i_is_below_its_distance_along_the_flow(cover):
     values, _ = geofence.evaluate(starts)
     for x, value in zip(starts, values, strict=True):
         assert value[3] <= where.clearance(tuple(x[:3]), tuple(x[:3])) + 1e-6
+
+
+def test_an_indexed_map_and_one_without_give_the_same_bits_whatever_came_before(cover):
+    images = [encode_map(cover, indexed=indexed) for indexed in (True, False)]
+    hulls = Hulls.from_cover(cover)
+    low, high = hulls.vertices_world.min(axis=0) - 3, hulls.vertices_world.max(axis=0) + 3
+    states = model.random_states(60, 9, speed=8, tilt=2, low=low, high=high)
+    states[::3, :3] = states[0, :3]
+    ahead, behind, alone = (_core.Geofence(_core.Fence(image=image)) for image in (*images, images[0]))
+    one, other = ahead.evaluate(states), behind.evaluate(states[::-1])
+    for values, reversed_values in zip(one, other, strict=True):
+        assert values.tobytes() == reversed_values[::-1].tobytes()
+    for k, state in enumerate(states[:10]):
+        alone.reset()
+        np.testing.assert_array_equal(alone.evaluate(state[None])[0][0], one[0][k])
 
 
 @given(

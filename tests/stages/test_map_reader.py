@@ -94,11 +94,13 @@ def test_changes_with_matching_sums_are_refused_or_read_alike(data):
         (12, "I", 2**32 - 1, "malformed"),
         (16, "I", 63, "malformed"),
         (16, "I", 2**32 - 1, "truncated"),
-        (24, "i", 2**30, "malformed"),
-        (36, "f", float("nan"), "malformed"),
-        (36, "f", -1.0, "malformed"),
-        (48, "f", 1e-9, "malformed"),
-        (48, "f", float("inf"), "malformed"),
+        (12, "I", 0, "malformed"),
+        (12, "I", 5, "malformed"),
+        (12, "I", 2**24 + 1, "malformed"),
+        (16, "I", 0, "malformed"),
+        *((at, "i", value, "malformed") for at in (24, 28, 32) for value in (2**22 + 1, -(2**22) - 1, 2**30)),
+        *((36, "f", g, "malformed") for g in (float("nan"), float("inf"), -1.0, 0.0, 1e-45, 1e-7, 2e5)),
+        *((48, "f", m, "malformed") for m in (float("nan"), float("inf"), -1.0, 0.0, 1e-9, 1e8)),
         (64, "h", 32767, "malformed"),
         (77, "B", 17, "malformed"),
     ],
@@ -107,6 +109,43 @@ def test_a_header_that_lies_is_refused(at, code, value, said):
     image = bytearray(IMAGES["planes"])
     struct.pack_into("<" + code, image, at, value)
     assert refusal(sealed(image)) == said
+
+
+# Bytes that say where and of what the map is: other values make another map, within the limits tested above;
+# and the sums, which are set anew.
+FREE = {5, 10, *range(20, 64)}
+
+
+@pytest.mark.parametrize("indexed", [False, True])
+@pytest.mark.parametrize("largest", [1, 127])
+def test_every_header_byte_but_those_of_the_place_is_checked_even_with_matching_sums(indexed, largest):
+    image = encode_map(COVER, largest_normal=largest, indexed=indexed)
+    assert refusal(image) == ""
+    point = np.array([[0.3, 0.1, 0.2]], np.float32)
+    for at in range(64):
+        for value in range(256):
+            changed = bytearray(image)
+            changed[at] = value
+            if bytes(changed) == image:
+                continue
+            (total,) = struct.unpack_from("<I", changed, 16)
+            raw = sealed(changed) if 64 <= total <= len(image) else bytes(changed)
+            if at not in FREE:
+                assert refusal(raw) != "", (at, value)
+            elif refusal(raw) == "":
+                psi_there, hull, normal = _core.OnboardMap(raw).psi(point)
+                assert np.isfinite(psi_there).all()
+                assert hull[0] < 6
+                assert np.linalg.norm(normal) == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize("indexed", [False, True])
+def test_every_other_number_of_hulls_is_refused(indexed):
+    image = bytearray(encode_map(COVER, indexed=indexed))
+    (hulls,) = struct.unpack_from("<I", image, 12)
+    for count in {*range(64), 255, 256, 2**16, 2**24, 2**31, 2**32 - 1} - {hulls}:
+        struct.pack_into("<I", image, 12, count)
+        assert is_refused_by_both(sealed(image)), count
 
 
 def test_directions_come_with_their_largest_normal_alone():

@@ -31,6 +31,8 @@ geometry::Box box_of(const Corners& c) {
   return box;
 }
 
+nb::bytes to_bytes(const void* from, std::size_t size) { return nb::bytes(from, size); }
+
 const char* name_of(alula_geofence_status status) {
   static constexpr const char* kNames[] = {"passed", "blended", "backup", "no-pilot", "hand-over", "refused"};
   return kNames[status];
@@ -53,9 +55,9 @@ FenceRule rule_of(const std::string& name) {
   throw std::invalid_argument("no rule is called " + name);
 }
 
-// Sets numbers of the parameters by name.
-void set(alula_geofence_config& c, const std::string& key, double value) {
-  const std::map<std::string, float*> numbers{
+// The parameters that are numbers, by name.
+std::map<std::string, float*> numbers_of(alula_geofence_config& c) {
+  return {
       {"step_s", &c.step_s},
       {"tick_s", &c.tick_s},
       {"beta", &c.beta},
@@ -80,6 +82,10 @@ void set(alula_geofence_config& c, const std::string& key, double value) {
       {"climb_gain", &c.backup.climb_gain},
       {"most_throttle", &c.backup.most_throttle},
   };
+}
+
+void set(alula_geofence_config& c, const std::string& key, double value) {
+  const std::map<std::string, float*> numbers = numbers_of(c);
   if (key == "steps") {
     if (!(value >= 0 && value <= 1e6)) throw std::invalid_argument("steps out of range");
     c.steps = static_cast<std::uint32_t>(value);
@@ -132,6 +138,11 @@ LogDict to_dict(GeofenceLog&& log, bool keeps_trace) {
   d["altered_passes"] = log.altered_passes;
   d["out_of_range"] = log.out_of_range;
   d["longest_backup_s"] = log.longest_backup_s;
+  d["path_length_m"] = log.path_length_m;
+  d["mean_jerk_m_s3"] = log.mean_jerk_m_s3;
+  d["max_jerk_m_s3"] = log.max_jerk_m_s3;
+  const std::size_t ticks = log.tick_s.size();
+  d["tick_s"] = to_numpy(std::move(log.tick_s), {ticks});
   d["start"] = to_array(log.start);
   d["end"] = to_array(log.end);
   if (!keeps_trace) return d;
@@ -141,6 +152,7 @@ LogDict to_dict(GeofenceLog&& log, bool keeps_trace) {
   d["pilot"] = to_numpy(std::move(t.pilot), {n, 4});
   d["command"] = to_numpy(std::move(t.command), {n, 4});
   d["figure"] = to_numpy(std::move(t.figure), {n, 5});
+  d["distance"] = to_numpy(std::move(t.distance), {n});
   d["status"] = to_numpy(std::move(t.status), {n});
   return d;
 }
@@ -192,6 +204,26 @@ void bind_filter(nb::module_& m) {
           "fence"_a, "model"_a = RacerModel{}, "parameters"_a = std::map<std::string, double>{},
           nb::keep_alive<1, 2>())
       .def_prop_ro("hover_throttle", &Geofence::hover_throttle)
+      .def_prop_ro(
+          "config_words", [](const Geofence& self) { return to_bytes(&self.config(), sizeof self.config()); },
+          nb::sig("def config_words(self) -> bytes"), "The bytes of its alula_geofence_config.")
+      .def_prop_ro(
+          "fence_words",
+          [](const Geofence& self) {
+            const alula_fence& fence = self.onboard_fence();
+            return to_bytes(&fence, offsetof(alula_fence, face) + fence.face_count * sizeof fence.face[0]);
+          },
+          nb::sig("def fence_words(self) -> bytes"),
+          "Of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).")
+      .def_prop_ro(
+          "parameters",
+          [](const Geofence& self) {
+            alula_geofence_config config = self.config();
+            std::map<std::string, double> result{{"steps", config.steps}};
+            for (const auto& [key, value] : numbers_of(config)) result[key] = *value;
+            return result;
+          },
+          "All of them by name, as the filter holds them: in single precision.")
       .def("reset", &Geofence::reset, "To before the first tick.")
       .def(
           "filter",
@@ -280,6 +312,22 @@ void bind_flight(nb::module_& m) {
           "kind"_a, nb::kw_only(), "heading_rad"_a = p.heading_rad, "tilt_rad"_a = p.tilt_rad,
           "climb_m_s2"_a = p.climb_m_s2, "silent_after_s"_a = p.silent_after_s,
           "straight, diagonal, fall, sticks, aggressive, silent or repeated; ValueError for others.");
+  nb::class_<PilotHand>(m, "PilotHand", "A pilot in one flight, as fly_in_fences has him.")
+      .def(
+          "__init__",
+          [](PilotHand* self, const Pilot& pilot, const RacerModel& model, double start_height, std::uint64_t seed,
+             std::uint32_t trial) { new (self) PilotHand(pilot, model, RandomStream{seed, trial}, start_height); },
+          "pilot"_a, "model"_a, "start_height"_a, nb::kw_only(), "seed"_a = 0, "trial"_a = 0)
+      .def(
+          "command",
+          [](PilotHand& self, double time, const InRacer& x) -> std::optional<Doubles> {
+            const auto u = self(time, racer_at(x.data()));
+            if (!u) return {};
+            return to_array(*u);
+          },
+          "time"_a, "x"_a,
+          nb::sig("def command(self, time: float, x: NDArray[numpy.float64]) -> NDArray[numpy.float64] | None"),
+          "His command (4) at a state (13); None: no radio.");
   const GeofenceRules r;
   nb::class_<GeofenceRules>(m, "GeofenceRules", "Times of a flight, and when navigation or radio are missing.")
       .def(
@@ -326,8 +374,9 @@ void bind_flight(nb::module_& m) {
       "spec"_a, "filter"_a, nb::kw_only(), "seed"_a = 0, "first"_a = 0, "count"_a = 1, "keeps_trace"_a = false,
       "jobs"_a = 0, "progress"_a = nb::none(),
       "Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial, with "
-      "keeps_trace also per tick state (13), pilot and command (4), figure (lambda, h_I, distance, margin, v_c) and "
-      "status (number).");
+      "keeps_trace also per tick state (13), pilot and command (4), figure (lambda, h_I, distance, margin, v_c), "
+      "true "
+      "distance and status (number). Only tick_s, the filter's time in each tick, is measured.");
 }
 
 }  // namespace

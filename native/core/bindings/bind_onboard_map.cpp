@@ -2,6 +2,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/tuple.h>
 
+#include <memory>
 #include <stdexcept>
 #include <tuple>
 #include <vector>
@@ -10,7 +11,7 @@
 #include "alula/onboard_image.hpp"
 #include "alula/onboard_map.hpp"
 #include "alula/parallel.hpp"
-#include "alula_map.h"
+#include "alula_map_near.h"
 #include "arrays.hpp"
 #include "python_control.hpp"
 
@@ -87,26 +88,22 @@ class OnboardMap {
 
   const alula_map& map() const { return image_.map(); }
 
-  std::tuple<Out<float>, Out<std::uint32_t>, Out<float>> psi(const InRows3<float>& points, unsigned jobs) const {
-    const std::size_t count = points.shape(0);
-    std::vector<float> value(count), normal(3 * count);
-    std::vector<std::uint32_t> hull(count);
-    {
-      const nb::gil_scoped_release release;
-      Control control;
-      parallel_chunks(count, 256, jobs, control, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i) {
-          alula_map_value at;
-          if (alula_map_evaluate(&map(), points.data() + 3 * i, &at) != ALULA_MAP_READY)
-            throw std::invalid_argument(status_text(ALULA_MAP_BAD_POSITION));
-          value[i] = at.psi_m;
-          hull[i] = at.hull;
-          for (std::size_t j = 0; j < 3; ++j) normal[3 * i + j] = at.normal[j];
-        }
-      });
-    }
-    return {to_numpy(std::move(value), {count}), to_numpy(std::move(hull), {count}),
-            to_numpy(std::move(normal), {count, 3})};
+  using Values = std::tuple<Out<float>, Out<std::uint32_t>, Out<float>>;
+
+  Values psi(const InRows3<float>& points, unsigned jobs) const {
+    return evaluate(points, jobs, 256, [this] {
+      return [this](const float* x, alula_map_value* at) { return alula_map_evaluate(&map(), x, at); };
+    });
+  }
+
+  Values psi_along(const InRows3<float>& points) const {
+    return evaluate(points, 1, points.shape(0) + 1, [this] {
+      auto near = std::make_unique<alula_map_near>();
+      alula_map_near_open(near.get(), &map());
+      return [near = std::move(near)](const float* x, alula_map_value* at) {
+        return alula_map_near_evaluate(near.get(), x, at);
+      };
+    });
   }
 
   // Every record as the C iterator gives it: lower and upper (n, 3), planes per hull (n), normal (K, 3),
@@ -137,6 +134,31 @@ class OnboardMap {
   }
 
  private:
+  // `make` makes a chunk's function from a position to a status and a value.
+  template <typename Make>
+  static Values evaluate(const InRows3<float>& points, unsigned jobs, std::size_t chunk, const Make& make) {
+    const std::size_t count = points.shape(0);
+    std::vector<float> value(count), normal(3 * count);
+    std::vector<std::uint32_t> hull(count);
+    {
+      const nb::gil_scoped_release release;
+      Control control;
+      parallel_chunks(count, chunk, jobs, control, [&](std::size_t begin, std::size_t end) {
+        const auto psi_at = make();
+        for (std::size_t i = begin; i < end; ++i) {
+          alula_map_value at;
+          if (psi_at(points.data() + 3 * i, &at) != ALULA_MAP_READY)
+            throw std::invalid_argument(status_text(ALULA_MAP_BAD_POSITION));
+          value[i] = at.psi_m;
+          hull[i] = at.hull;
+          for (std::size_t j = 0; j < 3; ++j) normal[3 * i + j] = at.normal[j];
+        }
+      });
+    }
+    return {to_numpy(std::move(value), {count}), to_numpy(std::move(hull), {count}),
+            to_numpy(std::move(normal), {count, 3})};
+  }
+
   OnboardImage image_;
 };
 
@@ -165,5 +187,7 @@ void bind_onboard_map(nb::module_& m) {
       .def("records", &OnboardMap::records,
            "lower and upper (n, 3), oblique planes per hull (n), their normals (K, 3) and depths (K).")
       .def("psi", &OnboardMap::psi, "points"_a, nb::kw_only(), "jobs"_a = 0,
-           "psi (N) [m], nearest hull (N) and normal (N, 3) at points (N, 3) [m].");
+           "psi (N) [m], nearest hull (N) and normal (N, 3) at points (N, 3) [m].")
+      .def("psi_along", &OnboardMap::psi_along, "points"_a,
+           "The same, by what is remembered of the points before: for points close to one another.");
 }

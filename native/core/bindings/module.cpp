@@ -30,6 +30,7 @@ void bind_moving_filters(nb::module_& m);
 void bind_racer(nb::module_& m);
 void bind_geofence(nb::module_& m);
 void bind_pendulum(nb::module_& m);
+void bind_rates(nb::module_& m);
 
 NB_MODULE(_core, m) {
   m.doc() = "Hot loops of alula, in C++20 and C99.";
@@ -61,4 +62,5 @@ NB_MODULE(_core, m) {
   bind_racer(m);
   bind_geofence(m);
   bind_pendulum(m);
+  bind_rates(m);
 }

@@ -1,6 +1,8 @@
 #include "alula/geofence_flight.hpp"
 
 #include <algorithm>
+#include <cfloat>
+#include <chrono>
 #include <cmath>
 #include <cstring>
 #include <numbers>
@@ -70,7 +72,12 @@ class Log {
     if (!is_in_limits(report.command, config.model) || !(r.lambda >= 0 && r.lambda <= 1)) ++log_.out_of_range;
     if (report.status < ALULA_GEOFENCE_HAND_OVER) log_.min_h_i = std::min(log_.min_h_i, double{r.h_i});
     if (report.status <= ALULA_GEOFENCE_BACKUP) note_lambda(x, r.lambda, report.status, config.tick_s, distance);
-    if (keeps_trace_) trace(x, pilot, report);
+    note_jerk(x, config.tick_s);
+    if (keeps_trace_) trace(x, pilot, report, distance);
+  }
+
+  void finish() {
+    if (log_.ticks > 2) log_.mean_jerk_m_s3 /= static_cast<double>(log_.ticks - 2);
   }
 
  private:
@@ -89,7 +96,18 @@ class Log {
     log_.longest_backup_s = std::max(log_.longest_backup_s, backup_s_);
   }
 
-  void trace(const RacerState& x, const std::optional<RacerCommand>& pilot, const GeofenceReport& report) {
+  void note_jerk(const RacerState& x, double dt) {
+    const Vec3 change = x.v - velocity_, bend = change - change_;
+    if (log_.ticks > 2) {
+      const double jerk = geometry::norm(bend) / (dt * dt);
+      log_.mean_jerk_m_s3 += jerk;  // the sum, until `finish`
+      log_.max_jerk_m_s3 = std::max(log_.max_jerk_m_s3, jerk);
+    }
+    velocity_ = x.v, change_ = change;
+  }
+
+  void trace(const RacerState& x, const std::optional<RacerCommand>& pilot, const GeofenceReport& report,
+             double distance) {
     GeofenceTrace& t = log_.trace;
     for (const Vec3& v : {x.p, x.v}) t.state.insert(t.state.end(), {v.x, v.y, v.z});
     t.state.insert(t.state.end(), x.q.begin(), x.q.end());
@@ -101,12 +119,14 @@ class Log {
     }
     const alula_geofence_result& r = report.detail;
     t.figure.insert(t.figure.end(), {r.lambda, r.h_i, r.distance_m, r.margin_m, r.v_towards});
+    t.distance.push_back(distance);
     t.status.push_back(static_cast<std::uint8_t>(report.status));
   }
 
   GeofenceLog& log_;
   bool keeps_trace_, is_free_ = true;
   double backup_s_ = 0;
+  Vec3 velocity_, change_;
 };
 
 }  // namespace
@@ -133,6 +153,7 @@ GeofenceReport decide(const RacerState* navigation, const std::optional<RacerCom
   report.status = ALULA_GEOFENCE_PASSED;
   report.command = *pilot;
   report.detail.lambda = 1;
+  report.detail.h_i = -FLT_MAX;  // not evaluated
   if (program) {
     const BackupQpReport found = program->filter(*navigation, *pilot);
     report.command = found.command;
@@ -161,7 +182,8 @@ GeofenceLog fly_in_fence(const GeofenceSpec& spec, const Geofence& original, Ran
   Log notes(log, keeps_trace);
   std::optional<BackupQp> program;
   if (spec.rules.rule == FenceRule::backup_qp) program.emplace(filter, spec.rules.alpha);
-  const auto ticks = static_cast<std::int64_t>(std::ceil(spec.rules.duration_s / tick - 1e-9));
+  // the tick is a float: what it is off by is no tick more
+  const auto ticks = static_cast<std::int64_t>(std::ceil(spec.rules.duration_s / tick * (1 - 1e-7)));
   double distance = filter.fence().clearance(log.start.p, log.start.p) - radius;
   log.min_distance_m = distance;
   for (std::int64_t k = 0; k < ticks; ++k) {
@@ -170,18 +192,22 @@ GeofenceLog fly_in_fence(const GeofenceSpec& spec, const Geofence& original, Ran
     std::optional<RacerCommand> pilot = hand(time, plant.state());
     if (is_out(spec.rules.radio_from_s, spec.rules.radio_for_s)) pilot.reset();
     const bool is_stale = is_out(spec.rules.stale_from_s, spec.rules.stale_for_s);
+    const auto asked = std::chrono::steady_clock::now();
     const GeofenceReport report =
         decide(is_stale ? nullptr : &plant.state(), pilot, spec.rules.rule, filter, program);
+    log.tick_s.push_back(std::chrono::duration<float>(std::chrono::steady_clock::now() - asked).count());
     notes.note(plant.state(), pilot, report, config, distance);
     for (int j = 0; j < spec.rules.plant_steps; ++j) {
       const Vec3 before = plant.state().p;
       plant.step(dt, report.command);
       distance = filter.fence().clearance(before, plant.state().p) - radius;
       log.min_distance_m = std::min(log.min_distance_m, distance);
+      log.path_length_m += geometry::norm(plant.state().p - before);
     }
     log.max_speed_m_s = std::max(log.max_speed_m_s, geometry::norm(plant.state().v));
   }
   log.end = plant.state();
+  notes.finish();
   return log;
 }
 

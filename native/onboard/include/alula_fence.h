@@ -13,7 +13,7 @@
 #ifndef ALULA_FENCE_H
 #define ALULA_FENCE_H
 
-#include "alula_map.h"
+#include "alula_map_near.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -47,6 +47,7 @@ typedef struct {
 /* Faces are numbered: 0 to 2 lower, 3 to 5 upper, then the polytope's, ALULA_FENCE_MAP for the map. */
 typedef struct {
   const alula_fence* fence;
+  alula_map_near* near;        /* what is remembered of the map, null without one */
   float origin[3];             /* positions below are relative to it, so that small steps stay exact in float */
   float room[ALULA_FENCE_MAP]; /* of each face at the origin, less the clearance kept */
   float clearance;             /* kept from everything: radius and reserve */
@@ -58,9 +59,10 @@ typedef struct {
   int damaged; /* the map could not be evaluated: nothing is safe */
 } alula_fence_tracker;
 
-/* Begin at `origin`: least values are those there. */
-void alula_fence_begin(alula_fence_tracker* tracker, const alula_fence* fence, const float origin[3], float clearance,
-                       float push_distance, float push_gain, float push_speed);
+/* Begin at `origin`: least values are those there. `near` is open for the fence's map, and null without one. */
+void alula_fence_begin(alula_fence_tracker* tracker, const alula_fence* fence, alula_map_near* near,
+                       const float origin[3], float clearance, float push_distance, float push_gain,
+                       float push_speed);
 
 /* v_d at a position relative to the origin, (17): of each face within push_distance cut(gain (push_distance - its
  * distance), 0, speed) away from it. Along each axis the strongest push to either side counts. */

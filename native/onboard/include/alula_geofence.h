@@ -97,7 +97,8 @@ typedef struct {
   alula_racer_state state; /* as last known, or predicted */
   alula_backup_hold hold;
   int has_state, has_hold, silent;
-  uint32_t stale; /* ticks */
+  uint32_t stale;      /* ticks */
+  alula_map_near near; /* decides what a tick costs, never what it gives */
 } alula_geofence;
 
 typedef struct {
@@ -111,7 +112,7 @@ typedef struct {
   float stale_s;
 } alula_geofence_result;
 
-/* What h_I is made of; `first` is u_B at the start of the flow. */
+/* What h_I is made of; `first` is u_B at the start of the flow, `push` its v_d. */
 typedef struct {
   float h_i, end, margin_m;
   float exponent; /* min_c h_c / v_c */
@@ -119,6 +120,7 @@ typedef struct {
   float v_towards;
   float distance_m;
   alula_racer_command first;
+  float push[3];
 } alula_geofence_value;
 
 /* ALULA_BAD_PARAMETER unless all numbers mean something; `fence` lives as long as the filter. */
@@ -126,12 +128,12 @@ ALULA_MUST_USE alula_status alula_geofence_init(alula_geofence* filter, const al
                                                 const alula_geofence_config* config);
 void alula_geofence_reset(alula_geofence* filter); /* to before the first tick */
 
-/* h_I of a state with a hold; `extra` is taken off as well. Changes nothing. */
-void alula_geofence_evaluate(const alula_geofence* filter, const alula_racer_state* state,
-                             const alula_backup_hold* hold, float extra, alula_geofence_value* value);
+/* h_I of a state with a hold; `extra` is taken off as well. Changes nothing but what is remembered of the map. */
+void alula_geofence_evaluate(alula_geofence* filter, const alula_racer_state* state, const alula_backup_hold* hold,
+                             float extra, alula_geofence_value* value);
 
 /* The hold a flow from here begins with: this yaw, and this height moved by the push of (17). */
-alula_backup_hold alula_geofence_hold(const alula_geofence* filter, const alula_racer_state* state);
+alula_backup_hold alula_geofence_hold(alula_geofence* filter, const alula_racer_state* state);
 
 /* One tick. `navigation` and `pilot` may be null. A pilot's command outside the limits is cut to them first. */
 ALULA_MUST_USE alula_geofence_status alula_geofence_filter(alula_geofence* filter,

@@ -41,7 +41,7 @@ static const alula_fence_look* look(alula_fence_tracker* tracker, const float at
   float x[3];
   alula_map_value value;
   for (int i = 0; i < 3; ++i) x[i] = tracker->origin[i] + at[i];
-  if (alula_map_evaluate(tracker->fence->keep_out, x, &value) != ALULA_MAP_READY) tracker->damaged = 1;
+  if (alula_map_near_evaluate(tracker->near, x, &value) != ALULA_MAP_READY) tracker->damaged = 1;
   place->psi = value.psi_m;
   for (int i = 0; i < 3; ++i) {
     place->at[i] = at[i];
@@ -57,10 +57,12 @@ static float remembered(const alula_fence_tracker* tracker, const float at[3]) {
   return last->psi - 1.00001F * norm(way);
 }
 
-void alula_fence_begin(alula_fence_tracker* tracker, const alula_fence* fence, const float origin[3], float clearance,
-                       float push_distance, float push_gain, float push_speed) {
+void alula_fence_begin(alula_fence_tracker* tracker, const alula_fence* fence, alula_map_near* near,
+                       const float origin[3], float clearance, float push_distance, float push_gain,
+                       float push_speed) {
   static const float HERE[3] = {0.0F, 0.0F, 0.0F};
   tracker->fence = fence;
+  tracker->near = near;
   tracker->clearance = clearance;
   tracker->push_distance = push_distance;
   tracker->push_gain = push_gain;
@@ -86,36 +88,44 @@ void alula_fence_begin(alula_fence_tracker* tracker, const alula_fence* fence, c
   for (int i = 0; i < 3; ++i) tracker->map_normal[i] = here->normal[i];
 }
 
-/* The strongest push so far to either side of each axis. */
-static void add_push(const alula_fence_tracker* tracker, float distance, const float inward[3], float sign,
-                     float up[3], float down[3]) {
+/* cut(gain (push_distance - distance), 0, speed); 0 for NaN. */
+static inline float push_of(const alula_fence_tracker* tracker, float distance) {
   const float wanted = tracker->push_gain * (tracker->push_distance - distance);
-  if (!(wanted > 0.0F)) return;
-  const float size = sign * (wanted < tracker->push_speed ? wanted : tracker->push_speed);
+  if (!(wanted > 0.0F)) return 0.0F;
+  return wanted < tracker->push_speed ? wanted : tracker->push_speed;
+}
+
+/* The strongest push so far to either side of each axis. */
+static void add_push(float size, const float along[3], float up[3], float down[3]) {
   for (int i = 0; i < 3; ++i) {
-    const float push = size * inward[i];
+    const float push = size * along[i];
     if (push > up[i]) up[i] = push;
     if (push < down[i]) down[i] = push;
   }
 }
 
 void alula_fence_push(alula_fence_tracker* tracker, const float at[3], float v_d[3]) {
-  static const float AXIS[3][3] = {{1.0F, 0.0F, 0.0F}, {0.0F, 1.0F, 0.0F}, {0.0F, 0.0F, 1.0F}};
   const alula_fence* fence = tracker->fence;
+  const float near = tracker->push_distance, here[3] = {at[0], at[1], at[2]}; /* what no store can change */
   float up[3] = {0.0F, 0.0F, 0.0F}, down[3] = {0.0F, 0.0F, 0.0F};
-  for (int i = 0; fence->has_box && i < 3; ++i) {
-    add_push(tracker, tracker->room[i] + at[i], AXIS[i], 1.0F, up, down);
-    add_push(tracker, tracker->room[3 + i] - at[i], AXIS[i], -1.0F, up, down);
+  if (fence->has_box) {
+    ALULA_UNROLL
+    for (int i = 0; i < 3; ++i) {
+      const float below = tracker->room[i] + here[i], above = tracker->room[3 + i] - here[i];
+      if (below < near) up[i] = push_of(tracker, below);
+      if (above < near) down[i] = -push_of(tracker, above);
+    }
   }
+  const float* room = tracker->room + ALULA_FENCE_BOX_FACES;
   for (uint32_t l = 0; l < fence->face_count; ++l) {
-    const float* n = fence->face[l];
-    add_push(tracker, tracker->room[ALULA_FENCE_BOX_FACES + l] - dot(n, at), n, -1.0F, up, down);
+    const float distance = room[l] - dot(fence->face[l], here);
+    if (distance < near) add_push(-push_of(tracker, distance), fence->face[l], up, down);
   }
   if (fence->keep_out) {
     const float reach = tracker->push_distance + tracker->clearance;
     if (remembered(tracker, at) < reach) {
-      const alula_fence_look* here = look(tracker, at);
-      add_push(tracker, here->psi - tracker->clearance, here->normal, 1.0F, up, down);
+      const alula_fence_look* found = look(tracker, at);
+      add_push(push_of(tracker, found->psi - tracker->clearance), found->normal, up, down);
     }
   }
   for (int i = 0; i < 3; ++i) v_d[i] = up[i] + down[i];
@@ -150,16 +160,21 @@ static void follow_map(alula_fence_tracker* tracker, const float from[3], const 
 
 void alula_fence_follow(alula_fence_tracker* tracker, const float from[3], const float to[3], float allowance) {
   const alula_fence* fence = tracker->fence;
+  const float end[3] = {to[0], to[1], to[2]};
   float* least = tracker->least;
-  for (int i = 0; fence->has_box && i < 3; ++i) {
-    const float below = tracker->room[i] + to[i] - allowance, above = tracker->room[3 + i] - to[i] - allowance;
-    if (!(below >= least[i])) least[i] = below;
-    if (!(above >= least[3 + i])) least[3 + i] = above;
+  if (fence->has_box) {
+    ALULA_UNROLL
+    for (int i = 0; i < 3; ++i) {
+      const float below = tracker->room[i] + end[i] - allowance, above = tracker->room[3 + i] - end[i] - allowance;
+      if (!(below >= least[i])) least[i] = below;
+      if (!(above >= least[3 + i])) least[3 + i] = above;
+    }
   }
+  const float* room = tracker->room + ALULA_FENCE_BOX_FACES;
+  float* least_of_face = least + ALULA_FENCE_BOX_FACES;
   for (uint32_t l = 0; l < fence->face_count; ++l) {
-    const uint32_t k = ALULA_FENCE_BOX_FACES + l;
-    const float value = tracker->room[k] - dot(fence->face[l], to) - allowance;
-    if (!(value >= least[k])) least[k] = value;
+    const float value = room[l] - dot(fence->face[l], end) - allowance;
+    if (!(value >= least_of_face[l])) least_of_face[l] = value;
   }
   if (fence->keep_out) follow_map(tracker, from, to, allowance);
 }

@@ -94,6 +94,7 @@ alula_status alula_geofence_init(alula_geofence* filter, const alula_fence* fenc
   filter->fine = alula_racer_step_of(&config->model, config->step_s);
   filter->coarse = alula_racer_step_of(&config->model, 2.0F * config->step_s);
   filter->tick = alula_racer_step_of(&config->model, config->tick_s);
+  alula_map_near_open(&filter->near, fence->keep_out);
   alula_geofence_reset(filter);
   return ALULA_READY;
 }
@@ -109,35 +110,37 @@ void alula_geofence_reset(alula_geofence* filter) {
   }
 }
 
-static void begin(const alula_geofence* filter, const float origin[3], alula_fence_tracker* tracker) {
+static void begin(alula_geofence* filter, const float origin[3], alula_fence_tracker* tracker) {
   const alula_geofence_config* config = &filter->config;
-  alula_fence_begin(tracker, filter->fence, origin, config->radius_m + config->reserve_m, config->push_distance_m,
-                    config->push_gain, config->push_speed_m_s);
+  alula_fence_begin(tracker, filter->fence, &filter->near, origin, config->radius_m + config->reserve_m,
+                    config->push_distance_m, config->push_gain, config->push_speed_m_s);
 }
 
 /* A flow and the command of its last node, from which the next step extrapolates. */
 typedef struct {
   alula_racer_state state; /* position relative to the tracker's origin, as is the hold */
   alula_racer_command last;
+  float axis[3];
   float thrust, zeta; /* of the last step, at its beginning */
 } course;
 
 static inline void advance(const alula_geofence* filter, const alula_racer_step_size* step,
-                           const alula_backup_hold* hold, alula_fence_tracker* tracker, int is_first, course* flow) {
+                           const alula_backup_hold* hold, alula_fence_tracker* tracker, int is_first, float v_d[3],
+                           course* flow) {
   alula_racer_command now, middle;
-  float v_d[3];
   alula_fence_push(tracker, flow->state.position, v_d);
-  backup_command(&filter->config.model, &filter->config.backup, hold, filter->hover, &flow->state, v_d, &now);
+  flow->zeta = flow->axis[2];
+  backup_command(&filter->config.model, &filter->config.backup, hold, filter->hover, &flow->state, flow->zeta, v_d,
+                 &now);
   middle = now;
   if (!is_first) {
     middle.throttle = 1.5F * now.throttle - 0.5F * flow->last.throttle;
+    ALULA_UNROLL
     for (int i = 0; i < 3; ++i) middle.rates[i] = 1.5F * now.rates[i] - 0.5F * flow->last.rates[i];
     limit_command(&filter->config.model, &middle);
   }
   flow->last = now;
-  flow->zeta = 1.0F - 2.0F * (flow->state.attitude[1] * flow->state.attitude[1] +
-                              flow->state.attitude[2] * flow->state.attitude[2]);
-  flow->thrust = step_racer(&filter->config.model, step, &middle, &flow->state);
+  flow->thrust = step_racer(&filter->config.model, step, &middle, flow->axis, &flow->state);
 }
 
 static float distance_between(const float a[3], const float b[3]) {
@@ -185,8 +188,8 @@ static void conclude(const alula_geofence* filter, const alula_fence_tracker* tr
   if (tracker->damaged || !alula_is_finite(value->h_i)) value->h_i = -FLT_MAX;
 }
 
-void alula_geofence_evaluate(const alula_geofence* filter, const alula_racer_state* state,
-                             const alula_backup_hold* hold, float extra, alula_geofence_value* value) {
+void alula_geofence_evaluate(alula_geofence* filter, const alula_racer_state* state, const alula_backup_hold* hold,
+                             float extra, alula_geofence_value* value) {
   const alula_geofence_config* config = &filter->config;
   alula_fence_tracker tracker;
   begin(filter, state->position, &tracker);
@@ -212,19 +215,26 @@ void alula_geofence_evaluate(const alula_geofence* filter, const alula_racer_sta
   fine.state = *state;
   fine.state.position[0] = fine.state.position[1] = fine.state.position[2] = 0.0F;
   coarse.state = fine.state;
+  axis_of(fine.state.attitude, fine.axis);
+  axis_of(coarse.state.attitude, coarse.axis);
   float error = 0.0F, allowance = 0.0F;
   int was_inverted = 0;
   for (uint32_t k = 0; k < config->steps; k += 2U) {
-    float node[3][3], sag = 0.0F;
+    float node[3][3], v_d[3], sag = 0.0F;
     for (int j = 0; j < 2; ++j) {
+      ALULA_UNROLL
       for (int i = 0; i < 3; ++i) node[j][i] = fine.state.position[i];
-      advance(filter, &filter->fine, &relative, &tracker, k == 0U && j == 0, &fine);
-      if (k == 0U && j == 0) value->first = fine.last;
+      advance(filter, &filter->fine, &relative, &tracker, k == 0U && j == 0, v_d, &fine);
+      if (k == 0U && j == 0) {
+        value->first = fine.last;
+        for (int i = 0; i < 3; ++i) value->push[i] = v_d[i];
+      }
       const float bow = (fine.thrust + config->model.gravity) * chord;
       if (bow > sag) sag = bow;
     }
+    ALULA_UNROLL
     for (int i = 0; i < 3; ++i) node[2][i] = fine.state.position[i];
-    advance(filter, &filter->coarse, &relative, &tracker, k == 0U, &coarse);
+    advance(filter, &filter->coarse, &relative, &tracker, k == 0U, v_d, &coarse);
     const float now = distance_between(fine.state.position, coarse.state.position) +
                       2.0F * config->step_s * distance_between(fine.state.velocity, coarse.state.velocity);
     float size = now;
@@ -241,7 +251,7 @@ void alula_geofence_evaluate(const alula_geofence* filter, const alula_racer_sta
   conclude(filter, &tracker, state->velocity, value);
 }
 
-alula_backup_hold alula_geofence_hold(const alula_geofence* filter, const alula_racer_state* state) {
+alula_backup_hold alula_geofence_hold(alula_geofence* filter, const alula_racer_state* state) {
   static const float HERE[3] = {0.0F, 0.0F, 0.0F};
   alula_fence_tracker tracker;
   float v_d[3];
@@ -350,12 +360,8 @@ alula_geofence_status alula_geofence_filter(alula_geofence* filter, const alula_
     filter->hold = hold;
     filter->has_hold = 1;
   } else if (!keeps) { /* go on with the flow that was found safe */
-    alula_fence_tracker tracker;
-    float v_d[3];
-    static const float HERE[3] = {0.0F, 0.0F, 0.0F};
-    begin(filter, ahead.position, &tracker);
-    alula_fence_push(&tracker, HERE, v_d);
-    alula_backup_command(&config->model, &config->backup, &filter->hold, filter->hover, &ahead, v_d, &value.first);
+    alula_backup_command(&config->model, &config->backup, &filter->hold, filter->hover, &ahead, value.push,
+                         &value.first);
   }
   filter->silent = !has_pilot;
   result->h_i = value.h_i;

@@ -33,7 +33,6 @@ static uint32_t crc32_of(const uint8_t* data, uint32_t length) {
 /* Whether a record is one that a writer makes: a box with volume within the extent, and planes that
  * cut it but leave something. */
 static int hull_is_valid(const alula_map* map, const alula_map_hull* hull, int32_t largest) {
-  if (hull->shift > ALULA_MAP_MOST_SHIFT) return 0;
   for (int i = 0; i < 3; ++i) {
     if (hull->lower[i] >= hull->upper[i]) return 0;
     if (absolute((float)hull->lower[i] * map->voxel_size_m) > map->extent_m) return 0;
@@ -123,7 +122,7 @@ alula_map_status alula_map_read(const alula_map* map, uint32_t at, alula_map_hul
   }
   const uint8_t* record = map->data + at;
   const uint32_t bytes = ALULA_MAP_HULL_BYTES + record[12] * map->plane_bytes;
-  if (map->records_end - at < bytes) return ALULA_MAP_MALFORMED;
+  if (map->records_end - at < bytes || record[13] > ALULA_MAP_MOST_SHIFT) return ALULA_MAP_MALFORMED;
   for (int i = 0; i < 3; ++i) {
     hull->lower[i] = map->origin[i] + i16_at(record + 2 * i);
     hull->upper[i] = map->origin[i] + i16_at(record + 6 + 2 * i);
@@ -139,57 +138,26 @@ alula_map_plane alula_map_plane_at(const alula_map* map, const alula_map_hull* h
   return alula_map_plane_in(hull->planes + l * map->plane_bytes, map->plane_bytes, hull->shift);
 }
 
-/* Signed distances to the faces of the box, positive outside: below[i] = lower - x, above[i] = x - upper.
- * Returns the largest, and as *face its number: i for below[i], 3 + i for above[i]. */
-static float face_values(const alula_map* map, const alula_map_hull* hull, const float x[3], float below[3],
-                         float above[3], int* face) {
-  float largest = -FLT_MAX;
-  for (int i = 0; i < 3; ++i) {
-    below[i] = (float)hull->lower[i] * map->voxel_size_m - x[i];
-    above[i] = x[i] - (float)hull->upper[i] * map->voxel_size_m;
-    if (below[i] > largest) {
-      largest = below[i];
-      *face = i;
-    }
-    if (above[i] > largest) {
-      largest = above[i];
-      *face = 3 + i;
-    }
-  }
-  return largest;
-}
-
-/* (n . x - d) / |n|. As n . (x - corner) is a sum over the faces that meet in the corner, it is
- * sum |n_i| f_i + depth g, with f_i the value of the face on the side of n_i. */
-static float plane_value(const alula_map_plane* plane, const float below[3], const float above[3], float g,
-                         float* inverse_length) {
-  float sum = 0.0F;
-  int32_t square = 0;
-  for (int i = 0; i < 3; ++i) {
-    const int32_t n = plane->normal[i];
-    square += n * n;
-    if (n > 0) sum += (float)n * above[i];
-    if (n < 0) sum += (float)(-n) * below[i];
-  }
-  *inverse_length = 1.0F / __builtin_sqrtf((float)square);
-  return (sum + (float)plane->depth * g) * *inverse_length;
-}
-
 /* Replace *value by psi_h when that is less. */
 static void evaluate_hull(const alula_map* map, const alula_map_hull* hull, uint32_t number, const float x[3],
                           alula_map_value* value) {
-  float below[3], above[3];
-  int face = 0;
-  float psi = face_values(map, hull, x, below, above, &face);
-  float normal[3] = {0.0F, 0.0F, 0.0F};
+  const float g = map->voxel_size_m;
+  float lower[3], upper[3], normal[3] = {0.0F, 0.0F, 0.0F};
+  for (int i = 0; i < 3; ++i) {
+    lower[i] = (float)hull->lower[i] * g;
+    upper[i] = (float)hull->upper[i] * g;
+  }
+  int face;
+  float psi = alula_map_box_value(lower, upper, x, &face);
   normal[face % 3] = face < 3 ? -1.0F : 1.0F;
   for (uint32_t l = 0; l < hull->plane_count && psi < value->psi_m; ++l) {
     const alula_map_plane plane = alula_map_plane_at(map, hull, l);
-    float inverse_length;
-    const float a = plane_value(&plane, below, above, map->voxel_size_m, &inverse_length);
+    float row[4];
+    alula_map_plane_row(&plane, hull, g, 0.0F, row);
+    const float a = alula_plane_value(row, x);
     if (a > psi) {
       psi = a;
-      for (int i = 0; i < 3; ++i) normal[i] = (float)plane.normal[i] * inverse_length;
+      for (int i = 0; i < 3; ++i) normal[i] = row[i];
     }
   }
   if (!(psi < value->psi_m)) return;
@@ -198,7 +166,7 @@ static void evaluate_hull(const alula_map* map, const alula_map_hull* hull, uint
   for (int i = 0; i < 3; ++i) value->normal[i] = normal[i];
 }
 
-alula_map_status alula_map_evaluate(const alula_map* map, const float x[3], alula_map_value* value) {
+alula_map_status alula_map_begin(const alula_map* map, const float x[3], alula_map_value* value, float* margin) {
   if (!map || !map->data || !x || !value) return ALULA_MAP_BAD_POINTER;
   value->psi_m = -FLT_MAX; /* what a caller sees that does not look at the status */
   value->hull = ALULA_MAP_NO_HULL;
@@ -208,6 +176,14 @@ alula_map_status alula_map_evaluate(const alula_map* map, const float x[3], alul
     if (!(absolute(x[i]) <= LARGEST_POSITION)) return ALULA_MAP_BAD_POSITION; /* also NaN */
     if (absolute(x[i]) > largest) largest = absolute(x[i]);
   }
+  *margin = largest * MARGIN_OF_EXTENT;
+  return ALULA_MAP_READY;
+}
+
+alula_map_status alula_map_evaluate(const alula_map* map, const float x[3], alula_map_value* value) {
+  float margin;
+  const alula_map_status begun = alula_map_begin(map, x, value, &margin);
+  if (begun != ALULA_MAP_READY) return begun;
   alula_map_value found = *value;
   found.psi_m = FLT_MAX;
   uint32_t at = ALULA_MAP_HEADER_BYTES;
@@ -218,7 +194,7 @@ alula_map_status alula_map_evaluate(const alula_map* map, const float x[3], alul
     evaluate_hull(map, &hull, h, x, &found);
     at = hull.next;
   }
-  if (found.hull != ALULA_MAP_NO_HULL) found.psi_m -= largest * MARGIN_OF_EXTENT;
+  if (found.hull != ALULA_MAP_NO_HULL) found.psi_m -= margin;
   *value = found;
   return ALULA_MAP_READY;
 }

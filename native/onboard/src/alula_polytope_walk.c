@@ -1,6 +1,4 @@
 /* The hulls near a position, from arrays one by one, from an image by its tree of boxes. */
-#include "bytes.h"
-#include "map_index.h"
 #include "polytope_walk.h"
 
 static int leaves_out(const alula_polytope_cbf* cbf, const alula_walk_rule* rule, float bound, uint32_t number) {
@@ -40,14 +38,6 @@ static float array_value(const alula_polytope_map* map, uint32_t hull, const flo
   return value;
 }
 
-static void advance(const alula_map* map, alula_walk* walk) {
-  ++walk->node;
-  while (walk->level + 1U < map->level_count && walk->node % ALULA_MAP_FANOUT == 0U) {
-    ++walk->level;
-    walk->node /= ALULA_MAP_FANOUT;
-  }
-}
-
 static void enter(const alula_map* map, uint32_t leaf, alula_walk* walk) {
   const uint32_t first = leaf * map->leaf_hulls, left = map->hull_count - first;
   walk->next = first;
@@ -64,12 +54,12 @@ static int next_leaf(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const
     const float bound = lattice_value(cbf, node_at(map, walk->level, walk->node), x);
     ++cbf->work.boxes;
     if (leaves_out(cbf, rule, bound, leaf * map->leaf_hulls)) {
-      advance(map, walk);
+      alula_map_pass(map, &walk->level, &walk->node);
     } else if (walk->level > 0U) {
       --walk->level;
       walk->node *= ALULA_MAP_FANOUT;
     } else {
-      advance(map, walk);
+      alula_map_pass(map, &walk->level, &walk->node);
       enter(map, leaf, walk);
       return 1;
     }
@@ -234,22 +224,6 @@ static void face_rows(float g, float outward, const alula_map_hull* record, floa
   }
 }
 
-/* See alula_polytope_cbf_open for what rounding costs. All sums of integers are below 2^31: normals are at most
- * 127, coordinates 2^22 + 2^15, and a plane cuts its box, so that its depth is below 2^25. */
-static inline void plane_row(const alula_map_plane* plane, const alula_map_hull* record, float g, float outward,
-                             float row[4]) {
-  const int32_t i = plane->normal[0], j = plane->normal[1], k = plane->normal[2];
-  const int32_t support = i * (i > 0 ? record->upper[0] : record->lower[0]) +
-                          j * (j > 0 ? record->upper[1] : record->lower[1]) +
-                          k * (k > 0 ? record->upper[2] : record->lower[2]);
-  const float offset = (float)(int32_t)((uint32_t)support - plane->depth);
-  const float inverse = 1.0F / __builtin_sqrtf((float)(i * i + j * j + k * k));
-  row[0] = (float)i * inverse;
-  row[1] = (float)j * inverse;
-  row[2] = (float)k * inverse;
-  row[3] = (offset * g) * inverse + outward;
-}
-
 /* The largest value of the rows and *hard; 0 as soon as the rule leaves the hull out. */
 static int largest(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const float x[3], const alula_walk* walk,
                    float* hard) {
@@ -276,7 +250,7 @@ static int largest_made(alula_polytope_cbf* cbf, const alula_walk_rule* rule, co
   const float at[3] = {x[0], x[1], x[2]}, g = cbf->image.voxel_size_m, outward = cbf->outward_m;
   const uint32_t plane_bytes = cbf->image.plane_bytes;
   alula_map_hull record;
-  if (alula_map_read(&cbf->image, walk->record, &record) != ALULA_MAP_READY || record.shift > ALULA_MAP_MOST_SHIFT) {
+  if (alula_map_read(&cbf->image, walk->record, &record) != ALULA_MAP_READY) {
     cbf->is_damaged = 1;
     return 0;
   }
@@ -285,7 +259,7 @@ static int largest_made(alula_polytope_cbf* cbf, const alula_walk_rule* rule, co
   const uint8_t* stored = record.planes;
   for (uint32_t l = 6U; l < walk->plane_count; ++l, stored += plane_bytes) {
     const alula_map_plane plane = alula_map_plane_in(stored, plane_bytes, record.shift);
-    plane_row(&plane, &record, g, outward, row[l]);
+    alula_map_plane_row(&plane, &record, g, outward, row[l]);
     const float a = alula_plane_value(row[l], at);
     if (!(a > found)) continue;
     found = a;

@@ -85,10 +85,14 @@ void alula_racer_limit(const alula_racer_model* model, alula_racer_command* comm
 void alula_backup_command(const alula_racer_model* model, const alula_backup_gains* gains,
                           const alula_backup_hold* hold, float hover, const alula_racer_state* state,
                           const float v_d[3], alula_racer_command* command) {
-  backup_command(model, gains, hold, hover, state, v_d, command);
+  float axis[3];
+  axis_of(state->attitude, axis);
+  backup_command(model, gains, hold, hover, state, axis[2], v_d, command);
 }
 
 float alula_racer_step(const alula_racer_model* model, const alula_racer_step_size* step,
                        const alula_racer_command* command, alula_racer_state* state) {
-  return step_racer(model, step, command, state);
+  float axis[3];
+  axis_of(state->attitude, axis);
+  return step_racer(model, step, command, axis, state);
 }

@@ -4,6 +4,7 @@
 
 #include "alula_map.h"
 #include "bytes.h"
+#include "vector.h"
 
 #define ALULA_MAP_DIRECTIONS 20U
 #define ALULA_MAP_DIRECTION_BITS 5U
@@ -30,6 +31,28 @@ static inline alula_map_plane alula_map_plane_in(const uint8_t* at, uint32_t pla
   return plane;
 }
 
+/* A plane as a row n, d: unit normal, and offset moved outward; alula_polytope_cbf_open has what rounding costs. All
+ * sums of integers are below 2^31: normals are at most 127, coordinates 2^22 + 2^15, and a plane cuts its box, so
+ * that its depth is below 2^25. */
+static inline void alula_map_plane_row(const alula_map_plane* plane, const alula_map_hull* record, float g,
+                                       float outward, float row[4]) {
+  const int32_t i = plane->normal[0], j = plane->normal[1], k = plane->normal[2];
+  const int32_t support = i * (i > 0 ? record->upper[0] : record->lower[0]) +
+                          j * (j > 0 ? record->upper[1] : record->lower[1]) +
+                          k * (k > 0 ? record->upper[2] : record->lower[2]);
+  const float offset = (float)(int32_t)((uint32_t)support - plane->depth);
+  const float inverse = 1.0F / __builtin_sqrtf((float)(i * i + j * j + k * k));
+  row[0] = (float)i * inverse;
+  row[1] = (float)j * inverse;
+  row[2] = (float)k * inverse;
+  row[3] = (offset * g) * inverse + outward;
+}
+
+/* Signed distance of a position from a row. */
+static inline float alula_plane_value(const float* plane, const float x[3]) {
+  return ((plane[0] * x[0] + plane[1] * x[1]) + plane[2] * x[2]) - plane[3];
+}
+
 typedef struct {
   int32_t lower[3], upper[3];
 } alula_map_box;
@@ -43,5 +66,38 @@ alula_map_box alula_map_node(const alula_map* map, uint32_t level, uint32_t i);
 
 /* Byte at which the first record of leaf i begins. */
 uint32_t alula_map_leaf_start(const alula_map* map, uint32_t i);
+
+/* The largest distance from the faces of a box, and which it is: i for lower, 3 + i for upper. A box in another has
+ * no smaller one, also after rounding. */
+static inline float alula_map_box_value(const float lower[3], const float upper[3], const float x[3], int* face) {
+  float largest = -FLT_MAX;
+  *face = 0;
+  ALULA_UNROLL
+  for (int i = 0; i < 3; ++i) {
+    const float below = lower[i] - x[i], above = x[i] - upper[i];
+    if (below > largest) {
+      largest = below;
+      *face = i;
+    }
+    if (above > largest) {
+      largest = above;
+      *face = 3 + i;
+    }
+  }
+  return largest;
+}
+
+/* What evaluations begin with: a value of nothing, and what is taken off psi. */
+ALULA_MUST_USE alula_map_status alula_map_begin(const alula_map* map, const float x[3], alula_map_value* value,
+                                                float* margin);
+
+/* On to the next node that is not below this one, in the order of the records. */
+static inline void alula_map_pass(const alula_map* map, uint32_t* level, uint32_t* node) {
+  ++*node;
+  while (*level + 1U < map->level_count && *node % ALULA_MAP_FANOUT == 0U) {
+    ++*level;
+    *node /= ALULA_MAP_FANOUT;
+  }
+}
 
 #endif

@@ -3,6 +3,7 @@
 #define ALULA_ONBOARD_POLYTOPE_WALK_H
 
 #include "alula_polytope_cbf.h"
+#include "map_index.h"
 
 /* A term below exp(-18) = 1.5e-8 of the largest is under half a unit in the last place of their sum
  * (which is at least 1) and is left out by rule, so that skipping the hull that has it changes nothing.
@@ -33,10 +34,6 @@ typedef struct {
   uint32_t next, end;   /* of the leaf: next hull, hull after the last */
   uint32_t record, at;  /* byte of the hull's record and of the next */
 } alula_walk;
-
-static inline float alula_plane_value(const float* plane, const float x[3]) {
-  return ((plane[0] * x[0] + plane[1] * x[1]) + plane[2] * x[2]) - plane[3];
-}
 
 /* Lists the hulls whose bound is at most `farthest`; walks then go through the list, when it has room for all. */
 void alula_walk_gather(alula_polytope_cbf* cbf, float farthest, const float x[3]);

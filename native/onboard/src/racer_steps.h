@@ -33,6 +33,7 @@ static inline void axis_of(const float q[4], float axis[3]) {
 
 static inline void limit_command(const alula_racer_model* model, alula_racer_command* command) {
   command->throttle = between(command->throttle, 0.0F, 1.0F);
+  ALULA_UNROLL
   for (int i = 0; i < 3; ++i) command->rates[i] = clipped(command->rates[i], model->max_rate[i]);
 }
 
@@ -41,11 +42,11 @@ static inline float steepness(float zeta) {
   return between(STEEPEST + (STEEPEST - INVERTED) * FADE * zeta, INVERTED, STEEPEST);
 }
 
+/* `zeta` is the third component of the axis. */
 static inline void backup_command(const alula_racer_model* model, const alula_backup_gains* gains,
                                   const alula_backup_hold* hold, float hover, const alula_racer_state* state,
-                                  const float v_d[3], alula_racer_command* command) {
+                                  float zeta, const float v_d[3], alula_racer_command* command) {
   const float* q = state->attitude;
-  const float zeta = 1.0F - 2.0F * (q[1] * q[1] + q[2] * q[2]);
   const float ex = v_d[0] - state->velocity[0], ey = v_d[1] - state->velocity[1];
   float tx = gains->tilt_gain * (hold->cosine * ex + hold->sine * ey);
   float ty = gains->tilt_gain * (hold->cosine * ey - hold->sine * ex);
@@ -72,11 +73,12 @@ static inline void backup_command(const alula_racer_model* model, const alula_ba
   limit_command(model, command);
 }
 
+/* `axis` is that of the state, before and after. */
 static inline float step_racer(const alula_racer_model* model, const alula_racer_step_size* step,
-                               const alula_racer_command* command, alula_racer_state* state) {
-  float before[3], after[3], half[3], square = 0.0F, norm_square = 0.0F;
+                               const alula_racer_command* command, float axis[3], alula_racer_state* state) {
+  float after[3], half[3], square = 0.0F, norm_square = 0.0F;
   float* q = state->attitude;
-  axis_of(q, before);
+  ALULA_UNROLL
   for (int i = 0; i < 3; ++i) {
     const float away = state->rates[i] - command->rates[i];
     half[i] = 0.5F * step->dt * (command->rates[i] + away * step->mean);
@@ -87,15 +89,19 @@ static inline float step_racer(const alula_racer_model* model, const alula_racer
   const float x = s * half[0], y = s * half[1], z = s * half[2];
   const float turned[4] = {q[0] * c - q[1] * x - q[2] * y - q[3] * z, q[0] * x + q[1] * c + q[2] * z - q[3] * y,
                            q[0] * y - q[1] * z + q[2] * c + q[3] * x, q[0] * z + q[1] * y - q[2] * x + q[3] * c};
+  ALULA_UNROLL
   for (int i = 0; i < 4; ++i) norm_square += turned[i] * turned[i];
   const float unit = 1.5F - 0.5F * norm_square; /* 1 / sqrt near 1 */
+  ALULA_UNROLL
   for (int i = 0; i < 4; ++i) q[i] = turned[i] * unit;
   axis_of(q, after);
   const float thrust = thrust_of(model, command->throttle);
+  ALULA_UNROLL
   for (int i = 0; i < 3; ++i) {
-    const float a = 0.5F * thrust * (before[i] + after[i]) - (i == 2 ? model->gravity : 0.0F);
+    const float a = 0.5F * thrust * (axis[i] + after[i]) - (i == 2 ? model->gravity : 0.0F);
     state->position[i] += step->dt * (state->velocity[i] + 0.5F * step->dt * a);
     state->velocity[i] += step->dt * a;
+    axis[i] = after[i];
   }
   return thrust;
 }

@@ -5,7 +5,7 @@
 #include <limits>
 #include <vector>
 
-#include "alula_map.h"
+#include "alula_map_near.h"
 #include "check.hpp"
 
 namespace {
@@ -135,6 +135,35 @@ void test_no_byte_leads_outside_even_with_matching_sums(bool is_kdop) {
   CHECK(taken > 0);  // another coordinate or hash is a map too
 }
 
+// A map whose bytes change after it was opened: nothing is computed from what no writer makes, nothing read outside.
+void test_flash_that_fails_is_refused_or_read_as_another_map(bool is_kdop) {
+  const Bytes good = image(is_kdop);
+  for (std::size_t at = 64; at < good.size(); ++at) {
+    for (int change = 1; change < 256; ++change) {
+      Bytes bad = good;
+      alula_map map;
+      CHECK(alula_map_open(&map, bad.data(), static_cast<std::uint32_t>(bad.size())) == ALULA_MAP_READY);
+      alula_map_near near;
+      alula_map_near_open(&near, &map);
+      const float x[3] = {8, 0.5F, -4.5F}, y[3] = {-4.5F, 0, -5};
+      alula_map_value value, other;
+      CHECK(alula_map_near_evaluate(&near, x, &value) == ALULA_MAP_READY);
+      bad[at] = static_cast<std::uint8_t>(bad[at] ^ change);
+      for (const float* p : {x, y}) {
+        const alula_map_status alone = alula_map_evaluate(&map, p, &value);
+        const alula_map_status along = alula_map_near_evaluate(&near, p, &other);
+        CHECK(alone == ALULA_MAP_READY ? std::isfinite(value.psi_m) : value.psi_m == -FLT_MAX);
+        CHECK(along == ALULA_MAP_READY ? std::isfinite(other.psi_m) : other.psi_m == -FLT_MAX);
+      }
+      if (at == 77 && bad[at] > 16) {  // a shift that shifts everything out
+        CHECK(alula_map_evaluate(&map, x, &value) == ALULA_MAP_MALFORMED);
+        alula_map_near_open(&near, &map);
+        CHECK(alula_map_near_evaluate(&near, x, &value) == ALULA_MAP_MALFORMED);
+      }
+    }
+  }
+}
+
 void test_what_is_no_call_is_refused() {
   const Bytes bytes = image(false);
   alula_map map;
@@ -147,6 +176,10 @@ void test_what_is_no_call_is_refused() {
   CHECK(alula_map_evaluate(&map, good, &value) == ALULA_MAP_BAD_POINTER);
   CHECK(alula_map_open(&map, bytes.data(), static_cast<std::uint32_t>(bytes.size())) == ALULA_MAP_READY);
   CHECK(alula_map_evaluate(&map, nullptr, &value) == ALULA_MAP_BAD_POINTER);
+  alula_map_near near;
+  alula_map_near_open(&near, nullptr);
+  CHECK(alula_map_near_evaluate(&near, good, &value) == ALULA_MAP_BAD_POINTER);
+  CHECK(alula_map_near_evaluate(nullptr, good, &value) == ALULA_MAP_BAD_POINTER);
   CHECK(alula_map_evaluate(&map, good, nullptr) == ALULA_MAP_BAD_POINTER);
   CHECK(alula_map_read(&map, 64, nullptr) == ALULA_MAP_BAD_POINTER);
   for (const float bad : {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity(), -2e12F}) {
@@ -163,6 +196,7 @@ int main() {
     test_hulls_and_planes_are_read(is_kdop);
     test_what_is_not_whole_is_refused(is_kdop);
     test_no_byte_leads_outside_even_with_matching_sums(is_kdop);
+    test_flash_that_fails_is_refused_or_read_as_another_map(is_kdop);
   }
   test_what_is_no_call_is_refused();
   return alula_failures == 0 ? 0 : 1;

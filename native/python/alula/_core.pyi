@@ -189,6 +189,11 @@ class OnboardMap:
     def psi(self, points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], *, jobs: int = 0) -> tuple[NDArray[numpy.float32], NDArray[numpy.uint32], NDArray[numpy.float32]]:
         """psi (N) [m], nearest hull (N) and normal (N, 3) at points (N, 3) [m]."""
 
+    def psi_along(self, points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> tuple[NDArray[numpy.float32], NDArray[numpy.uint32], NDArray[numpy.float32]]:
+        """
+        The same, by what is remembered of the points before: for points close to one another.
+        """
+
 class TrialRules:
     """When a flight ends, and its nominal controller."""
 
@@ -1372,6 +1377,20 @@ class Geofence:
     @property
     def hover_throttle(self) -> float: ...
 
+    @property
+    def config_words(self) -> bytes:
+        """The bytes of its alula_geofence_config."""
+
+    @property
+    def fence_words(self) -> bytes:
+        """
+        Of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).
+        """
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """All of them by name, as the filter holds them: in single precision."""
+
     def reset(self) -> None:
         """To before the first tick."""
 
@@ -1408,6 +1427,14 @@ class Pilot:
         straight, diagonal, fall, sticks, aggressive, silent or repeated; ValueError for others.
         """
 
+class PilotHand:
+    """A pilot in one flight, as fly_in_fences has him."""
+
+    def __init__(self, pilot: Pilot, model: RacerModel, start_height: float, *, seed: int = 0, trial: int = 0) -> None: ...
+
+    def command(self, time: float, x: NDArray[numpy.float64]) -> NDArray[numpy.float64] | None:
+        """His command (4) at a state (13); None: no radio."""
+
 class GeofenceRules:
     """Times of a flight, and when navigation or radio are missing."""
 
@@ -1423,7 +1450,7 @@ class GeofenceSpec:
 
 def fly_in_fences(spec: GeofenceSpec, filter: Geofence, *, seed: int = 0, first: int = 0, count: int = 1, keeps_trace: bool = False, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
     """
-    Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial, with keeps_trace also per tick state (13), pilot and command (4), figure (lambda, h_I, distance, margin, v_c) and status (number).
+    Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial, with keeps_trace also per tick state (13), pilot and command (4), figure (lambda, h_I, distance, margin, v_c), true distance and status (number). Only tick_s, the filter's time in each tick, is measured.
     """
 
 class PendulumFilter:
@@ -1440,3 +1467,25 @@ class PendulumFilter:
         """
         Closed loop: theta, theta', u, h_I, lambda, rows, infeasible (ticks, 7).
         """
+
+class Rates:
+    """
+    A flight controller's rate profile (rates_type BETAFLIGHT) as the onboard code maps it, in single precision; axes are roll, pitch, yaw.
+    """
+
+    def __init__(self, *, rc_rate: Sequence[float] = [1.0, 1.0, 1.0], super_rate: Sequence[float] = [0.7, 0.7, 0.7], expo: Sequence[float] = [0.0, 0.0, 0.0], middle_us: float = 1500.0, throttle_low_us: float = 1050.0, throttle_high_us: float = 2000.0) -> None:
+        """ValueError for numbers out of range."""
+
+    def rate(self, axis: int, deflection: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float32]:
+        """Rates [rad/s] of deflections (N)."""
+
+    def deflection(self, axis: int, rate: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float32]:
+        """Deflections of rates (N) [rad/s]."""
+
+    def channels(self, commands: NDArray[numpy.float64]) -> tuple[NDArray[numpy.uint16], NDArray[numpy.uint8]]:
+        """
+        Pulses (N, 4) [us] of roll, pitch, throttle, yaw of commands (N, 4): throttle, rates; and which are refused.
+        """
+
+    def commands(self, channels: NDArray[numpy.uint16]) -> tuple[NDArray[numpy.float64], NDArray[numpy.uint8]]:
+        """Commands (N, 4) of pulses (N, 4), and which are refused."""

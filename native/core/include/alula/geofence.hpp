@@ -34,9 +34,9 @@ alula_racer_state to_onboard(const RacerState& x);
 alula_racer_command to_onboard(const RacerCommand& u);
 RacerCommand from_onboard(const alula_racer_command& u);
 
-// Copies share the map and have a state each: one copy per thread. Numbers are rounded to the safe side: the box
-// inward, faces by what their normals and positions of up to 1 km lose in float.
-// Throws std::invalid_argument for a fence or parameters that the onboard code does not accept.
+// Copies share the map and have a state each: one copy per thread, also of what only evaluates. Numbers are rounded
+// to the safe side: the box inward, faces by what their normals and positions of up to 1 km lose in float. Throws
+// std::invalid_argument for a fence or parameters that the onboard code does not accept.
 class Geofence {
  public:
   Geofence(const Fence& fence, const alula_geofence_config& config);
@@ -51,13 +51,14 @@ class Geofence {
 
   const alula_geofence_config& config() const { return filter_.config; }
   const Fence& fence() const { return fence_; }
+  const alula_fence& onboard_fence() const { return onboard_; }  // as firmware is given it
   double hover_throttle() const { return filter_.hover; }
 
  private:
   Fence fence_;
   alula_map map_{};
   alula_fence onboard_{};
-  alula_geofence filter_{};
+  mutable alula_geofence filter_{};  // evaluating changes what it remembers of the map
 };
 
 }  // namespace alula::flight

@@ -16,8 +16,8 @@ int port_write(const void* from, uint32_t bytes);
 /* The map image, and how many bytes of memory begin there. */
 const uint8_t* port_map(uint32_t* bytes);
 
-/* Start counting, and what was counted: ticks of a clock that counts instructions under emulation. UINT32_MAX
- * when the counter ran over; 0 on a host. */
+/* Start counting, and what was counted: ticks of a clock that counts instructions under emulation,
+ * nanoseconds on a host. UINT32_MAX when the counter ran over. */
 void port_start(void);
 uint32_t port_stop(void);
 

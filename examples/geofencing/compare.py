@@ -1,0 +1,99 @@
+"""The experiments of the geofencing paper, and what goes beyond them, from the runs in a folder.
+
+Usage: python compare.py [--markdown FILE] FOLDER RUN [RUN ...]
+
+A run is SCENARIO/VARIANT.run.mcap with its record beside it, FOLDER/pendulum.json the times that pendulum.py
+measured. Tables and figures are written into FOLDER, the same tables as one page of Markdown into FILE.
+"""
+
+import argparse
+import json
+import os
+import platform
+from pathlib import Path
+
+from alula.cli.runner import input_ref
+from alula.schemas.atomic import write_text
+from alula.schemas.fence_ticks import read_ticks
+from alula.schemas.run import read_run
+from alula.stages.reporting import geofencing, geofencing_figures, geofencing_robustness, geofencing_short
+from alula.stages.reporting.dracbf import folded
+from alula.stages.reporting.material import Material
+from alula.stages.reporting.page import page
+from alula.stages.reporting.pendulum import PROGRAM, REGULATION, sweep
+from alula.stages.reporting.tables import inputs_table, table_csv, to_markdown
+
+TITLE = "Geofencing: racing drones in a fence"
+WRITTEN = "Written by `make -C examples/geofencing page`"
+DRAWN = ("wall", "fall", "engaged", "corner")  # folders whose first flights are read tick by tick
+GAINS = {REGULATION: (1.5, 5.0, 15.0, 60.0, 200.0, 1000.0), PROGRAM: (1.0, 5.0, 10.0, 50.0, 200.0, 1000.0)}
+TICKS_S = (0.01, 0.0025)
+GENTLE, HIGH = {REGULATION: 5.0, PROGRAM: 1.0}, {REGULATION: 60.0, PROGRAM: 50.0}
+parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
+parser.add_argument("folder", type=Path)
+parser.add_argument("runs", type=Path, nargs="+", metavar="RUN")
+options = parser.parse_args()
+folder, paths = options.folder, options.runs
+runs = [
+    geofencing.Fenced(
+        path.parent.name,
+        path.name.removesuffix(".run.mcap"),
+        read_run(path),
+        read_ticks(path).get(0) if path.parent.name in DRAWN else None,
+    )
+    for path in paths
+]
+measured = json.loads((folder / "pendulum.json").read_text(encoding="utf-8"))
+swings = sweep(GAINS, TICKS_S)
+found = [
+    geofencing_short.time_table(measured),
+    geofencing_short.gains_table(swings),
+    geofencing.approach_table(runs, "wall", "Figures 5a and 7a: straight at a wall", geofencing.WALL_NOTE),
+    geofencing.approach_table(runs, "fall", "Figures 5b and 7b: a fall from 70 m", geofencing.FALL_NOTE),
+    geofencing.flights_table(
+        runs, "engaged", "Figure 8: engaged again and again, edges and corners", ("engaged", "corner")
+    ),
+    geofencing.flights_table(
+        runs, "fences", "Pilots of all kinds, fences of all kinds", ("box", "faces", "cover", "combined")
+    ),
+    geofencing.filters_table(runs, "filters", ("geofence", "backup-qp", "none")),
+    geofencing_robustness.robustness_table(runs),
+    geofencing_robustness.pilots_table(runs),
+    geofencing.passes_table(runs),
+]
+tables = [table for table in found if table is not None]
+drawn = [
+    geofencing_figures.pendulum_figure(swings, GENTLE, HIGH),
+    geofencing_figures.chatter_figure(swings),
+    geofencing_figures.approach_figure(
+        runs,
+        "wall",
+        ("from-40", "from-64", "from-120", "from-40-none"),
+        "Figures 5a, 7a: straight at a wall",
+        6.0,
+    ),
+    geofencing_figures.approach_figure(
+        runs, "fall", ("fall", "drag", "gentle", "reserve"), "Figures 5b, 7b: a fall from 70 m", 8.0
+    ),
+    geofencing_figures.engaged_figure(geofencing_figures.engaged_run(runs)),
+    geofencing_figures.robustness_figure(runs),
+    geofencing_figures.distances_figure(runs),
+]
+figures = [figure for figure in drawn if figure is not None]
+facts = geofencing_short.in_short(runs, swings, measured)
+material = Material(TITLE, inputs=tuple(input_ref(path.parent.name, path) for path in paths))
+for table in tables:
+    write_text(folder / f"{table.name}.csv", table_csv(table))
+for figure in figures:
+    write_text(folder / f"{figure.name}.svg", figure.svg)
+read = [folded(table) for table in tables]
+text = to_markdown(TITLE, facts, read, "")
+write_text(folder / "geofencing.md", text)
+write_text(
+    folder / "geofencing.html", page(material, [*read, inputs_table(material)], figures, None, facts=facts)
+)
+if options.markdown is not None:
+    machine = f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}"
+    head = f"{WRITTEN} on {machine}. What the filter is and promises: [geofence.md](geofence.md)."
+    write_text(options.markdown, text.replace("\n\n", f"\n\n{head}\n\n", 1))

@@ -1,0 +1,127 @@
+"""What a log of a flight in a geofence holds: state, the pilot's share and his command, by time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.errors import DamagedError
+from alula.schemas.flights import SAFETY_TOPIC, STATE_TOPIC
+from alula.schemas.run import open_log
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Ticks:
+    """One flight at the log's rate, n samples.
+
+    Attributes:
+        time_s: shape (n,).
+        position: shape (n, 3), world [m].
+        velocity: shape (n, 3), world [m/s].
+        tilt_rad: angle between the body's z axis and up, shape (n,).
+        share: lambda, the pilot's share of the command, shape (n,); NaN without.
+        h_i_m: h_I, shape (n,); NaN where it was not evaluated.
+        distance_m: to the fence less the radius, the least since the sample before, shape (n,).
+        throttle: wished (NaN without a pilot) and flown, shape (n, 2).
+        status: n words.
+    """
+
+    time_s: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    tilt_rad: FloatArray
+    share: FloatArray
+    h_i_m: FloatArray
+    distance_m: FloatArray
+    throttle: FloatArray
+    status: tuple[str, ...]
+
+
+class _Vector(msgspec.Struct, gc=False):
+    x: float
+    y: float
+    z: float
+
+
+class _Attitude(msgspec.Struct, gc=False):
+    x: float
+    y: float
+    z: float
+    w: float
+
+
+class _State(msgspec.Struct, gc=False):
+    trial: int
+    time_s: float
+    position_m: _Vector
+    velocity_m_s: _Vector
+    attitude: _Attitude
+
+
+class _Answer(msgspec.Struct, gc=False, rename={"share": "lambda"}):
+    trial: int
+    time_s: float
+    margin: float
+    throttle_safe: float
+    status_name: str
+    share: float | None = None
+    h_m: float | None = None
+    throttle_nom: float | None = None
+
+
+def read_ticks(log: Path) -> dict[int, Ticks]:
+    """The flights in a geofence run's log, by trial.
+
+    Raises:
+        InputError: the log cannot be read.
+        DamagedError: truncated or corrupt, or its states and answers do not belong together.
+    """
+    from mcap.reader import make_reader
+
+    states: dict[int, list[_State]] = {}
+    answers: dict[int, list[_Answer]] = {}
+    decode_state = msgspec.json.Decoder(_State).decode
+    decode_answer = msgspec.json.Decoder(_Answer).decode
+    with open_log(log) as file:
+        for _, channel, message in make_reader(file, validate_crcs=True).iter_messages(
+            topics=[STATE_TOPIC, SAFETY_TOPIC], log_time_order=False
+        ):
+            if channel.topic == STATE_TOPIC:
+                state = decode_state(message.data)
+                states.setdefault(state.trial, []).append(state)
+            else:
+                answer = decode_answer(message.data)
+                answers.setdefault(answer.trial, []).append(answer)
+    if {k: len(v) for k, v in states.items()} != {k: len(v) for k, v in answers.items()}:
+        raise DamagedError(f"{log}: its states and the filter's answers are not of the same times")
+    return {trial: _ticks(states[trial], answers[trial]) for trial in sorted(states)}
+
+
+def _ticks(states: list[_State], answers: list[_Answer]) -> Ticks:
+    states.sort(key=lambda state: state.time_s)
+    answers.sort(key=lambda answer: answer.time_s)
+
+    def known(values: list[float | None]) -> FloatArray:
+        return np.array(values, np.float64)  # None becomes NaN
+
+    upright = [1 - 2 * (s.attitude.x**2 + s.attitude.y**2) for s in states]
+    return Ticks(
+        time_s=np.array([s.time_s for s in states]),
+        position=np.array([(s.position_m.x, s.position_m.y, s.position_m.z) for s in states]),
+        velocity=np.array([(s.velocity_m_s.x, s.velocity_m_s.y, s.velocity_m_s.z) for s in states]),
+        tilt_rad=np.array([math.acos(max(-1.0, min(1.0, c))) for c in upright]),
+        share=known([a.share for a in answers]),
+        h_i_m=known([a.h_m for a in answers]),
+        distance_m=np.array([a.margin for a in answers]),
+        throttle=np.stack(
+            [known([a.throttle_nom for a in answers]), [a.throttle_safe for a in answers]], axis=1
+        ),
+        status=tuple(a.status_name for a in answers),
+    )
