@@ -116,7 +116,7 @@ def command(
     if source.suffix == ".toml" and is_fence_scenario(source):
         from alula.cli.geofence import simulate_geofence
 
-        changes = dict(_setting(word) for word in settings)
+        changes = dict(setting_of(word) for word in settings)
         files = {"vehicle": vehicle_path, "cover": map_path}
         simulate_geofence(context, source, files, config, changes, scheduler, common)
         return

@@ -103,9 +103,9 @@ SCHEMAS: dict[str, dict[str, Any]] = {
             "description": "The filter's margin and status, the nominal and the filtered input: h_m and "
             "velocities among hulls; among ellipsoids the filter's own barrier, not in metres, and "
             "accelerations; in a geofence the true distance to it as margin, h_I as h_m with the allowance "
-            "that is taken off, the pilot's share lambda, and throttles and rates. Of a real flight also what "
-            "was sent in the end (rates: thrust per mass and body rates; acceleration, velocity: in the world, "
-            "and the yaw) and how long the filter took.",
+            "that is taken off, the pilot's share lambda, and throttles and rates. Of a real flight also "
+            "what was sent in the end (rates: thrust per mass and body rates; acceleration, velocity: in the "
+            "world, and the yaw) and how long the filter took.",
         },
         "alula.Supervisor": {
             **_object(
