@@ -1,0 +1,147 @@
+"""`alula sim-vehicle`."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import click
+
+from alula.cli import options
+from alula.schemas.errors import InputError, UsageError
+
+
+@click.command(
+    "sim-vehicle",
+    epilog="""Examples:
+
+\b
+  alula sim-vehicle --link udpout:127.0.0.1:14550
+  alula sim-vehicle --link tcpin:127.0.0.1:5760 --boot-time 5 --param GUID_OPTIONS=8
+  alula sim-vehicle --link udpin:127.0.0.1:14551 --fault drop:since=airborne,start=5,duration=2""",
+)
+@click.option(
+    "--link",
+    required=True,
+    metavar="KIND:HOST:PORT",
+    help="udpout: talk to HOST:PORT, as ArduPilot's simulation does; udpin, tcpin: wait there.",
+)
+@click.option("--vehicle", "vehicle_path", type=options.PATH, help="Vehicle file; FastBridge's without one.")
+@click.option(
+    "--boot-time",
+    "boot_time_s",
+    type=options.FINITE_FLOAT,
+    default=36.0,
+    show_default=True,
+    help="From boot until the estimator has settled, with satellites [s].",
+)
+@click.option("--param", "parameters", multiple=True, metavar="NAME=VALUE", help="Parameter at boot.")
+@click.option(
+    "--fault",
+    "faults",
+    multiple=True,
+    metavar="KIND[:KEY=VALUE,...]",
+    help="What goes wrong; keys: start, duration, probability, amount, way, since.",
+)
+@click.option(
+    "--heading",
+    "heading_deg",
+    type=options.FINITE_FLOAT,
+    default=0.0,
+    show_default=True,
+    help="At the start, clockwise from north [degrees].",
+)
+@click.option(
+    "--signing-key",
+    type=options.PATH,
+    help="File with the key of MAVLink 2 signatures: 64 hex digits. Unsigned packets are then refused.",
+)
+@click.option(
+    "--console", is_flag=True, help="Be the port that takes unsigned packets even with --signing-key."
+)
+@click.option("--seed", type=options.Whole(0), default=0, show_default=True, help="Of noise and faults.")
+@click.option("--duration", "duration_s", type=options.FINITE_FLOAT, help="End after that long [s].")
+@click.option("--allow-remote", is_flag=True, help="Allow a link beyond this machine.")
+@options.reporting
+def command(
+    link: str,
+    vehicle_path: Path | None,
+    boot_time_s: float,
+    parameters: tuple[str, ...],
+    faults: tuple[str, ...],
+    heading_deg: float,
+    signing_key: Path | None,
+    console: bool,
+    seed: int,
+    duration_s: float | None,
+    allow_remote: bool,
+    json: bool,
+    quiet: bool,
+    verbose: int,
+) -> None:
+    """Be a MAVLink vehicle for rehearsals, as ArduPilot Copter is one."""
+    import json as json_module
+    import time
+
+    from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
+    from alula.stages.flight.autopilot.copter import Copter
+    from alula.stages.flight.autopilot.endpoint import open_endpoint, serve
+    from alula.stages.flight.autopilot.estimator import EstimatorOptions
+    from alula.stages.flight.autopilot.faults import parse_fault
+    from alula.stages.flight.autopilot.simulator import SimulatedVehicle
+
+    if not 0 < boot_time_s <= 3600:
+        raise UsageError("--boot-time must be in 0..3600 s")
+    if duration_s is not None and duration_s <= 0:
+        raise UsageError("--duration must be positive")
+    copter = Copter(
+        FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path),
+        parameters=dict(_parameter(text) for text in parameters),
+        options=EstimatorOptions(boot_time_s=boot_time_s),
+        heading_rad=math.radians(heading_deg),
+        seed=seed,
+    )
+    vehicle = SimulatedVehicle(
+        copter,
+        faults=tuple(parse_fault(text) for text in faults),
+        seed=seed,
+        channel=0 if console or signing_key is None else 1,
+        key=None if signing_key is None else _key(signing_key),
+        epoch_s=time.time(),
+    )
+    endpoint = open_endpoint(link, allow_remote=allow_remote)
+    try:
+        if json:
+            ready = {"link": endpoint.name, "vehicle": copter.name, "boot_time_s": boot_time_s, "seed": seed}
+            click.echo(json_module.dumps(ready))
+        elif not quiet:
+            click.echo(f"{copter.name} is on {endpoint.name}")
+        sys.stdout.flush()
+        lost_s = serve(vehicle, endpoint, duration_s=duration_s)
+        if lost_s and not quiet:
+            click.echo(f"alula: the machine was too busy for {lost_s:.1f} s of the simulation", err=True)
+    finally:
+        endpoint.close()
+
+
+def _parameter(text: str) -> tuple[str, float]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise UsageError(f"--param {text!r}: write NAME=VALUE")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise UsageError(f"--param {text!r}: {value!r} is not a number") from None
+
+
+def _key(path: Path) -> bytes:
+    try:
+        key = bytes.fromhex(path.read_text())
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except ValueError:
+        key = b""
+    if len(key) != 32 or not any(key):
+        raise InputError(f"{path}: a key is 64 hexadecimal digits")
+    return key
