@@ -2,7 +2,7 @@
 
 Ours: the world z up, the body x forward, y left, z up. An autopilot's (MAVLink): its local frame x north,
 y east, z down, from its own origin; the body x forward, y right, z down. East-north-up with the same origin
-lies between.
+lies between, and is the local frame of a Crazyflie.
 """
 
 from __future__ import annotations
@@ -65,6 +65,30 @@ class LocalFrame:
         """Attitudes NED from FRD, shape (..., 4), as world from FLU, with w >= 0."""
         enu = multiply_quat_wxyz(multiply_quat_wxyz(_NED_FROM_ENU, quat_wxyz), _FLU_FROM_FRD)
         return _canonical(multiply_quat_wxyz(self._yaw(-1.0), enu))
+
+    def position_to_local(self, position: NDArray[Any]) -> FloatArray:
+        """World positions, shape (..., 3) [m], in a local frame with x east, y north, z up: a Crazyflie's."""
+        return self._turned(position, self.yaw_rad) + self.origin_enu_m
+
+    def position_from_local(self, position: NDArray[Any]) -> FloatArray:
+        """Positions of such a frame, shape (..., 3) [m], in the world."""
+        return self._turned(np.asarray(position, np.float64) - self.origin_enu_m, -self.yaw_rad)
+
+    def vector_to_local(self, vector: NDArray[Any]) -> FloatArray:
+        """World velocities and accelerations, shape (..., 3), along the axes of such a frame."""
+        return self._turned(vector, self.yaw_rad)
+
+    def vector_from_local(self, vector: NDArray[Any]) -> FloatArray:
+        """Velocities and accelerations along the axes of such a frame, shape (..., 3), in the world."""
+        return self._turned(vector, -self.yaw_rad)
+
+    def attitude_to_local(self, quat_wxyz: NDArray[Any]) -> FloatArray:
+        """Attitudes world from FLU, shape (..., 4), as such a frame from FLU, with w >= 0."""
+        return _canonical(multiply_quat_wxyz(self._yaw(1.0), quat_wxyz))
+
+    def attitude_from_local(self, quat_wxyz: NDArray[Any]) -> FloatArray:
+        """Attitudes of such a frame from FLU, shape (..., 4), as world from FLU, with w >= 0."""
+        return _canonical(multiply_quat_wxyz(self._yaw(-1.0), quat_wxyz))
 
     def yaw_to_ned(self, yaw_rad: float) -> float:
         """The heading of a yaw in the world, clockwise from north, in (-pi, pi] [rad]."""
