@@ -100,9 +100,13 @@ class LocalFrame:
 
     @staticmethod
     def _turned(vector: NDArray[Any], angle: float) -> FloatArray:
-        x, y, z = np.moveaxis(np.asarray(vector, np.float64), -1, 0)
+        given = np.asarray(vector, np.float64)
+        x, y = given[..., 0], given[..., 1]
         cos, sin = math.cos(angle), math.sin(angle)
-        return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
+        turned = given.copy()
+        turned[..., 0] = cos * x - sin * y
+        turned[..., 1] = sin * x + cos * y
+        return turned
 
 
 def _swapped(vector: NDArray[Any]) -> FloatArray:

@@ -67,6 +67,8 @@ class Estimator:
 
     def reset(self, position: FloatArray, yaw_rad: float) -> None:
         """Begin anew at a place."""
+        if not (np.isfinite(position).all() and math.isfinite(yaw_rad)):
+            return
         self.variance = _UNKNOWN_M2 if self._needs_poses else _KNOWN_M2
         if self._needs_poses:
             self.yaw_offset_rad += math.remainder(yaw_rad - self.yaw_rad, 2 * math.pi)

@@ -14,7 +14,8 @@ FloatArray = NDArray[np.float64]
 
 _STOP, _GO_TO, _TAKE_OFF, _LAND, _GO_TO_2 = 3, 4, 7, 8, 12
 _BUSY, _UNKNOWN = 1, 8
-_LAND_FORMAT = "<Bff?f"
+_FARTHEST = 1000.0  # of places [m] and durations [s]
+_FORMATS = {_TAKE_OFF: "<Bff?f", _LAND: "<Bff?f", _GO_TO: "<BBfffff", _GO_TO_2: "<BBBfffff"}
 
 
 class Plan(Enum):
@@ -58,10 +59,16 @@ class Planner:
     def receive(self, data: bytes, here: Goal, now_s: float) -> int:
         """Do a command, from where the vehicle is; 0, or an error number."""
         command, rest = data[0], data[1:]
+        if command in _FORMATS and len(rest) == struct.calcsize(_FORMATS[command]):
+            values = struct.unpack(_FORMATS[command], rest)
+            if not all(map(math.isfinite, values)) or max(map(abs, values)) > _FARTHEST:
+                return _UNKNOWN
+        elif command != _STOP:
+            return _UNKNOWN
         if command == _STOP:
             self.plan = Plan.IDLE
-        elif command in (_TAKE_OFF, _LAND) and len(rest) == struct.calcsize(_LAND_FORMAT):
-            _, height, yaw, keeps, duration = struct.unpack(_LAND_FORMAT, rest)
+        elif command in (_TAKE_OFF, _LAND):
+            _, height, yaw, keeps, duration = values
             if command == _TAKE_OFF and self.plan is not Plan.IDLE:
                 return _BUSY
             if command == _LAND and self.plan is Plan.LANDING:
@@ -70,19 +77,13 @@ class Planner:
             end = np.array([*here.position[:2], height])
             self._go(still, end, here.yaw_rad if keeps else yaw, duration, now_s)
             self.plan = Plan.FLYING if command == _TAKE_OFF else Plan.LANDING
-        elif command in (_GO_TO, _GO_TO_2):
-            form = "<BBfffff" if command == _GO_TO else "<BBBfffff"
-            if len(rest) != struct.calcsize(form):
-                return _UNKNOWN
-            values = struct.unpack(form, rest)
+        else:
             end, yaw, duration = np.array(values[-5:-2]), values[-2], values[-1]
             begin = here if self.plan is Plan.IDLE else self.goal(now_s)
             if values[1]:
                 end, yaw = end + begin.position, yaw + begin.yaw_rad
             self._go(begin, end, yaw, duration, now_s)
             self.plan = Plan.FLYING
-        else:
-            return _UNKNOWN
         return 0
 
     def is_finished(self, now_s: float) -> bool:

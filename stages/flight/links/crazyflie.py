@@ -100,6 +100,8 @@ class CrazyflieLink:
         self._stamp_ms: int | None = None
         self._streamed_s: float | None = None
         self._noticed_s = -math.inf
+        self._period_ms = max(10, 10 * round(100 / options.state_rate_hz))
+        self._lost = 0  # written by cflib's thread
         self._is_prepared = False
 
     @property
@@ -132,8 +134,7 @@ class CrazyflieLink:
             if self._feed is not None:
                 self._feed.open()
             self._session.open(timeout_s)
-            period_s = 1 / self._options.state_rate_hz
-            self._session.log("state", period_s, _STATE, self._take_state)
+            self._session.log("state", 1e-3 * self._period_ms, _STATE, self._take_state)
             self._session.log("status", _STATUS_S, _STATUS, self._take_status)
             self._session.wait(lambda: None not in (self._arrived, self._told), 2.0)
         except BaseException:
@@ -178,7 +179,7 @@ class CrazyflieLink:
         """Take in all that has arrived, and send what is due by itself."""
         self._forward_pose(now_s)
         session, status = self._session, self._status
-        status.heard_s = session.heard_s
+        status.heard_s, status.lost_packets = session.heard_s, self._lost
         self._read_state(now_s)
         self._read_status(now_s)
         self._say(*session.texts())
@@ -205,9 +206,9 @@ class CrazyflieLink:
             raise LinkError(f"a set-point while {self._status.mode}: take control first")
         if isinstance(setpoint, AccelerationSetpoint):
             full = self._encoder.full_state(setpoint, now_s)
-            w, x, y, z = full.attitude_wxyz.tolist()
+            w, x, y, z = full.attitude_wxyz
             position, velocity = full.position.tolist(), full.velocity.tolist()
-            acceleration, rates = full.acceleration.tolist(), full.omega.tolist()
+            acceleration, rates = full.acceleration.tolist(), full.omega
             # cflib says degrees/s, and writes thousandths of what it is given; the firmware reads mrad/s.
             self._session.post_setpoint(
                 lambda vehicle: vehicle.commander.send_full_state_setpoint(
@@ -290,6 +291,10 @@ class CrazyflieLink:
         self._session.post(lambda vehicle: vehicle.loc.send_extpose(position, [x, y, z, w]))
 
     def _take_state(self, stamp_ms: int, values: Mapping[str, float]) -> None:
+        if self._arrived is not None:
+            gap_ms = (stamp_ms - self._arrived[1]) % _WRAP_MS
+            if gap_ms < _WRAP_MS // 2:  # otherwise it started anew
+                self._lost += max(0, round(gap_ms / self._period_ms) - 1)
         self._arrived = (self._options.clock(), stamp_ms, values)
 
     def _take_status(self, _stamp_ms: int, values: Mapping[str, float]) -> None:
@@ -318,10 +323,9 @@ class CrazyflieLink:
         if self._feed is not None and not self._feed.is_fresh(now_s):
             return  # its estimate goes on without poses, and away
         velocity = 1e-3 * np.array([vx, vy, vz])
-        attitude = np.array(expand_quat_wxyz(int(quat)))
         omega = 1e-3 * np.array([roll, -pitch, yaw])  # the firmware logs the pitch rate with the other sign
         frame = self._options.frame
-        w, i, j, k = attitude.tolist()
+        w, i, j, k = expand_quat_wxyz(int(quat))
         heading = math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
         floor = 0.0 if self._motion is None else self._motion.floor_m
         if self._status.armed is False:
@@ -331,7 +335,7 @@ class CrazyflieLink:
             arrival_s,
             frame.position_from_local(position),
             frame.vector_from_local(velocity),
-            frame.attitude_from_local(attitude),
+            frame.attitude_from_local(np.array([w, i, j, k])),
             omega,
         )
 

@@ -14,15 +14,17 @@ from alula.stages.flight.frames import LocalFrame
 from alula.stages.flight.links.crazyflie_numbers import LARGEST
 from alula.stages.flight.links.options import Limits
 from alula.stages.flight.links.protocol import AccelerationSetpoint, VelocitySetpoint
-from alula.stages.rotation import quat_wxyz_from_matrix
 
 FloatArray = NDArray[np.float64]
+Triple = tuple[float, float, float]
+Quat = tuple[float, float, float, float]
 
 LEAD_S = 0.02
 _GAP_S = 0.3  # after which the last set-point says nothing about the next
 _FIRST_S = 0.01
 _JERK_S = 0.05
 _LEAST_M_S2 = 1.0  # of thrust: below it the attitude says nothing
+_FLAT = 1e-3
 _FAR_OUT = 2.0
 _TURN_PER_S = 2.0
 
@@ -34,8 +36,8 @@ class FullState:
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
-    attitude_wxyz: FloatArray
-    omega: FloatArray
+    attitude_wxyz: Quat
+    omega: Triple
 
 
 class SetpointEncoder:
@@ -70,18 +72,12 @@ class SetpointEncoder:
         yaw = _angle(setpoint.yaw_rad) + self.frame.yaw_rad
         most, step = limits.acceleration_m_s2, limits.acceleration_slew_m_s3
         given, dt_s = self._limited(wish, most, step, now_s)
-        lead = np.asarray(setpoint.velocity, np.float64) + LEAD_S * given
-        speed = np.clip(lead, -limits.speed_m_s, limits.speed_m_s)
-        ahead = setpoint.position + LEAD_S * (np.asarray(setpoint.velocity) + 0.5 * LEAD_S * given)
-        acceleration = self.frame.vector_to_local(given)
-        axes, omega = self._attitude(acceleration, yaw, dt_s)
-        sent = FullState(
-            self.frame.position_to_local(ahead),
-            self.frame.vector_to_local(speed),
-            acceleration,
-            quat_wxyz_from_matrix(axes),
-            omega,
-        )
+        speed, lead = np.asarray(setpoint.velocity, np.float64), LEAD_S * given
+        ahead = setpoint.position + LEAD_S * (speed + 0.5 * lead)
+        flown = np.clip(speed + lead, -limits.speed_m_s, limits.speed_m_s)
+        moves = self.frame.vector_to_local(np.array([flown, given, self._jerk]))
+        quat, omega = self._attitude(*moves[1:].tolist(), yaw, math.isfinite(dt_s))
+        sent = FullState(self.frame.position_to_local(ahead), moves[0], moves[1], quat, omega)
         for name, unit in (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s^2")):
             for axis, value in zip("xyz", getattr(sent, name).tolist(), strict=True):
                 if abs(value) > LARGEST:
@@ -125,24 +121,51 @@ class SetpointEncoder:
         self.clipped += bool((values != wish).any())
         return values, dt_s
 
-    def _attitude(self, acceleration: FloatArray, yaw: float, dt_s: float) -> tuple[FloatArray, FloatArray]:
-        """Axes of the body as columns, and its rates."""
-        thrust = acceleration + np.array([0.0, 0.0, self._gravity])
-        size = math.sqrt(float(thrust @ thrust))
-        heading = np.array([math.cos(yaw), math.sin(yaw), 0.0])
-        z = thrust / size if size > _LEAST_M_S2 else np.array([0.0, 0.0, 1.0])
-        y = np.cross(z, heading)
-        norm = math.sqrt(float(y @ y))
-        if norm < 1e-3:  # it lies along the heading
-            z, y, norm = np.array([0.0, 0.0, 1.0]), np.array([-heading[1], heading[0], 0.0]), 1.0
-        y = y / norm
-        x = np.cross(y, z)
-        omega = np.zeros(3)
-        if math.isfinite(dt_s) and size > _LEAST_M_S2:
-            jerk = self.frame.vector_to_local(self._jerk)
-            most = np.array(self.limits.rates_rad_s)
-            omega = np.clip(np.array([-(jerk @ y), jerk @ x, 0.0]) / size, -most, most)
-        return np.stack([x, y, z], axis=1), omega
+    def _attitude(
+        self, push: list[float], jerk: list[float], yaw: float, has_jerk: bool
+    ) -> tuple[Quat, Triple]:
+        """The attitude whose z axis is along a + g, and the rates that turn it with the jerk."""
+        zx, zy, zz = push[0], push[1], push[2] + self._gravity
+        size = math.sqrt(zx * zx + zy * zy + zz * zz)
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        if size > _LEAST_M_S2:
+            zx, zy, zz = zx / size, zy / size, zz / size
+        else:
+            zx, zy, zz = 0.0, 0.0, 1.0
+        yx, yy, yz = -zz * sin, zz * cos, zx * sin - zy * cos
+        norm = math.sqrt(yx * yx + yy * yy + yz * yz)
+        if norm < _FLAT:  # it lies along the heading
+            zx, zy, zz, yx, yy, yz, norm = 0.0, 0.0, 1.0, -sin, cos, 0.0, 1.0
+        yx, yy, yz = yx / norm, yy / norm, yz / norm
+        xx, xy, xz = yy * zz - yz * zy, yz * zx - yx * zz, yx * zy - yy * zx
+        quat = _quat_wxyz((xx, xy, xz), (yx, yy, yz), (zx, zy, zz))
+        if not has_jerk or size <= _LEAST_M_S2:
+            return quat, (0.0, 0.0, 0.0)
+        roll = -(jerk[0] * yx + jerk[1] * yy + jerk[2] * yz) / size
+        pitch = (jerk[0] * xx + jerk[1] * xy + jerk[2] * xz) / size
+        most = self.limits.rates_rad_s
+        return quat, (min(max(roll, -most[0]), most[0]), min(max(pitch, -most[1]), most[1]), 0.0)
+
+
+def _quat_wxyz(x: Triple, y: Triple, z: Triple) -> Quat:
+    """Of three axes, with w >= 0; numbers, since arrays of four cost ten times as much."""
+    squares = (
+        1 + x[0] + y[1] + z[2],
+        1 + x[0] - y[1] - z[2],
+        1 - x[0] + y[1] - z[2],
+        1 - x[0] - y[1] + z[2],
+    )
+    wx, wy, wz = y[2] - z[1], z[0] - x[2], x[1] - y[0]
+    xy, xz, yz = x[1] + y[0], x[2] + z[0], y[2] + z[1]
+    best = max(range(4), key=squares.__getitem__)
+    row = (
+        (squares[0], wx, wy, wz),
+        (wx, squares[1], xy, xz),
+        (wy, xy, squares[2], yz),
+        (wz, xz, yz, squares[3]),
+    )[best]
+    scale = math.copysign(1 / math.sqrt(sum(each * each for each in row)), row[0])
+    return row[0] * scale, row[1] * scale, row[2] * scale, row[3] * scale
 
 
 def _check(name: str, values: Any, most: float) -> FloatArray:
