@@ -15,7 +15,16 @@ from alula.schemas.vehicle import Vehicle, read_vehicle
 from alula.stages.flight.autopilot.crazyflie import CrazyflieOptions, SimulatedCrazyflie
 from alula.stages.flight.autopilot.endpoint import open_endpoint, serve
 
+SPEED = 2.0  # of time, for vehicle and link alike
 VEHICLE = Path(__file__).parents[2] / "examples" / "vehicles" / "crazyflie21.toml"
+
+
+def clock() -> float:
+    return SPEED * time.monotonic()
+
+
+def pause(seconds: float) -> None:
+    time.sleep(seconds / SPEED)
 
 
 def crazyflie_vehicle() -> Vehicle:
@@ -49,7 +58,8 @@ def served(**options: Any) -> Iterator[Served]:
     endpoint = open_endpoint("udpin:127.0.0.1:0")
     found = Served(vehicle, int(endpoint.name.rpartition(":")[2]))
     ends = threading.Event()
-    thread = threading.Thread(target=serve, args=(found, endpoint), kwargs={"stop": ends.is_set}, daemon=True)
+    options = {"stop": ends.is_set, "speed": SPEED}
+    thread = threading.Thread(target=serve, args=(found, endpoint), kwargs=options, daemon=True)
     thread.start()
     try:
         yield found
@@ -63,13 +73,13 @@ def fly_until(
     link: Any, is_done: Callable[[], bool], most_s: float = 10.0, make: Callable[[], Any] | None = None
 ) -> bool:
     """Poll at 100 Hz, and send what `make` gives, until something is so."""
-    end = time.monotonic() + most_s
+    end = clock() + most_s
     while not is_done():
-        now = time.monotonic()
+        now = clock()
         if now > end:
             return False
         link.poll(now)
         if make is not None:
             link.send(make(), now)
-        time.sleep(max(0.0, now + 0.01 - time.monotonic()))
+        pause(max(0.0, now + 0.01 - clock()))
     return True

@@ -7,13 +7,14 @@ import struct
 
 import numpy as np
 import pytest
+from crazyflie_peer import crazyflie_vehicle
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from alula.stages.flight.autopilot.crazyflie import CrazyflieOptions, SimulatedCrazyflie
 from alula.stages.flight.autopilot.crazyflie_planner import Goal, Plan, Planner
 from alula.stages.flight.autopilot.crazyflie_supervisor import Stage
 from alula.stages.flight.links.crazyflie_numbers import compress_quat_wxyz, expand_quat_wxyz
-from crazyflie_peer import crazyflie_vehicle
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 SAFE = 0x0C
 IDENTITY = compress_quat_wxyz((1.0, 0.0, 0.0, 0.0))
@@ -25,7 +26,9 @@ def packet(port: int, channel: int, data: bytes) -> bytes:
 
 def full_state(position, velocity=(0, 0, 0), push=(0, 0, 0), rates=(0, 0, 0)) -> bytes:
     numbers = [round(1000 * each) for each in (*position, *velocity, *push)]
-    return packet(7, 0, struct.pack("<B9hI3h", 6, *numbers, IDENTITY, *(round(1000 * each) for each in rates)))
+    return packet(
+        7, 0, struct.pack("<B9hI3h", 6, *numbers, IDENTITY, *(round(1000 * each) for each in rates))
+    )
 
 
 def velocity(x: float, y: float, z: float, turn_deg_s: float = 0.0) -> bytes:
@@ -119,7 +122,9 @@ def circle_error(controller: int) -> float:
         place = np.array([radius * (cos - 1), radius * sin, 0.5])
         errors.append(float(np.linalg.norm(place - rehearsal.vehicle.body.position)))
         speed = radius * rate
-        return full_state(place, (-speed * sin, speed * cos, 0), (-speed * rate * cos, -speed * rate * sin, 0))
+        return full_state(
+            place, (-speed * sin, speed * cos, 0), (-speed * rate * cos, -speed * rate * sin, 0)
+        )
 
     rehearsal.live(6.0, send)
     return max(errors[300:])
@@ -225,7 +230,7 @@ def test_poses_lead_the_estimate_and_without_them_it_drifts() -> None:
     rehearsal = Rehearsal(needs_poses=True)
 
     def pose() -> bytes:
-        x, y, z = rehearsal.vehicle.body.position + (1.0, 2.0, 0.0)
+        x, y, z = rehearsal.vehicle.body.position + np.array([1.0, 2.0, 0.0])
         return packet(6, 1, struct.pack("<B7f", 8, x, y, z, 0, 0, 0, 1))
 
     rehearsal.live(1.0, pose)

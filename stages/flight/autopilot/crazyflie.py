@@ -255,6 +255,7 @@ class SimulatedCrazyflie:
             if name == "kalman.resetEstimation" and values[name]:
                 initial = [float(values[f"kalman.initial{axis}"]) for axis in ("X", "Y", "Z", "Yaw")]
                 self.estimator.reset(np.array(initial[:3]), initial[3])
+                values[name] = 0
             elif name == "stabilizer.controller":
                 known = (PID, MELLINGER, 3, 4, 5) + ((OUT_OF_TREE,) if self.options.has_app else ())
                 if values[name] not in known:

@@ -50,7 +50,7 @@ _SILENCE_S = 0.3  # its own watchdog levels out at 0.5 s and stops the motors at
 _NOTICE_S = 0.25
 _WRAP_MS = 1 << 24
 _MOST_TEXTS = 100
-_RESTORE_S = 4.0
+_RESTORE_S = 3.0
 
 
 def make_link(address: Address, options: LinkOptions) -> CrazyflieLink:

@@ -99,6 +99,8 @@ class Orders:
             return self._refuse(order, "the vehicle does not say that it is on the ground")
         if order in (Order.TAKE_OFF, Order.HOLD, Order.LAND) and not status.armed:
             return self._refuse(order, "it is not armed")
+        if order in (Order.ARM, Order.TAKE_OFF) and status.is_failsafe:
+            return self._refuse(order, "; ".join(self._reasons()))
         self._standing = self._made(order, height_m, motion)
         if order in (Order.ARM, Order.TAKE_CONTROL, Order.TAKE_OFF):
             status.mode = "commanded"

@@ -48,7 +48,7 @@ class Parameters:
         if self._session.read(_HIGH_LEVEL) is not None:  # older firmwares ask for it
             lines += self.set({_HIGH_LEVEL: 1})
         if pose is not None:
-            self._begin_at(pose)
+            lines += self._begin_at(pose)
         return lines
 
     def set(self, values: Mapping[str, float]) -> list[str]:
@@ -89,11 +89,13 @@ class Parameters:
         self._changed.clear()
         return lines
 
-    def _begin_at(self, pose: Pose) -> None:
+    def _begin_at(self, pose: Pose) -> list[str]:
         w, x, y, z = pose[1].tolist()
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        lines = []
         if all(self._session.read(name) is not None for name in _INITIAL):
-            self.set(dict(zip(_INITIAL, [*pose[0].tolist(), yaw], strict=True)))
+            lines = self.set(dict(zip(_INITIAL, [*pose[0].tolist(), yaw], strict=True)))
         for value in (1.0, 0.0):
-            if not self._session.write(_RESET, value):
+            if not self._session.write(_RESET, value, keeps=False):
                 raise LinkError(f"the vehicle did not take {_RESET} = {value:g}")
+        return lines

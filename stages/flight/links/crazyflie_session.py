@@ -20,6 +20,7 @@ OLDEST_PROTOCOL = 9  # velocities with the yaw rate of today
 _SUPERVISOR_PROTOCOL = 12
 _POLL_S = 0.01
 _ANSWER_S = 3.0
+_SETTLE_S = 0.03
 _HIGH_LEVEL, _PLATFORM, _LOCALIZATION = 8, 13, 6  # ports of CRTP
 _ARM, _WATCHDOG = 1, 4
 _MOST_TEXT = 1000
@@ -42,6 +43,7 @@ class Session:
         self.lost: str | None = None
         self._vehicle: Any = None
         self._ready = threading.Event()
+        self._updates: dict[str, int] = {}  # how often a parameter's value came
         self._queue: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._sender: threading.Thread | None = None
         self._newest: Callable[[], None] | None = None
@@ -76,6 +78,7 @@ class Session:
         vehicle.packet_received.add_callback(self._hear)
         vehicle.console.receivedChar.add_callback(self._take_text)
         vehicle.add_port_callback(_HIGH_LEVEL, self._take_answer)
+        vehicle.param.add_update_callback(cb=self._count)
         vehicle.open_link(self.uri)
         if not self.wait(lambda: self._ready.is_set() or self.lost is not None, timeout_s) or self.lost:
             raise LinkError(f"{self.uri}: no Crazyflie: {self.lost or f'no answer within {timeout_s:g} s'}")
@@ -107,13 +110,33 @@ class Session:
         value = self._vehicle.param.values.get(group, {}).get(rest)
         return None if value is None else float(value)
 
-    def write(self, name: str, value: float, timeout_s: float = _ANSWER_S) -> bool:
-        """Set a parameter; whether the vehicle says that it has the value."""
+    def write(self, name: str, value: float, timeout_s: float = _ANSWER_S, keeps: bool = True) -> bool:
+        """Set a parameter; whether the vehicle says that it has the value.
+
+        The answer to a write repeats it: a value that the firmware does not take, as the number of a
+        controller it does not have, it changes back a moment later. So it is read again, unless it is one
+        that does not keep its value.
+        """
+        end_s = self.options.clock() + timeout_s
+        parameters = self._vehicle.param
         try:
-            self._vehicle.param.set_value(name, value)
+            is_answered = self._ask(name, end_s, lambda: parameters.set_value(name, value))
         except (KeyError, AttributeError, ValueError, struct.error):
             return False
-        return self.wait(lambda: _is_same(self.read(name), value), timeout_s)
+        if not is_answered or not keeps:
+            return is_answered
+        self.options.sleep(_SETTLE_S)
+        is_answered = self._ask(name, end_s, lambda: parameters.request_param_update(name))
+        return is_answered and _is_same(self.read(name), value)
+
+    def _ask(self, name: str, end_s: float, send: Callable[[], None]) -> bool:
+        """Whether the vehicle answers with the value of a parameter."""
+        before = self._updates.get(name, 0)
+        send()
+        return self.wait(lambda: self._updates.get(name, 0) > before, max(end_s - self.options.clock(), 0.0))
+
+    def _count(self, name: str, _value: str) -> None:
+        self._updates[name] = self._updates.get(name, 0) + 1
 
     def log(self, name: str, period_s: float, variables: list[str], take: Callable[[int, Any], None]) -> None:
         """Have variables sent; `take` gets the vehicle's milliseconds and the values, in cflib's thread.
