@@ -76,7 +76,8 @@ class SetpointEncoder:
         ahead = setpoint.position + LEAD_S * (speed + 0.5 * lead)
         flown = np.clip(speed + lead, -limits.speed_m_s, limits.speed_m_s)
         moves = self.frame.vector_to_local(np.array([flown, given, self._jerk]))
-        quat, omega = self._attitude(*moves[1:].tolist(), yaw, math.isfinite(dt_s))
+        push, jerk = moves[1:].tolist()
+        quat, omega = self._attitude(push, jerk, yaw, math.isfinite(dt_s))
         sent = FullState(self.frame.position_to_local(ahead), moves[0], moves[1], quat, omega)
         for name, unit in (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s^2")):
             for axis, value in zip("xyz", getattr(sent, name).tolist(), strict=True):
