@@ -27,6 +27,7 @@ setup: .venv/.installed ## make the environment in .venv/
 	"$$(.ci/find-python)" -m venv .venv
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
 	$(BIN)/pip install -q -c $(CONSTRAINTS) --group dev
+	$(BIN)/pip install -q -c $(CONSTRAINTS) --no-deps mavproxy  # the rest of it draws maps
 	touch $@
 
 .venv/.installed: .venv/.dependencies $(NATIVE) native/python/alula/__init__.py
@@ -77,6 +78,7 @@ test-wheel: wheel ## run the tests against the built wheel in an environment of 
 	$$($(BIN)/python -c 'import sys; print(sys._base_executable)') -m venv --clear build/wheel-venv
 	build/wheel-venv/bin/pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
 	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) dist/*.whl --group dev
+	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) --no-deps mavproxy
 	build/wheel-venv/bin/pytest tests
 
 examples: demo ## run every example

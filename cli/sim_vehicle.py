@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import click
@@ -45,6 +46,12 @@ from alula.schemas.errors import InputError, UsageError
     help="What goes wrong; keys: start, duration, probability, amount, way, since.",
 )
 @click.option(
+    "--mocap",
+    "mocap_address",
+    metavar="udp:HOST:PORT",
+    help="Send the true pose there as motion capture does, for fly --mocap.",
+)
+@click.option(
     "--heading",
     "heading_deg",
     type=options.FINITE_FLOAT,
@@ -55,7 +62,7 @@ from alula.schemas.errors import InputError, UsageError
 @click.option(
     "--signing-key",
     type=options.PATH,
-    help="File with the key of MAVLink 2 signatures: 64 hex digits. Unsigned packets are then refused.",
+    help="File with the key of MAVLink 2 signatures; unsigned packets are then refused.",
 )
 @click.option(
     "--console", is_flag=True, help="Be the port that takes unsigned packets even with --signing-key."
@@ -70,6 +77,7 @@ def command(
     boot_time_s: float,
     parameters: tuple[str, ...],
     faults: tuple[str, ...],
+    mocap_address: str | None,
     heading_deg: float,
     signing_key: Path | None,
     console: bool,
@@ -86,7 +94,7 @@ def command(
 
     from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
     from alula.stages.flight.autopilot.copter import Copter
-    from alula.stages.flight.autopilot.endpoint import open_endpoint, serve
+    from alula.stages.flight.autopilot.endpoint import open_endpoint, open_mocap, serve
     from alula.stages.flight.autopilot.estimator import EstimatorOptions
     from alula.stages.flight.autopilot.faults import parse_fault
     from alula.stages.flight.autopilot.simulator import SimulatedVehicle
@@ -110,19 +118,21 @@ def command(
         key=None if signing_key is None else _key(signing_key),
         epoch_s=time.time(),
     )
-    endpoint = open_endpoint(link, allow_remote=allow_remote)
-    try:
+    with ExitStack() as opened:
+        endpoint = open_endpoint(link, allow_remote=allow_remote)
+        opened.callback(endpoint.close)
+        mocap = None if mocap_address is None else open_mocap(mocap_address, allow_remote=allow_remote)
+        if mocap is not None:
+            opened.callback(mocap.close)
         if json:
             ready = {"link": endpoint.name, "vehicle": copter.name, "boot_time_s": boot_time_s, "seed": seed}
             click.echo(json_module.dumps(ready))
         elif not quiet:
             click.echo(f"{copter.name} is on {endpoint.name}")
         sys.stdout.flush()
-        lost_s = serve(vehicle, endpoint, duration_s=duration_s)
+        lost_s = serve(vehicle, endpoint, mocap=mocap, duration_s=duration_s)
         if lost_s and not quiet:
             click.echo(f"alula: the machine was too busy for {lost_s:.1f} s of the simulation", err=True)
-    finally:
-        endpoint.close()
 
 
 def _parameter(text: str) -> tuple[str, float]:
@@ -136,12 +146,17 @@ def _parameter(text: str) -> tuple[str, float]:
 
 
 def _key(path: Path) -> bytes:
+    """A signing key from a file, as `fly` takes it."""
     try:
-        key = bytes.fromhex(path.read_text())
+        raw = path.read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
+        raise InputError(f"{path}: cannot read: {error.strerror}") from error
+    if len(raw) == 32:
+        return raw
+    try:
+        key = bytes.fromhex(raw.decode("ascii").strip())
     except ValueError:
         key = b""
-    if len(key) != 32 or not any(key):
-        raise InputError(f"{path}: a key is 64 hexadecimal digits")
+    if len(key) != 32:
+        raise InputError(f"{path}: a signing key is 32 bytes, or 64 hexadecimal digits")
     return key

@@ -21,6 +21,10 @@ GUIDED, LAND, RTL, LOITER, NOGPS = 4, 9, 6, 5, 20
 RATES = 128  # the mask of SET_ATTITUDE_TARGET that ignores the attitude
 
 
+def of(kind, messages):
+    return [m for m in messages if m.get_type() == kind]
+
+
 class Client:
     """A ground station or companion with stock pymavlink packing, on the vehicle's own clock."""
 

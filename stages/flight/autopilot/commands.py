@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from alula.stages.flight.autopilot.copter import Copter
+from alula.stages.flight.autopilot.estimator import is_place
 from alula.stages.flight.autopilot.modes import Mode
 from alula.stages.flight.autopilot.packets import Message, mavlink
 from alula.stages.flight.autopilot.quaternions import to_euler
@@ -99,7 +100,7 @@ class Commands:
         changes = math.isfinite(order.params[1]) and int(order.params[1]) & 1  # CHANGE_MODE
         if copter.mode is not Mode.GUIDED and not (changes and copter.set_mode(Mode.GUIDED)):
             return int(_DENIED)
-        if not (all(map(math.isfinite, (lat, lon, alt))) and copter.is_armed and not copter.is_landed):
+        if not (is_place((lat, lon, alt)) and copter.is_armed and not copter.is_landed):
             return int(_DENIED)
         above_home = order.frame in (
             mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
@@ -133,9 +134,8 @@ class Commands:
             return int(_FAILED)
         if order.params[0] == 1.0:
             self._copter.flying.home = estimator.motion.position
-        elif all(map(math.isfinite, order.params[4:])):
-            lat, lon, alt = order.params[4:]
-            self._copter.flying.home = estimator.local_position((lat, lon, alt))
+        elif is_place(place := (order.params[4], order.params[5], order.params[6])):
+            self._copter.flying.home = estimator.local_position(place)
         else:
             return int(_DENIED)
         return int(_ACCEPTED)
@@ -154,7 +154,7 @@ class Commands:
             default = 1.0 if name == "HEARTBEAT" else None
             self._telemetry.set_interval(name, default)
         else:
-            self._telemetry.set_interval(name, None if interval == -1 else max(interval * 1e-6, 0.0025))
+            self._telemetry.set_interval(name, None if interval == -1 else interval * 1e-6)
         return int(_ACCEPTED)
 
     def _get_interval(self, order: Order, out: list[Message]) -> int:

@@ -10,7 +10,7 @@ from alula.stages.flight.autopilot.copter import INFO, WARNING, Copter
 from alula.stages.flight.autopilot.modes import MODES
 from alula.stages.flight.autopilot.packets import COMPONENT, Codec, Message, mavlink
 from alula.stages.flight.autopilot.parameters import TABLE
-from alula.stages.flight.autopilot.telemetry import Telemetry
+from alula.stages.flight.autopilot.telemetry import STREAMS, Telemetry
 
 _CHUNK = 50  # characters of a STATUSTEXT
 _PARAMETERS_AT_ONCE = 4  # a tick
@@ -31,6 +31,7 @@ class Dialogue:
         self._commands = Commands(copter, telemetry)
         self._listing: deque[str] = deque()
         self._text_id = 0
+        self._place_told = (copter.estimator.origin, copter.flying.home)
         self._table: dict[str, Callable[[Message], list[Message]]] = {
             "HEARTBEAT": self._heartbeat,
             "COMMAND_LONG": self._command,
@@ -71,6 +72,10 @@ class Dialogue:
     def due(self) -> list[Message]:
         """What is to be sent now without being asked."""
         found = self._telemetry.due()
+        place = (self._copter.estimator.origin, self._copter.flying.home)
+        if place != self._place_told:  # both are told by themselves whenever they change
+            self._place_told = place
+            found += self._one("GPS_GLOBAL_ORIGIN") + self._one("HOME_POSITION")
         while self._copter.texts:
             found += self._text(*self._copter.texts.popleft())
         for _ in range(min(_PARAMETERS_AT_ONCE, len(self._listing))):
@@ -144,6 +149,9 @@ class Dialogue:
         self._copter.parameters.set(name, message.param_value)
         if name == "SYSID_THISMAV":
             self._codec.system = max(1, min(255, self._copter.parameters.whole(name)))
+        for group, (rate, _) in STREAMS.items():
+            if name == rate:
+                self._telemetry.set_stream(group, self._copter.parameters[name])
         return [self._parameter(name)]
 
     def _stream(self, message: Message) -> list[Message]:
@@ -153,7 +161,8 @@ class Dialogue:
 
     def _set_origin(self, message: Message) -> list[Message]:
         place = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
-        return self._one("GPS_GLOBAL_ORIGIN") if self._copter.estimator.set_origin(place) else []
+        self._copter.estimator.set_origin(place)
+        return []
 
     def _vision_position(self, message: Message) -> list[Message]:
         self._copter.estimator.vision_position((message.x, message.y, message.z), message.yaw)

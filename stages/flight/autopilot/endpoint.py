@@ -67,6 +67,14 @@ def open_endpoint(link: str, *, allow_remote: bool = False) -> Endpoint:
         raise LinkError(f"link {link}: {error.strerror or error}") from error
 
 
+def open_mocap(address: str, *, allow_remote: bool = False) -> Endpoint:
+    """Where datagrams of motion capture go, `udp:HOST:PORT`; errors as of `open_endpoint`."""
+    scheme, _, place = address.partition(":")
+    if scheme != "udp":
+        raise UsageError(f"mocap {address!r}: not udp:HOST:PORT")
+    return open_endpoint(f"udpout:{place}", allow_remote=allow_remote)
+
+
 class _Udp:
     """Datagrams: with one place only, or with whoever wrote last."""
 
@@ -190,16 +198,20 @@ class Flown(Protocol):
         """Live until a time since boot."""
         ...
 
+    def mocap(self) -> bytes | None:
+        """What motion capture sees, when it is time."""
+        ...
+
 
 def serve(
     vehicle: Flown,
     endpoint: Endpoint,
     *,
+    mocap: Endpoint | None = None,
     duration_s: float | None = None,
-    speed: float = 1.0,
     stop: Callable[[], bool] = lambda: False,
 ) -> float:
-    """Let a vehicle live in real time, or `speed` times faster; the time it lost to a busy machine [s]."""
+    """Let a vehicle live in real time; the time it lost to a busy machine [s]."""
     begin = time.monotonic()
     lost_s = 0.0
     due = begin
@@ -216,8 +228,10 @@ def serve(
                     vehicle.receive(data)
         for data in endpoint.read():
             vehicle.receive(data)
-        lived_s = (due - begin - lost_s) * speed
+        lived_s = due - begin - lost_s
         endpoint.write(vehicle.advance(lived_s))
+        if mocap is not None and (picture := vehicle.mocap()) is not None:
+            mocap.write([picture])
         if duration_s is not None and lived_s >= duration_s:
             break
     return lost_s

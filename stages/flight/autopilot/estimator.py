@@ -35,6 +35,7 @@ _GAIN = (4.0, 4.0, 2.0)  # of position to position and velocity, and of velocity
 _BLOCK = 512  # ticks for which noise is drawn at once
 
 LatLonAlt = tuple[float, float, float]
+_HIGHEST_M, _FARTHEST_M, _FASTEST_M_S = 1e5, 1e5, 1e3  # what is beyond is no measurement
 _EARTH_M = 6378100.0
 
 
@@ -46,7 +47,7 @@ class EstimatorOptions:
         boot_time_s: from boot until position may be flown on, with satellites; others in proportion.
         position_noise_m: a first-order Gauss-Markov process.
         velocity_noise_m_s: the same.
-        noise_time_s: of both.
+        noise_time_s: of both; at least 0.05.
         attitude_noise_rad, rate_noise_rad_s: of lean angles and heading, and of rates.
         accelerometer_bias_m_s2: what makes position drift when nothing holds it.
         delay_s: of what is told to others; the vehicle's own loops do not wait for it.
@@ -60,6 +61,11 @@ class EstimatorOptions:
     rate_noise_rad_s: float = 0.002
     accelerometer_bias_m_s2: float = 0.02
     delay_s: float = 0.01
+
+
+def is_place(place: LatLonAlt) -> bool:
+    """Whether it is a place on Earth: degrees, and metres above the sea."""
+    return abs(place[0]) <= 90 and abs(place[1]) <= 180 and abs(place[2]) <= _HIGHEST_M
 
 
 class Estimator:
@@ -149,15 +155,17 @@ class Estimator:
 
     def set_origin(self, origin: LatLonAlt) -> bool:
         """SET_GPS_GLOBAL_ORIGIN; only the first one counts."""
-        if self.origin is not None:
+        if self.origin is not None or not is_place(origin):
             return False
         self.origin = origin
         return True
 
     def vision_position(self, position: Vector, yaw_rad: float) -> None:
         """External navigation: where the vehicle is and heads, NED."""
-        if self.is_deaf or not all(map(math.isfinite, (*position, yaw_rad))) or not self.uses_mocap:
+        if self.is_deaf or not self.uses_mocap:
             return
+        if not (all(abs(c) < _FARTHEST_M for c in position) and abs(yaw_rad) < _FARTHEST_M):
+            return  # NaN too
         late = self._vision_s is None or self._time_s - self._vision_s > MOCAP_LOST_S
         interval = 0.02 if self._vision_s is None else min(max(self._time_s - self._vision_s, 1e-3), 0.2)
         self._vision_s = self._time_s
@@ -185,7 +193,7 @@ class Estimator:
 
     def vision_velocity(self, velocity: Vector) -> None:
         """External navigation: how the vehicle moves, NED."""
-        if self.is_deaf or not all(map(math.isfinite, velocity)) or not self.uses_mocap:
+        if self.is_deaf or not self.uses_mocap or not all(abs(c) < _FASTEST_M_S for c in velocity):
             return
         for i, name in enumerate(("VELXY", "VELXY", "VELZ")):
             if self._parameters.whole(f"EK3_SRC1_{name}") == EXTERNAL:
@@ -268,10 +276,12 @@ class Estimator:
     def _next_noise(self) -> list[float]:
         if not self._noise:
             options, white = self._options, self._random.standard_normal((_BLOCK, 12))
-            kept = math.exp(-TICK_S / options.noise_time_s)
+            kept = math.exp(-TICK_S / max(options.noise_time_s, 0.05))
             scale = np.repeat([options.position_noise_m, options.velocity_noise_m_s], 3)
-            for row in white:
-                self._walk = kept * self._walk + math.sqrt(1 - kept**2) * scale * row[:6]
-                row[:6] = self._walk
+            # x_k = kept x_(k-1) + r_k, all at once: x_k = kept^k (x_0 + sum of kept^-j r_j).
+            powers = kept ** np.arange(1, _BLOCK + 1)[:, None]
+            steps = math.sqrt(1 - kept**2) * scale * white[:, :6]
+            white[:, :6] = powers * (self._walk + np.cumsum(steps / powers, axis=0))
+            self._walk = white[-1, :6].copy()
             self._noise = white[::-1].tolist()
         return self._noise.pop()

@@ -12,22 +12,22 @@ from alula.stages.flight.autopilot.modes import Mode
 Since = Literal["boot", "arm", "airborne"]
 Way = Literal["out", "in"]
 
-# Each kind: what `amount` means and what it is unless given.
-KINDS: dict[str, tuple[str, float]] = {
-    "drop": ("", 0.0),  # packets are lost
-    "delay": ("s", 0.2),  # packets come that much later
-    "duplicate": ("", 0.0),  # packets come twice
-    "reorder": ("", 0.0),  # a packet comes after the next one
-    "freeze": ("", 0.0),  # messages of motion repeat the last one
-    "nan": ("", 0.0),  # messages of motion hold no numbers
-    "wrong-system": ("id", 42.0),  # packets come from another system
-    "bad-crc": ("", 0.0),  # packets are damaged
-    "jump": ("m", 2.0),  # the estimate is that far off, to the north
-    "mode": ("mode", float(Mode.LOITER)),  # the pilot's switch, by number or name
-    "battery": ("share", 0.05),  # that much charge is left
-    "mocap-loss": ("", 0.0),  # external navigation does not arrive
-    "estimator": ("", 0.0),  # the estimator gives up
-    "radio-loss": ("", 0.0),  # the receiver hears no pilot
+# Each kind: what `amount` is unless given, and its limits.
+KINDS: dict[str, tuple[float, float, float]] = {
+    "drop": (0, 0, 0),  # packets are lost
+    "delay": (0.2, 0, 60),  # packets come that much later [s]
+    "duplicate": (0, 0, 0),  # packets come twice
+    "reorder": (0, 0, 0),  # a packet comes after the next one
+    "freeze": (0, 0, 0),  # messages of motion repeat the last one
+    "nan": (0, 0, 0),  # messages of motion hold no numbers
+    "wrong-system": (42, 1, 255),  # packets come from that system
+    "bad-crc": (0, 0, 0),  # packets are damaged
+    "jump": (2, -1000, 1000),  # the estimate is that far off, to the north [m]
+    "mode": (Mode.LOITER, 0, 255),  # the pilot's switch, by number or name
+    "battery": (0.05, 0, 1),  # that share of the charge is left
+    "mocap-loss": (0, 0, 0),  # external navigation does not arrive
+    "estimator": (0, 0, 0),  # the estimator gives up
+    "radio-loss": (0, 0, 0),  # the receiver hears no pilot
 }
 BOTH_WAYS = frozenset({"drop", "delay", "duplicate", "reorder"})
 
@@ -64,8 +64,10 @@ class Fault:
             raise UsageError(f"fault {self.kind}: start must be >= 0 and duration > 0")
         if not 0 < self.probability <= 1:
             raise UsageError(f"fault {self.kind}: probability must be in (0, 1]")
-        if self.amount is not None and not math.isfinite(self.amount):
-            raise UsageError(f"fault {self.kind}: amount must be finite")
+        low, high = KINDS[self.kind][1:]
+        if self.amount is not None and not low <= self.amount <= high:
+            allowed = f"in {low:g}..{high:g}" if high > low else "left out"
+            raise UsageError(f"fault {self.kind}: amount must be {allowed}")
         if self.way not in ("out", "in") or (self.way == "in" and self.kind not in BOTH_WAYS):
             raise UsageError(f"fault {self.kind}: way must be out{', or in' * (self.kind in BOTH_WAYS)}")
         if self.since not in ("boot", "arm", "airborne"):
@@ -74,7 +76,7 @@ class Fault:
     @property
     def size(self) -> float:
         """The amount, or what it is unless given."""
-        return KINDS[self.kind][1] if self.amount is None else self.amount
+        return KINDS[self.kind][0] if self.amount is None else self.amount
 
 
 def parse_fault(text: str) -> Fault:

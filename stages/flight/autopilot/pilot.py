@@ -56,7 +56,8 @@ class Pilot:
 
     def stick(self, name: str, now_s: float) -> float:
         """Of RCMAP_*: -1 to 1 with a dead zone around 0."""
-        value = self.channels(now_s)[self._parameters.whole(f"RCMAP_{name}") - 1] - CENTRE
+        channel = max(1, min(CHANNELS, self._parameters.whole(f"RCMAP_{name}")))
+        value = self.channels(now_s)[channel - 1] - CENTRE
         if abs(value) <= _DEAD_US:
             return 0.0
         return max(-1.0, min(1.0, (abs(value) - _DEAD_US) / (HIGH - CENTRE - _DEAD_US))) * (

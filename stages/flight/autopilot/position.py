@@ -43,7 +43,7 @@ class PositionControl:
 
     def speed_to(self, error: float, most: float, acceleration: float) -> float:
         """The speed toward a point at a distance from which it can be braked: ArduPilot's square root."""
-        gain = self._parameters["PSC_POSXY_P"]
+        gain = max(self._parameters["PSC_POSXY_P"], 0.01)
         linear = acceleration / gain**2
         size = abs(error)
         speed = gain * size if size <= linear else math.sqrt(max(0.0, 2 * acceleration * (size - linear / 2)))

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from alula.stages.flight.autopilot.camera import PERIOD_S, Camera
 from alula.stages.flight.autopilot.copter import Copter
 from alula.stages.flight.autopilot.dialogue import Dialogue
 from alula.stages.flight.autopilot.faults import Fault, Schedule
@@ -61,6 +62,8 @@ class SimulatedVehicle:
         self._random = np.random.default_rng([seed, 10])
         self._begun: dict[int, bool] = {}  # faults of the vehicle that had their turn: whether they act
         self._outbox: list[bytes] = []
+        self._camera = Camera(seed)
+        self._pictures = 0
 
     @property
     def time_s(self) -> float:
@@ -92,6 +95,15 @@ class SimulatedVehicle:
             self._outbox += self._line.late_packets(self.time_s)
         packets, self._outbox = self._outbox, []
         return packets
+
+    def mocap(self) -> bytes | None:
+        """A datagram of motion capture, a hundred times a second and while that is not lost; else None."""
+        if self.time_s < self._pictures * PERIOD_S - 1e-9:
+            return None
+        self._pictures = int(self.time_s / PERIOD_S + 1e-6) + 1
+        if self.copter.estimator.is_deaf:
+            return None
+        return self._camera.datagram(self.time_s, self.copter.airframe.truth)
 
     def _answer(self, message: Message) -> None:
         for reply in self._dialogue.answer(message):

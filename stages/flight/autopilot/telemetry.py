@@ -6,7 +6,7 @@ import heapq
 import math
 from collections.abc import Callable
 
-from alula.stages.flight.autopilot.airframe import Motion
+from alula.stages.flight.autopilot.airframe import TICK_S, Motion
 from alula.stages.flight.autopilot.copter import Copter
 from alula.stages.flight.autopilot.modes import MODES, Mode
 from alula.stages.flight.autopilot.packets import Message, mavlink
@@ -89,7 +89,7 @@ class Telemetry:
         heapq.heapify(self._due)
         self._interval_s.pop(name, None)
         if interval_s is not None:
-            self._interval_s[name] = interval_s
+            self._interval_s[name] = max(interval_s, TICK_S)
             heapq.heappush(self._due, (self._copter.time_s, name))
 
     def set_stream(self, group: int, rate_hz: float) -> None:
@@ -292,6 +292,7 @@ class Telemetry:
             *truth.omega,
             *(lat, lon, alt, 0.0, 0.0),
             *truth.velocity,
+            *_degrees(lat, lon),
         )
 
     def _mission_current(self) -> Message:
