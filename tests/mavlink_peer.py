@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-import os
+import dataclasses
 import socket
 import struct
+from contextlib import contextmanager
 from typing import Any
 
-os.environ["MAVLINK20"] = "1"
 from pymavlink.dialects.v20 import ardupilotmega as m
+
+from alula.stages.flight.frames import LocalFrame
+from alula.stages.flight.links.open_link import open_link
+from alula.stages.flight.links.options import LinkOptions
+
+FRAME = LocalFrame(yaw_rad=0.7, origin_enu_m=(1.0, -2.0, 0.5))
 
 ARDUPILOT = {
     "GUID_OPTIONS": (1.0, m.MAV_PARAM_TYPE_INT32),
@@ -123,6 +129,8 @@ class Peer:
             self.say_parameter(name)
         elif kind == "COMMAND_LONG":
             self.command(message)
+        elif kind == "TIMESYNC" and message.tc1 == 0:
+            self.send(m.MAVLink_timesync_message(round((self.now_s + self.boot_s) * 1e9), message.ts1))
 
     def say_parameter(self, name: str) -> None:
         if name not in self.parameters:
@@ -173,3 +181,32 @@ class Time:
             if each is not None:
                 each()
             link.poll(self.now_s)
+
+
+@contextmanager
+def vehicle(*, ready=True, address="", peer=None, frame=FRAME, **options):
+    """A peer, its clock and an open, and if ready prepared, link."""
+    peer = peer or Peer()
+    time = Time(peer)
+    given_options = LinkOptions(frame=frame, clock=time, sleep=time.sleep, **options)
+    link = open_link(f"udpout:127.0.0.1:{peer.port}{address}", given_options)
+    try:
+        link.open(5.0)
+        if ready:
+            link.prepare()
+        yield peer, time, link
+    finally:
+        link.close()
+        peer.close()
+
+
+_COUNTED = ("bad_packets", "lost_packets")
+
+
+def said(link, *but):
+    """All that a link says of its vehicle, but for counts of packets."""
+    state = (
+        None if link.state is None else [getattr(link.state, f.name) for f in dataclasses.fields(link.state)]
+    )
+    status = {k: v for k, v in dataclasses.asdict(link.status).items() if k not in (*_COUNTED, *but)}
+    return repr(state), repr(status)

@@ -34,9 +34,11 @@ _ANSWER_S = 2.0
 _RESTORE_S = 4.0
 _OTHERS_S = 1.2  # more than a heartbeat: long enough to hear whether there is a second vehicle
 _STREAM_S = 0.05
+_STREAM_FIRST_S = 1.1  # of set-points, before PX4 is asked to follow them
 _STATE_S = 1.0  # without state, intervals are asked for again: it may have started anew
 _ASK_AGAIN_S = 2.0
 _ORIGIN_S = 1.0
+_SYNC_S = 0.5
 _GUIDED_NOGPS = (20, 0)
 
 
@@ -66,12 +68,14 @@ class MavlinkLink:
         self._autopilot: Autopilot = ARDUPILOT
         self._version: Any = None
         self._origin: Any = None
-        self._origin_s = self._asked_s = self._streamed_s = -math.inf
+        self._origin_s = self._asked_s = self._streamed_s = self._sync_s = -math.inf
+        self._round_trip_s: float | None = None
         self._parameters: Parameters | None = None
         self._orders: Orders | None = None
         self._encoder: SetpointEncoder | None = None
         self._hover: HoverThrottle | None = None
         self._stream: Callable[[int], Any] | None = None  # what goes out while nobody sends
+        self._stream_since_s = math.inf  # without a break
         self._state: VehicleState | None = None
 
     @property
@@ -103,6 +107,11 @@ class MavlinkLink:
     def unsent(self) -> int:
         """Packets that the line had no room for."""
         return self._session.unsent
+
+    @property
+    def round_trip_s(self) -> float | None:
+        """How long an answer of the vehicle took; a state is older than it says by at most that."""
+        return self._round_trip_s
 
     def open(self, timeout_s: float) -> str:
         """Find the vehicle; returns what it is, in words.
@@ -152,8 +161,12 @@ class MavlinkLink:
         if self._orders is None:
             return
         self._orders.poll(now_s)
+        if now_s - self._sync_s >= _SYNC_S:
+            self._sync_s = now_s
+            self._session.send(dialect.MAVLink_timesync_message(0, round(now_s * 1e9)))
         if self._stream is not None and now_s - self._streamed_s >= _STREAM_S:
             self._streamed_s = now_s
+            self._stream_since_s = min(self._stream_since_s, now_s)
             self._session.send(self._stream(self._session.time_ms(now_s)))
         if self._hover is not None and self._state is not None and self._state is not before:
             self._learn(self._hover, self._state)
@@ -169,6 +182,7 @@ class MavlinkLink:
             raise LinkError("a set-point before the vehicle was prepared")
         message = self._encoder.encode(setpoint, now_s, self._session.time_ms(now_s))
         self._stream = None
+        self._stream_since_s = math.inf
         self._session.send(message)
 
     def order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:
@@ -191,8 +205,12 @@ class MavlinkLink:
         if is_climb or order is Order.HOLD:
             self._orders.drop()
         else:
-            self._orders.start(order, now_s, height_m)
+            streamed_s = max(now_s - self._stream_since_s, 0.0)
+            wait_s = max(_STREAM_FIRST_S - streamed_s, 0.0) if is_followed else 0.0
+            self._orders.start(order, now_s, height_m, wait_s)
         self._stream = stream if is_climb or is_followed or order is Order.HOLD else None
+        if self._stream is None:
+            self._stream_since_s = math.inf
         self._streamed_s = -math.inf
         self.poll(now_s)
 
@@ -203,7 +221,8 @@ class MavlinkLink:
             if self._parameters is not None:
                 self._telemetry.say(*self._parameters.restore(_RESTORE_S))
                 for number in self._autopilot.intervals(1.0):
-                    self._session.send(self._interval(number, 0.0))
+                    is_heartbeat = number == dialect.MAVLINK_MSG_ID_HEARTBEAT  # always once a second
+                    self._session.send(self._interval(number, 1.0 if is_heartbeat else 0.0))
         except LinkError as error:
             self._telemetry.say(f"parameters could not be put back: {error}")
         finally:
@@ -263,6 +282,8 @@ class MavlinkLink:
         target, limits = self._session.target, self._options.all_limits()
         self._encoder = SetpointEncoder(target, self._options.frame, limits, self._hover)
         self._orders = Orders(self._session, self._autopilot, self._telemetry)
+        if self._autopilot.streams_first:  # so that it follows at once when it is asked to
+            self._stream = self._encoder.stop
         return lines
 
     def _take(self, message: Any, now_s: float) -> None:
@@ -276,6 +297,8 @@ class MavlinkLink:
                 self._orders.take_answer(message, now_s)
         elif kind == "AUTOPILOT_VERSION":
             self._version = message
+        elif kind == "TIMESYNC":
+            self._take_time(message, now_s)
         elif kind == "GPS_GLOBAL_ORIGIN":
             self._origin = message
         else:
@@ -283,6 +306,12 @@ class MavlinkLink:
             for text in self._telemetry.take(message, now_s):
                 if self._orders is not None:
                     self._orders.take_text(text, now_s)
+
+    def _take_time(self, message: Any, now_s: float) -> None:
+        """An answer to the newest question; the vehicle's own is left unanswered: it keeps its time."""
+        if message.tc1 > 0 and message.ts1 == round(self._sync_s * 1e9):
+            self._round_trip_s = now_s - self._sync_s
+            self._estimate.synchronise(message.tc1 * 1e-9, self._sync_s)
 
     def _forward_mocap(self, now_s: float) -> None:
         if self._mocap is None:

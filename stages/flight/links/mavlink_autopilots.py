@@ -73,6 +73,7 @@ class Autopilot:
         rates = {
             dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: rate_hz,
             dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: rate_hz,
+            dialect.MAVLINK_MSG_ID_HEARTBEAT: 5.0,  # with it comes the mode that a pilot has chosen
             dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
             dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
         }

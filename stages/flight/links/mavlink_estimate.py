@@ -69,6 +69,11 @@ class Estimate:
             self._state = self._assembled() or self._state
         return self._state
 
+    def synchronise(self, clock_s: float, asked_s: float) -> None:
+        """The vehicle answered at `clock_s` of its time since boot what was asked at `asked_s` of ours."""
+        for clock in self._clocks.values():
+            clock.found(clock_s, asked_s)
+
     def take(self, message: Any, now_s: float) -> None:
         """A message of the vehicle; those without a part of the state are left alone."""
         kind = message.get_type()

@@ -19,7 +19,6 @@ HIGHEST_M = 100.0
 
 _REPEAT_S = 0.5
 _PATIENCE_S = 5.0
-_STREAM_FIRST_S = 1.1  # of set-points, before PX4 is asked to follow them
 _REASONS_S = 2.0  # how long before a refusal its reason may have been said
 _PREFIXES = ("PreArm:", "Arm:", "Arming", "Preflight", "Takeoff", "Mode change")
 
@@ -54,8 +53,8 @@ class Orders:
         self._is_reported = False
         self._said: list[tuple[float, str]] = []
 
-    def start(self, order: Order, now_s: float, height_m: float) -> None:
-        """Give an order.
+    def start(self, order: Order, now_s: float, height_m: float, first_s: float = 0.0) -> None:
+        """Give an order; control is asked for after `first_s`.
 
         Raises:
             LinkError: the height makes no sense.
@@ -63,7 +62,7 @@ class Orders:
         if order is Order.TAKE_OFF:
             check_height(height_m)
         self._order, self._is_reported = order, False
-        self._steps = self._steps_of(order, height_m)
+        self._steps = self._steps_of(order, height_m, first_s)
         if order is Order.DISARM and self._telemetry.status.landed is not True:
             self._refuse("the vehicle does not say that it is on the ground")
         self._advance(now_s)
@@ -128,10 +127,9 @@ class Orders:
         if self._order is not Order.LAND:
             self._steps = []
 
-    def _steps_of(self, order: Order, height_m: float) -> list[_Step]:
+    def _steps_of(self, order: Order, height_m: float, first_s: float) -> list[_Step]:
         telemetry, autopilot = self._telemetry, self._autopilot
         status = telemetry.status
-        first_s = _STREAM_FIRST_S if autopilot.streams_first else 0.0
         control = _Step(*mode_command(autopilot.control), lambda: status.obeys, first_s)
         arm = dialect.MAV_CMD_COMPONENT_ARM_DISARM  # never by force
         match order:

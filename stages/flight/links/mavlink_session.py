@@ -25,10 +25,10 @@ _HEARTBEAT_S = 1.0
 _WAIT_S = 0.005
 _DESERTED_S = 3.0  # without its packets another place may speak for the vehicle
 
-_WANTED = (
+WANTED = (
     "HEARTBEAT SYS_STATUS PARAM_VALUE ATTITUDE ATTITUDE_QUATERNION LOCAL_POSITION_NED COMMAND_ACK "
     "GPS_GLOBAL_ORIGIN AUTOPILOT_VERSION ODOMETRY EKF_STATUS_REPORT ESTIMATOR_STATUS EXTENDED_SYS_STATE "
-    "STATUSTEXT"
+    "STATUSTEXT TIMESYNC"
 )
 
 
@@ -74,7 +74,7 @@ class Session:
             self.signer = Signer(
                 options.key, file=options.signing_file, clock=options.clock, wall_clock=options.wall_clock
             )
-        wanted = [getattr(dialect, f"MAVLINK_MSG_ID_{name}") for name in _WANTED.split()]
+        wanted = [getattr(dialect, f"MAVLINK_MSG_ID_{name}") for name in WANTED.split()]
         self._wire = Wire(GROUND_STATION if source is None else source, COMPONENT, wanted, self.signer)
 
     @property
@@ -185,7 +185,7 @@ class Session:
             return
         if is_stranger or self._peer is None:
             self._wire.forget()
-        for packet in self._wire.take(data):
+        for packet in self._wire.take(data, is_datagram=self._transport.is_datagram):
             if not self._is_of_vehicle(packet):
                 continue
             if peer is not None and peer != self._peer:

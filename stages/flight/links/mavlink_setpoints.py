@@ -75,9 +75,9 @@ class SetpointEncoder:
                 now_s,
             )
             return self._point(time_ms, VELOCITY_MASK, velocity=velocity, yaw=yaw)
-        for name, values in (("velocity", setpoint.velocity), ("position", setpoint.position)):
-            _check(name, values, math.inf)
         most = self.limits.speed_m_s
+        _check("position", setpoint.position, math.inf)
+        velocity = _check("velocity", setpoint.velocity, most)
         acceleration = self._limited(
             setpoint,
             "acceleration",
@@ -89,7 +89,7 @@ class SetpointEncoder:
         return self._point(
             time_ms,
             ACCELERATION_MASK,
-            velocity=np.clip(setpoint.velocity, -most, most),
+            velocity=np.clip(velocity, -most, most),
             acceleration=acceleration,
             yaw=yaw,
         )

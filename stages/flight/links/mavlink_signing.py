@@ -6,6 +6,7 @@ and the first 6 bytes of sha256(key, frame up to there). Source: MAVLink guide, 
 
 from __future__ import annotations
 
+import binascii
 import hashlib
 import hmac
 from collections.abc import Callable
@@ -26,18 +27,24 @@ _MOST_STREAMS = 256
 
 
 def read_key(path: Path) -> bytes:
-    """The key of a file that holds nothing else.
+    """The key of a file that holds nothing else: 32 bytes, or as many written as 64 hexadecimal digits.
 
     Raises:
-        InputError: it cannot be read, or has not 32 bytes.
+        InputError: it cannot be read, or holds no key.
     """
     try:
         key = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
-    if len(key) != KEY_BYTES:
-        raise InputError(f"{path}: a key has {KEY_BYTES} bytes, this file {len(key)}")
-    return key
+    if len(key) == KEY_BYTES:
+        return key
+    digits = key.strip()
+    try:
+        if len(digits) == 2 * KEY_BYTES:
+            return binascii.unhexlify(digits)
+    except binascii.Error:
+        pass
+    raise InputError(f"{path}: a key has {KEY_BYTES} bytes, or {2 * KEY_BYTES} hexadecimal digits")
 
 
 class Signer:

@@ -10,8 +10,8 @@ from typing import Any, Protocol
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.addresses import Address
 
-_DATAGRAM = 2048
-_MOST_WAITING = 4096  # bytes that a stream has not taken yet; more are dropped, the oldest kept whole
+_DATAGRAM = 4096
+_MOST_WAITING = 1024  # bytes that a stream has not taken yet; beyond, frames are dropped whole
 _BUFFER = 1 << 18
 
 
@@ -54,19 +54,30 @@ def open_transport(address: Address, timeout_s: float) -> Transport:
         raise LinkError(f"{address.scheme}:{address.place}: {error.strerror or error}") from error
 
 
+def find_udp(host: str, port: int) -> tuple[socket.AddressFamily, Any]:
+    """Family and address of a host; IPv4 where it has both, as vehicles send to 127.0.0.1.
+
+    Raises:
+        OSError: nobody knows it.
+    """
+    found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+    family, _, _, _, place = min(found, key=lambda each: each[0] != socket.AF_INET)
+    return family, place
+
+
 class _Udp:
     is_datagram = True
 
     def __init__(self, host: str, port: int, *, is_listening: bool) -> None:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-        self._socket = socket.socket(found[0], socket.SOCK_DGRAM)
-        self._peer: Any = None if is_listening else found[4]
+        family, place = find_udp(host, port)
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._peer: Any = None if is_listening else place
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
             if is_listening:
-                self._socket.bind(found[4])
+                self._socket.bind(place)
             else:
-                self._socket.connect(found[4])  # takes packets from there only
+                self._socket.connect(place)  # takes packets from there only
         except OSError:
             self._socket.close()
             raise

@@ -68,8 +68,12 @@ class Wire:
         """Drop what began and did not end: the bytes that follow come from elsewhere."""
         self._rest = b""
 
-    def take(self, data: bytes) -> list[Packet]:
-        """All valid frames; what begins a further one is kept for the next call."""
+    def take(self, data: bytes, *, is_datagram: bool = False) -> list[Packet]:
+        """All valid frames; what begins a further one is kept for the next call.
+
+        In a datagram with anything bad before it such a beginning is more likely none, and is dropped: it
+        would hold up the next datagram.
+        """
         buffer = self._rest + data
         self._rest = b""
         packets: list[Packet] = []
@@ -82,7 +86,8 @@ class Wire:
                 break
             length = _frame_length(buffer, start)
             if length is None or start + length > len(buffer):
-                self._rest = buffer[start:]
+                if not is_datagram or self.bad == bad_before:
+                    self._rest = buffer[start:]
                 break
             packet = self._check(buffer[start : start + length], buffer[start + length : start + length + 1])
             if packet is None:

@@ -22,9 +22,11 @@ from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.frames import LocalFrame
 from alula.stages.flight.links.addresses import parse_address
 from alula.stages.flight.links.mavlink_estimate import euler_from_quat
+from alula.stages.flight.links.mavlink_transport import find_udp
 from alula.stages.flight.links.vehicle_clock import VehicleClock
 
 STALE_S = 0.15
+_PATIENCE_S = 2.0  # with a camera whose clock was set back a little
 _PERIOD_S = 0.02
 _MOST_BYTES = 1024
 _MOST_READS = 64
@@ -65,7 +67,7 @@ class Mocap:
         self._frame = frame
         self._socket: socket.socket | None = None
         self._decoder = msgspec.json.Decoder(MocapSample)
-        self._clock = VehicleClock()
+        self._clock = VehicleClock(_PATIENCE_S)
         self._recent: deque[tuple[float, MocapSample]] = deque(maxlen=256)
         self._arrival_s = -math.inf
         self._next_s = -math.inf
@@ -79,11 +81,11 @@ class Mocap:
         Raises:
             LinkError: the address is taken or not ours.
         """
-        found = socket.getaddrinfo(*self._place, type=socket.SOCK_DGRAM)[0]
-        self._socket = socket.socket(found[0], socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
         try:
-            self._socket.bind(found[4])
+            family, place = find_udp(*self._place)
+            self._socket = socket.socket(family, socket.SOCK_DGRAM)
+            self._socket.setblocking(False)
+            self._socket.bind(place)
         except OSError as error:
             self.close()
             raise LinkError(f"udp:{self._place[0]}:{self._place[1]}: {error.strerror or error}") from error

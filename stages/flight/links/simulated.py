@@ -63,7 +63,8 @@ def make_link(address: Address, options: LinkOptions) -> SimulatedLink:
         share = _number(given, "noise", 0.0, 100.0)
         kinds = _NOISE if vehicle.model == "quadrotor" else dict(list(_NOISE.items())[:2])
         table |= {name: share * value for name, value in kinds.items()}
-    vehicle = msgspec.structs.replace(vehicle, disturbance=DisturbanceTable(**table))
+    if "delay_ms" in given or "noise" in given:
+        vehicle = msgspec.structs.replace(vehicle, disturbance=DisturbanceTable(**table))
     check_vehicle(vehicle)
     start = _numbers(given.get("start", "0,0,0"), "start", 3)
     (yaw,) = _numbers(given.get("yaw", "0"), "yaw", 1)

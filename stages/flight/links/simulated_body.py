@@ -129,9 +129,9 @@ class Body:
             asked = np.array([[self._quadrotor.mass * setpoint.thrust_m_s2, *torque]])
         else:
             reference = np.zeros((1, 18))
-            reference[0, :6] = self._x[:3].tolist() + self._x[6:9].tolist()
-            reference[0, 15] = setpoint.yaw_rad
             wanted = self._acceleration(setpoint)[None]
+            reference[0, :3], reference[0, 3:6], reference[0, 6:9] = self._x[:3], self._x[6:9], wanted
+            reference[0, 15] = setpoint.yaw_rad
             asked = _core.realise(self._quadrotor, self._gains, x, reference, wanted)
         return np.ascontiguousarray(self._quadrotor.limited(np.ascontiguousarray(asked))[0])
 
