@@ -13,7 +13,7 @@ import pytest
 
 from alula.schemas.vehicle import Vehicle, read_vehicle
 from alula.stages.flight.autopilot.crazyflie import CrazyflieOptions, SimulatedCrazyflie
-from alula.stages.flight.autopilot.endpoint import open_endpoint, serve
+from alula.stages.flight.autopilot.endpoint import Endpoint, open_endpoint
 
 SPEED = 2.0  # of time, for vehicle and link alike
 VEHICLE = Path(__file__).parents[2] / "examples" / "vehicles" / "crazyflie21.toml"
@@ -51,6 +51,17 @@ class Served:
         return [] if self.is_cut or self.is_mute else packets
 
 
+def _live(served: Served, endpoint: Endpoint, ends: threading.Event) -> None:
+    begin = lived = clock()
+    while not ends.is_set():
+        for data in endpoint.read():
+            served.receive(data)
+        begin += max(0.0, clock() - lived - 0.5)  # what a busy machine loses is not made up for
+        lived = clock()
+        endpoint.write(served.advance(lived - begin))
+        time.sleep(0.003)
+
+
 @contextmanager
 def served(**options: Any) -> Iterator[Served]:
     pytest.importorskip("cflib", reason="cflib, of the extra crazyflie, is not there")
@@ -58,8 +69,7 @@ def served(**options: Any) -> Iterator[Served]:
     endpoint = open_endpoint("udpin:127.0.0.1:0")
     found = Served(vehicle, int(endpoint.name.rpartition(":")[2]))
     ends = threading.Event()
-    options = {"stop": ends.is_set, "speed": SPEED}
-    thread = threading.Thread(target=serve, args=(found, endpoint), kwargs=options, daemon=True)
+    thread = threading.Thread(target=_live, args=(found, endpoint, ends), daemon=True)
     thread.start()
     try:
         yield found

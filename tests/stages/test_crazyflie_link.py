@@ -188,6 +188,8 @@ def test_parameters_of_the_app_are_set_checked_and_put_back() -> None:
         assert link.configure({"alula.vmax": 0.5}) == ["alula.vmax: 1 -> 0.5"]
         with pytest.raises(LinkError, match=r"no parameter alula\.height; alula has .*radius"):
             link.configure({"alula.height": 1.0})
+        with pytest.raises(LinkError, match="the app refuses"):
+            link.configure({"alula.radius": -1.0})
         with pytest.raises(LinkError, match=r"did not take alula\.divider"):
             link.configure({"alula.divider": 300})
         link.close()
@@ -273,3 +275,22 @@ def test_the_emergency_watchdog_is_kept_fed_and_locks_at_the_end() -> None:
         assert any("start it anew" in text for text in link.status.texts)
         pause(1.3)
         assert vehicle.vehicle.supervisor.stage is Stage.LOCKED
+
+
+def test_older_firmware_is_armed_by_its_platform_port_and_the_oldest_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("alula.stages.flight.autopilot.crazyflie.PROTOCOL", 10)
+    with served() as vehicle:
+        link = opened(f"{vehicle.address}?watchdog=1")
+        link.prepare()
+        link.order(Order.ARM, clock())
+        assert fly_until(link, lambda: link.status.armed is True)
+        fly_until(link, lambda: False, 0.5)
+        vehicle.is_cut = True  # no more notices
+        pause(1.5)
+        assert vehicle.vehicle.supervisor.stage is Stage.LOCKED
+        link.close()
+    monkeypatch.setattr("alula.stages.flight.autopilot.crazyflie.PROTOCOL", 8)
+    with served() as vehicle, pytest.raises(LinkError, match="too old: CRTP 8"):
+        opened(vehicle.address)

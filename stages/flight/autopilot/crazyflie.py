@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import Vehicle
 from alula.stages.flight.autopilot.crazyflie_estimator import Estimator
 from alula.stages.flight.autopilot.crazyflie_planner import Goal, Plan, Planner
@@ -44,7 +46,7 @@ _CONSOLE, _PARAMETERS, _RPYT, _MEMORY, _LOGS, _LOCALIZATION = 0, 2, 3, 4, 5, 6
 _SETPOINTS, _HIGH_LEVEL, _SUPERVISOR, _PLATFORM, _LINK = 7, 8, 9, 13, 15
 _MOST_BYTES = 30
 _PRIORITY_NONE, _PRIORITY_PLANNER, _PRIORITY_RADIO = 0, 1, 2
-_PLAN_S = 0.01
+_PLAN_S = _PICTURE_S = 0.01
 _TUMBLES_M_S = 2.5  # a touch-down this hard
 _FULL_V, _EMPTY_V, _SAG_V = 4.15, 3.0, 0.3
 
@@ -98,12 +100,27 @@ class SimulatedCrazyflie:
         self.setpoints = 0
         self._hover_m_s2 = vehicle.body.gravity_m_s2
         self._setpoint_s, self._priority = 0.0, _PRIORITY_NONE
-        self._plan_due_s = 0.0
+        self._plan_due_s = self._picture_due_s = 0.0
         self._yaw = options.yaw_rad
         self._used_s = 0.0
         self._refused = 0
         self._outbox: list[bytes] = []
         self._text = bytearray(b"SYS: Crazyflie simulated by alula is up and running!\n")
+
+    def set_parameters(self, values: Mapping[str, float]) -> None:
+        """Begin with these values.
+
+        Raises:
+            UsageError: there is no such parameter, or its type cannot hold the value.
+        """
+        for name, value in values.items():
+            try:
+                self.parameters.set(name, value)
+            except KeyError:
+                raise UsageError(f"the simulated Crazyflie has no parameter {name}") from None
+            except (struct.error, ValueError, OverflowError):
+                raise UsageError(f"{name} cannot be {value:g}") from None
+        self._look_at_parameters()
 
     def receive(self, data: bytes) -> None:
         """Take in a packet; answers leave with the next `advance`."""
@@ -137,6 +154,15 @@ class SimulatedCrazyflie:
             del self._text[:_MOST_BYTES]
         packets, self._outbox = self._outbox, []
         return packets
+
+    def mocap(self) -> bytes | None:
+        """A datagram of motion capture with the true pose, a hundred times a second; else None."""
+        if self.time_s < self._picture_due_s:
+            return None
+        self._picture_due_s = max(self._picture_due_s + _PICTURE_S, self.time_s)
+        position, attitude = self.body.position.tolist(), self.estimator.true_attitude_wxyz.tolist()
+        sample = {"time_s": self.time_s, "position_m": position, "attitude_wxyz": attitude}
+        return msgspec.json.encode(sample)
 
     @property
     def battery_v(self) -> float:

@@ -100,6 +100,7 @@ class Estimator:
         self.position: FloatArray = self._turned(position, self.yaw_offset_rad) + self._offset
         self.velocity: FloatArray = self._turned(velocity, self.yaw_offset_rad)
         self.attitude_wxyz: FloatArray = attitude
+        self.true_attitude_wxyz: FloatArray = attitude
         if half:
             self.attitude_wxyz = multiply_quat_wxyz(
                 np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), attitude

@@ -71,6 +71,11 @@ class ParameterTable:
         self._write(name, data[2:])
         return [(_WRITE, data[:2] + self._packed(name))]
 
+    def set(self, name: str, value: float) -> None:
+        """Write one; KeyError or struct.error if it does not exist or hold the value."""
+        format_ = self._formats[name]
+        self._write(name, struct.pack("<" + format_, value if format_ == "f" else int(value)))
+
     def _by_name(self, data: bytes) -> list[Reply]:
         """Command 0: group, name, type and value; the answer repeats the names."""
         parts = data[1:].split(b"\0", 2)

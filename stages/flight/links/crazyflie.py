@@ -7,12 +7,13 @@ udp://127.0.0.1:19850?controller=oot&alula.radius=0.12&watchdog=1
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from alula.schemas.errors import LinkError, UsageError
+from alula.schemas.errors import LinkError
 from alula.stages.flight.links.addresses import Address
+from alula.stages.flight.links.crazyflie_choice import read_choice
 from alula.stages.flight.links.crazyflie_numbers import expand_quat_wxyz
 from alula.stages.flight.links.crazyflie_orders import Motion, Orders
 from alula.stages.flight.links.crazyflie_parameters import Parameters
@@ -30,18 +31,10 @@ from alula.stages.flight.links.protocol import (
 )
 from alula.stages.flight.links.vehicle_clock import VehicleClock
 
-# Numbers of stabilizer.controller, and what its controller flies. PID leaves accelerations out; Mellinger
-# takes a velocity for the order to go down to height 0, and Lee for one to stop the motors.
-CONTROLLERS: dict[str, tuple[int, type[Setpoint]]] = {
-    "mellinger": (2, AccelerationSetpoint),
-    "lee": (5, AccelerationSetpoint),
-    "pid": (1, VelocitySetpoint),
-    "oot": (6, VelocitySetpoint),
-}
-_SETPOINTS: dict[str, type[Setpoint]] = {"full-state": AccelerationSetpoint, "velocity": VelocitySetpoint}
 _STATE = [f"stateEstimateZ.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "quat")]
 _STATE += [f"stateEstimateZ.rate{name}" for name in ("Roll", "Pitch", "Yaw")]
 _STATUS = ["kalman.varX", "kalman.varY", "kalman.varZ", "pm.vbat", "supervisor.info"]
+_REFUSED = "alula.refused"  # parameters that meant nothing to the app; the last good ones stay
 _STATUS_S, _OLD_S = 0.1, 1.0
 _FARTHEST_M = 32.0  # a compressed position wraps around at 32.768
 _KNOWN_M2 = 0.01  # variance of a position that may be flown on
@@ -72,21 +65,14 @@ class CrazyflieLink:
     """
 
     def __init__(self, address: Address, options: LinkOptions) -> None:
-        given = dict(address.options)
-        self._watches = _flag(given.pop("watchdog", "0"), "watchdog")
-        number, self._kind = _controller(given.pop("controller", "mellinger"), given.pop("setpoints", None))
-        named = {name: _number(name, value) for name, value in given.items() if "." in name}
-        Address(address.scheme, address.place, {k: v for k, v in given.items() if k not in named}).only(
-            "controller", "setpoints", "watchdog"
-        )
-        if address.scheme == "udp":
-            address.host_port()
+        choice = read_choice(address)
+        self._kind, self._watches = choice.kind, choice.watches
         self._options = options
         self._session = Session(f"{address.scheme}:{address.place}", options)
         self._feed = None if options.mocap is None else PoseFeed(options.mocap, options.frame)
         self._status = VehicleStatus(is_estimator_ready=False)
         self._orders = Orders(self._session, self._status)
-        self._parameters = Parameters(self._session, number, named)
+        self._parameters = Parameters(self._session, choice.controller, choice.parameters)
         self._encoder = SetpointEncoder(
             options.frame, options.all_limits(), options.vehicle.body.gravity_m_s2
         )
@@ -135,7 +121,8 @@ class CrazyflieLink:
                 self._feed.open()
             self._session.open(timeout_s)
             self._session.log("state", 1e-3 * self._period_ms, _STATE, self._take_state)
-            self._session.log("status", _STATUS_S, _STATUS, self._take_status)
+            app = [_REFUSED] if self._session.logs(_REFUSED) else []
+            self._session.log("status", _STATUS_S, _STATUS + app, self._take_status)
             self._session.wait(lambda: None not in (self._arrived, self._told), 2.0)
         except BaseException:
             self.close()
@@ -158,7 +145,7 @@ class CrazyflieLink:
             if pose is None:
                 raise LinkError("motion capture says nothing")
         try:
-            lines = self._parameters.change(pose)
+            lines = self._checked(lambda: self._parameters.change(pose))
         except BaseException:
             self._say(*self._parameters.restore(_RESTORE_S))
             raise
@@ -171,9 +158,9 @@ class CrazyflieLink:
         May wait: not for use in flight.
 
         Raises:
-            LinkError: the vehicle does not have or take one.
+            LinkError: the vehicle does not have or take one, or the app refuses them together.
         """
-        return self._parameters.set(values)
+        return self._checked(lambda: self._parameters.set(values))
 
     def poll(self, now_s: float) -> None:
         """Take in all that has arrived, and send what is due by itself."""
@@ -191,10 +178,10 @@ class CrazyflieLink:
             self._say(f"no set-point for {_SILENCE_S:g} s: it holds its place")
             self._hold(now_s)
         self._orders.poll(now_s)
-        if self._watches and status.armed and now_s - self._noticed_s >= _NOTICE_S:
-            self._notice(now_s)
-        elif self._noticed_s > -math.inf and now_s - self._noticed_s >= _NOTICE_S:
-            self._notice(now_s)  # once begun it must go on
+        is_watched = self._noticed_s > -math.inf  # once begun it must go on
+        if (is_watched or (self._watches and status.armed)) and now_s - self._noticed_s >= _NOTICE_S:
+            self._noticed_s = now_s
+            session.notice()
 
     def send(self, setpoint: Setpoint, now_s: float) -> None:
         """Send a set-point; refuses (LinkError) what is not finite or out of the vehicle's range."""
@@ -268,14 +255,28 @@ class CrazyflieLink:
                 self._feed.close()
             self._session.close()
 
+    def _checked(self, change: Callable[[], list[str]]) -> list[str]:
+        """What was changed, unless the app refused it."""
+        before = self._told
+        lines = change()
+        if (
+            before is None
+            or _REFUSED not in before[1]
+            or not any(line.startswith("alula.") for line in lines)
+        ):
+            return lines
+        changed_s = self._options.clock()
+        self._session.wait(lambda: self._told is not None and self._told[0] > changed_s + _STATUS_S, _OLD_S)
+        if self._told is not None and self._told[1][_REFUSED] != before[1][_REFUSED]:
+            raise LinkError(
+                "the app refuses its parameters: they mean nothing together, or one is out of range"
+            )
+        return lines
+
     def _hold(self, now_s: float) -> None:
         self._streamed_s = None
         self._encoder.reset()
         self._orders.start(Order.HOLD, now_s, 0.0, self._motion)
-
-    def _notice(self, now_s: float) -> None:
-        self._noticed_s = now_s
-        self._session.notice()
 
     def _has_pose(self) -> bool:
         self._forward_pose(self._options.clock())
@@ -359,35 +360,3 @@ class CrazyflieLink:
     def _say(self, *lines: str) -> None:
         self._status.texts.extend(lines)
         del self._status.texts[:-_MOST_TEXTS]
-
-
-def _controller(name: str, setpoints: str | None) -> tuple[int, type[Setpoint]]:
-    if setpoints is not None and setpoints not in _SETPOINTS:
-        raise UsageError(f"setpoints={setpoints}: known are {' and '.join(_SETPOINTS)}")
-    if name in CONTROLLERS:
-        number, kind = CONTROLLERS[name]
-        if setpoints is not None and _SETPOINTS[setpoints] is not kind:
-            raise UsageError(f"setpoints={setpoints}: the controller {name} does not fly them")
-        return number, kind
-    if not name.isdecimal() or not 0 < int(name) < 256 or setpoints is None:
-        raise UsageError(
-            f"controller={name}: known are {', '.join(CONTROLLERS)}; "
-            "or a number, with setpoints=full-state or velocity"
-        )
-    return int(name), _SETPOINTS[setpoints]
-
-
-def _flag(text: str, name: str) -> bool:
-    if text not in ("0", "1"):
-        raise UsageError(f"{name}={text}: 0 or 1")
-    return text == "1"
-
-
-def _number(name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise UsageError(f"{name}={text}: expected a number")
-    return value

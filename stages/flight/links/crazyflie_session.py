@@ -138,6 +138,11 @@ class Session:
     def _count(self, name: str, _value: str) -> None:
         self._updates[name] = self._updates.get(name, 0) + 1
 
+    def logs(self, name: str) -> bool:
+        """Whether the vehicle has a log variable."""
+        group, _, rest = name.partition(".")
+        return rest in self._vehicle.log.toc.toc.get(group, ())
+
     def log(self, name: str, period_s: float, variables: list[str], take: Callable[[int, Any], None]) -> None:
         """Have variables sent; `take` gets the vehicle's milliseconds and the values, in cflib's thread.
 
