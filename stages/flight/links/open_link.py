@@ -19,8 +19,8 @@ _LINKS = "alula.stages.flight.links"
 _MAVLINK = f"{_LINKS}.mavlink:make_link"
 _BUILT_IN = {
     **dict.fromkeys(("udpin", "udpout", "tcp", "serial"), _MAVLINK),
-    **dict.fromkeys(("radio", "usb", "udp"), f"{_LINKS}.crazyflie:make_link"),
     "sim": f"{_LINKS}.simulated:make_link",
+    **dict.fromkeys(("radio", "usb", "udp"), f"{_LINKS}.crazyflie:make_link"),
 }
 
 
