@@ -75,9 +75,9 @@ _CRTP = "udp://"
 @click.option(
     "--console", is_flag=True, help="Be the port that takes unsigned packets even with --signing-key."
 )
-@click.option("--seed", type=options.Whole(0), default=0, show_default=True, help="Of noise and faults.")
 @click.option("--duration", "duration_s", type=options.FINITE_FLOAT, help="End after that long [s].")
 @click.option("--allow-remote", is_flag=True, help="Allow a link beyond this machine.")
+@click.option("--seed", type=options.Whole(0), default=0, show_default=True, help="Of noise and faults.")
 @options.reporting
 def command(
     link: str,
