@@ -17,6 +17,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 
 FloatArray = NDArray[np.float64]
 
+_LEAST_CLIMB_M = 0.1  # to the start: without a climb there is no take-off, and set-points come on the ground
 _FOOT = 1.5  # of the clearance needed: so far above its feet a vehicle on the ground must be clear of all
 
 
@@ -144,8 +145,8 @@ def _on_ground(seen: Observed, needs: Needs) -> Verdict:
     status = seen.status
     if status.is_failsafe:
         return Verdict("on the ground", False, "the vehicle is in a failsafe of its own")
-    holds = status.armed is not True and status.landed is not False
-    return Verdict("on the ground", holds, "disarmed" if holds else "armed, or in the air")
+    holds = status.armed is False and status.landed is not False
+    return Verdict("on the ground", holds, "disarmed" if holds else "armed, in the air, or not told")
 
 
 def _level(seen: Observed, needs: Needs) -> Verdict:
@@ -166,9 +167,11 @@ def _start(seen: Observed, needs: Needs) -> Verdict:
         return Verdict("start", False, "no state")
     away = needs.start - seen.state.position
     sideways = math.hypot(away[0], away[1])
-    holds = sideways <= needs.near_m and away[2] > -needs.near_m
+    holds = sideways <= needs.near_m and away[2] >= _LEAST_CLIMB_M
     words = f"the plan starts {sideways:.2f} m away sideways and {away[2]:.2f} m above"
-    return Verdict("start", holds, f"{words}; at most {needs.near_m:g} m sideways")
+    return Verdict(
+        "start", holds, f"{words}; at most {needs.near_m:g} m sideways, {_LEAST_CLIMB_M:g} m or more above"
+    )
 
 
 def climb(position: FloatArray, start: FloatArray, foot_m: float) -> FloatArray:

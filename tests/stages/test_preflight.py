@@ -70,12 +70,14 @@ def test_all_checks_hold_for_a_vehicle_that_is_ready():
         ({"battery_share": 0.29}, ["battery"]),
         ({"armed": True}, ["on the ground"]),
         ({"landed": False}, ["on the ground"]),
+        ({"armed": None}, ["on the ground"]),
         ({"is_failsafe": True}, ["on the ground"]),
         ({"state": state(quat=(0, 1, 0, 0))}, ["level"]),  # NED taken for ENU
         ({"state": state(quat=np.array([1, 0.2, 0, 0]) / np.hypot(1, 0.2))}, ["level"]),
         ({"state": state(velocity=(1, 0, 0))}, ["level"]),
         ({"state": state((START[0] + 0.51, START[1], 0))}, ["start"]),
         ({"state": state((START[0], START[1], 1.6))}, ["start"]),
+        ({"state": state((START[0], START[1], 1.2))}, ["start"]),  # nothing to take off to
         ({"state": state((-2.0, START[1], 0))}, ["start", "fence"]),
     ],
 )
