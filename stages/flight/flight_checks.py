@@ -12,7 +12,8 @@ from alula.stages.flight.preflight import Needs, Observed, Verdict, verdicts
 
 # What time may mend, and what somebody who carries the vehicle still will.
 MAY_COME = frozenset({"heartbeat", "state", "rate", "estimator", "loop", "level"})
-CARRIED = frozenset({"start", "clearance", "fence", "on the ground"})
+PLACED = frozenset({"start", "clearance", "fence"})  # said of a place, which comes with the estimator
+CARRIED = PLACED | {"on the ground"}
 
 Say = Callable[[int, str], None]
 
@@ -113,6 +114,8 @@ class FlightChecks:
         self.verdicts = verdicts(seen, self.needs)
         failed = {v.name for v in self.verdicts if not v.holds}
         may_come = MAY_COME if self._hand is None else MAY_COME | CARRIED
+        if failed & {"state", "estimator"}:
+            may_come |= PLACED
         if (
             failed
             and not self.needs.frame

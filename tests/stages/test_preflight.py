@@ -138,6 +138,15 @@ def test_an_estimator_is_waited_for_but_not_for_ever():
     assert loop.checks.failure() == "estimator: not ready"
 
 
+def test_a_place_comes_with_the_estimator_and_is_waited_for_like_it():
+    def late(vehicle, now):
+        vehicle.is_frozen = now < 104.0
+        vehicle.status.is_estimator_ready = now > 104.0
+
+    loop, _ = fly(on_poll=late)
+    assert loop.supervision.cause is Event.PLAN_FINISHED
+
+
 def carry(check, moves, frame):
     """Move by hand along the axes of the map; positions are seen in `frame`."""
     position, now = np.zeros(3), 0.0
