@@ -222,7 +222,7 @@ def _conclude(mission: Mission, loop: ControlLoop, is_of_link: bool, failure: st
         raise LinkError(words) if is_of_link or cause is Event.LINK_LOST else CheckError(words)
     of_vehicle = (
         *(Event.LINK_LOST, Event.FAILSAFE, Event.NOT_OBEYED, Event.ORDER_REFUSED, Event.ESTIMATOR_BAD),
-        *(Event.DISARMED, Event.BATTERY_LOW),
+        *(Event.DISARMED, Event.BATTERY_LOW, Event.FAILSAFE_IDLE),
     )
     said = "no reason is known" if cause is None else cause.value
     if cause in of_vehicle or not loop.counters.filter_s:

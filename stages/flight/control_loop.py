@@ -35,7 +35,7 @@ from alula.stages.flight.supervisor import (
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
 _BAD = frozenset(
     {Event.CHECK_FAILED, Event.LINK_LOST, Event.FAILSAFE, Event.FILTER_FAILED, Event.FRAME_WRONG}
-    | {Event.ESTIMATOR_BAD, Event.FENCE}
+    | {Event.ESTIMATOR_BAD, Event.FENCE, Event.FAILSAFE_IDLE}
 )
 _FINE = frozenset(
     {Event.START, Event.CHECKS_PASSED, Event.CHECKS_PASSED_DRY, Event.ARMED, Event.AIRBORNE}

@@ -181,6 +181,7 @@ def test_the_pilot_takes_it_and_keeps_it(mode, seconds):
 def test_a_failsafe_of_its_own_is_left_to_the_vehicle():
     def fail(vehicle):
         vehicle.status.is_failsafe, vehicle.status.armed = True, True
+        vehicle.status.mode, vehicle.status.obeys = "RTL", False
 
     def poll(vehicle, now):
         first(vehicle, now)
