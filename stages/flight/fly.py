@@ -300,6 +300,7 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
     return Needs(
         setpoints=frozenset(setpoints),
         start=mission.start,
+        goal=mission.goal,
         obstacles=mission.obstacles,
         radius_m=mission.vehicle.body.radius_m,
         margin_m=config.margin_m,

@@ -27,7 +27,7 @@ class Needs:
 
     Attributes:
         setpoints: kinds of which the link must accept one.
-        start: of the plan, shape (3,) [m].
+        start, goal: of the plan, each of shape (3,) [m].
         obstacles: what a path must stay clear of, by name.
         radius_m: of the vehicle; margin_m: more than that for where it stands and climbs.
         fence: where it may fly.
@@ -43,6 +43,7 @@ class Needs:
 
     setpoints: frozenset[type[Setpoint]]
     start: FloatArray
+    goal: FloatArray
     obstacles: Sequence[tuple[str, PolytopeSet | EllipsoidSet]]
     radius_m: float
     margin_m: float
@@ -206,6 +207,23 @@ def _fence(seen: Observed, needs: Needs) -> Verdict:
     return Verdict("fence", least > 0, f"{least:.2f} m from the fence at the start")
 
 
+def _landing(seen: Observed, needs: Needs) -> Verdict:
+    """Straight down from the end of the plan, where it lands by itself and no filter sees it."""
+    if seen.state is None:
+        return Verdict("landing", False, "no state")
+    down = needs.goal.copy()
+    down[2] = min(seen.state.position[2] + _FOOT * needs.radius_m, needs.goal[2])
+    way = np.array([needs.goal, down])
+    if not np.isfinite(way).all():
+        return Verdict("landing", False, "no finite position")
+    for name, obstacles in needs.obstacles:
+        least = float(path_clearance(way, obstacles, jobs=1).min())
+        if least < needs.radius_m:
+            words = f"{least:.3f} m to {name} on the way down from the goal, {needs.radius_m:.3f} m needed"
+            return Verdict("landing", False, words)
+    return Verdict("landing", True, f"the way down from the goal is {needs.radius_m:.3f} m clear")
+
+
 def _plan(seen: Observed, needs: Needs) -> Verdict:
     return Verdict("plan", *needs.plan)
 
@@ -218,7 +236,7 @@ def _frame(seen: Observed, needs: Needs) -> Verdict:
 
 CHECKS: tuple[Callable[[Observed, Needs], Verdict], ...] = (
     *(_heartbeat, _parameters, _setpoints, _position, _rate, _loop, _estimator, _battery, _on_ground),
-    *(_level, _start, _clearance, _fence, _plan, _frame),
+    *(_level, _start, _clearance, _landing, _fence, _plan, _frame),
 )
 
 

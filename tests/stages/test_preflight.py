@@ -52,7 +52,7 @@ def failed(seen, needs=NEEDS):
 def test_all_checks_hold_for_a_vehicle_that_is_ready():
     found = verdicts(observed(), NEEDS)
     assert [v.name for v in found if not v.holds] == []
-    assert len({v.name for v in found}) == len(CHECKS) == 15
+    assert len({v.name for v in found}) == len(CHECKS) == 16
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_all_checks_hold_for_a_vehicle_that_is_ready():
         ({"heard_s": 8.0}, ["heartbeat"]),
         ({"trouble": "cannot set GUID_OPTIONS"}, ["parameters"]),
         ({"accepts": frozenset({RatesSetpoint})}, ["set-points"]),
-        ({"state": None}, ["state", "level", "start", "clearance", "fence"]),
+        ({"state": None}, ["state", "level", "start", "clearance", "landing", "fence"]),
         ({"state": state(at=9.8)}, ["state"]),
         ({"states": 30}, ["rate"]),
         ({"ticks": 150}, ["loop"]),
@@ -104,6 +104,17 @@ def test_clearance_is_that_of_the_way_up_from_the_ground_and_over():
     np.testing.assert_allclose(way, [[0.1, 0.2, needed], [0.1, 0.2, 1.0], START])
     above = climb(np.array([0.1, 0.2, 2.0]), np.array(START), needed)
     assert above[0, 2] == 2.0
+
+
+def test_what_is_below_the_end_of_the_plan_is_the_ground_or_the_flight_is_refused():
+    floor = ((-20, 0, -2), (80, 60, 0))
+    table, shelf = ((33, 15, 0), (42, 25, 7)), ((36, 21, 3), (42, 25, 5))  # under (3.7, 2.0, 1.0)
+    for boxes, names in (([floor], []), ([floor, table], ["landing"]), ([floor, shelf], ["landing"])):
+        made = mission(cover=box_cover(boxes), is_clear=True)
+        assert failed(observed(), make_needs(made, NEEDS.setpoints)) == names
+    table_top = state((START[0], START[1], -3.0))  # the column reaches down to where it stands
+    deep = mission(cover=box_cover([((33, 15, -20), (42, 25, -10))]), is_clear=True)
+    assert "landing" in failed(observed(state=table_top), make_needs(deep, NEEDS.setpoints))
 
 
 def test_the_plan_is_proven_again_against_the_map():
