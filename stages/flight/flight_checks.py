@@ -12,7 +12,9 @@ from alula.stages.flight.preflight import Needs, Observed, Verdict, verdicts
 
 # What time may mend, and what somebody who carries the vehicle still will.
 MAY_COME = frozenset({"heartbeat", "state", "rate", "estimator", "loop", "level"})
-PLACED = frozenset({"start", "clearance", "landing", "fence"})  # said of a place, which comes with the estimator
+PLACED = frozenset(
+    {"start", "clearance", "landing", "fence"}
+)  # said of a place, which comes with the estimator
 CARRIED = PLACED | {"on the ground"}
 
 Say = Callable[[int, str], None]

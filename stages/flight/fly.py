@@ -25,9 +25,9 @@ from alula.stages.filtering.registry import complete_parameters, make_filter, ma
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.flight.certificate import certify
 from alula.stages.flight.commanders import Commander, PlanClock, SplatCommander, VelocityCommander
-from alula.stages.flight.control_loop import LoopOptions
 from alula.stages.flight.fence_guard import FenceGuard
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
+from alula.stages.flight.loop_options import LoopOptions
 from alula.stages.flight.preflight import Needs
 from alula.stages.flight.reference import sample_plan
 from alula.stages.flight.supervisor import SupervisorLimits

@@ -1,7 +1,7 @@
 """Who flies: the states of a flight and what leads from one to the next, as a table.
 
-The vehicle is sent set-points in `State.FLY` alone. Taking off, holding and landing are done by the vehicle
-itself, and need neither our state nor our filter. Nothing leads from `State.HAND_OVER` back.
+The vehicle is sent set-points along the plan in `State.FLY` alone. Taking off, holding and landing are done by
+the vehicle itself, and need neither our state nor our filter; a hold is filtered by the loop where it can be. Nothing leads from `State.HAND_OVER` back.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ _ENDS = frozenset({State.LAND, State.HAND_OVER, State.ABORT, State.DONE})
 
 
 def sends_setpoints(state: State) -> bool:
-    """Whether set-points are sent in a state."""
+    """Whether set-points along the plan are sent in a state."""
     return state is State.FLY
 
 

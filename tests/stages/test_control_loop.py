@@ -245,11 +245,65 @@ def test_a_filter_that_fails_is_held_then_landed(how, event):
     assert len(held) == 4  # three more tries
     assert all(np.isfinite(s.velocity).all() for _, _, s in vehicle.sent)
     first = next(i for i, s in enumerate(loop.recorder.samples) if s.state == "hold")
-    assert vehicle.orders.count(Order.HOLD) == 4
+    assert vehicle.orders.count(Order.HOLD) == 4  # what holds by the filter has begun with one, too
     if how != "falls back":  # in the very tick
         assert loop.recorder.samples[first - 1].filter is not None
         assert not [s for s in loop.recorder.samples[first + 1 :] if s.filter and s.filter.sent]
         assert len([s for s in loop.recorder.samples[:first] if s.filter]) == 99
+
+
+def test_a_hold_is_filtered_where_state_and_filter_are_well():
+    def fault(vehicle, now, start=[]):  # noqa: B006  one list per function is what is wanted
+        if vehicle.sent and not start:
+            start.append(now)
+        vehicle.is_frozen = bool(start) and 1.5 < now - start[0] < 2.0
+
+    vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
+    vehicle.on_poll = fault
+    loop = loop_of(mission(), vehicle)
+    asked, inner = [], loop.commander.filter
+
+    def watching(x, u):
+        result = inner(x, u)
+        asked.append((vehicle.clock(), loop.state, u.copy(), result.u))
+        return result
+
+    loop.commander.filter = watching
+    loop.run()
+    assert loop.supervision.cause is Event.PLAN_FINISHED
+    held = [s for s in loop.recorder.samples if s.state == "hold"]
+    fresh = [s for s in held if s.age_s < 0.02][2:]
+    stale = [s for s in held if s.age_s > 0.15]
+    assert len(fresh) > 80
+    assert all(s.filter is not None and s.filter.sent == "velocity" for s in fresh)
+    assert not any(s.filter for s in stale)
+    place = np.array(fresh[0].position)
+    nominal = [u for _, state, u, _ in asked if state is State.HOLD]
+    assert np.linalg.norm(nominal[0]) < 0.05  # to stand still, here
+    assert np.linalg.norm(np.array(fresh[-1].position) - place) < 0.2
+    assert len({s.filter.plan_s for s in fresh}) == 1
+
+
+def test_a_hold_whose_filter_fails_is_the_vehicles_own():
+    vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
+    loop = loop_of(mission(), vehicle)
+    loop.commander.filter = Breaking(loop.commander.filter, "falls back", 100)
+    calls, breaking = [], loop.commander.filter
+
+    def failing(x, u):
+        if loop.state is State.HOLD:
+            calls.append(1)
+            if len(calls) == 20:
+                raise RuntimeError("no more")
+        return breaking(x, u)
+
+    loop.commander.filter = failing
+    loop.run()
+    orders = [order for order in vehicle.orders if order is not Order.NOTHING]
+    first = orders.index(Order.HOLD)
+    assert orders[first : first + 3] == [Order.HOLD, Order.HOLD, Order.TAKE_CONTROL]
+    holds = [s for s in loop.recorder.samples if s.state == "hold"]
+    assert not any(s.filter for s in holds[20:100])
 
 
 def test_a_late_loop_is_held_counted_and_not_made_up_for():

@@ -198,7 +198,9 @@ for i in range(3000):
     time.sleep({seconds} / 3000)
 print("written", recorder.finish(None))
 """
-    return subprocess.run([sys.executable, "-P", "-c", code], stdout=subprocess.PIPE, stderr=stderr, text=True)
+    return subprocess.run(
+        [sys.executable, "-P", "-c", code], stdout=subprocess.PIPE, stderr=stderr, text=True
+    )
 
 
 def test_a_full_disk_costs_the_log_and_is_said_in_one_line(tmp_path):

@@ -79,9 +79,7 @@ def standing(state, event=None):
     well = NOW - 1.1 if event is Event.RECOVERED else math.inf
     engaged = event is not Event.NOT_OBEYED
     failsafe = NOW - 1.1 if event is Event.FAILSAFE_IDLE else math.inf
-    return Supervision(
-        state, since, engaged=engaged, holds=holds, well_since_s=well, failsafe_s=failsafe
-    )
+    return Supervision(state, since, engaged=engaged, holds=holds, well_since_s=well, failsafe_s=failsafe)
 
 
 def facts_of(event, state):
