@@ -53,8 +53,9 @@ class ControlLoop:
 
     A tick polls the link, looks at the facts, does what the supervisor's table says and, in `State.FLY`,
     sends one set-point. So it does in `State.HOLD` while the state is fresh and the filter well: the filter's
-    answer to standing still; otherwise the vehicle holds by itself. Deadlines are absolute: a tick that overruns makes the next one late, and
-    deadlines that have passed are left out, not made up for. Whatever a filter raises holds the vehicle.
+    answer to standing still; otherwise the vehicle holds by itself. Deadlines are absolute: a tick that
+    overruns makes the next one late, and deadlines that have passed are left out, not made up for. Whatever a
+    filter raises holds the vehicle.
 
     Args:
         link: opened and prepared.

@@ -1,7 +1,8 @@
 """Who flies: the states of a flight and what leads from one to the next, as a table.
 
-The vehicle is sent set-points along the plan in `State.FLY` alone. Taking off, holding and landing are done by
-the vehicle itself, and need neither our state nor our filter; a hold is filtered by the loop where it can be. Nothing leads from `State.HAND_OVER` back.
+The vehicle is sent set-points along the plan in `State.FLY` alone. Taking off, holding and landing are done
+by the vehicle itself, and need neither our state nor our filter; a hold is filtered by the loop where it can
+be. Nothing leads from `State.HAND_OVER` back.
 """
 
 from __future__ import annotations

@@ -219,6 +219,8 @@ class Breaking:
             return result
         if self.how == "raises":
             raise RuntimeError("no more")
+        if self.how == "too fast":
+            return FilterResult(np.array([0, 0, 14.0]), FilterStatus.OK, 1.0)
         if self.how == "nan":
             return FilterResult(np.array([math.nan, 0, 0]), FilterStatus.OK, 1.0)
         status = FilterStatus.REFUSED if self.how == "refuses" else FilterStatus.RECOVERING
@@ -230,6 +232,7 @@ class Breaking:
     [
         ("raises", Event.FILTER_FAILED),
         ("nan", Event.FILTER_FAILED),
+        ("too fast", Event.FILTER_FAILED),
         ("refuses", Event.FILTER_REFUSED),
         ("falls back", Event.FALLBACK_LONG),
     ],
