@@ -25,7 +25,7 @@ from alula.stages.filtering.registry import complete_parameters, make_filter, ma
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.flight.certificate import certify
 from alula.stages.flight.commanders import Commander, PlanClock, SplatCommander, VelocityCommander
-from alula.stages.flight.fence_guard import FenceGuard
+from alula.stages.flight.fence_guard import FenceGuard, rates_model
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop_options import LoopOptions
 from alula.stages.flight.preflight import Needs
@@ -297,6 +297,7 @@ def make_guard(mission: Mission, accepts: frozenset[type[Setpoint]]) -> FenceGua
 def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
     """What the pre-flight checks ask for."""
     config = mission.config
+    model = rates_model(mission.vehicle)
     return Needs(
         setpoints=frozenset(setpoints),
         start=mission.start,
@@ -311,6 +312,8 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         loop_hz=config.rate_hz,
         stale_s=config.stale_s,
         battery_share=config.battery,
+        most_thrust_m_s2=sum(model.thrust),
+        gravity_m_s2=model.gravity,
     )
 
 

@@ -18,6 +18,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 FloatArray = NDArray[np.float64]
 
 _LEAST_CLIMB_M = 0.1  # to the start: without a climb there is no take-off, and set-points come on the ground
+_THRUST_RATIO = 1.5  # between the vehicle's thrust and its file's: another vehicle's file
 _FOOT = 1.5  # of the clearance needed: so far above its feet a vehicle on the ground must be clear of all
 
 
@@ -32,6 +33,7 @@ class Needs:
         radius_m: of the vehicle; margin_m: more than that for where it stands and climbs.
         fence: where it may fly.
         plan: whether the plan is proven clear of the map, and how that was found, in words.
+        most_thrust_m_s2: per mass, as the vehicle's file has it; gravity_m_s2: of the same.
         near_m: how far from below the start it may stand, sideways.
         state_hz: least rate of states; loop_hz: wanted rate of the loop.
         silence_s, stale_s: oldest word and state.
@@ -49,6 +51,8 @@ class Needs:
     margin_m: float
     fence: Fence
     plan: tuple[bool, str]
+    most_thrust_m_s2: float = math.inf
+    gravity_m_s2: float = 9.81
     near_m: float = 0.5
     state_hz: float = 20.0
     loop_hz: float = 100.0
@@ -67,6 +71,7 @@ class Observed:
     Attributes:
         status, state: the newest; accepts: of the link.
         changed: parameters that the link had to set, a line each; trouble: why it could not, if so.
+        hover: throttle that carries the weight, as the vehicle says; None where it does not.
         states: how many came; ticks: of the loop; worst_late_s: of a tick.
     """
 
@@ -80,6 +85,7 @@ class Observed:
     states: int = 0
     ticks: int = 0
     worst_late_s: float = 0.0
+    hover: float | None = None
 
 
 class Verdict(NamedTuple):
@@ -107,6 +113,16 @@ def _setpoints(seen: Observed, needs: Needs) -> Verdict:
     wanted = " or ".join(sorted(kind.__name__ for kind in needs.setpoints))
     holds = not needs.setpoints.isdisjoint(seen.accepts)
     return Verdict("set-points", holds, f"{wanted} {'accepted' if holds else 'not accepted'}")
+
+
+def _thrust(seen: Observed, needs: Needs) -> Verdict:
+    """Full throttle makes g / hover; controller, filter and fence reckon with the file's."""
+    if seen.hover is None or not math.isfinite(needs.most_thrust_m_s2):
+        return Verdict("thrust", True, "not told")
+    most = needs.gravity_m_s2 / seen.hover
+    holds = 1 / _THRUST_RATIO <= most / needs.most_thrust_m_s2 <= _THRUST_RATIO
+    words = f"hover at {seen.hover:.2f} of full throttle makes {most:.1f} m/s^2 at most"
+    return Verdict("thrust", holds, f"{words}, the vehicle's file {needs.most_thrust_m_s2:.1f}")
 
 
 def _position(seen: Observed, needs: Needs) -> Verdict:
@@ -235,7 +251,18 @@ def _frame(seen: Observed, needs: Needs) -> Verdict:
 
 
 CHECKS: tuple[Callable[[Observed, Needs], Verdict], ...] = (
-    *(_heartbeat, _parameters, _setpoints, _position, _rate, _loop, _estimator, _battery, _on_ground),
+    *(
+        _heartbeat,
+        _parameters,
+        _setpoints,
+        _thrust,
+        _position,
+        _rate,
+        _loop,
+        _estimator,
+        _battery,
+        _on_ground,
+    ),
     *(_level, _start, _clearance, _landing, _fence, _plan, _frame),
 )
 

@@ -52,7 +52,7 @@ def failed(seen, needs=NEEDS):
 def test_all_checks_hold_for_a_vehicle_that_is_ready():
     found = verdicts(observed(), NEEDS)
     assert [v.name for v in found if not v.holds] == []
-    assert len({v.name for v in found}) == len(CHECKS) == 16
+    assert len({v.name for v in found}) == len(CHECKS) == 17
 
 
 @pytest.mark.parametrize(
@@ -62,6 +62,9 @@ def test_all_checks_hold_for_a_vehicle_that_is_ready():
         ({"heard_s": 8.0}, ["heartbeat"]),
         ({"trouble": "cannot set GUID_OPTIONS"}, ["parameters"]),
         ({"accepts": frozenset({RatesSetpoint})}, ["set-points"]),
+        ({"hover": 0.5}, ["thrust"]),  # FastBridge's has 0.27: the fence would brake too late
+        ({"hover": 0.15}, ["thrust"]),
+        ({"hover": 0.35}, []),
         ({"state": None}, ["state", "level", "start", "clearance", "landing", "fence"]),
         ({"state": state(at=9.8)}, ["state"]),
         ({"states": 30}, ["rate"]),
