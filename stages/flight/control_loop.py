@@ -6,6 +6,7 @@ import gc
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -367,13 +368,13 @@ class ControlLoop:
         """The loop itself failed: land, if it may be flying and is ours."""
         if self.state in (State.IDLE, State.CHECKS, State.HAND_OVER, State.DONE):
             return
-        try:
-            now = self._clock()
-            self.link.order(Order.LAND, now)
-            until = now + _LAST_WORDS_S
-            while now < until:
+        now, is_told = self._clock(), False
+        until = now + _LAST_WORDS_S
+        while now < until:
+            with suppress(Exception):  # the first error is the one to see, and this the last that can be done
+                if not is_told:
+                    self.link.order(Order.LAND, now)
+                    is_told = True
                 self.link.poll(now)
-                self._sleep(0.02)
-                now = self._clock()
-        except Exception:  # noqa: BLE001  nothing more can be done; the first error is the one to see
-            return
+            self._sleep(0.02)
+            now = self._clock()

@@ -8,6 +8,7 @@ from fake_vehicle import FakeClock, FakeVehicle
 from flights import BALL, GOAL, START, fly, loop_of, mission
 from test_simulate import line_plan
 
+from alula.schemas.errors import LinkError
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
@@ -359,6 +360,28 @@ def test_an_error_of_the_loop_itself_lands_first():
     with pytest.raises(ZeroDivisionError):
         loop.run()
     assert vehicle.orders[-1] is Order.LAND
+    assert vehicle.status.mode == "LAND"
+
+
+def test_its_last_words_are_said_again_when_the_line_was_busy():
+    vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
+    loop = loop_of(mission(), vehicle)
+    order, refused = vehicle.order, []
+
+    def busy(what, now, height_m=0.0):
+        if what is Order.LAND and len(refused) < 3:
+            refused.append(now)
+            raise LinkError("busy")
+        order(what, now, height_m)
+
+    def broken(sample):
+        if loop.state is State.FLY:
+            raise ZeroDivisionError
+
+    vehicle.order, loop.recorder.tick = busy, broken
+    with pytest.raises(ZeroDivisionError):
+        loop.run()
+    assert len(refused) == 3
     assert vehicle.status.mode == "LAND"
 
 
