@@ -111,7 +111,7 @@ class FlightChecks:
             states=self._states,
             ticks=self._ticks,
             worst_late_s=self._late_s,
-            hover=getattr(link, "hover", None),  # of links that send throttle
+            hover=getattr(getattr(link, "hover", None), "value", None),  # of links that send throttle
         )
         before = {v.name for v in self.verdicts if not v.holds}
         self.verdicts = verdicts(seen, self.needs)

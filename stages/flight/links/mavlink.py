@@ -94,9 +94,9 @@ class MavlinkLink:
         return self._telemetry.status
 
     @property
-    def hover(self) -> float | None:
-        """The throttle that carries the weight; None before `prepare`."""
-        return None if self._hover is None else self._hover.value
+    def hover(self) -> HoverThrottle | None:
+        """Throttle at hover; None before `prepare`."""
+        return self._hover
 
     @property
     def clipped(self) -> int:
