@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import fcntl
 import os
+import select
 import signal
 import struct
 import subprocess
 import sys
 import time
 from array import array
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -40,6 +42,7 @@ _ATOMIC = 4096  # PIPE_BUF on Linux: what is written at once is whole or not at 
 _PIPE_BYTES = 2**20
 _CHUNK_BYTES = 2**14  # some ticks: what a crash may cost
 _SYNC_S = 1.0  # what a power cut may cost
+_HEAD_S = 60.0  # for the writer to begin
 _WORDS = 1000  # characters of a line, at most
 _COLUMNS = 13
 _PATH_POINTS = 2000
@@ -107,12 +110,12 @@ class FlightRecorder:
         self._pipe = self._process.stdin.fileno()
         fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         self._encode = msgspec.msgpack.Encoder().encode
+        os.set_blocking(self._pipe, False)
         try:
-            self._put_whole(b"h" + self._encode(head))
+            self._put_whole(b"h" + self._encode(head), _HEAD_S)
         except OSError as error:
             self.finish(None)
             raise OutputError(f"{path}: the process that writes the log does not run") from error
-        os.set_blocking(self._pipe, False)
         self.dropped = 0
         self._rows = array("d")
 
@@ -156,16 +159,17 @@ class FlightRecorder:
 
     def finish(self, record: RunRecord | None, timeout_s: float = 30.0) -> bool:
         """Let the writer end the log, with the record if there is one; whether it did."""
+        assert self._process.stdin is not None
         try:
-            os.set_blocking(self._pipe, True)
             if record is not None:
-                self._put_whole(b"f" + self._encode(record))
-            assert self._process.stdin is not None
+                self._put_whole(b"f" + self._encode(record), timeout_s)
             self._process.stdin.close()
             return self._process.wait(timeout_s) == 0
         except (OSError, subprocess.TimeoutExpired):
             self._process.kill()
             self._process.wait()
+            with suppress(OSError):
+                self._process.stdin.close()
             return False
 
     def _put(self, kind: bytes, what: Any) -> None:
@@ -178,10 +182,13 @@ class FlightRecorder:
         except (OSError, TypeError, ValueError):  # full, nobody reads any more, or no number of ours
             self.dropped += 1
 
-    def _put_whole(self, message: bytes) -> None:
+    def _put_whole(self, message: bytes, timeout_s: float) -> None:
+        """However long it is; a writer that takes nothing for so long is given up (OSError)."""
         frame = memoryview(_LENGTH.pack(len(message)) + message)
         while frame:
-            frame = frame[os.write(self._pipe, frame) :]
+            if not select.select([], [self._pipe], [], timeout_s)[1]:
+                raise TimeoutError("the writer takes nothing")
+            frame = frame[os.write(self._pipe, frame[:_ATOMIC]) :]
 
 
 class _Writer:
@@ -214,8 +221,7 @@ class _Writer:
             line = msgspec.msgpack.decode(body, type=_Line)
             self.log.send("/log", line.time_s, log_line(line.time_s, line.level, line.words))
             if self.echo:
-                sys.stderr.write(f"{line.time_s:7.2f} s  {line.words}\n")
-                sys.stderr.flush()
+                self._say(f"{line.time_s:7.2f} s  {line.words}\n")
         elif kind == b"f":
             record = msgspec.msgpack.decode(body, type=RunRecord)
             if self.path:
@@ -225,6 +231,13 @@ class _Writer:
             self.log.finish(record)
             return False
         return True
+
+    def _say(self, text: str) -> None:
+        """To the terminal, which may have been closed: the log goes on without it."""
+        try:
+            os.write(2, text.encode(errors="replace"))
+        except OSError:
+            self.echo = False
 
     def _tick(self, sample: TickSample) -> None:
         now, self.last_s = sample.time_s, sample.time_s
@@ -245,8 +258,18 @@ class _Writer:
 def main() -> None:
     """The writer process: reads frames from standard input, writes the log to the given file descriptor.
 
-    When the pipe ends without a record, because whoever flew was killed, the log is closed without one.
+    When the pipe ends without a record, because whoever flew was killed, the log is closed without one. A
+    disk that takes no more ends it with a line.
     """
+    try:
+        _write()
+    except OSError as error:
+        with suppress(OSError):
+            os.write(2, f"the log ends here: {error.strerror}\n".encode())
+        os._exit(1)  # what is buffered has nowhere to go
+
+
+def _write() -> None:
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # it ends when the pipe does
     file, echo = int(sys.argv[1]), sys.argv[2] == "1"
@@ -266,8 +289,12 @@ def main() -> None:
             elif not writer.take(body):
                 break
             if time.monotonic() - synced > _SYNC_S:
-                stream.flush()
-                os.fsync(stream.fileno())
+                _sync(stream)
                 synced = time.monotonic()
-        stream.flush()
+        _sync(stream)
+
+
+def _sync(stream: BinaryIO) -> None:
+    stream.flush()
+    with suppress(OSError):  # a pipe, or no log at all, is not on a disk
         os.fsync(stream.fileno())
