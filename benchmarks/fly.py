@@ -262,11 +262,12 @@ def table(found: dict[str, Any]) -> str:
 _PREFACE = """# Flights in real time, measured
 
 Written by `python benchmarks/fly.py --markdown FILE` on {machine}, Python {python}: `alula fly` at 100 Hz
-over MAVLink on loopback against `alula sim-vehicle` in another process, in real time, along a plan through the
-built-in room. Ticks are all of a flight, from the checks until the motors stop. A tick overruns when it ends
-after the next one should have begun; feasible ticks are those at which the filter's program had a solution.
-Clearances are those of the vehicle's true path, as its simulation tells the judge alone, from hulls
-(polytope-cbf) or ellipsoids (cone-backup), less the vehicle's radius of {radius:g} m, while set-points were sent.
+over MAVLink on loopback against `alula sim-vehicle` in another process, in real time, along a plan through
+the built-in room. Ticks are all of a flight, from the checks until the motors stop. A tick overruns when it
+ends after the next one should have begun; feasible ticks are those at which the filter's program had a
+solution. Clearances are those of the vehicle's true path, as its simulation tells the judge alone, while
+set-points were sent, from hulls (polytope-cbf) or ellipsoids (cone-backup), less the vehicle's radius of
+{radius:g} m.
 
 """
 
