@@ -279,14 +279,14 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the table to FILE")
     parser.add_argument("--speeds", type=float, nargs="+", metavar="M_S", help="of plans: 1 2 3, quick 1.5")
-    parser.add_argument("--flights", type=int, metavar="N", help="with each filter and speed: 3, quick 1")
+    parser.add_argument("--flights", type=int, metavar="N", help="with each filter and speed: 2, quick 1")
     parser.add_argument("--gaussians", type=int, metavar="N", help="of the room: 200,000, quick 30,000")
     parser.add_argument("--voxel", type=float, default=0.1, metavar="M", help="edge of the cover's voxels")
     parser.add_argument("--hulls", type=int, default=150, metavar="N", help="of the cover")
     options = parser.parse_args()
     for name, quick, full in (
         ("speeds", [1.5], [1.0, 2.0, 3.0]),
-        ("flights", 1, 3),
+        ("flights", 1, 2),
         ("gaussians", 30_000, 200_000),
     ):
         if getattr(options, name) is None:

@@ -66,6 +66,8 @@ class FlightPipe:
     def close(self, timeout_s: float) -> bool:
         """End the pipe and wait for the process, or kill it when the time is over; whether it ended well."""
         assert self.process.stdin is not None
+        if self.process.stdout is not None:
+            self.process.stdout.close()
         try:
             self.process.stdin.close()
             return self.process.wait(timeout_s) == 0

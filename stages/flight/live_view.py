@@ -32,7 +32,7 @@ _PATH_S = 0.5  # between lengths of path
 _PATH_POINTS = 3000
 _LINES = 8
 _NICE = 10
-_PLAN, _MAP = (40, 110, 220), (140, 153, 173)
+_PLAN, _MAP, _VEHICLE = (40, 110, 220), (140, 153, 173), (250, 210, 40)
 _COLOURS = {
     FilterStatus.OK: (40, 160, 70),
     FilterStatus.FILTERED: (235, 150, 20),
@@ -123,7 +123,7 @@ class _View:
         self.vehicle = scene.add_frame(
             "/vehicle", axes_length=2 * head.radius_m, axes_radius=0.1 * head.radius_m, position=plan[0]
         )
-        scene.add_icosphere("/vehicle/body", head.radius_m, color=(250, 210, 40), opacity=0.6)
+        scene.add_icosphere("/vehicle/body", head.radius_m, color=_VEHICLE)
         self.text = server.gui.add_markdown(f"**{head.name}** behind {head.filter}\n\nwaiting")
         centre, size = plan.mean(axis=0), max(2.0, float(np.ptp(plan, axis=0).max()))
         server.initial_camera.position = centre + size * np.array((-0.5, -1.0, 1.0))
@@ -207,7 +207,7 @@ class _View:
             rows += _filter_rows(sample.filter)
         table = "\n".join(f"| {name} | {value} |" for name, value in rows)
         head = f"**{self.head.name}** behind {self.head.filter}\n\n| | |\n| --- | --- |\n{table}\n\n"
-        return head + "\n".join(f"    {line}" for line in self.lines)
+        return head + "\n".join(f"- {line}" for line in self.lines)
 
 
 def _filter_rows(done: FilterSample) -> list[tuple[str, str]]:
@@ -240,7 +240,7 @@ def main() -> None:
     source, port = sys.stdin.buffer, int(sys.argv[1])
     head = msgspec.msgpack.decode(next_message(source), type=ViewHead)
     out = os.dup(1)
-    os.dup2(2, 1)  # what viser says is not the port
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what viser says
 
     class Server(_viser().ViserServer):  # type: ignore[misc]
         def request_share_url(self, verbose: bool = True) -> None:
