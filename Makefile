@@ -8,6 +8,8 @@ BIN := .venv/bin
 VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
 CONSTRAINTS := .ci/constraints.txt
+# Clients that tests fly simulated vehicles with; what else they ask for draws maps or pins versions.
+PEERS := mavproxy cflib pyusb libusb-package importlib-resources
 
 .PHONY: help demo test setup firmware lint format typecheck typing-view test-native onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly docs schemas clean
 
@@ -27,7 +29,7 @@ setup: .venv/.installed ## make the environment in .venv/
 	"$$(.ci/find-python)" -m venv .venv
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
 	$(BIN)/pip install -q -c $(CONSTRAINTS) --group dev
-	$(BIN)/pip install -q -c $(CONSTRAINTS) --no-deps mavproxy  # the rest of it draws maps
+	$(BIN)/pip install -q -c $(CONSTRAINTS) --no-deps $(PEERS)
 	touch $@
 
 .venv/.installed: .venv/.dependencies $(NATIVE) native/python/alula/__init__.py
@@ -88,7 +90,7 @@ test-wheel: wheel ## run the tests against the built wheel in an environment of 
 	$$($(BIN)/python -c 'import sys; print(sys._base_executable)') -m venv --clear build/wheel-venv
 	build/wheel-venv/bin/pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
 	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) dist/*.whl --group dev
-	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) --no-deps mavproxy
+	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) --no-deps $(PEERS)
 	build/wheel-venv/bin/pytest tests
 
 examples: demo ## run every example

@@ -6,11 +6,17 @@ import math
 import sys
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from alula.cli import options
 from alula.schemas.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    from alula.stages.flight.autopilot.endpoint import Flown
+
+_CRTP = "udp://"
 
 
 @click.command(
@@ -20,13 +26,15 @@ from alula.schemas.errors import InputError, UsageError
 \b
   alula sim-vehicle --link udpout:127.0.0.1:14550
   alula sim-vehicle --link tcpin:127.0.0.1:5760 --boot-time 5 --param GUID_OPTIONS=8
+  alula sim-vehicle --link udp://127.0.0.1:19850 --vehicle crazyflie21.toml
   alula sim-vehicle --link udpin:127.0.0.1:14551 --fault drop:since=airborne,start=5,duration=2""",
 )
 @click.option(
     "--link",
     required=True,
     metavar="KIND:HOST:PORT",
-    help="udpout: talk to HOST:PORT, as ArduPilot's simulation does; udpin, tcpin: wait there.",
+    help="udpout: talk to HOST:PORT, as ArduPilot's simulation does; udpin, tcpin: wait there; "
+    "udp://HOST:PORT: be a Crazyflie there.",
 )
 @click.option("--vehicle", "vehicle_path", type=options.PATH, help="Vehicle file; FastBridge's without one.")
 @click.option(
@@ -67,9 +75,9 @@ from alula.schemas.errors import InputError, UsageError
 @click.option(
     "--console", is_flag=True, help="Be the port that takes unsigned packets even with --signing-key."
 )
-@click.option("--seed", type=options.Whole(0), default=0, show_default=True, help="Of noise and faults.")
 @click.option("--duration", "duration_s", type=options.FINITE_FLOAT, help="End after that long [s].")
 @click.option("--allow-remote", is_flag=True, help="Allow a link beyond this machine.")
+@click.option("--seed", type=options.Whole(0), default=0, show_default=True, help="Of noise and faults.")
 @options.reporting
 def command(
     link: str,
@@ -92,32 +100,50 @@ def command(
     import json as json_module
     import time
 
-    from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
-    from alula.stages.flight.autopilot.copter import Copter
     from alula.stages.flight.autopilot.endpoint import open_endpoint, open_mocap, serve
-    from alula.stages.flight.autopilot.estimator import EstimatorOptions
-    from alula.stages.flight.autopilot.faults import parse_fault
-    from alula.stages.flight.autopilot.simulator import SimulatedVehicle
 
     if not 0 < boot_time_s <= 3600:
         raise UsageError("--boot-time must be in 0..3600 s")
     if duration_s is not None and duration_s <= 0:
         raise UsageError("--duration must be positive")
-    copter = Copter(
-        FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path),
-        parameters=dict(_parameter(text) for text in parameters),
-        options=EstimatorOptions(boot_time_s=boot_time_s),
-        heading_rad=math.radians(heading_deg),
-        seed=seed,
-    )
-    vehicle = SimulatedVehicle(
-        copter,
-        faults=tuple(parse_fault(text) for text in faults),
-        seed=seed,
-        channel=0 if console or signing_key is None else 1,
-        key=None if signing_key is None else _key(signing_key),
-        epoch_s=time.time(),
-    )
+    values = dict(_parameter(text) for text in parameters)
+    vehicle: Flown
+    if link.startswith(_CRTP):
+        if faults or signing_key is not None or console:
+            raise UsageError("a simulated Crazyflie has no --fault, --signing-key or --console")
+        name, vehicle = _crazyflie(
+            vehicle_path,
+            values,
+            yaw_rad=-math.radians(heading_deg),
+            poses=mocap_address is not None,
+            seed=seed,
+        )
+        link = f"udpin:{link.removeprefix(_CRTP)}"
+    else:
+        from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
+        from alula.stages.flight.autopilot.copter import Copter
+        from alula.stages.flight.autopilot.estimator import EstimatorOptions
+        from alula.stages.flight.autopilot.faults import parse_fault
+        from alula.stages.flight.autopilot.simulator import SimulatedVehicle
+
+        copter = Copter(
+            FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path),
+            parameters=values,
+            options=EstimatorOptions(boot_time_s=boot_time_s),
+            heading_rad=math.radians(heading_deg),
+            seed=seed,
+        )
+        name, vehicle = (
+            copter.name,
+            SimulatedVehicle(
+                copter,
+                faults=tuple(parse_fault(text) for text in faults),
+                seed=seed,
+                channel=0 if console or signing_key is None else 1,
+                key=None if signing_key is None else _key(signing_key),
+                epoch_s=time.time(),
+            ),
+        )
     with ExitStack() as opened:
         endpoint = open_endpoint(link, allow_remote=allow_remote)
         opened.callback(endpoint.close)
@@ -125,14 +151,31 @@ def command(
         if mocap is not None:
             opened.callback(mocap.close)
         if json:
-            ready = {"link": endpoint.name, "vehicle": copter.name, "boot_time_s": boot_time_s, "seed": seed}
+            ready = {"link": endpoint.name, "vehicle": name, "boot_time_s": boot_time_s, "seed": seed}
             click.echo(json_module.dumps(ready))
         elif not quiet:
-            click.echo(f"{copter.name} is on {endpoint.name}")
+            click.echo(f"{name} is on {endpoint.name}")
         sys.stdout.flush()
         lost_s = serve(vehicle, endpoint, mocap=mocap, duration_s=duration_s)
         if lost_s and not quiet:
             click.echo(f"alula: the machine was too busy for {lost_s:.1f} s of the simulation", err=True)
+
+
+def _crazyflie(
+    vehicle_path: Path | None, values: dict[str, float], *, yaw_rad: float, poses: bool, seed: int
+) -> tuple[str, Flown]:
+    from alula.schemas.vehicle import read_vehicle
+    from alula.stages.flight.autopilot.crazyflie import CrazyflieOptions, SimulatedCrazyflie
+
+    if vehicle_path is None:
+        raise UsageError("a simulated Crazyflie needs --vehicle: examples/vehicles/crazyflie21.toml is one")
+    vehicle = read_vehicle(vehicle_path)
+    has_app = any(name.startswith("alula.") for name in values)
+    found = SimulatedCrazyflie(
+        vehicle, CrazyflieOptions(yaw_rad=yaw_rad, needs_poses=poses, has_app=has_app, seed=seed)
+    )
+    found.set_parameters(values)
+    return f"{vehicle.name}, a simulated Crazyflie,", found
 
 
 def _parameter(text: str) -> tuple[str, float]:

@@ -2,7 +2,7 @@
 
 Ours: the world z up, the body x forward, y left, z up. An autopilot's (MAVLink): its local frame x north,
 y east, z down, from its own origin; the body x forward, y right, z down. East-north-up with the same origin
-lies between.
+lies between, and is the local frame of a Crazyflie.
 """
 
 from __future__ import annotations
@@ -66,6 +66,30 @@ class LocalFrame:
         enu = multiply_quat_wxyz(multiply_quat_wxyz(_NED_FROM_ENU, quat_wxyz), _FLU_FROM_FRD)
         return _canonical(multiply_quat_wxyz(self._yaw(-1.0), enu))
 
+    def position_to_local(self, position: NDArray[Any]) -> FloatArray:
+        """World positions, shape (..., 3) [m], in a local frame with x east, y north, z up: a Crazyflie's."""
+        return self._turned(position, self.yaw_rad) + self.origin_enu_m
+
+    def position_from_local(self, position: NDArray[Any]) -> FloatArray:
+        """Positions of such a frame, shape (..., 3) [m], in the world."""
+        return self._turned(np.asarray(position, np.float64) - self.origin_enu_m, -self.yaw_rad)
+
+    def vector_to_local(self, vector: NDArray[Any]) -> FloatArray:
+        """World velocities and accelerations, shape (..., 3), along the axes of such a frame."""
+        return self._turned(vector, self.yaw_rad)
+
+    def vector_from_local(self, vector: NDArray[Any]) -> FloatArray:
+        """Velocities and accelerations along the axes of such a frame, shape (..., 3), in the world."""
+        return self._turned(vector, -self.yaw_rad)
+
+    def attitude_to_local(self, quat_wxyz: NDArray[Any]) -> FloatArray:
+        """Attitudes world from FLU, shape (..., 4), as such a frame from FLU, with w >= 0."""
+        return _canonical(multiply_quat_wxyz(self._yaw(1.0), quat_wxyz))
+
+    def attitude_from_local(self, quat_wxyz: NDArray[Any]) -> FloatArray:
+        """Attitudes of such a frame from FLU, shape (..., 4), as world from FLU, with w >= 0."""
+        return _canonical(multiply_quat_wxyz(self._yaw(-1.0), quat_wxyz))
+
     def yaw_to_ned(self, yaw_rad: float) -> float:
         """The heading of a yaw in the world, clockwise from north, in (-pi, pi] [rad]."""
         return math.pi - (math.pi / 2 + yaw_rad + self.yaw_rad) % (2 * math.pi)
@@ -76,9 +100,13 @@ class LocalFrame:
 
     @staticmethod
     def _turned(vector: NDArray[Any], angle: float) -> FloatArray:
-        x, y, z = np.moveaxis(np.asarray(vector, np.float64), -1, 0)
+        given = np.asarray(vector, np.float64)
+        x, y = given[..., 0], given[..., 1]
         cos, sin = math.cos(angle), math.sin(angle)
-        return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
+        turned = given.copy()
+        turned[..., 0] = cos * x - sin * y
+        turned[..., 1] = sin * x + cos * y
+        return turned
 
 
 def _swapped(vector: NDArray[Any]) -> FloatArray:

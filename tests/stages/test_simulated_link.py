@@ -114,7 +114,18 @@ def test_other_packages_provide_links(monkeypatch):
     point = EntryPoint("pigeon", "collections:OrderedDict", registry.ENTRY_POINTS)
     broken = EntryPoint("owl", "no_such_module:make", registry.ENTRY_POINTS)
     monkeypatch.setattr(registry, "entry_points", lambda group: [point, broken])
-    assert link_schemes() == ["udpin", "udpout", "tcp", "serial", "sim", "owl", "pigeon"]
+    assert link_schemes() == [
+        "udpin",
+        "udpout",
+        "tcp",
+        "serial",
+        "sim",
+        "radio",
+        "usb",
+        "udp",
+        "owl",
+        "pigeon",
+    ]
     with pytest.raises(UsageError, match="cannot be loaded"):
         open_link("owl:", LinkOptions(allow_remote=True))
     with pytest.raises(TypeError):  # it was called, with an address and options

@@ -4,6 +4,8 @@ udpin:127.0.0.1:14550             wait there for a vehicle
 udpout:127.0.0.1:14540            speak to it first
 tcp:127.0.0.1:5760
 serial:/dev/ttyACM0:921600
+radio://0/80/2M/E7E7E7E7E7        a Crazyflie
+udp://127.0.0.1:19850             a simulated one
 sim:?delay_ms=20
 """
 

@@ -20,6 +20,7 @@ _MAVLINK = f"{_LINKS}.mavlink:make_link"
 _BUILT_IN = {
     **dict.fromkeys(("udpin", "udpout", "tcp", "serial"), _MAVLINK),
     "sim": f"{_LINKS}.simulated:make_link",
+    **dict.fromkeys(("radio", "usb", "udp"), f"{_LINKS}.crazyflie:make_link"),
 }
 
 
