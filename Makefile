@@ -11,7 +11,7 @@ CONSTRAINTS := .ci/constraints.txt
 # Clients that tests fly simulated vehicles with; what else they ask for draws maps or pins versions.
 PEERS := mavproxy cflib pyusb libusb-package importlib-resources
 
-.PHONY: help demo test setup firmware lint format typecheck typing-view test-native onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment docs schemas clean
+.PHONY: help demo test setup firmware lint format typecheck typing-view test-native onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -120,6 +120,9 @@ bench-betaflight: setup firmware ## fly the geofence through Betaflight's firmwa
 
 bench-alignment: setup ## how often the intervals of scale-align hold, some minutes
 	$(BIN)/python -P benchmarks/alignment.py
+
+bench-fly: setup ## fly the simulated autopilot in real time, some minutes, into docs/benchmarks-fly.md
+	$(BIN)/python -P benchmarks/fly.py --markdown docs/benchmarks-fly.md
 
 docs: setup ## regenerate the command reference
 	$(BIN)/python -P -m alula.cli.reference docs/commands.md

@@ -73,6 +73,14 @@ Examples:
     metavar="NAME=VALUE",
     help="Parameter of a filter among ellipsoids; may be repeated.",
 )
+@click.option(
+    "--live",
+    type=options.Whole(1, 65535),
+    is_flag=False,
+    flag_value=8080,
+    metavar="[PORT]",
+    help="Show the flight in a browser, on this port of this machine only (8080); needs alula[live].",
+)
 @options.from_config(FlyConfig)
 @options.output(".run.mcap")
 @click.pass_context
@@ -89,6 +97,7 @@ def command(
     yaw: float,
     origin: tuple[float, float, float],
     settings: tuple[str, ...],
+    live: int | None,
     config: FlyConfig,
     common: options.Common,
 ) -> None:
@@ -117,7 +126,10 @@ def command(
     from alula.stages.flight.frames import LocalFrame
     from alula.stages.flight.links.open_link import open_link
     from alula.stages.flight.links.options import LinkOptions
+    from alula.stages.flight.live_view import require_viser
 
+    if live is not None:
+        require_viser()
     if not common.output.name.endswith(".mcap"):
         raise UsageError(f"{common.output}: the output must end in .mcap (usually {RUN_SUFFIX})")
     paths, scenario = _inputs(source, map_path, scene_path, vehicle_path)
@@ -161,7 +173,7 @@ def command(
     provenance = Provenance.now(
         RUN_SCHEMA, RUN_VERSION, parameters, None, [input_ref(role, path) for role, path in paths.items()]
     )
-    fly(mission, link, provenance, common)
+    fly(mission, link, provenance, common, live)
 
 
 def _inputs(

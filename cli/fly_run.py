@@ -19,16 +19,20 @@ if TYPE_CHECKING:
     from alula.schemas.provenance import Provenance
     from alula.schemas.run import RunRecord
     from alula.stages.flight.control_loop import ControlLoop
-    from alula.stages.flight.flight_log import FlightRecorder
+    from alula.stages.flight.flight_log import FlightHead, FlightRecorder
+    from alula.stages.flight.flight_pipe import FlightPipe
     from alula.stages.flight.fly import Mission
     from alula.stages.flight.links.protocol import Link
 
 _OPEN_S = 15.0  # for the vehicle to be heard
+_CLOSE_S = 2.0  # for the view to end
 _SHOWN = ("rate_hz", "ticks", "tick_p99_s", "lateness_p99_s", "overruns", "dropped_samples")
 
 
-def fly(mission: Mission, link: Link, provenance: Provenance, common: Common) -> None:
-    """Fly a mission over a link.
+def fly(
+    mission: Mission, link: Link, provenance: Provenance, common: Common, live: int | None = None
+) -> None:
+    """Fly a mission over a link, in a browser at the port `live`, too, if there is one.
 
     Raises:
         CheckError, LinkError, KeyboardInterrupt: how it ended, unless well.
@@ -66,7 +70,14 @@ def fly(mission: Mission, link: Link, provenance: Provenance, common: Common) ->
     )
     if common.force and not common.dry_run:
         common.output.unlink(missing_ok=True)
-    recorder = FlightRecorder(None if common.dry_run else common.output, head, echo=not common.quiet)
+    view = None if live is None else _open_view(live, mission, head, common)
+    recorder = FlightRecorder(
+        None if common.dry_run else common.output,
+        head,
+        echo=not common.quiet,
+        view=view,
+        rate_hz=mission.config.rate_hz,
+    )
     # From here on the vehicle hears us, and everything that takes long is behind us.
     try:
         with _signals(_stop):
@@ -107,7 +118,28 @@ def fly(mission: Mission, link: Link, provenance: Provenance, common: Common) ->
         if len(recorder.rows) == 0 and not common.dry_run:
             common.output.unlink(missing_ok=True)
         raise
+    finally:
+        if view is not None:
+            view.close(_CLOSE_S)
     _conclude(mission, loop, checks.is_of_link, checks.failure(), common)
+
+
+def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) -> FlightPipe:
+    """The view in a browser, of what the log's head holds and the plan."""
+    from alula.stages.flight.live_view import ViewHead, open_view
+
+    facts = ViewHead(
+        name=head.name,
+        filter=head.filter,
+        vehicle=head.vehicle,
+        radius_m=mission.vehicle.body.radius_m,
+        map_message=head.map_message,
+        plan=_points(mission).tolist(),
+    )
+    view, address = open_view(port, facts)
+    if not common.quiet:
+        click.echo(f"live view: {address}", err=True)
+    return view
 
 
 def _points(mission: Mission) -> Any:
@@ -189,6 +221,8 @@ def _finish(
     if not recorder.finish(record):
         summary = summary | {"notes": ["the log is not complete: its writer failed"]}
     timing = timing_of(loop.counters, recorder.dropped, mission.config.rate_hz)
+    if recorder.is_viewed:
+        timing |= {"unseen_samples": recorder.unseen}
     machine = {"cpu_count": os.cpu_count(), "machine": platform.machine(), "system": platform.system()}
     _write_record(record_path(common.output), msgspec.structs.replace(record, timing=machine | timing))
     show(common, "written", summary | {key: timing[key] for key in _SHOWN if key in timing})

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import select
 import signal
-import struct
-import subprocess
 import sys
 import time
 from array import array
@@ -31,20 +27,19 @@ from alula.stages.flight.flight_messages import (
     step_message,
     tick_message,
 )
+from alula.stages.flight.flight_pipe import FlightPipe, next_message
 from alula.stages.flight.flight_samples import TickSample
 from alula.stages.flight.log_writer import LogWriter, path_message
 from alula.stages.flight.supervisor import State, Taken
 
 FloatArray = NDArray[np.float64]
 
-_LENGTH = struct.Struct("<I")
-_ATOMIC = 4096  # PIPE_BUF on Linux: what is written at once is whole or not at all
-_PIPE_BYTES = 2**20
 _CHUNK_BYTES = 2**14  # some ticks: what a crash may cost
 _SYNC_S = 1.0  # what a power cut may cost
 _HEAD_S = 60.0  # for the writer to begin
 _WORDS = 1000  # characters of a line, at most
 _COLUMNS = 13
+_VIEW_HZ = 25.0  # samples for a view
 _PATH_POINTS = 2000
 
 
@@ -61,7 +56,9 @@ class FlightHead(msgspec.Struct, frozen=True, kw_only=True):
     map_message: dict[str, Any]
 
 
-class _Step(msgspec.Struct, array_like=True):
+class StepSample(msgspec.Struct, array_like=True):
+    """A step of the supervisor."""
+
     time_s: float
     state: str
     event: str
@@ -69,7 +66,9 @@ class _Step(msgspec.Struct, array_like=True):
     words: str
 
 
-class _Line(msgspec.Struct, array_like=True):
+class LineSample(msgspec.Struct, array_like=True):
+    """A line for people."""
+
     time_s: float
     level: int
     words: str
@@ -86,43 +85,50 @@ class FlightRecorder:
         path: the log; it must not exist. None keeps no log, and only says lines.
         head: what is known before the flight.
         echo: the writer also says lines of the flight on its standard error.
+        view: a process that also gets lines, steps and some 25 ticks a second, if it has room for them;
+            what it has not is counted as `unseen`.
+        rate_hz: of ticks.
 
     Raises:
         OutputError: the log cannot be made.
     """
 
-    def __init__(self, path: Path | None, head: FlightHead, *, echo: bool = True) -> None:
+    def __init__(
+        self,
+        path: Path | None,
+        head: FlightHead,
+        *,
+        echo: bool = True,
+        view: FlightPipe | None = None,
+        rate_hz: float = 100.0,
+    ) -> None:
         try:
             where, how = (os.devnull, 0) if path is None else (path, os.O_CREAT | os.O_EXCL)
             file = os.open(where, os.O_WRONLY | how, 0o644)
         except OSError as error:
             raise OutputError(f"{path}: cannot write: {error.strerror}") from error
         code = "from alula.stages.flight.flight_log import main; main()"
-        self._process = subprocess.Popen(  # in a session of its own: Ctrl-C is not for it
-            [sys.executable, "-P", "-c", code, str(file), str(int(echo))],
-            stdin=subprocess.PIPE,
-            pass_fds=(file,),
-            start_new_session=True,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
-        )
+        self._pipe = FlightPipe(code, (str(file), str(int(echo))), files=(file,))
         os.close(file)
-        assert self._process.stdin is not None
-        self._pipe = self._process.stdin.fileno()
-        fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         self._encode = msgspec.msgpack.Encoder().encode
-        os.set_blocking(self._pipe, False)
+        self._view, self._view_every, self._ticks = view, max(1, round(rate_hz / _VIEW_HZ)), 0
         try:
-            self._put_whole(b"h" + self._encode(head), _HEAD_S)
+            self._pipe.put(b"h" + self._encode(head), _HEAD_S)
         except OSError as error:
             self.finish(None)
             raise OutputError(f"{path}: the process that writes the log does not run") from error
-        self.dropped = 0
+        self.dropped = self.unseen = 0
         self._rows = array("d")
 
     @property
     def pid(self) -> int:
         """Of the writer."""
-        return self._process.pid
+        return self._pipe.process.pid
+
+    @property
+    def is_viewed(self) -> bool:
+        """Whether there is a view."""
+        return self._view is not None
 
     @property
     def rows(self) -> FloatArray:
@@ -133,7 +139,8 @@ class FlightRecorder:
 
     def tick(self, sample: TickSample) -> None:
         """See `Recorder`."""
-        self._put(b"t", sample)
+        self._ticks += 1
+        self._put(b"t", sample, is_seen=self._ticks % self._view_every == 0)
         if sample.position is None or sample.velocity is None:
             return
         done = sample.filter
@@ -150,45 +157,32 @@ class FlightRecorder:
         """See `Recorder`."""
         step = taken.step
         self._put(
-            b"s", _Step(time_s, step.state.value, taken.event.value, step.action.value, step.words[:_WORDS])
+            b"s",
+            StepSample(time_s, step.state.value, taken.event.value, step.action.value, step.words[:_WORDS]),
         )
 
     def say(self, time_s: float, level: int, words: str) -> None:
         """See `Recorder`."""
-        self._put(b"l", _Line(time_s, level, words[:_WORDS]))
+        self._put(b"l", LineSample(time_s, level, words[:_WORDS]))
 
     def finish(self, record: RunRecord | None, timeout_s: float = 30.0) -> bool:
         """Let the writer end the log, with the record if there is one; whether it did."""
-        assert self._process.stdin is not None
         try:
             if record is not None:
-                self._put_whole(b"f" + self._encode(record), timeout_s)
-            self._process.stdin.close()
-            return self._process.wait(timeout_s) == 0
-        except (OSError, subprocess.TimeoutExpired):
-            self._process.kill()
-            self._process.wait()
-            with suppress(OSError):
-                self._process.stdin.close()
-            return False
+                self._pipe.put(b"f" + self._encode(record), timeout_s)
+        except OSError:
+            self._pipe.process.kill()
+        return self._pipe.close(timeout_s)
 
-    def _put(self, kind: bytes, what: Any) -> None:
+    def _put(self, kind: bytes, what: Any, *, is_seen: bool = True) -> None:
         try:
             message = kind + self._encode(what)
-            frame = _LENGTH.pack(len(message)) + message
-            if len(frame) > _ATOMIC:
-                raise BlockingIOError
-            os.write(self._pipe, frame)
-        except (OSError, TypeError, ValueError):  # full, nobody reads any more, or no number of ours
+        except (TypeError, ValueError):  # no number of ours
             self.dropped += 1
-
-    def _put_whole(self, message: bytes, timeout_s: float) -> None:
-        """However long it is; a writer that takes nothing for so long is given up (OSError)."""
-        frame = memoryview(_LENGTH.pack(len(message)) + message)
-        while frame:
-            if not select.select([], [self._pipe], [], timeout_s)[1]:
-                raise TimeoutError("the writer takes nothing")
-            frame = frame[os.write(self._pipe, frame[:_ATOMIC]) :]
+            return
+        self.dropped += not self._pipe.offer(message)
+        if is_seen and self._view is not None:
+            self.unseen += not self._view.offer(message)
 
 
 class _Writer:
@@ -214,11 +208,11 @@ class _Writer:
         if kind == b"t":
             self._tick(msgspec.msgpack.decode(body, type=TickSample))
         elif kind == b"s":
-            step = msgspec.msgpack.decode(body, type=_Step)
+            step = msgspec.msgpack.decode(body, type=StepSample)
             fields = step_message(step.time_s, step.state, step.event, step.action)
             self.log.send("/supervisor", step.time_s, fields)
         elif kind == b"l":
-            line = msgspec.msgpack.decode(body, type=_Line)
+            line = msgspec.msgpack.decode(body, type=LineSample)
             self.log.send("/log", line.time_s, log_line(line.time_s, line.level, line.words))
             if self.echo:
                 self._say(f"{line.time_s:7.2f} s  {line.words}\n")
@@ -278,8 +272,7 @@ def _write() -> None:
     synced = time.monotonic()
     with os.fdopen(file, "wb") as stream:
         while True:
-            raw = source.read(_LENGTH.size)
-            body = source.read(_LENGTH.unpack(raw)[0]) if len(raw) == _LENGTH.size else b""
+            body = next_message(source)
             if not body:
                 if writer is not None:
                     writer.log.close()
