@@ -56,7 +56,7 @@ typedef struct {
   uint32_t count, last; /* listed; the last that decided */
   float thickness;      /* planes down to psi_h less this are tried to be kept */
   alula_listed_hull listed[ALULA_LISTED_HULLS];
-  alula_kept_planes kept[ALULA_NEAR_KEPT];
+  alula_kept_planes kept[ALULA_NEAR_KEPT], tried; /* while a hull is looked at */
   alula_far_plane far[ALULA_NEAR_FAR];
   float wide; /* hulls up to so much farther than the nearest are tried to be listed [m] */
 } alula_map_near;

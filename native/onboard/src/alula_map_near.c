@@ -65,9 +65,9 @@ static uint32_t drop(alula_kept_planes* kept, float* value, uint32_t count, floa
 
 /* Decode a hull's planes up to the one that shows it to be beyond, and keep those that decide around x. `psi` is the
  * box's value, of `face`. */
-static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, float psi, int face,
-                        alula_kept_planes* kept, query* q) {
+static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, float psi, int face, query* q) {
   const alula_map* map = near->map;
+  alula_kept_planes* const kept = &near->tried;
   alula_map_hull record;
   if (alula_map_read(map, hull->record, &record) != ALULA_MAP_READY) {
     q->status = ALULA_MAP_MALFORMED; /* it was whole when it was opened */
@@ -76,7 +76,6 @@ static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, flo
   float value[ALULA_NEAR_PLANES], row[4], deciding[3] = {0.0F, 0.0F, 0.0F}, thickness = near->thickness;
   uint32_t count = 0U;
   int is_face = 1;
-  kept->hull = ALULA_MAP_NO_HULL; /* until all are seen */
   kept->last = 0U;
   kept->reach_square = -1.0F;
   const uint8_t* stored = record.planes;
@@ -116,6 +115,7 @@ static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, flo
   near->thickness = next < THIN ? THIN : (next < THICK ? next : THICK);
   const float reach = 0.5F * SHRUNK * (thickness - q->slack);
   if (reach > 0.0F) kept->reach_square = reach * reach;
+  near->kept[hull->hull % ALULA_NEAR_KEPT] = *kept;
   accept(q, hull->hull, psi, face, is_face ? 0 : deciding);
 }
 
@@ -151,7 +151,7 @@ static void consider(alula_map_near* near, const alula_listed_hull* hull, query*
       return;
     }
   }
-  look_at_all(near, hull, box, face, kept, q);
+  look_at_all(near, hull, box, face, q);
 }
 
 static walk begin(const alula_map* map) {
@@ -269,10 +269,9 @@ static void refine(const alula_map* map, alula_listed_hull* hull, float limit, q
 }
 
 /* Of the list, what may be within the limit. */
-static void drop_listed(alula_map_near* near, float limit, query* q) {
+static void drop_listed(alula_map_near* near, float limit) {
   uint32_t left = 0U;
   for (uint32_t k = 0; k < near->count; ++k) {
-    refine(near->map, &near->listed[k], limit, q);
     if (!(near->listed[k].bound > limit)) near->listed[left++] = near->listed[k];
   }
   near->count = left;
@@ -290,14 +289,16 @@ static void gather(alula_map_near* near, query* q) {
   alula_listed_hull hull;
   walk w = begin(map);
   while (next_hull(map, &w, q, limit, &hull)) {
-    if (near->count == ALULA_LISTED_HULLS) {
-      drop_listed(near, limit, q);
-      refine(map, &hull, limit, q);
-    }
     while (near->count == ALULA_LISTED_HULLS && wide > NARROW) {
+      if (wide < WIDE) {
+        for (uint32_t k = 0; k < near->count; ++k) refine(map, &near->listed[k], limit, q);
+        refine(map, &hull, limit, q);
+        drop_listed(near, limit);
+        if (near->count < ALULA_LISTED_HULLS) break;
+      }
       wide *= 0.5F;
       limit = base + wide;
-      drop_listed(near, limit, q);
+      drop_listed(near, limit);
     }
     if (hull.bound > limit) continue;
     if (near->count < ALULA_LISTED_HULLS) {
