@@ -6,6 +6,8 @@
  * of the place where all were looked at: at least psi_h - 2 reach there. All comparisons leave room for four times
  * the margin of alula_map_evaluate, of which the rounding of a value is less than half.
  *
+ * A hull that is not the nearest is passed by for the plane that showed it to be farther the last time.
+ *
  * So what is found does not depend on what is remembered. Without an index, or far from the last position, a call
  * takes as long as a search does.
  */
