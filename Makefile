@@ -70,6 +70,7 @@ test-native: setup ## build the native tests with sanitizers and run them, and f
 onboard: setup ## run the filters on emulated microcontrollers: the host's bits, instructions, sizes, stacks
 	.ci/system-packages --onboard
 	$(BIN)/python -P benchmarks/onboard.py
+	$(BIN)/python -P benchmarks/glue.py
 
 fuzz: setup ## mutated splat files against every reader, and the onboard code, for FUZZ_SECONDS=600 each
 	$(BIN)/python -P tests/fuzz_splats.py --seconds $(or $(FUZZ_SECONDS),600) --keep build/fuzz

@@ -22,7 +22,7 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 SOURCES = HERE.parent / "native/onboard/fuzz"
-TARGETS = ("map", "polytope", "dr_acbf", "geofence")
+TARGETS = ("map", "polytope", "dr_acbf", "geofence", "links")
 EMPTY = "int LLVMFuzzerTestOneInput(const unsigned char *d, unsigned long n) { return !d && n; }"
 LONGEST = 16_000  # bytes of an input
 

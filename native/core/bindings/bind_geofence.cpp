@@ -374,7 +374,8 @@ void bind_flight(nb::module_& m) {
       "spec"_a, "filter"_a, nb::kw_only(), "seed"_a = 0, "first"_a = 0, "count"_a = 1, "keeps_trace"_a = false,
       "jobs"_a = 0, "progress"_a = nb::none(),
       "Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial, with "
-      "keeps_trace also per tick state (13), pilot and command (4), figure (lambda, h_I, distance, margin, v_c), true "
+      "keeps_trace also per tick state (13), pilot and command (4), figure (lambda, h_I, distance, margin, v_c), "
+      "true "
       "distance and status (number). Only tick_s, the filter's time in each tick, is measured.");
 }
 

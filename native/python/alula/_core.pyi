@@ -189,6 +189,11 @@ class OnboardMap:
     def psi(self, points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], *, jobs: int = 0) -> tuple[NDArray[numpy.float32], NDArray[numpy.uint32], NDArray[numpy.float32]]:
         """psi (N) [m], nearest hull (N) and normal (N, 3) at points (N, 3) [m]."""
 
+    def psi_along(self, points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> tuple[NDArray[numpy.float32], NDArray[numpy.uint32], NDArray[numpy.float32]]:
+        """
+        The same, by what is remembered of the points before: for points close to one another.
+        """
+
 class TrialRules:
     """When a flight ends, and its nominal controller."""
 
@@ -1371,6 +1376,16 @@ class Geofence:
 
     @property
     def hover_throttle(self) -> float: ...
+
+    @property
+    def config_words(self) -> bytes:
+        """The bytes of its alula_geofence_config."""
+
+    @property
+    def fence_words(self) -> bytes:
+        """
+        Of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).
+        """
 
     @property
     def parameters(self) -> dict[str, float]:

@@ -84,10 +84,10 @@ struct GeofenceSpec {
 };
 
 struct GeofenceTrace {
-  std::vector<double> state;    // (n, 13): p, v, q wxyz, omega, at the beginning of a tick
-  std::vector<double> pilot;    // (n, 4): throttle, rates; NaN when silent
-  std::vector<double> command;  // (n, 4)
-  std::vector<double> figure;   // (n, 5): lambda, h_i, distance, margin, v_towards
+  std::vector<double> state;     // (n, 13): p, v, q wxyz, omega, at the beginning of a tick
+  std::vector<double> pilot;     // (n, 4): throttle, rates; NaN when silent
+  std::vector<double> command;   // (n, 4)
+  std::vector<double> figure;    // (n, 5): lambda, h_i, distance, margin, v_towards
   std::vector<double> distance;  // (n): the true one over the last step of the plant, less the radius
   std::vector<std::uint8_t> status;
 };
@@ -101,13 +101,13 @@ struct GeofenceLog {
                                                                        // slower than 0.5 m/s
   double brake_distance_m = std::numeric_limits<double>::quiet_NaN();  // distance when first lambda < 1/2
   std::int64_t ticks = 0, passed = 0, blended = 0, backup = 0, no_pilot = 0, hand_over = 0, refused = 0;
-  std::int64_t interventions = 0;   // times lambda fell below 1/2, after having been above 9/10
-  std::int64_t altered_passes = 0;  // commands of PASSED that are not the pilot's bits: 0
-  std::int64_t out_of_range = 0;    // commands outside the model's limits, or lambda outside [0, 1]: 0
-  double longest_backup_s = 0;      // of u_B alone
-  double path_length_m = 0;         // over the steps of the plant
+  std::int64_t interventions = 0;                // times lambda fell below 1/2, after having been above 9/10
+  std::int64_t altered_passes = 0;               // commands of PASSED that are not the pilot's bits: 0
+  std::int64_t out_of_range = 0;                 // commands outside the model's limits, or lambda outside [0, 1]: 0
+  double longest_backup_s = 0;                   // of u_B alone
+  double path_length_m = 0;                      // over the steps of the plant
   double mean_jerk_m_s3 = 0, max_jerk_m_s3 = 0;  // second difference of the velocity over ticks
-  std::vector<float> tick_s;        // of the filter in each tick: measured, so no function of (seed, trial)
+  std::vector<float> tick_s;  // of the filter in each tick: measured, so no function of (seed, trial)
   RacerState start, end;
   GeofenceTrace trace;
 };

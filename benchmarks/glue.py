@@ -1,0 +1,297 @@
+"""The firmware glue, compiled for its boards as far as that goes without their firmware, and measured.
+
+The Crazyflie's app and the Teensy's sketch (native/onboard/targets) are compiled with the cross-compiler, all
+warnings as errors, against declarations that stand for the firmware's headers (their folders `check`). Maps
+of 150 and 1,000 hulls go in as `alula export --target crazyflie` writes them. Of the objects, flash, RAM and
+the deepest stack are held to what the Crazyflie's firmware leaves; what they need from outside must be
+functions of the firmware or of a C library; and no instruction may be a fused product and sum. The Teensy's
+loop flies on an emulated Cortex-M7 and on the host: every frame must be the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.sort(key=sys.path[-1].__eq__)  # last: newer standard libraries have a package `compression`
+
+import numpy as np
+from emulated import CORES, missing_tools, stack_bound
+from emulated import FIRMWARE as FIRMWARE_OF_EMULATOR
+from numpy.typing import NDArray
+from onboard import FIELDS, field
+
+from alula.schemas.provenance import Provenance
+from alula.schemas.targets import TARGETS
+from alula.stages.compression.onboard import encode_map, image_c_header
+
+ROOT = Path(__file__).resolve().parents[1]
+BOARDS = ROOT / "native/onboard/targets"
+INCLUDE = ROOT / "native/onboard/include"
+WARNINGS = ["-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Wvla", "-Werror"]
+COMMON = ["-mthumb", "-mfloat-abi=hard", "-ffunction-sections", "-fdata-sections", "-fcallgraph-info=su"]
+EXACT = ["-ffp-contract=off", "-fno-math-errno"]
+CRAZYFLIE = [*COMMON, *["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-std=gnu11", "-Os"], *EXACT, *WARNINGS]
+TEENSY = [*COMMON, *["-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-O2", "-ffreestanding"], *EXACT, *WARNINGS]
+APP_STACK_BYTES = 4 * 350  # CONFIG_APP_STACKSIZE counts words
+TICK_S = 0.5e-3  # a fifth of the shortest period of the Teensy's loop
+CONTEXT_BYTES = 4 * (9 + 16 + 26)  # that FreeRTOS keeps of a task which uses floats, on its stack
+FIRMWARE = {
+    "check_print",  # stands for what DEBUG_PRINT calls
+    *("controllerPid", "controllerPidInit", "controllerPidTest"),
+    *("logGetFloat", "logGetVarId", "usecTimestamp", "vTaskDelay"),
+}
+SKETCH = {
+    *("Serial", "Serial1", "Serial2", "Serial3", "micros()"),
+    *("WDOG1_WCR", "WDOG1_WMCR", "WDOG1_WSR"),
+    *("HardwareSerial::", "usb_serial_class::"),
+}
+LIBRARY = {"memcpy", "memset", "memmove", "__aeabi_"}
+
+
+def run(words: Sequence[str | Path]) -> str:
+    """A tool's output.
+
+    Raises:
+        RuntimeError: it failed; with what it says.
+    """
+    done = subprocess.run([str(w) for w in words], capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise RuntimeError(f"{words[0]}: {done.stderr}{done.stdout}")
+    return done.stdout
+
+
+def map_header(folder: Path, hulls: int) -> int:
+    """Write `cover_map.h` as the export does; the bytes of the image."""
+    image = encode_map(field(hulls), indexed=True)
+    made_by = Provenance.now("alula/export", "1.0", {"name": "cover_map"}, None, [])
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "cover_map.h").write_bytes(b"".join(image_c_header(image, made_by)))
+    return len(image)
+
+
+def compile_crazyflie(folder: Path, header: Path | None) -> list[Path]:
+    """The app's three objects, with the map of a folder or without any."""
+    board, objects = BOARDS / "crazyflie", []
+    folder.mkdir(parents=True, exist_ok=True)
+    includes = [board / "check/include", INCLUDE, INCLUDE.parent / "src", *([header] if header else [])]
+    for source, name in (
+        ("alula_app", "alula_app"),
+        ("crazyflie_filter", "alula_filter"),
+        ("onboard", "alula_all"),
+    ):
+        target = folder / f"{name}.o"
+        flags = [f"-I{i}" for i in includes]
+        run(["arm-none-eabi-gcc", *CRAZYFLIE, *flags, "-c", board / f"src/{source}.c", "-o", target])
+        objects.append(target)
+    return objects
+
+
+def compile_teensy(folder: Path) -> list[Path]:
+    """The objects of the sketch's folder, made as its Makefile makes it, one file at a time."""
+    sketch = folder / "sketch"
+    run(["make", "-s", "-C", BOARDS / "teensy", "sketch", f"SKETCH={sketch}"])
+    objects = []
+    for source in sorted([*sketch.glob("*.c"), *sketch.glob("*.ino")]):
+        target = folder / f"alula_{source.stem.removeprefix('alula_')}.o"
+        if source.suffix == ".c":
+            words = ["arm-none-eabi-gcc", "-std=gnu11"]
+        else:
+            words = ["arm-none-eabi-g++", "-std=gnu++17", "-fno-exceptions", "-fno-rtti"]
+            words += ["-I", str(BOARDS / "teensy/check/include"), "-include", "Arduino.h", "-x", "c++"]
+        run([*words, *TEENSY, "-c", source, "-o", target])
+        objects.append(target)
+    return objects
+
+
+def sizes(objects: Sequence[Path]) -> dict[str, int]:
+    """Bytes of flash (code, constants, first values) and RAM (variables) of objects together."""
+    rows = run(["arm-none-eabi-size", *objects]).splitlines()[1:]
+    text, data, bss = (sum(int(row.split()[i]) for row in rows) for i in range(3))
+    return {"flash": text + data, "ram": data + bss}
+
+
+def foreign(objects: Sequence[Path], known: set[str]) -> set[str]:
+    """What objects need that neither they, nor a C library, nor `known` have."""
+    names = {"U": set[str](), "T": set[str]()}
+    for line in run(["arm-none-eabi-nm", "-C", *objects]).splitlines():
+        found = re.match(r"(?:[0-9a-f]{8})? +([A-Za-z]) (.+)$", line)
+        if found:
+            names["U" if found[1] == "U" else "T"].add(found[2])
+    allowed = known | LIBRARY
+    return {
+        name
+        for name in names["U"] - names["T"]
+        if name not in allowed and not any(name.startswith(a) for a in allowed if a.endswith(("_", ":")))
+    }
+
+
+def fused(objects: Sequence[Path]) -> int:
+    """Instructions that round a product and a sum once."""
+    code = "\n".join(run(["arm-none-eabi-objdump", "-d", "--no-show-raw-insn", o]) for o in objects)
+    return len(re.findall(r"\tvfn?m[as]\.f", code))
+
+
+LOOP_TICK = np.dtype(
+    [
+        ("frame", "u1", 25),
+        ("status", "u1"),
+        ("zero", "u1", 2),
+        ("position", "<f4", 3),
+        ("counted", "<u4"),
+    ]
+)
+
+
+def fly_loop(folder: Path, core: str) -> NDArray[np.void]:
+    """The Teensy's loop in flight on an emulated Cortex-M7 (`m7`) or the host: its ticks.
+
+    Raises:
+        RuntimeError: it does not compile or does not end as it must.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    board = BOARDS / "teensy"
+    sources = [*sorted((INCLUDE.parent / "src").glob("*.c")), board / "teensy_loop.c"]
+    sources += [
+        board / "check/replay_loop.c",
+        FIRMWARE_OF_EMULATOR / f"port_{'host' if core == 'host' else 'emulated'}.c",
+    ]
+    flags = [
+        "-std=gnu11",
+        "-O2",
+        *EXACT,
+        "-I",
+        str(INCLUDE),
+        "-I",
+        str(board),
+        "-I",
+        str(FIRMWARE_OF_EMULATOR),
+    ]
+    (folder / "inputs.bin").write_bytes(b"")
+    if core == "host":
+        run(["cc", *flags, *sources, "-o", folder / "loop"])
+        words = [str(folder / "loop")]
+    else:
+        sources.append(FIRMWARE_OF_EMULATOR / "startup.c")
+        link = [
+            "-nostartfiles",
+            "-nostdlib",
+            "-L",
+            str(FIRMWARE_OF_EMULATOR),
+            f"-T{core}.ld",
+            "-Wl,--gc-sections",
+        ]
+        target = [*COMMON[:-1], "-mcpu=cortex-m7", "-mfpu=fpv5-sp-d16", "-ffreestanding"]
+        run(
+            ["arm-none-eabi-gcc", *target, *flags, *sources, *link, "-lc", "-lgcc", "-o", folder / "loop.elf"]
+        )
+        words = [
+            "qemu-system-arm",
+            "-M",
+            CORES[core].machine,
+            "-kernel",
+            "loop.elf",
+            "-nographic",
+            "-monitor",
+            "none",
+        ]
+        words += ["-serial", "null", "-icount", "shift=6", "-semihosting-config", "enable=on,target=native"]
+    done = subprocess.run(
+        words, cwd=folder, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
+    )
+    if done.returncode != 0:
+        raise RuntimeError(f"{core}: the loop ended with {done.returncode}: {done.stderr}")
+    return np.frombuffer((folder / "outputs.bin").read_bytes()[:-4], LOOP_TICK)
+
+
+def loop_figures(folder: Path) -> dict[str, Any]:
+    """The loop on the emulated core beside the host: differences, instructions of a tick, how it flew."""
+    host, target = (fly_loop(folder / core, core) for core in ("host", "m7"))
+    same = [
+        (host[name].view("u1") == target[name].view("u1")).all() for name in ("frame", "status", "position")
+    ]
+    most = int(np.ceil(target["counted"].max() / CORES["m7"].ticks_per_instruction))
+    return {
+        "teensy_flight_ticks": len(target),
+        "teensy_flight_differs": int(len(host) != len(target) or not all(same)),
+        "teensy_flight_outcomes": len(np.unique(target["status"])),
+        "teensy_wall_cm": int(np.floor(100 * (40 - target["position"][:, 0].max()))),
+        "m7_teensy_tick_instructions": most,
+    }
+
+
+def measure(folder: Path) -> dict[str, Any]:
+    """All figures of what is compiled into a folder."""
+    found: dict[str, Any] = {}
+    app: list[Path] = []
+    for hulls in FIELDS:
+        found[f"map_{hulls}_bytes"] = map_header(folder / f"map{hulls}", hulls)
+        app = compile_crazyflie(folder / f"app{hulls}", folder / f"map{hulls}")
+        size = sizes(app)
+        found[f"crazyflie_{hulls}_flash_bytes"], found["crazyflie_ram_bytes"] = size["flash"], size["ram"]
+    found["crazyflie_code_bytes"] = found["crazyflie_150_flash_bytes"] - found["map_150_bytes"]
+    found["crazyflie_app_stack_bytes"] = stack_bound(folder, "app150", "appMain") + CONTEXT_BYTES
+    found["crazyflie_loop_stack_bytes"] = stack_bound(folder, "app150", "controllerOutOfTree")
+    sketch = compile_teensy(folder / "teensy")
+    size = sizes(sketch)
+    found["teensy_flash_bytes"], found["teensy_ram_bytes"] = size["flash"], size["ram"]
+    found["teensy_tick_stack_bytes"] = stack_bound(folder, "teensy", "alula_teensy_tick")
+    found |= loop_figures(folder / "loop")
+    found["fused_instructions"] = fused([*app, *sketch])
+    found["unknown_symbols"] = sorted(foreign(app, FIRMWARE) | foreign(sketch, SKETCH))
+    return found
+
+
+def complaints(figures: dict[str, Any]) -> list[str]:
+    """What does not fit its board, or is not as it must be."""
+    crazyflie, teensy = TARGETS["crazyflie"], TARGETS["teensy"]
+    said = [f"{name} is not in the firmware" for name in figures["unknown_symbols"]]
+    if count := figures["fused_instructions"]:
+        said.append(f"{count} instructions round a product and a sum once")
+    most = {f"crazyflie_{hulls}_flash_bytes": crazyflie.flash_bytes for hulls in FIELDS} | {
+        "crazyflie_ram_bytes": crazyflie.ram_bytes - APP_STACK_BYTES,
+        "crazyflie_app_stack_bytes": APP_STACK_BYTES,
+        "teensy_flash_bytes": teensy.flash_bytes,
+        "teensy_ram_bytes": teensy.ram_bytes,
+        "teensy_flight_differs": 0,
+        "m7_teensy_tick_instructions": int(teensy.clock_hz / teensy.cycles_per_instruction * TICK_S),
+    }
+    said += [
+        f"{name} is {figures[name]}, above {limit}" for name, limit in most.items() if figures[name] > limit
+    ]
+    return said
+
+
+def main() -> int:
+    """Print the figures; 1 when something does not hold."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    asked = parser.parse_args()
+    if missing := missing_tools():
+        print(missing, file=sys.stderr)
+        return 1
+    with tempfile.TemporaryDirectory() as folder:
+        found = measure(Path(folder))
+    said = complaints(found)
+    if asked.json:
+        print(json.dumps(found))
+    else:
+        for name, value in found.items():
+            print(f"{name:30} {value:>10,}" if isinstance(value, int) else f"{name:30} {value!s:>10}")
+    for line in said:
+        print(line, file=sys.stderr)
+    return 1 if said else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

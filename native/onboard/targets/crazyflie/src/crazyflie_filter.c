@@ -1,0 +1,235 @@
+#include "crazyflie_filter.h"
+
+#define LARGEST_GAIN 20.0F
+#define LARGEST_SPEED 20.0F
+#define LARGEST_WISH 1.0e6F
+#define FLAT 1.0e-3F /* squared length of the heading's projection below which there is no yaw */
+
+alula_crazyflie_config alula_crazyflie_defaults(void) {
+  alula_crazyflie_config config;
+  config.radius_m = 0.15F;
+  config.beta = 2.0F;
+  config.kappa = 100.0F;
+  config.v_max = 1.0F;
+  config.period_s = 0.01F;
+  config.gain = 2.0F;
+  config.variance = 0.0025F;
+  config.enabled = 1U;
+  config.attitude = 0U;
+  return config;
+}
+
+static int all_finite(const float* x, int count) {
+  for (int i = 0; i < count; ++i) {
+    if (!alula_is_finite(x[i])) return 0;
+  }
+  return 1;
+}
+
+/* Bounds of the glue; polytope-cbf checks the rest. */
+static int config_is_good(const alula_crazyflie_config* c) {
+  return c->gain > 0.0F && c->gain <= LARGEST_GAIN && c->v_max <= LARGEST_SPEED && c->variance > 0.0F &&
+         c->variance <= 1.0F && c->period_s >= 0.001F && c->period_s <= 0.1F;
+}
+
+int alula_crazyflie_configure(alula_crazyflie_filter* filter, const alula_crazyflie_config* config) {
+  const alula_polytope_cbf_config wanted = {
+      config->radius_m, config->beta, config->kappa, config->period_s, config->v_max, ALULA_SMOOTHING_SOUND, 0};
+  if (!filter->map.data || !config_is_good(config)) return 0;
+  /* refused parameters leave the filter as it was */
+  if (alula_polytope_cbf_open(&filter->cbf, &filter->map, ALULA_CRAZYFLIE_EXTENT, &wanted) != ALULA_READY) return 0;
+  filter->config = *config;
+  return 1;
+}
+
+static void set_velocity(alula_crazyflie_output* output, alula_crazyflie_status status, const float* velocity) {
+  output->status = status;
+  output->is_off = 0;
+  output->is_replaced = 1;
+  for (int i = 0; i < 3; ++i) output->velocity[i] = velocity ? velocity[i] : 0.0F;
+}
+
+static void set_through(alula_crazyflie_output* output, alula_crazyflie_status status) {
+  set_velocity(output, status, 0);
+  output->is_replaced = 0;
+  output->is_off = status == ALULA_CRAZYFLIE_NOT_READY;
+}
+
+int alula_crazyflie_open(alula_crazyflie_filter* filter, const uint8_t* image, uint32_t length,
+                         const alula_crazyflie_config* config) {
+  filter->is_open = 0;
+  filter->turn = ALULA_CRAZYFLIE_FREE;
+  filter->has_request = 0;
+  filter->still = 0;
+  filter->still_way = 0.0F;
+  filter->late = filter->corrections = 0U;
+  filter->margin_m = 0.0F;
+  for (int i = 0; i < 6; ++i) filter->seen[i] = 0.0F;
+  set_through(&filter->output, ALULA_CRAZYFLIE_NOT_READY);
+  if (alula_map_open(&filter->map, image, length) != ALULA_MAP_READY) return 0;
+  filter->is_open = alula_crazyflie_configure(filter, config);
+  filter->period_s = config->period_s;
+  return filter->is_open;
+}
+
+/* cos and sin of yaw: where the body's x axis points, seen from above. */
+static int heading(const float q[4], float* cosine, float* sine) {
+  const float x = 1.0F - 2.0F * (q[2] * q[2] + q[3] * q[3]), y = 2.0F * (q[1] * q[2] + q[0] * q[3]);
+  const float square = x * x + y * y;
+  if (!(square > FLAT && square < 2.0F)) return 0; /* also NaN */
+  const float inverse = 1.0F / __builtin_sqrtf(square);
+  *cosine = x * inverse;
+  *sine = y * inverse;
+  return 1;
+}
+
+/* The state as it is now, or why it cannot be flown with. */
+static alula_crazyflie_status judge(alula_crazyflie_filter* filter, const alula_crazyflie_state* state,
+                                    float step_s) {
+  const float* u = filter->output.velocity;
+  int is_same = 1;
+  for (int i = 0; i < 6; ++i) {
+    const float now = i < 3 ? state->position[i] : state->velocity[i - 3];
+    if (now != filter->seen[i]) is_same = 0;
+    filter->seen[i] = now;
+  }
+  /* An estimator that lives changes with every measurement; a vehicle that is told to move does so in any case. */
+  if (!is_same) {
+    filter->still = 0;
+    filter->still_way = 0.0F;
+  } else if (filter->still < ALULA_CRAZYFLIE_STALE_STEPS || filter->still_way < ALULA_CRAZYFLIE_STALE_WAY) {
+    if (filter->still < ALULA_CRAZYFLIE_STALE_STEPS) ++filter->still;
+    filter->still_way += __builtin_sqrtf(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) * step_s;
+  }
+  if (!all_finite(state->position, 3) || !all_finite(state->velocity, 3)) return ALULA_CRAZYFLIE_BAD_STATE;
+  for (int i = 0; i < 3; ++i) {
+    const float x = state->position[i];
+    if (x < -ALULA_CRAZYFLIE_EXTENT || x > ALULA_CRAZYFLIE_EXTENT) return ALULA_CRAZYFLIE_BAD_STATE;
+  }
+  if (!(state->variance > 0.0F && state->variance <= filter->config.variance)) return ALULA_CRAZYFLIE_UNCERTAIN;
+  if (filter->still >= ALULA_CRAZYFLIE_STALE_STEPS && filter->still_way >= ALULA_CRAZYFLIE_STALE_WAY) {
+    return ALULA_CRAZYFLIE_STALE;
+  }
+  return ALULA_CRAZYFLIE_OK;
+}
+
+/* The velocity wished for, in the world. */
+static alula_crazyflie_status read_wish(const alula_crazyflie_config* config, const alula_crazyflie_wish* wish,
+                                        const alula_crazyflie_state* state, float v[3]) {
+  float given[3] = {wish->velocity[0], wish->velocity[1], wish->velocity[2]};
+  const int has_velocity = wish->mode[0] == ALULA_AXIS_VELOCITY || wish->mode[1] == ALULA_AXIS_VELOCITY;
+  if (wish->is_body && has_velocity) {
+    float cosine, sine;
+    if (!heading(state->attitude, &cosine, &sine)) return ALULA_CRAZYFLIE_BAD_STATE;
+    /* an axis that is no velocity adds nothing, as in the firmware's own controller along the other one */
+    const float x = wish->mode[0] == ALULA_AXIS_VELOCITY ? given[0] : 0.0F;
+    const float y = wish->mode[1] == ALULA_AXIS_VELOCITY ? given[1] : 0.0F;
+    given[0] = cosine * x - sine * y;
+    given[1] = sine * x + cosine * y;
+  }
+  float square = 0.0F;
+  int has_position = 0;
+  for (int i = 0; i < 3; ++i) {
+    v[i] = given[i];
+    if (wish->mode[i] == ALULA_AXIS_POSITION) {
+      v[i] = config->gain * (wish->position[i] - state->position[i]);
+      has_position = 1;
+    }
+    if (!(v[i] >= -LARGEST_WISH && v[i] <= LARGEST_WISH)) return ALULA_CRAZYFLIE_BAD_WISH; /* also NaN */
+    square += v[i] * v[i];
+  }
+  if (has_position && square > config->v_max * config->v_max) {
+    const float scale = config->v_max / __builtin_sqrtf(square);
+    for (int i = 0; i < 3; ++i) v[i] *= scale;
+  }
+  return ALULA_CRAZYFLIE_OK;
+}
+
+/* The answer to what was handed over when the last period began. */
+static void collect(alula_crazyflie_filter* filter) {
+  static const alula_crazyflie_status MEANING[] = {ALULA_CRAZYFLIE_OK, ALULA_CRAZYFLIE_FILTERED,
+                                                   ALULA_CRAZYFLIE_SHORTENED, ALULA_CRAZYFLIE_RECOVERING,
+                                                   ALULA_CRAZYFLIE_REFUSED};
+  const int had_request = filter->has_request;
+  filter->has_request = 0;
+  if (__atomic_load_n(&filter->turn, __ATOMIC_ACQUIRE) != ALULA_CRAZYFLIE_DONE) {
+    if (had_request) ++filter->late;
+    set_velocity(&filter->output, had_request ? ALULA_CRAZYFLIE_LATE : ALULA_CRAZYFLIE_STARTING, 0);
+    return;
+  }
+  filter->margin_m = filter->result.margin_m;
+  const int is_known = (uint32_t)filter->answer <= ALULA_FILTER_REFUSED;
+  const alula_crazyflie_status status = is_known ? MEANING[filter->answer] : ALULA_CRAZYFLIE_REFUSED;
+  if (!had_request) { /* of before an interruption: for another position */
+    set_velocity(&filter->output, ALULA_CRAZYFLIE_STARTING, 0);
+  } else if (status == ALULA_CRAZYFLIE_REFUSED || !all_finite(filter->result.u, 3)) {
+    set_velocity(&filter->output, ALULA_CRAZYFLIE_REFUSED, 0);
+  } else {
+    set_velocity(&filter->output, status, filter->result.u);
+  }
+  if (status != ALULA_CRAZYFLIE_OK) ++filter->corrections;
+  __atomic_store_n(&filter->turn, ALULA_CRAZYFLIE_FREE, __ATOMIC_RELEASE);
+}
+
+/* Nothing is worked out from here on: the set-point itself, or zero velocity. */
+static void interrupt(alula_crazyflie_filter* filter, alula_crazyflie_status status, int is_through) {
+  filter->has_request = 0;
+  if (is_through) {
+    set_through(&filter->output, status);
+  } else {
+    set_velocity(&filter->output, status, 0);
+  }
+}
+
+void alula_crazyflie_restart(alula_crazyflie_filter* filter) { interrupt(filter, ALULA_CRAZYFLIE_STARTING, 0); }
+
+void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_wish* wish,
+                          const alula_crazyflie_state* state, int is_due, float step_s,
+                          alula_crazyflie_output* output) {
+  const alula_crazyflie_config* config = &filter->config;
+  int axes_off = 0;
+  for (int i = 0; i < 3; ++i) {
+    if (wish->mode[i] != ALULA_AXIS_POSITION && wish->mode[i] != ALULA_AXIS_VELOCITY) ++axes_off;
+  }
+  const alula_crazyflie_status now = judge(filter, state, step_s);
+  const float period_s = config->period_s;
+  const int is_as_long = period_s == filter->period_s; /* else what is flown, or worked out, is for another period */
+  filter->period_s = period_s;
+  if (!filter->is_open) {
+    interrupt(filter, ALULA_CRAZYFLIE_NOT_READY, 1);
+  } else if (axes_off == 3 && wish->thrust == 0.0F) {
+    interrupt(filter, ALULA_CRAZYFLIE_OFF, 1);
+  } else if (!config->enabled) {
+    interrupt(filter, ALULA_CRAZYFLIE_DISABLED, 1);
+  } else if (axes_off > 0) {
+    interrupt(filter, config->attitude ? ALULA_CRAZYFLIE_UNGUARDED : ALULA_CRAZYFLIE_BAD_WISH, config->attitude);
+  } else if (now != ALULA_CRAZYFLIE_OK) {
+    interrupt(filter, now, 0);
+  } else if (!is_as_long) {
+    interrupt(filter, ALULA_CRAZYFLIE_STARTING, 0);
+  } else if (is_due) {
+    float v[3];
+    collect(filter);
+    const alula_crazyflie_status read = read_wish(config, wish, state, v);
+    if (read != ALULA_CRAZYFLIE_OK) {
+      interrupt(filter, read, 0);
+    } else if (__atomic_load_n(&filter->turn, __ATOMIC_ACQUIRE) == ALULA_CRAZYFLIE_FREE) {
+      for (int i = 0; i < 3; ++i) {
+        filter->at[i] = state->position[i] + period_s * filter->output.velocity[i];
+        filter->wish[i] = v[i];
+      }
+      filter->has_request = 1;
+      __atomic_store_n(&filter->turn, ALULA_CRAZYFLIE_POSTED, __ATOMIC_RELEASE);
+    }
+  } else if (!filter->output.is_replaced) { /* guarded from here on, but no period has begun */
+    interrupt(filter, ALULA_CRAZYFLIE_STARTING, 0);
+  }
+  *output = filter->output;
+}
+
+int alula_crazyflie_work(alula_crazyflie_filter* filter) {
+  if (__atomic_load_n(&filter->turn, __ATOMIC_ACQUIRE) != ALULA_CRAZYFLIE_POSTED) return 0;
+  filter->answer = alula_polytope_cbf_filter(&filter->cbf, filter->at, filter->wish, &filter->result);
+  __atomic_store_n(&filter->turn, ALULA_CRAZYFLIE_DONE, __ATOMIC_RELEASE);
+  return 1;
+}

@@ -1,0 +1,11 @@
+/* The part of native/onboard that the app needs, as one file of this folder. */
+#if defined(__FAST_MATH__)
+#error "build without -ffast-math: the margins of rounding do not hold with it"
+#endif
+
+#include "../../../src/alula_map.c"
+#include "../../../src/alula_map_index.c"
+#include "../../../src/alula_math.c"
+#include "../../../src/alula_polytope_cbf.c"
+#include "../../../src/alula_polytope_setup.c"
+#include "../../../src/alula_polytope_walk.c"
