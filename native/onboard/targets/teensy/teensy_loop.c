@@ -110,8 +110,8 @@ static void put_command(alula_teensy_loop* loop, const alula_racer_command* comm
   for (int i = 0; i < 4; ++i) {
     const float wanted = number_of(command, i) + loop->carry[i];
     const uint16_t channel = to_channel(c, i, wanted);
-    /* more cannot be had */
-    const int is_at_end = channel == to_channel(c, i, -FLT_MAX) || channel == to_channel(c, i, FLT_MAX);
+    /* more cannot be had; less than no throttle is never asked for */
+    const int is_at_end = channel == to_channel(c, i, FLT_MAX) || (i > 0 && channel == to_channel(c, i, -FLT_MAX));
     loop->carry[i] = is_at_end ? 0.0F : wanted - from_channel(c, i, channel);
     loop->sent.channel[stick(c, i)] = channel;
   }
