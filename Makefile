@@ -86,12 +86,12 @@ wheel: setup ## build the wheel and the sdist into dist/
 	  $(BIN)/python -m build -q --no-isolation --outdir dist .
 	@ls -l dist
 
-test-wheel: wheel ## run the tests against the built wheel in an environment of its own
+test-wheel: wheel ## run the tests of commands and artifacts against the built wheel in an environment of its own
 	$$($(BIN)/python -c 'import sys; print(sys._base_executable)') -m venv --clear build/wheel-venv
 	build/wheel-venv/bin/pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
 	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) dist/*.whl --group dev
 	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) --no-deps $(PEERS)
-	build/wheel-venv/bin/pytest tests
+	build/wheel-venv/bin/pytest -m 'not slow' tests/cli tests/schemas tests/test_layout.py
 
 examples: demo ## run every example
 	@$(MAKE) --no-print-directory -C examples/polymerge

@@ -241,6 +241,8 @@ def _flown(
     except ValueError as error:
         key = "trials.start_box_m" if scenario.trials.start_m is None else "trials.start_m"
         raise UsageError(f"`$.{key}`: {error}") from error
+    except OverflowError as error:
+        raise UsageError(f"`$.vehicle`: {error}") from error
     tick_s = scenario.filter.parameters.tick_s
     trials = [_trial(index, log, tick_s) for index, log in enumerate(logs, first)]
     flights = []

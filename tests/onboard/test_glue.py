@@ -20,6 +20,7 @@ if missing := emulated.missing_tools():
     pytest.skip(missing, allow_module_level=True)
 
 import glue  # noqa: E402
+import onboard  # noqa: E402
 
 CRAZYFLIE = glue.BOARDS / "crazyflie"
 
@@ -83,7 +84,7 @@ def test_the_app_compiles_without_a_map(tmp_path):
 def test_the_app_takes_the_header_that_the_export_writes(monkeypatch, tmp_path):
     from alula.cli.main import run
 
-    monkeypatch.setitem(glue.FIELDS, 5, (60, 60, 30))
+    monkeypatch.setitem(onboard.HALVES, 5, (60, 60, 30))
     write_artifact(tmp_path / "room.cover.npz", glue.field(5))
     words = ["-o", str(tmp_path / "cover_map.bin"), "--target", "crazyflie", "-q"]
     assert run(["export", str(tmp_path / "room.cover.npz"), *words]) == 0

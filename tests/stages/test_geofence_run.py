@@ -53,6 +53,12 @@ def test_the_parameters_of_a_file_are_those_of_the_onboard_code():
         assert np.float32(written[key]) == np.float32(onboard[key]), key
 
 
+def test_a_motion_that_diverges_is_no_flight():
+    for drag in (1e4, 1e300):
+        with pytest.raises(UsageError, match="vehicle.*diverges"):
+            fly_in_fence(scenario(vehicle={"linear_drag_n_s_m": (drag,) * 3}), RACER, jobs=1)
+
+
 def test_trials_are_those_of_the_native_flights(room):
     world = native_world(scenario(), RACER, None)
     logs = _core.fly_in_fences(world.spec, world.filter, seed=5, count=10)

@@ -16,6 +16,7 @@ namespace {
 
 constexpr std::uint32_t kStart = 0x6000'0000;
 constexpr std::uint64_t kDraws = 2000;
+constexpr double kFastest = 1e5;  // [m/s] faster is no flight, but an integration that diverges
 
 bool same_bits(const alula_racer_command& a, const alula_racer_command& b) {
   return std::memcmp(&a, &b, sizeof a) == 0;
@@ -204,7 +205,11 @@ GeofenceLog fly_in_fence(const GeofenceSpec& spec, const Geofence& original, Ran
       log.min_distance_m = std::min(log.min_distance_m, distance);
       log.path_length_m += geometry::norm(plant.state().p - before);
     }
-    log.max_speed_m_s = std::max(log.max_speed_m_s, geometry::norm(plant.state().v));
+    const double speed = geometry::norm(plant.state().v);
+    if (!(speed < kFastest)) {  // also NaN, of which no distance would tell
+      throw std::overflow_error("the simulated motion diverges: too much drag or wind for so few plant_steps");
+    }
+    log.max_speed_m_s = std::max(log.max_speed_m_s, speed);
   }
   log.end = plant.state();
   notes.finish();

@@ -185,7 +185,8 @@ static void conclude(const alula_geofence* filter, const alula_fence_tracker* tr
       value->v_towards = speed;
     }
   }
-  if (tracker->damaged || !alula_is_finite(value->h_i)) value->h_i = -FLT_MAX;
+  /* a flow that is no number stays so to its end, but not every least value tells */
+  if (tracker->damaged || !alula_is_finite(value->h_i) || !alula_is_finite(value->end)) value->h_i = -FLT_MAX;
 }
 
 void alula_geofence_evaluate(alula_geofence* filter, const alula_racer_state* state, const alula_backup_hold* hold,

@@ -29,6 +29,8 @@ void alula_map_near_open(alula_map_near* near, const alula_map* map) {
   near->map = map;
   near->count = near->last = 0U;
   near->thickness = THICK;
+  near->wide = FLT_MAX;
+  for (uint32_t k = 0; k < ALULA_NEAR_FAR; ++k) near->far[k].hull = ALULA_MAP_NO_HULL;
   for (uint32_t k = 0; k < ALULA_NEAR_KEPT; ++k) near->kept[k].hull = ALULA_MAP_NO_HULL;
 }
 
@@ -63,9 +65,9 @@ static uint32_t drop(alula_kept_planes* kept, float* value, uint32_t count, floa
 
 /* Decode a hull's planes up to the one that shows it to be beyond, and keep those that decide around x. `psi` is the
  * box's value, of `face`. */
-static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, float psi, int face,
-                        alula_kept_planes* kept, query* q) {
+static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, float psi, int face, query* q) {
   const alula_map* map = near->map;
+  alula_kept_planes* const kept = &near->tried;
   alula_map_hull record;
   if (alula_map_read(map, hull->record, &record) != ALULA_MAP_READY) {
     q->status = ALULA_MAP_MALFORMED; /* it was whole when it was opened */
@@ -74,7 +76,6 @@ static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, flo
   float value[ALULA_NEAR_PLANES], row[4], deciding[3] = {0.0F, 0.0F, 0.0F}, thickness = near->thickness;
   uint32_t count = 0U;
   int is_face = 1;
-  kept->hull = hull->hull;
   kept->last = 0U;
   kept->reach_square = -1.0F;
   const uint8_t* stored = record.planes;
@@ -87,8 +88,9 @@ static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, flo
       is_face = 0;
       for (int i = 0; i < 3; ++i) deciding[i] = row[i];
       if (is_beyond(&q->found, psi, hull->hull)) {
-        for (int i = 0; i < 4; ++i) kept->plane[0][i] = row[i];
-        kept->count = 1U;
+        alula_far_plane* far = &near->far[hull->hull % ALULA_NEAR_FAR];
+        far->hull = hull->hull;
+        for (int i = 0; i < 4; ++i) far->plane[i] = row[i];
         return;
       }
     }
@@ -106,12 +108,14 @@ static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, flo
     for (int i = 0; i < 4; ++i) kept->plane[count][i] = row[i];
     ++count;
   }
+  kept->hull = hull->hull;
   kept->count = drop(kept, value, count, psi - thickness);
   for (int i = 0; i < 3; ++i) kept->at[i] = q->x[i];
   const float next = thickness * (2.0F * THINNER); /* almost half as much again as there was room for */
   near->thickness = next < THIN ? THIN : (next < THICK ? next : THICK);
   const float reach = 0.5F * SHRUNK * (thickness - q->slack);
   if (reach > 0.0F) kept->reach_square = reach * reach;
+  near->kept[hull->hull % ALULA_NEAR_KEPT] = *kept;
   accept(q, hull->hull, psi, face, is_face ? 0 : deciding);
 }
 
@@ -126,6 +130,8 @@ static void consider(alula_map_near* near, const alula_listed_hull* hull, query*
   int face;
   const float box = alula_map_box_value(hull->lower, hull->upper, q->x, &face);
   if (is_beyond(&q->found, box, hull->hull)) return;
+  const alula_far_plane* far = &near->far[hull->hull % ALULA_NEAR_FAR];
+  if (far->hull == hull->hull && is_beyond(&q->found, alula_plane_value(far->plane, q->x), hull->hull)) return;
   alula_kept_planes* kept = &near->kept[hull->hull % ALULA_NEAR_KEPT];
   if (kept->hull == hull->hull) {
     const float x = q->x[0], y = q->x[1], z = q->x[2];
@@ -145,7 +151,7 @@ static void consider(alula_map_near* near, const alula_listed_hull* hull, query*
       return;
     }
   }
-  look_at_all(near, hull, box, face, kept, q);
+  look_at_all(near, hull, box, face, q);
 }
 
 static walk begin(const alula_map* map) {
@@ -182,6 +188,7 @@ static int step(const alula_map* map, walk* w, query* q, alula_listed_hull* hull
     return 0;
   }
   hull->hull = w->next++;
+  hull->is_refined = 0U;
   hull->record = w->at;
   w->at = record.next;
   for (int i = 0; i < 3; ++i) {
@@ -241,12 +248,33 @@ static void guess(alula_map_near* near, query* q) {
   while (w.next < w.end && step(map, &w, q, &hull)) consider(near, &hull, q);
 }
 
-static uint32_t drop_listed(alula_map_near* near, float limit) {
+/* Raise a bound to psi_h, or to a plane's value beyond the limit: seen from far away over a corner, boxes alone would
+ * list most hulls. */
+static void refine(const alula_map* map, alula_listed_hull* hull, float limit, query* q) {
+  alula_map_hull record;
+  if (hull->is_refined) return;
+  hull->is_refined = 1U;
+  if (alula_map_read(map, hull->record, &record) != ALULA_MAP_READY) {
+    q->status = ALULA_MAP_MALFORMED;
+    return;
+  }
+  const uint8_t* stored = record.planes;
+  for (uint32_t l = 0; l < record.plane_count && !(hull->bound > limit); ++l, stored += map->plane_bytes) {
+    const alula_map_plane plane = alula_map_plane_in(stored, map->plane_bytes, record.shift);
+    float row[4];
+    alula_map_plane_row(&plane, &record, map->voxel_size_m, 0.0F, row);
+    const float a = alula_plane_value(row, q->x);
+    if (a > hull->bound) hull->bound = a;
+  }
+}
+
+/* Of the list, what may be within the limit. */
+static void drop_listed(alula_map_near* near, float limit) {
   uint32_t left = 0U;
   for (uint32_t k = 0; k < near->count; ++k) {
     if (!(near->listed[k].bound > limit)) near->listed[left++] = near->listed[k];
   }
-  return left;
+  near->count = left;
 }
 
 /* A new list around x, and the nearest, given some hull's psi_h or none. */
@@ -255,14 +283,22 @@ static void gather(alula_map_near* near, query* q) {
   near->count = near->last = 0U;
   if (q->found.hull == ALULA_MAP_NO_HULL) guess(near, q);
   const float base = q->found.psi_m;
-  float wide = WIDE + (base > 0.0F ? WIDER * base : 0.0F), limit = base + wide, left_out = FLT_MAX;
+  float wide = WIDE + (base > 0.0F ? WIDER * base : 0.0F), left_out = FLT_MAX;
+  if (wide > near->wide) wide = near->wide;
+  float limit = base + wide;
   alula_listed_hull hull;
   walk w = begin(map);
   while (next_hull(map, &w, q, limit, &hull)) {
     while (near->count == ALULA_LISTED_HULLS && wide > NARROW) {
+      if (wide < WIDE) {
+        for (uint32_t k = 0; k < near->count; ++k) refine(map, &near->listed[k], limit, q);
+        refine(map, &hull, limit, q);
+        drop_listed(near, limit);
+        if (near->count < ALULA_LISTED_HULLS) break;
+      }
       wide *= 0.5F;
       limit = base + wide;
-      near->count = drop_listed(near, limit);
+      drop_listed(near, limit);
     }
     if (hull.bound > limit) continue;
     if (near->count < ALULA_LISTED_HULLS) {
@@ -271,6 +307,7 @@ static void gather(alula_map_near* near, query* q) {
       left_out = hull.bound;
     }
   }
+  near->wide = 1.5F * wide; /* there may be room for more the next time */
   for (int i = 0; i < 3; ++i) near->centre[i] = q->x[i];
   near->limit = limit < left_out ? limit : left_out;
   for (uint32_t k = 0; k < near->count; ++k) consider(near, &near->listed[k], q);

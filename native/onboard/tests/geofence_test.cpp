@@ -1,4 +1,5 @@
 // The geofence as firmware calls it: whatever comes in, what goes out is in the limits or refused.
+#include <cfloat>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
@@ -106,6 +107,36 @@ void test_whatever_comes_in_the_command_stays_in_its_limits() {
   CHECK(flown > 10000);
 }
 
+// Long steps of a fast turn leave the numbers: what is not known to end inside is not safe.
+void test_a_flow_that_is_no_number_is_not_safe() {
+  std::mt19937 random(1);
+  const auto between = [&](float low, float high) {
+    return std::uniform_real_distribution<float>(low, high)(random);
+  };
+  int broken = 0;
+  for (int k = 0; k < 2000; ++k) {
+    alula_geofence_config config = alula_geofence_defaults();
+    config.step_s = between(0.03F, 0.1F);
+    config.steps = 20U;
+    config.model.rate_gain = std::pow(10.0F, between(0.0F, 3.0F));
+    config.backup.attitude_gain = std::pow(10.0F, between(0.0F, 3.0F));
+    for (float& rate : config.model.max_rate) rate = between(1.0F, 40.0F);
+    alula_fence fence = box();
+    for (int i = 0; i < 3; ++i) fence.lower[i] = -9000.0F, fence.upper[i] = 9000.0F;
+    alula_geofence filter;
+    CHECK(alula_geofence_init(&filter, &fence, &config) == ALULA_READY);
+    alula_racer_state x = hovering();
+    for (float& rate : x.rates) rate = between(-100.0F, 100.0F);
+    const alula_backup_hold hold = alula_geofence_hold(&filter, &x);
+    alula_geofence_value value;
+    alula_geofence_evaluate(&filter, &x, &hold, 0.0F, &value);
+    if (std::isfinite(value.end) && std::isfinite(value.margin_m)) continue;
+    ++broken;
+    CHECK(value.h_i == -FLT_MAX);
+  }
+  CHECK(broken > 100);
+}
+
 void test_reset_forgets() {
   const alula_fence fence = box();
   const alula_geofence_config config = alula_geofence_defaults();
@@ -128,6 +159,7 @@ int main() {
   test_without_a_filter_or_a_fence_nothing_is_flown();
   test_every_number_of_the_parameters_is_checked();
   test_whatever_comes_in_the_command_stays_in_its_limits();
+  test_a_flow_that_is_no_number_is_not_safe();
   test_reset_forgets();
   return alula_failures == 0 ? 0 : 1;
 }

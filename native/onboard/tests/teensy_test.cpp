@@ -194,6 +194,67 @@ void test_parameters_that_mean_nothing_are_refused() {
   CHECK(alula_teensy_init(&loop, nullptr, &good) == ALULA_BAD_POINTER);
 }
 
+// A tick of the geofence may take longer than a pause between frames; a frame that came meanwhile is whole.
+void test_a_frame_that_came_during_a_slow_tick_counts() {
+  Bench b;
+  const alula_sbus_frame frame = radio_frame(b.config, {0.36, {0, 0, 0}});
+  std::uint8_t bytes[ALULA_SBUS_BYTES];
+  alula_sbus_encode(&frame, bytes);
+  alula_teensy_receive(&b.loop, b.now, bytes, 10);
+  alula_teensy_receive(&b.loop, b.now + 15 * 120, bytes + 10, 15);
+  CHECK(b.loop.receiver.frames == 1 && b.loop.receiver.skipped == 0);
+  alula_teensy_receive(&b.loop, b.now + 10000, bytes, 10);  // and one that was broken off does not
+  alula_teensy_receive(&b.loop, b.now + 17000, bytes, 2);
+  alula_teensy_receive(&b.loop, b.now + 19760, bytes + 2, 23);
+  CHECK(b.loop.receiver.frames == 2 && b.loop.receiver.skipped == 10);
+}
+
+void test_who_took_off_by_the_override_does_not_fall_without_navigation() {
+  Bench b;
+  alula_sbus_frame off = radio_frame(b.config, {0, {0, 0, 0}}), on = off;
+  on.channel[b.config.override_channel] = 1811;
+  const auto next = [&](const alula_sbus_frame& frame) {
+    b.radio(frame);
+    return b.tick();
+  };
+  for (int i = 0; i < 4; ++i) next(on);
+  for (int i = 0; i < 3; ++i) next(off);
+  CHECK(next(off) == ALULA_TEENSY_LOCKED && b.is_idle());  // no throttle so far
+  on.channel[b.config.throttle] = 900;
+  for (int i = 0; i < 4; ++i) next(on);
+  CHECK(next(on) == ALULA_TEENSY_OVERRIDE);
+  for (int i = 0; i < 3; ++i) next(off);
+  CHECK(next(off) == ALULA_TEENSY_LOST && (b.out.flags & ALULA_SBUS_FAILSAFE) != 0);
+  CHECK(heard_by_controller(b.config, b.out).throttle > 0.8 * static_cast<double>(b.loop.geofence.hover));
+}
+
+// Sticks that end beyond 1000 or 2000 us are sent as far as they go.
+void test_sticks_reach_what_the_rates_say() {
+  for (const float middle : {1400.0F, 1500.0F, 1600.0F}) {
+    alula_teensy_config config = alula_teensy_defaults();
+    config.rates.middle_us = middle;
+    config.rates.throttle_low_us = 900, config.rates.throttle_high_us = 2100;
+    Bench b(config);
+    b.state.attitude[0] = 0.8F, b.state.attitude[1] = 0.6F;
+    b.state.velocity[0] = 20, b.state.velocity[1] = -20, b.state.velocity[2] = -30, b.state.position[2] = 1;
+    int at_end = 0;
+    for (int k = 0; k < 40; ++k) {
+      b.radio(radio_frame(b.config, {1, {0, 0, 0}})), b.navigation();
+      CHECK(b.tick() == ALULA_TEENSY_BACKUP);
+      const RacerCommand sent = heard_by_controller(b.config, b.out);
+      const alula_racer_command& asked = b.loop.result.command;
+      CHECK(std::fabs(sent.throttle - static_cast<double>(asked.throttle)) < 0.001);
+      for (int i = 0; i < 3; ++i) {
+        const double wanted = std::clamp(static_cast<double>(asked.rates[i]), -11.63, 11.63);
+        CHECK(std::fabs(sent.rates[i] - wanted) < 0.06);
+        at_end += std::fabs(wanted) > 11.6;
+      }
+      b.state.attitude[1] = k % 2 == 0 ? -0.6F : 0.6F;
+    }
+    CHECK(at_end > 10);
+  }
+}
+
 // Whatever comes in on both lines, a frame goes out whose sticks a radio could have sent.
 void test_noise_gives_frames() {
   Bench b;
@@ -222,6 +283,9 @@ int main() {
   test_the_receiver_is_silent_by_its_flag_or_by_time_and_for_good_by_more();
   test_old_navigation_is_none_and_what_follows_is_documented();
   test_a_sender_that_begins_anew_is_heard_after_a_second();
+  test_a_frame_that_came_during_a_slow_tick_counts();
+  test_who_took_off_by_the_override_does_not_fall_without_navigation();
+  test_sticks_reach_what_the_rates_say();
   test_noise_gives_frames();
   return alula_failures == 0 ? 0 : 1;
 }

@@ -1,13 +1,12 @@
 #include "teensy_loop.h"
 
-#define LOW_US 1000.0F
-#define HIGH_US 2000.0F
 #define FIRST_US 880.0F /* a channel c is 880 + 5/8 c us */
 #define STEP_US 0.625F
 #define SPAN_US 500.0F
 #define ON 1811U
 #define BAD_FLAGS (ALULA_SBUS_LOST | ALULA_SBUS_FAILSAFE)
 #define IDLE_US 1000U       /* longer than any pause within a frame, shorter than that between two */
+#define BYTE_US 120U        /* of a byte on the line */
 #define RESTART_US 1000000U /* without navigation, after which its sender may have begun anew */
 #define OVER_FULL 1.0001F   /* of a limit that full sticks may come to */
 
@@ -70,7 +69,8 @@ alula_status alula_teensy_init(alula_teensy_loop* loop, const alula_fence* fence
 static float microseconds(uint32_t channel) { return FIRST_US + STEP_US * (float)channel; }
 
 static uint16_t channel_at(float us) {
-  const float cut = us > LOW_US ? (us < HIGH_US ? us : HIGH_US) : LOW_US; /* also of NaN */
+  const float low = (float)ALULA_RATES_SHORTEST, high = (float)ALULA_RATES_LONGEST;
+  const float cut = us > low ? (us < high ? us : high) : low; /* also of NaN */
   return (uint16_t)((cut - FIRST_US) / STEP_US + 0.5F);
 }
 
@@ -91,7 +91,8 @@ static uint16_t to_channel(const alula_teensy_config* c, int i, float number) {
     const float x = alula_rates_deflection(&c->rates.axis[i - 1], number);
     return channel_at(c->rates.middle_us + SIGN[i - 1] * SPAN_US * x);
   }
-  return channel_at(c->rates.throttle_low_us + number * (c->rates.throttle_high_us - c->rates.throttle_low_us));
+  const float throttle = number > 0.0F ? (number < 1.0F ? number : 1.0F) : 0.0F;
+  return channel_at(c->rates.throttle_low_us + throttle * (c->rates.throttle_high_us - c->rates.throttle_low_us));
 }
 
 static uint32_t stick(const alula_teensy_config* c, int i) {
@@ -109,7 +110,8 @@ static void put_command(alula_teensy_loop* loop, const alula_racer_command* comm
   for (int i = 0; i < 4; ++i) {
     const float wanted = number_of(command, i) + loop->carry[i];
     const uint16_t channel = to_channel(c, i, wanted);
-    const int is_at_end = channel == channel_at(LOW_US) || channel == channel_at(HIGH_US); /* more cannot be had */
+    /* more cannot be had; less than no throttle is never asked for */
+    const int is_at_end = channel == to_channel(c, i, FLT_MAX) || (i > 0 && channel == to_channel(c, i, -FLT_MAX));
     loop->carry[i] = is_at_end ? 0.0F : wanted - from_channel(c, i, channel);
     loop->sent.channel[stick(c, i)] = channel;
   }
@@ -133,7 +135,9 @@ static void read_switch(alula_teensy_loop* loop) {
 
 void alula_teensy_receive(alula_teensy_loop* loop, uint32_t now_us, const uint8_t* bytes, uint32_t count) {
   alula_sbus_frame frame;
-  if (count > 0U && now_us - loop->byte_us > IDLE_US) alula_sbus_idle(&loop->receiver);
+  /* whoever was elsewhere finds bytes that came meanwhile: the line was busy for as long as these take */
+  const uint32_t busy_us = IDLE_US + BYTE_US * (count < ALULA_SBUS_BYTES ? count : ALULA_SBUS_BYTES);
+  if (count > 0U && now_us - loop->byte_us > busy_us) alula_sbus_idle(&loop->receiver);
   for (uint32_t i = 0; i < count; ++i) {
     loop->byte_us = now_us;
     if (!alula_sbus_push(&loop->receiver, bytes[i], &frame)) continue;
@@ -246,6 +250,7 @@ alula_teensy_status alula_teensy_tick(alula_teensy_loop* loop, uint32_t now_us, 
       if (!has_pilot && loop->silence_us > c->give_up_us) loop->sent.flags |= ALULA_SBUS_FAILSAFE;
     } else {
       forget_carry(loop);
+      if (pilot.throttle > 0.0F) loop->has_flown = 1;
       status = has_pilot ? ALULA_TEENSY_OVERRIDE : ALULA_TEENSY_OVERRIDE_LOST;
       if (!has_pilot) loop->sent.flags |= ALULA_SBUS_FAILSAFE;
     }

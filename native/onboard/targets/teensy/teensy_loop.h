@@ -6,7 +6,8 @@
  *   never a frame of the receiver           sticks centred, no throttle, failsafe flag
  *   override switch on, receiver heard      the receiver's last frame, bit by bit
  *   override switch on, receiver silent     that frame with the failsafe flag: the flight controller's own procedure
- *   geofence REFUSED, nothing flown yet     sticks centred, no throttle: one cannot take off without navigation
+ *   geofence REFUSED, nothing flown yet,    sticks centred, no throttle: one cannot take off without navigation
+ *     nor any throttle by the override
  *   geofence PASSED                         the receiver's last frame, bit by bit
  *   BLENDED, BACKUP, NO_PILOT               the geofence's command in the four sticks; failsafe and lost flags clear,
  *                                           as the flight controller would drop the command otherwise
