@@ -8,8 +8,10 @@ BIN := .venv/bin
 VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
 CONSTRAINTS := .ci/constraints.txt
+# Clients that tests fly simulated vehicles with; what else they ask for draws maps or pins versions.
+PEERS := mavproxy cflib pyusb libusb-package importlib-resources
 
-.PHONY: help demo test setup firmware lint format typecheck typing-view test-native onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment docs schemas clean
+.PHONY: help demo test setup firmware lint format typecheck typing-view test-native onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -27,6 +29,7 @@ setup: .venv/.installed ## make the environment in .venv/
 	"$$(.ci/find-python)" -m venv .venv
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
 	$(BIN)/pip install -q -c $(CONSTRAINTS) --group dev
+	$(BIN)/pip install -q -c $(CONSTRAINTS) --no-deps $(PEERS)
 	touch $@
 
 .venv/.installed: .venv/.dependencies $(NATIVE) native/python/alula/__init__.py
@@ -87,6 +90,7 @@ test-wheel: wheel ## run the tests of commands and artifacts against the built w
 	$$($(BIN)/python -c 'import sys; print(sys._base_executable)') -m venv --clear build/wheel-venv
 	build/wheel-venv/bin/pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
 	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) dist/*.whl --group dev
+	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) --no-deps $(PEERS)
 	build/wheel-venv/bin/pytest -m 'not slow' tests/cli tests/schemas tests/test_layout.py
 
 examples: demo ## run every example
@@ -116,6 +120,9 @@ bench-betaflight: setup firmware ## fly the geofence through Betaflight's firmwa
 
 bench-alignment: setup ## how often the intervals of scale-align hold, some minutes
 	$(BIN)/python -P benchmarks/alignment.py
+
+bench-fly: setup ## fly the simulated autopilot in real time, some minutes, into docs/benchmarks-fly.md
+	$(BIN)/python -P benchmarks/fly.py --markdown docs/benchmarks-fly.md
 
 docs: setup ## regenerate the command reference
 	$(BIN)/python -P -m alula.cli.reference docs/commands.md

@@ -103,7 +103,8 @@ def _artifact(path: Path) -> Explained:
 
 
 def _run(path: Path) -> Explained:
-    from alula.schemas.errors import DamagedError
+    from alula.schemas.cut_run import salvage_run
+    from alula.schemas.errors import ArtifactError, DamagedError
     from alula.schemas.flights import count_messages
     from alula.schemas.run import read_run
     from alula.stages.reporting.inspect import about, run_facts
@@ -111,7 +112,12 @@ def _run(path: Path) -> Explained:
     messages, complete = count_messages(path)
     try:
         facts = run_facts(read_run(path), messages)
-    except DamagedError as error:
+    except ArtifactError as error:
+        if (cut := salvage_run(path)) is not None:
+            facts = {"damage": cut.damage, **run_facts(cut.record, messages)}
+            return facts, DamagedError(f"{path}: {cut.damage}")
+        if not isinstance(error, DamagedError):
+            raise
         readable = f"{sum(messages.values())} messages can still be read"
         facts = {"damage": readable, **about("alula/run", ""), "messages": dict(sorted(messages.items()))}
         return facts, DamagedError(f"{error}; {readable}")

@@ -106,21 +106,20 @@ def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenanc
     import msgspec
 
     from alula.schemas.artifact import read_artifact
+    from alula.schemas.cut_run import read_logged
     from alula.schemas.errors import ArtifactError, InputError
-    from alula.schemas.flights import read_flights
     from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.provenance import read_provenance
-    from alula.schemas.run import read_run
     from alula.stages.reporting.material import Material, Run, cover_hash
 
     flown: list[Run] = []
     for log in runs:
-        record = read_run(log)
+        found = read_logged(log)
         label = log.name.removesuffix(".run.mcap").removesuffix(".mcap")
         if any(label == other.label for other in flown):
             label = f"{label} ({len(flown) + 1})"
-        flights = read_flights(log)
-        flown.append(Run(label, record, flights.by_trial, flights.hulls))
+        label += " (cut)" if found.damage else ""
+        flown.append(Run(label, found.record, found.flights.by_trial, found.flights.hulls))
     artifacts = {
         kind.name.removeprefix("alula/"): read_artifact(inputs[kind.name.removeprefix("alula/")], kind)
         for kind in (COVER, SCENE, PLAN)

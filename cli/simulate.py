@@ -116,21 +116,21 @@ def command(
     if source.suffix == ".toml" and is_fence_scenario(source):
         from alula.cli.geofence import simulate_geofence
 
-        changes = dict(_setting(word) for word in settings)
+        changes = dict(setting_of(word) for word in settings)
         files = {"vehicle": vehicle_path, "cover": map_path}
         simulate_geofence(context, source, files, config, changes, scheduler, common)
         return
     if source.suffix == ".toml" and is_encounters(source):
         from alula.cli.encounters import simulate_encounters
 
-        changes = dict(_setting(word) for word in settings)
+        changes = dict(setting_of(word) for word in settings)
         simulate_encounters(context, source, map_path, config, changes, scheduler, common)
         return
     if scheduler is not None:
         raise UsageError("--scheduler is for scenarios with moving obstacles or a fence")
-    paths = _inputs(source, map_path, scene_path, vehicle_path)
+    paths = inputs_of(source, map_path, scene_path, vehicle_path)
     config, given = _configured(context, source, config, common.seed, settings)
-    splat = _is_among_ellipsoids(config.filter, paths)
+    splat = is_among_ellipsoids(config.filter, paths)
     _check_options(config, given, splat=splat)
     plan = read_artifact(paths["plan"], PLAN) if "plan" in paths else None
     pairs: Pairs | None = None
@@ -192,7 +192,9 @@ def command(
         _check(common.output, read_run(common.output).trials, splat=splat)
 
 
-def _inputs(source: Path, map_path: Path | None, scene: Path | None, vehicle: Path | None) -> dict[str, Path]:
+def inputs_of(
+    source: Path, map_path: Path | None, scene: Path | None, vehicle: Path | None
+) -> dict[str, Path]:
     """All files to read, by role; those of a scenario are relative to its folder."""
     from alula.schemas.artifact import read_manifest
     from alula.schemas.kinds import COVER, PLAN, SCENE
@@ -236,7 +238,7 @@ def _inputs(source: Path, map_path: Path | None, scene: Path | None, vehicle: Pa
     return {role: path for role, path in paths.items() if path is not None}
 
 
-def _is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
+def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
     """Whether the filter sees the ellipsoids of the scene; `none` flies what the map is for.
 
     Raises:
@@ -306,7 +308,7 @@ def _configured(
         for f in dataclasses.fields(config)
         if options.is_given(context, f.name)
     }
-    parameters = dict(_setting(word) for word in settings)
+    parameters = dict(setting_of(word) for word in settings)
     guides = {name: parameters.pop(name) for name in list(parameters) if name.startswith(_GUIDE)}
     guides = {name.removeprefix(_GUIDE): value for name, value in guides.items()}
     if {"sigma", "confidence"} <= given.keys():
@@ -329,13 +331,13 @@ def _configured(
         raise UsageError(f"{source}: {error}") from error
 
 
-def _setting(word: str) -> tuple[str, Any]:
+def setting_of(word: str) -> tuple[str, Any]:
     """NAME=VALUE: a whole number, a number, numbers with commas, true or false, else a word."""
     name, equals, text = word.partition("=")
     if not (equals and name and text):
         raise UsageError(f"--set needs NAME=VALUE, not {word!r}")
     if "," in text:
-        return name, [_setting(f"{name}={part}")[1] for part in text.split(",")]
+        return name, [setting_of(f"{name}={part}")[1] for part in text.split(",")]
     if text in ("true", "false"):
         return name, text == "true"
     for convert in (int, float):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,23 +97,31 @@ def read_flights(log: Path) -> Flights:
     """
     from mcap.reader import make_reader
 
+    with open_log(log) as file:
+        return flights_of(
+            (channel.topic, message.data)
+            for _, channel, message in make_reader(file, validate_crcs=True).iter_messages(
+                topics=[MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC], log_time_order=False
+            )
+        )
+
+
+def flights_of(messages: Iterable[tuple[str, bytes]]) -> Flights:
+    """The flights in messages, each with its topic; those of other topics are passed over."""
     states: dict[int, list[_State]] = {}
     safety: dict[int, list[_Safety]] = {}
     hulls = None
     decode_state = msgspec.json.Decoder(_State).decode
     decode_safety = msgspec.json.Decoder(_Safety).decode
-    with open_log(log) as file:
-        for _, channel, message in make_reader(file, validate_crcs=True).iter_messages(
-            topics=[MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC], log_time_order=False
-        ):
-            if channel.topic == STATE_TOPIC:
-                state = decode_state(message.data)
-                states.setdefault(state.trial, []).append(state)
-            elif channel.topic == MAP_TOPIC:
-                hulls = _hull_count(msgspec.json.decode(message.data, type=_Map))
-            else:
-                answer = decode_safety(message.data)
-                safety.setdefault(answer.trial, []).append(answer)
+    for topic, data in messages:
+        if topic == STATE_TOPIC:
+            state = decode_state(data)
+            states.setdefault(state.trial, []).append(state)
+        elif topic == MAP_TOPIC:
+            hulls = _hull_count(msgspec.json.decode(data, type=_Map))
+        elif topic == SAFETY_TOPIC:
+            answer = decode_safety(data)
+            safety.setdefault(answer.trial, []).append(answer)
     flights = {trial: _flight(states[trial], safety.get(trial, [])) for trial in sorted(states)}
     return Flights(flights, hulls)
 

@@ -18,7 +18,10 @@ RUN_SCHEMA = "alula/run"
 RUN_VERSION = VERSION
 RUN_SUFFIX = ".run.mcap"
 
-Outcome = Literal["reached", "stuck", "timeout", "refused", "passed", "inside", "outside"]
+FLIGHT_METADATA = "alula/flight"  # at the beginning of the log of a real flight: what is known before it
+
+# "stopped": a real flight that ended before its goal, by landing or in the hands of the pilot.
+Outcome = Literal["reached", "stuck", "timeout", "refused", "passed", "inside", "outside", "stopped"]
 
 
 class ObstacleResult(msgspec.Struct, frozen=True, kw_only=True):

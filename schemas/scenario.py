@@ -37,6 +37,13 @@
     dt_s = 0.01
     max_time_s = 60.0
 
+    [fly]                         # for `alula fly` alone, which flies `[map] plan`
+    link = "udpin:127.0.0.1:14550"
+    rate_hz = 100.0
+    margin_m = 0.1
+    fence_m = [-1.0, -1.0, -0.5, 9.0, 7.0, 3.0]
+    frame_check = "hand"
+
 Only `[map] cover` is required, or `[map] scene` for a filter that sees its ellipsoids. What is left out has
 the default of the command's option.
 """
@@ -146,6 +153,23 @@ class RunTable(_Table, frozen=True, kw_only=True):
     log_rate_hz: float | None = None
 
 
+class FlyTable(_Table, frozen=True, kw_only=True):
+    """A real flight: its link and the options of `fly`, which have these names."""
+
+    link: str | None = None
+    rate_hz: float | None = None
+    margin_m: float | None = None
+    fence_m: tuple[float, float, float, float, float, float] | None = None
+    fence_map: bool | None = None
+    fence_reserve_m: float | None = None
+    latency_s: float | None = None
+    frame_check: Literal["motion", "hand", "none"] | None = None
+    near_m: float | None = None
+    battery: float | None = None
+    stale_s: float | None = None
+    fallback_s: float | None = None
+
+
 class Scenario(_Table, frozen=True, kw_only=True):
     """A scenario file."""
 
@@ -158,6 +182,28 @@ class Scenario(_Table, frozen=True, kw_only=True):
     controller: ControllerTable = ControllerTable()
     trials: TrialsTable = TrialsTable()
     run: RunTable = RunTable()
+    fly: FlyTable | None = None
+
+    def fly_settings(self) -> dict[str, Any]:
+        """Fields of `FlyConfig` that the file sets, and its link."""
+        own = {} if self.fly is None else msgspec.structs.asdict(self.fly)
+        own["fence"] = own.pop("fence_m", None)
+        is_own = self.filter.name in (None, "polytope-cbf")
+        parameters = {k: v for k, v in self.filter.parameters.items() if k in ("beta", "kappa_per_m")}
+        values: dict[str, Any] = {
+            "name": self.name,
+            "filter": self.filter.name,
+            "speed_m_s": self.vehicle.v_max_m_s,
+            "sigma": self.map.sigma,
+            "inflation_m": self.map.inflation_m,
+            "gain": self.controller.gain,
+            "catch_up_m_s": self.controller.catch_up_m_s,
+            "max_time_s": self.run.max_time_s,
+            "log_rate_hz": self.run.log_rate_hz,
+            **(parameters if is_own else {"filter_parameters": self.filter.parameters or None}),
+            **own,
+        }
+        return {key: value for key, value in values.items() if value is not None}
 
     def settings(self) -> dict[str, Any]:
         """Fields of `SimulateConfig` that the file sets."""

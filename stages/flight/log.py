@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.kinds import SCENE
@@ -55,7 +58,7 @@ def write_log(
     """
     rigid = any(isinstance(flight, SplatFlightLog) for flight in flights)
     log = LogWriter(stream, _CHANNELS | (_RIGID_CHANNELS if rigid else {}))
-    log.send("/map", 0.0, _map_message(flown_through, record, flights, frame))
+    log.send("/map", 0.0, map_message(flown_through, record.summary, [f.position for f in flights], frame))
     begin_s = 0.0
     for trial, flight in zip(record.trials, flights, strict=True):
         log.send("/path", begin_s, path_message(flight.position, frame, begin_s))
@@ -111,12 +114,12 @@ def _words(trial: TrialResult) -> tuple[str, bool, bool]:
     return words, trial.outcome == "reached", trial.collision
 
 
-def _map_message(
-    flown_through: Artifact, record: RunRecord, flights: Sequence[AnyFlight], frame: str
+def map_message(
+    flown_through: Artifact, summary: Mapping[str, Any], paths: list[NDArray[np.float64]], frame: str
 ) -> dict[str, Any]:
+    """The map as `foxglove.SceneUpdate`: hulls, or ellipsoids near the paths at `summary["sigma"]`."""
     if flown_through.kind is SCENE:
-        paths = [flight.position for flight in flights]
-        shape = ellipsoid_entity(flown_through, float(record.summary["sigma"]), paths)
+        shape = ellipsoid_entity(flown_through, float(summary["sigma"]), paths)
     else:
         shape = _hull_entity(flown_through)
     entity = {

@@ -96,11 +96,41 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 throttle_safe=_NUMBER,
                 rates_nom_rad_s=_VECTOR,
                 rates_safe_rad_s=_VECTOR,
+                sent=_TEXT,
+                sent_values=_array(_NUMBER),
+                solve_time_s=_NUMBER,
             ),
             "description": "The filter's margin and status, the nominal and the filtered input: h_m and "
             "velocities among hulls; among ellipsoids the filter's own barrier, not in metres, and "
             "accelerations; in a geofence the true distance to it as margin, h_I as h_m with the allowance "
-            "that is taken off, the pilot's share lambda, and throttles and rates.",
+            "that is taken off, the pilot's share lambda, and throttles and rates. Of a real flight also "
+            "what was sent in the end (rates: thrust per mass and body rates; acceleration, velocity: in the "
+            "world, and the yaw) and how long the filter took.",
+        },
+        "alula.Supervisor": {
+            **_object(
+                time_s=_NUMBER,
+                state=_INTEGER,
+                state_name=_TEXT,
+                event_name=_TEXT,
+                action_name=_TEXT,
+                mode=_TEXT,
+                armed=_FLAG,
+                landed=_FLAG,
+                battery_share=_NUMBER,
+                state_age_s=_NUMBER,
+                late_s=_NUMBER,
+                tick_s=_NUMBER,
+                fence_m=_NUMBER,
+                fence_h_m=_NUMBER,
+                fence_share=_NUMBER,
+                fence_flies=_FLAG,
+                plan_s=_NUMBER,
+                plan_rate=_NUMBER,
+                error_m=_NUMBER,
+            ),
+            "description": "Who flies, tick by tick: the supervisor's state, what the vehicle says, and the "
+            "times of the loop. A step has the event that led to it and the action that was taken.",
         },
         "foxglove.PosesInFrame": _object(timestamp=_TIME, frame_id=_TEXT, poses=_array(_POSE)),
         "foxglove.PoseInFrame": _object(timestamp=_TIME, frame_id=_TEXT, pose=_POSE),

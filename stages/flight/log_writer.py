@@ -16,6 +16,7 @@ from alula.stages.flight.log_schemas import SCHEMAS
 GAP_S = 1.0  # between trials, which follow one another in log time
 DECIMALS = 6  # micrometres; the record has the exact figures
 UPRIGHT = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+_CHUNK_BYTES = 2**20
 _LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
 
 
@@ -25,12 +26,15 @@ class LogWriter:
     Args:
         stream: where to write; the caller makes the file appear.
         channels: topic to the name of its schema in `log_schemas.SCHEMAS`.
+        chunk_bytes: how much is written at once; what is not yet written is lost in a crash.
     """
 
-    def __init__(self, stream: BinaryIO, channels: Mapping[str, str]) -> None:
+    def __init__(
+        self, stream: BinaryIO, channels: Mapping[str, str], *, chunk_bytes: int = _CHUNK_BYTES
+    ) -> None:
         from mcap.writer import Writer
 
-        self._writer = Writer(stream)
+        self._writer = Writer(stream, chunk_size=chunk_bytes)
         self._writer.start(profile="", library="alula")
         self._channels = {}
         for topic, schema in channels.items():
@@ -44,6 +48,14 @@ class LogWriter:
         self._writer.add_message(
             self._channels[topic], nanoseconds, msgspec.json.encode(message), nanoseconds
         )
+
+    def note(self, name: str, texts: Mapping[str, str]) -> None:
+        """Add metadata, at once."""
+        self._writer.add_metadata(name, dict(texts))
+
+    def close(self) -> None:
+        """Close the log without a record."""
+        self._writer.finish()
 
     def finish(self, record: RunRecord) -> None:
         """Add the record without its measured times, and its provenance, as metadata; close the log."""

@@ -23,11 +23,12 @@ COLORS = {
     "stuck": "#e69f00",
     "timeout": "#8c6bb1",
     "refused": "#7f7f7f",
+    "stopped": "#cc79a7",
     "outside": "#d7301f",
     "collision": "#d7301f",
     "planned": "#222222",
 }
-_DASHES = dict.fromkeys(COLORS, "-") | {"stuck": "--", "timeout": "-.", "refused": ":"}
+_DASHES = dict.fromkeys(COLORS, "-") | {"stuck": "--", "timeout": "-.", "refused": ":", "stopped": "-."}
 _RUN_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#222222")
 _STYLE = {
     "svg.hashsalt": "alula",

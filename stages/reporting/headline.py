@@ -48,6 +48,10 @@ def headline(material: Material) -> dict[str, Any]:
         found["flights"] = "; ".join(said) + (f", {collisions} collided" if static or moving else "")
     if known := [c for _, trial in trials if (c := clearance_of(trial)) is not None]:
         found["least_clearance_m"] = min(known)
+    if notes := [
+        f"{run.label}: {note}" for run in material.runs for note in run.record.summary.get("notes", ())
+    ]:
+        found["notes"] = notes
     return found
 
 

@@ -11,7 +11,9 @@ from alula.schemas.flights import Flight
 from alula.schemas.manifest import InputRef
 from alula.schemas.run import RunRecord, TrialResult
 
-OUTCOMES = ("reached", "passed", "inside", "stuck", "timeout", "refused", "outside", "collision")
+OUTCOMES = (
+    *("reached", "passed", "inside", "stuck", "timeout", "refused", "stopped", "outside", "collision"),
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -117,6 +117,7 @@ def _summary_of(run: Run) -> dict[str, Any]:
     interval = success_interval(run)
     trials = record.trials
     steps = sum(trial.steps for trial in trials)
+    ends = {end: sum(outcome_of(trial) == end for trial in trials) for end in OUTCOMES}
     shares = {
         "share of steps the filter changed": sum(trial.filtered_steps for trial in trials),
         "share of steps shortened": sum(trial.shortened_steps for trial in trials),
@@ -132,7 +133,7 @@ def _summary_of(run: Run) -> dict[str, Any]:
         "success rate": summary.get("success_rate"),
         "success rate, 95 % low": interval[0] if interval else None,
         "success rate, 95 % high": interval[1] if interval else None,
-        **{_ENDS.get(end, end): sum(outcome_of(trial) == end for trial in trials) for end in OUTCOMES},
+        **{_ENDS.get(end, end): count for end, count in ends.items() if count or end != "stopped"},
         "least clearance to the hulls [m]": summary.get("min_map_clearance_m"),
         "least clearance to the splats [m]": summary.get("min_scene_clearance_m"),
         "path / straight line, mean of successes": summary.get("mean_path_ratio"),

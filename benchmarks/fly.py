@@ -1,0 +1,302 @@
+"""Real flights of the simulated autopilot, and what the loop that flies it takes.
+
+`alula sim-vehicle` lives in a process of its own in real time, as ArduPilot's simulation does, and
+`alula fly` flies it in another along a plan through the built-in room: arming, take-off, flight, landing.
+The vehicle also sends its true pose as motion capture does; nobody flies by it, it is for the judge.
+Clearances are those of the true path, joined at 100 Hz, while set-points were sent, from what the filter
+keeps from, hulls or ellipsoids: no figure of `fly` itself is in them. Times are those of every tick from the
+checks to the end; a tick overruns when it ends after the next one should have begun.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import platform
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+sys.path.append(str(Path(__file__).resolve().parent))
+sys.path.sort(key=sys.path[-1].__eq__)  # last: a module of the same name elsewhere comes first
+
+import numpy as np
+from measure import FloatArray
+from scenes import room
+
+from alula._core import EllipsoidSet, PolytopeSet
+from alula.cli.main import run as alula
+from alula.schemas.artifact import read_artifact, write_artifact
+from alula.schemas.kinds import COVER, SCENE
+from alula.schemas.run import open_log, record_path
+from alula.schemas.vehicle import FASTBRIDGE
+from alula.stages.compression.hulls import Hulls
+from alula.stages.reporting.metrics import hull_obstacles, path_clearance, scene_obstacles
+
+FILTERS = {"cone-backup": "scene", "polytope-cbf": "cover"}
+START, GOAL = (0.8, 0.8, 0.9), (4.7, 3.6, 1.1)  # behind a hoop and a pillar
+_ALULA = [sys.executable, "-P", "-m", "alula.cli"]
+_BRISK = ("--boot-time", "1", "--param", "LAND_SPEED=120", "--param", "WPNAV_ACCEL_Z=250")
+_PLAN_RADIUS_M = 0.25  # a little more than radius and margin of the filters
+_ARRIVED_M = 0.4  # what `fly` calls there, 0.2 m and the filter's margin, and what the estimate is off
+_TIMEOUT_S = 120.0
+_FLYING = ("fly", "hold")
+# Tscholl, Nakka and Gunter 2026, on their own computer and vehicle.
+_PUBLISHED = [
+    "FastBridge, published",
+    "",
+    "12.3",
+    "21.0",
+    "34.8",
+    "",
+    "",
+    "1 of 822",
+    "755 of 822",
+    "0.154",
+    "",
+]
+
+
+class Witness(threading.Thread):
+    """Where the vehicle truly is, as it sends it to a port of this machine."""
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.2)
+        self.address = f"udp:127.0.0.1:{self._socket.getsockname()[1]}"
+        self._rows: list[tuple[float, ...]] = []
+        self._ends = threading.Event()
+
+    def run(self) -> None:
+        """Listen until `end`."""
+        while not self._ends.is_set():
+            with contextlib.suppress(TimeoutError):
+                sample = json.loads(self._socket.recv(2048))
+                self._rows.append((time.monotonic(), *sample["position_m"]))
+
+    def end(self) -> FloatArray:
+        """Times of arrival and positions from where it stood, shape (n, 4)."""
+        self._ends.set()
+        self.join()
+        self._socket.close()
+        return np.array(self._rows).reshape(-1, 4)
+
+
+def make_world(folder: Path, gaussians: int, voxel_m: float, hulls: int) -> None:
+    """The room's scene and cover in a folder."""
+    write_artifact(folder / "scene.npz", room(gaussians))
+    steps = (
+        f"voxelize {folder}/scene.npz -o {folder}/voxels.npz --size {voxel_m} -q",
+        f"merge {folder}/voxels.npz -o {folder}/cover.npz --hulls {hulls} -q",
+    )
+    for step in steps:
+        if alula(step.split()) != 0:
+            raise SystemExit(f"failed: alula {step}")
+
+
+def make_plan(folder: Path, speed_m_s: float) -> Path:
+    """The plan at a speed."""
+    path = folder / f"{speed_m_s:g}.plan.npz"
+    words = ["plan", str(folder / "cover.npz"), "-o", str(path), "--speed", str(speed_m_s), "-q"]
+    words += ["--start", "{} {} {}".format(*START), "--goal", "{} {} {}".format(*GOAL)]
+    if alula([*words, "--radius", str(_PLAN_RADIUS_M)]) != 0:
+        raise SystemExit("there is no plan")
+    return path
+
+
+@contextlib.contextmanager
+def vehicle(witness: Witness, seed: int) -> Iterator[str]:
+    """`alula sim-vehicle`, still starting; the address to fly it by."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        place = f"127.0.0.1:{probe.getsockname()[1]}"
+    words = [*_ALULA, "sim-vehicle", "-q", "--link", f"udpout:{place}", "--mocap", witness.address]
+    words += [*_BRISK, "--seed", str(seed)]
+    with subprocess.Popen(words, stderr=subprocess.DEVNULL) as process:
+        try:
+            yield f"udpin:{place}"
+        finally:
+            process.terminate()
+            process.wait(10)
+
+
+def fly(folder: Path, plan: Path, name: str, seed: int) -> tuple[Path, float, FloatArray]:
+    """One flight: its log, the monotonic time it began at, and the true path in the map's frame, (n, 4)."""
+    log = folder / f"{plan.stem}.{name}.{seed}.run.mcap"
+    witness = Witness()
+    witness.start()
+    with vehicle(witness, seed) as link:
+        words = [*_ALULA, "fly", str(plan), "--map", str(folder / f"{FILTERS[name]}.npz"), "--filter", name]
+        words += ["--link", link, "--origin", f"{-START[0]} {-START[1]} 0", "-o", str(log)]
+        with subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+            timer = threading.Timer(_TIMEOUT_S, process.kill)
+            timer.start()
+            assert process.stderr is not None
+            lines, begin = [], np.inf
+            for line in process.stderr:  # "   3.21 s  words"; the line that came the fastest tells the clock
+                lines.append(line)
+                seconds, _, words_ = line.strip().partition(" s  ")
+                if words_ and seconds.replace(".", "", 1).isdigit():
+                    begin = min(begin, time.monotonic() - float(seconds))
+            timer.cancel()
+    if not log.exists() or not np.isfinite(begin):
+        raise SystemExit(f"{name}: there was no flight\n{''.join(lines)}")
+    seen = witness.end()
+    return log, begin, seen + np.array((0.0, START[0], START[1], 0.0))
+
+
+def ticks_of(log: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """What a log says of each tick, and of each step of the supervisor."""
+    from mcap.reader import make_reader
+
+    with open_log(log) as stream:
+        said = [json.loads(m.data) for _, _, m in make_reader(stream).iter_messages(["/supervisor"])]
+    return [row for row in said if "tick_s" in row], [row for row in said if "event_name" in row]
+
+
+def obstacles_of(folder: Path, name: str) -> PolytopeSet | EllipsoidSet:
+    """What a filter keeps from: hulls, or the ellipsoids within them."""
+    if FILTERS[name] == "cover":
+        return hull_obstacles(Hulls.from_cover(read_artifact(folder / "cover.npz", COVER)))
+    return scene_obstacles(read_artifact(folder / "scene.npz", SCENE), 1.0)
+
+
+def judge(folder: Path, plan: Path, name: str, seed: int, speed_m_s: float) -> dict[str, Any]:
+    """A flight and its figures."""
+    log, begin, seen = fly(folder, plan, name, seed)
+    ticks, steps = ticks_of(log)
+    record = json.loads(record_path(log).read_text())
+    timing, (trial,) = record["timing"], record["trials"]
+    flown = [row["time_s"] for row in ticks if row["state_name"] in _FLYING]
+    path = seen[(seen[:, 0] >= begin + flown[0] - 0.05) & (seen[:, 0] <= begin + flown[-1] + 0.05), 1:]
+    least = float(path_clearance(np.ascontiguousarray(path), obstacles_of(folder, name)).min())
+    end_m = float(np.linalg.norm(path[-1] - GOAL))
+    tick = np.array([row["tick_s"] for row in ticks[1:]])  # of the tick before
+    return {
+        "filter": name,
+        "speed_m_s": speed_m_s,
+        "seed": seed,
+        "reached": bool(trial["outcome"] == "reached" and end_m < _ARRIVED_M),
+        "ended_by": record["summary"]["ended_by"],
+        "end_m": end_m,
+        "min_clearance_m": least - FASTBRIDGE.body.radius_m,
+        "max_speed_m_s": trial["max_speed_m_s"],
+        "flight_s": flown[-1] - flown[0],
+        "rate_hz": (len(ticks) - 1) / (ticks[-1]["time_s"] - ticks[0]["time_s"]),
+        "ticks": timing["ticks"],
+        "tick_mean_ms": 1e3 * float(tick.mean()),
+        **{f"tick_{part}_ms": 1e3 * timing[f"tick_{part}_s"] for part in ("p50", "p99", "max")},
+        **{f"lateness_{part}_ms": 1e3 * timing[f"lateness_{part}_s"] for part in ("p50", "p99", "max")},
+        **{f"filter_{part}_ms": 1e3 * timing[f"filter_{part}_s"] for part in ("p50", "p99", "max")},
+        "overruns": timing["overruns"],
+        "skipped": timing["skipped"],
+        "dropped_samples": timing["dropped_samples"],
+        "filtered_ticks": trial["steps"],
+        "feasible_ticks": trial["steps"] - trial["infeasible_steps"],
+        "holds": record["summary"]["holds"],
+        "supervisor": [f"{row['event_name']}: {row['state_name']}" for row in steps],
+    }
+
+
+def run(options: argparse.Namespace) -> dict[str, Any]:
+    """All flights and their figures."""
+    begin = time.perf_counter()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        make_world(folder, options.gaussians, options.voxel, options.hulls)
+        plans = {speed: make_plan(folder, speed) for speed in options.speeds}
+        flights = [
+            judge(folder, plans[speed], kind, seed, speed)
+            for speed in options.speeds
+            for seed in range(options.flights)
+            for kind in FILTERS
+        ]
+    most = ("tick_p50_ms", "tick_p99_ms", "tick_max_ms", "lateness_p99_ms", "lateness_max_ms")
+    return {
+        "quick": options.quick,
+        "machine": f"{platform.machine()}, {os.cpu_count()} processors",
+        "python": platform.python_version(),
+        "rate_hz": min(flight["rate_hz"] for flight in flights),
+        **{key: max(flight[key] for flight in flights) for key in most},
+        **{key: sum(flight[key] for flight in flights) for key in ("ticks", "overruns", "skipped")},
+        "dropped_samples": sum(flight["dropped_samples"] for flight in flights),
+        "min_clearance_m": min(flight["min_clearance_m"] for flight in flights),
+        "reached": all(flight["reached"] for flight in flights),
+        "flights_reached": sum(flight["reached"] for flight in flights),
+        "flights": flights,
+        "total_s": time.perf_counter() - begin,
+    }
+
+
+def table(found: dict[str, Any]) -> str:
+    """Overruns and clearances as Markdown, one line for each flight."""
+    heads = ["filter", "plan, m/s", "tick, ms: mean", "p99", "max", "late, ms: p99", "max"]
+    heads += ["overruns", "feasible ticks", "least clearance, m", "reached"]
+    rows = [
+        [
+            flight["filter"],
+            f"{flight['speed_m_s']:g}",
+            *(f"{flight[f'tick_{part}_ms']:.2f}" for part in ("mean", "p99", "max")),
+            *(f"{flight[f'lateness_{part}_ms']:.2f}" for part in ("p99", "max")),
+            f"{flight['overruns']} of {flight['ticks']}",
+            f"{flight['feasible_ticks']} of {flight['filtered_ticks']}",
+            f"{flight['min_clearance_m']:.3f}",
+            "yes" if flight["reached"] else f"NO: {flight['ended_by']}",
+        ]
+        for flight in found["flights"]
+    ]
+    lines = [heads, ["---"] * len(heads), *rows, _PUBLISHED]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+_PREFACE = """# Flights in real time, measured
+
+Written by `python benchmarks/fly.py --markdown FILE` on {machine}, Python {python}: `alula fly` at 100 Hz
+over MAVLink on loopback against `alula sim-vehicle` in another process, in real time, along a plan through
+the built-in room. Ticks are all of a flight, from the checks until the motors stop. A tick overruns when it
+ends after the next one should have begun; feasible ticks are those at which the filter's program had a
+solution. Clearances are those of the vehicle's true path, as its simulation tells the judge alone, while
+set-points were sent, from hulls (polytope-cbf) or ellipsoids (cone-backup), less the vehicle's radius of
+{radius:g} m.
+
+"""
+
+
+def main() -> int:
+    """Fly everything; 1 when a flight did not arrive or touched the map, whatever the times."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="one flight with each filter, under a minute")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the table to FILE")
+    parser.add_argument("--speeds", type=float, nargs="+", metavar="M_S", help="of plans: 1 2 3, quick 1.5")
+    parser.add_argument("--flights", type=int, metavar="N", help="with each filter and speed: 2, quick 1")
+    parser.add_argument("--gaussians", type=int, metavar="N", help="of the room: 200,000, quick 30,000")
+    parser.add_argument("--voxel", type=float, default=0.1, metavar="M", help="edge of the cover's voxels")
+    parser.add_argument("--hulls", type=int, default=150, metavar="N", help="of the cover")
+    options = parser.parse_args()
+    for name, quick, full in (
+        ("speeds", [1.5], [1.0, 2.0, 3.0]),
+        ("flights", 1, 2),
+        ("gaussians", 30_000, 200_000),
+    ):
+        if getattr(options, name) is None:
+            setattr(options, name, quick if options.quick else full)
+    found = run(options)
+    if options.markdown is not None:
+        options.markdown.write_text(_PREFACE.format(**found, radius=FASTBRIDGE.body.radius_m) + table(found))
+    print(json.dumps(found, indent=1) if options.json else table(found).rstrip("\n"))
+    return 0 if found["reached"] and found["min_clearance_m"] > 0 else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

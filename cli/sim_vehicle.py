@@ -1,0 +1,205 @@
+"""`alula sim-vehicle`."""
+
+from __future__ import annotations
+
+import math
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from alula.cli import options
+from alula.schemas.errors import InputError, UsageError
+
+if TYPE_CHECKING:
+    from alula.stages.flight.autopilot.endpoint import Flown
+
+_CRTP = "udp://"
+
+
+@click.command(
+    "sim-vehicle",
+    epilog="""Examples:
+
+\b
+  alula sim-vehicle --link udpout:127.0.0.1:14550
+  alula sim-vehicle --link tcpin:127.0.0.1:5760 --boot-time 5 --param GUID_OPTIONS=8
+  alula sim-vehicle --link udp://127.0.0.1:19850 --vehicle crazyflie21.toml
+  alula sim-vehicle --link udpin:127.0.0.1:14551 --fault drop:since=airborne,start=5,duration=2""",
+)
+@click.option(
+    "--link",
+    required=True,
+    metavar="KIND:HOST:PORT",
+    help="udpout: talk to HOST:PORT, as ArduPilot's simulation does; udpin, tcpin: wait there; "
+    "udp://HOST:PORT: be a Crazyflie there.",
+)
+@click.option("--vehicle", "vehicle_path", type=options.PATH, help="Vehicle file; FastBridge's without one.")
+@click.option(
+    "--boot-time",
+    "boot_time_s",
+    type=options.FINITE_FLOAT,
+    default=36.0,
+    show_default=True,
+    help="From boot until the estimator has settled, with satellites [s].",
+)
+@click.option("--param", "parameters", multiple=True, metavar="NAME=VALUE", help="Parameter at boot.")
+@click.option(
+    "--fault",
+    "faults",
+    multiple=True,
+    metavar="KIND[:KEY=VALUE,...]",
+    help="What goes wrong; keys: start, duration, probability, amount, way, since.",
+)
+@click.option(
+    "--mocap",
+    "mocap_address",
+    metavar="udp:HOST:PORT",
+    help="Send the true pose there as motion capture does, for fly --mocap.",
+)
+@click.option(
+    "--heading",
+    "heading_deg",
+    type=options.FINITE_FLOAT,
+    default=0.0,
+    show_default=True,
+    help="At the start, clockwise from north [degrees].",
+)
+@click.option(
+    "--signing-key",
+    type=options.PATH,
+    help="File with the key of MAVLink 2 signatures; unsigned packets are then refused.",
+)
+@click.option(
+    "--console", is_flag=True, help="Be the port that takes unsigned packets even with --signing-key."
+)
+@click.option("--duration", "duration_s", type=options.FINITE_FLOAT, help="End after that long [s].")
+@click.option("--allow-remote", is_flag=True, help="Allow a link beyond this machine.")
+@click.option("--seed", type=options.Whole(0), default=0, show_default=True, help="Of noise and faults.")
+@options.reporting
+def command(
+    link: str,
+    vehicle_path: Path | None,
+    boot_time_s: float,
+    parameters: tuple[str, ...],
+    faults: tuple[str, ...],
+    mocap_address: str | None,
+    heading_deg: float,
+    signing_key: Path | None,
+    console: bool,
+    seed: int,
+    duration_s: float | None,
+    allow_remote: bool,
+    json: bool,
+    quiet: bool,
+    verbose: int,
+) -> None:
+    """Be a MAVLink vehicle for rehearsals, as ArduPilot Copter is one."""
+    import json as json_module
+    import time
+
+    from alula.stages.flight.autopilot.endpoint import open_endpoint, open_mocap, serve
+
+    if not 0 < boot_time_s <= 3600:
+        raise UsageError("--boot-time must be in 0..3600 s")
+    if duration_s is not None and duration_s <= 0:
+        raise UsageError("--duration must be positive")
+    values = dict(_parameter(text) for text in parameters)
+    vehicle: Flown
+    if link.startswith(_CRTP):
+        if faults or signing_key is not None or console:
+            raise UsageError("a simulated Crazyflie has no --fault, --signing-key or --console")
+        name, vehicle = _crazyflie(
+            vehicle_path,
+            values,
+            yaw_rad=-math.radians(heading_deg),
+            poses=mocap_address is not None,
+            seed=seed,
+        )
+        link = f"udpin:{link.removeprefix(_CRTP)}"
+    else:
+        from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
+        from alula.stages.flight.autopilot.copter import Copter
+        from alula.stages.flight.autopilot.estimator import EstimatorOptions
+        from alula.stages.flight.autopilot.faults import parse_fault
+        from alula.stages.flight.autopilot.simulator import SimulatedVehicle
+
+        copter = Copter(
+            FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path),
+            parameters=values,
+            options=EstimatorOptions(boot_time_s=boot_time_s),
+            heading_rad=math.radians(heading_deg),
+            seed=seed,
+        )
+        name, vehicle = (
+            copter.name,
+            SimulatedVehicle(
+                copter,
+                faults=tuple(parse_fault(text) for text in faults),
+                seed=seed,
+                channel=0 if console or signing_key is None else 1,
+                key=None if signing_key is None else _key(signing_key),
+                epoch_s=time.time(),
+            ),
+        )
+    with ExitStack() as opened:
+        endpoint = open_endpoint(link, allow_remote=allow_remote)
+        opened.callback(endpoint.close)
+        mocap = None if mocap_address is None else open_mocap(mocap_address, allow_remote=allow_remote)
+        if mocap is not None:
+            opened.callback(mocap.close)
+        if json:
+            ready = {"link": endpoint.name, "vehicle": name, "boot_time_s": boot_time_s, "seed": seed}
+            click.echo(json_module.dumps(ready))
+        elif not quiet:
+            click.echo(f"{name} is on {endpoint.name}")
+        sys.stdout.flush()
+        lost_s = serve(vehicle, endpoint, mocap=mocap, duration_s=duration_s)
+        if lost_s and not quiet:
+            click.echo(f"alula: the machine was too busy for {lost_s:.1f} s of the simulation", err=True)
+
+
+def _crazyflie(
+    vehicle_path: Path | None, values: dict[str, float], *, yaw_rad: float, poses: bool, seed: int
+) -> tuple[str, Flown]:
+    from alula.schemas.vehicle import read_vehicle
+    from alula.stages.flight.autopilot.crazyflie import CrazyflieOptions, SimulatedCrazyflie
+
+    if vehicle_path is None:
+        raise UsageError("a simulated Crazyflie needs --vehicle: examples/vehicles/crazyflie21.toml is one")
+    vehicle = read_vehicle(vehicle_path)
+    has_app = any(name.startswith("alula.") for name in values)
+    found = SimulatedCrazyflie(
+        vehicle, CrazyflieOptions(yaw_rad=yaw_rad, needs_poses=poses, has_app=has_app, seed=seed)
+    )
+    found.set_parameters(values)
+    return f"{vehicle.name}, a simulated Crazyflie,", found
+
+
+def _parameter(text: str) -> tuple[str, float]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise UsageError(f"--param {text!r}: write NAME=VALUE")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise UsageError(f"--param {text!r}: {value!r} is not a number") from None
+
+
+def _key(path: Path) -> bytes:
+    """A signing key from a file, as `fly` takes it."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror}") from error
+    if len(raw) == 32:
+        return raw
+    try:
+        key = bytes.fromhex(raw.decode("ascii").strip())
+    except ValueError:
+        key = b""
+    if len(key) != 32:
+        raise InputError(f"{path}: a signing key is 32 bytes, or 64 hexadecimal digits")
+    return key

@@ -1,0 +1,161 @@
+"""Parameters of `fly`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from alula.schemas.errors import UsageError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlyConfig:
+    """Parameters of `fly`; None stands for what the plan or the vehicle says, or for the default."""
+
+    name: str = field(default="flight", metadata={"help": "Name of the flight, for reports."})
+    filter: str = field(
+        default="polytope-cbf", metadata={"help": "Safety filter, or none.", "metavar": "NAME"}
+    )
+    margin_m: float = field(
+        default=0.1,
+        metadata={
+            "help": "What filters keep beyond the vehicle's radius, for errors of tracking and state [m].",
+            "option": "--margin",
+        },
+    )
+    rate_hz: float = field(default=100.0, metadata={"help": "Ticks per second.", "option": "--rate"})
+    fence: tuple[float, float, float, float, float, float] | None = field(
+        default=None,
+        metadata={
+            "help": "Box not to leave, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; default: the plan's, and 2 m "
+            "around it.",
+            "metavar": "BOX",
+        },
+    )
+    fence_map: bool = field(
+        default=False,
+        metadata={"help": "The geofence also keeps out of the hulls of the cover, by the vehicle's radius."},
+    )
+    fence_reserve_m: float = field(
+        default=0.05,
+        metadata={
+            "help": "What the geofence keeps beyond the radius, for what its model leaves out [m].",
+            "option": "--fence-reserve",
+        },
+    )
+    latency_s: float = field(
+        default=0.03,
+        metadata={
+            "help": "From a state, or a command, until it acts, for the geofence [s].",
+            "option": "--latency",
+        },
+    )
+    gain: float = field(
+        default=2.0, metadata={"help": "Gain c of the nominal controller, among hulls [1/s]."}
+    )
+    beta: float = field(default=2.0, metadata={"help": "Gain of the barrier of polytope-cbf [1/s]."})
+    kappa_per_m: float = field(
+        default=100.0, metadata={"help": "Sharpness of its smoothing [1/m].", "option": "--kappa"}
+    )
+    speed_m_s: float | None = field(
+        default=None,
+        metadata={
+            "help": "Speed limit of velocity set-points [m/s]; default: 1.5 times the plan's.",
+            "option": "--speed",
+        },
+    )
+    sigma: float = field(
+        default=1.0,
+        metadata={"help": "Level of the scene's ellipsoids as obstacles, in standard deviations."},
+    )
+    inflation_m: float | None = field(
+        default=None,
+        metadata={
+            "help": "What filters among ellipsoids add to radius and margin [m]; default: what the scene's "
+            "alignment suggests.",
+            "option": "--inflate",
+        },
+    )
+    catch_up_m_s: float | None = field(
+        default=None,
+        metadata={
+            "help": "How much faster than its reference a vehicle that was held up may fly among ellipsoids "
+            "[m/s]; default: of its file, else half the plan's speed.",
+            "option": "--catch-up",
+        },
+    )
+    frame_check: Literal["motion", "hand", "none"] = field(
+        default="motion",
+        metadata={
+            "help": "How to see that the vehicle's frame is the map's: in flight, by its motion; hand: also "
+            "before, you move it along the map's axes."
+        },
+    )
+    near_m: float = field(
+        default=0.5,
+        metadata={"help": "How far beside the plan's start it may stand [m].", "option": "--near"},
+    )
+    battery: float = field(
+        default=0.3, metadata={"help": "Least charge to take off with, of 1; it lands at two thirds of that."}
+    )
+    stale_s: float = field(
+        default=0.15, metadata={"help": "Oldest state that is flown on [s].", "option": "--stale"}
+    )
+    fallback_s: float = field(
+        default=3.0,
+        metadata={
+            "help": "How long a filter may fly its fallback before a hold [s].",
+            "option": "--fallback",
+        },
+    )
+    max_time_s: float | None = field(
+        default=None,
+        metadata={
+            "help": "It lands when the plan takes longer [s]; default: 10 s and three times its duration.",
+            "option": "--max-time",
+        },
+    )
+    log_rate_hz: float = field(
+        default=100.0, metadata={"help": "Samples per second in the log.", "option": "--log-rate"}
+    )
+    filter_parameters: Mapping[str, Any] = field(default_factory=dict, metadata={"internal": True})
+
+    def __post_init__(self) -> None:
+        """Refuse values that mean nothing."""
+        for option, value, low, high in (
+            ("--margin", self.margin_m, 0.0, 100.0),
+            ("--rate", self.rate_hz, 10.0, 500.0),
+            ("--fence-reserve", self.fence_reserve_m, 0.0, 10.0),
+            ("--latency", self.latency_s, 0.0, 0.3),
+            ("--gain", self.gain, 1e-6, 2 * self.rate_hz),
+            ("--beta", self.beta, 1e-6, self.rate_hz),
+            ("--kappa", self.kappa_per_m, 1e-2, 1e5),
+            ("--sigma", self.sigma, 0.01, 100.0),
+            ("--near", self.near_m, 0.01, 100.0),
+            ("--battery", self.battery, 0.0, 0.9),
+            ("--stale", self.stale_s, 0.02, 2.0),
+            ("--fallback", self.fallback_s, 0.1, 60.0),
+            ("--log-rate", self.log_rate_hz, 0.1, 500.0),
+        ):
+            _between(option, value, low, high)
+        for option, given, low, high in (
+            ("--speed", self.speed_m_s, 1e-3, 100.0),
+            ("--inflate", self.inflation_m, 0.0, 100.0),
+            ("--catch-up", self.catch_up_m_s, 1e-6, 1e3),
+            ("--max-time", self.max_time_s, 1.0, 1e5),
+        ):
+            if given is not None:
+                _between(option, given, low, high)
+        if self.fence is not None and not all(self.fence[i] < self.fence[i + 3] for i in range(3)):
+            raise UsageError("--fence needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
+        if self.frame_check not in ("motion", "hand", "none"):
+            raise UsageError(f"--frame-check must be motion, hand or none, not {self.frame_check!r}")
+        if not self.name.strip():
+            raise UsageError("--name must not be empty")
+
+
+def _between(option: str, value: float, low: float, high: float) -> None:
+    if not (low <= value <= high) or not math.isfinite(value):
+        raise UsageError(f"{option} must be between {low:g} and {high:g}, not {value:g}")

@@ -1,0 +1,120 @@
+"""What the simulated Crazyflie believes of its motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.stages.flight.links.simulated_body import Body
+from alula.stages.rotation import multiply_quat_wxyz
+
+FloatArray = NDArray[np.float64]
+
+_UNKNOWN_M2, _KNOWN_M2 = 100.0, 1e-4  # variances
+_SHARE = 0.2  # of what a pose says otherwise is taken over
+_FRESH_S = 0.1
+_DRIFT_M_S, _GROWTH_M2_S = 0.3, 0.5
+
+
+class Estimator:
+    """The body's measurements, moved and turned about z as poses from outside say.
+
+    With `needs_poses` the place drifts away without them, and its variance grows.
+
+    Attributes:
+        variance: of each axis of the position [m^2].
+        yaw_offset_rad: by which the estimate is turned against the truth.
+    """
+
+    def __init__(self, body: Body, *, needs_poses: bool, seed: int) -> None:
+        self._body, self._needs_poses = body, needs_poses
+        self.variance = _UNKNOWN_M2 if needs_poses else _KNOWN_M2
+        self.yaw_offset_rad = 0.0
+        self._offset = np.zeros(3)
+        self._pose_age_s = math.inf
+        angle = np.random.default_rng([seed, 11]).uniform(-math.pi, math.pi)
+        self._drift = _DRIFT_M_S * np.array([math.cos(angle), math.sin(angle), 0.0])
+        self._look()
+
+    @property
+    def yaw_rad(self) -> float:
+        """Heading."""
+        return _yaw(self.attitude_wxyz)
+
+    def step(self, dt_s: float) -> None:
+        """Time goes on."""
+        self._pose_age_s += dt_s
+        if self._needs_poses and self._pose_age_s > _FRESH_S:
+            self.variance = min(self.variance + _GROWTH_M2_S * dt_s, _UNKNOWN_M2)
+            if not self._body.is_resting:
+                self._offset = self._offset + self._drift * dt_s
+        self._look()
+
+    def take_pose(self, position: FloatArray, attitude_wxyz: FloatArray) -> None:
+        """A pose from outside."""
+        if not (np.isfinite(position).all() and np.isfinite(attitude_wxyz).all()):
+            return
+        self._pose_age_s = 0.0
+        self.variance = max(_KNOWN_M2, self.variance * (1 - _SHARE))
+        turn = math.remainder(_yaw(attitude_wxyz) - self.yaw_rad, 2 * math.pi)
+        self.yaw_offset_rad += _SHARE * turn
+        self._look()
+        self._offset = self._offset + _SHARE * (position - self.position)
+        self._look()
+
+    def reset(self, position: FloatArray, yaw_rad: float) -> None:
+        """Begin anew at a place."""
+        if not (np.isfinite(position).all() and math.isfinite(yaw_rad)):
+            return
+        self.variance = _UNKNOWN_M2 if self._needs_poses else _KNOWN_M2
+        if self._needs_poses:
+            self.yaw_offset_rad += math.remainder(yaw_rad - self.yaw_rad, 2 * math.pi)
+            self._look()
+            self._offset = self._offset + position - self.position
+            self._look()
+
+    def to_truth(self, vector: FloatArray) -> FloatArray:
+        """A vector of the estimate's frame, in the true one."""
+        return self._turned(vector, -self.yaw_offset_rad)
+
+    def readers(self) -> dict[str, Callable[[], float]]:
+        """Variables of the compressed state, in m, m/s and rad/s; the pitch rate with the firmware's sign."""
+
+        def of(name: str, i: int, sign: float = 1.0) -> Callable[[], float]:
+            return lambda: sign * float(getattr(self, name)[i])
+
+        found = {axis: of("position", i) for i, axis in enumerate("xyz")}
+        found |= {f"v{axis}": of("velocity", i) for i, axis in enumerate("xyz")}
+        return found | {
+            "rateRoll": of("omega", 0),
+            "ratePitch": of("omega", 1, -1.0),
+            "rateYaw": of("omega", 2),
+        }
+
+    def _look(self) -> None:
+        position, velocity, attitude, self.omega = self._body.measured()
+        half = 0.5 * self.yaw_offset_rad
+        self.position: FloatArray = self._turned(position, self.yaw_offset_rad) + self._offset
+        self.velocity: FloatArray = self._turned(velocity, self.yaw_offset_rad)
+        self.attitude_wxyz: FloatArray = attitude
+        self.true_attitude_wxyz: FloatArray = attitude
+        if half:
+            self.attitude_wxyz = multiply_quat_wxyz(
+                np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), attitude
+            )
+
+    @staticmethod
+    def _turned(vector: FloatArray, angle: float) -> FloatArray:
+        if angle == 0.0:
+            return vector
+        cos, sin = math.cos(angle), math.sin(angle)
+        x, y, z = vector.tolist()
+        return np.array([cos * x - sin * y, sin * x + cos * y, z])
+
+
+def _yaw(quat_wxyz: FloatArray) -> float:
+    w, x, y, z = quat_wxyz.tolist()
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

@@ -1,0 +1,140 @@
+"""The supervisor of the simulated Crazyflie: when its motors may run."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+WARNING_S = 0.5  # without a set-point: level out
+TIMEOUT_S = 2.0  # ... and the motors off, for good
+EMERGENCY_S = 1.0  # between two notices, once there was one
+STILL_S = 2.0  # motors off for that long: no longer flying
+PREFLIGHT_S = 30.0  # armed without flying
+
+_CAN_BE_ARMED, _IS_ARMED, _AUTO_ARMS, _CAN_FLY, _IS_FLYING = 0, 1, 2, 3, 4
+_IS_TUMBLED, _IS_LOCKED, _PLANS, _PLAN_FINISHED, _PLAN_DISABLED = 5, 6, 8, 9, 10
+
+
+class Stage(Enum):
+    """Of the supervisor."""
+
+    NOT_CHECKED = "pre-flight checks not passed"
+    CHECKED = "pre-flight checks passed"
+    READY = "ready to fly"
+    FLYING = "flying"
+    LEVEL_OUT = "no set-points: levels out"
+    LOCKED = "locked"
+
+
+_RUNS = (Stage.READY, Stage.FLYING, Stage.LEVEL_OUT)
+
+
+class Supervisor:
+    """Arms on request or by itself, levels out and stops without set-points, and locks after an emergency.
+
+    A locked one must be started anew. All times are since boot [s].
+
+    Attributes:
+        stage: see `Stage`.
+        is_armed: whether arming was asked for and is in force.
+        tumbled: upside down, or crashed; set from outside.
+        texts: for the console; the reader takes them out.
+    """
+
+    def __init__(self, *, arms_itself: bool) -> None:
+        self.stage = Stage.NOT_CHECKED
+        self.is_armed = self.tumbled = False
+        self.texts: list[str] = []
+        self._arms_itself = arms_itself
+        self._thrust_s: float | None = None
+        self._armed_s = 0.0
+        self._notice_s: float | None = None
+        self._is_stopped = False
+
+    @property
+    def motors_may_run(self) -> bool:
+        """Whether set-points reach the motors."""
+        return self.stage in _RUNS
+
+    @property
+    def is_flying(self) -> bool:
+        """Whether motors ran in the last two seconds."""
+        return self.stage in (Stage.FLYING, Stage.LEVEL_OUT)
+
+    def arm(self, wanted: bool) -> bool:
+        """Ask to arm or disarm; whether it is so now."""
+        if wanted == self.is_armed:
+            return True
+        if wanted and self.stage is not Stage.CHECKED:
+            return False
+        self.is_armed = wanted
+        return True
+
+    def notice(self, now_s: float) -> None:
+        """Begin, or go on, to need such notices every second."""
+        self._notice_s = now_s
+
+    def stop(self) -> None:
+        """Emergency: motors off."""
+        self._is_stopped = True
+
+    def update(self, now_s: float, setpoint_s: float, is_pushing: bool) -> None:
+        """Look at the age of the set-point and at the motors."""
+        if is_pushing:
+            self._thrust_s = now_s
+        moves = self._thrust_s is not None and now_s - self._thrust_s < STILL_S
+        notice = self._notice_s
+        emergency = self._is_stopped or (notice is not None and now_s - notice > EMERGENCY_S)
+        before = self.stage
+        self.stage = self._next(now_s, now_s - setpoint_s, moves, emergency)
+        if self.stage is before:
+            return
+        if self.stage is Stage.READY:
+            self._armed_s = now_s
+            self._say("Ready to fly")
+        elif self.stage in (Stage.NOT_CHECKED, Stage.CHECKED):
+            if self.is_armed:
+                self._say("Disarming")
+            self.is_armed = self._arms_itself and self.stage is Stage.CHECKED
+        elif self.stage is Stage.LOCKED:
+            self.is_armed = False
+            self.texts.append("SUP: Locked, reboot required\n")
+
+    def bits(self, plans: bool, finished: bool) -> int:
+        """What `supervisor.info` holds; of the high-level commander whether it flies a plan, or has."""
+        found = {
+            _CAN_BE_ARMED: self.stage is Stage.CHECKED,
+            _IS_ARMED: self.is_armed,
+            _AUTO_ARMS: self._arms_itself,
+            _CAN_FLY: self.motors_may_run,
+            _IS_FLYING: self.is_flying,
+            _IS_TUMBLED: self.tumbled,
+            _IS_LOCKED: self.stage is Stage.LOCKED,
+            _PLANS: plans,
+            _PLAN_FINISHED: finished,
+            _PLAN_DISABLED: False,
+        }
+        return sum(1 << bit for bit, is_set in found.items() if is_set)
+
+    def _next(self, now_s: float, age_s: float, moves: bool, emergency: bool) -> Stage:
+        stage = self.stage
+        if stage is Stage.LOCKED or emergency:
+            return Stage.LOCKED
+        if stage is Stage.NOT_CHECKED:
+            return stage if self.tumbled else Stage.CHECKED
+        if stage is Stage.CHECKED:
+            if self.tumbled:
+                return Stage.NOT_CHECKED
+            return Stage.READY if self.is_armed else stage
+        if stage is Stage.READY:
+            if self.tumbled or not self.is_armed or now_s - self._armed_s > PREFLIGHT_S:
+                return Stage.NOT_CHECKED
+            return Stage.FLYING if moves else stage
+        if age_s > TIMEOUT_S or self.tumbled or not self.is_armed:
+            return Stage.LOCKED
+        if age_s > WARNING_S:
+            return Stage.LEVEL_OUT
+        return Stage.FLYING if moves else Stage.NOT_CHECKED
+
+    def _say(self, text: str) -> None:
+        if not self._arms_itself:
+            self.texts.append(f"SUP: {text}\n")

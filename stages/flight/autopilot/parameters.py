@@ -1,0 +1,184 @@
+"""Parameters by ArduPilot's names, with its defaults where the simulated vehicle has a use for them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from enum import IntEnum
+
+from alula.schemas.errors import UsageError
+
+
+class ParamType(IntEnum):
+    """MAV_PARAM_TYPE; values travel as floats whatever their type."""
+
+    INT8 = 2
+    INT16 = 4
+    INT32 = 6
+    FLOAT = 9
+
+
+_B, _H, _I, _F = ParamType.INT8, ParamType.INT16, ParamType.INT32, ParamType.FLOAT
+
+# name: (type, default). What is only read by clients is here too: they ask for it at connecting.
+TABLE: dict[str, tuple[ParamType, float]] = {
+    "ACRO_YAW_RATE": (_F, 202.5),
+    "AHRS_EKF_TYPE": (_B, 3),
+    "AHRS_ORIENTATION": (_B, 0),
+    "ANGLE_MAX": (_H, 3000),  # centidegrees
+    "ARMING_CHECK": (_I, 1),
+    "ATC_ACCEL_P_MAX": (_F, 110000),
+    "ATC_ACCEL_R_MAX": (_F, 110000),
+    "ATC_ACCEL_Y_MAX": (_F, 27000),
+    "ATC_ANGLE_BOOST": (_B, 1),
+    "ATC_ANG_PIT_P": (_F, 4.5),
+    "ATC_ANG_RLL_P": (_F, 4.5),
+    "ATC_ANG_YAW_P": (_F, 4.5),
+    "ATC_INPUT_TC": (_F, 0.15),  # s, how soon a new lean angle is taken up
+    "BATT_CAPACITY": (_I, 3300),
+    "BATT_CRT_MAH": (_F, 0),
+    "BATT_CRT_VOLT": (_F, 0),
+    "BATT_FS_CRT_ACT": (_B, 0),
+    "BATT_FS_LOW_ACT": (_B, 0),
+    "BATT_LOW_MAH": (_F, 0),
+    "BATT_LOW_TIMER": (_B, 10),  # s
+    "BATT_LOW_VOLT": (_F, 10.5),
+    "BATT_MONITOR": (_B, 4),
+    "BRD_TYPE": (_B, 0),
+    "COMPASS_USE": (_B, 1),
+    "DISARM_DELAY": (_B, 10),  # s on the ground without throttle
+    "EK3_ENABLE": (_B, 1),
+    "EK3_SRC1_POSXY": (_B, 3),  # 3: GPS, 6: external navigation
+    "EK3_SRC1_POSZ": (_B, 1),  # 1: barometer
+    "EK3_SRC1_VELXY": (_B, 3),
+    "EK3_SRC1_VELZ": (_B, 3),
+    "EK3_SRC1_YAW": (_B, 1),  # 1: compass
+    "EK3_SRC_OPTIONS": (_H, 1),
+    "FENCE_ENABLE": (_B, 0),
+    "FLTMODE1": (_B, 7),
+    "FLTMODE2": (_B, 9),
+    "FLTMODE3": (_B, 6),
+    "FLTMODE4": (_B, 4),
+    "FLTMODE5": (_B, 5),
+    "FLTMODE6": (_B, 0),
+    "FLTMODE_CH": (_B, 5),
+    "FORMAT_VERSION": (_H, 120),
+    "FRAME_CLASS": (_B, 1),
+    "FRAME_TYPE": (_B, 1),
+    "FS_EKF_ACTION": (_B, 1),  # 1: land
+    "FS_EKF_THRESH": (_F, 0.8),
+    "FS_GCS_ENABLE": (_B, 0),  # 1: RTL, 5: land
+    "FS_GCS_TIMEOUT": (_F, 5),
+    "FS_OPTIONS": (_I, 16),
+    "FS_THR_ENABLE": (_B, 1),  # 1: RTL, 3: land
+    "FS_THR_VALUE": (_H, 975),
+    "FS_VIBE_ENABLE": (_B, 1),
+    "GPS1_TYPE": (_B, 1),
+    "GPS2_TYPE": (_B, 0),
+    "GUID_OPTIONS": (_I, 0),  # 8: "thrust" of SET_ATTITUDE_TARGET is one
+    "GUID_TIMEOUT": (_F, 3),
+    "INITIAL_MODE": (_B, 0),
+    "LAND_ALT_LOW": (_H, 1000),  # cm
+    "LAND_SPEED": (_H, 50),  # cm/s below that
+    "LAND_SPEED_HIGH": (_H, 0),
+    "LOG_BACKEND_TYPE": (_B, 0),
+    "LOIT_SPEED": (_F, 1250),
+    "MIS_TOTAL": (_H, 0),
+    "MOT_HOVER_LEARN": (_B, 2),
+    "MOT_SPIN_ARM": (_F, 0.1),
+    "MOT_SPIN_MAX": (_F, 0.95),
+    "MOT_SPIN_MIN": (_F, 0.15),
+    "MOT_SPOOL_TIME": (_F, 0.5),
+    "MOT_THST_EXPO": (_F, 0.65),
+    "MOT_THST_HOVER": (_F, 0.35),
+    "PILOT_SPEED_DN": (_H, 0),
+    "PILOT_SPEED_UP": (_H, 250),  # cm/s
+    "PILOT_TKOFF_ALT": (_F, 0),
+    "PSC_POSXY_P": (_F, 1),
+    "PSC_POSZ_P": (_F, 1),
+    "RCMAP_PITCH": (_B, 2),
+    "RCMAP_ROLL": (_B, 1),
+    "RCMAP_THROTTLE": (_B, 3),
+    "RCMAP_YAW": (_B, 4),
+    "RC_OVERRIDE_TIME": (_F, 3),
+    "RTL_ALT": (_I, 1500),  # cm
+    "RTL_ALT_FINAL": (_H, 0),
+    "RTL_LOIT_TIME": (_I, 5000),  # ms
+    "SERIAL0_PROTOCOL": (_B, 2),
+    "SERIAL1_PROTOCOL": (_B, 2),
+    **{
+        f"SR0_{group}": (_H, 0.0)
+        for group in ("EXTRA1", "EXTRA2", "EXTRA3", "EXT_STAT", "PARAMS", "POSITION", "RAW_SENS", "RC_CHAN")
+    },
+    "STAT_BOOTCNT": (_H, 1),
+    "SYSID_ENFORCE": (_B, 0),
+    "SYSID_MYGCS": (_H, 255),
+    "SYSID_THISMAV": (_H, 1),
+    "TELEM_DELAY": (_B, 0),
+    "TKOFF_SLEW_TIME": (_F, 2),  # s from no throttle to full
+    "VISO_TYPE": (_B, 0),
+    "WPNAV_ACCEL": (_F, 250),  # cm/s^2
+    "WPNAV_ACCEL_Z": (_F, 100),
+    "WPNAV_SPEED": (_F, 1000),  # cm/s
+    "WPNAV_SPEED_DN": (_F, 150),
+    "WPNAV_SPEED_UP": (_F, 250),
+}
+
+
+class Parameters:
+    """The parameters of one vehicle.
+
+    Args:
+        changed: values by name that replace defaults.
+
+    Raises:
+        UsageError: a name is unknown or a value is not finite.
+    """
+
+    def __init__(self, changed: Mapping[str, float] | None = None) -> None:
+        self._values = {name: float(default) for name, (_, default) in TABLE.items()}
+        self._names = tuple(sorted(TABLE))
+        self._index = {name: i for i, name in enumerate(self._names)}
+        for name, value in (changed or {}).items():
+            if not self.set(name, value):
+                unknown = name not in TABLE
+                raise UsageError(
+                    f"no parameter is called {name!r}" if unknown else f"{name}: {value} has no meaning"
+                )
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._values
+
+    def whole(self, name: str) -> int:
+        """An integer parameter."""
+        return int(self._values[name])
+
+    def name_at(self, index: int) -> str | None:
+        """The name at an index of the list; None beyond it."""
+        return self._names[index] if 0 <= index < len(self._names) else None
+
+    def index_of(self, name: str) -> int:
+        """Its place in the list."""
+        return self._index[name]
+
+    def set(self, name: str, value: float) -> bool:
+        """Change one; integers are rounded. False for an unknown name or a value that is not finite."""
+        if name not in self._values or not math.isfinite(value):
+            return False
+        kind = TABLE[name][0]
+        if kind is ParamType.FLOAT:
+            self._values[name] = value
+            return True
+        bits = {ParamType.INT8: 8, ParamType.INT16: 16, ParamType.INT32: 32}[kind]
+        most = 2 ** (bits - 1)
+        self._values[name] = float(max(-most, min(most - 1, round(value))))
+        return True

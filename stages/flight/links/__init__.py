@@ -1,0 +1,1 @@
+"""Links to vehicles: what speaks to an autopilot, real or simulated."""

@@ -1,0 +1,143 @@
+"""Signatures of MAVLink 2: which packets are from someone who knows the key, and were not sent before.
+
+A signed frame ends with a link's number (1 byte), a time stamp (6 bytes, units of 10 us since 2015-01-01 UTC)
+and the first 6 bytes of sha256(key, frame up to there). Source: MAVLink guide, "Message Signing".
+"""
+
+from __future__ import annotations
+
+import binascii
+import hashlib
+import hmac
+from collections.abc import Callable
+from pathlib import Path
+
+from alula.schemas.errors import InputError, LinkError
+
+SIGNATURE_BYTES = 13
+KEY_BYTES = 32
+
+_UNITS_PER_S = 100_000
+_EPOCH_S = 1_420_070_400  # 2015-01-01 in seconds since 1970
+_STAMP_BYTES = 6
+_LARGEST_STAMP = 2 ** (8 * _STAMP_BYTES) - 1
+_LATE = 60 * _UNITS_PER_S  # how far a new stream may be behind
+_KEPT_AHEAD = 60 * _UNITS_PER_S  # of the file, so that it need not be written at every packet
+_MOST_STREAMS = 256
+
+
+def read_key(path: Path) -> bytes:
+    """The key of a file that holds nothing else: 32 bytes, or as many written as 64 hexadecimal digits.
+
+    Raises:
+        InputError: it cannot be read, or holds no key.
+    """
+    try:
+        key = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    if len(key) == KEY_BYTES:
+        return key
+    digits = key.strip()
+    try:
+        if len(digits) == 2 * KEY_BYTES:
+            return binascii.unhexlify(digits)
+    except binascii.Error:
+        pass
+    raise InputError(f"{path}: a key has {KEY_BYTES} bytes, or {2 * KEY_BYTES} hexadecimal digits")
+
+
+class Signer:
+    """A key, and time stamps that only ever grow: within a run, and through `file` from run to run.
+
+    Args:
+        key: 32 bytes.
+        file: keeps a stamp above all that were used; without one a clock set back makes packets refused.
+        wall_clock: seconds since 1970, asked once; `clock` carries on from there.
+        link: number of this link, so that several may share a key.
+
+    Raises:
+        LinkError: the file cannot be read or written, or the key has not 32 bytes.
+    """
+
+    def __init__(
+        self,
+        key: bytes,
+        *,
+        file: Path | None,
+        clock: Callable[[], float],
+        wall_clock: Callable[[], float],
+        link: int = 0,
+    ) -> None:
+        if len(key) != KEY_BYTES:
+            raise LinkError(f"a signing key has {KEY_BYTES} bytes, not {len(key)}")
+        self.key, self.link = key, link
+        self._file, self._clock = file, clock
+        kept = 0 if file is None else _read_stamp(file)
+        start = max(kept, round((wall_clock() - _EPOCH_S) * _UNITS_PER_S))
+        if not 0 <= start < _LARGEST_STAMP:
+            raise LinkError("the time of day is before 2015 or far beyond: no packet can be signed")
+        self._zero = start - round(clock() * _UNITS_PER_S)
+        self._last = start
+        self._kept = kept
+        self._streams: dict[tuple[int, int, int], int] = {}
+        self.save(_KEPT_AHEAD)
+
+    def next_stamp(self) -> int:
+        """A stamp above all before it."""
+        self._last = max(self._now(), self._last + 1)
+        return self._last
+
+    def accepts(self, frame: bytes, system: int, component: int) -> bool:
+        """Whether a signed frame is signed with the key and newer than all before it of its sender."""
+        expected = hashlib.sha256(self.key + frame[:-_STAMP_BYTES]).digest()[:_STAMP_BYTES]
+        if not hmac.compare_digest(expected, frame[-_STAMP_BYTES:]):
+            return False
+        link = frame[-SIGNATURE_BYTES]
+        stamp = int.from_bytes(frame[-SIGNATURE_BYTES + 1 : -_STAMP_BYTES], "little")
+        stream = (system, component, link)
+        before = self._streams.get(stream)
+        if before is None:
+            if stamp < self._now() - _LATE or len(self._streams) >= _MOST_STREAMS:
+                return False
+        elif stamp <= before:
+            return False
+        self._streams[stream] = stamp
+        self._last = max(self._last, stamp)  # what is sent next must not look old to the other side
+        return True
+
+    def keep_up(self) -> None:
+        """Write the file when half of what it holds in reserve is used."""
+        if self._last > self._kept - _KEPT_AHEAD // 2:
+            self.save(_KEPT_AHEAD)
+
+    def save(self, ahead: int = 0) -> None:
+        """Write the file, `ahead` of the last stamp.
+
+        Raises:
+            LinkError: it cannot be written.
+        """
+        self._kept = min(self._last + ahead, _LARGEST_STAMP)
+        if self._file is None:
+            return
+        part = self._file.with_name(self._file.name + ".part")
+        try:
+            part.write_text(f"{self._kept}\n")
+            part.replace(self._file)
+        except OSError as error:
+            raise LinkError(f"{self._file}: {error.strerror or error}") from error
+
+    def _now(self) -> int:
+        return self._zero + round(self._clock() * _UNITS_PER_S)
+
+
+def _read_stamp(file: Path) -> int:
+    try:
+        text = file.read_text()
+    except FileNotFoundError:
+        return 0
+    except (OSError, UnicodeDecodeError) as error:
+        raise LinkError(f"{file}: cannot be read: {error}") from error
+    if not text.strip().isascii() or not text.strip().isdigit():
+        raise LinkError(f"{file}: holds no time stamp of signatures")
+    return int(text)

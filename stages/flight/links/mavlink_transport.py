@@ -1,0 +1,207 @@
+"""Bytes to and from a vehicle, never waiting: UDP, TCP and serial lines."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from typing import Any, Protocol
+
+from alula.schemas.errors import LinkError
+from alula.stages.flight.links.addresses import Address
+
+_DATAGRAM = 4096
+_MOST_WAITING = 1024  # bytes that a stream has not taken yet; beyond, frames are dropped whole
+_BUFFER = 1 << 18
+
+
+class Transport(Protocol):
+    """Where bytes go; all of it raises LinkError when the other end is gone for good."""
+
+    is_datagram: bool
+
+    def receive(self) -> tuple[bytes, Any] | None:
+        """What has come, and from where; None if nothing."""
+        ...
+
+    def send(self, data: bytes) -> bool:
+        """Whether it was taken; a frame is taken whole or not at all."""
+        ...
+
+    def use(self, peer: Any) -> None:
+        """Speak to this one from now on."""
+        ...
+
+    def close(self) -> None:
+        """Let go."""
+        ...
+
+
+def open_transport(address: Address, timeout_s: float) -> Transport:
+    """Open what an address names.
+
+    Raises:
+        UsageError: the address is incomplete.
+        LinkError: it cannot be opened; one line says why.
+    """
+    try:
+        if address.scheme == "serial":
+            return _Serial(*address.device_baud())
+        if address.scheme == "tcp":
+            return _Tcp(*address.host_port(), timeout_s)
+        return _Udp(*address.host_port(), is_listening=address.scheme == "udpin")
+    except OSError as error:
+        raise LinkError(f"{address.scheme}:{address.place}: {error.strerror or error}") from error
+
+
+def find_udp(host: str, port: int) -> tuple[socket.AddressFamily, Any]:
+    """Family and address of a host; IPv4 where it has both, as vehicles send to 127.0.0.1.
+
+    Raises:
+        OSError: nobody knows it.
+    """
+    found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+    family, _, _, _, place = min(found, key=lambda each: each[0] != socket.AF_INET)
+    return family, place
+
+
+class _Udp:
+    is_datagram = True
+
+    def __init__(self, host: str, port: int, *, is_listening: bool) -> None:
+        family, place = find_udp(host, port)
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        self._peer: Any = None if is_listening else place
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+            if is_listening:
+                self._socket.bind(place)
+            else:
+                self._socket.connect(place)  # takes packets from there only
+        except OSError:
+            self._socket.close()
+            raise
+        self._is_connected = not is_listening
+        self._socket.setblocking(False)
+
+    def receive(self) -> tuple[bytes, Any] | None:
+        try:
+            return self._socket.recvfrom(_DATAGRAM)
+        except (BlockingIOError, InterruptedError):
+            return None
+        except OSError:  # nobody listens there now; silence is what counts
+            return None
+
+    def send(self, data: bytes) -> bool:
+        try:
+            if self._is_connected:
+                self._socket.send(data)
+            elif self._peer is not None:
+                self._socket.sendto(data, self._peer)
+            return self._peer is not None
+        except OSError:
+            return False
+
+    def use(self, peer: Any) -> None:
+        if not self._is_connected:
+            self._peer = peer
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _Stream:
+    """A stream takes as much as it likes of a frame; the rest goes before the next one."""
+
+    is_datagram = False
+
+    def __init__(self) -> None:
+        self._waiting = b""
+
+    def send(self, data: bytes) -> bool:
+        is_taken = len(self._waiting) + len(data) <= _MOST_WAITING
+        if is_taken:
+            self._waiting += data
+        if self._waiting:
+            try:
+                self._waiting = self._waiting[self._write(self._waiting) :]
+            except (BlockingIOError, InterruptedError):
+                pass
+            except OSError as error:
+                raise LinkError(f"the vehicle's line is gone: {error.strerror or error}") from error
+        return is_taken
+
+    def receive(self) -> tuple[bytes, Any] | None:
+        try:
+            data = self._read()
+        except (BlockingIOError, InterruptedError):
+            return None
+        except OSError as error:
+            raise LinkError(f"the vehicle's line is gone: {error.strerror or error}") from error
+        if not data:
+            raise LinkError("the vehicle's line was closed by the other end")
+        return data, None
+
+    def use(self, peer: Any) -> None:
+        pass
+
+    def _read(self) -> bytes:
+        raise NotImplementedError
+
+    def _write(self, data: bytes) -> int:
+        raise NotImplementedError
+
+
+class _Tcp(_Stream):
+    def __init__(self, host: str, port: int, timeout_s: float) -> None:
+        super().__init__()
+        self._socket = socket.create_connection((host, port), timeout=max(timeout_s, 0.1))
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setblocking(False)
+
+    def _read(self) -> bytes:
+        return self._socket.recv(_DATAGRAM)
+
+    def _write(self, data: bytes) -> int:
+        return self._socket.send(data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _Serial(_Stream):
+    """A terminal line in raw mode, 8 data bits, no parity, no flow control."""
+
+    def __init__(self, device: str, baud: int) -> None:
+        super().__init__()
+        try:
+            import termios  # not on Windows
+            import tty
+        except ImportError as error:
+            raise LinkError("serial lines need termios; use udpin: with a router instead") from error
+        speed = getattr(termios, f"B{baud}", None)
+        if speed is None:
+            raise LinkError(f"{device}: {baud} is no rate that this system knows")
+        self._file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            tty.setraw(self._file)
+            mode = termios.tcgetattr(self._file)
+            mode[2] = (mode[2] | termios.CLOCAL | termios.CREAD) & ~(
+                getattr(termios, "CRTSCTS", 0) | termios.CSTOPB
+            )
+            mode[4] = mode[5] = speed
+            termios.tcsetattr(self._file, termios.TCSANOW, mode)
+            termios.tcflush(self._file, termios.TCIOFLUSH)
+        except (OSError, termios.error) as error:
+            os.close(self._file)
+            raise LinkError(f"{device}: cannot be set up as a serial line: {error}") from error
+
+    def _read(self) -> bytes:
+        return os.read(self._file, _DATAGRAM)
+
+    def _write(self, data: bytes) -> int:
+        return os.write(self._file, data)
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            os.close(self._file)

@@ -1,0 +1,64 @@
+"""Links by the scheme of an address: those of this package, then those of others through entry points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any
+
+from alula.schemas.errors import UsageError
+from alula.stages.flight.links.addresses import Address, check_address, parse_address
+from alula.stages.flight.links.options import LinkOptions
+from alula.stages.flight.links.protocol import Link
+
+ENTRY_POINTS = "alula.links"
+LinkFactory = Callable[[Address, LinkOptions], Link]
+
+_LINKS = "alula.stages.flight.links"
+_MAVLINK = f"{_LINKS}.mavlink:make_link"
+_BUILT_IN = {
+    **dict.fromkeys(("udpin", "udpout", "tcp", "serial"), _MAVLINK),
+    "sim": f"{_LINKS}.simulated:make_link",
+    **dict.fromkeys(("radio", "usb", "udp"), f"{_LINKS}.crazyflie:make_link"),
+}
+
+
+def link_schemes() -> list[str]:
+    """All schemes of addresses; the built-in ones first."""
+    others = {point.name for point in entry_points(group=ENTRY_POINTS)} - _BUILT_IN.keys()
+    return [*_BUILT_IN, *sorted(others)]
+
+
+def open_link(address: str, options: LinkOptions | None = None) -> Link:
+    """Make the link for an address; nothing is sent or listened to before its `open`.
+
+    The entry point of another package in the group `alula.links`, named like the scheme, names a callable
+    (Address, LinkOptions) -> Link, imported only now.
+
+    Raises:
+        UsageError: the address is wrong, or remote without `allow_remote`; no link has its scheme; or the
+            package that provides it cannot be imported.
+        LinkError: what the link needs is missing.
+    """
+    options = LinkOptions() if options is None else options
+    parsed = parse_address(address)
+    factory = _factory(parsed.scheme)
+    for each in (address, options.mocap):
+        if each is not None:
+            check_address(each, options.allow_remote)
+    link: Link = factory(parsed, options)
+    return link
+
+
+def _factory(scheme: str) -> Any:
+    try:
+        if scheme in _BUILT_IN:
+            module, _, name = _BUILT_IN[scheme].partition(":")
+            return getattr(import_module(module), name)
+        points = [point for point in entry_points(group=ENTRY_POINTS) if point.name == scheme]
+        if points:
+            return points[0].load()
+    except (ImportError, AttributeError) as error:
+        raise UsageError(f"the link {scheme}: cannot be loaded: {error}") from error
+    raise UsageError(f"no link is called {scheme!r}; known: {', '.join(link_schemes())}")

@@ -1,0 +1,260 @@
+"""The table of the supervisor: what each event means in each state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from typing import NamedTuple
+
+
+class State(Enum):
+    """Where a flight stands."""
+
+    IDLE = "idle"
+    CHECKS = "checks"
+    ARMING = "arming"
+    TAKE_OFF = "take-off"
+    FLY = "fly"
+    HOLD = "hold"
+    LAND = "land"
+    HAND_OVER = "hand-over"
+    ABORT = "abort"
+    DONE = "done"
+
+
+class Event(Enum):
+    """What can happen."""
+
+    START = "start"
+    CHECKS_PASSED = "checks passed"
+    CHECKS_PASSED_DRY = "checks passed, dry run"
+    CHECK_FAILED = "a check does not hold"
+    ARMED = "armed"
+    DISARMED = "disarmed"
+    AIRBORNE = "take-off height reached"
+    LANDED = "on the ground"
+    FRAME_WRONG = "motion contradicts the frame"
+    STATE_STALE = "state too old"
+    STATE_JUMPED = "position jumped"
+    LOOP_LATE = "loop too late"
+    FILTER_REFUSED = "filter knows no safe input"
+    FILTER_FAILED = "filter failed"
+    FALLBACK_LONG = "fallback for too long"
+    FENCE = "too near to the fence"
+    NOT_OBEYED = "vehicle does not follow"
+    RECOVERED = "all is well again"
+    HOLDS_USED_UP = "held too often"
+    BATTERY_LOW = "battery low"
+    LINK_LOST = "link lost"
+    ESTIMATOR_BAD = "estimator not healthy"
+    FAILSAFE = "vehicle's own failsafe"
+    FAILSAFE_IDLE = "failsafe without any action"
+    RESTARTED = "vehicle has started anew"
+    MODE_CHANGED = "mode changed by the pilot"
+    ORDER_REFUSED = "order refused"
+    PLAN_FINISHED = "plan finished"
+    TIMED_OUT = "took too long"
+    INTERRUPT = "interrupted"
+    INTERRUPT_ON_GROUND = "interrupted again, on the ground"
+    INTERRUPT_IN_AIR = "interrupted again, in the air"
+
+
+class Action(Enum):
+    """What is done when a step is taken."""
+
+    NOTHING = "nothing"
+    CHECK = "run the checks"
+    ARM = "arm"
+    TAKE_OFF = "take off"
+    ENGAGE = "take control and send set-points"
+    HOLD = "hold in place, by the vehicle itself"
+    LAND = "land, by the vehicle itself"
+    DISARM = "disarm"
+    LET_GO = "send nothing any more"
+
+
+class Step(NamedTuple):
+    """What an event leads to: a state, an action, and a line for the log."""
+
+    state: State
+    action: Action
+    words: str
+
+
+_S, _E, _A = State, Event, Action
+_Row = dict[Event, Step]
+
+
+def _abort(*events: Event) -> _Row:
+    return {event: Step(_S.ABORT, _A.DISARM, f"{event.value}: no take-off") for event in events}
+
+
+def _land(*events: Event) -> _Row:
+    return {event: Step(_S.LAND, _A.LAND, f"{event.value}: landing") for event in events}
+
+
+def _hold(*events: Event) -> _Row:
+    return {event: Step(_S.HOLD, _A.HOLD, f"{event.value}: holding") for event in events}
+
+
+def _hand_over(*events: Event) -> _Row:
+    return {
+        event: Step(_S.HAND_OVER, _A.LET_GO, f"{event.value}: the vehicle is not ours any more")
+        for event in events
+    }
+
+
+def _done(*events: Event) -> _Row:
+    return {event: Step(_S.DONE, _A.LET_GO, f"{event.value}: the flight is over") for event in events}
+
+
+def _stay(state: State, action: Action, words: str, *events: Event) -> _Row:
+    return {event: Step(state, action, f"{event.value}: {words}") for event in events}
+
+
+_TAKEN = (_E.MODE_CHANGED, _E.FAILSAFE)
+
+TABLE: Mapping[State, Mapping[Event, Step]] = {
+    _S.IDLE: {_E.START: Step(_S.CHECKS, _A.CHECK, "pre-flight checks begin")} | _done(_E.INTERRUPT),
+    _S.CHECKS: {
+        _E.CHECKS_PASSED: Step(_S.ARMING, _A.ARM, "all checks passed: arming"),
+        _E.CHECKS_PASSED_DRY: Step(_S.DONE, _A.LET_GO, "all checks passed: a dry run ends here"),
+    }
+    | _done(_E.CHECK_FAILED, _E.LINK_LOST, _E.TIMED_OUT)
+    | _done(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
+    _S.ARMING: {
+        _E.ARMED: Step(_S.TAKE_OFF, _A.TAKE_OFF, "armed: taking off"),
+        _E.ORDER_REFUSED: Step(_S.ARMING, _A.ARM, "arming refused: asking again"),
+    }
+    | _hand_over(*_TAKEN)
+    | _abort(
+        _E.FAILSAFE_IDLE,
+        _E.STATE_STALE,
+        _E.LINK_LOST,
+        _E.RESTARTED,
+        _E.STATE_JUMPED,
+        _E.ESTIMATOR_BAD,
+        _E.BATTERY_LOW,
+        _E.TIMED_OUT,
+    )
+    | _abort(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
+    _S.TAKE_OFF: {_E.AIRBORNE: Step(_S.FLY, _A.ENGAGE, "take-off height reached: flying the plan")}
+    | _hand_over(*_TAKEN)
+    | _done(_E.DISARMED)
+    | _land(
+        _E.FRAME_WRONG,
+        _E.STATE_STALE,
+        _E.LINK_LOST,
+        _E.RESTARTED,
+        _E.STATE_JUMPED,
+        _E.ESTIMATOR_BAD,
+        _E.BATTERY_LOW,
+    )
+    | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
+    | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
+    _S.FLY: _hand_over(*_TAKEN)
+    | _done(_E.DISARMED)
+    | _hold(_E.STATE_STALE, _E.LOOP_LATE, _E.FILTER_REFUSED, _E.FILTER_FAILED, _E.FALLBACK_LONG, _E.FENCE)
+    | _land(
+        _E.PLAN_FINISHED,
+        _E.FRAME_WRONG,
+        _E.LINK_LOST,
+        _E.RESTARTED,
+        _E.STATE_JUMPED,
+        _E.ESTIMATOR_BAD,
+        _E.BATTERY_LOW,
+    )
+    | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
+    | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
+    _S.HOLD: {_E.RECOVERED: Step(_S.FLY, _A.ENGAGE, "all is well again: flying on")}
+    | _hand_over(*_TAKEN)
+    | _done(_E.DISARMED)
+    | _land(
+        _E.LINK_LOST,
+        _E.RESTARTED,
+        _E.STATE_JUMPED,
+        _E.ESTIMATOR_BAD,
+        _E.BATTERY_LOW,
+        _E.FRAME_WRONG,
+        _E.HOLDS_USED_UP,
+    )
+    | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
+    | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
+    _S.LAND: _hand_over(*_TAKEN, _E.TIMED_OUT)
+    | _done(_E.DISARMED)
+    | _stay(_S.LAND, _A.DISARM, "disarming", _E.LANDED, _E.INTERRUPT_ON_GROUND)
+    | _stay(_S.LAND, _A.LAND, "landing is ordered again", _E.ORDER_REFUSED, _E.LINK_LOST)
+    | _stay(_S.LAND, _A.NOTHING, "motors stop on the ground only", _E.INTERRUPT_IN_AIR),
+    _S.HAND_OVER: _done(_E.DISARMED, _E.LINK_LOST)
+    | _done(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
+    _S.ABORT: _done(_E.DISARMED)
+    | _hand_over(*_TAKEN, _E.TIMED_OUT)
+    | _stay(_S.ABORT, _A.DISARM, "disarming is ordered again", _E.ORDER_REFUSED),
+    _S.DONE: {},
+}
+
+# What means nothing in a state, or what the state is about anyway. With the table this is every pair.
+_BEFORE = (_E.CHECKS_PASSED, _E.CHECKS_PASSED_DRY, _E.CHECK_FAILED)
+_OF_FLIGHT = (_E.LOOP_LATE, _E.FILTER_REFUSED, _E.FILTER_FAILED, _E.FALLBACK_LONG, _E.PLAN_FINISHED)
+_OF_HOLD = (_E.RECOVERED, _E.HOLDS_USED_UP)
+_HEALTH = (
+    _E.FRAME_WRONG,
+    _E.STATE_STALE,
+    _E.RESTARTED,
+    _E.STATE_JUMPED,
+    _E.ESTIMATOR_BAD,
+    _E.BATTERY_LOW,
+    _E.FENCE,
+)
+_INTERRUPTS = (_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR)
+
+IGNORED: Mapping[State, frozenset[Event]] = {
+    _S.IDLE: frozenset(Event) - {_E.START, _E.INTERRUPT},
+    # What the vehicle says meanwhile is what the checks look at.
+    _S.CHECKS: frozenset(
+        {_E.START, _E.ARMED, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
+        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.FAILSAFE_IDLE, *_TAKEN}
+    ),
+    _S.ARMING: frozenset(
+        {_E.START, *_BEFORE, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD}
+        | {_E.FRAME_WRONG, _E.FENCE, _E.NOT_OBEYED}
+    ),
+    # The ground may be nearer than a fence allows.
+    _S.TAKE_OFF: frozenset(
+        {_E.START, *_BEFORE, _E.ARMED, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, _E.NOT_OBEYED, _E.FENCE}
+    ),
+    # That it says it has landed is no reason to stop the motors of a vehicle that is told to fly.
+    _S.FLY: frozenset({_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_HOLD}),
+    # What led here is still so until it has recovered.
+    _S.HOLD: frozenset(
+        {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, _E.NOT_OBEYED}
+        | {_E.STATE_STALE, _E.FENCE}
+    ),
+    # It lands whatever else is wrong.
+    _S.LAND: frozenset(
+        {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
+        | {_E.NOT_OBEYED, _E.FAILSAFE_IDLE, _E.INTERRUPT}
+    ),
+    _S.HAND_OVER: frozenset(
+        {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
+        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE, *_TAKEN}
+    ),
+    _S.ABORT: frozenset(
+        {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
+        | {_E.NOT_OBEYED, _E.LINK_LOST, _E.FAILSAFE_IDLE, *_INTERRUPTS}
+    ),
+    _S.DONE: frozenset(Event),
+}
+
+
+def described() -> str:
+    """The table in Markdown: per state, what leads where and what is done."""
+    lines = ["| in | when | then | and |", "| --- | --- | --- | --- |"]
+    for state, row in TABLE.items():
+        together: dict[tuple[State, Action], list[str]] = {}
+        for event, step in row.items():
+            together.setdefault((step.state, step.action), []).append(event.value)
+        for (following, action), events in together.items():
+            then = "stay" if following is state else following.value
+            lines.append(f"| {state.value} | {'; '.join(events)} | {then} | {action.value} |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,170 @@
+"""`alula fly` from the command line, over `sim:` in real time: flights, refusals, interruptions, crashes."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from alula.cli.main import run
+from alula.schemas.cut_run import read_logged
+from alula.schemas.run import read_run
+
+SIM = "sim:?start=0.5,1.5,0"
+
+
+def words(folder, output, *more, link=SIM, map_name="tiny.cover.npz"):
+    return [
+        *("fly", str(folder / "tiny.plan.npz"), "--map", str(folder / map_name)),
+        *("--link", link, "-o", str(output), *more),
+    ]
+
+
+def start(arguments):
+    command = [sys.executable, "-P", "-m", "alula.cli", *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for(text, process):
+    """Lines of standard error up to one with a text."""
+    lines = []
+    for line in process.stderr:
+        lines.append(line)
+        if text in line:
+            return lines
+    raise AssertionError("".join(lines))
+
+
+def test_a_flight_is_flown_logged_and_reported(pipeline, tmp_path):
+    log = tmp_path / "f.run.mcap"
+    done = start(words(pipeline, log, "--json"))
+    out, err = done.communicate(timeout=120)
+    assert done.returncode == 0, err
+    summary = json.loads(out)["summary"]
+    assert (summary["reached"], summary["collisions"], summary["ended_by"]) == (1, 0, "plan finished")
+    assert summary["min_map_clearance_m"] > 0
+    assert "check clearance: holds" in err
+    assert "take-off height reached: flying the plan" in err
+    record = read_run(log)
+    assert record.filter == "polytope-cbf"
+    assert {ref.role for ref in record.provenance.inputs} == {"plan", "cover"}
+    assert record.provenance.parameters["link"] == SIM
+    assert record.timing["filter_calls"] == record.trials[0].steps
+    assert record.timing["ticks"] > record.timing["filter_calls"]
+    assert run(["info", str(log), "-q"]) == 0
+    assert run(["report", str(log), "-o", str(tmp_path / "f.html"), "-q"]) == 0
+    assert "reached" in (tmp_path / "f.html").read_text()
+    assert run(words(pipeline, log)) == 2  # every flight is a new one
+
+
+def test_a_dry_run_writes_nothing_and_prints_the_checks(pipeline, tmp_path, capsys):
+    log = tmp_path / "f.run.mcap"
+    assert run(words(pipeline, log, "--dry-run", "--json")) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["status"] == "dry-run"
+    assert {"heartbeat", "clearance", "plan", "frame"} <= found["summary"].keys()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failing_check_is_named_and_leaves_no_log(pipeline, tmp_path, capsys):
+    log = tmp_path / "f.run.mcap"
+    assert run(words(pipeline, log, "-q", link="sim:?start=2,1.5,0")) == 4
+    assert "pre-flight: start: the plan starts 1.50 m away" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("more", "link", "code", "text"),
+    [
+        ([], "sim:?nonsense=1", 2, "nonsense"),
+        ([], "carrier-pigeon", 2, "no address of a vehicle"),
+        ([], "udpout:192.0.2.1:14550", 2, "--allow-remote"),
+        (["--rate", "1000"], SIM, 2, "--rate must be between"),
+        (["--fence", "0", "0", "0", "0", "1", "1"], SIM, 2, "--fence needs"),
+        (["--filter", "cone-backup"], SIM, 2, "sees the ellipsoids of a scene"),
+        (["--filter", "nothing-like-it"], SIM, 2, "no filter is called"),
+        (["--signing-key", "{folder}/pairs.csv"], SIM, 3, "a signing key is 32 bytes"),
+        ([], "serial:/dev/does-not-exist:57600", 6, "does-not-exist"),
+    ],
+)
+def test_wrong_words_are_refused_in_one_line(pipeline, tmp_path, capsys, more, link, code, text):
+    more = [word.format(folder=pipeline) for word in more]
+    assert run(words(pipeline, tmp_path / "f.run.mcap", "-q", *more, link=link)) == code
+    err = capsys.readouterr().err
+    assert text in err
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_link_is_needed(pipeline, tmp_path, capsys):
+    plan, cover = str(pipeline / "tiny.plan.npz"), str(pipeline / "tiny.cover.npz")
+    assert run(["fly", plan, "--map", cover, "-o", str(tmp_path / "f.run.mcap")]) == 2
+    assert "--link is needed" in capsys.readouterr().err
+    assert run(["fly", cover, "--link", "sim:", "-o", str(tmp_path / "f.run.mcap")]) == 2
+    assert "only a plan can be flown" in capsys.readouterr().err
+
+
+def test_a_scenario_has_the_link_and_options(pipeline, tmp_path, capsys):
+    text = (
+        f'[map]\ncover = "{pipeline}/tiny.cover.npz"\nplan = "{pipeline}/tiny.plan.npz"\n'
+        '[fly]\nlink = "sim:?start=2,1.5,0"\nnear_m = 0.25\n'
+    )
+    scenario = tmp_path / "s.toml"
+    scenario.write_text(text)
+    log = tmp_path / "f.run.mcap"
+    assert run(["fly", str(scenario), "-o", str(log), "-q"]) == 4
+    assert "at most 0.25 m sideways" in capsys.readouterr().err
+    assert run(["fly", str(scenario), "-o", str(log), "-q", "--near", "2", "--dry-run"]) == 0
+    scenario.write_text(text + "speed_of_light = 1\n")
+    assert run(["fly", str(scenario), "-o", str(log), "-q"]) == 2
+    assert "speed_of_light" in capsys.readouterr().err
+
+
+def test_ctrl_c_lands_and_the_log_says_so(pipeline, tmp_path):
+    log = tmp_path / "f.run.mcap"
+    process = start(words(pipeline, log))
+    wait_for("flying the plan", process)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    lines = wait_for("disarmed", process)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert any("interrupted: landing" in line for line in lines)
+    (trial,) = read_run(log).trials
+    assert (trial.outcome, trial.collision) == ("stopped", False)
+
+
+def test_a_killed_flight_leaves_a_log_that_is_read(pipeline, tmp_path, capsys):
+    log = tmp_path / "f.run.mcap"
+    process = start(words(pipeline, log))
+    wait_for("flying the plan", process)
+    time.sleep(1.0)
+    process.kill()
+    process.communicate(timeout=60)
+    end = time.monotonic() + 20
+    while not log.read_bytes().endswith(b"\x89MCAP0\r\n") and time.monotonic() < end:
+        time.sleep(0.05)
+    found = read_logged(log)
+    assert "in the state fly" in found.damage
+    assert len(found.flights.by_trial[0].time_s) > 100
+    assert run(["info", str(log)]) == 3
+    shown = capsys.readouterr()
+    assert "the log of this flight was cut" in shown.out
+    assert "cut" in shown.err
+    assert run(["report", str(log), "-o", str(tmp_path / "f.html")]) == 0
+    assert "was cut" in capsys.readouterr().err
+    whole = log.read_bytes()
+    log.write_bytes(whole[: len(whole) * 2 // 3])  # as after a power cut
+    assert run(["info", str(log), "-q"]) == 3
+    assert run(["report", str(log), "-o", str(tmp_path / "g.html"), "-q"]) == 0
+
+
+def test_the_signing_key_is_read_raw_or_in_hexadecimal(tmp_path):
+    from alula.cli.fly import _key
+
+    for text in (bytes(range(32)), bytes(range(32)).hex().encode() + b"\n"):
+        path = tmp_path / "key"
+        path.write_bytes(text)
+        assert _key(path) == bytes(range(32))
