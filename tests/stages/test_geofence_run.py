@@ -55,7 +55,7 @@ def test_the_parameters_of_a_file_are_those_of_the_onboard_code():
 
 def test_a_motion_that_diverges_is_no_flight():
     for drag in (1e4, 1e300):
-        with pytest.raises(UsageError, match="vehicle.*diverges"):
+        with pytest.raises(UsageError, match=r"vehicle.*diverges"):
             fly_in_fence(scenario(vehicle={"linear_drag_n_s_m": (drag,) * 3}), RACER, jobs=1)
 
 
