@@ -80,38 +80,40 @@ def fly(
     )
     # From here on the vehicle hears us, and everything that takes long is behind us.
     try:
-        what = link.open(_OPEN_S)
-        if not common.quiet:
-            click.echo(f"link: {what}", err=True)
-        trouble, changed = "", list[str]()
-        try:
-            changed = link.prepare()
-        except LinkError as error:
-            trouble = str(error)
-        checks = FlightChecks(
-            make_needs(mission, wanted_setpoints(mission, safety)),
-            changed=changed,
-            trouble=trouble,
-            by_hand=mission.config.frame_check == "hand",
-        )
-        loop = ControlLoop(
-            link,
-            make_commander(mission, safety, link.accepts),
-            make_guard(mission, link.accepts),
-            make_clock(mission),
-            checks,
-            float(mission.start[2]),
-            recorder,
-            make_options(mission.config, dry_run=common.dry_run),
-            interrupts=asked,
-        )
-        with _signals(count):
-            with _priority():
-                loop.run()
-            link.close()
-            _finish(mission, loop, recorder, provenance, common)
+        with _signals(_stop):
+            what = link.open(_OPEN_S)
+            if not common.quiet:
+                click.echo(f"link: {what}", err=True)
+            trouble, changed = "", list[str]()
+            try:
+                changed = link.prepare()
+            except LinkError as error:
+                trouble = str(error)
+            checks = FlightChecks(
+                make_needs(mission, wanted_setpoints(mission, safety)),
+                changed=changed,
+                trouble=trouble,
+                by_hand=mission.config.frame_check == "hand",
+            )
+            loop = ControlLoop(
+                link,
+                make_commander(mission, safety, link.accepts),
+                make_guard(mission, link.accepts),
+                make_clock(mission),
+                checks,
+                float(mission.start[2]),
+                recorder,
+                make_options(mission.config, dry_run=common.dry_run),
+                interrupts=asked,
+            )
+            with _signals(count):
+                with _priority():
+                    loop.run()
+                link.close()
+                _finish(mission, loop, recorder, provenance, common)
     except BaseException:
-        link.close()
+        with _signals(count):  # a second one would leave the vehicle's parameters changed
+            link.close()
         recorder.finish(None)
         if len(recorder.rows) == 0 and not common.dry_run:
             common.output.unlink(missing_ok=True)
@@ -147,9 +149,14 @@ def _points(mission: Mission) -> Any:
     return sample_plan(mission.plan, 0.1).position_world
 
 
+def _stop(number: int, frame: object) -> None:
+    """Before the loop runs there is nothing to land, but parameters to put back."""
+    raise KeyboardInterrupt
+
+
 @contextmanager
 def _signals(handler: Any) -> Iterator[None]:
-    """Ctrl-C, SIGTERM and a closed terminal are counted: what they mean is for the supervisor."""
+    """Handle Ctrl-C, SIGTERM and a closed terminal."""
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, handler) for number in numbers}
     try:
@@ -249,7 +256,7 @@ def _conclude(mission: Mission, loop: ControlLoop, is_of_link: bool, failure: st
         raise LinkError(words) if is_of_link or cause is Event.LINK_LOST else CheckError(words)
     of_vehicle = (
         *(Event.LINK_LOST, Event.FAILSAFE, Event.NOT_OBEYED, Event.ORDER_REFUSED, Event.ESTIMATOR_BAD),
-        *(Event.DISARMED, Event.BATTERY_LOW),
+        *(Event.DISARMED, Event.BATTERY_LOW, Event.FAILSAFE_IDLE),
     )
     said = "no reason is known" if cause is None else cause.value
     if cause in of_vehicle or not loop.counters.filter_s:

@@ -22,6 +22,7 @@ from alula.stages.flight.links.protocol import (
 
 FloatArray = NDArray[np.float64]
 
+_FASTER = 1.01  # of the speed limit, for filters in single precision
 _TURN_RAD_S = 0.7  # from the heading that it has to the plan's
 
 
@@ -77,6 +78,9 @@ class Commander(Protocol):
 class VelocityCommander:
     """v_ref + c/2 (p_ref - p), at most `speed_m_s`, behind a filter of velocities.
 
+    The geofence underneath sees a velocity only once it is flown, so a filter that answers with a faster one
+    has failed (ValueError).
+
     Source: PolyMerge (arXiv 2606.16232), eq. 16.
     """
 
@@ -105,6 +109,8 @@ class VelocityCommander:
         u = np.asarray(result.u, np.float64)
         if u.shape != (3,) or not np.isfinite(u).all():
             raise ValueError(f"the filter returned {result.u!r}, which is no velocity")
+        if math.sqrt(float(u @ u)) > _FASTER * self.speed_m_s:
+            raise ValueError(f"the filter returned {u.tolist()}, faster than {self.speed_m_s:g} m/s")
         refused = status is FilterStatus.REFUSED
         return Decision(
             setpoint=None if refused else VelocitySetpoint(u, float(row[15])),

@@ -6,7 +6,10 @@ import gc
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
 
 from alula.schemas.errors import LinkError
 from alula.stages.filtering.protocol import FilterStatus
@@ -17,6 +20,7 @@ from alula.stages.flight.flight_samples import ERROR, INFO, WARNING, FilterSampl
 from alula.stages.flight.flight_sampling import filter_sample, tick_sample
 from alula.stages.flight.frame_check import Jump, MotionCheck
 from alula.stages.flight.links.protocol import Link, Order, VehicleState
+from alula.stages.flight.loop_options import Counters, LoopOptions
 from alula.stages.flight.mode_watch import ModeWatch
 from alula.stages.flight.supervisor import (
     Action,
@@ -25,17 +29,18 @@ from alula.stages.flight.supervisor import (
     FilterHealth,
     State,
     Supervision,
-    SupervisorLimits,
     Taken,
     advance,
     begun,
     sends_setpoints,
 )
 
+FloatArray = NDArray[np.float64]
+
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
 _BAD = frozenset(
     {Event.CHECK_FAILED, Event.LINK_LOST, Event.FAILSAFE, Event.FILTER_FAILED, Event.FRAME_WRONG}
-    | {Event.ESTIMATOR_BAD, Event.FENCE}
+    | {Event.ESTIMATOR_BAD, Event.FENCE, Event.FAILSAFE_IDLE}
 )
 _FINE = frozenset(
     {Event.START, Event.CHECKS_PASSED, Event.CHECKS_PASSED_DRY, Event.ARMED, Event.AIRBORNE}
@@ -44,46 +49,14 @@ _FINE = frozenset(
 _LAST_WORDS_S = 1.0  # for an order to land when the loop itself fails
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoopOptions:
-    """How the loop runs.
-
-    Attributes:
-        rate_hz: ticks per second.
-        limits: of the supervisor.
-        dry_run: only the checks.
-        watch_frame: compare motion and frame from take-off on.
-        stop_m, stop_speed_m_s: at the end of the plan this near and this slow is there.
-        margin_m: how much farther a filter may keep it from there; so near is there after `rest_s` of rest.
-    """
-
-    rate_hz: float = 100.0
-    limits: SupervisorLimits = field(default_factory=SupervisorLimits)
-    dry_run: bool = False
-    watch_frame: bool = True
-    stop_m: float = 0.2
-    stop_speed_m_s: float = 0.3
-    margin_m: float = 0.0
-    rest_s: float = 1.5
-
-
-@dataclass(slots=True)
-class Counters:
-    """What is measured over a flight; `late_s` and `tick_s` per tick of all states."""
-
-    late_s: list[float] = field(default_factory=list)
-    tick_s: list[float] = field(default_factory=list)
-    filter_s: list[float] = field(default_factory=list)
-    overruns: int = 0
-    skipped: int = 0
-
-
 class ControlLoop:
     """One flight over a link.
 
-    A tick polls the link, looks at the facts, does what the supervisor's table says and, in `State.FLY`
-    alone, sends one set-point. Deadlines are absolute: a tick that overruns makes the next one late, and
-    deadlines that have passed are left out, not made up for. Whatever a filter raises holds the vehicle.
+    A tick polls the link, looks at the facts, does what the supervisor's table says and, in `State.FLY`,
+    sends one set-point. So it does in `State.HOLD` while the state is fresh and the filter well: the filter's
+    answer to standing still; otherwise the vehicle holds by itself. Deadlines are absolute: a tick that
+    overruns makes the next one late, and deadlines that have passed are left out, not made up for. Whatever a
+    filter raises holds the vehicle.
 
     Args:
         link: opened and prepared.
@@ -134,6 +107,7 @@ class ControlLoop:
         self._deaf = False
         self._was_there = False
         self._rested_s = 0.0
+        self._place: FloatArray | None = None  # where the filter holds it, a row of the reference
 
     @property
     def state(self) -> State:
@@ -190,7 +164,7 @@ class ControlLoop:
         self._look(state, now_s, late_s)
         self._supervise(now_s, late_s)
         sample = None
-        if sends_setpoints(self.state) and state is not None:
+        if state is not None and (sends_setpoints(self.state) or self._stays(state, now_s)):
             sample = self._fly(state, now_s)
             if self._filter is not FilterHealth.GOOD or self._fence_m == -math.inf:
                 self._supervise(now_s, late_s)
@@ -290,6 +264,7 @@ class ControlLoop:
         elif action is Action.TAKE_OFF:
             self._order(Order.TAKE_OFF, now_s, self._start_height_m - (self._ground_m or 0.0))
         elif action is Action.ENGAGE:
+            self._place = None
             self.commander.reset()
             self.guard.reset()
             if state is not None:
@@ -309,18 +284,41 @@ class ControlLoop:
         self._modes.ordered(order, self.link.status)
         self.link.order(order, now_s, height_m)
 
+    def _stays(self, state: VehicleState, now_s: float) -> bool:
+        """Whether a hold is the filter's; where it ceases to be, it is the vehicle's own again."""
+        is_hold = self.state is State.HOLD
+        is_well = self._filter is FilterHealth.GOOD and self.supervision.well_since_s < math.inf
+        stays = is_hold and is_well and self.link.status.obeys
+        if stays and self._place is None:
+            self.commander.reset()
+            self.guard.reset()
+            self._place = np.zeros((1, 18))
+            self._place[0, :3], self._place[0, 15] = state.position, heading_of(state.attitude_wxyz)
+        elif not stays and self._place is not None:
+            self._place = None
+            if is_hold:
+                try:
+                    self._do(Action.HOLD, now_s)
+                except LinkError as error:
+                    self.say(now_s, ERROR, f"hold: {error}")
+                    self._refused_s = min(self._refused_s, now_s)
+        return stays
+
     def _fly(self, state: VehicleState, now_s: float) -> FilterSample | None:
         """One set-point; what goes wrong on the way is for the supervisor."""
         age, before = max(0.0, now_s - state.received_s), self._clock()
         try:
-            decision = self.commander.decide(state, age, self.plan.target())
+            target = self.plan.target() if self._place is None else self._place
+            decision = self.commander.decide(state, age, target)
             filter_s = self._clock() - before
             guarded = Guarded(None, math.nan, 0.0, takes_over=False)
             if decision.setpoint is None:
                 self._filter = FilterHealth.REFUSED
             else:
                 guarded = self.guard.guard(state, age, decision.setpoint)
-                if guarded.setpoint is None:
+                if guarded.setpoint is None and self._place is not None:
+                    self._filter = FilterHealth.REFUSED  # the vehicle's own hold is what the fence asks for
+                elif guarded.setpoint is None:
                     self._fence_m = -math.inf
                 else:
                     self.link.send(guarded.setpoint, now_s)
@@ -333,8 +331,9 @@ class ControlLoop:
         period = 1 / self.options.rate_hz
         is_fallback = decision.status in _FALLBACKS or guarded.takes_over
         self._fallback_s = self._fallback_s + period if is_fallback else 0.0
-        self.plan.advance(period, decision.error_m)
-        self._arrive(math.sqrt(float(state.velocity @ state.velocity)), decision.error_m, period)
+        if self._place is None:
+            self.plan.advance(period, decision.error_m)
+            self._arrive(math.sqrt(float(state.velocity @ state.velocity)), decision.error_m, period)
         return filter_sample(decision, guarded, self.plan, filter_s)
 
     def _arrive(self, speed_m_s: float, error_m: float, period_s: float) -> None:
@@ -369,13 +368,13 @@ class ControlLoop:
         """The loop itself failed: land, if it may be flying and is ours."""
         if self.state in (State.IDLE, State.CHECKS, State.HAND_OVER, State.DONE):
             return
-        try:
-            now = self._clock()
-            self.link.order(Order.LAND, now)
-            until = now + _LAST_WORDS_S
-            while now < until:
+        now, is_told = self._clock(), False
+        until = now + _LAST_WORDS_S
+        while now < until:
+            with suppress(Exception):  # the first error is the one to see, and this the last that can be done
+                if not is_told:
+                    self.link.order(Order.LAND, now)
+                    is_told = True
                 self.link.poll(now)
-                self._sleep(0.02)
-                now = self._clock()
-        except Exception:  # noqa: BLE001  nothing more can be done; the first error is the one to see
-            return
+            self._sleep(0.02)
+            now = self._clock()

@@ -11,13 +11,20 @@ from numpy.typing import NDArray
 from alula._core import Fence, Geofence, RacerModel
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import Vehicle
-from alula.stages.flight.links.protocol import RatesSetpoint, Setpoint, VehicleState
+from alula.stages.flight.links.protocol import (
+    AccelerationSetpoint,
+    RatesSetpoint,
+    Setpoint,
+    VehicleState,
+    VelocitySetpoint,
+)
 
 FloatArray = NDArray[np.float64]
 
 # Of a fence around a room rather than an airfield: it pushes off walls from nearby only, and lets a command
 # through that is farther than a few decimetres from mattering.
 PARAMETERS = {"beta": 8.0, "push_distance_m": 0.2, "push_gain": 0.5, "push_speed_m_s": 0.3}
+_LOOP_S = 0.04  # of an autopilot's rate loop, where the vehicle's file knows a faster one
 _BACK_M = 0.05  # h_I that ends a take-over
 
 
@@ -58,8 +65,9 @@ def rates_model(vehicle: Vehicle) -> RacerModel:
 class FenceGuard:
     """A geofence over set-points of any kind.
 
-    Rates pass through it: u = lambda u_des + (1 - lambda) u_B. Of others it only knows the state, so from
-    h_I <= 0 on its backup controller flies by rates, until h_I is positive again; a link that takes no rates
+    Rates pass through it: u = lambda u_des + (1 - lambda) u_B. Of others it knows the state, and how far they
+    can lead while a take-over is on its way; from h_I <= 0 of either on its backup controller flies by rates,
+    until both are positive again; a link that takes no rates
     gets nothing then, and the flight is to be held.
 
     Args:
@@ -96,6 +104,7 @@ class FenceGuard:
         except (TypeError, ValueError) as error:
             raise UsageError(f"geofence: {error}") from error
         self._flies = False
+        self._lead_s = latency_s + dt_s + max(vehicle.rates.time_constant_s, _LOOP_S)
 
     def reset(self) -> None:
         """To before the first tick."""
@@ -115,8 +124,8 @@ class FenceGuard:
         if isinstance(setpoint, RatesSetpoint):
             pilot = np.array([self._model.throttle_for(setpoint.thrust_m_s2), *setpoint.omega])
             return self._answer(row, pilot, setpoint)
-        values, _ = self._filter.evaluate(row[None])
-        h = float(values[0, 0])
+        values, _ = self._filter.evaluate(np.stack([row, self._led(row, setpoint)]))
+        h = float(values[:, 0].min())  # what is not a number is no distance, and taken over
         if self._flies and h > _BACK_M:
             self._flies = False
         if not self._flies and h > 0:
@@ -127,6 +136,20 @@ class FenceGuard:
             self._filter.reset()
             self._flies = True
         return self._answer(row, None, setpoint)
+
+    def _led(self, row: FloatArray, setpoint: VelocitySetpoint | AccelerationSetpoint) -> FloatArray:
+        """Where a set-point leads before a take-over acts, as far as the vehicle can follow, shape (13,)."""
+        if isinstance(setpoint, AccelerationSetpoint):
+            change, fastest = setpoint.acceleration * self._lead_s, self._top
+        else:  # who follows velocities leans by 45 degrees at most
+            change, fastest = setpoint.velocity - row[3:6], self._model.gravity
+        size, most = math.sqrt(float(change @ change)), fastest * self._lead_s
+        if size > most:
+            change = change * (most / size)
+        led = row.copy()
+        led[3:6] += change
+        led[:3] += self._lead_s * (row[3:6] + 0.5 * change)
+        return led
 
     def _answer(self, row: FloatArray, pilot: FloatArray | None, setpoint: Setpoint) -> Guarded:
         command, status, detail = self._filter.filter(row, pilot)

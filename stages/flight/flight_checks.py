@@ -12,7 +12,10 @@ from alula.stages.flight.preflight import Needs, Observed, Verdict, verdicts
 
 # What time may mend, and what somebody who carries the vehicle still will.
 MAY_COME = frozenset({"heartbeat", "state", "rate", "estimator", "loop", "level"})
-CARRIED = frozenset({"start", "clearance", "fence", "on the ground"})
+PLACED = frozenset(
+    {"start", "clearance", "landing", "fence"}
+)  # said of a place, which comes with the estimator
+CARRIED = PLACED | {"on the ground"}
 
 Say = Callable[[int, str], None]
 
@@ -108,11 +111,14 @@ class FlightChecks:
             states=self._states,
             ticks=self._ticks,
             worst_late_s=self._late_s,
+            hover=getattr(getattr(link, "hover", None), "value", None),  # of links that send throttle
         )
         before = {v.name for v in self.verdicts if not v.holds}
         self.verdicts = verdicts(seen, self.needs)
         failed = {v.name for v in self.verdicts if not v.holds}
         may_come = MAY_COME if self._hand is None else MAY_COME | CARRIED
+        if failed & {"state", "estimator"}:
+            may_come |= PLACED
         if (
             failed
             and not self.needs.frame

@@ -7,6 +7,7 @@ import signal
 import sys
 import time
 from array import array
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -35,6 +36,7 @@ FloatArray = NDArray[np.float64]
 
 _CHUNK_BYTES = 2**14  # some ticks: what a crash may cost
 _SYNC_S = 1.0  # what a power cut may cost
+_HEAD_S = 60.0  # for the writer to begin
 _WORDS = 1000  # characters of a line, at most
 _COLUMNS = 13
 _VIEW_HZ = 25.0  # samples for a view
@@ -111,7 +113,7 @@ class FlightRecorder:
         self._encode = msgspec.msgpack.Encoder().encode
         self._view, self._view_every, self._ticks = view, max(1, round(rate_hz / _VIEW_HZ)), 0
         try:
-            self._pipe.put(b"h" + self._encode(head))
+            self._pipe.put(b"h" + self._encode(head), _HEAD_S)
         except OSError as error:
             self.finish(None)
             raise OutputError(f"{path}: the process that writes the log does not run") from error
@@ -167,7 +169,7 @@ class FlightRecorder:
         """Let the writer end the log, with the record if there is one; whether it did."""
         try:
             if record is not None:
-                self._pipe.put(b"f" + self._encode(record))
+                self._pipe.put(b"f" + self._encode(record), timeout_s)
         except OSError:
             self._pipe.process.kill()
         return self._pipe.close(timeout_s)
@@ -213,8 +215,7 @@ class _Writer:
             line = msgspec.msgpack.decode(body, type=LineSample)
             self.log.send("/log", line.time_s, log_line(line.time_s, line.level, line.words))
             if self.echo:
-                sys.stderr.write(f"{line.time_s:7.2f} s  {line.words}\n")
-                sys.stderr.flush()
+                self._say(f"{line.time_s:7.2f} s  {line.words}\n")
         elif kind == b"f":
             record = msgspec.msgpack.decode(body, type=RunRecord)
             if self.path:
@@ -224,6 +225,13 @@ class _Writer:
             self.log.finish(record)
             return False
         return True
+
+    def _say(self, text: str) -> None:
+        """To the terminal, which may have been closed: the log goes on without it."""
+        try:
+            os.write(2, text.encode(errors="replace"))
+        except OSError:
+            self.echo = False
 
     def _tick(self, sample: TickSample) -> None:
         now, self.last_s = sample.time_s, sample.time_s
@@ -244,8 +252,18 @@ class _Writer:
 def main() -> None:
     """The writer process: reads frames from standard input, writes the log to the given file descriptor.
 
-    When the pipe ends without a record, because whoever flew was killed, the log is closed without one.
+    When the pipe ends without a record, because whoever flew was killed, the log is closed without one. A
+    disk that takes no more ends it with a line.
     """
+    try:
+        _write()
+    except OSError as error:
+        with suppress(OSError):
+            os.write(2, f"the log ends here: {error.strerror}\n".encode())
+        os._exit(1)  # what is buffered has nowhere to go
+
+
+def _write() -> None:
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # it ends when the pipe does
     file, echo = int(sys.argv[1]), sys.argv[2] == "1"
@@ -264,8 +282,12 @@ def main() -> None:
             elif not writer.take(body):
                 break
             if time.monotonic() - synced > _SYNC_S:
-                stream.flush()
-                os.fsync(stream.fileno())
+                _sync(stream)
                 synced = time.monotonic()
-        stream.flush()
+        _sync(stream)
+
+
+def _sync(stream: BinaryIO) -> None:
+    stream.flush()
+    with suppress(OSError):  # a pipe, or no log at all, is not on a disk
         os.fsync(stream.fileno())

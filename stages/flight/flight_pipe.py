@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import fcntl
 import os
+import select
 import struct
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import BinaryIO
 
 _LENGTH = struct.Struct("<I")
@@ -40,17 +42,18 @@ class FlightPipe:
         self._pipe = self.process.stdin.fileno()
         fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
-    def put(self, message: bytes) -> None:
-        """Write a message, however long that takes.
+    def put(self, message: bytes, timeout_s: float) -> None:
+        """Write a message however long it is.
 
         Raises:
-            OSError: nobody reads any more.
+            OSError: nobody reads any more, or takes nothing for so long.
         """
-        os.set_blocking(self._pipe, True)
+        os.set_blocking(self._pipe, False)
         frame = memoryview(_LENGTH.pack(len(message)) + message)
         while frame:
-            frame = frame[os.write(self._pipe, frame) :]
-        os.set_blocking(self._pipe, False)
+            if not select.select([], [self._pipe], [], timeout_s)[1]:
+                raise TimeoutError("nothing is taken")
+            frame = frame[os.write(self._pipe, frame[:_ATOMIC]) :]
 
     def offer(self, message: bytes) -> bool:
         """Write a message if there is room for it at once; after the first `put`."""
@@ -74,6 +77,8 @@ class FlightPipe:
         except (OSError, subprocess.TimeoutExpired):
             self.process.kill()
             self.process.wait()
+            with suppress(OSError):
+                self.process.stdin.close()
             return False
 
 

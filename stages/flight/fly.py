@@ -25,9 +25,9 @@ from alula.stages.filtering.registry import complete_parameters, make_filter, ma
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.flight.certificate import certify
 from alula.stages.flight.commanders import Commander, PlanClock, SplatCommander, VelocityCommander
-from alula.stages.flight.control_loop import LoopOptions
-from alula.stages.flight.fence_guard import FenceGuard
+from alula.stages.flight.fence_guard import FenceGuard, rates_model
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
+from alula.stages.flight.loop_options import LoopOptions
 from alula.stages.flight.preflight import Needs
 from alula.stages.flight.reference import sample_plan
 from alula.stages.flight.supervisor import SupervisorLimits
@@ -297,9 +297,11 @@ def make_guard(mission: Mission, accepts: frozenset[type[Setpoint]]) -> FenceGua
 def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
     """What the pre-flight checks ask for."""
     config = mission.config
+    model = rates_model(mission.vehicle)
     return Needs(
         setpoints=frozenset(setpoints),
         start=mission.start,
+        goal=mission.goal,
         obstacles=mission.obstacles,
         radius_m=mission.vehicle.body.radius_m,
         margin_m=config.margin_m,
@@ -310,6 +312,8 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         loop_hz=config.rate_hz,
         stale_s=config.stale_s,
         battery_share=config.battery,
+        most_thrust_m_s2=sum(model.thrust),
+        gravity_m_s2=model.gravity,
     )
 
 

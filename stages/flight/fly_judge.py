@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import Outcome, TrialResult
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.control_loop import Counters
 from alula.stages.flight.fly import Mission
+from alula.stages.flight.loop_options import Counters
 from alula.stages.flight.supervisor import Event, State, Supervision, Taken
 from alula.stages.reporting.metrics import (
     COLLISION_TOLERANCE_M,

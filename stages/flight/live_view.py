@@ -82,7 +82,7 @@ def open_view(port: int, head: ViewHead) -> tuple[FlightPipe, str]:
     assert pipe.process.stdout is not None
     watchdog = _deadline(pipe.process)
     try:
-        pipe.put(msgspec.msgpack.encode(head))
+        pipe.put(msgspec.msgpack.encode(head), _READY_S)
         said = pipe.process.stdout.readline().decode().strip()
     except OSError:
         said = ""

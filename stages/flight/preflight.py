@@ -17,6 +17,8 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 
 FloatArray = NDArray[np.float64]
 
+_LEAST_CLIMB_M = 0.1  # to the start: without a climb there is no take-off, and set-points come on the ground
+_THRUST_RATIO = 1.5  # between the vehicle's thrust and its file's: another vehicle's file
 _FOOT = 1.5  # of the clearance needed: so far above its feet a vehicle on the ground must be clear of all
 
 
@@ -26,11 +28,12 @@ class Needs:
 
     Attributes:
         setpoints: kinds of which the link must accept one.
-        start: of the plan, shape (3,) [m].
+        start, goal: of the plan, each of shape (3,) [m].
         obstacles: what a path must stay clear of, by name.
         radius_m: of the vehicle; margin_m: more than that for where it stands and climbs.
         fence: where it may fly.
         plan: whether the plan is proven clear of the map, and how that was found, in words.
+        most_thrust_m_s2: per mass, as the vehicle's file has it; gravity_m_s2: of the same.
         near_m: how far from below the start it may stand, sideways.
         state_hz: least rate of states; loop_hz: wanted rate of the loop.
         silence_s, stale_s: oldest word and state.
@@ -42,11 +45,14 @@ class Needs:
 
     setpoints: frozenset[type[Setpoint]]
     start: FloatArray
+    goal: FloatArray
     obstacles: Sequence[tuple[str, PolytopeSet | EllipsoidSet]]
     radius_m: float
     margin_m: float
     fence: Fence
     plan: tuple[bool, str]
+    most_thrust_m_s2: float = math.inf
+    gravity_m_s2: float = 9.81
     near_m: float = 0.5
     state_hz: float = 20.0
     loop_hz: float = 100.0
@@ -65,6 +71,7 @@ class Observed:
     Attributes:
         status, state: the newest; accepts: of the link.
         changed: parameters that the link had to set, a line each; trouble: why it could not, if so.
+        hover: throttle that carries the weight, as the vehicle says; None where it does not.
         states: how many came; ticks: of the loop; worst_late_s: of a tick.
     """
 
@@ -78,6 +85,7 @@ class Observed:
     states: int = 0
     ticks: int = 0
     worst_late_s: float = 0.0
+    hover: float | None = None
 
 
 class Verdict(NamedTuple):
@@ -105,6 +113,16 @@ def _setpoints(seen: Observed, needs: Needs) -> Verdict:
     wanted = " or ".join(sorted(kind.__name__ for kind in needs.setpoints))
     holds = not needs.setpoints.isdisjoint(seen.accepts)
     return Verdict("set-points", holds, f"{wanted} {'accepted' if holds else 'not accepted'}")
+
+
+def _thrust(seen: Observed, needs: Needs) -> Verdict:
+    """Full throttle makes g / hover; controller, filter and fence reckon with the file's."""
+    if seen.hover is None or not math.isfinite(needs.most_thrust_m_s2):
+        return Verdict("thrust", True, "not told")
+    most = needs.gravity_m_s2 / seen.hover
+    holds = 1 / _THRUST_RATIO <= most / needs.most_thrust_m_s2 <= _THRUST_RATIO
+    words = f"hover at {seen.hover:.2f} of full throttle makes {most:.1f} m/s^2 at most"
+    return Verdict("thrust", holds, f"{words}, the vehicle's file {needs.most_thrust_m_s2:.1f}")
 
 
 def _position(seen: Observed, needs: Needs) -> Verdict:
@@ -144,8 +162,8 @@ def _on_ground(seen: Observed, needs: Needs) -> Verdict:
     status = seen.status
     if status.is_failsafe:
         return Verdict("on the ground", False, "the vehicle is in a failsafe of its own")
-    holds = status.armed is not True and status.landed is not False
-    return Verdict("on the ground", holds, "disarmed" if holds else "armed, or in the air")
+    holds = status.armed is False and status.landed is not False
+    return Verdict("on the ground", holds, "disarmed" if holds else "armed, in the air, or not told")
 
 
 def _level(seen: Observed, needs: Needs) -> Verdict:
@@ -166,9 +184,11 @@ def _start(seen: Observed, needs: Needs) -> Verdict:
         return Verdict("start", False, "no state")
     away = needs.start - seen.state.position
     sideways = math.hypot(away[0], away[1])
-    holds = sideways <= needs.near_m and away[2] > -needs.near_m
+    holds = sideways <= needs.near_m and away[2] >= _LEAST_CLIMB_M
     words = f"the plan starts {sideways:.2f} m away sideways and {away[2]:.2f} m above"
-    return Verdict("start", holds, f"{words}; at most {needs.near_m:g} m sideways")
+    return Verdict(
+        "start", holds, f"{words}; at most {needs.near_m:g} m sideways, {_LEAST_CLIMB_M:g} m or more above"
+    )
 
 
 def climb(position: FloatArray, start: FloatArray, foot_m: float) -> FloatArray:
@@ -203,6 +223,23 @@ def _fence(seen: Observed, needs: Needs) -> Verdict:
     return Verdict("fence", least > 0, f"{least:.2f} m from the fence at the start")
 
 
+def _landing(seen: Observed, needs: Needs) -> Verdict:
+    """Straight down from the end of the plan, where it lands by itself and no filter sees it."""
+    if seen.state is None:
+        return Verdict("landing", False, "no state")
+    down = needs.goal.copy()
+    down[2] = min(seen.state.position[2] + _FOOT * needs.radius_m, needs.goal[2])
+    way = np.array([needs.goal, down])
+    if not np.isfinite(way).all():
+        return Verdict("landing", False, "no finite position")
+    for name, obstacles in needs.obstacles:
+        least = float(path_clearance(way, obstacles, jobs=1).min())
+        if least < needs.radius_m:
+            words = f"{least:.3f} m to {name} on the way down from the goal, {needs.radius_m:.3f} m needed"
+            return Verdict("landing", False, words)
+    return Verdict("landing", True, f"the way down from the goal is {needs.radius_m:.3f} m clear")
+
+
 def _plan(seen: Observed, needs: Needs) -> Verdict:
     return Verdict("plan", *needs.plan)
 
@@ -214,8 +251,19 @@ def _frame(seen: Observed, needs: Needs) -> Verdict:
 
 
 CHECKS: tuple[Callable[[Observed, Needs], Verdict], ...] = (
-    *(_heartbeat, _parameters, _setpoints, _position, _rate, _loop, _estimator, _battery, _on_ground),
-    *(_level, _start, _clearance, _fence, _plan, _frame),
+    *(
+        _heartbeat,
+        _parameters,
+        _setpoints,
+        _thrust,
+        _position,
+        _rate,
+        _loop,
+        _estimator,
+        _battery,
+        _on_ground,
+    ),
+    *(_level, _start, _clearance, _landing, _fence, _plan, _frame),
 )
 
 

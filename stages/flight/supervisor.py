@@ -1,7 +1,8 @@
 """Who flies: the states of a flight and what leads from one to the next, as a table.
 
-The vehicle is sent set-points in `State.FLY` alone. Taking off, holding and landing are done by the vehicle
-itself, and need neither our state nor our filter. Nothing leads from `State.HAND_OVER` back.
+The vehicle is sent set-points along the plan in `State.FLY` alone. Taking off, holding and landing are done
+by the vehicle itself, and need neither our state nor our filter; a hold is filtered by the loop where it can
+be. Nothing leads from `State.HAND_OVER` back.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ class SupervisorLimits:
         battery_share: least charge, of 1.
         settle_s: all must be well for this long before a hold ends.
         engage_s: how long the vehicle may take to follow set-points.
+        failsafe_s: how long a vehicle in a failsafe may take to leave our mode; many are told to do nothing.
         holds: of one flight; after the last it lands.
         checks_s, arming_s, take_off_s, flight_s, hold_s, landing_s, abort_s: longest time in a state.
     """
@@ -52,6 +54,7 @@ class SupervisorLimits:
     battery_share: float = 0.2
     settle_s: float = 1.0
     engage_s: float = 2.0
+    failsafe_s: float = 1.0
     holds: int = 3
     checks_s: float = 120.0
     arming_s: float = 60.0
@@ -123,6 +126,7 @@ class Supervision:
         well_since_s: since when all has been well in a hold.
         engaged: whether the vehicle has followed set-points since it was told to.
         holds: how many there were.
+        failsafe_s: since when the vehicle tells of a failsafe, and follows us nevertheless.
         cause: the first event that ended the flight as planned or otherwise; None so far.
     """
 
@@ -132,6 +136,7 @@ class Supervision:
     well_since_s: float = math.inf
     engaged: bool = False
     holds: int = 0
+    failsafe_s: float = math.inf
     cause: Event | None = None
 
 
@@ -149,7 +154,7 @@ _ENDS = frozenset({State.LAND, State.HAND_OVER, State.ABORT, State.DONE})
 
 
 def sends_setpoints(state: State) -> bool:
-    """Whether set-points are sent in a state."""
+    """Whether set-points along the plan are sent in a state."""
     return state is State.FLY
 
 
@@ -190,7 +195,7 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
     for event, is_so in (
         # Whoever took the vehicle has it, before anything else.
         (Event.MODE_CHANGED, not facts.is_ours),
-        (Event.FAILSAFE, facts.is_failsafe),
+        (Event.FAILSAFE, facts.is_failsafe and not facts.obeys),
         (Event.DISARMED, facts.armed is False),
         (Event.LINK_LOST, not facts.silence_s <= limits.silence_s),
         (Event.INTERRUPT_ON_GROUND, second and facts.landed is True),
@@ -198,6 +203,7 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.INTERRUPT, facts.interrupts == 1),
         (Event.FRAME_WRONG, facts.frame_wrong),
         (Event.RESTARTED, facts.restarted),
+        (Event.FAILSAFE_IDLE, facts.now_s - was.failsafe_s > limits.failsafe_s),
         (Event.ESTIMATOR_BAD, facts.estimator_ready is False),
         (Event.BATTERY_LOW, battery is not None and not battery >= limits.battery_share),
         (Event.STATE_STALE, not facts.state_age_s <= limits.stale_s),
@@ -240,7 +246,11 @@ def _longest(limits: SupervisorLimits) -> Mapping[State, float]:
 
 
 def _timed(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Supervision:
-    """Since when all has been well, and whether the vehicle has begun to follow."""
+    """Since when all has been well or in a failsafe, and whether the vehicle has begun to follow."""
+    is_idle = facts.is_failsafe and facts.obeys
+    since = min(was.failsafe_s, facts.now_s) if is_idle else math.inf
+    if since != was.failsafe_s:
+        was = dataclasses.replace(was, failsafe_s=since)
     if was.state is State.FLY and facts.obeys and not was.engaged:
         return dataclasses.replace(was, engaged=True)
     if was.state is not State.HOLD:
@@ -255,6 +265,7 @@ def _entered(was: Supervision, state: State, event: Event, now_s: float) -> Supe
         state=state,
         since_s=now_s,
         holds=was.holds + (state is State.HOLD),
+        failsafe_s=was.failsafe_s,
         cause=event if was.cause is None and state in _ENDS else was.cause,
     )
 

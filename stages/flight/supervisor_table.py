@@ -48,6 +48,7 @@ class Event(Enum):
     LINK_LOST = "link lost"
     ESTIMATOR_BAD = "estimator not healthy"
     FAILSAFE = "vehicle's own failsafe"
+    FAILSAFE_IDLE = "failsafe without any action"
     RESTARTED = "vehicle has started anew"
     MODE_CHANGED = "mode changed by the pilot"
     ORDER_REFUSED = "order refused"
@@ -127,6 +128,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     }
     | _hand_over(*_TAKEN)
     | _abort(
+        _E.FAILSAFE_IDLE,
         _E.STATE_STALE,
         _E.LINK_LOST,
         _E.RESTARTED,
@@ -148,7 +150,8 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
     )
-    | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
+    | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
+    | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.FLY: _hand_over(*_TAKEN)
     | _done(_E.DISARMED)
     | _hold(_E.STATE_STALE, _E.LOOP_LATE, _E.FILTER_REFUSED, _E.FILTER_FAILED, _E.FALLBACK_LONG, _E.FENCE)
@@ -161,7 +164,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
     )
-    | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT)
+    | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.HOLD: {_E.RECOVERED: Step(_S.FLY, _A.ENGAGE, "all is well again: flying on")}
     | _hand_over(*_TAKEN)
@@ -175,7 +178,8 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.FRAME_WRONG,
         _E.HOLDS_USED_UP,
     )
-    | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
+    | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
+    | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.LAND: _hand_over(*_TAKEN, _E.TIMED_OUT)
     | _done(_E.DISARMED)
     | _stay(_S.LAND, _A.DISARM, "disarming", _E.LANDED, _E.INTERRUPT_ON_GROUND)
@@ -209,7 +213,7 @@ IGNORED: Mapping[State, frozenset[Event]] = {
     # What the vehicle says meanwhile is what the checks look at.
     _S.CHECKS: frozenset(
         {_E.START, _E.ARMED, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, *_TAKEN}
+        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.FAILSAFE_IDLE, *_TAKEN}
     ),
     _S.ARMING: frozenset(
         {_E.START, *_BEFORE, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD}
@@ -229,15 +233,15 @@ IGNORED: Mapping[State, frozenset[Event]] = {
     # It lands whatever else is wrong.
     _S.LAND: frozenset(
         {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.INTERRUPT}
+        | {_E.NOT_OBEYED, _E.FAILSAFE_IDLE, _E.INTERRUPT}
     ),
     _S.HAND_OVER: frozenset(
         {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, *_TAKEN}
+        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE, *_TAKEN}
     ),
     _S.ABORT: frozenset(
         {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.LINK_LOST, *_INTERRUPTS}
+        | {_E.NOT_OBEYED, _E.LINK_LOST, _E.FAILSAFE_IDLE, *_INTERRUPTS}
     ),
     _S.DONE: frozenset(Event),
 }

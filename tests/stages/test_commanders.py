@@ -190,6 +190,19 @@ def test_who_flies_at_the_fence_is_braked_or_told_to_hold(takes_rates):
     assert found.setpoint.omega[1] < -1  # it pitches up
 
 
+@pytest.mark.parametrize("kind", [VelocitySetpoint, AccelerationSetpoint])
+def test_the_fence_sees_where_a_set_point_leads_before_a_take_over_acts(kind):
+    guard = FenceGuard(BOX, FASTBRIDGE, dt_s=DT, takes_rates=True, latency_s=0.03)
+    height, speed = (1.7, 3.5) if kind is VelocitySetpoint else (1.5, 3.0)
+    rising, zero = at((3.0, 2, height), (0, 0, speed)), np.zeros(3)
+    for wish, takes_over in ((0.0, False), (9.0 if kind is VelocitySetpoint else 25.0, True)):
+        up = np.array([0, 0, wish])
+        setpoint = kind(up, 0.0) if kind is VelocitySetpoint else kind(up, zero, zero, 0.0)
+        guard.reset()
+        found = guard.guard(rising, 0.0, setpoint)
+        assert found.takes_over == takes_over, found
+
+
 @pytest.mark.parametrize("name", ["rates", "velocity"])
 def test_a_bad_filter_does_not_get_through_the_fence(name):
     """A body with a rate loop, flown at full speed at a wall, stays inside."""

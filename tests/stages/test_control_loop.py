@@ -8,6 +8,7 @@ from fake_vehicle import FakeClock, FakeVehicle
 from flights import BALL, GOAL, START, fly, loop_of, mission
 from test_simulate import line_plan
 
+from alula.schemas.errors import LinkError
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
@@ -90,7 +91,7 @@ def test_a_dry_run_checks_everything_and_orders_nothing():
     assert loop.supervision.cause is Event.CHECKS_PASSED_DRY
     assert vehicle.orders == [Order.NOTHING]
     assert not vehicle.sent
-    assert len(loop.checks.verdicts) == 15
+    assert len(loop.checks.verdicts) == 17
     assert all(v.holds for v in loop.checks.verdicts)
 
 
@@ -181,6 +182,7 @@ def test_the_pilot_takes_it_and_keeps_it(mode, seconds):
 def test_a_failsafe_of_its_own_is_left_to_the_vehicle():
     def fail(vehicle):
         vehicle.status.is_failsafe, vehicle.status.armed = True, True
+        vehicle.status.mode, vehicle.status.obeys = "RTL", False
 
     def poll(vehicle, now):
         first(vehicle, now)
@@ -218,6 +220,8 @@ class Breaking:
             return result
         if self.how == "raises":
             raise RuntimeError("no more")
+        if self.how == "too fast":
+            return FilterResult(np.array([0, 0, 14.0]), FilterStatus.OK, 1.0)
         if self.how == "nan":
             return FilterResult(np.array([math.nan, 0, 0]), FilterStatus.OK, 1.0)
         status = FilterStatus.REFUSED if self.how == "refuses" else FilterStatus.RECOVERING
@@ -229,6 +233,7 @@ class Breaking:
     [
         ("raises", Event.FILTER_FAILED),
         ("nan", Event.FILTER_FAILED),
+        ("too fast", Event.FILTER_FAILED),
         ("refuses", Event.FILTER_REFUSED),
         ("falls back", Event.FALLBACK_LONG),
     ],
@@ -244,11 +249,65 @@ def test_a_filter_that_fails_is_held_then_landed(how, event):
     assert len(held) == 4  # three more tries
     assert all(np.isfinite(s.velocity).all() for _, _, s in vehicle.sent)
     first = next(i for i, s in enumerate(loop.recorder.samples) if s.state == "hold")
-    assert vehicle.orders.count(Order.HOLD) == 4
+    assert vehicle.orders.count(Order.HOLD) == 4  # what holds by the filter has begun with one, too
     if how != "falls back":  # in the very tick
         assert loop.recorder.samples[first - 1].filter is not None
         assert not [s for s in loop.recorder.samples[first + 1 :] if s.filter and s.filter.sent]
         assert len([s for s in loop.recorder.samples[:first] if s.filter]) == 99
+
+
+def test_a_hold_is_filtered_where_state_and_filter_are_well():
+    def fault(vehicle, now, start=[]):  # noqa: B006  one list per function is what is wanted
+        if vehicle.sent and not start:
+            start.append(now)
+        vehicle.is_frozen = bool(start) and 1.5 < now - start[0] < 2.0
+
+    vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
+    vehicle.on_poll = fault
+    loop = loop_of(mission(), vehicle)
+    asked, inner = [], loop.commander.filter
+
+    def watching(x, u):
+        result = inner(x, u)
+        asked.append((vehicle.clock(), loop.state, u.copy(), result.u))
+        return result
+
+    loop.commander.filter = watching
+    loop.run()
+    assert loop.supervision.cause is Event.PLAN_FINISHED
+    held = [s for s in loop.recorder.samples if s.state == "hold"]
+    fresh = [s for s in held if s.age_s < 0.02][2:]
+    stale = [s for s in held if s.age_s > 0.15]
+    assert len(fresh) > 80
+    assert all(s.filter is not None and s.filter.sent == "velocity" for s in fresh)
+    assert not any(s.filter for s in stale)
+    place = np.array(fresh[0].position)
+    nominal = [u for _, state, u, _ in asked if state is State.HOLD]
+    assert np.linalg.norm(nominal[0]) < 0.05  # to stand still, here
+    assert np.linalg.norm(np.array(fresh[-1].position) - place) < 0.2
+    assert len({s.filter.plan_s for s in fresh}) == 1
+
+
+def test_a_hold_whose_filter_fails_is_the_vehicles_own():
+    vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
+    loop = loop_of(mission(), vehicle)
+    loop.commander.filter = Breaking(loop.commander.filter, "falls back", 100)
+    calls, breaking = [], loop.commander.filter
+
+    def failing(x, u):
+        if loop.state is State.HOLD:
+            calls.append(1)
+            if len(calls) == 20:
+                raise RuntimeError("no more")
+        return breaking(x, u)
+
+    loop.commander.filter = failing
+    loop.run()
+    orders = [order for order in vehicle.orders if order is not Order.NOTHING]
+    first = orders.index(Order.HOLD)
+    assert orders[first : first + 3] == [Order.HOLD, Order.HOLD, Order.TAKE_CONTROL]
+    holds = [s for s in loop.recorder.samples if s.state == "hold"]
+    assert not any(s.filter for s in holds[20:100])
 
 
 def test_a_late_loop_is_held_counted_and_not_made_up_for():
@@ -301,6 +360,28 @@ def test_an_error_of_the_loop_itself_lands_first():
     with pytest.raises(ZeroDivisionError):
         loop.run()
     assert vehicle.orders[-1] is Order.LAND
+    assert vehicle.status.mode == "LAND"
+
+
+def test_its_last_words_are_said_again_when_the_line_was_busy():
+    vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
+    loop = loop_of(mission(), vehicle)
+    order, refused = vehicle.order, []
+
+    def busy(what, now, height_m=0.0):
+        if what is Order.LAND and len(refused) < 3:
+            refused.append(now)
+            raise LinkError("busy")
+        order(what, now, height_m)
+
+    def broken(sample):
+        if loop.state is State.FLY:
+            raise ZeroDivisionError
+
+    vehicle.order, loop.recorder.tick = busy, broken
+    with pytest.raises(ZeroDivisionError):
+        loop.run()
+    assert len(refused) == 3
     assert vehicle.status.mode == "LAND"
 
 

@@ -171,3 +171,57 @@ def test_a_writer_that_hangs_or_dies_costs_samples_and_no_time(tmp_path):
     os.kill(recorder.pid, signal.SIGKILL)
     recorder.tick(sample(0))
     assert not recorder.finish(None, timeout_s=5.0)
+
+
+def test_a_writer_that_hangs_is_given_up_at_the_end(tmp_path):
+    loop, _ = fly(made := mission())
+    recorder = FlightRecorder(tmp_path / "f.run.mcap", head_of(made), echo=False)
+    recorder.tick(sample(0))
+    os.kill(recorder.pid, signal.SIGSTOP)
+    for i in range(20_000):
+        recorder.tick(sample(i))
+    assert not recorder.finish(record_of(made, loop, recorder), timeout_s=0.5)
+
+
+def writer_of(path, *, limit="", stderr=subprocess.PIPE, seconds=0.0):
+    """A process that logs 3000 ticks and a line; its output."""
+    code = f"""
+import resource, sys, time
+sys.path[:0] = {sys.path!r}
+from pathlib import Path
+from test_flight_log import FlightRecorder, head_of, mission, sample
+{limit}
+recorder = FlightRecorder({path and f"Path({str(path)!r})"}, head_of(mission()), echo=True)
+for i in range(3000):
+    recorder.say(0.01 * i, 1, "a line")
+    recorder.tick(sample(i))
+    time.sleep({seconds} / 3000)
+print("written", recorder.finish(None))
+"""
+    return subprocess.run(
+        [sys.executable, "-P", "-c", code], stdout=subprocess.PIPE, stderr=stderr, text=True
+    )
+
+
+def test_a_full_disk_costs_the_log_and_is_said_in_one_line(tmp_path):
+    small = "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))"
+    done = writer_of(tmp_path / "f.run.mcap", limit=small)
+    assert done.stdout == "written False\n"
+    assert "Traceback" not in done.stderr
+    assert [line for line in done.stderr.splitlines() if "the log ends here: File too large" in line]
+    assert len(read_logged(tmp_path / "f.run.mcap").flights.by_trial[0].time_s) > 50
+
+
+def test_a_terminal_that_is_closed_costs_no_log(tmp_path):
+    read, write = os.pipe()
+    os.close(read)
+    done = writer_of(tmp_path / "f.run.mcap", stderr=write)
+    os.close(write)
+    assert done.stdout == "written True\n"
+    assert count_messages(tmp_path / "f.run.mcap")[0]["/log"] > 1000
+
+
+def test_a_dry_run_of_some_seconds_has_no_log_to_sync():
+    done = writer_of(None, seconds=1.5)
+    assert done.stdout == "written True\n"
+    assert "Traceback" not in done.stderr

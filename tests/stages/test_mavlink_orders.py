@@ -121,6 +121,23 @@ def test_a_pilot_who_takes_over_keeps_control():
         assert len(peer.commands(m.MAV_CMD_DO_SET_MODE)) == before
 
 
+@pytest.mark.parametrize("order", [Order.LAND, Order.TAKE_CONTROL, Order.ARM])
+def test_a_repeat_that_is_due_when_the_pilot_switches_does_not_go_out(order):
+    with vehicle() as (peer, time, link):
+        peer.takes_modes = False
+        link.order(order, time())
+        time.run(link, 0.2)
+        before = len(peer.commands(m.MAV_CMD_DO_SET_MODE))
+        assert before == 1
+        peer.custom_mode = 5
+        peer.beat()
+        time.sleep(2.0)  # the switch and the time of the repeat are seen by one poll
+        link.poll(time())
+        time.run(link, 3.0)
+        assert link.status.mode == "LOITER"
+        assert len(peer.commands(m.MAV_CMD_DO_SET_MODE)) == before
+
+
 def test_holding_streams_zero_velocity_until_something_else_is_told():
     with vehicle() as (peer, time, link):
         link.order(Order.HOLD, time())
@@ -175,6 +192,16 @@ def test_parameters_are_set_verified_and_put_back():
         }
     assert peer.parameters == ARDUPILOT
     assert "ARMING_CHECK" not in {e.param_id for e in peer.of("PARAM_SET")}
+
+
+def test_parameters_of_a_vehicle_that_somebody_flies_are_not_touched():
+    peer = Peer()
+    peer.armed, peer.landed = True, m.MAV_LANDED_STATE_IN_AIR
+    with vehicle(peer=peer, ready=False) as (peer, _, link):
+        with pytest.raises(LinkError, match="armed"):
+            link.prepare()
+        assert not peer.of("PARAM_SET")
+        assert not peer.of("SET_POSITION_TARGET_LOCAL_NED")
 
 
 def test_lines_tell_of_what_changed_only():

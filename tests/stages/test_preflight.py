@@ -52,7 +52,7 @@ def failed(seen, needs=NEEDS):
 def test_all_checks_hold_for_a_vehicle_that_is_ready():
     found = verdicts(observed(), NEEDS)
     assert [v.name for v in found if not v.holds] == []
-    assert len({v.name for v in found}) == len(CHECKS) == 15
+    assert len({v.name for v in found}) == len(CHECKS) == 17
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,10 @@ def test_all_checks_hold_for_a_vehicle_that_is_ready():
         ({"heard_s": 8.0}, ["heartbeat"]),
         ({"trouble": "cannot set GUID_OPTIONS"}, ["parameters"]),
         ({"accepts": frozenset({RatesSetpoint})}, ["set-points"]),
-        ({"state": None}, ["state", "level", "start", "clearance", "fence"]),
+        ({"hover": 0.5}, ["thrust"]),  # FastBridge's has 0.27: the fence would brake too late
+        ({"hover": 0.15}, ["thrust"]),
+        ({"hover": 0.35}, []),
+        ({"state": None}, ["state", "level", "start", "clearance", "landing", "fence"]),
         ({"state": state(at=9.8)}, ["state"]),
         ({"states": 30}, ["rate"]),
         ({"ticks": 150}, ["loop"]),
@@ -70,12 +73,14 @@ def test_all_checks_hold_for_a_vehicle_that_is_ready():
         ({"battery_share": 0.29}, ["battery"]),
         ({"armed": True}, ["on the ground"]),
         ({"landed": False}, ["on the ground"]),
+        ({"armed": None}, ["on the ground"]),
         ({"is_failsafe": True}, ["on the ground"]),
         ({"state": state(quat=(0, 1, 0, 0))}, ["level"]),  # NED taken for ENU
         ({"state": state(quat=np.array([1, 0.2, 0, 0]) / np.hypot(1, 0.2))}, ["level"]),
         ({"state": state(velocity=(1, 0, 0))}, ["level"]),
         ({"state": state((START[0] + 0.51, START[1], 0))}, ["start"]),
         ({"state": state((START[0], START[1], 1.6))}, ["start"]),
+        ({"state": state((START[0], START[1], 1.2))}, ["start"]),  # nothing to take off to
         ({"state": state((-2.0, START[1], 0))}, ["start", "fence"]),
     ],
 )
@@ -102,6 +107,17 @@ def test_clearance_is_that_of_the_way_up_from_the_ground_and_over():
     np.testing.assert_allclose(way, [[0.1, 0.2, needed], [0.1, 0.2, 1.0], START])
     above = climb(np.array([0.1, 0.2, 2.0]), np.array(START), needed)
     assert above[0, 2] == 2.0
+
+
+def test_what_is_below_the_end_of_the_plan_is_the_ground_or_the_flight_is_refused():
+    floor = ((-20, 0, -2), (80, 60, 0))
+    table, shelf = ((33, 15, 0), (42, 25, 7)), ((36, 21, 3), (42, 25, 5))  # under (3.7, 2.0, 1.0)
+    for boxes, names in (([floor], []), ([floor, table], ["landing"]), ([floor, shelf], ["landing"])):
+        made = mission(cover=box_cover(boxes), is_clear=True)
+        assert failed(observed(), make_needs(made, NEEDS.setpoints)) == names
+    table_top = state((START[0], START[1], -3.0))  # the column reaches down to where it stands
+    deep = mission(cover=box_cover([((33, 15, -20), (42, 25, -10))]), is_clear=True)
+    assert "landing" in failed(observed(state=table_top), make_needs(deep, NEEDS.setpoints))
 
 
 def test_the_plan_is_proven_again_against_the_map():
@@ -134,6 +150,15 @@ def test_an_estimator_is_waited_for_but_not_for_ever():
     loop, _ = fly(on_poll=never)
     assert loop.supervision.cause is Event.CHECK_FAILED
     assert loop.checks.failure() == "estimator: not ready"
+
+
+def test_a_place_comes_with_the_estimator_and_is_waited_for_like_it():
+    def late(vehicle, now):
+        vehicle.is_frozen = now < 104.0
+        vehicle.status.is_estimator_ready = now > 104.0
+
+    loop, _ = fly(on_poll=late)
+    assert loop.supervision.cause is Event.PLAN_FINISHED
 
 
 def carry(check, moves, frame):

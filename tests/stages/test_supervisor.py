@@ -59,7 +59,8 @@ SHOWN = {
     Event.BATTERY_LOW: {"battery_share": 0.19},
     Event.LINK_LOST: {"silence_s": 1.6},
     Event.ESTIMATOR_BAD: {"estimator_ready": False},
-    Event.FAILSAFE: {"is_failsafe": True},
+    Event.FAILSAFE: {"is_failsafe": True, "obeys": False},
+    Event.FAILSAFE_IDLE: {"is_failsafe": True, "obeys": True},
     Event.RESTARTED: {"restarted": True},
     Event.MODE_CHANGED: {"is_ours": False},
     Event.ORDER_REFUSED: {"order_refused": True},
@@ -77,7 +78,8 @@ def standing(state, event=None):
     holds = 4 if event is Event.HOLDS_USED_UP else 1
     well = NOW - 1.1 if event is Event.RECOVERED else math.inf
     engaged = event is not Event.NOT_OBEYED
-    return Supervision(state, since, engaged=engaged, holds=holds, well_since_s=well)
+    failsafe = NOW - 1.1 if event is Event.FAILSAFE_IDLE else math.inf
+    return Supervision(state, since, engaged=engaged, holds=holds, well_since_s=well, failsafe_s=failsafe)
 
 
 def facts_of(event, state):
@@ -203,6 +205,15 @@ def test_a_vehicle_has_a_while_to_follow():
         fresh = Supervision(State.FLY, NOW - seconds)
         assert advance(fresh, facts, LIMITS)[0].state is expected
         assert advance(fresh, WELL, LIMITS)[0].engaged
+
+
+def test_a_failsafe_that_leaves_the_vehicle_in_our_mode_is_answered_by_landing():
+    facts = dataclasses.replace(WELL, is_failsafe=True)
+    where = dataclasses.replace(standing(State.FLY), engaged=True)
+    for seconds, expected in ((0.0, State.FLY), (0.9, State.FLY), (1.1, State.LAND)):
+        where, _ = advance(where, dataclasses.replace(facts, now_s=NOW + seconds), LIMITS)
+        assert where.state is expected
+    assert where.cause is Event.FAILSAFE_IDLE
 
 
 STATUS = {"GUIDED": True, "LAND": False, "LOITER": False, "STANDBY": False, "": False}

@@ -132,10 +132,13 @@ class MavlinkLink:
         """Change the parameters that flights need; a line for each that was changed.
 
         Raises:
-            LinkError: the vehicle does not have or take one; those changed before are put back.
+            LinkError: the vehicle is armed, so somebody flies it; or it does not have or take one: those
+                changed before are put back.
         """
         if self._parameters is None:
             raise LinkError("the vehicle was not opened")
+        if self.status.armed:
+            raise LinkError("the vehicle is armed: its parameters are left alone")
         try:
             return self._prepare(self._parameters)
         except BaseException:

@@ -42,8 +42,9 @@ class Orders:
 
     A step is done when the vehicle's own state shows it (a mode, armed or not); a take-off when it is
     acknowledged. Refused or unanswered for 5 s, an order goes to `VehicleStatus.refusals` and ends; only LAND
-    goes on for ever. A vehicle that obeyed once is not taken control of again without a new order: the
-    pilot may have taken it back.
+    goes on for ever. Nothing is repeated once another mode is seen than when it was first sent, be it in the
+    very poll: a pilot has chosen it. A vehicle that obeyed once is not taken control of again without a new
+    order: the pilot may have taken it back.
     """
 
     def __init__(self, session: Session, autopilot: Autopilot, telemetry: Telemetry) -> None:
@@ -51,6 +52,7 @@ class Orders:
         self._order: Order | None = None
         self._steps: list[_Step] = []
         self._is_reported = False
+        self._mode: tuple[int, int] | None = None  # when the step that stands was first sent
         self._said: list[tuple[float, str]] = []
 
     def start(self, order: Order, now_s: float, height_m: float, first_s: float = 0.0) -> None:
@@ -83,9 +85,19 @@ class Orders:
             if not self._steps:
                 return
         if now_s >= step.next_s:
+            if step.sent == 0:
+                self._mode = self._telemetry.mode
+            elif self._is_taken():
+                self._steps = []
+                return
             step.next_s = now_s + _REPEAT_S
             self._session.send(self._session.command(step.number, step.values, step.sent))
             step.sent += 1
+
+    def _is_taken(self) -> bool:
+        """Whether the mode is another than when the step was sent, and not by it, for it is not done."""
+        mode = self._telemetry.mode
+        return mode is not None and self._mode is not None and mode != self._mode
 
     def take_answer(self, message: Any, now_s: float) -> None:
         """A COMMAND_ACK."""

@@ -1,0 +1,40 @@
+"""Signals while a vehicle's parameters are changed or put back, but nothing flies."""
+
+import os
+import signal
+
+import pytest
+from fake_vehicle import FakeClock, FakeVehicle
+from flights import START, mission
+
+from alula.cli.fly_run import fly
+from alula.cli.options import Common
+from alula.schemas.provenance import Provenance
+from alula.schemas.run import RUN_SCHEMA, RUN_VERSION
+
+
+class Interrupted(FakeVehicle):
+    """Gets one signal while parameters are changed, and others while they are put back."""
+
+    number = signal.SIGINT
+
+    def prepare(self):
+        os.kill(os.getpid(), self.number)
+        raise AssertionError("it went on")
+
+    def close(self):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(os.getpid(), number)
+        super().close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda n: n.name)
+def test_parameters_are_put_back_before_it_ends(tmp_path, number):
+    link = Interrupted(FakeClock(), (START[0], START[1], 0.0))
+    link.number = number
+    log = tmp_path / "f.run.mcap"
+    common = Common(log, False, False, False, True, 0, 0, 1, None)
+    with pytest.raises(KeyboardInterrupt):
+        fly(mission(), link, Provenance.now(RUN_SCHEMA, RUN_VERSION, {}, None, []), common)
+    assert link.closed
+    assert not log.exists()
