@@ -45,7 +45,7 @@ FILTERS = {"cone-backup": "scene", "polytope-cbf": "cover"}
 START, GOAL = (0.8, 0.8, 0.9), (4.7, 3.6, 1.1)  # behind a hoop and a pillar
 _ALULA = [sys.executable, "-P", "-m", "alula.cli"]
 _BRISK = ("--boot-time", "1", "--param", "LAND_SPEED=120", "--param", "WPNAV_ACCEL_Z=250")
-_PLAN_RADIUS_M = 0.25  # a little more than radius and margin of the filters
+_PLAN_RADIUS_M = 0.25  # radius and margin of the filters
 _ARRIVED_M = 0.4  # what `fly` calls there, 0.2 m and the filter's margin, and what the estimate is off
 _TIMEOUT_S = 120.0
 _FLYING = ("fly", "hold")

@@ -42,7 +42,7 @@ class FlightPipe:
         self._pipe = self.process.stdin.fileno()
         fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
-    def put(self, message: bytes, timeout_s: float) -> None:
+    def put(self, message: bytes, timeout_s: float = 30.0) -> None:
         """Write a message however long it is.
 
         Raises:
