@@ -1,4 +1,5 @@
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,10 @@ os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")  # gsply's; it warns
 
 for name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS"):  # `make test` runs tests that run make
     os.environ.pop(name, None)
+
+# Background jobs ignore Ctrl-C, and hand that on to every process that a test starts and interrupts.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
