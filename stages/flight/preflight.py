@@ -228,7 +228,10 @@ def _landing(seen: Observed, needs: Needs) -> Verdict:
     if seen.state is None:
         return Verdict("landing", False, "no state")
     down = needs.goal.copy()
-    down[2] = min(seen.state.position[2] + _FOOT * needs.radius_m, needs.goal[2])
+    foot_m = _FOOT * (
+        needs.radius_m + needs.margin_m
+    )  # of the way up, too: the ground, as thick as the map has it
+    down[2] = min(seen.state.position[2] + foot_m, needs.goal[2])
     way = np.array([needs.goal, down])
     if not np.isfinite(way).all():
         return Verdict("landing", False, "no finite position")
