@@ -10,7 +10,7 @@ import click
 
 from alula.cli import options
 from alula.schemas.configs.fly import FlyConfig
-from alula.schemas.errors import InputError, UsageError
+from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
     from alula.schemas.scenario import Scenario
@@ -124,6 +124,7 @@ def command(
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
     from alula.stages.flight.fly import make_mission
     from alula.stages.flight.frames import LocalFrame
+    from alula.stages.flight.links.mavlink_signing import read_key
     from alula.stages.flight.links.open_link import open_link
     from alula.stages.flight.links.options import LinkOptions
     from alula.stages.flight.live_view import require_viser
@@ -148,7 +149,7 @@ def command(
             frame=LocalFrame(math.radians(yaw), origin),
             vehicle=vehicle,
             state_rate_hz=config.rate_hz,
-            key=None if key_path is None else _key(key_path),
+            key=None if key_path is None else read_key(key_path),
             signing_file=None if key_path is None else key_path.with_name(key_path.name + ".stamp"),
             mocap=mocap,
             allow_remote=allow_remote,
@@ -203,20 +204,3 @@ def _from_scenario(
         return FlyConfig(**{**found, **given}), address or link
     except UsageError as error:
         raise UsageError(f"{source}: {error}") from error
-
-
-def _key(path: Path) -> bytes:
-    """A signing key from a file."""
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror}") from error
-    if len(raw) == 32:
-        return raw
-    try:
-        key = bytes.fromhex(raw.decode("ascii").strip())
-    except (UnicodeDecodeError, ValueError):
-        key = b""
-    if len(key) != 32:
-        raise InputError(f"{path}: a signing key is 32 bytes, or 64 hexadecimal digits")
-    return key
