@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,13 +56,14 @@ def simulate_encounters(
     from alula.schemas.kinds import COVER
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, read_run
     from alula.stages.flight.encounter_summary import encounter_summary
-    from alula.stages.flight.encounters import TrialJournal, fly_encounters
+    from alula.stages.flight.encounters import FlownChunk, fly_encounters
+    from alula.stages.flight.trial_chunks import TrialJournal
 
     scenario = read_encounters(source, _changes(context, config, settings, common.seed))
     paths = {"scenario": source}
     if scenario.map.cover is not None or map_path is not None:
         paths["cover"] = map_path or source.parent / str(scenario.map.cover)
-    kept = JournalFile(common, TRIALS, TrialJournal)
+    kept = JournalFile(common, TRIALS, partial(TrialJournal, FlownChunk))
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
         cover = read_artifact(paths["cover"], COVER) if "cover" in paths else None

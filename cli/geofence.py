@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,8 +56,9 @@ def simulate_geofence(
     from alula.schemas.kinds import COVER
     from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, read_run
     from alula.schemas.vehicle import contents, read_vehicle
-    from alula.stages.flight.geofence import FenceJournal, fly_in_fence
+    from alula.stages.flight.geofence import FlownChunk, fly_in_fence
     from alula.stages.flight.geofence_summary import fence_summary
+    from alula.stages.flight.trial_chunks import TrialJournal
 
     given = {role: path for role, path in files.items() if path is not None}
     scenario = read_fence_scenario(source, _changes(context, config, settings, given, common.seed))
@@ -65,7 +67,7 @@ def simulate_geofence(
         paths["cover"] = source.parent / scenario.fence.cover
     paths |= given
     vehicle = read_vehicle(paths["vehicle"])
-    kept = JournalFile(common, TRIALS, FenceJournal)
+    kept = JournalFile(common, TRIALS, partial(TrialJournal, FlownChunk))
 
     def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
         cover = read_artifact(paths["cover"], COVER) if "cover" in paths else None

@@ -26,6 +26,7 @@ from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.flight.certificate import certify
 from alula.stages.flight.commanders import Commander, PlanClock, SplatCommander, VelocityCommander
 from alula.stages.flight.fence_guard import FenceGuard, rates_model
+from alula.stages.flight.flight_map import require_metric
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop_options import LoopOptions
 from alula.stages.flight.preflight import Needs
@@ -136,10 +137,8 @@ def make_mission(
     config = resolve_fly(config, plan, vehicle, is_splat=is_splat)
     frame = plan.manifest.frame
     for role, other in (("cover", cover), ("scene", scene), ("plan", plan)):
-        if other is not None and other.manifest.unit != "m":
-            raise InputError(
-                f"the {role} is in {other.manifest.unit} units, not metres; run scale-align first"
-            )
+        if other is not None:
+            require_metric(role, other)
         if other is not None and other.manifest.frame != frame:
             raise InputError(f"the {role} is in the frame {other.manifest.frame!r}, the plan in {frame!r}")
     if not is_splat and config.fence_map and cover is None:

@@ -25,6 +25,7 @@ from alula.stages.filtering.polytope_cbf import NativeFilter
 from alula.stages.filtering.protocol import Filter, FilterStatus, World
 from alula.stages.filtering.registry import make_filter
 from alula.stages.flight.closed_loop import Flown, fly
+from alula.stages.flight.flight_map import require_metric
 from alula.stages.flight.reference import NO_REFERENCE, Reference, sample_plan
 from alula.stages.flight.splat_log import SplatFlightLog
 from alula.stages.flight.trials import Pairs, central_box, check_clear, sample_pairs
@@ -287,8 +288,7 @@ def _check_fit(cover: Artifact, role: str, other: Artifact | None) -> None:
     if other is None:
         return
     have, need = other.manifest, cover.manifest
-    if have.unit != "m":
-        raise InputError(f"the {role} is in {have.unit} units, not metres; run scale-align first")
+    require_metric(role, other)
     if have.frame != need.frame:
         raise InputError(f"the {role} is in the frame {have.frame!r}, the cover in {need.frame!r}")
 

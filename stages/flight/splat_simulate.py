@@ -23,6 +23,7 @@ from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
 from alula.stages.filtering.splat_filters import GUIDES, NativeSplatFilter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
+from alula.stages.flight.flight_map import require_metric
 from alula.stages.flight.simulate import RunResult
 from alula.stages.flight.splat_judge import SplatJudge
 from alula.stages.flight.splat_log import SplatFlightLog, decimate
@@ -231,8 +232,7 @@ def _shifted(progress: Progress | None, begin: int, total: int) -> Progress | No
 
 
 def _check_fit(scene: Artifact, plan: Artifact | None, cover: Artifact | None) -> None:
-    if scene.manifest.unit != "m":
-        raise InputError(f"the scene is in {scene.manifest.unit} units, not metres; run scale-align first")
+    require_metric("scene", scene)
     for role, other in (("plan", plan), ("cover", cover)):
         if other is not None and other.manifest.frame != scene.manifest.frame:
             raise InputError(
