@@ -292,9 +292,7 @@ def _check_pairs_from(context: click.Context, has_plan: bool) -> None:
 
 def _option_of(name: str) -> str:
     """How a field of the configuration is called on the command line."""
-    field = next(f for f in dataclasses.fields(SimulateConfig) if f.name == name)
-    option: str = field.metadata.get("option", "--" + name.replace("_", "-"))
-    return option
+    return options.option_of(next(f for f in dataclasses.fields(SimulateConfig) if f.name == name))
 
 
 def _configured(
