@@ -26,6 +26,7 @@ from alula.stages.filtering.protocol import Filter, FilterStatus, World
 from alula.stages.filtering.registry import make_filter
 from alula.stages.flight.closed_loop import Flown, fly
 from alula.stages.flight.flight_map import require_metric
+from alula.stages.flight.log_writer import logged_ticks
 from alula.stages.flight.reference import NO_REFERENCE, Reference, sample_plan
 from alula.stages.flight.splat_log import SplatFlightLog
 from alula.stages.flight.trials import Pairs, central_box, check_clear, sample_pairs
@@ -310,11 +311,10 @@ def _filter_parameters(config: SimulateConfig) -> dict[str, Any]:
 
 def _decimate(flown: Flown, dt_s: float, rate_hz: float) -> FlightLog:
     steps = len(flown.status)
-    stride = max(1, round(1 / (rate_hz * dt_s)))
-    sample = np.append(np.arange(0, steps, stride), steps)
+    sample = logged_ticks(steps, dt_s, rate_hz)
     held = np.minimum(sample, steps - 1)
     return FlightLog(
-        time_s=sample * dt_s,
+        time_s=sample.astype(np.float64) * dt_s,
         position=flown.position[sample],
         velocity=flown.u[held],
         u_nom=flown.u_nom[held],
