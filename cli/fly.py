@@ -115,12 +115,13 @@ def command(
     import math
 
     from alula.cli.fly_run import fly
+    from alula.cli.run_files import check_log_name
     from alula.cli.runner import check_output, input_ref
     from alula.cli.simulate import is_among_ellipsoids, setting_of
     from alula.schemas.artifact import read_artifact
     from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.provenance import Provenance, parameters_of
-    from alula.schemas.run import RUN_SCHEMA, RUN_SUFFIX, RUN_VERSION, record_path
+    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, record_path
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
     from alula.stages.flight.fly import make_mission
     from alula.stages.flight.frames import LocalFrame
@@ -131,8 +132,7 @@ def command(
 
     if live is not None:
         require_viser()
-    if not common.output.name.endswith(".mcap"):
-        raise UsageError(f"{common.output}: the output must end in .mcap (usually {RUN_SUFFIX})")
+    check_log_name(common.output)
     paths, scenario = _inputs(source, map_path, scene_path, vehicle_path)
     if scenario is not None:
         config, address = _from_scenario(context, source, config, address, scenario)

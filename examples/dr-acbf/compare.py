@@ -6,7 +6,6 @@ A run is SCENARIO/VARIANT.run.mcap with its record beside it; tables and figures
 same tables as one page of Markdown into FILE.
 """
 
-
 from alula.cli.comparison import comparison_words, this_machine, write_comparison
 from alula.schemas.run import read_run
 from alula.stages.reporting import dracbf, dracbf_beyond, dracbf_figures, dracbf_small
