@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from alula.cli import options
-from alula.cli.trial_run import replaced_keys, run_trials
+from alula.cli.trial_run import Meaning, replaced_keys, run_trials
 from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import CheckError
 
@@ -19,20 +19,22 @@ if TYPE_CHECKING:
     from alula.schemas.provenance import Provenance
     from alula.stages.flight.encounters import EncounterRun
 
-# Fields of `SimulateConfig` that mean something here, and the keys of the scenario that they replace.
-_KEYS = {
-    "name": "name",
-    "filter": "filter.name",
-    "radius_m": "vehicle.radius_m",
-    "speed_m_s": "vehicle.v_max_m_s",
-    "gain": "encounter.gain_per_s",
-    "trials": "trials.count",
-    "dt_s": "run.dt_s",
-    "max_time_s": "run.max_time_s",
-    "log_rate_hz": "run.log_rate_hz",
-}
-_TABLES = ("encounter", "vehicle", "obstacles", "sensor", "tracker", "filter", "walls", "trials", "run")
-_OTHERS = {"scene_path": "--scene", "vehicle_path": "--vehicle"}  # of static obstacles only
+_MEANING = Meaning(
+    keys={
+        "name": "name",
+        "filter": "filter.name",
+        "radius_m": "vehicle.radius_m",
+        "speed_m_s": "vehicle.v_max_m_s",
+        "gain": "encounter.gain_per_s",
+        "trials": "trials.count",
+        "dt_s": "run.dt_s",
+        "max_time_s": "run.max_time_s",
+        "log_rate_hz": "run.log_rate_hz",
+    },
+    tables=("encounter", "vehicle", "obstacles", "sensor", "tracker", "filter", "walls", "trials", "run"),
+    others={"scene_path": "--scene", "vehicle_path": "--vehicle"},
+    meant_for="flights among static obstacles, which these are not",
+)
 
 
 def simulate_encounters(
@@ -52,16 +54,7 @@ def simulate_encounters(
     from alula.stages.flight.encounter_summary import encounter_summary
     from alula.stages.flight.encounters import FlownChunk, fly_encounters
 
-    changes = replaced_keys(
-        context,
-        config,
-        settings,
-        common.seed,
-        keys=_KEYS,
-        tables=_TABLES,
-        others=_OTHERS,
-        meant_for="flights among static obstacles, which these are not",
-    )
+    changes = replaced_keys(context, config, settings, common.seed, _MEANING)
     scenario = read_encounters(source, changes)
     paths = {"scenario": source}
     if scenario.map.cover is not None or map_path is not None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from alula.cli import options
-from alula.cli.trial_run import replaced_keys, run_trials
+from alula.cli.trial_run import Meaning, replaced_keys, run_trials
 from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import CheckError
 
@@ -19,18 +19,20 @@ if TYPE_CHECKING:
     from alula.schemas.provenance import Provenance
     from alula.stages.flight.geofence import FenceRun
 
-# Fields of `SimulateConfig` that mean something here, and the keys of the scenario that they replace.
-_KEYS = {
-    "name": "name",
-    "filter": "filter.name",
-    "radius_m": "vehicle.radius_m",
-    "trials": "trials.count",
-    "max_time_s": "run.duration_s",
-    "log_rate_hz": "run.log_rate_hz",
-}
-_TABLES = ("fence", "vehicle", "filter", "pilot", "trials", "run")
+_MEANING = Meaning(
+    keys={
+        "name": "name",
+        "filter": "filter.name",
+        "radius_m": "vehicle.radius_m",
+        "trials": "trials.count",
+        "max_time_s": "run.duration_s",
+        "log_rate_hz": "run.log_rate_hz",
+    },
+    tables=("fence", "vehicle", "filter", "pilot", "trials", "run"),
+    others={"scene_path": "--scene", "pairs_path": "--pairs-from"},
+    meant_for="other flights than those in a fence",
+)
 _FILES = {"vehicle": "vehicle.file", "cover": "fence.cover"}  # by role
-_OTHERS = {"scene_path": "--scene", "pairs_path": "--pairs-from"}  # of other flights only
 
 
 def simulate_geofence(
@@ -56,16 +58,7 @@ def simulate_geofence(
 
     given = {role: path for role, path in files.items() if path is not None}
     named = {_FILES[role]: str(path) for role, path in given.items()}
-    changes = named | replaced_keys(
-        context,
-        config,
-        settings,
-        common.seed,
-        keys=_KEYS,
-        tables=_TABLES,
-        others=_OTHERS,
-        meant_for="other flights than those in a fence",
-    )
+    changes = named | replaced_keys(context, config, settings, common.seed, _MEANING)
     scenario = read_fence_scenario(source, changes)
     paths = {"scenario": source, "vehicle": source.parent / scenario.vehicle.file}
     if scenario.fence.cover is not None:

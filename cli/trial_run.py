@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
@@ -36,47 +37,57 @@ F = TypeVar("F", bound=Flown)
 Write = Callable[["Provenance", F, dict[str, Any], dict[str, Any], str], None]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Meaning:
+    """What options of `simulate` mean to a kind of scenario.
+
+    Attributes:
+        keys: fields of the configuration that mean something in it, and their keys there.
+        tables: of the scenario; what --set names outside of them are the filter's parameters.
+        others: parameters of the command that mean nothing in it, and their options.
+        meant_for: what options are for that mean nothing in it.
+    """
+
+    keys: Mapping[str, str]
+    tables: Sequence[str]
+    others: Mapping[str, str]
+    meant_for: str
+
+
 def replaced_keys(
     context: click.Context,
     config: SimulateConfig,
     settings: Mapping[str, Any],
     seed: int,
-    *,
-    keys: Mapping[str, str],
-    tables: Sequence[str],
-    others: Mapping[str, str],
-    meant_for: str,
+    meaning: Meaning,
 ) -> dict[str, Any]:
     """What the command line replaces, by the keys of the scenario.
 
     Args:
         context: knows which options were given.
         config: of `simulate`.
-        settings: those of --set; names that begin with none of the tables are the filter's parameters.
+        settings: those of --set.
         seed: of --seed.
-        keys: fields of the configuration that mean something in such a scenario, and their keys in it.
-        tables: of the scenario.
-        others: parameters of the command that mean nothing in it, and their options.
-        meant_for: what options are for that mean nothing in it.
+        meaning: of the options.
 
     Raises:
-        UsageError: such an option was given.
+        UsageError: an option was given that means nothing.
     """
     changes: dict[str, Any] = {}
     for field in dataclasses.fields(config):
         if field.name == "seed" or not options.is_given(context, field.name):
             continue
-        if field.name not in keys:
-            raise UsageError(f"{options.option_of(field)} is for {meant_for}")
-        changes[keys[field.name]] = getattr(config, field.name)
-    for name, option in others.items():
+        if field.name not in meaning.keys:
+            raise UsageError(f"{options.option_of(field)} is for {meaning.meant_for}")
+        changes[meaning.keys[field.name]] = getattr(config, field.name)
+    for name, option in meaning.others.items():
         if options.is_given(context, name):
-            raise UsageError(f"{option} is for {meant_for}")
+            raise UsageError(f"{option} is for {meaning.meant_for}")
     if options.is_given(context, "seed"):
         changes["trials.seed"] = seed
     for name, value in settings.items():
         first = name.partition(".")[0]
-        changes[name if first in tables and "." in name else f"filter.parameters.{name}"] = value
+        changes[name if first in meaning.tables and "." in name else f"filter.parameters.{name}"] = value
     return changes
 
 
