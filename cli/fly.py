@@ -10,7 +10,7 @@ import click
 
 from alula.cli import options
 from alula.schemas.configs.fly import FlyConfig
-from alula.schemas.errors import InputError, UsageError
+from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
     from alula.schemas.scenario import Scenario
@@ -115,23 +115,24 @@ def command(
     import math
 
     from alula.cli.fly_run import fly
+    from alula.cli.run_files import check_log_name
     from alula.cli.runner import check_output, input_ref
     from alula.cli.simulate import is_among_ellipsoids, setting_of
     from alula.schemas.artifact import read_artifact
     from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.provenance import Provenance, parameters_of
-    from alula.schemas.run import RUN_SCHEMA, RUN_SUFFIX, RUN_VERSION, record_path
+    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, record_path
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
     from alula.stages.flight.fly import make_mission
     from alula.stages.flight.frames import LocalFrame
+    from alula.stages.flight.links.mavlink_signing import read_key
     from alula.stages.flight.links.open_link import open_link
     from alula.stages.flight.links.options import LinkOptions
     from alula.stages.flight.live_view import require_viser
 
     if live is not None:
         require_viser()
-    if not common.output.name.endswith(".mcap"):
-        raise UsageError(f"{common.output}: the output must end in .mcap (usually {RUN_SUFFIX})")
+    check_log_name(common.output)
     paths, scenario = _inputs(source, map_path, scene_path, vehicle_path)
     if scenario is not None:
         config, address = _from_scenario(context, source, config, address, scenario)
@@ -148,7 +149,7 @@ def command(
             frame=LocalFrame(math.radians(yaw), origin),
             vehicle=vehicle,
             state_rate_hz=config.rate_hz,
-            key=None if key_path is None else _key(key_path),
+            key=None if key_path is None else read_key(key_path),
             signing_file=None if key_path is None else key_path.with_name(key_path.name + ".stamp"),
             mocap=mocap,
             allow_remote=allow_remote,
@@ -203,20 +204,3 @@ def _from_scenario(
         return FlyConfig(**{**found, **given}), address or link
     except UsageError as error:
         raise UsageError(f"{source}: {error}") from error
-
-
-def _key(path: Path) -> bytes:
-    """A signing key from a file."""
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror}") from error
-    if len(raw) == 32:
-        return raw
-    try:
-        key = bytes.fromhex(raw.decode("ascii").strip())
-    except (UnicodeDecodeError, ValueError):
-        key = b""
-    if len(key) != 32:
-        raise InputError(f"{path}: a signing key is 32 bytes, or 64 hexadecimal digits")
-    return key

@@ -2,35 +2,37 @@
 
 from __future__ import annotations
 
-import dataclasses
-import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from alula.cli import options
-from alula.cli.runner import run
+from alula.cli.trial_run import Meaning, replaced_keys, run_trials
 from alula.schemas.configs.simulate import SimulateConfig
-from alula.schemas.errors import CheckError, UsageError
+from alula.schemas.errors import CheckError
 
 if TYPE_CHECKING:
-    from alula.cli.runner import Progress
     from alula.schemas.geofence import FenceScenario
     from alula.schemas.provenance import Provenance
     from alula.stages.flight.geofence import FenceRun
 
-# Fields of `SimulateConfig` that mean something here, and the keys of the scenario that they replace.
-_KEYS = {
-    "name": "name",
-    "filter": "filter.name",
-    "radius_m": "vehicle.radius_m",
-    "trials": "trials.count",
-    "max_time_s": "run.duration_s",
-    "log_rate_hz": "run.log_rate_hz",
-}
-_TABLES = ("fence", "vehicle", "filter", "pilot", "trials", "run")
+_MEANING = Meaning(
+    keys={
+        "name": "name",
+        "filter": "filter.name",
+        "radius_m": "vehicle.radius_m",
+        "trials": "trials.count",
+        "max_time_s": "run.duration_s",
+        "log_rate_hz": "run.log_rate_hz",
+    },
+    tables=("fence", "vehicle", "filter", "pilot", "trials", "run"),
+    others={"scene_path": "--scene", "pairs_path": "--pairs-from"},
+    meant_for="other flights than those in a fence",
+)
+_FILES = {"vehicle": "vehicle.file", "cover": "fence.cover"}  # by role
 
 
 def simulate_geofence(
@@ -48,58 +50,36 @@ def simulate_geofence(
     """
     import msgspec
 
-    from alula.cli.journal import JournalFile
-    from alula.schemas.artifact import read_artifact
     from alula.schemas.geofence import read_fence_scenario
-    from alula.schemas.journal import TRIALS
-    from alula.schemas.kinds import COVER
-    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, read_run
+    from alula.schemas.run import read_run
     from alula.schemas.vehicle import contents, read_vehicle
-    from alula.stages.flight.geofence import FenceJournal, fly_in_fence
+    from alula.stages.flight.geofence import FlownChunk, fly_in_fence
     from alula.stages.flight.geofence_summary import fence_summary
 
     given = {role: path for role, path in files.items() if path is not None}
-    scenario = read_fence_scenario(source, _changes(context, config, settings, given, common.seed))
+    named = {_FILES[role]: str(path) for role, path in given.items()}
+    changes = named | replaced_keys(context, config, settings, common.seed, _MEANING)
+    scenario = read_fence_scenario(source, changes)
     paths = {"scenario": source, "vehicle": source.parent / scenario.vehicle.file}
     if scenario.fence.cover is not None:
         paths["cover"] = source.parent / scenario.fence.cover
     paths |= given
     vehicle = read_vehicle(paths["vehicle"])
-    kept = JournalFile(common, TRIALS, FenceJournal)
-
-    def make(provenance: Provenance, progress: Progress) -> tuple[Any, dict[str, Any]]:
-        cover = read_artifact(paths["cover"], COVER) if "cover" in paths else None
-        kept.begin(provenance)
-        start = time.monotonic()
-        with kept.kept(progress) as (journal, watched):
-            already = len(journal)
-            try:
-                flown = fly_in_fence(
-                    scenario,
-                    vehicle,
-                    cover=cover,
-                    journal=journal,
-                    jobs=common.jobs,
-                    scheduler=scheduler,
-                    progress=watched,
-                )
-            except UsageError as error:
-                raise UsageError(f"{source}: {error}" if "`$." in str(error) else str(error)) from error
-        timing = {"wall_s": time.monotonic() - start, "trials_flown": len(flown.trials) - already}
-        summary = fence_summary(scenario, flown)
-        frame = "world" if cover is None else cover.manifest.frame
-        return lambda: _write(
-            common.output, scenario, vehicle.name, provenance, flown, summary, timing, frame
-        ), summary
-
-    # Names of files do not matter, their content is hashed; nor does what a scenario is called in a file.
+    # Names of files do not matter, their content is hashed.
     parameters = msgspec.json.decode(msgspec.json.encode(scenario), type=dict[str, Any])
-    seed = parameters["trials"].pop("seed")
-    for table, key in ((None, "schema"), (None, "version"), ("vehicle", "file"), ("fence", "cover")):
-        del (parameters if table is None else parameters[table])[key]
+    for key in _FILES.values():
+        table, name = key.split(".")
+        del parameters[table][name]
     parameters["vehicle_file"] = contents(vehicle)
-    run(common, RUN_SCHEMA, RUN_VERSION, parameters, paths, make, seed=seed)
-    kept.remove()
+    run_trials(
+        common,
+        parameters,
+        paths,
+        chunk=FlownChunk,
+        fly=partial(fly_in_fence, scenario, vehicle, scheduler=scheduler),
+        summarize=partial(fence_summary, scenario),
+        write=partial(_write, common.output, scenario, vehicle.name),
+    )
     if not common.dry_run and scenario.filter.name != "none":
         summary = read_run(common.output).summary
         if summary["violations"]:
@@ -107,37 +87,6 @@ def simulate_geofence(
                 f"{common.output}: {summary['violations']} of {summary['trials']} filtered flights left the "
                 f"fence; farthest in trial {summary['worst_trial']}, {-summary['min_distance_m']:.4g} m"
             )
-
-
-def _changes(
-    context: click.Context,
-    config: SimulateConfig,
-    settings: Mapping[str, Any],
-    files: Mapping[str, Path],
-    seed: int,
-) -> dict[str, Any]:
-    """What the command line replaces, by the keys of the scenario."""
-    changes: dict[str, Any] = {}
-    for field in dataclasses.fields(config):
-        if field.name == "seed" or not options.is_given(context, field.name):
-            continue
-        if field.name not in _KEYS:
-            name = field.metadata.get("option", "--" + field.name.replace("_", "-"))
-            raise UsageError(f"{name} is for other flights than those in a fence")
-        changes[_KEYS[field.name]] = getattr(config, field.name)
-    for name in ("scene_path", "pairs_path"):
-        if options.is_given(context, name):
-            option = "--" + name.removesuffix("_path").replace("pairs", "pairs-from")
-            raise UsageError(f"{option} is for other flights than those in a fence")
-    for role, key in (("vehicle", "vehicle.file"), ("cover", "fence.cover")):
-        if role in files:
-            changes[key] = str(files[role])
-    if options.is_given(context, "seed"):
-        changes["trials.seed"] = seed
-    for name, value in settings.items():
-        first = name.partition(".")[0]
-        changes[name if first in _TABLES and "." in name else f"filter.parameters.{name}"] = value
-    return changes
 
 
 def _write(

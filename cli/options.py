@@ -174,7 +174,7 @@ def from_config(config: type[Any]) -> Callable[[F], F]:
         collect.__name__, collect.__doc__ = function.__name__, function.__doc__
         collect.__dict__.update(function.__dict__)
         for field in reversed(fields):
-            names = field.metadata.get("option", "--" + field.name.replace("_", "-"))
+            names = field.metadata.get("option", option_of(field))
             names = (names,) if isinstance(names, str) else names
             keywords: dict[str, Any] = {"help": field.metadata.get("help"), **_type_of(hints[field.name])}
             if "metavar" in field.metadata:
@@ -217,6 +217,12 @@ def _type_of(hint: Any) -> dict[str, Any]:
     if hint is Path:
         return {"type": PATH}
     return {"type": str}
+
+
+def option_of(field: dataclasses.Field[Any]) -> str:
+    """How a field of a configuration is called on the command line, first of all."""
+    names: str | tuple[str, ...] = field.metadata.get("option", "--" + field.name.replace("_", "-"))
+    return names if isinstance(names, str) else names[0]
 
 
 def is_given(context: click.Context, name: str) -> bool:

@@ -11,6 +11,19 @@ if TYPE_CHECKING:
     from alula.stages.flight.simulate import RunResult
 
 
+def check_log_name(output: Path) -> None:
+    """Refuse a name that readers would not take for a log.
+
+    Raises:
+        UsageError: it does not end in .mcap.
+    """
+    from alula.schemas.errors import UsageError
+    from alula.schemas.run import RUN_SUFFIX
+
+    if not output.name.endswith(".mcap"):
+        raise UsageError(f"{output}: the output must end in .mcap (usually {RUN_SUFFIX})")
+
+
 def write_run(
     output: Path, record: RunRecord, timing: Mapping[str, Any], write_log: Callable[[BinaryIO], None]
 ) -> None:

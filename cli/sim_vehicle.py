@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from alula.cli import options
-from alula.schemas.errors import InputError, UsageError
+from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
     from alula.stages.flight.autopilot.endpoint import Flown
@@ -125,6 +125,7 @@ def command(
         from alula.stages.flight.autopilot.estimator import EstimatorOptions
         from alula.stages.flight.autopilot.faults import parse_fault
         from alula.stages.flight.autopilot.simulator import SimulatedVehicle
+        from alula.stages.flight.links.mavlink_signing import read_key
 
         copter = Copter(
             FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path),
@@ -140,7 +141,7 @@ def command(
                 faults=tuple(parse_fault(text) for text in faults),
                 seed=seed,
                 channel=0 if console or signing_key is None else 1,
-                key=None if signing_key is None else _key(signing_key),
+                key=None if signing_key is None else read_key(signing_key),
                 epoch_s=time.time(),
             ),
         )
@@ -186,20 +187,3 @@ def _parameter(text: str) -> tuple[str, float]:
         return name.strip(), float(value)
     except ValueError:
         raise UsageError(f"--param {text!r}: {value!r} is not a number") from None
-
-
-def _key(path: Path) -> bytes:
-    """A signing key from a file, as `fly` takes it."""
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror}") from error
-    if len(raw) == 32:
-        return raw
-    try:
-        key = bytes.fromhex(raw.decode("ascii").strip())
-    except ValueError:
-        key = b""
-    if len(key) != 32:
-        raise InputError(f"{path}: a signing key is 32 bytes, or 64 hexadecimal digits")
-    return key

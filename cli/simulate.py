@@ -104,15 +104,15 @@ def command(
     Beside R.run.mcap, R.run.json holds the same summary and the measured times. Exit code 4: a filtered
     flight collided with its map, or left its fence.
     """
+    from alula.cli.run_files import check_log_name
     from alula.schemas.artifact import read_artifact
     from alula.schemas.encounters import is_encounters
     from alula.schemas.geofence import is_fence_scenario
     from alula.schemas.kinds import COVER, PLAN, SCENE
-    from alula.schemas.run import RUN_SCHEMA, RUN_SUFFIX, RUN_VERSION, read_run
+    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, read_run
     from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
 
-    if not common.output.name.endswith(".mcap"):
-        raise UsageError(f"{common.output}: the output must end in .mcap (usually {RUN_SUFFIX})")
+    check_log_name(common.output)
     if source.suffix == ".toml" and is_fence_scenario(source):
         from alula.cli.geofence import simulate_geofence
 
@@ -292,9 +292,7 @@ def _check_pairs_from(context: click.Context, has_plan: bool) -> None:
 
 def _option_of(name: str) -> str:
     """How a field of the configuration is called on the command line."""
-    field = next(f for f in dataclasses.fields(SimulateConfig) if f.name == name)
-    option: str = field.metadata.get("option", "--" + name.replace("_", "-"))
-    return option
+    return options.option_of(next(f for f in dataclasses.fields(SimulateConfig) if f.name == name))
 
 
 def _configured(

@@ -134,6 +134,17 @@ def test_the_library_script_flies_a_scene(built):
     assert "hulls" in done.stdout
 
 
+def test_a_rehearsal_flies_in_the_map_that_the_room_example_makes(tmp_path):
+    done = make(EXAMPLES / "rehearsal", "-n", f"OUT={tmp_path}/out", "FILTER=cone-backup", "HULLS=20")
+    made = ["demo-scene", "import-splat", "scale-align", "voxelize", "merge", "plan", "sim-vehicle", "report"]
+    assert commands_in(done) == made
+    assert (
+        f"merge -f {tmp_path}/out/room.voxels.npz -o {tmp_path}/out/room.cover.npz --hulls 20" in done.stdout
+    )
+    assert f"fly {tmp_path}/out/room.plan.npz --map {tmp_path}/out/room.metric.scene.npz" in done.stdout
+    assert not (tmp_path / "out/room.ply").exists()
+
+
 def test_polymerge_sets_our_maps_beside_the_published_ones(tmp_path):
     folder = tmp_path / "polymerge"
     shutil.copytree(EXAMPLES / "polymerge", folder, ignore=shutil.ignore_patterns("out"))

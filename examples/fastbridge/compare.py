@@ -6,24 +6,16 @@ A run is SCENE/VARIANT@SPEED.run.mcap with its record beside it; tables and figu
 FOLDER, the same tables as one page of Markdown into FILE.
 """
 
-import argparse
 from pathlib import Path
 
-from alula.cli.runner import input_ref
-from alula.schemas.atomic import write_text
+from alula.cli.comparison import comparison_words, write_comparison
 from alula.schemas.flights import read_flights
 from alula.schemas.run import read_run
 from alula.stages.reporting import fastbridge, fastbridge_figures
-from alula.stages.reporting.material import Material, Run
-from alula.stages.reporting.page import page
+from alula.stages.reporting.material import Run
 from alula.stages.reporting.sweeps import Sweep
-from alula.stages.reporting.tables import inputs_table, table_csv, to_markdown
 
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
-parser.add_argument("folder", type=Path)
-parser.add_argument("runs", type=Path, nargs="+", metavar="RUN")
-options = parser.parse_args()
+options = comparison_words(__doc__.splitlines()[0])
 folder, runs = options.folder, options.runs
 names = list(dict.fromkeys(path.parent.name for path in runs))
 TITLE = "FastBridge: collision cones through the quadrotor"
@@ -87,15 +79,13 @@ for name in names:
     paths = fastbridge_figures.paths_figure(whole, name, fastbridge_figures.telling_trial(whole, name))
     figures += [paths] if paths is not None else []
 facts = fastbridge.in_short(whole)
-material = Material(TITLE, inputs=tuple(input_ref(path.name, path) for path in files))
-for table in tables:
-    write_text(folder / f"{table.name}.csv", table_csv(table))
-for figure in figures:
-    write_text(folder / f"{figure.name}.svg", figure.svg)
-text = to_markdown(TITLE, facts, tables, "")
-write_text(folder / "fastbridge.md", text)
-if options.markdown is not None:
-    write_text(options.markdown, text.replace("\n\n", f"\n\n{HEAD}\n\n", 1))
-write_text(
-    folder / "fastbridge.html", page(material, [*tables, inputs_table(material)], figures, None, facts=facts)
+write_comparison(
+    folder / "fastbridge",
+    TITLE,
+    [(path.name, path) for path in files],
+    facts,
+    tables,
+    figures,
+    markdown=options.markdown,
+    head=HEAD,
 )

@@ -6,22 +6,14 @@ A run is SCENARIO/VARIANT.run.mcap with its record beside it, FOLDER/pendulum.js
 measured. Tables and figures are written into FOLDER, the same tables as one page of Markdown into FILE.
 """
 
-import argparse
 import json
-import os
-import platform
-from pathlib import Path
 
-from alula.cli.runner import input_ref
-from alula.schemas.atomic import write_text
+from alula.cli.comparison import comparison_words, this_machine, write_comparison
 from alula.schemas.fence_ticks import read_ticks
 from alula.schemas.run import read_run
 from alula.stages.reporting import geofencing, geofencing_figures, geofencing_robustness, geofencing_short
-from alula.stages.reporting.dracbf import folded
-from alula.stages.reporting.material import Material
-from alula.stages.reporting.page import page
 from alula.stages.reporting.pendulum import PROGRAM, REGULATION, sweep
-from alula.stages.reporting.tables import inputs_table, table_csv, to_markdown
+from alula.stages.reporting.shares import folded
 
 TITLE = "Geofencing: racing drones in a fence"
 WRITTEN = "Written by `make -C examples/geofencing page`"
@@ -29,11 +21,7 @@ DRAWN = ("wall", "fall", "engaged", "corner")  # folders whose first flights are
 GAINS = {REGULATION: (1.5, 5.0, 15.0, 60.0, 200.0, 1000.0), PROGRAM: (1.0, 5.0, 10.0, 50.0, 200.0, 1000.0)}
 TICKS_S = (0.01, 0.0025)
 GENTLE, HIGH = {REGULATION: 5.0, PROGRAM: 1.0}, {REGULATION: 60.0, PROGRAM: 50.0}
-parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
-parser.add_argument("folder", type=Path)
-parser.add_argument("runs", type=Path, nargs="+", metavar="RUN")
-options = parser.parse_args()
+options = comparison_words(__doc__.splitlines()[0])
 folder, paths = options.folder, options.runs
 runs = [
     geofencing.Fenced(
@@ -82,18 +70,14 @@ drawn = [
 ]
 figures = [figure for figure in drawn if figure is not None]
 facts = geofencing_short.in_short(runs, swings, measured)
-material = Material(TITLE, inputs=tuple(input_ref(path.parent.name, path) for path in paths))
-for table in tables:
-    write_text(folder / f"{table.name}.csv", table_csv(table))
-for figure in figures:
-    write_text(folder / f"{figure.name}.svg", figure.svg)
-read = [folded(table) for table in tables]
-text = to_markdown(TITLE, facts, read, "")
-write_text(folder / "geofencing.md", text)
-write_text(
-    folder / "geofencing.html", page(material, [*read, inputs_table(material)], figures, None, facts=facts)
+write_comparison(
+    folder / "geofencing",
+    TITLE,
+    [(path.parent.name, path) for path in paths],
+    facts,
+    tables,
+    figures,
+    read=[folded(table) for table in tables],
+    markdown=options.markdown,
+    head=f"{WRITTEN} on {this_machine()}. What the filter is and promises: [geofence.md](geofence.md).",
 )
-if options.markdown is not None:
-    machine = f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}"
-    head = f"{WRITTEN} on {machine}. What the filter is and promises: [geofence.md](geofence.md)."
-    write_text(options.markdown, text.replace("\n\n", f"\n\n{head}\n\n", 1))

@@ -12,16 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from alula.cli.runner import input_ref
+from alula.cli.comparison import write_comparison
 from alula.schemas.artifact import read_artifact
-from alula.schemas.atomic import atomic_output, write_text
+from alula.schemas.atomic import atomic_output
 from alula.stages.compression.measure import half_spaces, measure_cover, measure_points
 from alula.stages.compression.onboard import encode_map
 from alula.stages.reporting import polymerge
-from alula.stages.reporting.material import Material
-from alula.stages.reporting.page import page
 from alula.stages.reporting.polymerge import Polytopes, SceneMaps
-from alula.stages.reporting.tables import inputs_table, table_csv, to_markdown
 
 folder, names = Path(sys.argv[1]), sys.argv[2:]
 TITLE = "PolyMerge: size and conservativeness of maps"
@@ -74,16 +71,14 @@ scenes = [maps_of(name) for name in names]
 figures = [polymerge.volumes_figure(scenes), polymerge.curve_figure(scenes)]
 tables = [polymerge.sizes_table(scenes), polymerge.volumes_table(scenes), polymerge.curve_table(scenes)]
 files = sorted(path for name in names for path in folder.glob(f"{name}.*.npz"))
-material = Material(TITLE, inputs=tuple(input_ref(path.name, path) for path in files))
-facts = polymerge.in_short(scenes)
-for table in tables:
-    write_text(folder / f"{table.name}.csv", table_csv(table))
 for drawn in figures:
-    write_text(folder / f"{drawn.figure.name}.svg", drawn.figure.svg)
     with atomic_output(folder / f"{drawn.figure.name}.png") as file:
         file.write(drawn.png)
-write_text(folder / "polymerge.md", to_markdown(TITLE, facts, tables, ""))
-write_text(
-    folder / "polymerge.html",
-    page(material, [*tables, inputs_table(material)], [drawn.figure for drawn in figures], None),
+write_comparison(
+    folder / "polymerge",
+    TITLE,
+    [(path.name, path) for path in files],
+    polymerge.in_short(scenes),
+    tables,
+    [drawn.figure for drawn in figures],
 )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from alula.schemas.run import RunRecord, TrialResult
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.log_writer import GAP_S, LogWriter, log_message, path_message, stamp
+from alula.stages.flight.log_writer import GAP_S, LogWriter, log_message, logged_ticks, path_message, stamp
 from alula.stages.flight.splat_log import number, xyz
 
 FloatArray = NDArray[np.float64]
@@ -52,9 +52,7 @@ class EncounterFlight(msgspec.Struct, frozen=True, kw_only=True):
     @classmethod
     def of(cls, trial: int, flown: dict[str, Any], dt_s: float, rate_hz: float) -> Self:
         """Every so many ticks as the rate says, and the last one."""
-        ticks = len(flown["mode"])
-        stride = max(1, round(1 / (rate_hz * dt_s)))
-        sample = np.unique(np.append(np.arange(0, ticks, stride), ticks - 1)).astype(np.int64)
+        sample = logged_ticks(len(flown["mode"]) - 1, dt_s, rate_hz)
         names = ("vehicle", "obstacles", "tracks", "command", "nominal", "mode", "status")
         return cls(
             trial=trial, tick=sample.tobytes(), **{name: flown[name][sample].tobytes() for name in names}

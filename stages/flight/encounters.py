@@ -7,20 +7,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.encounters import Encounters
-from alula.schemas.errors import InputError
 from alula.schemas.run import ObstacleResult, TrialResult
-from alula.stages.compression.certificate import require_solid_hulls
 from alula.stages.compression.hulls import Hulls
-from alula.stages.distribute import distribute
 from alula.stages.flight.encounter_log import EncounterFlight
 from alula.stages.flight.encounter_world import native_encounter, native_filter, static_walls
+from alula.stages.flight.flight_map import require_obstacles
+from alula.stages.flight.trial_chunks import FlownTrials, TrialJournal, fly_missing
 from alula.stages.reporting.metrics import COLLISION_TOLERANCE_M, hull_obstacles
 
 CHUNK = 16  # trials: some tenths of a second
@@ -30,7 +28,7 @@ _FIGURES = (
 )  # columns of what the native loop says of each obstacle
 
 
-class FlownChunk(msgspec.Struct, frozen=True, kw_only=True):
+class FlownChunk(FlownTrials, frozen=True, kw_only=True):
     """Trials that follow one another; the arrays, as bytes, are measured times and differ from run to run.
 
     `tick_s` has the time of the filter in each active tick, float32; `command_s` and `reaction_s` per trial
@@ -38,36 +36,10 @@ class FlownChunk(msgspec.Struct, frozen=True, kw_only=True):
     NaN for what never was.
     """
 
-    first: int
-    trials: list[TrialResult]
     tick_s: bytes
     command_s: bytes
     reaction_s: bytes
     flights: list[EncounterFlight]
-
-
-class TrialJournal:
-    """The chunks of a run that are done; `snapshot` and back is the identity.
-
-    Raises:
-        ValueError: the bytes are not those of a snapshot.
-    """
-
-    def __init__(self, snapshot: bytes = b"") -> None:
-        chunks = msgspec.msgpack.decode(snapshot, type=list[FlownChunk]) if snapshot else []
-        self.chunks = {chunk.first: chunk for chunk in chunks}
-
-    def __len__(self) -> int:
-        """Trials that are done."""
-        return sum(len(chunk.trials) for chunk in self.chunks.values())
-
-    def add(self, chunk: FlownChunk) -> None:
-        """Keep one more."""
-        self.chunks[chunk.first] = chunk
-
-    def snapshot(self) -> bytes:
-        """All chunks, as bytes."""
-        return msgspec.msgpack.encode([self.chunks[first] for first in sorted(self.chunks)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +75,7 @@ def fly_encounters(
     scenario: Encounters,
     *,
     cover: Artifact | None = None,
-    journal: TrialJournal | None = None,
+    journal: TrialJournal[FlownChunk] | None = None,
     jobs: int = 0,
     scheduler: str | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -127,31 +99,21 @@ def fly_encounters(
         LinkError: see `distribute`.
     """
     if cover is not None:
-        if cover.manifest.unit != "m":
-            raise InputError(
-                f"the cover is in {cover.manifest.unit} units, not metres; run scale-align first"
-            )
-        require_solid_hulls(cover, jobs=jobs)
+        require_obstacles(cover, jobs=jobs)
     walls = static_walls(scenario, cover)
     native_encounter(scenario, None)  # what is wrong is wrong before any work
     native_filter(scenario)
-    kept = TrialJournal() if journal is None else journal
-    total = scenario.trials.count
-    missing = [
-        _Chunk(scenario, walls, first, min(CHUNK, total - first))
-        for first in range(0, total, CHUNK)
-        if first not in kept.chunks
-    ]
-    done = total - sum(chunk.count for chunk in missing)
-    if progress is not None and done > 0:
-        progress(done, total)
-    if missing:
-        for chunk in distribute(fly_chunk, missing, jobs=jobs, scheduler=scheduler):
-            kept.add(chunk)
-            done += len(chunk.trials)
-            if progress is not None:
-                progress(done, total)
-    return _joined(scenario, walls, [kept.chunks[first] for first in sorted(kept.chunks)])
+    chunks = fly_missing(
+        fly_chunk,
+        lambda first, count: _Chunk(scenario, walls, first, count),
+        scenario.trials.count,
+        CHUNK,
+        TrialJournal(FlownChunk) if journal is None else journal,
+        jobs=jobs,
+        scheduler=scheduler,
+        progress=progress,
+    )
+    return _joined(scenario, walls, chunks)
 
 
 def _joined(scenario: Encounters, walls: Hulls | None, chunks: list[FlownChunk]) -> EncounterRun:

@@ -17,7 +17,6 @@ from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.errors import InputError, LinkError, UsageError
 from alula.schemas.vehicle import Vehicle
 from alula.stages.compression.certificate import require_solid_hulls
-from alula.stages.compression.ellipsoids import retained, rows_of
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard import encode_map
 from alula.stages.filtering.protocol import Filter, World
@@ -26,6 +25,7 @@ from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.flight.certificate import certify
 from alula.stages.flight.commanders import Commander, PlanClock, SplatCommander, VelocityCommander
 from alula.stages.flight.fence_guard import FenceGuard, rates_model
+from alula.stages.flight.flight_map import ellipsoid_index, require_metric
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop_options import LoopOptions
 from alula.stages.flight.preflight import Needs
@@ -136,10 +136,8 @@ def make_mission(
     config = resolve_fly(config, plan, vehicle, is_splat=is_splat)
     frame = plan.manifest.frame
     for role, other in (("cover", cover), ("scene", scene), ("plan", plan)):
-        if other is not None and other.manifest.unit != "m":
-            raise InputError(
-                f"the {role} is in {other.manifest.unit} units, not metres; run scale-align first"
-            )
+        if other is not None:
+            require_metric(role, other)
         if other is not None and other.manifest.frame != frame:
             raise InputError(f"the {role} is in the frame {other.manifest.frame!r}, the plan in {frame!r}")
     if not is_splat and config.fence_map and cover is None:
@@ -210,7 +208,7 @@ def make_safety(mission: Mission) -> Filter | SplatFilter | None:
     if mission.is_splat:
         assert mission.scene is not None
         world = SplatWorld(
-            index=_index(mission.scene, config.sigma, keep),
+            index=ellipsoid_index(mission.scene, config.sigma, keep),
             body=quadrotor(vehicle),
             gains=tracking_gains(vehicle, config.catch_up_m_s),
             radius_m=keep,
@@ -339,16 +337,6 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
 def make_clock(mission: Mission) -> PlanClock:
     """The time along the plan."""
     return PlanClock(mission.curve, near_m=_NEAR_M, far_m=_FAR_M)
-
-
-def _index(scene: Artifact, sigma: float, radius_m: float) -> _core.EllipsoidIndex:
-    rows = rows_of(scene, retained(scene, 0.0))
-    try:
-        return _core.EllipsoidIndex(
-            rows.mean, rows.scale, rows.quat_wxyz, sigma=sigma, radius=radius_m, loss=rows.loss
-        )
-    except ValueError as error:
-        raise UsageError(f"no barriers for this scene: {error}") from error
 
 
 def describe(mission: Mission) -> str:

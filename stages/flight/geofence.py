@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
-from alula.schemas.errors import InputError, UsageError
+from alula.schemas.errors import UsageError
 from alula.schemas.geofence import FenceScenario
 from alula.schemas.run import FenceResult, TrialResult
 from alula.schemas.vehicle import Vehicle
-from alula.stages.compression.certificate import require_solid_hulls
-from alula.stages.distribute import distribute
+from alula.stages.flight.flight_map import require_obstacles
 from alula.stages.flight.geofence_log import FenceFlight
 from alula.stages.flight.geofence_world import FlownWorld, KeepOut, native_world
+from alula.stages.flight.trial_chunks import FlownTrials, TrialJournal, fly_missing
 
 CHUNK, CHUNK_TICKS = 4, 20_000  # trials and ticks, at most: less than a second
 _LEAST_S, _BINS, _PER_OCTAVE = 1e-8, 2400, 60  # of the histogram of times: to 1.2 % from 10 ns to hours
@@ -67,37 +67,11 @@ class Times(msgspec.Struct, frozen=True, kw_only=True):
         return float(min(_LEAST_S * 2 ** ((place + 1) / _PER_OCTAVE), self.most_s))
 
 
-class FlownChunk(msgspec.Struct, frozen=True, kw_only=True):
+class FlownChunk(FlownTrials, frozen=True, kw_only=True):
     """Trials that follow one another, and the samples of those that the log shows."""
 
-    first: int
-    trials: list[TrialResult]
     times: Times
     flights: list[FenceFlight]
-
-
-class FenceJournal:
-    """The chunks of a run that are done; `snapshot` and back is the identity.
-
-    Raises:
-        ValueError: the bytes are not those of a snapshot.
-    """
-
-    def __init__(self, snapshot: bytes = b"") -> None:
-        chunks = msgspec.msgpack.decode(snapshot, type=list[FlownChunk]) if snapshot else []
-        self.chunks = {chunk.first: chunk for chunk in chunks}
-
-    def __len__(self) -> int:
-        """Trials that are done."""
-        return sum(len(chunk.trials) for chunk in self.chunks.values())
-
-    def add(self, chunk: FlownChunk) -> None:
-        """Keep one more."""
-        self.chunks[chunk.first] = chunk
-
-    def snapshot(self) -> bytes:
-        """All chunks, as bytes."""
-        return msgspec.msgpack.encode([self.chunks[first] for first in sorted(self.chunks)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +105,7 @@ def fly_in_fence(
     vehicle: Vehicle,
     *,
     cover: Artifact | None = None,
-    journal: FenceJournal | None = None,
+    journal: TrialJournal[FlownChunk] | None = None,
     jobs: int = 0,
     scheduler: str | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -159,34 +133,22 @@ def fly_in_fence(
         LinkError: see `distribute`.
     """
     if cover is not None:
-        if cover.manifest.unit != "m":
-            raise InputError(
-                f"the cover is in {cover.manifest.unit} units, not metres; run scale-align first"
-            )
-        require_solid_hulls(cover, jobs=jobs)
+        require_obstacles(cover, jobs=jobs)
     keep_out = None if cover is None else KeepOut.of(cover)
     world = native_world(scenario, vehicle, keep_out)  # what is wrong is wrong before any work
-    kept = FenceJournal() if journal is None else journal
-    total = scenario.trials.count
-    size = _chunk_size(scenario)
-    missing = [
-        _Chunk(scenario, vehicle, keep_out, first, min(size, total - first))
-        for first in range(0, total, size)
-        if first not in kept.chunks
-    ]
-    done = total - sum(chunk.count for chunk in missing)
-    if progress is not None and done > 0:
-        progress(done, total)
-    if missing:
-        fly: Callable[[_Chunk], FlownChunk] = fly_chunk
-        if scheduler is None:
-            fly = lambda chunk: fly_chunk(chunk, world)  # noqa: E731  one map for all threads
-        for chunk in distribute(fly, missing, jobs=jobs, scheduler=scheduler):
-            kept.add(chunk)
-            done += len(chunk.trials)
-            if progress is not None:
-                progress(done, total)
-    chunks = [kept.chunks[first] for first in sorted(kept.chunks)]
+    fly: Callable[[_Chunk], FlownChunk] = fly_chunk
+    if scheduler is None:
+        fly = lambda chunk: fly_chunk(chunk, world)  # noqa: E731  one map for all threads
+    chunks = fly_missing(
+        fly,
+        lambda first, count: _Chunk(scenario, vehicle, keep_out, first, count),
+        scenario.trials.count,
+        _chunk_size(scenario),
+        TrialJournal(FlownChunk) if journal is None else journal,
+        jobs=jobs,
+        scheduler=scheduler,
+        progress=progress,
+    )
     trials = [trial for chunk in chunks for trial in chunk.trials]
     flights = [flight for chunk in chunks for flight in chunk.flights]
     worst = worst_trial(trials)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from alula.schemas.run import RunRecord, TrialResult
 from alula.stages.flight.geofence_map import fence_entities
 from alula.stages.flight.geofence_world import FlownWorld
-from alula.stages.flight.log_writer import GAP_S, LogWriter, log_message, path_message, stamp
+from alula.stages.flight.log_writer import GAP_S, LogWriter, log_message, logged_ticks, path_message, stamp
 from alula.stages.flight.splat_log import number, xyz
 
 FloatArray = NDArray[np.float64]
@@ -49,9 +49,7 @@ class FenceFlight(msgspec.Struct, frozen=True, kw_only=True):
     @classmethod
     def of(cls, trial: int, flown: dict[str, Any], tick_s: float, rate_hz: float) -> Self:
         """Every so many ticks as the rate says, and the last one."""
-        ticks = len(flown["status"])
-        stride = max(1, round(1 / (rate_hz * tick_s)))
-        sample = np.unique(np.append(np.arange(0, ticks, stride), ticks - 1)).astype(np.int64)
+        sample = logged_ticks(len(flown["status"]) - 1, tick_s, rate_hz)
         least = flown["distance"][sample]
         least[1:] = np.minimum(least[1:], np.minimum.reduceat(flown["distance"], sample)[:-1])
         rows = {name: flown[name][sample].tobytes() for name in (*_COLUMNS, "status")}

@@ -20,6 +20,12 @@ _CHUNK_BYTES = 2**20
 _LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
 
 
+def logged_ticks(last: int, dt_s: float, rate_hz: float) -> NDArray[np.int64]:
+    """Every so many ticks of `dt_s` as the rate says, from 0 on, and the last one."""
+    stride = max(1, round(1 / (rate_hz * dt_s)))
+    return np.append(np.arange(0, last, stride, dtype=np.int64), np.int64(last))
+
+
 class LogWriter:
     """A log that is being written; equal calls give equal bytes.
 

@@ -25,6 +25,8 @@ from alula.stages.filtering.polytope_cbf import NativeFilter
 from alula.stages.filtering.protocol import Filter, FilterStatus, World
 from alula.stages.filtering.registry import make_filter
 from alula.stages.flight.closed_loop import Flown, fly
+from alula.stages.flight.flight_map import require_metric
+from alula.stages.flight.log_writer import logged_ticks
 from alula.stages.flight.reference import NO_REFERENCE, Reference, sample_plan
 from alula.stages.flight.splat_log import SplatFlightLog
 from alula.stages.flight.trials import Pairs, central_box, check_clear, sample_pairs
@@ -287,8 +289,7 @@ def _check_fit(cover: Artifact, role: str, other: Artifact | None) -> None:
     if other is None:
         return
     have, need = other.manifest, cover.manifest
-    if have.unit != "m":
-        raise InputError(f"the {role} is in {have.unit} units, not metres; run scale-align first")
+    require_metric(role, other)
     if have.frame != need.frame:
         raise InputError(f"the {role} is in the frame {have.frame!r}, the cover in {need.frame!r}")
 
@@ -310,11 +311,10 @@ def _filter_parameters(config: SimulateConfig) -> dict[str, Any]:
 
 def _decimate(flown: Flown, dt_s: float, rate_hz: float) -> FlightLog:
     steps = len(flown.status)
-    stride = max(1, round(1 / (rate_hz * dt_s)))
-    sample = np.append(np.arange(0, steps, stride), steps)
+    sample = logged_ticks(steps, dt_s, rate_hz)
     held = np.minimum(sample, steps - 1)
     return FlightLog(
-        time_s=sample * dt_s,
+        time_s=sample.astype(np.float64) * dt_s,
         position=flown.position[sample],
         velocity=flown.u[held],
         u_nom=flown.u_nom[held],

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.flight.log_writer import logged_ticks
 from alula.stages.flight.splat_loop import SplatFlown
 
 FloatArray = NDArray[np.float64]
@@ -41,8 +42,7 @@ _LOGGED = (
 def decimate(flown: SplatFlown, dt_s: float, rate_hz: float) -> SplatFlightLog:
     """Every so many ticks as the rate says, and the end. `a_error` is the largest since the sample before."""
     steps = len(flown.status)
-    stride = max(1, round(1 / (rate_hz * dt_s)))
-    sample = np.append(np.arange(0, steps, stride), steps)
+    sample = logged_ticks(steps, dt_s, rate_hz)
     held = np.minimum(sample, steps - 1)
     rows = {name: getattr(flown, name)[held] for name in _LOGGED}
     rows["a_error"][1:] = np.maximum.reduceat(flown.a_error, sample[:-1])
@@ -50,7 +50,7 @@ def decimate(flown: SplatFlown, dt_s: float, rate_hz: float) -> SplatFlightLog:
     state = flown.state[sample]
     known = np.isfinite(state).all(axis=1)  # a flight that leaves the numbers is refused at once
     return SplatFlightLog(
-        time_s=sample[known] * dt_s,
+        time_s=sample[known].astype(np.float64) * dt_s,
         position=state[known, :3],
         state=state[known],
         flown={name: row[known] for name, row in rows.items()},

@@ -18,11 +18,11 @@ from alula.schemas.manifest import Guarantee
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.stages.compression.certificate import require_solid_hulls
-from alula.stages.compression.ellipsoids import retained, rows_of
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
 from alula.stages.filtering.splat_filters import GUIDES, NativeSplatFilter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
+from alula.stages.flight.flight_map import ellipsoid_index, require_metric
 from alula.stages.flight.simulate import RunResult
 from alula.stages.flight.splat_judge import SplatJudge
 from alula.stages.flight.splat_log import SplatFlightLog, decimate
@@ -147,7 +147,7 @@ def simulate_splat(
         require_solid_hulls(cover, jobs=jobs)
     inflation = scene.manifest.suggested_inflation_m if config.inflation_m is None else config.inflation_m  # type: ignore[attr-defined]
     keep = config.radius_m + inflation
-    index = _index(scene, config.sigma, keep)
+    index = ellipsoid_index(scene, config.sigma, keep)
     gains = tracking_gains(vehicle, config.catch_up_m_s)
     # A point has no rotors: its controller and filters only use the translation, whatever the body.
     body = quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE)
@@ -231,23 +231,12 @@ def _shifted(progress: Progress | None, begin: int, total: int) -> Progress | No
 
 
 def _check_fit(scene: Artifact, plan: Artifact | None, cover: Artifact | None) -> None:
-    if scene.manifest.unit != "m":
-        raise InputError(f"the scene is in {scene.manifest.unit} units, not metres; run scale-align first")
+    require_metric("scene", scene)
     for role, other in (("plan", plan), ("cover", cover)):
         if other is not None and other.manifest.frame != scene.manifest.frame:
             raise InputError(
                 f"the {role} is in the frame {other.manifest.frame!r}, the scene in {scene.manifest.frame!r}"
             )
-
-
-def _index(scene: Artifact, sigma: float, radius_m: float) -> _core.EllipsoidIndex:
-    rows = rows_of(scene, retained(scene, 0.0))
-    try:
-        return _core.EllipsoidIndex(
-            rows.mean, rows.scale, rows.quat_wxyz, sigma=sigma, radius=radius_m, loss=rows.loss
-        )
-    except ValueError as error:
-        raise UsageError(f"no barriers for this scene: {error}") from error
 
 
 def _room(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from alula.schemas.run import ObstacleResult, RunRecord
@@ -15,7 +15,6 @@ from alula.stages.reporting.published import DRACBF
 from alula.stages.reporting.statistics import Rate, mean_of, rate
 from alula.stages.reporting.tables import Table, flat, text
 
-LOW, HIGH = "95 % low", "95 % high"  # columns after that of a share
 FREE, BASE = "none", "dr-acbf"  # variants: without a filter, and as specified
 METHODS = (FREE, BASE, "dr-acbf-gs", "dr-acbf-qp", "mpc", "cbf-qp", "rp-cbf")
 SWEEP = (BASE, "h-max-0.2", "h-max-0.8", "clearance-1", "clearance-4", "hold-0.1", "hold-0.4")
@@ -233,30 +232,6 @@ def _missed(flown: Flown) -> tuple[float | None, float | None]:
     steps = sum(trial.steps for trial in trials)
     worst = max((trial.worst_violation_m_s2 or 0.0 for trial in trials), default=0.0)
     return _over(100.0 * sum(trial.infeasible_steps for trial in trials), steps or None), worst
-
-
-def folded(table: Table) -> Table:
-    """As read: each share with its interval in one cell that does not break, such as 99.5 (99.1 to 99.7);
-    without columns of published values where nothing is.
-    """
-    at = [i for i, name in enumerate(table.columns) if name == LOW]
-    empty = [
-        i
-        for i, name in enumerate(table.columns)
-        if name.startswith("published") and all(row[i] is None for row in table.rows)
-    ]
-    left_out = {*at, *(i + 1 for i in at), *empty}
-
-    def fold(row: Sequence[Any], name: bool) -> tuple[Any, ...]:
-        cells = list(row)
-        for i in at:
-            value, low, high = row[i - 1], row[i], row[i + 1]
-            known = f"{text(value)} ({text(low)} to {text(high)})".replace(" ", "\u00a0")
-            cells[i - 1] = f"{value} (95 %)" if name else None if value is None else known
-        return tuple(cell for i, cell in enumerate(cells) if i not in left_out)
-
-    rows = tuple(fold(row, False) for row in table.rows)
-    return replace(table, columns=fold(table.columns, True), rows=rows)
 
 
 def effort(flown: Sequence[Flown]) -> str:

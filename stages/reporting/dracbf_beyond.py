@@ -16,8 +16,6 @@ from alula.schemas.run import TrialResult
 from alula.stages.reporting.dracbf import (
     BASE,
     FREE,
-    HIGH,
-    LOW,
     METHODS,
     Flown,
     find,
@@ -25,6 +23,7 @@ from alula.stages.reporting.dracbf import (
     success,
 )
 from alula.stages.reporting.published import DRACBF
+from alula.stages.reporting.shares import HIGH, LOW
 from alula.stages.reporting.statistics import Rate, mean_of, rate
 from alula.stages.reporting.tables import Table, flat
 

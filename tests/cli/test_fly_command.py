@@ -159,12 +159,3 @@ def test_a_killed_flight_leaves_a_log_that_is_read(pipeline, tmp_path, capsys):
     log.write_bytes(whole[: len(whole) * 2 // 3])  # as after a power cut
     assert run(["info", str(log), "-q"]) == 3
     assert run(["report", str(log), "-o", str(tmp_path / "g.html"), "-q"]) == 0
-
-
-def test_the_signing_key_is_read_raw_or_in_hexadecimal(tmp_path):
-    from alula.cli.fly import _key
-
-    for text in (bytes(range(32)), bytes(range(32)).hex().encode() + b"\n"):
-        path = tmp_path / "key"
-        path.write_bytes(text)
-        assert _key(path) == bytes(range(32))

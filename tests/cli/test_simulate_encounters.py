@@ -18,7 +18,8 @@ from alula.schemas.journal import TRIALS, unpack
 from alula.schemas.manifest import producer
 from alula.schemas.run import RunRecord, read_run
 from alula.stages.flight import encounters as stage
-from alula.stages.flight.encounters import TrialJournal
+from alula.stages.flight.encounters import FlownChunk
+from alula.stages.flight.trial_chunks import TrialJournal
 
 # Nothing random but the obstacle's speed: what comes out can be reckoned.
 SMALL = """
@@ -203,7 +204,7 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch
     error = capsys.readouterr().err.strip()
     assert error == "alula: interrupted; the same command continues from r.run.mcap.journal, 160 trials"
     assert not Path("r.run.mcap").exists()
-    assert len(TrialJournal(unpack(JOURNAL.read_bytes(), TRIALS)[1])) == 160
+    assert len(TrialJournal(FlownChunk, unpack(JOURNAL.read_bytes(), TRIALS)[1])) == 160
     other = [*WORDS, "--seed", "1", "--dry-run"]
     assert run(other) == 0
     assert "ignoring r.run.mcap.journal: it is of another run: seed was 0, now 1" in capsys.readouterr().err
@@ -230,4 +231,4 @@ def test_a_run_that_is_killed_loses_little(here, name):
     assert process.returncode == (130 if name == "SIGINT" else -signal.SIGKILL)
     assert ("the same command continues" in error) == (name == "SIGINT")
     assert not Path("r.run.mcap").exists()
-    assert len(TrialJournal(unpack(JOURNAL.read_bytes(), TRIALS)[1])) >= 16
+    assert len(TrialJournal(FlownChunk, unpack(JOURNAL.read_bytes(), TRIALS)[1])) >= 16

@@ -67,3 +67,17 @@ def fly(made=None, on_poll=None, **keywords):
     loop = loop_of(made, vehicle, **keywords)
     loop.run()
     return loop, vehicle
+
+
+def after(seconds, do):
+    """A fault `seconds` after the vehicle is first flown by set-points, done once."""
+    begun, done = [], []
+
+    def poll(vehicle, now):
+        if vehicle.sent and not begun:
+            begun.append(now)
+        if begun and not done and now - begun[0] >= seconds:
+            done.append(now)
+            do(vehicle)
+
+    return poll

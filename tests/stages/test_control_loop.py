@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from fake_vehicle import FakeClock, FakeVehicle
-from flights import BALL, GOAL, START, fly, loop_of, mission
+from flights import BALL, GOAL, START, after, fly, loop_of, mission
 from test_simulate import line_plan
 
 from alula.stages.filtering.protocol import FilterStatus
@@ -26,20 +26,6 @@ RADIUS_M = 0.15
 
 def causes(loop):
     return [taken.event for _, taken in loop.taken]
-
-
-def after(seconds, do):
-    """A fault `seconds` after the vehicle is first flown by set-points, done once."""
-    begun, done = [], []
-
-    def poll(vehicle, now):
-        if vehicle.sent and not begun:
-            begun.append(now)
-        if begun and not done and now - begun[0] >= seconds:
-            done.append(now)
-            do(vehicle)
-
-    return poll
 
 
 @pytest.mark.parametrize(

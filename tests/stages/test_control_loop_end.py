@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from fake_vehicle import FakeClock, FakeVehicle
-from flights import START, fly, loop_of, mission
+from flights import START, after, fly, loop_of, mission
 from test_simulate import line_plan
 
 from alula.schemas.errors import LinkError
@@ -11,20 +11,6 @@ from alula.stages.flight.links.protocol import Order
 from alula.stages.flight.supervisor import Event, State
 
 AS_PLANNED = ["checks", "arming", "take-off", "fly", "land", "done"]
-
-
-def after(seconds, do):
-    """A fault `seconds` after the vehicle is first flown by set-points, done once."""
-    begun, done = [], []
-
-    def poll(vehicle, now):
-        if vehicle.sent and not begun:
-            begun.append(now)
-        if begun and not done and now - begun[0] >= seconds:
-            done.append(now)
-            do(vehicle)
-
-    return poll
 
 
 @pytest.mark.parametrize("seconds", [0.5, 3.0])

@@ -10,6 +10,7 @@ from alula.schemas.provenance import Provenance
 from alula.schemas.run import ObstacleResult, RunRecord, TrialResult
 from alula.stages.reporting import dracbf, dracbf_beyond, dracbf_figures, dracbf_small
 from alula.stages.reporting.metrics import wilson_interval
+from alula.stages.reporting.shares import folded
 from alula.stages.reporting.tables import Table, text
 
 
@@ -307,7 +308,7 @@ def test_shares_are_read_with_their_intervals_in_one_cell():
         ("who", "a [%]", "95 % low", "95 % high", "b"),
         (("x", 50.0, 20.0, 80.0, 3), ("y",) + 4 * (None,)),
     )
-    read = dracbf.folded(table)
+    read = folded(table)
     assert read.columns == ("who", "a [%] (95 %)", "b")
     assert read.rows == (("x", "50\u00a0(20\u00a0to\u00a080)", 3), ("y", None, None))
     assert table.rows[0][1:4] == (50.0, 20.0, 80.0)

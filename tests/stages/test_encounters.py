@@ -20,7 +20,8 @@ from alula.stages.flight.encounter_world import (
     native_filter,
     static_walls,
 )
-from alula.stages.flight.encounters import TrialJournal, fly_encounters
+from alula.stages.flight.encounters import FlownChunk, fly_encounters
+from alula.stages.flight.trial_chunks import TrialJournal
 from alula.stages.reporting.metrics import hull_obstacles, path_clearance, wilson_interval
 
 AHEAD = {"motion": "accelerating", "distance_m": 30.0, "acceleration_m_s2": (0.2, 0.8)}
@@ -125,7 +126,7 @@ def test_results_do_not_depend_on_workers_chunks_or_interruptions(monkeypatch):
     assert [flight.trial for flight in whole.flights] == [0, 1]
     assert plain(fly_encounters(scenario, jobs=3)) == plain(whole)
 
-    journal = TrialJournal()
+    journal = TrialJournal(FlownChunk)
 
     def stop(done: int, total: int) -> None:
         if done >= 16:
@@ -135,7 +136,7 @@ def test_results_do_not_depend_on_workers_chunks_or_interruptions(monkeypatch):
         fly_encounters(scenario, journal=journal, jobs=1, progress=stop)
     assert len(journal) == 16
     seen = []
-    resumed = TrialJournal(journal.snapshot())
+    resumed = TrialJournal(FlownChunk, journal.snapshot())
     again = fly_encounters(scenario, journal=resumed, jobs=2, progress=lambda *at: seen.append(at))
     assert seen[0] == (16, 40)
     assert seen[-1] == (40, 40)
@@ -143,7 +144,7 @@ def test_results_do_not_depend_on_workers_chunks_or_interruptions(monkeypatch):
     monkeypatch.setattr(module, "CHUNK", 7)
     assert plain(fly_encounters(scenario, jobs=2)) == plain(whole)
     with pytest.raises(ValueError, match=r"."):
-        TrialJournal(b"\x01\x02")
+        TrialJournal(FlownChunk, b"\x01\x02")
 
 
 def test_a_trial_is_a_function_of_seed_and_number():

@@ -15,13 +15,14 @@ from alula.schemas.errors import UsageError
 from alula.schemas.geofence import FenceScenario, GeofenceParameters
 from alula.schemas.vehicle import read_vehicle
 from alula.stages.flight import geofence as stage
-from alula.stages.flight.geofence import FenceJournal, Times, fly_in_fence, worst_trial
+from alula.stages.flight.geofence import FlownChunk, Times, fly_in_fence, worst_trial
 from alula.stages.flight.geofence_log import CHANNELS, FenceFlight, write_fence_log
 from alula.stages.flight.geofence_map import SHOWN_BEYOND_M, fence_shell
 from alula.stages.flight.geofence_summary import fence_guarantee, fence_summary, fence_timing
 from alula.stages.flight.geofence_world import fence_faces, native_world
 from alula.stages.flight.log_schemas import SCHEMAS
 from alula.stages.flight.racer import racer_model
+from alula.stages.flight.trial_chunks import TrialJournal
 
 RACER = read_vehicle(Path(__file__).resolve().parents[2] / "examples" / "vehicles" / "racer7.toml")
 ROOM = {
@@ -150,18 +151,18 @@ def test_results_do_not_depend_on_jobs_or_on_what_a_journal_brings(room):
     serial = fly_in_fence(scenario(), RACER, jobs=1)
     assert serial.trials == room.trials
     assert log_of(serial, scenario()) == log_of(room, scenario())
-    journal = FenceJournal()
+    journal = TrialJournal(FlownChunk)
     seen = []
     fly_in_fence(scenario(), RACER, journal=journal, progress=lambda done, total: seen.append((done, total)))
     assert seen == [(4, 10), (8, 10), (10, 10)]
     del journal.chunks[4]
-    taken = FenceJournal(journal.snapshot())
+    taken = TrialJournal(FlownChunk, journal.snapshot())
     assert len(taken) == 6
     resumed = fly_in_fence(scenario(), RACER, journal=taken)
     assert log_of(resumed, scenario()) == log_of(room, scenario())
     assert resumed.times.calls == 6000
     with pytest.raises(ValueError):
-        FenceJournal(b"\x00\x01")
+        TrialJournal(FlownChunk, b"\x00\x01")
 
 
 def test_the_log_says_what_was_flown(room):

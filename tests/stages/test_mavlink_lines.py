@@ -80,10 +80,14 @@ def test_a_key_has_32_bytes_and_needs_a_file_for_its_stamps(tmp_path):
     path = tmp_path / "key"
     path.write_bytes(KEY)
     assert read_key(path) == KEY
-    path.write_text(KEY.hex() + "\n")
-    assert read_key(path) == KEY
+    for digits in (KEY.hex(), KEY.hex().upper(), KEY.hex(" ")):
+        path.write_text(digits + "\n")
+        assert read_key(path) == KEY
     path.write_text("g" * 64)
     with pytest.raises(InputError, match="hexadecimal"):
+        read_key(path)
+    path.write_bytes(b"\xff" * 64)
+    with pytest.raises(InputError, match="a signing key is 32 bytes, or 64 hexadecimal digits"):
         read_key(path)
     path.write_bytes(KEY[:-1])
     with pytest.raises(InputError, match="32 bytes"):

@@ -12,8 +12,6 @@ from alula.stages.flight.links.mocap import Mocap
 FloatArray = NDArray[np.float64]
 
 _PERIOD_S = 0.01
-_MOST_READS = 64
-_MOST_BYTES = 1024
 
 
 class PoseFeed(Mocap):
@@ -21,13 +19,7 @@ class PoseFeed(Mocap):
 
     def pose(self, now_s: float) -> tuple[FloatArray, FloatArray] | None:
         """Take in what has come; position and attitude (w, x, y, z) if a new one is due."""
-        assert self._socket is not None
-        for _ in range(_MOST_READS):
-            try:
-                data = self._socket.recv(_MOST_BYTES + 1)
-            except OSError:
-                break
-            self.take(data, now_s)
+        self.take_all(now_s)
         is_new = self._arrival_s > self._sent_s
         # Half a period early is in time: ticks of the loop are as long as the period.
         if not is_new or now_s < self._next_s - _PERIOD_S / 2 or not self.is_fresh(now_s):

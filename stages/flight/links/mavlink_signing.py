@@ -6,7 +6,6 @@ and the first 6 bytes of sha256(key, frame up to there). Source: MAVLink guide, 
 
 from __future__ import annotations
 
-import binascii
 import hashlib
 import hmac
 from collections.abc import Callable
@@ -35,16 +34,15 @@ def read_key(path: Path) -> bytes:
     try:
         key = path.read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    if len(key) == KEY_BYTES:
-        return key
-    digits = key.strip()
-    try:
-        if len(digits) == 2 * KEY_BYTES:
-            return binascii.unhexlify(digits)
-    except binascii.Error:
-        pass
-    raise InputError(f"{path}: a key has {KEY_BYTES} bytes, or {2 * KEY_BYTES} hexadecimal digits")
+        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    if len(key) != KEY_BYTES:
+        try:
+            key = bytes.fromhex(key.decode("ascii").strip())
+        except ValueError:  # not ASCII, or no digits
+            key = b""
+    if len(key) != KEY_BYTES:
+        raise InputError(f"{path}: a signing key is {KEY_BYTES} bytes, or {2 * KEY_BYTES} hexadecimal digits")
+    return key
 
 
 class Signer:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
+from abc import ABC, abstractmethod
 from typing import Any, Protocol
 
 from alula.schemas.errors import LinkError
@@ -110,7 +111,7 @@ class _Udp:
         self._socket.close()
 
 
-class _Stream:
+class _Stream(ABC):
     """A stream takes as much as it likes of a frame; the rest goes before the next one."""
 
     is_datagram = False
@@ -142,14 +143,16 @@ class _Stream:
             raise LinkError("the vehicle's line was closed by the other end")
         return data, None
 
-    def use(self, peer: Any) -> None:
+    def use(self, peer: Any) -> None:  # noqa: B027  the other end of a stream is always the same
         pass
 
+    @abstractmethod
     def _read(self) -> bytes:
-        raise NotImplementedError
+        """Some of what has come; empty at the end, OSError when there is nothing."""
 
+    @abstractmethod
     def _write(self, data: bytes) -> int:
-        raise NotImplementedError
+        """How many bytes were taken; OSError when none can be."""
 
 
 class _Tcp(_Stream):

@@ -96,6 +96,16 @@ class Mocap:
 
     def poll(self, now_s: float, start_s: float) -> list[Any]:
         """Take in what has come; messages that are due, with time since `start_s`."""
+        self.take_all(now_s)
+        if now_s < self._next_s or not self._recent or self._arrival_s <= self._sent_s:
+            return []
+        behind = now_s - self._next_s
+        self._next_s = now_s + _PERIOD_S if behind > _PERIOD_S else self._next_s + _PERIOD_S
+        self._sent_s = self._arrival_s
+        return self._messages(round((self._arrival_s - start_s) * 1e6)) if self.is_fresh(now_s) else []
+
+    def take_all(self, now_s: float) -> None:
+        """The datagrams that have come, at most 64 of them at once."""
         assert self._socket is not None
         for _ in range(_MOST_READS):
             try:
@@ -103,12 +113,6 @@ class Mocap:
             except OSError:
                 break
             self.take(data, now_s)
-        if now_s < self._next_s or not self._recent or self._arrival_s <= self._sent_s:
-            return []
-        behind = now_s - self._next_s
-        self._next_s = now_s + _PERIOD_S if behind > _PERIOD_S else self._next_s + _PERIOD_S
-        self._sent_s = self._arrival_s
-        return self._messages(round((self._arrival_s - start_s) * 1e6)) if self.is_fresh(now_s) else []
 
     def take(self, data: bytes, now_s: float) -> None:
         """A datagram."""

@@ -1,0 +1,70 @@
+"""Words and files of the examples that compare runs or maps; no command of its own."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from alula.stages.reporting.figures import Figure
+    from alula.stages.reporting.tables import Table
+
+
+def comparison_words(description: str) -> argparse.Namespace:
+    """The words of a command line: `folder`, `runs`, and `markdown`, which may be None."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN")
+    return parser.parse_args()
+
+
+def this_machine() -> str:
+    """Where a page was written, in words."""
+    return f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}"
+
+
+def write_comparison(
+    output: Path,
+    title: str,
+    inputs: Iterable[tuple[str, Path]],
+    facts: Mapping[str, str],
+    tables: Sequence[Table],
+    figures: Sequence[Figure],
+    *,
+    read: Sequence[Table] | None = None,
+    markdown: Path | None = None,
+    head: str = "",
+) -> None:
+    """Write all files of a comparison.
+
+    Args:
+        output: OUTPUT.md and OUTPUT.html are written, and tables and figures beside them.
+        title: of the pages.
+        inputs: roles and files that it was made from.
+        facts: what is found in short, by subject.
+        tables: in reading order.
+        figures: in reading order.
+        read: tables as the pages show them; the same without.
+        markdown: another file for the page of Markdown, with `head` below its title.
+        head: a paragraph.
+
+    Raises:
+        InputError: an input cannot be read.
+        OutputError: a file cannot be written.
+    """
+    from alula.cli.runner import input_ref
+    from alula.schemas.atomic import write_text
+    from alula.stages.reporting.comparison import comparison_files, headed
+    from alula.stages.reporting.material import Material
+
+    material = Material(title, inputs=tuple(input_ref(role, path) for role, path in inputs))
+    files = comparison_files(output.name, material, facts, tables, figures, read=read)
+    for name, text in files.items():
+        write_text(output.parent / name, text)
+    if markdown is not None:
+        write_text(markdown, headed(files[f"{output.name}.md"], head))

@@ -1,0 +1,110 @@
+"""Trials of a scenario in chunks: a journal of those that are done, and how the others are flown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
+
+import msgspec
+
+from alula.schemas.run import TrialResult
+from alula.stages.distribute import distribute
+
+
+class FlownTrials(msgspec.Struct, frozen=True, kw_only=True):
+    """Trials that follow one another, `first` being the number of the first one.
+
+    Stages add to it what else they keep; all of it can be written as MessagePack.
+    """
+
+    first: int
+    trials: list[TrialResult]
+
+
+class _Chunk(Protocol):
+    """Trials that are to be flown together."""
+
+    @property
+    def first(self) -> int: ...
+
+    @property
+    def count(self) -> int: ...
+
+
+Flown = TypeVar("Flown", bound=FlownTrials)
+Chunk = TypeVar("Chunk", bound=_Chunk)
+
+
+class TrialJournal(Generic[Flown]):
+    """The chunks of a run that are done; `snapshot` and back is the identity.
+
+    Args:
+        kind: of the chunks.
+        snapshot: of another journal of such chunks; of no bytes an empty one is made.
+
+    Raises:
+        ValueError: the bytes are not those of a snapshot.
+    """
+
+    def __init__(self, kind: type[Flown], snapshot: bytes = b"") -> None:
+        chunks: list[Flown] = msgspec.msgpack.decode(snapshot, type=list[kind]) if snapshot else []  # type: ignore[valid-type]
+        self.chunks = {chunk.first: chunk for chunk in chunks}
+
+    def __len__(self) -> int:
+        """Trials that are done."""
+        return sum(len(chunk.trials) for chunk in self.chunks.values())
+
+    def add(self, chunk: Flown) -> None:
+        """Keep one more."""
+        self.chunks[chunk.first] = chunk
+
+    def in_order(self) -> list[Flown]:
+        """All chunks, by their trials."""
+        return [self.chunks[first] for first in sorted(self.chunks)]
+
+    def snapshot(self) -> bytes:
+        """All chunks, as bytes."""
+        return msgspec.msgpack.encode(self.in_order())
+
+
+def fly_missing(
+    fly: Callable[[Chunk], Flown],
+    chunk_of: Callable[[int, int], Chunk],
+    total: int,
+    size: int,
+    journal: TrialJournal[Flown],
+    *,
+    jobs: int = 0,
+    scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Flown]:
+    """Fly the chunks that a journal has not, and add them to it; all chunks, in their order.
+
+    Args:
+        fly: flies a chunk, which may be elsewhere: see `distribute`.
+        chunk_of: makes a chunk of the number of its first trial, and how many they are.
+        total: trials of the run.
+        size: trials of a chunk, at most.
+        journal: chunks that are done already are taken from it, others added.
+        jobs: threads, 0 for all processors.
+        scheduler: address of a `dask.distributed` scheduler, instead of threads.
+        progress: called with (trials done, trials).
+
+    Raises:
+        LinkError: see `distribute`.
+    """
+    missing = [
+        chunk_of(first, min(size, total - first))
+        for first in range(0, total, size)
+        if first not in journal.chunks
+    ]
+    done = total - sum(chunk.count for chunk in missing)
+    if progress is not None and done > 0:
+        progress(done, total)
+    if missing:  # else no scheduler is asked for
+        for chunk in distribute(fly, missing, jobs=jobs, scheduler=scheduler):
+            journal.add(chunk)
+            done += len(chunk.trials)
+            if progress is not None:
+                progress(done, total)
+    return journal.in_order()

@@ -1,0 +1,43 @@
+"""What an example that compares runs or maps ends in: tables, figures, and pages of both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from alula.stages.reporting.figures import Figure
+from alula.stages.reporting.material import Material
+from alula.stages.reporting.page import page
+from alula.stages.reporting.tables import Table, inputs_table, table_csv, to_markdown
+
+
+def comparison_files(
+    name: str,
+    material: Material,
+    facts: Mapping[str, str],
+    tables: Sequence[Table],
+    figures: Sequence[Figure],
+    *,
+    read: Sequence[Table] | None = None,
+) -> dict[str, str]:
+    """The files of a comparison: a CSV per table, an SVG per figure, NAME.md and NAME.html with all of them.
+
+    Args:
+        name: of the pages.
+        material: title and inputs.
+        facts: what is found in short, by subject.
+        tables: in reading order, with all digits.
+        figures: in reading order.
+        read: tables as the pages show them; the same without.
+    """
+    shown = tables if read is None else read
+    return {
+        **{f"{table.name}.csv": table_csv(table) for table in tables},
+        **{f"{figure.name}.svg": figure.svg for figure in figures},
+        f"{name}.md": to_markdown(material.title, facts, shown, ""),
+        f"{name}.html": page(material, [*shown, inputs_table(material)], figures, None, facts=facts),
+    }
+
+
+def headed(text: str, head: str) -> str:
+    """A page of Markdown with a paragraph below its title."""
+    return text.replace("\n\n", f"\n\n{head}\n\n", 1)
