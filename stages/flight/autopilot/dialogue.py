@@ -231,5 +231,6 @@ class Dialogue:
 
 
 def parameter_name(identifier: str | bytes) -> str:
+    """A param_id without its padding."""
     text = identifier.decode("ascii", "replace") if isinstance(identifier, bytes) else identifier
     return text.rstrip("\0")

@@ -108,7 +108,7 @@ class Px4Copter(Copter):
 
     @property
     def has_stream(self) -> bool:
-        """Whether set-points came at 2 Hz or more for over a second, and the last one within COM_OF_LOSS_T."""
+        """Whether set-points came at 2 Hz for over a second, and the last one within COM_OF_LOSS_T."""
         last_s = self.time_s - self._setpoint_s
         return last_s <= self.parameters["COM_OF_LOSS_T"] and self.time_s - self._stream_s > _PROOF_S
 
@@ -245,7 +245,6 @@ class Px4Copter(Copter):
             self.flying.guided.take_off(motion, self._top_m)
 
     def _check(self, passed_s: float) -> None:
-        self._announce()
         if (switched := self.pilot.moved_switch(self.time_s)) is not None and switched in SWITCHED:
             self.set_mode(SWITCHED[switched])
         self._has_flown = self._has_flown or (self.is_armed and not self.is_landed)
