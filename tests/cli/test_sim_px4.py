@@ -9,7 +9,8 @@ from test_sim_vehicle import vehicle
 from alula.cli.main import run
 
 PX4 = ("--autopilot", "px4", "--boot-time", "1")
-FAST = ("--param", "MPC_TKO_RAMP_T=0.25", "--param", "MPC_LAND_SPEED=1.2", "--param", "COM_DISARM_LAND=0.5")
+QUICK = {"MPC_TKO_RAMP_T": 0.25, "MPC_TKO_SPEED": 3, "MPC_LAND_SPEED": 1.2, "COM_DISARM_LAND": 0.5}
+FAST = tuple(word for name, value in QUICK.items() for word in ("--param", f"{name}={value}"))
 
 MAVSDK = """
 import sys, time

@@ -1,9 +1,14 @@
 """The link to PX4 against the simulated one, through sockets, on one clock: what only PX4 does."""
 
+import socket
+
 import numpy as np
 import pytest
-from test_link_and_autopilot import G, Served, flight, stream, take_off
+from autopilot_client import QUICK
+from test_link_and_autopilot import FRAME, G, Served, flight, stream, take_off
+from test_mocap import sample
 
+from alula.schemas.errors import LinkError
 from alula.stages.flight.autopilot.px4 import Px4Copter
 from alula.stages.flight.autopilot.px4_modes import Px4Mode
 from alula.stages.flight.links.protocol import (
@@ -105,3 +110,31 @@ def test_odometry_is_turned_from_the_body_and_asked_for_again_when_it_ends():
         assert time() - link.state.received_s > 0.45  # never a mixture of two sources
         stream(time, link, 2.0, lambda s: VelocitySetpoint(0 * wish, 1.0))
         assert time() - link.state.received_s < 0.05
+
+
+def test_with_motion_capture_alone_px4_arms_and_without_its_parameters_it_is_refused():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        place = probe.getsockname()
+    options = {"mocap": f"udp:127.0.0.1:{place[1]}"}
+    with pytest.raises(LinkError, match="EKF2_EV_CTRL is 0, not 9"), flight(served=ServedPx4(), **options):
+        pass
+    indoors = ServedPx4(options=QUICK, parameters={"EKF2_EV_CTRL": 15.0, "EKF2_GPS_CTRL": 0.0})
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as camera,
+        flight(served=indoors, **options) as (served, time, link),
+    ):
+
+        def watch():
+            position, velocity = served.true_state()
+            quat = FRAME.attitude_from_ned(np.array(served.copter.airframe.truth.attitude))
+            camera.sendto(sample(time(), position, quat.tolist(), velocity_m_s=velocity.tolist()), place)
+
+        time.run(link, 3.0, step_s=0.02, each=watch)
+        assert link.status.is_estimator_ready
+        assert link.state.position == pytest.approx(served.true_state()[0], abs=0.05)
+        link.order(Order.ARM, time())
+        time.run(link, 1.5, each=watch)
+        assert link.status.armed, (link.status.refusals, link.status.texts)
+        time.run(link, 0.35)
+        assert time() - link.state.received_s > 0.15
