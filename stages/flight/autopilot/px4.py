@@ -114,7 +114,7 @@ class Px4Copter(Copter):
 
     def hear_setpoint(self) -> bool:
         """A set-point that PX4 understands, in whatever mode; whether it is to be followed."""
-        if self.time_s - self._setpoint_s > _SLOWEST_S:
+        if self.time_s - self._setpoint_s > min(_SLOWEST_S, self.parameters["COM_OF_LOSS_T"]):
             self._stream_s = self.time_s
         self._setpoint_s = self.time_s
         return self.flown is Px4Mode.OFFBOARD
