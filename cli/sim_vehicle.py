@@ -26,6 +26,7 @@ _CRTP = "udp://"
 \b
   alula sim-vehicle --link udpout:127.0.0.1:14550
   alula sim-vehicle --link tcpin:127.0.0.1:5760 --boot-time 5 --param GUID_OPTIONS=8
+  alula sim-vehicle --autopilot px4 --link udpout:127.0.0.1:14540
   alula sim-vehicle --link udp://127.0.0.1:19850 --vehicle crazyflie21.toml
   alula sim-vehicle --link udpin:127.0.0.1:14551 --fault drop:since=airborne,start=5,duration=2""",
 )
@@ -35,6 +36,13 @@ _CRTP = "udp://"
     metavar="KIND:HOST:PORT",
     help="udpout: talk to HOST:PORT, as ArduPilot's simulation does; udpin, tcpin: wait there; "
     "udp://HOST:PORT: be a Crazyflie there.",
+)
+@click.option(
+    "--autopilot",
+    type=click.Choice(["ardupilot", "px4"]),
+    default="ardupilot",
+    show_default=True,
+    help="Whose manners it has: ArduPilot Copter's or PX4's.",
 )
 @click.option("--vehicle", "vehicle_path", type=options.PATH, help="Vehicle file; FastBridge's without one.")
 @click.option(
@@ -81,6 +89,7 @@ _CRTP = "udp://"
 @options.reporting
 def command(
     link: str,
+    autopilot: str,
     vehicle_path: Path | None,
     boot_time_s: float,
     parameters: tuple[str, ...],
@@ -96,7 +105,7 @@ def command(
     quiet: bool,
     verbose: int,
 ) -> None:
-    """Be a MAVLink vehicle for rehearsals, as ArduPilot Copter is one."""
+    """Be a MAVLink vehicle for rehearsals, as ArduPilot Copter or PX4 is one."""
     import json as json_module
     import time
 
@@ -109,8 +118,8 @@ def command(
     values = dict(_parameter(text) for text in parameters)
     vehicle: Flown
     if link.startswith(_CRTP):
-        if faults or signing_key is not None or console:
-            raise UsageError("a simulated Crazyflie has no --fault, --signing-key or --console")
+        if faults or signing_key is not None or console or autopilot != "ardupilot":
+            raise UsageError("a simulated Crazyflie has no --fault, --signing-key, --console or --autopilot")
         name, vehicle = _crazyflie(
             vehicle_path,
             values,
@@ -121,13 +130,14 @@ def command(
         link = f"udpin:{link.removeprefix(_CRTP)}"
     else:
         from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
-        from alula.stages.flight.autopilot.copter import Copter
         from alula.stages.flight.autopilot.estimator import EstimatorOptions
         from alula.stages.flight.autopilot.faults import parse_fault
+        from alula.stages.flight.autopilot.personalities import PERSONALITIES
         from alula.stages.flight.autopilot.simulator import SimulatedVehicle
         from alula.stages.flight.links.mavlink_signing import read_key
 
-        copter = Copter(
+        personality = PERSONALITIES[autopilot]
+        copter = personality.copter(
             FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path),
             parameters=values,
             options=EstimatorOptions(boot_time_s=boot_time_s),
@@ -138,7 +148,7 @@ def command(
             copter.name,
             SimulatedVehicle(
                 copter,
-                faults=tuple(parse_fault(text) for text in faults),
+                faults=tuple(parse_fault(text, personality.switch) for text in faults),
                 seed=seed,
                 channel=0 if console or signing_key is None else 1,
                 key=None if signing_key is None else read_key(signing_key),

@@ -23,10 +23,10 @@ def mavutil():
 
 
 @contextmanager
-def vehicle(link="udpin:127.0.0.1:0", *options):
+def vehicle(link="udpin:127.0.0.1:0", *options, quick=QUICK):
     """The command in a process of its own; its link as it says it."""
     command = [sys.executable, "-P", "-m", "alula.cli", "sim-vehicle", "--json", "--link", link]
-    with subprocess.Popen([*command, *QUICK, *options], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen([*command, *quick, *options], stdout=subprocess.PIPE, text=True) as process:
         try:
             yield process, json.loads(process.stdout.readline())["link"]
         finally:

@@ -28,8 +28,10 @@ def of(kind, messages):
 class Client:
     """A ground station or companion with stock pymavlink packing, on the vehicle's own clock."""
 
+    kind = Copter
+
     def __init__(self, *, options=QUICK, vehicle=FASTBRIDGE, parameters=None, seed=1, system=255, **channel):
-        copter = Copter(vehicle, parameters=parameters, options=options, seed=seed)
+        copter = self.kind(vehicle, parameters=parameters, options=options, seed=seed)
         self.vehicle = SimulatedVehicle(copter, seed=seed, **channel)
         self.copter = copter
         self.mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=190)

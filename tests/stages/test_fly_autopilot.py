@@ -27,8 +27,8 @@ AS_PLANNED = ["checks", "arming", "take-off", "fly", "land", "done"]
 class Watched(Served):
     """Keeps where it truly was, and injects a fault a while after set-points began."""
 
-    def __init__(self, *faults):
-        super().__init__()
+    def __init__(self, *faults, **keywords):
+        super().__init__(**keywords)
         self.path, self.faults, self.flown = [], list(faults), None
 
     @property
@@ -71,8 +71,8 @@ def began(served, time, taken):
         served.flown = time()
 
 
-def fly(made, *faults):
-    served = Watched(*faults)
+def fly(made, *faults, kind=Watched, **keywords):
+    served = kind(*faults, **keywords)
     with flight(made, served) as loop:
         return loop, served
 

@@ -36,12 +36,15 @@ G = FASTBRIDGE.body.gravity_m_s2
 class Served:
     """The simulated autopilot behind a socket; lives as the tests' clock goes."""
 
+    kind, fast = Copter, FAST
+
     def __init__(self, options=EXACT, parameters=None, epoch_s=0.0, **channel):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.socket.setblocking(False)
         self.port = self.socket.getsockname()[1]
-        copter = Copter(FASTBRIDGE, parameters=FAST | (parameters or {}), options=options, seed=3)
+        given = self.fast | (parameters or {})
+        copter = self.kind(FASTBRIDGE, parameters=given, options=options, seed=3)
         self.vehicle = SimulatedVehicle(copter, seed=3, epoch_s=epoch_s, **channel)
         self.copter = copter
         self.begin = self.peer = None

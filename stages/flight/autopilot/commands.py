@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 from alula.stages.flight.autopilot.copter import Copter
 from alula.stages.flight.autopilot.estimator import is_place
@@ -38,6 +39,8 @@ def order_of(message: Message) -> Order:
 
 class Commands:
     """Obeys, and says what came of it: a MAV_RESULT and messages to send besides."""
+
+    REFUSED: ClassVar[int] = _FAILED  # what it would do at another time
 
     def __init__(self, copter: Copter, telemetry: Telemetry) -> None:
         self._copter = copter
@@ -77,7 +80,7 @@ class Commands:
         if order.params[0] not in (0.0, 1.0):
             return int(mavlink.MAV_RESULT_UNSUPPORTED)
         turn = self._copter.arm if order.params[0] == 1.0 else self._copter.disarm
-        return int(_ACCEPTED if turn(forced=forced) else _FAILED)
+        return int(_ACCEPTED if turn(forced=forced) else self.REFUSED)
 
     def _take_off(self, order: Order, _out: list[Message]) -> int:
         height = order.params[6]
@@ -151,8 +154,7 @@ class Commands:
         if name is None or not math.isfinite(interval) or interval < -1:
             return int(_FAILED)
         if interval == 0:
-            default = 1.0 if name == "HEARTBEAT" else None
-            self._telemetry.set_interval(name, default)
+            self._telemetry.set_interval(name, self._telemetry.usual_interval_s(name))
         else:
             self._telemetry.set_interval(name, None if interval == -1 else interval * 1e-6)
         return int(_ACCEPTED)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from typing import ClassVar
 
 from alula.schemas.vehicle import Vehicle
 from alula.stages.flight.autopilot.airframe import TICK_S, Airframe
@@ -18,7 +19,6 @@ from alula.stages.flight.autopilot.pilot import Pilot
 HOME: LatLonAlt = (-35.3632621, 149.1652374, 584.0)  # where ArduPilot's simulation starts
 EMERGENCY, CRITICAL, ERROR, WARNING, NOTICE, INFO = 0, 2, 3, 4, 5, 6  # MAV_SEVERITY
 
-_ARMING_DELAY_S = 2.0  # the rotors stand still this long after arming
 _LANDED_S = 1.0
 _RESTING_SHARE = 0.9  # of the weight: less thrust than that for `_LANDED_S` on the ground is a landing
 _CHECK_S = 0.1  # between looks at failsafes
@@ -40,7 +40,8 @@ class Copter:
         vehicle: a quadrotor.
         parameters: by name, replacing defaults.
         options: errors of the estimate.
-        home: latitude, longitude [deg] and altitude [m] of the start.
+        home: latitude, longitude [deg] and altitude [m] of the start; by default where the firmware's own
+            simulation starts.
         heading_rad: at the start, clockwise from north.
         seed: of everything random.
 
@@ -48,27 +49,36 @@ class Copter:
         UsageError: the vehicle is no quadrotor, or a parameter is unknown.
     """
 
+    # What another firmware does otherwise is in its own class, `px4.Px4Copter`.
+    AUTOPILOT: ClassVar[str] = "ardupilot"
+    FIRMWARE: ClassVar[str] = "ArduCopter V4.7.0-dev (simulated)"
+    HOVER: ClassVar[str] = "MOT_THST_HOVER"  # the parameter with the throttle that carries the weight
+    PLACE: ClassVar[LatLonAlt] = HOME
+    ARMING_DELAY_S: ClassVar[float] = 2.0  # the rotors stand still this long after arming
+
     def __init__(
         self,
         vehicle: Vehicle,
         *,
         parameters: Mapping[str, float] | None = None,
         options: EstimatorOptions | None = None,
-        home: LatLonAlt = HOME,
+        home: LatLonAlt | None = None,
         heading_rad: float = 0.0,
         seed: int = 0,
     ) -> None:
         self.name = vehicle.name
         self.airframe = Airframe(vehicle, seed=seed, heading_rad=heading_rad)
         self.hover_throttle = self.airframe.weight_n / self.airframe.body.max_thrust
-        learned = {"MOT_THST_HOVER": round(self.hover_throttle, 6)}
-        self.parameters = Parameters(learned | dict(parameters or {}))
+        learned = {self.HOVER: round(self.hover_throttle, 6)}
+        self.parameters = self._parameters(learned | dict(parameters or {}))
         lag_s = vehicle.disturbance.motor_time_constant_s
         self.attitude = AttitudeControl(self.airframe, self.parameters, vehicle.rates.time_constant_s, lag_s)
         self.pilot = Pilot(self.parameters)
         self.battery = Battery(self.parameters)
         options = options or EstimatorOptions()
-        self.estimator = Estimator(self.parameters, options, self.airframe.truth, home, seed)
+        self.estimator = Estimator(
+            self.parameters, options, self.airframe.truth, self.PLACE if home is None else home, seed
+        )
         self.flying = Flying(self.attitude, self.parameters, self.pilot, vehicle.body.gravity_m_s2)
         self.texts: deque[tuple[int, str]] = deque()
         self.mode = Mode.STABILIZE
@@ -88,7 +98,10 @@ class Copter:
         initial = self.parameters.whole("INITIAL_MODE")
         if refusal(initial, has_position=False) is None:
             self.mode = Mode(initial)
-        self.say(INFO, "ArduCopter V4.7.0-dev (simulated)")
+        self.say(INFO, self.FIRMWARE)
+
+    def _parameters(self, values: Mapping[str, float]) -> Parameters:
+        return Parameters(values)
 
     @property
     def time_s(self) -> float:
@@ -102,7 +115,7 @@ class Copter:
     @property
     def _is_spooling(self) -> bool:
         """Armed too short a time ago: the rotors stand, come to idle, and come to obey."""
-        return self.time_s - self._armed_s < _ARMING_DELAY_S + 2 * self.parameters["MOT_SPOOL_TIME"]
+        return self.time_s - self._armed_s < self.ARMING_DELAY_S + 2 * self.parameters["MOT_SPOOL_TIME"]
 
     def tick(self) -> None:
         """Live for `TICK_S`."""
@@ -176,6 +189,10 @@ class Copter:
             self.mode = Mode(number)
             self.flying.enter(self.mode, self.estimator.motion)
         return True
+
+    def switch_to(self, number: float | None) -> None:
+        """A fault: the pilot's switch goes to a mode, LOITER unless one is named."""
+        self.set_mode(Mode.LOITER if number is None else int(number))
 
     def take_off(self, height_m: float) -> bool:
         """NAV_TAKEOFF to a height above home: armed, in GUIDED, from the ground."""
@@ -259,13 +276,20 @@ class Copter:
         self._resting_s = self._resting_s + TICK_S if resting else 0.0
         if not self.is_landed and self._resting_s >= _LANDED_S:
             self.is_landed = True
-            if self.mode in (Mode.LAND, Mode.RTL):
-                self.disarm()
+            self._touch_down()
         if self.is_armed and self.is_landed:
             waits = self.flying.wants_to_climb(self.mode, self.time_s)
             self._idle_s = 0.0 if waits else self._idle_s + TICK_S
-            if 0 < self.parameters["DISARM_DELAY"] <= self._idle_s:
+            if 0 < self._disarm_delay_s() <= self._idle_s:
                 self.disarm()
+
+    def _touch_down(self) -> None:
+        if self.mode in (Mode.LAND, Mode.RTL):
+            self.disarm()
+
+    def _disarm_delay_s(self) -> float:
+        """How long it stays armed on the ground without being asked to climb; for ever if not positive."""
+        return self.parameters["DISARM_DELAY"]
 
     def _announce(self) -> None:
         """What the estimator says once."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from typing import ClassVar
 
 from alula.stages.flight.autopilot.commands import Commands, order_of
 from alula.stages.flight.autopilot.copter import INFO, WARNING, Copter
 from alula.stages.flight.autopilot.modes import MODES
 from alula.stages.flight.autopilot.packets import COMPONENT, Codec, Message, mavlink
-from alula.stages.flight.autopilot.parameters import TABLE
-from alula.stages.flight.autopilot.telemetry import STREAMS, Telemetry
+from alula.stages.flight.autopilot.telemetry import Telemetry
 
 _CHUNK = 50  # characters of a STATUSTEXT
 _PARAMETERS_AT_ONCE = 4  # a tick
@@ -23,12 +23,14 @@ class Dialogue:
     Messages for another system or component are left alone, as are those that it does not know.
     """
 
+    COMMANDS: ClassVar[type[Commands]] = Commands
+
     def __init__(self, copter: Copter, telemetry: Telemetry, codec: Codec, time_10us: int = 0) -> None:
         self._copter = copter
         self._telemetry = telemetry
         self._codec = codec
         self._time_10us = time_10us
-        self._commands = Commands(copter, telemetry)
+        self._commands = self.COMMANDS(copter, telemetry)
         self._listing: deque[str] = deque()
         self._text_id = 0
         self._place_told = (copter.estimator.origin, copter.flying.home)
@@ -107,7 +109,7 @@ class Dialogue:
         return [ack, *besides]
 
     def _set_mode(self, message: Message) -> list[Message]:
-        result = mavlink.MAV_RESULT_FAILED
+        result = self.COMMANDS.REFUSED
         custom = message.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
         if custom and self._copter.set_mode(message.custom_mode):
             result = mavlink.MAV_RESULT_ACCEPTED
@@ -126,8 +128,16 @@ class Dialogue:
     def _parameter(self, name: str) -> Message:
         parameters = self._copter.parameters
         return mavlink.MAVLink_param_value_message(
-            name.encode(), parameters[name], TABLE[name][0], len(parameters), parameters.index_of(name)
+            name.encode(),
+            self._wire_value(name),
+            parameters.type_of(name),
+            len(parameters),
+            parameters.index_of(name),
         )
+
+    def _wire_value(self, name: str) -> float:
+        """What stands for a value in PARAM_VALUE."""
+        return self._copter.parameters[name]
 
     def _list_parameters(self, _message: Message) -> list[Message]:
         self._listing = deque(self._copter.parameters)
@@ -138,18 +148,18 @@ class Dialogue:
         if message.param_index >= 0:
             name = parameters.name_at(message.param_index)
         else:
-            name = _name(message.param_id)
+            name = parameter_name(message.param_id)
         return [self._parameter(name)] if name is not None and name in parameters else []
 
     def _set_parameter(self, message: Message) -> list[Message]:
         """The answer is the value that now holds; of unknown names there is none."""
-        name = _name(message.param_id)
+        name = parameter_name(message.param_id)
         if name not in self._copter.parameters:
             return []
         self._copter.parameters.set(name, message.param_value)
         if name == "SYSID_THISMAV":
             self._codec.system = max(1, min(255, self._copter.parameters.whole(name)))
-        for group, (rate, _) in STREAMS.items():
+        for group, (rate, _) in self._telemetry.STREAMS.items():
             if name == rate:
                 self._telemetry.set_stream(group, self._copter.parameters[name])
         return [self._parameter(name)]
@@ -220,6 +230,7 @@ class Dialogue:
         return [mavlink.MAVLink_file_transfer_protocol_message(0, *to, payload)]
 
 
-def _name(identifier: str | bytes) -> str:
+def parameter_name(identifier: str | bytes) -> str:
+    """A param_id without its padding."""
     text = identifier.decode("ascii", "replace") if isinstance(identifier, bytes) else identifier
     return text.rstrip("\0")

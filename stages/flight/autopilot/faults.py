@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Literal
 
@@ -79,8 +80,8 @@ class Fault:
         return KINDS[self.kind][0] if self.amount is None else self.amount
 
 
-def parse_fault(text: str) -> Fault:
-    """A fault written as `kind` or `kind:key=value,key=value`.
+def parse_fault(text: str, modes: Mapping[str, int] = Mode.__members__) -> Fault:
+    """A fault written as `kind` or `kind:key=value,key=value`; modes may be named.
 
     Raises:
         UsageError: it is not one.
@@ -94,8 +95,8 @@ def parse_fault(text: str) -> Fault:
             raise UsageError(f"fault {text!r}: {part!r} is not KEY=VALUE with one of {', '.join(known)}")
         if key in ("way", "since"):
             values[key] = value
-        elif kind == "mode" and key == "amount" and value.upper() in Mode.__members__:
-            values[key] = float(Mode[value.upper()])
+        elif kind == "mode" and key == "amount" and value.upper() in modes:
+            values[key] = float(modes[value.upper()])
         else:
             try:
                 values[key] = float(value)

@@ -13,7 +13,7 @@ from alula.stages.flight.autopilot.faults import Fault, Schedule
 from alula.stages.flight.autopilot.packets import Codec, Message
 
 # Messages of motion, which freeze and turn into NaN.
-_MOTION = frozenset({"LOCAL_POSITION_NED", "ATTITUDE", "ATTITUDE_QUATERNION"})
+_MOTION = frozenset({"LOCAL_POSITION_NED", "ATTITUDE", "ATTITUDE_QUATERNION", "ODOMETRY"})
 _Heap = list[tuple[float, int, Any]]
 
 

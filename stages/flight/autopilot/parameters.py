@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from enum import IntEnum
 
 from alula.schemas.errors import UsageError
@@ -125,23 +125,40 @@ TABLE: dict[str, tuple[ParamType, float]] = {
 }
 
 
+Table = Mapping[str, tuple[ParamType, float]]
+_BITS = {ParamType.INT8: 8, ParamType.INT16: 16, ParamType.INT32: 32}
+
+
 class Parameters:
     """The parameters of one vehicle.
 
+    The loops ask for them by ArduPilot's names. An autopilot with other names has a table of its own, and
+    says what the loops find behind theirs; clients neither see nor set those.
+
     Args:
         changed: values by name that replace defaults.
+        table: names, types and defaults.
+        derived: what the loops ask for and the table does not hold, from what it holds.
 
     Raises:
         UsageError: a name is unknown or a value is not finite.
     """
 
-    def __init__(self, changed: Mapping[str, float] | None = None) -> None:
-        self._values = {name: float(default) for name, (_, default) in TABLE.items()}
-        self._names = tuple(sorted(TABLE))
+    def __init__(
+        self,
+        changed: Mapping[str, float] | None = None,
+        *,
+        table: Table = TABLE,
+        derived: Mapping[str, Callable[[Mapping[str, float]], float]] | None = None,
+    ) -> None:
+        self._table, self._derived = table, derived or {}
+        self._values = {name: float(default) for name, (_, default) in table.items()}
+        self._derive()
+        self._names = tuple(sorted(table))
         self._index = {name: i for i, name in enumerate(self._names)}
         for name, value in (changed or {}).items():
             if not self.set(name, value):
-                unknown = name not in TABLE
+                unknown = name not in table
                 raise UsageError(
                     f"no parameter is called {name!r}" if unknown else f"{name}: {value} has no meaning"
                 )
@@ -156,7 +173,7 @@ class Parameters:
         return iter(self._names)
 
     def __contains__(self, name: str) -> bool:
-        return name in self._values
+        return name in self._table
 
     def whole(self, name: str) -> int:
         """An integer parameter."""
@@ -170,15 +187,22 @@ class Parameters:
         """Its place in the list."""
         return self._index[name]
 
+    def type_of(self, name: str) -> ParamType:
+        """How it travels."""
+        return self._table[name][0]
+
     def set(self, name: str, value: float) -> bool:
         """Change one; integers are rounded. False for an unknown name or a value that is not finite."""
-        if name not in self._values or not math.isfinite(value):
+        if name not in self._table or not math.isfinite(value):
             return False
-        kind = TABLE[name][0]
-        if kind is ParamType.FLOAT:
-            self._values[name] = value
-            return True
-        bits = {ParamType.INT8: 8, ParamType.INT16: 16, ParamType.INT32: 32}[kind]
-        most = 2 ** (bits - 1)
-        self._values[name] = float(max(-most, min(most - 1, round(value))))
+        kind = self._table[name][0]
+        if kind is not ParamType.FLOAT:
+            most = 2 ** (_BITS[kind] - 1)
+            value = float(max(-most, min(most - 1, round(value))))
+        self._values[name] = value
+        self._derive()
         return True
+
+    def _derive(self) -> None:
+        for name, value_of in self._derived.items():
+            self._values[name] = value_of(self._values)

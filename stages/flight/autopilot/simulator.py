@@ -8,11 +8,10 @@ import numpy as np
 
 from alula.stages.flight.autopilot.camera import PERIOD_S, Camera
 from alula.stages.flight.autopilot.copter import Copter
-from alula.stages.flight.autopilot.dialogue import Dialogue
 from alula.stages.flight.autopilot.faults import Fault, Schedule
 from alula.stages.flight.autopilot.line import Line
 from alula.stages.flight.autopilot.packets import Codec, Message
-from alula.stages.flight.autopilot.telemetry import Telemetry
+from alula.stages.flight.autopilot.personalities import PERSONALITIES
 
 _SIGNING_EPOCH_S = 1420070400  # 2015-01-01, from which signatures count
 
@@ -57,8 +56,9 @@ class SimulatedVehicle:
         )
         self._schedule = Schedule(faults)
         self._line = Line(self.codec, self._schedule, seed)
-        self.telemetry = Telemetry(copter, epoch_s)
-        self._dialogue = Dialogue(copter, self.telemetry, self.codec, signing_time(epoch_s))
+        personality = PERSONALITIES[copter.AUTOPILOT]
+        self.telemetry = personality.telemetry(copter, epoch_s)
+        self._dialogue = personality.dialogue(copter, self.telemetry, self.codec, signing_time(epoch_s))
         self._random = np.random.default_rng([seed, 10])
         self._begun: dict[int, bool] = {}  # faults of the vehicle that had their turn: whether they act
         self._outbox: list[bytes] = []
@@ -126,7 +126,7 @@ class SimulatedVehicle:
                 continue
             acting[fault.kind] = fault
             if fresh and fault.kind == "mode":
-                copter.set_mode(int(fault.size))
+                copter.switch_to(fault.amount)
             elif fresh and fault.kind == "battery":
                 copter.battery.drain_to(fault.size)
         jump = acting.get("jump")

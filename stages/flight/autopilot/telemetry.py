@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import ClassVar
 
 from alula.stages.flight.autopilot.airframe import TICK_S, Motion
 from alula.stages.flight.autopilot.copter import Copter
@@ -55,24 +56,28 @@ class Telemetry:
     A builder gives None where the vehicle has nothing to say: no position is sent before there is one.
     """
 
+    STREAMS: ClassVar[Mapping[int, tuple[str, tuple[str, ...]]]] = STREAMS
+    MESSAGES: ClassVar[tuple[str, ...]] = (
+        *("heartbeat", "sys_status", "system_time", "gps_raw_int", "attitude", "attitude_quaternion"),
+        *("local_position_ned", "global_position_int", "rc_channels", "vfr_hud", "battery_status"),
+        *("autopilot_version", "extended_sys_state", "home_position", "gps_global_origin"),
+        *("ekf_status_report", "position_target_local_ned", "attitude_target", "sim_state"),
+        "mission_current",
+    )
+    RATES_HZ: ClassVar[Mapping[str, float]] = {"HEARTBEAT": 1.0}  # unless asked otherwise
+
     def __init__(self, copter: Copter, epoch_s: float = 0.0) -> None:
         self._copter = copter
         self._epoch_s = epoch_s
         self._interval_s: dict[str, float] = {}
         self._due: list[tuple[float, str]] = []
         self._builders: dict[str, Callable[[], Message | None]] = {
-            name.upper(): getattr(self, f"_{name}")
-            for name in (
-                *("heartbeat", "sys_status", "system_time", "gps_raw_int", "attitude", "attitude_quaternion"),
-                *("local_position_ned", "global_position_int", "rc_channels", "vfr_hud", "battery_status"),
-                *("autopilot_version", "extended_sys_state", "home_position", "gps_global_origin"),
-                *("ekf_status_report", "position_target_local_ned", "attitude_target", "sim_state"),
-                "mission_current",
-            )
+            name.upper(): getattr(self, f"_{name}") for name in self.MESSAGES
         }
         self.ids = {getattr(mavlink, f"MAVLINK_MSG_ID_{name}"): name for name in self._builders}
-        self.set_interval("HEARTBEAT", 1.0)
-        for group, (parameter, _) in STREAMS.items():
+        for name in self.RATES_HZ:
+            self.set_interval(name, self.usual_interval_s(name))
+        for group, (parameter, _) in self.STREAMS.items():
             self.set_stream(group, copter.parameters[parameter])
 
     def build(self, name: str) -> Message | None:
@@ -82,6 +87,11 @@ class Telemetry:
     def interval_s(self, name: str) -> float | None:
         """Between two of them; None for one that is not sent."""
         return self._interval_s.get(name)
+
+    def usual_interval_s(self, name: str) -> float | None:
+        """The interval that nobody has asked for; None for a message that is not sent then."""
+        rate_hz = self.RATES_HZ.get(name)
+        return None if rate_hz is None else 1 / rate_hz
 
     def set_interval(self, name: str, interval_s: float | None) -> None:
         """Send it that often; None for never again."""
@@ -94,7 +104,7 @@ class Telemetry:
 
     def set_stream(self, group: int, rate_hz: float) -> None:
         """REQUEST_DATA_STREAM: all of a group, or with group 0 of all of them; 0 Hz ends it."""
-        for key, (_, names) in STREAMS.items():
+        for key, (_, names) in self.STREAMS.items():
             if group in (key, mavlink.MAV_DATA_STREAM_ALL):
                 for name in names:
                     self.set_interval(name, 1 / rate_hz if rate_hz > 0 else None)

@@ -20,7 +20,7 @@ HIGHEST_M = 100.0
 _REPEAT_S = 0.5
 _PATIENCE_S = 5.0
 _REASONS_S = 2.0  # how long before a refusal its reason may have been said
-_PREFIXES = ("PreArm:", "Arm:", "Arming", "Preflight", "Takeoff", "Mode change")
+_PREFIXES = ("PreArm:", "Arm:", "Arming", "Preflight", "Takeoff", "Mode change", "Switching")
 
 
 @dataclass(slots=True)

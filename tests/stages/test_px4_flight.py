@@ -1,0 +1,73 @@
+"""Whole flights of the link to PX4 against the simulated one, through sockets, on one clock."""
+
+import numpy as np
+import pytest
+from flights import BALL, GOAL, START, mission
+from test_fly_autopilot import AS_PLANNED, Watched, clearance, fly, true_path
+from test_simulate import line_plan
+
+from alula.stages.flight.autopilot.faults import Fault
+from alula.stages.flight.autopilot.px4 import Px4Copter
+from alula.stages.flight.autopilot.px4_modes import Px4Mode
+from alula.stages.flight.supervisor import Event
+
+FAST = {"MPC_TKO_SPEED": 5.0, "MPC_TKO_RAMP_T": 0.25}
+
+
+class WatchedPx4(Watched):
+    kind, fast = Px4Copter, FAST
+
+
+def fly_px4(made, *faults, **keywords):
+    return fly(made, *faults, kind=WatchedPx4, **keywords)
+
+
+@pytest.fixture(scope="module")
+def among_hulls():
+    return mission(plan=line_plan(START, GOAL, 4.5))
+
+
+def test_cone_backup_flies_px4_around_an_ellipsoid_by_rates_and_thrust():
+    made = mission("cone-backup", scene=BALL, is_clear=True)
+    loop, served = fly_px4(made)
+    assert loop.recorder.states == AS_PLANNED
+    assert loop.supervision.cause is Event.PLAN_FINISHED
+    path = true_path(loop, served, "fly")
+    assert clearance(made, path) > 0
+    assert np.linalg.norm(path[-1] - GOAL) < 0.3
+    assert not served.is_armed
+    assert {s.filter.sent for s in loop.recorder.samples if s.filter} == {"rates"}
+
+
+def test_polytope_cbf_flies_px4_past_a_pillar_by_velocities(among_hulls):
+    loop, served = fly_px4(among_hulls)
+    assert loop.recorder.states == AS_PLANNED
+    assert clearance(among_hulls, true_path(loop, served, "fly")) > 0
+    assert {s.filter.sent for s in loop.recorder.samples if s.filter} == {"velocity"}
+    assert served.copter.flown is Px4Mode.LAND
+
+
+def test_a_stream_that_stops_ends_in_its_own_landing_and_nothing_takes_it_back(among_hulls):
+    """What is sent to it is lost for a while: it lands by COM_OBL_RC_ACT."""
+    loop, served = fly_px4(among_hulls, Fault(kind="drop", way="in", duration=0.6))
+    assert loop.recorder.states[:5] == [*AS_PLANNED[:4], "hand-over"]
+    assert loop.supervision.cause in (Event.MODE_CHANGED, Event.FAILSAFE)
+    assert served.copter.flown is Px4Mode.LAND
+    assert not served.is_armed
+    assert clearance(among_hulls, true_path(loop, served, "fly", "hand-over")) > 0
+
+
+def test_the_pilots_sticks_win_in_offboard(among_hulls):
+    class Handled(WatchedPx4):
+        def tick(self, now):
+            super().tick(now)
+            if self.flown is not None and now - self.flown > 1.5:
+                self.copter.pilot.move(2, 1900 if now - self.flown < 1.8 else 1500)
+            if self.flown is not None and now - self.flown > 3.0 and not self.copter.is_landed:
+                self.copter.set_mode(Px4Mode.LAND)  # the pilot's own choice again
+
+    loop, served = fly(among_hulls, kind=Handled)
+    assert loop.recorder.states[:5] == [*AS_PLANNED[:4], "hand-over"]
+    assert loop.supervision.cause is Event.MODE_CHANGED
+    assert not served.is_armed
+    assert served.copter.parameters["COM_RC_OVERRIDE"] == 1  # put back
