@@ -12,8 +12,17 @@ from numpy.typing import NDArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.run import TrialResult
 from alula.stages.compression.hulls import Hulls
+from alula.stages.reporting.course import Spell, spells
 from alula.stages.reporting.fenced import fence_shape
-from alula.stages.reporting.material import OUTCOMES, Material, Run, clearance_of, flew_through, outcome_of
+from alula.stages.reporting.material import (
+    NOT_JUDGED,
+    OUTCOMES,
+    Material,
+    Run,
+    clearance_of,
+    flew_through,
+    outcome_of,
+)
 from alula.stages.reporting.tables import path_ratio, voxel_count
 
 Floats = NDArray[np.float64]
@@ -71,7 +80,8 @@ class WorstFlight:
     """The margin over time of the flight that came closest.
 
     `margin_unit` is "m", or says what else the margin measures. `trouble` marks the margins where the filter
-    had to do more than change the input; `statuses` are the words for it.
+    had to do more than change the input; `statuses` are the words for it. `spells` are the states of a real
+    flight's supervisor.
     """
 
     label: str
@@ -84,6 +94,7 @@ class WorstFlight:
     speed_m_s: Floats
     trouble: NDArray[np.bool_]
     statuses: tuple[str, ...]
+    spells: tuple[Spell, ...] = ()
 
 
 def distribution(label: str, values: Iterable[float | None]) -> Distribution:
@@ -130,6 +141,8 @@ def thin(points: Floats, most: int = _DRAWN_POINTS) -> Floats:
 def paths_of(run: Run) -> list[Path]:
     """What was flown in a run; a straight line to the goal is never drawn for what was not logged."""
     ends = {trial.index: outcome_of(trial) for trial in run.record.trials if trial.index in run.flights}
+    if not ends and run.course is not None:  # whose log was cut: no trial, but what was flown
+        return [Path(run.label, NOT_JUDGED, thin(flown.position_world)) for flown in run.flights.values()]
     order = sorted(ends, key=lambda index: (-OUTCOMES.index(ends[index]), index))[:_DRAWN_PATHS]
     return [Path(run.label, ends[index], thin(run.flights[index].position_world)) for index in sorted(order)]
 
@@ -236,4 +249,5 @@ def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:
         flight.speed_m_s,
         np.array(trouble, np.bool_),
         tuple(sorted({s.lower() for s, bad in zip(flight.status, trouble, strict=True) if bad})),
+        spells(run.course),
     )

@@ -83,6 +83,23 @@ class Session:
         return self._wire.bad + self._strangers
 
     @property
+    def name(self) -> str:
+        """The address, as it was given."""
+        return f"{self._address.scheme}:{self._address.place}"
+
+    @property
+    def is_signed(self) -> bool:
+        """Whether packets of the vehicle were signed although we have no key."""
+        return self.signer is None and self._wire.is_signed
+
+    def refused(self) -> str:
+        """How many frames were refused, and what may be the matter: the end of a sentence."""
+        if not self.bad:
+            return ": nothing came"
+        guess = "do both ends have the same signing key?" if self.signer else "is it MAVLink, at this speed?"
+        return f": {self.bad} bad packets came; {guess}"
+
+    @property
     def target(self) -> tuple[int, int]:
         """System and component of the autopilot."""
         assert self.vehicle is not None
