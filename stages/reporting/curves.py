@@ -28,6 +28,7 @@ from alula.stages.reporting.tables import path_ratio, voxel_count
 Floats = NDArray[np.float64]
 
 _QUIET = ("", "ok", "filtered", "passed", "blended")  # what a filter does all the time
+_GAP_S = 0.2
 _PLAN_SAMPLES = 400
 _DRAWN_PATHS = 300  # per run; those that ended badly first
 _DRAWN_POINTS = 600  # per path; more are not told apart on a page
@@ -220,6 +221,15 @@ def compression(cover: Artifact | None) -> Compression | None:
         return None
     hulls, excess, planes = (np.array(column, np.float64) for column in columns)
     return Compression(hulls, 1 + excess / max(voxel_count(cover), 1), planes)
+
+
+def broken(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """A curve with a NaN wherever nothing was said for much longer than usual: no line bridges a gap."""
+    step = np.diff(time_s)
+    if len(step) == 0:
+        return time_s, values
+    gaps = np.flatnonzero(step > max(10 * float(np.median(step)), _GAP_S)) + 1
+    return np.insert(time_s, gaps, time_s[gaps - 1]), np.insert(values, gaps, np.nan)
 
 
 def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:

@@ -242,7 +242,7 @@ def _ratio_figure(shown: Sequence[curves.Distribution]) -> Figure:
 def _worst_figure(worst: curves.WorstFlight) -> Figure:
     with drawing(6.2, 4.2, rows=2) as ((top, bottom), render):
         top.axhline(0, color=COLORS["collision"], linewidth=1.2)
-        top.plot(worst.margin_time_s, worst.margin, color=_RUN_COLORS[0], linewidth=1.6)
+        top.plot(*curves.broken(worst.margin_time_s, worst.margin), color=_RUN_COLORS[0], linewidth=1.6)
         if worst.trouble.any():
             top.plot(
                 worst.margin_time_s[worst.trouble],

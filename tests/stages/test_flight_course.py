@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 from fabricate import make_record, make_trial
 from flights import fly, mission
@@ -11,7 +12,7 @@ from alula.cli.main import run
 from alula.schemas.cut_run import read_logged
 from alula.schemas.flights import Course, Line, Step, flights_of
 from alula.stages.reporting.course import course_rows, course_tables, spells
-from alula.stages.reporting.curves import paths_of
+from alula.stages.reporting.curves import broken, paths_of
 from alula.stages.reporting.figures import all_figures
 from alula.stages.reporting.headline import cards, headline
 from alula.stages.reporting.material import NOT_JUDGED, Material, Run
@@ -109,6 +110,15 @@ def test_a_flight_that_was_cut_is_drawn_without_a_verdict(flown, tmp_path):
     page = (tmp_path / "cut.html").read_text()
     assert "1 not judged" in page
     assert "Course of cut (cut)" in page
+
+
+def test_no_line_is_drawn_over_a_time_without_answers():
+    time_s = np.array([0.0, 0.01, 0.02, 1.5, 1.51])
+    at, values = broken(time_s, np.arange(5.0))
+    np.testing.assert_array_equal(values, [0, 1, 2, np.nan, 3, 4])
+    np.testing.assert_array_equal(at, [0.0, 0.01, 0.02, 0.02, 1.5, 1.51])
+    assert broken(time_s[:1], np.ones(1))[1].tolist() == [1.0]
+    assert len(broken(np.arange(0, 50, 0.5), np.ones(100))[0]) == 100  # a log of few samples has no gaps
 
 
 def test_a_tick_without_numbers_is_no_step():
