@@ -27,7 +27,7 @@ COLORS = {
     "stopped": "#cc79a7",
     "outside": "#d7301f",
     "collision": "#d7301f",
-    NOT_JUDGED: "#7f7f7f",
+    NOT_JUDGED: "#d55e00",
     "planned": "#222222",
 }
 _SPELLS = {"fly": "#009e73", "hold": "#e69f00", "hand-over": "#d7301f", "abort": "#d7301f"}

@@ -8,7 +8,15 @@ from typing import Any
 
 from alula.schemas.run import TrialResult
 from alula.stages.reporting.fenced import is_fenced
-from alula.stages.reporting.material import Material, Run, clearance_of, is_covered, outcome_of, proof
+from alula.stages.reporting.material import (
+    NOT_JUDGED,
+    Material,
+    Run,
+    clearance_of,
+    is_covered,
+    outcome_of,
+    proof,
+)
 from alula.stages.reporting.tables import (
     BYTES_PER_HALF_PLANE,
     gaussian_count,
@@ -93,6 +101,8 @@ def _run_cards(run: Run) -> list[Card]:
     if is_fenced(run):
         return _fence_cards(run)
     summary, trials = run.record.summary, run.record.trials
+    if run.course is not None and not trials:  # nothing that could be counted
+        return [Card("verdict", NOT_JUDGED, "; ".join(summary.get("notes", ())), False)]
     interval = success_interval(run)
     rate, collisions = summary.get("success_rate"), summary.get("collisions")
     detail = _said(trials)

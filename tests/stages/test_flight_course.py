@@ -106,6 +106,9 @@ def test_a_flight_that_was_cut_is_drawn_without_a_verdict(flown, tmp_path):
     (path,) = paths_of(found)
     assert path.outcome == NOT_JUDGED
     assert len(path.position_world) > 50
+    ((_, (card,)),) = cards(Material("t", (found,)))
+    assert (card.value, card.good) == (NOT_JUDGED, False)
+    assert "the log of this flight was cut" in card.detail
     assert run(["report", str(log), "-o", str(tmp_path / "cut.html"), "-q"]) == 0
     page = (tmp_path / "cut.html").read_text()
     assert "1 not judged" in page
