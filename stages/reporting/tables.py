@@ -75,10 +75,9 @@ def all_tables(material: Material, names: Sequence[str] = (), paper: str | None 
         tables.append(
             _beside("parameters", "Parameters", material.runs, lambda r: flat(r.record.provenance.parameters))
         )
-    names_of = [
-        f"trials-{n}" if len(material.runs) > 1 else "trials" for n in range(1, len(material.runs) + 1)
-    ]
-    tables += [trials_table(run, name) for run, name in zip(material.runs, names_of, strict=True)]
+    many = len(material.runs) > 1
+    for n, run in enumerate(material.runs, 1):
+        tables.append(trials_table(run, f"trials-{n}" if many else "trials"))
     tables += [*(Table(*parts) for parts in course_tables(material.runs)), inputs_table(material)]
     known = [table.name for table in tables]
     if missing := [name for name in names if name not in known]:
