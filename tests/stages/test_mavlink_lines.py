@@ -127,6 +127,12 @@ def test_who_has_no_key_or_another_is_told_so(tmp_path, key, said):
         pass
 
 
+def test_of_other_systems_than_the_one_that_was_asked_for_it_says_which():
+    words = "no vehicle was heard within 5 s: only system 1, not 2"
+    with pytest.raises(LinkError, match=words), vehicle(address="?system=2"):
+        pass
+
+
 def test_where_nothing_comes_from_is_named():
     peer = Peer()
     peer.beat = lambda: None

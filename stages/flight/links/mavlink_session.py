@@ -59,6 +59,7 @@ class Session:
         source = _number(address, "source")
         self._is_given = self.vehicle is not None
         self.others: set[int] = set()
+        self._unasked: set[int] = set()  # beside the one that was
         self.heard_s: float | None = None
         self.lost = self.unsent = 0
         self._strangers = 0
@@ -94,6 +95,8 @@ class Session:
 
     def refused(self) -> str:
         """How many frames were refused, and what may be the matter: the end of a sentence."""
+        if self._unasked:
+            return f": only system {', '.join(map(str, sorted(self._unasked)))}, not {self.vehicle}"
         if not self.bad:
             return ": nothing came"
         guess = "do both ends have the same signing key?" if self.signer else "is it MAVLink, at this speed?"
@@ -225,8 +228,7 @@ class Session:
             if self.vehicle is None:
                 self.vehicle = packet.system
                 return True
-            if not self._is_given and len(self.others) < 255:
-                self.others.add(packet.system)
+            (self._unasked if self._is_given else self.others).add(packet.system)  # a byte: 255 at most
         return False
 
     def _count(self, sequence: int) -> None:
