@@ -41,6 +41,8 @@ PACKAGES = {
     "open3d": "open3d-cpu" if sys.platform == "linux" and platform.machine() == "x86_64" else "open3d",
     "pycolmap": "pycolmap",
 }
+# What only some commands need: the extra that brings it, and what it is for.
+EXTRAS = {"viser": ("live", "only for fly --live"), "cflib": ("crazyflie", "only to fly a Crazyflie")}
 # Shared libraries that open3d's Linux wheels load: the Debian package that has each.
 LIBRARIES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
@@ -94,6 +96,7 @@ def examine() -> list[Check]:
 
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
         packages = list(pool.map(_package, PACKAGES, PACKAGES.values()))
+        packages += pool.map(_extra, EXTRAS)
     return [
         _python(),
         _native(),
@@ -152,6 +155,15 @@ def _package(module: str, distribution: str) -> Check:
     wanted = [package for library, package in LIBRARIES.items() if library in last]
     note = f"apt-get install {' '.join(_absent(_loads) or wanted)}" if wanted else last
     return Check(module, "missing", found, note)
+
+
+def _extra(module: str) -> Check:
+    extra, purpose = EXTRAS[module]
+    found = _package(module, module)
+    if found.status == "ok":
+        return found
+    note = f"{purpose}: pip install 'alula[{extra}]'" if not found.found else f"{purpose}; {found.note}"
+    return Check(module, "optional", found.found, note)
 
 
 def _has_no_wheel(module: str) -> bool:

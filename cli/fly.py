@@ -174,6 +174,10 @@ def command(
     provenance = Provenance.now(
         RUN_SCHEMA, RUN_VERSION, parameters, None, [input_ref(role, path) for role, path in paths.items()]
     )
+    planned = {ref.sha256 for ref in mission.plan.manifest.inputs if ref.role == "cover"}
+    flown = {ref.sha256 for ref in provenance.inputs if ref.role == "cover"}
+    if planned and flown and planned != flown and not common.quiet:
+        click.echo(f"note: {paths['plan']} was planned in another cover than {paths['cover']}", err=True)
     fly(mission, link, provenance, common, live)
 
 

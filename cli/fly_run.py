@@ -81,6 +81,9 @@ def fly(
     # From here on the vehicle hears us, and everything that takes long is behind us.
     try:
         with _signals(_stop):
+            address = str(provenance.parameters.get("link", ""))
+            if address and not common.quiet and not address.startswith("sim:"):  # which is there at once
+                click.echo(f"link: waits for the vehicle at {address}, {_OPEN_S:g} s at most", err=True)
             what = link.open(_OPEN_S)
             if not common.quiet:
                 click.echo(f"link: {what}", err=True)

@@ -47,7 +47,14 @@ class LazyGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command."""
         with pipe():
-            return super().invoke(ctx)
+            try:
+                return super().invoke(ctx)
+            except click.UsageError as error:
+                if error.ctx is None and ctx.invoked_subcommand:  # the parser of options does not say whose
+                    command = self.get_command(ctx, ctx.invoked_subcommand)
+                    if command is not None:
+                        error.ctx = click.Context(command, ctx, ctx.invoked_subcommand)
+                raise
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Without any word the help is the complaint."""

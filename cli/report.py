@@ -119,7 +119,8 @@ def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenanc
         if any(label == other.label for other in flown):
             label = f"{label} ({len(flown) + 1})"
         label += " (cut)" if found.damage else ""
-        flown.append(Run(label, found.record, found.flights.by_trial, found.flights.hulls))
+        flights = found.flights
+        flown.append(Run(label, found.record, flights.by_trial, flights.hulls, flights.course))
     artifacts = {
         kind.name.removeprefix("alula/"): read_artifact(inputs[kind.name.removeprefix("alula/")], kind)
         for kind in (COVER, SCENE, PLAN)

@@ -68,6 +68,16 @@ _CRTP = "udp://"
     help="Send the true pose there as motion capture does, for fly --mocap.",
 )
 @click.option(
+    "--mocap-start",
+    type=options.POINT,
+    default="0 0 0",
+    show_default=True,
+    help="Where it boots, in the frame of motion capture, east north up [m].",
+)
+@click.option(
+    "--hand", is_flag=True, help="Be moved by hand, as fly --frame-check hand asks for, and put back."
+)
+@click.option(
     "--heading",
     "heading_deg",
     type=options.FINITE_FLOAT,
@@ -95,6 +105,8 @@ def command(
     parameters: tuple[str, ...],
     faults: tuple[str, ...],
     mocap_address: str | None,
+    mocap_start: tuple[float, float, float],
+    hand: bool,
     heading_deg: float,
     signing_key: Path | None,
     console: bool,
@@ -115,16 +127,21 @@ def command(
         raise UsageError("--boot-time must be in 0..3600 s")
     if duration_s is not None and duration_s <= 0:
         raise UsageError("--duration must be positive")
+    if mocap_address is None and any(mocap_start):
+        raise UsageError("--mocap-start is for --mocap")
     values = dict(_parameter(text) for text in parameters)
     vehicle: Flown
     if link.startswith(_CRTP):
-        if faults or signing_key is not None or console or autopilot != "ardupilot":
-            raise UsageError("a simulated Crazyflie has no --fault, --signing-key, --console or --autopilot")
+        if faults or signing_key is not None or console or hand or autopilot != "ardupilot":
+            raise UsageError(
+                "a simulated Crazyflie has no --fault, --signing-key, --console, --hand or --autopilot"
+            )
         name, vehicle = _crazyflie(
             vehicle_path,
             values,
             yaw_rad=-math.radians(heading_deg),
             poses=mocap_address is not None,
+            start=mocap_start,
             seed=seed,
         )
         link = f"udpin:{link.removeprefix(_CRTP)}"
@@ -132,6 +149,7 @@ def command(
         from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
         from alula.stages.flight.autopilot.estimator import EstimatorOptions
         from alula.stages.flight.autopilot.faults import parse_fault
+        from alula.stages.flight.autopilot.hand import Hand
         from alula.stages.flight.autopilot.personalities import PERSONALITIES
         from alula.stages.flight.autopilot.simulator import SimulatedVehicle
         from alula.stages.flight.links.mavlink_signing import read_key
@@ -143,6 +161,7 @@ def command(
             options=EstimatorOptions(boot_time_s=boot_time_s),
             heading_rad=math.radians(heading_deg),
             seed=seed,
+            hand=Hand() if hand else None,
         )
         name, vehicle = (
             copter.name,
@@ -153,6 +172,7 @@ def command(
                 channel=0 if console or signing_key is None else 1,
                 key=None if signing_key is None else read_key(signing_key),
                 epoch_s=time.time(),
+                camera_start=mocap_start,
             ),
         )
     with ExitStack() as opened:
@@ -173,7 +193,13 @@ def command(
 
 
 def _crazyflie(
-    vehicle_path: Path | None, values: dict[str, float], *, yaw_rad: float, poses: bool, seed: int
+    vehicle_path: Path | None,
+    values: dict[str, float],
+    *,
+    yaw_rad: float,
+    poses: bool,
+    start: tuple[float, float, float],
+    seed: int,
 ) -> tuple[str, Flown]:
     from alula.schemas.vehicle import read_vehicle
     from alula.stages.flight.autopilot.crazyflie import CrazyflieOptions, SimulatedCrazyflie
@@ -183,7 +209,7 @@ def _crazyflie(
     vehicle = read_vehicle(vehicle_path)
     has_app = any(name.startswith("alula.") for name in values)
     found = SimulatedCrazyflie(
-        vehicle, CrazyflieOptions(yaw_rad=yaw_rad, needs_poses=poses, has_app=has_app, seed=seed)
+        vehicle, CrazyflieOptions(start=start, yaw_rad=yaw_rad, needs_poses=poses, has_app=has_app, seed=seed)
     )
     found.set_parameters(values)
     return f"{vehicle.name}, a simulated Crazyflie,", found

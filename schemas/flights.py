@@ -17,6 +17,8 @@ from alula.schemas.run import open_log
 MAP_TOPIC = "/map"
 STATE_TOPIC = "/state"
 SAFETY_TOPIC = "/safety"
+SUPERVISOR_TOPIC = "/supervisor"
+LINE_TOPIC = "/log"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +47,42 @@ class Flight:
 
 
 @dataclass(frozen=True, slots=True)
+class Step:
+    """A step of a real flight's supervisor: the state that it led to, the event, what was ordered."""
+
+    time_s: float
+    state: str
+    event: str
+    action: str
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """What was said in a real flight; `level` as in `foxglove.Log`, where 3 is a warning."""
+
+    time_s: float
+    level: int
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """How a real flight went, by its supervisor; `end_s` is when it last said anything."""
+
+    steps: tuple[Step, ...]
+    lines: tuple[Line, ...]
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Flights:
-    """The flights of a run by trial, and the hulls of the map that it flew through, when it says."""
+    """The flights of a run by trial, the hulls of the map that it flew through, when it says, and the course
+    of a real one.
+    """
 
     by_trial: dict[int, Flight]
     hulls: int | None
+    course: Course | None = None
 
 
 class _Vector(msgspec.Struct, gc=False):
@@ -73,6 +106,24 @@ class _Safety(msgspec.Struct, gc=False):
     margin_unit: str | None = None  # absent among hulls, where h_m is the margin
     status_name: str = ""
     share: float | None = msgspec.field(default=None, name="lambda")
+
+
+class _Supervisor(msgspec.Struct, gc=False):
+    time_s: float
+    state_name: str
+    event_name: str = ""  # only a step has one
+    action_name: str = ""
+
+
+class _Stamp(msgspec.Struct, gc=False):
+    sec: int
+    nsec: int
+
+
+class _Line(msgspec.Struct, gc=False):
+    timestamp: _Stamp
+    level: int
+    message: str
 
 
 class _Pair(msgspec.Struct):
@@ -101,7 +152,8 @@ def read_flights(log: Path) -> Flights:
         return flights_of(
             (channel.topic, message.data)
             for _, channel, message in make_reader(file, validate_crcs=True).iter_messages(
-                topics=[MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC], log_time_order=False
+                topics=[MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC, SUPERVISOR_TOPIC, LINE_TOPIC],
+                log_time_order=False,
             )
         )
 
@@ -110,9 +162,13 @@ def flights_of(messages: Iterable[tuple[str, bytes]]) -> Flights:
     """The flights in messages, each with its topic; those of other topics are passed over."""
     states: dict[int, list[_State]] = {}
     safety: dict[int, list[_Safety]] = {}
+    supervised: list[_Supervisor] = []
+    lines: list[Line] = []
     hulls = None
     decode_state = msgspec.json.Decoder(_State).decode
     decode_safety = msgspec.json.Decoder(_Safety).decode
+    decode_supervisor = msgspec.json.Decoder(_Supervisor).decode
+    decode_line = msgspec.json.Decoder(_Line).decode
     for topic, data in messages:
         if topic == STATE_TOPIC:
             state = decode_state(data)
@@ -122,8 +178,23 @@ def flights_of(messages: Iterable[tuple[str, bytes]]) -> Flights:
         elif topic == SAFETY_TOPIC:
             answer = decode_safety(data)
             safety.setdefault(answer.trial, []).append(answer)
+        elif topic == SUPERVISOR_TOPIC:
+            supervised.append(decode_supervisor(data))
+        elif topic == LINE_TOPIC:
+            line = decode_line(data)
+            at = line.timestamp
+            lines.append(Line(at.sec + 1e-9 * at.nsec, line.level, line.message))
     flights = {trial: _flight(states[trial], safety.get(trial, [])) for trial in sorted(states)}
-    return Flights(flights, hulls)
+    return Flights(flights, hulls, _course(supervised, lines) if supervised else None)
+
+
+def _course(supervised: list[_Supervisor], lines: list[Line]) -> Course:
+    steps = tuple(
+        Step(one.time_s, one.state_name, one.event_name, one.action_name)
+        for one in supervised
+        if one.event_name
+    )
+    return Course(steps, tuple(lines), max(one.time_s for one in supervised))
 
 
 def _hull_count(message: _Map) -> int | None:

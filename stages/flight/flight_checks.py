@@ -89,13 +89,14 @@ class FlightChecks:
         prompt = "" if wrong else hand.prompt
         if prompt and prompt != self._prompt:
             say(INFO, prompt)
-            self._prompt = prompt
+        self._prompt = prompt
         if wrong or not prompt:
             if self.needs.frame is None:
                 self._first_s = now_s
                 self._restart(now_s)
             self.needs = dataclasses.replace(self.needs, frame=wrong)
             return False
+        self.needs = dataclasses.replace(self.needs, frame=None)  # also of one that was lifted again
         return True
 
     def _judge(self, link: Link, now_s: float, say: Say) -> None:

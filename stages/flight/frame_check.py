@@ -22,32 +22,39 @@ class HandCheck:
     """The operator moves the vehicle along +x, +y and +z; its positions must move the same way.
 
     A mirrored frame, a rotated one and swapped axes all show. A move counts once it is `far_m` long and the
-    vehicle rests again.
+    vehicle rests again. Afterwards it must rest at the height that it was lifted from, to `down_m`: a vehicle
+    in a hand believes that it is on the ground, and must not be armed there.
     """
 
     far_m: float = 0.3
     most_rad: float = 0.6
     rest_m_s: float = 0.05
+    down_m: float = 0.2
+    is_down: bool = False
     moved: list[FloatArray] = field(default_factory=list)
     _from: FloatArray | None = None
+    _lifted_m: float = 0.0
 
     @property
     def prompt(self) -> str:
         """What to do next; empty when all is done."""
         if len(self.moved) == len(_AXES):
-            return ""
+            return "" if self.is_down else "put the vehicle back on the ground, where it is to take off"
         return (
             f"move the vehicle by hand at least {self.far_m:g} m along {_AXES[len(self.moved)][0]} of the map"
         )
 
     def update(self, state: VehicleState) -> None:
         """Look at where it is now."""
+        rests = float(np.linalg.norm(state.velocity)) < self.rest_m_s
         if len(self.moved) == len(_AXES):
+            self.is_down = rests and abs(float(state.position[2]) - self._lifted_m) < self.down_m
             return
         if self._from is None:
             self._from = state.position.copy()
+            self._lifted_m = float(state.position[2])
         step = state.position - self._from
-        if np.linalg.norm(step) >= self.far_m and np.linalg.norm(state.velocity) < self.rest_m_s:
+        if np.linalg.norm(step) >= self.far_m and rests:
             self.moved.append(step)
             self._from = state.position.copy()
 

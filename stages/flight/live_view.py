@@ -207,7 +207,7 @@ class _View:
             rows += _filter_rows(sample.filter)
         table = "\n".join(f"| {name} | {value} |" for name, value in rows)
         head = f"**{self.head.name}** behind {self.head.filter}\n\n| | |\n| --- | --- |\n{table}\n\n"
-        return head + "\n".join(f"- {line}" for line in self.lines)
+        return head + "\n".join(f"- {line}" for line in reversed(self.lines))
 
 
 def _filter_rows(done: FilterSample) -> list[tuple[str, str]]:

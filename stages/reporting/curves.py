@@ -12,13 +12,23 @@ from numpy.typing import NDArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.run import TrialResult
 from alula.stages.compression.hulls import Hulls
+from alula.stages.reporting.course import Spell, spells
 from alula.stages.reporting.fenced import fence_shape
-from alula.stages.reporting.material import OUTCOMES, Material, Run, clearance_of, flew_through, outcome_of
+from alula.stages.reporting.material import (
+    NOT_JUDGED,
+    OUTCOMES,
+    Material,
+    Run,
+    clearance_of,
+    flew_through,
+    outcome_of,
+)
 from alula.stages.reporting.tables import path_ratio, voxel_count
 
 Floats = NDArray[np.float64]
 
 _QUIET = ("", "ok", "filtered", "passed", "blended")  # what a filter does all the time
+_GAP_S = 0.2
 _PLAN_SAMPLES = 400
 _DRAWN_PATHS = 300  # per run; those that ended badly first
 _DRAWN_POINTS = 600  # per path; more are not told apart on a page
@@ -71,7 +81,8 @@ class WorstFlight:
     """The margin over time of the flight that came closest.
 
     `margin_unit` is "m", or says what else the margin measures. `trouble` marks the margins where the filter
-    had to do more than change the input; `statuses` are the words for it.
+    had to do more than change the input; `statuses` are the words for it. `spells` are the states of a real
+    flight's supervisor.
     """
 
     label: str
@@ -84,6 +95,7 @@ class WorstFlight:
     speed_m_s: Floats
     trouble: NDArray[np.bool_]
     statuses: tuple[str, ...]
+    spells: tuple[Spell, ...] = ()
 
 
 def distribution(label: str, values: Iterable[float | None]) -> Distribution:
@@ -130,6 +142,8 @@ def thin(points: Floats, most: int = _DRAWN_POINTS) -> Floats:
 def paths_of(run: Run) -> list[Path]:
     """What was flown in a run; a straight line to the goal is never drawn for what was not logged."""
     ends = {trial.index: outcome_of(trial) for trial in run.record.trials if trial.index in run.flights}
+    if not ends and run.course is not None:  # whose log was cut: no trial, but what was flown
+        return [Path(run.label, NOT_JUDGED, thin(flown.position_world)) for flown in run.flights.values()]
     order = sorted(ends, key=lambda index: (-OUTCOMES.index(ends[index]), index))[:_DRAWN_PATHS]
     return [Path(run.label, ends[index], thin(run.flights[index].position_world)) for index in sorted(order)]
 
@@ -209,6 +223,15 @@ def compression(cover: Artifact | None) -> Compression | None:
     return Compression(hulls, 1 + excess / max(voxel_count(cover), 1), planes)
 
 
+def broken(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """A curve with a NaN wherever nothing was said for much longer than usual: no line bridges a gap."""
+    step = np.diff(time_s)
+    if len(step) == 0:
+        return time_s, values
+    gaps = np.flatnonzero(step > max(10 * float(np.median(step)), _GAP_S)) + 1
+    return np.insert(time_s, gaps, time_s[gaps - 1]), np.insert(values, gaps, np.nan)
+
+
 def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:
     """The logged flight with the least clearance; of those without any, the least margin."""
     candidates: list[tuple[float, int, int, Run, TrialResult]] = []
@@ -236,4 +259,5 @@ def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:
         flight.speed_m_s,
         np.array(trouble, np.bool_),
         tuple(sorted({s.lower() for s, bad in zip(flight.status, trouble, strict=True) if bad})),
+        spells(run.course),
     )

@@ -12,8 +12,9 @@ import numpy as np
 
 from alula.stages.flight.geofence_map import SHOWN_BEYOND_M
 from alula.stages.reporting import curves
+from alula.stages.reporting.course import Spell
 from alula.stages.reporting.fenced import is_fenced
-from alula.stages.reporting.material import OUTCOMES, Material
+from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material
 from alula.stages.reporting.tables import text
 
 COLORS = {
@@ -26,8 +27,10 @@ COLORS = {
     "stopped": "#cc79a7",
     "outside": "#d7301f",
     "collision": "#d7301f",
+    NOT_JUDGED: "#d55e00",
     "planned": "#222222",
 }
+_SPELLS = {"fly": "#009e73", "hold": "#e69f00", "hand-over": "#d7301f", "abort": "#d7301f"}
 _DASHES = dict.fromkeys(COLORS, "-") | {"stuck": "--", "timeout": "-.", "refused": ":", "stopped": "-."}
 _RUN_COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#222222")
 _STYLE = {
@@ -46,6 +49,7 @@ _STYLE = {
 _VECTOR_FOOTPRINTS = 1500  # more are drawn as an image inside the figure
 _MOST_MAPS = 4
 _FEW_PATHS = 40  # more are drawn thinner
+_NAMED_SHARE = 0.08  # of a flight's time; shorter states have no room for their names
 _DOTTED = 40  # distributions of more values are drawn without their dots
 
 
@@ -68,9 +72,10 @@ def all_figures(material: Material) -> list[Figure]:
     for number, shown in enumerate(curves.flight_maps(material)[:_MOST_MAPS], 1):
         found.append(_map_figure(shown, f"map-{number}"))
     found += fence_figures(material)
-    if clearances := curves.clearances(material.runs):
+    many = () if [run.course is None for run in material.runs] == [False] else material.runs
+    if clearances := curves.clearances(many):  # a single real flight is no distribution
         found.append(_clearance_figure(clearances, all(map(is_fenced, material.runs))))
-    if ratios := curves.path_ratios(material.runs):
+    if ratios := curves.path_ratios(many):
         found.append(_ratio_figure(ratios))
     if (worst := curves.worst_flight([run for run in material.runs if not is_fenced(run)])) is not None:
         found.append(_worst_figure(worst))
@@ -143,7 +148,7 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
         )
         few = len(shown.paths) <= _FEW_PATHS
         size_of_end = 22 if few else 11
-        for outcome in (*OUTCOMES, "planned"):
+        for outcome in (*OUTCOMES, NOT_JUDGED, "planned"):
             paths = [p.position_world for p in shown.paths if p.outcome == outcome and len(p.position_world)]
             if not paths:
                 continue
@@ -173,7 +178,7 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
         svg = render()
     counts = ", ".join(
         f"{sum(p.outcome == o for p in shown.paths)} {o}"
-        for o in (*OUTCOMES, "planned")
+        for o in (*OUTCOMES, NOT_JUDGED, "planned")
         if any(p.outcome == o for p in shown.paths)
     )
     where = ""
@@ -237,7 +242,7 @@ def _ratio_figure(shown: Sequence[curves.Distribution]) -> Figure:
 def _worst_figure(worst: curves.WorstFlight) -> Figure:
     with drawing(6.2, 4.2, rows=2) as ((top, bottom), render):
         top.axhline(0, color=COLORS["collision"], linewidth=1.2)
-        top.plot(worst.margin_time_s, worst.margin, color=_RUN_COLORS[0], linewidth=1.6)
+        top.plot(*curves.broken(worst.margin_time_s, worst.margin), color=_RUN_COLORS[0], linewidth=1.6)
         if worst.trouble.any():
             top.plot(
                 worst.margin_time_s[worst.trouble],
@@ -250,6 +255,7 @@ def _worst_figure(worst: curves.WorstFlight) -> Figure:
         top.set(ylabel="margin [m]" if worst.margin_unit == "m" else f"margin\n{worst.margin_unit}")
         bottom.plot(worst.speed_time_s, worst.speed_m_s, color=_RUN_COLORS[2], linewidth=1.6)
         bottom.set(xlabel="time [s]", ylabel="speed [m/s]")
+        _shade(top, bottom, worst.spells)
         svg = render()
     unit = "" if worst.margin_unit == "m" else f", {worst.margin_unit},"
     alt = (
@@ -258,7 +264,27 @@ def _worst_figure(worst: curves.WorstFlight) -> Figure:
         f"{len(worst.trouble)} logged steps the filter had to do more than change the input"
         f"{' (' + ', '.join(worst.statuses) + ')' if worst.statuses else ''}."
     )
+    if worst.spells:
+        alt += f" The supervisor's states: {', '.join(map(str, worst.spells))}."
     return Figure("worst", f"The closest flight: {worst.label}, trial {worst.trial}", alt, svg)
+
+
+def _shade(top: Any, bottom: Any, spells: Sequence[Spell]) -> None:
+    """The states of a real flight behind its curves; the names of those that last are above."""
+    if not spells:
+        return
+    begin, end = spells[0].begin_s, spells[-1].end_s
+    for spell in spells:
+        color = _SPELLS.get(spell.state)
+        for axes in (top, bottom):
+            axes.axvline(spell.begin_s, color="#c3cad2", linewidth=0.8, zorder=0)
+            if color is not None:
+                axes.axvspan(spell.begin_s, spell.end_s, color=color, alpha=0.1, linewidth=0, zorder=0)
+        if spell.end_s - spell.begin_s > _NAMED_SHARE * (end - begin) or spell.state in _SPELLS:
+            middle = 0.5 * (spell.begin_s + spell.end_s)
+            where = top.get_xaxis_transform()
+            top.text(middle, 1.02, spell.state, transform=where, ha="center", fontsize=9, color="#5b6673")
+    top.set_xlim(begin, end)
 
 
 def _compression_figure(curve: curves.Compression) -> Figure:

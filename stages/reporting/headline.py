@@ -8,7 +8,15 @@ from typing import Any
 
 from alula.schemas.run import TrialResult
 from alula.stages.reporting.fenced import is_fenced
-from alula.stages.reporting.material import Material, Run, clearance_of, is_covered, outcome_of, proof
+from alula.stages.reporting.material import (
+    NOT_JUDGED,
+    Material,
+    Run,
+    clearance_of,
+    is_covered,
+    outcome_of,
+    proof,
+)
 from alula.stages.reporting.tables import (
     BYTES_PER_HALF_PLANE,
     gaussian_count,
@@ -46,6 +54,9 @@ def headline(material: Material) -> dict[str, Any]:
         said = [_said(part) for part in (static, moving, fenced) if part]
         collisions = sum(trial.collision for _, trial in trials if trial.fence is None)
         found["flights"] = "; ".join(said) + (f", {collisions} collided" if static or moving else "")
+    ends = [(r.label, r.record.summary["ended_by"]) for r in material.runs if "ended_by" in r.record.summary]
+    if ends:
+        found["ended_by"] = "; ".join(words if len(ends) == 1 else f"{who}: {words}" for who, words in ends)
     if known := [c for _, trial in trials if (c := clearance_of(trial)) is not None]:
         found["least_clearance_m"] = min(known)
     if notes := [
@@ -90,6 +101,8 @@ def _run_cards(run: Run) -> list[Card]:
     if is_fenced(run):
         return _fence_cards(run)
     summary, trials = run.record.summary, run.record.trials
+    if run.course is not None and not trials:  # nothing that could be counted
+        return [Card("verdict", NOT_JUDGED, "; ".join(summary.get("notes", ())), False)]
     interval = success_interval(run)
     rate, collisions = summary.get("success_rate"), summary.get("collisions")
     detail = _said(trials)
@@ -97,7 +110,12 @@ def _run_cards(run: Run) -> list[Card]:
         detail += " unharmed"
     if interval:
         detail += f"; 95 %: {text(interval[0])} to {text(interval[1])}"
-    found = [
+    found = []
+    if (ended := summary.get("ended_by")) is not None:  # a real flight
+        holds = summary.get("holds", 0)
+        said = "never held on the way" if holds == 0 else f"held {text(holds)} times on the way"
+        found.append(Card("ended by", str(ended), said, ended == "plan finished"))
+    found += [
         Card("success rate", text(rate), detail),
         Card("collisions", text(collisions), "after the flight, continuous path", collisions == 0),
     ]

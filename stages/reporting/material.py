@@ -7,23 +7,27 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from alula.schemas.artifact import Artifact
-from alula.schemas.flights import Flight
+from alula.schemas.flights import Course, Flight
 from alula.schemas.manifest import InputRef
 from alula.schemas.run import RunRecord, TrialResult
 
 OUTCOMES = (
     *("reached", "passed", "inside", "stuck", "timeout", "refused", "stopped", "outside", "collision"),
 )
+NOT_JUDGED = "not judged"  # of a flight whose log was cut
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One log: its label (unique in the report), its summary, its flights by trial, hulls of its map."""
+    """One log: its label (unique in the report), its summary, its flights by trial, hulls of its map, and
+    the course of a real flight.
+    """
 
     label: str
     record: RunRecord
     flights: Mapping[int, Flight] = field(default_factory=dict)
     hulls: int | None = None
+    course: Course | None = None
 
 
 @dataclass(frozen=True, slots=True)

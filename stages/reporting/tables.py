@@ -15,6 +15,7 @@ import numpy as np
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.run import FenceResult, TrialResult
+from alula.stages.reporting.course import course_rows, course_tables
 from alula.stages.reporting.fenced import FENCE_NOTE, fence_columns, fence_rows, is_fenced
 from alula.stages.reporting.material import OUTCOMES, Material, Run, flew_through, is_covered, outcome_of
 from alula.stages.reporting.published import paper_tables
@@ -75,9 +76,9 @@ def all_tables(material: Material, names: Sequence[str] = (), paper: str | None 
             _beside("parameters", "Parameters", material.runs, lambda r: flat(r.record.provenance.parameters))
         )
     many = len(material.runs) > 1
-    for number, run in enumerate(material.runs, 1):
-        tables.append(trials_table(run, f"trials-{number}" if many else "trials"))
-    tables.append(inputs_table(material))
+    for n, run in enumerate(material.runs, 1):
+        tables.append(trials_table(run, f"trials-{n}" if many else "trials"))
+    tables += [*(Table(*parts) for parts in course_tables(material.runs)), inputs_table(material)]
     known = [table.name for table in tables]
     if missing := [name for name in names if name not in known]:
         raise UsageError(f"--table {missing[0]}: this report has {', '.join(known)}")
@@ -136,6 +137,7 @@ def _summary_of(run: Run) -> dict[str, Any]:
         **{_ENDS.get(end, end): count for end, count in ends.items() if count or end != "stopped"},
         "least clearance to the hulls [m]": summary.get("min_map_clearance_m"),
         "least clearance to the splats [m]": summary.get("min_scene_clearance_m"),
+        **course_rows(summary),
         "path / straight line, mean of successes": summary.get("mean_path_ratio"),
         "top speed [m/s]": max((trial.max_speed_m_s for trial in trials), default=None),
         "largest jerk [m/s³]": max((trial.max_jerk_m_s3 for trial in trials), default=None),

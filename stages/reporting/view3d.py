@@ -15,7 +15,7 @@ from alula.stages.compression.facets import Mesh, mesh
 from alula.stages.reporting.curves import Path, paths_of, plan_positions, thin
 from alula.stages.reporting.fenced import FenceShape, fence_shape
 from alula.stages.reporting.figures import COLORS
-from alula.stages.reporting.material import OUTCOMES, Material
+from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material
 
 _MOST_POINTS = 100_000
 _MOST_TRIANGLES = 300_000
@@ -172,7 +172,7 @@ def _path_objects(paths: Sequence[Path]) -> list[Any]:
     objects = []
     spans = [np.ptp(path.position_world, axis=0).max() for path in paths]
     width = max(0.02, float(max(spans, default=0.0)) / 300)  # seen of flights over hundreds of metres too
-    for outcome in (*OUTCOMES, "planned"):
+    for outcome in (*OUTCOMES, NOT_JUDGED, "planned"):
         own = [path.position_world.astype(np.float32) for path in paths if path.outcome == outcome]
         if not own:
             continue

@@ -89,3 +89,11 @@ def test_a_package_that_cannot_be_imported_is_missing_with_the_reason(tmp_path, 
 def test_shared_libraries_are_named_by_their_packages():
     assert doctor._absent(lambda library: False) == list(doctor.LIBRARIES.values())
     assert doctor._absent(lambda library: True) == []
+
+
+def test_what_only_some_commands_need_is_optional_and_named(monkeypatch):
+    monkeypatch.setattr(doctor, "_package", lambda module, name: Check(module, "missing", "", "pip install"))
+    found = doctor._extra("viser")
+    assert (found.status, found.note) == ("optional", "only for fly --live: pip install 'alula[live]'")
+    monkeypatch.setattr(doctor, "_package", lambda module, name: Check(module, "ok", "1.1"))
+    assert doctor._extra("cflib") == Check("cflib", "ok", "1.1")

@@ -68,6 +68,14 @@ def test_a_dry_run_writes_nothing_and_prints_the_checks(pipeline, tmp_path, caps
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_plan_of_another_cover_is_said(pipeline, tmp_path, capsys):
+    other = tmp_path / "other.cover.npz"
+    assert run(["merge", str(pipeline / "tiny.voxels.npz"), "-o", str(other), "--hulls", "5", "-q"]) == 0
+    code = run(words(pipeline, tmp_path / "f.run.mcap", "-n", map_name=str(other), link="sim:?start=2,1.5,0"))
+    assert code == 4
+    assert "tiny.plan.npz was planned in another cover than" in capsys.readouterr().err
+
+
 def test_a_failing_check_is_named_and_leaves_no_log(pipeline, tmp_path, capsys):
     log = tmp_path / "f.run.mcap"
     assert run(words(pipeline, log, "-q", link="sim:?start=2,1.5,0")) == 4
@@ -86,6 +94,9 @@ def test_a_failing_check_is_named_and_leaves_no_log(pipeline, tmp_path, capsys):
         (["--filter", "cone-backup"], SIM, 2, "sees the ellipsoids of a scene"),
         (["--filter", "nothing-like-it"], SIM, 2, "no filter is called"),
         (["--signing-key", "{folder}/pairs.csv"], SIM, 3, "a signing key is 32 bytes"),
+        (["--mocap", "127.0.0.1:9870"], "udpout:127.0.0.1:9", 2, "motion capture comes by udp:HOST:PORT"),
+        (["--fence", "0 0 0 1 1 1"], SIM, 2, "(see 'alula fly -h')"),
+        ([], "serial:/dev/null:57600", 6, "as a serial line: Inappropriate ioctl"),
         ([], "serial:/dev/does-not-exist:57600", 6, "does-not-exist"),
     ],
 )

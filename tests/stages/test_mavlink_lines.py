@@ -117,6 +117,34 @@ def test_a_signed_conversation_from_end_to_end(tmp_path):
     assert int((tmp_path / "stamp").read_text()) > 0
 
 
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [(None, "it signs its packets"), (bytes(32), "bad packets came; do both ends have the same signing key")],
+)
+def test_who_has_no_key_or_another_is_told_so(tmp_path, key, said):
+    peer = Peer()
+    peer.mav.signing.secret_key, peer.mav.signing.sign_outgoing = KEY, True
+    peer.mav.signing.timestamp = round((1.8e9 - 1_420_070_400) * 1e5)
+    peer.answer = lambda message: None  # as it does to who is not signed with its key
+    options = {"key": key, "signing_file": None if key is None else tmp_path / "stamp"}
+    with pytest.raises(LinkError, match=said), vehicle(peer=peer, wall_clock=lambda: 1.8e9, **options):
+        pass
+
+
+def test_of_other_systems_than_the_one_that_was_asked_for_it_says_which():
+    words = "no vehicle was heard within 5 s: only system 1, not 2"
+    with pytest.raises(LinkError, match=words), vehicle(address="?system=2"):
+        pass
+
+
+def test_where_nothing_comes_from_is_named():
+    peer = Peer()
+    peer.beat = lambda: None
+    words = rf"udpout:127.0.0.1:{peer.port}: no vehicle was heard .*: nothing"
+    with pytest.raises(LinkError, match=words), vehicle(peer=peer):
+        pass
+
+
 def test_a_serial_line_carries_the_same(tmp_path):
     ours, theirs = pty.openpty()
     name = os.ttyname(theirs)

@@ -180,8 +180,35 @@ MOVES = [(0.5, 0.05, 0), (0.02, 0.45, 0.05), (0, 0.03, 0.4)]
 
 def test_moves_by_hand_are_seen_as_they_are():
     check = carry(HandCheck(), MOVES, np.eye(3))
-    assert (check.prompt, check.verdict()) == ("", "")
+    assert check.verdict() == ""
+    for height in (0.45, 0.25):  # in a hand, at rest
+        check.update(state((0.0, 0.0, height)))
+        assert "put the vehicle back" in check.prompt
+    check.update(state((0.0, 0.0, 0.1)))
+    assert check.prompt == ""
     assert "+x" in HandCheck().prompt
+
+
+def test_a_vehicle_that_rests_in_a_hand_is_not_armed():
+    vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
+    armed = []
+
+    def carried(v, now):
+        if v.status.armed:
+            armed.append(now)
+            return
+        steps = [min(1.0, max(0.0, now - 100.5 - 2 * i)) for i in range(3)]
+        sideways = max(0.0, min(1.0, now - 107.5))  # back over the start, and held there until 125 s
+        down = max(0.0, min(1.0, now - 125.0))
+        left = np.array([1 - sideways, 1 - sideways, 1 - down])
+        v.x[:3] = np.array([START[0], START[1], 0.0]) + 0.4 * np.array(steps) * left
+
+    vehicle.on_poll = carried
+    loop = loop_of(mission(), vehicle, by_hand=True)
+    loop.run()
+    assert armed[0] > 125.5
+    said = [words for _, words in loop.recorder.lines if words.startswith("put the vehicle back")]
+    assert len(said) == 1
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

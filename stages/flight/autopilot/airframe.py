@@ -10,7 +10,15 @@ import numpy as np
 from alula._core import Plant
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import Vehicle
-from alula.stages.flight.autopilot.quaternions import Quat, Vector, from_euler, from_mrp, to_euler, to_mrp
+from alula.stages.flight.autopilot.quaternions import (
+    Quat,
+    Vector,
+    added,
+    from_euler,
+    from_mrp,
+    to_euler,
+    to_mrp,
+)
 from alula.stages.flight.frames import LocalFrame, flipped_body
 from alula.stages.flight.vehicles import plant, quadrotor
 
@@ -71,9 +79,27 @@ class Airframe:
             or vehicle.disturbance.rate_noise_rad_s
         )
         self.on_ground = True
+        self._stood: Vector | None = None  # before a hand took it
         self.touchdown_m_s = 0.0
         self.truth = self.sensed = Motion((0.0,) * 3, (0.0,) * 3, from_euler(0, 0, heading_rad), (0.0,) * 3)
         self._park()
+
+    @property
+    def is_carried(self) -> bool:
+        """Whether a hand holds it."""
+        return self._stood is not None
+
+    def carry(self, by: tuple[Vector, Vector, Vector] | None) -> None:
+        """Held by a hand, level: position from where it stood, velocity, acceleration; None puts it back."""
+        if by is None:
+            if self._stood is not None:
+                self._park()
+                self._stood = None
+            return
+        if self._stood is None:
+            self._stood = self.truth.position
+        at = added(self._stood, by[0])
+        self.truth = self.sensed = Motion(at, by[1], self.truth.attitude, (0.0,) * 3, by[2])
 
     @property
     def weight_n(self) -> float:
@@ -98,7 +124,7 @@ class Airframe:
             self._park()
 
     def _park(self) -> None:
-        x, y, _ = self.truth.position
+        x, y, _ = self.truth.position if self._stood is None else self._stood
         attitude = from_euler(0, 0, to_euler(self.truth.attitude)[2])
         state = np.concatenate([[x, y, 0.0], to_mrp(attitude), np.zeros(6)])
         self._plant.reset(state * _FLIP)

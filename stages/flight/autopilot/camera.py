@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 
 from alula.stages.flight.autopilot.airframe import Motion
+from alula.stages.flight.autopilot.quaternions import Vector
 from alula.stages.flight.frames import LocalFrame
 
 PERIOD_S = 0.01
@@ -13,10 +14,16 @@ _NOISE_M = 0.0005
 
 
 class Camera:
-    """Sees the true pose, to half a millimetre, in east-north-up from home with body forward-left-up."""
+    """Sees the true pose, to half a millimetre, in east-north-up with body forward-left-up.
 
-    def __init__(self, seed: int) -> None:
-        self._frame = LocalFrame()
+    Args:
+        seed: of the noise.
+        start: where the vehicle boots, in the camera's frame [m].
+    """
+
+    def __init__(self, seed: int, start: Vector = (0.0, 0.0, 0.0)) -> None:
+        x, y, z = start
+        self._frame = LocalFrame(0.0, (-x, -y, -z))
         self._random = np.random.default_rng([seed, 11])
 
     def datagram(self, time_s: float, truth: Motion) -> bytes:

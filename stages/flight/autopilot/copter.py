@@ -12,6 +12,7 @@ from alula.stages.flight.autopilot.attitude import AttitudeControl
 from alula.stages.flight.autopilot.battery import Battery, Charge
 from alula.stages.flight.autopilot.estimator import Estimator, EstimatorOptions, LatLonAlt
 from alula.stages.flight.autopilot.flying import Flying
+from alula.stages.flight.autopilot.hand import Hand
 from alula.stages.flight.autopilot.modes import MODES, Mode, refusal
 from alula.stages.flight.autopilot.parameters import Parameters
 from alula.stages.flight.autopilot.pilot import Pilot
@@ -44,6 +45,7 @@ class Copter:
             simulation starts.
         heading_rad: at the start, clockwise from north.
         seed: of everything random.
+        hand: who moves it while it is disarmed; nobody by default.
 
     Raises:
         UsageError: the vehicle is no quadrotor, or a parameter is unknown.
@@ -65,6 +67,7 @@ class Copter:
         home: LatLonAlt | None = None,
         heading_rad: float = 0.0,
         seed: int = 0,
+        hand: Hand | None = None,
     ) -> None:
         self.name = vehicle.name
         self.airframe = Airframe(vehicle, seed=seed, heading_rad=heading_rad)
@@ -80,6 +83,7 @@ class Copter:
             self.parameters, options, self.airframe.truth, self.PLACE if home is None else home, seed
         )
         self.flying = Flying(self.attitude, self.parameters, self.pilot, vehicle.body.gravity_m_s2)
+        self._hand = hand
         self.texts: deque[tuple[int, str]] = deque()
         self.mode = Mode.STABILIZE
         self.is_armed = False
@@ -120,7 +124,11 @@ class Copter:
     def tick(self) -> None:
         """Live for `TICK_S`."""
         self._ticks += 1
-        self.estimator.update(self.airframe.sensed, is_still=self.airframe.on_ground)
+        if self._hand is not None:
+            self._hand.attend(self.time_s, self._gcs_s, is_ready=self.estimator.has_position)
+            self.airframe.carry(None if self.is_armed else self._hand.motion(self.time_s))
+        is_still = self.airframe.on_ground and not self.airframe.is_carried
+        self.estimator.update(self.airframe.sensed, is_still=is_still)
         motion = self.estimator.motion
         if self.time_s - self._checked_s >= _CHECK_S - 1e-9:
             self._check(self.time_s - self._checked_s)

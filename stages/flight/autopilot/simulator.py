@@ -35,6 +35,7 @@ class SimulatedVehicle:
         channel: number of the serial port; channel 0 takes unsigned packets even with a key.
         key: 32 bytes for signatures, or None.
         epoch_s: Unix time at boot, which SYSTEM_TIME and signatures need; 0 if unknown.
+        camera_start: where it boots, in the frame of motion capture, east north up [m].
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class SimulatedVehicle:
         channel: int = 0,
         key: bytes | None = None,
         epoch_s: float = 0.0,
+        camera_start: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:
         self.copter = copter
         self.codec = Codec(
@@ -62,7 +64,7 @@ class SimulatedVehicle:
         self._random = np.random.default_rng([seed, 10])
         self._begun: dict[int, bool] = {}  # faults of the vehicle that had their turn: whether they act
         self._outbox: list[bytes] = []
-        self._camera = Camera(seed)
+        self._camera = Camera(seed, camera_start)
         self._pictures = 0
 
     @property

@@ -81,7 +81,8 @@ class Session:
         vehicle.param.add_update_callback(cb=self._count)
         vehicle.open_link(self.uri)
         if not self.wait(lambda: self._ready.is_set() or self.lost is not None, timeout_s) or self.lost:
-            raise LinkError(f"{self.uri}: no Crazyflie: {self.lost or f'no answer within {timeout_s:g} s'}")
+            lost = (self.lost or "").removeprefix("Exception: ")  # a class's name helps nobody
+            raise LinkError(f"{self.uri}: no Crazyflie: {lost or f'no answer within {timeout_s:g} s'}")
         if self.protocol < OLDEST_PROTOCOL:
             raise LinkError(
                 f"{self.uri}: the firmware is too old: CRTP {self.protocol}, not {OLDEST_PROTOCOL}"

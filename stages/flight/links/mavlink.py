@@ -237,7 +237,7 @@ class MavlinkLink:
     def _identify(self, timeout_s: float) -> str:
         session, telemetry = self._session, self._telemetry
         if not session.wait(lambda: telemetry.heartbeat is not None, timeout_s):
-            raise LinkError(f"no vehicle was heard within {timeout_s:g} s ({session.bad} bad packets)")
+            raise LinkError(f"{session.name}: no vehicle was heard within {timeout_s:g} s{session.refused()}")
         autopilot = autopilot_of(telemetry.heartbeat)
         if self._is_without_position:
             if autopilot is not ARDUPILOT:
@@ -253,7 +253,8 @@ class MavlinkLink:
             dialect.MAV_CMD_REQUEST_MESSAGE, (float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION),)
         )
         if not session.wait(lambda: self._version is not None, _ANSWER_S, again=lambda: session.send(ask)):
-            raise LinkError("the vehicle does not say what its autopilot can do (AUTOPILOT_VERSION)")
+            key = "; it signs its packets: does it take only those with its key?" if session.is_signed else ""
+            raise LinkError(f"the vehicle does not say what its autopilot can do (AUTOPILOT_VERSION){key}")
         needed = dialect.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
         if not self._is_without_position:
             needed |= dialect.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED

@@ -59,6 +59,7 @@ class Session:
         source = _number(address, "source")
         self._is_given = self.vehicle is not None
         self.others: set[int] = set()
+        self._unasked: set[int] = set()  # beside the one that was
         self.heard_s: float | None = None
         self.lost = self.unsent = 0
         self._strangers = 0
@@ -81,6 +82,25 @@ class Session:
     def bad(self) -> int:
         """Frames that were refused."""
         return self._wire.bad + self._strangers
+
+    @property
+    def name(self) -> str:
+        """The address, as it was given."""
+        return f"{self._address.scheme}:{self._address.place}"
+
+    @property
+    def is_signed(self) -> bool:
+        """Whether packets of the vehicle were signed although we have no key."""
+        return self.signer is None and self._wire.is_signed
+
+    def refused(self) -> str:
+        """How many frames were refused, and what may be the matter: the end of a sentence."""
+        if self._unasked:
+            return f": only system {', '.join(map(str, sorted(self._unasked)))}, not {self.vehicle}"
+        if not self.bad:
+            return ": nothing came"
+        guess = "do both ends have the same signing key?" if self.signer else "is it MAVLink, at this speed?"
+        return f": {self.bad} bad packets came; {guess}"
 
     @property
     def target(self) -> tuple[int, int]:
@@ -208,8 +228,7 @@ class Session:
             if self.vehicle is None:
                 self.vehicle = packet.system
                 return True
-            if not self._is_given and len(self.others) < 255:
-                self.others.add(packet.system)
+            (self._unasked if self._is_given else self.others).add(packet.system)  # a byte: 255 at most
         return False
 
     def _count(self, sequence: int) -> None:

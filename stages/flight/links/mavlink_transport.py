@@ -197,7 +197,8 @@ class _Serial(_Stream):
             termios.tcflush(self._file, termios.TCIOFLUSH)
         except (OSError, termios.error) as error:
             os.close(self._file)
-            raise LinkError(f"{device}: cannot be set up as a serial line: {error}") from error
+            reason = error.args[-1] if error.args else error  # termios.error has no strerror
+            raise LinkError(f"{device}: cannot be set up as a serial line: {reason}") from error
 
     def _read(self) -> bytes:
         return os.read(self._file, _DATAGRAM)

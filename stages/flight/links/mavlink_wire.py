@@ -41,12 +41,14 @@ class Wire:
 
     Attributes:
         bad: frames, and runs of other bytes, that were refused.
+        is_signed: whether a frame that was not refused had a signature.
     """
 
     def __init__(
         self, system: int, component: int, wanted: Iterable[int], signer: Signer | None = None
     ) -> None:
         self.bad = 0
+        self.is_signed = False
         self._wanted = frozenset(wanted)
         self._signer = signer
         self._rest = b""
@@ -120,6 +122,7 @@ class Wire:
             return None
         if self._signer is not None and not (signed and self._signer.accepts(frame, system, component)):
             return None
+        self.is_signed = self.is_signed or bool(signed)
         if number not in self._wanted:
             return Packet(system, component, sequence, None, kind is not None)
         try:

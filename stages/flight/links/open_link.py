@@ -44,6 +44,8 @@ def open_link(address: str, options: LinkOptions | None = None) -> Link:
     options = LinkOptions() if options is None else options
     parsed = parse_address(address)
     factory = _factory(parsed.scheme)
+    if options.mocap is not None and not options.mocap.startswith("udp:"):
+        raise UsageError(f"{options.mocap}: motion capture comes by udp:HOST:PORT")
     for each in (address, options.mocap):
         if each is not None:
             check_address(each, options.allow_remote)
