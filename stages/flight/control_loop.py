@@ -21,7 +21,8 @@ from alula.stages.flight.flight_sampling import filter_sample, tick_sample
 from alula.stages.flight.frame_check import Jump, MotionCheck
 from alula.stages.flight.links.protocol import Link, Order, VehicleState
 from alula.stages.flight.loop_options import Counters, LoopOptions
-from alula.stages.flight.mode_watch import ModeWatch
+from alula.stages.flight.mode_watch import HealthWatch, ModeWatch
+from alula.stages.flight.place_watch import PlaceWatch
 from alula.stages.flight.supervisor import (
     Action,
     Event,
@@ -40,7 +41,7 @@ FloatArray = NDArray[np.float64]
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
 _BAD = frozenset(
     {Event.CHECK_FAILED, Event.LINK_LOST, Event.FAILSAFE, Event.FILTER_FAILED, Event.FRAME_WRONG}
-    | {Event.ESTIMATOR_BAD, Event.FENCE, Event.FAILSAFE_IDLE}
+    | {Event.ESTIMATOR_BAD, Event.FENCE, Event.FAILSAFE_IDLE, Event.OFF_WAY, Event.DRIFTS, Event.UNTOLD}
 )
 _FINE = frozenset(
     {Event.START, Event.CHECKS_PASSED, Event.CHECKS_PASSED_DRY, Event.ARMED, Event.AIRBORNE}
@@ -94,7 +95,7 @@ class ControlLoop:
         self._start_height_m = height_m
         self._interrupts, self._clock, self._sleep = interrupts, clock, sleep
         self._begin_s = 0.0
-        self._modes = ModeWatch()
+        self._modes, self._health, self._places = ModeWatch(), HealthWatch(), PlaceWatch(height_m)
         self._motion = MotionCheck()
         self._jump, self._jump_m = Jump(), 0.0
         self._ground_m: float | None = None
@@ -102,6 +103,7 @@ class ControlLoop:
         self._fallback_s = 0.0
         self._overruns = 0
         self._fence_m: float | None = None
+        self._astray_m = self._drift_m = 0.0
         self._refused_s = math.inf
         self._jumps: int | None = None
         self._deaf = False
@@ -141,7 +143,7 @@ class ControlLoop:
         while self.state is not State.DONE:
             wait = deadline - self._clock()
             if wait > 0:
-                self._sleep(wait)
+                self._sleep(min(wait, period))  # more only where a clock goes back
             now = self._clock()
             late = now - deadline
             self.tick(now, late, spent)
@@ -189,14 +191,27 @@ class ControlLoop:
     def _look(self, state: VehicleState | None, now_s: float, late_s: float) -> None:
         """What takes more than a glance: distances, the frame, the checks."""
         where = self.state
-        self._fence_m = None
+        self._fence_m, self._astray_m, self._drift_m = None, 0.0, 0.0
         if where is State.CHECKS:
             self.checks.look(self.link, now_s, late_s, self._words)
-        elif state is not None and where in (State.FLY, State.HOLD):
-            self._fence_m = self.guard.distance(state)
+        elif state is not None:
+            self._look_where(state)
         self._jump_m = 0.0 if state is None else self._jump.of(state)
         if state is not None and self.options.watch_frame and where in (State.TAKE_OFF, State.FLY):
             self._motion.update(state)
+
+    def _look_where(self, state: VehicleState) -> None:
+        where = self.state
+        if where in (State.FLY, State.HOLD):
+            self._fence_m = self.guard.distance(state)
+        elif where is State.TAKE_OFF:  # the ground may be nearer than the fence allows, its sides and top not
+            self._fence_m = self.guard.distance(state, self._start_height_m)
+        if where in (State.ARMING, State.TAKE_OFF):
+            self._astray_m = self._places.astray_m(state)
+        if where is State.HOLD:
+            self._drift_m = self._places.drift_m(state)
+        else:
+            self._places.moved()
 
     def _facts(self, now_s: float, late_s: float) -> Facts:
         state, status = self.link.state, self.link.status
@@ -211,6 +226,9 @@ class ControlLoop:
             landed=status.landed,
             obeys=status.obeys,
             is_failsafe=status.is_failsafe,
+            untold=self._health.is_untold(status, now_s),
+            astray_m=self._astray_m,
+            drift_m=self._drift_m,
             restarted=self._jumps is not None and status.clock_jumps > self._jumps,
             estimator_ready=status.is_estimator_ready,
             battery_share=status.battery_share,
@@ -256,13 +274,17 @@ class ControlLoop:
     def _do(self, action: Action, now_s: float) -> None:
         state, status = self.link.state, self.link.status
         if action is Action.ARM:
-            if self._ground_m is None and state is not None:
-                self._ground_m = float(state.position[2])
             if self._jumps is None:
                 self._jumps = status.clock_jumps
+                self._health.armed(status)
+                if self.checks.place is not None:
+                    self._places.proven(self.checks.place, self.checks.room_m)
+                    self._ground_m = float(self.checks.place[2])
             self._order(Order.ARM, now_s)
         elif action is Action.TAKE_OFF:
-            self._order(Order.TAKE_OFF, now_s, self._start_height_m - (self._ground_m or 0.0))
+            if self._ground_m is None:
+                raise LinkError("the vehicle has not said where it stands")
+            self._order(Order.TAKE_OFF, now_s, self._start_height_m - self._ground_m)
         elif action is Action.ENGAGE:
             self._place = None
             self.commander.reset()

@@ -13,9 +13,7 @@ from alula.schemas.errors import LinkError
 from alula.stages.flight.links.mavlink_autopilots import Autopilot, mode_command
 from alula.stages.flight.links.mavlink_session import Session
 from alula.stages.flight.links.mavlink_telemetry import Telemetry
-from alula.stages.flight.links.protocol import Order
-
-HIGHEST_M = 100.0
+from alula.stages.flight.links.protocol import HIGHEST_M, Order
 
 _REPEAT_S = 0.5
 _PATIENCE_S = 5.0
