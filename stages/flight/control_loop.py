@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,7 +194,7 @@ class ControlLoop:
         where = self.state
         self._fence_m, self._astray_m, self._drift_m = None, 0.0, 0.0
         if where is State.CHECKS:
-            self.checks.look(self.link, now_s, late_s, self._words)
+            self.checks.look(self.link, now_s, late_s, partial(self.say, now_s))
         elif state is not None:
             self._look_where(state)
         self._jump_m = 0.0 if state is None else self._jump.of(state)
@@ -210,8 +211,6 @@ class ControlLoop:
             self._astray_m = self._places.astray_m(state)
         if where is State.HOLD:
             self._drift_m = self._places.drift_m(state)
-        else:
-            self._places.moved()
 
     def _facts(self, now_s: float, late_s: float) -> Facts:
         state, status = self.link.state, self.link.status
@@ -265,11 +264,15 @@ class ControlLoop:
             if each.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and each.state is State.CHECKS:
                 detail = self.checks.failure()
             self.say(now_s, level, f"{each.step.words}{f' ({detail})' if detail else ''}")
-            try:
-                self._do(each.step.action, now_s)
-            except LinkError as error:
-                self.say(now_s, ERROR, f"{each.step.action.value}: {error}")
-                self._refused_s = min(self._refused_s, now_s)
+            self._try(each.step.action, now_s)
+
+    def _try(self, action: Action, now_s: float) -> None:
+        """Do it, or say why not, as if the vehicle had declined it."""
+        try:
+            self._do(action, now_s)
+        except LinkError as error:
+            self.say(now_s, ERROR, f"{action.value}: {error}")
+            self._refused_s = min(self._refused_s, now_s)
 
     def _do(self, action: Action, now_s: float) -> None:
         state, status = self.link.state, self.link.status
@@ -287,6 +290,7 @@ class ControlLoop:
             self._order(Order.TAKE_OFF, now_s, self._start_height_m - self._ground_m)
         elif action is Action.ENGAGE:
             self._place = None
+            self._places.moved()
             self.commander.reset()
             self.guard.reset()
             if state is not None:
@@ -319,11 +323,7 @@ class ControlLoop:
         elif not stays and self._place is not None:
             self._place = None
             if is_hold:
-                try:
-                    self._do(Action.HOLD, now_s)
-                except LinkError as error:
-                    self.say(now_s, ERROR, f"hold: {error}")
-                    self._refused_s = min(self._refused_s, now_s)
+                self._try(Action.HOLD, now_s)
         return stays
 
     def _fly(self, state: VehicleState, now_s: float) -> FilterSample | None:
@@ -382,9 +382,6 @@ class ControlLoop:
     def say(self, now_s: float, level: int, words: str) -> None:
         """A line for people."""
         self.recorder.say(now_s - self._begin_s, level, words)
-
-    def _words(self, level: int, words: str) -> None:
-        self.say(self._clock(), level, words)
 
     def _last_words(self) -> None:
         """The loop itself failed: land, if it may be flying and is ours."""
