@@ -294,3 +294,19 @@ def test_older_firmware_is_armed_by_its_platform_port_and_the_oldest_refused(
     monkeypatch.setattr("alula.stages.flight.autopilot.crazyflie.PROTOCOL", 8)
     with served() as vehicle, pytest.raises(LinkError, match="too old: CRTP 8"):
         opened(vehicle.address)
+
+
+@pytest.mark.parametrize(("volts", "share"), [(3.55, 0.5), (math.nan, None)])
+def test_a_battery_that_is_not_a_number_is_not_told(volts, share):
+    link = open_link("udp://127.0.0.1:19850", LinkOptions())
+    link.status.battery_share = 0.9  # of before
+    values = {
+        "kalman.varX": 0.0,
+        "kalman.varY": 0.0,
+        "kalman.varZ": 0.0,
+        "pm.vbat": volts,
+        "supervisor.info": 0,
+    }
+    link._told = (10.0, values)
+    link._read_status(10.1)
+    assert link.status.battery_share == (share if share is None else pytest.approx(share))

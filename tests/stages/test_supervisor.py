@@ -57,6 +57,9 @@ SHOWN = {
     Event.FALLBACK_LONG: {"fallback_s": 3.1},
     Event.FENCE: {"fence_m": -0.01},
     Event.BATTERY_LOW: {"battery_share": 0.19},
+    Event.UNTOLD: {"untold": True},
+    Event.OFF_WAY: {"astray_m": 0.01},
+    Event.DRIFTS: {"drift_m": 1.01},
     Event.LINK_LOST: {"silence_s": 1.6},
     Event.ESTIMATOR_BAD: {"estimator_ready": False},
     Event.FAILSAFE: {"is_failsafe": True, "obeys": False},
@@ -75,20 +78,31 @@ _FOR_LONG = {Event.TIMED_OUT: 1e6, Event.NOT_OBEYED: 2.1}
 def standing(state, event=None):
     """A flight that stands in a state, for as long as the event needs."""
     since = NOW - _FOR_LONG.get(event, 0.5)
+    if (state, event) == (State.ABORT, Event.DISARMED):
+        since = NOW - 1.1
+    unheeded = NOW - 2.1 if event is Event.NOT_OBEYED else math.inf
     holds = 4 if event is Event.HOLDS_USED_UP else 1
     well = NOW - 1.1 if event is Event.RECOVERED else math.inf
     engaged = event is not Event.NOT_OBEYED
     failsafe = NOW - 1.1 if event is Event.FAILSAFE_IDLE else math.inf
-    return Supervision(state, since, engaged=engaged, holds=holds, well_since_s=well, failsafe_s=failsafe)
+    return Supervision(
+        state,
+        since,
+        engaged=engaged,
+        unheeded_s=unheeded,
+        holds=holds,
+        well_since_s=well,
+        failsafe_s=failsafe,
+    )
 
 
 def facts_of(event, state):
     usual = {"armed": None} if state in (State.CHECKS, State.ARMING, State.ABORT) else {}
     shown = SHOWN.get(event, {})
-    obeys = {"obeys": False} if event is Event.NOT_OBEYED else {}
+    obeys = {"obeys": (event is Event.NOT_OBEYED) == (state is State.LAND)}  # in LAND its mode is another
     if event is Event.TIMED_OUT and state is State.HOLD:
-        obeys = {"late_s": 0.2}  # or else it has recovered
-    return dataclasses.replace(WELL, **{**usual, **shown, **obeys})
+        obeys |= {"late_s": 0.2}  # or else it has recovered
+    return dataclasses.replace(WELL, **{**obeys, **usual, **shown})
 
 
 def test_every_event_is_defined_in_every_state_once():
@@ -205,6 +219,26 @@ def test_a_vehicle_has_a_while_to_follow():
         fresh = Supervision(State.FLY, NOW - seconds)
         assert advance(fresh, facts, LIMITS)[0].state is expected
         assert advance(fresh, WELL, LIMITS)[0].engaged
+
+
+def test_what_says_it_is_on_the_ground_is_not_flown_however_high_it_seems():
+    high = dataclasses.replace(WELL, climbed_m=2.0)
+    for landed, expected in ((True, State.TAKE_OFF), (False, State.FLY), (None, State.FLY)):
+        facts = dataclasses.replace(high, landed=landed)
+        assert advance(Supervision(State.TAKE_OFF, NOW), facts, LIMITS)[0].state is expected
+
+
+def test_holds_do_not_begin_the_time_of_a_flight_anew():
+    where = Supervision(State.TAKE_OFF, NOW)
+    now = NOW
+    for _ in range(3):
+        for facts in ({"climbed_m": 1.0}, {"state_age_s": 1.0}, {}, {}):
+            now += 10.0 if where.state is State.FLY else 1.1
+            where, _ = advance(where, dataclasses.replace(WELL, now_s=now, **facts), LIMITS)
+    assert now - NOW < LIMITS.flight_s
+    assert (where.state, where.flying_s) == (State.FLY, NOW + 1.1)
+    late = dataclasses.replace(WELL, now_s=NOW + 1.1 + LIMITS.flight_s + 0.1)
+    assert advance(where, late, LIMITS)[0].cause is Event.TIMED_OUT
 
 
 def test_a_failsafe_that_leaves_the_vehicle_in_our_mode_is_answered_by_landing():
