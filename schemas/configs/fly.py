@@ -66,6 +66,14 @@ class FlyConfig:
             "option": "--speed",
         },
     )
+    velocity_lag_s: float = field(
+        default=0.5,
+        metadata={
+            "help": "How late the vehicle follows velocity set-points: 63 % of a step are there after this "
+            "time [s]. Rather too long than too short.",
+            "option": "--velocity-lag",
+        },
+    )
     sigma: float = field(
         default=1.0,
         metadata={"help": "Level of the scene's ellipsoids as obstacles, in standard deviations."},
@@ -132,6 +140,7 @@ class FlyConfig:
             ("--gain", self.gain, 1e-6, 2 * self.rate_hz),
             ("--beta", self.beta, 1e-6, self.rate_hz),
             ("--kappa", self.kappa_per_m, 1e-2, 1e5),
+            ("--velocity-lag", self.velocity_lag_s, 0.0, 5.0),
             ("--sigma", self.sigma, 0.01, 100.0),
             ("--near", self.near_m, 0.01, 100.0),
             ("--battery", self.battery, 0.0, 0.9),

@@ -24,7 +24,7 @@ from alula.stages.filtering.protocol import Filter, World
 from alula.stages.filtering.registry import complete_parameters, make_filter, make_splat_filter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.flight.certificate import certify
-from alula.stages.flight.commanders import Commander, PlanClock, SplatCommander, VelocityCommander
+from alula.stages.flight.commanders import Commander, PlanClock, SplatCommander
 from alula.stages.flight.fence_guard import FenceGuard, rates_model
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.flight.loop_options import LoopOptions
@@ -32,6 +32,7 @@ from alula.stages.flight.preflight import Needs
 from alula.stages.flight.reference import sample_plan
 from alula.stages.flight.supervisor import SupervisorLimits
 from alula.stages.flight.vehicles import quadrotor, tracking_gains
+from alula.stages.flight.velocity_commander import VelocityCommander
 from alula.stages.reporting.metrics import hull_obstacles, path_clearance, scene_obstacles
 
 FloatArray = NDArray[np.float64]
@@ -260,6 +261,7 @@ def make_commander(
         LinkError: the link takes no kind of set-point that the filter's answer can be sent as.
     """
     config, vehicle = mission.config, mission.vehicle
+    lag, delay = vehicle.assumed.motor_time_constant_s, vehicle.assumed.delay_s
     wanted = wanted_setpoints(mission, safety)
     kind = next((kind for kind in wanted if kind in accepts), None)
     if kind is None:
@@ -267,8 +269,14 @@ def make_commander(
         raise LinkError(f"the filter {config.filter} needs a link that takes {names}; this one does not")
     if not mission.is_splat:
         assert config.speed_m_s is not None
-        return VelocityCommander(cast(Filter, safety), config.gain, config.speed_m_s)
-    lag, delay = vehicle.assumed.motor_time_constant_s, vehicle.assumed.delay_s
+        return VelocityCommander(
+            cast(Filter, safety),
+            config.gain,
+            config.speed_m_s,
+            lag_s=config.velocity_lag_s,
+            delay_s=delay,
+            dt_s=1 / config.rate_hz,
+        )
     return SplatCommander(
         filter=cast(SplatFilter | None, safety),
         body=quadrotor(vehicle),
