@@ -66,11 +66,12 @@ class FlyConfig:
             "option": "--speed",
         },
     )
-    velocity_lag_s: float = field(
-        default=0.5,
+    velocity_lag_s: float | None = field(
+        default=None,
         metadata={
-            "help": "How late the vehicle follows velocity set-points: 63 % of a step are there after this "
-            "time [s]. Rather too long than too short.",
+            "help": "How late the vehicle follows velocity set-points: 1.25 times what 63 % of a stop from "
+            "--speed take [s]; default: 0.1 s and 0.15 s per m/s of --speed, at least 0.5 s. Rather too long "
+            "than too short.",
             "option": "--velocity-lag",
         },
     )
@@ -140,7 +141,6 @@ class FlyConfig:
             ("--gain", self.gain, 1e-6, 2 * self.rate_hz),
             ("--beta", self.beta, 1e-6, self.rate_hz),
             ("--kappa", self.kappa_per_m, 1e-2, 1e5),
-            ("--velocity-lag", self.velocity_lag_s, 0.0, 5.0),
             ("--sigma", self.sigma, 0.01, 100.0),
             ("--near", self.near_m, 0.01, 100.0),
             ("--battery", self.battery, 0.0, 0.9),
@@ -151,6 +151,7 @@ class FlyConfig:
             _between(option, value, low, high)
         for option, given, low, high in (
             ("--speed", self.speed_m_s, 1e-3, 100.0),
+            ("--velocity-lag", self.velocity_lag_s, 0.0, 5.0),
             ("--inflate", self.inflation_m, 0.0, 100.0),
             ("--catch-up", self.catch_up_m_s, 1e-6, 1e3),
             ("--max-time", self.max_time_s, 1.0, 1e5),
