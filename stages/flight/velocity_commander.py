@@ -20,9 +20,10 @@ for 0 < theta < 1, at least zero for theta = 0, and at most zero for theta = 1. 
 
 the former does not fall where it counts (theta < 1), so n . u >= -beta (D_k - r) gives dD_k/dt >= -beta
 (D_k - r): a chord that keeps r goes on to, and p, its end, with it. That is the filter's own condition, at
-s* instead of p. It is asked for at p and at points of the chord up to q, and `u` is passed on until all of
-them let it through: between them psi, which changes by at most a metre per metre, is at least half of what
-it is at the nearer one, or they are a twelfth of the chord apart.
+s* instead of p. It is asked for at p and at points of the chord up to q, and `u` is passed round until all
+of them let it through, three times at most, the point nearest to a hull last. Between points psi - r, which
+changes by at most a metre per metre, is at least half of what it was, or they are a twelfth of the chord
+apart.
 
 Where the chord has come into a hull's margin, q is driven back behind the place where it enters: towards p,
 not out of the hull by the shortest way, which may be through a thin wall.
