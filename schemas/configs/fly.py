@@ -70,8 +70,8 @@ class FlyConfig:
         default=None,
         metadata={
             "help": "How late the vehicle follows velocity set-points: 1.25 times what 63 % of a stop from "
-            "--speed take [s]; default: 0.1 s and 0.15 s per m/s of --speed, at least 0.5 s. Rather too long "
-            "than too short.",
+            "--speed take [s]; default: 0.15 s and 0.15 s per m/s of --speed, at least 0.5 s. Rather too "
+            "long than too short.",
             "option": "--velocity-lag",
         },
     )

@@ -42,7 +42,7 @@ _ROOM_M = 2.0  # of the default fence around the plan
 _PLAN_SPEED_FACTOR = 1.5  # room to catch up with the plan
 _CATCH_UP = 0.5  # of the plan's speed
 # How late velocities are followed at most by the autopilots of docs/fly.md, at a limit of speed.
-_LEAST_LAG_S, _LAG_S, _LAG_S2_M, _MOST_LAG_S = 0.5, 0.1, 0.15, 5.0
+_LEAST_LAG_S, _LAG_S, _LAG_S2_M, _MOST_LAG_S = 0.5, 0.15, 0.15, 5.0
 _NEAR_M, _FAR_M = 0.3, 1.0  # errors at which the plan's time slows down, and stands still
 _SAMPLE_S = 1e-3  # of the plan, where its clearance is found by samples
 _EXTRA_TIME_S = 10.0
