@@ -60,6 +60,7 @@ _PUBLISHED = [
     "",
     "1 of 822",
     "755 of 822",
+    "",
     "0.154",
     "",
 ]
@@ -190,6 +191,7 @@ def judge(folder: Path, plan: Path, name: str, seed: int, speed_m_s: float) -> d
         "ended_by": record["summary"]["ended_by"],
         "end_m": end_m,
         "min_clearance_m": least - FASTBRIDGE.body.radius_m,
+        "margin_m": record["provenance"]["parameters"]["margin_m"],
         "max_speed_m_s": trial["max_speed_m_s"],
         "flight_s": flown[-1] - flown[0],
         "rate_hz": (len(ticks) - 1) / (ticks[-1]["time_s"] - ticks[0]["time_s"]),
@@ -241,7 +243,7 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
 def table(found: dict[str, Any]) -> str:
     """Overruns and clearances as Markdown, one line for each flight."""
     heads = ["filter", "plan, m/s", "tick, ms: mean", "p99", "max", "late, ms: p99", "max"]
-    heads += ["overruns", "feasible ticks", "least clearance, m", "reached"]
+    heads += ["overruns", "feasible ticks", "margin asked, m", "least clearance, m", "reached"]
     rows = [
         [
             flight["filter"],
@@ -250,6 +252,7 @@ def table(found: dict[str, Any]) -> str:
             *(f"{flight[f'lateness_{part}_ms']:.2f}" for part in ("p99", "max")),
             f"{flight['overruns']} of {flight['ticks']}",
             f"{flight['feasible_ticks']} of {flight['filtered_ticks']}",
+            f"{flight['margin_m']:g}",
             f"{flight['min_clearance_m']:.3f}",
             "yes" if flight["reached"] else f"NO: {flight['ended_by']}",
         ]
@@ -267,7 +270,7 @@ the built-in room. Ticks are all of a flight, from the checks until the motors s
 ends after the next one should have begun; feasible ticks are those at which the filter's program had a
 solution. Clearances are those of the vehicle's true path, as its simulation tells the judge alone, while
 set-points were sent, from hulls (polytope-cbf) or ellipsoids (cone-backup), less the vehicle's radius of
-{radius:g} m.
+{radius:g} m; the margin asked is what the filter was told to keep beyond it (`--margin`).
 
 """
 

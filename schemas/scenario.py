@@ -163,6 +163,7 @@ class FlyTable(_Table, frozen=True, kw_only=True):
     fence_map: bool | None = None
     fence_reserve_m: float | None = None
     latency_s: float | None = None
+    velocity_lag_s: float | None = None
     frame_check: Literal["motion", "hand", "none"] | None = None
     near_m: float | None = None
     battery: float | None = None

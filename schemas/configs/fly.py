@@ -66,6 +66,15 @@ class FlyConfig:
             "option": "--speed",
         },
     )
+    velocity_lag_s: float | None = field(
+        default=None,
+        metadata={
+            "help": "How late the vehicle follows velocity set-points: 1.25 times what 63 % of a stop from "
+            "--speed take [s]; default: 0.15 s and 0.15 s per m/s of --speed, at least 0.5 s. Rather too "
+            "long than too short.",
+            "option": "--velocity-lag",
+        },
+    )
     sigma: float = field(
         default=1.0,
         metadata={"help": "Level of the scene's ellipsoids as obstacles, in standard deviations."},
@@ -142,6 +151,7 @@ class FlyConfig:
             _between(option, value, low, high)
         for option, given, low, high in (
             ("--speed", self.speed_m_s, 1e-3, 100.0),
+            ("--velocity-lag", self.velocity_lag_s, 0.0, 5.0),
             ("--inflate", self.inflation_m, 0.0, 100.0),
             ("--catch-up", self.catch_up_m_s, 1e-6, 1e3),
             ("--max-time", self.max_time_s, 1.0, 1e5),

@@ -10,19 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.stages.filtering.protocol import Filter, FilterStatus
+from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.filtering.splat_protocol import FlightState, Nominal, SplatFilter, is_input
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
     RatesSetpoint,
     Setpoint,
     VehicleState,
-    VelocitySetpoint,
 )
 
 FloatArray = NDArray[np.float64]
 
-_FASTER = 1.01  # of the speed limit, for filters in single precision
 _TURN_RAD_S = 0.7  # from the heading that it has to the plan's
 
 
@@ -72,55 +70,6 @@ class Commander(Protocol):
     def sent(self, setpoint: Setpoint) -> None:
         """What was sent in the end."""
         ...
-
-
-@dataclass(slots=True)
-class VelocityCommander:
-    """v_ref + c/2 (p_ref - p), at most `speed_m_s`, behind a filter of velocities.
-
-    The geofence underneath sees a velocity only once it is flown, so a filter that answers with a faster one
-    has failed (ValueError).
-
-    Source: PolyMerge (arXiv 2606.16232), eq. 16.
-    """
-
-    filter: Filter
-    gain: float
-    speed_m_s: float
-    setpoint: type[Setpoint] = VelocitySetpoint
-
-    def reset(self) -> None:
-        """It has no memory."""
-
-    def sent(self, setpoint: Setpoint) -> None:
-        """It needs not know."""
-
-    def decide(self, state: VehicleState, age_s: float, target: FloatArray) -> Decision:
-        """See `Commander`; positions are taken on by their velocity."""
-        row = target[0]
-        x = state.position + age_s * state.velocity
-        error = row[:3] - x
-        u_nominal = row[3:6] + 0.5 * self.gain * error
-        speed = math.sqrt(float(u_nominal @ u_nominal))
-        if speed > self.speed_m_s:
-            u_nominal *= self.speed_m_s / speed
-        result = self.filter(x, u_nominal.copy())
-        status = FilterStatus(result.status)
-        u = np.asarray(result.u, np.float64)
-        if u.shape != (3,) or not np.isfinite(u).all():
-            raise ValueError(f"the filter returned {result.u!r}, which is no velocity")
-        if math.sqrt(float(u @ u)) > _FASTER * self.speed_m_s:
-            raise ValueError(f"the filter returned {u.tolist()}, faster than {self.speed_m_s:g} m/s")
-        refused = status is FilterStatus.REFUSED
-        return Decision(
-            setpoint=None if refused else VelocitySetpoint(u, float(row[15])),
-            status=status,
-            margin=float(result.margin),
-            nominal=u_nominal,
-            safe=u,
-            error_m=math.sqrt(float(error @ error)),
-            active=int(result.active),
-        )
 
 
 class _Seen(NamedTuple):

@@ -23,7 +23,7 @@ from alula.stages.filtering.protocol import Filter, World
 from alula.stages.filtering.registry import complete_parameters, make_filter, make_splat_filter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
 from alula.stages.flight.certificate import certify
-from alula.stages.flight.commanders import Commander, PlanClock, SplatCommander, VelocityCommander
+from alula.stages.flight.commanders import Commander, PlanClock, SplatCommander
 from alula.stages.flight.fence_guard import FenceGuard, rates_model
 from alula.stages.flight.flight_map import ellipsoid_index, require_metric
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
@@ -32,6 +32,7 @@ from alula.stages.flight.preflight import Needs
 from alula.stages.flight.reference import sample_plan
 from alula.stages.flight.supervisor import SupervisorLimits
 from alula.stages.flight.vehicles import quadrotor, tracking_gains
+from alula.stages.flight.velocity_commander import VelocityCommander
 from alula.stages.reporting.metrics import hull_obstacles, path_clearance, scene_obstacles
 
 FloatArray = NDArray[np.float64]
@@ -40,6 +41,8 @@ Obstacles = list[tuple[str, _core.PolytopeSet | _core.EllipsoidSet]]
 _ROOM_M = 2.0  # of the default fence around the plan
 _PLAN_SPEED_FACTOR = 1.5  # room to catch up with the plan
 _CATCH_UP = 0.5  # of the plan's speed
+# How late velocities are followed at most by the autopilots of docs/fly.md, at a limit of speed.
+_LEAST_LAG_S, _LAG_S, _LAG_S2_M, _MOST_LAG_S = 0.5, 0.15, 0.15, 5.0
 _NEAR_M, _FAR_M = 0.3, 1.0  # errors at which the plan's time slows down, and stands still
 _SAMPLE_S = 1e-3  # of the plan, where its clearance is found by samples
 _EXTRA_TIME_S = 10.0
@@ -105,9 +108,12 @@ def resolve_fly(config: FlyConfig, plan: Artifact, vehicle: Vehicle, *, is_splat
         parameters = complete_parameters(config.filter, parameters)
     elif parameters and config.filter in ("none", "polytope-cbf"):
         raise UsageError(f"--set: the filter {config.filter} has none; --beta and --kappa are options")
+    limit = config.speed_m_s or _PLAN_SPEED_FACTOR * speed
+    lag = min(max(_LEAST_LAG_S, _LAG_S + _LAG_S2_M * limit), _MOST_LAG_S)
     return dataclasses.replace(
         config,
-        speed_m_s=config.speed_m_s or _PLAN_SPEED_FACTOR * speed,
+        speed_m_s=limit,
+        velocity_lag_s=lag if config.velocity_lag_s is None else config.velocity_lag_s,
         fence=config.fence or (*low.tolist(), *high.tolist()),
         catch_up_m_s=config.catch_up_m_s or vehicle.tracking.catch_up_m_s or _CATCH_UP * speed,
         max_time_s=config.max_time_s or 3 * duration + _EXTRA_TIME_S,
@@ -218,18 +224,20 @@ def make_safety(mission: Mission) -> Filter | SplatFilter | None:
         return make_splat_filter(config.filter, world, config.filter_parameters)
     assert mission.cover is not None
     assert config.speed_m_s is not None
+    assert config.velocity_lag_s is not None
     assert config.fence is not None
     hulls = Hulls.from_cover(mission.cover)
     reach = float(np.abs(hulls.vertices_world).max(initial=0.0))
     parameters = dict(config.filter_parameters)
     if config.filter == "polytope-cbf":
         parameters = {"beta": config.beta, "kappa_per_m": config.kappa_per_m, "smoothing": "sound"}
+    lead = (1 + config.velocity_lag_s) * config.speed_m_s
     hull_world = World(
         hulls=hulls,
         radius_m=keep,
         speed_m_s=config.speed_m_s,
         dt_s=dt,
-        extent_m=2 * max(reach, *(abs(value) for value in config.fence)) + keep + config.speed_m_s,
+        extent_m=2 * max(reach, *(abs(value) for value in config.fence)) + keep + lead,
     )
     return make_filter(config.filter, hull_world, parameters)
 
@@ -258,6 +266,7 @@ def make_commander(
         LinkError: the link takes no kind of set-point that the filter's answer can be sent as.
     """
     config, vehicle = mission.config, mission.vehicle
+    lag, delay = vehicle.assumed.motor_time_constant_s, vehicle.assumed.delay_s
     wanted = wanted_setpoints(mission, safety)
     kind = next((kind for kind in wanted if kind in accepts), None)
     if kind is None:
@@ -265,8 +274,15 @@ def make_commander(
         raise LinkError(f"the filter {config.filter} needs a link that takes {names}; this one does not")
     if not mission.is_splat:
         assert config.speed_m_s is not None
-        return VelocityCommander(cast(Filter, safety), config.gain, config.speed_m_s)
-    lag, delay = vehicle.assumed.motor_time_constant_s, vehicle.assumed.delay_s
+        assert config.velocity_lag_s is not None
+        return VelocityCommander(
+            cast(Filter, safety),
+            config.gain,
+            config.speed_m_s,
+            lag_s=config.velocity_lag_s,
+            delay_s=delay,
+            dt_s=1 / config.rate_hz,
+        )
     return SplatCommander(
         filter=cast(SplatFilter | None, safety),
         body=quadrotor(vehicle),

@@ -225,7 +225,7 @@ class Breaking:
 )
 def test_a_filter_that_fails_is_held_then_landed(how, event):
     vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
-    loop = loop_of(mission(), vehicle)
+    loop = loop_of(mission(velocity_lag_s=0.0), vehicle)  # without a lag a tick is one call
     loop.commander.filter = Breaking(loop.commander.filter, how, 100)
     loop.run()
     assert event in causes(loop)
@@ -275,7 +275,7 @@ def test_a_hold_is_filtered_where_state_and_filter_are_well():
 
 def test_a_hold_whose_filter_fails_is_the_vehicles_own():
     vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
-    loop = loop_of(mission(), vehicle)
+    loop = loop_of(mission(velocity_lag_s=0.0), vehicle)  # without a lag a tick is one call
     loop.commander.filter = Breaking(loop.commander.filter, "falls back", 100)
     calls, breaking = [], loop.commander.filter
 

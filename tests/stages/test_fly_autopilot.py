@@ -9,7 +9,7 @@ from fake_vehicle import Kept
 from flights import BALL, GOAL, START, loop_of, mission
 from mavlink_peer import Time
 from test_link_and_autopilot import Served
-from test_simulate import line_plan
+from test_simulate import box_cover, line_plan
 
 from alula.stages.flight.autopilot.faults import Fault
 from alula.stages.flight.frames import LocalFrame
@@ -113,6 +113,15 @@ def test_polytope_cbf_flies_past_a_pillar_and_lands(among_hulls):
     assert loop.recorder.states == AS_PLANNED
     assert clearance(among_hulls, true_path(loop, served, "fly")) > 0
     assert {s.filter.sent for s in loop.recorder.samples if s.filter} == {"velocity"}
+
+
+def test_a_plan_that_ends_fast_before_a_wall_leaves_all_of_the_margin():
+    """At 3 m/s; a filter that knows nothing of the autopilot's lag is flown into the wall."""
+    wall = box_cover([((40, 0, 0), (44, 40, 30))])
+    made = mission(cover=wall, plan=line_plan(START, GOAL, 2.5), speed_m_s=3.0)
+    loop, served = fly(made)
+    assert loop.recorder.states == AS_PLANNED
+    assert clearance(made, true_path(loop, served, "fly")) >= made.config.margin_m
 
 
 ADMISSIBLE = {  # the plan is flown to its end
