@@ -40,6 +40,7 @@ class SupervisorLimits:
         settle_s: all must be well for this long before a hold ends.
         engage_s: how long the vehicle may take to follow set-points.
         failsafe_s: how long a vehicle in a failsafe may take to leave our mode; many are told to do nothing.
+        disarm_s: a vehicle that is told to disarm may have said before that it is not armed.
         holds: of one flight; after the last it lands.
         checks_s, arming_s, take_off_s, flight_s, hold_s, landing_s, abort_s: longest time in a state.
     """
@@ -55,6 +56,7 @@ class SupervisorLimits:
     settle_s: float = 1.0
     engage_s: float = 2.0
     failsafe_s: float = 1.0
+    disarm_s: float = 1.0
     holds: int = 3
     checks_s: float = 120.0
     arming_s: float = 60.0
@@ -192,11 +194,12 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
     battery = facts.battery_share
     engaged = was.engaged if state is State.FLY else True
     second = facts.interrupts >= 2
+    is_told_since = state is not State.ABORT or facts.now_s - was.since_s > limits.disarm_s
     for event, is_so in (
         # Whoever took the vehicle has it, before anything else.
         (Event.MODE_CHANGED, not facts.is_ours),
         (Event.FAILSAFE, facts.is_failsafe and not facts.obeys),
-        (Event.DISARMED, facts.armed is False),
+        (Event.DISARMED, facts.armed is False and is_told_since),
         (Event.LINK_LOST, not facts.silence_s <= limits.silence_s),
         (Event.INTERRUPT_ON_GROUND, second and facts.landed is True),
         (Event.INTERRUPT_IN_AIR, second and facts.landed is not True),

@@ -30,6 +30,7 @@ class _Step:
     number: int
     values: tuple[float, ...]
     is_done: Callable[[], bool] | None = None
+    needs_answer: bool = False  # too: what the vehicle showed may be older than an order before
     first_s: float = 0.0  # to wait before it is sent
     since_s: float = math.inf
     next_s: float = math.inf
@@ -41,7 +42,7 @@ class Orders:
     """The one order that stands; a new one replaces it.
 
     A step is done when the vehicle's own state shows it (a mode, armed or not); a take-off when it is
-    acknowledged. Refused or unanswered for 5 s, an order goes to `VehicleStatus.refusals` and ends; only LAND
+    acknowledged; disarming when both is so, for the motors may have started unseen. Refused or unanswered for 5 s, an order goes to `VehicleStatus.refusals` and ends; only LAND
     goes on for ever. Nothing is repeated once another mode is seen than when it was first sent, be it in the
     very poll: a pilot has chosen it. A vehicle that obeyed once is not taken control of again without a new
     order: the pilot may have taken it back.
@@ -127,7 +128,8 @@ class Orders:
             step = self._steps[0]
             if step.since_s == math.inf:
                 step.since_s = step.next_s = now_s + step.first_s
-            if not (step.is_accepted if step.is_done is None else step.is_done()):
+            is_shown = step.is_accepted if step.is_done is None else step.is_done()
+            if not is_shown or (step.needs_answer and not step.is_accepted):
                 return
             del self._steps[0]
 
@@ -142,7 +144,7 @@ class Orders:
     def _steps_of(self, order: Order, height_m: float, first_s: float) -> list[_Step]:
         telemetry, autopilot = self._telemetry, self._autopilot
         status = telemetry.status
-        control = _Step(*mode_command(autopilot.control), lambda: status.obeys, first_s)
+        control = _Step(*mode_command(autopilot.control), lambda: status.obeys, first_s=first_s)
         arm = dialect.MAV_CMD_COMPONENT_ARM_DISARM  # never by force
         match order:
             case Order.TAKE_CONTROL:
@@ -150,7 +152,7 @@ class Orders:
             case Order.ARM:
                 return [control, _Step(arm, (1.0,), lambda: status.armed is True)]
             case Order.DISARM:
-                return [_Step(arm, (0.0,), lambda: status.armed is False)]
+                return [_Step(arm, (0.0,), lambda: status.armed is False, needs_answer=True)]
             case Order.TAKE_OFF:
                 return [_Step(dialect.MAV_CMD_NAV_TAKEOFF, (0.0,) * 6 + (height_m,))]
             case Order.LAND:
