@@ -174,7 +174,10 @@ class Flight(Served):
 
     def clearance(self, *states):
         """Least exact distance of the true path in these states to the map, less the vehicle's radius [m]."""
-        path = self.path(*states)[:, 1:]
+        return self.clearance_of(self.path(*states)[:, 1:])
+
+    def clearance_of(self, path):
+        """Of positions in the world, shape (T, 3)."""
         if len(path) == 0:
             return math.inf
         radius = self.made.vehicle.body.radius_m
