@@ -1,7 +1,8 @@
 """Whole flights in lock-step: simulated autopilot, socket, link and loop on one clock that nobody waits for.
 
-Faults are put on the line, into the vehicle, the loop or the operator's hands while it flies (`Upset`), and the
-flight is judged from outside: by where the vehicle truly was, by the packets that reached it, and by the table.
+Faults are put on the line, into the vehicle, the loop or the operator's hands while it flies (`Upset`), and
+the flight is judged from outside: by where the vehicle truly was, by the packets that reached it, and by the
+table.
 """
 
 import dataclasses
@@ -210,18 +211,23 @@ class Flight(Served):
         flown = {}
         for sample in self.recorder.samples:
             flown[round(1e3 * (begin + sample.time_s - self.link._session.start_s))] = sample
-        last_ms = -1
+        last_ms, moved_ms = -1, -1
         for at, message in self.packets():
             kind = message.get_type()
             fields = [v for name in message.fieldnames for v in np.atleast_1d(getattr(message, name))]
             assert all(math.isfinite(v) for v in fields if isinstance(v, float)), message
             if kind == "COMMAND_LONG":
-                assert message.command not in _ORDERS or at <= over_s + 1.5 / self.made.config.rate_hz, message
+                assert message.command not in _ORDERS or at <= over_s + 1.5 / self.made.config.rate_hz, (
+                    message
+                )
                 continue
             assert kind in _SETPOINTS
             assert at <= over_s + 1.5 / self.made.config.rate_hz, message
-            assert message.time_boot_ms > last_ms
+            assert message.time_boot_ms >= last_ms
             last_ms = message.time_boot_ms
+            if self._moves(message):
+                assert last_ms > moved_ms
+                moved_ms = last_ms
             if message.time_boot_ms in flown:
                 sample = flown[message.time_boot_ms]
                 is_flown = sample.filter is not None and sample.filter.sent

@@ -1,7 +1,7 @@
 """Flights through the built-in room with faults on the way: the plan is flown, or they end on the ground.
 
-The room goes through the whole pipeline. Both filters fly it against the simulated autopilot, with its noise and
-delay; where the vehicle truly was is held against the map by exact distances, of which no filter knows.
+The room goes through the whole pipeline. Both filters fly it against the simulated autopilot, with its noise
+and delay; where the vehicle truly was is held against the map by exact distances, of which no filter knows.
 """
 
 import numpy as np
@@ -112,9 +112,7 @@ SPARED = {  # as others are: with one filter only
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "kind"), [(n, k) for n in FILTERS for k in ENDING if (n, k) not in SPARED]
-)
+@pytest.mark.parametrize(("name", "kind"), [(n, k) for n in FILTERS for k in ENDING if (n, k) not in SPARED])
 def test_other_faults_end_on_the_ground_in_the_safe_set(room, name, kind):
     fault, cause, states = ENDING[kind]
     flight = fly(room[50.0][name], Upset(State.FLY, 1.6, fault), landing_s=8.0)

@@ -42,10 +42,11 @@ class Orders:
     """The one order that stands; a new one replaces it.
 
     A step is done when the vehicle's own state shows it (a mode, armed or not); a take-off when it is
-    acknowledged; disarming when both is so, for the motors may have started unseen. Refused or unanswered for 5 s, an order goes to `VehicleStatus.refusals` and ends; only LAND
-    goes on for ever. Nothing is repeated once another mode is seen than when it was first sent, be it in the
-    very poll: a pilot has chosen it. A vehicle that obeyed once is not taken control of again without a new
-    order: the pilot may have taken it back.
+    acknowledged; disarming when both is so, for the motors may have started unseen. Refused or unanswered
+    for 5 s, an order goes to `VehicleStatus.refusals` and ends; only LAND goes on for ever. Nothing is
+    repeated once another mode is seen than when it was first sent, be it in the very poll: a pilot has chosen
+    it. A vehicle that obeyed once is not taken control of again without a new order: the pilot may have taken
+    it back.
     """
 
     def __init__(self, session: Session, autopilot: Autopilot, telemetry: Telemetry) -> None:
