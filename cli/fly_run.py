@@ -7,17 +7,17 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from alula.cli.interruption import InterruptedWithAdvice
 from alula.cli.options import Common
-from alula.schemas.errors import CheckError, LinkError
+from alula.schemas.errors import CheckError, LinkError, OutputError
 
 if TYPE_CHECKING:
     from alula.schemas.provenance import Provenance
-    from alula.schemas.run import RunRecord
+    from alula.schemas.run import RunRecord, TrialResult
     from alula.stages.flight.control_loop import ControlLoop
     from alula.stages.flight.flight_log import FlightHead, FlightRecorder
     from alula.stages.flight.flight_pipe import FlightPipe
@@ -29,6 +29,13 @@ _CLOSE_S = 2.0  # for the view to end
 _SHOWN = ("rate_hz", "ticks", "tick_p99_s", "lateness_p99_s", "overruns", "dropped_samples")
 
 
+class _Flown(NamedTuple):
+    """The verdict on a flight, if there was one, and what of its log or record is not as it should be."""
+
+    trial: TrialResult | None
+    trouble: list[str]
+
+
 def fly(
     mission: Mission, link: Link, provenance: Provenance, common: Common, live: int | None = None
 ) -> None:
@@ -36,6 +43,7 @@ def fly(
 
     Raises:
         CheckError, LinkError, KeyboardInterrupt: how it ended, unless well.
+        OutputError: it ended well, but its log or record is not complete.
     """
     from alula.stages.flight.control_loop import ControlLoop
     from alula.stages.flight.flight_checks import FlightChecks
@@ -68,12 +76,11 @@ def fly(
         map_message=map_message(mission.map, {"sigma": mission.config.sigma}, [_points(mission)], frame),
         **head_facts(mission),
     )
-    if common.force and not common.dry_run:
-        common.output.unlink(missing_ok=True)
     view = None if live is None else _open_view(live, mission, head, common)
     recorder = FlightRecorder(
         None if common.dry_run else common.output,
         head,
+        replaces=common.force,
         echo=not common.quiet,
         view=view,
         rate_hz=mission.config.rate_hz,
@@ -110,18 +117,17 @@ def fly(
                 with _priority():
                     loop.run()
                 link.close()
-                _finish(mission, loop, recorder, provenance, common)
+                flown = _finish(mission, loop, recorder, provenance, common)
     except BaseException:
         with _signals(count):  # a second one would leave the vehicle's parameters changed
             link.close()
         recorder.finish(None)
-        if len(recorder.rows) == 0 and not common.dry_run:
-            common.output.unlink(missing_ok=True)
+        recorder.discard()
         raise
     finally:
         if view is not None:
             view.close(_CLOSE_S)
-    _conclude(mission, loop, checks.is_of_link, checks.failure(), common)
+    _conclude(loop, flown, common)
 
 
 def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) -> FlightPipe:
@@ -185,8 +191,8 @@ def _finish(
     recorder: FlightRecorder,
     provenance: Provenance,
     common: Common,
-) -> None:
-    """The end of the log, and the record beside it; a flight that never flew leaves neither."""
+) -> _Flown:
+    """The end of the log, and the record beside it; a flight that never took off leaves neither."""
     import platform
 
     import msgspec
@@ -196,15 +202,18 @@ def _finish(
     from alula.stages.flight.fly import describe
     from alula.stages.flight.fly_judge import guarantee_of, judge, summary_of, timing_of
 
-    rows = recorder.rows
+    rows, log = recorder.rows, common.output
     timing = timing_of(loop.counters, recorder.dropped, mission.config.rate_hz)
     if len(rows) == 0:
-        recorder.finish(None)
-        if not common.dry_run:
-            common.output.unlink(missing_ok=True)
-        elif loop.checks.result:
+        is_whole = recorder.finish(None)
+        recorder.discard()
+        if common.dry_run and loop.checks.result:
             show(common, "dry-run", {v.name: v.words for v in loop.checks.verdicts} | timing)
-        return
+        if not recorder.has_flown:
+            return _Flown(None, [])
+        if not common.quiet:
+            click.echo(f"{recorder.where}: the log of a take-off, which nobody has judged", err=True)
+        return _Flown(None, [] if is_whole else [_cut(recorder.where)])
     trial = judge(mission, rows, loop.supervision.cause, common.jobs)
     summary = summary_of(trial, loop.supervision, loop.taken)
     record = RunRecord(
@@ -218,14 +227,26 @@ def _finish(
         summary=summary,
         guarantee=guarantee_of(mission, trial),
     )
-    if not recorder.finish(record):
+    trouble = [] if recorder.finish(record) else [_cut(recorder.where)]
+    if trouble:
         summary = summary | {"notes": ["the log is not complete: its writer failed"]}
+        record = msgspec.structs.replace(record, summary=summary)
+    if recorder.where != log:
+        trouble.append(f"{log}: could not be replaced; the log of this flight is {recorder.where}")
     timing = timing_of(loop.counters, recorder.dropped, mission.config.rate_hz)
     if recorder.is_viewed:
         timing |= {"unseen_samples": recorder.unseen}
     machine = {"cpu_count": os.cpu_count(), "machine": platform.machine(), "system": platform.system()}
-    _write_record(record_path(common.output), msgspec.structs.replace(record, timing=machine | timing))
+    try:
+        _write_record(record_path(log), msgspec.structs.replace(record, timing=machine | timing))
+    except OutputError as error:  # the flight was as it was, and is told
+        trouble.append(str(error))
     show(common, "written", summary | {key: timing[key] for key in _SHOWN if key in timing})
+    return _Flown(trial, trouble)
+
+
+def _cut(log: Path | None) -> str:
+    return f"{log}: the log was cut, its writer failed; it is read to its last whole chunk"
 
 
 def _write_record(path: Path, record: RunRecord) -> None:
@@ -237,32 +258,36 @@ def _write_record(path: Path, record: RunRecord) -> None:
         beside.write(msgspec.json.format(msgspec.json.encode(record, order="sorted"), indent=2) + b"\n")
 
 
-def _conclude(mission: Mission, loop: ControlLoop, is_of_link: bool, failure: str, common: Common) -> None:
-    """Fail as the flight did.
+def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
+    """Fail as the flight did; if it went well, as its log did.
 
     Raises:
         CheckError, LinkError, KeyboardInterrupt: how it ended, unless well.
+        OutputError: it ended well, but the log or the record is not complete.
     """
-    from alula.schemas.run import read_run
     from alula.stages.flight.supervisor import Event
 
-    cause = loop.supervision.cause
-    if cause is Event.CHECKS_PASSED_DRY:
+    cause, trial = loop.supervision.cause, flown.trial
+    trouble = "; ".join(flown.trouble)
+    is_well = cause is Event.PLAN_FINISHED and trial is not None and not trial.collision
+    if trouble and is_well:
+        raise OutputError(f"the flight went well, but {trouble}")
+    if trouble:
+        click.echo(trouble, err=True)
+    if is_well or cause is Event.CHECKS_PASSED_DRY:
         return
     if cause in (Event.INTERRUPT, Event.INTERRUPT_IN_AIR, Event.INTERRUPT_ON_GROUND):
         raise InterruptedWithAdvice("the flight ended early")
     if loop.checks.result is not True:
-        words = f"pre-flight: {failure or 'took too long'}"
-        raise LinkError(words) if is_of_link or cause is Event.LINK_LOST else CheckError(words)
+        words = f"pre-flight: {loop.checks.failure() or 'took too long'}"
+        raise (LinkError(words) if loop.checks.is_of_link or cause is Event.LINK_LOST else CheckError(words))
     of_vehicle = (
         *(Event.LINK_LOST, Event.FAILSAFE, Event.NOT_OBEYED, Event.ORDER_REFUSED, Event.ESTIMATOR_BAD),
-        *(Event.DISARMED, Event.BATTERY_LOW, Event.FAILSAFE_IDLE),
+        *(Event.DISARMED, Event.BATTERY_LOW, Event.FAILSAFE_IDLE, Event.OFF_WAY, Event.DRIFTS, Event.UNTOLD),
     )
     said = "no reason is known" if cause is None else cause.value
     if cause in of_vehicle or not loop.counters.filter_s:
         raise LinkError(f"the flight ended early: {said}")
     if cause is not Event.PLAN_FINISHED:
         raise CheckError(f"{common.output}: the plan was not finished: {said}")
-    trial = read_run(common.output).trials[0]
-    if trial.collision:
-        raise CheckError(f"{common.output}: the flight came closer to the map than the vehicle's radius")
+    raise CheckError(f"{common.output}: the flight came closer to the map than the vehicle's radius")

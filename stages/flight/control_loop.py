@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,8 @@ from alula.stages.flight.flight_sampling import filter_sample, tick_sample
 from alula.stages.flight.frame_check import Jump, MotionCheck
 from alula.stages.flight.links.protocol import Link, Order, VehicleState
 from alula.stages.flight.loop_options import Counters, LoopOptions
-from alula.stages.flight.mode_watch import ModeWatch
+from alula.stages.flight.mode_watch import HealthWatch, ModeWatch
+from alula.stages.flight.place_watch import PlaceWatch
 from alula.stages.flight.supervisor import (
     Action,
     Event,
@@ -40,7 +42,7 @@ FloatArray = NDArray[np.float64]
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
 _BAD = frozenset(
     {Event.CHECK_FAILED, Event.LINK_LOST, Event.FAILSAFE, Event.FILTER_FAILED, Event.FRAME_WRONG}
-    | {Event.ESTIMATOR_BAD, Event.FENCE, Event.FAILSAFE_IDLE}
+    | {Event.ESTIMATOR_BAD, Event.FENCE, Event.FAILSAFE_IDLE, Event.OFF_WAY, Event.DRIFTS, Event.UNTOLD}
 )
 _FINE = frozenset(
     {Event.START, Event.CHECKS_PASSED, Event.CHECKS_PASSED_DRY, Event.ARMED, Event.AIRBORNE}
@@ -94,7 +96,7 @@ class ControlLoop:
         self._start_height_m = height_m
         self._interrupts, self._clock, self._sleep = interrupts, clock, sleep
         self._begin_s = 0.0
-        self._modes = ModeWatch()
+        self._modes, self._health, self._places = ModeWatch(), HealthWatch(), PlaceWatch(height_m)
         self._motion = MotionCheck()
         self._jump, self._jump_m = Jump(), 0.0
         self._ground_m: float | None = None
@@ -102,6 +104,7 @@ class ControlLoop:
         self._fallback_s = 0.0
         self._overruns = 0
         self._fence_m: float | None = None
+        self._astray_m = self._drift_m = 0.0
         self._refused_s = math.inf
         self._jumps: int | None = None
         self._deaf = False
@@ -141,7 +144,7 @@ class ControlLoop:
         while self.state is not State.DONE:
             wait = deadline - self._clock()
             if wait > 0:
-                self._sleep(wait)
+                self._sleep(min(wait, period))  # more only where a clock goes back
             now = self._clock()
             late = now - deadline
             self.tick(now, late, spent)
@@ -189,14 +192,25 @@ class ControlLoop:
     def _look(self, state: VehicleState | None, now_s: float, late_s: float) -> None:
         """What takes more than a glance: distances, the frame, the checks."""
         where = self.state
-        self._fence_m = None
+        self._fence_m, self._astray_m, self._drift_m = None, 0.0, 0.0
         if where is State.CHECKS:
-            self.checks.look(self.link, now_s, late_s, self._words)
-        elif state is not None and where in (State.FLY, State.HOLD):
-            self._fence_m = self.guard.distance(state)
+            self.checks.look(self.link, now_s, late_s, partial(self.say, now_s))
+        elif state is not None:
+            self._look_where(state)
         self._jump_m = 0.0 if state is None else self._jump.of(state)
         if state is not None and self.options.watch_frame and where in (State.TAKE_OFF, State.FLY):
             self._motion.update(state)
+
+    def _look_where(self, state: VehicleState) -> None:
+        where = self.state
+        if where in (State.FLY, State.HOLD):
+            self._fence_m = self.guard.distance(state)
+        elif where is State.TAKE_OFF:  # the ground may be nearer than the fence allows, its sides and top not
+            self._fence_m = self.guard.distance(state, self._start_height_m)
+        if where in (State.ARMING, State.TAKE_OFF):
+            self._astray_m = self._places.astray_m(state)
+        if where is State.HOLD:
+            self._drift_m = self._places.drift_m(state)
 
     def _facts(self, now_s: float, late_s: float) -> Facts:
         state, status = self.link.state, self.link.status
@@ -211,6 +225,9 @@ class ControlLoop:
             landed=status.landed,
             obeys=status.obeys,
             is_failsafe=status.is_failsafe,
+            untold=self._health.is_untold(status, now_s),
+            astray_m=self._astray_m,
+            drift_m=self._drift_m,
             restarted=self._jumps is not None and status.clock_jumps > self._jumps,
             estimator_ready=status.is_estimator_ready,
             battery_share=status.battery_share,
@@ -247,24 +264,33 @@ class ControlLoop:
             if each.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and each.state is State.CHECKS:
                 detail = self.checks.failure()
             self.say(now_s, level, f"{each.step.words}{f' ({detail})' if detail else ''}")
-            try:
-                self._do(each.step.action, now_s)
-            except LinkError as error:
-                self.say(now_s, ERROR, f"{each.step.action.value}: {error}")
-                self._refused_s = min(self._refused_s, now_s)
+            self._try(each.step.action, now_s)
+
+    def _try(self, action: Action, now_s: float) -> None:
+        """Do it, or say why not, as if the vehicle had declined it."""
+        try:
+            self._do(action, now_s)
+        except LinkError as error:
+            self.say(now_s, ERROR, f"{action.value}: {error}")
+            self._refused_s = min(self._refused_s, now_s)
 
     def _do(self, action: Action, now_s: float) -> None:
         state, status = self.link.state, self.link.status
         if action is Action.ARM:
-            if self._ground_m is None and state is not None:
-                self._ground_m = float(state.position[2])
             if self._jumps is None:
                 self._jumps = status.clock_jumps
+                self._health.armed(status)
+                if self.checks.place is not None:
+                    self._places.proven(self.checks.place, self.checks.room_m)
+                    self._ground_m = float(self.checks.place[2])
             self._order(Order.ARM, now_s)
         elif action is Action.TAKE_OFF:
-            self._order(Order.TAKE_OFF, now_s, self._start_height_m - (self._ground_m or 0.0))
+            if self._ground_m is None:
+                raise LinkError("the vehicle has not said where it stands")
+            self._order(Order.TAKE_OFF, now_s, self._start_height_m - self._ground_m)
         elif action is Action.ENGAGE:
             self._place = None
+            self._places.moved()
             self.commander.reset()
             self.guard.reset()
             if state is not None:
@@ -297,11 +323,7 @@ class ControlLoop:
         elif not stays and self._place is not None:
             self._place = None
             if is_hold:
-                try:
-                    self._do(Action.HOLD, now_s)
-                except LinkError as error:
-                    self.say(now_s, ERROR, f"hold: {error}")
-                    self._refused_s = min(self._refused_s, now_s)
+                self._try(Action.HOLD, now_s)
         return stays
 
     def _fly(self, state: VehicleState, now_s: float) -> FilterSample | None:
@@ -360,9 +382,6 @@ class ControlLoop:
     def say(self, now_s: float, level: int, words: str) -> None:
         """A line for people."""
         self.recorder.say(now_s - self._begin_s, level, words)
-
-    def _words(self, level: int, words: str) -> None:
-        self.say(self._clock(), level, words)
 
     def _last_words(self) -> None:
         """The loop itself failed: land, if it may be flying and is ours."""

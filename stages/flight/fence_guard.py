@@ -111,9 +111,13 @@ class FenceGuard:
         self._filter.reset()
         self._flies = False
 
-    def distance(self, state: VehicleState) -> float:
-        """From the vehicle's sphere to the fence; negative outside [m]."""
+    def distance(self, state: VehicleState, least_m: float = -math.inf) -> float:
+        """From the vehicle's sphere to the fence; negative outside [m].
+
+        Below the height `least_m` it is taken to be there: so the sides and the top count, the bottom not.
+        """
         x, y, z = state.position.tolist()
+        z = least_m if z < least_m else z
         return self.fence.clearance((x, y, z), (x, y, z)) - self.radius_m
 
     def guard(self, state: VehicleState, age_s: float, setpoint: Setpoint) -> Guarded:

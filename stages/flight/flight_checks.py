@@ -5,6 +5,9 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from alula.stages.flight.flight_samples import ERROR, INFO
 from alula.stages.flight.frame_check import HandCheck
 from alula.stages.flight.links.protocol import Link
@@ -17,6 +20,7 @@ PLACED = frozenset(
 )  # said of a place, which comes with the estimator
 CARRIED = PLACED | {"on the ground"}
 
+FloatArray = NDArray[np.float64]
 Say = Callable[[int, str], None]
 
 
@@ -43,6 +47,8 @@ class FlightChecks:
     ) -> None:
         self.needs = needs
         self.result: bool | None = None
+        self.place: FloatArray | None = None  # where it stood when all held, shape (3,)
+        self.room_m = 0.0  # that it has around the way up from there
         self.verdicts: list[Verdict] = []
         self._changed, self._trouble = changed or [], trouble
         self._observe_s, self._patience_s = observe_s, patience_s
@@ -117,6 +123,7 @@ class FlightChecks:
         self.verdicts = verdicts(seen, self.needs)
         failed = {v.name for v in self.verdicts if not v.holds}
         may_come = MAY_COME if self._hand is None else MAY_COME | CARRIED
+        may_come |= {v.name for v in self.verdicts if v.is_untold}
         if failed & {"state", "estimator"}:
             may_come |= PLACED
         if (
@@ -130,6 +137,9 @@ class FlightChecks:
             self._restart(now_s)
             return
         self.result = not failed
+        if self.result and link.state is not None:
+            self.place = link.state.position.copy()
+            self.room_m = min(self.needs.near_m, *(v.room_m for v in self.verdicts))
         for v in self.verdicts:
             say(INFO if v.holds else ERROR, f"check {v.name}: {'holds' if v.holds else 'FAILS'}, {v.words}")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import signal
 import sys
 import time
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.errors import OutputError
 from alula.schemas.provenance import Provenance
-from alula.schemas.run import FLIGHT_METADATA, RunRecord
+from alula.schemas.run import FLIGHT_METADATA, RunRecord, record_path
 from alula.stages.flight.flight_messages import (
     CHANNELS,
     log_line,
@@ -83,6 +84,8 @@ class FlightRecorder:
 
     Args:
         path: the log; it must not exist. None keeps no log, and only says lines.
+        replaces: it may exist. It is replaced, and the record beside it removed, when the vehicle takes off:
+            until then this log is written beside it, under a temporary name.
         head: what is known before the flight.
         echo: the writer also says lines of the flight on its standard error.
         view: a process that also gets lines, steps and some 25 ticks a second, if it has room for them;
@@ -98,17 +101,22 @@ class FlightRecorder:
         path: Path | None,
         head: FlightHead,
         *,
+        replaces: bool = False,
         echo: bool = True,
         view: FlightPipe | None = None,
         rate_hz: float = 100.0,
     ) -> None:
+        self._path, self._beside = path, None if path is None else _beside(path, replaces=replaces)
+        self.has_flown = False  # or is taking off
         try:
-            where, how = (os.devnull, 0) if path is None else (path, os.O_CREAT | os.O_EXCL)
+            log = path if self._beside is None else self._beside
+            where, how = (os.devnull, 0) if log is None else (log, os.O_CREAT | os.O_EXCL)
             file = os.open(where, os.O_WRONLY | how, 0o644)
         except OSError as error:
             raise OutputError(f"{path}: cannot write: {error.strerror}") from error
         code = "from alula.stages.flight.flight_log import main; main()"
-        self._pipe = FlightPipe(code, (str(file), str(int(echo))), files=(file,))
+        names = () if path is None or self._beside is None else (str(self._beside), str(path))
+        self._pipe = FlightPipe(code, (str(file), str(int(echo)), *names), files=(file,))
         os.close(file)
         self._encode = msgspec.msgpack.Encoder().encode
         self._view, self._view_every, self._ticks = view, max(1, round(rate_hz / _VIEW_HZ)), 0
@@ -116,6 +124,7 @@ class FlightRecorder:
             self._pipe.put(b"h" + self._encode(head), _HEAD_S)
         except OSError as error:
             self.finish(None)
+            self.discard()
             raise OutputError(f"{path}: the process that writes the log does not run") from error
         self.dropped = self.unseen = 0
         self._rows = array("d")
@@ -156,6 +165,7 @@ class FlightRecorder:
     def step(self, time_s: float, taken: Taken) -> None:
         """See `Recorder`."""
         step = taken.step
+        self.has_flown = self.has_flown or step.state is State.TAKE_OFF
         self._put(
             b"s",
             StepSample(time_s, step.state.value, taken.event.value, step.action.value, step.words[:_WORDS]),
@@ -172,7 +182,20 @@ class FlightRecorder:
                 self._pipe.put(b"f" + self._encode(record), timeout_s)
         except OSError:
             self._pipe.process.kill()
-        return self._pipe.close(timeout_s)
+        has_ended = self._pipe.close(timeout_s)
+        if self.has_flown and self._path is not None and self._beside is not None:
+            _replace(self._beside, self._path)  # where the writer has not lived to do it
+        return has_ended
+
+    @property
+    def where(self) -> Path | None:
+        """Where the log is now."""
+        return self._beside if self._beside is not None and self._beside.exists() else self._path
+
+    def discard(self) -> None:
+        """Leave no log of what never took off, and what was there before as it was; after `finish`."""
+        if self._path is not None and not self.has_flown:
+            (self._path if self._beside is None else self._beside).unlink(missing_ok=True)
 
     def _put(self, kind: bytes, what: Any, *, is_seen: bool = True) -> None:
         try:
@@ -185,11 +208,30 @@ class FlightRecorder:
             self.unseen += not self._view.offer(message)
 
 
-class _Writer:
-    """What the other process does with what it reads."""
+def _beside(path: Path, *, replaces: bool) -> Path | None:
+    """Where a log is written until it replaces another; None if there is no other."""
+    if not replaces or not os.path.lexists(path):
+        return None
+    return path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
 
-    def __init__(self, stream: BinaryIO, head: FlightHead, *, echo: bool) -> None:
-        self.head, self.echo, self.ticks = head, echo, 0
+
+def _replace(beside: Path, path: Path) -> None:
+    """Let a log that was begun beside another take its place, once; the other's record goes with it."""
+    with suppress(OSError):  # then it stays where it is, and is read there
+        beside.replace(path)
+        record_path(path).unlink(missing_ok=True)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+class _Writer:
+    """What the other process does with what it reads; `moves` is where the log is and where it belongs."""
+
+    def __init__(self, stream: BinaryIO, head: FlightHead, *, echo: bool, moves: list[Path]) -> None:
+        self.head, self.echo, self.ticks, self.moves = head, echo, 0, moves
         self.log = LogWriter(stream, CHANNELS, chunk_bytes=_CHUNK_BYTES)
         known = msgspec.structs.asdict(head)
         known.pop("map_message")
@@ -211,6 +253,8 @@ class _Writer:
             step = msgspec.msgpack.decode(body, type=StepSample)
             fields = step_message(step.time_s, step.state, step.event, step.action)
             self.log.send("/supervisor", step.time_s, fields)
+            if step.state == State.TAKE_OFF.value and self.moves:
+                _replace(*self.moves)
         elif kind == b"l":
             line = msgspec.msgpack.decode(body, type=LineSample)
             self.log.send("/log", line.time_s, log_line(line.time_s, line.level, line.words))
@@ -266,7 +310,7 @@ def main() -> None:
 def _write() -> None:
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # it ends when the pipe does
-    file, echo = int(sys.argv[1]), sys.argv[2] == "1"
+    file, echo, moves = int(sys.argv[1]), sys.argv[2] == "1", [Path(name) for name in sys.argv[3:]]
     source = sys.stdin.buffer
     writer: _Writer | None = None
     synced = time.monotonic()
@@ -278,7 +322,8 @@ def _write() -> None:
                     writer.log.close()
                 break
             if writer is None:
-                writer = _Writer(stream, msgspec.msgpack.decode(body[1:], type=FlightHead), echo=echo)
+                head = msgspec.msgpack.decode(body[1:], type=FlightHead)
+                writer = _Writer(stream, head, echo=echo, moves=moves)
             elif not writer.take(body):
                 break
             if time.monotonic() - synced > _SYNC_S:

@@ -160,10 +160,11 @@ class Jump:
         self._last: VehicleState | None = None
 
     def of(self, state: VehicleState) -> float:
-        """Of a state, against the one before; 0 for the same one [m]."""
+        """Of a state, against the one before; 0 for the same one, infinite for what is not a number [m]."""
         last, self._last = self._last, state
         if last is None or last is state:
             return 0.0
         dt = max(0.0, state.received_s - last.received_s)
         away = state.position - last.position - 0.5 * dt * (state.velocity + last.velocity)
-        return max(0.0, math.sqrt(float(away @ away)) - 10.0 * dt * dt)
+        jump = math.sqrt(float(away @ away)) - 10.0 * dt * dt
+        return max(0.0, jump) if math.isfinite(jump) else math.inf

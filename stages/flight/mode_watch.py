@@ -1,8 +1,13 @@
-"""Whose the vehicle's mode is: ours as long as it follows us, or lands because we said so."""
+"""What must not change unseen: whose the vehicle's mode is, and that it tells of its health."""
 
 from __future__ import annotations
 
+import math
+
 from alula.stages.flight.links.protocol import Order, VehicleStatus
+
+_MOMENT_S = 1.0
+_HEALTH = ("armed", "is_estimator_ready", "battery_share")
 
 
 class ModeWatch:
@@ -38,3 +43,24 @@ class ModeWatch:
         elif self._follows or status.mode != self._before:
             self._lost = True
         return not self._lost
+
+
+class HealthWatch:
+    """Whether a vehicle still tells what it told of its health when it was armed.
+
+    A link makes unknown what was not heard for some seconds. Who flies on then flies on the last good news.
+    """
+
+    def __init__(self) -> None:
+        self._told: tuple[str, ...] = ()
+        self._since_s = math.inf
+
+    def armed(self, status: VehicleStatus) -> None:
+        """It is about to be armed."""
+        self._told = tuple(name for name in _HEALTH if getattr(status, name) is not None)
+
+    def is_untold(self, status: VehicleStatus, now_s: float) -> bool:
+        """Whether one of them is unknown, and has been for longer than a moment."""
+        is_unknown = any(getattr(status, name) is None for name in self._told)
+        self._since_s = min(self._since_s, now_s) if is_unknown else math.inf
+        return now_s - self._since_s > _MOMENT_S

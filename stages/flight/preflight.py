@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula._core import EllipsoidSet, Fence, PolytopeSet
-from alula.stages.flight.links.protocol import Setpoint, VehicleState, VehicleStatus
+from alula.stages.flight.links.protocol import HIGHEST_M, Setpoint, VehicleState, VehicleStatus
 from alula.stages.reporting.metrics import path_clearance
 from alula.stages.rotation import matrix_from_quat_wxyz
 
 FloatArray = NDArray[np.float64]
 
 _LEAST_CLIMB_M = 0.1  # to the start: without a climb there is no take-off, and set-points come on the ground
+_UNIT = 1e-2  # how far from 1 the square of a quaternion may be
 _THRUST_RATIO = 1.5  # between the vehicle's thrust and its file's: another vehicle's file
 _FOOT = 1.5  # of the clearance needed: so far above its feet a vehicle on the ground must be clear of all
 
@@ -37,8 +38,7 @@ class Needs:
         near_m: how far from below the start it may stand, sideways.
         state_hz: least rate of states; loop_hz: wanted rate of the loop.
         silence_s, stale_s: oldest word and state.
-        battery_share: least charge, of 1.
-        needs_battery: whether a vehicle that tells no charge is refused.
+        battery_share: least charge, of 1; with 0 one that tells none will do.
         max_tilt_rad: of where it stands.
         frame: verdict of the check by hand, in words of what is wrong; empty when right, None when not made.
     """
@@ -59,7 +59,6 @@ class Needs:
     silence_s: float = 1.5
     stale_s: float = 0.15
     battery_share: float = 0.3
-    needs_battery: bool = False
     max_tilt_rad: float = 0.35
     frame: str | None = None
 
@@ -89,12 +88,22 @@ class Observed:
 
 
 class Verdict(NamedTuple):
-    """Of one check: its name, whether it holds, what was found; `of_link` when the vehicle is the cause."""
+    """Of one check: its name, whether it holds, what was found.
+
+    `of_link` when the vehicle is the cause; `is_untold` when it has not said what is needed, and still may.
+    `room_m`, of the clearance, is how far off its way up the vehicle's sphere still touches nothing.
+    """
 
     name: str
     holds: bool
     words: str
     of_link: bool = False
+    is_untold: bool = False
+    room_m: float = math.inf
+
+
+def _untold(name: str, what: str) -> Verdict:
+    return Verdict(name, False, f"not told: the vehicle says nothing of its {what}", True, True)
 
 
 def _heartbeat(seen: Observed, needs: Needs) -> Verdict:
@@ -128,9 +137,18 @@ def _thrust(seen: Observed, needs: Needs) -> Verdict:
 def _position(seen: Observed, needs: Needs) -> Verdict:
     if seen.state is None:
         return Verdict("state", False, "no complete and finite state was seen", of_link=True)
-    age = seen.now_s - seen.state.received_s
-    x, y, z = seen.state.position
-    return Verdict("state", age <= needs.stale_s, f"at ({x:.2f} {y:.2f} {z:.2f}), {age:.3f} s old", True)
+    state, age = seen.state, seen.now_s - seen.state.received_s
+    if not all(np.isfinite(part).all() for part in (state.position, state.velocity, state.omega)):
+        return Verdict("state", False, "position, velocity or rates are not finite", of_link=True)
+    if not _is_attitude(state):
+        return Verdict("state", False, "the attitude is no unit quaternion", of_link=True)
+    x, y, z = state.position
+    holds = abs(age) <= needs.stale_s  # what comes from the future never grows old
+    return Verdict("state", holds, f"at ({x:.2f} {y:.2f} {z:.2f}), {age:.3f} s old", True)
+
+
+def _is_attitude(state: VehicleState) -> bool:
+    return abs(float(state.attitude_wxyz @ state.attitude_wxyz) - 1.0) < _UNIT
 
 
 def _rate(seen: Observed, needs: Needs) -> Verdict:
@@ -147,29 +165,38 @@ def _loop(seen: Observed, needs: Needs) -> Verdict:
 
 def _estimator(seen: Observed, needs: Needs) -> Verdict:
     ready = seen.status.is_estimator_ready
-    words = {True: "ready", False: "not ready", None: "not told"}[ready]
-    return Verdict("estimator", ready is not False, words)
+    if ready is None:
+        return _untold("estimator", "estimate of where it is")
+    return Verdict("estimator", ready, "ready" if ready else "not ready")
 
 
 def _battery(seen: Observed, needs: Needs) -> Verdict:
     share = seen.status.battery_share
+    if share is None and needs.battery_share == 0:
+        return Verdict("battery", True, "not told, and none is needed")
     if share is None:
-        return Verdict("battery", not needs.needs_battery, "not told")
-    return Verdict("battery", share >= needs.battery_share, f"{share:.0%}, {needs.battery_share:.0%} needed")
+        return _untold("battery", "battery's charge")
+    holds = needs.battery_share <= share <= 1
+    return Verdict("battery", holds, f"{share:.0%}, {needs.battery_share:.0%} needed")
 
 
 def _on_ground(seen: Observed, needs: Needs) -> Verdict:
     status = seen.status
     if status.is_failsafe:
         return Verdict("on the ground", False, "the vehicle is in a failsafe of its own")
-    holds = status.armed is False and status.landed is not False
-    return Verdict("on the ground", holds, "disarmed" if holds else "armed, in the air, or not told")
+    if status.armed or status.landed is False:
+        return Verdict("on the ground", False, "armed" if status.armed else "in the air")
+    if status.armed is None or status.landed is None:
+        return _untold("on the ground", "motors" if status.armed is None else "being landed or not")
+    return Verdict("on the ground", True, "disarmed")
 
 
 def _level(seen: Observed, needs: Needs) -> Verdict:
     """At rest gravity says where up is: an attitude in another convention does not stand level."""
     if seen.state is None:
         return Verdict("level", False, "no state")
+    if not _is_attitude(seen.state):
+        return Verdict("level", False, "the attitude is no unit quaternion")
     up = float(matrix_from_quat_wxyz(seen.state.attitude_wxyz)[2, 2])
     tilt = math.acos(max(-1.0, min(1.0, up)))
     resting = (
@@ -184,11 +211,10 @@ def _start(seen: Observed, needs: Needs) -> Verdict:
         return Verdict("start", False, "no state")
     away = needs.start - seen.state.position
     sideways = math.hypot(away[0], away[1])
-    holds = sideways <= needs.near_m and away[2] >= _LEAST_CLIMB_M
+    holds = sideways <= needs.near_m and _LEAST_CLIMB_M <= away[2] <= HIGHEST_M
     words = f"the plan starts {sideways:.2f} m away sideways and {away[2]:.2f} m above"
-    return Verdict(
-        "start", holds, f"{words}; at most {needs.near_m:g} m sideways, {_LEAST_CLIMB_M:g} m or more above"
-    )
+    wanted = f"at most {needs.near_m:g} m sideways, {_LEAST_CLIMB_M:g} to {HIGHEST_M:g} m above"
+    return Verdict("start", holds, f"{words}; {wanted}")
 
 
 def climb(position: FloatArray, start: FloatArray, foot_m: float) -> FloatArray:
@@ -207,12 +233,14 @@ def _clearance(seen: Observed, needs: Needs) -> Verdict:
     way = climb(seen.state.position, needs.start, _FOOT * needed)
     if not np.isfinite(way).all():
         return Verdict("clearance", False, "no finite position")
+    room = math.inf
     for name, obstacles in needs.obstacles:
         least = float(path_clearance(way, obstacles, jobs=1).min())
-        if least < needed:
+        if not least >= needed:
             words = f"{least:.3f} m to {name} on the way up to the start, {needed:.3f} m needed"
             return Verdict("clearance", False, words)
-    return Verdict("clearance", True, f"the way up to the start is {needed:.3f} m clear")
+        room = min(room, least - needs.radius_m)
+    return Verdict("clearance", True, f"the way up to the start is {needed:.3f} m clear", room_m=room)
 
 
 def _fence(seen: Observed, needs: Needs) -> Verdict:
@@ -237,7 +265,7 @@ def _landing(seen: Observed, needs: Needs) -> Verdict:
         return Verdict("landing", False, "no finite position")
     for name, obstacles in needs.obstacles:
         least = float(path_clearance(way, obstacles, jobs=1).min())
-        if least < needs.radius_m:
+        if not least >= needs.radius_m:
             words = f"{least:.3f} m to {name} on the way down from the goal, {needs.radius_m:.3f} m needed"
             return Verdict("landing", False, words)
     return Verdict("landing", True, f"the way down from the goal is {needs.radius_m:.3f} m clear")

@@ -38,9 +38,9 @@ class SupervisorLimits:
         fence_m: least distance to the fence.
         battery_share: least charge, of 1.
         settle_s: all must be well for this long before a hold ends.
-        engage_s: how long the vehicle may take to follow set-points.
+        engage_s: how long the vehicle may take to follow us, at first and whenever it does not.
+        drift_m: from where a hold began, beyond what it takes to brake.
         failsafe_s: how long a vehicle in a failsafe may take to leave our mode; many are told to do nothing.
-        disarm_s: a vehicle that is told to disarm may have said before that it is not armed.
         holds: of one flight; after the last it lands.
         checks_s, arming_s, take_off_s, flight_s, hold_s, landing_s, abort_s: longest time in a state.
     """
@@ -55,8 +55,8 @@ class SupervisorLimits:
     battery_share: float = 0.2
     settle_s: float = 1.0
     engage_s: float = 2.0
+    drift_m: float = 1.0
     failsafe_s: float = 1.0
-    disarm_s: float = 1.0
     holds: int = 3
     checks_s: float = 120.0
     arming_s: float = 60.0
@@ -78,6 +78,9 @@ class Facts:
         armed, landed, obeys, is_failsafe, estimator_ready, battery_share: as the vehicle says.
         is_ours: False once somebody else has changed the mode.
         order_refused: the vehicle has declined the last order, some time ago.
+        untold: the vehicle no longer says of its health what it said when it was armed.
+        astray_m: how far it is beyond what was proven clear of its way up; 0 is within.
+        drift_m: how far a hold has let it go, beyond what it takes to brake.
         restarted: the vehicle has started anew since the checks, and forgotten what it was told.
         checks: whether all pre-flight checks passed; None while they run.
         dry_run: checks are all there is to do.
@@ -100,6 +103,9 @@ class Facts:
     obeys: bool = False
     is_failsafe: bool = False
     restarted: bool = False
+    untold: bool = False
+    astray_m: float = 0.0
+    drift_m: float = 0.0
     estimator_ready: bool | None = None
     battery_share: float | None = None
     is_ours: bool = True
@@ -127,6 +133,7 @@ class Supervision:
         seen: events of this state that were dealt with and left it as it is.
         well_since_s: since when all has been well in a hold.
         engaged: whether the vehicle has followed set-points since it was told to.
+        unheeded_s: since when it has not been in the mode that it should be in.
         holds: how many there were.
         failsafe_s: since when the vehicle tells of a failsafe, and follows us nevertheless.
         cause: the first event that ended the flight as planned or otherwise; None so far.
@@ -137,6 +144,7 @@ class Supervision:
     seen: frozenset[Event] = frozenset()
     well_since_s: float = math.inf
     engaged: bool = False
+    unheeded_s: float = math.inf
     holds: int = 0
     failsafe_s: float = math.inf
     cause: Event | None = None
@@ -152,6 +160,9 @@ class Taken(NamedTuple):
 
 _REPEATS = frozenset({Event.ORDER_REFUSED})  # may come again in the same state and means the same again
 _HOLDING = frozenset({Event.STATE_STALE, Event.LINK_LOST, Event.LOOP_LATE, Event.FENCE})
+_OBEYING = frozenset(
+    {State.TAKE_OFF, State.FLY, State.HOLD}
+)  # in a mode that follows set-points; not in LAND
 _ENDS = frozenset({State.LAND, State.HAND_OVER, State.ABORT, State.DONE})
 
 
@@ -194,13 +205,15 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
     battery = facts.battery_share
     engaged = was.engaged if state is State.FLY else True
     second = facts.interrupts >= 2
-    is_told_since = state is not State.ABORT or facts.now_s - was.since_s > limits.disarm_s
+    since_s = facts.now_s - was.since_s
+    # An order to arm may still be on its way to a vehicle that says it is not.
+    is_disarmed = facts.armed is False and (state is not State.ABORT or since_s > limits.settle_s)
     for event, is_so in (
         # Whoever took the vehicle has it, before anything else.
         (Event.MODE_CHANGED, not facts.is_ours),
         (Event.FAILSAFE, facts.is_failsafe and not facts.obeys),
-        (Event.DISARMED, facts.armed is False and is_told_since),
-        (Event.LINK_LOST, not facts.silence_s <= limits.silence_s),
+        (Event.DISARMED, is_disarmed),
+        (Event.LINK_LOST, not abs(facts.silence_s) <= limits.silence_s),
         (Event.INTERRUPT_ON_GROUND, second and facts.landed is True),
         (Event.INTERRUPT_IN_AIR, second and facts.landed is not True),
         (Event.INTERRUPT, facts.interrupts == 1),
@@ -209,13 +222,16 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.FAILSAFE_IDLE, facts.now_s - was.failsafe_s > limits.failsafe_s),
         (Event.ESTIMATOR_BAD, facts.estimator_ready is False),
         (Event.BATTERY_LOW, battery is not None and not battery >= limits.battery_share),
-        (Event.STATE_STALE, not facts.state_age_s <= limits.stale_s),
+        (Event.UNTOLD, facts.untold),
+        (Event.STATE_STALE, not abs(facts.state_age_s) <= limits.stale_s),  # nor from the future
         (Event.STATE_JUMPED, not facts.jump_m <= limits.jump_m),
-        (Event.LOOP_LATE, facts.late_s > limits.late_s or facts.overruns >= limits.overruns),
+        (Event.OFF_WAY, not facts.astray_m <= 0.0),
+        (Event.DRIFTS, not facts.drift_m <= limits.drift_m),
+        (Event.LOOP_LATE, not facts.late_s <= limits.late_s or facts.overruns >= limits.overruns),
         (Event.FILTER_FAILED, facts.filter is FilterHealth.FAILED),
         (Event.FILTER_REFUSED, facts.filter is FilterHealth.REFUSED),
         (Event.FENCE, fence is not None and not fence >= limits.fence_m),
-        (Event.FALLBACK_LONG, facts.fallback_s > limits.fallback_s),
+        (Event.FALLBACK_LONG, not facts.fallback_s <= limits.fallback_s),
         (Event.ORDER_REFUSED, facts.order_refused),
         (Event.CHECK_FAILED, facts.checks is False),
         (Event.CHECKS_PASSED_DRY, facts.checks is True and facts.dry_run),
@@ -224,10 +240,11 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.ARMED, facts.armed is True),
         (Event.AIRBORNE, facts.climbed_m is not None and facts.climbed_m >= 0.95 * facts.height_m),
         (Event.PLAN_FINISHED, facts.plan_done),
-        (Event.NOT_OBEYED, not engaged and facts.now_s - was.since_s > limits.engage_s),
+        (Event.NOT_OBEYED, not engaged and since_s > limits.engage_s),
+        (Event.NOT_OBEYED, facts.now_s - was.unheeded_s > limits.engage_s),
         (Event.HOLDS_USED_UP, state is State.HOLD and was.holds > limits.holds),
         (Event.RECOVERED, facts.now_s - was.well_since_s > limits.settle_s),
-        (Event.TIMED_OUT, facts.now_s - was.since_s > longest),
+        (Event.TIMED_OUT, not since_s <= longest),
     ):
         if is_so:
             yield event
@@ -249,11 +266,13 @@ def _longest(limits: SupervisorLimits) -> Mapping[State, float]:
 
 
 def _timed(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Supervision:
-    """Since when all has been well or in a failsafe, and whether the vehicle has begun to follow."""
+    """Since when all has been well, in a failsafe or not as told, and whether it has begun to follow."""
     is_idle = facts.is_failsafe and facts.obeys
-    since = min(was.failsafe_s, facts.now_s) if is_idle else math.inf
-    if since != was.failsafe_s:
-        was = dataclasses.replace(was, failsafe_s=since)
+    is_deaf = (was.state in _OBEYING and not facts.obeys) or (was.state is State.LAND and facts.obeys)
+    failsafe = min(was.failsafe_s, facts.now_s) if is_idle else math.inf
+    unheeded = min(was.unheeded_s, facts.now_s) if is_deaf else math.inf
+    if (failsafe, unheeded) != (was.failsafe_s, was.unheeded_s):
+        was = dataclasses.replace(was, failsafe_s=failsafe, unheeded_s=unheeded)
     if was.state is State.FLY and facts.obeys and not was.engaged:
         return dataclasses.replace(was, engaged=True)
     if was.state is not State.HOLD:

@@ -42,6 +42,9 @@ class Event(Enum):
     FALLBACK_LONG = "fallback for too long"
     FENCE = "too near to the fence"
     NOT_OBEYED = "vehicle does not follow"
+    OFF_WAY = "off the way up"
+    DRIFTS = "drifts off its hold"
+    UNTOLD = "health not told any more"
     RECOVERED = "all is well again"
     HOLDS_USED_UP = "held too often"
     BATTERY_LOW = "battery low"
@@ -135,6 +138,8 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.STATE_JUMPED,
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
+        _E.UNTOLD,
+        _E.OFF_WAY,
         _E.TIMED_OUT,
     )
     | _abort(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
@@ -149,8 +154,11 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.STATE_JUMPED,
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
+        _E.UNTOLD,
     )
-    | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
+    # Low, and near the column that was proven clear: a hold would stay where nothing was.
+    | _land(_E.OFF_WAY, _E.FENCE)
+    | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.FLY: _hand_over(*_TAKEN)
     | _done(_E.DISARMED)
@@ -163,6 +171,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.STATE_JUMPED,
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
+        _E.UNTOLD,
     )
     | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
@@ -175,15 +184,18 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.STATE_JUMPED,
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
+        _E.UNTOLD,
         _E.FRAME_WRONG,
         _E.HOLDS_USED_UP,
     )
+    # A hold that does not hold: what is left is to be down before it is somewhere.
+    | _land(_E.DRIFTS, _E.NOT_OBEYED)
     | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.LAND: _hand_over(*_TAKEN, _E.TIMED_OUT)
     | _done(_E.DISARMED)
     | _stay(_S.LAND, _A.DISARM, "disarming", _E.LANDED, _E.INTERRUPT_ON_GROUND)
-    | _stay(_S.LAND, _A.LAND, "landing is ordered again", _E.ORDER_REFUSED, _E.LINK_LOST)
+    | _stay(_S.LAND, _A.LAND, "landing is ordered again", _E.ORDER_REFUSED, _E.LINK_LOST, _E.NOT_OBEYED)
     | _stay(_S.LAND, _A.NOTHING, "motors stop on the ground only", _E.INTERRUPT_IN_AIR),
     _S.HAND_OVER: _done(_E.DISARMED, _E.LINK_LOST)
     | _done(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
@@ -204,8 +216,10 @@ _HEALTH = (
     _E.STATE_JUMPED,
     _E.ESTIMATOR_BAD,
     _E.BATTERY_LOW,
+    _E.UNTOLD,
     _E.FENCE,
 )
+_PLACE = (_E.OFF_WAY, _E.DRIFTS)  # of the way up, and of a hold: elsewhere there is no such place
 _INTERRUPTS = (_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR)
 
 IGNORED: Mapping[State, frozenset[Event]] = {
@@ -213,35 +227,32 @@ IGNORED: Mapping[State, frozenset[Event]] = {
     # What the vehicle says meanwhile is what the checks look at.
     _S.CHECKS: frozenset(
         {_E.START, _E.ARMED, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.FAILSAFE_IDLE, *_TAKEN}
+        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.FAILSAFE_IDLE, *_PLACE, *_TAKEN}
     ),
     _S.ARMING: frozenset(
         {_E.START, *_BEFORE, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD}
-        | {_E.FRAME_WRONG, _E.FENCE, _E.NOT_OBEYED}
+        | {_E.FRAME_WRONG, _E.FENCE, _E.NOT_OBEYED, _E.DRIFTS}
     ),
-    # The ground may be nearer than a fence allows.
-    _S.TAKE_OFF: frozenset(
-        {_E.START, *_BEFORE, _E.ARMED, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, _E.NOT_OBEYED, _E.FENCE}
-    ),
+    _S.TAKE_OFF: frozenset({_E.START, *_BEFORE, _E.ARMED, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, _E.DRIFTS}),
     # That it says it has landed is no reason to stop the motors of a vehicle that is told to fly.
-    _S.FLY: frozenset({_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_HOLD}),
-    # What led here is still so until it has recovered.
+    _S.FLY: frozenset({_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_HOLD, *_PLACE}),
+    # What led here is still so until it has recovered, or has lasted too long.
     _S.HOLD: frozenset(
-        {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, _E.NOT_OBEYED}
+        {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, _E.OFF_WAY}
         | {_E.STATE_STALE, _E.FENCE}
     ),
-    # It lands whatever else is wrong.
+    # It lands whatever else is wrong: where it is no better is known, and what it drifts by is the wind.
     _S.LAND: frozenset(
         {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.FAILSAFE_IDLE, _E.INTERRUPT}
+        | {*_PLACE, _E.FAILSAFE_IDLE, _E.INTERRUPT}
     ),
     _S.HAND_OVER: frozenset(
         {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE, *_TAKEN}
+        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE, *_PLACE, *_TAKEN}
     ),
     _S.ABORT: frozenset(
         {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.LINK_LOST, _E.FAILSAFE_IDLE, *_INTERRUPTS}
+        | {_E.NOT_OBEYED, _E.LINK_LOST, _E.FAILSAFE_IDLE, *_PLACE, *_INTERRUPTS}
     ),
     _S.DONE: frozenset(Event),
 }

@@ -59,7 +59,7 @@ class Flight(Served):
     limits: dict[str, float] = field(default_factory=dict)
     parameters: dict[str, float] = field(default_factory=dict)
     loop_words: dict[str, Any] = field(default_factory=dict)
-    observe_s: float = 0.5
+    observe_s: float = 0.4
     noise: Any = EXACT  # of its estimate
 
     def __post_init__(self):
@@ -130,7 +130,7 @@ class Flight(Served):
     def fly(self):
         """From opening the link to closing it; the flight itself."""
         options = LinkOptions(frame=self.frame, clock=self.time, sleep=self.time.sleep)
-        self.link = link = open_link(f"udpout:127.0.0.1:{self.port}", options)
+        self.link = link = open_link(f"udpout:127.0.0.1:{self.port}?system=1", options)
         link.clock = self.time  # the loop's, too
         try:
             link.open(5.0)

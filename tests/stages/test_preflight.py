@@ -70,7 +70,12 @@ def test_all_checks_hold_for_a_vehicle_that_is_ready():
         ({"states": 30}, ["rate"]),
         ({"ticks": 150}, ["loop"]),
         ({"is_estimator_ready": False}, ["estimator"]),
+        ({"is_estimator_ready": None}, ["estimator"]),
         ({"battery_share": 0.29}, ["battery"]),
+        ({"battery_share": None}, ["battery"]),
+        ({"battery_share": float("nan")}, ["battery"]),
+        ({"battery_share": 90.0}, ["battery"]),  # a share is of 1
+        ({"landed": None}, ["on the ground"]),
         ({"armed": True}, ["on the ground"]),
         ({"landed": False}, ["on the ground"]),
         ({"armed": None}, ["on the ground"]),
@@ -78,6 +83,12 @@ def test_all_checks_hold_for_a_vehicle_that_is_ready():
         ({"state": state(quat=(0, 1, 0, 0))}, ["level"]),  # NED taken for ENU
         ({"state": state(quat=np.array([1, 0.2, 0, 0]) / np.hypot(1, 0.2))}, ["level"]),
         ({"state": state(velocity=(1, 0, 0))}, ["level"]),
+        ({"state": state(quat=(0, 0, 0, 0))}, ["state", "level"]),  # would be level otherwise
+        ({"state": state(quat=(float("nan"), 0, 0, 0))}, ["state", "level"]),
+        ({"state": state(quat=(2, 0, 0, 0))}, ["state", "level"]),
+        ({"state": state(velocity=(0, float("inf"), 0))}, ["state", "level"]),
+        ({"state": state(at=60.0)}, ["state"]),  # of the future: it would never grow old
+        ({"state": state((START[0], START[1], -99.5))}, ["start"]),  # farther than a take-off goes
         ({"state": state((START[0] + 0.51, START[1], 0))}, ["start"]),
         ({"state": state((START[0], START[1], 1.6))}, ["start"]),
         ({"state": state((START[0], START[1], 1.2))}, ["start"]),  # nothing to take off to
@@ -150,6 +161,44 @@ def test_an_estimator_is_waited_for_but_not_for_ever():
     loop, _ = fly(on_poll=never)
     assert loop.supervision.cause is Event.CHECK_FAILED
     assert loop.checks.failure() == "estimator: not ready"
+
+
+@pytest.mark.parametrize("name", ["is_estimator_ready", "battery_share", "landed"])
+def test_what_is_not_told_is_waited_for_and_then_refused(name):
+    def late(vehicle, now):
+        if now < 104.0:
+            setattr(vehicle.status, name, None)
+        elif vehicle.status.is_estimator_ready is None or vehicle.status.battery_share is None:
+            setattr(vehicle.status, name, 0.9 if name == "battery_share" else True)
+        elif vehicle.status.landed is None:
+            vehicle.status.landed = True
+
+    loop, _ = fly(on_poll=late)
+    assert loop.supervision.cause is Event.PLAN_FINISHED
+    assert any("waiting for" in words and "not told" in words for _, words in loop.recorder.lines)
+
+    def never(vehicle, now):
+        setattr(vehicle.status, name, None)
+
+    loop, vehicle = fly(on_poll=never)
+    assert loop.supervision.cause is Event.CHECK_FAILED
+    assert "not told: the vehicle says nothing of its" in loop.checks.failure()
+    assert loop.checks.is_of_link
+    assert {order.value for order in vehicle.orders} == {"nothing"}
+
+
+def test_a_vehicle_that_tells_no_charge_flies_where_none_is_asked_for():
+    def untold(vehicle, now):
+        vehicle.status.battery_share = None
+
+    loop, _ = fly(mission(battery=0.0), on_poll=untold)
+    assert loop.supervision.cause is Event.PLAN_FINISHED
+
+
+def test_a_low_battery_is_not_waited_for():
+    loop, vehicle = fly(on_poll=lambda v, now: setattr(v.status, "battery_share", 0.1))
+    assert loop.checks.failure() == "battery: 10%, 30% needed"
+    assert vehicle.clock() < 104
 
 
 def test_a_place_comes_with_the_estimator_and_is_waited_for_like_it():

@@ -57,6 +57,9 @@ SHOWN = {
     Event.FALLBACK_LONG: {"fallback_s": 3.1},
     Event.FENCE: {"fence_m": -0.01},
     Event.BATTERY_LOW: {"battery_share": 0.19},
+    Event.UNTOLD: {"untold": True},
+    Event.OFF_WAY: {"astray_m": 0.01},
+    Event.DRIFTS: {"drift_m": 1.01},
     Event.LINK_LOST: {"silence_s": 1.6},
     Event.ESTIMATOR_BAD: {"estimator_ready": False},
     Event.FAILSAFE: {"is_failsafe": True, "obeys": False},
@@ -75,20 +78,31 @@ _FOR_LONG = {Event.TIMED_OUT: 1e6, Event.NOT_OBEYED: 2.1, Event.DISARMED: 1.1}
 def standing(state, event=None):
     """A flight that stands in a state, for as long as the event needs."""
     since = NOW - _FOR_LONG.get(event, 0.5)
+    if (state, event) == (State.ABORT, Event.DISARMED):
+        since = NOW - 1.1
+    unheeded = NOW - 2.1 if event is Event.NOT_OBEYED else math.inf
     holds = 4 if event is Event.HOLDS_USED_UP else 1
     well = NOW - 1.1 if event is Event.RECOVERED else math.inf
     engaged = event is not Event.NOT_OBEYED
     failsafe = NOW - 1.1 if event is Event.FAILSAFE_IDLE else math.inf
-    return Supervision(state, since, engaged=engaged, holds=holds, well_since_s=well, failsafe_s=failsafe)
+    return Supervision(
+        state,
+        since,
+        engaged=engaged,
+        unheeded_s=unheeded,
+        holds=holds,
+        well_since_s=well,
+        failsafe_s=failsafe,
+    )
 
 
 def facts_of(event, state):
     usual = {"armed": None} if state in (State.CHECKS, State.ARMING, State.ABORT) else {}
     shown = SHOWN.get(event, {})
-    obeys = {"obeys": False} if event is Event.NOT_OBEYED else {}
+    obeys = {"obeys": (event is Event.NOT_OBEYED) == (state is State.LAND)}  # in LAND its mode is another
     if event is Event.TIMED_OUT and state is State.HOLD:
-        obeys = {"late_s": 0.2}  # or else it has recovered
-    return dataclasses.replace(WELL, **{**usual, **shown, **obeys})
+        obeys |= {"late_s": 0.2}  # or else it has recovered
+    return dataclasses.replace(WELL, **{**obeys, **usual, **shown})
 
 
 def test_what_was_said_before_the_motors_started_does_not_end_an_abort():

@@ -13,13 +13,12 @@ from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from alula.stages.flight.supervisor_table import TABLE, Event, State
 
 S, E = State, Event
-START, GOAL = (0.3, 2.0, 0.6), (2.7, 2.0, 0.6)
-SILENT = ("EXTENDED_SYS_STATE", "HEARTBEAT")
+START, GOAL = (0.3, 2.0, 0.5), (2.7, 2.0, 0.5)
 SHORT = {"duration": 0.4}
 
 # No flight takes these. `ControlLoop` begins with the checks: Ctrl-C before that ends the command
-# (test_fly_signals). Motion is compared with the frame in take-off and flight only, and what it finds is dealt
-# with in the same tick.
+# (test_fly_signals). Motion is compared with the frame in take-off and flight only, and what it finds is
+# dealt with in the same tick.
 NEVER = {(S.IDLE, E.INTERRUPT), (S.HOLD, E.FRAME_WRONG)}
 
 
@@ -56,6 +55,17 @@ def mirror(flight):
         message.vx, message.vy, message.vz = -message.vx, -message.vy, -message.vz
 
     flight.changes["LOCAL_POSITION_NED"] = change
+
+
+def unseen(flight):
+    """The link does not know the mode any more, and not whether the vehicle follows."""
+    flight.muted.add("HEARTBEAT")
+    flight.link.status.obeys, flight.link.status.mode = False, ""
+
+
+def nearly_up(flight):
+    """Take-off is about to be over."""
+    return flight.link.state.position[2] > 0.85 * START[2]
 
 
 def land_seen(flight):
@@ -182,7 +192,7 @@ PLOTS = {
     "checks: interrupted": Plot([(S.CHECKS, E.INTERRUPT)], on(S.CHECKS, interrupt(1))),
     "checks: twice": Plot([(S.CHECKS, E.INTERRUPT_ON_GROUND)], on(S.CHECKS, interrupt(2))),
     "checks: twice, landing unknown": Plot(
-        [(S.CHECKS, E.INTERRUPT_IN_AIR)], [*on(None, mute(*SILENT[:1])), *on(S.CHECKS, interrupt(2))]
+        [(S.CHECKS, E.INTERRUPT_IN_AIR)], [*on(None, mute("EXTENDED_SYS_STATE")), *on(S.CHECKS, interrupt(2))]
     ),
     **{
         f"arming: {event.value}": Plot(
@@ -202,7 +212,10 @@ PLOTS = {
     },
     "arming: twice, landing unknown": Plot(
         [(S.ARMING, E.INTERRUPT_IN_AIR), (S.ABORT, E.DISARMED)],
-        [*on(None, mute(*SILENT[:1])), *UNARMED, *on(S.ARMING, interrupt(2))],
+        [
+            *on(S.CHECKS, mute("EXTENDED_SYS_STATE"), after=0.3),
+            *(*UNARMED, *on(S.ARMING, interrupt(2), after=3.2)),
+        ],
     ),
     "arming: the pilot's switch": Plot(
         [(S.ARMING, E.MODE_CHANGED), (S.HAND_OVER, E.DISARMED)],
@@ -225,7 +238,7 @@ PLOTS = {
     "abort: disarming refused": Plot(
         [(S.ABORT, E.ORDER_REFUSED)], on(S.ARMING, refuse("disarm"), interrupt(1), after=armed_unseen)
     ),
-    **endings(S.TAKE_OFF, [], 1.2),
+    **endings(S.TAKE_OFF, [], 0.5),
     **endings(S.FLY, [], 0.3),
     **endings(S.HOLD, FROZEN, 0.4),
     "take-off: frozen": Plot(
@@ -257,27 +270,67 @@ PLOTS = {
     "fly: mirrored": Plot([(S.FLY, E.FRAME_WRONG)], on(S.FLY, mirror, after=0.0)),
     "fly: too slow": Plot([(S.FLY, E.TIMED_OUT)], [], limits={"flight_s": 0.4}),
     "fly: not seen to follow": Plot(
-        [(S.FLY, E.NOT_OBEYED)],
-        [*on(S.TAKE_OFF, mute("HEARTBEAT"), after=0.0), *on(S.LAND, unmute, after=0.2)],
-        parameters={"WPNAV_SPEED_UP": 12.0},
+        [(S.FLY, E.NOT_OBEYED)], [*on(S.FLY, unseen, after=0.0), *on(S.LAND, unmute)]
     ),
     "fly: control refused, then landing": Plot(
-        [(S.FLY, E.ORDER_REFUSED), (S.LAND, E.ORDER_REFUSED)],
+        [(S.FLY, E.ORDER_REFUSED), (S.LAND, E.ORDER_REFUSED), (S.LAND, E.NOT_OBEYED)],
         [
-            *on(S.TAKE_OFF, mute("HEARTBEAT"), after=0.0),
-            *on(S.FLY, refuse("set_mode"), after=0.0),
-            *on(S.LAND, unmute, allow("set_mode"), after=1.3),
+            *on(S.TAKE_OFF, unseen, refuse("set_mode"), after=nearly_up),
+            *on(S.LAND, unmute, after=0.1),
+            *on(S.LAND, allow("set_mode"), after=2.5),
         ],
-        parameters={"WPNAV_SPEED_UP": 12.0},
     ),
     "hold: control refused": Plot(
         [(S.HOLD, E.ORDER_REFUSED)],
         [
-            *on(S.TAKE_OFF, mute("HEARTBEAT"), refuse("set_mode"), after=0.0),
-            *on(S.FLY, fault("freeze"), after=0.5),
+            *on(S.TAKE_OFF, unseen, refuse("set_mode"), after=nearly_up),
+            *on(S.FLY, fault("freeze"), after=0.3),
             *on(S.LAND, unmute, allow("set_mode"), after=0.2),
         ],
+    ),
+    "hold: not seen to follow": Plot(
+        [(S.HOLD, E.NOT_OBEYED)], [*on(S.FLY, unseen, fault("freeze"), after=0.3), *on(S.LAND, unmute)]
+    ),
+    "take-off: not seen to follow": Plot(
+        [(S.TAKE_OFF, E.NOT_OBEYED)],
+        [*on(S.TAKE_OFF, unseen, after=0.3), *on(S.LAND, unmute)],
         parameters={"WPNAV_SPEED_UP": 12.0},
+    ),
+    "arming: health not told": Plot(
+        [(S.ARMING, E.UNTOLD)], [*UNARMED, *on(S.CHECKS, mute("EKF_STATUS_REPORT"), after=0.3)]
+    ),
+    "take-off: health not told": Plot(
+        [(S.TAKE_OFF, E.UNTOLD)],
+        on(S.CHECKS, mute("EKF_STATUS_REPORT"), after=0.3),
+        parameters={"WPNAV_SPEED_UP": 12.0},
+    ),
+    "fly: health not told": Plot([(S.FLY, E.UNTOLD)], on(S.TAKE_OFF, mute("EKF_STATUS_REPORT"))),
+    "hold: health not told": Plot(
+        [(S.HOLD, E.UNTOLD)],
+        [*on(S.TAKE_OFF, mute("EKF_STATUS_REPORT")), *on(S.FLY, fault("freeze"), after=0.5)],
+    ),
+    "arming: off the way up": Plot(
+        [(S.ARMING, E.OFF_WAY)],
+        [*UNARMED, *on(S.ARMING, fault("jump", amount=0.35))],
+        mission={"near_m": 0.2},
+    ),
+    "take-off: off the way up": Plot(
+        [(S.TAKE_OFF, E.OFF_WAY)],
+        on(S.TAKE_OFF, fault("jump", amount=0.35)),
+        mission={"near_m": 0.2},
+        seen_is_true=False,
+    ),
+    "take-off: over the fence": Plot(
+        [(S.TAKE_OFF, E.FENCE)],
+        on(S.TAKE_OFF, fault("jump", amount=0.35)),
+        mission={"fence": (-0.5, 1.0, -0.5, 4.0, 2.17, 2.0)},
+        seen_is_true=False,
+    ),
+    "hold: drifts": Plot(
+        [(S.HOLD, E.DRIFTS)],
+        [*on(S.FLY, stall(0.2), after=0.2), *on(S.HOLD, fault("jump", amount=0.38), after=0.3)],
+        limits={"drift_m": 0.1},
+        seen_is_true=False,
     ),
     "hold: for too long": Plot(
         [(S.HOLD, E.TIMED_OUT)], on(S.FLY, fault("freeze"), after=0.3), limits={"hold_s": 1.0}

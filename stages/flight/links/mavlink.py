@@ -15,7 +15,7 @@ from alula.stages.flight.links.addresses import Address
 from alula.stages.flight.links.hover import HoverThrottle
 from alula.stages.flight.links.mavlink_autopilots import ALL_SETPOINTS, ARDUPILOT, Autopilot, autopilot_of
 from alula.stages.flight.links.mavlink_estimate import Estimate
-from alula.stages.flight.links.mavlink_orders import Orders, check_height
+from alula.stages.flight.links.mavlink_orders import Addressee, Orders, check_height
 from alula.stages.flight.links.mavlink_parameters import Parameters
 from alula.stages.flight.links.mavlink_session import COMPONENT, GROUND_STATION, Session
 from alula.stages.flight.links.mavlink_setpoints import SetpointEncoder
@@ -65,6 +65,7 @@ class MavlinkLink:
         self._mocap = None if options.mocap is None else Mocap(options.mocap, options.frame)
         self._estimate = Estimate(options.frame, self._is_mocap_fresh)
         self._telemetry = Telemetry()
+        self._addressee = Addressee(self._session.source, COMPONENT)
         self._autopilot: Autopilot = ARDUPILOT
         self._version: Any = None
         self._origin: Any = None
@@ -296,7 +297,8 @@ class MavlinkLink:
             if self._parameters is not None:
                 self._parameters.take(message)
         elif kind == "COMMAND_ACK":
-            if self._orders is not None and message.target_component in (0, COMPONENT):
+            is_ours = self._addressee.is_ours(message)  # also before there are orders: it learns from each
+            if is_ours and self._orders is not None:
                 self._orders.take_answer(message, now_s)
         elif kind == "AUTOPILOT_VERSION":
             self._version = message

@@ -13,14 +13,37 @@ from alula.schemas.errors import LinkError
 from alula.stages.flight.links.mavlink_autopilots import Autopilot, mode_command
 from alula.stages.flight.links.mavlink_session import Session
 from alula.stages.flight.links.mavlink_telemetry import Telemetry
-from alula.stages.flight.links.protocol import Order
-
-HIGHEST_M = 100.0
+from alula.stages.flight.links.protocol import HIGHEST_M, Order
 
 _REPEAT_S = 0.5
 _PATIENCE_S = 5.0
+_SETTLED_S = 0.3  # a heartbeat that comes so long after an order knows of it
 _REASONS_S = 2.0  # how long before a refusal its reason may have been said
 _PREFIXES = ("PreArm:", "Arm:", "Arming", "Preflight", "Takeoff", "Mode change")
+
+
+class Addressee:
+    """Which COMMAND_ACKs answer us, and not another ground station's command.
+
+    An answer to another system or component is none of ours. Older autopilots, and MAVLink 1, name nobody
+    (0): such an answer counts if it is to the command of the order that stands, for there is no other way to
+    tell. A vehicle that has named us once always does, and then what names nobody is not for us.
+
+    Args:
+        system, component: ours.
+    """
+
+    def __init__(self, system: int, component: int) -> None:
+        self._ours = system, component
+        self._names_us = False
+
+    def is_ours(self, message: Any) -> bool:
+        """Whether a COMMAND_ACK is an answer to us."""
+        named = message.target_system, message.target_component
+        self._names_us = self._names_us or named == self._ours
+        if self._names_us:
+            return named == self._ours
+        return all(name in (0, ours) for name, ours in zip(named, self._ours, strict=True))
 
 
 @dataclass(slots=True)
@@ -30,23 +53,23 @@ class _Step:
     number: int
     values: tuple[float, ...]
     is_done: Callable[[], bool] | None = None
-    needs_answer: bool = False  # too: what the vehicle showed may be older than an order before
     first_s: float = 0.0  # to wait before it is sent
     since_s: float = math.inf
     next_s: float = math.inf
     sent: int = 0
+    first_sent_s: float = math.inf
     is_accepted: bool = False
 
 
 class Orders:
     """The one order that stands; a new one replaces it.
 
-    A step is done when the vehicle's own state shows it (a mode, armed or not); a take-off when it is
-    acknowledged; disarming when both is so, for the motors may have started unseen. Refused or unanswered
-    for 5 s, an order goes to `VehicleStatus.refusals` and ends; only LAND goes on for ever. Nothing is
-    repeated once another mode is seen than when it was first sent, be it in the very poll: a pilot has chosen
-    it. A vehicle that obeyed once is not taken control of again without a new order: the pilot may have taken
-    it back.
+    A step is done when the vehicle's own state shows it (a mode, armed or not; disarmed only by a heartbeat
+    from after it was sent, for an order to arm may be on its way); a take-off when it is acknowledged.
+    Refused or unanswered for 5 s, an order goes to `VehicleStatus.refusals` and ends; only LAND goes on for
+    ever. Nothing is repeated once another mode is seen than when it was first sent, be it in the very poll: a
+    pilot has chosen it. A vehicle that obeyed once is not taken control of again without a new order: the
+    pilot may have taken it back.
     """
 
     def __init__(self, session: Session, autopilot: Autopilot, telemetry: Telemetry) -> None:
@@ -88,7 +111,7 @@ class Orders:
                 return
         if now_s >= step.next_s:
             if step.sent == 0:
-                self._mode = self._telemetry.mode
+                self._mode, step.first_sent_s = self._telemetry.mode, now_s
             elif self._is_taken():
                 self._steps = []
                 return
@@ -129,8 +152,7 @@ class Orders:
             step = self._steps[0]
             if step.since_s == math.inf:
                 step.since_s = step.next_s = now_s + step.first_s
-            is_shown = step.is_accepted if step.is_done is None else step.is_done()
-            if not is_shown or (step.needs_answer and not step.is_accepted):
+            if not (step.is_accepted if step.is_done is None else step.is_done()):
                 return
             del self._steps[0]
 
@@ -145,7 +167,7 @@ class Orders:
     def _steps_of(self, order: Order, height_m: float, first_s: float) -> list[_Step]:
         telemetry, autopilot = self._telemetry, self._autopilot
         status = telemetry.status
-        control = _Step(*mode_command(autopilot.control), lambda: status.obeys, first_s=first_s)
+        control = _Step(*mode_command(autopilot.control), lambda: status.obeys, first_s)
         arm = dialect.MAV_CMD_COMPONENT_ARM_DISARM  # never by force
         match order:
             case Order.TAKE_CONTROL:
@@ -153,7 +175,11 @@ class Orders:
             case Order.ARM:
                 return [control, _Step(arm, (1.0,), lambda: status.armed is True)]
             case Order.DISARM:
-                return [_Step(arm, (0.0,), lambda: status.armed is False, needs_answer=True)]
+                step = _Step(arm, (0.0,))
+                step.is_done = lambda: (
+                    status.armed is False and telemetry.beat_s > step.first_sent_s + _SETTLED_S
+                )
+                return [step]
             case Order.TAKE_OFF:
                 return [_Step(dialect.MAV_CMD_NAV_TAKEOFF, (0.0,) * 6 + (height_m,))]
             case Order.LAND:

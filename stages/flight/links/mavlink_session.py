@@ -46,6 +46,7 @@ class Session:
         vehicle: system of the vehicle; None until its first heartbeat.
         others: systems of other autopilots that were heard.
         heard_s: when a packet of the vehicle came last.
+        source: our own system.
         start_s: when it began; times in messages count from there.
         lost, bad: packets that the numbers of others show missing, and that were refused.
         unsent: packets that the line had no room for.
@@ -75,7 +76,8 @@ class Session:
                 options.key, file=options.signing_file, clock=options.clock, wall_clock=options.wall_clock
             )
         wanted = [getattr(dialect, f"MAVLINK_MSG_ID_{name}") for name in WANTED.split()]
-        self._wire = Wire(GROUND_STATION if source is None else source, COMPONENT, wanted, self.signer)
+        self.source = GROUND_STATION if source is None else source
+        self._wire = Wire(self.source, COMPONENT, wanted, self.signer)
 
     @property
     def bad(self) -> int:

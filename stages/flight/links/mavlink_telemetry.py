@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -40,6 +41,11 @@ class Telemetry:
         self.autopilot: Autopilot | None = None
         self._texts = Texts()
         self._said_s: dict[str, float] = {}
+
+    @property
+    def beat_s(self) -> float:
+        """When the newest HEARTBEAT arrived; minus infinity when it is old."""
+        return self._said_s.get("HEARTBEAT", -math.inf)
 
     def take(self, message: Any, now_s: float) -> list[str]:
         """A message; texts that it completes."""

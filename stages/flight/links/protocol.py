@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+HIGHEST_M = 100.0  # of a take-off
+
 
 @dataclass(frozen=True, slots=True)
 class VehicleState:
