@@ -97,12 +97,10 @@ class ControlLoop:
         self._interrupts, self._clock, self._sleep = interrupts, clock, sleep
         self._begin_s = 0.0
         self._modes, self._health, self._places = ModeWatch(), HealthWatch(), PlaceWatch(height_m)
-        self._motion = MotionCheck()
-        self._jump, self._jump_m = Jump(), 0.0
+        self._motion, self._jump, self._jump_m = MotionCheck(), Jump(), 0.0
         self._ground_m: float | None = None
         self._filter = FilterHealth.GOOD
-        self._fallback_s = 0.0
-        self._overruns = 0
+        self._fallback_s, self._overruns = 0.0, 0
         self._fence_m: float | None = None
         self._astray_m = self._drift_m = 0.0
         self._refused_s = math.inf
@@ -192,20 +190,21 @@ class ControlLoop:
     def _look(self, state: VehicleState | None, now_s: float, late_s: float) -> None:
         """What takes more than a glance: distances, the frame, the checks."""
         where = self.state
-        self._fence_m, self._astray_m, self._drift_m = None, 0.0, 0.0
         if where is State.CHECKS:
             self.checks.look(self.link, now_s, late_s, partial(self.say, now_s))
-        elif state is not None:
-            self._look_where(state)
+        self._look_where(state)
         self._jump_m = 0.0 if state is None else self._jump.of(state)
         if state is not None and self.options.watch_frame and where in (State.TAKE_OFF, State.FLY):
             self._motion.update(state)
 
-    def _look_where(self, state: VehicleState) -> None:
+    def _look_where(self, state: VehicleState | None) -> None:
         where = self.state
+        self._fence_m, self._astray_m, self._drift_m = None, 0.0, 0.0
+        if state is None:
+            return
         if where in (State.FLY, State.HOLD):
             self._fence_m = self.guard.distance(state)
-        elif where is State.TAKE_OFF:  # the ground may be nearer than the fence allows, its sides and top not
+        elif where is State.TAKE_OFF:  # the ground may be nearer than the fence allows
             self._fence_m = self.guard.distance(state, self._start_height_m)
         if where in (State.ARMING, State.TAKE_OFF):
             self._astray_m = self._places.astray_m(state)
@@ -258,7 +257,7 @@ class ControlLoop:
         for each in taken:
             self.taken.append((now_s - self._begin_s, each))
             self.recorder.step(now_s - self._begin_s, each)
-            is_fine = each.event in _FINE or (each.event, each.state) == (Event.DISARMED, State.LAND)
+            is_fine = each.event in _FINE or each[:2] == (State.LAND, Event.DISARMED)
             level = ERROR if each.event in _BAD else INFO if is_fine else WARNING
             detail = self._motion.wrong if each.event is Event.FRAME_WRONG else ""
             if each.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and each.state is State.CHECKS:
@@ -333,6 +332,8 @@ class ControlLoop:
             target = self.plan.target() if self._place is None else self._place
             decision = self.commander.decide(state, age, target)
             filter_s = self._clock() - before
+            if not math.isfinite(decision.error_m):
+                raise ArithmeticError("how far it is from the plan is not a number")
             guarded = Guarded(None, math.nan, 0.0, takes_over=False)
             if decision.setpoint is None:
                 self._filter = FilterHealth.REFUSED
@@ -350,8 +351,7 @@ class ControlLoop:
             self.say(now_s, ERROR, f"no set-point: {type(error).__name__}: {error}")
             return None
         self.counters.filter_s.append(filter_s)
-        period = 1 / self.options.rate_hz
-        is_fallback = decision.status in _FALLBACKS or guarded.takes_over
+        period, is_fallback = 1 / self.options.rate_hz, decision.status in _FALLBACKS or guarded.takes_over
         self._fallback_s = self._fallback_s + period if is_fallback else 0.0
         if self._place is None:
             self.plan.advance(period, decision.error_m)

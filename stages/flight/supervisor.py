@@ -134,6 +134,7 @@ class Supervision:
         well_since_s: since when all has been well in a hold.
         engaged: whether the vehicle has followed set-points since it was told to.
         unheeded_s: since when it has not been in the mode that it should be in.
+        flying_s: when it first flew the plan: holds do not begin its time anew.
         holds: how many there were.
         failsafe_s: since when the vehicle tells of a failsafe, and follows us nevertheless.
         cause: the first event that ended the flight as planned or otherwise; None so far.
@@ -145,6 +146,7 @@ class Supervision:
     well_since_s: float = math.inf
     engaged: bool = False
     unheeded_s: float = math.inf
+    flying_s: float = math.inf
     holds: int = 0
     failsafe_s: float = math.inf
     cause: Event | None = None
@@ -205,6 +207,7 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
     battery = facts.battery_share
     engaged = was.engaged if state is State.FLY else True
     second = facts.interrupts >= 2
+    begin_s = min(was.since_s, was.flying_s) if state is State.FLY else was.since_s
     since_s = facts.now_s - was.since_s
     # An order to arm may still be on its way to a vehicle that says it is not.
     is_disarmed = facts.armed is False and (state is not State.ABORT or since_s > limits.settle_s)
@@ -238,16 +241,20 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.CHECKS_PASSED, facts.checks is True),
         (Event.LANDED, facts.landed is True),
         (Event.ARMED, facts.armed is True),
-        (Event.AIRBORNE, facts.climbed_m is not None and facts.climbed_m >= 0.95 * facts.height_m),
+        (Event.AIRBORNE, facts.landed is not True and _has_climbed(facts)),
         (Event.PLAN_FINISHED, facts.plan_done),
         (Event.NOT_OBEYED, not engaged and since_s > limits.engage_s),
         (Event.NOT_OBEYED, facts.now_s - was.unheeded_s > limits.engage_s),
         (Event.HOLDS_USED_UP, state is State.HOLD and was.holds > limits.holds),
         (Event.RECOVERED, facts.now_s - was.well_since_s > limits.settle_s),
-        (Event.TIMED_OUT, not since_s <= longest),
+        (Event.TIMED_OUT, not facts.now_s - begin_s <= longest),
     ):
         if is_so:
             yield event
+
+
+def _has_climbed(facts: Facts) -> bool:
+    return facts.climbed_m is not None and facts.climbed_m >= 0.95 * facts.height_m
 
 
 def _longest(limits: SupervisorLimits) -> Mapping[State, float]:
@@ -286,6 +293,7 @@ def _entered(was: Supervision, state: State, event: Event, now_s: float) -> Supe
     return Supervision(
         state=state,
         since_s=now_s,
+        flying_s=min(was.flying_s, now_s) if state is State.FLY else was.flying_s,
         holds=was.holds + (state is State.HOLD),
         failsafe_s=was.failsafe_s,
         cause=event if was.cause is None and state in _ENDS else was.cause,

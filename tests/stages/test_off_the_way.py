@@ -1,5 +1,6 @@
 """What the supervisor watches where the vehicle flies by itself: the way up, a hold, and what it tells."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -248,3 +249,21 @@ def test_room_is_around_the_whole_way_up_and_a_hold_may_brake():
     assert watch.drift_m(state((2.5, 0, 1))) == pytest.approx(0.5)
     watch.moved()
     assert watch.drift_m(state((2.5, 0, 1))) == 0
+
+
+def test_an_error_that_is_not_a_number_is_not_flown(monkeypatch):
+    vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
+    loop = loop_of(mission(), vehicle)
+    kind, calls = type(loop.commander), []
+    decide = kind.decide
+
+    def nowhere(*arguments):
+        calls.append(1)
+        decision = decide(*arguments)
+        return dataclasses.replace(decision, error_m=math.nan) if len(calls) == 100 else decision
+
+    monkeypatch.setattr(kind, "decide", nowhere)
+    loop.run()
+    assert Event.FILTER_FAILED in [taken.event for _, taken in loop.taken]
+    assert math.isfinite(loop.plan.time_s)
+    assert loop.supervision.cause is Event.PLAN_FINISHED

@@ -226,6 +226,26 @@ def test_a_vehicle_has_a_while_to_follow():
         assert advance(fresh, WELL, LIMITS)[0].engaged
 
 
+def test_what_says_it_is_on_the_ground_is_not_flown_however_high_it_seems():
+    high = dataclasses.replace(WELL, climbed_m=2.0)
+    for landed, expected in ((True, State.TAKE_OFF), (False, State.FLY), (None, State.FLY)):
+        facts = dataclasses.replace(high, landed=landed)
+        assert advance(Supervision(State.TAKE_OFF, NOW), facts, LIMITS)[0].state is expected
+
+
+def test_holds_do_not_begin_the_time_of_a_flight_anew():
+    where = Supervision(State.TAKE_OFF, NOW)
+    now = NOW
+    for _ in range(3):
+        for facts in ({"climbed_m": 1.0}, {"state_age_s": 1.0}, {}, {}):
+            now += 10.0 if where.state is State.FLY else 1.1
+            where, _ = advance(where, dataclasses.replace(WELL, now_s=now, **facts), LIMITS)
+    assert now - NOW < LIMITS.flight_s
+    assert (where.state, where.flying_s) == (State.FLY, NOW + 1.1)
+    late = dataclasses.replace(WELL, now_s=NOW + 1.1 + LIMITS.flight_s + 0.1)
+    assert advance(where, late, LIMITS)[0].cause is Event.TIMED_OUT
+
+
 def test_a_failsafe_that_leaves_the_vehicle_in_our_mode_is_answered_by_landing():
     facts = dataclasses.replace(WELL, is_failsafe=True)
     where = dataclasses.replace(standing(State.FLY), engaged=True)

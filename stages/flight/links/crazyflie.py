@@ -350,6 +350,7 @@ class CrazyflieLink:
         spread = [values[name] for name in _STATUS[:3]]
         status.is_estimator_ready = self._state is not None and all(0 <= each < _KNOWN_M2 for each in spread)
         volts = values["pm.vbat"]
+        status.battery_v = status.battery_share = None
         if math.isfinite(volts):
             status.battery_v = volts
             status.battery_share = min(max((volts - _EMPTY_V) / (_FULL_V - _EMPTY_V), 0.0), 1.0)
