@@ -306,3 +306,37 @@ def refuse(name):
 def allow(name):
     """It does it again."""
     return lambda flight: flight.copter.__dict__.pop(name, None)
+
+
+def set_back(flight):
+    """The vehicle's clock, as by starting anew."""
+
+    def change(message):
+        message.time_boot_ms -= 1500
+
+    flight.changes |= dict.fromkeys(("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION", "ATTITUDE"), change)
+
+
+def mirror(flight):
+    """Velocities against positions."""
+
+    def change(message):
+        message.vx, message.vy, message.vz = -message.vx, -message.vy, -message.vz
+
+    flight.changes["LOCAL_POSITION_NED"] = change
+
+
+def unseen(flight):
+    """The link does not know the mode any more, and not whether the vehicle follows."""
+    flight.muted.add("HEARTBEAT")
+    flight.link.status.obeys, flight.link.status.mode = False, ""
+
+
+def nearly_up(flight):
+    """Take-off is about to be over."""
+    return flight.link.state.position[2] > 0.85 * flight.made.start[2]
+
+
+def land_seen(flight):
+    """The vehicle says that it is on the ground."""
+    flight.changes["EXTENDED_SYS_STATE"] = lambda message: setattr(message, "landed_state", 1)

@@ -6,7 +6,23 @@ from typing import Any
 import numpy as np
 import pytest
 from flights import mission
-from lockstep import Flight, Upset, allow, cut, fault, interrupt, mute, refuse, stall, unmute
+from lockstep import (
+    Flight,
+    Upset,
+    allow,
+    cut,
+    fault,
+    interrupt,
+    land_seen,
+    mirror,
+    mute,
+    nearly_up,
+    refuse,
+    set_back,
+    stall,
+    unmute,
+    unseen,
+)
 from test_simulate import line_plan
 
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
@@ -37,40 +53,6 @@ class Plot:
 
 def on(state, *do, after=0.1):
     return [Upset(state, after, each) for each in do]
-
-
-def set_back(flight):
-    """The vehicle's clock, as by starting anew."""
-
-    def change(message):
-        message.time_boot_ms -= 1500
-
-    flight.changes |= dict.fromkeys(("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION", "ATTITUDE"), change)
-
-
-def mirror(flight):
-    """Velocities against positions."""
-
-    def change(message):
-        message.vx, message.vy, message.vz = -message.vx, -message.vy, -message.vz
-
-    flight.changes["LOCAL_POSITION_NED"] = change
-
-
-def unseen(flight):
-    """The link does not know the mode any more, and not whether the vehicle follows."""
-    flight.muted.add("HEARTBEAT")
-    flight.link.status.obeys, flight.link.status.mode = False, ""
-
-
-def nearly_up(flight):
-    """Take-off is about to be over."""
-    return flight.link.state.position[2] > 0.85 * START[2]
-
-
-def land_seen(flight):
-    """The vehicle says that it is on the ground."""
-    flight.changes["EXTENDED_SYS_STATE"] = lambda message: setattr(message, "landed_state", 1)
 
 
 def failsafe(flight):
