@@ -70,14 +70,12 @@ def multiply_quat_wxyz(left: NDArray[Any], right: NDArray[Any]) -> Array:
     Returns:
         Shape (..., 4), not renormalised.
     """
-    a, b, c, d = np.moveaxis(np.asarray(left, np.float64), -1, 0)
-    e, f, g, h = np.moveaxis(np.asarray(right, np.float64), -1, 0)
-    return np.stack(
-        [
-            a * e - b * f - c * g - d * h,
-            a * f + b * e + c * h - d * g,
-            a * g - b * h + c * e + d * f,
-            a * h + b * g - c * f + d * e,
-        ],
-        axis=-1,
-    )
+    p, q = np.asarray(left, np.float64), np.asarray(right, np.float64)
+    a, b, c, d = p[..., 0], p[..., 1], p[..., 2], p[..., 3]
+    e, f, g, h = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    made = np.empty((*np.broadcast_shapes(a.shape, e.shape), 4))  # faster than a stack for single ones
+    made[..., 0] = a * e - b * f - c * g - d * h
+    made[..., 1] = a * f + b * e + c * h - d * g
+    made[..., 2] = a * g - b * h + c * e + d * f
+    made[..., 3] = a * h + b * g - c * f + d * e
+    return made

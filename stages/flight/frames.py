@@ -111,8 +111,9 @@ class LocalFrame:
 
 def _swapped(vector: NDArray[Any]) -> FloatArray:
     """ENU to NED, and back."""
-    x, y, z = np.moveaxis(np.asarray(vector, np.float64), -1, 0)
-    return np.stack([y, x, -z], axis=-1)
+    swapped: FloatArray = np.asarray(vector, np.float64)[..., [1, 0, 2]]
+    swapped[..., 2] = -swapped[..., 2]
+    return swapped
 
 
 def _canonical(quat: FloatArray) -> FloatArray:

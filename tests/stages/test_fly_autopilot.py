@@ -1,6 +1,5 @@
-"""Whole flights against the simulated autopilot through sockets, on one clock, with faults on the way."""
+"""Whole flights against the simulated autopilot through sockets, on one clock."""
 
-import math
 from contextlib import contextmanager
 
 import numpy as np
@@ -11,7 +10,6 @@ from mavlink_peer import Time
 from test_link_and_autopilot import Served
 from test_simulate import box_cover, line_plan
 
-from alula.stages.flight.autopilot.faults import Fault
 from alula.stages.flight.frames import LocalFrame
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
@@ -122,80 +120,3 @@ def test_a_plan_that_ends_fast_before_a_wall_leaves_all_of_the_margin():
     loop, served = fly(made)
     assert loop.recorder.states == AS_PLANNED
     assert clearance(made, true_path(loop, served, "fly")) >= made.config.margin_m
-
-
-ADMISSIBLE = {  # the plan is flown to its end
-    "packets lost, twice, damaged": ("drop", "duplicate", "bad-crc"),
-    "packets out of order, of others, without numbers": ("reorder", "wrong-system", "nan"),
-    "short freeze": (Fault(kind="freeze", duration=0.4),),
-    "short drop": (Fault(kind="drop", duration=0.4),),
-}
-
-
-@pytest.mark.parametrize("name", ADMISSIBLE)
-def test_admissible_faults_end_at_the_goal_in_the_safe_set(among_hulls, name):
-    faults = [Fault(kind=f, probability=0.2) if isinstance(f, str) else f for f in ADMISSIBLE[name]]
-    loop, served = fly(among_hulls, *faults)
-    assert loop.supervision.cause is Event.PLAN_FINISHED, loop.recorder.lines[-6:]
-    assert clearance(among_hulls, true_path(loop, served, "fly", "hold")) > 0
-    assert not served.is_armed
-
-
-ENDING = {  # what ends the flight, and the states after flying
-    "long freeze": (Fault(kind="freeze"), Event.TIMED_OUT, ["hold", "land", "done"]),
-    "late packets": (Fault(kind="delay", amount=0.5), Event.TIMED_OUT, ["hold", "land", "done"]),
-    "silence": (Fault(kind="drop"), Event.LINK_LOST, ["hold", "land", "hand-over", "done"]),
-    "battery": (Fault(kind="battery", amount=0.15), Event.BATTERY_LOW, ["land", "done"]),
-    "estimator": (Fault(kind="estimator"), Event.ESTIMATOR_BAD, ["land", "done"]),
-}
-
-
-@pytest.mark.parametrize("name", ENDING)
-def test_other_faults_end_on_the_ground_in_the_safe_set(among_hulls, name):
-    fault, cause, states = ENDING[name]
-    loop, served = fly(among_hulls, fault)
-    assert loop.recorder.states == [*AS_PLANNED[:4], *states]
-    assert loop.supervision.cause is cause
-    assert ("hold" in states) == (Event.STATE_STALE in [taken.event for _, taken in loop.taken])
-    assert clearance(among_hulls, true_path(loop, served, "fly", "hold", "land")) > 0
-    assert not served.is_armed
-
-
-@pytest.mark.parametrize("mode", ["LOITER", "LAND"])
-def test_the_pilots_switch_wins_for_good(among_hulls, mode):
-    from alula.stages.flight.autopilot.modes import Mode
-
-    served = Watched(Fault(kind="mode", amount=float(Mode[mode])))
-    time = Time(served)
-    end = []
-
-    def asked():  # the operator leaves it to the pilot after a while
-        if not served.faults and not end:
-            end.append(time())
-        return int(bool(end) and time() - end[0] > 4.0)
-
-    link = open_link(
-        f"udpout:127.0.0.1:{served.port}", LinkOptions(frame=FRAME, clock=time, sleep=time.sleep)
-    )
-    link.clock = time
-    loop = None
-    try:
-        link.open(5.0)
-        link.prepare()
-        loop = loop_of(among_hulls, link, interrupts=asked)
-        tell = loop.recorder.step
-        loop.recorder.step = lambda at, taken: (began(served, time, taken), tell(at, taken))
-        loop.run()
-        assert loop.recorder.states[:5] == [*AS_PLANNED[:4], "hand-over"]
-        assert loop.supervision.cause in (Event.MODE_CHANGED, Event.FAILSAFE)
-        assert served.copter.mode.name == mode
-    finally:
-        link.close()
-        served.socket.close()
-
-
-def test_a_jump_of_the_estimate_lands_it(among_hulls):
-    loop, served = fly(among_hulls, Fault(kind="jump", amount=1.5))
-    assert loop.supervision.cause is Event.STATE_JUMPED
-    assert not served.is_armed
-    assert all(math.isfinite(v) for s in loop.recorder.samples if s.filter for v in s.filter.sent_values)

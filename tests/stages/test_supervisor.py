@@ -72,7 +72,7 @@ SHOWN = {
     Event.INTERRUPT_ON_GROUND: {"interrupts": 2, "landed": True},
     Event.INTERRUPT_IN_AIR: {"interrupts": 2, "landed": False},
 }
-_FOR_LONG = {Event.TIMED_OUT: 1e6, Event.NOT_OBEYED: 2.1}
+_FOR_LONG = {Event.TIMED_OUT: 1e6, Event.NOT_OBEYED: 2.1, Event.DISARMED: 1.1}
 
 
 def standing(state, event=None):
@@ -103,6 +103,11 @@ def facts_of(event, state):
     if event is Event.TIMED_OUT and state is State.HOLD:
         obeys |= {"late_s": 0.2}  # or else it has recovered
     return dataclasses.replace(WELL, **{**obeys, **usual, **shown})
+
+
+def test_what_was_said_before_the_motors_started_does_not_end_an_abort():
+    early = dataclasses.replace(standing(State.ABORT), since_s=NOW - 0.9)
+    assert Event.DISARMED not in set(observe(early, dataclasses.replace(WELL, armed=False), LIMITS))
 
 
 def test_every_event_is_defined_in_every_state_once():
