@@ -56,7 +56,7 @@ FloatArray = NDArray[np.float64]
 
 _FASTER = 1.01  # of the speed limit, for filters in single precision
 _POINTS = 12  # of the chord, at most, beside p
-_LEAST_M = 0.02  # between them
+_LEAST_M, _MOST_M = 0.02, 0.2  # between them, near hulls: a thin one must not fit between two
 _SWEEPS = 3  # over them, until all let the same velocity through
 _HALVINGS = 4  # to where the chord enters a hull
 _OUT = 2.0  # of 1 / tau: how fast q is driven out of one
@@ -156,6 +156,8 @@ class VelocityCommander:
         if math.sqrt(float(answer @ answer)) > _FASTER * self.speed_m_s:
             raise ValueError(f"the filter returned {answer.tolist()}, faster than {self.speed_m_s:g} m/s")
         status, margin = FilterStatus(result.status), float(result.margin)
+        if math.isnan(margin) and status is not FilterStatus.REFUSED:  # how far to the next point?
+            raise ValueError("the filter returned a margin that is not a number")
         return FilterResult(answer, status, margin, int(result.active), float(result.solve_time))
 
     def _filtered(self, p: FloatArray, chord: FloatArray, u_nominal: FloatArray) -> FilterResult:
@@ -218,6 +220,8 @@ class VelocityCommander:
         for _ in range(_HALVINGS):
             middle = 0.5 * (clear + x)
             found = self._ask(middle, u)
+            if found.status is FilterStatus.REFUSED:
+                return found
             if _is_inside(found):
                 x, result = middle, found
             else:
@@ -239,7 +243,7 @@ class VelocityCommander:
         if length <= _LEAST_M:
             x = p + chord
             return [(x, self._ask(x, u))]
-        least = max(length / _POINTS, _LEAST_M)
+        least = max(min(length / _POINTS, _MOST_M), _LEAST_M)
         share, asked, was_clear = 0.0, [], False
         while True:
             x = p + share * chord

@@ -266,6 +266,65 @@ def test_the_chord_is_asked_for_closely_and_from_end_to_end(margin):
     assert max(np.diff(places)) <= max(0.5 * margin, 1.5 / 12) + 1e-9
 
 
+@pytest.mark.parametrize(("speed", "most_m"), [(3.0, 0.15), (10.0, 0.2), (100.0, 0.2)])
+def test_no_thin_hull_fits_between_two_points_of_a_fast_vehicle(speed, most_m):
+    commander = VelocityCommander(Passing(0.01), 2.0, 100.0, lag_s=0.6)
+    commander.decide(seen(ZERO, np.array([speed, 0, 0])), 0.0, target_at(ZERO))
+    places = [x[0] for x, _ in commander.filter.asked]
+    assert max(np.diff(places)) <= most_m + 1e-9
+
+
+class Failing:
+    """A filter that fails at one of its calls, and counts them."""
+
+    def __init__(self, inner, how="", at=-1):
+        self.inner, self.how, self.at, self.calls = inner, how, at, 0
+
+    def __call__(self, x, u):
+        self.calls += 1
+        result = self.inner(x, u)
+        if self.calls != self.at:
+            return result
+        if self.how == "raises":
+            raise RuntimeError("no more")
+        if self.how == "no number":
+            return FilterResult(np.full(3, math.nan), result.status, result.margin)
+        if self.how == "no margin":
+            return FilterResult(result.u, result.status, math.nan)
+        return FilterResult(ZERO, FilterStatus.REFUSED, math.nan)
+
+
+# Clear all along; near walls, so that points must agree; into a pillar, whose margin is then looked for.
+CHORDS = {
+    "clear": ((2.0, 0.6, 1.5), (-0.5, 0.2, 0.0)),
+    "near": ((0.5, 2.6, 1.5), (0.0, 1.0, 0.0)),
+    "blocked": ((2.1, 2.4, 1.5), (2.5, 0.5, 0.0)),
+}
+
+
+@pytest.mark.parametrize("how", ["raises", "no number", "no margin", "refuses"])
+@pytest.mark.parametrize("name", CHORDS)
+def test_nothing_is_sent_whichever_point_of_the_chord_the_filter_fails_at(name, how):
+    p, v = (np.array(part) for part in CHORDS[name])
+    _, safety = world(3.0, 0.6)
+
+    def decided(filtering):
+        commander = VelocityCommander(filtering, 8.0, 3.0, lag_s=0.6)
+        return commander.decide(seen(p, v), 0.0, target_at((0.0, 5.0, 1.5)))
+
+    sound = Failing(safety)
+    assert decided(sound).setpoint is not None
+    assert sound.calls >= 4
+    for at in range(1, sound.calls + 1):
+        if how == "refuses":
+            found = decided(Failing(safety, how, at))
+            assert found.setpoint is None, at
+            assert found.status is FilterStatus.REFUSED
+        else:
+            with pytest.raises((RuntimeError, ValueError)):
+                decided(Failing(safety, how, at))
+
+
 def responses():
     """Speed after stopping from 3 m/s, of each vehicle that is simulated: at rates of DT, from 1 to 0."""
     level = np.array([1.0, 0, 0])
