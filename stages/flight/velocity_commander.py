@@ -21,9 +21,9 @@ for 0 < theta < 1, at least zero for theta = 0, and at most zero for theta = 1. 
 the former does not fall where it counts (theta < 1), so n . u >= -beta (D_k - r) gives dD_k/dt >= -beta
 (D_k - r): a chord that keeps r goes on to, and p, its end, with it. That is the filter's own condition, at
 s* instead of p. It is asked for at p and at points of the chord up to q, and `u` is passed round until all
-of them let it through, three times at most, the point nearest to a hull last. Between points psi - r, which
-changes by at most a metre per metre, is at least half of what it was, or they are a twelfth of the chord
-apart.
+of them let it through, three times at most, the point nearest to a hull last, then shortened until they do.
+Between points psi - r, which changes by at most a metre per metre, is at least half of what it was, or they
+are a twelfth of the chord apart, and 0.2 m at most.
 
 Where the chord has come into a hull's margin, q is driven back behind the place where it enters: towards p,
 not out of the hull by the shortest way, which may be through a thin wall.
@@ -58,6 +58,8 @@ _FASTER = 1.01  # of the speed limit, for filters in single precision
 _POINTS = 12  # of the chord, at most, beside p
 _LEAST_M, _MOST_M = 0.02, 0.2  # between them, near hulls: a thin one must not fit between two
 _SWEEPS = 3  # over them, until all let the same velocity through
+_SHORTER = (1.0, 0.5)  # parts of what is left where they do not agree; at last nothing
+_ALIKE = 1e-3  # of the speed limit: so much is rounding
 _HALVINGS = 4  # to where the chord enters a hull
 _OUT = 2.0  # of 1 / tau: how fast q is driven out of one
 _KNOWN_TICKS = 200  # of what was sent
@@ -189,7 +191,11 @@ class VelocityCommander:
     def _agreed(
         self, asked: list[tuple[FloatArray, FilterResult]], worst: FilterResult, u: FloatArray
     ) -> FilterResult:
-        """A velocity that each of these points lets through; the one nearest to a hull has the last word."""
+        """A velocity that each of these points lets through; the one nearest to a hull has the last word.
+
+        Where they do not agree soon, it is shortened: with u = 0 the chord shrinks towards p, and stays
+        within what it was.
+        """
         order, status = sorted(asked, key=lambda each: -each[1].margin), FilterStatus.OK
         for _ in range(_SWEEPS):
             is_settled = True
@@ -201,8 +207,16 @@ class VelocityCommander:
                     is_settled, u = False, result.u
                     status = max(status, result.status)
             if is_settled:
-                break
-        return FilterResult(u, status, worst.margin, worst.active)
+                return FilterResult(u, status, worst.margin, worst.active)
+        for share in _SHORTER:
+            answers = [self._ask(x, share * u) for x, _ in order]
+            for result in answers:
+                if result.status is FilterStatus.REFUSED:
+                    return result
+            most = max(float(np.abs(result.u - share * u).max()) for result in answers)
+            if most <= _ALIKE * self.speed_m_s:
+                return FilterResult(share * u, status, worst.margin, worst.active)
+        return FilterResult(np.zeros(3), status, worst.margin, worst.active)
 
     def _driven_out(
         self,

@@ -274,6 +274,28 @@ def test_no_thin_hull_fits_between_two_points_of_a_fast_vehicle(speed, most_m):
     assert max(np.diff(places)) <= most_m + 1e-9
 
 
+@pytest.mark.parametrize(
+    ("p", "v", "nominal"),
+    [
+        ((0.18, 0.37, 1.09), (0.91, -0.24, 0.33), (-2.02, 2.12, 0.64)),
+        ((1.6, 1.4, 1.09), (0.78, -1.04, -0.65), (1.02, 2.79, 0.43)),
+        ((3.48, -0.19, 1.24), (-1.79, 0.53, -0.31), (2.9, -0.04, -0.77)),
+    ],
+)
+def test_what_is_sent_is_let_through_at_all_points_of_the_chord(p, v, nominal):
+    """Also where three rounds are not enough for them to agree."""
+    _, safety = world(3.0, 0.6)
+    asked = Failing(safety)
+    commander = VelocityCommander(asked, 8.0, 3.0, lag_s=0.6)
+    target = target_at(np.array(p))
+    target[0, 3:6] = nominal
+    found = commander.decide(seen(np.array(p), np.array(v)), 0.0, target)
+    assert found.status in (FilterStatus.FILTERED, FilterStatus.SHORTENED)
+    for share in np.linspace(0, 1, 13):
+        again = safety(np.array(p) + share * 0.6 * np.array(v), found.safe)
+        np.testing.assert_allclose(again.u, found.safe, atol=0.02)
+
+
 class Failing:
     """A filter that fails at one of its calls, and counts them."""
 
