@@ -103,3 +103,31 @@ def test_as_near_to_the_goal_as_the_filter_lets_it_is_there():
     end = loop.recorder.positions("fly")[-1]
     assert 0.2 < np.linalg.norm(end - (1.55, 1.2, 1.0)) < 0.5
     assert 1.8 - end[0] > 0.4
+
+
+class Hesitant(FakeVehicle):
+    """One that is disarmed by order only, and declines the first orders to."""
+
+    declined = 0
+
+    def order(self, order, now_s, height_m=0.0):
+        if order is Order.DISARM and self.declined < 2:
+            self.declined += 1
+            self.orders.append(order)
+            self.status.refusals.append((order, "not landed"))
+            return
+        super().order(order, now_s, height_m)
+
+    def step(self):
+        armed = self.status.armed
+        super().step()
+        self.status.armed = armed
+
+
+def test_a_vehicle_that_declines_to_disarm_after_landing_is_asked_again():
+    vehicle = Hesitant(FakeClock(), (START[0], START[1], 0.0))
+    loop = loop_of(mission(), vehicle)
+    loop.run()
+    assert loop.recorder.states == AS_PLANNED
+    assert vehicle.declined == 2
+    assert loop.supervision.cause is Event.PLAN_FINISHED
