@@ -18,9 +18,9 @@ from alula.stages.flight.commanders import Commander, PlanClock, heading_of
 from alula.stages.flight.fence_guard import FenceGuard, Guarded
 from alula.stages.flight.flight_checks import FlightChecks
 from alula.stages.flight.flight_samples import ERROR, INFO, WARNING, FilterSample, Recorder
-from alula.stages.flight.flight_sampling import filter_sample, tick_sample
+from alula.stages.flight.flight_sampling import filter_sample, level_of, tick_sample
 from alula.stages.flight.frame_check import Jump, MotionCheck
-from alula.stages.flight.links.protocol import Link, Order, VehicleState
+from alula.stages.flight.links.protocol import Link, Order, Setpoint, VehicleState
 from alula.stages.flight.loop_options import Counters, LoopOptions
 from alula.stages.flight.mode_watch import HealthWatch, ModeWatch
 from alula.stages.flight.place_watch import PlaceWatch
@@ -40,14 +40,6 @@ from alula.stages.flight.supervisor import (
 FloatArray = NDArray[np.float64]
 
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
-_BAD = frozenset(
-    {Event.CHECK_FAILED, Event.LINK_LOST, Event.FAILSAFE, Event.FILTER_FAILED, Event.FRAME_WRONG}
-    | {Event.ESTIMATOR_BAD, Event.FENCE, Event.FAILSAFE_IDLE, Event.OFF_WAY, Event.DRIFTS, Event.UNTOLD}
-)
-_FINE = frozenset(
-    {Event.START, Event.CHECKS_PASSED, Event.CHECKS_PASSED_DRY, Event.ARMED, Event.AIRBORNE}
-    | {Event.PLAN_FINISHED, Event.LANDED, Event.RECOVERED}
-)
 _LAST_WORDS_S = 1.0  # for an order to land when the loop itself fails
 
 
@@ -109,6 +101,7 @@ class ControlLoop:
         self._was_there = False
         self._rested_s = 0.0
         self._place: FloatArray | None = None  # where the filter holds it, a row of the reference
+        self._sent: Setpoint | None = None  # in this tick
 
     @property
     def state(self) -> State:
@@ -157,9 +150,13 @@ class ControlLoop:
                 missed = int(behind / period + 0.1) + 1  # the next one is not at once
                 counters.skipped += missed
                 deadline += missed * period
+                if (still := self._sent) is not None:  # it is followed until the next one
+                    for _ in range(missed):
+                        self.commander.sent(still)
 
     def tick(self, now_s: float, late_s: float, spent_s: float) -> None:
         """One tick; `spent_s` is what the one before took."""
+        self._sent = None
         self._poll(now_s)
         state = self.link.state
         self._look(state, now_s, late_s)
@@ -257,12 +254,10 @@ class ControlLoop:
         for each in taken:
             self.taken.append((now_s - self._begin_s, each))
             self.recorder.step(now_s - self._begin_s, each)
-            is_fine = each.event in _FINE or each[:2] == (State.LAND, Event.DISARMED)
-            level = ERROR if each.event in _BAD else INFO if is_fine else WARNING
             detail = self._motion.wrong if each.event is Event.FRAME_WRONG else ""
             if each.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and each.state is State.CHECKS:
                 detail = self.checks.failure()
-            self.say(now_s, level, f"{each.step.words}{f' ({detail})' if detail else ''}")
+            self.say(now_s, level_of(each), f"{each.step.words}{f' ({detail})' if detail else ''}")
             self._try(each.step.action, now_s)
 
     def _try(self, action: Action, now_s: float) -> None:
@@ -345,7 +340,8 @@ class ControlLoop:
                     self._fence_m = -math.inf
                 else:
                     self.link.send(guarded.setpoint, now_s)
-                    self.commander.sent(guarded.setpoint)
+                    self._sent = guarded.setpoint
+                    self.commander.sent(self._sent)
         except Exception as error:  # noqa: BLE001  whatever a filter raises must not leave the vehicle alone
             self._filter = FilterHealth.FAILED
             self.say(now_s, ERROR, f"no set-point: {type(error).__name__}: {error}")

@@ -188,7 +188,7 @@ def advance(was: Supervision, facts: Facts, limits: SupervisorLimits) -> tuple[S
         taken.append(Taken(now.state, event, step))
         if step.state is not now.state:
             return _entered(now, step.state, event, facts.now_s), taken
-        # Who was not landed or not disarmed when asked is asked again: a vehicle may end no landing by itself.
+        # A landed vehicle that declines to disarm is asked again: it may not do so by itself.
         forgotten = {Event.LANDED} if event is Event.ORDER_REFUSED else set()
         now = dataclasses.replace(now, seen=(now.seen | {event}) - forgotten)
     return now, taken

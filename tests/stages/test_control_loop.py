@@ -309,3 +309,28 @@ def test_a_late_loop_is_held_counted_and_not_made_up_for():
     times = [s.time_s for s in loop.recorder.samples]
     assert min(np.diff(times)) > 1e-3  # no burst
     assert np.allclose(np.diff(times)[-300:], 0.01, atol=1e-6)  # and back on the grid
+
+
+@pytest.mark.parametrize("late_s", [0.03, 0.07])
+def test_what_was_sent_is_remembered_for_as_long_as_it_was_followed(late_s):
+    """Ticks that are left out are no time that did not pass: an old state is taken on by all of it."""
+    vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
+    vehicle.on_poll = after(1.0, lambda v: v.clock.extra_s.append(late_s))
+    loop = loop_of(mission(), vehicle)
+    sent, times, inner = [], [], loop.commander
+
+    class Watching:
+        reset, sent = inner.reset, inner.sent
+
+        def decide(self, *seen):
+            times.append(vehicle.clock())
+            sent.append(len(inner._sent))
+            return inner.decide(*seen)
+
+    loop.commander = Watching()
+    loop.run()
+    assert loop.recorder.states == AS_PLANNED
+    assert loop.counters.skipped == round(100 * late_s)
+    known = [(at - times[0], ticks) for at, ticks in zip(times, sent, strict=True) if ticks < 180]
+    assert known[-1][0] > 1.5
+    assert max(abs(at * 100 - ticks) for at, ticks in known[-20:]) < 1.5
