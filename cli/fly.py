@@ -157,8 +157,9 @@ def command(
     )
     check_output(common.output, paths)
     check_output(record_path(common.output), paths)
-    if common.output.exists() and not (common.force or common.dry_run):
-        raise UsageError(f"{common.output}: exists; every flight is a new one; -f replaces it")
+    for old in (common.output, record_path(common.output)):
+        if old.exists() and not (common.force or common.dry_run):
+            raise UsageError(f"{old}: exists; every flight is a new one; -f replaces it")
     mission = make_mission(
         config,
         read_artifact(paths["plan"], PLAN),

@@ -209,8 +209,8 @@ class FlightRecorder:
 
 
 def _beside(path: Path, *, replaces: bool) -> Path | None:
-    """Where a log is written until it replaces another; None if there is no other."""
-    if not replaces or not os.path.lexists(path):
+    """Where a log is written until it replaces another, or another's record; None if there is none."""
+    if not replaces or not (os.path.lexists(path) or os.path.lexists(record_path(path))):
         return None
     return path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
 

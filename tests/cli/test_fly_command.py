@@ -57,6 +57,8 @@ def test_a_flight_is_flown_logged_and_reported(pipeline, tmp_path):
     assert run(["report", str(log), "-o", str(tmp_path / "f.html"), "-q"]) == 0
     assert "reached" in (tmp_path / "f.html").read_text()
     assert run(words(pipeline, log)) == 2  # every flight is a new one
+    log.unlink()
+    assert run(words(pipeline, log)) == 2  # and the record is another's still
 
 
 def test_a_dry_run_writes_nothing_and_prints_the_checks(pipeline, tmp_path, capsys):

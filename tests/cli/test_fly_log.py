@@ -182,3 +182,19 @@ def test_a_log_that_cannot_be_replaced_is_kept_beside_and_named(tmp_path):
     assert recorder.finish(None)
     assert recorder.where != log
     assert read_logged(recorder.where).damage
+
+
+def test_a_record_without_its_log_does_not_become_that_of_a_flight_that_crashes(tmp_path):
+    log, record = tmp_path / "f.run.mcap", tmp_path / "f.run.json"
+    record.write_bytes(b"{}")
+    refused = begin(log)
+    refused.finish(None)
+    refused.discard()
+    assert list(tmp_path.iterdir()) == [record]  # no flight, and nothing is changed
+    recorder = begin(log)
+    take_off(recorder)
+    wait_for(lambda: recorder.where == log)
+    os.kill(recorder.pid, signal.SIGKILL)
+    recorder.finish(None)
+    recorder.discard()
+    assert list(tmp_path.iterdir()) == [log]

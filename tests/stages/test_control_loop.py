@@ -334,3 +334,29 @@ def test_what_was_sent_is_remembered_for_as_long_as_it_was_followed(late_s):
     known = [(at - times[0], ticks) for at, ticks in zip(times, sent, strict=True) if ticks < 180]
     assert known[-1][0] > 1.5
     assert max(abs(at * 100 - ticks) for at, ticks in known[-20:]) < 1.5
+
+
+@pytest.mark.parametrize("how", ["raises", "nan", "refuses"])
+def test_a_filter_that_fails_at_any_point_of_the_chord_is_held_in_that_tick(how):
+    """With the lag of the defaults a tick is many calls; whichever of them fails, nothing is sent."""
+    for point in (1, 4):
+        vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
+        loop = loop_of(mission(), vehicle)
+        inner, failed = loop.commander.filter, []
+        calls = {}
+
+        def failing(x, u, inner=inner, calls=calls, vehicle=vehicle, failed=failed, point=point):
+            now = vehicle.clock()
+            calls[now] = calls.get(now, 0) + 1
+            if not failed and len(vehicle.sent) > 150 and calls[now] == point:
+                failed.append(now)
+                return Breaking(inner, how, 1)(x, u)
+            return inner(x, u)
+
+        loop.commander.filter = failing
+        loop.run()
+        assert len(failed) == 1, point
+        assert failed[0] not in [at for at, _, _ in vehicle.sent]
+        first = next(taken for _, taken in loop.taken if taken.step.state is State.HOLD)
+        assert first.event is (Event.FILTER_REFUSED if how == "refuses" else Event.FILTER_FAILED)
+        assert loop.supervision.cause is Event.PLAN_FINISHED  # one failure costs a hold, no more
