@@ -62,7 +62,7 @@ _SHORTER = (1.0, 0.5)  # parts of what is left where they do not agree; at last 
 _ALIKE = 1e-3  # of the speed limit: so much is rounding
 _HALVINGS = 4  # to where the chord enters a hull
 _OUT = 2.0  # of 1 / tau: how fast q is driven out of one
-_KNOWN_TICKS = 200  # of what was sent
+_KNOWN_S = 3.0  # of what was sent: of the oldest state that may be flown on, and the longest delay
 
 
 @dataclass(slots=True)
@@ -95,7 +95,7 @@ class VelocityCommander:
 
     def __post_init__(self) -> None:
         """Nothing is sent yet."""
-        self._sent = deque(maxlen=_KNOWN_TICKS)
+        self._sent = deque(maxlen=math.ceil(_KNOWN_S / self.dt_s))
 
     def reset(self) -> None:
         """See `Commander`."""

@@ -255,6 +255,14 @@ def test_what_is_not_known_is_taken_on_by_its_velocity():
         np.testing.assert_allclose(commander.filter.asked[-1][0], (0.05 + 0.5) * v, atol=1e-12)
 
 
+def test_at_a_high_rate_as_much_time_is_known():
+    commander = VelocityCommander(Passing(), 2.0, 20.0, lag_s=0.5, delay_s=0.5, dt_s=0.002)
+    for _ in range(1000):
+        commander.sent(VelocitySetpoint(ZERO, 0.0))
+    commander.decide(seen(ZERO, np.array([1.0, 0, 0])), 0.15, target_at(ZERO))
+    np.testing.assert_allclose(commander.filter.asked[-1][0], (0.5, 0, 0), atol=1e-9)  # q stays where it was
+
+
 @pytest.mark.parametrize("margin", [0.01, 0.3, 5.0])
 def test_the_chord_is_asked_for_closely_and_from_end_to_end(margin):
     commander = VelocityCommander(Passing(margin), 2.0, 20.0, lag_s=0.5)
