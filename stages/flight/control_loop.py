@@ -92,7 +92,7 @@ class ControlLoop:
         self._motion, self._jump, self._jump_m = MotionCheck(), Jump(), 0.0
         self._ground_m: float | None = None
         self._filter = FilterHealth.GOOD
-        self._fallback_s, self._overruns = 0.0, 0
+        self._fallback_from_s, self._overruns = math.inf, 0
         self._fence_m: float | None = None
         self._astray_m = self._drift_m = 0.0
         self._refused_s = math.inf
@@ -237,7 +237,7 @@ class ControlLoop:
             late_s=late_s,
             overruns=self._overruns,
             filter=self._filter,
-            fallback_s=self._fallback_s,
+            fallback_s=max(0.0, now_s - self._fallback_from_s),
             fence_m=self._fence_m,
             plan_done=self._was_there,
             interrupts=self._interrupts(),
@@ -289,7 +289,7 @@ class ControlLoop:
             self.guard.reset()
             if state is not None:
                 self.plan.pause(heading_of(state.attitude_wxyz))
-            self._filter, self._fallback_s, self._overruns = FilterHealth.GOOD, 0.0, 0
+            self._filter, self._fallback_from_s, self._overruns = FilterHealth.GOOD, math.inf, 0
             self._order(Order.TAKE_CONTROL, now_s)
         elif action is Action.HOLD:
             self._order(Order.HOLD, now_s)
@@ -348,7 +348,7 @@ class ControlLoop:
             return None
         self.counters.filter_s.append(filter_s)
         period, is_fallback = 1 / self.options.rate_hz, decision.status in _FALLBACKS or guarded.takes_over
-        self._fallback_s = self._fallback_s + period if is_fallback else 0.0
+        self._fallback_from_s = min(self._fallback_from_s, now_s) if is_fallback else math.inf
         if self._place is None:
             self.plan.advance(period, decision.error_m)
             self._arrive(math.sqrt(float(state.velocity @ state.velocity)), decision.error_m, period)

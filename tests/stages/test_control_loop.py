@@ -360,3 +360,20 @@ def test_a_filter_that_fails_at_any_point_of_the_chord_is_held_in_that_tick(how)
         first = next(taken for _, taken in loop.taken if taken.step.state is State.HOLD)
         assert first.event is (Event.FILTER_REFUSED if how == "refuses" else Event.FILTER_FAILED)
         assert loop.supervision.cause is Event.PLAN_FINISHED  # one failure costs a hold, no more
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.08])
+def test_a_fallback_is_as_long_as_the_clock_says_however_few_its_ticks(late_s):
+    vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
+    loop = loop_of(mission(velocity_lag_s=0.0), vehicle)
+    loop.commander.filter = Breaking(loop.commander.filter, "falls back", 100)
+
+    def every_other(vehicle, now):
+        if loop.commander.filter.left < 0 and not vehicle.clock.extra_s:
+            vehicle.clock.extra_s.extend([late_s, 0.0])
+
+    vehicle.on_poll = every_other
+    loop.run()
+    first = next(s.time_s for s in loop.recorder.samples if s.filter and s.filter.status == 3)
+    held = next(at for at, taken in loop.taken if taken.event is Event.FALLBACK_LONG)
+    assert held - first == pytest.approx(3.0, abs=0.12)
