@@ -274,6 +274,29 @@ def test_the_chord_is_asked_for_closely_and_from_end_to_end(margin):
     assert max(np.diff(places)) <= max(0.5 * margin, 1.5 / 12) + 1e-9
 
 
+@pytest.mark.parametrize("share", [0.27, 0.4])
+def test_a_fast_vehicle_does_not_cut_across_a_thin_pillar(share):
+    """16 m of chord beside a pillar of 0.1 m: led to its other side, q sweeps the chord over it."""
+    made = mission(
+        cover=box_cover([((0, 0, 0), (1, 1, 40))]),
+        is_clear=True,
+        speed_m_s=10.0,
+        gain=8.0,
+        fence=(-40.0, -40.0, 0.0, 40.0, 40.0, 10.0),
+    )
+    lag = made.config.velocity_lag_s
+    commander = make_commander(made, make_safety(made), frozenset({VelocitySetpoint}))
+    x, v, least = np.array([0.05 - 16.0 * share, 0.42, 1.5]), np.array([16.0 / lag, 0, 0]), math.inf
+    for _ in range(160):
+        decision = commander.decide(seen(x, v), 0.0, target_at((2.1, -3.6, 1.5)))
+        commander.sent(decision.setpoint)
+        for _ in range(STEPS):
+            x, v, _ = first_order(lag)(x, v, ZERO, decision.setpoint.velocity, DT / STEPS)
+            away = np.maximum(np.abs(x[:2] - 0.05) - 0.05, 0.0)
+            least = min(least, float(np.hypot(*away)) - RADIUS_M)
+    assert least >= MARGIN_M - 1e-3
+
+
 @pytest.mark.parametrize(("speed", "most_m"), [(3.0, 0.15), (10.0, 0.2), (100.0, 0.2)])
 def test_no_thin_hull_fits_between_two_points_of_a_fast_vehicle(speed, most_m):
     commander = VelocityCommander(Passing(0.01), 2.0, 100.0, lag_s=0.6)
