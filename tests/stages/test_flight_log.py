@@ -59,7 +59,10 @@ def record_of(made, loop, recorder):
 
 
 def test_a_flight_is_logged_as_simulate_logs_one(tmp_path):
-    log, made = tmp_path / "f.run.mcap", mission()
+    log, made = (
+        tmp_path / "f.run.mcap",
+        mission(velocity_lag_s=0.0),
+    )  # as the model's: its plan is kept up with
     recorder = FlightRecorder(log, head_of(made), echo=False)
     loop, _ = fly(made, recorder=recorder)
     assert recorder.finish(record_of(made, loop, recorder))
