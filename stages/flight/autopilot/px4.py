@@ -14,6 +14,7 @@ from alula.schemas.vehicle import Vehicle
 from alula.stages.flight.autopilot.battery import Charge
 from alula.stages.flight.autopilot.copter import CRITICAL, INFO, WARNING, Copter
 from alula.stages.flight.autopilot.estimator import EstimatorOptions, LatLonAlt
+from alula.stages.flight.autopilot.hand import Hand
 from alula.stages.flight.autopilot.parameters import Parameters
 from alula.stages.flight.autopilot.px4_modes import ROWS, SWITCHED, Px4Mode
 from alula.stages.flight.autopilot.px4_parameters import DERIVED, TABLE
@@ -91,6 +92,7 @@ class Px4Copter(Copter):
         home: LatLonAlt | None = None,
         heading_rad: float = 0.0,
         seed: int = 0,
+        hand: Hand | None = None,
     ) -> None:
         self.chosen = self.flown = Px4Mode.HOLD
         self._setpoint_s = self._stream_s = -math.inf
@@ -99,7 +101,13 @@ class Px4Copter(Copter):
         self._top_m: float | None = None  # of a take-off, above the local origin
         self._has_flown = False
         super().__init__(
-            vehicle, parameters=parameters, options=options, home=home, heading_rad=heading_rad, seed=seed
+            vehicle,
+            parameters=parameters,
+            options=options,
+            home=home,
+            heading_rad=heading_rad,
+            seed=seed,
+            hand=hand,
         )
         self.mode = ROWS[self.flown].flown
 
