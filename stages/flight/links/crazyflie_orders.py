@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.crazyflie_session import Session
 from alula.stages.flight.links.mavlink_orders import check_height
-from alula.stages.flight.links.protocol import Order, VehicleStatus
+from alula.stages.flight.links.protocol import UNDONE, Order, VehicleStatus
 
 FloatArray = NDArray[np.float64]
 
@@ -128,7 +128,7 @@ class Orders:
             self._standing = None
             return
         if now_s - standing.since_s > _PATIENCE_S:
-            self._give_up(standing, "; ".join([f"not done for {_PATIENCE_S:g} s", *self._reasons()]))
+            self._give_up(standing, "; ".join([f"{UNDONE} for {_PATIENCE_S:g} s", *self._reasons()]))
         if self._standing is not None and now_s >= standing.next_s:
             standing.next_s = now_s + _REPEAT_S
             standing.sent += 1
