@@ -146,7 +146,7 @@ def test_a_rehearsal_flies_in_the_map_that_the_room_example_makes(tmp_path):
 
 
 ALULA_OF_ONES_OWN = """#!/bin/sh
-# Makes what it is asked for; a flight is logged and ends as $ENDS says: with a code, or by Ctrl-C to all of make.
+# Makes what it is asked for; a flight is logged and ends as $ENDS says: with a code, or by Ctrl-C to all.
 command=$1
 while [ $# -gt 0 ]; do
   [ "$1" = -o ] && out=$2

@@ -249,8 +249,8 @@ def _clearance(seen: Observed, needs: Needs) -> Verdict:
 
 def _underfoot(way: FloatArray, ground_m: float, obstacles: Obstacles, least_m: float) -> str:
     """Where what blocks a way up is straight below its beginning: how far, and what helps."""
-    probe = [way[:1], way[:1] + [0.0, 0.0, _PROBE_M]]
-    here, above = (float(path_clearance(point, obstacles, jobs=1)[0]) for point in probe)
+    probe = way[:1] + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, _PROBE_M]])
+    here, above = (float(path_clearance(point[None], obstacles, jobs=1)[0]) for point in probe)
     if here > least_m + 1e-9 or above - here < 0.9 * _PROBE_M:
         return ""
     top_m = float(way[0, 2]) - here - ground_m

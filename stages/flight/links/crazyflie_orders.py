@@ -97,7 +97,9 @@ class Orders:
             raise LinkError(f"{order.value} is refused: the vehicle has not said where it is")
         if order is Order.DISARM and status.landed is not True:
             return self._refuse(order, "the vehicle does not say that it is on the ground")
-        if order in (Order.TAKE_OFF, Order.HOLD, Order.LAND) and not status.armed:
+        # Not known to be armed is no reason to let it fall: without set-points it does so after 2 s.
+        is_maybe_flying = status.armed is None and order is not Order.TAKE_OFF
+        if order in (Order.TAKE_OFF, Order.HOLD, Order.LAND) and not (status.armed or is_maybe_flying):
             return self._refuse(order, "it is not armed")
         if order in (Order.ARM, Order.TAKE_OFF) and status.is_failsafe:
             return self._refuse(order, "; ".join(self._reasons()))
