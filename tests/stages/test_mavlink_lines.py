@@ -79,6 +79,24 @@ def test_stamps_grow_from_run_to_run_even_when_the_clock_is_set_back(tmp_path):
         Signer(KEY, file=file, clock=lambda: 0.0, wall_clock=lambda: 1.8e9)
 
 
+def test_runs_that_are_killed_do_not_lead_away_from_the_vehicles_time(tmp_path):
+    file, wall, last = tmp_path / "stamp", 1.8e9, 0
+    beat = m.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3)
+    for _ in range(10):  # each is killed after a second
+        wall += 1
+        signer = Signer(KEY, file=file, clock=lambda: 0.0, wall_clock=lambda at=wall: at)
+        first = signer.next_stamp()
+        assert first > last
+        last = [signer.next_stamp() for _ in range(200)][-1]
+        wire = Wire(255, 191, [m.MAVLINK_MSG_ID_HEARTBEAT], signer)
+        assert wire.take(sign(None, KEY, round((wall - 1_420_070_400) * 1e5), beat))
+    old = sign(None, KEY, round((wall - 1_420_070_400 - 130) * 1e5), beat)
+    signer = Signer(
+        KEY, file=file, clock=lambda: 0.0, wall_clock=lambda: 1.5e9
+    )  # nor is a wrong one believed
+    assert not Wire(255, 191, [m.MAVLINK_MSG_ID_HEARTBEAT], signer).take(old)
+
+
 def test_a_key_has_32_bytes_and_needs_a_file_for_its_stamps(tmp_path):
     path = tmp_path / "key"
     path.write_bytes(KEY)
