@@ -7,6 +7,7 @@ import pytest
 
 from alula.stages.flight.links.crazyflie_orders import IS_ARMED, IS_FLYING, Motion, Orders
 from alula.stages.flight.links.crazyflie_session import Session
+from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import Order, VehicleStatus
 
@@ -59,3 +60,15 @@ def test_of_set_points_and_poses_that_a_lost_radio_holds_up_the_newest_goes_out(
     session._queue.put(None)
     session._send_all()
     assert sent[-1] == "next"
+
+
+@pytest.mark.parametrize("landed", [False, None, True])
+def test_a_controller_is_not_changed_under_what_may_be_flying(landed, monkeypatch):
+    link, written = open_link("udp://127.0.0.1:1"), []
+    monkeypatch.setattr(link._session, "read", lambda name: 2.0)
+    monkeypatch.setattr(link._session, "write", lambda name, value, *_: written.append((name, value)) or True)
+    link._parameters._changed["stabilizer.controller"] = (1.0, 2.0)
+    link._is_prepared, link._status.landed = True, landed
+    link.close()
+    assert written == ([("stabilizer.controller", 1.0)] if landed else [])
+    assert ("stabilizer.controller stays 2; it was 1" in link.status.texts) != (landed is True)

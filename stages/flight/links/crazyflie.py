@@ -243,8 +243,9 @@ class CrazyflieLink:
                 if self._streamed_s is not None:
                     self._hold(self._options.clock())
                 self._session.flush(1.0)
-                if self._status.landed is False:
-                    self._say("it is in the air: its parameters stay as they are")
+                if self._status.landed is not True:
+                    known = "is in the air" if self._status.landed is False else "may be in the air"
+                    self._say(f"it {known}: its parameters stay as they are", *self._parameters.leave())
                 else:
                     self._say(*self._parameters.restore(_RESTORE_S))
                 if self._noticed_s > -math.inf:

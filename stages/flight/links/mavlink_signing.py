@@ -49,8 +49,8 @@ def read_key(path: Path) -> bytes:
 class Signer:
     """A key, and time stamps that only ever grow: within a run, and through `file` from run to run.
 
-    After a run that was killed the file is ahead of the time of day. Stamps then go on from it one by one until
-    that has caught up: runs that are killed one after another do not lead away from what the vehicle uses.
+    After a run that was killed the file is ahead of the time of day. Stamps then go on from it one by one
+    until that has caught up: runs killed one after another do not lead away from what the vehicle uses.
 
     Args:
         key: 32 bytes.
