@@ -10,8 +10,10 @@ from alula.stages.flight.autopilot.camera import Camera
 from alula.stages.flight.autopilot.copter import Copter
 from alula.stages.flight.autopilot.estimator import EstimatorOptions
 from alula.stages.flight.autopilot.hand import Hand
+from alula.stages.flight.autopilot.modes import Mode
 from alula.stages.flight.autopilot.packets import Codec, mavlink
 from alula.stages.flight.autopilot.px4 import Px4Copter
+from alula.stages.flight.autopilot.px4_modes import Px4Mode
 from alula.stages.flight.autopilot.simulator import SimulatedVehicle
 from alula.stages.flight.frame_check import HandCheck
 from alula.stages.flight.frames import LocalFrame
@@ -27,9 +29,9 @@ def state_of(motion, frame):
     )
 
 
-def carried(frame, *, hears=True, until_s=20.0):
+def carried(frame, *, hears=True, until_s=20.0, kind=Copter):
     """The vehicle after a time in which a client spoke to it, what the check says, how far it was."""
-    copter = Copter(FASTBRIDGE, options=EstimatorOptions(boot_time_s=3.0), hand=Hand())
+    copter = kind(FASTBRIDGE, options=EstimatorOptions(boot_time_s=3.0), hand=Hand())
     check, farthest = HandCheck(), 0.0
     while copter.time_s < until_s:
         if hears and copter.time_s > 1:
@@ -41,15 +43,16 @@ def carried(frame, *, hears=True, until_s=20.0):
     return copter, check, farthest
 
 
-def test_a_hand_moves_it_east_north_and_up_and_puts_it_back():
-    copter, check, farthest = carried(LocalFrame())
+@pytest.mark.parametrize(("kind", "mode"), [(Copter, Mode.GUIDED), (Px4Copter, Px4Mode.POSCTL)])
+def test_a_hand_moves_it_east_north_and_up_and_puts_it_back(kind, mode):
+    copter, check, farthest = carried(LocalFrame(), kind=kind)
     assert (check.prompt, check.verdict()) == ("", "")
     np.testing.assert_allclose(check.moved, 0.4 * np.eye(3), atol=0.1)
     assert farthest == pytest.approx(0.4 * np.sqrt(3), abs=1e-6)
     assert copter.airframe.truth.position == pytest.approx((0, 0, 0), abs=1e-12)
     assert not copter.airframe.is_carried
     assert copter.is_landed
-    copter.set_mode(4)
+    assert copter.set_mode(mode)
     assert copter.arm()
 
 

@@ -101,6 +101,14 @@ def test_no_pilot_leaves_the_fence(pilot):
     assert sum(log["min_distance_m"] < 0 for log in free) >= 4
 
 
+@pytest.mark.parametrize("pilot", ["sticks", "aggressive"])
+def test_the_pilots_share_does_not_go_to_and_fro(pilot):
+    logs = fly(ROOM, pilot, starts=STARTS, count=8, seed=1, rules={"duration_s": 8}, keeps_trace=True)
+    jumps = np.concatenate([np.abs(np.diff(log["figure"][:, 0])) for log in logs])
+    assert (jumps > 1e-3).any()
+    assert (jumps > 0.15).mean() < 2e-3
+
+
 def test_walls_and_floor_are_engaged_again_and_again():
     log = fly(ROOM, "repeated", start=at(0, 20), rules={"duration_s": 24})[0]
     assert log["interventions"] >= 4

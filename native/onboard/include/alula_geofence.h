@@ -8,7 +8,9 @@
  *
  * c counts the faces of the fence, the map and, with v_c = 1, h_B, and h_c is the least of c along the flow. With one
  * face that is (19); with several it has no jump where another face becomes the nearest. v_c = 1 for all gives (10).
- * When lambda rounds to 1 the pilot's command is returned bit by bit.
+ * When lambda rounds to 1 the pilot's command is returned bit by bit. Of h_B counts h_B min(1, beta h_B / 16): less
+ * than (10) while lambda would not round to 1, and flat at 0. A tick can change h_B, with its factor of 40, by 1;
+ * lambda would go to and fro between pilot and backup.
  *
  * Hold. u_B steers to a height and a yaw frozen where the flow began; so they are state. They are frozen anew in
  * every tick with h_I > 0; as soon as h_I <= 0 the last ones are kept, so that what is flown with lambda = 0 is the
@@ -21,7 +23,7 @@
  *   max over the nodes so far of |p_fine - p_coarse| + 2 dt |v_fine - v_coarse|
  *                     the full difference; with the velocities, and the maximum, as the two flows may cross. A flow
  *                     that was upside down is far from leading order (a turn of almost 180 degrees has no preferred
- *                     axis): there it counts five times
+ *                     axis): there it counts up to five times, from 0.25 of the axis below the horizon on
  *   (T + g) dt^2 / 8  a node's chord may be left by that much
  *   |v| dt_s          u_B is held for a tick: at any time it is the one of at most a tick ago, as if the flow had
  *                     begun that much later

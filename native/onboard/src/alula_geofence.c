@@ -3,7 +3,9 @@
 #include "racer_steps.h"
 
 #define UNIT 5.9604645e-8F /* 2^-24 */
-#define INVERTED_FACTOR 5.0F
+#define INVERTED_MORE 4.0F  /* times the difference are added for a flow that was upside down, */
+#define INVERTED_FROM 0.25F /* all of them from so far below the horizon */
+#define SOFT 16.0F          /* beta h_B; below 25 log 2, where lambda rounds to 1 */
 #define MOST_TICK 0.1F
 #define MOST_RATE_GAIN 1000.0F
 #define MOST_GAIN 1000.0F
@@ -165,11 +167,19 @@ static float speed_towards(const alula_geofence* filter, const alula_fence_track
   return speed > fast ? fast : (speed > slow ? speed : slow);
 }
 
+/* What stands for h_B in lambda: where that is small its square, never more. With its gain of 40 a tick can change
+ * h_B by 1; lambda = 1 - exp(-beta h_B) would then change between pilot and backup in every tick. */
+static float softened(float end, float beta) {
+  const float z = beta * end;
+  return z > 0.0F && z < SOFT ? end * (z / SOFT) : end;
+}
+
 /* h_I, and the constraint that decides lambda. */
 static void conclude(const alula_geofence* filter, const alula_fence_tracker* tracker, const float v[3],
                      alula_geofence_value* value) {
   const alula_fence* fence = filter->fence;
-  value->h_i = value->exponent = value->end;
+  value->h_i = value->end;
+  value->exponent = softened(value->end, filter->config.beta);
   value->deciding = ALULA_GEOFENCE_END;
   value->v_towards = 1.0F;
   for (uint32_t c = 0; c < ALULA_FENCE_CONSTRAINTS; ++c) {
@@ -219,7 +229,7 @@ void alula_geofence_evaluate(alula_geofence* filter, const alula_racer_state* st
   axis_of(fine.state.attitude, fine.axis);
   axis_of(coarse.state.attitude, coarse.axis);
   float error = 0.0F, allowance = 0.0F;
-  int was_inverted = 0;
+  float inverted = 0.0F; /* 0 above the horizon to 1 */
   for (uint32_t k = 0; k < config->steps; k += 2U) {
     float node[3][3], v_d[3], sag = 0.0F;
     for (int j = 0; j < 2; ++j) {
@@ -238,9 +248,10 @@ void alula_geofence_evaluate(alula_geofence* filter, const alula_racer_state* st
     advance(filter, &filter->coarse, &relative, &tracker, k == 0U, v_d, &coarse);
     const float now = distance_between(fine.state.position, coarse.state.position) +
                       2.0F * config->step_s * distance_between(fine.state.velocity, coarse.state.velocity);
-    float size = now;
-    if (fine.zeta < 0.0F || coarse.zeta < 0.0F) was_inverted = 1;
-    if (was_inverted) size *= INVERTED_FACTOR;
+    const float lowest = fine.zeta < coarse.zeta ? fine.zeta : coarse.zeta;
+    const float below = between(-lowest * (1.0F / INVERTED_FROM), 0.0F, 1.0F);
+    if (below > inverted) inverted = below;
+    const float size = now * (1.0F + INVERTED_MORE * inverted);
     if (size > error) error = size; /* the two flows may cross */
     allowance = fixed + sag + error;
     alula_fence_follow(&tracker, node[0], node[1], allowance);
