@@ -110,7 +110,8 @@ def command(
     vehicle at any time, and keeps it.
 
     The log is written while it flies; R.run.json beside it holds the summary and the measured times. Exit
-    code 4: a check does not hold, the plan was not finished, or the flight touched the map; 6: link, vehicle.
+    code 3: an input cannot be read, or the flight went well, but its log or record is not complete; 4: a
+    check does not hold, the plan was not finished, or the flight touched the map; 6: link, vehicle.
     """
     import math
 

@@ -120,10 +120,12 @@ def fly(
                 with _priority():
                     loop.run()
                 link.close()
+                _tell(link, recorder, loop.taken[-1][0] if loop.taken else 0.0)
                 flown = _finish(mission, loop, recorder, provenance, common)
     except BaseException:
         with _signals(count):  # a second one would leave the vehicle's parameters changed
             link.close()
+        _tell(link, recorder, 0.0)
         recorder.finish(None)
         recorder.discard()
         raise
@@ -131,6 +133,15 @@ def fly(
         if view is not None:
             view.close(_CLOSE_S)
     _conclude(loop, flown, common)
+
+
+def _tell(link: Link, recorder: FlightRecorder, time_s: float) -> None:
+    """What closing a link had to say: which parameters could not be put back, and what they were."""
+    from alula.stages.flight.flight_samples import WARNING
+
+    for text in link.status.texts:
+        recorder.say(time_s, WARNING, f"vehicle: {text}")
+    link.status.texts.clear()
 
 
 def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) -> FlightPipe:

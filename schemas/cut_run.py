@@ -74,7 +74,7 @@ def salvage_run(log: Path) -> LoggedRun | None:
         flights = flights_of(messages)
         decode = msgspec.json.Decoder(_Supervisor).decode
         known = [decode(data) for topic, data in messages if topic == "/supervisor"]
-    except (KeyError, msgspec.MsgspecError):
+    except (KeyError, ValueError, msgspec.MsgspecError):
         return None
     ended = f"after {known[-1].time_s:.2f} s, in the state {known[-1].state_name}" if known else "at once"
     damage = f"the log of this flight was cut: it ends {ended}"

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -19,6 +20,8 @@ STATE_TOPIC = "/state"
 SAFETY_TOPIC = "/safety"
 SUPERVISOR_TOPIC = "/supervisor"
 LINE_TOPIC = "/log"
+
+_LARGEST = 1e12  # [s], [m], [m/s], of margins: beyond is no measurement, and no figure shows it
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +162,11 @@ def read_flights(log: Path) -> Flights:
 
 
 def flights_of(messages: Iterable[tuple[str, bytes]]) -> Flights:
-    """The flights in messages, each with its topic; those of other topics are passed over."""
+    """The flights in messages, each with its topic; those of other topics are passed over.
+
+    Raises:
+        ValueError: a time, position, velocity or margin is larger than any measured one.
+    """
     states: dict[int, list[_State]] = {}
     safety: dict[int, list[_Safety]] = {}
     supervised: list[_Supervisor] = []
@@ -210,21 +217,27 @@ def _flight(states: list[_State], safety: list[_Safety]) -> Flight:
     safety.sort(key=lambda answer: answer.time_s)
     position = [(v.x, v.y, v.z) for v in (state.position_m for state in states)]
     velocity = [(v.x, v.y, v.z) for v in (state.velocity_m_s for state in states)]
-    square = np.square(np.array(velocity, np.float64).reshape(-1, 3)).sum(axis=1)
+    square = np.square(_measured("velocity", velocity).reshape(-1, 3)).sum(axis=1)
     return Flight(
-        time_s=np.array([state.time_s for state in states]),
-        position_world=np.array(position, np.float64).reshape(-1, 3),
+        time_s=_measured("time", [state.time_s for state in states]),
+        position_world=_measured("position", position).reshape(-1, 3),
         speed_m_s=np.sqrt(square),
-        margin_time_s=np.array([answer.time_s for answer in safety], np.float64),
-        margin=np.array(  # None becomes NaN
-            [a.h_m if a.margin_unit is None else a.margin for a in safety], np.float64
-        ),
+        margin_time_s=_measured("time", [answer.time_s for answer in safety]),
+        margin=_measured("margin", [a.h_m if a.margin_unit is None else a.margin for a in safety]),
         margin_unit=(safety[0].margin_unit if safety else None) or "m",
         status=tuple(answer.status_name for answer in safety),
         share=None
         if all(a.share is None for a in safety)
         else np.array([a.share for a in safety], np.float64),
     )
+
+
+def _measured(name: str, values: list[Any]) -> NDArray[np.float64]:
+    """As an array, None as NaN; refuses (ValueError) what is too large."""
+    found = np.array(values, np.float64)
+    if (np.abs(found) > _LARGEST).any():
+        raise ValueError(f"a {name} of {np.nanmax(np.abs(found)):.3g} is none that anybody measured")
+    return found
 
 
 def count_messages(log: Path) -> tuple[dict[str, int], bool]:

@@ -145,6 +145,53 @@ def test_a_rehearsal_flies_in_the_map_that_the_room_example_makes(tmp_path):
     assert not (tmp_path / "out/room.ply").exists()
 
 
+ALULA_OF_ONES_OWN = """#!/bin/sh
+# Makes what it is asked for; a flight is logged and ends as $ENDS says: with a code, or by Ctrl-C to all.
+command=$1
+while [ $# -gt 0 ]; do
+  [ "$1" = -o ] && out=$2
+  shift
+done
+echo "$command" >> "$CALLS"
+[ "$command" = sim-vehicle ] && exec sleep 60
+[ -n "$out" ] && echo "$command" > "$out"
+[ "$command" = fly ] || exit 0
+echo flown > "${out%.run.mcap}.run.json"
+[ "$ENDS" = interrupt ] && kill -INT 0
+exit "$ENDS"
+"""
+
+
+@pytest.mark.parametrize("ends", ["4", "interrupt"])
+def test_a_rehearsal_that_fails_keeps_log_and_record_and_is_flown_again(tmp_path, ends):
+    alula, out, calls = tmp_path / "alula", tmp_path / "out", tmp_path / "calls"
+    alula.write_text(ALULA_OF_ONES_OWN)
+    alula.chmod(0o755)
+
+    def rehearse(ends):
+        calls.write_text("")
+        command = ["make", "-C", str(EXAMPLES / "rehearsal"), f"ALULA={alula}", f"OUT={out}"]
+        surroundings = os.environ | {"CALLS": str(calls), "ENDS": ends}
+        code = subprocess.run(
+            command, env=surroundings, capture_output=True, start_new_session=True
+        ).returncode
+        return code, calls.read_text().split()
+
+    assert {"fly", "report"} <= set(rehearse("0")[1])
+    assert rehearse("0")[1] == []
+    (out / "room.plan.npz").touch()
+    for _ in range(2):  # and a failed one does not count as flown
+        code, called = rehearse(ends)
+        assert code != 0
+        assert "fly" in called
+        assert "report" not in called
+        assert (out / "polytope-cbf.run.mcap").read_text() == "fly\n"
+        assert (out / "polytope-cbf.run.json").read_text() == "flown\n"
+    assert {"fly", "report"} <= set(rehearse("0")[1])
+    (out / "polytope-cbf.run.mcap").unlink()
+    assert "fly" in rehearse("0")[1]
+
+
 def test_polymerge_sets_our_maps_beside_the_published_ones(tmp_path):
     folder = tmp_path / "polymerge"
     shutil.copytree(EXAMPLES / "polymerge", folder, ignore=shutil.ignore_patterns("out"))

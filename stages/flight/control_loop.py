@@ -17,10 +17,10 @@ from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.commanders import Commander, PlanClock, heading_of
 from alula.stages.flight.fence_guard import FenceGuard, Guarded
 from alula.stages.flight.flight_checks import FlightChecks
-from alula.stages.flight.flight_samples import ERROR, INFO, WARNING, FilterSample, Recorder
-from alula.stages.flight.flight_sampling import filter_sample, level_of, tick_sample
+from alula.stages.flight.flight_samples import ERROR, INFO, WARNING, FilterSample, Recorder, level_of
+from alula.stages.flight.flight_sampling import filter_sample, tick_sample
 from alula.stages.flight.frame_check import Jump, MotionCheck
-from alula.stages.flight.links.protocol import Link, Order, Setpoint, VehicleState
+from alula.stages.flight.links.protocol import Link, Order, Setpoint, VehicleState, refusal_words
 from alula.stages.flight.loop_options import Counters, LoopOptions
 from alula.stages.flight.mode_watch import HealthWatch, ModeWatch
 from alula.stages.flight.place_watch import PlaceWatch
@@ -95,7 +95,7 @@ class ControlLoop:
         self._fallback_from_s, self._overruns = math.inf, 0
         self._fence_m: float | None = None
         self._astray_m = self._drift_m = 0.0
-        self._refused_s = math.inf
+        self._refused_s, self._refused = math.inf, (State.IDLE, "")
         self._jumps: int | None = None
         self._deaf = False
         self._was_there = False
@@ -180,8 +180,10 @@ class ControlLoop:
         while status.texts:
             self.say(now_s, INFO, f"vehicle: {status.texts.pop(0)}")
         while status.refusals:
-            order, reason = status.refusals.pop(0)
-            self.say(now_s, WARNING, f"vehicle declines to {order.value}: {reason}")
+            refused = self.state, refusal_words(*status.refusals.pop(0))
+            if refused != self._refused:  # orders are given again and again
+                self.say(now_s, WARNING, refused[1])
+            self._refused = refused
             self._refused_s = min(self._refused_s, now_s)
 
     def _look(self, state: VehicleState | None, now_s: float, late_s: float) -> None:
@@ -252,12 +254,14 @@ class ControlLoop:
 
     def _act(self, taken: list[Taken], now_s: float) -> None:
         for each in taken:
+            is_new = not self.taken or self.taken[-1][1] != each
             self.taken.append((now_s - self._begin_s, each))
             self.recorder.step(now_s - self._begin_s, each)
             detail = self._motion.wrong if each.event is Event.FRAME_WRONG else ""
             if each.event in (Event.CHECK_FAILED, Event.TIMED_OUT) and each.state is State.CHECKS:
                 detail = self.checks.failure()
-            self.say(now_s, level_of(each), f"{each.step.words}{f' ({detail})' if detail else ''}")
+            if is_new:
+                self.say(now_s, level_of(each), f"{each.step.words}{f' ({detail})' if detail else ''}")
             self._try(each.step.action, now_s)
 
     def _try(self, action: Action, now_s: float) -> None:

@@ -6,9 +6,18 @@ from typing import Protocol
 
 import msgspec
 
-from alula.stages.flight.supervisor import Taken
+from alula.stages.flight.supervisor import Event, State, Taken
 
 INFO, WARNING, ERROR = 2, 3, 4  # levels as Foxglove counts them
+
+_BAD = frozenset(
+    {Event.CHECK_FAILED, Event.LINK_LOST, Event.FAILSAFE, Event.FILTER_FAILED, Event.FRAME_WRONG}
+    | {Event.ESTIMATOR_BAD, Event.FENCE, Event.FAILSAFE_IDLE, Event.OFF_WAY, Event.DRIFTS, Event.UNTOLD}
+)
+_FINE = frozenset(
+    {Event.START, Event.CHECKS_PASSED, Event.CHECKS_PASSED_DRY, Event.ARMED, Event.AIRBORNE}
+    | {Event.PLAN_FINISHED, Event.LANDED, Event.RECOVERED}
+)
 
 Three = tuple[float, float, float]
 
@@ -76,3 +85,9 @@ class Recorder(Protocol):
     def say(self, time_s: float, level: int, words: str) -> None:
         """A line for people."""
         ...
+
+
+def level_of(taken: Taken) -> int:
+    """How bad it is that this step was taken."""
+    is_fine = taken.event in _FINE or taken[:2] == (State.LAND, Event.DISARMED)
+    return ERROR if taken.event in _BAD else INFO if is_fine else WARNING

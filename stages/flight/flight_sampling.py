@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from alula.stages.flight.commanders import Decision, PlanClock
 from alula.stages.flight.fence_guard import Guarded
-from alula.stages.flight.flight_samples import ERROR, INFO, WARNING, FilterSample, Three, TickSample
+from alula.stages.flight.flight_samples import FilterSample, Three, TickSample
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
     FloatArray,
@@ -12,16 +12,6 @@ from alula.stages.flight.links.protocol import (
     Setpoint,
     VehicleState,
     VehicleStatus,
-)
-from alula.stages.flight.supervisor import Event, State, Taken
-
-_BAD = frozenset(
-    {Event.CHECK_FAILED, Event.LINK_LOST, Event.FAILSAFE, Event.FILTER_FAILED, Event.FRAME_WRONG}
-    | {Event.ESTIMATOR_BAD, Event.FENCE, Event.FAILSAFE_IDLE, Event.OFF_WAY, Event.DRIFTS, Event.UNTOLD}
-)
-_FINE = frozenset(
-    {Event.START, Event.CHECKS_PASSED, Event.CHECKS_PASSED_DRY, Event.ARMED, Event.AIRBORNE}
-    | {Event.PLAN_FINISHED, Event.LANDED, Event.RECOVERED}
 )
 
 
@@ -97,11 +87,3 @@ def _numbers(setpoint: Setpoint | None) -> tuple[str, tuple[float, ...]]:
     if isinstance(setpoint, AccelerationSetpoint):
         return "acceleration", (*setpoint.acceleration.tolist(), setpoint.yaw_rad)
     return "velocity", (*setpoint.velocity.tolist(), setpoint.yaw_rad)
-
-
-def level_of(taken: Taken) -> int:
-    """How bad a step is that was taken."""
-    if taken.event in _BAD:
-        return ERROR
-    is_fine = taken.event in _FINE or taken[:2] == (State.LAND, Event.DISARMED)
-    return INFO if is_fine else WARNING

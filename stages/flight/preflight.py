@@ -16,10 +16,12 @@ from alula.stages.reporting.metrics import path_clearance
 from alula.stages.rotation import matrix_from_quat_wxyz
 
 FloatArray = NDArray[np.float64]
+Obstacles = PolytopeSet | EllipsoidSet
 
 _LEAST_CLIMB_M = 0.1  # to the start: without a climb there is no take-off, and set-points come on the ground
 _UNIT = 1e-2  # how far from 1 the square of a quaternion may be
 _THRUST_RATIO = 1.5  # between the vehicle's thrust and its file's: another vehicle's file
+_PROBE_M = 1e-3  # a step up, which leads that far away from what is straight below
 _FOOT = 1.5  # of the clearance needed: so far above its feet a vehicle on the ground must be clear of all
 
 
@@ -46,7 +48,7 @@ class Needs:
     setpoints: frozenset[type[Setpoint]]
     start: FloatArray
     goal: FloatArray
-    obstacles: Sequence[tuple[str, PolytopeSet | EllipsoidSet]]
+    obstacles: Sequence[tuple[str, Obstacles]]
     radius_m: float
     margin_m: float
     fence: Fence
@@ -238,9 +240,25 @@ def _clearance(seen: Observed, needs: Needs) -> Verdict:
         least = float(path_clearance(way, obstacles, jobs=1).min())
         if not least >= needed:
             words = f"{least:.3f} m to {name} on the way up to the start, {needed:.3f} m needed"
-            return Verdict("clearance", False, words)
+            return Verdict(
+                "clearance", False, words + _underfoot(way, seen.state.position[2], obstacles, least)
+            )
         room = min(room, least - needs.radius_m)
     return Verdict("clearance", True, f"the way up to the start is {needed:.3f} m clear", room_m=room)
+
+
+def _underfoot(way: FloatArray, ground_m: float, obstacles: Obstacles, least_m: float) -> str:
+    """Where what blocks a way up is straight below its beginning: how far, and what helps."""
+    probe = way[:1] + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, _PROBE_M]])
+    here, above = (float(path_clearance(point[None], obstacles, jobs=1)[0]) for point in probe)
+    if here > least_m + 1e-9 or above - here < 0.9 * _PROBE_M:
+        return ""
+    top_m = float(way[0, 2]) - here - ground_m
+    return (
+        f": that is below the way, which begins {way[0, 2] - ground_m:.3f} m up, and reaches "
+        f"{top_m:.3f} m above where it stands; if it is the floor as the map has it, finer voxels help, "
+        "or a start further up"
+    )
 
 
 def _fence(seen: Observed, needs: Needs) -> Verdict:

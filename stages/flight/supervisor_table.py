@@ -101,10 +101,8 @@ def _hold(*events: Event) -> _Row:
 
 
 def _hand_over(*events: Event) -> _Row:
-    return {
-        event: Step(_S.HAND_OVER, _A.LET_GO, f"{event.value}: the vehicle is not ours any more")
-        for event in events
-    }
+    words = "the vehicle is not ours any more; Ctrl-C ends this program and leaves the vehicle to the pilot"
+    return {event: Step(_S.HAND_OVER, _A.LET_GO, f"{event.value}: {words}") for event in events}
 
 
 def _done(*events: Event) -> _Row:

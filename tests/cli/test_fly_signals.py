@@ -38,3 +38,18 @@ def test_parameters_are_put_back_before_it_ends(tmp_path, number):
         fly(mission(), link, Provenance.now(RUN_SCHEMA, RUN_VERSION, {}, None, []), common)
     assert link.closed
     assert not log.exists()
+
+
+def test_what_could_not_be_put_back_is_told_when_nothing_polls_any_more(tmp_path, capfd):
+    class Gone(FakeVehicle):
+        def prepare(self):
+            raise KeyboardInterrupt
+
+        def close(self):
+            self.status.texts.append("GUID_TIMEOUT could not be put back: set it to 3")
+
+    link = Gone(FakeClock(), (START[0], START[1], 0.0))
+    common = Common(tmp_path / "f.run.mcap", False, False, False, False, 0, 0, 1, None)
+    with pytest.raises(KeyboardInterrupt):
+        fly(mission(), link, Provenance.now(RUN_SCHEMA, RUN_VERSION, {}, None, []), common)
+    assert "vehicle: GUID_TIMEOUT could not be put back: set it to 3" in capfd.readouterr().err

@@ -225,3 +225,14 @@ def test_a_message_that_is_not_as_documented_is_damage(tmp_path, capsys):
         writer.finish()
     assert run(["report", str(log), "-o", str(tmp_path / "r.html")]) == 3
     assert "Expected `float`, got `str`" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("far", [1e308, -1e200, 1e13])
+def test_a_log_of_what_nobody_measured_is_refused_in_one_line(tmp_path, capsys, far):
+    log = tmp_path / "far.run.mcap"
+    write_run(log, make_record([msgspec.structs.replace(make_trial(0), goal_m=(far, 0.0, 0.0))]))
+    assert run(["report", str(log), "-o", str(tmp_path / "r.html")]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{log}: " in line
+    assert f"a position of {abs(far):.3g} is none that anybody measured" in line
+    assert not (tmp_path / "r.html").exists()

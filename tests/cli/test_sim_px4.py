@@ -74,6 +74,13 @@ def test_mavsdk_flies_px4_by_its_offboard_plugin_and_lands_it():
     assert "early taken" not in done.stdout  # a stream of less than a second is none
 
 
+@pytest.mark.parametrize("hand", [(), ("--hand",)], ids=["by itself", "by hand"])
+def test_px4_is_there_when_the_command_is_given(hand, capsys):
+    command = ["sim-vehicle", "--link", "udpin:127.0.0.1:0", *PX4, "--duration", "0.1"]
+    assert run([*command, *hand]) == 0
+    assert "is on udpin:127.0.0.1:" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

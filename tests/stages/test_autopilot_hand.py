@@ -11,8 +11,10 @@ from alula.stages.flight.autopilot.copter import Copter
 from alula.stages.flight.autopilot.estimator import EstimatorOptions
 from alula.stages.flight.autopilot.hand import Hand
 from alula.stages.flight.autopilot.modes import Mode
+from alula.stages.flight.autopilot.packets import Codec, mavlink
 from alula.stages.flight.autopilot.px4 import Px4Copter
 from alula.stages.flight.autopilot.px4_modes import Px4Mode
+from alula.stages.flight.autopilot.simulator import SimulatedVehicle
 from alula.stages.flight.frame_check import HandCheck
 from alula.stages.flight.frames import LocalFrame
 from alula.stages.flight.links.protocol import VehicleState
@@ -61,6 +63,18 @@ def test_a_map_that_is_turned_against_the_vehicle_shows_in_the_hand():
 
 def test_without_a_client_nobody_touches_it():
     assert carried(LocalFrame(), hears=False, until_s=9.0)[2] == 0.0
+
+
+@pytest.mark.parametrize("kind", [Copter, Px4Copter], ids=lambda kind: kind.AUTOPILOT)
+def test_a_companion_is_a_client_for_whom_it_is_moved(kind):
+    vehicle = SimulatedVehicle(kind(FASTBRIDGE, options=EstimatorOptions(boot_time_s=1.0), hand=Hand()))
+    companion, farthest = Codec(255), 0.0
+    while vehicle.time_s < 14:
+        beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_ONBOARD_CONTROLLER, 8, 0, 0, 4, 3)
+        vehicle.receive(companion.encode(beat))
+        vehicle.advance(vehicle.time_s + 0.5)
+        farthest = max(farthest, float(np.linalg.norm(vehicle.copter.airframe.truth.position)))
+    assert farthest == pytest.approx(0.4 * np.sqrt(3), abs=0.01)
 
 
 def test_a_hand_lets_go_of_what_is_armed():

@@ -186,8 +186,30 @@ def test_orders_that_are_refused():
     assert loop.recorder.states[:2] == ["checks", "arming"]
     assert loop.supervision.cause is Event.TIMED_OUT
     assert 20 < vehicle.orders.count(Order.ARM) < 90  # about once a second for a minute
-    assert any("declines to arm" in words for _, words in loop.recorder.lines)
+    said = [words for _, words in loop.recorder.lines]
+    assert said.count("vehicle declines to arm: it does not want to") == 1
+    assert sum("asking again" in words for words in said) == 1
     assert not vehicle.sent
+
+
+def test_silence_declines_nothing_and_is_told_once():
+    told = []
+
+    def dies(vehicle, now):
+        if len(vehicle.sent) > 5:
+            vehicle.is_silent, vehicle.time_s = True, now  # and does not move any more
+        if vehicle.orders.count(Order.LAND) > len(told):
+            told.append(now)
+            vehicle.status.refusals.append((Order.LAND, "no answer for 5 s"))
+
+    loop, _ = fly(on_poll=dies, interrupts=lambda: 0 if len(told) < 20 else 2)
+    assert len(told) >= 20
+    said = [words for _, words in loop.recorder.lines]
+    assert said.count("order to land: no answer for 5 s") == 1
+    assert not any("declines" in words for words in said)
+    handed = [words for words in said if "not ours any more" in words]
+    assert handed
+    assert all("Ctrl-C ends this program and leaves the vehicle to the pilot" in words for words in handed)
 
 
 class Breaking:

@@ -96,3 +96,38 @@ def test_a_vehicle_that_was_being_armed_is_disarmed_whatever_it_said_before():
         time.run(link, 3.0)
         assert len(peer.commands(m.MAV_CMD_COMPONENT_ARM_DISARM)) == before
         assert link.status.armed is False
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.02, 0.08])
+def test_a_reason_that_comes_after_the_refusal_is_told_with_it(late_s):
+    with vehicle() as (peer, time, link):
+        peer.results[m.MAV_CMD_COMPONENT_ARM_DISARM] = m.MAV_RESULT_TEMPORARILY_REJECTED
+        link.order(Order.ARM, time())
+        while not peer.commands(m.MAV_CMD_COMPONENT_ARM_DISARM):
+            time.run(link, 0.01)
+        time.run(link, 0.01 + late_s)
+        peer.send(m.MAVLink_statustext_message(2, b"Preflight Fail: ekf2 missing data"))
+        time.run(link, 0.2)
+        said = "temporarily rejected; Preflight Fail: ekf2 missing data"
+        assert link.status.refusals == [(Order.ARM, said)]
+        assert len(peer.commands(m.MAV_CMD_COMPONENT_ARM_DISARM)) == 1
+
+
+def test_an_order_that_is_done_after_all_was_not_refused():
+    with vehicle() as (peer, time, link):
+        peer.results[m.MAV_CMD_COMPONENT_ARM_DISARM] = m.MAV_RESULT_TEMPORARILY_REJECTED
+        link.order(Order.ARM, time())
+        time.run(link, 0.05)
+        peer.armed = True
+        peer.beat()
+        time.run(link, 2.0)
+        assert link.status.refusals == []
+
+
+def test_a_landing_that_is_refused_goes_on():
+    with vehicle() as (peer, time, link):
+        peer.results[m.MAV_CMD_DO_SET_MODE] = m.MAV_RESULT_DENIED
+        link.order(Order.LAND, time())
+        time.run(link, 5.0)
+        assert len(peer.commands(m.MAV_CMD_DO_SET_MODE)) >= 8
+        assert link.status.refusals == [(Order.LAND, "denied")]

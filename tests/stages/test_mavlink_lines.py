@@ -6,15 +6,18 @@ import os
 import pty
 import socket
 import threading
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
-from mavlink_peer import Peer, Time, m, said, vehicle
+from mavlink_peer import ARDUPILOT, Peer, Time, m, said, vehicle
 
 from alula.schemas.errors import InputError, LinkError
 from alula.stages.flight.links.mavlink_signing import Signer, read_key
 from alula.stages.flight.links.mavlink_wire import Wire
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
+from alula.stages.flight.links.protocol import Order
 
 KEY = bytes(range(32))
 
@@ -74,6 +77,24 @@ def test_stamps_grow_from_run_to_run_even_when_the_clock_is_set_back(tmp_path):
     file.write_text("soon\n")
     with pytest.raises(LinkError, match="holds no time stamp"):
         Signer(KEY, file=file, clock=lambda: 0.0, wall_clock=lambda: 1.8e9)
+
+
+def test_runs_that_are_killed_do_not_lead_away_from_the_vehicles_time(tmp_path):
+    file, wall, last = tmp_path / "stamp", 1.8e9, 0
+    beat = m.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3)
+    for _ in range(10):  # each is killed after a second
+        wall += 1
+        signer = Signer(KEY, file=file, clock=lambda: 0.0, wall_clock=lambda at=wall: at)
+        first = signer.next_stamp()
+        assert first > last
+        last = [signer.next_stamp() for _ in range(200)][-1]
+        wire = Wire(255, 191, [m.MAVLINK_MSG_ID_HEARTBEAT], signer)
+        assert wire.take(sign(None, KEY, round((wall - 1_420_070_400) * 1e5), beat))
+    old = sign(None, KEY, round((wall - 1_420_070_400 - 130) * 1e5), beat)
+    signer = Signer(
+        KEY, file=file, clock=lambda: 0.0, wall_clock=lambda: 1.5e9
+    )  # nor is a wrong one believed
+    assert not Wire(255, 191, [m.MAVLINK_MSG_ID_HEARTBEAT], signer).take(old)
 
 
 def test_a_key_has_32_bytes_and_needs_a_file_for_its_stamps(tmp_path):
@@ -145,44 +166,88 @@ def test_where_nothing_comes_from_is_named():
         pass
 
 
-def test_a_serial_line_carries_the_same(tmp_path):
-    ours, theirs = pty.openpty()
-    name = os.ttyname(theirs)
-    os.set_blocking(ours, False)
-    peer = Peer()
-    reader = m.MAVLink(None)
-    reader.robust_parsing = True
+class SerialPeer(Peer):
+    """At the far end of a line that can be pulled out and put in again; `device` is its name."""
 
-    def send(data):
-        os.write(ours, data)
+    def __init__(self, device):
+        super().__init__()
+        self.device, self.ours, self.theirs = device, None, None
+        self.bytes = m.MAVLink(None)
+        self.bytes.robust_parsing = True
+        self.put_in()
 
-    def tick(now):
-        peer.now_s = now
+    def put_in(self):
+        self.ours, self.theirs = pty.openpty()
+        os.set_blocking(self.ours, False)
+        self.device.unlink(missing_ok=True)
+        self.device.symlink_to(os.ttyname(self.theirs))
+
+    def pull_out(self):
+        os.close(self.ours)
+        os.close(self.theirs)
+        self.ours = None
+        self.device.unlink()
+
+    def send_bytes(self, data):
+        os.write(self.ours, data)
+
+    def tick(self, now):
+        self.now_s = now
+        if self.ours is None:
+            return
         try:
-            data = os.read(ours, 4096)
-        except BlockingIOError:
+            data = os.read(self.ours, 4096)
+        except OSError:
             data = b""
-        for message in reader.parse_buffer(data) or []:
-            peer.heard.append(message)
-            peer.answer(message)
-        if now - peer._beat_s >= 1.0:
-            peer._beat_s = now
-            peer.beat()
+        for message in self.bytes.parse_buffer(data) or []:
+            self.heard.append(message)
+            self.answer(message)
+        if now - self._beat_s >= 1.0:
+            self._beat_s = now
+            self.beat()
 
-    peer.send_bytes, peer.tick = send, tick
+    def close(self):
+        super().close()
+        self.pull_out()
+
+
+def test_a_serial_line_carries_the_same_and_comes_back(tmp_path):
+    peer = SerialPeer(tmp_path / "tty")
     time = Time(peer)
-    link = open_link(f"serial:{name}:921600", LinkOptions(clock=time, sleep=time.sleep))
+    link = open_link(f"serial:{peer.device}:921600", LinkOptions(clock=time, sleep=time.sleep))
     try:
         assert link.open(5.0).startswith("ArduPilot 4.7.0")
         link.prepare()
         peer.send_state((1, 2, 3))
         time.run(link, 0.05)
         assert link.state is not None
+        files = len(list(Path("/proc/self/fd").iterdir()))
+        for _ in range(3):
+            peer.pull_out()
+            heard_s, errors = link.status.heard_s, 0
+            for _ in range(200):
+                time.sleep(0.01)
+                with suppress(LinkError):
+                    link.poll(time())
+                    errors -= 1
+                errors += 1
+            assert errors >= 199
+            assert link.status.heard_s == heard_s
+            peer.put_in()
+            time.sleep(0.6)
+            time.run(link, 1.5)
+            assert link.status.heard_s > heard_s + 2
+            link.order(Order.LAND, time())
+            time.run(link, 0.3)
+            assert link.status.mode == "LAND"
+            peer.custom_mode = 0
+            link.order(Order.NOTHING, time())
+            time.run(link, 1.1)
+        assert len(list(Path("/proc/self/fd").iterdir())) == files
     finally:
         link.close()
-        os.close(ours)
-        os.close(theirs)
         peer.close()
+    assert peer.parameters == ARDUPILOT
 
 
 def test_tcp_carries_the_same_and_its_end_is_one_line():

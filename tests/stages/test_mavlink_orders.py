@@ -268,3 +268,28 @@ def test_a_vehicle_that_does_not_answer_any_more_is_left_in_time_and_named():
         link.close()
         assert time() - before < 6
         assert sum("could not be put back" in text for text in link.status.texts) == 4
+
+
+@pytest.mark.parametrize(("landed", "is_kept"), [(m.MAV_LANDED_STATE_IN_AIR, True), (1, False)])
+def test_what_lands_a_vehicle_that_nobody_flies_stays_with_it(landed, is_kept):
+    with vehicle() as (peer, time, link):
+        link.order(Order.ARM, time())
+        peer.landed = landed
+        time.run(link, 1.5)
+        assert link.status.obeys
+        assert link.status.armed
+        link.close()
+        assert (peer.parameters["FS_GCS_ENABLE"][0] == 5) == is_kept
+        assert ("FS_GCS_ENABLE stays 5; it was 0" in link.status.texts) == is_kept
+
+
+def test_of_a_line_that_is_gone_each_parameter_is_named(monkeypatch):
+    with vehicle() as (_, _, link):
+
+        def gone(message):
+            raise LinkError("the vehicle's line is gone: unplugged")
+
+        monkeypatch.setattr(link._session, "send", gone)
+        link.close()
+        names = [text.split()[0] for text in link.status.texts if "could not be put back: set it to" in text]
+        assert sorted(names) == ["ATC_ANGLE_BOOST", "FS_GCS_ENABLE", "GUID_OPTIONS", "GUID_TIMEOUT"]

@@ -220,3 +220,24 @@ def test_long_texts_are_joined_and_cannot_command_a_terminal():
         peer.send(m.MAVLink_statustext_message(3, b"y" * 50, 8, 1))
         time.run(link, 1.5)
         assert link.status.texts == ["..." + "y" * 50]
+
+
+def test_a_clock_of_32_bits_that_comes_round_is_no_new_start():
+    with vehicle() as (peer, time, link):
+        peer.boot_s = (1 << 32) * 1e-3 - time() - 1.0
+        of_64_bits = peer.boot_ms
+        peer.boot_ms = lambda: of_64_bits() & 0xFFFFFFFF
+        stamps, ages = [], []
+
+        def say():
+            stamps.append(peer.boot_ms())
+            peer.send_state((1, 2, 3))
+            ages.append(time() - (link.state.received_s if link.state else time()))
+
+        time.run(link, 2.0, each=say)
+        assert min(stamps) < 2000 < 4e9 < max(stamps)
+        assert max(ages) < 0.05
+        assert link.status.clock_jumps == 0
+        peer.boot_s = -time()  # and now it does start anew
+        time.run(link, 1.0, each=say)
+        assert link.status.clock_jumps == 1

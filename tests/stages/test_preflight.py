@@ -114,6 +114,18 @@ def test_clearance_is_that_of_the_way_up_from_the_ground_and_over():
     for cover, names in ((floor, []), (roof, ["clearance"]), (beside, ["clearance"])):
         made = mission(cover=cover, is_clear=True)
         assert failed(observed(), make_needs(made, NEEDS.setpoints)) == names
+    thick = box_cover([((-20, 0, -2), (80, 60, 2))])  # a floor that reaches 0.2 m above where it stands
+    (verdict,) = [
+        v
+        for v in verdicts(observed(), make_needs(mission(cover=thick, is_clear=True), NEEDS.setpoints))
+        if v.name == "clearance"
+    ]
+    assert f"{1.5 * needed - 0.2:.3f} m to " in verdict.words
+    assert f"begins {1.5 * needed:.3f} m up, and reaches 0.200 m above where it stands" in verdict.words
+    assert "finer voxels help, or a start further up" in verdict.words
+    for cover in (roof, beside):  # neither is below
+        made = make_needs(mission(cover=cover, is_clear=True), NEEDS.setpoints)
+        assert "finer voxels" not in " ".join(v.words for v in verdicts(observed(), made))
     way = climb(np.array([0.1, 0.2, 0.0]), np.array(START), needed)
     np.testing.assert_allclose(way, [[0.1, 0.2, needed], [0.1, 0.2, 1.0], START])
     above = climb(np.array([0.1, 0.2, 2.0]), np.array(START), needed)

@@ -28,16 +28,8 @@ from alula.stages.flight.supervisor_table import IGNORED, TABLE, described
 
 LIMITS = SupervisorLimits(flight_s=100.0)
 NOW = 1000.0
-WELL = Facts(
-    now_s=NOW,
-    state_age_s=0.01,
-    silence_s=0.01,
-    armed=True,
-    landed=False,
-    obeys=True,
-    height_m=1.0,
-    fence_m=1.0,
-)
+TOLD = {"armed": True, "landed": False, "obeys": True}
+WELL = Facts(now_s=NOW, state_age_s=0.01, silence_s=0.01, **TOLD, height_m=1.0, fence_m=1.0)
 ON_GROUND = dataclasses.replace(WELL, armed=False, landed=True, obeys=False)
 # Facts that show an event, beside which all is well; some depend on the state or its duration.
 SHOWN = {

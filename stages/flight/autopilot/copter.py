@@ -97,6 +97,7 @@ class Copter:
         self._checked_s = 0.0
         self._reminded_s = 0.0
         self._gcs_s: float | None = None
+        self._client_s: float | None = None
         self._active: set[str] = set()
         self._said: set[str] = set()
         initial = self.parameters.whole("INITIAL_MODE")
@@ -125,7 +126,7 @@ class Copter:
         """Live for `TICK_S`."""
         self._ticks += 1
         if self._hand is not None:
-            self._hand.attend(self.time_s, self._gcs_s, is_ready=self.estimator.has_position)
+            self._hand.attend(self.time_s, self._client_s, is_ready=self.estimator.has_position)
             self.airframe.carry(None if self.is_armed else self._hand.motion(self.time_s))
         is_still = self.airframe.on_ground and not self.airframe.is_carried
         self.estimator.update(self.airframe.sensed, is_still=is_still)
@@ -209,8 +210,13 @@ class Copter:
         self.flying.guided.take_off(self.estimator.motion, height_m - self.flying.home[2])
         return True
 
+    def hear_client(self) -> None:
+        """A heartbeat of whomever: what a hand waits for."""
+        self._client_s = self.time_s
+
     def hear_ground_station(self, system: int) -> None:
         """A heartbeat; only that of SYSID_MYGCS counts."""
+        self.hear_client()
         if system == self.parameters.whole("SYSID_MYGCS"):
             self._gcs_s = self.time_s
 

@@ -129,6 +129,7 @@ class Px4Copter(Copter):
 
     def hear_ground_station(self, system: int) -> None:
         """A heartbeat of a ground station, whatever its system."""
+        self.hear_client()
         self._gcs_s = self.time_s
 
     def refusal(self, mode: Px4Mode) -> str | None:

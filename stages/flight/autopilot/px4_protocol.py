@@ -190,6 +190,7 @@ class Px4Dialogue(Dialogue):
         del self._table["REQUEST_DATA_STREAM"]
 
     def _heartbeat(self, message: Message) -> list[Message]:
+        self._px4.hear_client()
         if message.type == mavlink.MAV_TYPE_GCS:  # a companion's does not count
             self._px4.hear_ground_station(message.get_srcSystem())
         return []

@@ -197,10 +197,11 @@ class CrazyflieLink:
             position, velocity = full.position.tolist(), full.velocity.tolist()
             acceleration, rates = full.acceleration.tolist(), full.omega
             # cflib says degrees/s, and writes thousandths of what it is given; the firmware reads mrad/s.
-            self._session.post_setpoint(
+            self._session.post_newest(
+                "set-point",
                 lambda vehicle: vehicle.commander.send_full_state_setpoint(
                     position, velocity, acceleration, [x, y, z, w], *rates
-                )
+                ),
             )
         elif isinstance(setpoint, VelocitySetpoint):
             if self._motion is None:
@@ -208,8 +209,9 @@ class CrazyflieLink:
             yaw_now = self._motion.yaw_rad - self._options.frame.yaw_rad
             speed, turn_deg_s = self._encoder.velocity(setpoint, yaw_now, now_s)
             vx, vy, vz = speed.tolist()
-            self._session.post_setpoint(
-                lambda vehicle: vehicle.commander.send_velocity_world_setpoint(vx, vy, vz, turn_deg_s)
+            self._session.post_newest(
+                "set-point",
+                lambda vehicle: vehicle.commander.send_velocity_world_setpoint(vx, vy, vz, turn_deg_s),
             )
         self._streamed_s = now_s
 
@@ -241,8 +243,9 @@ class CrazyflieLink:
                 if self._streamed_s is not None:
                     self._hold(self._options.clock())
                 self._session.flush(1.0)
-                if self._status.landed is False:
-                    self._say("it is in the air: its parameters stay as they are")
+                if self._status.landed is not True:
+                    known = "is in the air" if self._status.landed is False else "may be in the air"
+                    self._say(f"it {known}: its parameters stay as they are", *self._parameters.leave())
                 else:
                     self._say(*self._parameters.restore(_RESTORE_S))
                 if self._noticed_s > -math.inf:
@@ -289,7 +292,7 @@ class CrazyflieLink:
         if pose is None or self._session.lost is not None:
             return
         position, (w, x, y, z) = pose[0].tolist(), pose[1].tolist()
-        self._session.post(lambda vehicle: vehicle.loc.send_extpose(position, [x, y, z, w]))
+        self._session.post_newest("pose", lambda vehicle: vehicle.loc.send_extpose(position, [x, y, z, w]))
 
     def _take_state(self, stamp_ms: int, values: Mapping[str, float]) -> None:
         if self._arrived is not None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.crazyflie_session import Session
 from alula.stages.flight.links.mavlink_orders import check_height
-from alula.stages.flight.links.protocol import Order, VehicleStatus
+from alula.stages.flight.links.protocol import UNDONE, Order, VehicleStatus
 
 FloatArray = NDArray[np.float64]
 
@@ -97,7 +97,9 @@ class Orders:
             raise LinkError(f"{order.value} is refused: the vehicle has not said where it is")
         if order is Order.DISARM and status.landed is not True:
             return self._refuse(order, "the vehicle does not say that it is on the ground")
-        if order in (Order.TAKE_OFF, Order.HOLD, Order.LAND) and not status.armed:
+        # Not known to be armed is no reason to let it fall: without set-points it does so after 2 s.
+        is_maybe_flying = status.armed is None and order is not Order.TAKE_OFF
+        if order in (Order.TAKE_OFF, Order.HOLD, Order.LAND) and not (status.armed or is_maybe_flying):
             return self._refuse(order, "it is not armed")
         if order in (Order.ARM, Order.TAKE_OFF) and status.is_failsafe:
             return self._refuse(order, "; ".join(self._reasons()))
@@ -128,7 +130,7 @@ class Orders:
             self._standing = None
             return
         if now_s - standing.since_s > _PATIENCE_S:
-            self._give_up(standing, "; ".join([f"not done for {_PATIENCE_S:g} s", *self._reasons()]))
+            self._give_up(standing, "; ".join([f"{UNDONE} for {_PATIENCE_S:g} s", *self._reasons()]))
         if self._standing is not None and now_s >= standing.next_s:
             standing.next_s = now_s + _REPEAT_S
             standing.sent += 1

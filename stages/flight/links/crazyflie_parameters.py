@@ -89,6 +89,14 @@ class Parameters:
         self._changed.clear()
         return lines
 
+    def leave(self) -> list[str]:
+        """Leave what was changed as it is; a line for each."""
+        lines = [
+            f"{name} stays {ours:g}; it was {before:g}" for name, (before, ours) in self._changed.items()
+        ]
+        self._changed.clear()
+        return lines
+
     def _begin_at(self, pose: Pose) -> list[str]:
         w, x, y, z = pose[1].tolist()
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

@@ -30,7 +30,7 @@ class Session:
     """One vehicle. `open`, `read`, `write` and `close` wait; all else returns at once.
 
     What is sent goes through a thread of its own, since cflib waits for a radio that is lost; of set-points
-    only the newest is sent. What comes is left by cflib's thread in attributes, the newest last.
+    and poses only the newest is sent. What comes is left by cflib's thread in attributes, the newest last.
 
     Attributes:
         heard_s: when a packet came last.
@@ -46,8 +46,8 @@ class Session:
         self._updates: dict[str, int] = {}  # how often a parameter's value came
         self._queue: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._sender: threading.Thread | None = None
-        self._newest: Callable[[], None] | None = None
-        self._is_waiting = False
+        self._newest: dict[str, Callable[[Any], None]] = {}
+        self._waiting: set[str] = set()
         self._text = ""
         self._texts: SimpleQueue[str] = SimpleQueue()
         self._answers: SimpleQueue[tuple[int, int]] = SimpleQueue()
@@ -166,12 +166,12 @@ class Session:
         """Let the sender call something with the vehicle of cflib."""
         self._queue.put(lambda: send(self._vehicle))
 
-    def post_setpoint(self, send: Callable[[Any], None]) -> None:
-        """... a set-point, which takes the place of one that was not sent yet."""
-        self._newest = lambda: send(self._vehicle)
-        if not self._is_waiting:
-            self._is_waiting = True
-            self._queue.put(self._send_newest)
+    def post_newest(self, what: str, send: Callable[[Any], None]) -> None:
+        """... which takes the place of one of its kind that was not sent yet: it would be stale."""
+        self._newest[what] = send
+        if what not in self._waiting:
+            self._waiting.add(what)
+            self._queue.put(lambda: self._send_newest(what))
 
     def arm(self, wanted: bool) -> None:
         """Ask to arm or disarm."""
@@ -220,10 +220,9 @@ class Session:
             link.close()
         vehicle.close_link()
 
-    def _send_newest(self) -> None:
-        self._is_waiting = False
-        if self._newest is not None:
-            self._newest()
+    def _send_newest(self, what: str) -> None:
+        self._waiting.discard(what)
+        self._newest[what](self._vehicle)
 
     def _send_all(self) -> None:
         while (call := self._queue.get()) is not None:

@@ -219,11 +219,21 @@ class MavlinkLink:
         self.poll(now_s)
 
     def close(self) -> None:
-        """Put changed parameters back, as far as it still answers, and let go; never raises."""
+        """Put changed parameters back, as far as it still answers, and let go; never raises.
+
+        In the air, and still in the mode that follows us, they stay: they are what lands it now.
+        """
         self._stream = self._orders = None
+        status = self.status
         try:
             if self._parameters is not None:
-                self._telemetry.say(*self._parameters.restore(_RESTORE_S))
+                if status.armed and status.obeys and status.landed is not True:
+                    self._telemetry.say(
+                        "it is in the air and nobody flies it: its parameters stay as they are"
+                    )
+                    self._telemetry.say(*self._parameters.leave())
+                else:
+                    self._telemetry.say(*self._parameters.restore(_RESTORE_S))
                 for number in self._autopilot.intervals(1.0):
                     is_heartbeat = number == dialect.MAVLINK_MSG_ID_HEARTBEAT  # always once a second
                     self._session.send(self._interval(number, 1.0 if is_heartbeat else 0.0))

@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 
 _MOST_APART_S = 0.05  # position and attitude of one state
 _LARGEST = (1e5, 1e3, 1e2)  # [m], [m/s], [rad/s]: beyond is no measurement
+_WRAP_MS = 1 << 32
 _LOCAL_NED, _BODY_FRD, _LOCAL_FRD = 1, 12, 20  # MAV_FRAME
 
 
@@ -55,6 +56,7 @@ class Estimate:
         self._has_odometry = self._has_quaternion = False
         self._state: VehicleState | None = None
         self._is_new = False
+        self._boot_ms: int | None = None
 
     @property
     def jumps(self) -> int:
@@ -77,21 +79,31 @@ class Estimate:
     def take(self, message: Any, now_s: float) -> None:
         """A message of the vehicle; those without a part of the state are left alone."""
         kind = message.get_type()
+        boot_s = self._since_boot(getattr(message, "time_boot_ms", None))
         if kind == "ODOMETRY":
             self._take_odometry(message, now_s)
         elif kind == "LOCAL_POSITION_NED":
             position = (message.x, message.y, message.z)
             velocity = (message.vx, message.vy, message.vz)
-            self._keep("position", "boot", message.time_boot_ms * 1e-3, now_s, position, velocity)
+            self._keep("position", "boot", boot_s, now_s, position, velocity)
         elif kind == "ATTITUDE_QUATERNION":
             quat = (message.q1, message.q2, message.q3, message.q4)
             rates = (message.rollspeed, message.pitchspeed, message.yawspeed)
-            if self._keep("attitude", "boot", message.time_boot_ms * 1e-3, now_s, quat, rates):
+            if self._keep("attitude", "boot", boot_s, now_s, quat, rates):
                 self._has_quaternion = True
         elif kind == "ATTITUDE" and not self._has_quaternion:
             quat = quat_from_euler(message.roll, message.pitch, message.yaw)
             rates = (message.rollspeed, message.pitchspeed, message.yawspeed)
-            self._keep("attitude", "boot", message.time_boot_ms * 1e-3, now_s, quat, rates)
+            self._keep("attitude", "boot", boot_s, now_s, quat, rates)
+
+    def _since_boot(self, stamp_ms: int | None) -> float:
+        """[s]; 32 bits of milliseconds come round after 49.7 days, which is no new start."""
+        if stamp_ms is None:
+            return math.nan
+        if self._boot_ms is not None:
+            stamp_ms = self._boot_ms + (stamp_ms - self._boot_ms + _WRAP_MS // 2) % _WRAP_MS - _WRAP_MS // 2
+        self._boot_ms = stamp_ms
+        return stamp_ms * 1e-3
 
     def _take_odometry(self, message: Any, now_s: float) -> None:
         child = message.child_frame_id

@@ -13,12 +13,13 @@ from alula.schemas.errors import LinkError
 from alula.stages.flight.links.mavlink_autopilots import Autopilot, mode_command
 from alula.stages.flight.links.mavlink_session import Session
 from alula.stages.flight.links.mavlink_telemetry import Telemetry
-from alula.stages.flight.links.protocol import HIGHEST_M, Order
+from alula.stages.flight.links.protocol import HIGHEST_M, UNANSWERED, UNDONE, Order
 
 _REPEAT_S = 0.5
 _PATIENCE_S = 5.0
 _SETTLED_S = 0.3  # a heartbeat that comes so long after an order knows of it
 _REASONS_S = 2.0  # how long before a refusal its reason may have been said
+_AFTER_S = 0.1  # and how long after it: PX4 answers first, then says why
 _PREFIXES = ("PreArm:", "Arm:", "Arming", "Preflight", "Takeoff", "Mode change", "Switching")
 
 
@@ -79,6 +80,7 @@ class Orders:
         self._is_reported = False
         self._mode: tuple[int, int] | None = None  # when the step that stands was first sent
         self._said: list[tuple[float, str]] = []
+        self._refusal: tuple[float, str] | None = None  # when it came, until its reason may have come, too
 
     def start(self, order: Order, now_s: float, height_m: float, first_s: float = 0.0) -> None:
         """Give an order; control is asked for after `first_s`.
@@ -88,7 +90,7 @@ class Orders:
         """
         if order is Order.TAKE_OFF:
             check_height(height_m)
-        self._order, self._is_reported = order, False
+        self._order, self._is_reported, self._refusal = order, False, None
         self._steps = self._steps_of(order, height_m, first_s)
         if order is Order.DISARM and self._telemetry.status.landed is not True:
             self._refuse("the vehicle does not say that it is on the ground")
@@ -96,7 +98,7 @@ class Orders:
 
     def drop(self) -> None:
         """Nothing stands any more."""
-        self._steps = []
+        self._steps, self._refusal = [], None
 
     def poll(self, now_s: float) -> None:
         """Send what is due."""
@@ -104,11 +106,13 @@ class Orders:
         if not self._steps:
             return
         step = self._steps[0]
-        if now_s - step.since_s > _PATIENCE_S:
-            what = "accepted, but not done" if step.is_accepted else "no answer"
+        if self._refusal is not None:
+            self._take_reasons(*self._refusal, now_s)
+        elif now_s - step.since_s > _PATIENCE_S:
+            what = UNDONE if step.is_accepted else UNANSWERED
             self._refuse(f"{what} for {_PATIENCE_S:g} s")
-            if not self._steps:
-                return
+        if not self._steps or self._refusal is not None:
+            return
         if now_s >= step.next_s:
             if step.sent == 0:
                 self._mode, step.first_sent_s = self._telemetry.mode, now_s
@@ -130,16 +134,23 @@ class Orders:
         if step is None or message.command != step.number or step.sent == 0:
             return
         if message.result == dialect.MAV_RESULT_ACCEPTED:
-            step.is_accepted = True
+            step.is_accepted, self._refusal = True, None
             step.next_s = now_s + 2 * _REPEAT_S
             self._advance(now_s)
         elif message.result == dialect.MAV_RESULT_IN_PROGRESS:
             step.next_s = now_s + _PATIENCE_S / 2
-        else:
+        elif self._refusal is None:
             entry = dialect.enums["MAV_RESULT"].get(message.result)
             result = str(message.result) if entry is None else entry.name.removeprefix("MAV_RESULT_").lower()
-            said = [text for at, text in self._said if now_s - at <= _REASONS_S]
-            self._refuse("; ".join([result.replace("_", " "), *dict.fromkeys(said)]))
+            self._refusal = now_s, result.replace("_", " ")
+
+    def _take_reasons(self, since_s: float, result: str, now_s: float) -> None:
+        """Refused, with what was said of it, when no more is to be expected."""
+        if now_s - since_s < _AFTER_S:
+            return
+        self._refusal = None
+        said = [text for at, text in self._said if since_s - at <= _REASONS_S]
+        self._refuse("; ".join([result, *dict.fromkeys(said)]))
 
     def take_text(self, text: str, now_s: float) -> None:
         """What may be the reason of a refusal."""
@@ -155,6 +166,7 @@ class Orders:
             if not (step.is_accepted if step.is_done is None else step.is_done()):
                 return
             del self._steps[0]
+            self._refusal = None
 
     def _refuse(self, why: str) -> None:
         assert self._order is not None

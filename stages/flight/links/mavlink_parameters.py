@@ -96,8 +96,20 @@ class Parameters:
                 lines.append(f"{name} was changed by others to {present:g} and stays so; it was {before:g}")
                 continue
             left_s = max(end_s - self._session.options.clock(), 0.0)
-            if not self._write(name, before, left_s):
+            try:
+                is_back = self._write(name, before, left_s)
+            except LinkError:  # the line is gone: each is named all the same
+                is_back = False
+            if not is_back:
                 lines.append(f"{name} could not be put back: set it to {before:g}")
+        self._changed.clear()
+        return lines
+
+    def leave(self) -> list[str]:
+        """Leave what was changed as it is; a line for each."""
+        lines = [
+            f"{name} stays {ours:g}; it was {before:g}" for name, (before, ours) in self._changed.items()
+        ]
         self._changed.clear()
         return lines
 

@@ -120,7 +120,7 @@ class Session:
         Raises:
             LinkError: it cannot be.
         """
-        self._transport = open_transport(self._address, timeout_s)
+        self._transport = open_transport(self._address, timeout_s, self.options.clock)
 
     def poll(self, now_s: float) -> None:
         """Take in what has come, at most some 32 KiB, and send a heartbeat when it is due."""

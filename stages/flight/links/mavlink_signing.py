@@ -22,6 +22,7 @@ _STAMP_BYTES = 6
 _LARGEST_STAMP = 2 ** (8 * _STAMP_BYTES) - 1
 _LATE = 60 * _UNITS_PER_S  # how far a new stream may be behind
 _KEPT_AHEAD = 60 * _UNITS_PER_S  # of the file, so that it need not be written at every packet
+_PACKETS = _UNITS_PER_S  # more than are sent until it is written again, where each takes one stamp
 _MOST_STREAMS = 256
 
 
@@ -48,6 +49,9 @@ def read_key(path: Path) -> bytes:
 class Signer:
     """A key, and time stamps that only ever grow: within a run, and through `file` from run to run.
 
+    After a run that was killed the file is ahead of the time of day. Stamps then go on from it one by one
+    until that has caught up: runs killed one after another do not lead away from what the vehicle uses.
+
     Args:
         key: 32 bytes.
         file: keeps a stamp above all that were used; without one a clock set back makes packets refused.
@@ -72,11 +76,12 @@ class Signer:
         self.key, self.link = key, link
         self._file, self._clock = file, clock
         kept = 0 if file is None else _read_stamp(file)
-        start = max(kept, round((wall_clock() - _EPOCH_S) * _UNITS_PER_S))
-        if not 0 <= start < _LARGEST_STAMP:
+        today = round((wall_clock() - _EPOCH_S) * _UNITS_PER_S)
+        if not 0 <= max(kept, today) < _LARGEST_STAMP:
             raise LinkError("the time of day is before 2015 or far beyond: no packet can be signed")
-        self._zero = start - round(clock() * _UNITS_PER_S)
-        self._last = start
+        self._zero = today - round(clock() * _UNITS_PER_S)
+        self._last = max(kept, today)
+        self._before = kept - _KEPT_AHEAD  # runs before came this far, whatever the time of day is said to be
         self._kept = kept
         self._streams: dict[tuple[int, int, int], int] = {}
         self.save(_KEPT_AHEAD)
@@ -96,7 +101,7 @@ class Signer:
         stream = (system, component, link)
         before = self._streams.get(stream)
         if before is None:
-            if stamp < self._now() - _LATE or len(self._streams) >= _MOST_STREAMS:
+            if stamp < max(self._now(), self._before) - _LATE or len(self._streams) >= _MOST_STREAMS:
                 return False
         elif stamp <= before:
             return False
@@ -106,16 +111,16 @@ class Signer:
 
     def keep_up(self) -> None:
         """Write the file when half of what it holds in reserve is used."""
-        if self._last > self._kept - _KEPT_AHEAD // 2:
+        if self._last > self._kept - _PACKETS // 2 or self._now() > self._kept - _KEPT_AHEAD // 2:
             self.save(_KEPT_AHEAD)
 
     def save(self, ahead: int = 0) -> None:
-        """Write the file, `ahead` of the last stamp.
+        """Write the file, `ahead` of the time and of the last stamp.
 
         Raises:
             LinkError: it cannot be written.
         """
-        self._kept = min(self._last + ahead, _LARGEST_STAMP)
+        self._kept = min(max(self._last + min(ahead, _PACKETS), self._now() + ahead), _LARGEST_STAMP)
         if self._file is None:
             return
         part = self._file.with_name(self._file.name + ".part")

@@ -6,6 +6,7 @@ import contextlib
 import os
 import socket
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
 from alula.schemas.errors import LinkError
@@ -14,6 +15,7 @@ from alula.stages.flight.links.addresses import Address
 _DATAGRAM = 4096
 _MOST_WAITING = 1024  # bytes that a stream has not taken yet; beyond, frames are dropped whole
 _BUFFER = 1 << 18
+_AGAIN_S = 0.5  # between attempts to open a serial line that dropped out
 
 
 class Transport(Protocol):
@@ -38,8 +40,8 @@ class Transport(Protocol):
         ...
 
 
-def open_transport(address: Address, timeout_s: float) -> Transport:
-    """Open what an address names.
+def open_transport(address: Address, timeout_s: float, clock: Callable[[], float]) -> Transport:
+    """Open what an address names; by the clock a serial line that drops out is opened again.
 
     Raises:
         UsageError: the address is incomplete.
@@ -47,7 +49,7 @@ def open_transport(address: Address, timeout_s: float) -> Transport:
     """
     try:
         if address.scheme == "serial":
-            return _Serial(*address.device_baud())
+            return _Serial(*address.device_baud(), clock)
         if address.scheme == "tcp":
             return _Tcp(*address.host_port(), timeout_s)
         return _Udp(*address.host_port(), is_listening=address.scheme == "udpin")
@@ -173,39 +175,81 @@ class _Tcp(_Stream):
 
 
 class _Serial(_Stream):
-    """A terminal line in raw mode, 8 data bits, no parity, no flow control."""
+    """A terminal line in raw mode, 8 data bits, no parity, no flow control.
 
-    def __init__(self, device: str, baud: int) -> None:
+    One that drops out, as a plug that is loose, is opened again when its device is there again.
+    """
+
+    def __init__(self, device: str, baud: int, clock: Callable[[], float]) -> None:
         super().__init__()
+        self._device, self._baud, self._clock = device, baud, clock
+        self._again_s = 0.0
+        self._file: int | None = _open_serial(device, baud)
+
+    def receive(self) -> tuple[bytes, Any] | None:
+        with self._opened():
+            return super().receive()
+
+    def send(self, data: bytes) -> bool:
+        with self._opened():
+            return super().send(data)
+
+    @contextlib.contextmanager
+    def _opened(self) -> Iterator[None]:
+        """With the line, if it is there."""
         try:
-            import termios  # not on Windows
-            import tty
-        except ImportError as error:
-            raise LinkError("serial lines need termios; use udpin: with a router instead") from error
-        speed = getattr(termios, f"B{baud}", None)
-        if speed is None:
-            raise LinkError(f"{device}: {baud} is no rate that this system knows")
-        self._file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        try:
-            tty.setraw(self._file)
-            mode = termios.tcgetattr(self._file)
-            mode[2] = (mode[2] | termios.CLOCAL | termios.CREAD) & ~(
-                getattr(termios, "CRTSCTS", 0) | termios.CSTOPB
-            )
-            mode[4] = mode[5] = speed
-            termios.tcsetattr(self._file, termios.TCSANOW, mode)
-            termios.tcflush(self._file, termios.TCIOFLUSH)
-        except (OSError, termios.error) as error:
-            os.close(self._file)
-            reason = error.args[-1] if error.args else error  # termios.error has no strerror
-            raise LinkError(f"{device}: cannot be set up as a serial line: {reason}") from error
+            if self._file is None:
+                if self._clock() < self._again_s:
+                    raise LinkError(f"the vehicle's line is gone: {self._device}")
+                self._file = _open_serial(self._device, self._baud)
+            yield
+        except (LinkError, OSError) as error:
+            if self._file is not None or self._clock() >= self._again_s:
+                self._again_s = self._clock() + _AGAIN_S
+            self.close()
+            if isinstance(error, LinkError):
+                raise
+            raise LinkError(f"the vehicle's line is gone: {error.strerror or error}") from error
 
     def _read(self) -> bytes:
-        return os.read(self._file, _DATAGRAM)
+        return os.read(self._line, _DATAGRAM)
 
     def _write(self, data: bytes) -> int:
-        return os.write(self._file, data)
+        return os.write(self._line, data)
+
+    @property
+    def _line(self) -> int:
+        assert self._file is not None
+        return self._file
 
     def close(self) -> None:
-        with contextlib.suppress(OSError):
-            os.close(self._file)
+        file, self._file, self._waiting = self._file, None, b""
+        if file is not None:
+            with contextlib.suppress(OSError):
+                os.close(file)
+
+
+def _open_serial(device: str, baud: int) -> int:
+    try:
+        import termios  # not on Windows
+        import tty
+    except ImportError as error:
+        raise LinkError("serial lines need termios; use udpin: with a router instead") from error
+    speed = getattr(termios, f"B{baud}", None)
+    if speed is None:
+        raise LinkError(f"{device}: {baud} is no rate that this system knows")
+    file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        tty.setraw(file)
+        mode = termios.tcgetattr(file)
+        mode[2] = (mode[2] | termios.CLOCAL | termios.CREAD) & ~(
+            getattr(termios, "CRTSCTS", 0) | termios.CSTOPB
+        )
+        mode[4] = mode[5] = speed
+        termios.tcsetattr(file, termios.TCSANOW, mode)
+        termios.tcflush(file, termios.TCIOFLUSH)
+    except (OSError, termios.error) as error:
+        os.close(file)
+        reason = error.args[-1] if error.args else error  # termios.error has no strerror
+        raise LinkError(f"{device}: cannot be set up as a serial line: {reason}") from error
+    return file

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 HIGHEST_M = 100.0  # of a take-off
+UNANSWERED, UNDONE = "no answer", "not done"  # how reasons begin of orders that nobody declined
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +92,7 @@ class VehicleStatus:
         is_estimator_ready: whether its own estimate of position and attitude may be flown on.
         is_failsafe: whether it is in one of its own failsafes.
         texts: what it says to people, oldest first; the reader takes them out.
-        refusals: orders that it declined, with its reason; the reader takes them out.
+        refusals: orders that it declined, with its reason, or did not do; the reader takes them out.
         bad_packets, lost_packets: counted.
         clock_jumps: how often the vehicle's own clock jumped; it started anew, and knows nothing of before.
     """
@@ -110,6 +111,12 @@ class VehicleStatus:
     bad_packets: int = 0
     lost_packets: int = 0
     clock_jumps: int = 0
+
+
+def refusal_words(order: Order, reason: str) -> str:
+    """A line for people; silence declines nothing."""
+    is_undone = reason.startswith((UNANSWERED, UNDONE))
+    return f"{'order to' if is_undone else 'vehicle declines to'} {order.value}: {reason}"
 
 
 class Link(Protocol):
