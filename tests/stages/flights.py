@@ -1,12 +1,15 @@
 """Flights of the fake vehicle through the real loop, in no time at all."""
 
 import dataclasses
+import math
 
+import numpy as np
 from fake_vehicle import FakeClock, FakeVehicle, Kept
 from test_simulate import ball_scene, box_cover, line_plan
 
 from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.vehicle import FASTBRIDGE
+from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from alula.stages.flight.control_loop import ControlLoop
 from alula.stages.flight.flight_checks import FlightChecks
 from alula.stages.flight.fly import (
@@ -81,3 +84,24 @@ def after(seconds, do):
             do(vehicle)
 
     return poll
+
+
+class Breaking:
+    """A filter that breaks after a number of calls: raises, gives NaN, refuses, or falls back."""
+
+    def __init__(self, inner, how, at):
+        self.inner, self.how, self.left = inner, how, at
+
+    def __call__(self, x, u):
+        self.left -= 1
+        result = self.inner(x, u)
+        if self.left > 0:
+            return result
+        if self.how == "raises":
+            raise RuntimeError("no more")
+        if self.how == "too fast":
+            return FilterResult(np.array([0, 0, 14.0]), FilterStatus.OK, 1.0)
+        if self.how == "nan":
+            return FilterResult(np.array([math.nan, 0, 0]), FilterStatus.OK, 1.0)
+        status = FilterStatus.REFUSED if self.how == "refuses" else FilterStatus.RECOVERING
+        return FilterResult(np.zeros(3), status, 1.0)

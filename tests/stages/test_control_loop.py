@@ -1,11 +1,9 @@
 """The loop over a fake vehicle with a clock of its own: flights as planned, and every fault on the way."""
 
-import math
-
 import numpy as np
 import pytest
 from fake_vehicle import FakeClock, FakeVehicle
-from flights import BALL, GOAL, START, after, fly, loop_of, mission
+from flights import BALL, GOAL, START, Breaking, after, fly, loop_of, mission
 from test_simulate import line_plan
 
 from alula.stages.filtering.protocol import FilterStatus
@@ -210,29 +208,6 @@ def test_silence_declines_nothing_and_is_told_once():
     handed = [words for words in said if "not ours any more" in words]
     assert handed
     assert all("Ctrl-C ends this program and leaves the vehicle to the pilot" in words for words in handed)
-
-
-class Breaking:
-    """A filter that breaks after a number of calls: raises, gives NaN, refuses, or falls back."""
-
-    def __init__(self, inner, how, at):
-        self.inner, self.how, self.left = inner, how, at
-
-    def __call__(self, x, u):
-        from alula.stages.filtering.protocol import FilterResult
-
-        self.left -= 1
-        result = self.inner(x, u)
-        if self.left > 0:
-            return result
-        if self.how == "raises":
-            raise RuntimeError("no more")
-        if self.how == "too fast":
-            return FilterResult(np.array([0, 0, 14.0]), FilterStatus.OK, 1.0)
-        if self.how == "nan":
-            return FilterResult(np.array([math.nan, 0, 0]), FilterStatus.OK, 1.0)
-        status = FilterStatus.REFUSED if self.how == "refuses" else FilterStatus.RECOVERING
-        return FilterResult(np.zeros(3), status, 1.0)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 #include "racer_steps.h"
 
-#define UNIT 5.9604645e-8F /* 2^-24 */
+#define UNIT 5.9604645e-8F  /* 2^-24 */
 #define INVERTED_MORE 4.0F  /* times the difference are added for a flow that was upside down, */
 #define INVERTED_FROM 0.25F /* all of them from so far below the horizon */
 #define SOFT 16.0F          /* beta h_B; below 25 log 2, where lambda rounds to 1 */
