@@ -254,7 +254,8 @@ def test_a_cut_line_is_silence_and_nobody_there_is_said_at_once() -> None:
         begin = clock()
         link.close()
         assert clock() - begin < 20
-        assert any("could not be put back: set it to 1" in text for text in link.status.texts)
+        assert "it may be in the air: its parameters stay as they are" in link.status.texts
+        assert any("stays 2; it was 1" in text for text in link.status.texts), link.status.texts
     begin = clock()
     link = open_link(vehicle.address)
     with pytest.raises(LinkError, match="no Crazyflie"):
