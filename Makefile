@@ -11,6 +11,12 @@ CONSTRAINTS := .ci/constraints.txt
 # Clients that tests fly simulated vehicles with; what else they ask for draws maps or pins versions.
 PEERS := mavproxy cflib pyusb libusb-package importlib-resources
 
+# Long native tests of what begins no thread.
+UNTHREADED := teensy_flight|wrench_filters
+
+# Of commands; vehicles in real time fly in `make test` alone.
+WHEEL_TESTS = $(filter-out %_live_view.py,$(foreach file,$(wildcard tests/cli/test_*.py),$(if $(findstring test_fly_,$(file))$(findstring test_sim_,$(file)),,$(file))))
+
 .PHONY: help demo test setup firmware lint format typecheck typing-view test-native onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly docs schemas clean
 
 help: ## list the targets
@@ -66,7 +72,8 @@ test-native: setup ## build the native tests with sanitizers and run them, and f
 	  $(BIN)/cmake -S . -B $$build -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja \
 	    -DALULA_PYTHON=OFF -DALULA_TESTS=ON -DALULA_SANITIZE=$$sanitizers >/dev/null; \
 	  $(BIN)/cmake --build $$build; \
-	  .ci/fixed-addresses $(BIN)/ctest --test-dir $$build --output-on-failure; \
+	  .ci/fixed-addresses $(BIN)/ctest --test-dir $$build --output-on-failure -j$$(nproc) \
+	    $$([ $$sanitizers != thread ] || echo --exclude-regex '$(UNTHREADED)'); \
 	done
 	.ci/fixed-addresses $(BIN)/python -P tests/fuzz_onboard.py --seconds 20
 
@@ -91,7 +98,7 @@ test-wheel: wheel ## run the tests of commands and artifacts against the built w
 	build/wheel-venv/bin/pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
 	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) dist/*.whl --group dev
 	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) --no-deps $(PEERS)
-	build/wheel-venv/bin/pytest -m 'not slow' tests/cli tests/schemas tests/test_layout.py
+	build/wheel-venv/bin/pytest -m 'not slow' tests/schemas tests/test_layout.py $(WHEEL_TESTS)
 
 examples: demo ## run every example
 	@$(MAKE) --no-print-directory -C examples/polymerge
