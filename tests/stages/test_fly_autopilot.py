@@ -10,6 +10,9 @@ from mavlink_peer import Time
 from test_link_and_autopilot import Served
 from test_simulate import box_cover, line_plan
 
+from alula.stages.flight.autopilot.modes import Mode
+from alula.stages.flight.autopilot.px4 import Px4Copter
+from alula.stages.flight.autopilot.px4_modes import Px4Mode
 from alula.stages.flight.frames import LocalFrame
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
@@ -40,6 +43,10 @@ class Watched(Served):
         if self.flown is not None and now - self.flown > 1.5:
             while self.faults:
                 self.vehicle.inject(self.faults.pop())
+
+
+class WatchedPx4(Watched):
+    kind, fast = Px4Copter, {"MPC_TKO_SPEED": 5.0, "MPC_TKO_RAMP_T": 0.25}
 
 
 @contextmanager
@@ -94,9 +101,10 @@ def among_hulls():
     return mission(plan=line_plan(START, GOAL, 4.5))
 
 
-def test_cone_backup_flies_around_an_ellipsoid_and_lands():
+@pytest.mark.parametrize("kind", [Watched, WatchedPx4])
+def test_cone_backup_flies_around_an_ellipsoid_and_lands(kind):
     made = mission("cone-backup", scene=BALL, is_clear=True)
-    loop, served = fly(made)
+    loop, served = fly(made, kind=kind)
     assert loop.recorder.states == AS_PLANNED
     assert loop.supervision.cause is Event.PLAN_FINISHED
     path = true_path(loop, served, "fly")
@@ -106,11 +114,15 @@ def test_cone_backup_flies_around_an_ellipsoid_and_lands():
     assert {s.filter.sent for s in loop.recorder.samples if s.filter} == {"rates"}
 
 
-def test_polytope_cbf_flies_past_a_pillar_and_lands(among_hulls):
-    loop, served = fly(among_hulls)
+@pytest.mark.parametrize(
+    ("kind", "flown", "land"), [(Watched, "mode", Mode.LAND), (WatchedPx4, "flown", Px4Mode.LAND)]
+)
+def test_polytope_cbf_flies_past_a_pillar_and_lands(among_hulls, kind, flown, land):
+    loop, served = fly(among_hulls, kind=kind)
     assert loop.recorder.states == AS_PLANNED
     assert clearance(among_hulls, true_path(loop, served, "fly")) > 0
     assert {s.filter.sent for s in loop.recorder.samples if s.filter} == {"velocity"}
+    assert getattr(served.copter, flown) is land
 
 
 def test_a_plan_that_ends_fast_before_a_wall_leaves_all_of_the_margin():

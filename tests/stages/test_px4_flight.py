@@ -1,21 +1,13 @@
 """Whole flights of the link to PX4 against the simulated one, through sockets, on one clock."""
 
-import numpy as np
 import pytest
-from flights import BALL, GOAL, START, mission
-from test_fly_autopilot import AS_PLANNED, Watched, clearance, fly, true_path
+from flights import GOAL, START, mission
+from test_fly_autopilot import AS_PLANNED, WatchedPx4, clearance, fly, true_path
 from test_simulate import line_plan
 
 from alula.stages.flight.autopilot.faults import Fault
-from alula.stages.flight.autopilot.px4 import Px4Copter
 from alula.stages.flight.autopilot.px4_modes import Px4Mode
 from alula.stages.flight.supervisor import Event
-
-FAST = {"MPC_TKO_SPEED": 5.0, "MPC_TKO_RAMP_T": 0.25}
-
-
-class WatchedPx4(Watched):
-    kind, fast = Px4Copter, FAST
 
 
 def fly_px4(made, *faults, **keywords):
@@ -25,26 +17,6 @@ def fly_px4(made, *faults, **keywords):
 @pytest.fixture(scope="module")
 def among_hulls():
     return mission(plan=line_plan(START, GOAL, 4.5))
-
-
-def test_cone_backup_flies_px4_around_an_ellipsoid_by_rates_and_thrust():
-    made = mission("cone-backup", scene=BALL, is_clear=True)
-    loop, served = fly_px4(made)
-    assert loop.recorder.states == AS_PLANNED
-    assert loop.supervision.cause is Event.PLAN_FINISHED
-    path = true_path(loop, served, "fly")
-    assert clearance(made, path) > 0
-    assert np.linalg.norm(path[-1] - GOAL) < 0.3
-    assert not served.is_armed
-    assert {s.filter.sent for s in loop.recorder.samples if s.filter} == {"rates"}
-
-
-def test_polytope_cbf_flies_px4_past_a_pillar_by_velocities(among_hulls):
-    loop, served = fly_px4(among_hulls)
-    assert loop.recorder.states == AS_PLANNED
-    assert clearance(among_hulls, true_path(loop, served, "fly")) > 0
-    assert {s.filter.sent for s in loop.recorder.samples if s.filter} == {"velocity"}
-    assert served.copter.flown is Px4Mode.LAND
 
 
 def test_a_stream_that_stops_ends_in_its_own_landing_and_nothing_takes_it_back(among_hulls):

@@ -100,10 +100,14 @@ class Copter:
         self._client_s: float | None = None
         self._active: set[str] = set()
         self._said: set[str] = set()
+        self._boot()
+        self.say(INFO, self.FIRMWARE)
+
+    def _boot(self) -> None:
+        """The mode that it starts in, and what else a firmware keeps."""
         initial = self.parameters.whole("INITIAL_MODE")
         if refusal(initial, has_position=False) is None:
             self.mode = Mode(initial)
-        self.say(INFO, self.FIRMWARE)
 
     def _parameters(self, values: Mapping[str, float]) -> Parameters:
         return Parameters(values)

@@ -10,11 +10,9 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import ClassVar
 
-from alula.schemas.vehicle import Vehicle
 from alula.stages.flight.autopilot.battery import Charge
 from alula.stages.flight.autopilot.copter import CRITICAL, INFO, WARNING, Copter
-from alula.stages.flight.autopilot.estimator import EstimatorOptions, LatLonAlt
-from alula.stages.flight.autopilot.hand import Hand
+from alula.stages.flight.autopilot.estimator import LatLonAlt
 from alula.stages.flight.autopilot.parameters import Parameters
 from alula.stages.flight.autopilot.px4_modes import ROWS, SWITCHED, Px4Mode
 from alula.stages.flight.autopilot.px4_parameters import DERIVED, TABLE
@@ -83,32 +81,13 @@ class Px4Copter(Copter):
     PLACE: ClassVar[LatLonAlt] = ZURICH
     ARMING_DELAY_S: ClassVar[float] = 0.0
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        *,
-        parameters: Mapping[str, float] | None = None,
-        options: EstimatorOptions | None = None,
-        home: LatLonAlt | None = None,
-        heading_rad: float = 0.0,
-        seed: int = 0,
-        hand: Hand | None = None,
-    ) -> None:
+    def _boot(self) -> None:
         self.chosen = self.flown = Px4Mode.HOLD
         self._setpoint_s = self._stream_s = -math.inf
         self._since_s: dict[str, float] = {}  # when each cause of a failsafe began
         self._ended: set[str] = set()  # causes that somebody has taken over from
         self._top_m: float | None = None  # of a take-off, above the local origin
         self._has_flown = False
-        super().__init__(
-            vehicle,
-            parameters=parameters,
-            options=options,
-            home=home,
-            heading_rad=heading_rad,
-            seed=seed,
-            hand=hand,
-        )
         self.mode = ROWS[self.flown].flown
 
     def _parameters(self, values: Mapping[str, float]) -> Parameters:
