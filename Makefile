@@ -15,7 +15,7 @@ PEERS := mavproxy cflib pyusb libusb-package importlib-resources
 UNTHREADED := teensy_flight|wrench_filters
 
 # Of commands; vehicles in real time fly in `make test` alone.
-WHEEL_TESTS = $(filter-out %_live_view.py,$(foreach file,$(wildcard tests/cli/test_*.py),$(if $(findstring test_fly_,$(file))$(findstring test_sim_,$(file)),,$(file))))
+WHEEL_TESTS = $(filter-out %/test_fly_log.py %/test_fly_signals.py,$(wildcard tests/command/test_*.py))
 
 .PHONY: help demo test setup firmware lint format typecheck typing-view test-native onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly docs schemas clean
 
@@ -75,7 +75,7 @@ test-native: setup ## build the native tests with sanitizers and run them, and f
 	  .ci/fixed-addresses $(BIN)/ctest --test-dir $$build --output-on-failure -j$$(nproc) \
 	    $$([ $$sanitizers != thread ] || echo --exclude-regex '$(UNTHREADED)'); \
 	done
-	.ci/fixed-addresses $(BIN)/python -P tests/fuzz_onboard.py --seconds 20
+	.ci/fixed-addresses $(BIN)/python -P tests/support/fuzz_onboard.py --seconds 20
 
 onboard: setup ## run the filters on emulated microcontrollers: the host's bits, instructions, sizes, stacks
 	.ci/system-packages --onboard
@@ -83,9 +83,9 @@ onboard: setup ## run the filters on emulated microcontrollers: the host's bits,
 	$(BIN)/python -P benchmarks/glue.py
 
 fuzz: setup ## mutated splat files against every reader, and the onboard code, for FUZZ_SECONDS=600 each
-	$(BIN)/python -P tests/fuzz_splats.py --seconds $(or $(FUZZ_SECONDS),600) --keep build/fuzz
+	$(BIN)/python -P tests/support/fuzz_splats.py --seconds $(or $(FUZZ_SECONDS),600) --keep build/fuzz
 	.ci/system-packages --fuzz
-	$(BIN)/python -P tests/fuzz_onboard.py --seconds $(or $(FUZZ_SECONDS),600)
+	$(BIN)/python -P tests/support/fuzz_onboard.py --seconds $(or $(FUZZ_SECONDS),600)
 
 wheel: setup ## build the wheel and the sdist into dist/
 	rm -rf dist
@@ -98,7 +98,7 @@ test-wheel: wheel ## run the tests of commands and artifacts against the built w
 	build/wheel-venv/bin/pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
 	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) dist/*.whl --group dev
 	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) --no-deps $(PEERS)
-	build/wheel-venv/bin/pytest -m 'not slow' tests/schemas tests/test_layout.py $(WHEEL_TESTS)
+	build/wheel-venv/bin/pytest -m 'not slow' tests/unit/schemas tests/unit/test_layout.py $(WHEEL_TESTS)
 
 examples: demo ## run every example
 	@$(MAKE) --no-print-directory -C examples/polymerge
@@ -107,32 +107,32 @@ bench: setup ## time the stages, and covers against those of other tools, side b
 	$(BIN)/python -P benchmarks/pipeline.py
 	$(BIN)/python -P benchmarks/compression.py --quick
 
-bench-compression: setup ## the latter in full, up to half an hour, into docs/benchmarks.md
-	$(BIN)/python -P benchmarks/compression.py --markdown docs/benchmarks.md
+bench-compression: setup ## the latter in full, up to half an hour, into docs/results/benchmarks.md
+	$(BIN)/python -P benchmarks/compression.py --markdown docs/results/benchmarks.md
 
-bench-formats: setup ## readers of splat formats against those of others, some minutes, into docs/benchmarks-formats.md
-	$(BIN)/python -P benchmarks/formats.py --markdown docs/benchmarks-formats.md
+bench-formats: setup ## readers of splat formats against those of others, some minutes, into docs/results/benchmarks-formats.md
+	$(BIN)/python -P benchmarks/formats.py --markdown docs/results/benchmarks-formats.md
 
-bench-filters: setup ## filters among ellipsoids tick by tick, and the QP solver beside others, some minutes, into docs/benchmarks-filters.md
-	$(BIN)/python -P benchmarks/filters.py --markdown docs/benchmarks-filters.md
+bench-filters: setup ## filters among ellipsoids tick by tick, and the QP solver beside others, some minutes, into docs/results/benchmarks-filters.md
+	$(BIN)/python -P benchmarks/filters.py --markdown docs/results/benchmarks-filters.md
 
-bench-dracbf: setup ## filters among moving obstacles side by side, some minutes, into docs/benchmarks-dracbf.md
-	$(BIN)/python -P benchmarks/dracbf.py --markdown docs/benchmarks-dracbf.md
+bench-dracbf: setup ## filters among moving obstacles side by side, some minutes, into docs/results/benchmarks-dracbf.md
+	$(BIN)/python -P benchmarks/dracbf.py --markdown docs/results/benchmarks-dracbf.md
 
-bench-onboard: setup ## what the onboard filters take on emulated microcontrollers, into docs/onboard.md
-	$(BIN)/python -P benchmarks/onboard.py --markdown docs/onboard.md
+bench-onboard: setup ## what the onboard filters take on emulated microcontrollers, into docs/results/onboard.md
+	$(BIN)/python -P benchmarks/onboard.py --markdown docs/results/onboard.md
 
-bench-betaflight: setup firmware ## fly the geofence through Betaflight's firmware, a minute, into docs/betaflight.md
-	$(BIN)/python -P benchmarks/betaflight.py --markdown docs/betaflight.md
+bench-betaflight: setup firmware ## fly the geofence through Betaflight's firmware, a minute, into docs/results/betaflight.md
+	$(BIN)/python -P benchmarks/betaflight.py --markdown docs/results/betaflight.md
 
 bench-alignment: setup ## how often the intervals of scale-align hold, some minutes
 	$(BIN)/python -P benchmarks/alignment.py
 
-bench-fly: setup ## fly the simulated autopilot in real time, some minutes, into docs/benchmarks-fly.md
-	$(BIN)/python -P benchmarks/fly.py --markdown docs/benchmarks-fly.md
+bench-fly: setup ## fly the simulated autopilot in real time, some minutes, into docs/results/benchmarks-fly.md
+	$(BIN)/python -P benchmarks/fly.py --markdown docs/results/benchmarks-fly.md
 
 docs: setup ## regenerate the command reference
-	$(BIN)/python -P -m alula.cli.reference docs/commands.md
+	$(BIN)/python -P -m alula.cli.reference docs/guide/commands.md
 
 schemas: setup ## regenerate the JSON Schemas and the type stub of the native module
 	$(BIN)/python -P -m alula.schemas.generate schemas/json

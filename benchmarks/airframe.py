@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.vehicle import Vehicle
-from alula.stages.flight.vehicles import quadrotor
+from alula.stages.vehicles.bodies import quadrotor
 
 FloatArray = NDArray[np.float64]
 STEP_S = 0.00025  # of body and firmware: its PID loop runs at 4 kHz

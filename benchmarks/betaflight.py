@@ -7,7 +7,7 @@ and fence with that fitted model as the plant. Simulated time is ours (firmware.
 in every run.
 
     python benchmarks/betaflight.py --json
-    python benchmarks/betaflight.py --markdown docs/betaflight.md
+    python benchmarks/betaflight.py --markdown docs/results/betaflight.md
 """
 
 from __future__ import annotations

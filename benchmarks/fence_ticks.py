@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
+from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
-from alula.stages.compression.onboard import encode_map
-from alula.stages.reporting.metrics import hull_obstacles
+from alula.stages.compression.onboard.layout import encode_map
 
 FloatArray = NDArray[np.float64]
 WALL = ((-100.0, -100.0, 0.5), (40.0, 100.0, 100.0))

@@ -35,7 +35,8 @@ sys.path.sort(key=sys.path[-1].__eq__)  # last: a module of the same name elsewh
 import jax_peer
 import numpy as np
 import qp_problems
-from flights import FLOWN, Arena, Replay, arena, fly_all
+
+from support.flights import FLOWN, Arena, Replay, arena, fly_all
 
 Figures = dict[str, float | None]
 

@@ -20,10 +20,10 @@ from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.registry import make_splat_filter
 from alula.stages.filtering.splat_filters import NativeSplatFilter
 from alula.stages.filtering.splat_protocol import SplatWorld
-from alula.stages.flight.references import rest_to_rest
-from alula.stages.flight.splat_loop import SplatFlown, fly
-from alula.stages.flight.trials import central_box, sample_pairs
-from alula.stages.flight.vehicles import plant_options, quadrotor, tracking_gains
+from alula.stages.planning.rest_to_rest import rest_to_rest
+from alula.stages.simulation.ellipsoids.closed_loop import SplatFlown, fly
+from alula.stages.simulation.pairs import central_box, sample_pairs
+from alula.stages.vehicles.bodies import plant_options, quadrotor, tracking_gains
 
 CONFIDENCE, RADIUS_M, SPEED_M_S, DT_S = 0.99, 0.12, 3.1, 0.01
 _MARGIN_M, _SEPARATION = 0.05, 0.3  # of starts and goals, as `simulate` draws them

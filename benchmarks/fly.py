@@ -38,8 +38,8 @@ from alula.schemas.artifact import read_artifact, write_artifact
 from alula.schemas.kinds import COVER, SCENE
 from alula.schemas.run import open_log, record_path
 from alula.schemas.vehicle import FASTBRIDGE
+from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
 from alula.stages.compression.hulls import Hulls
-from alula.stages.reporting.metrics import hull_obstacles, path_clearance, scene_obstacles
 
 FILTERS = {"cone-backup": "scene", "polytope-cbf": "cover"}
 START, GOAL = (0.8, 0.8, 0.9), (4.7, 3.6, 1.1)  # behind a hoop and a pillar

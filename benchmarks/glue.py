@@ -33,7 +33,7 @@ from onboard import FIELDS, field
 
 from alula.schemas.provenance import Provenance
 from alula.schemas.targets import TARGETS
-from alula.stages.compression.onboard import encode_map, image_c_header
+from alula.stages.compression.onboard.layout import encode_map, image_c_header
 
 ROOT = Path(__file__).resolve().parents[1]
 BOARDS = ROOT / "native/onboard/targets"

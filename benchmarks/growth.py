@@ -17,8 +17,8 @@ from tools import Clock, Outcome, peak_mb, run_child, run_tool
 
 from alula.schemas.artifact import write_artifact
 from alula.schemas.configs.merge import MergeConfig
-from alula.stages.compression.certificate import verify
 from alula.stages.compression.merge import merge
+from alula.stages.compression.verify import verify
 from alula.stages.reconstruction.formats.registry import read_splats
 
 VOXEL_M = 0.05

@@ -12,12 +12,12 @@ import argparse
 import sys
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests/stages"))  # half_space_families
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))  # half_space_families
 
 import numpy as np
-from half_space_families import KINDS, LIMIT, MARGIN, half_spaces, roomiest
 
 from alula import _core
+from support.half_space_families import KINDS, LIMIT, MARGIN, half_spaces, roomiest
 
 _BATCH = 500
 

@@ -16,9 +16,9 @@ from contextlib import redirect_stdout
 from typing import Any
 
 import numpy as np
-from flights import Arena, Replay
 
 from alula import _core
+from support.flights import Arena, Replay
 
 _COUNT = 64
 _ALPHA = 5.0

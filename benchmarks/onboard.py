@@ -49,9 +49,9 @@ from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.kinds import COVER
 from alula.schemas.manifest import Guarantee
 from alula.schemas.targets import CODE_BYTES, TARGETS
-from alula.stages.compression.map_image import decode_map
-from alula.stages.compression.onboard import encode_map
-from alula.stages.compression.onboard_cost import tick_instructions
+from alula.stages.compression.onboard.cost import tick_instructions
+from alula.stages.compression.onboard.image import decode_map
+from alula.stages.compression.onboard.layout import encode_map
 
 BUDGET = FIRMWARE / "budget.toml"
 HALF_PLANES = 83  # a hull of PolyMerge's has on average

@@ -172,7 +172,7 @@ def _by_tests(encoder: str) -> Callable[[Path, Splats], None]:
     """As the tests write it; a format of several files becomes the folder of that name."""
 
     def make(path: Path, splats: Splats) -> None:
-        files = import_module("splat_files")
+        files = import_module("support.splat_files")
         length = np.linalg.norm(splats.quat_wxyz, axis=1, keepdims=True)
         gaussians = files.Gaussians(
             *(np.asarray(a, np.float64) for a in (splats.mean, splats.scale, splats.quat_wxyz / length)),

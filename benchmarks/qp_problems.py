@@ -19,12 +19,23 @@ from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests/stages"))  # qp_families
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))  # qp_families
 
 import numpy as np
-from qp_families import CERTAIN, FAILED, FAMILIES, INFEASIBLE, LOOSE, OPTIMAL, Stack, generic, proved, scaled
 
 from alula import _core
+from support.qp_families import (
+    CERTAIN,
+    FAILED,
+    FAMILIES,
+    INFEASIBLE,
+    LOOSE,
+    OPTIMAL,
+    Stack,
+    generic,
+    proved,
+    scaled,
+)
 
 _BATCH = 20
 _SIZES = (0, 1, 2, 3, 5, 9, 20, 40, 70, 120)

@@ -20,14 +20,14 @@ from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.configs.scale_align import ScaleAlignConfig
 from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.stages.alignment.scale_align import scale_align
-from alula.stages.compression.certificate import verify
+from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.merge import merge
+from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.demo_scene import demo_scene, world_from_scene
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.import_splat import import_splat
-from alula.stages.reporting.metrics import hull_obstacles, path_clearance
 
 ROOM_M = np.array([8.0, 6.0, 3.0])
 MIN_OPACITY = 0.1

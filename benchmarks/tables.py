@@ -27,9 +27,10 @@ _COLUMNS: tuple[tuple[str, Callable[[Figures], str]], ...] = (
 
 _PREFACE = """# Compression, measured
 
-Written by `python benchmarks/compression.py --markdown docs/benchmarks.md` on {machine}, Python {python}.
-All tools got the same voxels in one run, each in a process of its own. CPU and wall seconds are of the
-tool's call alone, all threads together; peak memory is of the whole process with Python and numpy.
+Written by `python benchmarks/compression.py --markdown docs/results/benchmarks.md` on {machine},
+Python {python}. All tools got the same voxels in one run, each in a process of its own. CPU and wall
+seconds are of the tool's call alone, all threads together; peak memory is of the whole process with Python
+and numpy.
 
 V+ is the volume of the occupied voxels, the excess that of the union outside them, *not covered* the share
 of V+ outside the union. *Voxels in no hull* are those that no single hull contains as a whole: the check by

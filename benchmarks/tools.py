@@ -26,7 +26,7 @@ from alula.schemas.artifact import Artifact, read_artifact
 from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.kinds import VOXELS
 from alula.stages.compression.merge import merge
-from alula.stages.compression.onboard import encode_map
+from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.compression.voxel_mesh import voxel_mesh
 
 _ERRORS = 8  # standard errors of four draws: chance exceeds it once in some hundred

@@ -59,8 +59,8 @@ def write_comparison(
     """
     from alula.cli.runner import input_ref
     from alula.schemas.atomic import write_text
-    from alula.stages.reporting.comparison import comparison_files, headed
     from alula.stages.reporting.material import Material
+    from alula.stages.reporting.papers.comparison import comparison_files, headed
 
     material = Material(title, inputs=tuple(input_ref(role, path) for role, path in inputs))
     files = comparison_files(output.name, material, facts, tables, figures, read=read)

@@ -45,9 +45,9 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
     from alula.schemas.atomic import atomic_output
     from alula.schemas.errors import InputError
     from alula.schemas.targets import TARGETS
-    from alula.stages.compression.map_image import decode_map
-    from alula.stages.compression.onboard import map_facts
-    from alula.stages.compression.onboard_cost import require_fit, target_facts
+    from alula.stages.compression.onboard.cost import require_fit, target_facts
+    from alula.stages.compression.onboard.image import decode_map
+    from alula.stages.compression.onboard.layout import map_facts
     from alula.stages.reporting.export import export
     from alula.stages.reporting.export_scene import SCENE_ENCODERS, written_losses
 
@@ -98,8 +98,8 @@ def _write_header(output: Path, header: Path, *, force: bool) -> None:
     from alula.cli.runner import current
     from alula.schemas.atomic import atomic_output
     from alula.schemas.provenance import read_provenance
-    from alula.stages.compression.map_image import decode_map
-    from alula.stages.compression.onboard import image_c_header
+    from alula.stages.compression.onboard.image import decode_map
+    from alula.stages.compression.onboard.layout import image_c_header
 
     raw, provenance = output.read_bytes(), read_provenance(output)
     assert provenance is not None

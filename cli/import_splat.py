@@ -31,9 +31,9 @@ def command(splat: Path, config: ImportSplatConfig, common: Common) -> None:
     """Read a Gaussian splat file into a scene.
 
     SPLAT is a file, the output folder of a trainer, or - for standard input; the content decides which
-    format it is of. `alula info` tells that too, and docs/splat-formats.md lists them all. Gaussians that are
-    left out are counted, by reason, in the output; what a lossy format may have changed is recorded, and
-    voxelize allows for it.
+    format it is of. `alula info` tells that too, and docs/guide/splat-formats.md lists them all. Gaussians
+    that are left out are counted, by reason, in the output; what a lossy format may have changed is
+    recorded, and voxelize allows for it.
     """
     from alula.schemas.artifact import Artifact
     from alula.schemas.kinds import SCENE

@@ -59,7 +59,7 @@ def _explain(path: Path) -> Explained:
     from alula.schemas.files import check_no_stream
     from alula.schemas.provenance import read_provenance
     from alula.schemas.salvage import is_artifact_like
-    from alula.stages.compression.map_image import is_map
+    from alula.stages.compression.onboard.image import is_map
     from alula.stages.reporting.inspect import provenance_facts
 
     if path.is_dir():
@@ -129,7 +129,7 @@ def _run(path: Path) -> Explained:
 def _map(path: Path) -> Explained:
     from alula.schemas.errors import ArtifactError
     from alula.schemas.provenance import read_provenance
-    from alula.stages.compression.map_image import SCHEMA, VERSION, read_map
+    from alula.stages.compression.onboard.image import SCHEMA, VERSION, read_map
     from alula.stages.reporting.inspect import about, map_image_facts, provenance_facts
 
     made = read_provenance(path)

@@ -25,7 +25,7 @@ def command(common: options.Common, config: PlanConfig, cover: Path) -> None:
     """Find a smooth collision-free trajectory through a cover."""
     from alula.schemas.artifact import Artifact, read_artifact
     from alula.schemas.kinds import COVER, PLAN
-    from alula.stages.flight.plan import plan
+    from alula.stages.planning.plan import plan
 
     def build(progress: runner.Progress) -> Artifact:
         return plan(config, read_artifact(cover, COVER), jobs=common.jobs, progress=progress)

@@ -14,7 +14,7 @@ from alula.cli import options
 from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
-    from alula.stages.flight.autopilot.endpoint import Flown
+    from alula.stages.sim_vehicle.common.endpoint import Flown
 
 _CRTP = "udp://"
 
@@ -121,7 +121,7 @@ def command(
     import json as json_module
     import time
 
-    from alula.stages.flight.autopilot.endpoint import open_endpoint, open_mocap, serve
+    from alula.stages.sim_vehicle.common.endpoint import open_endpoint, open_mocap, serve
 
     if not 0 < boot_time_s <= 3600:
         raise UsageError("--boot-time must be in 0..3600 s")
@@ -147,12 +147,12 @@ def command(
         link = f"udpin:{link.removeprefix(_CRTP)}"
     else:
         from alula.schemas.vehicle import FASTBRIDGE, read_vehicle
-        from alula.stages.flight.autopilot.estimator import EstimatorOptions
-        from alula.stages.flight.autopilot.faults import parse_fault
-        from alula.stages.flight.autopilot.hand import Hand
-        from alula.stages.flight.autopilot.personalities import PERSONALITIES
-        from alula.stages.flight.autopilot.simulator import SimulatedVehicle
-        from alula.stages.flight.links.mavlink_signing import read_key
+        from alula.stages.flight.links.mavlink.signing import read_key
+        from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
+        from alula.stages.sim_vehicle.common.faults import parse_fault
+        from alula.stages.sim_vehicle.common.hand import Hand
+        from alula.stages.sim_vehicle.personalities import PERSONALITIES
+        from alula.stages.sim_vehicle.simulator import SimulatedVehicle
 
         personality = PERSONALITIES[autopilot]
         copter = personality.copter(
@@ -202,7 +202,7 @@ def _crazyflie(
     seed: int,
 ) -> tuple[str, Flown]:
     from alula.schemas.vehicle import read_vehicle
-    from alula.stages.flight.autopilot.crazyflie import CrazyflieOptions, SimulatedCrazyflie
+    from alula.stages.sim_vehicle.crazyflie.vehicle import CrazyflieOptions, SimulatedCrazyflie
 
     if vehicle_path is None:
         raise UsageError("a simulated Crazyflie needs --vehicle: examples/vehicles/crazyflie21.toml is one")

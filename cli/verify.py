@@ -11,7 +11,7 @@ from alula.cli import options
 from alula.cli.present import print_json
 
 if TYPE_CHECKING:
-    from alula.stages.compression.certificate import Certificate
+    from alula.stages.compression.verify import Certificate
 
 EXAMPLES = """\b
 Examples:
@@ -66,9 +66,9 @@ def command(
     from alula.schemas.errors import CheckError, UsageError
     from alula.schemas.kinds import COVER, SCENE, VOXELS
     from alula.schemas.provenance import Provenance
-    from alula.stages.compression.certificate import SCHEMA, VERSION, verify
-    from alula.stages.compression.map_certificate import verify_map
-    from alula.stages.compression.map_image import read_map
+    from alula.stages.compression.onboard.image import read_map
+    from alula.stages.compression.onboard.verify import verify_map
+    from alula.stages.compression.verify import SCHEMA, VERSION, verify
 
     if output is not None and output.suffix != ".json":
         raise UsageError(f"{output}: the certificate must end in .json")
@@ -128,7 +128,7 @@ def command(
 
 def _is_map(path: Path) -> bool:
     """Whether a file begins as an onboard map; what cannot be read is refused by its reader."""
-    from alula.stages.compression.map_image import is_map
+    from alula.stages.compression.onboard.image import is_map
 
     try:
         with path.open("rb") as file:

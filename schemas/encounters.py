@@ -44,7 +44,8 @@
     max_time_s = 14.0
 
 Every key has a default; what each stands for is said where the native code takes it, in
-native/core/include/alula/{encounter,obstacle_motion,radar,tracker,moving_filter}.hpp and, of the filter,
+native/core/include/alula/{flight/encounter,flight/obstacle_motion,tracking/radar,tracking/tracker}.hpp and
+filters/moving_filter.hpp beside them, and, of the filter,
 native/onboard/include/alula_{avoidance,dr_acbf}.h. Source: Mandaokar, Rinner 2025 (arXiv 2512.00462).
 """
 

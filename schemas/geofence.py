@@ -27,8 +27,9 @@
     duration_s = 8.0
 
 Every key but the fence, the vehicle's file and the start has a default. What each stands for is said in
-docs/geofence.md, and where the native code takes it: native/core/include/alula/{geofence_flight,racer}.hpp
-and, of the filter, native/onboard/include/alula_{geofence,racer}.h. Source: Singletary et al. 2022
+docs/theory/geofence.md, and where the native code takes it:
+native/core/include/alula/{flight/geofence_flight,dynamics/racer}.hpp and, of the filter,
+native/onboard/include/alula_{geofence,racer}.h. Source: Singletary et al. 2022
 (arXiv 2201.04331).
 """
 

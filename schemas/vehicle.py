@@ -112,7 +112,9 @@ class ThrottleTable(_Table, frozen=True, kw_only=True):
 
 
 class TrackingTable(_Table, frozen=True, kw_only=True):
-    """Gains of the geometric controller, and what a large error may ask for; see `alula/tracking.hpp`."""
+    """Gains of the geometric controller, and what a large error may ask for; see
+    `alula/dynamics/tracking_controller.hpp`.
+    """
 
     kp_per_s2: Positive = 3.0
     kv_per_s: Positive = 2.0

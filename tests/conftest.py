@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+pytest_plugins = ["support.pipeline"]
+
 os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")  # gsply's; it warns of others that are old
 
 for name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS"):  # `make test` runs tests that run make

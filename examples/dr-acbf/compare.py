@@ -8,7 +8,7 @@ same tables as one page of Markdown into FILE.
 
 from alula.cli.comparison import comparison_words, this_machine, write_comparison
 from alula.schemas.run import read_run
-from alula.stages.reporting import dracbf, dracbf_beyond, dracbf_figures, dracbf_small
+from alula.stages.reporting.papers import dracbf, dracbf_beyond, dracbf_figures, dracbf_small
 from alula.stages.reporting.shares import folded
 
 TITLE = "DR-ACBF: moving obstacles, uncertain and late"

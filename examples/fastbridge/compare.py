@@ -11,9 +11,9 @@ from pathlib import Path
 from alula.cli.comparison import comparison_words, write_comparison
 from alula.schemas.flights import read_flights
 from alula.schemas.run import read_run
-from alula.stages.reporting import fastbridge, fastbridge_figures
 from alula.stages.reporting.material import Run
-from alula.stages.reporting.sweeps import Sweep
+from alula.stages.reporting.papers import fastbridge, fastbridge_figures
+from alula.stages.reporting.papers.sweeps import Sweep
 
 options = comparison_words(__doc__.splitlines()[0])
 folder, runs = options.folder, options.runs

@@ -11,8 +11,13 @@ import json
 from alula.cli.comparison import comparison_words, this_machine, write_comparison
 from alula.schemas.fence_ticks import read_ticks
 from alula.schemas.run import read_run
-from alula.stages.reporting import geofencing, geofencing_figures, geofencing_robustness, geofencing_short
-from alula.stages.reporting.pendulum import PROGRAM, REGULATION, sweep
+from alula.stages.reporting.papers import (
+    geofencing,
+    geofencing_figures,
+    geofencing_robustness,
+    geofencing_short,
+)
+from alula.stages.reporting.papers.pendulum import PROGRAM, REGULATION, sweep
 from alula.stages.reporting.shares import folded
 
 TITLE = "Geofencing: racing drones in a fence"
@@ -79,5 +84,6 @@ write_comparison(
     figures,
     read=[folded(table) for table in tables],
     markdown=options.markdown,
-    head=f"{WRITTEN} on {this_machine()}. What the filter is and promises: [geofence.md](geofence.md).",
+    head=f"{WRITTEN} on {this_machine()}. What the filter is and promises: "
+    "[geofence.md](../theory/geofence.md).",
 )

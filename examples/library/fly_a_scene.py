@@ -12,12 +12,12 @@ from alula.schemas.configs.scale_align import ScaleAlignConfig
 from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.stages.alignment.scale_align import scale_align, scale_only
-from alula.stages.compression.certificate import verify
 from alula.stages.compression.merge import merge
+from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize
-from alula.stages.flight.simulate import simulate
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.import_splat import import_splat
+from alula.stages.simulation.hulls.simulate import simulate
 
 file, scale, size_m = Path(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3])
 scene = import_splat(ImportSplatConfig(), read_splats(file))

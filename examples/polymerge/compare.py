@@ -16,9 +16,9 @@ from alula.cli.comparison import write_comparison
 from alula.schemas.artifact import read_artifact
 from alula.schemas.atomic import atomic_output
 from alula.stages.compression.measure import half_spaces, measure_cover, measure_points
-from alula.stages.compression.onboard import encode_map
-from alula.stages.reporting import polymerge
-from alula.stages.reporting.polymerge import Polytopes, SceneMaps
+from alula.stages.compression.onboard.layout import encode_map
+from alula.stages.reporting.papers import polymerge
+from alula.stages.reporting.papers.polymerge import Polytopes, SceneMaps
 
 folder, names = Path(sys.argv[1]), sys.argv[2:]
 TITLE = "PolyMerge: size and conservativeness of maps"

@@ -77,7 +77,8 @@ class Hulls:
 def outer_solids(cover: Artifact, *, jobs: int = 0) -> dict[str, NDArray[Any]]:
     """Corners and triangles of the polytopes that the planes of a cover bound, in voxel edges.
 
-    Found exactly in 128-bit integers and rounded in the end; see native/core/include/alula/outer_solid.hpp.
+    Found exactly in 128-bit integers and rounded in the end; see
+    native/core/include/alula/cover/outer_solid.hpp.
 
     Returns:
         `point` (P, 3), `point_start` (n + 1,), `triangle` (T, 3), counter-clockwise from outside,

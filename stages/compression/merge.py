@@ -20,7 +20,7 @@ from alula.stages.progress import WHOLE, share
 
 LATTICE_LIMIT = 2**20  # voxel corners must lie within: integer predicates are exact in 64 bits
 _FEWEST_PLANES = 6  # the hull of voxels has a facet on each side of its bounding box
-_FEWEST_BYTES = 64 + 14  # see native/core/include/alula/budget.hpp
+_FEWEST_BYTES = 64 + 14  # see native/core/include/alula/cover/budget.hpp
 _CURVE_POINTS = 60
 _GROWTH_ATTEMPTS = 4
 _ARRAYS = tuple(rule.name for rule in COVER.arrays)

@@ -64,7 +64,7 @@ def solve_qp(
     what is infeasible has a certificate. With "clarabel" the answer is that of an interior-point method
     with its default tolerances, about 1e-8; an "almost" of Clarabel is FAILED.
 
-    A native filter reaches Clarabel through `QpSolver::with_backend` (alula/qp.hpp): its binding hands a
+    A native filter reaches Clarabel through `QpSolver::with_backend` (alula/qp/qp.hpp): its binding hands a
     callable to `qp_solver` (bindings/python_qp.hpp), here `clarabel_backend`, which then answers behind
     `QpSolver::solve`. It takes the GIL, copies the problem and costs about 0.1 ms, so it is there to
     compare filters, not to fly.

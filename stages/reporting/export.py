@@ -14,7 +14,7 @@ from alula.schemas.errors import UsageError, WrongKindError
 from alula.schemas.provenance import Provenance
 from alula.stages.compression.facets import Mesh, mesh
 from alula.stages.compression.hulls import Hulls
-from alula.stages.compression.onboard import map_binary, map_c_header
+from alula.stages.compression.onboard.layout import map_binary, map_c_header
 from alula.stages.reporting.export_scene import COPIED, SCENE_ENCODERS
 
 ROUNDED = (

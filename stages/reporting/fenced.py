@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.run import FenceResult, TrialResult
-from alula.stages.flight.geofence_map import fence_shell
-from alula.stages.flight.geofence_world import fence_faces
 from alula.stages.reporting.material import Run
+from alula.stages.runlog.fence_shell import fence_shell
+from alula.stages.simulation.geofence.world import fence_faces
 
 Floats = NDArray[np.float64]
 

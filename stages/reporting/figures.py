@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from alula.stages.flight.geofence_map import SHOWN_BEYOND_M
 from alula.stages.reporting import curves
 from alula.stages.reporting.course import Spell
 from alula.stages.reporting.fenced import is_fenced
 from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material
 from alula.stages.reporting.tables import text
+from alula.stages.runlog.fence_shell import SHOWN_BEYOND_M
 
 COLORS = {
     "reached": "#0072b2",

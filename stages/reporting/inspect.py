@@ -12,8 +12,8 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import RunRecord
 from alula.stages.compression.hulls import is_outer
-from alula.stages.compression.map_image import SCHEMA, VERSION, MapImage
-from alula.stages.compression.onboard import map_facts
+from alula.stages.compression.onboard.image import SCHEMA, VERSION, MapImage
+from alula.stages.compression.onboard.layout import map_facts
 from alula.stages.reconstruction.formats.splats import LOSSES, Loss, Splats
 
 Facts = dict[str, Any]

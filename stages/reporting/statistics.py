@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from alula.schemas.errors import InputError
-from alula.stages.reporting.metrics import wilson_interval
+from alula.stages.clearance import wilson_interval
 from alula.stages.reporting.tables import text
 
 FloatArray = NDArray[np.float64]

@@ -18,7 +18,7 @@ from alula.schemas.run import FenceResult, TrialResult
 from alula.stages.reporting.course import course_rows, course_tables
 from alula.stages.reporting.fenced import FENCE_NOTE, fence_columns, fence_rows, is_fenced
 from alula.stages.reporting.material import OUTCOMES, Material, Run, flew_through, is_covered, outcome_of
-from alula.stages.reporting.published import paper_tables
+from alula.stages.reporting.papers.published import paper_tables
 
 BYTES_PER_GAUSSIAN = 40  # centre, semi-axes, quaternion in single precision
 BYTES_PER_VOXEL = 12  # three 32-bit integers

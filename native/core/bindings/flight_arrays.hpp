@@ -7,8 +7,8 @@
 #include <stdexcept>
 #include <vector>
 
-#include "alula/reference_curve.hpp"
-#include "alula/splat_filter.hpp"
+#include "alula/filters/splat_filter.hpp"
+#include "alula/planning/reference_curve.hpp"
 #include "arrays.hpp"
 
 namespace alula::flight {

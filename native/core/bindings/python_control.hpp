@@ -5,7 +5,7 @@
 
 #include <chrono>
 
-#include "alula/control.hpp"
+#include "alula/base/control.hpp"
 
 namespace alula {
 

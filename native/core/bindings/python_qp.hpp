@@ -3,7 +3,7 @@
 
 #include <nanobind/nanobind.h>
 
-#include "alula/qp.hpp"
+#include "alula/qp/qp.hpp"
 
 namespace alula {
 

@@ -1,7 +1,7 @@
 // States and commands of a racing drone as rows of NumPy arrays.
 #pragma once
 
-#include "alula/racer.hpp"
+#include "alula/dynamics/racer.hpp"
 #include "flight_arrays.hpp"
 
 namespace alula::flight {

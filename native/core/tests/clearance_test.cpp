@@ -1,5 +1,5 @@
 // Closed forms of the distances, and that the tree and the threads change nothing.
-#include "alula/clearance.hpp"
+#include "alula/geometry/clearance.hpp"
 
 #include <cmath>
 #include <random>

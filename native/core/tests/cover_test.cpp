@@ -1,8 +1,8 @@
 // Covers built by merge() pass check_hulls(), at the ends of the exact range too.
 #include <cmath>
 
-#include "alula/cover_check.hpp"
-#include "alula/merge.hpp"
+#include "alula/cover/cover_check.hpp"
+#include "alula/cover/merge.hpp"
 #include "check.hpp"
 
 namespace {

@@ -1,5 +1,5 @@
 // Encounters fly what is asked within the vehicle's limits, and are judged from the truth between steps too.
-#include "alula/encounter.hpp"
+#include "alula/flight/encounter.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -7,7 +7,7 @@
 #include <functional>
 #include <stdexcept>
 
-#include "alula/encounter_plant.hpp"
+#include "alula/flight/encounter_plant.hpp"
 #include "check.hpp"
 
 namespace alula::flight {

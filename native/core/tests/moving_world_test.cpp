@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "allocations.hpp"
-#include "alula/radar.hpp"
+#include "alula/tracking/radar.hpp"
 #include "check.hpp"
 
 using namespace alula::flight;

@@ -2,12 +2,12 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include "alula/cover_check.hpp"
-#include "alula/facet_cap.hpp"
-#include "alula/fitting.hpp"
-#include "alula/map_check.hpp"
-#include "alula/onboard_map.hpp"
-#include "alula/outer_solid.hpp"
+#include "alula/cover/cover_check.hpp"
+#include "alula/cover/facet_cap.hpp"
+#include "alula/cover/fitting.hpp"
+#include "alula/cover/map_check.hpp"
+#include "alula/cover/onboard_map.hpp"
+#include "alula/cover/outer_solid.hpp"
 #include "check.hpp"
 
 namespace {

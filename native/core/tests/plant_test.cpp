@@ -1,11 +1,11 @@
 // Plants repeat, keep their rotors' limits and leave the bare body alone; the generator gives its published answers.
-#include "alula/plant.hpp"
+#include "alula/dynamics/plant.hpp"
 
 #include <cmath>
 #include <cstring>
 #include <limits>
 
-#include "alula/tracking.hpp"
+#include "alula/dynamics/tracking_controller.hpp"
 #include "check.hpp"
 
 using namespace alula::flight;

@@ -1,5 +1,5 @@
 // Rows of any bytes are read within their bounds; to be run with sanitizers.
-#include "alula/ply_rows.hpp"
+#include "alula/formats/ply_rows.hpp"
 
 #include <cmath>
 #include <random>
@@ -7,9 +7,9 @@
 #include <string_view>
 #include <vector>
 
-#include "alula/decimal.hpp"
-#include "alula/exponential.hpp"
-#include "alula/scene_rows.hpp"
+#include "alula/formats/decimal.hpp"
+#include "alula/formats/exponential.hpp"
+#include "alula/formats/scene_rows.hpp"
 #include "check.hpp"
 
 namespace {

@@ -1,5 +1,5 @@
 // The QP solver: no allocation, odd numbers, verdicts of any input, backends.
-#include "alula/qp.hpp"
+#include "alula/qp/qp.hpp"
 
 #include <cmath>
 #include <cstdint>

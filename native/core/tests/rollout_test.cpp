@@ -1,5 +1,5 @@
 // Rollouts do not depend on the number of threads, and the rounding helpers round as named.
-#include "alula/rollout.hpp"
+#include "alula/flight/rollout.hpp"
 
 #include <cmath>
 #include <limits>

@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "allocations.hpp"
-#include "alula/cone_di.hpp"
-#include "alula/safer_splat.hpp"
+#include "alula/filters/cone_di.hpp"
+#include "alula/filters/safer_splat.hpp"
 #include "check.hpp"
 
 namespace {

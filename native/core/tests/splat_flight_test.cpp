@@ -1,5 +1,5 @@
 // The closed loop on several threads, and filters that misbehave.
-#include "alula/splat_flight.hpp"
+#include "alula/flight/splat_flight.hpp"
 
 #include <cmath>
 #include <limits>
@@ -7,7 +7,7 @@
 #include <stdexcept>
 #include <vector>
 
-#include "alula/cone_di.hpp"
+#include "alula/filters/cone_di.hpp"
 #include "check.hpp"
 
 namespace {

@@ -1,5 +1,5 @@
 // The tracker's memory: none is asked for once it has been made.
-#include "alula/tracker.hpp"
+#include "alula/tracking/tracker.hpp"
 
 #include <cmath>
 #include <utility>

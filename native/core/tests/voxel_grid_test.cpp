@@ -1,11 +1,11 @@
-// Counting, order and budgets of alula/voxel_grid.hpp.
-#include "alula/voxel_grid.hpp"
+// Counting, order and budgets of alula/cover/voxel_grid.hpp.
+#include "alula/cover/voxel_grid.hpp"
 
 #include <map>
 #include <random>
 #include <stdexcept>
 
-#include "alula/parallel.hpp"
+#include "alula/base/parallel.hpp"
 #include "check.hpp"
 
 using namespace alula;

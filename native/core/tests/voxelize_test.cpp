@@ -1,9 +1,9 @@
 // Voxels and their proof are the same for any number of threads, and a missing voxel is always found.
-#include "alula/voxelize.hpp"
+#include "alula/cover/voxelize.hpp"
 
 #include <random>
 
-#include "alula/separation.hpp"
+#include "alula/cover/separation.hpp"
 #include "check.hpp"
 
 using namespace alula;

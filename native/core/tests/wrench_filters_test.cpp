@@ -5,8 +5,8 @@
 #include <vector>
 
 #include "allocations.hpp"
-#include "alula/cone_backup.hpp"
-#include "alula/cone_ecbf.hpp"
+#include "alula/filters/cone_backup.hpp"
+#include "alula/filters/cone_ecbf.hpp"
 #include "check.hpp"
 
 namespace {

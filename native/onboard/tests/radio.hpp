@@ -5,7 +5,7 @@
 #include <cmath>
 #include <cstdint>
 
-#include "alula/racer.hpp"
+#include "alula/dynamics/racer.hpp"
 #include "teensy_loop.h"
 
 inline alula_fence onboard_yard() {

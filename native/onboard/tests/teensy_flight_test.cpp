@@ -12,7 +12,7 @@
 #include <random>
 #include <vector>
 
-#include "alula/geofence_flight.hpp"
+#include "alula/flight/geofence_flight.hpp"
 #include "check.hpp"
 #include "radio.hpp"
 #include "teensy_loop.h"

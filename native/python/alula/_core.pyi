@@ -317,7 +317,7 @@ def portable_logistic(x: Annotated[NDArray[numpy.float64], dict(shape=(None,), o
 
 def screen_rows(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], opacity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], removal: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu')], *, min_opacity: float, crop: Sequence[float] | None = None, crop_sphere: Sequence[float] | None = None, max_scale: float | None = None, jobs: int = 0) -> tuple[list[int], int]:
     """
-    Write into `removal` (N,) why each row is left out, 0 for kept; see alula/scene_rows.hpp for the order of
+    Write into `removal` (N,) why each row is left out, 0 for kept; see alula/formats/scene_rows.hpp for the order of
     the reasons. Returns how many rows have each, and the first row that is not finite, N if there is none.
     """
 
@@ -354,7 +354,7 @@ class Quadrotor:
     """
     A rigid body with four rotors that push along body z.
 
-    States are rows (p, sigma, v, omega) of 12, wrenches rows (T, tau) of 4 [N, N m]; see native/core/include/alula/quadrotor.hpp for frames and equations.
+    States are rows (p, sigma, v, omega) of 12, wrenches rows (T, tau) of 4 [N, N m]; see native/core/include/alula/dynamics/quadrotor.hpp for frames and equations.
     """
 
     def __init__(self, *, mass: float, inertia: Sequence[float], rotor_x: Sequence[float], rotor_y: Sequence[float], spin: Sequence[float], torque_ratio: float, f_min: Sequence[float], f_max: Sequence[float], gravity: float = 9.81) -> None: ...
@@ -457,7 +457,7 @@ class PlantOptions:
 
 class Plant:
     """
-    A quadrotor in flight: alula/plant.hpp. Off options make steps those of Quadrotor.
+    A quadrotor in flight: alula/dynamics/plant.hpp. Off options make steps those of Quadrotor.
     """
 
     def __init__(self, quadrotor: Quadrotor, options: PlantOptions = ..., *, seed: int = 0, trial: int = 0) -> None: ...
@@ -532,7 +532,7 @@ class ActuatorModel:
 
 class StatePredictor:
     """
-    The state now from one measured a while ago, by the model: alula/state_predictor.hpp.
+    The state now from one measured a while ago, by the model: alula/dynamics/state_predictor.hpp.
     """
 
     def __init__(self, body: Quadrotor, model: ActuatorModel, *, tick_s: float) -> None: ...
@@ -571,7 +571,7 @@ class ReferenceCurve:
     def duration_s(self) -> float: ...
 
 class TrackingGains:
-    """Gains and limits of the geometric controller: alula/tracking.hpp."""
+    """Gains and limits of the geometric controller: alula/dynamics/tracking_controller.hpp."""
 
     def __init__(self, *, kp: float = 3.0, kv: float = 2.0, k_r: Sequence[float] = [0.35, 0.35, 0.12], k_omega: Sequence[float] = [0.025, 0.025, 0.012], catch_up_m_s: float = float('inf'), max_tilt_rad: float = float('inf'), max_thrust_share: float = float('inf'), uses_acceleration: bool = True) -> None: ...
 
@@ -911,7 +911,7 @@ class ShieldOptions:
     def motor_time_constant_s(self) -> float: ...
 
 class Shield:
-    """Checks that a safe manoeuvre to rest is known: alula/shield.hpp."""
+    """Checks that a safe manoeuvre to rest is known: alula/filters/shield.hpp."""
 
     def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ShieldOptions = ...) -> None: ...
 
@@ -1097,7 +1097,7 @@ def assign(cost: Annotated[NDArray[numpy.float64], dict(shape=(None, None), orde
 
 class ObstacleSpec:
     """
-    A moving obstacle, to be drawn for each trial: alula/obstacle_motion.hpp.
+    A moving obstacle, to be drawn for each trial: alula/flight/obstacle_motion.hpp.
 
     Kinds: constant-velocity, accelerating, curving, ballistic, quadrotor. Pairs are ranges; angles in radian.
     """
@@ -1125,7 +1125,7 @@ def meeting_time(r: Sequence[float], v: Sequence[float], s: float) -> float:
 
 class RadarOptions:
     """
-    A sensor of obstacles: alula/radar.hpp. Kinds: radar, ideal (all, always), mocap.
+    A sensor of obstacles: alula/tracking/radar.hpp. Kinds: radar, ideal (all, always), mocap.
     """
 
     def __init__(self, *, kind: str = 'radar', rate_hz: float = 20.0, half_azimuth_rad: float = 0.6981317007977318, half_elevation_rad: float = 0.17453292519943295, max_range_m: float = 150.0, detection_probability: float = 0.95, sigma_range_m: float = 0.15, sigma_azimuth_rad: float = 0.008726646259971648, sigma_elevation_rad: float = 0.012217304763960306, sigma_range_rate_m_s: float = 0.1, clutter_per_scan: float = 0.1, clutter_range_rate_m_s: float = 15.0, noise_scale: float = 1.0, position_sigma_m: float = 0.0, delay_s: float = 0.0, own_position_sigma_m: float = 0.0, own_velocity_sigma_m_s: float = 0.0) -> None: ...

@@ -19,11 +19,11 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.schemas.errors import LinkError, UsageError
-from alula.stages.flight.frames import LocalFrame
 from alula.stages.flight.links.addresses import parse_address
-from alula.stages.flight.links.mavlink_estimate import euler_from_quat
-from alula.stages.flight.links.mavlink_transport import find_udp
+from alula.stages.flight.links.mavlink.estimate import euler_from_quat
+from alula.stages.flight.links.mavlink.transport import find_udp
 from alula.stages.flight.links.vehicle_clock import VehicleClock
+from alula.stages.vehicles.frames import LocalFrame
 
 STALE_S = 0.15
 _PATIENCE_S = 2.0  # with a camera whose clock was set back a little

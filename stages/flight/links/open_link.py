@@ -16,11 +16,11 @@ ENTRY_POINTS = "alula.links"
 LinkFactory = Callable[[Address, LinkOptions], Link]
 
 _LINKS = "alula.stages.flight.links"
-_MAVLINK = f"{_LINKS}.mavlink:make_link"
+_MAVLINK = f"{_LINKS}.mavlink.link:make_link"
 _BUILT_IN = {
     **dict.fromkeys(("udpin", "udpout", "tcp", "serial"), _MAVLINK),
     "sim": f"{_LINKS}.simulated:make_link",
-    **dict.fromkeys(("radio", "usb", "udp"), f"{_LINKS}.crazyflie:make_link"),
+    **dict.fromkeys(("radio", "usb", "udp"), f"{_LINKS}.crazyflie.link:make_link"),
 }
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
-from alula.stages.flight.frames import LocalFrame
+from alula.stages.vehicles.frames import LocalFrame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,7 @@ from alula.stages.flight.links.protocol import (
     Setpoint,
     VelocitySetpoint,
 )
-from alula.stages.flight.vehicles import plant, quadrotor, tracking_gains
+from alula.stages.vehicles.bodies import plant, quadrotor, tracking_gains
 
 FloatArray = NDArray[np.float64]
 

@@ -6,7 +6,7 @@
 //   ground of all three      -> GND
 //
 // teensy_config.h has the fence and the vehicle. What goes out when is in teensy_loop.h, how to build and what to try
-// on the bench in docs/firmware.md.
+// on the bench in docs/guide/firmware.md.
 #include "teensy_config.h"
 #include "teensy_loop.h"
 

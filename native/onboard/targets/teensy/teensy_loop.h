@@ -28,8 +28,8 @@
  * in each stick, as long as none is at its end. Half a step is at most 0.025 rad/s (at full deflection, with the
  * rates of alula_rates_defaults), so attitudes are off by at most 0.025 T rad: with T = 5 ms and 80 m/s^2 that is
  * 0.01 m/s^2. Over the 1.7 s of a stop from 100 km/h it leads 15 mm astray; what packets of navigation round, 0.9 mm,
- * 9 mm/s and 6e-5 rad together along a direction, 23 mm. 0.05 m of `reserve_m` cover both; docs/firmware.md has what
- * flights lost.
+ * 9 mm/s and 6e-5 rad together along a direction, 23 mm. 0.05 m of `reserve_m` cover both; docs/guide/firmware.md has
+ * what flights lost.
  *
  * Freestanding C99.
  */

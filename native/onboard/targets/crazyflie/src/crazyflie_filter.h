@@ -1,8 +1,8 @@
 /* polytope-cbf between the set-points and the controller of a Crazyflie, without its firmware's headers.
  *
  * The stabilizer's loop, 1000 times a second, calls alula_crazyflie_step; another task of lower priority calls
- * alula_crazyflie_work. A tick of the filter may take longer than the loop's millisecond (docs/onboard.md), and the
- * loop that holds the attitude must not wait for it. In every period T of some steps the loop
+ * alula_crazyflie_work. A tick of the filter may take longer than the loop's millisecond (docs/results/onboard.md),
+ * and the loop that holds the attitude must not wait for it. In every period T of some steps the loop
  *
  *   1. takes the velocity that was worked out since the last one, and flies it for T,
  *   2. hands over a new wish w with the position at the end of this period, p + T u: where the velocity u that is

@@ -1,0 +1,212 @@
+"""`alula fly`."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from alula.cli import options
+from alula.schemas.configs.fly import FlyConfig
+from alula.schemas.errors import UsageError
+
+if TYPE_CHECKING:
+    from alula.schemas.scenario import Scenario
+
+EXAMPLES = """\b
+Examples:
+  alula fly room.plan.npz --map room.cover.npz --link udpin:127.0.0.1:14550 -o first.run.mcap --dry-run
+  alula fly room.plan.npz --map room.metric.scene.npz --filter cone-backup --link sim: -o fast.run.mcap
+"""
+
+
+@click.command(epilog=EXAMPLES)
+@click.argument("source", type=options.input_path())
+@click.option(
+    "--map", "map_path", type=options.input_path(), help="Cover or scene to fly in; needed with a plan."
+)
+@click.option(
+    "--scene", "scene_path", type=options.input_path(), help="Metric scene, beside a cover as --map."
+)
+@click.option(
+    "--vehicle",
+    "vehicle_path",
+    type=options.input_path(),
+    help="What flies (.toml); default: the quadrotor of FastBridge.",
+)
+@click.option(
+    "--link",
+    "address",
+    metavar="ADDRESS",
+    help="The vehicle: udpin:HOST:PORT, udpout:…, tcp:…, serial:DEVICE:BAUD, or sim: for a simulated one.",
+)
+@click.option("--allow-remote", is_flag=True, help="Speak to other machines than this one, too.")
+@click.option(
+    "--mocap", metavar="ADDRESS", help="Where motion capture is heard, udp:HOST:PORT, and passed on."
+)
+@click.option(
+    "--signing-key",
+    "key_path",
+    type=options.input_path(),
+    help="File of 32 bytes, or 64 hexadecimal digits, that packets are signed with.",
+)
+@click.option(
+    "--yaw",
+    type=options.FINITE_FLOAT,
+    default=0.0,
+    show_default=True,
+    help="From east to the map's x axis, counter-clockwise [degrees].",
+)
+@click.option(
+    "--origin",
+    type=options.POINT,
+    default="0 0 0",
+    show_default=True,
+    help="The map's origin in the vehicle's local frame, east north up [m].",
+)
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Parameter of a filter among ellipsoids; may be repeated.",
+)
+@click.option(
+    "--live",
+    type=options.Whole(1, 65535),
+    is_flag=False,
+    flag_value=8080,
+    metavar="[PORT]",
+    help="Show the flight in a browser, on this port of this machine only (8080); needs alula[live].",
+)
+@options.from_config(FlyConfig)
+@options.output(".run.mcap")
+@click.pass_context
+def command(
+    context: click.Context,
+    source: Path,
+    map_path: Path | None,
+    scene_path: Path | None,
+    vehicle_path: Path | None,
+    address: str | None,
+    allow_remote: bool,
+    mocap: str | None,
+    key_path: Path | None,
+    yaw: float,
+    origin: tuple[float, float, float],
+    settings: tuple[str, ...],
+    live: int | None,
+    config: FlyConfig,
+    common: options.Common,
+) -> None:
+    """Fly a plan on a real vehicle, behind a safety filter.
+
+    SOURCE is a plan with --map and --link, or a scenario (.toml) with a plan, whose table [fly] has the link
+    and options of this command. After the pre-flight checks the vehicle arms, takes off to the height of the
+    plan's start, flies the plan and lands; docs/guide/fly.md says what else may happen. --dry-run makes
+    all checks and arms nothing. Ctrl-C lands; a second one stops the motors, on the ground only. The pilot
+    may take the vehicle at any time, and keeps it.
+
+    The log is written while it flies; R.run.json beside it holds the summary and the measured times. Exit
+    code 3: an input cannot be read, or the flight went well, but its log or record is not complete; 4: a
+    check does not hold, the plan was not finished, or the flight touched the map; 6: link, vehicle.
+    """
+    import math
+
+    from alula.cli.fly.flight import fly
+    from alula.cli.run_files import check_log_name
+    from alula.cli.runner import check_output, input_ref
+    from alula.cli.simulate.command import is_among_ellipsoids, setting_of
+    from alula.schemas.artifact import read_artifact
+    from alula.schemas.kinds import COVER, PLAN, SCENE
+    from alula.schemas.provenance import Provenance, parameters_of
+    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, record_path
+    from alula.schemas.vehicle import FASTBRIDGE, contents, read_vehicle
+    from alula.stages.flight.links.mavlink.signing import read_key
+    from alula.stages.flight.links.open_link import open_link
+    from alula.stages.flight.links.options import LinkOptions
+    from alula.stages.flight.mission import make_mission
+    from alula.stages.flight.recorder.live_view import require_viser
+    from alula.stages.vehicles.frames import LocalFrame
+
+    if live is not None:
+        require_viser()
+    check_log_name(common.output)
+    paths, scenario = _inputs(source, map_path, scene_path, vehicle_path)
+    if scenario is not None:
+        config, address = _from_scenario(context, source, config, address, scenario)
+    if address is None:
+        raise UsageError("--link is needed: which vehicle to fly, or sim: for a simulated one")
+    config = dataclasses.replace(
+        config, filter_parameters={**config.filter_parameters, **dict(setting_of(word) for word in settings)}
+    )
+    is_splat = is_among_ellipsoids(config.filter, paths)
+    vehicle = read_vehicle(paths["vehicle"]) if "vehicle" in paths else FASTBRIDGE
+    link = open_link(
+        address,
+        LinkOptions(
+            frame=LocalFrame(math.radians(yaw), origin),
+            vehicle=vehicle,
+            state_rate_hz=config.rate_hz,
+            key=None if key_path is None else read_key(key_path),
+            signing_file=None if key_path is None else key_path.with_name(key_path.name + ".stamp"),
+            mocap=mocap,
+            allow_remote=allow_remote,
+        ),
+    )
+    check_output(common.output, paths)
+    check_output(record_path(common.output), paths)
+    for old in (common.output, record_path(common.output)):
+        if old.exists() and not (common.force or common.dry_run):
+            raise UsageError(f"{old}: exists; every flight is a new one; -f replaces it")
+    mission = make_mission(
+        config,
+        read_artifact(paths["plan"], PLAN),
+        vehicle,
+        cover=read_artifact(paths["cover"], COVER) if "cover" in paths else None,
+        scene=read_artifact(paths["scene"], SCENE) if "scene" in paths else None,
+        is_splat=is_splat,
+        jobs=common.jobs,
+    )
+    unused = ("filter_parameters",) if not mission.config.filter_parameters else ()
+    parameters = {key: value for key, value in parameters_of(mission.config).items() if key not in unused}
+    parameters |= {"vehicle": contents(vehicle), "link": address, "yaw_deg": yaw, "origin_m": list(origin)}
+    provenance = Provenance.now(
+        RUN_SCHEMA, RUN_VERSION, parameters, None, [input_ref(role, path) for role, path in paths.items()]
+    )
+    planned = {ref.sha256 for ref in mission.plan.manifest.inputs if ref.role == "cover"}
+    flown = {ref.sha256 for ref in provenance.inputs if ref.role == "cover"}
+    if planned and flown and planned != flown and not common.quiet:
+        click.echo(f"note: {paths['plan']} was planned in another cover than {paths['cover']}", err=True)
+    fly(mission, link, provenance, common, live)
+
+
+def _inputs(
+    source: Path, map_path: Path | None, scene: Path | None, vehicle: Path | None
+) -> tuple[dict[str, Path], Scenario | None]:
+    """All files to read, by role, and the scenario if there is one."""
+    from alula.cli.simulate.command import inputs_of
+    from alula.schemas.scenario import read_scenario
+
+    paths = inputs_of(source, map_path, scene, vehicle)
+    if "plan" not in paths:
+        raise UsageError(f"{source}: only a plan can be flown; make one with alula plan")
+    if source.suffix != ".toml":
+        return paths, None
+    return paths, read_scenario(source)
+
+
+def _from_scenario(
+    context: click.Context, source: Path, config: FlyConfig, address: str | None, scenario: Scenario
+) -> tuple[FlyConfig, str | None]:
+    """What the scenario says, replaced by what the command line does."""
+    found = scenario.fly_settings()
+    link = found.pop("link", None)
+    names = {f.name for f in dataclasses.fields(config)}
+    given = {name: getattr(config, name) for name in names if options.is_given(context, name)}
+    try:
+        return FlyConfig(**{**found, **given}), address or link
+    except UsageError as error:
+        raise UsageError(f"{source}: {error}") from error

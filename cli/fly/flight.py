@@ -1,0 +1,307 @@
+"""A flight of `alula fly`: open the link, fly, close it, write what there is to write."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from alula.cli.interruption import InterruptedWithAdvice
+from alula.cli.options import Common
+from alula.schemas.errors import CheckError, LinkError, OutputError
+
+if TYPE_CHECKING:
+    from alula.schemas.provenance import Provenance
+    from alula.schemas.run import RunRecord, TrialResult
+    from alula.stages.flight.links.protocol import Link
+    from alula.stages.flight.loop.control_loop import ControlLoop
+    from alula.stages.flight.mission import Mission
+    from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
+    from alula.stages.flight.recorder.pipe import FlightPipe
+
+_OPEN_S = 15.0  # for the vehicle to be heard
+_CLOSE_S = 2.0  # for the view to end
+_SHOWN = ("rate_hz", "ticks", "tick_p99_s", "lateness_p99_s", "overruns", "dropped_samples")
+
+
+class _Flown(NamedTuple):
+    """The verdict on a flight, if there was one, and what of its log or record is not as it should be."""
+
+    trial: TrialResult | None
+    trouble: list[str]
+
+
+def fly(
+    mission: Mission, link: Link, provenance: Provenance, common: Common, live: int | None = None
+) -> None:
+    """Fly a mission over a link, in a browser at the port `live`, too, if there is one.
+
+    Raises:
+        CheckError, LinkError, KeyboardInterrupt: how it ended, unless well.
+        OutputError: it ended well, but its log or record is not complete.
+    """
+    from alula.stages.flight.loop.checks import FlightChecks
+    from alula.stages.flight.loop.control_loop import ControlLoop
+    from alula.stages.flight.mission import (
+        head_facts,
+        make_clock,
+        make_commander,
+        make_guard,
+        make_needs,
+        make_options,
+        make_safety,
+        wanted_setpoints,
+    )
+    from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
+    from alula.stages.runlog.runs import map_message
+
+    interrupts = 0
+
+    def asked() -> int:
+        return interrupts
+
+    def count(number: int, frame: object) -> None:
+        nonlocal interrupts
+        interrupts += 1
+
+    safety = make_safety(mission)
+    frame = mission.map.manifest.frame
+    head = FlightHead(
+        provenance=provenance,
+        map_message=map_message(mission.map, {"sigma": mission.config.sigma}, [_points(mission)], frame),
+        **head_facts(mission),
+    )
+    view = None if live is None else _open_view(live, mission, head, common)
+    recorder = FlightRecorder(
+        None if common.dry_run else common.output,
+        head,
+        replaces=common.force,
+        echo=not common.quiet,
+        view=view,
+        rate_hz=mission.config.rate_hz,
+    )
+    # From here on the vehicle hears us, and everything that takes long is behind us.
+    try:
+        with _signals(_stop):
+            address = str(provenance.parameters.get("link", ""))
+            if address and not common.quiet and not address.startswith("sim:"):  # which is there at once
+                click.echo(f"link: waits for the vehicle at {address}, {_OPEN_S:g} s at most", err=True)
+            what = link.open(_OPEN_S)
+            if not common.quiet:
+                click.echo(f"link: {what}", err=True)
+            trouble, changed = "", list[str]()
+            try:
+                changed = link.prepare()
+            except LinkError as error:
+                trouble = str(error)
+            checks = FlightChecks(
+                make_needs(mission, wanted_setpoints(mission, safety)),
+                changed=changed,
+                trouble=trouble,
+                by_hand=mission.config.frame_check == "hand",
+            )
+            loop = ControlLoop(
+                link,
+                make_commander(mission, safety, link.accepts),
+                make_guard(mission, link.accepts),
+                make_clock(mission),
+                checks,
+                float(mission.start[2]),
+                recorder,
+                make_options(mission.config, dry_run=common.dry_run),
+                interrupts=asked,
+            )
+            with _signals(count):
+                with _priority():
+                    loop.run()
+                link.close()
+                _tell(link, recorder, loop.taken[-1][0] if loop.taken else 0.0)
+                flown = _finish(mission, loop, recorder, provenance, common)
+    except BaseException:
+        with _signals(count):  # a second one would leave the vehicle's parameters changed
+            link.close()
+        _tell(link, recorder, 0.0)
+        recorder.finish(None)
+        recorder.discard()
+        raise
+    finally:
+        if view is not None:
+            view.close(_CLOSE_S)
+    _conclude(loop, flown, common)
+
+
+def _tell(link: Link, recorder: FlightRecorder, time_s: float) -> None:
+    """What closing a link had to say: which parameters could not be put back, and what they were."""
+    from alula.stages.flight.recorder.samples import WARNING
+
+    for text in link.status.texts:
+        recorder.say(time_s, WARNING, f"vehicle: {text}")
+    link.status.texts.clear()
+
+
+def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) -> FlightPipe:
+    """The view in a browser, of what the log's head holds and the plan."""
+    from alula.stages.flight.recorder.live_view import ViewHead, open_view
+
+    facts = ViewHead(
+        name=head.name,
+        filter=head.filter,
+        vehicle=head.vehicle,
+        radius_m=mission.vehicle.body.radius_m,
+        map_message=head.map_message,
+        plan=_points(mission).tolist(),
+    )
+    view, address = open_view(port, facts)
+    if not common.quiet:
+        click.echo(f"live view: {address}", err=True)
+    return view
+
+
+def _points(mission: Mission) -> Any:
+    """Points of the plan, shape (T, 3)."""
+    from alula.stages.planning.plan_samples import sample_plan
+
+    return sample_plan(mission.plan, 0.1).position_world
+
+
+def _stop(number: int, frame: object) -> None:
+    """Before the loop runs there is nothing to land, but parameters to put back."""
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def _signals(handler: Any) -> Iterator[None]:
+    """Handle Ctrl-C, SIGTERM and a closed terminal."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
+
+
+@contextmanager
+def _priority() -> Iterator[None]:
+    """This thread before all ordinary ones, where the system allows it: wake-ups are late otherwise."""
+    before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            os.sched_setscheduler(0, before & ~os.SCHED_RESET_ON_FORK, parameter)
+
+
+def _finish(
+    mission: Mission,
+    loop: ControlLoop,
+    recorder: FlightRecorder,
+    provenance: Provenance,
+    common: Common,
+) -> _Flown:
+    """The end of the log, and the record beside it; a flight that never took off leaves neither."""
+    import platform
+
+    import msgspec
+
+    from alula.cli.runner import show
+    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord, record_path
+    from alula.stages.flight.judge import guarantee_of, judge, summary_of, timing_of
+    from alula.stages.flight.mission import describe
+
+    rows, log = recorder.rows, common.output
+    timing = timing_of(loop.counters, recorder.dropped, mission.config.rate_hz)
+    if len(rows) == 0:
+        is_whole = recorder.finish(None)
+        recorder.discard()
+        if common.dry_run and loop.checks.result:
+            show(common, "dry-run", {v.name: v.words for v in loop.checks.verdicts} | timing)
+        if not recorder.has_flown:
+            return _Flown(None, [])
+        if not common.quiet:
+            click.echo(f"{recorder.where}: the log of a take-off, which nobody has judged", err=True)
+        return _Flown(None, [] if is_whole else [_cut(recorder.where)])
+    trial = judge(mission, rows, loop.supervision.cause, common.jobs)
+    summary = summary_of(trial, loop.supervision, loop.taken)
+    record = RunRecord(
+        schema=RUN_SCHEMA,
+        version=RUN_VERSION,
+        provenance=msgspec.structs.replace(provenance, summary=summary),
+        name=mission.config.name,
+        filter=mission.config.filter,
+        vehicle=describe(mission),
+        trials=[trial],
+        summary=summary,
+        guarantee=guarantee_of(mission, trial),
+    )
+    trouble = [] if recorder.finish(record) else [_cut(recorder.where)]
+    if trouble:
+        summary = summary | {"notes": ["the log is not complete: its writer failed"]}
+        record = msgspec.structs.replace(record, summary=summary)
+    if recorder.where != log:
+        trouble.append(f"{log}: could not be replaced; the log of this flight is {recorder.where}")
+    timing = timing_of(loop.counters, recorder.dropped, mission.config.rate_hz)
+    if recorder.is_viewed:
+        timing |= {"unseen_samples": recorder.unseen}
+    machine = {"cpu_count": os.cpu_count(), "machine": platform.machine(), "system": platform.system()}
+    try:
+        _write_record(record_path(log), msgspec.structs.replace(record, timing=machine | timing))
+    except OutputError as error:  # the flight was as it was, and is told
+        trouble.append(str(error))
+    show(common, "written", summary | {key: timing[key] for key in _SHOWN if key in timing})
+    return _Flown(trial, trouble)
+
+
+def _cut(log: Path | None) -> str:
+    return f"{log}: the log was cut, its writer failed; it is read to its last whole chunk"
+
+
+def _write_record(path: Path, record: RunRecord) -> None:
+    import msgspec
+
+    from alula.schemas.atomic import atomic_output
+
+    with atomic_output(path) as beside:
+        beside.write(msgspec.json.format(msgspec.json.encode(record, order="sorted"), indent=2) + b"\n")
+
+
+def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
+    """Fail as the flight did; if it went well, as its log did.
+
+    Raises:
+        CheckError, LinkError, KeyboardInterrupt: how it ended, unless well.
+        OutputError: it ended well, but the log or the record is not complete.
+    """
+    from alula.stages.flight.loop.supervisor import Event
+
+    cause, trial = loop.supervision.cause, flown.trial
+    trouble = "; ".join(flown.trouble)
+    is_well = cause is Event.PLAN_FINISHED and trial is not None and not trial.collision
+    if trouble and is_well:
+        raise OutputError(f"the flight went well, but {trouble}")
+    if trouble:
+        click.echo(trouble, err=True)
+    if is_well or cause is Event.CHECKS_PASSED_DRY:
+        return
+    if cause in (Event.INTERRUPT, Event.INTERRUPT_IN_AIR, Event.INTERRUPT_ON_GROUND):
+        raise InterruptedWithAdvice("the flight ended early")
+    if loop.checks.result is not True:
+        words = f"pre-flight: {loop.checks.failure() or 'took too long'}"
+        raise (LinkError(words) if loop.checks.is_of_link or cause is Event.LINK_LOST else CheckError(words))
+    of_vehicle = (
+        *(Event.LINK_LOST, Event.FAILSAFE, Event.NOT_OBEYED, Event.ORDER_REFUSED, Event.ESTIMATOR_BAD),
+        *(Event.DISARMED, Event.BATTERY_LOW, Event.FAILSAFE_IDLE, Event.OFF_WAY, Event.DRIFTS, Event.UNTOLD),
+    )
+    said = "no reason is known" if cause is None else cause.value
+    if cause in of_vehicle or not loop.counters.filter_s:
+        raise LinkError(f"the flight ended early: {said}")
+    if cause is not Event.PLAN_FINISHED:
+        raise CheckError(f"{common.output}: the plan was not finished: {said}")
+    raise CheckError(f"{common.output}: the flight came closer to the map than the vehicle's radius")

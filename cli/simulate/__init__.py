@@ -1,0 +1,1 @@
+"""`alula simulate`."""

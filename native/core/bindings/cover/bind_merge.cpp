@@ -1,0 +1,214 @@
+// Bindings of alula/cover/merge.hpp, alula/cover/fitting.hpp and alula/cover/lattice_hull.hpp.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/string.h>
+
+#include <algorithm>
+
+#include "alula/cover/fitting.hpp"
+#include "alula/cover/merge.hpp"
+#include "arrays.hpp"
+#include "python_control.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace alula {
+namespace {
+
+std::span<const Lattice> as_lattice(const InRows3<std::int32_t>& rows) {
+  static_assert(sizeof(Lattice) == 3 * sizeof(std::int32_t));
+  return {reinterpret_cast<const Lattice*>(rows.data()), rows.shape(0)};
+}
+
+using Result = nb::typed<nb::dict, nb::str, nb::any>;
+
+struct Flat {
+  std::vector<std::int32_t> vertex;
+  std::vector<std::int64_t> vertex_start{0}, normal, offset, plane_start{0};
+
+  explicit Flat(const std::vector<LatticePolytope>& hulls) {
+    for (const LatticePolytope& hull : hulls) {
+      for (const Lattice& v : hull.vertex) vertex.insert(vertex.end(), v.begin(), v.end());
+      for (const LatticePlane& p : hull.plane) {
+        normal.insert(normal.end(), p.normal.begin(), p.normal.end());
+        offset.push_back(p.offset);
+      }
+      vertex_start.push_back(static_cast<std::int64_t>(vertex.size() / 3));
+      plane_start.push_back(static_cast<std::int64_t>(offset.size()));
+    }
+  }
+
+  void put(Result& result) {
+    const std::size_t vertices = vertex.size() / 3, planes = offset.size(), starts = vertex_start.size();
+    result["vertex"] = to_numpy(std::move(vertex), {vertices, 3});
+    result["vertex_start"] = to_numpy(std::move(vertex_start), {starts});
+    result["plane_normal"] = to_numpy(std::move(normal), {planes, 3});
+    result["plane_offset"] = to_numpy(std::move(offset), {planes});
+    result["plane_start"] = to_numpy(std::move(plane_start), {starts});
+  }
+};
+
+Result lattice_hull(const InRows3<std::int32_t>& points) {
+  std::vector<LatticePolytope> hulls;
+  {
+    const nb::gil_scoped_release release;
+    HullBuilder builder;
+    builder.build(as_lattice(points));
+    hulls.push_back(builder.polytope());
+  }
+  Result result;
+  Flat(hulls).put(result);
+  return result;
+}
+
+// What of the time, in Share::kWhole, has passed after each part of merge_cover(). Clusters of a block of one are
+// few different ones, larger ones are hulls to build one by one.
+constexpr std::size_t kClustered = 110, kClusteredLarge = 550, kMerged = 940, kTight = 975;
+
+Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint32_t>& member,
+                   const InVector<std::int64_t>& member_start, int block, bool is_paper, std::size_t max_hulls,
+                   std::size_t max_planes, std::size_t max_bytes, std::size_t facet_cap, std::size_t kdop,
+                   bool is_fitted, double max_growth, unsigned jobs, EvaluationLog* journal, nb::object progress) {
+  PythonControl whole(std::move(progress));
+  const std::size_t clustered = member_start.size() > 1 ? 0 : block > 1 ? kClusteredLarge : kClustered;
+  Share cluster(whole, 0, clustered), rest(whole, clustered, Share::kWhole), loop(whole, clustered, kMerged),
+      tight(whole, kMerged, kTight), last(whole, kTight, Share::kWhole);
+  Cover cover;
+  UnionVolume volume{};
+  std::vector<Measured> measured;
+  std::vector<std::int32_t> member_index;
+  {
+    const nb::gil_scoped_release release;
+    const Occupancy occupancy(as_lattice(voxels));
+    VoxelSets sets;
+    if (member_start.size() > 1) {
+      sets.member.assign(member.data(), member.data() + member.size());
+      sets.start.assign(member_start.data(), member_start.data() + member_start.size());
+    } else {
+      sets = subcover(occupancy, block, jobs, cluster);
+    }
+    const Form form{facet_cap, kdop};
+    const MergeOptions options{is_paper ? MergeRule::kPaper : MergeRule::kIncrease, max_hulls,
+                               Budget{max_planes, max_bytes, form}, max_growth};
+    if (is_fitted) {
+      cover = fit(occupancy, sets, options, jobs, rest, measured, journal);
+    } else {
+      cover = merge(occupancy, sets, options, jobs, loop, journal);
+      if (cover.within_budget && !is_paper)
+        retighten(occupancy, cover, form.is_outer() ? Budget{} : options.budget, tight);
+      if (cover.within_budget && form.is_outer())
+        make_outer(occupancy, cover, options.budget, !is_paper, jobs, tight);
+    }
+    if (cover.within_budget) {
+      sort_hulls(cover);
+      if (!is_fitted) {
+        volume = union_excess(occupancy, cover.hull, jobs, last);
+        measured.push_back({cover.hull.size(), planes_of(cover.hull), volume});
+      } else {
+        const auto less = [](const Measured& a, const Measured& b) { return a.volume.excess < b.volume.excess; };
+        volume = std::min_element(measured.begin(), measured.end(), less)->volume;
+      }
+      member_index.reserve(3 * cover.members.member.size());
+      for (const std::uint32_t v : cover.members.member) {
+        const Lattice& voxel = occupancy.voxels()[v];
+        member_index.insert(member_index.end(), voxel.begin(), voxel.end());
+      }
+    }
+  }
+  whole.poll(Share::kWhole, Share::kWhole);
+  Result result;
+  Flat(cover.hull).put(result);
+  const std::size_t members = member_index.size() / 3, merges = cover.history.size(), points = cover.curve.size();
+  result["member_index"] = to_numpy(std::move(member_index), {members, 3});
+  std::vector<std::int64_t> start(cover.members.start.begin(), cover.members.start.end());
+  const std::size_t starts = start.size();
+  result["member_start"] = to_numpy(std::move(start), {starts});
+  std::vector<double> history, curve, measure;
+  for (const Merge& m : cover.history)
+    history.insert(history.end(), {static_cast<double>(m.left), static_cast<double>(m.right), m.weight});
+  const Form written{facet_cap, kdop};
+  for (const CurvePoint& c : cover.curve)
+    curve.insert(curve.end(), {static_cast<double>(c.hulls), c.excess, static_cast<double>(c.planes),
+                               static_cast<double>(written.bytes(c.hulls, c.planes))});
+  for (const Measured& m : measured)
+    measure.insert(measure.end(), {static_cast<double>(m.hulls), static_cast<double>(m.planes),
+                                   static_cast<double>(written.bytes(m.hulls, m.planes)), m.volume.excess});
+  result["history"] = to_numpy(std::move(history), {merges, 3});
+  result["curve"] = to_numpy(std::move(curve), {points, 4});
+  result["measured"] = to_numpy(std::move(measure), {measured.size(), 4});
+  result["onboard_bytes"] = written.bytes(cover.hull.size(), planes_of(cover.hull));
+  result["within_budget"] = cover.within_budget;
+  result["union_excess"] = volume.excess;
+  result["union_error"] = volume.error;
+  result["lines"] = volume.lines;
+  result["stride"] = volume.stride;
+  return result;
+}
+
+double cover_excess(const InRows3<std::int32_t>& voxels, const InRows3<std::int32_t>& vertex,
+                    const InVector<std::int64_t>& vertex_start, const InRows3<std::int64_t>& normal,
+                    const InVector<std::int64_t>& offset, const InVector<std::int64_t>& plane_start, unsigned jobs,
+                    nb::object progress) {
+  if (vertex_start.size() == 0 || vertex_start.size() != plane_start.size() || normal.shape(0) != offset.size())
+    throw std::invalid_argument("arrays of a cover do not fit together");
+  PythonControl control(std::move(progress));
+  const nb::gil_scoped_release release;
+  std::vector<LatticePolytope> hulls(vertex_start.size() - 1);
+  const std::span<const Lattice> vertices = as_lattice(vertex);
+  for (std::size_t h = 0; h < hulls.size(); ++h) {
+    const auto begin = [&](const auto& start) { return static_cast<std::size_t>(start.data()[h]); };
+    const auto end = [&](const auto& start) { return static_cast<std::size_t>(start.data()[h + 1]); };
+    if (begin(vertex_start) > end(vertex_start) || end(vertex_start) > vertices.size() ||
+        begin(plane_start) > end(plane_start) || end(plane_start) > offset.size())
+      throw std::invalid_argument("starts do not partition the rows");
+    hulls[h].vertex.assign(vertices.begin() + begin(vertex_start), vertices.begin() + end(vertex_start));
+    for (std::size_t i = begin(plane_start); i < end(plane_start); ++i) {
+      const std::int64_t* n = normal.data() + 3 * i;
+      hulls[h].plane.push_back({{n[0], n[1], n[2]}, offset.data()[i]});
+    }
+  }
+  return union_excess(Occupancy(as_lattice(voxels)), hulls, jobs, control).excess;
+}
+
+}  // namespace
+}  // namespace alula
+
+void bind_merge(nb::module_& m) {
+  using alula::EvaluationLog;
+  nb::class_<EvaluationLog>(
+      m, "MergeJournal",
+      "The volumes that a merge has measured. Given to the same merge again, it takes them from\n"
+      "here and so comes to the same result sooner; for another merge it starts anew.")
+      .def(
+          "__init__",
+          [](EvaluationLog* that, const nb::bytes& data) {
+            new (that) EvaluationLog(std::string_view(data.c_str(), data.size()));
+          },
+          "data"_a = nb::bytes("", 0), "From an earlier snapshot; ValueError when it is damaged.")
+      .def(
+          "snapshot",
+          [](const EvaluationLog& that) {
+            std::string data;
+            {
+              const nb::gil_scoped_release release;
+              data = that.snapshot();
+            }
+            return nb::bytes(data.data(), data.size());
+          },
+          "All entries so far; may be called from any thread while merging.")
+      .def("__len__", &EvaluationLog::size)
+      .def_prop_ro("reused", &EvaluationLog::reused, "How many measurements were taken from here since it was made.");
+  m.def("lattice_hull", &alula::lattice_hull, "points"_a,
+        "Exact hull of integer points (N, 3): sorted vertices and primitive planes, as a cover of one hull.");
+  m.def("cover_excess", &alula::cover_excess, "voxels"_a, "vertex"_a, "vertex_start"_a, "plane_normal"_a,
+        "plane_offset"_a, "plane_start"_a, "jobs"_a, "progress"_a.none(),
+        "Volume [voxels] of the union of polytopes outside sorted voxels (M, 3), all of which they contain.");
+  m.def("merge_cover", &alula::merge_cover, "voxels"_a, "member"_a, "member_start"_a, "block"_a, "is_paper"_a,
+        "max_hulls"_a, "max_planes"_a, "max_bytes"_a, "facet_cap"_a, "kdop"_a, "is_fitted"_a, "max_growth"_a,
+        "jobs"_a, "journal"_a.none(), "progress"_a.none(),
+        "Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets, or an\n"
+        "empty `member_start` asks for the set cover by clusters. A limit of 0 is none. `facet_cap` and `kdop`\n"
+        "ask for outer polytopes; `is_fitted` for as many hulls as make the least of the budget. Returns the\n"
+        "arrays of an alula/cover, the curve (hulls, sum of W, planes, bytes), what was measured (hulls, planes,\n"
+        "bytes, excess [voxels]), the excess of the union [voxels] and its grid.");
+}

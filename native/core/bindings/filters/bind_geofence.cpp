@@ -1,0 +1,390 @@
+// Bindings of alula/filters/geofence.hpp and alula/flight/geofence_flight.hpp.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/map.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <map>
+#include <stdexcept>
+#include <string>
+#include <utility>
+
+#include "alula/flight/geofence_flight.hpp"
+#include "python_control.hpp"
+#include "racer_arrays.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace alula::flight {
+namespace {
+
+using LogDict = nb::typed<nb::dict, nb::str, nb::any>;
+using Corners = std::pair<Triple, Triple>;
+
+geometry::Box box_of(const Corners& c) {
+  geometry::Box box;
+  box.lower = vector_of(c.first), box.upper = vector_of(c.second);
+  return box;
+}
+
+nb::bytes to_bytes(const void* from, std::size_t size) { return nb::bytes(from, size); }
+
+const char* name_of(alula_geofence_status status) {
+  static constexpr const char* kNames[] = {"passed", "blended", "backup", "no-pilot", "hand-over", "refused"};
+  return kNames[status];
+}
+
+PilotKind pilot_of(const std::string& name) {
+  static const std::map<std::string, PilotKind> kKinds{
+      {"straight", PilotKind::straight}, {"diagonal", PilotKind::diagonal},     {"fall", PilotKind::fall},
+      {"sticks", PilotKind::sticks},     {"aggressive", PilotKind::aggressive}, {"silent", PilotKind::silent},
+      {"repeated", PilotKind::repeated}};
+  const auto found = kKinds.find(name);
+  if (found == kKinds.end()) throw std::invalid_argument("no pilot is called " + name);
+  return found->second;
+}
+
+FenceRule rule_of(const std::string& name) {
+  if (name == "none") return FenceRule::none;
+  if (name == "geofence") return FenceRule::geofence;
+  if (name == "backup-qp") return FenceRule::backup_qp;
+  throw std::invalid_argument("no rule is called " + name);
+}
+
+// The parameters that are numbers, by name.
+std::map<std::string, float*> numbers_of(alula_geofence_config& c) {
+  return {
+      {"step_s", &c.step_s},
+      {"tick_s", &c.tick_s},
+      {"beta", &c.beta},
+      {"slow_m_s", &c.slow_m_s},
+      {"fast_m_s", &c.fast_m_s},
+      {"end_speed_m_s", &c.end_speed_m_s},
+      {"end_gain", &c.end_gain},
+      {"radius_m", &c.radius_m},
+      {"reserve_m", &c.reserve_m},
+      {"latency_s", &c.latency_s},
+      {"stale_limit_s", &c.stale_limit_s},
+      {"stale_speed_m_s", &c.stale_speed_m_s},
+      {"stale_acceleration_m_s2", &c.stale_acceleration_m_s2},
+      {"descent", &c.descent},
+      {"push_distance_m", &c.push_distance_m},
+      {"push_gain", &c.push_gain},
+      {"push_speed_m_s", &c.push_speed_m_s},
+      {"tilt_gain", &c.backup.tilt_gain},
+      {"max_tilt_rad", &c.backup.max_tilt},
+      {"attitude_gain", &c.backup.attitude_gain},
+      {"height_gain", &c.backup.height_gain},
+      {"climb_gain", &c.backup.climb_gain},
+      {"most_throttle", &c.backup.most_throttle},
+  };
+}
+
+void set(alula_geofence_config& c, const std::string& key, double value) {
+  const std::map<std::string, float*> numbers = numbers_of(c);
+  if (key == "steps") {
+    if (!(value >= 0 && value <= 1e6)) throw std::invalid_argument("steps out of range");
+    c.steps = static_cast<std::uint32_t>(value);
+    return;
+  }
+  const auto found = numbers.find(key);
+  if (found == numbers.end()) throw std::invalid_argument("a geofence has no parameter " + key);
+  *found->second = static_cast<float>(value);
+}
+
+alula_geofence_config config_of(const RacerModel& model, const std::map<std::string, double>& given) {
+  alula_geofence_config c = alula_geofence_defaults();
+  c.model.gravity = static_cast<float>(model.gravity);
+  c.model.rate_gain = static_cast<float>(model.rate_gain);
+  for (std::size_t i = 0; i < 3; ++i) c.model.thrust[i] = static_cast<float>(model.thrust[i]);
+  for (int i = 0; i < 3; ++i) c.model.max_rate[i] = static_cast<float>(model.max_rate[i]);
+  for (const auto& [key, value] : given) set(c, key, value);
+  return c;
+}
+
+LogDict detail_of(const GeofenceReport& report) {
+  const alula_geofence_result& r = report.detail;
+  LogDict result;
+  result["lambda"] = r.lambda;
+  result["h_i"] = r.h_i;
+  result["distance_m"] = r.distance_m;
+  result["margin_m"] = r.margin_m;
+  result["deciding"] = r.deciding;
+  result["v_towards"] = r.v_towards;
+  result["stale_s"] = r.stale_s;
+  return result;
+}
+
+LogDict to_dict(GeofenceLog&& log, bool keeps_trace) {
+  LogDict d;
+  d["min_distance_m"] = log.min_distance_m;
+  d["max_speed_m_s"] = log.max_speed_m_s;
+  d["min_lambda"] = log.min_lambda;
+  d["min_h_i"] = log.min_h_i;
+  d["stop_distance_m"] = log.stop_distance_m;
+  d["brake_distance_m"] = log.brake_distance_m;
+  d["ticks"] = log.ticks;
+  d["passed"] = log.passed;
+  d["blended"] = log.blended;
+  d["backup"] = log.backup;
+  d["no_pilot"] = log.no_pilot;
+  d["hand_over"] = log.hand_over;
+  d["refused"] = log.refused;
+  d["interventions"] = log.interventions;
+  d["altered_passes"] = log.altered_passes;
+  d["out_of_range"] = log.out_of_range;
+  d["longest_backup_s"] = log.longest_backup_s;
+  d["path_length_m"] = log.path_length_m;
+  d["mean_jerk_m_s3"] = log.mean_jerk_m_s3;
+  d["max_jerk_m_s3"] = log.max_jerk_m_s3;
+  const std::size_t ticks = log.tick_s.size();
+  d["tick_s"] = to_numpy(std::move(log.tick_s), {ticks});
+  d["start"] = to_array(log.start);
+  d["end"] = to_array(log.end);
+  if (!keeps_trace) return d;
+  GeofenceTrace& t = log.trace;
+  const std::size_t n = t.status.size();
+  d["state"] = to_numpy(std::move(t.state), {n, kRacerNumbers});
+  d["pilot"] = to_numpy(std::move(t.pilot), {n, 4});
+  d["command"] = to_numpy(std::move(t.command), {n, 4});
+  d["figure"] = to_numpy(std::move(t.figure), {n, 5});
+  d["distance"] = to_numpy(std::move(t.distance), {n});
+  d["status"] = to_numpy(std::move(t.status), {n});
+  return d;
+}
+
+void bind_fence(nb::module_& m) {
+  nb::class_<Fence>(m, "Fence", "Where to fly: in a box, in a polytope, outside the hulls of an onboard map.")
+      .def(
+          "__init__",
+          [](Fence* self, const std::optional<Corners>& box, const std::optional<InRows4<double>>& faces,
+             const std::optional<nb::bytes>& image, const PolytopeSet* keep_out) {
+            Fence fence;
+            if (box) fence.box = box_of(*box);
+            if (faces) {
+              for (std::size_t l = 0; l < faces->shape(0); ++l) {
+                const double* row = faces->data() + 4 * l;
+                fence.faces.push_back({row[0], row[1], row[2], row[3]});
+              }
+            }
+            if (image) {
+              const auto* begin = static_cast<const std::uint8_t*>(image->data());
+              fence.image = std::make_shared<const std::vector<std::uint8_t>>(begin, begin + image->size());
+            }
+            fence.keep_out = keep_out;
+            new (self) Fence(std::move(fence));
+          },
+          nb::kw_only(), "box"_a = nb::none(), "faces"_a = nb::none(), "image"_a = nb::none(),
+          "keep_out"_a.none() = nb::none(), nb::keep_alive<1, 5>(),
+          "`box` (lower, upper); `faces` (L, 4), rows n, d with n . p <= d inside and |n| = 1; `image` of an onboard "
+          "map for the filter, `keep_out` the same polytopes for the judge.")
+      .def(
+          "clearance",
+          [](const Fence& self, const Triple& a, const Triple& b) {
+            return self.clearance(vector_of(a), vector_of(b));
+          },
+          "a"_a, "b"_a, "Least distance of a segment from what is forbidden; negative there.");
+}
+
+void bind_filter(nb::module_& m) {
+  nb::class_<Geofence>(
+      m, "Geofence",
+      "The onboard geofence: an implicit control barrier function by simulating the backup controller."
+      "\n\nParameters by name, see alula_geofence_config; ValueError for those it does not accept.")
+      .def(
+          "__init__",
+          [](Geofence* self, const Fence& fence, const RacerModel& model,
+             const std::map<std::string, double>& parameters) {
+            new (self) Geofence(fence, config_of(model, parameters));
+          },
+          "fence"_a, "model"_a = RacerModel{}, "parameters"_a = std::map<std::string, double>{},
+          nb::keep_alive<1, 2>())
+      .def_prop_ro("hover_throttle", &Geofence::hover_throttle)
+      .def_prop_ro(
+          "config_words", [](const Geofence& self) { return to_bytes(&self.config(), sizeof self.config()); },
+          nb::sig("def config_words(self) -> bytes"), "The bytes of its alula_geofence_config.")
+      .def_prop_ro(
+          "fence_words",
+          [](const Geofence& self) {
+            const alula_fence& fence = self.onboard_fence();
+            return to_bytes(&fence, offsetof(alula_fence, face) + fence.face_count * sizeof fence.face[0]);
+          },
+          nb::sig("def fence_words(self) -> bytes"),
+          "Of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).")
+      .def_prop_ro(
+          "parameters",
+          [](const Geofence& self) {
+            alula_geofence_config config = self.config();
+            std::map<std::string, double> result{{"steps", config.steps}};
+            for (const auto& [key, value] : numbers_of(config)) result[key] = *value;
+            return result;
+          },
+          "All of them by name, as the filter holds them: in single precision.")
+      .def("reset", &Geofence::reset, "To before the first tick.")
+      .def(
+          "filter",
+          [](Geofence& self, const std::optional<InRacer>& navigation, const std::optional<InCommand>& pilot) {
+            RacerState x;
+            RacerCommand u;
+            if (navigation) x = racer_at(navigation->data());
+            if (pilot) u = command_at(pilot->data());
+            const GeofenceReport report = self.filter(navigation ? &x : nullptr, pilot ? &u : nullptr);
+            return nb::make_tuple(to_array(report.command), name_of(report.status), detail_of(report));
+          },
+          "navigation"_a.none(), "pilot"_a.none(),
+          nb::sig("def filter(self, navigation: NDArray[numpy.float64] | None, pilot: NDArray[numpy.float64] | None)"
+                  " -> tuple[NDArray[numpy.float64], str, dict[str, float]]"),
+          "One tick: command (4), status and details. None: no navigation, or no pilot.")
+      .def(
+          "evaluate",
+          [](const Geofence& self, const InRacers& states) {
+            const std::size_t count = states.shape(0);
+            std::vector<double> values, first;
+            {
+              const nb::gil_scoped_release release;
+              values.reserve(5 * count), first.reserve(4 * count);
+              for (std::size_t i = 0; i < count; ++i) {
+                const alula_geofence_value v = self.evaluate(racer_at(states.data() + kRacerNumbers * i));
+                values.insert(values.end(), {v.h_i, v.exponent, v.margin_m, v.distance_m, v.end});
+                const RacerCommand u = from_onboard(v.first);
+                first.insert(first.end(), {u.throttle, u.rates.x, u.rates.y, u.rates.z});
+              }
+            }
+            return nb::make_tuple(to_numpy(std::move(values), {count, 5}), to_numpy(std::move(first), {count, 4}));
+          },
+          "states"_a,
+          nb::sig("def evaluate(self, states: NDArray[numpy.float64]) -> "
+                  "tuple[NDArray[numpy.float64], NDArray[numpy.float64]]"),
+          "Of flows that begin at states (N, 13): (h_I, min h_c / v_c, margin, distance, h_B) (N, 5), and u_B (N, "
+          "4).");
+}
+
+void bind_backup_qp(nb::module_& m) {
+  nb::class_<BackupQp>(m, "BackupQp",
+                       "The backup-set barrier with gradients, by a quadratic program, with the flow of a Geofence.")
+      .def(nb::init<const Geofence&, double>(), "geofence"_a, "alpha"_a = 2.0)
+      .def("reset", &BackupQp::reset, "To before the first tick.")
+      .def(
+          "filter",
+          [](BackupQp& self, const InRacers& states, const In<double, nb::shape<-1, 4>>& pilots) {
+            const std::size_t count = states.shape(0);
+            require_rows(pilots.shape(0), count);
+            std::vector<double> commands, h_i;
+            std::vector<std::int64_t> rows;
+            std::vector<std::uint8_t> infeasible;
+            {
+              const nb::gil_scoped_release release;
+              for (std::size_t i = 0; i < count; ++i) {
+                const BackupQpReport r =
+                    self.filter(racer_at(states.data() + kRacerNumbers * i), command_at(pilots.data() + 4 * i));
+                commands.insert(commands.end(),
+                                {r.command.throttle, r.command.rates.x, r.command.rates.y, r.command.rates.z});
+                h_i.push_back(r.h_i);
+                rows.push_back(static_cast<std::int64_t>(r.rows));
+                infeasible.push_back(r.is_infeasible ? 1 : 0);
+              }
+            }
+            return nb::make_tuple(to_numpy(std::move(commands), {count, 4}), to_numpy(std::move(h_i), {count}),
+                                  to_numpy(std::move(rows), {count}), to_numpy(std::move(infeasible), {count}));
+          },
+          "states"_a, "pilots"_a,
+          nb::sig(
+              "def filter(self, states: NDArray[numpy.float64], pilots: NDArray[numpy.float64]) -> "
+              "tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.int64], NDArray[numpy.uint8]]"),
+          "Ticks at states (N, 13) with pilots (N, 4): commands (N, 4), h_I, rows of the program, and whether it had "
+          "no solution.");
+}
+
+void bind_flight(nb::module_& m) {
+  const Pilot p;
+  nb::class_<Pilot>(m, "Pilot", "A simulated pilot.")
+      .def(
+          "__init__",
+          [](Pilot* self, const std::string& kind, double heading, double tilt, double climb, double silent_after) {
+            const Pilot made{pilot_of(kind), heading, tilt, climb, silent_after};
+            check(made);
+            new (self) Pilot(made);
+          },
+          "kind"_a, nb::kw_only(), "heading_rad"_a = p.heading_rad, "tilt_rad"_a = p.tilt_rad,
+          "climb_m_s2"_a = p.climb_m_s2, "silent_after_s"_a = p.silent_after_s,
+          "straight, diagonal, fall, sticks, aggressive, silent or repeated; ValueError for others.");
+  nb::class_<PilotHand>(m, "PilotHand", "A pilot in one flight, as fly_in_fences has him.")
+      .def(
+          "__init__",
+          [](PilotHand* self, const Pilot& pilot, const RacerModel& model, double start_height, std::uint64_t seed,
+             std::uint32_t trial) { new (self) PilotHand(pilot, model, RandomStream{seed, trial}, start_height); },
+          "pilot"_a, "model"_a, "start_height"_a, nb::kw_only(), "seed"_a = 0, "trial"_a = 0)
+      .def(
+          "command",
+          [](PilotHand& self, double time, const InRacer& x) -> std::optional<Doubles> {
+            const auto u = self(time, racer_at(x.data()));
+            if (!u) return {};
+            return to_array(*u);
+          },
+          "time"_a, "x"_a,
+          nb::sig("def command(self, time: float, x: NDArray[numpy.float64]) -> NDArray[numpy.float64] | None"),
+          "His command (4) at a state (13); None: no radio.");
+  const GeofenceRules r;
+  nb::class_<GeofenceRules>(m, "GeofenceRules", "Times of a flight, and when navigation or radio are missing.")
+      .def(
+          "__init__",
+          [](GeofenceRules* self, double duration, int plant_steps, const std::string& rule, double alpha,
+             double stale_from, double stale_for, double radio_from, double radio_for) {
+            const GeofenceRules made{duration,   plant_steps, rule_of(rule), alpha,
+                                     stale_from, stale_for,   radio_from,    radio_for};
+            check(made);
+            new (self) GeofenceRules(made);
+          },
+          nb::kw_only(), "duration_s"_a = r.duration_s, "plant_steps"_a = r.plant_steps, "rule"_a = "geofence",
+          "alpha"_a = r.alpha, "stale_from_s"_a = r.stale_from_s, "stale_for_s"_a = r.stale_for_s,
+          "radio_from_s"_a = r.radio_from_s, "radio_for_s"_a = r.radio_for_s);
+  nb::class_<GeofenceSpec>(m, "GeofenceSpec", "All of a flight but the filter and the random numbers.")
+      .def(
+          "__init__",
+          [](GeofenceSpec* self, const RacerModel& model, const RacerOptions& options, const Pilot& pilot,
+             const GeofenceRules& rules, const std::optional<InRacer>& start, const std::optional<Corners>& start_box,
+             double start_speed, double start_tilt) {
+            GeofenceSpec spec{model, options, pilot, rules, {}, {}, start_speed, start_tilt};
+            if (start) spec.start = racer_at(start->data());
+            if (start_box) spec.start_box = box_of(*start_box);
+            if (!start && !start_box) throw std::invalid_argument("a flight needs a start or a box of starts");
+            new (self) GeofenceSpec(spec);
+          },
+          nb::kw_only(), "model"_a = RacerModel{}, "options"_a = RacerOptions{}, "pilot"_a = Pilot{},
+          "rules"_a = GeofenceRules{}, "start"_a = nb::none(), "start_box"_a = nb::none(), "start_speed_m_s"_a = 10.0,
+          "start_tilt_rad"_a = 1.0, "From `start` (13), or from random states with h_I > 0 in a box (lower, upper).");
+  m.def(
+      "fly_in_fences",
+      [](const GeofenceSpec& spec, const Geofence& filter, std::uint64_t seed, std::uint32_t first,
+         std::uint32_t count, bool keeps_trace, unsigned jobs, nb::object progress) {
+        PythonControl control(std::move(progress));
+        std::vector<GeofenceLog> logs;
+        {
+          const nb::gil_scoped_release release;
+          logs = fly_in_fences(spec, filter, seed, first, count, keeps_trace, jobs, control);
+        }
+        nb::typed<nb::list, LogDict> result;
+        for (GeofenceLog& log : logs) result.append(to_dict(std::move(log), keeps_trace));
+        return result;
+      },
+      "spec"_a, "filter"_a, nb::kw_only(), "seed"_a = 0, "first"_a = 0, "count"_a = 1, "keeps_trace"_a = false,
+      "jobs"_a = 0, "progress"_a = nb::none(),
+      "Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial, with "
+      "keeps_trace also per tick state (13), pilot and command (4), figure (lambda, h_I, distance, margin, v_c), "
+      "true "
+      "distance and status (number). Only tick_s, the filter's time in each tick, is measured.");
+}
+
+}  // namespace
+}  // namespace alula::flight
+
+void bind_geofence(nb::module_& m) {
+  alula::flight::bind_fence(m);
+  alula::flight::bind_filter(m);
+  alula::flight::bind_backup_qp(m);
+  alula::flight::bind_flight(m);
+}

@@ -1,0 +1,400 @@
+// Bindings of alula/filters/moving_filter.hpp and of the parts of native/onboard behind it.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/map.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/unique_ptr.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <array>
+#include <cfloat>
+#include <chrono>
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <map>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "alula/filters/moving_filter.hpp"
+#include "arrays.hpp"
+#include "python_qp.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace alula {
+namespace {
+
+using flight::MovingFilter;
+using flight::MovingFilterOptions;
+using flight::MovingMethod;
+using flight::MovingReport;
+using Numbers = std::map<std::string, double>;
+using Triple = std::array<double, 3>;
+using Tracks = In<double, nb::shape<-1, 29>>;  // id, position, velocity, covariance, radius
+template <class T>
+using Out = nb::ndarray<nb::numpy, T>;
+
+constexpr std::array<std::pair<const char*, MovingMethod>, 6> kMethods{{{"none", MovingMethod::none},
+                                                                        {"dr_acbf", MovingMethod::dr_acbf},
+                                                                        {"dr_acbf_qp", MovingMethod::dr_acbf_qp},
+                                                                        {"mpc", MovingMethod::mpc},
+                                                                        {"cbf_qp", MovingMethod::cbf_qp},
+                                                                        {"rp_cbf", MovingMethod::rp_cbf}}};
+
+// Calls `visit(name, number)` for each option; numbers of any type, by reference.
+template <class Visit>
+void each_option(MovingFilterOptions& o, Visit visit) {
+  alula_dr_acbf_config& c = o.config;
+  alula_avoidance_config& a = c.avoidance;
+  visit("dt_s", a.dt_s), visit("radius_m", a.radius_m), visit("a_max", a.a_max), visit("range_m", a.range_m);
+  visit("latency_s", a.latency_s), visit("h_max_s", a.h_max_s), visit("l1", a.l1), visit("l2", a.l2);
+  visit("settle_s", a.settle_s), visit("envelope_start", a.envelope_start), visit("envelope_cap", a.envelope_cap);
+  visit("envelope_forget", a.envelope_forget), visit("distributional", a.distributional), visit("tail", a.tail);
+  visit("wasserstein", a.wasserstein), visit("obstacle_braking", a.obstacle_braking);
+  visit("simple_quantile", a.simple_quantile), visit("clearance_m", a.clearance_m), visit("hold_s", a.hold_s);
+  visit("kp", a.kp), visit("kd", a.kd), visit("reach_m", a.reach_m), visit("longest_avoid_s", a.longest_avoid_s);
+  visit("improvement", a.improvement), visit("accelerated", a.accelerated), visit("stop_s", a.stop_s),
+      visit("brake", a.brake);
+  visit("stopped_m_s", a.stopped_m_s), visit("wall_room_m", a.wall_room_m);
+  visit("v_max", c.v_max), visit("j_max", c.j_max), visit("h_min_s", c.h_min_s), visit("horizons", c.horizons);
+  visit("risk", c.risk), visit("warned_risk", c.warned_risk), visit("solver", c.solver);
+  visit("iterations", c.iterations), visit("relaxation", c.relaxation), visit("tolerance", c.tolerance);
+  visit("failing_ticks", c.failing_ticks), visit("descent_m_s", c.descent_m_s);
+  visit("rows_before_warning", c.rows_before_warning), visit("wall_deceleration", c.wall_deceleration);
+  visit("mpc_step_s", o.mpc.step_s), visit("mpc_velocity_weight", o.mpc.velocity_weight);
+  visit("mpc_input_weight", o.mpc.input_weight), visit("mpc_slack_weight", o.mpc.slack_weight);
+  visit("cbf_qp_horizon_s", o.cbf_qp.horizon_s), visit("cbf_qp_velocity_time_s", o.cbf_qp.velocity_time_s);
+  visit("rp_cbf_horizon_s", o.rp_cbf.horizon_s), visit("rp_cbf_step_s", o.rp_cbf.step_s);
+  visit("rp_cbf_hold_s", o.rp_cbf.hold_s), visit("rp_cbf_alpha", o.rp_cbf.alpha);
+  visit("rp_cbf_samples", o.rp_cbf.samples);
+}
+
+MovingFilterOptions defaults() {
+  MovingFilterOptions options{};
+  options.config = alula_dr_acbf_defaults();
+  return options;
+}
+
+MovingFilterOptions options_of(const Numbers& numbers) {
+  MovingFilterOptions options = defaults();
+  std::size_t used = 0;
+  each_option(options, [&](const char* name, auto& value) {
+    const auto found = numbers.find(name);
+    if (found == numbers.end()) return;
+    ++used;
+    using T = std::remove_reference_t<decltype(value)>;
+    if constexpr (!std::is_floating_point_v<T>) {
+      if (!(found->second >= 0 && found->second < 1e6) || found->second != std::floor(found->second)) {
+        throw std::invalid_argument(std::string(name) + " must be a whole number");
+      }
+    }
+    value = static_cast<T>(found->second);
+  });
+  if (used != numbers.size()) throw std::invalid_argument("a moving filter has no such option");
+  return options;
+}
+
+std::unique_ptr<MovingFilter> make(const std::string& method, const Numbers& numbers, nb::object backend) {
+  MovingFilterOptions options = options_of(numbers);
+  options.backend = qp_backend(std::move(backend));
+  for (const auto& [name, value] : kMethods) {
+    if (method == name) return flight::make_moving_filter(value, options);
+  }
+  throw std::invalid_argument("no moving filter is called " + method);
+}
+
+alula_vehicle_state vehicle_of(const Triple& position, const Triple& velocity,
+                               const std::array<double, 6>& covariance) {
+  alula_vehicle_state vehicle;
+  for (std::size_t k = 0; k < 3; ++k) {
+    vehicle.position[k] = static_cast<float>(position[k]);
+    vehicle.velocity[k] = static_cast<float>(velocity[k]);
+  }
+  for (std::size_t k = 0; k < 6; ++k) vehicle.covariance[k] = static_cast<float>(covariance[k]);
+  return vehicle;
+}
+
+std::vector<alula_track> tracks_of(const Tracks& rows) {
+  std::vector<alula_track> tracks(rows.shape(0));
+  for (std::size_t i = 0; i < tracks.size(); ++i) {
+    const double* row = rows.data() + 29 * i;
+    alula_track& t = tracks[i];
+    if (!(row[0] >= 0 && row[0] < 4294967295.0)) throw std::invalid_argument("ids are from 0 to 2^32 - 2");
+    t.id = static_cast<std::uint32_t>(row[0]);
+    for (std::size_t k = 0; k < 3; ++k) {
+      t.position[k] = static_cast<float>(row[1 + k]);
+      t.velocity[k] = static_cast<float>(row[4 + k]);
+    }
+    for (std::size_t k = 0; k < 21; ++k) t.covariance[k] = static_cast<float>(row[7 + k]);
+    t.radius_m = static_cast<float>(row[28]);
+  }
+  return tracks;
+}
+
+std::vector<alula_wall> walls_of(const InRows4<double>& rows) {
+  std::vector<alula_wall> walls(rows.shape(0));
+  for (std::size_t i = 0; i < walls.size(); ++i) {
+    for (std::size_t k = 0; k < 3; ++k) walls[i].normal[k] = static_cast<float>(rows.data()[4 * i + k]);
+    walls[i].distance_m = static_cast<float>(rows.data()[4 * i + 3]);
+  }
+  return walls;
+}
+
+// One tick; `repeats` ticks of copies are timed on top of it when asked for, and the median is told.
+std::tuple<MovingReport, double> filter(MovingFilter& self, const Triple& position, const Triple& velocity,
+                                        const Tracks& tracks, const InRows4<double>& walls, const Triple& nominal,
+                                        const std::array<double, 6>& covariance, unsigned repeats) {
+  const alula_vehicle_state vehicle = vehicle_of(position, velocity, covariance);
+  const auto all = tracks_of(tracks);
+  const auto planes = walls_of(walls);
+  const geometry::Vec3 wish{nominal[0], nominal[1], nominal[2]};
+  const nb::gil_scoped_release release;
+  std::vector<double> elapsed(repeats);
+  std::unique_ptr<MovingFilter> copy;
+  for (double& time : elapsed) {
+    copy = self.clone();
+    const auto start = std::chrono::steady_clock::now();
+    copy->filter(vehicle, all, planes, wish);
+    time = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  }
+  std::sort(elapsed.begin(), elapsed.end());
+  return {self.filter(vehicle, all, planes, wish),
+          elapsed.empty() ? std::numeric_limits<double>::quiet_NaN() : elapsed[elapsed.size() / 2]};
+}
+
+std::vector<alula_half_space> rows_of(const InRows4<double>& rows) {
+  std::vector<alula_half_space> result(rows.shape(0));
+  for (std::size_t i = 0; i < result.size(); ++i) {
+    for (std::size_t k = 0; k < 3; ++k) result[i].normal[k] = static_cast<float>(rows.data()[4 * i + k]);
+    result[i].bound = static_cast<float>(rows.data()[4 * i + 3]);
+  }
+  return result;
+}
+
+// (a, feasible, violation, iterations, basis, seconds)
+std::tuple<Triple, bool, double, unsigned, std::vector<unsigned>, double> project(
+    const InRows4<double>& rows, const Triple& start, const std::string& solver, double limit, double omega,
+    unsigned iterations, unsigned soft, unsigned repeats) {
+  const auto all = rows_of(rows);
+  const auto count = static_cast<std::uint32_t>(all.size());
+  const float a0[3] = {static_cast<float>(start[0]), static_cast<float>(start[1]), static_cast<float>(start[2])};
+  const auto size = static_cast<float>(limit);
+  std::function<void(alula_projection*)> solve;
+  if (solver == "exact") {
+    solve = [&](alula_projection* found) { alula_project_exact(all.data(), count, size, a0, found); };
+  } else if (solver == "gs") {
+    solve = [&](alula_projection* found) {
+      alula_project_gauss_southwell(all.data(), count, size, static_cast<float>(omega), iterations, a0, found);
+    };
+  } else if (solver == "least-violation") {
+    solve = [&](alula_projection* found) {
+      alula_project_least_violation(all.data(), count, std::min(soft, count), size, a0, found);
+    };
+  } else {
+    throw std::invalid_argument("solver is exact, gs or least-violation");
+  }
+  alula_projection found;
+  const auto begin = std::chrono::steady_clock::now();
+  for (unsigned i = 0; i < std::max(1u, repeats); ++i) solve(&found);
+  const double time = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  return {{found.a[0], found.a[1], found.a[2]},
+          found.feasible != 0,
+          count > 0 ? static_cast<double>(found.violation) : -std::numeric_limits<double>::infinity(),
+          found.iterations,
+          std::vector<unsigned>(found.basis, found.basis + found.basis_count),
+          time / std::max(1u, repeats)};
+}
+
+// Exact projections of many problems of as many rows each: a (k, 3), feasible (k), violation (k).
+std::tuple<Out<float>, Out<std::uint8_t>, Out<float>, Out<std::uint32_t>> project_many(
+    const In<double, nb::shape<-1, -1, 4>>& rows, const InRows3<double>& start, double limit) {
+  const std::size_t count = rows.shape(0), size = rows.shape(1);
+  if (start.shape(0) != count) throw std::invalid_argument("one start per problem");
+  std::vector<float> a(3 * count), violation(count);
+  std::vector<std::uint8_t> feasible(count);
+  std::vector<std::uint32_t> iterations(count);
+  std::vector<alula_half_space> row(size);
+  for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t j = 0; j < size; ++j) {
+      const double* from = rows.data() + 4 * (i * size + j);
+      row[j] = {{static_cast<float>(from[0]), static_cast<float>(from[1]), static_cast<float>(from[2])},
+                static_cast<float>(from[3])};
+    }
+    const double* p = start.data() + 3 * i;
+    const float a0[3] = {static_cast<float>(p[0]), static_cast<float>(p[1]), static_cast<float>(p[2])};
+    alula_projection found;
+    alula_project_exact(row.data(), static_cast<std::uint32_t>(size), static_cast<float>(limit), a0, &found);
+    std::copy_n(found.a, 3, a.begin() + static_cast<std::ptrdiff_t>(3 * i));
+    feasible[i] = found.feasible != 0;
+    violation[i] = found.violation;
+    iterations[i] = found.iterations;
+  }
+  return {to_numpy(std::move(a), {count, 3}), to_numpy(std::move(feasible), {count}),
+          to_numpy(std::move(violation), {count}), to_numpy(std::move(iterations), {count})};
+}
+
+alula_encounter encounter_of(double distance, double closing, double radius, double envelope, double sigma2_p,
+                             double sigma2_v) {
+  alula_encounter m{};
+  m.distance_m = static_cast<float>(distance);
+  m.closing_m_s = static_cast<float>(closing);
+  m.radius_m = static_cast<float>(radius);
+  m.envelope = static_cast<float>(envelope);
+  m.sigma2_p = static_cast<float>(sigma2_p);
+  m.sigma2_v = static_cast<float>(sigma2_v);
+  m.active = m.closing_m_s > 0;
+  return m;
+}
+
+}  // namespace
+}  // namespace alula
+
+void bind_moving_filters(nb::module_& m) {
+  using namespace alula;
+  nb::class_<MovingReport>(m, "MovingReport", "What a filter among moving obstacles did in a tick.")
+      .def_prop_ro(
+          "status", [](const MovingReport& r) { return static_cast<int>(r.status); },
+          "0 the nominal, 1 another command, all rows hold, 3 rows are missed by as little as possible, 4 refused.")
+      .def_prop_ro(
+          "acceleration",
+          [](const MovingReport& r) { return Triple{r.acceleration.x, r.acceleration.y, r.acceleration.z}; },
+          "To be flown [m/s^2]; zero when refused, and then not to be flown.")
+      .def_ro("mode", &MovingReport::mode, "0 nominal, 1 avoid, 2 hover.")
+      .def_ro("warned", &MovingReport::warned, "Whether an obstacle warns in this tick.")
+      .def_ro("risk_m", &MovingReport::risk_m, "The largest CVaR; 0 or more warns.")
+      .def_ro("urgent", &MovingReport::urgent, "Index of the most urgent track or -1.")
+      .def_ro("horizon_s", &MovingReport::horizon_s, "Of the rows.")
+      .def_ro("feasible", &MovingReport::feasible, "Rows and box have a common point.")
+      .def_ro("rows", &MovingReport::rows, "How many there were.")
+      .def_ro("iterations", &MovingReport::iterations, "Of the solver.")
+      .def_ro("violation", &MovingReport::violation, "Of the rows, minus infinity without.")
+      .def_ro("risk_left", &MovingReport::risk_left, "Sum over obstacles of Cantelli's bound at the command.");
+  nb::class_<MovingFilter>(m, "MovingFilter", "A filter among moving obstacles; make one with `moving_filter`.")
+      .def(
+          "filter", &filter, "position"_a, "velocity"_a, "tracks"_a, "walls"_a, "nominal"_a,
+          "covariance"_a = std::array<double, 6>{}, "repeats"_a = 0,
+          "One tick: the report, and the median time [s] of `repeats` copies of it. `tracks` (n, 29): id, position,\n"
+          "velocity, lower triangle of their covariance row by row, radius. `walls` (m, 4): unit normal towards the\n"
+          "vehicle, distance. `covariance` xx, xy, xz, yy, yz, zz of the vehicle's position.")
+      .def(
+          "flown", [](MovingFilter& self, std::array<double, 3> a) { self.flown({a[0], a[1], a[2]}); },
+          "acceleration"_a, "What is flown in a tick that was refused.")
+      .def("reset", &MovingFilter::reset, "To before the first tick.")
+      .def("clone", &MovingFilter::clone, "A copy with the same state.");
+  m.def("moving_filter", &make, "method"_a, "options"_a = Numbers{}, "backend"_a = nb::none(),
+        "none, dr_acbf, dr_acbf_qp, mpc, cbf_qp or rp_cbf; `options` over those of `moving_filter_defaults`; "
+        "`backend`\n"
+        "solves its quadratic programs, as in QpSolver. ValueError for what means nothing.");
+  m.def(
+      "moving_filter_defaults",
+      [] {
+        Numbers numbers;
+        MovingFilterOptions options = defaults();
+        each_option(options, [&](const char* name, auto& value) { numbers[name] = static_cast<double>(value); });
+        return numbers;
+      },
+      "All options of `moving_filter`, with their defaults.");
+
+  m.def("half_space_projection", &project, "rows"_a, "a0"_a, "solver"_a = "exact", nb::kw_only(), "limit"_a = 6.0,
+        "omega"_a = 1.0, "iterations"_a = 15, "soft"_a = 4294967295u, "repeats"_a = 1,
+        "min |a - a0| with rows (n, b): n . a <= b and |a|_inf <= limit, by exact, gs or least-violation: (a, "
+        "feasible,\n"
+        "violation, iterations, basis, seconds).");
+  m.def("half_space_projections", &project_many, "rows"_a, "a0"_a, "limit"_a = 6.0,
+        "Exact projections of rows (k, n, 4): a (k, 3), feasible, violation and iterations (k).");
+  m.def(
+      "early_warning",
+      [](const Triple& position, const Triple& velocity, const Tracks& track, const Triple& acceleration,
+         const std::array<double, 6>& covariance, const Numbers& numbers) {
+        alula_avoidance avoidance;
+        const MovingFilterOptions options = options_of(numbers);
+        if (alula_avoidance_init(&avoidance, &options.config.avoidance) != ALULA_READY || track.shape(0) != 1) {
+          throw std::invalid_argument("one track and options in their ranges");
+        }
+        const alula_vehicle_state vehicle = vehicle_of(position, velocity, covariance);
+        const auto tracks = tracks_of(track);
+        const float a[3] = {static_cast<float>(acceleration[0]), static_cast<float>(acceleration[1]),
+                            static_cast<float>(acceleration[2])};
+        return static_cast<double>(alula_early_warning(&avoidance, &vehicle, tracks.data(), a));
+      },
+      "position"_a, "velocity"_a, "track"_a, "relative_acceleration"_a, "covariance"_a = std::array<double, 6>{},
+      "options"_a = Numbers{}, "The largest CVaR of Z over five times plus eps L_Z, or a bound of it below 0 [m].");
+  m.def(
+      "early_warning_samples",
+      [] {
+        std::vector<float> samples(ALULA_SAMPLES * 3);
+        float half[ALULA_SAMPLES / 2][6];
+        alula_early_warning_samples(half);
+        for (std::size_t n = 0; n < ALULA_SAMPLES / 2; ++n) std::copy_n(half[n], 6, samples.data() + 6 * n);
+        return to_numpy(std::move(samples), {ALULA_SAMPLES / 2, 6});
+      },
+      "Standard normal points (32, 6); each is also used with the other sign.");
+  m.def(
+      "acceleration_envelope",
+      [](const InRows3<double>& velocity, const Numbers& numbers) {
+        alula_avoidance avoidance;
+        const MovingFilterOptions options = options_of(numbers);
+        if (alula_avoidance_init(&avoidance, &options.config.avoidance) != ALULA_READY) {
+          throw std::invalid_argument("options out of range");
+        }
+        std::vector<float> rows;
+        for (std::size_t i = 0; i < velocity.shape(0); ++i) {
+          alula_track track{};
+          track.position[0] = 100;
+          for (std::size_t k = 0; k < 3; ++k) track.velocity[k] = static_cast<float>(velocity.data()[3 * i + k]);
+          const alula_vehicle_state vehicle{};
+          const float nominal[3] = {0, 0, 0};
+          alula_guidance guidance;
+          if (alula_avoidance_step(&avoidance, &vehicle, &track, 1, nullptr, 0, nominal, &guidance) != ALULA_READY) {
+            throw std::invalid_argument("velocities must be finite");
+          }
+          rows.insert(rows.end(), avoidance.envelope[0].z1, avoidance.envelope[0].z1 + 3);
+          rows.push_back(avoidance.envelope[0].bound);
+        }
+        return to_numpy(std::move(rows), {velocity.shape(0), 4});
+      },
+      "velocity"_a, "options"_a = Numbers{}, "z1 and ahat (k, 4) after each of the velocities (k, 3).");
+  m.def(
+      "allocate_risk",
+      [](const InVector<double>& distance, const InVector<double>& closing, double total) {
+        std::vector<alula_encounter> all;
+        for (std::size_t i = 0; i < distance.size(); ++i) {
+          all.push_back(encounter_of(distance.data()[i], closing.data()[i], 0, 0, 0, 0));
+        }
+        std::vector<float> alpha(all.size());
+        alula_allocate_risk(all.data(), static_cast<std::uint32_t>(all.size()), static_cast<float>(total),
+                            alpha.data());
+        const std::size_t count = alpha.size();
+        return to_numpy(std::move(alpha), {count});
+      },
+      "distance"_a, "closing"_a, "total"_a, "alpha_i of obstacles; 0 of those with closing <= 0.");
+  m.def(
+      "row_bound",
+      [](double distance, double closing, double horizon, double lambda, double radius, double envelope,
+         double sigma2_p, double sigma2_v, const Numbers& numbers) {
+        const MovingFilterOptions options = options_of(numbers);
+        const alula_encounter e = encounter_of(distance, closing, radius, envelope, sigma2_p, sigma2_v);
+        return static_cast<double>(
+            alula_row_bound(&options.config, &e, static_cast<float>(horizon), static_cast<float>(lambda)));
+      },
+      "distance"_a, "closing"_a, "horizon_s"_a, "lambda_"_a, nb::kw_only(), "radius_m"_a = 0.3, "envelope"_a = 1.0,
+      "sigma2_p"_a = 0.0, "sigma2_v"_a = 0.0, "options"_a = Numbers{}, "b(H) of a row [m/s^2].");
+  m.def(
+      "cantelli", [](double alpha) { return static_cast<double>(alula_cantelli(static_cast<float>(alpha))); },
+      "alpha"_a, "sqrt((1 - alpha) / alpha).");
+  m.def(
+      "recursive_speed",
+      [](double a_max, double horizon) {
+        return static_cast<double>(
+            alula_dr_acbf_recursive_speed(static_cast<float>(a_max), static_cast<float>(horizon)));
+      },
+      "a_max"_a, "horizon_s"_a, "Closing speed below which rows alone never ask for more than a_max.");
+}

@@ -1,0 +1,145 @@
+// Bindings of alula/filters/polytope_cbf.hpp.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <tuple>
+#include <vector>
+
+#include "alula/base/parallel.hpp"
+#include "alula/filters/polytope_cbf.hpp"
+#include "arrays.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace alula {
+namespace {
+
+template <class T>
+using Out = nb::ndarray<nb::numpy, T>;
+
+alula_smoothing smoothing_of(const std::string& name) {
+  if (name == "sound") return ALULA_SMOOTHING_SOUND;
+  if (name == "paper") return ALULA_SMOOTHING_PAPER;
+  throw std::invalid_argument("smoothing must be 'sound' or 'paper'");
+}
+
+PolytopeCbfConfig config_of(double radius_m, double beta, double kappa, double dt_s, double v_max,
+                            const std::string& smoothing, bool brute_force) {
+  return {.radius_m = radius_m,
+          .beta = beta,
+          .kappa = kappa,
+          .dt_s = dt_s,
+          .v_max = v_max,
+          .smoothing = smoothing_of(smoothing),
+          .brute_force = brute_force};
+}
+
+void construct(PolytopeCbf* self, const InRows3<double>& normal, const InVector<double>& offset,
+               const InVector<std::int64_t>& plane_start, double extent_m, double radius_m, double beta, double kappa,
+               double dt_s, double v_max, const std::string& smoothing, bool brute_force) {
+  const Polytopes polytopes{as_span(normal), as_span(offset), as_span(plane_start)};
+  auto map = std::make_shared<const PolytopeMap>(make_polytope_map(polytopes, extent_m));
+  new (self) PolytopeCbf(std::move(map), config_of(radius_m, beta, kappa, dt_s, v_max, smoothing, brute_force));
+}
+
+PolytopeCbf from_image(const nb::bytes& image, double extent_m, double radius_m, double beta, double kappa,
+                       double dt_s, double v_max, const std::string& smoothing, bool brute_force) {
+  const auto* first = static_cast<const std::uint8_t*>(image.data());
+  auto open = std::make_shared<const OnboardImage>(std::vector<std::uint8_t>(first, first + image.size()));
+  return {std::move(open), extent_m, config_of(radius_m, beta, kappa, dt_s, v_max, smoothing, brute_force)};
+}
+
+std::tuple<Vec3, int, double, double, std::int64_t> filter(PolytopeCbf& self, const Vec3& x, const Vec3& u_nom) {
+  const FilterOutput output = self.filter(x, u_nom);
+  const auto active = output.detail.active;
+  return {output.u, static_cast<int>(output.status), output.detail.margin_m, output.detail.hard_margin_m,
+          active == ALULA_NO_HULL ? -1 : static_cast<std::int64_t>(active)};
+}
+
+std::tuple<Out<double>, Out<double>, Out<double>> psi(const PolytopeCbf& self, const InRows3<double>& points,
+                                                      unsigned jobs) {
+  const std::size_t count = points.shape(0);
+  std::vector<double> smooth(count), hard(count), gradient(3 * count);
+  {
+    const nb::gil_scoped_release release;
+    Control control;
+    parallel_chunks(count, 256, jobs, control, [&](std::size_t begin, std::size_t end) {
+      PolytopeCbf own(self);
+      for (std::size_t i = begin; i < end; ++i) {
+        const double* p = points.data() + 3 * i;
+        const alula_polytope_value value = own.evaluate({p[0], p[1], p[2]});
+        smooth[i] = value.smooth;
+        hard[i] = value.hard;
+        for (std::size_t j = 0; j < 3; ++j) gradient[3 * i + j] = value.gradient[j];
+      }
+    });
+  }
+  return {to_numpy(std::move(smooth), {count}), to_numpy(std::move(hard), {count}),
+          to_numpy(std::move(gradient), {count, 3})};
+}
+
+std::tuple<Out<float>, Out<std::uint32_t>, Out<float>, Out<float>, double, double> map_arrays(
+    const PolytopeCbf& self) {
+  if (self.map() == nullptr) throw std::invalid_argument("the filter reads an image");
+  const PolytopeMap& map = *self.map();
+  const std::size_t hulls = map.plane_start.size() - 1;
+  return {to_numpy(std::vector(map.plane), {map.plane.size() / 4, 4}),
+          to_numpy(std::vector(map.plane_start), {hulls + 1}),
+          to_numpy(std::vector(map.lower), {hulls, 3}),
+          to_numpy(std::vector(map.upper), {hulls, 3}),
+          map.extent_m,
+          map.slack_m};
+}
+
+std::tuple<std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t> work(const PolytopeCbf& self) {
+  const alula_polytope_work& w = self.work();
+  return {w.boxes, w.hulls, w.planes, w.made, w.exponentials};
+}
+
+}  // namespace
+}  // namespace alula
+
+void bind_polytope_cbf(nb::module_& m) {
+  using namespace alula;
+  nb::class_<PolytopeCbf>(m, "PolytopeCbf",
+                          "The onboard safety filter among convex polytopes {x : normal . x <= offset}.\n\n"
+                          "Normals are outward unit vectors (F, 3), offsets in metres, world frame; extent_m bounds\n"
+                          "the coordinates of all positions. Raises ValueError for what the filter does not accept.")
+      .def("__init__", &construct, "normal"_a, "offset"_a, "plane_start"_a, nb::kw_only(), "extent_m"_a, "radius_m"_a,
+           "beta"_a = 2.0, "kappa"_a = 100.0, "dt_s"_a = 0.01, "v_max"_a = 1.0, "smoothing"_a = "sound",
+           "brute_force"_a = false)
+      .def("filter", &filter, "x"_a, "u_nom"_a,
+           "(u, status, margin of the smooth psi, margin of the hard psi, nearest hull or -1); margins in metres.")
+      .def_static("from_image", &from_image, "image"_a, nb::kw_only(), "extent_m"_a, "radius_m"_a, "beta"_a = 2.0,
+                  "kappa"_a = 100.0, "dt_s"_a = 0.01, "v_max"_a = 1.0, "smoothing"_a = "sound",
+                  "brute_force"_a = false,
+                  "The filter on an image of an onboard map, as a microcontroller runs it. Raises ValueError with\n"
+                  "the reader's complaint for an image that it refuses.")
+      .def("work", &work,
+           "What the last call of `filter` looked at: boxes, hulls, planes of these, how many of them were\n"
+           "decoded, exponentials of planes.")
+      .def("psi", &psi, "points"_a, nb::kw_only(), "jobs"_a = 0,
+           "Smooth psi (N), hard psi (N) and the gradient of the smooth one (N, 3) at points (N, 3) [m].")
+      .def("map_arrays", &map_arrays,
+           "The single-precision map: plane (F, 4), plane_start (n + 1), lower and upper (n, 3), extent and slack "
+           "[m].");
+
+  m.def(
+      "onboard_exp_log",
+      [](const InVector<float>& x) -> std::tuple<Out<float>, Out<float>> {
+        std::vector<float> exponential, logarithm;
+        for (const float value : as_span(x)) {
+          exponential.push_back(alula_expf(value));
+          logarithm.push_back(alula_logf(value));
+        }
+        const std::size_t count = exponential.size();
+        return {to_numpy(std::move(exponential), {count}), to_numpy(std::move(logarithm), {count})};
+      },
+      "x"_a, "The onboard exponential and logarithm, for checking their error bounds.");
+}

@@ -1,0 +1,168 @@
+// Bindings of alula/flight/encounter.hpp.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/vector.h>
+
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "alula/flight/encounter.hpp"
+#include "alula/flight/encounter_watch.hpp"
+#include "flight_arrays.hpp"
+#include "python_control.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace alula::flight {
+namespace {
+
+using LogDict = nb::typed<nb::dict, nb::str, nb::any>;
+
+constexpr std::size_t kFigures = 8;
+
+// Per obstacle a row: closest, separation, closing, detected, warned, command, reaction, avoid; and who was hit.
+void add_metrics(nb::dict& to, const std::vector<EncounterMetrics>& obstacles) {
+  const std::size_t n = obstacles.size();
+  std::vector<double> rows;
+  std::vector<std::uint8_t> collided;
+  rows.reserve(n * kFigures);
+  for (const EncounterMetrics& m : obstacles) {
+    rows.insert(rows.end(), {m.closest_m, m.separation_m, m.closing_m_s, m.detected_s, m.warned_s, m.command_s,
+                             m.reaction_s, m.avoid_s});
+    collided.push_back(m.collided ? 1 : 0);
+  }
+  to["obstacle"] = to_numpy(std::move(rows), {n, kFigures});
+  to["collided"] = to_numpy(std::move(collided), {n});
+}
+
+LogDict to_dict(EncounterLog&& log, bool keeps_path) {
+  LogDict result;
+  add_metrics(result, log.obstacle);
+  result["outcome"] = log.outcome == EncounterOutcome::passed ? "passed" : "timeout";
+  result["wall_clearance_m"] = log.wall_clearance_m;
+  result["ticks"] = log.ticks;
+  result["active_ticks"] = log.active_ticks;
+  result["filtered_ticks"] = log.filtered_ticks;
+  result["infeasible_ticks"] = log.infeasible_ticks;
+  result["recovering_ticks"] = log.recovering_ticks;
+  result["refused_ticks"] = log.refused_ticks;
+  result["iterations"] = log.iterations;
+  result["worst_violation"] = log.worst_violation;
+  result["risk_spent"] = log.risk_spent;
+  result["mission_risk"] = log.mission_risk;
+  result["path_length_m"] = log.path_length_m;
+  result["max_speed_m_s"] = log.max_speed_m_s;
+  result["mean_jerk_m_s3"] = log.mean_jerk_m_s3;
+  result["max_jerk_m_s3"] = log.max_jerk_m_s3;
+  const std::size_t active = log.active_tick_s.size();
+  result["active_tick_s"] = to_numpy(std::move(log.active_tick_s), {active});
+  if (!keeps_path) return result;
+  const std::size_t ticks = log.mode.size(), n = log.obstacle.size();
+  result["vehicle"] = to_numpy(std::move(log.vehicle), {ticks, 9});
+  result["obstacles"] = to_numpy(std::move(log.obstacles), {ticks, n, 3});
+  result["tracks"] = to_numpy(std::move(log.tracks), {ticks, n, 3});
+  result["command"] = to_numpy(std::move(log.command), {ticks, 3});
+  result["nominal"] = to_numpy(std::move(log.nominal), {ticks, 3});
+  result["mode"] = to_numpy(std::move(log.mode), {ticks});
+  result["status"] = to_numpy(std::move(log.status), {ticks});
+  return result;
+}
+
+void bind_vehicle_and_rules(nb::module_& m) {
+  const EncounterVehicle v;
+  nb::class_<EncounterVehicle>(m, "EncounterVehicle", "What flies among moving obstacles, and where to.")
+      .def(
+          "__init__",
+          [](EncounterVehicle* self, const Triple& start, const Triple& goal, double start_speed, double cruise,
+             double gain, double radius, double max_speed, double max_acceleration, double max_jerk, double delay,
+             bool hovers, double yaw_rate) {
+            new (self) EncounterVehicle{vector_of(start), vector_of(goal),  start_speed, cruise, gain,   radius,
+                                        max_speed,        max_acceleration, max_jerk,    delay,  hovers, yaw_rate};
+          },
+          nb::kw_only(), "start"_a = triple_of(v.start), "goal"_a = triple_of(v.goal),
+          "start_speed_m_s"_a = v.start_speed_m_s, "cruise_m_s"_a = v.cruise_m_s, "gain"_a = v.gain,
+          "radius_m"_a = v.radius_m, "max_speed_m_s"_a = v.max_speed_m_s,
+          "max_acceleration_m_s2"_a = v.max_acceleration_m_s2, "max_jerk_m_s3"_a = v.max_jerk_m_s3,
+          "actuation_delay_s"_a = v.actuation_delay_s, "hovers"_a = v.hovers, "yaw_rate_rad_s"_a = v.yaw_rate_rad_s,
+          "A sphere that moves as a double integrator: |a|_inf of commands, |da/dt|_inf and |v| of what is executed, "
+          "late by the delay. It holds its start or goes to its goal.");
+  const EncounterRules r;
+  nb::class_<EncounterRules>(m, "EncounterRules", "Times of an encounter, and when it ends.")
+      .def(
+          "__init__",
+          [](EncounterRules* self, double dt, int plant_steps, double max_time, double receded, double risk_window) {
+            new (self) EncounterRules{dt, plant_steps, max_time, receded, risk_window};
+          },
+          nb::kw_only(), "dt_s"_a = r.dt_s, "plant_steps"_a = r.plant_steps, "max_time_s"_a = r.max_time_s,
+          "receded_s"_a = r.receded_s, "risk_window_s"_a = r.risk_window_s);
+}
+
+}  // namespace
+}  // namespace alula::flight
+
+void bind_encounter(nb::module_& m) {
+  using namespace alula;
+  using namespace alula::flight;
+  bind_vehicle_and_rules(m);
+  nb::class_<EncounterSpec>(m, "EncounterSpec", "All of an encounter but the filter.")
+      .def(
+          "__init__",
+          [](EncounterSpec* self, const EncounterVehicle& vehicle, const EncounterRules& rules,
+             std::vector<ObstacleSpec> obstacles, const RadarOptions& radar, const TrackerOptions& tracker,
+             const PolytopeSet* walls) {
+            const EncounterSpec spec{vehicle, rules, std::move(obstacles), radar, tracker, walls};
+            check(spec);
+            new (self) EncounterSpec(spec);
+          },
+          nb::kw_only(), "vehicle"_a = EncounterVehicle{}, "rules"_a = EncounterRules{},
+          "obstacles"_a = std::vector<ObstacleSpec>{}, "radar"_a = RadarOptions{}, "tracker"_a = TrackerOptions{},
+          "walls"_a.none() = nb::none(), nb::keep_alive<1, 7>(),
+          "ValueError for a specification that means nothing.");
+  m.def(
+      "fly_encounters",
+      [](const EncounterSpec& spec, const MovingFilter& filter, std::uint64_t seed, std::uint32_t first,
+         std::uint32_t count, bool keeps_path, unsigned jobs, nb::object progress) {
+        PythonControl control(std::move(progress));
+        std::vector<EncounterLog> logs;
+        {
+          const nb::gil_scoped_release release;
+          logs = fly_encounters(spec, filter, seed, first, count, keeps_path, jobs, control);
+        }
+        nb::typed<nb::list, LogDict> result;
+        for (EncounterLog& log : logs) result.append(to_dict(std::move(log), keeps_path));
+        return result;
+      },
+      "spec"_a, "filter"_a, nb::kw_only(), "seed"_a = 0, "first"_a = 0, "count"_a = 1, "keeps_path"_a = false,
+      "jobs"_a = 0, "progress"_a = nb::none(),
+      "Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial. `obstacle` "
+      "has "
+      "a row per obstacle: closest [m], separation [m], closing [m/s], detected, warned, command (measured), "
+      "reaction "
+      "and avoid [s], NaN for what never was; with keeps_path also a row per tick of the vehicle (p, v, a), "
+      "obstacles, "
+      "tracks, command, nominal, mode and status.");
+  m.def(
+      "collision_risk",
+      [](const Triple& position, const Triple& velocity, const std::array<double, 21>& covariance,
+         const Triple& command, double radius, double window) {
+        const alula_vehicle_state vehicle{};
+        alula_track track{};
+        for (std::size_t k = 0; k < 3; ++k) {
+          track.position[k] = static_cast<float>(position[k]);
+          track.velocity[k] = static_cast<float>(velocity[k]);
+        }
+        for (std::size_t k = 0; k < 21; ++k) track.covariance[k] = static_cast<float>(covariance[k]);
+        return risk_of(track, vehicle, vector_of(command), radius, window);
+      },
+      "position"_a, "velocity"_a, "covariance"_a, "command"_a, "radius"_a, "window_s"_a,
+      "Of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: bound of the "
+      "probability that it is within the radius when it comes closest in the window.");
+  m.def(
+      "closest_approach",
+      [](const Triple& r0, const Triple& r1, const Triple& a, double h) {
+        return closest_approach(vector_of(r0), vector_of(r1), vector_of(a), h);
+      },
+      "r0"_a, "r1"_a, "a"_a, "h"_a, "Least |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.");
+}

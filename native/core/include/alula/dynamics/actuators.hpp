@@ -1,0 +1,60 @@
+// What lies between a command and the wrench that a quadrotor flies, and between its state and what is known of it.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+#include "alula/dynamics/quadrotor.hpp"
+
+namespace alula::flight {
+
+// As filters believe it; all off: the wrench is flown at once, and the state is known now.
+struct ActuatorModel {
+  double motor_time_constant_s = 0;  // of each rotor's thrust, f' = (f_command - f) / time constant
+  double delay_s = 0;                // age of what is measured
+};
+
+// Throws std::invalid_argument for a number without meaning.
+inline void check(const ActuatorModel& model) {
+  const auto require = [](double value, double most, const char* what) {
+    if (!(value >= 0 && value <= most)) throw std::invalid_argument(what);
+  };
+  require(model.motor_time_constant_s, 10, "the time constant of the motors must be in 0..10 s");
+  require(model.delay_s, 10, "a delay must be in 0..10 s");
+}
+
+// The rotors' thrusts after t of following `goal` with the time constant `lag` > 0, within their limits:
+// f(t) = goal + (f(0) - goal) e^(-t / lag). Each goes one way only, as thrust and torques do.
+inline Vec4 followed(const RotorLayout& limits, const Vec4& from, const Vec4& goal, double lag, double t) {
+  const double left = std::exp(-t / lag);
+  Vec4 f{};
+  for (std::size_t i = 0; i < 4; ++i)
+    f[i] = std::clamp(goal[i] + left * (from[i] - goal[i]), limits.f_min[i], limits.f_max[i]);
+  return f;
+}
+
+// One RK4 step of dt with rotors that follow a command; `rotors` become those at its end. derivative(x, u) is that of
+// the body for a wrench.
+template <class F>
+State following_step(const Quadrotor& body, double lag, const State& x, Vec4& rotors, const Wrench& command,
+                     double dt, F&& derivative) {
+  const Vec4 goal = body.rotor_thrust(command), from = rotors;
+  const Wrench middle = body.wrench(followed(body.rotors(), from, goal, lag, dt / 2));
+  rotors = followed(body.rotors(), from, goal, lag, dt);
+  const Wrench first = body.wrench(from), last = body.wrench(rotors);
+  return rk4_step(x, dt, [&](double t, const State& at) {
+    return derivative(at, t == 0 ? first : t < dt ? middle : last);
+  });
+}
+
+// The command after which the rotors make `wished` when a tick has passed, within their limits.
+inline Wrench leading(const Quadrotor& body, double lag, const Vec4& rotors, const Wrench& wished, double tick_s) {
+  const double gain = 1 / -std::expm1(-tick_s / lag);
+  Vec4 f = body.rotor_thrust(wished);
+  for (std::size_t i = 0; i < 4; ++i) f[i] = rotors[i] + gain * (f[i] - rotors[i]);
+  return body.limited(body.wrench(f));
+}
+
+}  // namespace alula::flight

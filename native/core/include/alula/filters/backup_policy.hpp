@@ -1,0 +1,136 @@
+// Feedback that brings a quadrotor to rest from any state within the limits of its rotors.
+//
+// A policy maps (sigma, v, omega) to a wrench that is admissible for every finite state, is C^2 in it, and has
+// hover, at whatever place and (but for `hover`) heading, as its only stable rest. With R = R(sigma),
+// b = R^T e3, c = R e3, S = -hat(e3), caps c_k > 0 and sat(y, c) = c tanh(y / c):
+//
+//   hover              T = m g + sat(-kappa m k_vz v_z, c_T)
+//                      tau = sat(kappa (-K_sigma sigma - K_omega omega + k_vh S R v), c_tau)
+//   heading-invariant  the same T;  tau~ = (K_sigma / 4) (e3 x c) - K_omega omega + k_vh S R v
+//   brake              u = v - v_d,  n = e3 - tan(tilt) u_h / sqrt(v_0^2 + |u_h|^2),
+//                      tau~ = K_R (e3 x R n) - K_omega omega,
+//                      T~ = m (g - k_z u_z) l(R_33),  l(y) = (1 + eps) y / (y^2 + eps) ~ 1 / y
+//
+// `hover` has a spring on yaw and jumps at a shadow switch; the other two depend on the attitude through R alone.
+// `brake` tilts towards n, so its steady tilt stays below `tilt`, holds its height while tilted, and has
+// different caps of thrust upwards and downwards. v_d is the velocity that it regulates about.
+//
+// Source: Tscholl, Nakka, Gunter 2026 (FastBridge), eq. 17-19, for `hover`; the others are ours.
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "alula/dynamics/quadrotor.hpp"
+
+namespace alula::flight {
+
+// `cone_escape` is `brake` as a policy; who flies it may choose manoeuvres that hold a velocity first.
+enum class BackupKind : std::uint8_t { hover, heading_invariant, brake, cone_escape };
+
+struct BackupGains {
+  // hover and heading-invariant
+  double k_vz = 2.0;                 // [1/s]
+  double k_sigma = 0.30;             // [N m]
+  double k_omega = 0.020;            // [N m s]
+  double k_vh = 0.006;               // [N s]
+  double kappa = 1.0;                // sharpness of the saturation
+  Vec4 weight{2.0, 0.3, 0.3, 0.05};  // d: ratio of the caps of (T, tau) [N, N m]
+  double eta_frac = 0.95;            // share of the rotors' margin about hover that is used, in (0, 1); of all kinds
+
+  // brake
+  double tilt_rad = 0.61;            // largest steady tilt
+  double full_tilt_speed_m_s = 1.5;  // v_0; the velocity decays with g tan(tilt) / v_0 below it
+  double climb_rate_1_s = 4.0;       // k_z
+  double attitude_rad_s = 20.0;      // w: K_R = J w^2 (roll, pitch)
+  double attitude_damping = 0.9;     // zeta: K_omega = 2 zeta w J (roll, pitch)
+  double yaw_damping_1_s = 8.0;      // K_omega = J_z times that
+  double torque_share = 0.4;         // of the downward margin that torques may take; the rest is thrust's
+  Vec3 torque_weight{0.3, 0.3, 0.03};
+};
+
+// d(T, tau) / d(sigma, v, omega); d tau / d omega is diagonal and dT / d omega zero.
+struct PolicyJacobian {
+  Vec3 thrust_sigma, thrust_v;
+  Mat3 torque_sigma, torque_v;
+  Vec3 torque_omega;
+};
+
+class BackupPolicy {
+ public:
+  // Throws std::invalid_argument when a gain means nothing, hover is not inside the rotors' limits, or the linear
+  // loop of braking J s^3 + K_omega s^2 + K_R s + g k_vh = 0 is not Hurwitz, i.e. unless K_omega K_R > J g k_vh
+  // for roll and pitch (with K_R = K_sigma / 4, gains times kappa; K_R tan(tilt) / v_0 for k_vh in `brake`).
+  BackupPolicy(const Quadrotor& vehicle, BackupKind kind, const BackupGains& gains = {});
+
+  BackupKind kind() const { return kind_; }
+  const Quadrotor& vehicle() const { return vehicle_; }
+  const BackupGains& gains() const { return gains_; }
+
+  bool brakes() const { return kind_ == BackupKind::brake || kind_ == BackupKind::cone_escape; }
+  bool escapes() const { return kind_ == BackupKind::cone_escape; }
+
+  // Rotor i gets f_hov,i + (G^-1 Delta)_i with Delta_T in [-down, up] and |Delta_tau| <= torque_cap, so it stays
+  // within eta_frac of its margins about hover, whatever the state.
+  double cap_up() const { return up_; }
+  double cap_down() const { return down_; }
+  Vec3 torque_cap() const { return torque_cap_; }
+  double fastest_rate() const;  // of the attitude loop [1/s], for the choice of an integration step
+
+  // Whether the linear loop about hover, with wrenches held for a tick, is asymptotically stable (Jury's criterion).
+  // Gains that are sound in continuous time are not when the vehicle is light or the tick long.
+  bool settles(double tick_s) const;
+
+  // The wrench before saturation, and the policy itself. `hold` is v_d of `brake`; the others ignore it.
+  Wrench raw(const State& x, Vec3 hold = {}) const;
+  Wrench operator()(const State& x, Vec3 hold = {}) const;
+
+  // The policy with all that the rotors have, torque before thrust, for where no gentle manoeuvre is left. Of `brake`
+  // the thrust is the share of the wished force along the axis, least while the axis points ahead: it never speeds
+  // the vehicle up to hold its height. The same feedback near hover.
+  Wrench urgent(const State& x, Vec3 hold = {}) const;
+  Wrench linearised(const State& x, Vec3 hold, PolicyJacobian& jacobian) const;  // the same bits, and its Jacobian
+
+  // How far the linear loop about hover would still move before it rests [m]: the time integral of its velocity.
+  Vec3 drift(const State& x) const;
+
+  // About how far it moves at most on the way [m]. The parts of the drift may cancel in a state that swings out and
+  // back, so their lengths are added.
+  double excursion(const State& x) const;
+  // The same where it is slow: the parts of `brake` are over before it matters that they cancel.
+  double sway(const State& x) const;
+  bool sways_at_most(const State& x, double limit) const;  // sway(x) <= limit, mostly for less
+
+ private:
+  Vec3 tilt_target(Vec3 v, Vec3 hold) const;
+  double lift(double cosine) const;
+  std::array<Vec3, 3> drifts(const State& x) const;  // flat, of speed, tilt and rate
+  Wrench saturated(const Wrench& raw) const;
+
+  Quadrotor vehicle_;
+  BackupKind kind_;
+  BackupGains gains_;
+  double up_ = 0, down_ = 0;
+  Vec3 torque_cap_;
+  Vec3 k_tilt_, k_omega_;  // K_R (0 about yaw) and K_omega
+  double lean_ = 0;        // k_vh / K_R, or tan(tilt) / v_0
+  double k_z_ = 0, kappa_ = 1;
+};
+
+// What a manoeuvre flies: `brake` about `hold` for `ticks` ticks or steps, then to rest; or `urgent`.
+struct Manoeuvre {
+  Vec3 hold;      // [m/s]
+  int ticks = 0;  // 0: to rest at once
+  bool is_urgent = false;
+
+  Vec3 at(int tick) const { return tick < ticks ? hold : Vec3{}; }
+};
+
+// f_cl = f + g pi_b, and its Jacobian by blocks; the rows of p are (0, 0, I, 0).
+struct ClosedLoopJacobian {
+  Mat3 sigma_sigma, sigma_omega, v_sigma, v_v, omega_sigma, omega_v, omega_omega;
+};
+State closed_loop(const BackupPolicy& policy, const State& x, Vec3 hold = {});
+State closed_loop(const BackupPolicy& policy, const State& x, Vec3 hold, ClosedLoopJacobian& jacobian);
+
+}  // namespace alula::flight

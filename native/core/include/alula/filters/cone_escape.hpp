@@ -1,0 +1,31 @@
+// Velocities that leave the collision cones ahead without losing speed.
+#pragma once
+
+#include <array>
+#include <span>
+
+#include "alula/filters/collision_cone.hpp"
+
+namespace alula::flight {
+
+struct EscapeOptions {
+  double slack_rad = 0.05;  // turned beyond the tangent
+  double most_rad = 1.3;    // no turn beyond that is a way out
+  double least_speed_m_s = 0.3;
+};
+
+inline constexpr std::size_t kEscapes = 8;
+struct Escapes {
+  std::array<Vec3, kEscapes> velocity;  // by the angle from v, least first
+  std::array<double, kEscapes> turn;    // [rad]
+  std::size_t count = 0;
+};
+
+// For eight directions about v (level left first, then by 45 degrees over the top), v turned by the least angle
+// after which its ray meets no cone of `near`, those of ellipsoids around the vehicle left out. In the plane of v
+// and a direction, h is a quadratic form in (cos, sin) of the angle, so each cone is left by solving a quadratic;
+// passes repeat until no cone is met. Nothing below `least_speed_m_s`.
+Escapes escape_velocities(const EllipsoidIndex& index, std::span<const Found> near, Vec3 p, Vec3 v,
+                          const EscapeOptions& options = {});
+
+}  // namespace alula::flight

@@ -1,0 +1,88 @@
+// The barrier on the squared distance of one ellipsoid, its row over the acceleration, and a bound on that.
+//
+// With the signed distance d of the vehicle's centre p to an ellipsoid, its closest point y, phi = sign(d), o = p -
+// y,
+//   h = phi |o|^2 - r^2,   row:  2 phi o . u + phi v^T H v + (alpha + beta) 2 phi o . v + alpha beta h >= 0,
+// H the Hessian of d^2; r is the index's radius and what the losses of the ellipsoid add to it.
+// Source: SAFER-Splat (arXiv 2409.09868), its public implementation for the published Hessian.
+#pragma once
+
+#include <limits>
+
+#include "alula/filters/collision_cone.hpp"
+#include "alula/geometry/ellipsoid_index.hpp"
+
+namespace alula::flight {
+
+enum class SaferHessian : std::uint8_t {
+  correct,   // in the world's frame
+  published  // in the ellipsoid's own, semi-axes descending and the point in the positive octant, as it was published
+};
+
+struct DistanceLaw {
+  double alpha = 5, beta = 1;  // poles of h'' + (alpha + beta) h' + alpha beta h >= 0 [1/s]
+  SaferHessian hessian = SaferHessian::correct;
+};
+
+struct DistanceBarrier {
+  double h = 0;
+  AccelerationRow row;
+};
+
+DistanceBarrier distance_barrier(const EllipsoidIndex& index, const DistanceLaw& law, std::uint32_t item, Vec3 p,
+                                 Vec3 v);
+
+// A lower bound on row . u - bound of every ellipsoid whose closest point y is in a box. Outside, H is positive
+// semidefinite in either frame, so with w = u + (alpha + beta) v what is left is no less than
+//   alpha beta |o|^2 + 2 o . w - alpha beta r^2  =  alpha beta (|o + w / (alpha beta)|^2 - r^2) - |w|^2 / (alpha
+//   beta),
+// whose least value over a box of o is found axis by axis: below zero only where y is within
+// sqrt(r^2 + |w|^2 / (alpha beta)^2) of p + w / (alpha beta). The projection does not move along o, so the correct H
+// has v^T H v >= 2 (o . v)^2 / |o|^2, which is added. A vehicle inside is in the box, where o may be 0: the bound is
+// negative there, and such an ellipsoid never passed over.
+class DistanceRowBound {
+ public:
+  DistanceRowBound(const DistanceLaw& law, double radius, Vec3 p, Vec3 v, Vec3 u)
+      : p_(p),
+        v_(v),
+        w_(u + (law.alpha + law.beta) * v),
+        stiffness_(law.alpha * law.beta),
+        radius_(radius),
+        is_radial_(law.hessian == SaferHessian::correct) {}
+
+  double operator()(const geometry::Box& box, double ball) const {
+    double least = 0, size = 0, near = 0, far = 0, far2 = 0;
+    for (int i = 0; i < 3; ++i) {
+      const double low = p_[i] - box.upper[i], high = p_[i] - box.lower[i];
+      const double o = std::min(std::max(-w_[i] / stiffness_, low), high);
+      const double square = stiffness_ * o * o, product = 2 * o * w_[i];
+      least += square + product, size += square + std::abs(product);
+      near += std::min(low * v_[i], high * v_[i]), far += std::max(low * v_[i], high * v_[i]);
+      far2 += std::max(low * low, high * high);
+    }
+    const double r = radius_ + ball, inner = stiffness_ * r * r;
+    double bend = 0;
+    if (is_radial_ && (near > 0 || far < 0)) {
+      const double along = near > 0 ? near : far;
+      bend = 2 * along * along / far2;
+    }
+    return least + bend - inner - kSlack * (size + bend + inner);
+  }
+
+ private:
+  static constexpr double kSlack = 1e-12;  // more than the roundings of a row
+
+  Vec3 p_, v_, w_;
+  double stiffness_, radius_;
+  bool is_radial_;
+};
+
+// A lower bound on h of every ellipsoid in a box, with r = radius: none is nearer than the box, or the vehicle may be
+// inside.
+inline double least_barrier(const geometry::Box& box, double radius, Vec3 p) {
+  const double squared = squared_distance(box, {p, p});
+  return squared > 0 ? (1 - 1e-12) * squared - (1 + 1e-12) * radius * radius
+                     : -std::numeric_limits<double>::infinity();
+}
+
+}  // namespace alula::flight

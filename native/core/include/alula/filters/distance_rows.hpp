@@ -1,0 +1,66 @@
+// The rows of all ellipsoids of a map, measured only where an acceleration could violate them.
+#pragma once
+
+#include <limits>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "alula/filters/distance_barrier.hpp"
+
+namespace alula::flight {
+
+// Rows depend on the state alone, so one that was measured serves all accelerations of a tick.
+class DistanceRows {
+ public:
+  struct Row {
+    AccelerationRow unit;  // normalised
+    double length;         // of the row before that
+    std::uint32_t item;
+    bool is_taken;  // by `worst`
+
+    double slack(Vec3 u) const { return geometry::dot(unit.row, u) - unit.bound; }
+  };
+
+  DistanceRows(std::shared_ptr<const EllipsoidIndex> index, const DistanceLaw& law);
+
+  const EllipsoidIndex& index() const { return *index_; }
+  const DistanceLaw& law() const { return law_; }
+
+  // Another state: measures the ellipsoids that may have the least h or, if asked, all of them.
+  void start(Vec3 p, Vec3 v, bool all);
+
+  // Measures what may be violated by `u` and was not measured in this tick, by the tree and in the order of the
+  // bounds; it may stop with `enough` violated rows in hand. Whether any new one is violated beyond `tolerance`.
+  bool search(Vec3 u, double tolerance, std::size_t enough);
+
+  // The at most `count` measured rows that `u` violates most, of those beyond `tolerance` that were not taken
+  // before; they are taken. Valid until the next call.
+  std::span<const std::uint32_t> worst(Vec3 u, double tolerance, std::size_t count);
+
+  // Whether `u` holds the rows of all ellipsoids to the tolerance.
+  bool hold(Vec3 u, double tolerance);
+
+  const Row& operator[](std::size_t i) const { return row_[i]; }
+  std::size_t size() const { return row_.size(); }      // of this tick, but for those that hold for all inputs
+  std::uint32_t measured() const { return measured_; }  // ellipsoids measured in this tick
+  double least() const { return least_; }               // h of the map [m^2]
+
+ private:
+  bool measure(std::uint32_t item);  // whether a row was stored
+
+  std::shared_ptr<const EllipsoidIndex> index_;
+  DistanceLaw law_;
+  Vec3 p_, v_;
+  bool has_all_ = false;
+  double least_ = std::numeric_limits<double>::infinity();
+  std::uint32_t tick_ = 0, measured_ = 0;
+  std::vector<std::uint32_t> seen_;  // the last tick in which an item was measured
+  std::vector<Row> row_;
+  std::vector<geometry::Bvh::Pending> heap_;
+  std::vector<double> value_;  // of the most violated rows before they were normalised, a heap
+  std::vector<std::pair<double, std::uint32_t>> order_;
+  std::vector<std::uint32_t> worst_;
+};
+
+}  // namespace alula::flight

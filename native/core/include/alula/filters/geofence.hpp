@@ -1,0 +1,64 @@
+// The onboard geofence for host programs, and the fence itself in double precision to judge flights by.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "alula/dynamics/racer.hpp"
+#include "alula/geometry/clearance.hpp"
+#include "alula_geofence.h"
+
+namespace alula::flight {
+
+// Where to fly: in the box, in the polytope, outside the hulls of a map; at least one of them.
+struct Fence {
+  std::optional<geometry::Box> box;
+  std::vector<std::array<double, 4>> faces;                // n . p <= d inside, unit n
+  std::shared_ptr<const std::vector<std::uint8_t>> image;  // of an onboard map, read by the filter
+  const PolytopeSet* keep_out = nullptr;                   // the same for the judge; not owned
+
+  // Least distance of the segment a..b from the box, the faces and the polytopes; negative outside.
+  double clearance(Vec3 a, Vec3 b) const;
+};
+
+struct GeofenceReport {
+  alula_geofence_status status = ALULA_GEOFENCE_REFUSED;
+  RacerCommand command;  // the pilot's, bit by bit, when PASSED
+  alula_geofence_result detail{};
+};
+
+alula_racer_state to_onboard(const RacerState& x);
+alula_racer_command to_onboard(const RacerCommand& u);
+RacerCommand from_onboard(const alula_racer_command& u);
+
+// Copies share the map and have a state each: one copy per thread, also of what only evaluates. Numbers are rounded
+// to the safe side: the box inward, faces by what their normals and positions of up to 1 km lose in float. Throws
+// std::invalid_argument for a fence or parameters that the onboard code does not accept.
+class Geofence {
+ public:
+  Geofence(const Fence& fence, const alula_geofence_config& config);
+  Geofence(const Geofence& other) : Geofence(other.fence_, other.filter_.config) {}
+  Geofence& operator=(const Geofence&) = delete;
+
+  void reset() { alula_geofence_reset(&filter_); }
+  GeofenceReport filter(const RacerState* navigation, const RacerCommand* pilot);
+
+  // h_I of a flow that begins here. Throws std::invalid_argument for a state that the filter would not take.
+  alula_geofence_value evaluate(const RacerState& x) const;
+
+  const alula_geofence_config& config() const { return filter_.config; }
+  const Fence& fence() const { return fence_; }
+  const alula_fence& onboard_fence() const { return onboard_; }  // as firmware is given it
+  double hover_throttle() const { return filter_.hover; }
+
+ private:
+  Fence fence_;
+  alula_map map_{};
+  alula_fence onboard_{};
+  mutable alula_geofence filter_{};  // evaluating changes what it remembers of the map
+};
+
+}  // namespace alula::flight

@@ -1,0 +1,83 @@
+// One protocol of the filters among moving obstacles: own state, tracks, walls and what the controller wishes in, an
+// acceleration out. The state and the tracks are what sensors and tracker say, never the truth.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <span>
+
+#include "alula/geometry/vec3.hpp"
+#include "alula/qp/qp.hpp"
+#include "alula_dr_acbf.h"
+
+namespace alula::flight {
+
+// The numbers of `alula_filter_status`.
+enum class MovingStatus : std::uint8_t { ok = 0, filtered = 1, recovering = 3, refused = 4 };
+
+struct MovingReport {
+  MovingStatus status = MovingStatus::refused;
+  geometry::Vec3 acceleration;  // |a|_inf <= a_max [m/s^2]
+  std::uint8_t mode = 0;        // alula_avoidance_mode
+  bool warned = false;
+  double risk_m = 0;         // of the warning
+  std::int64_t urgent = -1;  // index of the most urgent track
+  double horizon_s = 0;
+  bool feasible = true;
+  std::uint32_t rows = 0, iterations = 0;
+  // By how much what is flown misses the rows of the method and of walls, as an acceleration [m/s^2]: at most 0 where
+  // they hold, minus infinity without rows. See each method for what its rows come to.
+  double violation = 0;
+  double risk_left = 0;  // by the command: sum over obstacles with a row of Cantelli's bound for it, 1 at most each
+};
+
+class MovingFilter {
+ public:
+  virtual ~MovingFilter() = default;
+  virtual MovingReport filter(const alula_vehicle_state& vehicle, std::span<const alula_track> tracks,
+                              std::span<const alula_wall> walls, geometry::Vec3 nominal) = 0;
+  // What is flown in this tick instead, after a refusal: the next one counts with it.
+  virtual void flown(geometry::Vec3 acceleration) = 0;
+  virtual void reset() = 0;
+  virtual std::unique_ptr<MovingFilter> clone() const = 0;
+};
+
+enum class MovingMethod : std::uint8_t {
+  none,        // the nominal
+  dr_acbf,     // native/onboard
+  dr_acbf_qp,  // the same rows through the general solver of qp.hpp
+  mpc,         // p = 20, m = 3 on a double integrator
+  cbf_qp,      // of the velocity
+  rp_cbf       // robust policy CBF: rollouts of the avoidance policy
+};
+
+// In AVOID, towards the bypass point; elsewhere it flies what the manoeuvre wishes.
+struct MpcOptions {
+  double step_s = 0.02;  // 20 of them are the horizon; the first two moves last one each, the third the rest
+  double velocity_weight = 0.01, input_weight = 0.001;
+  double slack_weight = 1e5;  // of the squared slack of the distances
+};
+
+struct CbfQpOptions {
+  double horizon_s = 0.4, velocity_time_s = 0.1;
+};
+
+struct RpCbfOptions {
+  double horizon_s = 3, step_s = 0.1;  // of the rollouts, 64 steps at most
+  double hold_s = 0.5;                 // how long a sample keeps an acceleration
+  double alpha = 1;                    // [1/s]
+  int samples = 32;                    // half uniform, half bang-bang
+};
+
+struct MovingFilterOptions {
+  alula_dr_acbf_config config;  // of all methods: the warning and the manoeuvre are shared
+  MpcOptions mpc;
+  CbfQpOptions cbf_qp;
+  RpCbfOptions rp_cbf;
+  QpBackend backend;  // solves the programs of dr_acbf_qp, mpc, cbf_qp and rp_cbf, if there is one
+};
+
+// Throws std::invalid_argument for options that mean nothing.
+std::unique_ptr<MovingFilter> make_moving_filter(MovingMethod method, const MovingFilterOptions& options);
+
+}  // namespace alula::flight

@@ -1,0 +1,55 @@
+// The onboard polytope filter with its map, for host programs.
+#pragma once
+
+#include <array>
+#include <memory>
+#include <vector>
+
+#include "alula/cover/onboard_image.hpp"
+#include "alula/filters/polytope_map.hpp"
+
+namespace alula {
+
+using Vec3 = std::array<double, 3>;
+
+// Parameters in double precision; rounded to the safe side (the radius up).
+struct PolytopeCbfConfig {
+  double radius_m = 0;
+  double beta = 2;
+  double kappa = 100;
+  double dt_s = 0.01;
+  double v_max = 1;
+  alula_smoothing smoothing = ALULA_SMOOTHING_SOUND;
+  bool brute_force = false;
+};
+
+struct FilterOutput {
+  Vec3 u;  // equals the nominal input, bit by bit, when the status is OK
+  alula_filter_status status;
+  alula_polytope_result detail;
+};
+
+// Calls the onboard code, on a map of arrays or on an image. Copies share the map: one copy per thread.
+// Throws std::invalid_argument for parameters that the onboard code does not accept.
+class PolytopeCbf {
+ public:
+  PolytopeCbf(std::shared_ptr<const PolytopeMap> map, const PolytopeCbfConfig& config);
+  PolytopeCbf(std::shared_ptr<const OnboardImage> image, double extent_m, const PolytopeCbfConfig& config);
+
+  FilterOutput filter(const Vec3& x, const Vec3& u_nom);
+
+  // psi, its smooth version and gradient; hard is -FLT_MAX where x is refused.
+  alula_polytope_value evaluate(const Vec3& x);
+
+  const PolytopeCbfConfig& config() const { return config_; }
+  const PolytopeMap* map() const { return map_.get(); }  // null with an image
+  const alula_polytope_work& work() const { return cbf_.work; }
+
+ private:
+  std::shared_ptr<const PolytopeMap> map_;
+  std::shared_ptr<const OnboardImage> image_;
+  PolytopeCbfConfig config_;
+  alula_polytope_cbf cbf_;
+};
+
+}  // namespace alula

@@ -1,0 +1,152 @@
+// Only inputs after which a safe manoeuvre to rest is still known.
+//
+// A manoeuvre is the backup policy sampled and held tick by tick, as it would be flown: about a velocity for some
+// ticks, then to rest. It is safe when the ball of the vehicle's radius and a margin about the position meets no
+// ellipsoid of the map (not only the nearest, not grown) until it rests. The signed distance of the map is
+// 1-Lipschitz, so a distance at one tick clears all ticks within it by arc length; arc lengths and the sag of the
+// path between ticks are bounded, not sampled.
+// Where it has all but stopped and twice its excursion is free all around, the rest of the way is not
+// flown. Long stretches are first shown to be clear at once: the distance of a point to a chord is convex, so no part
+// of the path leaves a chord by more than its ticks and their sag do.
+//
+// An input is returned when the state after one tick of it has a safe manoeuvre. Then the next tick has at least
+// that manoeuvre, so by induction a flight that starts with one never comes closer than the radius in the
+// model, whatever the nominal input does. A manoeuvre being flown stays accepted down to half the margin, which
+// so covers rounding and small differences of plan and flight; the other half covers the drift at rest.
+//
+// With a motor time constant the rotors' thrusts are part of the state: `see` says what they are now, and rollouts
+// carry them on. An input is then what the rotors are led to by the end of a tick (`leading`), as far as their limits
+// allow; who flies it must command that. The induction is the same, for exact thrusts.
+//
+// When no manoeuvre is safe, the policy with all that the rotors have is tried, and when that is not safe either the
+// least bad is flown: one that meets nothing, with the most room, else the one that is slowest where it first
+// touches.
+//
+// Source: the backup set of Chen, Jankovic, Santillo, Ames 2021, checked by rollout instead of by rows.
+#pragma once
+
+#include <limits>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "alula/filters/backup_policy.hpp"
+#include "alula/filters/cone_escape.hpp"
+
+namespace alula::flight {
+
+struct ShieldOptions {
+  double tick_s = 0.01;        // for which an input is held
+  int substeps = 1;            // RK4 steps of a tick, at least; none is above 10 ms or turns by much
+  double margin_m = 0.02;      // kept beyond the radius by a manoeuvre that is accepted
+  double max_time_s = 8.0;     // a manoeuvre not at rest by then is not safe; an eighth less for a new one
+  double escape_time_s = 0.6;  // for which `cone_escape` holds a velocity
+  int escape_tries = 3;        // of its velocities, by angle
+  int line_search = 2;         // bisections between the backup's input and one that is refused
+  // At rest: all of these, and the linear loop would sway by at most rest_drift_m.
+  double rest_speed_m_s = 0.1, rest_rate_rad_s = 0.2, rest_tilt_rad = 0.05, rest_drift_m = 0.008;
+  double motor_time_constant_s = 0;  // of rotors that are led; 0: they obey at once
+};
+
+struct Certificate {
+  bool safe = false;
+  bool rests = false;                                              // within max_time_s
+  double clearance = -std::numeric_limits<double>::infinity();     // least distance seen, less the radius [m]: exact
+                                                                   // where it was looked, at most what was looked for
+  double time_s = 0;                                               // until rest
+  double contact_speed = std::numeric_limits<double>::infinity();  // bound of the speed where it first is too near,
+                                                                   // when it is and that was looked for [m/s]
+};
+
+// One per thread; allocates in the constructor only.
+class Shield {
+ public:
+  // Throws std::invalid_argument for options that mean nothing, or a policy that is not stable when held for a tick.
+  Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index, const ShieldOptions& options = {});
+
+  const BackupPolicy& policy() const { return policy_; }
+  const ShieldOptions& options() const { return options_; }
+  const EllipsoidIndex& index() const { return *index_; }
+
+  // Whether flying `manoeuvre` from x, after one tick of `first` when given, is safe with `margin_m`. `thorough`
+  // goes on after the verdict for the least clearance of all.
+  Certificate certify(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr,
+                      bool thorough = false);
+
+  // The state after a tick of u, |sigma| <= 1.
+  State after(const State& x, const Wrench& u) const;
+
+  // What each rotor gives now [N], in the states that are asked about from here on. At first, after `reset` and when
+  // it is not said they hover. Only with a motor time constant does it matter.
+  void see(const std::optional<Vec4>& rotors) { rotors_ = rotors.value_or(hovering_); }
+
+  // What the backup would do now if nothing else is accepted: the manoeuvre committed last, or the best found.
+  // Sets report's wrench, status and `certified`: `candidate` with `accepted` when it is safe, an input between it
+  // and the backup's, or the backup's (status backup), or the least bad (recovering): the candidate only where it
+  // comes no nearer than now. `near` are the ellipsoids whose cones `cone_escape` turns away from. Returns whether
+  // the candidate itself was taken.
+  bool decide(const State& x, const Wrench& candidate, SplatFilterStatus accepted, std::span<const Found> near,
+              FilterReport& report);
+
+  // The same with no candidate to try.
+  void fall_back(const State& x, std::span<const Found> near, FilterReport& report);
+
+  // What `fall_back` would fly from x. A call of it or of `decide` for the same x and `near` that follows does not
+  // look for it again.
+  Manoeuvre plan(const State& x, std::span<const Found> near);
+
+  int hold_ticks() const;  // of an escape
+
+  // Whether rollouts may end before rest: not with lag, nor where the policy's caps let it go farther than its
+  // excursion, which is tried at the start.
+  bool ends_early() const { return ends_early_; }
+  void reset();
+
+ private:
+  struct Tick {
+    Vec3 p;
+    double arc;  // bound of the length of the path up to here
+    double sag;  // bound of how far the path leaves the chord before this
+  };
+  bool lags() const { return options_.motor_time_constant_s > 0; }
+  bool settles() const;
+  State following(const State& x, Vec4& rotors, const Wrench& u) const;
+  Wrench flown(const State& x, const Manoeuvre& manoeuvre, int tick) const;
+  bool roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time,
+            double distance = std::numeric_limits<double>::infinity());
+  bool resting(const State& x) const;
+  bool resting(const State& x, const Vec4& rotors) const;
+  bool keeps_to_excursion() const;
+  bool settles_clear(const State& x, double distance, double& looked);
+  bool march(std::size_t from, double distance, bool thorough, double& least, double& contact_speed);
+  std::size_t sweep(double distance) const;
+  bool is_clear(std::size_t from, std::size_t to, double distance) const;
+  bool is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr,
+               bool until_rest = false);
+  // What stops the vehicle: the gentle policy, but with lag it overshoots its tilt and speeds up at first.
+  Manoeuvre stop() const { return {.hold = {}, .ticks = 0, .is_urgent = lags()}; }
+  bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept,
+                     bool until_rest = false);
+  bool comes_no_nearer(const State& x, const Wrench& u);
+  bool accept(const State& x, const Wrench& u);
+  bool accept_escaping(const State& x, const Wrench& u, std::span<const Found> near);
+  void settle(const State& x, std::span<const Found> near, FilterReport& report);
+  bool choose(const State& x, std::span<const Found> near);
+  void find_escapes(const State& x, std::span<const Found> near);
+
+  BackupPolicy policy_;
+  std::shared_ptr<const EllipsoidIndex> index_;
+  ShieldOptions options_;
+  double rest_drift_;
+  bool ends_early_ = false;
+  Vec4 hovering_{}, rotors_{};
+  std::vector<Tick> path_;
+  std::vector<Found> found_;
+  std::uint32_t hint_ = 0;
+  Manoeuvre committed_, chosen_, next_;  // last accepted; to fly now; after the input just accepted
+  Escapes escapes_;
+  bool has_escapes_ = false, is_planned_ = false, is_chosen_safe_ = false;
+  bool is_committed_ = false;  // and was safe
+};
+
+}  // namespace alula::flight

@@ -1,0 +1,80 @@
+// One protocol of the filters that fly among ellipsoids: state and nominal input in, checked input out.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+
+#include "alula/dynamics/quadrotor.hpp"
+#include "alula/geometry/ellipsoid_index.hpp"
+
+namespace alula::flight {
+
+// The numbers of `alula_filter_status` in native/onboard, and one more.
+enum class SplatFilterStatus : std::uint8_t {
+  ok = 0,          // the nominal input holds all rows and comes back bit by bit
+  filtered = 1,    // the nearest input that holds all rows
+  recovering = 3,  // no input is known to be safe from here: best effort, reported as unsafe
+  refused = 4,     // the input is not finite or the problem has no verdict: hover or zero acceleration
+  backup = 5       // the backup policy is flown
+};
+
+// What the filters need beyond x: thrust and its rate are what the vehicle applied last.
+struct FlightState {
+  State x;
+  double thrust = 0;       // T [N]
+  double thrust_rate = 0;  // T' [N/s]
+  // Thrust of each rotor now [N], for a shield that knows their lag; when it is not said they hover.
+  std::optional<Vec4> rotors;
+};
+
+// What the tracking controller asks for, and the errors it saw.
+struct Nominal {
+  Vec3 acceleration;                                // of the translation: a_r - (K_p e_p + K_v e_v) / m [m/s^2]
+  Wrench wrench;                                    // T and tau of the geometric controller
+  double thrust_rate = 0, thrust_acceleration = 0;  // T', T'' of the same
+  Vec3 position_error, velocity_error, reference_acceleration;  // e_p, e_v, a_r, for the CLF row
+};
+
+enum class InputKind : std::uint8_t { acceleration, wrench };
+
+struct FilterReport {
+  SplatFilterStatus status = SplatFilterStatus::refused;
+  Vec3 acceleration;       // for InputKind::acceleration
+  Wrench wrench;           // for InputKind::wrench
+  double thrust_rate = 0;  // T' at the end of the tick, for InputKind::wrench
+  double margin =
+      0;  // the filter's own barrier: least h over the rows, or h_b for cone-backup; infinite without rows
+  std::int64_t active = -1;  // ellipsoid of the row with the largest multiplier
+  // What was done, for the log.
+  double gate_m = 0;             // distance gate of this tick
+  std::uint32_t candidates = 0;  // ellipsoids within the gate, at most k
+  std::uint32_t rows = 0;        // barrier rows of the program
+  std::uint32_t iterations = 0;  // of the program
+  bool capped = false;           // the cap k cut off ellipsoids within the gate
+  bool infeasible = false;       // the program has no solution
+  bool certified = false;        // the returned input was checked to leave a safe backup manoeuvre
+};
+
+// One per thread. `filter` never returns an input it did not check, nor one that is not finite.
+class SplatFilter {
+ public:
+  virtual ~SplatFilter() = default;
+  virtual InputKind kind() const = 0;
+  virtual FilterReport filter(const FlightState& state, const Nominal& nominal) = 0;
+  virtual void reset() {}  // before another flight: forget warm starts and commitments
+  virtual std::unique_ptr<SplatFilter> clone() const = 0;
+};
+
+// Which ellipsoids become rows.
+struct Pruning {
+  double reaction_time_s = 0.3;   // t of the distance gate  v^2 / (2 a_max) + v t + r
+  double max_deceleration = 6.0;  // a_max of it [m/s^2]
+  double floor_m = 0.5;           // the gate is never below this
+  std::uint32_t count = 64;       // nearest k; 0: all within the gate
+  bool gate = true;               // false: every ellipsoid of the map, for the ablation
+  bool approach = true;           // only ellipsoids with r^T A v >= 0
+  bool sweep = true;              // nearest to the segment that the gate's time sweeps, not to the position alone
+};
+
+}  // namespace alula::flight

@@ -1,0 +1,72 @@
+// The nearest wrench, or rate of thrust and torque, that holds the rows of a tick and the rotors' limits.
+#pragma once
+
+#include <vector>
+
+#include "alula/filters/backup_flow.hpp"
+#include "alula/qp/qp.hpp"
+
+namespace alula::flight {
+
+// V = 1/2 e^T P e of e = (e_p, e_v) shall decay: V' + rate V <= xi with a slack xi at `weight` per unit.
+// P solves the Lyapunov equation of e_p'' = -kp e_p - kv e_v with the identity.
+struct TrackingRow {
+  double weight = 0;      // 0: no such row
+  double rate = 1;        // c [1/s]
+  double kp = 3, kv = 2;  // [1/s^2, 1/s]
+};
+
+//   minimise 1/2 sum_j ((u_j - nominal_j) / range_j)^2 + 1/2 weight xi^2   subject to   row_i . u >= bound_i
+//
+// over four inputs, the first of which makes the thrust T = thrust_at_zero + per_unit u_0; the others are the
+// torque. Rows are scaled to unit length in u_j / range_j, so results do not depend on units.
+class WrenchProgram {
+ public:
+  WrenchProgram(const Quadrotor& vehicle, std::size_t rows, QpSolver solver = {});
+
+  // Starts a tick; the range of u_0 is that of T unless given. Adds the rotors' 8 rows f_min <= G^-1 u <= f_max.
+  void start(const Vec4& nominal, double thrust_at_zero = 0, double per_unit = 1, double range = 0);
+  void add(const WrenchRow& row, std::uint32_t item);  // of an ellipsoid
+  void add_limit(const WrenchRow& row);                // of the vehicle
+  // -V' - rate V + xi >= 0, affine in T, from the errors and the thrust axis. After all others.
+  void track(const TrackingRow& tracking, const Nominal& nominal, Vec3 thrust_axis, double gravity);
+
+  std::size_t barrier_rows() const { return barriers_; }
+  double range(std::size_t j) const { return range_[j]; }
+  double slack(std::size_t i, const Vec4& u) const;       // of row i, scaled
+  bool holds(const Vec4& u, double tolerance = 0) const;  // every row but the soft one
+  bool clears(const Vec4& u) const;                       // every row of an ellipsoid
+  bool tracks(const Vec4& u) const;                       // the soft one with xi = 0
+
+  // The minimiser nearest to `wished`; false, with report.infeasible, when there is none. Sets active, iterations.
+  bool solve(const Vec4& wished, Vec4& u, FilterReport& report);
+
+  // u = base + share (nominal - base) with the largest share in [0, 1] for which every row holds; when base itself
+  // holds not all, shares from which on it does are looked at too. False, with report.infeasible, without such.
+  bool interpolate(const Vec4& base, Vec4& u, FilterReport& report);
+
+  Wrench wrench(const Vec4& u) const { return {zero_ + unit_ * u[0], {u[1], u[2], u[3]}}; }
+
+ private:
+  void push(const Vec4& row, double bound, double soft);
+
+  Quadrotor vehicle_;
+  Vec4 nominal_{}, wrench_range_{}, range_{};
+  double zero_ = 0, unit_ = 1, weight_ = 0;
+  bool impossible_ = false;  // a row that is not finite, or one of zeros that nothing satisfies
+  std::size_t barriers_ = 0;
+  std::vector<double> row_, bound_, dense_;  // scaled rows (m, 4); those of the program with a slack (m, 5)
+  std::vector<std::int64_t> item_;           // -1 for a limit
+  QpSolver solver_;
+};
+
+// A torque that tilts the thrust towards `direction`, as a share of the largest: a way past an obstacle head-on.
+Vec3 tilting_torque(const WrenchProgram& program, const State& x, Vec3 direction, double share);
+
+// The side to which a head-on course is bent, the same every time: left of the course, level.
+Vec3 side_of(Vec3 v);
+
+// Whether the course p + t v meets the ellipsoid so nearly along its A-axis that no row prefers a side.
+bool is_head_on(const Cone& cone);
+
+}  // namespace alula::flight

@@ -1,0 +1,59 @@
+// The ways in which obstacles move, once all about them is drawn.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <vector>
+
+#include "alula/flight/obstacle_motion.hpp"
+
+namespace alula::flight {
+
+inline constexpr double kFallGravity = 9.81;  // of what is thrown [m/s^2]
+
+// Speed and way along a path, with an acceleration up to a speed.
+struct Pace {
+  double speed = 0, acceleration = 0, most = 0;
+
+  double ramp() const { return acceleration > 0 ? (most - speed) / acceleration : 0; }  // how long it accelerates
+  double way(double t) const {
+    const double up = std::min(t, ramp());
+    return speed * t + acceleration * up * (t - up / 2);
+  }
+  double speed_at(double t) const { return speed + acceleration * std::min(t, ramp()); }
+  double acceleration_at(double t) const { return t < ramp() ? acceleration : 0; }
+};
+
+// How long a leg takes, and the way gone at half of that time of a leg twice as long as this way.
+// s(x) = 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7 rests up to jerk at 0 and 1.
+struct Leg {
+  static constexpr double peak_speed = 35.0 / 16, peak_acceleration = 7.513188404399293;  // of s
+  double speed = 0, acceleration = 0;
+
+  double time(double length) const {
+    return std::max(peak_speed * length / speed, std::sqrt(peak_acceleration * length / acceleration));
+  }
+  double half_way(double t) const {
+    return std::min(speed / peak_speed * t, 2 * t * t * acceleration / peak_acceleration);
+  }
+};
+
+// Along a straight line, exact at any time.
+std::unique_ptr<ObstacleMotion> move_straight(double start_s, Vec3 p, Vec3 heading, const Pace& pace);
+
+// With the heading turning: `spec` says how fast, until where and after what.
+std::unique_ptr<ObstacleMotion> move_curving(const ObstacleSpec& spec, Vec3 p, Vec3 heading, const Pace& pace,
+                                             Vec3 meeting_error);
+
+std::unique_ptr<ObstacleMotion> move_thrown(double start_s, Vec3 p, Vec3 v, double drag);
+
+// The velocity at which a throw from p is at `target` after t > 0. Throws std::invalid_argument where drag does not
+// let it.
+Vec3 throw_velocity(Vec3 p, Vec3 target, double t, double drag);
+
+// From rest to rest through points, which differ from one to the next.
+std::unique_ptr<ObstacleMotion> move_flown(double start_s, const Pilot& pilot, const std::vector<Vec3>& points,
+                                           const Leg& leg);
+
+}  // namespace alula::flight

@@ -1,0 +1,230 @@
+// A bounding-volume hierarchy for branch-and-bound minimisation over many obstacles.
+#pragma once
+
+#include <algorithm>
+#include <compare>
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <limits>
+#include <numeric>
+#include <vector>
+
+#include "alula/geometry/vec3.hpp"
+
+namespace alula::geometry {
+
+// Binary tree over boxes, split at the median of the centres along the longest side; O(n log n)
+// to build, 2 n / leaf nodes. The tree depends on the boxes alone.
+class Bvh {
+ public:
+  struct Node {
+    Box box;
+    double depth;
+    std::uint32_t first;  // of the items of a leaf, or the right child; the left child follows its parent
+    std::uint32_t count;  // 0 for an inner node
+  };
+
+  Bvh() = default;
+
+  // depth[i] bounds how far inside obstacle i a point can be (0 when that does not matter); a leaf has at most
+  // `leaf` obstacles, more where they are cheap to look at.
+  Bvh(const std::vector<Box>& boxes, const std::vector<double>& depth, std::uint32_t leaf = 4)
+      : order_(boxes.size()), leaf_(leaf) {
+    std::iota(order_.begin(), order_.end(), 0u);
+    if (boxes.empty()) return;
+    nodes_.reserve(2 * boxes.size() / leaf + 2);
+    build(boxes, depth, 0, static_cast<std::uint32_t>(boxes.size()));
+  }
+
+  // A node that a search by bounds has yet to look into.
+  struct Pending {
+    double bound;
+    std::uint32_t node;
+
+    auto operator<=>(const Pending&) const = default;
+  };
+
+  const std::vector<std::uint32_t>& order() const { return order_; }
+  const std::vector<Node>& nodes() const { return nodes_; }  // the root first, parents before their children
+  const Box* bounds() const { return nodes_.empty() ? nullptr : &nodes_[0].box; }
+
+  // Minimum of `best` and value(i, best) over all obstacles i, for a signed distance of the
+  // segment a + t d, 0 <= t <= 1. value(i, best) may return anything >= best once it knows that
+  // the exact value is not below `best`. `nearest` is tried first and becomes the minimiser.
+  template <class Value>
+  double minimum(Vec3 a, Vec3 d, double best, std::uint32_t& nearest, Value&& value) const {
+    if (nodes_.empty()) return best;
+    const auto try_one = [&](std::uint32_t item) {
+      const double v = value(item, best);
+      if (v < best) best = v, nearest = item;
+    };
+    if (nearest < order_.size()) try_one(nearest);
+    visit_near(a, d, best, [&](std::uint32_t, std::uint32_t item) { try_one(item); });
+    return best;
+  }
+
+  // Calls visit(slot, item) for the obstacles of every leaf whose distance to the segment a + t d, 0 <= t <= 1,
+  // may be below `reach`, nearer halves first. `visit` may lower the reach. Slots number the obstacles as
+  // `order` does, so that those of a leaf are neighbours. Returns how many boxes were measured.
+  template <class Visit>
+  std::uint32_t visit_near(Vec3 a, Vec3 d, const double& reach, Visit&& visit) const {
+    return nodes_.empty() ? 0 : visit_near(0, Sight(a, d), reach, visit);
+  }
+
+  // Calls visit(slot, item) for the obstacles of every leaf whose bound(node, box) is below `limit`, least first; a
+  // bound holds for whatever is in the box, and one that is not a number says nothing. `visit` may lower the limit,
+  // `heap` is room to work in.
+  template <class Bound, class Visit>
+  void visit_least(std::vector<Pending>& heap, const double& limit, Bound&& bound, Visit&& visit) const {
+    heap.clear();
+    const auto push = [&](std::uint32_t node) {
+      const double least = bound(node, nodes_[node].box);
+      if (least >= limit) return;
+      heap.push_back({least == least ? least : -std::numeric_limits<double>::infinity(), node});
+      std::push_heap(heap.begin(), heap.end(), std::greater<>());
+    };
+    if (!nodes_.empty()) push(0);
+    while (!heap.empty()) {
+      std::pop_heap(heap.begin(), heap.end(), std::greater<>());
+      const Pending next = heap.back();
+      heap.pop_back();
+      if (next.bound >= limit) return;
+      const Node& node = nodes_[next.node];
+      if (node.count > 0) {
+        for (std::uint32_t i = 0; i < node.count; ++i) visit(node.first + i, order_[node.first + i]);
+      } else {
+        push(next.node + 1), push(node.first);
+      }
+    }
+  }
+
+  // What all obstacles of a node have in common, for every node: combine(x, y) of the values of their slots.
+  template <class T, class Value, class Combine>
+  std::vector<T> summary(Value&& value, Combine&& combine) const {
+    std::vector<T> result(nodes_.size());
+    for (std::size_t at = nodes_.size(); at-- > 0;) {  // children come after their parent
+      const Node& node = nodes_[at];
+      if (node.count == 0) {
+        result[at] = combine(result[at + 1], result[node.first]);
+        continue;
+      }
+      result[at] = value(node.first);
+      for (std::uint32_t i = 1; i < node.count; ++i) result[at] = combine(result[at], value(node.first + i));
+    }
+    return result;
+  }
+
+  // Calls visit(i) for every obstacle whose box may be closer to `box` than `reach`.
+  template <class Visit>
+  void near(const Box& box, double reach, Visit&& visit) const {
+    if (nodes_.empty()) return;
+    std::uint32_t stack[64];
+    int top = 0;
+    stack[top++] = 0;
+    while (top > 0) {
+      const std::uint32_t at = stack[--top];
+      const Node& node = nodes_[at];
+      if (squared_distance(node.box, box) > reach * reach * (1 + kSlack)) continue;
+      if (node.count > 0) {
+        for (std::uint32_t i = 0; i < node.count; ++i) visit(order_[node.first + i]);
+      } else {
+        stack[top++] = node.first;
+        stack[top++] = at + 1;
+      }
+    }
+  }
+
+ private:
+  static constexpr double kSlack = 1e-12;  // more than the roundings of a bound
+
+  // What is measured from.
+  struct Sight {
+    Vec3 a, d;
+    Box box;
+    bool is_point;
+
+    Sight(Vec3 from, Vec3 along) : a(from), d(along), is_point(d.x == 0 && d.y == 0 && d.z == 0) {
+      box.include(a), box.include(a + d);
+    }
+    // A lower bound on the squared distance of a box, tight where it may be below the reach.
+    double squared_bound(const Node& node, double reach) const {
+      const double squared = squared_distance(node.box, box);
+      if (is_point || (squared > 0 && !(reach > 0 && squared < reach * reach))) return squared;
+      return std::max(squared, squared_distance_bound(node.box, a, d));
+    }
+  };
+
+  static bool may_be_below(const Node& node, double squared, double reach) {
+    return reach > 0 ? squared * (1 - kSlack) < reach * reach : squared == 0 && -node.depth < reach;
+  }
+
+  template <class Visit>
+  std::uint32_t visit_near(std::uint32_t root, const Sight& sight, const double& reach, Visit&& visit) const {
+    struct Entry {
+      std::uint32_t node;
+      double squared;
+    };
+    Entry stack[64];
+    int top = 0;
+    std::uint32_t measured = 1;
+    const auto push = [&](std::uint32_t node, double squared) {
+      if (may_be_below(nodes_[node], squared, reach)) stack[top++] = {node, squared};
+    };
+    push(root, sight.squared_bound(nodes_[root], reach));
+    while (top > 0) {
+      const Entry entry = stack[--top];
+      const Node& node = nodes_[entry.node];
+      if (!may_be_below(node, entry.squared, reach)) continue;
+      if (node.count > 0) {
+        for (std::uint32_t i = 0; i < node.count; ++i) visit(node.first + i, order_[node.first + i]);
+        continue;
+      }
+      const std::uint32_t left = entry.node + 1, right = node.first;
+      const double at_left = sight.squared_bound(nodes_[left], reach);
+      const double at_right = sight.squared_bound(nodes_[right], reach);
+      measured += 2;
+      if (at_left <= at_right) {
+        push(right, at_right), push(left, at_left);
+      } else {
+        push(left, at_left), push(right, at_right);
+      }
+    }
+    return measured;
+  }
+
+  std::uint32_t build(const std::vector<Box>& boxes, const std::vector<double>& depth, std::uint32_t begin,
+                      std::uint32_t end) {
+    const auto index = static_cast<std::uint32_t>(nodes_.size());
+    Box box, centres;
+    double deepest = 0;
+    for (std::uint32_t i = begin; i < end; ++i) {
+      const Box& item = boxes[order_[i]];
+      box.include(item);
+      centres.include(item.lower + item.upper);
+      deepest = std::max(deepest, depth[order_[i]]);
+    }
+    nodes_.push_back({box, deepest, begin, end - begin});
+    if (end - begin <= leaf_) return index;
+    const Vec3 size = centres.upper - centres.lower;
+    const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
+    const std::uint32_t middle = begin + (end - begin) / 2;
+    std::nth_element(order_.begin() + begin, order_.begin() + middle, order_.begin() + end,
+                     [&](std::uint32_t i, std::uint32_t j) {
+                       const double at_i = boxes[i].lower[axis] + boxes[i].upper[axis];
+                       const double at_j = boxes[j].lower[axis] + boxes[j].upper[axis];
+                       return at_i != at_j ? at_i < at_j : i < j;
+                     });
+    build(boxes, depth, begin, middle);
+    const std::uint32_t right = build(boxes, depth, middle, end);
+    nodes_[index].first = right;
+    nodes_[index].count = 0;
+    return index;
+  }
+
+  std::vector<std::uint32_t> order_;
+  std::uint32_t leaf_ = 4;
+  std::vector<Node> nodes_;
+};
+
+}  // namespace alula::geometry

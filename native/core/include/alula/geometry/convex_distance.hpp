@@ -1,0 +1,42 @@
+// Exact distances of a segment, or of any few points' hull, to one convex polytope.
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "alula/geometry/vec3.hpp"
+
+namespace alula::geometry {
+
+// Result of `hull_distance`: lower <= distance <= upper. `upper` is the distance of two points of
+// the hulls; `lower` is the gap between the parallel planes that separate them, or 0. The search
+// ends when the two agree to rounding; close to contact they agree to about 1e-15 size^2 / upper.
+struct Bracket {
+  double lower, upper;
+};
+
+// Euclidean distance of the convex hulls of two point sets, by the algorithm of Gilbert, Johnson
+// and Keerthi (1988) with an exhaustive, hence robust, choice among the at most eight faces of the
+// simplex that hold the newest point. Stops early once lower >= enough.
+Bracket hull_distance(std::span<const Vec3> a, std::span<const Vec3> b, double enough);
+
+// min over 0 <= t <= 1 of max_l (value_l + t slope_l), for at least one line: a piecewise linear,
+// convex function, minimised exactly by intersecting its active lines. O(lines) per step, a
+// handful of steps.
+double minimum_of_maximum(std::span<const double> value, std::span<const double> slope);
+
+// One convex polytope: unit outward normals (3 per plane), offsets, and the vertices.
+struct PolytopeView {
+  std::span<const double> normals;
+  std::span<const double> offsets;
+  std::span<const Vec3> vertices;
+};
+
+// Signed distance of the segment from a to b: the minimum over its points p of
+//   max_l (n_l . p - d_l)   when that is <= 0 for some p: the deepest penetration, negative;
+//   the Euclidean distance  otherwise, as the lower end of its bracket: never too much.
+// Once the exact value is known to be >= enough, some value >= enough is returned.
+// `scratch` only saves allocations.
+double signed_distance(const PolytopeView& polytope, Vec3 a, Vec3 b, double enough, std::vector<double>& scratch);
+
+}  // namespace alula::geometry

@@ -1,0 +1,56 @@
+// Paths among polytopes for a ball: a lattice search whose every edge is proven collision-free.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "alula/base/control.hpp"
+#include "alula/geometry/clearance.hpp"
+
+namespace alula {
+
+// Points origin + spacing * (i, j, k), 0 <= i < count[0] and so on; at most kMaxCells of them.
+struct Lattice {
+  static constexpr std::size_t kMaxCells = std::size_t{1} << 25;
+
+  geometry::Vec3 origin;
+  double spacing;
+  std::int64_t count[3];
+};
+
+enum class SearchStatus : std::uint8_t {
+  found,
+  no_path,         // every lattice point that the start can reach was visited
+  start_isolated,  // no lattice point near the start can be reached in a straight line
+  goal_isolated,
+};
+
+struct SearchResult {
+  SearchStatus status;
+  std::vector<geometry::Vec3> path;  // from start to goal when found
+  std::size_t expanded;
+};
+
+// Shortest path of a ball of the given radius on the 26-connected lattice, by A*.
+//
+// A lattice point is free when its exact clearance is >= radius. An edge from p to q is taken only
+// when it is proven free: clearance is 1-Lipschitz, so on the edge it is at least
+// (clearance(p) + clearance(q) - |p - q|) / 2; when that is < radius the exact clearance of the
+// segment decides. Start and goal are joined to the lattice points around them by proven segments.
+// An edge costs its length times 1 + (share of `comfort` that its clearance lacks above radius),
+// so paths keep radius + comfort where the detour is worth it; the straight distance to the goal
+// is then a consistent heuristic. Ties are broken by depth, then by index: the result is unique.
+// Memory is 14 bytes per lattice point plus the queue.
+SearchResult find_path(const PolytopeSet& obstacles, const Lattice& lattice, geometry::Vec3 start,
+                       geometry::Vec3 goal, double radius, double comfort, Control& control);
+
+// A path from the first to the last point of `path` along straight, proven segments, least in the
+// cost of `find_path` among those whose corners are a subsequence of points taken from `path` at
+// most `spacing` apart and that skip at most 128 of them; repeated `rounds` times. Each segment of
+// `path` must itself be free.
+std::vector<geometry::Vec3> tighten_path(const PolytopeSet& obstacles, const std::vector<geometry::Vec3>& path,
+                                         double radius, double comfort, double spacing, int rounds, unsigned jobs,
+                                         Control& control);
+
+}  // namespace alula

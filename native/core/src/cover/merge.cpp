@@ -1,0 +1,389 @@
+#include "alula/cover/merge.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <optional>
+#include <queue>
+
+#include "alula/base/parallel.hpp"
+#include "alula/cover/box_tree.hpp"
+#include "alula/cover/merge_queue.hpp"
+
+namespace alula {
+
+namespace {
+
+constexpr std::size_t kAhead = 8;        // volumes measured at once, per thread, at most
+constexpr std::size_t kStartShare = 80;  // of the time, in Share::kWhole, before the first merge
+
+class Merger {
+ public:
+  Merger(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
+         Control& control, EvaluationLog* log)
+      : occupancy_(occupancy), sets_(sets), options_(options), log_(log), team_(jobs) {
+    if (log_ != nullptr) log_->open(fingerprint_of());
+    while (bench_.size() < team_.size()) bench_.emplace_back(occupancy);
+    element_.reserve(2 * sets.size());
+    element_.resize(sets.size());
+    parallel_chunks(sets.size(), 256, jobs, control, [&](std::size_t begin, std::size_t end) {
+      HullBuilder hull;
+      ExcessMeter excess(occupancy);
+      std::vector<Lattice> voxels;
+      for (std::size_t i = begin; i < end; ++i) {
+        voxels.clear();
+        for (const std::uint32_t v : sets[i]) voxels.push_back(occupancy.voxels()[v]);
+        std::sort(voxels.begin(), voxels.end());
+        hull.build_voxels(voxels);
+        element_[i].hull = hull.polytope();
+        element_[i].mesh = hull.mesh();
+        element_[i].weight = excess(hull);
+      }
+    });
+    for (const Element& e : element_) total_weight_ += e.weight, planes_ += written(e);
+    hulls_ = element_.size();
+  }
+
+  Cover run(Control& control) {
+    Cover cover;
+    cover.curve.push_back({hulls_, total_weight_, planes_});
+    if (!is_done()) link_all();
+    const std::size_t start = hulls_, goal = std::max<std::size_t>(options_.max_hulls, 1);
+    while (!is_done()) {
+      const std::optional<Merge> best = hulls_ > 1 ? next() : std::nullopt;
+      if (!best || !may_grow(*best)) {
+        cover.within_budget = !is_limited();
+        break;
+      }
+      join(*best);
+      cover.history.push_back(*best);
+      cover.curve.push_back({hulls_, total_weight_, planes_});
+      control.poll(start - hulls_, start > goal ? start - goal : start - hulls_);
+    }
+    cover.members = merged_sets(sets_, cover.history);
+    for (Element& e : element_)
+      if (e.alive) cover.hull.push_back(std::move(e.hull));
+    return cover;
+  }
+
+ private:
+  std::size_t written(const Element& e) const { return options_.budget.form.planes(e.hull.plane.size()); }
+
+  bool is_limited() const { return options_.max_hulls > 0 || options_.budget.is_limit(); }
+
+  bool is_done() const {
+    return is_limited() && (options_.max_hulls == 0 || hulls_ <= options_.max_hulls) &&
+           options_.budget.holds(hulls_, planes_);
+  }
+
+  bool may_grow(const Merge& best) const {
+    if (options_.max_growth <= 0) return true;
+    const double total = total_weight_ - element_[best.left].weight - element_[best.right].weight + best.weight;
+    return 1 + total / static_cast<double>(occupancy_.size()) <= options_.max_growth;
+  }
+
+  // Hull and meter of one thread.
+  struct Bench {
+    HullBuilder hull;
+    ExcessMeter excess;
+    explicit Bench(const Occupancy& occupancy) : excess(occupancy) {}
+  };
+
+  void build(HullBuilder& hull, std::uint32_t left, std::uint32_t right) const {
+    const bool swap = element_[left].mesh.facet.size() < element_[right].mesh.facet.size();
+    const Element &base = element_[swap ? right : left], &more = element_[swap ? left : right];
+    hull.build_union(base.mesh, more.hull.vertex);
+  }
+
+  // The union that was built last.
+  static std::unique_ptr<Ready> make_ready(HullBuilder& hull, std::uint32_t left, std::uint32_t right) {
+    auto ready = std::make_unique<Ready>(Ready{left, right, hull.polytope(), hull.mesh()});
+    if (ready->mesh.point.size() > ready->hull.vertex.size() + ready->hull.vertex.size() / 4) {
+      hull.build(ready->hull.vertex);  // too many points that are not extreme
+      ready->mesh = hull.mesh();
+    }
+    return ready;
+  }
+
+  bool is_ready(std::uint32_t left) const {
+    return element_[left].ready != nullptr && element_[element_[left].ready->right].alive;
+  }
+
+  // How many to measure at once: the fewer, the more of them were measured in vain lately.
+  std::size_t reach() {
+    if (guessed_ > 1024) guessed_ /= 2, right_guesses_ /= 2;
+    const std::size_t share = kAhead * std::min(right_guesses_ + 8, guessed_ + 8) / (guessed_ + 8);
+    return team_.size() * (2 * share > kAhead ? 2 * share - kAhead : 1);
+  }
+
+  // Measures a candidate and, for the other threads, those that will probably be next. What is known
+  // ahead changes nothing until its turn comes, so results do not depend on the number of threads.
+  void measure_ahead(Candidate& first) {
+    ahead_.assign(1, first);
+    passed_.clear();
+    const std::size_t wanted = team_.size() > 1 ? reach() : 1;
+    while (ahead_.size() < wanted && passed_.size() < wanted && !queue_.empty()) {
+      const Candidate c = queue_.top();
+      const bool is_alive = element_[c.left].alive && element_[c.right].alive;
+      if (!is_alive && c.is_nearest) break;
+      queue_.pop();
+      if (!is_alive) {
+        drop(c);
+        continue;
+      }
+      const bool is_known = !std::isnan(c.weight) || (log_ != nullptr && log_->find(c.left, c.right) != nullptr);
+      (is_known ? passed_ : ahead_).push_back(c);
+    }
+    // Unions that come out better than all that was not looked at will merge soon.
+    const double soon = queue_.empty() ? std::numeric_limits<double>::infinity() : queue_.top().key;
+    const std::size_t guesses = ahead_.size() - 1;
+    for (const Candidate& c : passed_)
+      if (c.evaluated && !is_ready(c.left)) ahead_.push_back(c);
+    ready_.clear();
+    ready_.resize(ahead_.size());
+    team_.run(ahead_.size(), [&](std::size_t worker, std::size_t i) {
+      Bench& bench = bench_[worker];
+      Candidate& c = ahead_[i];
+      build(bench.hull, c.left, c.right);
+      if (!c.evaluated) c.weight = bench.excess(bench.hull);
+      if (c.evaluated || (key(c.left, c.right, c.weight) < soon && !is_ready(c.left)))
+        ready_[i] = make_ready(bench.hull, c.left, c.right);
+    });
+    first = ahead_[0];
+    guessed_ += guesses;
+    for (std::size_t i = 1; i <= guesses; ++i) queue_.push(ahead_[i]);
+    for (const Candidate& c : passed_) queue_.push(c);
+    for (auto& ready : ready_)
+      if (ready != nullptr && !is_ready(ready->left)) element_[ready->left].ready = std::move(ready);
+  }
+
+  // W of a candidate's union and its key by that.
+  void evaluate(Candidate& c) {
+    const double* known = log_ == nullptr ? nullptr : log_->find(c.left, c.right);
+    if (known != nullptr) {
+      c.weight = *known;
+    } else if (std::isnan(c.weight)) {
+      measure_ahead(c);
+    } else {
+      ++right_guesses_;
+    }
+    c.weight = std::max({c.weight, element_[c.left].weight, element_[c.right].weight});
+    if (options_.rule == MergeRule::kPaper) c.weight = std::max(c.weight, c.key);  // a lower bound until now
+    c.key = key(c.left, c.right, c.weight);
+    c.evaluated = true;
+    if (known != nullptr) {
+      log_->count_reuse(1);
+    } else if (log_ != nullptr) {
+      log_->add(std::array{EvaluationLog::Entry{c.left, c.right, c.weight}});
+    }
+  }
+
+  std::uint64_t fingerprint_of() const {
+    const auto bytes = [](const auto& list) {
+      return std::string_view(reinterpret_cast<const char*>(list.data()), list.size() * sizeof(list[0]));
+    };
+    const std::uint64_t rule = fingerprint(options_.rule == MergeRule::kPaper ? "paper" : "increase");
+    return fingerprint(bytes(sets_.start),
+                       fingerprint(bytes(sets_.member), fingerprint(bytes(occupancy_.voxels()), rule)));
+  }
+
+  double key(std::uint32_t left, std::uint32_t right, double weight) const {
+    if (options_.rule == MergeRule::kPaper) return weight;
+    return weight - element_[left].weight - element_[right].weight;
+  }
+
+  // The least key that two elements with these boxes can have: free volume is shared in both boxes only.
+  double least_key(std::uint32_t a, std::uint32_t b, const LatticeBox& box_a, const LatticeBox& box_b) const {
+    const double u = element_[a].weight, v = element_[b].weight;
+    if (options_.rule == MergeRule::kPaper) return std::max(u, v);
+    double common = 1;
+    for (int i = 0; i < 3; ++i)
+      common *= std::max(0, std::min(box_a.upper[i], box_b.upper[i]) - std::max(box_a.lower[i], box_b.lower[i]));
+    return -std::min({u, v, common});
+  }
+
+  void link(std::uint32_t a, std::uint32_t b, double key) {
+    element_[a].links.push_back({b, key});
+    element_[b].links.push_back({a, key});
+  }
+
+  // Links an element to those with lower numbers. Only the best of these pairs goes to the queue; each
+  // makes room for the next one when it leaves.
+  void link_lower(std::uint32_t made, std::vector<Link>& lower) {
+    for (const Link& l : lower) link(made, l.other, l.key);
+    std::sort(lower.begin(), lower.end(),
+              [](const Link& a, const Link& b) { return a.key != b.key ? a.key > b.key : a.other > b.other; });
+    element_[made].waiting = lower;
+    put_next(made);
+  }
+
+  void put_next(std::uint32_t right) {
+    std::vector<Link>& waiting = element_[right].waiting;
+    while (!waiting.empty()) {
+      const Link best = waiting.back();
+      waiting.pop_back();
+      if (!element_[best.other].alive) continue;
+      queue_.push({best.key, kUnknown, best.other, right, false, false});
+      return;
+    }
+  }
+
+  // A candidate that cannot merge any more.
+  void drop(const Candidate& c) {
+    if (!c.evaluated && !c.is_nearest) put_next(c.right);
+  }
+
+  void set_key(std::uint32_t a, std::uint32_t b, double key) {
+    for (Link& link : element_[a].links)
+      if (link.other == b) link.key = key;
+  }
+
+  void link_all() {
+    for (const std::uint32_t i : scattered(element_.size())) tree_.insert(i, bounds(element_[i].hull.vertex));
+    std::vector<Link> lower;
+    for (std::uint32_t i = 0; i < element_.size(); ++i) {
+      tree_.touching(tree_.box(i), touching_);
+      lower.clear();
+      for (const std::uint32_t j : touching_)
+        if (j < i) lower.push_back({j, least_key(i, j, tree_.box(i), tree_.box(j))});
+      link_lower(i, lower);
+      if (touching_.size() == 1) pair_with_nearest(i);
+    }
+  }
+
+  // Pairs an element that touches none with the nearest one.
+  void pair_with_nearest(std::uint32_t i) {
+    const BoxTree::Neighbour near = tree_.nearest(i);
+    if (near.item == BoxTree::kNone) return;
+    if (options_.rule == MergeRule::kPaper) {
+      gaps_.push({near.squared_distance, i, near.item});
+    } else if (!is_linked(i, near.item)) {
+      const double key = least_key(i, near.item, tree_.box(i), tree_.box(near.item));
+      link(i, near.item, key);
+      queue_.push({key, kUnknown, std::min(i, near.item), std::max(i, near.item), false, true});
+    }
+  }
+
+  bool is_linked(std::uint32_t a, std::uint32_t b) const {
+    for (const Link& link : element_[a].links)
+      if (link.other == b) return true;
+    return false;
+  }
+
+  // The best pair, evaluated; nothing when one element is left.
+  std::optional<Merge> next() {
+    while (!queue_.empty()) {
+      Candidate top = queue_.top();
+      queue_.pop();
+      const bool left = element_[top.left].alive, right = element_[top.right].alive;
+      if (!left || !right) {
+        drop(top);
+        if (top.is_nearest && left) repair(top.left);
+        if (top.is_nearest && right) repair(top.right);
+        continue;
+      }
+      if (top.evaluated) return Merge{top.left, top.right, top.weight};
+      if (!top.is_nearest) put_next(top.right);
+      evaluate(top);
+      set_key(top.left, top.right, top.key), set_key(top.right, top.left, top.key);
+      queue_.push(top);
+    }
+    while (!gaps_.empty()) {
+      const Gap gap = gaps_.top();
+      gaps_.pop();
+      if (!element_[gap.item].alive) continue;
+      if (!element_[gap.nearest].alive) {
+        pair_with_nearest(gap.item);
+        continue;
+      }
+      const auto [left, right] = std::minmax(gap.item, gap.nearest);
+      Candidate pair{0, kUnknown, left, right, false, false};
+      evaluate(pair);
+      return Merge{left, right, pair.weight};
+    }
+    return std::nullopt;
+  }
+
+  // An element whose nearest one was merged away: unless something touches it now, look again.
+  void repair(std::uint32_t i) {
+    tree_.touching(tree_.box(i), touching_);
+    if (touching_.size() == 1) pair_with_nearest(i);
+  }
+
+  // Replaces two elements by their union.
+  void join(const Merge& pair) {
+    const auto [left, right, weight] = pair;
+    const std::uint32_t made = static_cast<std::uint32_t>(element_.size());
+    std::unique_ptr<Ready> ready = std::move(element_[left].ready);
+    if (ready == nullptr || ready->right != right) {
+      build(bench_[0].hull, left, right);
+      ready = make_ready(bench_[0].hull, left, right);
+    }
+    Element merged;
+    merged.hull = std::move(ready->hull);
+    merged.mesh = std::move(ready->mesh);
+    merged.weight = weight;
+    merged_links_.clear();
+    for (const std::uint32_t old : {pair.left, pair.right}) {
+      tree_.remove(old);
+      for (const Link& link : element_[old].links)
+        if (link.other != pair.left && link.other != pair.right && element_[link.other].alive)
+          merged_links_.push_back(link);
+      total_weight_ -= element_[old].weight;
+      planes_ -= written(element_[old]);
+      element_[old] = Element{};
+      element_[old].alive = false;
+    }
+    total_weight_ += weight;
+    planes_ += written(merged);
+    --hulls_;
+    const LatticeBox box = bounds(merged.hull.vertex);
+    tree_.touching(box, touching_);
+    tree_.insert(made, box);
+    element_.push_back(std::move(merged));
+    for (const std::uint32_t other : touching_)
+      merged_links_.push_back({other, least_key(made, other, box, tree_.box(other))});
+    std::sort(merged_links_.begin(), merged_links_.end(),
+              [](const Link& a, const Link& b) { return a.other != b.other ? a.other < b.other : a.key > b.key; });
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < merged_links_.size(); ++i) {
+      const Link l = merged_links_[i];
+      if (i > 0 && merged_links_[i - 1].other == l.other) continue;
+      std::erase_if(element_[l.other].links,
+                    [&](const Link& x) { return x.other == pair.left || x.other == pair.right; });
+      if (std::binary_search(touching_.begin(), touching_.end(), l.other)) merged_links_[kept++] = l;
+    }
+    merged_links_.resize(kept);
+    link_lower(made, merged_links_);
+    if (touching_.empty()) pair_with_nearest(made);
+  }
+
+  const Occupancy& occupancy_;
+  const VoxelSets& sets_;
+  MergeOptions options_;
+  std::vector<Element> element_;
+  double total_weight_ = 0;
+  std::size_t planes_ = 0, hulls_ = 0, guessed_ = 0, right_guesses_ = 0;
+  std::priority_queue<Candidate> queue_;
+  std::priority_queue<Gap> gaps_;
+  BoxTree tree_;
+  EvaluationLog* log_;
+  WorkerTeam team_;
+  std::vector<Bench> bench_;  // one per thread of the team
+  std::vector<Candidate> ahead_, passed_;
+  std::vector<std::unique_ptr<Ready>> ready_;  // of those in ahead_
+  std::vector<std::uint32_t> touching_;
+  std::vector<Link> merged_links_;
+};
+
+}  // namespace
+
+Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
+            Control& control, EvaluationLog* log) {
+  Share start(control, 0, kStartShare), loop(control, kStartShare, Share::kWhole);
+  return Merger(occupancy, sets, options, jobs, start, log).run(loop);
+}
+
+}  // namespace alula

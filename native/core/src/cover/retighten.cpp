@@ -1,0 +1,115 @@
+#include <algorithm>
+
+#include "alula/cover/merge.hpp"
+
+namespace alula {
+
+namespace {
+
+std::int64_t floor_div(std::int64_t a, std::int64_t b) {
+  const std::int64_t q = a / b;
+  return q - (a % b != 0 && (a < 0) != (b < 0));
+}
+
+}  // namespace
+
+void voxels_inside(const Occupancy& occupancy, const LatticePolytope& hull, std::vector<std::uint32_t>& inside) {
+  inside.clear();
+  const LatticeBox box = bounds(hull.vertex);
+  const auto columns = occupancy.columns();
+  auto column = columns.begin();
+  for (std::int32_t x = box.lower[0]; x < box.upper[0]; ++x) {
+    column = std::partition_point(column, columns.end(), [&](const Occupancy::Column& c) {
+      return c.x < x || (c.x == x && c.y < box.lower[1]);
+    });
+    if (column == columns.end()) return;
+    if (column->x > x) x = std::min(column->x, box.upper[0]) - 1;
+    for (; column != columns.end() && column->x == x && column->y < box.upper[1]; ++column) {
+      std::int64_t low = box.lower[2], high = box.upper[2] - 1;
+      for (const LatticePlane& plane : hull.plane) {
+        const auto& n = plane.normal;
+        std::int64_t room = plane.offset - n[0] * x - n[1] * column->y;
+        for (const std::int64_t c : n) room -= std::max<std::int64_t>(c, 0);
+        if (n[2] > 0) {
+          high = std::min(high, floor_div(room, n[2]));
+        } else if (n[2] < 0) {
+          low = std::max(low, -floor_div(room, -n[2]));
+        } else if (room < 0) {
+          high = low - 1;
+        }
+        if (low > high) break;
+      }
+      if (low > high) continue;
+      const std::uint32_t first = occupancy.lower(*column, static_cast<std::int32_t>(low));
+      for (std::uint32_t v = first; v < column->end && occupancy.voxels()[v][2] <= high; ++v) inside.push_back(v);
+    }
+  }
+}
+
+void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, Control& control) {
+  const std::size_t count = cover.hull.size();
+  std::vector<std::uint32_t> holders(occupancy.size(), 0), inside, shrunk;
+  std::vector<double> excess(count);
+  std::vector<std::size_t> order(count);
+  std::size_t planes = 0, kept = count;
+  ExcessMeter meter(occupancy);
+  for (std::size_t h = 0; h < count; ++h) {
+    voxels_inside(occupancy, cover.hull[h], inside);
+    for (const std::uint32_t v : inside) ++holders[v];
+    excess[h] = meter(cover.hull[h]);
+    order[h] = h;
+    planes += cover.hull[h].plane.size();
+    control.poll(h, 3 * count);
+  }
+  std::sort(order.begin(), order.end(),
+            [&](std::size_t a, std::size_t b) { return excess[a] != excess[b] ? excess[a] > excess[b] : a < b; });
+
+  HullBuilder builder;
+  std::vector<Lattice> needed;
+  std::vector<bool> is_tight(count, true);
+  std::size_t done = 0;
+  for (const std::size_t h : order) {
+    voxels_inside(occupancy, cover.hull[h], inside);
+    needed.clear();
+    for (const std::uint32_t v : inside)
+      if (holders[v] == 1) needed.push_back(occupancy.voxels()[v]);
+    LatticePolytope tight;
+    if (!needed.empty()) {
+      builder.build_voxels(needed);
+      tight = builder.polytope();
+    }
+    const std::size_t after = planes - cover.hull[h].plane.size() + tight.plane.size();
+    const std::size_t left = kept - (needed.empty() ? 1 : 0);
+    if (after > planes && !budget.holds(left, after)) {
+      is_tight[h] = false;
+      continue;
+    }
+    planes = after, kept = left;
+    shrunk.clear();
+    if (!needed.empty()) voxels_inside(occupancy, tight, shrunk);
+    for (const std::uint32_t v : inside) --holders[v];
+    for (const std::uint32_t v : shrunk) ++holders[v];
+    cover.hull[h] = std::move(tight);
+    control.poll(count + 2 * ++done, 3 * count);
+  }
+
+  // A voxel that a tight hull needs is in no other hull, so each hull still is that of its members;
+  // one that was kept gets all its voxels back.
+  std::vector<bool> is_taken(occupancy.size(), false);
+  std::vector<LatticePolytope> hulls;
+  VoxelSets members;
+  for (std::size_t h = 0; h < count; ++h) {
+    if (cover.hull[h].plane.empty()) continue;
+    voxels_inside(occupancy, cover.hull[h], inside);
+    for (const std::uint32_t v : inside) {
+      if (!is_tight[h] || !is_taken[v]) members.member.push_back(v);
+      is_taken[v] = true;
+    }
+    members.close();
+    hulls.push_back(std::move(cover.hull[h]));
+  }
+  cover.hull = std::move(hulls);
+  cover.members = std::move(members);
+}
+
+}  // namespace alula

@@ -1,0 +1,311 @@
+#include "alula/cover/voxelize.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <optional>
+#include <stdexcept>
+#include <utility>
+
+#include "alula/base/parallel.hpp"
+#include "alula/geometry/surfaces.hpp"
+
+namespace alula {
+
+namespace {
+
+using namespace surfaces;
+
+constexpr double kWorth = 0.25;  // voxels that an ellipsoid may go beyond the sum before a second is asked
+constexpr double kNear = 1e9;    // an index well within 32 bits
+
+// A set with its outward box in whole voxels, before any clipping.
+struct Boxed {
+  const Bounds& set;
+  double pad;
+  Vec3 lower, upper;
+
+  Boxed(const Bounds& bounds, double g, double inverse_g) : set(bounds), pad(kPad * set.first.extent(g)) {
+    const Vec3& centre = set.first.centre;
+    for (std::size_t a = 0; a < 3; ++a) {
+      lower[a] = std::floor((centre[a] - set.half[a] - pad) * inverse_g);
+      upper[a] = std::floor((centre[a] + set.half[a] + pad) * inverse_g);
+    }
+  }
+
+  // The part of the box within a range; of most boxes all, without more ado.
+  Block clipped(const CropRange& range) const {
+    bool all = true;
+    for (std::size_t a = 0; a < 3; ++a)
+      all &= (lower[a] >= std::max(range.lower[a], -kNear)) & (upper[a] <= std::min(range.upper[a], kNear));
+    if (!all) return clipped_block(lower, upper, range);
+    Block block;
+    for (std::size_t a = 0; a < 3; ++a)
+      block.lower[a] = static_cast<std::int32_t>(lower[a]), block.upper[a] = static_cast<std::int32_t>(upper[a]);
+    return block;
+  }
+
+  bool within(const CropRange& range) const {
+    bool within = true;
+    for (std::size_t a = 0; a < 3; ++a) within &= lower[a] >= range.lower[a] && upper[a] <= range.upper[a];
+    return within;
+  }
+
+  double voxels() const { return (upper[0] - lower[0] + 1) * (upper[1] - lower[1] + 1) * (upper[2] - lower[2] + 1); }
+
+  // Along how many axes it is one voxel thick; two: the set touches every voxel of it.
+  int thin() const { return (lower[0] == upper[0]) + (lower[1] == upper[1]) + (lower[2] == upper[2]); }
+};
+
+class Marker {
+ public:
+  Marker(OverlapGrid& grid, double g, const CropRange& crop, const CropRange& range)
+      : writer_(grid), g_(g), inverse_g_(1 / g), crop_(crop), range_(range) {}
+
+  // Adds the voxels of one set within the range.
+  Reach mark(const Bounds& set) {
+    const Boxed boxed(set, g_, inverse_g_);
+    const Block block = boxed.clipped(range_);
+    if (block.empty()) return Reach::kOutside;
+    const bool whole = boxed.within(crop_);
+    if (whole && boxed.voxels() > double(OverlapGrid::kMaxVoxels)) check_voxel_budget(set.least_voxels(g_));
+    const int thin = boxed.thin();
+    bool marked = true;
+    if (thin >= 2) {
+      for (std::int32_t x = block.lower[0]; x <= block.upper[0]; ++x)
+        for (std::int32_t y = block.lower[1]; y <= block.upper[1]; ++y)
+          writer_.add({x, y, block.lower[2], block.upper[2]});
+    } else {
+      marked = thin == 1 ? plane(boxed, block) : columns(boxed, block);
+    }
+    return !marked ? Reach::kOutside : whole ? Reach::kWithin : Reach::kCut;
+  }
+
+  void finish() { writer_.finish(); }
+
+ private:
+  // The second ellipsoid, where the first alone might mark many voxels more.
+  const Ellipsoid* worthwhile(const Bounds& set) const {
+    return set.second && set.excess > kWorth * g_ ? &*set.second : nullptr;
+  }
+
+  // A box that is one voxel thick along axis k: a voxel is touched when the shadow reaches its side.
+  bool plane(const Boxed& boxed, const Block& block) {
+    const std::size_t k = boxed.lower[2] == boxed.upper[2] ? 2 : boxed.lower[1] == boxed.upper[1] ? 1 : 0;
+    const std::size_t i = k == 0 ? 1 : 0, j = k == 2 ? 1 : 2;
+    const Ellipsoid& first_set = boxed.set.first;
+    const Shadow shadow(first_set, boxed.pad, i, j, k);
+    std::optional<Shadow> second;
+    if (const Ellipsoid* e = worthwhile(boxed.set)) second.emplace(*e, kPad * e->extent(g_), i, j, k);
+    const Vec3& centre = first_set.centre;
+    chords_.clear();
+    for (std::int32_t v = block.lower[j]; v <= block.upper[j]; ++v) {
+      const Span across = span(v, centre[j]);
+      chords_.push_back({shadow.second(across), second ? second->second(across) : Shadow::Chord{}});
+    }
+    bool marked = false;
+    Index3 at = block.lower;
+    for (at[i] = block.lower[i]; at[i] <= block.upper[i]; ++at[i]) {
+      const Span along = span(at[i], centre[i]);
+      const Shadow::Chord chord = shadow.first(along), other = second ? second->first(along) : Shadow::Chord{};
+      std::int32_t first = 0, last = -1;  // what is reached of a row is one run
+      for (at[j] = block.lower[j]; at[j] <= block.upper[j]; ++at[j]) {
+        const auto& [mine, others] = chords_[static_cast<std::size_t>(at[j] - block.lower[j])];
+        if (!shadow.reaches(chord, mine) || (second && !second->reaches(other, others))) continue;
+        marked = true;
+        if (j == 1) {
+          writer_.add({at[0], at[1], at[2], at[2]});
+        } else {
+          if (first > last) first = at[j];
+          last = at[j];
+        }
+      }
+      if (first <= last) writer_.add({at[0], at[1], first, last});
+    }
+    return marked;
+  }
+
+  // The runs in z of one ellipsoid in the columns of a block.
+  class Runs {
+   public:
+    Runs(const Marker& marker, const Ellipsoid& e, double pad, const Block& block, std::vector<Surfaces::Edge>& y)
+        : marker_(marker), e_(e), pad_(pad), surfaces_(e, pad), y_(y) {
+      y_.clear();
+      for (std::int32_t v = block.lower[1]; v <= block.upper[1]; ++v)
+        y_.push_back(surfaces_.y_edge(marker.span(v, e.centre[1])));
+    }
+
+    void at(std::int32_t x) { x_edge_ = surfaces_.x_edge(marker_.span(x, e_.centre[0])); }
+
+    // Cuts the run of column y of the block; false when nothing is left.
+    bool cut(std::size_t y, double& first, double& last) const {
+      const double top = surfaces_.top(x_edge_, y_[y]);
+      if (top == kMiss) return false;
+      const double bottom = surfaces_.bottom(x_edge_, y_[y]);
+      if (bottom == kMiss) return false;
+      first = std::max(std::floor((e_.centre[2] - bottom - pad_) * marker_.inverse_g_), first);
+      last = std::min(std::floor((e_.centre[2] + top + pad_) * marker_.inverse_g_), last);
+      return first <= last;
+    }
+
+   private:
+    const Marker& marker_;
+    const Ellipsoid& e_;
+    double pad_;
+    Surfaces surfaces_;
+    std::vector<Surfaces::Edge>& y_;
+    Surfaces::Edge x_edge_;
+  };
+
+  bool columns(const Boxed& boxed, const Block& block) {
+    const Bounds& set = boxed.set;
+    Runs runs(*this, set.first, boxed.pad, block, y_);
+    std::optional<Runs> second;
+    if (const Ellipsoid* e = worthwhile(set)) second.emplace(*this, *e, kPad * e->extent(g_), block, second_y_);
+    bool marked = false;
+    for (std::int32_t x = block.lower[0]; x <= block.upper[0]; ++x) {
+      runs.at(x);
+      if (second) second->at(x);
+      for (std::int32_t y = block.lower[1]; y <= block.upper[1]; ++y) {
+        const auto row = static_cast<std::size_t>(y - block.lower[1]);
+        double first = block.lower[2], last = block.upper[2];
+        if (!runs.cut(row, first, last) || (second && !second->cut(row, first, last))) continue;
+        writer_.add({x, y, static_cast<std::int32_t>(first), static_cast<std::int32_t>(last)});
+        marked = true;
+      }
+    }
+    return marked;
+  }
+
+  Span span(std::int32_t i, double centre) const { return {double(i) * g_ - centre, (double(i) + 1) * g_ - centre}; }
+
+  OverlapGrid::Writer writer_;
+  double g_, inverse_g_;
+  CropRange crop_, range_;
+  std::vector<Surfaces::Edge> y_, second_y_;
+  std::vector<std::pair<Shadow::Chord, Shadow::Chord>> chords_;
+};
+
+constexpr std::size_t kMarkedShare = 800;  // of the time, in Share::kWhole, before voxels are listed
+constexpr std::size_t kChunk = 4096;       // ellipsoids between two polls of a thread
+
+std::int32_t floor_divided(std::int32_t a, std::int32_t b) { return a / b - (a % b < 0); }
+
+[[noreturn]] void throw_too_many_tiles() {
+  throw std::overflow_error("the scene would fall into too many tiles of this size");
+}
+
+// Marks all ellipsoids within a range.
+template <class Marked>
+void mark_all(const Splats& splats, const Level& level, double g, const CropRange& outer, const CropRange& range,
+              OverlapGrid& grid, unsigned jobs, Control& control, Marked&& marked) {
+  parallel_chunks(splats.size(), kChunk, jobs, control, [&](std::size_t begin, std::size_t end) {
+    Marker marker(grid, g, outer, range);
+    for (std::size_t i = begin; i < end; ++i) marked(i, marker.mark(bounds_of(splats, i, level)));
+    marker.finish();
+  });
+}
+
+// Refuses what would not fit after a look at voxels of four times the edge: a brick holds two of them, and each
+// that is touched holds a touched voxel. Only where the boxes are large enough for that to be in question.
+void refuse_early(const Splats& splats, const Level& level, double g, const CropRange& range, unsigned jobs,
+                  Control& control) {
+  double boxes = 0;
+  const double per_scale = 2 * level.sigma / g, rest = 2 * level.inflation / g + 1;
+  for (std::size_t i = 0; i < splats.size(); ++i) {
+    const float* s = &splats.scale[3 * i];
+    boxes += (per_scale * s[0] + rest) * (per_scale * s[1] + rest) * (per_scale * s[2] + rest);
+  }
+  // Nor where a coarser look would be no cheaper; what is not finite is refused later.
+  const double worth = std::max(double(OverlapGrid::kMaxVoxels), 8 * double(splats.size()));
+  if (!std::isfinite(boxes) || boxes < worth) return;
+  CropRange coarse = range;
+  for (std::size_t a = 0; a < 3; ++a)
+    coarse.lower[a] = std::floor(range.lower[a] / 4), coarse.upper[a] = std::floor(range.upper[a] / 4);
+  refuse_early(splats, level, 4 * g, coarse, jobs, control);
+  OverlapGrid grid(OverlapGrid::kMaxVoxels, OverlapGrid::kMaxBricks / 4);
+  InterruptOnly quiet(control);
+  try {
+    mark_all(splats, level, 4 * g, coarse, coarse, grid, jobs, quiet, [](std::size_t, Reach) {});
+  } catch (const std::overflow_error&) {  // what was counted so far counts
+  }
+  check_brick_budget(grid.collect(std::numeric_limits<std::uint32_t>::max(), jobs, quiet).below / 2);
+}
+
+CropRange within_tile(CropRange range, const std::optional<Block>& tile) {
+  for (std::size_t a = 0; tile && a < 3; ++a) {
+    range.lower[a] = std::max(range.lower[a], double(tile->lower[a]));
+    range.upper[a] = std::min(range.upper[a], double(tile->upper[a]));
+  }
+  return range;
+}
+
+}  // namespace
+
+Voxelized voxelize(const Splats& splats, const Level& level, double voxel_size, const std::optional<Box6>& crop,
+                   const std::optional<Block>& tile, std::uint32_t min_overlap, unsigned jobs, Control& control) {
+  check_splats(splats, level, voxel_size);
+  const CropRange outer = crop_range(crop, voxel_size), range = within_tile(outer, tile);
+  Voxelized out;
+  out.reach.resize(splats.size());
+  Share marking(control, 0, kMarkedShare), collecting(control, kMarkedShare, Share::kWhole);
+  refuse_early(splats, level, voxel_size, range, jobs, marking);
+  OverlapGrid grid;
+  mark_all(splats, level, voxel_size, outer, range, grid, jobs, marking,
+           [&](std::size_t i, Reach reach) { out.reach[i] = static_cast<std::uint8_t>(reach); });
+  out.voxels = grid.collect(min_overlap, jobs, collecting);
+  return out;
+}
+
+Tiles tiles_of(const Splats& splats, const Level& level, double voxel_size, const std::optional<Box6>& crop,
+               std::int32_t edge, Control& control) {
+  check_splats(splats, level, voxel_size);
+  if (edge < 1) throw std::invalid_argument("a tile has no voxels");
+  const CropRange range = crop_range(crop, voxel_size);
+  const double inverse_g = 1 / voxel_size;
+  struct Entry {
+    std::uint32_t tile, row;
+  };
+  std::vector<Entry> entries;
+  BrickMap map;
+  for (std::size_t i = 0; i < splats.size(); ++i) {
+    if (i % kChunk == 0) control.poll(i, splats.size());
+    const Bounds set = bounds_of(splats, i, level);
+    const Block block = Boxed(set, voxel_size, inverse_g).clipped(range);
+    if (block.empty()) continue;
+    Index3 first, last;
+    double count = 1;
+    for (std::size_t a = 0; a < 3; ++a) {
+      first[a] = floor_divided(block.lower[a], edge), last[a] = floor_divided(block.upper[a], edge);
+      count *= double(last[a]) - double(first[a]) + 1;
+    }
+    if (double(entries.size()) + count > double(Tiles::kMaxEntries)) throw_too_many_tiles();
+    for (std::int32_t x = first[0]; x <= last[0]; ++x)
+      for (std::int32_t y = first[1]; y <= last[1]; ++y)
+        for (std::int32_t z = first[2]; z <= last[2]; ++z) {
+          entries.push_back({map.insert({x, y, z}), static_cast<std::uint32_t>(i)});
+          if (map.size() > Tiles::kMaxTiles) throw_too_many_tiles();
+        }
+  }
+  control.poll(splats.size(), splats.size());
+
+  std::vector<std::pair<Index3, std::uint32_t>> tiles;
+  map.each([&](const Index3& tile, std::uint32_t number) { tiles.emplace_back(tile, number); });
+  std::sort(tiles.begin(), tiles.end());
+  std::vector<std::uint32_t> place(tiles.size());
+  Tiles out;
+  for (std::uint32_t t = 0; t < tiles.size(); ++t) {
+    place[tiles[t].second] = t;
+    out.tile.insert(out.tile.end(), tiles[t].first.begin(), tiles[t].first.end());
+  }
+  out.start.assign(tiles.size() + 1, 0);
+  for (const Entry& entry : entries) ++out.start[place[entry.tile] + 1];
+  std::partial_sum(out.start.begin(), out.start.end(), out.start.begin());
+  std::vector<std::int64_t> next(out.start.begin(), out.start.end() - 1);
+  out.row.resize(entries.size());
+  for (const Entry& entry : entries) out.row[static_cast<std::size_t>(next[place[entry.tile]]++)] = entry.row;
+  return out;
+}
+
+}  // namespace alula

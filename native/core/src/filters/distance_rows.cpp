@@ -1,0 +1,87 @@
+#include "alula/filters/distance_rows.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "alula/filters/acceleration_program.hpp"
+
+namespace alula::flight {
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr std::size_t kRows = 8192;  // room that is made at once
+
+}  // namespace
+
+DistanceRows::DistanceRows(std::shared_ptr<const EllipsoidIndex> index, const DistanceLaw& law)
+    : index_(std::move(index)), law_(law), seen_(index_->size(), 0) {
+  const std::size_t rows = std::min(kRows, index_->size());
+  row_.reserve(rows), order_.reserve(rows), worst_.reserve(rows), heap_.reserve(rows);
+}
+
+void DistanceRows::start(Vec3 p, Vec3 v, bool all) {
+  p_ = p, v_ = v, has_all_ = all;
+  least_ = kInfinity, measured_ = 0;
+  row_.clear();
+  if (++tick_ == 0) std::fill(seen_.begin(), seen_.end(), 0), tick_ = 1;
+  if (all) {
+    for (std::uint32_t item = 0; item < index_->size(); ++item) measure(item);
+    return;
+  }
+  index_->visit_least(
+      heap_, least_,
+      [&](const geometry::Box& box, double ball) { return least_barrier(box, index_->radius() + ball, p); },
+      [&](std::uint32_t item) { measure(item); });
+}
+
+bool DistanceRows::measure(std::uint32_t item) {
+  seen_[item] = tick_;
+  ++measured_;
+  const DistanceBarrier barrier = distance_barrier(*index_, law_, item, p_, v_);
+  least_ = std::min(least_, barrier.h);
+  const AccelerationRow unit = normalised(barrier.row);
+  if (unit.bound == -kInfinity) return false;
+  row_.push_back({unit, geometry::norm(barrier.row.row), item, false});
+  return true;
+}
+
+bool DistanceRows::search(Vec3 u, double tolerance, std::size_t enough) {
+  if (has_all_) return false;
+  double limit = 0;
+  value_.clear();
+  index_->visit_least(heap_, limit, DistanceRowBound(law_, index_->radius(), p_, v_, u), [&](std::uint32_t item) {
+    if (seen_[item] == tick_ || !measure(item)) return;
+    const double slack = row_.back().slack(u), value = slack * row_.back().length;
+    if (slack >= -tolerance) return;
+    value_.push_back(std::isnan(value) ? -kInfinity : value);
+    std::push_heap(value_.begin(), value_.end());
+    if (value_.size() < enough) return;
+    if (value_.size() > enough) std::pop_heap(value_.begin(), value_.end()), value_.pop_back();
+    limit = std::min(limit, value_.front());  // what is left is violated by less than `enough` others
+  });
+  return !value_.empty();
+}
+
+bool DistanceRows::hold(Vec3 u, double tolerance) {
+  const auto holds = [&](const Row& row) { return row.slack(u) >= -tolerance; };
+  return std::all_of(row_.begin(), row_.end(), holds) && !search(u, tolerance, 1);
+}
+
+std::span<const std::uint32_t> DistanceRows::worst(Vec3 u, double tolerance, std::size_t count) {
+  order_.clear(), worst_.clear();
+  for (std::uint32_t i = 0; i < row_.size(); ++i) {
+    if (row_[i].is_taken) continue;
+    const double slack = row_[i].slack(u);
+    if (slack >= -tolerance) continue;
+    order_.push_back({std::isnan(slack) ? -kInfinity : slack, i});
+  }
+  const std::size_t taken = std::min(count, order_.size());
+  std::partial_sort(order_.begin(), order_.begin() + static_cast<std::ptrdiff_t>(taken), order_.end());
+  for (std::size_t i = 0; i < taken; ++i) {
+    worst_.push_back(order_[i].second);
+    row_[order_[i].second].is_taken = true;
+  }
+  return worst_;
+}
+
+}  // namespace alula::flight

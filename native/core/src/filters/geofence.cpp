@@ -1,0 +1,106 @@
+#include "alula/filters/geofence.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+
+#include "alula/filters/polytope_map.hpp"
+
+namespace alula::flight {
+
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+// u = 2^-24; of positions of up to a kilometre: the normal's rounding costs sqrt 3 u 1 km, n . p four times as much,
+// and the offset its own.
+double lost_by_face(double d) { return 0x1p-24 * (16e3 + 4 * std::abs(d)); }
+
+void set_up(const Fence& fence, alula_fence& onboard) {
+  onboard.has_box = fence.box ? 1 : 0;
+  for (int i = 0; fence.box && i < 3; ++i) {
+    onboard.lower[i] = round_up(fence.box->lower[i]);
+    onboard.upper[i] = round_down(fence.box->upper[i]);
+  }
+  if (fence.faces.size() > ALULA_FENCE_FACES) throw std::invalid_argument("a fence has too many faces");
+  onboard.face_count = static_cast<std::uint32_t>(fence.faces.size());
+  for (std::size_t l = 0; l < fence.faces.size(); ++l) {
+    for (std::size_t i = 0; i < 3; ++i) onboard.face[l][i] = static_cast<float>(fence.faces[l][i]);
+    onboard.face[l][3] = round_down(fence.faces[l][3] - lost_by_face(fence.faces[l][3]));
+  }
+}
+
+}  // namespace
+
+double Fence::clearance(Vec3 a, Vec3 b) const {
+  double least = kInfinity;
+  for (const Vec3& p : {a, b}) {
+    for (int i = 0; box && i < 3; ++i) least = std::min({least, p[i] - box->lower[i], box->upper[i] - p[i]});
+    for (const auto& n : faces) least = std::min(least, n[3] - (n[0] * p.x + n[1] * p.y + n[2] * p.z));
+  }
+  if (keep_out == nullptr || keep_out->size() == 0) return least;
+  std::uint32_t nearest = 0;
+  std::vector<double> scratch;
+  return std::min(least, keep_out->clearance(a, b, std::max(least, 1.0), nearest, scratch));
+}
+
+alula_racer_state to_onboard(const RacerState& x) {
+  alula_racer_state s;
+  for (int i = 0; i < 3; ++i) {
+    s.position[i] = static_cast<float>(x.p[i]);
+    s.velocity[i] = static_cast<float>(x.v[i]);
+    s.rates[i] = static_cast<float>(x.omega[i]);
+  }
+  for (std::size_t i = 0; i < 4; ++i) s.attitude[i] = static_cast<float>(x.q[i]);
+  return s;
+}
+
+alula_racer_command to_onboard(const RacerCommand& u) {
+  return {static_cast<float>(u.throttle),
+          {static_cast<float>(u.rates.x), static_cast<float>(u.rates.y), static_cast<float>(u.rates.z)}};
+}
+
+RacerCommand from_onboard(const alula_racer_command& u) { return {u.throttle, {u.rates[0], u.rates[1], u.rates[2]}}; }
+
+Geofence::Geofence(const Fence& fence, const alula_geofence_config& config) : fence_(fence) {
+  set_up(fence, onboard_);
+  if (fence.image) {
+    if (fence.image->size() > UINT32_MAX ||
+        alula_map_open(&map_, fence.image->data(), static_cast<std::uint32_t>(fence.image->size())) !=
+            ALULA_MAP_READY) {
+      throw std::invalid_argument("a fence's map is not an onboard map");
+    }
+    onboard_.keep_out = &map_;
+  }
+  if (alula_fence_check(&onboard_) != ALULA_READY) {
+    throw std::invalid_argument("a fence needs a box, faces with unit normals or a map, within 10 km");
+  }
+  if (alula_geofence_init(&filter_, &onboard_, &config) != ALULA_READY) {
+    throw std::invalid_argument("the parameters of a geofence are out of range");
+  }
+}
+
+GeofenceReport Geofence::filter(const RacerState* navigation, const RacerCommand* pilot) {
+  alula_racer_state state;
+  alula_racer_command wished;
+  if (navigation != nullptr) state = to_onboard(*navigation);
+  if (pilot != nullptr) wished = to_onboard(*pilot);
+  GeofenceReport report;
+  report.status = alula_geofence_filter(&filter_, navigation != nullptr ? &state : nullptr,
+                                        pilot != nullptr ? &wished : nullptr, &report.detail);
+  report.command = report.status == ALULA_GEOFENCE_PASSED ? *pilot : from_onboard(report.detail.command);
+  return report;
+}
+
+alula_geofence_value Geofence::evaluate(const RacerState& x) const {
+  alula_racer_state state = to_onboard(x);
+  if (!alula_racer_state_is_valid(&state)) throw std::invalid_argument("not a state of a racer");
+  alula_racer_normalise(&state);
+  const alula_backup_hold hold = alula_geofence_hold(&filter_, &state);
+  alula_geofence_value value;
+  alula_geofence_evaluate(&filter_, &state, &hold, 0, &value);
+  return value;
+}
+
+}  // namespace alula::flight

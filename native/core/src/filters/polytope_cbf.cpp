@@ -1,0 +1,69 @@
+#include "alula/filters/polytope_cbf.hpp"
+
+#include <cfloat>
+#include <stdexcept>
+
+namespace alula {
+
+namespace {
+
+std::array<float, 3> to_float(const Vec3& v) {
+  return {static_cast<float>(v[0]), static_cast<float>(v[1]), static_cast<float>(v[2])};
+}
+
+alula_polytope_cbf_config single(const PolytopeCbfConfig& config) {
+  return {.radius_m = round_up(config.radius_m),
+          .beta = static_cast<float>(config.beta),
+          .kappa = static_cast<float>(config.kappa),
+          .dt_s = static_cast<float>(config.dt_s),
+          .v_max = static_cast<float>(config.v_max),
+          .smoothing = config.smoothing,
+          .brute_force = config.brute_force};
+}
+
+void require_ready(alula_status status) {
+  switch (status) {
+    case ALULA_READY:
+      return;
+    case ALULA_BAD_PARAMETER:
+      throw std::invalid_argument(
+          "filter parameters must satisfy 0 <= radius <= extent, 0 < beta <= 1 / dt, 0 < kappa <= 1e5, "
+          "0 < v_max <= 1e6 and v_max dt <= extent");
+    default:
+      throw std::invalid_argument("the map is not valid");
+  }
+}
+
+}  // namespace
+
+PolytopeCbf::PolytopeCbf(std::shared_ptr<const PolytopeMap> map, const PolytopeCbfConfig& config)
+    : map_(std::move(map)), config_(config) {
+  const alula_polytope_map view = map_->view();
+  const alula_polytope_cbf_config rounded = single(config);
+  require_ready(alula_polytope_cbf_init(&cbf_, &view, &rounded));
+}
+
+PolytopeCbf::PolytopeCbf(std::shared_ptr<const OnboardImage> image, double extent_m, const PolytopeCbfConfig& config)
+    : image_(std::move(image)), config_(config) {
+  const alula_polytope_cbf_config rounded = single(config);
+  require_ready(alula_polytope_cbf_open(&cbf_, &image_->map(), round_up(extent_m), &rounded));
+}
+
+FilterOutput PolytopeCbf::filter(const Vec3& x, const Vec3& u_nom) {
+  FilterOutput output;
+  const auto position = to_float(x), nominal = to_float(u_nom);
+  output.status = alula_polytope_cbf_filter(&cbf_, position.data(), nominal.data(), &output.detail);
+  const float* u = output.detail.u;
+  output.u = output.status == ALULA_FILTER_OK ? u_nom : Vec3{u[0], u[1], u[2]};
+  return output;
+}
+
+alula_polytope_value PolytopeCbf::evaluate(const Vec3& x) {
+  alula_polytope_value value;
+  const auto position = to_float(x);
+  if (alula_polytope_cbf_evaluate(&cbf_, position.data(), &value) != ALULA_READY)
+    value.hard = value.smooth = -FLT_MAX;
+  return value;
+}
+
+}  // namespace alula

@@ -1,0 +1,90 @@
+#include "alula/filters/pruning.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+
+namespace alula::flight {
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+}  // namespace
+
+double gate_distance(const Pruning& pruning, double speed, double radius) {
+  const double path = speed * (pruning.reaction_time_s + speed / (2 * pruning.max_deceleration));
+  return std::max(pruning.floor_m, path + radius);
+}
+
+Pruner::Pruner(std::shared_ptr<const EllipsoidIndex> index, const Pruning& pruning)
+    : index_(std::move(index)), pruning_(pruning) {
+  if (!index_) throw std::invalid_argument("there is no index");
+  const auto at_least_zero = [](double value) { return value >= 0 && std::isfinite(value); };
+  if (!at_least_zero(pruning.reaction_time_s) || !at_least_zero(pruning.floor_m))
+    throw std::invalid_argument("reaction time and floor of the gate must be at least 0");
+  if (!(pruning.max_deceleration > 0 && std::isfinite(pruning.max_deceleration)))
+    throw std::invalid_argument("the deceleration of the gate must be positive");
+  found_.reserve(most() + 1);
+}
+
+std::size_t Pruner::most() const {
+  const bool all = !pruning_.gate || pruning_.count == 0;
+  return all ? index_->size() : std::min<std::size_t>(index_->size(), pruning_.count);
+}
+
+std::span<const Found> Pruner::capped(FilterReport& report) {
+  report.capped = pruning_.count > 0 && found_.size() > pruning_.count;
+  if (report.capped) found_.resize(pruning_.count);
+  report.candidates = static_cast<std::uint32_t>(found_.size());
+  return found_;
+}
+
+std::span<const Found> Pruner::near(Vec3 p, Vec3 v, bool approach, FilterReport& report) {
+  using geometry::dot;
+  if (!pruning_.gate) {
+    const auto passes = [&](const GrownEllipsoid& e) {
+      const Vec3 r = e.centre - p, ar = e.a * r;
+      return !approach || !pruning_.approach || dot(ar, v) >= 0 || dot(ar, r) < 1;
+    };
+    report.gate_m = kInfinity;
+    found_.clear();
+    for (std::uint32_t item = 0; item < index_->size(); ++item)
+      if (passes(index_->grown(item))) found_.push_back({item, 0});
+    report.candidates = static_cast<std::uint32_t>(found_.size());
+    report.capped = false;
+    return found_;
+  }
+  const double speed = geometry::norm(v);
+  report.gate_m = gate_distance(pruning_, speed, index_->radius());
+  const double time = pruning_.sweep ? pruning_.reaction_time_s + speed / (2 * pruning_.max_deceleration) : 0;
+  const std::size_t count =
+      pruning_.count == 0 ? index_->size() : std::size_t{pruning_.count} + 1;  // one tells if more
+  const Vec3 end = p + time * v;
+  if (approach && pruning_.approach) {
+    index_->nearest_ahead(p, end, v, report.gate_m, count, found_);
+  } else {
+    index_->nearest(p, end, report.gate_m, count, found_);
+  }
+  return capped(report);
+}
+
+std::span<const Found> Pruner::near_by_scan(Vec3 p, Vec3 v, FilterReport& report) {
+  report.gate_m = pruning_.gate ? gate_distance(pruning_, geometry::norm(v), index_->radius()) : kInfinity;
+  found_.clear();
+  for (std::uint32_t item = 0; item < index_->size(); ++item) {
+    const double distance = geometry::signed_distance(index_->ellipsoid(item), p).value - index_->ball(item);
+    if (distance < report.gate_m) found_.push_back({item, distance});
+  }
+  if (!pruning_.gate) {
+    report.candidates = static_cast<std::uint32_t>(found_.size());
+    report.capped = false;
+    return found_;
+  }
+  std::sort(found_.begin(), found_.end(), [](const Found& a, const Found& b) {
+    return a.distance != b.distance ? a.distance < b.distance : a.item < b.item;
+  });
+  return capped(report);
+}
+
+}  // namespace alula::flight

@@ -1,0 +1,200 @@
+#include "alula/filters/shield.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+#include "alula/dynamics/actuators.hpp"
+
+namespace alula::flight {
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kSameSpeed = 0.05;  // of two contacts [m/s]
+constexpr double kNearer = 1e-9;     // in a tick: less is no approach [m]
+
+// Whether a beats b when neither is safe.
+bool is_less_bad(const Certificate& a, const Certificate& b) {
+  const bool a_clears = a.clearance > 0, b_clears = b.clearance > 0;
+  if (a_clears != b_clears) return a_clears;
+  if (!a_clears && std::abs(a.contact_speed - b.contact_speed) > kSameSpeed) return a.contact_speed < b.contact_speed;
+  return a.clearance > b.clearance;
+}
+
+// What is left of a manoeuvre after a tick of it.
+Manoeuvre rest_of(const Manoeuvre& m) { return {m.hold, std::max(0, m.ticks - 1), m.is_urgent}; }
+
+}  // namespace
+
+Shield::Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index, const ShieldOptions& options)
+    : policy_(policy), index_(std::move(index)), options_(options), rest_drift_(options.rest_drift_m) {
+  const ShieldOptions& o = options_;
+  const auto require = [](bool holds, const char* what) {
+    if (!holds) throw std::invalid_argument(what);
+  };
+  require(index_ != nullptr, "a shield needs a map");
+  require(o.tick_s > 0 && o.tick_s <= 1 && o.max_time_s >= o.tick_s && o.max_time_s / o.tick_s <= 1e5,
+          "the tick of a shield must be positive, and at most 100 000 of them make its longest time");
+  check(ActuatorModel{o.motor_time_constant_s, 0});
+  hovering_ = policy.vehicle().rotor_thrust(policy.vehicle().limited({policy.vehicle().hover_thrust(), {}}));
+  reset();
+  require(
+      lags() ? settles() : policy.settles(o.tick_s),
+      "the gains of the backup policy are too high for this vehicle at this tick: held for one, they do not settle");
+  require(o.substeps >= 1 && o.line_search >= 0 && o.escape_tries >= 0, "counts of a shield must not be negative");
+  require(2 * o.rest_drift_m < o.margin_m && std::isfinite(o.margin_m),
+          "the margin of a shield must be more than twice the drift at rest");
+  require(o.escape_time_s >= 0 && o.escape_time_s <= o.max_time_s,
+          "an escape must fit into the shield's longest time");
+  require(o.rest_speed_m_s > 0 && o.rest_rate_rad_s > 0 && o.rest_tilt_rad > 0 && o.rest_drift_m > 0,
+          "the tolerances of rest must be positive");
+  ends_early_ = keeps_to_excursion();
+  path_.reserve(static_cast<std::size_t>(o.max_time_s / o.tick_s) + 3);
+  found_.reserve(4);
+}
+
+int Shield::hold_ticks() const { return static_cast<int>(std::lround(options_.escape_time_s / options_.tick_s)); }
+
+void Shield::reset() { committed_ = {}, hint_ = 0, is_committed_ = is_planned_ = false, rotors_ = hovering_; }
+
+void Shield::find_escapes(const State& x, std::span<const Found> near) {
+  if (has_escapes_) return;
+  has_escapes_ = true;
+  escapes_ = escape_velocities(*index_, near, x.p, x.v);
+  escapes_.count = std::min(escapes_.count, static_cast<std::size_t>(options_.escape_tries));
+}
+
+// Whether a manoeuvre is safe after a tick of u. A rest may have drifted into the margin, where no path that begins
+// there keeps it: then one that stays about as far away as now, and drifts hardly at all when it rests, will do.
+bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept,
+                           bool until_rest) {
+  const double least = options_.rest_drift_m / 40, radius = index_->radius();
+  const double here = is_finite(x) ? index_->clearance(x.p, radius + options_.margin_m, hint_) - radius : kInfinity;
+  if (here >= options_.margin_m) return is_safe(x, manoeuvre, options_.margin_m, &u, until_rest);
+  rest_drift_ = least;
+  const bool safe = is_safe(x, manoeuvre, std::max(kept, here - 4 * least) + 2 * least, &u, until_rest);
+  rest_drift_ = options_.rest_drift_m;
+  return safe;
+}
+
+// Whether no tick of u and of resting after it is nearer than now: what `is_safe_after` lets slip would add up.
+bool Shield::comes_no_nearer(const State& x, const Wrench& u) {
+  if (!is_safe_after(x, u, stop(), -options_.margin_m, true)) return false;
+  const double here = index_->clearance(x.p, index_->radius() + options_.margin_m, hint_);
+  return std::all_of(path_.begin(), path_.end(),
+                     [&](const Tick& tick) { return index_->clearance(tick.p, here, hint_) >= here - kNearer; });
+}
+
+// Whether resting, or else the committed manoeuvre, is safe after a tick of u; it becomes `next_`.
+bool Shield::accept(const State& x, const Wrench& u) {
+  const double kept = options_.margin_m / 2;
+  next_ = stop();
+  if (is_safe_after(x, u, next_, kept)) return true;
+  if (!policy_.escapes() || committed_.ticks == 0) return false;
+  next_ = committed_;
+  return is_safe_after(x, u, next_, kept);
+}
+
+// The same, or else a new escape.
+bool Shield::accept_escaping(const State& x, const Wrench& u, std::span<const Found> near) {
+  if (accept(x, u)) return true;
+  if (!policy_.escapes()) return false;
+  find_escapes(x, near);
+  for (std::size_t i = 0; i < escapes_.count; ++i) {
+    next_ = {escapes_.velocity[i], hold_ticks()};
+    if (is_safe_after(x, u, next_, options_.margin_m / 2)) return true;
+  }
+  return false;
+}
+
+// The manoeuvre to fly from x; true when it is safe.
+bool Shield::choose(const State& x, std::span<const Found> near) {
+  const double kept = options_.margin_m / 2;
+  if (policy_.escapes()) {
+    if (committed_.ticks > 0 && is_safe(x, committed_, kept)) return chosen_ = committed_, true;
+    find_escapes(x, near);
+    for (std::size_t i = 0; i < escapes_.count; ++i) {
+      const Manoeuvre escape{escapes_.velocity[i], hold_ticks()};
+      if (is_safe(x, escape, options_.margin_m)) return chosen_ = escape, true;
+    }
+  }
+  const Manoeuvre gentle, urgent{.hold = {}, .ticks = 0, .is_urgent = true};
+  // Half the margin is for what is flown already: another that rests so near would drift out of it.
+  const Manoeuvre& same = committed_.is_urgent ? urgent : gentle;
+  if (is_committed_ && is_safe(x, same, kept)) return chosen_ = same, true;
+  for (const double margin : {options_.margin_m, kept})
+    for (const Manoeuvre& manoeuvre : {stop(), lags() ? gentle : urgent})
+      if (is_safe(x, manoeuvre, margin)) return chosen_ = manoeuvre, true;
+  chosen_ = urgent;
+  Certificate best = certify(x, chosen_, 0, nullptr, true);
+  const auto try_one = [&](const Manoeuvre& manoeuvre) {
+    const Certificate found = certify(x, manoeuvre, 0, nullptr, true);
+    if (is_less_bad(found, best)) best = found, chosen_ = manoeuvre;
+  };
+  try_one(gentle);
+  if (policy_.escapes()) {
+    if (committed_.ticks > 0) try_one(committed_);
+    for (std::size_t i = 0; i < escapes_.count; ++i) try_one({escapes_.velocity[i], hold_ticks()});
+  }
+  return false;
+}
+
+Manoeuvre Shield::plan(const State& x, std::span<const Found> near) {
+  has_escapes_ = false;
+  is_chosen_safe_ = choose(x, near);
+  is_planned_ = true;
+  return chosen_;
+}
+
+// Sets the report to the manoeuvre to fly from x.
+void Shield::settle(const State& x, std::span<const Found> near, FilterReport& report) {
+  report.certified = is_planned_ ? is_chosen_safe_ : choose(x, near);
+  report.status = report.certified ? SplatFilterStatus::backup : SplatFilterStatus::recovering;
+  report.wrench = flown(x, chosen_, 0);
+}
+
+void Shield::fall_back(const State& x, std::span<const Found> near, FilterReport& report) {
+  has_escapes_ = has_escapes_ && is_planned_;
+  settle(x, near, report);
+  committed_ = rest_of(chosen_);
+  is_committed_ = report.certified, is_planned_ = false;
+}
+
+bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus accepted, std::span<const Found> near,
+                    FilterReport& report) {
+  has_escapes_ = has_escapes_ && is_planned_;
+  if (accept_escaping(x, candidate, near)) {
+    report.wrench = candidate, report.status = accepted, report.certified = true;
+    committed_ = next_;
+    is_committed_ = true, is_planned_ = false;
+    return true;
+  }
+  settle(x, near, report);
+  is_committed_ = report.certified, is_planned_ = false;
+  // Inside the margin that is kept nothing is safe, resting neither; what comes no nearer than now lets it leave.
+  if (!report.certified && comes_no_nearer(x, candidate)) {
+    report.wrench = candidate, committed_ = stop();
+    return true;
+  }
+  const Wrench base = report.wrench;
+  Manoeuvre next = rest_of(chosen_);
+  if (report.certified) {
+    double inside = 0, outside = 1;
+    for (int i = 0; i < options_.line_search; ++i) {
+      const double share = (inside + outside) / 2;
+      const Wrench u{base.thrust + share * (candidate.thrust - base.thrust),
+                     base.torque + share * (candidate.torque - base.torque)};
+      if (accept(x, u)) {
+        report.wrench = u, next = next_, inside = share;
+      } else {
+        outside = share;
+      }
+    }
+  }
+  committed_ = next;
+  return false;
+}
+
+}  // namespace alula::flight

@@ -1,0 +1,316 @@
+// The rollouts of a shield: what a manoeuvre flies from a state, and whether all of that is clear.
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "alula/dynamics/actuators.hpp"
+#include "alula/filters/shield.hpp"
+
+namespace alula::flight {
+namespace {
+
+using geometry::cross;
+using geometry::divide;
+using geometry::dot;
+using geometry::e3;
+using geometry::multiply;
+using geometry::norm;
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kStep = 0.01;                   // of RK4 at most [s],
+constexpr double kTurn = 0.1;                    // and [rad]
+constexpr int kSweeps = 8;                       // chords tried before the path is looked at tick by tick
+constexpr double kTurnPerTick = 1;               // more than that and holding an input for a tick means nothing
+constexpr double kAlmost = 4;                    // times what counts as rest, in speed, rate and tilt
+constexpr double kRoom = 2;                      // times its excursion
+constexpr double kMostPassed = 1.5;              // of an excursion, by what is flown
+constexpr double kQuarter = 1.5707963267948966;  // of a turn [rad]
+constexpr double kMost = 0.25;                   // of an excursion that is looked at [m]
+
+}  // namespace
+
+// A tick of rotors that are led to u.
+State Shield::following(const State& x, Vec4& rotors, const Wrench& u) const {
+  const double tick = options_.tick_s, lag = options_.motor_time_constant_s;
+  const double needed = std::max({tick / kStep * (1 - 1e-9), norm(x.omega) * tick / kTurn, 2 * tick / lag});
+  const int steps = std::max(options_.substeps, static_cast<int>(std::ceil(std::min(needed, 100.0))));
+  const auto derivative = [&](const State& at, const Wrench& made) { return policy_.vehicle().derivative(at, made); };
+  const Wrench command = leading(policy_.vehicle(), lag, rotors, u, tick);
+  State y = x;
+  for (int i = 0; i < steps; ++i)
+    y = following_step(policy_.vehicle(), lag, y, rotors, command, tick / steps, derivative);
+  y.sigma = shadowed(y.sigma);
+  return y;
+}
+
+// Whether hovering is asymptotically stable with lag, but for place and, without a spring, heading: powers of the
+// Jacobian of a tick vanish.
+bool Shield::settles() const {
+  constexpr std::size_t kSize = 13;  // velocity, attitude, rates, rotors
+  constexpr double kChange = 1e-5, kVanished = 1e-3;
+  using Row = std::array<double, kSize>;
+  const double unit = policy_.vehicle().hover_thrust() / 4;  // of rotors
+  const auto after_a_tick = [&](std::size_t i, double change) {
+    Row row{};
+    row[i] = change;
+    State x{{}, geometry::from_rows(&row[3]), geometry::from_rows(&row[0]), geometry::from_rows(&row[6])};
+    Vec4 rotors = rotors_;
+    for (std::size_t r = 0; r < 4; ++r) rotors[r] += row[9 + r] * unit;
+    x = following(x, rotors, flown(x, {}, 0));
+    if (policy_.kind() != BackupKind::hover) x.sigma.z = 0;
+    return Row{x.v.x,           x.v.y,     x.v.z,     x.sigma.x,        x.sigma.y,        x.sigma.z,
+               x.omega.x,       x.omega.y, x.omega.z, rotors[0] / unit, rotors[1] / unit, rotors[2] / unit,
+               rotors[3] / unit};
+  };
+  std::array<Row, kSize> power{};
+  for (std::size_t i = 0; i < kSize; ++i) {
+    const Row above = after_a_tick(i, kChange), below = after_a_tick(i, -kChange);
+    for (std::size_t j = 0; j < kSize; ++j) power[j][i] = (above[j] - below[j]) / (2 * kChange);
+  }
+  double largest = kInfinity;
+  for (int doubled = 0; doubled < 14 && largest > kVanished; ++doubled) {
+    std::array<Row, kSize> next{};
+    largest = 0;
+    for (std::size_t i = 0; i < kSize; ++i)
+      for (std::size_t j = 0; j < kSize; ++j) {
+        for (std::size_t k = 0; k < kSize; ++k) next[i][j] += power[i][k] * power[k][j];
+        largest = std::max(largest, std::abs(next[i][j]));
+      }
+    if (!(largest < 1e100)) return false;
+    power = next;
+  }
+  return largest <= kVanished;
+}
+
+// What a manoeuvre flies in a tick.
+Wrench Shield::flown(const State& x, const Manoeuvre& manoeuvre, int tick) const {
+  return manoeuvre.is_urgent ? policy_.urgent(x, manoeuvre.at(tick)) : policy_(x, manoeuvre.at(tick));
+}
+
+State Shield::after(const State& x, const Wrench& u) const {
+  if (lags()) {
+    Vec4 rotors = rotors_;
+    return following(x, rotors, u);
+  }
+  State y = x;
+  const double needed = std::max(options_.tick_s / kStep * (1 - 1e-9), norm(x.omega) * options_.tick_s / kTurn);
+  const int steps = std::max(options_.substeps, static_cast<int>(std::ceil(std::min(needed, 100.0))));
+  const double h = options_.tick_s / steps;
+  for (int i = 0; i < steps; ++i) y = policy_.vehicle().step(y, u, h);
+  y.sigma = shadowed(y.sigma);
+  return y;
+}
+
+bool Shield::resting(const State& x) const {
+  const ShieldOptions& o = options_;
+  if (dot(x.v, x.v) > o.rest_speed_m_s * o.rest_speed_m_s) return false;
+  if (dot(x.omega, x.omega) > o.rest_rate_rad_s * o.rest_rate_rad_s) return false;
+  const Vec3 b = thrust_axis(x.sigma);
+  if (!(b.z > 0) || b.x * b.x + b.y * b.y > o.rest_tilt_rad * o.rest_tilt_rad) return false;
+  // With a spring on the heading only the one that it pulls to is a rest.
+  if (policy_.kind() == BackupKind::hover && !(4 * std::abs(x.sigma.z) <= o.rest_tilt_rad)) return false;
+  return policy_.sways_at_most(x, rest_drift_);
+}
+
+// The same with rotors on their way. Left alone they would still give the momentum that is added here, led ones a
+// part of it; a linear loop ends where one without lag does from the state with that part, which lies between the
+// two.
+bool Shield::resting(const State& x, const Vec4& rotors) const {
+  if (!resting(x)) return false;
+  if (!lags()) return true;
+  const Wrench u = policy_.vehicle().wrench(rotors);
+  State y = x;
+  y.v.z += options_.motor_time_constant_s * (u.thrust / policy_.vehicle().mass() - policy_.vehicle().gravity());
+  y.omega += options_.motor_time_constant_s * divide(u.torque, policy_.vehicle().inertia());
+  return resting(y);
+}
+
+// Whether what is flown from where `settles_clear` may end a path stays well within the room that it asks for. Of the
+// loop about hover the excursion is a bound; caps of tilt, thrust or torque, or a slow attitude, may be too low for
+// it. Flown from corners of what counts, scaled to the longest excursion that is looked at.
+bool Shield::keeps_to_excursion() const {
+  if (lags()) return false;
+  const ShieldOptions& o = options_;
+  const double speed = kAlmost * o.rest_speed_m_s, tilt = kAlmost * o.rest_tilt_rad / 4,
+               rate = kAlmost * o.rest_rate_rad_s;
+  const int ticks = static_cast<int>(std::min(o.max_time_s, 5.0) / o.tick_s);
+  for (int corner = 0; corner < 96; ++corner) {
+    const double turn = corner % 4 * kQuarter, side = corner / 4 % 4 * kQuarter, climb = corner / 16 % 2 ? 0.4 : -0.4;
+    const double spin = corner / 32 - 1;  // -1, 0, 1
+    State x;
+    x.v = speed * Vec3{0.9 * std::cos(turn), 0.9 * std::sin(turn), climb};
+    x.sigma = tilt * Vec3{std::cos(side), std::sin(side), 0};
+    x.omega = spin * rate * Vec3{std::cos(side), std::sin(side), 0};
+    x = std::min(1.0, kMost / policy_.excursion(x)) * x;
+    const double most = kMostPassed * policy_.excursion(x);
+    for (int tick = 0; tick < ticks && !resting(x); ++tick) {
+      x = after(x, flown(x, {}, 0));
+      if (!(norm(x.p) <= most)) return false;
+    }
+  }
+  return true;
+}
+
+// Whether x is so near to rest, and so far from everything, that on its way to rest it keeps `distance`. Asked along
+// a path, it looks at the map whenever the excursion has halved.
+bool Shield::settles_clear(const State& x, double distance, double& looked) {
+  const ShieldOptions& o = options_;
+  const double speed = kAlmost * o.rest_speed_m_s, rate = kAlmost * o.rest_rate_rad_s;
+  if (dot(x.v, x.v) > speed * speed || dot(x.omega, x.omega) > rate * rate) return false;
+  const Vec3 b = thrust_axis(x.sigma);
+  const double tilt = kAlmost * o.rest_tilt_rad;
+  if (!(b.z > 0) || b.x * b.x + b.y * b.y > tilt * tilt) return false;
+  if (policy_.kind() == BackupKind::hover && !(4 * std::abs(x.sigma.z) <= tilt)) return false;
+  const double excursion = policy_.excursion(x);
+  if (!(excursion <= looked / 2)) return false;
+  looked = excursion;
+  const double needed = distance + kRoom * excursion;
+  return index_->clearance(x.p, needed, hint_) >= needed;
+}
+
+// Fills the path; false when it does not come to rest in time. With a `distance` it ends also where the rest of the
+// way is known to keep that.
+bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time, double distance) {
+  const Quadrotor& vehicle = policy_.vehicle();
+  const double h = options_.tick_s;
+  // What is accepted rests a little early, so that small differences of plan and flight do not take it back.
+  const int before = first != nullptr ? 1 : 0, most = static_cast<int>(options_.max_time_s / h),
+            ticks = first != nullptr ? most - most / 8 : most;
+  path_.clear();
+  path_.push_back({x.p, 0, 0});
+  State now = x;
+  Vec4 rotors = rotors_;
+  double speed = norm(now.v), spin = norm(now.omega), looked = 2 * kMost;
+  const bool may_settle = ends_early_ && distance < kInfinity && !manoeuvre.is_urgent;
+  for (int tick = 0; tick < ticks; ++tick) {
+    if (tick >= before + manoeuvre.ticks &&
+        (resting(now, rotors) || (may_settle && settles_clear(now, distance, looked)))) {
+      time = tick * h;
+      return true;
+    }
+    const bool is_first = tick < before;
+    const Wrench command = is_first ? *first : flown(now, manoeuvre, tick - before);
+    const Wrench u = lags() ? vehicle.wrench(rotors) : command;  // at the start
+    const State next = lags() ? following(now, rotors, command) : after(now, command);
+    // |v'| within the tick: its value at the start, and the thrust axis turning by at most |omega| h. With lag thrust
+    // and torques go on a straight line from u to those at the end, so one of the ends has the most.
+    const double next_spin = norm(next.omega);
+    if (!(spin * h <= kTurnPerTick)) return false;
+    double thrust = std::abs(u.thrust) / vehicle.mass(), growth = 0;
+    const Vec3 start = thrust * thrust_axis(now.sigma) - vehicle.gravity() * e3;
+    const auto spin_up = [&](Vec3 torque) {
+      return norm(divide(torque - cross(now.omega, multiply(vehicle.inertia(), now.omega)), vehicle.inertia()));
+    };
+    double turning = spin_up(u.torque);
+    if (lags()) {
+      const Wrench end = vehicle.wrench(rotors);
+      growth = std::abs(end.thrust - u.thrust) / vehicle.mass(), thrust += growth;
+      turning = std::max(turning, spin_up(end.torque));
+    }
+    const double rate = std::max(spin, next_spin) + h * turning;
+    const double change = norm(start) + growth + thrust * rate * h;
+    const double next_speed = norm(next.v);
+    const double length = h * (speed + next_speed) / 2 + change * h * h / 4;
+    path_.push_back({next.p, path_.back().arc + length, change * h * h / 8});
+    now = next, speed = next_speed, spin = next_spin;
+    if (!std::isfinite(path_.back().arc)) return false;
+  }
+  time = ticks * h;
+  return resting(now, rotors);
+}
+
+// Whether all ellipsoids keep `distance` from the chord of the path between two ticks by as much more as the path
+// leaves that chord. Then `march` finds nothing there either: what it looks at is no farther from the chord.
+bool Shield::is_clear(std::size_t from, std::size_t to, double distance) const {
+  const Vec3 a = path_[from].p, d = path_[to].p - a;
+  const double length2 = dot(d, d), per_length2 = length2 > 0 ? 1 / length2 : 0;
+  double off2 = 0, sag = 0;
+  for (std::size_t i = from + 1; i <= to; ++i) {
+    const Vec3 r = path_[i].p - a;
+    const Vec3 off = r - std::clamp(dot(r, d) * per_length2, 0.0, 1.0) * d;
+    off2 = std::max(off2, dot(off, off)), sag = std::max(sag, path_[i].sag);
+  }
+  return !index_->is_near(a, path_[to].p, (1 + 1e-8) * (std::max(distance, 0.0) + std::sqrt(off2) + sag) + 1e-9);
+}
+
+// The tick up to which a few long chords show that the path keeps `distance`.
+std::size_t Shield::sweep(double distance) const {
+  const std::size_t last = path_.size() - 1;
+  std::size_t from = 0, to = last;
+  for (int looks = 0; looks < kSweeps && from < last; ++looks) {
+    if (is_clear(from, to, distance)) {
+      from = to, to = last;
+      continue;
+    }
+    const double middle = (path_[from].arc + path_[to].arc) / 2;
+    const std::size_t all = to;
+    while (to > from && path_[to].arc > middle) --to;
+    if (to <= from || to == all) break;
+  }
+  return from;
+}
+
+// Whether the path keeps `distance` from all ellipsoids from a tick on. `least` becomes the least distance that was
+// seen, and `contact_speed` a bound of the speed in the tick where it first is nearer.
+bool Shield::march(std::size_t from, double distance, bool thorough, double& least, double& contact_speed) {
+  const std::size_t last = path_.size() - 1;
+  const double end = path_[last].arc;
+  bool clear = true;
+  std::size_t k = from;
+  least = kInfinity;
+  const auto touch = [&](std::size_t tick) {
+    if (clear && last > 0) {
+      tick = std::min(tick, last - 1);
+      contact_speed = (path_[tick + 1].arc - path_[tick].arc) / options_.tick_s;
+    }
+    clear = false;
+  };
+  while (true) {
+    const double enough = distance + (end - path_[k].arc);
+    const double here = index_->clearance(path_[k].p, enough, hint_);
+    least = std::min(least, here);
+    if (!(here >= distance)) touch(k);
+    if (!clear && !thorough) return false;
+    if (k == last || here >= enough) return clear;
+    const double reach = path_[k].arc + std::max(here - distance, thorough && !clear ? 0.02 : 0.0);
+    std::size_t j = k;
+    while (j < last && path_[j + 1].arc <= reach) ++j;
+    if (j == k) {  // the next tick is beyond what this one clears: look at the chord between them
+      ++j;
+      const Tick& next = path_[j];
+      const double needed = distance + next.sag;  // of the chord; what is that near is so near to its start, or less
+      const double reach_of_start = needed + norm(next.p - path_[k].p);
+      index_->nearest(path_[k].p, next.p, reach_of_start, 1, found_);
+      if (!found_.empty() && found_[0].distance < needed) {
+        touch(k), least = std::min(least, found_[0].distance - next.sag);
+        if (!thorough) return false;
+      }
+    }
+    k = j;
+  }
+}
+
+Certificate Shield::certify(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first,
+                            bool thorough) {
+  Certificate result;
+  if (!is_finite(x)) return result;
+  result.rests = roll(x, manoeuvre, first, result.time_s);
+  if (!std::isfinite(path_.back().arc) || (!result.rests && !thorough)) return result;
+  double least = 0;
+  const bool clear = march(0, index_->radius() + margin_m, thorough, least, result.contact_speed);
+  result.clearance = least - index_->radius();
+  result.safe = clear && result.rests;
+  return result;
+}
+
+// `certify` for its verdict alone, though not flown to its end when what is left is clear.
+bool Shield::is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first,
+                     bool until_rest) {
+  double unused = 0;
+  const double distance = index_->radius() + margin_m;
+  if (!is_finite(x) || !roll(x, manoeuvre, first, unused, until_rest ? kInfinity : distance)) return false;
+  const std::size_t swept = sweep(distance);
+  return (swept > 0 && swept + 1 == path_.size()) || march(swept, distance, false, unused, unused);
+}
+
+}  // namespace alula::flight

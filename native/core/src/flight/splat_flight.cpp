@@ -1,0 +1,272 @@
+#include "alula/flight/splat_flight.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <stdexcept>
+
+#include "alula/base/parallel.hpp"
+
+namespace alula::flight {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+using geometry::cross;
+using geometry::dot;
+using geometry::e3;
+
+double seconds_since(Clock::time_point before) {
+  return std::chrono::duration<double>(Clock::now() - before).count();
+}
+
+void append(std::vector<double>& rows, Vec3 v) { rows.insert(rows.end(), {v.x, v.y, v.z}); }
+void append(std::vector<double>& rows, const Wrench& u) {
+  rows.insert(rows.end(), {u.thrust, u.torque.x, u.torque.y, u.torque.z});
+}
+void append(std::vector<double>& rows, const State& x) {
+  for (const Vec3& part : {x.p, x.sigma, x.v, x.omega}) append(rows, part);
+}
+
+bool within(Vec3 p, Vec3 lower, Vec3 upper) {  // false for what is not a number
+  for (int i = 0; i < 3; ++i)
+    if (!(p[i] >= lower[i] && p[i] <= upper[i])) return false;
+  return true;
+}
+
+void check(const FlightVehicle& vehicle, const FlightRules& rules) {
+  const bool good = rules.dt_s > 0 && std::isfinite(rules.dt_s) && rules.plant_steps > 0 &&
+                    rules.stop_fraction >= 0 && rules.stop_floor_m > 0 && rules.stop_speed > 0 &&
+                    rules.stuck_speed >= 0 && rules.stuck_ticks > 0 && rules.time_factor > 0 &&
+                    rules.max_time_s >= 0 && vehicle.rate_time_constant_s > 0 && vehicle.max_rate.x > 0 &&
+                    vehicle.max_rate.y > 0 && vehicle.max_rate.z > 0;
+  if (!good) throw std::invalid_argument("the rules of a flight must be positive");
+}
+
+bool is_same(const Wrench& a, const Wrench& b) {
+  return a.thrust == b.thrust && a.torque.x == b.torque.x && a.torque.y == b.torque.y && a.torque.z == b.torque.z;
+}
+
+Vec3 acceleration_of(const Quadrotor& body, const State& x, double thrust) {
+  return thrust / body.mass() * geometry::transposed_times(body_from_inertial(x.sigma), e3) - body.gravity() * e3;
+}
+
+}  // namespace
+
+FlightTrial::FlightTrial(const FlightVehicle& vehicle, const FlightRules& rules, const ReferenceCurve& reference,
+                         std::uint64_t seed, std::uint32_t trial, const SplatFilter* guide)
+    : vehicle_(vehicle),
+      rules_(rules),
+      reference_(reference),
+      body_(vehicle.body, vehicle.plant, RandomStream{seed, trial}),
+      point_(vehicle.max_acceleration, vehicle.plant.sensor, RandomStream{seed, trial}),
+      predictor_(vehicle.body, vehicle.assumed, rules.dt_s),
+      guide_(guide == nullptr ? nullptr : guide->clone()) {
+  check(vehicle, rules);
+  if (guide_) {
+    if (guide_->kind() != InputKind::acceleration) throw std::invalid_argument("a guide gives accelerations");
+    guide_->reset();
+  }
+  const ReferencePoint start = reference.at(reference.start());
+  goal_ = reference.at(reference.end()).p;
+  stop_distance_ = std::max(rules.stop_fraction * norm(goal_ - start.p), rules.stop_floor_m);
+  const double allowed_s = rules.max_time_s > 0 ? rules.max_time_s : rules.time_factor * reference.duration();
+  max_ticks_ = std::max<std::int64_t>(1, static_cast<std::int64_t>(std::ceil(allowed_s / rules.dt_s - 1e-9)));
+  x_ = State{start.p, is_rigid() ? shadowed(std::tan(start.yaw / 4) * e3) : Vec3{}, start.v, {}};
+  is_rigid() ? body_.reset(x_) : point_.reset(x_);
+  seen_.thrust = vehicle.body.hover_thrust();
+  append(log_.position, x_.p);
+  append(log_.state, x_);
+  observe();
+}
+
+void FlightTrial::observe() {
+  const auto before = Clock::now();
+  seen_.x = is_rigid() ? body_.measured() : point_.measured();
+  seen_.x.sigma = shadowed(seen_.x.sigma);  // sensors know nothing of the switch at the end of the tick
+  if (is_rigid()) seen_.x = predictor_.now(seen_.x, time_s()), seen_.rotors = predictor_.rotors();
+  target_ = reference_.at(reference_.start() + time_s());
+  // The controller counts with its own thrust, unless another one is flown.
+  nominal_ = track(vehicle_.body, vehicle_.gains, seen_.x, target_, is_other_ ? seen_.thrust : own_thrust);
+  guide_s_ = 0;
+  if (guide_) {
+    const auto start = Clock::now();
+    const FilterReport bent = guide_->filter(seen_, nominal_);
+    guide_s_ = seconds_since(start);
+    if (bent.status != SplatFilterStatus::ok && bent.status != SplatFilterStatus::refused) {
+      if (is_rigid())
+        nominal_.wrench = realise(vehicle_.body, vehicle_.gains, seen_.x, target_, nominal_, bent.acceleration);
+      nominal_.acceleration = bent.acceleration;
+    }
+  }
+  controller_s_ = seconds_since(before) - guide_s_;
+}
+
+FilterReport FlightTrial::unfiltered() const {
+  FilterReport report;
+  report.status = SplatFilterStatus::ok;
+  report.acceleration = nominal_.acceleration;
+  report.wrench = nominal_.wrench;
+  report.thrust_rate = nominal_.thrust_rate;
+  report.margin = std::numeric_limits<double>::infinity();
+  return report;
+}
+
+Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double filter_s) {
+  if (log_.outcome != Outcome::flying) throw std::logic_error("the flight is over");
+  if (kind == InputKind::wrench && !is_rigid()) throw std::invalid_argument("a double integrator has no wrench");
+  const double thrust_before = seen_.thrust;
+  Vec3 command = answer.acceleration;
+  double error = 0, realise_s = 0;
+  bool is_limited = false;
+  Wrench flown, led;
+  if (!is_rigid()) {
+    for (std::int64_t i = 0; i < rules_.plant_steps; ++i) {
+      point_.step(rules_.dt_s / static_cast<double>(rules_.plant_steps), command);
+      append(log_.position, point_.state().p);
+    }
+    error = norm(point_.acceleration() - command);
+    is_limited = error > 0;
+    x_ = point_.state();
+  } else {
+    const auto before = Clock::now();
+    const Wrench asked = kind == InputKind::wrench ? answer.wrench
+                                                   : realise(vehicle_.body, vehicle_.gains, seen_.x, target_,
+                                                             nominal_, answer.acceleration);
+    flown = vehicle_.body.limited(asked);
+    led = predictor_.lead(flown);
+    realise_s = seconds_since(before);
+    is_limited = !is_same(asked, flown);
+    if (kind == InputKind::wrench) command = acceleration_of(vehicle_.body, x_, answer.wrench.thrust);
+    error = fly(answer, kind, flown, led);
+    predictor_.fly(led);
+    seen_.thrust = flown.thrust;
+    is_other_ = flown.thrust != nominal_.wrench.thrust;
+  }
+  seen_.thrust_rate = kind == InputKind::wrench ? answer.thrust_rate : (seen_.thrust - thrust_before) / rules_.dt_s;
+
+  append(log_.state, x_);
+  append(log_.a_nominal, nominal_.acceleration);
+  append(log_.a_command, command);
+  append(log_.u_nominal, nominal_.wrench);
+  append(log_.u, led);
+  const Vec4 rotors = is_rigid() ? vehicle_.body.rotor_thrust(led) : Vec4{};
+  log_.rotor_thrust.insert(log_.rotor_thrust.end(), rotors.begin(), rotors.end());
+  log_.a_error.push_back(error);
+  log_.margin.push_back(answer.margin);
+  log_.gate_m.push_back(answer.gate_m);
+  log_.active.push_back(answer.active);
+  log_.candidates.push_back(answer.candidates);
+  log_.rows.push_back(answer.rows);
+  log_.iterations.push_back(answer.iterations);
+  log_.status.push_back(static_cast<std::uint8_t>(answer.status));
+  log_.flags.push_back(static_cast<std::uint8_t>((answer.capped ? 1 : 0) | (answer.infeasible ? 2 : 0) |
+                                                 (answer.certified ? 4 : 0) | (is_limited ? 8 : 0)));
+  log_.filter_s.push_back(static_cast<float>(filter_s + guide_s_));
+  log_.tick_s.push_back(static_cast<float>(controller_s_ + guide_s_ + filter_s + realise_s));
+  log_.outcome = judged(answer.status);
+  if (log_.outcome == Outcome::flying) observe();
+  return log_.outcome;
+}
+
+// Flies the command of a wrench, held, or the body rates that the wrench means, for a tick; returns the largest
+// realisation error at the ends of the plant's steps, where the acceleration that a wrench means has turned with the
+// vehicle.
+double FlightTrial::fly(const FilterReport& answer, InputKind kind, const Wrench& flown, const Wrench& led) {
+  const double dt = rules_.dt_s / static_cast<double>(rules_.plant_steps);
+  const bool by_rates = vehicle_.interface == CommandInterface::body_rates;
+  const Vec3 rates = by_rates ? body_rates(vehicle_.body, seen_.x, flown, rules_.dt_s, vehicle_.max_rate) : Vec3{};
+  double worst = 0;
+  for (std::int64_t i = 0; i < rules_.plant_steps; ++i) {
+    Wrench u = led;
+    if (by_rates) {
+      const Vec3 inertia = vehicle_.body.inertia();
+      u.torque = cross(x_.omega, multiply(inertia, x_.omega)) +
+                 1 / vehicle_.rate_time_constant_s * multiply(inertia, rates - x_.omega);
+      u = vehicle_.body.limited(u);
+    }
+    body_.step(dt, u);
+    x_ = body_.state();
+    append(log_.position, x_.p);
+    const Vec3 asked = kind == InputKind::acceleration ? answer.acceleration
+                                                       : acceleration_of(vehicle_.body, x_, answer.wrench.thrust);
+    worst = std::max(worst, norm(body_.acceleration() - asked));
+  }
+  body_.switch_shadow();
+  x_ = body_.state();
+  return worst;
+}
+
+Outcome FlightTrial::judged(SplatFilterStatus status) {
+  if (status == SplatFilterStatus::refused || !is_finite(x_) || !within(x_.p, rules_.lower, rules_.upper))
+    return Outcome::refused;
+  const double speed = norm(x_.v);
+  const bool over = time_s() >= reference_.duration() - 1e-9;
+  if (over && norm(x_.p - goal_) <= stop_distance_ && speed <= rules_.stop_speed) return Outcome::reached;
+  // On a reference that rests, resting is right: only a vehicle that is left behind is stuck.
+  const bool behind = norm(x_.p - reference_.at(reference_.start() + time_s()).p) > stop_distance_;
+  still_ = speed < rules_.stuck_speed && behind ? still_ + 1 : 0;
+  if (still_ >= rules_.stuck_ticks) return Outcome::stuck;
+  return static_cast<std::int64_t>(log_.ticks()) >= max_ticks_ ? Outcome::timeout : Outcome::flying;
+}
+
+std::vector<SplatFlightLog> fly(const FlightVehicle& vehicle, const FlightRules& rules,
+                                std::span<const ReferenceCurve> references, const SplatFilter* filter,
+                                const SplatFilter* guide, std::uint64_t seed, std::uint32_t first_trial,
+                                unsigned jobs, Control& control) {
+  check(vehicle, rules);
+  std::vector<SplatFlightLog> logs(references.size());
+  parallel_chunks(references.size(), 1, jobs, control, [&](std::size_t begin, std::size_t end) {
+    const std::unique_ptr<SplatFilter> own = filter == nullptr ? nullptr : filter->clone();
+    // Without a filter a rigid body flies the controller's own wrench, the same that `realise` gives.
+    const InputKind kind = own ? own->kind() : InputKind::acceleration;
+    for (std::size_t i = begin; i < end; ++i) {
+      if (own) own->reset();
+      FlightTrial trial(vehicle, rules, references[i], seed, first_trial + static_cast<std::uint32_t>(i), guide);
+      while (trial.outcome() == Outcome::flying) {
+        if (!own) {
+          trial.advance(trial.unfiltered(), kind, 0);
+          continue;
+        }
+        const auto before = Clock::now();
+        const FilterReport answer = own->filter(trial.state(), trial.nominal());
+        trial.advance(answer, kind, seconds_since(before));
+      }
+      logs[i] = std::move(trial.log());
+    }
+  });
+  return logs;
+}
+
+double least_gamma(const EllipsoidIndex& index, std::span<const double> points) {
+  constexpr std::size_t kTogether = 64;
+  const auto point = [&](std::size_t i) { return Vec3{points[3 * i], points[3 * i + 1], points[3 * i + 2]}; };
+  const std::size_t count = points.size() / 3;
+  std::vector<double> axis(index.size());  // bound on the longest semi-axis: its square is below tr A^-1
+  for (std::size_t k = 0; k < axis.size(); ++k) {
+    const Mat3& a = index.grown(static_cast<std::uint32_t>(k)).a;
+    const Vec3 x = a.row(0), y = a.row(1), z = a.row(2);
+    const Vec3 minors{dot(cross(y, z), {1, 0, 0}), dot(cross(z, x), {0, 1, 0}), dot(cross(x, y), {0, 0, 1})};
+    axis[k] = std::sqrt((minors.x + minors.y + minors.z) / dot(x, cross(y, z))) * (1 + 1e-6);
+  }
+  double least = std::numeric_limits<double>::infinity();  // of r^T A r
+  for (std::size_t begin = 0; begin < count; begin += kTogether) {
+    const std::size_t end = std::min(count, begin + kTogether);
+    const Vec3 middle = point((begin + end) / 2);
+    double around = 0;
+    for (std::size_t i = begin; i < end; ++i) around = std::max(around, norm(point(i) - middle));
+    for (std::size_t k = 0; k < axis.size(); ++k) {
+      const GrownEllipsoid& item = index.grown(static_cast<std::uint32_t>(k));
+      const double away = norm(item.centre - middle) - around;  // r^T A r >= (|r| / longest semi-axis)^2
+      if (away > 0 && away * away >= least * axis[k] * axis[k]) continue;
+      for (std::size_t i = begin; i < end; ++i) {
+        const Vec3 r = item.centre - point(i);
+        least = std::min(least, dot(r, item.a * r));
+      }
+    }
+  }
+  return least - 1;
+}
+
+}  // namespace alula::flight

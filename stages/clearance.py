@@ -1,0 +1,177 @@
+"""How a flown or planned path is judged, independently of any filter: exact clearance, path, intervals."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from alula._core import EllipsoidSet, PolytopeSet
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import InputError
+from alula.stages.compression.hulls import Hulls
+
+FloatArray = NDArray[np.float64]
+
+COLLISION_TOLERANCE_M = 1e-6  # clearances are exact to far less; a touch is no collision
+
+
+def hull_obstacles(hulls: Hulls) -> PolytopeSet:
+    """The hulls in a search tree, for many queries by `path_clearance`."""
+    return PolytopeSet(
+        normals=np.ascontiguousarray(hulls.normal_world),
+        offsets=np.ascontiguousarray(hulls.offset_m),
+        plane_start=np.ascontiguousarray(hulls.plane_start),
+        vertices=np.ascontiguousarray(hulls.vertices_world),
+        vertex_start=np.ascontiguousarray(hulls.vertex_start),
+    )
+
+
+def scene_obstacles(scene: Artifact, sigma: float) -> EllipsoidSet:
+    """The ellipsoids {x : (x - mu)' inv(Sigma) (x - mu) <= sigma^2} of a scene in a search tree.
+
+    Each is grown by what its splat file's format may have lost of it (`level_of` in `ellipsoid.hpp`), so that
+    no clearance exceeds that of the Gaussians that the file was made from.
+
+    Raises:
+        InputError: `sigma` is not positive and finite.
+    """
+    if not (0 < sigma < math.inf):
+        raise InputError(f"the level of the ellipsoids must be positive, not {sigma}")
+    return EllipsoidSet(
+        mean=np.ascontiguousarray(scene["mean"], np.float32),
+        scale=np.ascontiguousarray(scene["scale"], np.float32),
+        quat_wxyz=np.ascontiguousarray(scene["quat_wxyz"], np.float32),
+        k=float(sigma),
+        loss=scene.arrays.get("loss"),
+    )
+
+
+def path_clearance(
+    points: ArrayLike, obstacles: PolytopeSet | EllipsoidSet, *, jobs: int = 0, cap_m: float = math.inf
+) -> FloatArray:
+    """Signed distance of each segment of a path to the nearest obstacle, exactly.
+
+    The distance of a segment is the minimum over all of its points, not over samples, of the
+    signed Euclidean distance: positive outside; inside, minus the distance to the boundary, which
+    for a polytope {x : n_l . x <= d_l} is max_l (n_l . p - d_l). So a path that enters an obstacle
+    reports minus its deepest penetration. In double precision to a few roundings of the
+    coordinates; see `native/core/include/alula/geometry/clearance.hpp`.
+
+    Args:
+        points: the path, shape (T, 3), in the frame and unit of the obstacles; T >= 1.
+        obstacles: from `hull_obstacles` or `scene_obstacles`.
+        jobs: threads, 0 for all processors; the result does not depend on it.
+        cap_m: distances of at least this are returned as this; a small cap saves time.
+
+    Returns:
+        Shape (max(T - 1, 1),); a single point is a segment of length zero. Without obstacles
+        `cap_m`, infinite unless given.
+
+    Raises:
+        InputError: `points` is empty, of another shape or not finite, or `cap_m` is not a number.
+    """
+    path = np.ascontiguousarray(points, np.float64)
+    if path.ndim != 2 or path.shape[1] != 3 or len(path) == 0:
+        raise InputError(f"a path has the shape (T, 3) with T >= 1, not {path.shape}")
+    return segment_clearance(
+        path[: max(len(path) - 1, 1)], path[min(1, len(path) - 1) :], obstacles, jobs, cap_m
+    )
+
+
+def segment_clearance(
+    start: ArrayLike,
+    end: ArrayLike,
+    obstacles: PolytopeSet | EllipsoidSet,
+    jobs: int = 0,
+    cap_m: float = math.inf,
+) -> FloatArray:
+    """Like `path_clearance` for unconnected segments, shapes (S, 3) and (S, 3); returns shape (S,)."""
+    a, b = np.ascontiguousarray(start, np.float64), np.ascontiguousarray(end, np.float64)
+    if a.ndim != 2 or a.shape[1] != 3 or a.shape != b.shape:
+        raise InputError(f"segments have the shapes (S, 3) and (S, 3), not {a.shape} and {b.shape}")
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise InputError("a path has a coordinate that is not finite")
+    if math.isnan(cap_m):
+        raise InputError("the cap of the clearance is not a number")
+    return np.asarray(obstacles.clearance(a, b, float(cap_m), jobs))
+
+
+def clearance_to_hulls(
+    points: ArrayLike, hulls: Hulls, *, jobs: int = 0, cap_m: float = math.inf
+) -> FloatArray:
+    """`path_clearance` of a path, shape (T, 3) in the world frame [m], to the hulls of a cover."""
+    return path_clearance(points, hull_obstacles(hulls), jobs=jobs, cap_m=cap_m)
+
+
+def clearance_to_scene(
+    points: ArrayLike, scene: Artifact, sigma: float, *, jobs: int = 0, cap_m: float = math.inf
+) -> FloatArray:
+    """`path_clearance` of a path, shape (T, 3), to the sigma-ellipsoids of a scene, in its frame and unit."""
+    return path_clearance(points, scene_obstacles(scene, sigma), jobs=jobs, cap_m=cap_m)
+
+
+@dataclass(frozen=True, slots=True)
+class PathMetrics:
+    """Length [m], speed [m/s] and jerk [m/s^3] of a path sampled at equal intervals."""
+
+    length_m: float
+    max_speed_m_s: float
+    mean_jerk_m_s3: float
+    max_jerk_m_s3: float
+
+
+def path_metrics(points: ArrayLike, dt: float) -> PathMetrics:
+    """Length, maximum speed, and mean and maximum jerk of a path sampled every `dt` seconds.
+
+    The velocity held over a step is v_i = (p_{i+1} - p_i) / dt, and jerk is its second difference
+    |v_{i+2} - 2 v_{i+1} + v_i| / dt^2; zero when there are fewer than four points.
+
+    Args:
+        points: shape (T, 3), T >= 1 [m].
+        dt: sampling interval [s], positive.
+
+    Raises:
+        InputError: shape or interval is wrong, or a value is not finite.
+    """
+    path = np.asarray(points, np.float64)
+    if path.ndim != 2 or path.shape[1] != 3 or len(path) == 0 or not np.isfinite(path).all():
+        raise InputError(f"a path has the shape (T, 3) with T >= 1 and finite values, not {path.shape}")
+    if not (0 < dt < math.inf):
+        raise InputError(f"the sampling interval must be positive, not {dt}")
+    steps = np.diff(path, axis=0)
+    distance = np.linalg.norm(steps, axis=1)
+    jerk = np.linalg.norm(np.diff(steps, n=2, axis=0), axis=1) / dt**3
+    return PathMetrics(
+        length_m=float(distance.sum()),
+        max_speed_m_s=float(distance.max(initial=0.0) / dt),
+        mean_jerk_m_s3=float(jerk.mean()) if len(jerk) else 0.0,
+        max_jerk_m_s3=float(jerk.max(initial=0.0)),
+    )
+
+
+def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Confidence interval of a success rate by the score test; (0, 1) without trials.
+
+    With z the normal quantile of (1 + confidence) / 2 and p = successes / n:
+    (p + z^2/2n +- z sqrt(p (1 - p) / n + z^2/4n^2)) / (1 + z^2/n).
+
+    Raises:
+        InputError: not 0 <= successes <= n, or the confidence is not in (0, 1).
+
+    Source: Wilson 1927.
+    """
+    if not (0 <= successes <= n) or not (0 < confidence < 1):
+        raise InputError(f"no interval for {successes} of {n} at confidence {confidence}")
+    if n == 0:
+        return 0.0, 1.0
+    z = NormalDist().inv_cdf((1 + confidence) / 2)
+    p = successes / n
+    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
+    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
+    lower = 0.0 if successes == 0 else max(0.0, centre - half)
+    upper = 1.0 if successes == n else min(1.0, centre + half)
+    return lower, upper

@@ -1,0 +1,1 @@
+"""Covers as maps that a microcontroller reads in place."""

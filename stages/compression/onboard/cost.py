@@ -1,0 +1,138 @@
+"""What an onboard map costs on its target: bytes, and instructions of a tick of polytope-cbf."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.errors import InfeasibleError
+from alula.schemas.targets import Target
+from alula.stages.compression.onboard.image import HEADER_BYTES, HULL_BYTES, MapImage
+from alula.stages.compression.onboard.layout import LEAF_HULLS, index_bytes
+
+# Instructions of a tick at most: fitted to emulated ticks on a Cortex-M4 and rounded up; a test holds them
+# against every tick that `make onboard` replays. Per box, hull, plane, plane decoded, exponential of a plane.
+BASE_INSTRUCTIONS = 2400
+INSTRUCTIONS = np.array([136, 155, 30, 43, 135])
+SAMPLES, REFINED = 3000, 300
+ASSUMED: dict[str, Any] = {"radius_m": 0.1, "beta": 2.0, "kappa": 100.0, "v_max": 1.0, "dt_s": 0.002}
+_WALKS = (
+    7  # through all hulls that a tick makes at most: two guesses, psi, least, sum, two checks of the step
+)
+
+
+def tick_instructions(work: NDArray[np.int64]) -> NDArray[np.int64]:
+    """An upper bound of the instructions of ticks, from what they looked at.
+
+    Args:
+        work: boxes, hulls, planes, planes decoded, exponentials, as `PolytopeCbf.work`, shape (..., 5).
+    """
+    total: NDArray[np.int64] = np.asarray(work, np.int64) @ INSTRUCTIONS
+    return total + BASE_INSTRUCTIONS
+
+
+def worst_tick(raw: bytes, image: MapImage) -> dict[str, int]:
+    """Instructions of a tick of polytope-cbf on a map, with the parameters `ASSUMED`.
+
+    `measured` is the most among `SAMPLES` positions in and around hulls' boxes, flying at them, and more
+    around the worst of these, one somewhere else than the last, so that little is decoded before. `bound`
+    holds for any position and any parameters: every walk of a tick visits every hull and decodes it.
+
+    Args:
+        raw: the image.
+        image: the same, decoded.
+    """
+    hulls = len(image)
+    if hulls == 0:
+        return {"measured": BASE_INSTRUCTIONS, "bound": BASE_INSTRUCTIONS}
+    g, rng = image.voxel_size_m, np.random.default_rng(0)
+    extent = float(np.abs([image.lower, image.upper]).max() * g) + 2.0
+    chosen = rng.integers(0, hulls, SAMPLES)
+    within = rng.choice([-0.2, 0.0, 0.5, 1.0, 1.2], (SAMPLES, 3)) + rng.normal(scale=0.1, size=(SAMPLES, 3))
+    low, high = image.lower[chosen] * g, image.upper[chosen] * g
+    points = (
+        low
+        + within * (high - low)
+        + rng.choice([0.0, 0.0, 0.4], (SAMPLES, 1)) * rng.normal(size=(SAMPLES, 3))
+    )
+    nominal = 0.5 * (low + high) - points
+    native = _core.PolytopeCbf.from_image(raw, extent_m=extent, **ASSUMED)
+
+    def cost(at: NDArray[np.float64]) -> NDArray[np.int64]:
+        work = []
+        for x, u in zip(np.clip(at, -extent, extent).tolist(), nominal.tolist(), strict=True):
+            native.filter(x, u)
+            work.append(native.work())
+        return tick_instructions(np.array(work))
+
+    found = cost(points)
+    most = int(found.max())
+    for reach_m in (0.2, 0.1, 0.05, 0.02):
+        worst = rng.permutation(np.argsort(-found)[:REFINED])
+        points, nominal = points[worst] + reach_m * rng.normal(size=(REFINED, 3)), nominal[worst]
+        found = cost(points)
+        most = max(most, int(found.max()))
+    nodes = -(-hulls // LEAF_HULLS) * 4 // 3 + 16
+    every = np.array([hulls + nodes, hulls, image.half_planes, image.half_planes, image.half_planes])
+    return {"measured": most, "bound": int(tick_instructions(_WALKS * every))}
+
+
+def largest_budget(room: int, hulls: int) -> int:
+    """The largest `merge --max-bytes` of which every map with its index takes at most `room` bytes.
+
+    Merging a cover of so many hulls further never makes more of them; and no cover of B bytes has more than
+    (B - 64) / 14. The better of both bounds the index.
+    """
+    from_count = room - index_bytes(hulls)
+    low, high = 0, room
+    while low < high:
+        middle = (low + high + 1) // 2
+        fits = middle + index_bytes(max(middle - HEADER_BYTES, 0) // HULL_BYTES) <= room
+        low, high = (middle, high) if fits else (low, middle - 1)
+    return max(from_count, low)
+
+
+def require_fit(raw: bytes, image: MapImage, target: Target) -> None:
+    """Refuse a map that a target has no room for.
+
+    Raises:
+        InfeasibleError: it is too large; names what `merge` would have to be told.
+    """
+    if target.flash_bytes == 0 or len(raw) <= target.map_room:
+        return
+    raise InfeasibleError(
+        f"{len(image)} hulls take {len(raw)} bytes, {target.name} has room for {target.map_room} beside the"
+        f" filters' code; merge this cover with --max-bytes {largest_budget(target.map_room, len(image))}"
+    )
+
+
+def target_facts(raw: bytes, image: MapImage, target: Target) -> dict[str, Any]:
+    """What a person wants to know before flying a map on a target.
+
+    Of each control rate, the share of its tick that polytope-cbf takes at worst among the positions tried.
+    """
+    worst = worst_tick(raw, image)
+    facts: dict[str, Any] = {
+        "target": target.name,
+        "index_bytes": image.index_bytes,
+        "tick_instructions": worst["measured"],
+        "tick_instructions_bound": worst["bound"],
+    }
+    if target.flash_bytes:
+        facts["bytes_left"] = target.map_room - len(raw)
+    if target.clock_hz:
+        seconds = {k: n * target.cycles_per_instruction / target.clock_hz for k, n in worst.items()}
+        facts["cycles_per_instruction"] = target.cycles_per_instruction
+        facts["tick_us"] = round(1e6 * seconds["measured"], 1)
+        facts["tick_us_bound"] = round(1e6 * seconds["bound"], 1)
+        for rate in target.rates_hz:
+            facts[f"share_at_{rate}_hz"] = round(seconds["measured"] * rate, 4)
+        fast = [rate for rate in target.rates_hz if seconds["measured"] * rate <= 1]
+        facts["fastest_rate_hz"] = max(fast, default=None)
+        facts["fastest_rate_hz_bound"] = max(
+            (rate for rate in target.rates_hz if seconds["bound"] * rate <= 1), default=None
+        )
+    return facts

@@ -1,0 +1,202 @@
+"""A cover as an onboard map: a fixed layout that a microcontroller reads in place from flash."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import ArtifactError, InfeasibleError, InputError
+from alula.schemas.provenance import Provenance
+from alula.stages.compression.onboard.image import (
+    FANOUT,
+    HEADER,
+    HEADER_BYTES,
+    HULL_BYTES,
+    INDEXED,
+    KDOP,
+    KDOP_PLANE_BYTES,
+    MAGIC,
+    MARGIN_OF_EXTENT,
+    PLANE_BYTES,
+    MapImage,
+)
+
+LARGEST_NORMAL = 127
+_SMALLEST_M, _LARGEST_M = 1e-6, 1e5
+_MOST_BYTES, _MOST_HULLS = 2**32 - 1, 2**24
+LEAF_HULLS = 4
+
+Progress = Callable[[int, int], None] | None
+
+
+def encode_map(
+    cover: Artifact,
+    *,
+    largest_normal: int = LARGEST_NORMAL,
+    cover_sha256: str = "",
+    indexed: bool = False,
+    jobs: int = 0,
+    progress: Progress = None,
+) -> bytes:
+    """The image of a cover, 64 + sum(14 + 5 k) bytes; k oblique planes take 2 k where all are of a k-DOP.
+
+    Guarantee: each hull of the map contains the vertices of its hull of the cover, exactly, in integers:
+    the boxes are equal, and a plane whose normal must change gets the integer support over the vertices,
+    rounded outward. Layout: native/onboard/include/alula_map.h.
+
+    Args:
+        cover: an `alula/cover`.
+        largest_normal: bound of the components of normals; with 1 all planes are of the 26-DOP family.
+        cover_sha256: of the cover's file, in hexadecimal; its first 8 bytes go into the header.
+        indexed: with the tree of boxes that makes a search near a position cost no look at every hull; it
+            takes `index_bytes` more.
+        jobs: threads, 0 for all processors; the result does not depend on it.
+        progress: called with (done, total) now and then.
+
+    Raises:
+        InfeasibleError: the cover is wider than 65,535 voxels, or too large for 32-bit lengths.
+        InputError: its voxels are smaller than a micrometre or larger than 100 km.
+        ArtifactError: a hull has no volume.
+    """
+    size = float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
+    if not _SMALLEST_M <= size <= _LARGEST_M:
+        raise InputError(f"an onboard map takes voxels of 1e-6 m to 1e5 m, not {size:g} m")
+    vertex = np.ascontiguousarray(cover["vertex"], np.int32)
+    low, high = (
+        (vertex.min(axis=0).astype(np.int64), vertex.max(axis=0).astype(np.int64))
+        if len(vertex)
+        else (np.zeros(3, np.int64), np.zeros(3, np.int64))
+    )
+    if (high - low).max() >= 2**16:
+        raise InfeasibleError(
+            f"the cover is {int((high - low).max())} voxels wide, an onboard map at most {2**16 - 1};"
+            " crop the scene or take larger voxels"
+        )
+    origin = (low + high + 1) // 2  # so that both ends fit into 16 bits
+    try:
+        records, _, is_kdop, largest, _ = _core.encode_map_records(
+            vertex,
+            np.ascontiguousarray(cover["vertex_start"], np.int64),
+            np.ascontiguousarray(cover["plane_normal"], np.int64),
+            np.ascontiguousarray(cover["plane_start"], np.int64),
+            tuple(origin.tolist()),
+            largest_normal,
+            jobs,
+            progress,
+        )
+    except ValueError as error:
+        raise ArtifactError(f"the cover cannot be encoded: {error}") from error
+    hulls, flags = len(cover["vertex_start"]) - 1, KDOP * is_kdop
+    if indexed and hulls > 0:
+        flags |= INDEXED
+        records += _index(records, hulls, is_kdop=is_kdop)
+    total = HEADER_BYTES + len(records)
+    if total > _MOST_BYTES or hulls > _MOST_HULLS:
+        raise InfeasibleError(f"{hulls} hulls in {total} bytes are too many for an onboard map; merge more")
+    extent = max(int(np.abs([low, high]).max()), 1) * size
+    head = HEADER.pack(
+        MAGIC,
+        *(1, 0, HEADER_BYTES, flags, largest, 0),
+        *(hulls, total, zlib.crc32(records), *origin.tolist()),
+        *(np.float32(size), size, _margin_m(extent)),
+        bytes.fromhex(cover_sha256)[:8].ljust(8, b"\0"),
+    )
+    return head + zlib.crc32(head).to_bytes(4, "little") + records
+
+
+def _index(records: bytes, hulls: int, *, is_kdop: bool) -> bytes:
+    """The tree of boxes over records in their order, as alula_map.h describes it."""
+    per_plane = KDOP_PLANE_BYTES if is_kdop else PLANE_BYTES
+    start = np.empty(hulls, np.int64)
+    at = 0
+    for hull in range(hulls):
+        start[hull] = at
+        at += HULL_BYTES + per_plane * records[at + 12]
+    box = np.frombuffer(records, np.uint8)[start[:, None] + np.arange(12)].copy().view("<i2")
+    levels, width = [], LEAF_HULLS
+    while True:
+        first = np.arange(0, len(box), width)
+        lower = np.minimum.reduceat(box[:, :3], first, axis=0)
+        box = np.hstack([lower, np.maximum.reduceat(box[:, 3:], first, axis=0)])
+        levels.append(box.tobytes())
+        width = FANOUT
+        if len(box) == 1:
+            break
+    head = bytes([LEAF_HULLS, len(levels), 0, 0])
+    return head + b"".join(levels) + (start[::LEAF_HULLS] + HEADER_BYTES).astype("<u4").tobytes()
+
+
+def index_bytes(hulls: int) -> int:
+    """How many bytes an index takes; never less for more hulls."""
+    size, total = -(-hulls // LEAF_HULLS), 0
+    if hulls == 0:
+        return 0
+    total = 4 + 4 * size + 12 * size
+    while size > 1:
+        size = -(-size // FANOUT)
+        total += 12 * size
+    return total
+
+
+def _margin_m(extent_m: float) -> np.float32:
+    """The margin for an extent, at least; rounded up by more than the reader's own roundings."""
+    margin = np.float32(extent_m * MARGIN_OF_EXTENT)
+    for _ in range(4):
+        margin = np.nextafter(margin, np.float32(np.inf))
+    return margin
+
+
+def _image(cover: Artifact, provenance: Provenance) -> bytes:
+    made_from = [ref.sha256 for ref in provenance.inputs if ref.schema == cover.manifest.schema]
+    return encode_map(
+        cover,
+        largest_normal=int(provenance.parameters.get("largest_normal", LARGEST_NORMAL)),
+        cover_sha256=made_from[0] if made_from else "",
+        indexed="target" in provenance.parameters,
+    )
+
+
+def map_binary(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
+    """The image, then a line with the provenance, which need not go into flash."""
+    yield _image(cover, provenance)
+    yield f"\n{provenance.line()}\n".encode()
+
+
+def map_c_header(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
+    """The image as a constant array in C, aligned to 8 bytes, in a guarded header."""
+    yield from image_c_header(_image(cover, provenance), provenance)
+
+
+def image_c_header(image: bytes, provenance: Provenance) -> Iterator[bytes]:
+    """The same for an image that is there."""
+    name = str(provenance.parameters.get("name", "map"))
+    guard, (hulls,) = f"{name.upper()}_H", struct.unpack_from("<I", image, 12)
+    yield (
+        f"/* An onboard map of {hulls} hulls, {len(image)} bytes; read it with"
+        f" alula_map_open(). */\n// {provenance.line()}\n#ifndef {guard}\n#define {guard}\n\n"
+        f"#include <stdint.h>\n\n#define {name.upper()}_BYTES {len(image)}U\n\n"
+        "#if defined(__GNUC__)\n__attribute__((aligned(8)))\n#endif\n"
+        f"static const uint8_t {name}[{name.upper()}_BYTES] = {{\n"
+    ).encode()
+    for begin in range(0, len(image), 16):
+        yield ("    " + ", ".join(f"0x{byte:02X}" for byte in image[begin : begin + 16]) + ",\n").encode()
+    yield f"}};\n\n#endif /* {guard} */\n".encode()
+
+
+def map_facts(image: MapImage) -> dict[str, Any]:
+    """The numbers of a map that a person wants."""
+    return {
+        "hulls": len(image),
+        "half_planes": image.half_planes,
+        "oblique_planes": len(image.offset),
+        "image_bytes": image.image_bytes,
+        "bytes_per_half_plane": image.image_bytes / max(image.half_planes, 1),
+        "directions_only": image.is_kdop,
+        "margin_m": image.margin_m,
+    }

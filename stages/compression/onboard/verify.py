@@ -1,0 +1,160 @@
+"""Prove, of an onboard map itself and from its bytes, that it contains every obstacle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import UsageError
+from alula.schemas.manifest import CoverManifest, LevelManifest, VoxelsManifest
+from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
+from alula.stages.compression.onboard.image import MARGIN_OF_EXTENT, MapImage
+from alula.stages.compression.verify import (
+    LEVEL,
+    LISTED,
+    Certificate,
+    Check,
+    Offence,
+    Progress,
+    _check,
+    _left_out,
+    _place,
+    _scene_check,
+    _unclaimed,
+)
+from alula.stages.progress import share
+
+
+def verify_map(
+    image: MapImage,
+    *,
+    cover: Artifact | None = None,
+    voxels: Artifact | None = None,
+    scene: Artifact | None = None,
+    sha256: Mapping[str, str] | None = None,
+    jobs: int = 0,
+    progress: Progress = None,
+) -> Certificate:
+    """Check a decoded map against the cover, the voxels and the scene behind it.
+
+    In integers, without tolerance and without the code that quantised: each voxel v lies in one hull
+    with normal . v + sum of positive normal components <= offset for all its planes and faces; each
+    hull of the cover has one with the same box that holds all its vertices. A map lists no members, so
+    every hull is tried on every voxel in its box. With a scene, each ellipsoid must lie in the voxels,
+    as `verify` checks it of a cover.
+
+    Args:
+        image: see `decode_map`, which has checked lengths and CRC-32.
+        cover: the `alula/cover` it was made from.
+        voxels: the `alula/voxels` it must contain; without it, the members of the cover.
+        scene: the `alula/scene` that the voxels must contain.
+        sha256: of the file "cover", to be compared with what the map records; another is noted, not
+            refused, as the proof rests on the content alone.
+        jobs: threads, 0 for all processors; the result does not depend on it.
+        progress: called with (done, total) now and then.
+
+    Raises:
+        UsageError: neither cover nor voxels are given.
+    """
+    source = voxels if voxels is not None else cover
+    if source is None:
+        raise UsageError("an onboard map is checked against --voxels or --cover; give one")
+    level = source.manifest
+    assert isinstance(level, LevelManifest)
+    occupied = np.ascontiguousarray(source["index" if voxels is not None else "member_index"], np.int32)
+    require_at_most(VERIFY_VOXELS, len(occupied), f"{level.schema} lists")
+    checks = [_files_agree(image, cover, voxels, scene), _margin_holds(image)]
+    held = 1.0 if scene is None else 0.5
+    checks.append(_voxels_held(image, occupied, jobs, share(progress, 0, held)))
+    if cover is not None:
+        checks.append(_hulls_held(image, cover))
+    if scene is not None:
+        checks.append(_scene_check(level, scene, occupied, jobs, share(progress, held, 1)))
+    return Certificate(
+        covered=all(check.ok for check in checks),
+        checks=checks,
+        left_out=_left_out(level, voxels, scene),
+        notes=_notes(image, (sha256 or {}).get("cover")),
+    )
+
+
+def _arrays(
+    image: MapImage,
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+    return image.lower, image.upper, image.normal, image.offset, image.plane_start
+
+
+def _files_agree(
+    image: MapImage, cover: Artifact | None, voxels: Artifact | None, scene: Artifact | None
+) -> Check:
+    """Lattice, level, frame and unit of all files are equal, and are those that their guarantees claim."""
+    files = {"cover": cover, "voxels": voxels, "scene": scene}
+    given = {name: file.manifest for name, file in files.items() if file is not None}
+    offences = [
+        Offence(fault=f"voxel_size_m of the map is {image.voxel_size_m}, of the {name} {theirs}")
+        for name, manifest in given.items()
+        if (theirs := getattr(manifest, "voxel_size_m", image.voxel_size_m)) != image.voxel_size_m
+    ]
+    for name, manifest in given.items():
+        if isinstance(manifest, CoverManifest | VoxelsManifest):
+            offences += _unclaimed(manifest, name)
+    (first, mine), *others = given.items()
+    offences += [
+        Offence(fault=f"{key} of the {first} is {getattr(mine, key)}, of the {name} {getattr(theirs, key)}")
+        for name, theirs in others
+        for key in (*LEVEL, "frame", "unit")
+        if hasattr(theirs, key) and getattr(theirs, key) != getattr(mine, key)
+    ]
+    return _check("files agree", len(given), offences, len(offences), "size, level, frame and unit")
+
+
+def _margin_holds(image: MapImage) -> Check:
+    """The margin is at least 2^-18 of the largest coordinate, in exact arithmetic."""
+    largest = max(int(np.abs(edge.astype(np.int64)).max(initial=0)) for edge in (image.lower, image.upper))
+    needed = Fraction(image.voxel_size_m) * largest * Fraction(MARGIN_OF_EXTENT)
+    offences = []
+    if Fraction(image.margin_m) < needed:
+        offences = [
+            Offence(fault=f"the margin is {image.margin_m:.4g} m, but {float(needed):.4g} m are needed")
+        ]
+    detail = f"{image.margin_m:.3g} m, subtracted on board"
+    return _check("margin covers single precision", len(image), offences, len(offences), detail)
+
+
+def _voxels_held(image: MapImage, occupied: NDArray[np.int32], jobs: int, progress: Progress) -> Check:
+    outside = _core.check_map_voxels(*_arrays(image), occupied, jobs, progress)
+    first = [
+        Offence(fault="voxel is in no hull", place_m=_place(occupied[row] + 0.5, image.voxel_size_m))
+        for row in outside[:LISTED].tolist()
+    ]
+    failed, name = len(outside), "every voxel lies in a hull"
+    if len(occupied) == 0:  # nothing is no proof: neither voxelize nor merge writes an empty file
+        first, failed = [Offence(fault="there is no voxel")], 1
+    return _check(name, len(occupied), first, failed, "integer containment, after quantisation")
+
+
+def _hulls_held(image: MapImage, cover: Artifact) -> Check:
+    vertex, start = np.ascontiguousarray(cover["vertex"]), np.ascontiguousarray(cover["vertex_start"])
+    outside = _core.check_map_polytopes(*_arrays(image), vertex, start)
+    first = [
+        Offence(
+            fault="hull of the cover is in no hull of the map with its box",
+            hull=hull,
+            place_m=_place(vertex[start[hull]], image.voxel_size_m) if start[hull] < len(vertex) else None,
+        )
+        for hull in outside[:LISTED].tolist()
+    ]
+    return _check("hulls contain the cover's", len(start) - 1, first, len(outside), "all vertices, integers")
+
+
+def _notes(image: MapImage, cover_sha256: str | None) -> list[str]:
+    """Where the cover is not the file that the map names as its own."""
+    if cover_sha256 is None or not any(image.cover_hash):
+        return []
+    same = bytes.fromhex(cover_sha256)[: len(image.cover_hash)] == image.cover_hash
+    return [] if same else ["the map was made from another cover file"]

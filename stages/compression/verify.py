@@ -1,0 +1,400 @@
+"""Prove again, by other means than `merge` and `voxelize`, that a cover contains every obstacle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import ArtifactError
+from alula.schemas.manifest import CoverManifest, LevelManifest, SceneManifest, VoxelsManifest
+from alula.stages.compression.ellipsoids import lost_before, retained, unproven_voxels
+from alula.stages.compression.hulls import is_outer
+from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
+from alula.stages.progress import share
+
+SCHEMA, VERSION = "alula/certificate", "1.0"
+LISTED = 100  # offenders of one check
+Progress = Callable[[int, int], None] | None
+
+# What each fault of native/core/include/alula/cover/cover_check.hpp is about.
+_POLYTOPES = (0, 1, 2, 3, 4, 5, 6, 9, 12, 13, 14)
+_MEMBERS = (7, 8)
+_NOT_SOLID = (0, 3, 4, 5)
+_NOT_BOUNDED = (0, 1, 3, 13, 14)  # of outer polytopes
+_VERTEX_FAULTS, _PLANE_FAULTS = (3, 6, 9), (1, 4, 5, 12, 13)
+_OTHER_IS_PLANE, _OTHER_IS_VERTEX = (3, 8), (12,)
+_NOT_COVERED, _NOT_OCCUPIED = 10, 11
+_LATTICE_LIMIT = 2**20  # volumes are measured within; nothing else here depends on it
+_VOLUME_TOLERANCE = 1e-6  # of the volume: roundings stay far below
+_VOLUME_SHARE, _SCENE_SHARE = 0.1, 0.5  # of the time, roughly, when these checks begin
+LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "min_opacity", "ignore_loss")
+_GEOMETRY = (
+    *("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start"),
+    *("member_index", "member_start"),
+)
+
+
+class Offence(msgspec.Struct, frozen=True, kw_only=True):
+    """One place where a check fails.
+
+    `place_m` is the offending vertex, a vertex of the hull of an offending plane or the centre of an
+    offending voxel, in the cover's frame; None for what has no place. `plane` and `vertex` are rows of
+    the cover's arrays, `voxel` is a lower corner on the lattice, `gaussian` a row of the scene.
+    """
+
+    fault: str
+    hull: int | None = None
+    place_m: tuple[float, float, float] | None = None
+    gaussian: int | None = None
+    plane: int | None = None
+    vertex: int | None = None
+    voxel: tuple[int, int, int] | None = None
+
+    def text(self) -> str:
+        """One phrase: what, where."""
+        words = self.fault
+        for name, row in (("hull", self.hull), ("plane", self.plane), ("Gaussian", self.gaussian)):
+            if row is not None:
+                words += f", {name} {row}"
+        if self.place_m is not None:
+            words += " at (" + ", ".join(f"{c:.4g}" for c in self.place_m) + ") m"
+        return words
+
+
+class Check(msgspec.Struct, frozen=True, kw_only=True):
+    """One fact: how many things were checked and how many failed; the first offenders."""
+
+    name: str
+    ok: bool
+    checked: int
+    failed: int
+    detail: str
+    first: list[Offence]
+
+
+class Certificate(msgspec.Struct, frozen=True, kw_only=True):
+    """What was proved about a cover, what lies outside the proof, and what else to know."""
+
+    covered: bool
+    checks: list[Check]
+    left_out: str
+    notes: list[str] = []
+
+    def complaint(self) -> str:
+        """The first check that fails and its first offender; empty when covered."""
+        for check in self.checks:
+            if not check.ok:
+                place = check.first[0].text() if check.first else check.detail
+                more = f" (and {check.failed - 1} more)" if check.failed > 1 else ""
+                return f"not proven: {check.name}: {place}{more}"
+        return ""
+
+
+def verify(
+    cover: Artifact,
+    *,
+    voxels: Artifact | None = None,
+    scene: Artifact | None = None,
+    sha256: Mapping[str, str] | None = None,
+    jobs: int = 0,
+    progress: Progress = None,
+) -> Certificate:
+    """Check a cover from its arrays alone, against voxels and scene; `covered` when every check holds.
+
+    Hulls are checked in integers without tolerance and without the code that built them: vertices and planes
+    describe the same bounded polytope, each member voxel v has normal . v + sum of positive normal
+    components <= offset for all planes, and each vertex is a corner of a member. Outer polytopes need not be
+    described by the vertices, but each of their planes must support them, offset = max normal . vertex, and
+    those of the bounding box must be there. Every occupied voxel must be a member. Merges recorded in
+    `history` must refer to earlier elements, and `conservativeness` must be the volume of the union, which
+    is measured again. With a scene, each ellipsoid {x : (x - mean)' inv(Sigma) (x - mean) <= sigma^2}, grown
+    by the inflation, must lie in the occupied voxels, except where the recorded crop, overlap and opacity
+    exclude it.
+
+    Args:
+        cover: an `alula/cover`.
+        voxels: the `alula/voxels` it must cover; without it, the union of its members.
+        scene: the `alula/scene` that the voxels must contain.
+        sha256: of the files "voxels" and "scene"; others than the manifests name as inputs are noted.
+        jobs: threads, 0 for all processors; the result does not depend on it.
+        progress: called with (done, total) now and then.
+
+    Raises:
+        InputError: there are more than `VERIFY_VOXELS` voxels or members of hulls.
+    """
+    manifest = cover.manifest
+    assert isinstance(manifest, CoverManifest)
+    require_at_most(VERIFY_VOXELS, len(cover["member_index"]), "alula/cover lists")
+    require_at_most(VERIFY_VOXELS, 0 if voxels is None else len(voxels["index"]), "alula/voxels lists")
+    checks = [_files_agree(cover, voxels, scene), _history_check(cover)]
+    proof = [*_hull_checks(cover, jobs, share(progress, 0, _VOLUME_SHARE)), _occupied_check(cover, voxels)]
+    measured = 1.0 if scene is None else _SCENE_SHARE
+    if all(check.ok for check in proof) and np.abs(cover["vertex"]).max() <= _LATTICE_LIMIT:
+        checks.append(_volume_check(cover, jobs, share(progress, _VOLUME_SHARE, measured)))
+    checks += proof
+    if scene is not None:
+        index = cover["member_index"] if voxels is None else voxels["index"]
+        checks.append(_scene_check(manifest, scene, index, jobs, share(progress, measured, 1)))
+    return Certificate(
+        covered=all(check.ok for check in checks),
+        checks=checks,
+        left_out=_left_out(manifest, voxels, scene),
+        notes=_notes(cover, voxels, scene, sha256 or {}),
+    )
+
+
+def require_solid_hulls(cover: Artifact, *, jobs: int = 0) -> None:
+    """Refuse a cover whose planes and vertices do not describe the same bounded polytopes.
+
+    Filters read the planes, planners and judges the vertices, which for outer polytopes are found from
+    the planes; each relies on this, and no more: that the hulls hold all voxels is for `verify` to say.
+
+    Raises:
+        ArtifactError: naming the first hull and what is wrong with it.
+    """
+    found = _check_hulls(cover, jobs, None)
+    if len(wrong := found[np.isin(found[:, 0], _NOT_BOUNDED if is_outer(cover) else _NOT_SOLID)]):
+        first = _offence(cover, wrong[0].tolist(), None)
+        raise ArtifactError(f"the cover is not sound: {first.text()}; make it again with merge")
+
+
+def _files_agree(cover: Artifact, voxels: Artifact | None, scene: Artifact | None) -> Check:
+    """Lattice, level, frame and unit of the cover are those of the other files, and of its own claims."""
+    mine = cover.manifest
+    assert isinstance(mine, CoverManifest)
+    offences = _unclaimed(mine, "cover")
+    names = ["frame", "unit"]
+    if voxels is not None:
+        assert isinstance(voxels.manifest, VoxelsManifest)
+        offences += _unclaimed(voxels.manifest, "voxels")
+        names += LEVEL
+        offences += [
+            Offence(fault=f"{name} of the cover is {getattr(mine, name)}, of the voxels {theirs}")
+            for name in names
+            if (theirs := getattr(voxels.manifest, name)) != getattr(mine, name)
+        ]
+    if scene is not None:
+        offences += [
+            Offence(fault=f"{name} of the cover is {getattr(mine, name)}, of the scene {theirs}")
+            for name in ("frame", "unit")
+            if (theirs := getattr(scene.manifest, name)) != getattr(mine, name)
+        ]
+    return _check("files agree", len(names), offences, len(offences), "size, level, frame and unit")
+
+
+def _unclaimed(manifest: CoverManifest | VoxelsManifest, what: str) -> list[Offence]:
+    """Where a manifest's guarantee speaks of another level than its fields, by which all is checked."""
+    claims = manifest.guarantee.claims if manifest.guarantee is not None else {}
+    return [
+        Offence(fault=f"{name} of the {what} is {value}, but its guarantee claims {claims[name]}")
+        for name in LEVEL
+        if name in claims and claims[name] != (value := getattr(manifest, name))
+    ]
+
+
+def _check_hulls(cover: Artifact, jobs: int, progress: Progress) -> NDArray[np.int64]:
+    """Rows (fault, hull, row, other) of the native checker."""
+    vertex, vertex_start, normal, offset, plane_start, member, member_start = (
+        np.ascontiguousarray(cover[name]) for name in _GEOMETRY
+    )
+    return _core.check_cover_hulls(
+        *(vertex, vertex_start, normal, offset, plane_start, member, member_start),
+        is_outer(cover),
+        jobs,
+        progress,
+    )
+
+
+def _hull_checks(cover: Artifact, jobs: int, progress: Progress) -> list[Check]:
+    found = _check_hulls(cover, jobs, progress)
+    hulls, members = len(cover["plane_start"]) - 1, len(cover["member_index"])
+    detail = "planes support the vertices" if is_outer(cover) else "planes are the facets of vertices"
+    exact = _fault_check(cover, "hulls are exact polytopes", hulls, found, _POLYTOPES, detail)
+    if hulls == 0:  # nothing is no proof: neither voxelize nor merge writes an empty file
+        exact = _check(exact.name, 0, [Offence(fault="there is no hull")], 1, exact.detail)
+    return [
+        exact,
+        _fault_check(cover, "members lie in their hulls", members, found, _MEMBERS, "integer containment"),
+    ]
+
+
+def _occupied_check(cover: Artifact, voxels: Artifact | None) -> Check:
+    members = np.ascontiguousarray(cover["member_index"])
+    occupied = members if voxels is None else np.ascontiguousarray(voxels["index"])
+    found = _core.check_cover_occupied(members, np.ascontiguousarray(cover["member_start"]), occupied)
+    detail = "members are the voxels of the file" if voxels is not None else "no voxels file: its own members"
+    return _fault_check(
+        cover,
+        "every voxel is a member",
+        len(occupied),
+        found,
+        (_NOT_COVERED, _NOT_OCCUPIED),
+        detail,
+        occupied,
+    )
+
+
+def _history_check(cover: Artifact) -> Check:
+    """Each merge joins two elements that are there and were not joined before.
+
+    Start elements are 0 .. N - 1 and merge k makes N + k; N is `start_hulls` of the summary.
+    """
+    history = np.asarray(cover["history"], np.float64)
+    merges, hulls = len(history), len(cover["plane_start"]) - 1
+    start = cover.manifest.summary.get("start_hulls")
+    offences = []
+    if merges and not (isinstance(start, int) and start >= merges + hulls):
+        offences.append(Offence(fault=f"{merges} merges of {start} elements do not leave {hulls} hulls"))
+    else:
+        joined = history[:, :2]
+        last = (start or 0) + np.arange(merges)[:, None]
+        known = (joined >= 0) & (joined < last) & (joined == np.floor(joined))
+        _, first, number = np.unique(joined, return_index=True, return_inverse=True)
+        again = first[number].reshape(joined.shape) != np.arange(joined.size).reshape(joined.shape)
+        for fault, wrong in (
+            ("joins an element that is not there yet", ~known.all(axis=1)),
+            ("joins an element that was joined before", again.any(axis=1)),
+            ("has a negative weight", history[:, 2] < 0),
+        ):
+            offences += [Offence(fault=f"merge {k} {fault}") for k in np.flatnonzero(wrong).tolist()]
+    detail = "merges join earlier elements"
+    return _check("history is consistent", merges, offences[:LISTED], len(offences), detail)
+
+
+def _volume_check(cover: Artifact, jobs: int, progress: Progress) -> Check:
+    """The recorded conservativeness is that of the polytopes."""
+    voxels = np.unique(np.asarray(cover["member_index"], np.int32), axis=0)
+    vertex, vertex_start, normal, offset, plane_start = (
+        np.ascontiguousarray(cover[name]) for name in _GEOMETRY[:5]
+    )
+    excess = _core.cover_excess(voxels, vertex, vertex_start, normal, offset, plane_start, jobs, progress)
+    found = 1.0 + excess / len(voxels)
+    recorded: float = cover.manifest.conservativeness  # type: ignore[attr-defined]
+    offences = []
+    if not abs(recorded - found) <= _VOLUME_TOLERANCE * found:
+        offences.append(Offence(fault=f"conservativeness is {found:.6g}, but recorded as {recorded:.6g}"))
+    return _check("volume is as recorded", 1, offences, len(offences), f"conservativeness {found:.6g}")
+
+
+def _scene_check(
+    manifest: LevelManifest, scene: Artifact, index: NDArray[np.int32], jobs: int, progress: Progress
+) -> Check:
+    missing = unproven_voxels(
+        scene,
+        index,
+        voxel_size_m=manifest.voxel_size_m,
+        sigma=manifest.sigma,
+        inflation_m=manifest.inflation_m,
+        crop=manifest.crop,
+        min_overlap=manifest.min_overlap,
+        min_opacity=manifest.min_opacity,
+        ignore_loss=manifest.ignore_loss,
+        jobs=jobs,
+        progress=progress,
+    )
+    first = [
+        Offence(
+            fault="an ellipsoid may touch an unmarked voxel",
+            gaussian=int(g),
+            voxel=_voxel(np.asarray(v)),
+            place_m=_place(np.asarray(v) + 0.5, manifest.voxel_size_m),
+        )
+        for v, g in zip(missing.voxel[:LISTED], missing.ellipsoid[:LISTED], strict=True)
+    ]
+    count = len(retained(scene, manifest.min_opacity))
+    return _check("every ellipsoid lies in the voxels", count, first, missing.total, "separating planes")
+
+
+def _fault_check(
+    cover: Artifact,
+    name: str,
+    checked: int,
+    found: NDArray[np.int64],
+    faults: tuple[int, ...],
+    detail: str,
+    occupied: NDArray[np.int32] | None = None,
+) -> Check:
+    mine = found[np.isin(found[:, 0], faults)]
+    first = [_offence(cover, row, occupied) for row in mine[:LISTED].tolist()]
+    return _check(name, checked, first, len(mine), detail)
+
+
+def _check(name: str, checked: int, first: list[Offence], failed: int, detail: str) -> Check:
+    return Check(name=name, ok=failed == 0, checked=checked, failed=failed, detail=detail, first=first)
+
+
+def _offence(cover: Artifact, row: list[int], occupied: NDArray[np.int32] | None) -> Offence:
+    """A row (fault, hull, row, other) of the native checker with its place."""
+    fault, hull, at, other = row
+    plane = at if fault in _PLANE_FAULTS else other if fault in _OTHER_IS_PLANE else None
+    vertex = at if fault in _VERTEX_FAULTS else other if fault in _OTHER_IS_VERTEX else None
+    voxel: Any = None
+    if fault == _NOT_COVERED:
+        assert occupied is not None
+        voxel = occupied[at]
+    elif fault in (*_MEMBERS, _NOT_OCCUPIED):
+        voxel = cover["member_index"][at]
+    point = None if voxel is None else voxel + 0.5
+    if vertex is not None:
+        point = cover["vertex"][vertex]
+    elif point is None and (first := int(cover["vertex_start"][hull])) < int(cover["vertex_start"][hull + 1]):
+        point = cover["vertex"][first]
+    size: float = cover.manifest.voxel_size_m  # type: ignore[attr-defined]
+    return Offence(
+        fault=_core.cover_fault(fault),
+        hull=hull if hull >= 0 else None,
+        place_m=None if point is None else _place(point, size),
+        plane=plane,
+        vertex=vertex,
+        voxel=None if voxel is None else _voxel(voxel),
+    )
+
+
+def _voxel(index: NDArray[np.int32]) -> tuple[int, int, int]:
+    x, y, z = index.tolist()
+    return x, y, z
+
+
+def _place(lattice: NDArray[Any], size: float) -> tuple[float, float, float]:
+    x, y, z = (float(c) * size for c in lattice)
+    return x, y, z
+
+
+def _left_out(manifest: LevelManifest, voxels: Artifact | None, scene: Artifact | None) -> str:
+    """What the files themselves do not promise to contain."""
+    parts = [f"ellipsoids beyond {manifest.sigma:g} sigma"]
+    if manifest.min_overlap > 1:
+        parts.append(f"voxels that fewer than {manifest.min_overlap} ellipsoids touch")
+    if manifest.min_opacity > 0:
+        some = "" if scene is None else f"{len(scene['mean']) - len(retained(scene, manifest.min_opacity))} "
+        parts.append(f"{some}Gaussians of opacity below {manifest.min_opacity:g}")
+    if manifest.crop is not None:
+        parts.append("what lies outside the crop " + " ".join(f"{c:g}" for c in manifest.crop) + " m")
+    if scene is None:
+        parts.append("the scene itself, which was not given")
+    else:
+        assert isinstance(scene.manifest, SceneManifest)
+        parts += lost_before(scene.manifest, manifest.inflation_m, ignore_loss=manifest.ignore_loss)
+    if voxels is None:
+        parts.append("voxels that the cover does not list, as no voxels file was given")
+    return "; ".join(parts)
+
+
+def _notes(
+    cover: Artifact, voxels: Artifact | None, scene: Artifact | None, sha256: Mapping[str, str]
+) -> list[str]:
+    """Where the files are not those that the manifests name as inputs."""
+    notes = []
+    for what, maker, role, given in (("cover", cover, "voxels", voxels), ("voxels", voxels, "scene", scene)):
+        if maker is None or given is None or role not in sha256:
+            continue
+        made_from = [ref for ref in maker.manifest.inputs if ref.schema == given.manifest.schema]
+        if made_from and sha256[role] not in {ref.sha256 for ref in made_from}:
+            notes.append(f"the {what} was made from another {role} file, {made_from[0].name}")
+    return notes

@@ -1,0 +1,46 @@
+"""Artifacts of a map, as what flies among them needs them."""
+
+from __future__ import annotations
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import InputError, UsageError
+from alula.stages.compression.ellipsoids import retained, rows_of
+from alula.stages.compression.verify import require_solid_hulls
+
+
+def require_metric(role: str, artifact: Artifact) -> None:
+    """Refuse an artifact that is not in metres.
+
+    Raises:
+        InputError: naming its role.
+    """
+    unit = artifact.manifest.unit
+    if unit != "m":
+        raise InputError(f"the {role} is in {unit} units, not metres; run scale-align first")
+
+
+def require_obstacles(cover: Artifact, *, jobs: int = 0) -> None:
+    """Refuse a cover whose hulls cannot be flown among.
+
+    Raises:
+        InputError: it is not in metres.
+        ArtifactError: planes and vertices do not describe the same polytopes.
+    """
+    require_metric("cover", cover)
+    require_solid_hulls(cover, jobs=jobs)
+
+
+def ellipsoid_index(scene: Artifact, sigma: float, radius_m: float) -> _core.EllipsoidIndex:
+    """The index of filters among a scene's ellipsoids, at the level `sigma` and for a sphere.
+
+    Raises:
+        UsageError: level or radius mean nothing with these ellipsoids.
+    """
+    rows = rows_of(scene, retained(scene, 0.0))
+    try:
+        return _core.EllipsoidIndex(
+            rows.mean, rows.scale, rows.quat_wxyz, sigma=sigma, radius=radius_m, loss=rows.loss
+        )
+    except ValueError as error:
+        raise UsageError(f"no barriers for this scene: {error}") from error

@@ -1,0 +1,1 @@
+"""From a state and a plan to a set-point."""

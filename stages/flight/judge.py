@@ -1,0 +1,161 @@
+"""How a real flight is judged: by its positions as measured, against the map, independently of any filter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.manifest import Guarantee
+from alula.schemas.run import Outcome, TrialResult
+from alula.stages.clearance import (
+    COLLISION_TOLERANCE_M,
+    path_clearance,
+    path_metrics,
+    wilson_interval,
+)
+from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.flight.loop.options import Counters
+from alula.stages.flight.loop.supervisor import Event, State, Supervision, Taken
+from alula.stages.flight.mission import Mission
+
+FloatArray = NDArray[np.float64]
+
+
+def outcome_of_cause(cause: Event | None) -> Outcome:
+    """How a flight is said to have ended."""
+    if cause is Event.PLAN_FINISHED:
+        return "reached"
+    if cause is Event.TIMED_OUT:
+        return "timeout"
+    return "refused" if cause in (Event.FILTER_REFUSED, Event.FILTER_FAILED) else "stopped"
+
+
+def judge(mission: Mission, rows: FloatArray, cause: Event | None, jobs: int = 0) -> TrialResult:
+    """The verdict on a flight.
+
+    Args:
+        mission: what was flown.
+        rows: `FlightRecorder.rows`, at least one.
+        cause: why it ended.
+        jobs: threads.
+    """
+    position, velocity = np.ascontiguousarray(rows[:, 1:4]), rows[:, 4:7]
+    radius, dt = mission.vehicle.body.radius_m, 1 / mission.config.rate_hz
+    clearance: dict[str, float | None] = {"a hull": None, "an ellipsoid": None}
+    for name, obstacles in mission.obstacles:
+        least = float(path_clearance(position, obstacles, jobs=jobs).min()) - radius
+        clearance[name] = least if math.isfinite(least) else None
+    worst = min((c for c in clearance.values() if c is not None), default=math.inf)
+    flying = rows[:, 7] >= 0
+    status = np.bincount(rows[flying, 7].astype(np.int64), minlength=len(FilterStatus))
+    flags = rows[flying, 8].astype(np.int64)
+    infeasible = ((flags & 1) != 0) | (rows[flying, 7] == FilterStatus.REFUSED)
+    path = path_metrics(position, dt)
+    speed = np.linalg.norm(velocity, axis=1)
+    margin = rows[flying, 9]
+    margin = margin[np.isfinite(margin)]
+    error = rows[flying, 10]
+    among_ellipsoids: dict[str, Any] = {}
+    if mission.is_splat:
+        among_ellipsoids = {
+            "backup_steps": int(status[FilterStatus.BACKUP]),
+            "certified_steps": int(((flags & 2) != 0).sum()),
+        }
+    return TrialResult(
+        index=0,
+        start_m=position[0].tolist(),
+        goal_m=mission.goal.tolist(),
+        outcome=outcome_of_cause(cause),
+        collision=worst < -COLLISION_TOLERANCE_M,
+        steps=int(flying.sum()),
+        duration_s=float(rows[-1, 0] - rows[0, 0]),
+        path_length_m=float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum()),
+        straight_length_m=float(np.linalg.norm(mission.goal - position[0])),
+        map_clearance_m=clearance["a hull"],
+        scene_clearance_m=clearance["an ellipsoid"],
+        max_speed_m_s=float(speed.max(initial=0.0)),
+        filtered_steps=int(status[1:].sum()),
+        shortened_steps=int(status[FilterStatus.SHORTENED]),
+        infeasible_steps=int(infeasible.sum()),
+        fallback_steps=int(status[FilterStatus.RECOVERING] + status[FilterStatus.BACKUP]),
+        mean_jerk_m_s3=path.mean_jerk_m_s3,
+        max_jerk_m_s3=path.max_jerk_m_s3,
+        max_tracking_error_m=float(error.max(initial=0.0)),
+        min_margin=float(margin.min()) if len(margin) else None,
+        **among_ellipsoids,
+    )
+
+
+def summary_of(
+    trial: TrialResult, supervision: Supervision, taken: Sequence[tuple[float, Taken]]
+) -> dict[str, Any]:
+    """The numbers that a person wants, with the keys of `simulate`."""
+    good = trial.outcome == "reached" and not trial.collision
+    ratio = trial.path_length_m / trial.straight_length_m if trial.straight_length_m > 0 else None
+    cause = supervision.cause
+    return {
+        "trials": 1,
+        "success_rate": float(good),
+        "success_interval": list(wilson_interval(int(good), 1)),
+        "collisions": int(trial.collision),
+        **{o: int(trial.outcome == o) for o in ("reached", "stuck", "timeout", "refused", "stopped")},
+        "min_map_clearance_m": trial.map_clearance_m,
+        "min_scene_clearance_m": trial.scene_clearance_m,
+        "mean_path_ratio": ratio if good else None,
+        "ended_by": cause.value if cause is not None else "nothing",
+        "holds": sum(each.step.state is State.HOLD and each.state is not State.HOLD for _, each in taken),
+        "max_tracking_error_m": trial.max_tracking_error_m,
+        "steps": trial.steps,
+        "filtered_steps": trial.filtered_steps,
+        "infeasible_steps": trial.infeasible_steps,
+        "fallback_steps": trial.fallback_steps,
+    }
+
+
+def timing_of(counters: Counters, dropped: int, rate_hz: float) -> dict[str, Any]:
+    """Measured times of the loop, as a table of overruns has them."""
+    found: dict[str, Any] = {}
+    for name, values in (
+        ("filter", counters.filter_s),
+        ("tick", counters.tick_s),
+        ("lateness", counters.late_s),
+    ):
+        if values:
+            p50, p99, most = np.percentile(values, [50, 99, 100]).tolist()
+            found |= {f"{name}_p50_s": p50, f"{name}_p99_s": p99, f"{name}_max_s": most}
+    ticks = len(counters.tick_s)
+    return found | {
+        "rate_hz": rate_hz,
+        "ticks": ticks,
+        "overruns": counters.overruns,
+        "skipped": counters.skipped,
+        "filter_calls": len(counters.filter_s),
+        "dropped_samples": dropped,
+    }
+
+
+def guarantee_of(mission: Mission, trial: TrialResult) -> Guarantee:
+    """What a flight shows; a real one proves nothing beyond itself."""
+    name = mission.config.filter
+    who = "without a filter" if name == "none" else f"behind the filter {name!r}"
+    touched = "came closer to the map than its radius" if trial.collision else "kept its radius from the map"
+    proven, how = mission.is_clear
+    return Guarantee(
+        statement=f"A real flight {who}, above a geofence. The plan before it: {how}. By its positions, "
+        f"as measured by the vehicle and joined at {mission.config.rate_hz:g} Hz, it {touched}. Nothing "
+        "is said of what the vehicle did not measure, and of the real scene only as far as the map holds it.",
+        claims={
+            "proven_by_filter": False,
+            "plan_certified": proven,
+            "map_clear": not trial.collision,
+            "continuous_time": False,
+            "positions": "as measured by the vehicle",
+            "radius_m": mission.vehicle.body.radius_m,
+            "margin_m": mission.config.margin_m,
+            "inflation_m": mission.inflation_m,
+        },
+    )

@@ -1,0 +1,366 @@
+"""A Crazyflie as a `Link`, over CRTP by cflib: by radio, USB, or UDP to a simulated one.
+
+radio://0/80/2M/E7E7E7E7E7?controller=mellinger
+udp://127.0.0.1:19850?controller=oot&alula.radius=0.12&watchdog=1
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from alula.schemas.errors import LinkError
+from alula.stages.flight.links.addresses import Address
+from alula.stages.flight.links.crazyflie.choice import read_choice
+from alula.stages.flight.links.crazyflie.numbers import expand_quat_wxyz
+from alula.stages.flight.links.crazyflie.orders import Motion, Orders
+from alula.stages.flight.links.crazyflie.parameters import Parameters
+from alula.stages.flight.links.crazyflie.pose import PoseFeed
+from alula.stages.flight.links.crazyflie.session import Session
+from alula.stages.flight.links.crazyflie.setpoints import SetpointEncoder
+from alula.stages.flight.links.options import LinkOptions
+from alula.stages.flight.links.protocol import (
+    AccelerationSetpoint,
+    Order,
+    Setpoint,
+    VehicleState,
+    VehicleStatus,
+    VelocitySetpoint,
+)
+from alula.stages.flight.links.vehicle_clock import VehicleClock
+
+_STATE = [f"stateEstimateZ.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "quat")]
+_STATE += [f"stateEstimateZ.rate{name}" for name in ("Roll", "Pitch", "Yaw")]
+_STATUS = ["kalman.varX", "kalman.varY", "kalman.varZ", "pm.vbat", "supervisor.info"]
+_REFUSED = "alula.refused"  # parameters that meant nothing to the app; the last good ones stay
+_STATUS_S, _OLD_S = 0.1, 1.0
+_FARTHEST_M = 32.0  # a compressed position wraps around at 32.768
+_KNOWN_M2 = 0.01  # variance of a position that may be flown on
+_EMPTY_V, _FULL_V = 3.0, 4.1  # under the load of hovering
+_SILENCE_S = 0.3  # its own watchdog levels out at 0.5 s and stops the motors at 2 s
+_NOTICE_S = 0.25
+_WRAP_MS = 1 << 24
+_MOST_TEXTS = 100
+_RESTORE_S = 3.0
+
+
+def make_link(address: Address, options: LinkOptions) -> CrazyflieLink:
+    """The link for an address.
+
+    Raises:
+        UsageError: an option is unknown or means nothing.
+    """
+    return CrazyflieLink(address, options)
+
+
+class CrazyflieLink:
+    """A `Link` to a Crazyflie.
+
+    What is sent: set-points as they come, orders until answered, poses of motion capture, and with
+    `watchdog=1` the notices of the emergency watchdog. When the set-points end for 0.3 s the vehicle is told
+    to hold its place, by its own high-level commander. What is changed: the parameters of
+    `crazyflie_parameters` and those named in the address, put back by `close` on the ground.
+    """
+
+    def __init__(self, address: Address, options: LinkOptions) -> None:
+        choice = read_choice(address)
+        self._kind, self._watches = choice.kind, choice.watches
+        self._options = options
+        self._session = Session(f"{address.scheme}:{address.place}", options)
+        self._feed = None if options.mocap is None else PoseFeed(options.mocap, options.frame)
+        self._status = VehicleStatus(is_estimator_ready=False)
+        self._orders = Orders(self._session, self._status)
+        self._parameters = Parameters(self._session, choice.controller, choice.parameters)
+        self._encoder = SetpointEncoder(
+            options.frame, options.all_limits(), options.vehicle.body.gravity_m_s2
+        )
+        self._clock = VehicleClock()
+        self._state: VehicleState | None = None
+        self._motion: Motion | None = None
+        self._arrived: tuple[float, int, Mapping[str, float]] | None = None  # written by cflib's thread
+        self._told: tuple[float, Mapping[str, float]] | None = None  # ... as well
+        self._taken: object = None
+        self._read: object = None
+        self._stamp_ms: int | None = None
+        self._streamed_s: float | None = None
+        self._noticed_s = -math.inf
+        self._period_ms = max(10, 10 * round(100 / options.state_rate_hz))
+        self._lost = 0  # written by cflib's thread
+        self._is_prepared = False
+
+    @property
+    def accepts(self) -> frozenset[type[Setpoint]]:
+        """Kinds of set-points that can be sent: what the controller flies."""
+        return frozenset({self._kind})
+
+    @property
+    def state(self) -> VehicleState | None:
+        """The newest complete and finite one; None before the first."""
+        return self._state
+
+    @property
+    def status(self) -> VehicleStatus:
+        """The same object always, brought up to date by `poll`."""
+        return self._status
+
+    @property
+    def clipped(self) -> int:
+        """Set-points that did not go out as they came in."""
+        return self._encoder.clipped
+
+    def open(self, timeout_s: float) -> str:
+        """Find the vehicle; returns what it is, in words.
+
+        Raises:
+            LinkError: cflib is missing, no vehicle answers, or its firmware is too old.
+        """
+        try:
+            if self._feed is not None:
+                self._feed.open()
+            self._session.open(timeout_s)
+            self._session.log("state", 1e-3 * self._period_ms, _STATE, self._take_state)
+            app = [_REFUSED] if self._session.logs(_REFUSED) else []
+            self._session.log("status", _STATUS_S, _STATUS + app, self._take_status)
+            self._session.wait(lambda: None not in (self._arrived, self._told), 2.0)
+        except BaseException:
+            self.close()
+            raise
+        self.poll(self._options.clock())
+        return f"Crazyflie at {self._session.uri}, CRTP {self._session.protocol}"
+
+    def prepare(self) -> list[str]:
+        """Change the parameters that flights need; a line for each that was changed.
+
+        Raises:
+            LinkError: the vehicle does not have or take one; those changed before are put back.
+        """
+        if self._arrived is None or self._told is None:
+            raise LinkError("the vehicle was not opened, or sends no state")
+        pose = None
+        if self._feed is not None:
+            self._session.wait(self._has_pose, 2.0)
+            pose = self._feed.newest()
+            if pose is None:
+                raise LinkError("motion capture says nothing")
+        try:
+            lines = self._checked(lambda: self._parameters.change(pose))
+        except BaseException:
+            self._say(*self._parameters.restore(_RESTORE_S))
+            raise
+        self._is_prepared = True
+        return lines
+
+    def configure(self, values: Mapping[str, float]) -> list[str]:
+        """Set parameters, as the app's `alula.radius`, put back by `close`; a line for each that was changed.
+
+        May wait: not for use in flight.
+
+        Raises:
+            LinkError: the vehicle does not have or take one, or the app refuses them together.
+        """
+        return self._checked(lambda: self._parameters.set(values))
+
+    def poll(self, now_s: float) -> None:
+        """Take in all that has arrived, and send what is due by itself."""
+        self._forward_pose(now_s)
+        session, status = self._session, self._status
+        status.heard_s, status.lost_packets = session.heard_s, self._lost
+        self._read_state(now_s)
+        self._read_status(now_s)
+        self._say(*session.texts())
+        if session.lost is not None:
+            raise LinkError(f"{session.uri}: {session.lost}")
+        if not self._is_prepared:
+            return
+        if self._streamed_s is not None and now_s - self._streamed_s > _SILENCE_S:
+            self._say(f"no set-point for {_SILENCE_S:g} s: it holds its place")
+            self._hold(now_s)
+        self._orders.poll(now_s)
+        is_watched = self._noticed_s > -math.inf  # once begun it must go on
+        if (is_watched or (self._watches and status.armed)) and now_s - self._noticed_s >= _NOTICE_S:
+            self._noticed_s = now_s
+            session.notice()
+
+    def send(self, setpoint: Setpoint, now_s: float) -> None:
+        """Send a set-point; refuses (LinkError) what is not finite or out of the vehicle's range."""
+        if not self._is_prepared:
+            raise LinkError("a set-point before the vehicle was prepared")
+        if type(setpoint) is not self._kind:
+            raise LinkError(f"the vehicle's controller takes no {type(setpoint).__name__}")
+        if self._status.mode != "commanded":
+            raise LinkError(f"a set-point while {self._status.mode}: take control first")
+        if isinstance(setpoint, AccelerationSetpoint):
+            full = self._encoder.full_state(setpoint, now_s)
+            w, x, y, z = full.attitude_wxyz
+            position, velocity = full.position.tolist(), full.velocity.tolist()
+            acceleration, rates = full.acceleration.tolist(), full.omega
+            # cflib says degrees/s, and writes thousandths of what it is given; the firmware reads mrad/s.
+            self._session.post_newest(
+                "set-point",
+                lambda vehicle: vehicle.commander.send_full_state_setpoint(
+                    position, velocity, acceleration, [x, y, z, w], *rates
+                ),
+            )
+        elif isinstance(setpoint, VelocitySetpoint):
+            if self._motion is None:
+                raise LinkError("a set-point before the vehicle said where it is")
+            yaw_now = self._motion.yaw_rad - self._options.frame.yaw_rad
+            speed, turn_deg_s = self._encoder.velocity(setpoint, yaw_now, now_s)
+            vx, vy, vz = speed.tolist()
+            self._session.post_newest(
+                "set-point",
+                lambda vehicle: vehicle.commander.send_velocity_world_setpoint(vx, vy, vz, turn_deg_s),
+            )
+        self._streamed_s = now_s
+
+    def order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:
+        """Tell it something; repeated by `poll` until done, refused or replaced by another order.
+
+        NOTHING leaves a vehicle that follows set-points hovering, by itself: without them it would fall.
+
+        Raises:
+            LinkError: it makes no sense now.
+        """
+        if not self._is_prepared:
+            raise LinkError("an order before the vehicle was prepared")
+        if order is Order.NOTHING:
+            if self._streamed_s is not None:
+                self._hold(now_s)
+            else:
+                self._orders.start(order, now_s, 0.0, self._motion)
+            return
+        self._orders.start(order, now_s, height_m, self._motion)
+        if order in (Order.TAKE_OFF, Order.HOLD, Order.LAND):
+            self._streamed_s = None
+            self._encoder.reset()
+
+    def close(self) -> None:
+        """Put changed parameters back if it is on the ground and still answers, and let go; never raises."""
+        try:
+            if self._is_prepared and self._session.lost is None:
+                if self._streamed_s is not None:
+                    self._hold(self._options.clock())
+                self._session.flush(1.0)
+                if self._status.landed is not True:
+                    known = "is in the air" if self._status.landed is False else "may be in the air"
+                    self._say(f"it {known}: its parameters stay as they are", *self._parameters.leave())
+                else:
+                    self._say(*self._parameters.restore(_RESTORE_S))
+                if self._noticed_s > -math.inf:
+                    self._say("its emergency watchdog locks it now: start it anew")
+        except LinkError as error:
+            self._say(str(error))
+        finally:
+            self._is_prepared = False
+            if self._feed is not None:
+                self._feed.close()
+            self._session.close()
+
+    def _checked(self, change: Callable[[], list[str]]) -> list[str]:
+        """What was changed, unless the app refused it."""
+        before = self._told
+        lines = change()
+        if (
+            before is None
+            or _REFUSED not in before[1]
+            or not any(line.startswith("alula.") for line in lines)
+        ):
+            return lines
+        changed_s = self._options.clock()
+        self._session.wait(lambda: self._told is not None and self._told[0] > changed_s + _STATUS_S, _OLD_S)
+        if self._told is not None and self._told[1][_REFUSED] != before[1][_REFUSED]:
+            raise LinkError(
+                "the app refuses its parameters: they mean nothing together, or one is out of range"
+            )
+        return lines
+
+    def _hold(self, now_s: float) -> None:
+        self._streamed_s = None
+        self._encoder.reset()
+        self._orders.start(Order.HOLD, now_s, 0.0, self._motion)
+
+    def _has_pose(self) -> bool:
+        self._forward_pose(self._options.clock())
+        return self._feed is not None and self._feed.newest() is not None
+
+    def _forward_pose(self, now_s: float) -> None:
+        if self._feed is None:
+            return
+        pose = self._feed.pose(now_s)
+        if pose is None or self._session.lost is not None:
+            return
+        position, (w, x, y, z) = pose[0].tolist(), pose[1].tolist()
+        self._session.post_newest("pose", lambda vehicle: vehicle.loc.send_extpose(position, [x, y, z, w]))
+
+    def _take_state(self, stamp_ms: int, values: Mapping[str, float]) -> None:
+        if self._arrived is not None:
+            gap_ms = (stamp_ms - self._arrived[1]) % _WRAP_MS
+            if gap_ms < _WRAP_MS // 2:  # otherwise it started anew
+                self._lost += max(0, round(gap_ms / self._period_ms) - 1)
+        self._arrived = (self._options.clock(), stamp_ms, values)
+
+    def _take_status(self, _stamp_ms: int, values: Mapping[str, float]) -> None:
+        self._told = (self._options.clock(), values)
+
+    def _read_state(self, now_s: float) -> None:
+        """The newest block of the log, unless it was read already, is no state, or motion capture is old."""
+        newest = self._arrived
+        if newest is None or newest is self._taken:
+            return
+        self._taken = newest
+        heard_s, stamp_ms, values = newest
+        before_ms = self._stamp_ms
+        if before_ms is not None:  # 24 bits of milliseconds
+            stamp_ms = before_ms + (stamp_ms - before_ms + _WRAP_MS // 2) % _WRAP_MS - _WRAP_MS // 2
+        self._stamp_ms = stamp_ms
+        arrival_s = self._clock.arrival(1e-3 * stamp_ms, heard_s)
+        self._status.clock_jumps = self._clock.jumps
+        x, y, z, vx, vy, vz, quat, roll, pitch, yaw = (values[name] for name in _STATE)
+        position = 1e-3 * np.array([x, y, z])
+        if arrival_s is None:
+            return
+        if np.abs(position).max() > _FARTHEST_M:
+            self._status.bad_packets += 1
+            return
+        if self._feed is not None and not self._feed.is_fresh(now_s):
+            return  # its estimate goes on without poses, and away
+        velocity = 1e-3 * np.array([vx, vy, vz])
+        omega = 1e-3 * np.array([roll, -pitch, yaw])  # the firmware logs the pitch rate with the other sign
+        frame = self._options.frame
+        w, i, j, k = expand_quat_wxyz(int(quat))
+        heading = math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
+        floor = 0.0 if self._motion is None else self._motion.floor_m
+        if self._status.armed is False:
+            floor = float(position[2])
+        self._motion = Motion(position, velocity, heading, floor)
+        self._state = VehicleState(
+            arrival_s,
+            frame.position_from_local(position),
+            frame.vector_from_local(velocity),
+            frame.attitude_from_local(np.array([w, i, j, k])),
+            omega,
+        )
+
+    def _read_status(self, now_s: float) -> None:
+        status, newest = self._status, self._told
+        if newest is None or now_s - newest[0] > _OLD_S:
+            status.armed = status.landed = status.battery_v = status.battery_share = None
+            status.is_estimator_ready = None
+            return
+        _, values = newest
+        spread = [values[name] for name in _STATUS[:3]]
+        status.is_estimator_ready = self._state is not None and all(0 <= each < _KNOWN_M2 for each in spread)
+        volts = values["pm.vbat"]
+        status.battery_v = status.battery_share = None
+        if math.isfinite(volts):
+            status.battery_v = volts
+            status.battery_share = min(max((volts - _EMPTY_V) / (_FULL_V - _EMPTY_V), 0.0), 1.0)
+        if newest is not self._read:
+            self._read = newest
+            self._orders.see(int(values["supervisor.info"]))
+
+    def _say(self, *lines: str) -> None:
+        self._status.texts.extend(lines)
+        del self._status.texts[:-_MOST_TEXTS]

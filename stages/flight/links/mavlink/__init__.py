@@ -1,0 +1,1 @@
+"""ArduPilot Copter and PX4 over MAVLink."""

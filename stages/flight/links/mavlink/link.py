@@ -1,0 +1,369 @@
+"""ArduPilot Copter and PX4 over MAVLink: `udpin:`, `udpout:`, `tcp:`, `serial:`."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from alula.schemas.errors import LinkError, UsageError
+from alula.stages.flight.links.addresses import Address
+from alula.stages.flight.links.hover import HoverThrottle
+from alula.stages.flight.links.mavlink.autopilots import ALL_SETPOINTS, ARDUPILOT, Autopilot, autopilot_of
+from alula.stages.flight.links.mavlink.estimate import Estimate
+from alula.stages.flight.links.mavlink.orders import Addressee, Orders, check_height
+from alula.stages.flight.links.mavlink.parameters import Parameters
+from alula.stages.flight.links.mavlink.session import COMPONENT, GROUND_STATION, Session
+from alula.stages.flight.links.mavlink.setpoints import SetpointEncoder
+from alula.stages.flight.links.mavlink.telemetry import Telemetry
+from alula.stages.flight.links.mocap import Mocap
+from alula.stages.flight.links.options import LinkOptions
+from alula.stages.flight.links.protocol import (
+    Order,
+    RatesSetpoint,
+    Setpoint,
+    VehicleState,
+    VehicleStatus,
+)
+
+_ANSWER_S = 2.0
+_RESTORE_S = 4.0
+_OTHERS_S = 1.2  # more than a heartbeat: long enough to hear whether there is a second vehicle
+_STREAM_S = 0.05
+_STREAM_FIRST_S = 1.1  # of set-points, before PX4 is asked to follow them
+_STATE_S = 1.0  # without state, intervals are asked for again: it may have started anew
+_ASK_AGAIN_S = 2.0
+_ORIGIN_S = 1.0
+_SYNC_S = 0.5
+_GUIDED_NOGPS = (20, 0)
+
+
+def make_link(address: Address, options: LinkOptions) -> MavlinkLink:
+    """The link for an address."""
+    return MavlinkLink(address, options)
+
+
+class MavlinkLink:
+    """A `Link` to an autopilot.
+
+    What is sent: a heartbeat a second, set-points as they come, orders until answered, and with motion
+    capture its poses. What is changed: the parameters of `mavlink_autopilots`, put back by `close`.
+    """
+
+    def __init__(self, address: Address, options: LinkOptions) -> None:
+        mode = address.options.get("mode", "guided")
+        if mode not in ("guided", "guided_nogps"):
+            raise UsageError(f"{address.scheme}: mode={mode}: known are guided and guided_nogps")
+        self._options = options
+        self._is_without_position = mode == "guided_nogps"
+        rest = {name: value for name, value in address.options.items() if name != "mode"}
+        self._session = Session(dataclasses.replace(address, options=rest), options, self._take)
+        self._mocap = None if options.mocap is None else Mocap(options.mocap, options.frame)
+        self._estimate = Estimate(options.frame, self._is_mocap_fresh)
+        self._telemetry = Telemetry()
+        self._addressee = Addressee(self._session.source, COMPONENT)
+        self._autopilot: Autopilot = ARDUPILOT
+        self._version: Any = None
+        self._origin: Any = None
+        self._origin_s = self._asked_s = self._streamed_s = self._sync_s = -math.inf
+        self._round_trip_s: float | None = None
+        self._parameters: Parameters | None = None
+        self._orders: Orders | None = None
+        self._encoder: SetpointEncoder | None = None
+        self._hover: HoverThrottle | None = None
+        self._stream: Callable[[int], Any] | None = None  # what goes out while nobody sends
+        self._stream_since_s = math.inf  # without a break
+        self._state: VehicleState | None = None
+
+    @property
+    def accepts(self) -> frozenset[type[Setpoint]]:
+        """Kinds of set-points that can be sent."""
+        return frozenset({RatesSetpoint}) if self._is_without_position else ALL_SETPOINTS
+
+    @property
+    def state(self) -> VehicleState | None:
+        """The newest complete and finite one; None before the first, and after the vehicle started anew."""
+        return self._state
+
+    @property
+    def status(self) -> VehicleStatus:
+        """The same object always, brought up to date by `poll`."""
+        return self._telemetry.status
+
+    @property
+    def hover(self) -> HoverThrottle | None:
+        """Throttle at hover; None before `prepare`."""
+        return self._hover
+
+    @property
+    def clipped(self) -> int:
+        """Set-points that did not go out as they came in."""
+        return 0 if self._encoder is None else self._encoder.clipped
+
+    @property
+    def unsent(self) -> int:
+        """Packets that the line had no room for."""
+        return self._session.unsent
+
+    @property
+    def round_trip_s(self) -> float | None:
+        """How long an answer of the vehicle took; a state is older than it says by at most that."""
+        return self._round_trip_s
+
+    def open(self, timeout_s: float) -> str:
+        """Find the vehicle; returns what it is, in words.
+
+        Raises:
+            LinkError: there is none, there are several, or it is none that can be flown.
+        """
+        try:
+            if self._mocap is not None:
+                self._mocap.open()
+            self._session.open(timeout_s)
+            return self._identify(timeout_s)
+        except BaseException:
+            self.close()
+            raise
+
+    def prepare(self) -> list[str]:
+        """Change the parameters that flights need; a line for each that was changed.
+
+        Raises:
+            LinkError: the vehicle is armed, so somebody flies it; or it does not have or take one: those
+                changed before are put back.
+        """
+        if self._parameters is None:
+            raise LinkError("the vehicle was not opened")
+        if self.status.armed:
+            raise LinkError("the vehicle is armed: its parameters are left alone")
+        try:
+            return self._prepare(self._parameters)
+        except BaseException:
+            try:
+                self._telemetry.say(*self._parameters.restore(_RESTORE_S))
+            except LinkError as error:
+                self._telemetry.say(f"parameters could not be put back: {error}")
+            raise
+
+    def poll(self, now_s: float) -> None:
+        """Take in all that has arrived, and send what is due by itself."""
+        self._forward_mocap(now_s)
+        self._session.poll(now_s)
+        before, self._state = self._state, self._estimate.state
+        telemetry, status = self._telemetry, self._telemetry.status
+        telemetry.poll(now_s)
+        status.heard_s = self._session.heard_s
+        status.bad_packets = self._session.bad + self._estimate.dropped
+        status.lost_packets = self._session.lost
+        if status.clock_jumps != self._estimate.jumps:
+            status.clock_jumps = self._estimate.jumps
+            telemetry.say("the vehicle's clock jumped: it may have started anew")
+        if self._orders is None:
+            return
+        self._orders.poll(now_s)
+        if now_s - self._sync_s >= _SYNC_S:
+            self._sync_s = now_s
+            self._session.send(dialect.MAVLink_timesync_message(0, round(now_s * 1e9)))
+        if self._stream is not None and now_s - self._streamed_s >= _STREAM_S:
+            self._streamed_s = now_s
+            self._stream_since_s = min(self._stream_since_s, now_s)
+            self._session.send(self._stream(self._session.time_ms(now_s)))
+        if self._hover is not None and self._state is not None and self._state is not before:
+            self._learn(self._hover, self._state)
+        newest_s = -math.inf if self._state is None else self._state.received_s
+        if now_s - newest_s > _STATE_S and now_s - self._asked_s > _ASK_AGAIN_S:
+            self._ask_intervals(now_s)
+
+    def send(self, setpoint: Setpoint, now_s: float) -> None:
+        """Send a set-point; refuses (LinkError) what is not finite or far out of range."""
+        if type(setpoint) not in self.accepts:
+            raise LinkError(f"the vehicle takes no {type(setpoint).__name__} in this mode")
+        if self._encoder is None:
+            raise LinkError("a set-point before the vehicle was prepared")
+        message = self._encoder.encode(setpoint, now_s, self._session.time_ms(now_s))
+        self._stream = None
+        self._stream_since_s = math.inf
+        self._session.send(message)
+
+    def order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:
+        """Tell it something; repeated by `poll` until done, refused or replaced by another order.
+
+        ARM takes control first, where the vehicle does not obey yet. HOLD is a stream of zero velocity, and
+        PX4's TAKE_OFF one of a position above; both end with the next set-point or order, and neither
+        changes the mode: a pilot who took over keeps control.
+
+        Raises:
+            LinkError: it makes no sense now.
+        """
+        if self._orders is None or self._encoder is None:
+            raise LinkError("an order before the vehicle was prepared")
+        if order is Order.HOLD and self._is_without_position:
+            raise LinkError("holding needs a position, and guided_nogps has none")
+        is_climb = order is Order.TAKE_OFF and not self._autopilot.takes_off_by_command
+        is_followed = order in (Order.ARM, Order.TAKE_CONTROL) and self._autopilot.streams_first
+        stream = self._climb(self._encoder, height_m) if is_climb else self._encoder.stop
+        if is_climb or order is Order.HOLD:
+            self._orders.drop()
+        else:
+            streamed_s = max(now_s - self._stream_since_s, 0.0)
+            wait_s = max(_STREAM_FIRST_S - streamed_s, 0.0) if is_followed else 0.0
+            self._orders.start(order, now_s, height_m, wait_s)
+        self._stream = stream if is_climb or is_followed or order is Order.HOLD else None
+        if self._stream is None:
+            self._stream_since_s = math.inf
+        self._streamed_s = -math.inf
+        self.poll(now_s)
+
+    def close(self) -> None:
+        """Put changed parameters back, as far as it still answers, and let go; never raises.
+
+        In the air, and still in the mode that follows us, they stay: they are what lands it now.
+        """
+        self._stream = self._orders = None
+        status = self.status
+        try:
+            if self._parameters is not None:
+                if status.armed and status.obeys and status.landed is not True:
+                    self._telemetry.say(
+                        "it is in the air and nobody flies it: its parameters stay as they are"
+                    )
+                    self._telemetry.say(*self._parameters.leave())
+                else:
+                    self._telemetry.say(*self._parameters.restore(_RESTORE_S))
+                for number in self._autopilot.intervals(1.0):
+                    is_heartbeat = number == dialect.MAVLINK_MSG_ID_HEARTBEAT  # always once a second
+                    self._session.send(self._interval(number, 1.0 if is_heartbeat else 0.0))
+        except LinkError as error:
+            self._telemetry.say(f"parameters could not be put back: {error}")
+        finally:
+            self._parameters = None
+            if self._mocap is not None:
+                self._mocap.close()
+            self._session.close()
+
+    def _identify(self, timeout_s: float) -> str:
+        session, telemetry = self._session, self._telemetry
+        if not session.wait(lambda: telemetry.heartbeat is not None, timeout_s):
+            raise LinkError(f"{session.name}: no vehicle was heard within {timeout_s:g} s{session.refused()}")
+        autopilot = autopilot_of(telemetry.heartbeat)
+        if self._is_without_position:
+            if autopilot is not ARDUPILOT:
+                raise LinkError(f"{autopilot.name} has no mode guided_nogps")
+            autopilot = dataclasses.replace(autopilot, control=_GUIDED_NOGPS)
+        self._autopilot = telemetry.autopilot = autopilot
+        telemetry.read_mode()
+        if session.wait(lambda: bool(session.others), _OTHERS_S):
+            systems = ", ".join(map(str, sorted({session.target[0], *session.others})))
+            raise LinkError(f"several vehicles are heard: {systems}; choose one with ?system=NUMBER")
+        self._parameters = Parameters(session, autopilot.is_bytewise)
+        ask = session.command(
+            dialect.MAV_CMD_REQUEST_MESSAGE, (float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION),)
+        )
+        if not session.wait(lambda: self._version is not None, _ANSWER_S, again=lambda: session.send(ask)):
+            key = "; it signs its packets: does it take only those with its key?" if session.is_signed else ""
+            raise LinkError(f"the vehicle does not say what its autopilot can do (AUTOPILOT_VERSION){key}")
+        needed = dialect.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+        if not self._is_without_position:
+            needed |= dialect.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+        if self._version.capabilities & needed != needed:
+            raise LinkError("the vehicle's autopilot takes no set-points: so says its AUTOPILOT_VERSION")
+        self._estimate = Estimate(self._options.frame, self._is_mocap_fresh)  # without what lay in the socket
+        self._ask_intervals(self._options.clock())
+        number = self._version.flight_sw_version
+        version = ".".join(str(number >> shift & 0xFF) for shift in (24, 16, 8))
+        return f"{autopilot.name} {version}, system {session.target[0]}"
+
+    def _prepare(self, parameters: Parameters) -> list[str]:
+        lines = [line for each in self._autopilot.parameters if (line := parameters.change(each)) is not None]
+        hover = parameters.read(self._autopilot.hover)
+        if hover is None:
+            raise LinkError(f"the vehicle says nothing of its parameter {self._autopilot.hover}")
+        try:
+            self._hover = HoverThrottle(hover, self._options.vehicle.body.gravity_m_s2)
+        except ValueError as error:
+            raise LinkError(f"{self._autopilot.hover}: {error}") from error
+        if self._mocap is not None:
+            parameters.require(self._autopilot.fixed)
+        for name in self._autopilot.ground_station:
+            watched = parameters.read(name, 0.6)
+            if watched is not None:
+                if round(watched) != GROUND_STATION:
+                    lines.append(f"{name} is {watched:g}: that our heartbeats end will land nothing")
+                break
+        target, limits = self._session.target, self._options.all_limits()
+        self._encoder = SetpointEncoder(target, self._options.frame, limits, self._hover)
+        self._orders = Orders(self._session, self._autopilot, self._telemetry)
+        if self._autopilot.streams_first:  # so that it follows at once when it is asked to
+            self._stream = self._encoder.stop
+        return lines
+
+    def _take(self, message: Any, now_s: float) -> None:
+        """A message of the vehicle."""
+        kind = message.get_type()
+        if kind == "PARAM_VALUE":
+            if self._parameters is not None:
+                self._parameters.take(message)
+        elif kind == "COMMAND_ACK":
+            is_ours = self._addressee.is_ours(message)  # also before there are orders: it learns from each
+            if is_ours and self._orders is not None:
+                self._orders.take_answer(message, now_s)
+        elif kind == "AUTOPILOT_VERSION":
+            self._version = message
+        elif kind == "TIMESYNC":
+            self._take_time(message, now_s)
+        elif kind == "GPS_GLOBAL_ORIGIN":
+            self._origin = message
+        else:
+            self._estimate.take(message, now_s)
+            for text in self._telemetry.take(message, now_s):
+                if self._orders is not None:
+                    self._orders.take_text(text, now_s)
+
+    def _take_time(self, message: Any, now_s: float) -> None:
+        """An answer to the newest question; the vehicle's own is left unanswered: it keeps its time."""
+        if message.tc1 > 0 and message.ts1 == round(self._sync_s * 1e9):
+            self._round_trip_s = now_s - self._sync_s
+            self._estimate.synchronise(message.tc1 * 1e-9, self._sync_s)
+
+    def _forward_mocap(self, now_s: float) -> None:
+        if self._mocap is None:
+            return
+        messages = self._mocap.poll(now_s, self._session.start_s)
+        if self._session.vehicle is None:
+            return
+        for message in messages:
+            self._session.send(message)
+        if self._origin is None and now_s - self._origin_s >= _ORIGIN_S:
+            self._origin_s = now_s
+            latitude, longitude, height = self._options.origin
+            place = (round(latitude * 1e7), round(longitude * 1e7), round(height * 1e3))
+            self._session.send(dialect.MAVLink_set_gps_global_origin_message(self._session.target[0], *place))
+
+    def _is_mocap_fresh(self, now_s: float) -> bool:
+        return self._mocap is None or self._mocap.is_fresh(now_s)
+
+    def _climb(self, encoder: SetpointEncoder, height_m: float) -> Callable[[int], Any]:
+        """A stream of the position above the present one."""
+        check_height(height_m)
+        if self._state is None:
+            raise LinkError("take-off is refused: the vehicle has not said where it is")
+        above = self._options.frame.position_to_ned(self._state.position + np.array([0.0, 0.0, height_m]))
+        return lambda time_ms: encoder.place(above, time_ms)
+
+    def _learn(self, hover: HoverThrottle, state: VehicleState) -> None:
+        if self._options.learns_hover and self.status.armed and not self.status.landed:
+            hover.seen(state)
+
+    def _interval(self, number: int, rate_hz: float) -> Any:
+        """SET_MESSAGE_INTERVAL; 0 is the vehicle's own rate."""
+        period_us = round(1e6 / rate_hz) if rate_hz else 0
+        return self._session.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, (float(number), float(period_us)))
+
+    def _ask_intervals(self, now_s: float) -> None:
+        self._asked_s = now_s
+        for number, rate_hz in self._autopilot.intervals(self._options.state_rate_hz).items():
+            self._session.send(self._interval(number, rate_hz))

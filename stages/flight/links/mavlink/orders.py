@@ -1,0 +1,209 @@
+"""Orders to a vehicle: repeated until it does them, refuses them or takes too long."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from alula.schemas.errors import LinkError
+from alula.stages.flight.links.mavlink.autopilots import Autopilot, mode_command
+from alula.stages.flight.links.mavlink.session import Session
+from alula.stages.flight.links.mavlink.telemetry import Telemetry
+from alula.stages.flight.links.protocol import HIGHEST_M, UNANSWERED, UNDONE, Order
+
+_REPEAT_S = 0.5
+_PATIENCE_S = 5.0
+_SETTLED_S = 0.3  # a heartbeat that comes so long after an order knows of it
+_REASONS_S = 2.0  # how long before a refusal its reason may have been said
+_AFTER_S = 0.1  # and how long after it: PX4 answers first, then says why
+_PREFIXES = ("PreArm:", "Arm:", "Arming", "Preflight", "Takeoff", "Mode change", "Switching")
+
+
+class Addressee:
+    """Which COMMAND_ACKs answer us, and not another ground station's command.
+
+    An answer to another system or component is none of ours. Older autopilots, and MAVLink 1, name nobody
+    (0): such an answer counts if it is to the command of the order that stands, for there is no other way to
+    tell. A vehicle that has named us once always does, and then what names nobody is not for us.
+
+    Args:
+        system, component: ours.
+    """
+
+    def __init__(self, system: int, component: int) -> None:
+        self._ours = system, component
+        self._names_us = False
+
+    def is_ours(self, message: Any) -> bool:
+        """Whether a COMMAND_ACK is an answer to us."""
+        named = message.target_system, message.target_component
+        self._names_us = self._names_us or named == self._ours
+        if self._names_us:
+            return named == self._ours
+        return all(name in (0, ours) for name, ours in zip(named, self._ours, strict=True))
+
+
+@dataclass(slots=True)
+class _Step:
+    """One command; done when the vehicle shows it, or without a sign of that when it is acknowledged."""
+
+    number: int
+    values: tuple[float, ...]
+    is_done: Callable[[], bool] | None = None
+    first_s: float = 0.0  # to wait before it is sent
+    since_s: float = math.inf
+    next_s: float = math.inf
+    sent: int = 0
+    first_sent_s: float = math.inf
+    is_accepted: bool = False
+
+
+class Orders:
+    """The one order that stands; a new one replaces it.
+
+    A step is done when the vehicle's own state shows it (a mode, armed or not; disarmed only by a heartbeat
+    from after it was sent, for an order to arm may be on its way); a take-off when it is acknowledged.
+    Refused or unanswered for 5 s, an order goes to `VehicleStatus.refusals` and ends; only LAND goes on for
+    ever. Nothing is repeated once another mode is seen than when it was first sent, be it in the very poll: a
+    pilot has chosen it. A vehicle that obeyed once is not taken control of again without a new order: the
+    pilot may have taken it back.
+    """
+
+    def __init__(self, session: Session, autopilot: Autopilot, telemetry: Telemetry) -> None:
+        self._session, self._autopilot, self._telemetry = session, autopilot, telemetry
+        self._order: Order | None = None
+        self._steps: list[_Step] = []
+        self._is_reported = False
+        self._mode: tuple[int, int] | None = None  # when the step that stands was first sent
+        self._said: list[tuple[float, str]] = []
+        self._refusal: tuple[float, str] | None = None  # when it came, until its reason may have come, too
+
+    def start(self, order: Order, now_s: float, height_m: float, first_s: float = 0.0) -> None:
+        """Give an order; control is asked for after `first_s`.
+
+        Raises:
+            LinkError: the height makes no sense.
+        """
+        if order is Order.TAKE_OFF:
+            check_height(height_m)
+        self._order, self._is_reported, self._refusal = order, False, None
+        self._steps = self._steps_of(order, height_m, first_s)
+        if order is Order.DISARM and self._telemetry.status.landed is not True:
+            self._refuse("the vehicle does not say that it is on the ground")
+        self._advance(now_s)
+
+    def drop(self) -> None:
+        """Nothing stands any more."""
+        self._steps, self._refusal = [], None
+
+    def poll(self, now_s: float) -> None:
+        """Send what is due."""
+        self._advance(now_s)
+        if not self._steps:
+            return
+        step = self._steps[0]
+        if self._refusal is not None:
+            self._take_reasons(*self._refusal, now_s)
+        elif now_s - step.since_s > _PATIENCE_S:
+            what = UNDONE if step.is_accepted else UNANSWERED
+            self._refuse(f"{what} for {_PATIENCE_S:g} s")
+        if not self._steps or self._refusal is not None:
+            return
+        if now_s >= step.next_s:
+            if step.sent == 0:
+                self._mode, step.first_sent_s = self._telemetry.mode, now_s
+            elif self._is_taken():
+                self._steps = []
+                return
+            step.next_s = now_s + _REPEAT_S
+            self._session.send(self._session.command(step.number, step.values, step.sent))
+            step.sent += 1
+
+    def _is_taken(self) -> bool:
+        """Whether the mode is another than when the step was sent, and not by it, for it is not done."""
+        mode = self._telemetry.mode
+        return mode is not None and self._mode is not None and mode != self._mode
+
+    def take_answer(self, message: Any, now_s: float) -> None:
+        """A COMMAND_ACK."""
+        step = self._steps[0] if self._steps else None
+        if step is None or message.command != step.number or step.sent == 0:
+            return
+        if message.result == dialect.MAV_RESULT_ACCEPTED:
+            step.is_accepted, self._refusal = True, None
+            step.next_s = now_s + 2 * _REPEAT_S
+            self._advance(now_s)
+        elif message.result == dialect.MAV_RESULT_IN_PROGRESS:
+            step.next_s = now_s + _PATIENCE_S / 2
+        elif self._refusal is None:
+            entry = dialect.enums["MAV_RESULT"].get(message.result)
+            result = str(message.result) if entry is None else entry.name.removeprefix("MAV_RESULT_").lower()
+            self._refusal = now_s, result.replace("_", " ")
+
+    def _take_reasons(self, since_s: float, result: str, now_s: float) -> None:
+        """Refused, with what was said of it, when no more is to be expected."""
+        if now_s - since_s < _AFTER_S:
+            return
+        self._refusal = None
+        said = [text for at, text in self._said if since_s - at <= _REASONS_S]
+        self._refuse("; ".join([result, *dict.fromkeys(said)]))
+
+    def take_text(self, text: str, now_s: float) -> None:
+        """What may be the reason of a refusal."""
+        if text.startswith(_PREFIXES):
+            self._said = [*self._said[-7:], (now_s, text)]
+
+    def _advance(self, now_s: float) -> None:
+        """Leave behind what is done."""
+        while self._steps:
+            step = self._steps[0]
+            if step.since_s == math.inf:
+                step.since_s = step.next_s = now_s + step.first_s
+            if not (step.is_accepted if step.is_done is None else step.is_done()):
+                return
+            del self._steps[0]
+            self._refusal = None
+
+    def _refuse(self, why: str) -> None:
+        assert self._order is not None
+        if not self._is_reported:
+            self._telemetry.status.refusals.append((self._order, why))
+            self._is_reported = True
+        if self._order is not Order.LAND:
+            self._steps = []
+
+    def _steps_of(self, order: Order, height_m: float, first_s: float) -> list[_Step]:
+        telemetry, autopilot = self._telemetry, self._autopilot
+        status = telemetry.status
+        control = _Step(*mode_command(autopilot.control), lambda: status.obeys, first_s)
+        arm = dialect.MAV_CMD_COMPONENT_ARM_DISARM  # never by force
+        match order:
+            case Order.TAKE_CONTROL:
+                return [control]
+            case Order.ARM:
+                return [control, _Step(arm, (1.0,), lambda: status.armed is True)]
+            case Order.DISARM:
+                step = _Step(arm, (0.0,))
+                step.is_done = lambda: (
+                    status.armed is False and telemetry.beat_s > step.first_sent_s + _SETTLED_S
+                )
+                return [step]
+            case Order.TAKE_OFF:
+                return [_Step(dialect.MAV_CMD_NAV_TAKEOFF, (0.0,) * 6 + (height_m,))]
+            case Order.LAND:
+                landing = autopilot.landing
+                return [_Step(*mode_command(landing), lambda: telemetry.mode == landing)]
+            case _:
+                return []
+
+
+def check_height(height_m: float) -> None:
+    """Refuse (LinkError) a take-off that makes no sense."""
+    if not 0 < height_m <= HIGHEST_M:
+        raise LinkError(
+            f"take-off to {height_m:g} m is refused: heights are above 0 and up to {HIGHEST_M:g} m"
+        )

@@ -1,0 +1,133 @@
+"""Parameters of a vehicle: read, set, verified, and put back."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from alula.schemas.errors import LinkError
+from alula.stages.flight.links.mavlink.autopilots import Parameter
+from alula.stages.flight.links.mavlink.session import Session
+
+_ANSWER_S = 3.0
+_FORMATS = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}  # MAV_PARAM_TYPE of integers
+_LEFT = struct.Struct("<f")
+
+
+class Parameters:
+    """Changes to a vehicle's parameters that end with us.
+
+    Args:
+        session: with the vehicle.
+        is_bytewise: whether integers travel bit by bit in the place of a float (PX4), or as its value.
+    """
+
+    def __init__(self, session: Session, is_bytewise: bool) -> None:
+        self._session, self._is_bytewise = session, is_bytewise
+        self._values: dict[str, float] = {}
+        self._types: dict[str, int] = {}
+        self._changed: dict[str, tuple[float, float]] = {}  # what it was, what we made it
+
+    def take(self, message: Any) -> None:
+        """A PARAM_VALUE."""
+        name = str(message.param_id)
+        value = float(message.param_value)
+        format_ = _FORMATS.get(message.param_type)
+        if self._is_bytewise and format_ is not None:
+            frame = bytes(message.get_msgbuf())
+            header = 10 if frame[0] == 0xFD else 6
+            value = float(struct.unpack_from(f"<{format_}", frame, header)[0])
+        if math.isfinite(value) and name in self._types:
+            self._values[name], self._types[name] = value, message.param_type
+
+    def read(self, name: str, timeout_s: float = _ANSWER_S) -> float | None:
+        """Its present value; None if the vehicle says nothing of it."""
+        self._types.setdefault(name, dialect.MAV_PARAM_TYPE_REAL32)
+        self._values.pop(name, None)
+        request = dialect.MAVLink_param_request_read_message(*self._session.target, name.encode(), -1)
+        self._session.wait(lambda: name in self._values, timeout_s, again=lambda: self._session.send(request))
+        return self._values.get(name)
+
+    def change(self, parameter: Parameter) -> str | None:
+        """Give a parameter the value that flights need; a line that says so, or None if it had it.
+
+        Raises:
+            LinkError: the vehicle does not have it, or does not take the value.
+        """
+        present = self.read(parameter.name)
+        if present is None:
+            if parameter.is_required:
+                raise LinkError(f"the vehicle says nothing of its parameter {parameter.name}")
+            return None
+        wanted = parameter.wanted(present)
+        if _is_same(present, wanted):
+            return None
+        # Remembered first: a value of which nobody knows whether it was taken is put back too.
+        self._changed.setdefault(parameter.name, (present, wanted))
+        if not self._write(parameter.name, wanted, _ANSWER_S):
+            raise LinkError(f"the vehicle did not take {parameter.name} = {wanted:g}")
+        return f"{parameter.name}: {present:g} -> {wanted:g} ({parameter.why})"
+
+    def require(self, needed: tuple[tuple[str, tuple[float, ...]], ...]) -> None:
+        """Refuse a vehicle of which parameters have none of the values that are allowed.
+
+        Raises:
+            LinkError: naming all of them.
+        """
+        wrong = []
+        for name, allowed in needed:
+            value = self.read(name)
+            if value not in allowed:
+                said = "not there" if value is None else f"{value:g}"
+                wrong.append(f"{name} is {said}, not {' or '.join(f'{each:g}' for each in allowed)}")
+        if wrong:
+            raise LinkError(f"for motion capture set these and restart the vehicle: {'; '.join(wrong)}")
+
+    def restore(self, timeout_s: float) -> list[str]:
+        """Put back what was changed, the newest first; a line for each that was not."""
+        lines = []
+        end_s = self._session.options.clock() + timeout_s
+        for name, (before, ours) in reversed(self._changed.items()):
+            present = self._values.get(name, ours)
+            if not _is_same(present, ours) and not _is_same(present, before):
+                lines.append(f"{name} was changed by others to {present:g} and stays so; it was {before:g}")
+                continue
+            left_s = max(end_s - self._session.options.clock(), 0.0)
+            try:
+                is_back = self._write(name, before, left_s)
+            except LinkError:  # the line is gone: each is named all the same
+                is_back = False
+            if not is_back:
+                lines.append(f"{name} could not be put back: set it to {before:g}")
+        self._changed.clear()
+        return lines
+
+    def leave(self) -> list[str]:
+        """Leave what was changed as it is; a line for each."""
+        lines = [
+            f"{name} stays {ours:g}; it was {before:g}" for name, (before, ours) in self._changed.items()
+        ]
+        self._changed.clear()
+        return lines
+
+    def _write(self, name: str, value: float, timeout_s: float) -> bool:
+        kind = self._types[name]
+        format_ = _FORMATS.get(kind)
+        sent = value
+        if self._is_bytewise and format_ is not None:
+            (sent,) = _LEFT.unpack(struct.pack(f"<{format_}", round(value)).ljust(4, b"\0"))
+        self._values.pop(name, None)
+        message = dialect.MAVLink_param_set_message(*self._session.target, name.encode(), sent, kind)
+        return self._session.wait(
+            lambda: name in self._values and _is_same(self._values[name], value),
+            timeout_s,
+            again=lambda: self._session.send(message),
+        )
+
+
+def _is_same(a: float, b: float) -> bool:
+    """As floats of single precision, which is how they travel."""
+    return math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9)

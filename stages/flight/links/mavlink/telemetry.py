@@ -1,0 +1,108 @@
+"""What a vehicle says beside its state: mode, battery, health, texts; what is old is unknown."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from alula.stages.flight.links.mavlink.autopilots import Autopilot
+from alula.stages.flight.links.mavlink.texts import Texts
+from alula.stages.flight.links.protocol import VehicleStatus
+
+_OLD_S = {"HEARTBEAT": 5.0, "SYS_STATUS": 10.0, "EXTENDED_SYS_STATE": 3.0, "ESTIMATOR": 3.0}
+_MOST_TEXTS = 100
+_FLAGS_NEEDED = 1 | 2 | 4 | 32  # EKF_STATUS_FLAGS: attitude, horizontal and vertical velocity, height
+_FLAGS_EITHER = 8 | 16  # position, relative or absolute
+_FLAGS_BAD = 128 | 1024  # constant position; not initialised (ArduPilot), jumps of satellites (PX4)
+_NO_VOLTAGE = 0xFFFF
+_LANDED = {
+    dialect.MAV_LANDED_STATE_ON_GROUND: True,
+    dialect.MAV_LANDED_STATE_IN_AIR: False,
+    dialect.MAV_LANDED_STATE_TAKEOFF: False,
+    dialect.MAV_LANDED_STATE_LANDING: False,
+}
+
+
+class Telemetry:
+    """Keeps a `VehicleStatus` up to date from messages.
+
+    Attributes:
+        heartbeat: the newest HEARTBEAT.
+        mode: main and sub mode of it.
+        autopilot: by whose names it is read; None before it is known.
+    """
+
+    def __init__(self) -> None:
+        self.status = VehicleStatus()
+        self.heartbeat: Any = None
+        self.mode: tuple[int, int] | None = None
+        self.autopilot: Autopilot | None = None
+        self._texts = Texts()
+        self._said_s: dict[str, float] = {}
+
+    @property
+    def beat_s(self) -> float:
+        """When the newest HEARTBEAT arrived; minus infinity when it is old."""
+        return self._said_s.get("HEARTBEAT", -math.inf)
+
+    def take(self, message: Any, now_s: float) -> list[str]:
+        """A message; texts that it completes."""
+        kind, status = message.get_type(), self.status
+        if kind == "STATUSTEXT":
+            return self.say(*self._texts.take(message, now_s))
+        if kind == "HEARTBEAT":
+            self.heartbeat = message
+            self.read_mode()
+        elif kind == "SYS_STATUS":
+            voltage, share = message.voltage_battery, message.battery_remaining
+            status.battery_v = voltage * 1e-3 if 0 < voltage < _NO_VOLTAGE else None
+            status.battery_share = share * 1e-2 if 0 <= share <= 100 else None
+        elif kind == "EXTENDED_SYS_STATE":
+            status.landed = _LANDED.get(message.landed_state)
+        elif kind in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
+            flags, kind = message.flags, "ESTIMATOR"
+            has_all = flags & _FLAGS_NEEDED == _FLAGS_NEEDED and flags & _FLAGS_EITHER != 0
+            status.is_estimator_ready = has_all and not flags & _FLAGS_BAD
+        else:
+            return []
+        self._said_s[kind] = now_s
+        return []
+
+    def read_mode(self) -> None:
+        """What the newest heartbeat says."""
+        if self.autopilot is None or self.heartbeat is None:
+            return
+        status, beat = self.status, self.heartbeat
+        main, sub, status.mode = self.autopilot.mode_of(beat.custom_mode)
+        self.mode = main, sub
+        wanted_main, wanted_sub = self.autopilot.control
+        status.obeys = main == wanted_main and (wanted_sub in (0, sub))
+        status.armed = bool(beat.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+        status.is_failsafe = beat.system_status in (
+            dialect.MAV_STATE_CRITICAL,
+            dialect.MAV_STATE_EMERGENCY,
+            dialect.MAV_STATE_FLIGHT_TERMINATION,
+        )
+
+    def say(self, *texts: str) -> list[str]:
+        """Texts for people; of too many the oldest are dropped."""
+        self.status.texts += texts
+        del self.status.texts[:-_MOST_TEXTS]
+        return list(texts)
+
+    def poll(self, now_s: float) -> None:
+        """Forget what is old."""
+        self.say(*self._texts.flush(now_s))
+        status = self.status
+        for kind in [kind for kind, at in self._said_s.items() if now_s - at > _OLD_S[kind]]:
+            del self._said_s[kind]
+            if kind == "HEARTBEAT":
+                status.armed, status.obeys, status.mode, self.mode = None, False, "", None
+            elif kind == "SYS_STATUS":
+                status.battery_v = status.battery_share = None
+            elif kind == "EXTENDED_SYS_STATE":
+                status.landed = None
+            else:
+                status.is_estimator_ready = None

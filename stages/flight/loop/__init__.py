@@ -1,0 +1,1 @@
+"""The loop that flies: supervisor, checks and watches."""

@@ -1,0 +1,374 @@
+"""A real flight from its artifacts: what it needs, what flies it, and what it is judged by afterwards."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.configs.fly import FlyConfig
+from alula.schemas.errors import InputError, LinkError, UsageError
+from alula.schemas.vehicle import Vehicle
+from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
+from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.onboard.layout import encode_map
+from alula.stages.compression.verify import require_solid_hulls
+from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
+from alula.stages.filtering.protocol import Filter, World
+from alula.stages.filtering.registry import complete_parameters, make_filter, make_splat_filter
+from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
+from alula.stages.flight.commanders.tracking import Commander, PlanClock, SplatCommander
+from alula.stages.flight.commanders.velocity import VelocityCommander
+from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
+from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
+from alula.stages.flight.loop.options import LoopOptions
+from alula.stages.flight.loop.preflight import Needs
+from alula.stages.flight.loop.supervisor import SupervisorLimits
+from alula.stages.planning.curve_certificate import certify
+from alula.stages.planning.plan_samples import sample_plan
+from alula.stages.vehicles.bodies import quadrotor, tracking_gains
+
+FloatArray = NDArray[np.float64]
+Obstacles = list[tuple[str, _core.PolytopeSet | _core.EllipsoidSet]]
+
+_ROOM_M = 2.0  # of the default fence around the plan
+_PLAN_SPEED_FACTOR = 1.5  # room to catch up with the plan
+_CATCH_UP = 0.5  # of the plan's speed
+# How late velocities are followed at most by the autopilots of docs/guide/fly.md, at a limit of speed.
+_LEAST_LAG_S, _LAG_S, _LAG_S2_M, _MOST_LAG_S = 0.5, 0.15, 0.15, 5.0
+_NEAR_M, _FAR_M = 0.3, 1.0  # errors at which the plan's time slows down, and stands still
+_SAMPLE_S = 1e-3  # of the plan, where its clearance is found by samples
+_EXTRA_TIME_S = 10.0
+_CARRYING_S = 600.0  # for checks with moves by hand
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """What is flown, and among what.
+
+    Attributes:
+        config: complete.
+        plan, vehicle: as given; cover, scene: what there is of the map.
+        is_splat: whether the filter sees the scene's ellipsoids, else the cover's hulls.
+        curve: the plan; start: its first point, shape (3,) [m].
+        obstacles: all there is of the map, to judge by.
+        inflation_m: that filters among ellipsoids add.
+        fence: where to fly.
+        is_clear: whether the plan keeps the vehicle's radius from the map, and how that was found.
+    """
+
+    config: FlyConfig
+    plan: Artifact
+    vehicle: Vehicle
+    cover: Artifact | None
+    scene: Artifact | None
+    is_splat: bool
+    curve: _core.ReferenceCurve
+    start: FloatArray
+    obstacles: Obstacles
+    inflation_m: float
+    fence: _core.Fence
+    is_clear: tuple[bool, str]
+
+    @property
+    def map(self) -> Artifact:
+        """What the filter sees."""
+        found = self.scene if self.is_splat else self.cover
+        assert found is not None
+        return found
+
+    @property
+    def goal(self) -> FloatArray:
+        """The end of the plan, shape (3,) [m]."""
+        end: FloatArray = self.curve.at(np.array([self.curve.duration_s]))[0, :3]
+        return end
+
+
+def resolve_fly(config: FlyConfig, plan: Artifact, vehicle: Vehicle, *, is_splat: bool) -> FlyConfig:
+    """Fill in what the configuration leaves to the plan, the vehicle or a default.
+
+    Raises:
+        UsageError: the vehicle has no rotors, or a parameter of the filter is unknown.
+    """
+    if vehicle.model != "quadrotor":
+        raise UsageError(f"{vehicle.name} is a {vehicle.model}; real flights need the file of a quadrotor")
+    speed = float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
+    duration = float(plan["time"][-1])
+    points = sample_plan(plan, 0.02).position_world
+    low, high = points.min(axis=0) - _ROOM_M, points.max(axis=0) + _ROOM_M
+    parameters = dict(config.filter_parameters)
+    if is_splat:
+        parameters = complete_parameters(config.filter, parameters)
+    elif parameters and config.filter in ("none", "polytope-cbf"):
+        raise UsageError(f"--set: the filter {config.filter} has none; --beta and --kappa are options")
+    limit = config.speed_m_s or _PLAN_SPEED_FACTOR * speed
+    lag = min(max(_LEAST_LAG_S, _LAG_S + _LAG_S2_M * limit), _MOST_LAG_S)
+    return dataclasses.replace(
+        config,
+        speed_m_s=limit,
+        velocity_lag_s=lag if config.velocity_lag_s is None else config.velocity_lag_s,
+        fence=config.fence or (*low.tolist(), *high.tolist()),
+        catch_up_m_s=config.catch_up_m_s or vehicle.tracking.catch_up_m_s or _CATCH_UP * speed,
+        max_time_s=config.max_time_s or 3 * duration + _EXTRA_TIME_S,
+        filter_parameters=parameters,
+    )
+
+
+def make_mission(
+    config: FlyConfig,
+    plan: Artifact,
+    vehicle: Vehicle,
+    *,
+    cover: Artifact | None,
+    scene: Artifact | None,
+    is_splat: bool,
+    jobs: int = 0,
+) -> Mission:
+    """Read what a flight needs out of its artifacts, and prove the plan against the map again.
+
+    Against hulls the proof holds for the continuous time (`certify`); against ellipsoids the exact distance
+    of chords of 1 ms is taken.
+
+    Raises:
+        UsageError, InputError, ArtifactError: artifacts do not fit each other, or a parameter means nothing.
+    """
+    config = resolve_fly(config, plan, vehicle, is_splat=is_splat)
+    frame = plan.manifest.frame
+    for role, other in (("cover", cover), ("scene", scene), ("plan", plan)):
+        if other is not None:
+            require_metric(role, other)
+        if other is not None and other.manifest.frame != frame:
+            raise InputError(f"the {role} is in the frame {other.manifest.frame!r}, the plan in {frame!r}")
+    if not is_splat and config.fence_map and cover is None:
+        raise UsageError("--fence-map needs a cover")
+    radius = vehicle.body.radius_m
+    obstacles: Obstacles = []
+    proofs: list[tuple[bool, str]] = []
+    if cover is not None:
+        require_solid_hulls(cover, jobs=jobs)
+        hulls = Hulls.from_cover(cover)
+        obstacles.append(("a hull", hull_obstacles(hulls)))
+        found = certify(plan, hulls, radius, jobs=jobs)
+        unproven = np.flatnonzero(~found.proven)
+        words = (
+            "proven clear of all hulls"
+            if found.holds
+            else f"piece {unproven[:1]} is not proven clear of hulls"
+        )
+        proofs.append((found.holds, f"{words} by {radius:g} m"))
+    if scene is not None:
+        ellipsoids = scene_obstacles(scene, config.sigma)
+        obstacles.append(("an ellipsoid", ellipsoids))
+        points = sample_plan(plan, _SAMPLE_S).position_world
+        least = float(path_clearance(points, ellipsoids, jobs=jobs).min(initial=math.inf))
+        proofs.append((least >= radius, f"{least:.3f} m from the ellipsoids, {radius:g} m needed"))
+    curve = _core.ReferenceCurve(
+        np.asarray(plan["time"], np.float64), np.asarray(plan["coefficient"], np.float64)
+    )
+    assert config.fence is not None
+    low, high = config.fence[:3], config.fence[3:]
+    with_map = config.fence_map and cover is not None
+    image = encode_map(cover, jobs=jobs) if with_map and cover is not None else None
+    return Mission(
+        config=config,
+        plan=plan,
+        vehicle=vehicle,
+        cover=cover,
+        scene=scene,
+        is_splat=is_splat,
+        curve=curve,
+        start=np.array(curve.at(np.zeros(1))[0, :3]),
+        obstacles=obstacles,
+        inflation_m=_inflation(config, scene) if is_splat else 0.0,
+        fence=_core.Fence(
+            box=(low, high),
+            image=image,
+            keep_out=obstacles[0][1] if with_map else None,  # type: ignore[arg-type]
+        ),
+        is_clear=(all(holds for holds, _ in proofs), "; ".join(words for _, words in proofs)),
+    )
+
+
+def _inflation(config: FlyConfig, scene: Artifact | None) -> float:
+    if config.inflation_m is not None:
+        return config.inflation_m
+    return 0.0 if scene is None else float(scene.manifest.suggested_inflation_m)  # type: ignore[attr-defined]
+
+
+def make_safety(mission: Mission) -> Filter | SplatFilter | None:
+    """The filter, with the parameters of `simulate`; None flies what the controller asks for.
+
+    Raises:
+        UsageError: the filter is unknown or a parameter is wrong.
+    """
+    config, vehicle = mission.config, mission.vehicle
+    keep = vehicle.body.radius_m + config.margin_m + mission.inflation_m
+    dt = 1 / config.rate_hz
+    if mission.is_splat:
+        assert mission.scene is not None
+        world = SplatWorld(
+            index=ellipsoid_index(mission.scene, config.sigma, keep),
+            body=quadrotor(vehicle),
+            gains=tracking_gains(vehicle, config.catch_up_m_s),
+            radius_m=keep,
+            dt_s=dt,
+            motor_time_constant_s=vehicle.assumed.motor_time_constant_s,
+        )
+        return make_splat_filter(config.filter, world, config.filter_parameters)
+    assert mission.cover is not None
+    assert config.speed_m_s is not None
+    assert config.velocity_lag_s is not None
+    assert config.fence is not None
+    hulls = Hulls.from_cover(mission.cover)
+    reach = float(np.abs(hulls.vertices_world).max(initial=0.0))
+    parameters = dict(config.filter_parameters)
+    if config.filter == "polytope-cbf":
+        parameters = {"beta": config.beta, "kappa_per_m": config.kappa_per_m, "smoothing": "sound"}
+    lead = (1 + config.velocity_lag_s) * config.speed_m_s
+    hull_world = World(
+        hulls=hulls,
+        radius_m=keep,
+        speed_m_s=config.speed_m_s,
+        dt_s=dt,
+        extent_m=2 * max(reach, *(abs(value) for value in config.fence)) + keep + lead,
+    )
+    return make_filter(config.filter, hull_world, parameters)
+
+
+def wanted_setpoints(mission: Mission, safety: Filter | SplatFilter | None) -> tuple[type[Setpoint], ...]:
+    """Kinds of set-points that the filter's answer can be sent as, the best first."""
+    if not mission.is_splat:
+        return (VelocitySetpoint,)
+    if safety is None:
+        return (RatesSetpoint, AccelerationSetpoint)
+    kind = cast(SplatFilter, safety).kind
+    return (AccelerationSetpoint, RatesSetpoint) if kind == "acceleration" else (RatesSetpoint,)
+
+
+def make_commander(
+    mission: Mission, safety: Filter | SplatFilter | None, accepts: frozenset[type[Setpoint]]
+) -> Commander:
+    """What turns states into set-points: the controllers of `simulate` behind a filter.
+
+    Args:
+        mission: what is flown.
+        safety: from `make_safety`.
+        accepts: kinds of set-points that the link takes.
+
+    Raises:
+        LinkError: the link takes no kind of set-point that the filter's answer can be sent as.
+    """
+    config, vehicle = mission.config, mission.vehicle
+    lag, delay = vehicle.assumed.motor_time_constant_s, vehicle.assumed.delay_s
+    wanted = wanted_setpoints(mission, safety)
+    kind = next((kind for kind in wanted if kind in accepts), None)
+    if kind is None:
+        names = " or ".join(kind.__name__ for kind in wanted)
+        raise LinkError(f"the filter {config.filter} needs a link that takes {names}; this one does not")
+    if not mission.is_splat:
+        assert config.speed_m_s is not None
+        assert config.velocity_lag_s is not None
+        return VelocityCommander(
+            cast(Filter, safety),
+            config.gain,
+            config.speed_m_s,
+            lag_s=config.velocity_lag_s,
+            delay_s=delay,
+            dt_s=1 / config.rate_hz,
+        )
+    return SplatCommander(
+        filter=cast(SplatFilter | None, safety),
+        body=quadrotor(vehicle),
+        gains=tracking_gains(vehicle, config.catch_up_m_s),
+        actuators=_core.ActuatorModel(motor_time_constant_s=lag, delay_s=delay + config.stale_s),
+        delay_s=delay,
+        dt_s=1 / config.rate_hz,
+        max_rate_rad_s=vehicle.rates.max_rad_s,
+        rate_lag_s=max(vehicle.rates.time_constant_s, 1 / config.rate_hz),
+        setpoint=kind,
+    )
+
+
+def make_guard(mission: Mission, accepts: frozenset[type[Setpoint]]) -> FenceGuard:
+    """The geofence underneath."""
+    return FenceGuard(
+        mission.fence,
+        mission.vehicle,
+        dt_s=1 / mission.config.rate_hz,
+        takes_rates=RatesSetpoint in accepts,
+        reserve_m=mission.config.fence_reserve_m,
+        latency_s=mission.config.latency_s,
+    )
+
+
+def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
+    """What the pre-flight checks ask for."""
+    config = mission.config
+    model = rates_model(mission.vehicle)
+    return Needs(
+        setpoints=frozenset(setpoints),
+        start=mission.start,
+        goal=mission.goal,
+        obstacles=mission.obstacles,
+        radius_m=mission.vehicle.body.radius_m,
+        margin_m=config.margin_m,
+        fence=mission.fence,
+        plan=mission.is_clear,
+        near_m=config.near_m,
+        state_hz=min(20.0, 0.5 * config.rate_hz),
+        loop_hz=config.rate_hz,
+        stale_s=config.stale_s,
+        battery_share=config.battery,
+        most_thrust_m_s2=sum(model.thrust),
+        gravity_m_s2=model.gravity,
+    )
+
+
+def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
+    """Of the loop, from a complete configuration."""
+    assert config.max_time_s is not None
+    limits = SupervisorLimits(
+        stale_s=config.stale_s,
+        fallback_s=config.fallback_s,
+        battery_share=config.battery * 2 / 3,
+        flight_s=config.max_time_s,
+        checks_s=_CARRYING_S if config.frame_check == "hand" else SupervisorLimits.checks_s,
+    )
+    return LoopOptions(
+        rate_hz=config.rate_hz,
+        limits=limits,
+        dry_run=dry_run,
+        watch_frame=config.frame_check != "none",
+        margin_m=config.margin_m,
+    )
+
+
+def make_clock(mission: Mission) -> PlanClock:
+    """The time along the plan."""
+    return PlanClock(mission.curve, near_m=_NEAR_M, far_m=_FAR_M)
+
+
+def describe(mission: Mission) -> str:
+    """The vehicle, in words."""
+    vehicle = mission.vehicle
+    sphere = f"a sphere of radius {vehicle.body.radius_m:g} m"
+    return f"{vehicle.name}: a real quadrotor of {vehicle.body.mass_kg:g} kg in {sphere}"
+
+
+def head_facts(mission: Mission) -> dict[str, Any]:
+    """What the log's head says of the mission beside its provenance."""
+    return {
+        "name": mission.config.name,
+        "filter": mission.config.filter,
+        "vehicle": describe(mission),
+        "frame": mission.map.manifest.frame,
+        "is_splat": mission.is_splat,
+        "log_every": max(1, round(mission.config.rate_hz / mission.config.log_rate_hz)),
+    }

@@ -1,0 +1,1 @@
+"""What a flight leaves: samples, log and live view, written by processes beside it."""

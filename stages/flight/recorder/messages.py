@@ -1,0 +1,142 @@
+"""Samples of a real flight as messages of its log, on the channels that `simulate` writes and one more."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.flight.loop.supervisor import State
+from alula.stages.flight.recorder.samples import FilterSample, TickSample
+from alula.stages.runlog.writer import DECIMALS, point_message, stamp
+
+CHANNELS = {
+    "/map": "foxglove.SceneUpdate",
+    "/path": "foxglove.PosesInFrame",
+    "/state": "alula.State",
+    "/safety": "alula.Safety",
+    "/pose": "foxglove.PoseInFrame",
+    "/log": "foxglove.Log",
+    "/supervisor": "alula.Supervisor",
+}
+_NUMBERS = {state.value: number for number, state in enumerate(State)}
+
+
+def state_message(sample: TickSample) -> dict[str, Any]:
+    """`alula.State`."""
+    return {
+        "trial": 0,
+        "time_s": round(sample.time_s, 9),
+        "position_m": _point(sample.position),
+        "velocity_m_s": _point(sample.velocity),
+        "attitude": _attitude(sample),
+        "omega_body_rad_s": _point(sample.omega),
+    }
+
+
+def pose_message(sample: TickSample, frame: str) -> dict[str, Any]:
+    """`foxglove.PoseInFrame`."""
+    pose = {"position": _point(sample.position), "orientation": _attitude(sample)}
+    return {"timestamp": stamp(sample.time_s), "frame_id": frame, "pose": pose}
+
+
+def safety_message(sample: TickSample, done: FilterSample, *, is_splat: bool) -> dict[str, Any]:
+    """`alula.Safety`: velocities and metres among hulls, accelerations and a barrier among ellipsoids."""
+    status = FilterStatus(done.status)
+    margin = _number(done.margin)
+    common: dict[str, Any] = {
+        "trial": 0,
+        "time_s": round(sample.time_s, 9),
+        "status": int(status),
+        "status_name": status.name.lower(),
+        "active": done.active,
+        "infeasible": done.infeasible,
+        "certified": done.certified,
+        "sent": done.sent,
+        "sent_values": [_number(value) for value in done.sent_values],
+        "solve_time_s": _number(done.filter_s),
+    }
+    nominal, safe = _point(done.nominal), _point(done.safe)
+    if not is_splat:
+        return common | {"h_m": margin, "u_nom_m_s": nominal, "u_safe_m_s": safe}
+    splat: dict[str, Any] = {
+        "margin_unit": "of the filter's barrier",
+        "a_nom_m_s2": nominal,
+        "a_safe_m_s2": safe,
+    }
+    if done.thrust_nominal_n is not None:
+        splat["thrust_nom_n"] = _number(done.thrust_nominal_n)
+    return common | splat | ({} if margin is None else {"margin": margin})
+
+
+def tick_message(sample: TickSample) -> dict[str, Any]:
+    """`alula.Supervisor` of a tick."""
+    known: dict[str, Any] = {
+        "time_s": round(sample.time_s, 9),
+        "state": _NUMBERS[sample.state],
+        "state_name": sample.state,
+        "mode": sample.mode,
+        "armed": sample.armed,
+        "landed": sample.landed,
+        "battery_share": sample.battery_share,
+        "state_age_s": sample.age_s,
+        "late_s": sample.late_s,
+        "tick_s": sample.tick_s,
+        "fence_m": sample.fence_m,
+    }
+    if (done := sample.filter) is not None:
+        known |= {
+            "fence_h_m": done.fence_h_m,
+            "fence_share": done.fence_share,
+            "fence_flies": done.fence_flies,
+            "plan_s": done.plan_s,
+            "plan_rate": done.plan_rate,
+            "error_m": done.error_m,
+        }
+    numbers = {key: _number(value) if isinstance(value, float) else value for key, value in known.items()}
+    return {key: value for key, value in numbers.items() if value is not None}
+
+
+def step_message(time_s: float, state: str, event: str, action: str) -> dict[str, Any]:
+    """`alula.Supervisor` of a step."""
+    return {
+        "time_s": round(time_s, 9),
+        "state": _NUMBERS[state],
+        "state_name": state,
+        "event_name": event,
+        "action_name": action,
+    }
+
+
+def log_line(time_s: float, level: int, words: str) -> dict[str, Any]:
+    """`foxglove.Log`."""
+    return {
+        "timestamp": stamp(time_s),
+        "level": level,
+        "message": words,
+        "name": "fly",
+        "file": "",
+        "line": 0,
+    }
+
+
+def _attitude(sample: TickSample) -> dict[str, float]:
+    w, x, y, z = sample.attitude_wxyz or (1.0, 0.0, 0.0, 0.0)
+    return {
+        "x": round(x, DECIMALS),
+        "y": round(y, DECIMALS),
+        "z": round(z, DECIMALS),
+        "w": round(w, DECIMALS),
+    }
+
+
+def _point(values: tuple[float, ...] | None) -> dict[str, float]:
+    return point_message(np.array((0.0, 0.0, 0.0) if values is None else values))
+
+
+def _number(value: float | None) -> float | None:
+    if value is None or not math.isfinite(value):
+        return None
+    return round(value, 9)

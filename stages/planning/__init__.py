@@ -1,0 +1,1 @@
+"""From a map to a trajectory that is proven clear of it."""

@@ -1,0 +1,165 @@
+"""Plan: a lattice path among the hulls, a smooth trajectory along it, and a proof for the whole curve."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula._core import PolytopeSet
+from alula.schemas.artifact import Artifact, make_artifact
+from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.errors import InfeasibleError
+from alula.schemas.kinds import PLAN
+from alula.schemas.manifest import Guarantee
+from alula.schemas.provenance import parameters_of
+from alula.stages.clearance import hull_obstacles, path_clearance
+from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.verify import require_solid_hulls
+from alula.stages.planning.curve_certificate import METHOD, Certificate, certify_curve
+from alula.stages.planning.path import Polyline, find_polyline
+from alula.stages.planning.trajectory import (
+    DEGREE,
+    allocate_times,
+    control_points,
+    evaluate,
+    peak_bounds,
+    septic_spline,
+    subdivided,
+)
+
+FloatArray = NDArray[np.float64]
+
+_SPLITS = 4  # how often a piece that fails its proof is halved before it becomes a straight line
+
+
+def plan(
+    config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Callable[[int, int], None] | None = None
+) -> Artifact:
+    """Plan a smooth flight that provably keeps a distance from every hull of a cover.
+
+    A lattice search joins the points by straight lines that keep `radius_m` exactly; a
+    minimum-snap trajectory of degree 7 follows them within the limits of speed and acceleration,
+    both over the continuous time; `certify` proves each of its pieces. A piece without proof gets
+    more waypoints on its line, and in the end becomes that line, flown from rest to rest. So the
+    result is always proven.
+
+    Args:
+        config: see `PlanConfig`.
+        cover: an `alula/cover`.
+        jobs: threads; the result does not depend on it.
+        progress: called with (points visited, 0) by the search; 0 stands for an unknown total.
+
+    Raises:
+        ArtifactError: planes and vertices of the cover do not describe the same polytopes.
+        InfeasibleError: a point is too close to a hull, or there is no path at this resolution.
+        UsageError: the lattice would be too large.
+    """
+    require_solid_hulls(cover, jobs=jobs)
+    obstacles = hull_obstacles(Hulls.from_cover(cover))
+    path = find_polyline(config, obstacles, jobs=jobs, progress=progress)
+    waypoint, rest, time, coefficient, proof = _smooth(config, obstacles, path, jobs)
+
+    yaw = np.zeros((len(coefficient), 1, DEGREE + 1))
+    yaw[:, 0, 0] = config.yaw_rad
+    dense = evaluate(time, coefficient, _sample_times(time))
+    closest = path_clearance(dense, obstacles, jobs=jobs)
+    bound = float(proof.clearance_m.min(initial=2 * config.radius_m))
+    return make_artifact(
+        PLAN,
+        {
+            "time": time,
+            "coefficient": np.concatenate([coefficient, yaw], axis=1),
+            "waypoint": np.column_stack([waypoint, np.full(len(waypoint), config.yaw_rad)]),
+        },
+        frame=cover.manifest.frame,
+        unit="m",
+        parameters=parameters_of(config),
+        radius_m=config.radius_m,
+        speed_m_s=config.speed_m_s,
+        certificate={
+            "method": METHOD,
+            "pieces": len(coefficient),
+            "checked_pairs": proof.pairs,
+            "depth": proof.depth,
+            "min_proven_clearance_m": bound,
+        },
+        summary={
+            "length_m": float(np.linalg.norm(np.diff(dense, axis=0), axis=1).sum()),
+            "straight_m": sum(math.dist(a, b) for a, b in pairwise(config.points)),
+            "duration_s": float(time[-1]),
+            "pieces": len(coefficient),
+            "stops": int(rest[1:-1].sum()),
+            "min_clearance_m": float(closest.min()) if len(obstacles) else None,
+            "max_speed_m_s": float(peak_bounds(time, coefficient, 1).max()),
+            "max_acceleration_m_s2": float(peak_bounds(time, coefficient, 2).max()),
+            "resolution_m": path.resolution_m,
+            "lattice_points": path.lattice_points,
+            "visited_points": path.visited,
+        },
+        guarantee=Guarantee(
+            "Every point of the trajectory is at least radius_m from every hull of the cover, and speed and "
+            "acceleration stay within their limits at every instant.",
+            {
+                "radius_m": config.radius_m,
+                "speed_m_s": config.speed_m_s,
+                "acceleration_m_s2": config.acceleration_m_s2,
+            },
+        ),
+    )
+
+
+def _smooth(
+    config: PlanConfig, obstacles: PolytopeSet, path: Polyline, jobs: int
+) -> tuple[FloatArray, NDArray[np.bool_], FloatArray, FloatArray, Certificate]:
+    """Waypoints, where to stop, knots, coefficients and proof of a trajectory along the polyline."""
+    waypoint = path.point
+    rest = np.zeros(len(waypoint), np.bool_)
+    rest[[0, -1]] = True
+    splits = np.zeros(len(waypoint) - 1, np.int64)
+    while True:
+        duration = allocate_times(waypoint, config.speed_m_s, config.acceleration_m_s2, rest)
+        time = np.concatenate([[0.0], np.cumsum(duration)])
+        coefficient = septic_spline(waypoint, np.diff(time), rest)
+        proof = certify_curve(time, coefficient, obstacles, config.radius_m, jobs=jobs)
+        good = proof.proven & _within(path, control_points(time, coefficient))
+        if good.all():
+            return waypoint, rest, time, coefficient, proof
+        straight = rest[:-1] & rest[1:]
+        if (straight & ~good).any():
+            raise InfeasibleError("a straight part of the path cannot be proven clear; use a larger --radius")
+        waypoint, rest, splits = _refine(waypoint, rest, splits, ~good)
+
+
+def _refine(
+    waypoint: FloatArray, rest: NDArray[np.bool_], splits: NDArray[np.int64], failed: NDArray[np.bool_]
+) -> tuple[FloatArray, NDArray[np.bool_], NDArray[np.int64]]:
+    """Halve the pieces that failed; those halved often enough become straight, from rest to rest."""
+    halve = failed & (splits < _SPLITS)
+    stop = rest.copy()
+    stop[:-1] |= failed & ~halve
+    stop[1:] |= failed & ~halve
+    at = np.flatnonzero(halve)
+    middle = 0.5 * (waypoint[at] + waypoint[at + 1])
+    splits = splits + halve
+    return (
+        np.insert(waypoint, at + 1, middle, axis=0),
+        np.insert(stop, at + 1, False),
+        np.insert(splits, at + 1, splits[at]),
+    )
+
+
+def _within(path: Polyline, points: FloatArray) -> NDArray[np.bool_]:
+    """Whether the control points (K, 3, 8) of each piece, subdivided, lie in the searched box."""
+    slack = 1e-9
+    parts = subdivided(points)
+    low, high = parts.min(axis=(2, 3)), parts.max(axis=(2, 3))
+    return np.asarray(((low >= path.lower - slack) & (high <= path.upper + slack)).all(axis=1))
+
+
+def _sample_times(time: FloatArray) -> FloatArray:
+    """64 instants per piece, and the end."""
+    return np.append((time[:-1, None] + np.diff(time)[:, None] * (np.arange(64) / 64)).reshape(-1), time[-1])

@@ -1,0 +1,40 @@
+"""A plan as the samples that a controller tracks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.artifact import Artifact
+from alula.stages.planning.trajectory import evaluate
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Position and velocity at times 0, dt, 2 dt, ...; shapes (K, 3), world frame [m, m/s].
+
+    The last row is the plan's end, where the velocity is zero from then on.
+    """
+
+    position_world: FloatArray
+    velocity_world: FloatArray
+
+
+NO_REFERENCE = Reference(np.empty((0, 3)), np.empty((0, 3)))
+
+
+def sample_plan(plan: Artifact, dt_s: float) -> Reference:
+    """Evaluate a plan's polynomials every `dt_s`, and once at its end.
+
+    On segment k position is sum_j c_kj (t - t_k)^j, velocity its derivative.
+    """
+    knots = np.asarray(plan["time"], np.float64)
+    coefficient = np.asarray(plan["coefficient"], np.float64)[:, :3]
+    steps = int(np.ceil(knots[-1] / dt_s - 1e-9))
+    time = np.minimum(np.arange(steps + 1) * dt_s, knots[-1])
+    position, velocity = (evaluate(knots, coefficient, time, derivative) for derivative in (0, 1))
+    return Reference(position, velocity)

@@ -1,0 +1,311 @@
+"""The tables of DR-ACBF from runs of encounters: filters, sweeps, triggers, solvers, small vehicles, walls.
+
+Runs of one scenario fly the same trials: obstacles, sensor noise and clutter are functions of (seed, trial).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from alula.schemas.run import ObstacleResult, RunRecord
+from alula.stages.reporting.papers.published import DRACBF
+from alula.stages.reporting.statistics import Rate, mean_of, rate
+from alula.stages.reporting.tables import Table, flat, text
+
+FREE, BASE = "none", "dr-acbf"  # variants: without a filter, and as specified
+METHODS = (FREE, BASE, "dr-acbf-gs", "dr-acbf-qp", "mpc", "cbf-qp", "rp-cbf")
+SWEEP = (BASE, "h-max-0.2", "h-max-0.8", "clearance-1", "clearance-4", "hold-0.1", "hold-0.4")
+TRIGGERS = (BASE, "trigger-simple", "rows-late", "trigger-simple-rows-late")
+SOLVERS = ("dr-acbf-gs", BASE, "dr-acbf-qp")
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """One run: trials of one variant of a filter in one scenario, which is its folder's name."""
+
+    scenario: str
+    variant: str
+    record: RunRecord
+
+    @property
+    def obstacles(self) -> int:
+        """How many there are."""
+        return len(self.record.trials[0].obstacles or [])
+
+    def met(self, obstacle: int) -> list[ObstacleResult]:
+        """What each trial says of an obstacle."""
+        return [(trial.obstacles or [])[obstacle] for trial in self.record.trials]
+
+    def mean(self, obstacle: int, get: Callable[[ObstacleResult], float | None]) -> float | None:
+        """The mean of a figure over the trials that have it."""
+        return mean_of(get(met) for met in self.met(obstacle))
+
+    def timing(self, key: str, obstacle: int | None = None) -> float | None:
+        """A measured time [s], or count."""
+        found = (self.record.timing or {}).get(key)
+        if obstacle is not None and found is not None:
+            found = found[obstacle]
+        return None if found is None else float(found)
+
+    @property
+    def dt_s(self) -> float:
+        """The tick [s]."""
+        run = self.record.provenance.parameters.get("run", {})
+        return float(run.get("dt_s", 0.01))
+
+
+def success(flown: Flown, obstacle: int | None = None) -> Rate:
+    """Trials that touched nothing, or not that obstacle."""
+    if obstacle is None:
+        return rate(not trial.collision for trial in flown.record.trials)
+    return rate(not met.collision for met in flown.met(obstacle))
+
+
+def avoided(flown: Flown, free: Flown | None, obstacle: int) -> Rate | None:
+    """Of the trials that hit an obstacle without a filter, those that do not with one."""
+    if free is None:
+        return None
+    pairs = zip(flown.met(obstacle), free.met(obstacle), strict=False)
+    return rate(not mine.collision for mine, other in pairs if other.collision)
+
+
+def select(flown: Sequence[Flown], scenario: str, variants: Sequence[str] | None = None) -> list[Flown]:
+    """Runs of a scenario: those of the variants, in their order, or all."""
+    here = [f for f in flown if f.scenario == scenario]
+    if variants is None:
+        return here
+    return [f for name in variants for f in here if f.variant == name]
+
+
+def find(flown: Iterable[Flown], scenario: str, variant: str) -> Flown | None:
+    """The run of a variant, if there is one."""
+    return next((f for f in flown if (f.scenario, f.variant) == (scenario, variant)), None)
+
+
+def changed(flown: Flown, base: Flown | None) -> str:
+    """What was flown with another value than in `base`, in words."""
+    if base is None:
+        return ""
+    ours, theirs = (flat(f.record.provenance.parameters) for f in (flown, base))
+    keys = sorted(
+        key for key in ours.keys() | theirs.keys() if key != "name" and ours.get(key) != theirs.get(key)
+    )
+    return ", ".join(f"{key.removeprefix('filter.parameters.')} {text(ours.get(key))}" for key in keys)
+
+
+def success_table(
+    runs: Sequence[Flown],
+    name: str,
+    title: str,
+    *,
+    free: Flown | None = None,
+    published: Mapping[str, Mapping[str, float]] | None = None,
+) -> Table:
+    """Success of each run by obstacle and by trial, in percent, beside what is published."""
+    count = max((f.obstacles for f in runs), default=0)
+    keys = [f"success_{i + 1}" for i in range(count)] + ["success_mean"]
+    printed = {} if published is None else published
+    shown = [key for key in keys if any(key in values for values in printed.values())]
+    rows = []
+    for f in runs:
+        per = [success(f, i) for i in range(f.obstacles)]
+        row: list[Any] = [f.variant, len(f.record.trials)]
+        for i, each in enumerate(per):
+            row += each.cells
+            if free is not None:
+                found = avoided(f, free, i)
+                row.append(None if found is None else found.value)
+        row += [mean_of(each.value for each in per), *success(f).cells]
+        row += [printed.get(f.variant, {}).get(key) for key in shown]
+        rows.append(tuple(row))
+    columns = ["variant", "trials"]
+    for i in range(count):
+        columns += [f"obstacle {i + 1} [%]", "95 % low", "95 % high"]
+        columns += [f"of hits without filter avoided, {i + 1} [%]"] if free is not None else []
+    columns += ["mean of obstacles [%]", "runs [%]", "95 % low", "95 % high"]
+    columns += [f"published: {key.removeprefix('success_')} [%]" for key in shown]
+    note = (
+        "Success of an obstacle: it was never touched, in truth and between ticks too; of a run: nothing "
+        "was. "
+        "Intervals are Wilson's. All variants fly the same trials."
+    )
+    return Table(name, title, tuple(columns), tuple(rows), note)
+
+
+def time_table(
+    runs: Sequence[Flown],
+    name: str,
+    title: str,
+    published: Mapping[str, Mapping[str, float]] | None = None,
+) -> Table:
+    """Processing, command and reaction times, beside what is published; ratios are to the first run."""
+    printed = {} if published is None else published
+    first = milli(runs[0].timing("filter_p50_s")) if runs else None
+    paper = printed.get(runs[0].variant, {}).get("tick") if runs else None
+    rows = []
+    for f in runs:
+        ms = [milli(f.timing(f"filter_{key}_s")) for key in ("p50", "mean", "std", "p99")]
+        command = mean_of(f.timing("command_mean_s", i) for i in range(f.obstacles))
+        reaction = mean_of(f.timing("reaction_mean_s", i) for i in range(f.obstacles))
+        said = printed.get(f.variant, {})
+        rows.append(
+            (
+                *(f.variant, f.timing("filter_calls"), *ms, _over(ms[0], first)),
+                *(milli(command), milli(reaction), milli(reaction_in_ticks(f))),
+                *(said.get("tick"), said.get("tick_std"), _over(said.get("tick"), paper)),
+                *(said.get("command"), said.get("reaction")),
+            )
+        )
+    columns = (
+        *("variant", "active ticks", "t_cp p50 [ms]", "t_cp mean [ms]", "t_cp std [ms]", "t_cp p99 [ms]"),
+        *("p50 over the first", "t_cm [ms]", "t_r [ms]", "t_r in whole ticks [ms]"),
+        *("published: t_cp mean", "published: std", "published: mean over the first"),
+        *("published: t_cm", "published: t_r"),
+    )
+    note = (
+        "t_cp: the filter in a tick that is warned or in a manoeuvre; t_cm: in the tick of the warning; "
+        "t_r: with "
+        "the simulated time until the command is not the nominal one. Measured while the trials flew, with "
+        "whatever else the machine did; benchmarks/dracbf.py times them side by side."
+    )
+    return Table(name, title, columns, tuple(rows), note)
+
+
+def reaction_in_ticks(flown: Flown) -> float | None:
+    """Mean time from a warning to the first tick that ends with another command, in whole ticks [s]."""
+    dt = flown.dt_s
+    met = [m for i in range(flown.obstacles) for m in flown.met(i)]
+    return mean_of(None if m.reaction_s is None else (round(m.reaction_s / dt) + 1) * dt for m in met)
+
+
+def separation_table(
+    runs: Sequence[Flown],
+    name: str,
+    title: str,
+    published: Mapping[str, Mapping[str, float]] | None = None,
+) -> Table:
+    """Closing speed and separation per obstacle, over the avoidance window and over the run."""
+    printed = {} if published is None else published
+    rows = []
+    for f in runs:
+        share, worst = _missed(f)
+        for i in range(f.obstacles):
+            said = printed.get(f.variant, {})
+            rows.append(
+                (
+                    *(f.variant, i + 1, sum(m.warned_s is not None for m in f.met(i))),
+                    f.mean(i, lambda m: m.closing_m_s),
+                    f.mean(i, lambda m: m.separation_m),
+                    f.mean(i, lambda m: m.closest_m),
+                    min(m.closest_m for m in f.met(i)),
+                    share,
+                    worst,
+                    said.get(f"closing_{i + 1}", said.get("closing_mean")),
+                    said.get(f"separation_{i + 1}", said.get("separation_mean")),
+                )
+            )
+    columns = (
+        *("variant", "obstacle", "warned of", "v_cl at the warning [m/s]", "d_s, avoidance window [m]"),
+        *("d_cpa, whole run [m]", "least of all [m]", "ticks without a common point [%]"),
+        *("worst violation [m/s²]", "published: v_cl", "published: d_s"),
+    )
+    note = (
+        "d_s is the least distance from an obstacle's first warning to the end of hovering, of those that "
+        "were "
+        "warned of; d_cpa the least of the whole run, of all trials. Published values of Table II are "
+        "means of "
+        "both obstacles. Without a common point: of all ticks, those in which no command held all rows. The "
+        "worst violation is of the method's rows by what was flown, as an acceleration: for mpc that which "
+        "makes up for its slack over the horizon, for cbf-qp the velocity missed over its time constant."
+    )
+    return Table(name, title, columns, tuple(rows), note)
+
+
+def _missed(flown: Flown) -> tuple[float | None, float | None]:
+    """Share of ticks without a common point of the rows [%], and the worst violation; None without rows."""
+    if flown.variant == FREE:
+        return None, None
+    trials = flown.record.trials
+    steps = sum(trial.steps for trial in trials)
+    worst = max((trial.worst_violation_m_s2 or 0.0 for trial in trials), default=0.0)
+    return _over(100.0 * sum(trial.infeasible_steps for trial in trials), steps or None), worst
+
+
+def effort(flown: Sequence[Flown]) -> str:
+    """How many trials there are, and how long they took."""
+    flights = [(f.timing("trials_flown"), f.timing("wall_s")) for f in flown]
+    timed = [(count, seconds) for count, seconds in flights if count is not None and seconds]
+    total = sum(len(f.record.trials) for f in flown)
+    seconds = math.fsum(seconds for _, seconds in timed)
+    if not seconds:
+        return f"{total:,} trials in {len(flown)} runs"
+    speed = sum(count for count, _ in timed) / seconds
+    return (
+        f"{total:,} trials in {len(flown)} runs, flown one thread each at {speed:.0f} trials a second: "
+        f"{total / speed / 60:.0f} minutes of a core, about half of that with two at once"
+    )
+
+
+def group_tables(flown: Sequence[Flown]) -> list[Table]:
+    """Tables I to III and the solvers, three of each; those without runs are left out."""
+    scenarios = {
+        "table-1": ("scenario-1", METHODS, "scenario-1", "Table I, scenario 1"),
+        "table-2": ("scenario-2", SWEEP, "scenario-2", "Table II, scenario 2: sweep"),
+        "table-2-methods": ("scenario-2", METHODS, None, "Scenario 2: all filters"),
+        "table-3": ("scenario-2", TRIGGERS, "trigger", "Table III, scenario 2: trigger on and off"),
+        "solvers-1": ("scenario-1", SOLVERS, "solver", "Projection against QP, scenario 1"),
+        "solvers-2": ("scenario-2", SOLVERS, "solver", "Projection against QP, scenario 2"),
+    }
+    tables = []
+    for name, (scenario, variants, paper, title) in scenarios.items():
+        runs = select(flown, scenario, variants)
+        if len(runs) < 2:
+            continue
+        published = DRACBF[paper] if paper is not None else None
+        free = find(flown, scenario, FREE)
+        timed = [f for f in runs if f.variant != FREE]
+        tables.append(success_table(runs, name, f"{title}: success", free=free, published=published))
+        tables.append(time_table(timed, f"{name}-times", f"{title}: times", published))
+        if not name.startswith("solvers"):
+            tables.append(separation_table(runs, f"{name}-separation", f"{title}: separation", published))
+    return tables
+
+
+def sensitivity_table(flown: Sequence[Flown], scenario: str) -> Table | None:
+    """What each free choice changes, one at a time; None without runs."""
+    runs = select(flown, scenario)
+    base = find(runs, scenario, BASE)
+    if base is None or len(runs) < 2:
+        return None
+    rows = []
+    whole = success(base)
+    for f in runs:
+        per = [success(f, i) for i in range(f.obstacles)]
+        now = success(f)
+        apart = now.low > whole.high or now.high < whole.low
+        rows.append(
+            (
+                *(f.variant, changed(f, base) or "as specified", now.n, *(each.value for each in per)),
+                *(*now.cells, "apart" if apart else ""),
+                mean_of(f.mean(i, lambda m: m.separation_m) for i in range(f.obstacles)),
+                sum(m.warned_s is not None for i in range(f.obstacles) for m in f.met(i)) / now.n,
+            )
+        )
+    columns = (
+        *("variant", "changed", "trials", *(f"obstacle {i + 1} [%]" for i in range(base.obstacles))),
+        *("runs [%]", "95 % low", "95 % high", "against the first", "mean d_s [m]", "warnings per run"),
+    )
+    note = "One choice at a time; apart: its interval and that of the specified choice do not overlap."
+    return Table(scenario, f"Free choices one at a time, {scenario[-1:]}", columns, tuple(rows), note)
+
+
+def milli(value: float | None) -> float | None:
+    """In thousandths."""
+    return None if value is None else 1e3 * value
+
+
+def _over(value: float | None, by: float | None) -> float | None:
+    return value / by if value is not None and by else None

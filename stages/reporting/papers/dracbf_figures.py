@@ -1,0 +1,159 @@
+"""Figures of DR-ACBF: success by filter, the regime of its rows, calibration of its risk, the triggers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from alula import _core
+from alula.stages.reporting.figures import Figure, drawing
+from alula.stages.reporting.papers.dracbf import BASE, METHODS, Flown, find, select, success
+from alula.stages.reporting.papers.dracbf_beyond import collapse_cells, risk_bins, stop
+from alula.stages.reporting.statistics import Rate
+from alula.stages.reporting.tables import text
+
+OURS, OTHER, BAD, SOFT = "#0072b2", "#e69f00", "#d7301f", "#8a9099"
+_LEAST_RISK = 1e-4  # of the axis
+
+
+def success_figure(flown: Sequence[Flown], scenario: str) -> Figure | None:
+    """Failures of each filter by obstacle, with intervals; None without runs."""
+    runs = [f for f in select(flown, scenario, METHODS) if f.variant != "none"]
+    if not runs:
+        return None
+    with drawing(7.4, 3.8) as (axes, render):
+        for i, color in enumerate((OURS, OTHER)[: runs[0].obstacles]):
+            rates = [success(f, i) for f in runs]
+            at = np.arange(len(runs)) + 0.2 * (i - 0.5)
+            axes.errorbar(
+                at,
+                [100 - (r.value or 0.0) for r in rates],
+                yerr=_bars([Rate(100 - (r.value or 0.0), 100 - r.high, 100 - r.low, r.n) for r in rates]),
+                fmt="o",
+                color=color,
+                capsize=3,
+                label=f"obstacle {i + 1}",
+            )
+        axes.set_xticks(np.arange(len(runs)), [f.variant for f in runs])
+        axes.set(ylabel="trials with a collision [%]")
+        axes.set_ylim(0, 1.25 * axes.get_ylim()[1])  # room for the legend
+        axes.legend(loc="upper right", ncols=2)
+        svg = render()
+    said = "; ".join(f"{f.variant} {', '.join(str(success(f, i)) for i in range(f.obstacles))}" for f in runs)
+    alt = f"Collisions by filter and obstacle with 95 % intervals. Success: {said}."
+    return Figure(f"success-{scenario}", f"Collisions by filter, {scenario}", alt, svg, wide=True)
+
+
+def recursion_figure(a_max: float = 6.0) -> Figure:
+    """Closing speeds up to which the rows alone suffice, over the horizon."""
+    horizons = np.linspace(0.15, 0.8, 60)
+    limit = np.array([_core.recursive_speed(a_max, float(h)) for h in horizons])
+    with drawing(5.6, 4.2) as (axes, render):
+        axes.fill_between(horizons, 0, limit, color=OURS, alpha=0.18, linewidth=0)
+        axes.plot(horizons, limit, color=OURS, linewidth=1.8, label="0.645 v₀/H = a_max")
+        axes.axhline(5, color=BAD, linewidth=1, label="slowest obstacle of the scenarios")
+        axes.set(xlabel="H [s]", ylabel="closing speed v₀ [m/s]", ylim=(0, None))
+        axes.legend(fontsize=9)
+        svg = render()
+    alt = (
+        f"The closing speed up to which a row asks for no more than {a_max:g} m/s² grows with the horizon, "
+        f"from "
+        f"{text(float(limit[0]))} m/s at {horizons[0]:g} s to {text(float(limit[-1]))} m/s at "
+        f"{horizons[-1]:g} s."
+    )
+    return Figure("recursion", "Where the rows alone are recursively feasible", alt, svg)
+
+
+def stop_figure(a_max: float = 6.0, horizon_s: float = 0.4) -> Figure:
+    """The range less all clearance while only a row and the box act."""
+    speeds = (2.0, _core.recursive_speed(a_max, horizon_s), 5.0, 8.0)
+    said = []
+    with drawing(5.6, 4.2) as (axes, render):
+        for speed, color in zip(speeds, (OURS, "#009e73", OTHER, BAD), strict=True):
+            flown = stop(speed, horizon_s, a_max)
+            shown = slice(None, None, max(1, len(flown.time_s) // 300))
+            label = f"{speed:.3g} m/s: {100 * flown.undershoot_m:.3g} cm"
+            scaled = flown.range_m[shown] / (speed * horizon_s)
+            axes.plot(flown.time_s[shown] / horizon_s, scaled, color=color, label=label)
+            said.append(f"from {speed:.3g} m/s by {flown.undershoot_m:.3g} m")
+        t = np.linspace(0, 3 * math.pi / 4, 100)
+        axes.plot(t, np.exp(-t) * np.cos(t), ":", color="#222222", linewidth=1.4, label="exp(-t/H) cos(t/H)")
+        axes.axhline(0, color=SOFT, linewidth=1)
+        axes.set(xlabel="t / H", ylabel="D / (v₀ H)")
+        axes.legend(fontsize=9, title="from v₀, undershoot")
+        svg = render()
+    alt = (
+        f"With only a row of H = {horizon_s:g} s and the box of {a_max:g} m/s² acting along one axis, the "
+        f"range less "
+        f"all clearance falls below zero {', '.join(said)}."
+    )
+    return Figure("undershoot", "Undershoot of a row that is followed exactly", alt, svg)
+
+
+def risk_figure(flown: Sequence[Flown]) -> Figure | None:
+    """The figure of a run's risk against the share that collided; None without runs."""
+    runs = [f for s in ("scenario-1", "scenario-2") if (f := find(flown, s, BASE)) is not None]
+    if not runs:
+        return None
+    said = []
+    with drawing(6.4, 4.6) as (axes, render):
+        for f, color in zip(runs, (OURS, OTHER), strict=False):
+            bins = risk_bins(f.record.trials)
+            bound = [max(_LEAST_RISK, b.figure) for b in bins]
+            shown = [max(_LEAST_RISK, (b.observed.value or 0.0) / 100) for b in bins]
+            low = [max(_LEAST_RISK, b.observed.low / 100) for b in bins]
+            high = [b.observed.high / 100 for b in bins]
+            spread = [np.subtract(shown, low), np.subtract(high, shown)]
+            axes.errorbar(bound, shown, yerr=spread, fmt="o", color=color, capsize=3, label=f.scenario)
+            said += [f"{b.figure:.3g}: {text(b.observed.value)} %" for b in bins]
+        line = [_LEAST_RISK, 1.0]
+        axes.plot(line, line, color=SOFT, linewidth=1, label="observed = figure")
+        axes.set(xscale="log", yscale="log", xlabel="mean figure of a run", ylabel="runs that collided")
+        axes.legend(fontsize=9)
+        svg = render()
+    alt = (
+        "Figure of the risk of a whole run against the observed share of collisions, with 95 % intervals, in "
+        "six bins of equal numbers of trials; above the line the figure is too small. Figure: observed, "
+        f"{'; '.join(said)}."
+    )
+    return Figure("risk", "Risk of a whole run: figure and observed", alt, svg)
+
+
+def collapse_figure(flown: Sequence[Flown]) -> Figure | None:
+    """Success with either trigger in every sensing condition; None without runs."""
+    cells = collapse_cells(flown)
+    if not cells:
+        return None
+    at = np.arange(len(cells))
+    with drawing(9.6, 4.6) as (axes, render):
+        for name, color, rates in (
+            ("DR-CVaR", OURS, [c.distributional for c in cells]),
+            ("simple", BAD, [c.simple for c in cells]),
+        ):
+            values = [r.value or 0.0 for r in rates]
+            axes.errorbar(at, values, yerr=_bars(rates), fmt="o", color=color, capsize=2, label=name)
+        labels = [
+            f"{c.delay_s:g} + {c.lag_s:g} s, ×{c.noise_scale:g}, {c.rate_hz:g} Hz, {c.detection:g}"
+            for c in cells
+        ]
+        axes.set_xticks(at, labels, rotation=90, fontsize=8)
+        axes.set(ylabel="runs without a collision [%]", ylim=(-3, 103))
+        axes.legend()
+        svg = render()
+    alt = (
+        f"Success of runs in {len(cells)} conditions of delays, noise, rate and detection probability, "
+        f"worst for the "
+        f"simple trigger first: {cells[0].simple} against {cells[0].distributional} with DR-CVaR."
+    )
+    return Figure("collapse", "Either trigger under worse sensing", alt, svg, wide=True)
+
+
+def _bars(rates: Sequence[Rate]) -> list[list[float]]:
+    """Lengths of error bars."""
+    values = [r.value or 0.0 for r in rates]
+    return [
+        [max(0.0, v - r.low) for v, r in zip(values, rates, strict=True)],
+        [max(0.0, r.high - v) for v, r in zip(values, rates, strict=True)],
+    ]

@@ -1,0 +1,324 @@
+"""FastBridge's figures 2 to 4 as tables, from runs of many filters over the same start-goal pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula.schemas.run import TrialResult
+from alula.stages.clearance import wilson_interval
+from alula.stages.reporting.papers.published import FASTBRIDGE
+from alula.stages.reporting.papers.sweeps import (
+    Comparison,
+    Sweep,
+    changed_parameters,
+    compare,
+    find,
+    realisation_error,
+    scenes_of,
+    speeds_of,
+    succeeded,
+)
+from alula.stages.reporting.statistics import Estimate, mean_estimate
+from alula.stages.reporting.tables import Table
+
+FloatArray = NDArray[np.float64]
+
+GAP_VARIANTS = ("ideal-di", "cone-di", "cone-ecbf")
+BASELINE, OURS = "safer-splat", "cone-ecbf"
+GATED = (
+    "safer-splat-gated"  # rows of the nearest ellipsoids only, within the gate of the cones, as in the paper
+)
+COMPARED = (BASELINE, GATED, OURS, "cone-backup")
+
+
+def gap_table(sweeps: Sequence[Sweep]) -> Table:
+    """Figure 2 as numbers: realisation error and least gamma by reference speed."""
+    rows: list[tuple[Any, ...]] = []
+    for scene in scenes_of(sweeps):
+        for variant in GAP_VARIANTS:
+            for sweep in sorted(
+                (s for s in sweeps if s.scene == scene and s.variant == variant), key=lambda s: s.speed_m_s
+            ):
+                error = _finite(sweep.values(realisation_error))
+                gamma = _finite(sweep.values(lambda t: t.min_gamma))
+                rows.append(
+                    (
+                        *(scene, variant, sweep.speed_m_s, *_ends(sweep.run.record.trials)),
+                        *_of(mean_estimate(error)),
+                        float(error.max()) if len(error) else None,
+                        float(np.median(gamma)) if len(gamma) else None,
+                        float(gamma.min()) if len(gamma) else None,
+                    )
+                )
+    columns = (
+        *("scene", "filter", "reference speed [m/s]", *_ENDS),
+        *("peak |e_a|, mean [m/s²]", "95 % low", "95 % high", "largest"),
+        *("least γ, median", "least γ of all"),
+    )
+    note = (
+        "e_a is the acceleration of the body less the one that was commanded, its peak over a flight; of a "
+        "filter of wrenches the commanded one is that of its thrust along the true axis, so that only rotors "
+        "and air leave a gap; γ is r'Ar - 1 of the ellipsoids as grown for the filter, below 0 inside one: "
+        "there the vehicle's sphere may still be clear. ideal-di flies a double integrator, the others the "
+        f"rigid body. {_ENDS_NOTE}"
+    )
+    return Table("figure-2", "Figure 2: the realisation gap", columns, tuple(rows), note)
+
+
+def comparison_table(sweeps: Sequence[Sweep]) -> Table:
+    """Figure 3 as numbers: the filters by reference speed, and the published speeds."""
+    rows: list[tuple[Any, ...]] = []
+    for scene in scenes_of(sweeps):
+        flown = _compared_in(sweeps, scene)
+        for speed in speeds_of(sweeps, scene, flown):
+            for variant in flown:
+                sweep = find(sweeps, scene, variant, speed)
+                assert sweep is not None
+                rows.append((scene, variant, speed, *_flown(sweep)))
+    published, unknown = FASTBRIDGE["comparison"], (None,) * 12
+    rows += [
+        ("published", variant, *unknown, published[key], None)
+        for variant, key in ((BASELINE, "baseline_top_speed_m_s"), (OURS, "top_speed_m_s"))
+    ]
+    columns = (
+        *("scene", "filter", "reference speed [m/s]", *_ENDS),
+        *("goal rate", "95 % low", "95 % high", "mean jerk [m/s³]", "95 % low", "95 % high"),
+        *("max jerk [m/s³]", "top speed [m/s]", "filter, mean [µs]"),
+    )
+    note = (
+        "Same pairs, references, gains, rate and plant. Max jerk is the mean over the flights of each one's "
+        f"largest, top speed the largest of all. {BASELINE} has a row for every ellipsoid, as published; "
+        f"{GATED} for the nearest within the gate of the cones, as in the paper's comparison. {_ENDS_NOTE}"
+    )
+    return Table("figure-3", "Figure 3: cone and distance, by reference speed", columns, tuple(rows), note)
+
+
+def ratio_table(sweeps: Sequence[Sweep]) -> Table:
+    """Figure 3's filters against each other over the same pairs, and the published ratios."""
+    rows: list[tuple[Any, ...]] = []
+    for scene in scenes_of(sweeps):
+        flown = _compared_in(sweeps, scene)
+        speeds = speeds_of(sweeps, scene, flown)
+        for ours in (v for v in flown if v not in (BASELINE, GATED)):
+            for theirs in (v for v in flown if v in (BASELINE, GATED)):
+                for at in [speeds] + [[speed] for speed in speeds if len(speeds) > 1]:
+                    pair = [_at_all(sweeps, scene, variant, at) for variant in (ours, theirs)]
+                    for words, only in (("all", None), ("both reached", succeeded)):
+                        found = compare(pair[0], pair[1], only)
+                        speed = at[0] if len(at) == 1 else "all"
+                        rows.append((scene, f"{ours} : {theirs}", speed, words, *_compared(found)))
+    p = FASTBRIDGE["comparison"]
+    faster = p["top_speed_m_s"] - p["baseline_top_speed_m_s"]
+    rows.append(
+        (
+            *("published", f"{OURS} : {BASELINE}", "all", "all", None, p["mean_jerk_ratio"], None, None),
+            *(p["max_jerk_ratio"], p["time_ratio"], faster, None, None, None, None, None),
+        )
+    )
+    columns = (
+        *(
+            "scene",
+            "filters",
+            "reference speed [m/s]",
+            "flights",
+            "pairs",
+            "mean jerk, ratio",
+            "95 % low",
+            "95 % high",
+        ),
+        *("max jerk, ratio", "filter time, ratio", "top speed, difference [m/s]", "95 % low", "95 % high"),
+        *("goal rate, difference", "95 % low", "95 % high"),
+    )
+    note = (
+        "The first filter over, or less, the second, at all reference speeds together and at each: a ratio "
+        "below 1 is smoother, or faster to compute. A pair of start and goal with all its speeds is one draw "
+        "of the bootstrap; an interval of equal values is unknown (–), and that of a goal rate holds what so "
+        "many pairs cannot exclude. Both reached: only flights in which both filters reached the goal."
+    )
+    return Table("figure-3-ratios", "Figure 3: cone against distance", columns, tuple(rows), note)
+
+
+def _compared_in(sweeps: Sequence[Sweep], scene: str) -> list[str]:
+    return [v for v in COMPARED if any(s.scene == scene and s.variant == v for s in sweeps)]
+
+
+def _at_all(sweeps: Sequence[Sweep], scene: str, variant: str, speeds: Sequence[float]) -> list[Sweep]:
+    return [s for v in speeds if (s := find(sweeps, scene, variant, v)) is not None]
+
+
+def _flown(sweep: Sweep) -> tuple[Any, ...]:
+    trials = sweep.run.record.trials
+    good = sum(succeeded(t) for t in trials)
+    jerk = mean_estimate(_finite(sweep.values(lambda t: t.mean_jerk_m_s3)))
+    total, calls = sweep.timing("filter_total_s"), sweep.timing("filter_calls")
+    return (
+        *_ends(trials),
+        *(good / len(trials), *wilson_interval(good, len(trials))),
+        *_of(jerk),
+        float(np.mean(sweep.values(lambda t: t.max_jerk_m_s3))),
+        max(t.max_speed_m_s for t in trials),
+        1e6 * total / calls if total is not None and calls else None,
+    )
+
+
+def _compared(found: Comparison) -> tuple[Any, ...]:
+    return (
+        found.top_speed.n if found.top_speed is not None else 0,
+        *_of(found.mean_jerk),
+        found.max_jerk.value if found.max_jerk is not None else None,
+        found.filter_time,
+        *_of(found.top_speed),
+        *_of(found.goals),
+    )
+
+
+def _of(found: Estimate | None) -> tuple[float | None, ...]:
+    return (None, None, None) if found is None else (found.value, found.low, found.high)
+
+
+_ENDS = ("trials", "reached", "collided", "neither")
+_ENDS_NOTE = (
+    "Reached: the goal, without a collision on the way; collided: came closer to an ellipsoid than its "
+    "radius, wherever the flight ended; neither: stuck, out of time, or refused."
+)
+
+
+def _ends(trials: Sequence[TrialResult]) -> tuple[int, int, int, int]:
+    """How many flights there are, and how they ended: each in one way only."""
+    reached, collided = sum(succeeded(t) for t in trials), sum(t.collision for t in trials)
+    return len(trials), reached, collided, len(trials) - reached - collided
+
+
+def flight_tables(
+    sweeps: Sequence[Sweep],
+    name: str,
+    title: str,
+    *,
+    published: bool = False,
+    bases: Sequence[Sweep] = (),
+) -> tuple[Table, Table]:
+    """Figure 4's table, one row per run and the published one: the flights, then the loop that flew them.
+
+    With `bases`, what each run changed against that of the same filter, scene and speed among them.
+    """
+    flights: list[tuple[Any, ...]] = []
+    loops: list[tuple[Any, ...]] = []
+    for sweep in sweeps:
+        trials = sweep.run.record.trials
+        ticks = sum(t.steps for t in trials)
+        infeasible = sum(t.infeasible_steps for t in trials)
+        good = sum(succeeded(t) for t in trials)
+        clearance = _finite(sweep.values(lambda t: t.scene_clearance_m))
+        seconds = sum(t.duration_s for t in trials)
+        which = (sweep.scene, sweep.variant, sweep.speed_m_s)
+        told = sweep.run.record.provenance.parameters.get("filter_parameters", {})
+        backup, certified = (
+            sum(t.backup_steps or 0 for t in trials),
+            sum(t.certified_steps or 0 for t in trials),
+        )
+        flights.append(
+            (
+                *(*which, *_ends(trials), good / len(trials), *wilson_interval(good, len(trials))),
+                float(clearance.min()) if len(clearance) else None,
+                sum(t.path_length_m for t in trials) / seconds if seconds > 0 else None,
+                max(t.max_speed_m_s for t in trials),
+                float(np.mean(sweep.values(lambda t: t.mean_jerk_m_s3))),
+                *([_changed(sweep, bases)] if bases else []),
+            )
+        )
+        loops.append(
+            (
+                *(*which, ticks, infeasible, _share(ticks - infeasible, ticks)),
+                _share(backup, ticks) if "policy" in told else None,
+                _share(certified, ticks) if told.get("shield") else None,
+                *(_micro(sweep.timing(f"tick_{key}_s")) for key in ("mean", "p99", "max")),
+                sweep.timing("overruns"),
+                _micro(sweep.timing("filter_p99_s")),
+            )
+        )
+    if published:
+        f, hardware = FASTBRIDGE["flight"], ("published (hardware)", "cone-backup", None)
+        flights.append(
+            (
+                *(*hardware, 1, None, 0, None, None, None, None),
+                *(f["min_clearance_m"], f["mean_speed_m_s"], f["max_speed_m_s"], None),
+            )
+        )
+        loops.append(
+            (
+                *(*hardware, f["ticks"], f["infeasible"], f["feasible"], None, None),
+                *(f["loop_mean_us"], f["loop_p99_us"], f["loop_max_us"], f["overruns"], None),
+            )
+        )
+    columns = (
+        *("scene", "filter", "reference speed [m/s]", *_ENDS, "goal rate", "95 % low", "95 % high"),
+        *("least clearance [m]", "mean speed [m/s]", "top speed [m/s]", "mean jerk [m/s³]"),
+        *(["changed"] if bases else []),
+    )
+    loop_columns = (
+        *("scene", "filter", "reference speed [m/s]", "ticks", "infeasible", "feasible, share"),
+        *("on the backup, share", "certified, share"),
+        *("loop mean [µs]", "loop p99 [µs]", "loop max [µs]", "overruns", "filter p99 [µs]"),
+    )
+    note = f"Clearance is that of the vehicle's sphere over all flights, below 0 in a collision. {_ENDS_NOTE}"
+    loop_note = (
+        "The loop is controller and filter together, measured on this machine; an overrun took longer than a "
+        "tick. Feasible: the program of the tick has a solution; certified: a safe backup manoeuvre was "
+        "proven to remain after it; on the backup: the backup policy's input was flown, or one between it "
+        "and the nominal; neither is known (–) of a filter that has no policy, or flies without a shield."
+    )
+    return (
+        Table(name, f"{title}: flights", columns, tuple(flights), note),
+        Table(f"{name}-loop", f"{title}: loop and program", loop_columns, tuple(loops), loop_note),
+    )
+
+
+def _changed(sweep: Sweep, bases: Sequence[Sweep]) -> str | None:
+    same = [b for b in bases if b.run.record.filter == sweep.run.record.filter]
+    base = next((b for b in same if (b.scene, b.speed_m_s) == (sweep.scene, sweep.speed_m_s)), None)
+    return None if base is None else changed_parameters(sweep, base) or "–"
+
+
+def _micro(seconds: float | None) -> float | None:
+    return None if seconds is None else 1e6 * seconds
+
+
+def _share(count: int, of: int) -> float | None:
+    return count / of if of else None
+
+
+def _finite(values: FloatArray) -> FloatArray:
+    return values[np.isfinite(values)]
+
+
+def in_short(sweeps: Sequence[Sweep]) -> dict[str, str]:
+    """A line for each scene and baseline: what the comparison says."""
+    lines = {}
+    for scene in scenes_of(sweeps):
+        for theirs in (BASELINE, GATED):
+            speeds = speeds_of(sweeps, scene, (theirs, OURS))
+            if not speeds:
+                continue
+            found = compare(_at_all(sweeps, scene, OURS, speeds), _at_all(sweeps, scene, theirs, speeds))
+            parts = []
+            if (jerk := found.mean_jerk) is not None:
+                parts.append(f"mean jerk {jerk.value:.2f} times its{_interval(jerk, '.2f')}")
+            if found.filter_time:
+                parts.append(f"filter time {found.filter_time:.2f} times its")
+            if (goals := found.goals) is not None:
+                parts.append(f"goal rate {100 * goals.value:+.1f} points{_interval(goals, '+.1f', 100)}")
+            if (speed := found.top_speed) is not None:
+                parts.append(f"top speed {speed.value:+.2f} m/s{_interval(speed, '+.2f')}")
+            lines[f"{scene}, {OURS} against {theirs}"] = ", ".join(parts)
+    return lines
+
+
+def _interval(found: Estimate, digits: str, factor: float = 1.0) -> str:
+    """The interval in brackets, or why there is none."""
+    if found.low is None or found.high is None:
+        return f" (in all {found.n} pairs)" if found.n > 1 else " (one pair)"
+    return f" ({factor * found.low:{digits}} to {factor * found.high:{digits}})"

@@ -1,0 +1,151 @@
+"""The geofencing paper's pendulum: both filters over a sweep of gains, and the rows of the program."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+
+FloatArray = NDArray[np.float64]
+
+REGULATION, PROGRAM = "regulation", "backup-qp"
+GAIN = {REGULATION: "beta", PROGRAM: "alpha"}  # the option that makes a rule approach faster
+PUSH = 2.0  # the constant command of the paper [rad/s^2]
+_ARRIVED = 0.95  # of the largest angle
+_TAIL = 1 / 3  # of a flight: there it stands at the boundary
+
+
+@dataclass(frozen=True, slots=True)
+class Pendulum:
+    """Numbers of the filters, as of `alula/dynamics/pendulum.hpp`; the paper gives `end_rate` alone."""
+
+    largest_angle: float = 1.0
+    end_rate: float = 0.1
+    k: float = 3.0
+    push_distance: float = 0.1
+    push_gain: float = 1.0
+    push_rate: float = 0.1
+    horizon_s: float = 3.0
+    steps: int = 100
+    beta: float = 15.0
+    alpha: float = 5.0
+    largest_input: float = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Swing:
+    """A flight from rest against the boundary.
+
+    `settled_rad`, `ripple_rad` (largest less least angle) and `chatter` (total variation of the input per
+    second) are of its last third; `arrival_s` is when it first passed 95 % of the largest angle, None if it
+    did not; `unsolved` counts ticks in which the program had no solution.
+    """
+
+    rule: str
+    gain: float
+    tick_s: float
+    time_s: FloatArray
+    angle: FloatArray
+    rate: FloatArray
+    input: FloatArray
+    settled_rad: float
+    greatest_rad: float
+    ripple_rad: float
+    chatter: float
+    arrival_s: float | None
+    unsolved: int
+
+
+def swing(rule: str, gain: float, tick_s: float, duration_s: float = 15.0) -> Swing:
+    """Fly a rule with a gain for the paper's command, the input held for a tick."""
+    is_program = rule == PROGRAM
+    made = _core.PendulumFilter(rule, alpha=gain) if is_program else _core.PendulumFilter(rule, beta=gain)
+    rows = made.fly(0.0, 0.0, PUSH, tick_s, round(duration_s / tick_s))
+    angle, rate, u = rows[:, 0].copy(), rows[:, 1].copy(), rows[:, 2].copy()
+    tail = slice(-max(2, round(_TAIL * len(rows))), None)
+    reached = np.flatnonzero(angle > _ARRIVED * Pendulum().largest_angle)
+    span = tick_s * (len(u[tail]) - 1)
+    return Swing(
+        rule=rule,
+        gain=gain,
+        tick_s=tick_s,
+        time_s=tick_s * np.arange(len(rows), dtype=np.float64),
+        angle=angle,
+        rate=rate,
+        input=u,
+        settled_rad=float(angle[tail].mean()),
+        greatest_rad=float(np.abs(angle).max()),
+        ripple_rad=float(np.ptp(angle[tail])),
+        chatter=float(np.abs(np.diff(u[tail])).sum() / span),
+        arrival_s=float(tick_s * reached[0]) if len(reached) else None,
+        unsolved=int(rows[:, 6].sum()),
+    )
+
+
+def sweep(gains: dict[str, Sequence[float]], ticks_s: Sequence[float]) -> list[Swing]:
+    """Flights of each rule at each gain and tick."""
+    return [swing(rule, gain, dt) for dt in ticks_s for rule in gains for gain in gains[rule]]
+
+
+def program_rows(states: FloatArray, options: Pendulum | None = None) -> tuple[FloatArray, FloatArray]:
+    """All rows a u >= b of the backup-set program, as a general solver is given them.
+
+    With the flow phi under the backup controller, by the explicit midpoint rule, and its tangents along the
+    drift f and the input g = (0, 1): for h = theta_max -+ theta at every node, and h_B = eps -+ theta' at the
+    last, d/dt h + alpha h >= 0; then the limits of the input.
+
+    Args:
+        states: angle and rate, shape (S, 2) [rad, rad/s].
+        options: of the filter.
+
+    Returns:
+        a and b, shapes (S, 2 (N + 1) + 4).
+
+    Source: Chen, Jankovic, Santillo, Ames 2021 (arXiv 2104.11332).
+    """
+    o = options or Pendulum()
+    x = np.asarray(states, np.float64).T.copy()
+    # tangent[i, j] is the change of x_i along the drift (j = 0) and the input (j = 1)
+    tangent = np.array([[x[1], np.zeros_like(x[0])], [np.sin(x[0]), np.ones_like(x[0])]])
+    dt = o.horizon_s / o.steps
+    along, drift = [], []
+
+    def add(value: FloatArray, slope: float, of: FloatArray) -> None:
+        along.append(slope * of[1])
+        drift.append(slope * of[0] + o.alpha * value)
+
+    for node in range(o.steps + 1):
+        add(o.largest_angle - x[0], -1.0, tangent[0])
+        add(o.largest_angle + x[0], 1.0, tangent[0])
+        if node == o.steps:
+            break
+        half = x + dt / 2 * _field(o, x)
+        bent = tangent + dt / 2 * _turned(o, x, tangent)
+        tangent = tangent + dt * _turned(o, half, bent)
+        x = x + dt * _field(o, half)
+    add(o.end_rate - x[1], -1.0, tangent[1])
+    add(o.end_rate + x[1], 1.0, tangent[1])
+    ones = np.ones_like(x[0])
+    a = np.stack([*along, ones, -ones], axis=1)
+    limit = np.full_like(x[0], -o.largest_input)
+    return a, np.stack([*(-value for value in drift), limit, limit], axis=1)
+
+
+def _pull(o: Pendulum, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The rate that the backup controller wishes for, and its slope."""
+    raw = o.push_gain * (o.largest_angle - o.push_distance - np.abs(angle))
+    wish = np.sign(angle) * np.clip(raw, -o.push_rate, 0.0)
+    return wish, np.where((raw > -o.push_rate) & (raw < 0), -o.push_gain, 0.0)
+
+
+def _field(o: Pendulum, x: FloatArray) -> FloatArray:
+    return np.array([x[1], o.k * (_pull(o, x[0])[0] - x[1])])
+
+
+def _turned(o: Pendulum, x: FloatArray, tangent: FloatArray) -> FloatArray:
+    slope = _pull(o, x[0])[1]
+    return np.array([tangent[1], o.k * (slope * tangent[0] - tangent[1])])

@@ -1,0 +1,1 @@
+"""Logs of runs: the one writer, the channels and their schemas."""

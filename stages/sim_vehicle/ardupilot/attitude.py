@@ -1,0 +1,96 @@
+"""The inner loop: attitude and rates to torque, throttle to thrust. All in FRD and NED."""
+
+from __future__ import annotations
+
+from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
+from alula.stages.sim_vehicle.common.airframe import TICK_S, Airframe
+from alula.stages.sim_vehicle.common.quaternions import (
+    Quat,
+    Vector,
+    added,
+    conjugate,
+    cos_tilt,
+    from_vector,
+    multiply,
+    rotate,
+    scaled,
+    to_vector,
+    unit,
+)
+
+_RATE_INPUT_S = 0.0185  # of a rate command; with the loop behind it 63 % of a step are there after 40 ms
+_THROTTLE_S = 0.04  # of the observed rotors: -5.5 m/s, 0.6 s after the throttle went to its minimum
+_MAX_ERROR_RAD = 0.7  # of the attitude that is corrected at once
+
+
+class AttitudeControl:
+    """Follows an attitude target; rate commands are integrated into it.
+
+    The target turns with rates that follow the command as a first-order lag; the body is asked for the
+    target's rates plus the attitude error times ATC_ANG_*_P; the torque follows that as a first-order lag of
+    the vehicle's own rate loop, tau = J (omega_wanted - omega) / time constant + omega x J omega.
+
+    Args:
+        airframe: for inertia and weight.
+        parameters: gains, read at every tick.
+        rate_time_s: time constant of the rate loop [s].
+        motor_time_s: lag of the rotors that the plant has itself [s].
+    """
+
+    def __init__(
+        self, airframe: Airframe, parameters: Parameters, rate_time_s: float, motor_time_s: float
+    ) -> None:
+        ix, iy, iz = airframe.body.inertia
+        self._inertia: Vector = (ix, iy, iz)
+        self._max_thrust_n = airframe.body.max_thrust
+        self._parameters = parameters
+        self._rate_time_s = max(rate_time_s, TICK_S)
+        self._throttle_share = TICK_S / max(_THROTTLE_S - motor_time_s, TICK_S)
+        self.target: Quat = (1.0, 0.0, 0.0, 0.0)
+        self.rates: Vector = (0.0, 0.0, 0.0)
+        self.throttle = 0.0  # that the rotors have
+        self.wanted_throttle = 0.0
+
+    def reset(self, attitude: Quat) -> None:
+        """Take what is for what is wanted."""
+        self.target, self.rates = attitude, (0.0, 0.0, 0.0)
+
+    def input_rates(self, omega: Vector) -> None:
+        """Turn with these body rates [rad/s]."""
+        self._turn(omega, TICK_S / (_RATE_INPUT_S + TICK_S))
+
+    def input_attitude(self, attitude: Quat, omega: Vector = (0.0, 0.0, 0.0)) -> None:
+        """Take this attitude up within about ATC_INPUT_TC, turning with these body rates [rad/s] besides."""
+        time_s = max(self._parameters["ATC_INPUT_TC"], 2 * TICK_S) / 2
+        error = to_vector(multiply(conjugate(self.target), attitude))
+        self._turn(added(omega, scaled(error, 1 / time_s)), TICK_S / (time_s / 2 + TICK_S))
+
+    def set_throttle(self, throttle: float, *, boosted: bool = True) -> None:
+        """Of 0..1; divided by the cosine of the target's tilt unless ATC_ANGLE_BOOST is 0."""
+        if boosted and self._parameters.whole("ATC_ANGLE_BOOST"):
+            cosine = cos_tilt(self.target)
+            throttle *= max(0.0, min(1.0, 10 * cosine)) / max(0.1, min(1.0, cosine))
+        self.wanted_throttle = max(0.0, min(1.0, throttle))
+
+    def run(self, attitude: Quat, omega: Vector) -> tuple[float, Vector]:
+        """Thrust [N] and torque [N m] of this tick."""
+        error = to_vector(multiply(conjugate(attitude), self.target))
+        ahead = rotate(multiply(conjugate(attitude), self.target), self.rates)
+        gains = (self._parameters[f"ATC_ANG_{axis}_P"] for axis in ("RLL", "PIT", "YAW"))
+        wanted = tuple(
+            rate + gain * max(-_MAX_ERROR_RAD, min(_MAX_ERROR_RAD, e))
+            for rate, gain, e in zip(ahead, gains, error, strict=True)
+        )
+        i, (p, q, r) = self._inertia, omega
+        gyroscopic = (q * r * (i[2] - i[1]), r * p * (i[0] - i[2]), p * q * (i[1] - i[0]))
+        x, y, z = (
+            j * (w - o) / self._rate_time_s + g
+            for j, w, o, g in zip(i, wanted, omega, gyroscopic, strict=True)
+        )
+        self.throttle += self._throttle_share * (self.wanted_throttle - self.throttle)
+        return self.throttle * self._max_thrust_n, (x, y, z)
+
+    def _turn(self, omega: Vector, share: float) -> None:
+        p, q, r = self.rates
+        self.rates = (p + share * (omega[0] - p), q + share * (omega[1] - q), r + share * (omega[2] - r))
+        self.target = unit(multiply(self.target, from_vector(scaled(self.rates, TICK_S))))

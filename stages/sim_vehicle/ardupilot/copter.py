@@ -1,0 +1,324 @@
+"""The vehicle: arming, modes, landing, failsafes, around the loops. Its clock is its own count of ticks."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import ClassVar
+
+from alula.schemas.vehicle import Vehicle
+from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
+from alula.stages.sim_vehicle.ardupilot.battery import Battery, Charge
+from alula.stages.sim_vehicle.ardupilot.estimator import Estimator, EstimatorOptions, LatLonAlt
+from alula.stages.sim_vehicle.ardupilot.flying import Flying
+from alula.stages.sim_vehicle.ardupilot.modes import MODES, Mode, refusal
+from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
+from alula.stages.sim_vehicle.ardupilot.pilot import Pilot
+from alula.stages.sim_vehicle.common.airframe import TICK_S, Airframe
+from alula.stages.sim_vehicle.common.hand import Hand
+
+HOME: LatLonAlt = (-35.3632621, 149.1652374, 584.0)  # where ArduPilot's simulation starts
+EMERGENCY, CRITICAL, ERROR, WARNING, NOTICE, INFO = 0, 2, 3, 4, 5, 6  # MAV_SEVERITY
+
+_LANDED_S = 1.0
+_RESTING_SHARE = 0.9  # of the weight: less thrust than that for `_LANDED_S` on the ground is a landing
+_CHECK_S = 0.1  # between looks at failsafes
+_ESTIMATOR_S = 1.0  # a bad estimate for this long is a failsafe
+_REMINDER_S = 30.0  # between texts that say why it would not arm
+_GCS_ACTION = {1: Mode.RTL, 2: Mode.RTL, 3: Mode.RTL, 4: Mode.LAND, 5: Mode.LAND, 7: Mode.BRAKE}
+_THROTTLE_ACTION = {1: Mode.RTL, 2: Mode.RTL, 3: Mode.LAND, 4: Mode.RTL, 5: Mode.LAND, 7: Mode.BRAKE}
+_BATTERY_ACTION = {1: Mode.LAND, 2: Mode.RTL, 3: Mode.RTL, 4: Mode.LAND, 7: Mode.BRAKE}
+_CONTINUES_IN_PILOTED = 16  # of FS_OPTIONS
+
+
+class Copter:
+    """A quadrotor with its autopilot; `tick` is 2.5 ms of its life.
+
+    MOT_THST_HOVER starts as learned from this vehicle, weight over full thrust, unless it is given: then the
+    autopilot believes it and the rotors do not.
+
+    Args:
+        vehicle: a quadrotor.
+        parameters: by name, replacing defaults.
+        options: errors of the estimate.
+        home: latitude, longitude [deg] and altitude [m] of the start; by default where the firmware's own
+            simulation starts.
+        heading_rad: at the start, clockwise from north.
+        seed: of everything random.
+        hand: who moves it while it is disarmed; nobody by default.
+
+    Raises:
+        UsageError: the vehicle is no quadrotor, or a parameter is unknown.
+    """
+
+    # What another firmware does otherwise is in its own class, `px4.Px4Copter`.
+    AUTOPILOT: ClassVar[str] = "ardupilot"
+    FIRMWARE: ClassVar[str] = "ArduCopter V4.7.0-dev (simulated)"
+    HOVER: ClassVar[str] = "MOT_THST_HOVER"  # the parameter with the throttle that carries the weight
+    PLACE: ClassVar[LatLonAlt] = HOME
+    ARMING_DELAY_S: ClassVar[float] = 2.0  # the rotors stand still this long after arming
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        *,
+        parameters: Mapping[str, float] | None = None,
+        options: EstimatorOptions | None = None,
+        home: LatLonAlt | None = None,
+        heading_rad: float = 0.0,
+        seed: int = 0,
+        hand: Hand | None = None,
+    ) -> None:
+        self.name = vehicle.name
+        self.airframe = Airframe(vehicle, seed=seed, heading_rad=heading_rad)
+        self.hover_throttle = self.airframe.weight_n / self.airframe.body.max_thrust
+        learned = {self.HOVER: round(self.hover_throttle, 6)}
+        self.parameters = self._parameters(learned | dict(parameters or {}))
+        lag_s = vehicle.disturbance.motor_time_constant_s
+        self.attitude = AttitudeControl(self.airframe, self.parameters, vehicle.rates.time_constant_s, lag_s)
+        self.pilot = Pilot(self.parameters)
+        self.battery = Battery(self.parameters)
+        options = options or EstimatorOptions()
+        self.estimator = Estimator(
+            self.parameters, options, self.airframe.truth, self.PLACE if home is None else home, seed
+        )
+        self.flying = Flying(self.attitude, self.parameters, self.pilot, vehicle.body.gravity_m_s2)
+        self._hand = hand
+        self.texts: deque[tuple[int, str]] = deque()
+        self.mode = Mode.STABILIZE
+        self.is_armed = False
+        self.is_landed = True
+        self.failsafe = ""  # the last one that acts
+        self._ticks = 0
+        self._armed_s = 0.0
+        self._resting_s = 0.0
+        self._idle_s = 0.0
+        self._bad_s = 0.0
+        self._checked_s = 0.0
+        self._reminded_s = 0.0
+        self._gcs_s: float | None = None
+        self._client_s: float | None = None
+        self._active: set[str] = set()
+        self._said: set[str] = set()
+        self._boot()
+        self.say(INFO, self.FIRMWARE)
+
+    def _boot(self) -> None:
+        """The mode that it starts in, and what else a firmware keeps."""
+        initial = self.parameters.whole("INITIAL_MODE")
+        if refusal(initial, has_position=False) is None:
+            self.mode = Mode(initial)
+
+    def _parameters(self, values: Mapping[str, float]) -> Parameters:
+        return Parameters(values)
+
+    @property
+    def time_s(self) -> float:
+        """Since boot."""
+        return self._ticks * TICK_S
+
+    def say(self, severity: int, text: str) -> None:
+        """STATUSTEXT."""
+        self.texts.append((severity, text))
+
+    @property
+    def _is_spooling(self) -> bool:
+        """Armed too short a time ago: the rotors stand, come to idle, and come to obey."""
+        return self.time_s - self._armed_s < self.ARMING_DELAY_S + 2 * self.parameters["MOT_SPOOL_TIME"]
+
+    def tick(self) -> None:
+        """Live for `TICK_S`."""
+        self._ticks += 1
+        if self._hand is not None:
+            self._hand.attend(self.time_s, self._client_s, is_ready=self.estimator.has_position)
+            self.airframe.carry(None if self.is_armed else self._hand.motion(self.time_s))
+        is_still = self.airframe.on_ground and not self.airframe.is_carried
+        self.estimator.update(self.airframe.sensed, is_still=is_still)
+        motion = self.estimator.motion
+        if self.time_s - self._checked_s >= _CHECK_S - 1e-9:
+            self._check(self.time_s - self._checked_s)
+            self._checked_s = self.time_s
+        self.flying.has_position = self.estimator.has_position
+        if not self.is_armed:
+            self.flying.rest(motion)
+            self.attitude.throttle = 0.0
+        elif self._is_spooling or (self.is_landed and not self.flying.wants_to_climb(self.mode, self.time_s)):
+            self.flying.rest(motion)
+        else:
+            self.flying.run(self.mode, motion, self.time_s)
+        thrust, torque = self.attitude.run(motion.attitude, motion.omega)
+        self.airframe.step(thrust, torque)
+        self._detect_landing(thrust)
+
+    def arming_refusal(self) -> str | None:
+        """Why it would not arm, in ArduPilot's words; None if it would."""
+        if not MODES[self.mode].can_arm:
+            return f"{self.mode.name} mode not armable"
+        if not self.estimator.is_started:
+            return "AHRS: EKF3 not started"
+        if MODES[self.mode].needs_position and not self.estimator.has_position:
+            if self.parameters.whole("GPS1_TYPE") and not self.estimator.has_fix:
+                return "GPS 1: Bad fix"
+            return "Need Position Estimate"
+        if self.estimator.is_sick:
+            return "AHRS: EKF3 unhealthy"
+        if self.battery.charge is not Charge.GOOD:
+            return "Battery 1 low voltage failsafe"
+        if self.pilot.is_lost and self.parameters.whole("FS_THR_ENABLE"):
+            return "Radio failsafe on"
+        return None
+
+    def arm(self, *, forced: bool = False) -> bool:
+        """COMPONENT_ARM_DISARM; force changes nothing but the text."""
+        if self.is_armed:
+            return True
+        reason = "forced arming refused" if forced else self.arming_refusal()
+        if reason is not None:
+            self.say(CRITICAL, f"Arm: {reason}")
+            return False
+        self.is_armed, self._armed_s, self._idle_s = True, self.time_s, 0.0
+        self.flying.home = self.estimator.motion.position
+        self.flying.enter(self.mode, self.estimator.motion)
+        self.say(INFO, "Arming motors")
+        return True
+
+    def disarm(self, *, forced: bool = False) -> bool:
+        """Refused in the air, unless forced."""
+        if not (self.is_landed or forced):
+            return False
+        if self.is_armed:
+            self.is_armed = False
+            self.failsafe = ""
+            self.say(INFO, "Disarming motors")
+        return True
+
+    def set_mode(self, number: int) -> bool:
+        """Enter a mode; refusals are said."""
+        reason = refusal(number, has_position=self.estimator.has_position)
+        if reason is not None:
+            self.say(WARNING, reason)
+            return False
+        if number != self.mode:
+            self.mode = Mode(number)
+            self.flying.enter(self.mode, self.estimator.motion)
+        return True
+
+    def switch_to(self, number: float | None) -> None:
+        """A fault: the pilot's switch goes to a mode, LOITER unless one is named."""
+        self.set_mode(Mode.LOITER if number is None else int(number))
+
+    def take_off(self, height_m: float) -> bool:
+        """NAV_TAKEOFF to a height above home: armed, in GUIDED, from the ground."""
+        if not (self.is_armed and self.is_landed and self.mode is Mode.GUIDED and height_m > 0):
+            return False
+        self.flying.guided.take_off(self.estimator.motion, height_m - self.flying.home[2])
+        return True
+
+    def hear_client(self) -> None:
+        """A heartbeat of whomever: what a hand waits for."""
+        self._client_s = self.time_s
+
+    def hear_ground_station(self, system: int) -> None:
+        """A heartbeat; only that of SYSID_MYGCS counts."""
+        self.hear_client()
+        if system == self.parameters.whole("SYSID_MYGCS"):
+            self._gcs_s = self.time_s
+
+    def _check(self, passed_s: float) -> None:
+        """What is looked at less often: the switch, failsafes by the tables of their actions, texts."""
+        self._announce()
+        if (switched := self.pilot.moved_switch(self.time_s)) is not None:
+            self.set_mode(switched)
+        charge = self.battery.use(passed_s, self.attitude.throttle / self.hover_throttle)
+        for level, name in ((Charge.LOW, "LOW"), (Charge.CRITICAL, "CRT")):
+            if charge >= level and f"battery {level}" not in self._active:
+                self._active.add(f"battery {level}")
+                volts, used = self.battery.voltage, self.battery.used_mah
+                word = "low" if level is Charge.LOW else "critical"
+                self.say(CRITICAL, f"Battery 1 is {word} {volts:.2f}V used {used:.0f} mAh")
+                action = self.parameters.whole(f"BATT_FS_{name}_ACT")
+                self._act("Battery", _BATTERY_ACTION.get(action))
+        age_s = None if self._gcs_s is None else self.time_s - self._gcs_s
+        lost = age_s is not None and age_s > self.parameters["FS_GCS_TIMEOUT"]
+        action = self.parameters.whole("FS_GCS_ENABLE")
+        keeps = MODES[self.mode].is_piloted and self.parameters.whole("FS_OPTIONS") & _CONTINUES_IN_PILOTED
+        self._watch("GCS", lost and action > 0, None if keeps else _GCS_ACTION.get(action))
+        action = self.parameters.whole("FS_THR_ENABLE")
+        no_pilot = self.pilot.channels(self.time_s)[2] < self.parameters["FS_THR_VALUE"]
+        self._watch("Radio", no_pilot and action > 0, _THROTTLE_ACTION.get(action))
+        threshold = self.parameters["FS_EKF_THRESH"]
+        bad = self.estimator.variance > threshold > 0 or not self.estimator.has_position
+        needs = self.is_armed and MODES[self.mode].needs_position
+        self._bad_s = self._bad_s + passed_s if bad and needs else 0.0
+        if self._bad_s >= _ESTIMATOR_S - 1e-9 and self.parameters.whole("FS_EKF_ACTION"):
+            self._bad_s = 0.0
+            self.say(CRITICAL, "EKF variance")
+            self._act("EKF", Mode.LAND)
+        if not self.is_armed and self.time_s - self._reminded_s >= _REMINDER_S:
+            self._reminded_s = self.time_s
+            if (reason := self.arming_refusal()) is not None:
+                self.say(CRITICAL, f"PreArm: {reason}")
+        self.pilot.attend(landed=self.is_landed)
+
+    def _watch(self, name: str, is_bad: bool, action: Mode | None) -> None:
+        """Act once when something gets bad; say when it is good again."""
+        if is_bad and name not in self._active:
+            self._active.add(name)
+            self._act(name, action)
+        elif not is_bad and name in self._active:
+            self._active.discard(name)
+            self.say(WARNING, f"{name} Failsafe Cleared")
+
+    def _act(self, name: str, action: Mode | None) -> None:
+        """A failsafe: change the mode in the air, disarm on the ground."""
+        if not self.is_armed:
+            return
+        self.say(WARNING, f"{name} Failsafe")
+        if action is None:
+            return
+        self.failsafe = name
+        if self.is_landed:
+            self.disarm()
+        elif self.mode is Mode.LAND:
+            return
+        elif MODES[action].needs_position and not self.estimator.has_position:
+            self.set_mode(Mode.LAND)
+        else:
+            self.set_mode(action)
+
+    def _detect_landing(self, thrust_n: float) -> None:
+        if not self.airframe.on_ground:
+            self.is_landed, self._resting_s = False, 0.0
+            return
+        resting = thrust_n < _RESTING_SHARE * self.airframe.weight_n
+        self._resting_s = self._resting_s + TICK_S if resting else 0.0
+        if not self.is_landed and self._resting_s >= _LANDED_S:
+            self.is_landed = True
+            self._touch_down()
+        if self.is_armed and self.is_landed:
+            waits = self.flying.wants_to_climb(self.mode, self.time_s)
+            self._idle_s = 0.0 if waits else self._idle_s + TICK_S
+            if 0 < self._disarm_delay_s() <= self._idle_s:
+                self.disarm()
+
+    def _touch_down(self) -> None:
+        if self.mode in (Mode.LAND, Mode.RTL):
+            self.disarm()
+
+    def _disarm_delay_s(self) -> float:
+        """How long it stays armed on the ground without being asked to climb; for ever if not positive."""
+        return self.parameters["DISARM_DELAY"]
+
+    def _announce(self) -> None:
+        """What the estimator says once."""
+        now = set()
+        if self.estimator.is_started:
+            now.add("EKF3 IMU0 initialised")
+        if self.estimator.origin is not None:
+            now.add("EKF3 IMU0 origin set")
+        if self.estimator.is_settled:
+            source = "external nav data" if self.estimator.uses_mocap else "GPS"
+            now.add(f"EKF3 IMU0 is using {source}")
+        for text in sorted(now - self._said):
+            self.say(INFO, text)
+        self._said = now

@@ -1,0 +1,287 @@
+"""What the vehicle believes of its motion: strapdown integration held to its sources, late to lose faith."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
+from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
+from alula.stages.sim_vehicle.common.quaternions import (
+    Quat,
+    Vector,
+    added,
+    from_euler,
+    from_vector,
+    multiply,
+    to_euler,
+)
+
+# EKF_STATUS_REPORT.flags as ArduPilot fills them: settled, without a position, and just booted.
+SETTLED, NO_POSITION, UNINITIALISED = 0x33F, 0xA7, 0x400
+
+EXTERNAL = 6  # EK3_SRC1_*: external navigation
+GPS = 3
+MOCAP_LOST_S = 7.0  # flags change this long after external navigation stops
+_MOCAP_SETTLE = 15.6 / 36.0  # of the boot time, from the origin on
+_STARTED = 0.1  # of the boot time: attitude and height are there
+_FIXED = 0.5  # of the boot time: satellites are there
+_GATE_M = 1.0  # external positions further off are refused
+_REFUSED_S = 5.0  # after which the estimate is reset to them
+_GAIN = (4.0, 4.0, 2.0)  # of position to position and velocity, and of velocity to velocity [1/s, 1/s^2, 1/s]
+_BLOCK = 512  # ticks for which noise is drawn at once
+
+LatLonAlt = tuple[float, float, float]
+_HIGHEST_M, _FARTHEST_M, _FASTEST_M_S = 1e5, 1e5, 1e3  # what is beyond is no measurement
+_EARTH_M = 6378100.0
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorOptions:
+    """Errors of the estimate, standard deviations per axis; white ones unless said otherwise.
+
+    Attributes:
+        boot_time_s: from boot until position may be flown on, with satellites; others in proportion.
+        position_noise_m: a first-order Gauss-Markov process.
+        velocity_noise_m_s: the same.
+        noise_time_s: of both; at least 0.05.
+        attitude_noise_rad, rate_noise_rad_s: of lean angles and heading, and of rates.
+        accelerometer_bias_m_s2: what makes position drift when nothing holds it.
+        delay_s: of what is told to others; the vehicle's own loops do not wait for it.
+    """
+
+    boot_time_s: float = 36.0
+    position_noise_m: float = 0.01
+    velocity_noise_m_s: float = 0.01
+    noise_time_s: float = 2.0
+    attitude_noise_rad: float = 0.001
+    rate_noise_rad_s: float = 0.002
+    accelerometer_bias_m_s2: float = 0.02
+    delay_s: float = 0.01
+
+
+def is_place(place: LatLonAlt) -> bool:
+    """Whether it is a place on Earth: degrees, and metres above the sea."""
+    return abs(place[0]) <= 90 and abs(place[1]) <= 180 and abs(place[2]) <= _HIGHEST_M
+
+
+class Estimator:
+    """Position, velocity and attitude as the vehicle believes them, and what it says of their quality.
+
+    Velocity integrates the true acceleration plus a constant bias; position integrates velocity; both are
+    pulled to the source that EK3_SRC1_POSXY names. Satellites are always there; external navigation is what
+    arrives by VISION_POSITION_ESTIMATE and VISION_SPEED_ESTIMATE. When that stops, flags stay for 7 s.
+
+    Args:
+        parameters: sources are read at every tick.
+        options: errors.
+        start: the motion at boot.
+        home: latitude, longitude [deg] and altitude [m] of the start, as satellites know it.
+        seed: of the noise.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        options: EstimatorOptions,
+        start: Motion,
+        home: LatLonAlt,
+        seed: int = 0,
+    ) -> None:
+        self._parameters = parameters
+        self._options = options
+        self._place = home
+        self._random = np.random.default_rng([seed, 8])
+        self._walk = np.zeros(6)
+        self._noise: list[list[float]] = []
+        bias = options.accelerometer_bias_m_s2
+        self._bias: Vector = (bias, -0.6 * bias, 0.3 * bias)
+        self._position, self._velocity = list(start.position), list(start.velocity)
+        self._yaw_error = 0.0
+        self._time_s = 0.0
+        self._vision_s: float | None = None  # the newest
+        self._usable_s: float | None = None  # since when origin and external navigation are both there
+        self._refused_s: float | None = None
+        self._variance = 0.05
+        self._told: deque[tuple[float, Motion]] = deque()
+        self.offset: Vector = (0.0, 0.0, 0.0)  # a fault: the estimate jumps by this
+        self.is_sick = False  # a fault: the estimator gives up
+        self.is_deaf = False  # a fault: external navigation does not arrive
+        self.origin: LatLonAlt | None = None
+        self.motion = start
+        self.is_settled = False
+
+    @property
+    def uses_mocap(self) -> bool:
+        """Whether horizontal position comes from outside."""
+        p = self._parameters
+        return p.whole("EK3_SRC1_POSXY") == EXTERNAL and p.whole("VISO_TYPE") != 0
+
+    @property
+    def has_fix(self) -> bool:
+        """Whether satellites are seen."""
+        boot = self._options.boot_time_s
+        return self._parameters.whole("GPS1_TYPE") != 0 and self._time_s >= _FIXED * boot
+
+    @property
+    def is_started(self) -> bool:
+        """Whether attitude and height are there."""
+        return self._time_s >= _STARTED * self._options.boot_time_s
+
+    @property
+    def has_position(self) -> bool:
+        """Whether position may be flown on."""
+        return self.is_settled and not self.is_sick
+
+    @property
+    def flags(self) -> int:
+        """Of EKF_STATUS_REPORT."""
+        if not self.is_started:
+            return UNINITIALISED
+        return SETTLED if self.has_position else NO_POSITION
+
+    @property
+    def variance(self) -> float:
+        """Of EKF_STATUS_REPORT: innovations over their gates; above 0.8 is bad."""
+        return 1.5 if self.is_sick else self._variance
+
+    @property
+    def told(self) -> Motion:
+        """What others hear: the estimate of `delay_s` ago."""
+        return self._told[0][1] if self._told else self.motion
+
+    def set_origin(self, origin: LatLonAlt) -> bool:
+        """SET_GPS_GLOBAL_ORIGIN; only the first one counts."""
+        if self.origin is not None or not is_place(origin):
+            return False
+        self.origin = origin
+        return True
+
+    def vision_position(self, position: Vector, yaw_rad: float) -> None:
+        """External navigation: where the vehicle is and heads, NED."""
+        if self.is_deaf or not self.uses_mocap:
+            return
+        if not (all(abs(c) < _FARTHEST_M for c in position) and abs(yaw_rad) < _FARTHEST_M):
+            return  # NaN too
+        late = self._vision_s is None or self._time_s - self._vision_s > MOCAP_LOST_S
+        interval = 0.02 if self._vision_s is None else min(max(self._time_s - self._vision_s, 1e-3), 0.2)
+        self._vision_s = self._time_s
+        errors = [z - p for z, p in zip(position, self._position, strict=True)]
+        axes = [0, 1] + ([2] if self._parameters.whole("EK3_SRC1_POSZ") == EXTERNAL else [])
+        size = math.sqrt(sum(errors[i] ** 2 for i in axes))
+        self._variance = min(0.05 + size / _GATE_M, 10.0)
+        if late or (self._refused_s is not None and self._time_s - self._refused_s > _REFUSED_S):
+            for i in axes:
+                self._position[i] = position[i]
+            self._refused_s = None
+        elif size > _GATE_M:
+            self._refused_s = self._time_s if self._refused_s is None else self._refused_s
+            return
+        else:
+            self._refused_s = None
+            pull = 1 - math.exp(-4 * _GAIN[0] * interval)
+            for i in axes:
+                self._position[i] += pull * errors[i]
+                self._velocity[i] += _GAIN[1] * interval * errors[i]
+        if self._parameters.whole("EK3_SRC1_YAW") == EXTERNAL:
+            error = yaw_rad - to_euler(self.motion.attitude)[2]
+            error -= 2 * math.pi * round(error / (2 * math.pi))
+            self._yaw_error += error if late else (1 - math.exp(-_GAIN[0] * interval)) * error
+
+    def vision_velocity(self, velocity: Vector) -> None:
+        """External navigation: how the vehicle moves, NED."""
+        if self.is_deaf or not self.uses_mocap or not all(abs(c) < _FASTEST_M_S for c in velocity):
+            return
+        for i, name in enumerate(("VELXY", "VELXY", "VELZ")):
+            if self._parameters.whole(f"EK3_SRC1_{name}") == EXTERNAL:
+                self._velocity[i] += 0.3 * (velocity[i] - self._velocity[i])
+
+    def update(self, truth: Motion, *, is_still: bool) -> None:
+        """Believe a tick more."""
+        self._time_s += TICK_S
+        noise = self._next_noise()
+        turn = from_euler(0.0, 0.0, self._yaw_error)
+        self._integrate(truth, turn, noise, is_still)
+        self._settle()
+        sigma, rate = self._options.attitude_noise_rad, self._options.rate_noise_rad_s
+        lean = from_vector((sigma * noise[6], sigma * noise[7], sigma * noise[8]))
+        attitude: Quat = multiply(turn, multiply(truth.attitude, lean))
+        o, (x, y, z) = truth.omega, self._position
+        self.motion = Motion(
+            added((x, y, z), self.offset),
+            (self._velocity[0], self._velocity[1], self._velocity[2]),
+            attitude,
+            (o[0] + rate * noise[9], o[1] + rate * noise[10], o[2] + rate * noise[11]),
+        )
+        self._told.append((self._time_s, self.motion))
+        while len(self._told) > 1 and self._told[1][0] <= self._time_s - self._options.delay_s + 1e-9:
+            self._told.popleft()
+
+    def global_position(self, position: Vector) -> LatLonAlt:
+        """Latitude, longitude [deg] and altitude [m] of a local position, on a sphere."""
+        lat, lon, alt = self.origin or self._place
+        north, east, down = position
+        cosine = max(math.cos(math.radians(lat)), 1e-6)
+        return (
+            lat + math.degrees(north / _EARTH_M),
+            lon + math.degrees(east / (_EARTH_M * cosine)),
+            alt - down,
+        )
+
+    def local_position(self, place: LatLonAlt) -> Vector:
+        """The inverse of `global_position`."""
+        lat, lon, alt = self.origin or self._place
+        north = math.radians(place[0] - lat) * _EARTH_M
+        east = math.radians(place[1] - lon) * _EARTH_M * math.cos(math.radians(lat))
+        return north, east, alt - place[2]
+
+    def _integrate(self, truth: Motion, turn: Quat, noise: list[float], is_still: bool) -> None:
+        mocap = self.uses_mocap
+        height_outside = mocap and self._parameters.whole("EK3_SRC1_POSZ") == EXTERNAL
+        follows = [not mocap and self.has_fix] * 2 + [not height_outside]
+        _, x, y, z = multiply(multiply(turn, (0.0, *truth.acceleration)), (turn[0], 0.0, 0.0, -turn[3]))
+        moved = (x, y, z)
+        for i in range(3):
+            if is_still and not self.has_position:
+                self._velocity[i] = 0.0  # who stands still knows it
+            else:
+                self._velocity[i] += (moved[i] + self._bias[i]) * TICK_S
+            if follows[i]:
+                error = truth.position[i] + noise[i] - self._position[i]
+                slip = truth.velocity[i] + noise[3 + i] - self._velocity[i]
+                self._velocity[i] += TICK_S * (_GAIN[1] * error + 4 * _GAIN[2] * slip)
+                self._position[i] += TICK_S * _GAIN[0] * error
+            self._position[i] += self._velocity[i] * TICK_S
+
+    def _settle(self) -> None:
+        if self.uses_mocap:
+            alive = self._vision_s is not None and self._time_s - self._vision_s <= MOCAP_LOST_S
+            usable = alive and self.origin is not None
+            wait_s = _MOCAP_SETTLE * self._options.boot_time_s
+        else:
+            usable, wait_s = self.has_fix, (1 - _FIXED) * self._options.boot_time_s
+            if usable and self.origin is None:
+                self.origin = self._place
+        if not usable:
+            self._usable_s = None
+        elif self._usable_s is None:
+            self._usable_s = self._time_s
+        self.is_settled = self._usable_s is not None and (
+            self.is_started and self._time_s - self._usable_s >= wait_s - 1e-9
+        )
+
+    def _next_noise(self) -> list[float]:
+        if not self._noise:
+            options, white = self._options, self._random.standard_normal((_BLOCK, 12))
+            kept = math.exp(-TICK_S / max(options.noise_time_s, 0.05))
+            scale = np.repeat([options.position_noise_m, options.velocity_noise_m_s], 3)
+            # x_k = kept x_(k-1) + r_k, all at once: x_k = kept^k (x_0 + sum of kept^-j r_j).
+            powers = kept ** np.arange(1, _BLOCK + 1)[:, None]
+            steps = math.sqrt(1 - kept**2) * scale * white[:, :6]
+            white[:, :6] = powers * (self._walk + np.cumsum(steps / powers, axis=0))
+            self._walk = white[-1, :6].copy()
+            self._noise = white[::-1].tolist()
+        return self._noise.pop()

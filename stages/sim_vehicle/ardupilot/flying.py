@@ -1,0 +1,174 @@
+"""How each mode flies: from the estimate, sticks and set-points to attitude and throttle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from enum import Enum
+
+from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
+from alula.stages.sim_vehicle.ardupilot.guided import Guided
+from alula.stages.sim_vehicle.ardupilot.modes import Mode
+from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
+from alula.stages.sim_vehicle.ardupilot.pilot import Pilot
+from alula.stages.sim_vehicle.ardupilot.position import PositionControl
+from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
+from alula.stages.sim_vehicle.common.quaternions import Vector, from_euler, to_euler
+
+_AT_M = 0.3  # this near a point is there
+
+
+class Return(Enum):
+    """Parts of RTL, in their order."""
+
+    CLIMB = "climb"
+    FLY = "fly"
+    WAIT = "wait"
+    LAND = "land"
+
+
+class Flying:
+    """The controllers of all modes; the autopilot says which one runs."""
+
+    def __init__(
+        self, attitude: AttitudeControl, parameters: Parameters, pilot: Pilot, gravity: float
+    ) -> None:
+        self.attitude = attitude
+        self._parameters = parameters
+        self._pilot = pilot
+        self.position = PositionControl(attitude, parameters, gravity)
+        self.guided = Guided(attitude, self.position, parameters)
+        self.has_position = False
+        self.home: Vector = (0.0, 0.0, 0.0)
+        self._hold: Vector | None = None
+        self._part = Return.CLIMB
+        self._waited_s = 0.0
+        self._height_m = 0.0
+        self._rows: dict[Mode, Callable[[Motion, float], None]] = {
+            Mode.STABILIZE: self._stabilize,
+            Mode.ALT_HOLD: self._alt_hold,
+            Mode.GUIDED: lambda motion, _: self.guided.run(motion),
+            Mode.LOITER: self._loiter,
+            Mode.RTL: self._return,
+            Mode.LAND: self._land,
+            Mode.BRAKE: self._brake,
+            Mode.GUIDED_NOGPS: lambda motion, _: self.guided.run(motion),
+        }
+
+    def enter(self, mode: Mode, motion: Motion) -> None:
+        """Begin a mode."""
+        self.attitude.reset(motion.attitude)
+        self.position.reset(motion)
+        self._hold = None
+        self._part, self._waited_s = Return.CLIMB, 0.0
+        self._height_m = max(-motion.position[2], self._parameters["RTL_ALT"] / 100)
+        self.guided.needs_position = mode is not Mode.GUIDED_NOGPS
+        self.guided.enter(motion)
+
+    def rest(self, motion: Motion) -> None:
+        """On the ground: no thrust, nothing wound up."""
+        self.attitude.reset(motion.attitude)
+        self.position.reset(motion)
+        self.attitude.set_throttle(0.0)
+
+    def wants_to_climb(self, mode: Mode, now_s: float) -> bool:
+        """Whether a vehicle on the ground should leave it."""
+        if mode in (Mode.GUIDED, Mode.GUIDED_NOGPS):
+            return self.guided.wants_to_climb()
+        return mode in (Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER) and (
+            self._pilot.stick("THROTTLE", now_s) > 0
+        )
+
+    def run(self, mode: Mode, motion: Motion, now_s: float) -> None:
+        """One tick in flight."""
+        self._rows[mode](motion, now_s)
+
+    def _stabilize(self, motion: Motion, now_s: float) -> None:
+        self._lean_by_sticks(now_s)
+        hover = self._parameters["MOT_THST_HOVER"]
+        stick = self._pilot.stick("THROTTLE", now_s)
+        self.attitude.set_throttle(hover + stick * (1 - hover if stick > 0 else hover))
+
+    def _alt_hold(self, motion: Motion, now_s: float) -> None:
+        self._lean_by_sticks(now_s)
+        self.position.climb(motion, self._stick_climb(now_s))
+
+    def _loiter(self, motion: Motion, now_s: float) -> None:
+        pitch, roll = (self._pilot.stick(name, now_s) for name in ("PITCH", "ROLL"))
+        self.position.yaw_rate = self._stick_turn(now_s)
+        speed = self._parameters["LOIT_SPEED"] / 100
+        if pitch or roll:
+            heading = to_euler(motion.attitude)[2]
+            cos, sin = math.cos(heading), math.sin(heading)
+            self._hold = None
+            self.position.velocity(
+                motion, (speed * (-cos * pitch - sin * roll), speed * (-sin * pitch + cos * roll))
+            )
+        else:
+            self._stay(motion)
+        self.position.climb(motion, self._stick_climb(now_s))
+
+    def _brake(self, motion: Motion, _now_s: float) -> None:
+        self._stay(motion)
+        self.position.climb(motion, 0.0)
+
+    def _land(self, motion: Motion, _now_s: float) -> None:
+        if self.has_position:
+            self._stay(motion)
+        else:
+            self.attitude.input_attitude(from_euler(0, 0, self.position.yaw))
+        self._descend(motion)
+
+    def _return(self, motion: Motion, _now_s: float) -> None:
+        north, east, down = motion.position
+        away = math.dist((north, east), self.home[:2])
+        speed = self._parameters["WPNAV_SPEED"] / 100
+        match self._part:
+            case Return.CLIMB:
+                self._stay(motion)
+                self.position.height(motion, -self._height_m)
+                if abs(down + self._height_m) < _AT_M:
+                    self._part = Return.FLY
+            case Return.FLY:
+                self.position.point(motion, self.home[:2], speed)
+                self.position.height(motion, -self._height_m)
+                if away < _AT_M:
+                    self._part = Return.WAIT
+            case Return.WAIT:
+                self._waited_s += TICK_S
+                self.position.point(motion, self.home[:2], speed)
+                self.position.height(motion, -self._height_m)
+                if self._waited_s >= self._parameters["RTL_LOIT_TIME"] / 1000:
+                    self._part = Return.LAND
+            case Return.LAND:
+                self.position.point(motion, self.home[:2], speed)
+                self._descend(motion)
+
+    def _descend(self, motion: Motion) -> None:
+        slow = self._parameters["LAND_SPEED"] / 100
+        fast = max(self._parameters["LAND_SPEED_HIGH"] or self._parameters["WPNAV_SPEED_DN"], 10) / 100
+        above = -motion.position[2] - self._parameters["LAND_ALT_LOW"] / 100
+        self.position.climb(motion, -(slow if above <= 0 else min(fast, slow + above)))
+
+    def _stay(self, motion: Motion) -> None:
+        """Brake, then hold the place."""
+        if self._hold is None and math.hypot(*motion.velocity[:2]) < 0.2:
+            self._hold = motion.position
+        if self._hold is None:
+            self.position.velocity(motion, (0.0, 0.0))
+        else:
+            self.position.point(motion, self._hold[:2], 1.0)
+
+    def _lean_by_sticks(self, now_s: float) -> None:
+        most = math.radians(self._parameters["ANGLE_MAX"] / 100)
+        roll, pitch = (self._pilot.stick(name, now_s) * most for name in ("ROLL", "PITCH"))
+        self.position.yaw += self._stick_turn(now_s) * TICK_S
+        self.attitude.input_attitude(from_euler(roll, pitch, self.position.yaw))
+
+    def _stick_turn(self, now_s: float) -> float:
+        return self._pilot.stick("YAW", now_s) * math.radians(self._parameters["ACRO_YAW_RATE"])
+
+    def _stick_climb(self, now_s: float) -> float:
+        stick = self._pilot.stick("THROTTLE", now_s)
+        up = self._parameters["PILOT_SPEED_UP"]
+        return stick * (up if stick > 0 else self._parameters["PILOT_SPEED_DN"] or up) / 100

@@ -1,0 +1,147 @@
+"""The body of the simulated vehicle: the native plant, a floor, and north-east-down around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from alula._core import Plant
+from alula.schemas.errors import UsageError
+from alula.schemas.vehicle import Vehicle
+from alula.stages.sim_vehicle.common.quaternions import (
+    Quat,
+    Vector,
+    added,
+    from_euler,
+    from_mrp,
+    to_euler,
+    to_mrp,
+)
+from alula.stages.vehicles.bodies import plant, quadrotor
+from alula.stages.vehicles.frames import LocalFrame, flipped_body
+
+TICK_S = 1 / 400  # of the autopilot, as ArduPilot's main loop
+_STEPS = 3  # of the plant in a tick: 1200 Hz
+_FLIP = np.tile([1.0, -1.0, -1.0], 4)
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Where the vehicle is and how it moves; world north-east-down from home, body forward-right-down.
+
+    Attributes:
+        position: [m].
+        velocity: [m/s].
+        attitude: NED from FRD, w, x, y, z.
+        omega: body rates [rad/s].
+        acceleration: of the velocity [m/s^2].
+    """
+
+    position: Vector
+    velocity: Vector
+    attitude: Quat
+    omega: Vector
+    acceleration: Vector = (0.0, 0.0, 0.0)
+
+
+class Airframe:
+    """A quadrotor on or above a flat floor at height 0.
+
+    The plant's own world here is north-west-up, so that both frames of it turn into the autopilot's by the
+    same half turn about x: the signs of y and z of every vector of the state, Rodrigues parameters included.
+    The floor holds what pushes less than its weight; who comes down on it stands level and still.
+
+    `touchdown_m_s` is the fastest that it came down on the floor.
+
+    Args:
+        vehicle: a quadrotor; its disturbances act.
+        seed: of noise and gusts.
+        heading_rad: at the start, clockwise from north.
+
+    Raises:
+        UsageError: the vehicle is no quadrotor.
+    """
+
+    def __init__(self, vehicle: Vehicle, *, seed: int = 0, heading_rad: float = 0.0) -> None:
+        self.body = quadrotor(vehicle)
+        flown = plant(_turned(vehicle), seed=seed)
+        if not isinstance(flown, Plant):
+            raise UsageError(f"{vehicle.name} is a {vehicle.model}; a quadrotor is needed")
+        self._plant = flown
+        self._commands = np.zeros((_STEPS, 4))
+        self._noisy = bool(
+            vehicle.disturbance.delay_s
+            or vehicle.disturbance.position_noise_m
+            or vehicle.disturbance.velocity_noise_m_s
+            or vehicle.disturbance.attitude_noise_rad
+            or vehicle.disturbance.rate_noise_rad_s
+        )
+        self.on_ground = True
+        self._stood: Vector | None = None  # before a hand took it
+        self.touchdown_m_s = 0.0
+        self.truth = self.sensed = Motion((0.0,) * 3, (0.0,) * 3, from_euler(0, 0, heading_rad), (0.0,) * 3)
+        self._park()
+
+    @property
+    def is_carried(self) -> bool:
+        """Whether a hand holds it."""
+        return self._stood is not None
+
+    def carry(self, by: tuple[Vector, Vector, Vector] | None) -> None:
+        """Held by a hand, level: position from where it stood, velocity, acceleration; None puts it back."""
+        if by is None:
+            if self._stood is not None:
+                self._park()
+                self._stood = None
+            return
+        if self._stood is None:
+            self._stood = self.truth.position
+        at = added(self._stood, by[0])
+        self.truth = self.sensed = Motion(at, by[1], self.truth.attitude, (0.0,) * 3, by[2])
+
+    @property
+    def weight_n(self) -> float:
+        """What hovering takes."""
+        return self.body.mass * self.body.gravity
+
+    def step(self, thrust_n: float, torque: Vector) -> None:
+        """Fly one tick with a thrust [N] and a torque, FRD [N m]; roll and pitch go before thrust and yaw."""
+        wanted = np.array([[max(thrust_n, 0.0), torque[0], -torque[1], -torque[2]]])
+        given = self.body.limited(wanted)[0]
+        if self.on_ground:
+            if given[0] <= self.weight_n:
+                return
+            self.on_ground = False
+        self._commands[:] = given
+        self._plant.fly(TICK_S / _STEPS, self._commands)
+        self._plant.switch_shadow()
+        self.truth = _motion(self._plant.state, self._plant.acceleration)
+        self.sensed = _motion(self._plant.measured, self._plant.acceleration) if self._noisy else self.truth
+        if self.truth.position[2] > 0 and self.truth.velocity[2] > 0:
+            self.touchdown_m_s = max(self.touchdown_m_s, self.truth.velocity[2])
+            self._park()
+
+    def _park(self) -> None:
+        x, y, _ = self.truth.position if self._stood is None else self._stood
+        attitude = from_euler(0, 0, to_euler(self.truth.attitude)[2])
+        state = np.concatenate([[x, y, 0.0], to_mrp(attitude), np.zeros(6)])
+        self._plant.reset(state * _FLIP)
+        self.truth = self.sensed = _motion(self._plant.state, [0.0, 0.0, 0.0])
+        self.on_ground = True
+
+
+def _motion(state: np.ndarray, acceleration: list[float]) -> Motion:
+    px, py, pz, sx, sy, sz, vx, vy, vz, wx, wy, wz = (state * _FLIP).tolist()
+    ax, ay, az = acceleration
+    return Motion((px, py, pz), (vx, vy, vz), from_mrp((sx, sy, sz)), (wx, wy, wz), (ax, -ay, -az))
+
+
+def _turned(vehicle: Vehicle) -> Vehicle:
+    """The vehicle whose wind, given east-north-up, is along the axes of this plant."""
+    frame, table = LocalFrame(), vehicle.disturbance
+    wind = flipped_body(frame.vector_to_ned(np.array(table.wind_m_s)))
+    gust = np.abs(frame.vector_to_ned(np.array(table.gust_m_s)))
+    changed = msgspec.structs.replace(table, wind_m_s=tuple(wind.tolist()), gust_m_s=tuple(gust.tolist()))
+    return msgspec.structs.replace(vehicle, disturbance=changed)

@@ -1,0 +1,138 @@
+"""The whole simulated vehicle, bytes in and bytes out, on a clock that the caller moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from alula.stages.sim_vehicle.ardupilot.copter import Copter
+from alula.stages.sim_vehicle.common.camera import PERIOD_S, Camera
+from alula.stages.sim_vehicle.common.faults import Fault, Schedule
+from alula.stages.sim_vehicle.common.line import Line
+from alula.stages.sim_vehicle.common.packets import Codec, Message
+from alula.stages.sim_vehicle.personalities import PERSONALITIES
+
+_SIGNING_EPOCH_S = 1420070400  # 2015-01-01, from which signatures count
+
+
+def signing_time(epoch_s: float) -> int:
+    """The time of signatures, in units of 10 us, of a Unix time [s]."""
+    return max(0, int((epoch_s - _SIGNING_EPOCH_S) * 1e5))
+
+
+class SimulatedVehicle:
+    """A `Copter` on a MAVLink channel, with faults.
+
+    Nothing here knows a socket or a clock: `receive` takes what came, `advance` lives until a time and gives
+    the packets to send. Tests may reach into `copter`, call `inject`, and move the pilot's hands by
+    `copter.pilot`.
+
+    Args:
+        copter: the vehicle.
+        faults: that happen by themselves.
+        seed: of which packets they hit.
+        channel: number of the serial port; channel 0 takes unsigned packets even with a key.
+        key: 32 bytes for signatures, or None.
+        epoch_s: Unix time at boot, which SYSTEM_TIME and signatures need; 0 if unknown.
+        camera_start: where it boots, in the frame of motion capture, east north up [m].
+    """
+
+    def __init__(
+        self,
+        copter: Copter,
+        *,
+        faults: tuple[Fault, ...] = (),
+        seed: int = 0,
+        channel: int = 0,
+        key: bytes | None = None,
+        epoch_s: float = 0.0,
+        camera_start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        self.copter = copter
+        self.codec = Codec(
+            copter.parameters.whole("SYSID_THISMAV"),
+            channel=channel,
+            key=key,
+            time_10us=signing_time(epoch_s),
+        )
+        self._schedule = Schedule(faults)
+        self._line = Line(self.codec, self._schedule, seed)
+        personality = PERSONALITIES[copter.AUTOPILOT]
+        self.telemetry = personality.telemetry(copter, epoch_s)
+        self._dialogue = personality.dialogue(copter, self.telemetry, self.codec, signing_time(epoch_s))
+        self._random = np.random.default_rng([seed, 10])
+        self._begun: dict[int, bool] = {}  # faults of the vehicle that had their turn: whether they act
+        self._outbox: list[bytes] = []
+        self._camera = Camera(seed, camera_start)
+        self._pictures = 0
+
+    @property
+    def time_s(self) -> float:
+        """Since boot."""
+        return self.copter.time_s
+
+    def inject(self, fault: Fault) -> None:
+        """Let something go wrong, `start` seconds from now."""
+        self._schedule.add(replace(fault, start=self.time_s + fault.start, since="boot"))
+
+    def receive(self, data: bytes) -> None:
+        """Take in what came; answers leave with the next `advance`."""
+        for message in self._line.receive(data, self.time_s):
+            self._answer(message)
+
+    def advance(self, to_s: float) -> list[bytes]:
+        """Live until a time since boot [s]; the packets to send, each for a datagram of its own."""
+        while self.time_s < to_s - 1e-9:
+            self._fail()
+            self.copter.tick()
+            if self.copter.is_armed:
+                self._schedule.mark("arm", self.time_s)
+            if not self.copter.is_landed:
+                self._schedule.mark("airborne", self.time_s)
+            for message in self._line.late_messages(self.time_s):
+                self._answer(message)
+            for message in self._dialogue.due():
+                self._send(message)
+            self._outbox += self._line.late_packets(self.time_s)
+        packets, self._outbox = self._outbox, []
+        return packets
+
+    def mocap(self) -> bytes | None:
+        """A datagram of motion capture, a hundred times a second and while that is not lost; else None."""
+        if self.time_s < self._pictures * PERIOD_S - 1e-9:
+            return None
+        self._pictures = int(self.time_s / PERIOD_S + 1e-6) + 1
+        if self.copter.estimator.is_deaf:
+            return None
+        return self._camera.datagram(self.time_s, self.copter.airframe.truth)
+
+    def _answer(self, message: Message) -> None:
+        for reply in self._dialogue.answer(message):
+            self._send(reply)
+
+    def _send(self, message: Message) -> None:
+        self._outbox += self._line.send(message, self.time_s)
+
+    def _fail(self) -> None:
+        """Faults of the vehicle itself, of which each is drawn once, when its time comes."""
+        if not self._schedule:
+            return
+        estimator, copter = self.copter.estimator, self.copter
+        acting: dict[str, Fault] = {}
+        for fault in self._schedule.acting(self.time_s):
+            fresh = id(fault) not in self._begun
+            if fresh:
+                self._begun[id(fault)] = fault.probability >= 1 or self._random.random() < fault.probability
+            if not self._begun[id(fault)]:
+                continue
+            acting[fault.kind] = fault
+            if fresh and fault.kind == "mode":
+                copter.switch_to(fault.amount)
+            elif fresh and fault.kind == "battery":
+                copter.battery.drain_to(fault.size)
+        jump = acting.get("jump")
+        estimator.offset = (0.0, 0.0, 0.0) if jump is None else (jump.size, 0.0, 0.0)
+        estimator.is_deaf = "mocap-loss" in acting
+        estimator.is_sick = "estimator" in acting
+        copter.pilot.is_lost = "radio-loss" in acting

@@ -1,0 +1,1 @@
+"""Flights of a rigid body among the ellipsoids of a scene."""

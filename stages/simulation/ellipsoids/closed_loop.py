@@ -1,0 +1,160 @@
+"""Flights among ellipsoids: natively on threads, or in a Python loop for a filter written in Python."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.errors import InputError
+from alula.schemas.run import Outcome
+from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.filtering.splat_filters import NativeSplatFilter
+from alula.stages.filtering.splat_protocol import FlightState, Nominal, SplatFilter, is_input
+
+FloatArray = NDArray[np.float64]
+
+_OUTCOMES: tuple[Outcome, ...] = ("reached", "stuck", "timeout", "refused")  # by number, from 1
+
+
+@dataclass(frozen=True, slots=True)
+class SplatFlown:
+    """One flight of S ticks; a row per tick, of the time at its beginning unless said otherwise.
+
+    Attributes:
+        position: shape (S plant_steps + 1, 3): the path at the rate of the plant, world frame [m].
+        state: shape (S + 1, 12), position, attitude (MRP), velocity, body rates; the last row is the end.
+        a_nominal: acceleration that the controller asked for, shape (S, 3) [m/s^2].
+        a_command: acceleration that the filter let through, shape (S, 3) [m/s^2]; of a wrench, the one that
+            its thrust makes along the true axis.
+        a_error: largest |a - a_command| within the tick, shape (S,) [m/s^2].
+        u_nominal: thrust and torque of the controller, shape (S, 4) [N, N m].
+        u: thrust and torque as flown, within the limits of the rotors, shape (S, 4); 0 without rotors.
+        rotor_thrust: of each rotor, shape (S, 4) [N].
+        margin: the filter's own barrier, shape (S,); infinite without an obstacle.
+        gate_m: distance within which ellipsoids counted, shape (S,) [m].
+        active: ellipsoid of the row that decided, -1 for none, shape (S,).
+        candidates, rows, iterations: of the filter's program, shape (S,).
+        status: `FilterStatus`, shape (S,).
+        capped, infeasible, certified, saturated: shape (S,).
+        filter_s: measured time of the filter, shape (S,) [s].
+        tick_s: measured time of controller and filter, shape (S,) [s].
+        outcome: how it ended.
+    """
+
+    position: FloatArray
+    state: FloatArray
+    a_nominal: FloatArray
+    a_command: FloatArray
+    a_error: FloatArray
+    u_nominal: FloatArray
+    u: FloatArray
+    rotor_thrust: FloatArray
+    margin: FloatArray
+    gate_m: FloatArray
+    active: NDArray[np.int64]
+    candidates: NDArray[np.uint32]
+    rows: NDArray[np.uint32]
+    iterations: NDArray[np.uint32]
+    status: NDArray[np.uint8]
+    capped: NDArray[np.bool_]
+    infeasible: NDArray[np.bool_]
+    certified: NDArray[np.bool_]
+    saturated: NDArray[np.bool_]
+    filter_s: NDArray[np.float32]
+    tick_s: NDArray[np.float32]
+    outcome: Outcome
+
+
+def fly(
+    safety_filter: SplatFilter | None,
+    vehicle: _core.FlightVehicle,
+    references: Sequence[_core.ReferenceCurve],
+    rules: _core.FlightRules,
+    *,
+    guide: NativeSplatFilter | None = None,
+    seed: int = 0,
+    first_trial: int = 0,
+    jobs: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[SplatFlown]:
+    """Fly every reference in closed loop; see native/core/include/alula/flight/splat_flight.hpp.
+
+    Args:
+        safety_filter: None flies what the controller asks for.
+        vehicle: body, controller and plant.
+        references: one per flight.
+        rules: times and when a flight ends.
+        guide: a filter of accelerations that bends what the controller asks for before the filter sees it.
+        seed: of the plant's noise, with the trial's number, which counts from `first_trial`.
+        first_trial: number of the first flight.
+        jobs: threads; all but the measured times is independent of it.
+        progress: called with (flights done, flights).
+
+    Raises:
+        InputError: a Python filter returned something that cannot be flown.
+        ValueError: the rules mean nothing, or a wrench is to be flown by a double integrator.
+    """
+    bend = None if guide is None else guide.native
+    if safety_filter is None or isinstance(safety_filter, NativeSplatFilter):
+        native = None if safety_filter is None else safety_filter.native
+        logs = _core.fly(
+            vehicle,
+            rules,
+            list(references),
+            native,
+            guide=bend,
+            seed=seed,
+            first_trial=first_trial,
+            jobs=jobs,
+            progress=progress,
+        )
+        return [_flown(log) for log in logs]
+    flights = []
+    for i, reference in enumerate(references):
+        trial = _core.FlightTrial(vehicle, rules, reference, seed=seed, trial=first_trial + i, guide=bend)
+        flights.append(_fly_in_python(safety_filter, trial))
+        if progress is not None:
+            progress(i + 1, len(references))
+    return flights
+
+
+def _fly_in_python(safety_filter: SplatFilter, trial: _core.FlightTrial) -> SplatFlown:
+    kind = safety_filter.kind
+    safety_filter.reset()
+    outcome = 0
+    while outcome == 0:
+        state, nominal = FlightState(*trial.state()), Nominal(*trial.nominal())
+        before = time.perf_counter()
+        result = safety_filter(state, nominal)
+        seconds = time.perf_counter() - before
+        status = FilterStatus(result.status)
+        u = np.zeros(3 if kind == "acceleration" else 4) if status is FilterStatus.REFUSED else result.u
+        if not is_input(u, kind):
+            where = np.round(state.position, 3).tolist()
+            raise InputError(f"the filter returned {result.u!r}, which is no {kind}, at {where}")
+        outcome = trial.advance(
+            np.ascontiguousarray(u, np.float64),
+            status=int(status),
+            margin=float(result.margin),
+            active=int(result.active),
+            thrust_rate=float(result.thrust_rate),
+            infeasible=bool(result.infeasible),
+            certified=bool(result.certified),
+            filter_s=seconds,
+        )
+    return _flown(trial.log())
+
+
+def _flown(log: dict[str, Any]) -> SplatFlown:
+    flags = log.pop("flags")
+    named = {
+        name: (flags & bit) != 0
+        for name, bit in (("capped", 1), ("infeasible", 2), ("certified", 4), ("saturated", 8))
+    }
+    return SplatFlown(**{**log, **named, "outcome": _OUTCOMES[log["outcome"] - 1]})

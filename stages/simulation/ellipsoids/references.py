@@ -1,0 +1,79 @@
+"""What is flown among ellipsoids: a plan, random pairs, or those of another run."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.configs.simulate import SimulateConfig
+from alula.stages.planning.rest_to_rest import rest_to_rest
+from alula.stages.simulation.ellipsoids.judge import SplatJudge
+from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
+
+FloatArray = NDArray[np.float64]
+
+
+def references_of(
+    config: SimulateConfig,
+    scene: Artifact,
+    plan: Artifact | None,
+    given: Pairs | None,
+    judge: SplatJudge,
+    keep_m: float,
+) -> tuple[list[_core.ReferenceCurve], FloatArray, dict[str, int]]:
+    """The curves to fly, where they end, and what was sampled for them.
+
+    A pair's goal is the one that was drawn, not the end of its curve, whose rounding depends on the speed.
+
+    Raises:
+        UsageError: a given start or goal is nearer to an ellipsoid than `keep_m`, or there are no bounds.
+        InfeasibleError: no clear pairs were found.
+    """
+    if plan is not None:
+        time, coefficient = (np.ascontiguousarray(plan[name], np.float64) for name in ("time", "coefficient"))
+        curve = _core.ReferenceCurve(time, coefficient)
+        return [curve], curve.at(np.array([curve.duration_s]))[:, :3], {}
+    assert config.speed_m_s is not None
+    if given is not None:
+        check_clear(given, lambda points: np.asarray(judge.distance(points, keep_m) >= keep_m))
+    pairs = _sampled(config, scene, judge, keep_m) if given is None else given
+    curves = [
+        _core.ReferenceCurve(*rest_to_rest(start, goal, config.speed_m_s, yaw_rad=_heading(goal - start)))
+        for start, goal in zip(pairs.start, pairs.goal, strict=True)
+    ]
+    blocked = {"blocked_pairs": int(judge.is_blocked(pairs.start, pairs.goal, keep_m).sum())}
+    if given is not None:
+        return curves, pairs.goal, blocked
+    return (
+        curves,
+        pairs.goal,
+        blocked
+        | {
+            "sampled_points": pairs.sampled,
+            "sampled_inside_ellipsoids": pairs.sampled_inside_hulls,
+            "sampled_pairs": pairs.candidates,
+        },
+    )
+
+
+def _sampled(config: SimulateConfig, scene: Artifact, judge: SplatJudge, keep_m: float) -> Pairs:
+    assert config.trials is not None
+    lower, upper = central_box(np.asarray(scene["mean"], np.float64), config.bounds, "Gaussians")
+    needed = keep_m + config.margin_m
+    return sample_pairs(
+        config.trials,
+        config.seed,
+        (lower, upper),
+        config.separation * float(np.linalg.norm(upper - lower)),
+        lambda points: judge.distance(points, needed),
+        lambda _, distance: np.asarray(distance >= needed),
+        (lambda start, goal: judge.is_blocked(start, goal, keep_m)) if config.pairs == "blocked" else None,
+    )
+
+
+def _heading(way: FloatArray) -> float:
+    return math.atan2(way[1], way[0])

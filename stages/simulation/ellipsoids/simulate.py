@@ -1,0 +1,355 @@
+"""Simulate flights of a rigid body among the ellipsoids of a scene and judge them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.configs.simulate import DEFAULT_SPEED_M_S, SimulateConfig
+from alula.schemas.errors import InputError, UsageError
+from alula.schemas.manifest import Guarantee
+from alula.schemas.run import TrialResult
+from alula.schemas.vehicle import FASTBRIDGE, Vehicle
+from alula.stages.clearance import wilson_interval
+from alula.stages.compression.verify import require_solid_hulls
+from alula.stages.compression.voxelize import sigma_of_confidence
+from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
+from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
+from alula.stages.filtering.splat_filters import GUIDES, NativeSplatFilter
+from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
+from alula.stages.runlog.ellipsoids import SplatFlightLog, decimate
+from alula.stages.simulation.ellipsoids.closed_loop import fly
+from alula.stages.simulation.ellipsoids.judge import SplatJudge
+from alula.stages.simulation.ellipsoids.references import references_of
+from alula.stages.simulation.hulls.simulate import RunResult
+from alula.stages.simulation.pairs import Pairs
+from alula.stages.vehicles.bodies import (
+    actuator_model,
+    disturbances,
+    left_out,
+    plant_options,
+    quadrotor,
+    tracking_gains,
+)
+
+FloatArray = NDArray[np.float64]
+
+Progress = Callable[[int, int], None]
+
+_BATCH = 16  # trials whose full-rate samples are in memory at once
+_PLANT_STEP_S = 1e-3  # at most, by default of FlightRules
+_STUCK_S = 2.0
+_CATCH_UP = 0.5  # of the reference's peak speed, beyond it, for who was held up
+_ROOM_M = 20.0  # around the scene and the references; a flight that leaves it is refused
+
+
+def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | None) -> SimulateConfig:
+    """Fill in what the configuration leaves to the vehicle, the plan or a default.
+
+    Raises:
+        UsageError: a number of trials or a speed is given with a plan, which says both, or the vehicle is
+            none that flies among ellipsoids, or a parameter of the filter or the guide is unknown.
+    """
+    if vehicle.model == "single-integrator":
+        raise UsageError(
+            f"{vehicle.name} is a single-integrator, which flies among the hulls of a cover, not "
+            "among ellipsoids"
+        )
+    if config.plant == "quadrotor" != vehicle.model:
+        raise UsageError(f"--plant quadrotor: {vehicle.name} is a {vehicle.model}")
+    if config.plant == "double-integrator" or vehicle.model == "double-integrator":
+        if config.interface != "wrench":
+            raise UsageError(f"--interface {config.interface}: a double integrator is told accelerations")
+        if alone := [name for name in disturbances(vehicle) if name not in ("noise", "delay")]:
+            raise UsageError(
+                f"--plant double-integrator has no {' or '.join(alone)}, as {vehicle.name} asks for"
+            )
+    if plan is not None and config.trials not in (None, 1):
+        raise UsageError("--trials is for random pairs; a plan is flown once")
+    if plan is not None and config.speed_m_s is not None:
+        raise UsageError("--speed is for random pairs; a plan has its own speed")
+    if plan is not None and config.pairs != "any":
+        raise UsageError(f"--pairs {config.pairs} is for random pairs; a plan is flown as it is")
+    if config.guide not in (NO_FILTER, *GUIDES):
+        raise UsageError(f"--guide {config.guide}: a guide is {' or '.join(GUIDES)}")
+    if config.guide == NO_FILTER and config.guide_parameters:
+        raise UsageError(f"--set guide.{next(iter(config.guide_parameters))}: there is no --guide")
+    speed = config.speed_m_s or DEFAULT_SPEED_M_S if plan is None else None
+    peak = _peak_speed(plan) if plan is not None else speed
+    assert peak is not None
+    held_up = vehicle.tracking.catch_up_m_s or _CATCH_UP * peak
+    return dataclasses.replace(
+        config,
+        sigma=config.sigma if config.confidence is None else sigma_of_confidence(config.confidence),
+        radius_m=vehicle.body.radius_m if config.radius_m is None else config.radius_m,
+        plant=config.plant or ("quadrotor" if vehicle.model == "quadrotor" else "double-integrator"),
+        speed_m_s=speed,
+        trials=(100 if plan is None else 1) if config.trials is None else config.trials,
+        filter_parameters=complete_parameters(config.filter, config.filter_parameters),
+        guide_parameters=complete_parameters(config.guide, config.guide_parameters),
+        catch_up_m_s=config.catch_up_m_s or held_up,
+    )
+
+
+def simulate_splat(
+    config: SimulateConfig,
+    scene: Artifact,
+    vehicle: Vehicle,
+    *,
+    plan: Artifact | None = None,
+    cover: Artifact | None = None,
+    given: Pairs | None = None,
+    jobs: int = 0,
+    progress: Progress | None = None,
+) -> RunResult:
+    """Fly start-goal pairs, or a plan, among the ellipsoids of a scene, and judge each flight.
+
+    A rigid body with rotors (or, as `plant` says, an ideal double integrator), in steps of at most 1 ms,
+    behind the tracking controller, its guide and the filter at every `dt_s`. A pair is joined by a straight
+    septic reference from rest to rest with the peak speed `speed_m_s`, whatever is in between; a plan is
+    flown as it is. Filters see the ellipsoids at the level `sigma`, and a sphere of the vehicle's radius plus
+    `inflation_m`. Every flight is judged independently of the filter: exact signed Euclidean distance of the
+    path at the plant's rate to the ellipsoids, minus the radius. A success is a flight that reached its goal
+    without collision.
+
+    Args:
+        config: see `SimulateConfig`.
+        scene: metric scene.
+        vehicle: body, rotors, controller and disturbances.
+        plan: flown instead of random pairs.
+        cover: clearance to its hulls is also told.
+        given: flown instead of random pairs.
+        jobs: threads, 0 for all processors; only measured times depend on it.
+        progress: called with (trials done, trials).
+
+    Raises:
+        UsageError: the filter is unknown, a parameter has no meaning, the plant cannot fly its output, or a
+            given start or goal is not clear of the map.
+        InputError: the scene is not metric, or plan or cover do not fit it.
+        ArtifactError: planes and vertices of the cover do not describe the same polytopes.
+        InfeasibleError: no clear start-goal pairs were found.
+
+    Source: FastBridge (arXiv 2607.01200), section IV.
+    """
+    config = resolve_splat(config, vehicle, plan)
+    assert config.radius_m is not None
+    assert config.trials is not None
+    assert config.plant is not None
+    _check_fit(scene, plan, cover)
+    if cover is not None:
+        require_solid_hulls(cover, jobs=jobs)
+    inflation = scene.manifest.suggested_inflation_m if config.inflation_m is None else config.inflation_m  # type: ignore[attr-defined]
+    keep = config.radius_m + inflation
+    index = ellipsoid_index(scene, config.sigma, keep)
+    gains = tracking_gains(vehicle, config.catch_up_m_s)
+    # A point has no rotors: its controller and filters only use the translation, whatever the body.
+    body = quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE)
+    assumed = actuator_model(vehicle)
+    world = SplatWorld(
+        index=index,
+        body=body,
+        gains=gains,
+        radius_m=keep,
+        dt_s=config.dt_s,
+        motor_time_constant_s=assumed.motor_time_constant_s,
+    )
+    safety_filter = make_splat_filter(config.filter, world, config.filter_parameters)
+    guide = make_splat_filter(config.guide, world, config.guide_parameters)
+    assert guide is None or isinstance(guide, NativeSplatFilter)
+    if config.plant == "double-integrator" and safety_filter is not None and safety_filter.kind == "wrench":
+        raise UsageError(f"--plant double-integrator has no thrust and torque, which {config.filter} returns")
+    judge = SplatJudge(scene, config.sigma, cover, config.radius_m, jobs)
+    references, goals, sampled = references_of(config, scene, plan, given, judge, keep)
+    lower, upper = _room(scene, references, config.dt_s)
+    rules = _core.FlightRules(
+        dt_s=config.dt_s,
+        stop_fraction=config.stop_fraction,
+        stuck_ticks=max(1, round(_STUCK_S / config.dt_s)),
+        max_time_s=config.max_time_s or 0.0,
+        lower=lower,
+        upper=upper,
+    )
+    flying = _core.FlightVehicle(
+        body,
+        gains,
+        plant_options(vehicle),
+        plant=config.plant,
+        interface=config.interface,
+        max_rate_rad_s=vehicle.rates.max_rad_s,
+        rate_time_constant_s=vehicle.rates.time_constant_s,
+        max_acceleration_m_s2=vehicle.limits.max_acceleration_m_s2 or math.inf,
+        assumed=assumed,
+    )
+    trials: list[TrialResult] = []
+    flights: list[SplatFlightLog] = []
+    seconds: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
+    for begin in range(0, len(references), _BATCH):
+        batch = references[begin : begin + _BATCH]
+        found = fly(
+            safety_filter,
+            flying,
+            batch,
+            rules,
+            guide=guide,
+            seed=config.seed,
+            first_trial=begin,
+            jobs=jobs,
+            progress=_shifted(progress, begin, len(references)),
+        )
+        for i, (reference, flown) in enumerate(zip(batch, found, strict=True), begin):
+            rows = reference.at(np.arange(len(flown.status) + 1, dtype=np.float64) * config.dt_s)
+            trials.append(judge.trial(i, rows, goals[i], flown, config.dt_s, index))
+            flights.append(decimate(flown, config.dt_s, config.log_rate_hz))
+            seconds.append((flown.filter_s, flown.tick_s))
+    return RunResult(
+        filter=config.filter,
+        vehicle=_describe(config, vehicle),
+        trials=trials,
+        summary=_summary(trials, sampled, safety_filter) | {"sigma": config.sigma, "inflation_m": inflation},
+        guarantee=_guarantee(config, vehicle, scene, trials, inflation),
+        flights=flights,
+        map=scene,
+        filter_s=np.concatenate([pair[0] for pair in seconds]),
+        tick_s=np.concatenate([pair[1] for pair in seconds]),
+    )
+
+
+def _peak_speed(plan: Artifact) -> float:
+    return float(plan.manifest.speed_m_s)  # type: ignore[attr-defined]
+
+
+def _shifted(progress: Progress | None, begin: int, total: int) -> Progress | None:
+    """Progress of a batch as a part of the whole."""
+    return None if progress is None else lambda done, _: progress(begin + done, total)
+
+
+def _check_fit(scene: Artifact, plan: Artifact | None, cover: Artifact | None) -> None:
+    require_metric("scene", scene)
+    for role, other in (("plan", plan), ("cover", cover)):
+        if other is not None and other.manifest.frame != scene.manifest.frame:
+            raise InputError(
+                f"the {role} is in the frame {other.manifest.frame!r}, the scene in {scene.manifest.frame!r}"
+            )
+
+
+def _room(
+    scene: Artifact, references: list[_core.ReferenceCurve], dt_s: float
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """A box around all there is; whoever leaves it is lost."""
+    points = [np.asarray(scene["mean"], np.float64)]
+    for curve in references:
+        time = np.linspace(0, curve.duration_s, max(2, int(curve.duration_s / dt_s)))
+        points.append(curve.at(time)[:, :3])
+    low = np.min([part.min(axis=0) for part in points if len(part)], axis=0) - _ROOM_M
+    high = np.max([part.max(axis=0) for part in points if len(part)], axis=0) + _ROOM_M
+    return tuple(low.tolist()), tuple(high.tolist())
+
+
+def _describe(config: SimulateConfig, vehicle: Vehicle) -> str:
+    guided = "" if config.guide == NO_FILTER else f", guided by {config.guide}"
+    found = disturbances(vehicle)
+    disturbed = f", with {', '.join(found)}" if found else ""
+    if config.plant == "double-integrator":
+        return f"{vehicle.name}: sphere of radius {config.radius_m:g} m, double integrator{guided}{disturbed}"
+    told = "thrust and torque" if config.interface == "wrench" else "thrust and body rates"
+    sphere = f"sphere of radius {config.radius_m:g} m"
+    body = f"quadrotor of {vehicle.body.mass_kg:g} kg in a {sphere}"
+    return f"{vehicle.name}: {body}, told {told}{guided}{disturbed}"
+
+
+def _summary(
+    trials: list[TrialResult], sampled: dict[str, int], safety_filter: SplatFilter | None
+) -> dict[str, Any]:
+    good = [t for t in trials if t.outcome == "reached" and not t.collision]
+    ratios = [t.path_length_m / t.straight_length_m for t in good if t.straight_length_m > 0]
+    native = safety_filter is None or isinstance(safety_filter, NativeSplatFilter)
+    total = {
+        name: sum(getattr(t, name) or 0 for t in trials)
+        for name in (
+            *("steps", "filtered_steps", "infeasible_steps", "fallback_steps", "backup_steps"),
+            *("certified_steps", "capped_steps", "saturated_steps"),
+        )
+    }
+    return {
+        "trials": len(trials),
+        "success_rate": len(good) / len(trials),
+        "success_interval": list(wilson_interval(len(good), len(trials))),
+        "collisions": sum(t.collision for t in trials),
+        **{o: sum(t.outcome == o for t in trials) for o in ("reached", "stuck", "timeout", "refused")},
+        "min_map_clearance_m": _least([t.map_clearance_m for t in trials]),
+        "min_scene_clearance_m": _least([t.scene_clearance_m for t in trials]),
+        "min_gamma": _least([t.min_gamma for t in trials]),
+        "min_margin": _least([t.min_margin for t in trials]),
+        "mean_path_ratio": math.fsum(ratios) / len(ratios) if ratios else None,
+        "max_speed_m_s": max(t.max_speed_m_s for t in trials),
+        "max_jerk_m_s3": max(t.max_jerk_m_s3 for t in trials),
+        "mean_jerk_m_s3": math.fsum(t.mean_jerk_m_s3 for t in trials) / len(trials),
+        "peak_realisation_error_m_s2": max(t.peak_realisation_error_m_s2 or 0.0 for t in trials),
+        **total,
+        **sampled,
+        "filter_kind": "native" if native else "python filter",
+    }
+
+
+def _least(values: list[float | None]) -> float | None:
+    return min((v for v in values if v is not None), default=None)
+
+
+def _model(vehicle: Vehicle) -> str:
+    """What the filters take the vehicle for."""
+    table = vehicle.assumed
+    lag = f"a motor time constant of {table.motor_time_constant_s:g} s"
+    delay = f"states that are {table.delay_s:g} s old"
+    known = [text for text, value in ((lag, table.motor_time_constant_s), (delay, table.delay_s)) if value]
+    return f"the model with {' and '.join(known)}" if known else "the model without disturbances"
+
+
+def _guarantee(
+    config: SimulateConfig, vehicle: Vehicle, scene: Artifact, trials: list[TrialResult], inflation_m: float
+) -> Guarantee:
+    """What the run shows; what a filter proves it proves tick by tick, and the log says which."""
+    hits = sum(t.collision for t in trials)
+    steps, certified = sum(t.steps for t in trials), sum(t.certified_steps or 0 for t in trials)
+    share = "all" if certified == steps else f"{certified} of {steps}"
+    if config.filter == NO_FILTER:
+        head = "No filter was flown; nothing was guaranteed beforehand."
+    elif certified:
+        head = (
+            f"In {share} steps the filter proved that a backup manoeuvre from the end of the step keeps the "
+            f"radius from every ellipsoid, for {_model(vehicle)}."
+        )
+        if outside := [*left_out(vehicle), *(["a rate loop"] if config.interface != "wrench" else [])]:
+            head += f" These flights had {', '.join(outside)}, which that model leaves out."
+    else:
+        head = f"The filter {config.filter!r} bounds the rate of a barrier at each step; it proves no flight."
+    if config.guide != NO_FILTER:
+        head += f" The guide {config.guide!r} only bends what the controller asks for; nothing rests on it."
+    found = f"{hits or 'none'} of {len(trials)} flights came closer to an ellipsoid than the radius"
+    model = "double integrator" if config.plant == "double-integrator" else "quadrotor with rotor limits"
+    given = scene.manifest.guarantee
+    return Guarantee(
+        statement=f"{head} Judged afterwards over the whole path against the scene's ellipsoids at "
+        f"{config.sigma:.4g} sigma: {found}. This holds for the simulated {model}, and for the real scene as "
+        "far as its ellipsoids do.",
+        claims={
+            "proven_by_filter": False,
+            "scene_clear": hits == 0,
+            "scene_collisions": hits,
+            "certified_steps": certified,
+            "steps": steps,
+            "every_step_certified": certified == steps,
+            "continuous_time": True,
+            "path_sampling_s": min(_PLANT_STEP_S, config.dt_s),
+            "sigma": config.sigma,
+            "inflation_m": inflation_m,
+            "vehicle_model": model,
+            "scene_claims": given.claims if given is not None else {},
+        },
+    )

@@ -1,0 +1,1 @@
+"""Flights among moving obstacles."""

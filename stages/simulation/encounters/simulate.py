@@ -1,0 +1,213 @@
+"""Monte Carlo of encounters with moving obstacles, in chunks of trials, wherever these are computed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.encounters import Encounters
+from alula.schemas.run import ObstacleResult, TrialResult
+from alula.stages.clearance import COLLISION_TOLERANCE_M, hull_obstacles
+from alula.stages.compression.hulls import Hulls
+from alula.stages.filtering.obstacles import require_obstacles
+from alula.stages.runlog.encounters import EncounterFlight
+from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing
+from alula.stages.simulation.encounters.world import native_encounter, native_filter, static_walls
+
+CHUNK = 16  # trials: some tenths of a second
+_FIGURES = (
+    *("closest_m", "separation_m", "closing_m_s", "detected_s", "warned_s"),
+    *("command_s", "reaction_s", "avoid_s"),
+)  # columns of what the native loop says of each obstacle
+
+
+class FlownChunk(FlownTrials, frozen=True, kw_only=True):
+    """Trials that follow one another; the arrays, as bytes, are measured times and differ from run to run.
+
+    `tick_s` has the time of the filter in each active tick, float32; `command_s` and `reaction_s` per trial
+    and obstacle the time of the filter in the tick of its warning and with it the time to react, float64,
+    NaN for what never was.
+    """
+
+    tick_s: bytes
+    command_s: bytes
+    reaction_s: bytes
+    flights: list[EncounterFlight]
+
+
+@dataclass(frozen=True, slots=True)
+class EncounterRun:
+    """All trials of a scenario; `tick_s`, `command_s` and `reaction_s` are measured, the rest is not.
+
+    Attributes:
+        trials: in their order.
+        flights: of those that the log shows.
+        walls: what was static; None for nothing.
+        tick_s: time of the filter in every active tick, shape (T,) [s].
+        command_s: of the filter in the tick of each obstacle's warning, shape (trials, n) [s], else NaN.
+        reaction_s: with it the time from the warning to the reaction, shape (trials, n) [s].
+    """
+
+    trials: list[TrialResult]
+    flights: list[EncounterFlight]
+    walls: Hulls | None
+    tick_s: NDArray[np.float32]
+    command_s: NDArray[np.float64]
+    reaction_s: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    scenario: Encounters
+    walls: Hulls | None
+    first: int
+    count: int
+
+
+def fly_encounters(
+    scenario: Encounters,
+    *,
+    cover: Artifact | None = None,
+    journal: TrialJournal[FlownChunk] | None = None,
+    jobs: int = 0,
+    scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> EncounterRun:
+    """Fly all trials of a scenario with moving obstacles.
+
+    Trial k is a function of the scenario and (seed, k) alone, so results do not depend on jobs, on the
+    scheduler or on what a journal brings, measured times aside.
+
+    Args:
+        scenario: all parameters.
+        cover: static obstacles, beside the scenario's own.
+        journal: chunks that are done already are taken from it, others added.
+        jobs: threads, 0 for all processors.
+        scheduler: address of a `dask.distributed` scheduler, instead of threads.
+        progress: called with (trials done, trials).
+
+    Raises:
+        UsageError: numbers of the scenario mean nothing together; the message has the path of their key.
+        ArtifactError, InputError: the cover is damaged, or not in metres.
+        LinkError: see `distribute`.
+    """
+    if cover is not None:
+        require_obstacles(cover, jobs=jobs)
+    walls = static_walls(scenario, cover)
+    native_encounter(scenario, None)  # what is wrong is wrong before any work
+    native_filter(scenario)
+    chunks = fly_missing(
+        fly_chunk,
+        lambda first, count: _Chunk(scenario, walls, first, count),
+        scenario.trials.count,
+        CHUNK,
+        TrialJournal(FlownChunk) if journal is None else journal,
+        jobs=jobs,
+        scheduler=scheduler,
+        progress=progress,
+    )
+    return _joined(scenario, walls, chunks)
+
+
+def _joined(scenario: Encounters, walls: Hulls | None, chunks: list[FlownChunk]) -> EncounterRun:
+    shape = (-1, len(scenario.obstacles))
+
+    def rows(name: str) -> NDArray[np.float64]:
+        flat = np.frombuffer(b"".join(getattr(chunk, name) for chunk in chunks), np.float64)
+        return flat.reshape(shape) if shape[1] > 0 else np.empty((scenario.trials.count, 0))
+
+    return EncounterRun(
+        trials=[trial for chunk in chunks for trial in chunk.trials],
+        flights=[flight for chunk in chunks for flight in chunk.flights],
+        walls=walls,
+        tick_s=np.frombuffer(b"".join(chunk.tick_s for chunk in chunks), np.float32),
+        command_s=rows("command_s"),
+        reaction_s=rows("reaction_s"),
+    )
+
+
+def fly_chunk(chunk: _Chunk) -> FlownChunk:
+    """Fly some trials on the calling thread, without holding the interpreter."""
+    scenario, logged = chunk.scenario, chunk.scenario.trials.logged
+    spec = native_encounter(scenario, None if chunk.walls is None else hull_obstacles(chunk.walls))
+    native, seed = native_filter(scenario), scenario.trials.seed
+
+    def flown(first: int, count: int, keeps_path: bool) -> Iterator[tuple[int, dict[str, Any]]]:
+        logs = _core.fly_encounters(
+            spec, native, seed=seed, first=first, count=count, keeps_path=keeps_path, jobs=1
+        )
+        return enumerate(logs, first)
+
+    shown = min(max(logged - chunk.first, 0), chunk.count)
+    trials, ticks, commands, reactions, flights = [], [], [], [], []
+    for index, log in (
+        *flown(chunk.first, shown, True),
+        *flown(chunk.first + shown, chunk.count - shown, False),
+    ):
+        trials.append(_trial(scenario, index, log))
+        ticks.append(log["active_tick_s"].tobytes())
+        columns = dict(zip(_FIGURES, log["obstacle"].T, strict=True))
+        commands.append(columns["command_s"].tobytes())
+        reactions.append((columns["command_s"] + columns["reaction_s"]).tobytes())
+        if index < logged:
+            flights.append(EncounterFlight.of(index, log, scenario.run.dt_s, scenario.run.log_rate_hz))
+    return FlownChunk(
+        first=chunk.first,
+        trials=trials,
+        tick_s=b"".join(ticks),
+        command_s=b"".join(commands),
+        reaction_s=b"".join(reactions),
+        flights=flights,
+    )
+
+
+def _trial(scenario: Encounters, index: int, log: dict[str, Any]) -> TrialResult:
+    """The verdict on one trial: nothing in it was measured by a clock."""
+    way = scenario.encounter
+    goal = way.start_m if way.hovers else way.goal_m
+    obstacles = []
+    for row, hit in zip(log["obstacle"], log["collided"], strict=True):
+        figures: dict[str, Any] = {name: _known(value) for name, value in zip(_FIGURES, row, strict=True)}
+        del figures["command_s"]
+        obstacles.append(ObstacleResult(**figures, collision=bool(hit)))
+    clearance = log["wall_clearance_m"] if math.isfinite(log["wall_clearance_m"]) else None
+    return TrialResult(
+        index=index,
+        start_m=list(way.start_m),
+        goal_m=list(goal),
+        outcome=log["outcome"],
+        collision=any(obstacle.collision for obstacle in obstacles)
+        or (clearance is not None and clearance < -COLLISION_TOLERANCE_M),
+        steps=log["ticks"],
+        duration_s=log["ticks"] * scenario.run.dt_s,
+        path_length_m=log["path_length_m"],
+        straight_length_m=math.dist(way.start_m, goal),
+        map_clearance_m=clearance,
+        scene_clearance_m=None,
+        max_speed_m_s=log["max_speed_m_s"],
+        filtered_steps=log["filtered_ticks"],
+        shortened_steps=0,
+        infeasible_steps=log["infeasible_ticks"],
+        fallback_steps=log["recovering_ticks"],
+        mean_jerk_m_s3=log["mean_jerk_m_s3"],
+        max_jerk_m_s3=log["max_jerk_m_s3"],
+        obstacles=obstacles,
+        active_steps=log["active_ticks"],
+        refused_steps=log["refused_ticks"],
+        iterations=log["iterations"],
+        worst_violation_m_s2=log["worst_violation"],
+        # Others have no rows whose risk could be left.
+        risk_spent=log["risk_spent"] if scenario.filter.name.startswith("dr-acbf") else None,
+        mission_risk=log["mission_risk"],
+    )
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

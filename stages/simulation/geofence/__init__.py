@@ -1,0 +1,1 @@
+"""Flights of a racing drone inside a geofence."""

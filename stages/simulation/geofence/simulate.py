@@ -1,0 +1,257 @@
+"""Flights in a geofence, in chunks of trials, wherever these are computed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import UsageError
+from alula.schemas.geofence import FenceScenario
+from alula.schemas.run import FenceResult, TrialResult
+from alula.schemas.vehicle import Vehicle
+from alula.stages.filtering.obstacles import require_obstacles
+from alula.stages.runlog.geofence import FenceFlight
+from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing
+from alula.stages.simulation.geofence.world import FlownWorld, KeepOut, native_world
+
+CHUNK, CHUNK_TICKS = 4, 20_000  # trials and ticks, at most: less than a second
+_LEAST_S, _BINS, _PER_OCTAVE = 1e-8, 2400, 60  # of the histogram of times: to 1.2 % from 10 ns to hours
+
+
+class Times(msgspec.Struct, frozen=True, kw_only=True):
+    """How long the filter took per tick: counts by logarithm, int64, and what is exact beside them."""
+
+    counts: bytes
+    calls: int
+    total_s: float
+    most_s: float
+    overruns: int
+
+    @classmethod
+    def of(cls, seconds: NDArray[np.float32], tick_s: float) -> Times:
+        """Of measured times; `overruns` took longer than a tick."""
+        place = np.floor(_PER_OCTAVE * np.log2(np.maximum(seconds, _LEAST_S) / _LEAST_S)).astype(np.int64)
+        counts = np.bincount(np.minimum(place, _BINS - 1), minlength=_BINS).astype(np.int64)
+        return cls(
+            counts=counts.tobytes(),
+            calls=len(seconds),
+            total_s=float(seconds.sum(dtype=np.float64)),
+            most_s=float(seconds.max(initial=0.0)),
+            overruns=int((seconds > tick_s).sum()),
+        )
+
+    @classmethod
+    def joined(cls, parts: list[Times]) -> Times:
+        """Of all parts; there is at least one."""
+        counts = sum((np.frombuffer(part.counts, np.int64) for part in parts), np.zeros(_BINS, np.int64))
+        return cls(
+            counts=counts.tobytes(),
+            calls=sum(part.calls for part in parts),
+            total_s=math.fsum(part.total_s for part in parts),
+            most_s=max(part.most_s for part in parts),
+            overruns=sum(part.overruns for part in parts),
+        )
+
+    def quantile(self, share: float) -> float:
+        """The time that so large a share of ticks does not exceed, to 1.2 % [s]."""
+        running = np.frombuffer(self.counts, np.int64).cumsum()
+        place = int(np.searchsorted(running, share * running[-1]))
+        return float(min(_LEAST_S * 2 ** ((place + 1) / _PER_OCTAVE), self.most_s))
+
+
+class FlownChunk(FlownTrials, frozen=True, kw_only=True):
+    """Trials that follow one another, and the samples of those that the log shows."""
+
+    times: Times
+    flights: list[FenceFlight]
+
+
+@dataclass(frozen=True, slots=True)
+class FenceRun:
+    """All flights of a scenario; `times` are measured, the rest is a function of the scenario.
+
+    Attributes:
+        trials: in their order.
+        flights: of the first ones, and of the worst, in their order.
+        world: what was flown in.
+        times: of the filter.
+    """
+
+    trials: list[TrialResult]
+    flights: list[FenceFlight]
+    world: FlownWorld
+    times: Times
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    scenario: FenceScenario
+    vehicle: Vehicle
+    keep_out: KeepOut | None
+    first: int
+    count: int
+
+
+def fly_in_fence(
+    scenario: FenceScenario,
+    vehicle: Vehicle,
+    *,
+    cover: Artifact | None = None,
+    journal: TrialJournal[FlownChunk] | None = None,
+    jobs: int = 0,
+    scheduler: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> FenceRun:
+    """Fly all trials of a scenario with a fence.
+
+    Trial k is a function of the scenario, its files and (seed, k) alone, so results do not depend on jobs, on
+    the scheduler or on what a journal brings, measured times aside. Samples are kept of the first
+    `run.traces` trials; the one with the least distance is flown again when it is not among these.
+
+    Args:
+        scenario: all parameters.
+        vehicle: of the scenario's file; one with a table `[throttle]`.
+        cover: keep out of its hulls.
+        journal: chunks that are done already are taken from it, others added.
+        jobs: threads, 0 for all processors.
+        scheduler: address of a `dask.distributed` scheduler, instead of threads.
+        progress: called with (trials done, trials).
+
+    Raises:
+        UsageError: numbers of the scenario mean nothing together, or it begins outside of its fence; the
+            message has the path of their key.
+        ArtifactError, InputError: the cover is damaged, or not in metres.
+        InfeasibleError: it has no onboard map, see `encode_map`.
+        LinkError: see `distribute`.
+    """
+    if cover is not None:
+        require_obstacles(cover, jobs=jobs)
+    keep_out = None if cover is None else KeepOut.of(cover)
+    world = native_world(scenario, vehicle, keep_out)  # what is wrong is wrong before any work
+    fly: Callable[[_Chunk], FlownChunk] = fly_chunk
+    if scheduler is None:
+        fly = lambda chunk: fly_chunk(chunk, world)  # noqa: E731  one map for all threads
+    chunks = fly_missing(
+        fly,
+        lambda first, count: _Chunk(scenario, vehicle, keep_out, first, count),
+        scenario.trials.count,
+        _chunk_size(scenario),
+        TrialJournal(FlownChunk) if journal is None else journal,
+        jobs=jobs,
+        scheduler=scheduler,
+        progress=progress,
+    )
+    trials = [trial for chunk in chunks for trial in chunk.trials]
+    flights = [flight for chunk in chunks for flight in chunk.flights]
+    worst = worst_trial(trials)
+    if worst.index >= scenario.run.traces:
+        flights.append(_flown(scenario, world, worst.index, 1, keeps_trace=True)[2][0])
+    return FenceRun(trials, flights, world, Times.joined([chunk.times for chunk in chunks]))
+
+
+def _chunk_size(scenario: FenceScenario) -> int:
+    """Trials that are flown together; fewer where flights are long, as no flight can be interrupted."""
+    ticks = scenario.run.duration_s / scenario.filter.parameters.tick_s
+    return max(1, min(CHUNK, int(CHUNK_TICKS / ticks)))
+
+
+def worst_trial(trials: list[TrialResult]) -> TrialResult:
+    """The first of those that came closest to their fence."""
+    return min(trials, key=lambda trial: (trial.map_clearance_m or 0.0, trial.index))
+
+
+def fly_chunk(chunk: _Chunk, world: FlownWorld | None = None) -> FlownChunk:
+    """Fly some trials on the calling thread, without holding the interpreter."""
+    scenario = chunk.scenario
+    if world is None:
+        world = native_world(scenario, chunk.vehicle, chunk.keep_out)
+    shown = min(max(scenario.run.traces - chunk.first, 0), chunk.count)
+    trials, times, flights = _flown(scenario, world, chunk.first, shown, keeps_trace=True)
+    rest, more, _ = _flown(scenario, world, chunk.first + shown, chunk.count - shown, keeps_trace=False)
+    tick_s = scenario.filter.parameters.tick_s
+    return FlownChunk(
+        first=chunk.first,
+        trials=trials + rest,
+        times=Times.of(np.concatenate([*times, *more]), tick_s),
+        flights=flights,
+    )
+
+
+def _flown(
+    scenario: FenceScenario, world: FlownWorld, first: int, count: int, *, keeps_trace: bool
+) -> tuple[list[TrialResult], list[NDArray[np.float32]], list[FenceFlight]]:
+    if count == 0:
+        return [], [], []
+    try:
+        logs = _core.fly_in_fences(
+            world.spec,
+            world.filter,
+            seed=scenario.trials.seed,
+            first=first,
+            count=count,
+            keeps_trace=keeps_trace,
+            jobs=1,
+        )
+    except ValueError as error:
+        key = "trials.start_box_m" if scenario.trials.start_m is None else "trials.start_m"
+        raise UsageError(f"`$.{key}`: {error}") from error
+    except OverflowError as error:
+        raise UsageError(f"`$.vehicle`: {error}") from error
+    tick_s = scenario.filter.parameters.tick_s
+    trials = [_trial(index, log, tick_s) for index, log in enumerate(logs, first)]
+    flights = []
+    if keeps_trace:
+        rate = scenario.run.log_rate_hz
+        flights = [FenceFlight.of(index, log, tick_s, rate) for index, log in enumerate(logs, first)]
+    return trials, [log["tick_s"] for log in logs], flights
+
+
+def _trial(index: int, log: dict[str, Any], tick_s: float) -> TrialResult:
+    """The verdict on one flight: nothing in it was measured by a clock."""
+    start, end = log["start"][:3].tolist(), log["end"][:3].tolist()
+    is_out = log["min_distance_m"] < 0
+    counts = ("passed", "blended", "backup", "no_pilot", "hand_over", "refused")
+    return TrialResult(
+        index=index,
+        start_m=start,
+        goal_m=end,
+        outcome="outside" if is_out else "inside",
+        collision=is_out,
+        steps=log["ticks"],
+        duration_s=log["ticks"] * tick_s,
+        path_length_m=log["path_length_m"],
+        straight_length_m=math.dist(start, end),
+        map_clearance_m=log["min_distance_m"],
+        scene_clearance_m=None,
+        max_speed_m_s=log["max_speed_m_s"],
+        filtered_steps=log["ticks"] - log["passed"],
+        shortened_steps=0,
+        infeasible_steps=0,
+        fallback_steps=log["backup"] + log["no_pilot"],
+        mean_jerk_m_s3=log["mean_jerk_m_s3"],
+        max_jerk_m_s3=log["max_jerk_m_s3"],
+        fence=FenceResult(
+            **{f"{name}_steps": log[name] for name in counts},
+            interventions=log["interventions"],
+            altered_passes=log["altered_passes"],
+            out_of_range=log["out_of_range"],
+            longest_backup_s=log["longest_backup_s"],
+            min_lambda=_known(log["min_lambda"]),
+            min_h_i_m=_known(log["min_h_i"]),
+            brake_distance_m=_known(log["brake_distance_m"]),
+            stop_distance_m=_known(log["stop_distance_m"]),
+        ),
+    )
+
+
+def _known(value: float) -> float | None:
+    """None for what never was: infinite, NaN, or the largest float."""
+    return float(value) if abs(value) < 1e30 else None

@@ -1,0 +1,123 @@
+"""What all flights of a scenario with a fence say together."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterable
+from typing import Any
+
+from alula.schemas.geofence import FenceScenario
+from alula.schemas.manifest import Guarantee
+from alula.schemas.run import FenceResult, TrialResult
+from alula.stages.clearance import wilson_interval
+from alula.stages.simulation.geofence.simulate import FenceRun, Times, worst_trial
+
+_COUNTS = ("passed", "blended", "backup", "no_pilot", "hand_over", "refused")
+_HOLDS = {
+    "geofence": "As long as the model is right, h_I > 0 at the start and navigation comes in, the onboard "
+    "geofence keeps the vehicle inside",
+    "backup-qp": "As long as the model is right and the program has a solution, the backup-set barrier keeps "
+    "the vehicle inside, between ticks to first order",
+    "none": "No filter was flown; nothing was guaranteed beforehand",
+}
+
+
+def fence_results(trials: list[TrialResult]) -> list[FenceResult]:
+    """What is said of each flight in a fence."""
+    return [trial.fence for trial in trials if trial.fence is not None]
+
+
+def fence_summary(scenario: FenceScenario, flown: FenceRun) -> dict[str, Any]:
+    """Violations with a 95 % Wilson interval, extremes and sums.
+
+    `brake_distance_m` and `stop_distance_m` are medians over the flights that have one.
+
+    Nothing in it is measured by a clock.
+    """
+    trials, found = flown.trials, fence_results(flown.trials)
+    out = sum(trial.collision for trial in trials)
+    summary = {
+        "trials": len(trials),
+        "success_rate": (len(trials) - out) / len(trials),
+        "success_interval": list(wilson_interval(len(trials) - out, len(trials))),
+        "collisions": out,
+        "violations": out,
+        "min_distance_m": min((t.map_clearance_m or 0.0 for t in trials), default=None),
+        "worst_trial": worst_trial(trials).index,
+        "max_speed_km_h": 3.6 * max(trial.max_speed_m_s for trial in trials),
+        "interventions": sum(result.interventions for result in found),
+        "engaged_trials": sum(result.interventions > 0 for result in found),
+        "ticks": sum(trial.steps for trial in trials),
+        **{name: sum(getattr(result, f"{name}_steps") for result in found) for name in _COUNTS},
+        "altered_passes": sum(result.altered_passes for result in found),
+        "out_of_range": sum(result.out_of_range for result in found),
+        "longest_backup_s": max(result.longest_backup_s for result in found),
+        "min_lambda": _least(result.min_lambda for result in found),
+        "min_h_i_m": _least(result.min_h_i_m for result in found),
+        "brake_distance_m": _median(result.brake_distance_m for result in found),
+        "stop_distance_m": _median(result.stop_distance_m for result in found),
+        "start_h_i_m": flown.world.start_h_i_m,
+    }
+    if notes := _notes(scenario, flown, summary):
+        summary["notes"] = notes
+    return summary
+
+
+def _notes(scenario: FenceScenario, flown: FenceRun, summary: dict[str, Any]) -> list[str]:
+    """What takes the guarantee away, or says that something is broken."""
+    found = []
+    start = flown.world.start_h_i_m
+    if scenario.filter.name != "none" and start is not None and start <= 0:
+        found.append(f"h_I is {start:.4g} m at the start: no braking from there is known to end inside")
+    if summary["hand_over"]:
+        found.append("navigation was out for longer than stale_limit_s: from then on no fence is guarded")
+    if summary["refused"] and scenario.filter.name == "geofence":
+        found.append("there was no navigation at the start: the filter refused, and the motors stood still")
+    if summary["altered_passes"] or summary["out_of_range"]:
+        found.append("the filter changed what it says it passed, or left the limits: please report this")
+    return found
+
+
+def _least(values: Iterable[float | None]) -> float | None:
+    return min((value for value in values if value is not None), default=None)
+
+
+def _median(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return statistics.median(known) if known else None
+
+
+def fence_timing(times: Times) -> dict[str, Any]:
+    """Measured times of the filter, quantiles to 1.2 %; none without calls."""
+    if times.calls == 0:
+        return {"filter_calls": 0}
+    return {
+        "filter_calls": times.calls,
+        "filter_p50_s": times.quantile(0.5),
+        "filter_p99_s": times.quantile(0.99),
+        "filter_max_s": times.most_s,
+        "filter_mean_s": times.total_s / times.calls,
+        "filter_total_s": times.total_s,
+        "overruns": times.overruns,
+    }
+
+
+def fence_guarantee(scenario: FenceScenario, flown: FenceRun) -> Guarantee:
+    """What holds beforehand, for which model, and what the run shows."""
+    trials, deviates = flown.trials, flown.world.deviations
+    out = sum(trial.collision for trial in trials)
+    name = scenario.filter.name
+    found = f"{out or 'none'} of {len(trials)} flights left the fence"
+    body = f"Judged from the simulated truth, along chords of the plant's steps: {found}."
+    if deviates and name != "none":
+        body += f" The vehicle was not as the filter's model: {', '.join(deviates)}."
+    return Guarantee(
+        statement=f"{_HOLDS[name]}. {body}",
+        claims={
+            "filter": name,
+            "trials": len(trials),
+            "violations": out,
+            "as_modelled": not deviates,
+            "proven": False,
+        },
+    )

@@ -1,0 +1,221 @@
+"""What a geofence scenario means to the native code: fence, filter, plant, pilot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import UsageError
+from alula.schemas.geofence import FenceScenario
+from alula.schemas.vehicle import Vehicle
+from alula.stages.clearance import hull_obstacles
+from alula.stages.compression.hulls import Hulls
+from alula.stages.compression.onboard.layout import encode_map
+from alula.stages.vehicles.racer import racer_model, racer_options
+
+FloatArray = NDArray[np.float64]
+
+# Where the native options are called otherwise.
+_PLANT_NAMES = {"linear_drag_n_s_m": "linear_drag", "quadratic_drag_n_s2_m2": "quadratic_drag"}
+
+
+@dataclass(frozen=True, slots=True)
+class KeepOut:
+    """A cover: the image of its onboard map, which the filter reads, and the hulls that it is judged by."""
+
+    image: bytes
+    hulls: Hulls
+
+    @classmethod
+    def of(cls, cover: Artifact) -> Self:
+        """Encode a cover.
+
+        Raises:
+            InfeasibleError, InputError, ArtifactError: it has no onboard map, see `encode_map`.
+        """
+        return cls(encode_map(cover), Hulls.from_cover(cover))
+
+
+@dataclass(frozen=True, slots=True)
+class FlownWorld:
+    """A scenario in native terms.
+
+    Attributes:
+        spec: plant, pilot, times and start.
+        filter: with its fence, which also judges.
+        radius_m: of the vehicle.
+        faces: of box and polytope together, shape (L, 4), rows (n, d) with unit n and n . p <= d inside.
+        hulls: to keep out of, None without a cover.
+        start_h_i_m: h_I of a fixed start, None with random ones, of which each has one above 0.
+        deviations: in a few words each, in what the vehicle is not as the filter's model.
+    """
+
+    spec: _core.GeofenceSpec
+    filter: _core.Geofence
+    radius_m: float
+    faces: FloatArray
+    hulls: Hulls | None
+    start_h_i_m: float | None
+    deviations: tuple[str, ...]
+
+
+def native_world(scenario: FenceScenario, vehicle: Vehicle, keep_out: KeepOut | None) -> FlownWorld:
+    """Everything native; made once, used by many threads.
+
+    Raises:
+        UsageError: numbers mean nothing together; the message has the path of their key.
+    """
+    table = scenario.vehicle
+    radius = vehicle.body.radius_m if table.radius_m is None else table.radius_m
+    box = scenario.fence.box_m
+    unit = unit_faces(scenario.fence.faces)
+    where = _core.Fence(
+        box=None if box is None else (box[:3], box[3:]),
+        faces=unit if len(unit) else None,
+        image=None if keep_out is None else keep_out.image,
+        keep_out=None if keep_out is None else hull_obstacles(keep_out.hulls),
+    )
+    filter_ = _filter(scenario, vehicle, where, radius)
+    start = start_state(scenario)
+    start_h_i = None
+    if start is not None:
+        place = (float(start[0]), float(start[1]), float(start[2]))
+        if (room := where.clearance(place, place) - radius) < 0:
+            raise UsageError(f"`$.trials.start_m`: is {-room:.4g} m outside of the fence")
+        try:
+            start_h_i = float(filter_.evaluate(start[None])[0][0, 0])
+        except ValueError as error:
+            raise UsageError(f"`$.trials.start_m`: {error}") from error
+    return FlownWorld(
+        spec=_spec(scenario, vehicle, start),
+        filter=filter_,
+        radius_m=radius,
+        faces=fence_faces(box, scenario.fence.faces),
+        hulls=None if keep_out is None else keep_out.hulls,
+        start_h_i_m=start_h_i,
+        deviations=_deviations(scenario, vehicle),
+    )
+
+
+def _deviations(scenario: FenceScenario, vehicle: Vehicle) -> tuple[str, ...]:
+    table = scenario.vehicle
+    scales = {key: getattr(table, key) for key in ("mass_scale", "thrust_scale", "rate_gain_scale")}
+    found = [f"{key} {value:g}" for key, value in scales.items() if value != 1]
+    for key in ("delay_s", "linear_drag_n_s_m", "quadratic_drag_n_s2_m2", "wind_m_s", "gust_m_s"):
+        value = getattr(table, key)
+        value = getattr(vehicle.disturbance, key) if value is None else value
+        if key == "delay_s" and value > scenario.filter.parameters.latency_s:
+            found.append(f"delay_s {value:g} beyond latency_s")
+        elif key != "delay_s" and any(value):
+            found.append(key)
+    sag = (
+        table.sag_share
+        if table.sag_share is not None or vehicle.throttle is None
+        else vehicle.throttle.sag_share
+    )
+    return tuple(found + ([f"sag_share {sag:g}"] if sag else []))
+
+
+def unit_faces(rows: Sequence[Sequence[float]]) -> FloatArray:
+    """The faces of a polytope with unit normals, shape (L, 4), rows (n, d) with n . p <= d inside."""
+    faces = np.array(rows, np.float64).reshape(-1, 4)
+    unit: FloatArray = faces / np.linalg.norm(faces[:, :3], axis=1, keepdims=True)
+    return unit
+
+
+def fence_faces(box: Sequence[float] | None, rows: Sequence[Sequence[float]]) -> FloatArray:
+    """Those of a box, upper before lower, and of a polytope together, as `unit_faces`."""
+    faces = unit_faces(rows)
+    if box is None:
+        return faces
+    axes = np.eye(3)
+    upper = np.column_stack([axes, np.array(box[3:])])
+    lower = np.column_stack([-axes, -np.array(box[:3])])
+    return np.concatenate([upper, lower, faces])
+
+
+def start_state(scenario: FenceScenario) -> FloatArray | None:
+    """The fixed start, shape (13,): p, v, q wxyz, omega; level."""
+    table = scenario.trials
+    if table.start_m is None:
+        return None
+    half = math.radians(table.start_yaw_deg) / 2
+    attitude = (math.cos(half), 0.0, 0.0, math.sin(half))
+    return np.array([*table.start_m, *table.start_velocity_m_s, *attitude, 0.0, 0.0, 0.0])
+
+
+def _filter(scenario: FenceScenario, vehicle: Vehicle, where: _core.Fence, radius_m: float) -> _core.Geofence:
+    given = msgspec.to_builtins(scenario.filter.parameters)
+    del given["alpha"]
+    try:
+        return _core.Geofence(where, racer_model(vehicle), given | {"radius_m": radius_m})
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"`$.filter.parameters`, or the model of {vehicle.name}: {error}") from error
+
+
+def _spec(scenario: FenceScenario, vehicle: Vehicle, start: FloatArray | None) -> _core.GeofenceSpec:
+    table, run, trials = scenario.pilot, scenario.run, scenario.trials
+    values = msgspec.structs.asdict(scenario.vehicle)
+    changed = {
+        _PLANT_NAMES.get(key, key): value
+        for key, value in values.items()
+        if value is not None and key not in ("file", "radius_m")
+    }
+    try:
+        options = racer_options(vehicle, **changed)
+    except UsageError as error:
+        raise UsageError(f"`$.vehicle`: {error}") from error
+    pilot = _made(
+        _core.Pilot,
+        "pilot",
+        kind=table.kind,
+        heading_rad=math.radians(table.heading_deg),
+        tilt_rad=math.radians(table.tilt_deg),
+        climb_m_s2=table.climb_m_s2,
+        silent_after_s=table.silent_after_s,
+    )
+    rules = _made(
+        _core.GeofenceRules,
+        "run",
+        duration_s=run.duration_s,
+        plant_steps=run.plant_steps,
+        rule=scenario.filter.name,
+        alpha=scenario.filter.parameters.alpha,
+        **_outage("stale", run.stale_from_s, run.stale_for_s),
+        **_outage("radio", run.radio_from_s, run.radio_for_s),
+    )
+    box = trials.start_box_m
+    spec: _core.GeofenceSpec = _made(
+        _core.GeofenceSpec,
+        "trials",
+        model=racer_model(vehicle),
+        options=options,
+        pilot=pilot,
+        rules=rules,
+        start=start,
+        start_box=None if box is None else (box[:3], box[3:]),
+        start_speed_m_s=trials.start_speed_m_s,
+        start_tilt_rad=math.radians(trials.start_tilt_deg),
+    )
+    return spec
+
+
+def _outage(what: str, begins_s: float | None, lasts_s: float | None) -> dict[str, float]:
+    if begins_s is None:
+        return {}
+    return {f"{what}_from_s": begins_s, f"{what}_for_s": math.inf if lasts_s is None else lasts_s}
+
+
+def _made(native: Any, where: str, **values: Any) -> Any:
+    try:
+        return native(**values)
+    except ValueError as error:
+        raise UsageError(f"`$.{where}`: {error}") from error

@@ -1,0 +1,1 @@
+"""Flights of a point mass among the hulls of a cover."""

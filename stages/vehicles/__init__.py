@@ -1,0 +1,1 @@
+"""Vehicles: native models from vehicle files, frames, fences."""

@@ -1,0 +1,65 @@
+"""Every tick of a logged flight in a fence is the native one's; the example's scenarios are valid."""
+
+import numpy as np
+import pytest
+
+from alula import _core
+from alula.cli.main import run
+from alula.schemas.errors import DamagedError
+from alula.schemas.fence_ticks import read_ticks
+from alula.schemas.geofence import read_fence_scenario
+from alula.schemas.run import read_run
+from alula.schemas.vehicle import read_vehicle
+from alula.stages.vehicles.racer import racer_model, racer_options
+from support.paths import ROOT
+
+EXAMPLE = ROOT / "examples" / "geofencing"
+WRITTEN = 1e-6  # digits of a log
+STATUS = ("passed", "blended", "backup", "no-pilot", "hand-over", "refused")
+
+
+def test_ticks_are_those_that_were_flown(tmp_path):
+    log = tmp_path / "wall.run.mcap"
+    words = ["--set", "run.radio_from_s=2.5", "--set", "run.radio_for_s=0.2", "--set", "run.duration_s=3"]
+    assert run(["simulate", str(EXAMPLE / "wall.toml"), "-o", str(log), "-q", *words]) == 0
+    ticks = read_ticks(log)[0]
+    vehicle = read_vehicle(EXAMPLE / "../vehicles/racer7.toml")
+    box = read_fence_scenario(EXAMPLE / "wall.toml").fence.box_m
+    spec = _core.GeofenceSpec(
+        model=racer_model(vehicle),
+        options=racer_options(vehicle),
+        pilot=_core.Pilot("straight", tilt_rad=np.radians(72)),
+        rules=_core.GeofenceRules(duration_s=3, radio_from_s=2.5, radio_for_s=0.2),
+        start=np.array([-40.0, 0, 130, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]),
+    )
+    parameters = {"radius_m": vehicle.body.radius_m}
+    geofence = _core.Geofence(_core.Fence(box=(box[:3], box[3:])), racer_model(vehicle), parameters)
+    flown = _core.fly_in_fences(spec, geofence, keeps_trace=True)[0]
+    np.testing.assert_allclose(ticks.time_s, 0.0025 * np.arange(1200), atol=1e-9)
+    np.testing.assert_allclose(ticks.position, flown["state"][:, :3], atol=WRITTEN)
+    np.testing.assert_allclose(ticks.velocity, flown["state"][:, 3:6], atol=WRITTEN)
+    _, x, y, _ = flown["state"][:, 6:10].T
+    np.testing.assert_allclose(np.cos(ticks.tilt_rad), 1 - 2 * (x**2 + y**2), atol=4 * WRITTEN)
+    assert ticks.status == tuple(STATUS[i] for i in flown["status"])
+    assert {"passed", "blended", "no-pilot"} <= set(ticks.status)
+    asked = flown["status"] < 3
+    np.testing.assert_allclose(ticks.share[asked], flown["figure"][asked, 0], atol=WRITTEN)
+    throttle = np.stack([flown["pilot"][:, 0], flown["command"][:, 0]], axis=1)
+    np.testing.assert_allclose(ticks.throttle, throttle, atol=WRITTEN)
+    assert np.isnan(ticks.throttle[~asked, 0]).all()
+    least = read_run(log).trials[0].map_clearance_m
+    assert ticks.distance_m.min() == pytest.approx(least, abs=2e-3)
+
+
+def test_states_without_answers_are_damage(tmp_path, monkeypatch):
+    log = tmp_path / "wall.run.mcap"
+    words = ["--set", "run.duration_s=0.05"]
+    assert run(["simulate", str(EXAMPLE / "wall.toml"), "-o", str(log), "-q", *words]) == 0
+    monkeypatch.setattr("alula.schemas.fence_ticks.SAFETY_TOPIC", "/nothing")
+    with pytest.raises(DamagedError, match="not of the same times"):
+        read_ticks(log)
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLE.glob("*.toml")), ids=lambda path: path.stem)
+def test_scenarios_of_the_example_are_scenarios_in_a_fence(path):
+    assert read_fence_scenario(path).vehicle.file == "../vehicles/racer7.toml"

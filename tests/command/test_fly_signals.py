@@ -1,0 +1,55 @@
+"""Signals while a vehicle's parameters are changed or put back, but nothing flies."""
+
+import os
+import signal
+
+import pytest
+
+from alula.cli.fly.flight import fly
+from alula.cli.options import Common
+from alula.schemas.provenance import Provenance
+from alula.schemas.run import RUN_SCHEMA, RUN_VERSION
+from support.fake_vehicle import FakeClock, FakeVehicle
+from support.flights import START, mission
+
+
+class Interrupted(FakeVehicle):
+    """Gets one signal while parameters are changed, and others while they are put back."""
+
+    number = signal.SIGINT
+
+    def prepare(self):
+        os.kill(os.getpid(), self.number)
+        raise AssertionError("it went on")
+
+    def close(self):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(os.getpid(), number)
+        super().close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda n: n.name)
+def test_parameters_are_put_back_before_it_ends(tmp_path, number):
+    link = Interrupted(FakeClock(), (START[0], START[1], 0.0))
+    link.number = number
+    log = tmp_path / "f.run.mcap"
+    common = Common(log, False, False, False, True, 0, 0, 1, None)
+    with pytest.raises(KeyboardInterrupt):
+        fly(mission(), link, Provenance.now(RUN_SCHEMA, RUN_VERSION, {}, None, []), common)
+    assert link.closed
+    assert not log.exists()
+
+
+def test_what_could_not_be_put_back_is_told_when_nothing_polls_any_more(tmp_path, capfd):
+    class Gone(FakeVehicle):
+        def prepare(self):
+            raise KeyboardInterrupt
+
+        def close(self):
+            self.status.texts.append("GUID_TIMEOUT could not be put back: set it to 3")
+
+    link = Gone(FakeClock(), (START[0], START[1], 0.0))
+    common = Common(tmp_path / "f.run.mcap", False, False, False, False, 0, 0, 1, None)
+    with pytest.raises(KeyboardInterrupt):
+        fly(mission(), link, Provenance.now(RUN_SCHEMA, RUN_VERSION, {}, None, []), common)
+    assert "vehicle: GUID_TIMEOUT could not be put back: set it to 3" in capfd.readouterr().err

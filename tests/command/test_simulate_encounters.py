@@ -1,0 +1,234 @@
+"""`alula simulate` on scenarios with moving obstacles: results, what is recorded, interruption, refusals."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from alula.cli import journal as file
+from alula.cli.main import run
+from alula.schemas.flights import read_flights
+from alula.schemas.journal import TRIALS, unpack
+from alula.schemas.manifest import producer
+from alula.schemas.run import RunRecord, read_run
+from alula.stages.simulation.chunks import TrialJournal
+from alula.stages.simulation.encounters import simulate as stage
+from alula.stages.simulation.encounters.simulate import FlownChunk
+
+# Nothing random but the obstacle's speed: what comes out can be reckoned.
+SMALL = """
+name = "small"
+[encounter]
+goal_m = [100, 0, 10]
+[[obstacles]]
+motion = "constant-velocity"
+position_m = [60, 1, 10]
+velocity_m_s = [-6, 0, 0]
+radius_m = 0.2
+[sensor]
+kind = "ideal"
+position_sigma_m = 0.01
+[filter]
+name = "none"
+[trials]
+count = 6
+logged = 2
+"""
+LONG = """
+[[obstacles]]
+distance_m = 30
+[[obstacles]]
+distance_m = 35
+azimuth_rad = [0.3, 0.6]
+[trials]
+count = 800
+logged = 1
+"""
+EAGER = (
+    "import sys; from alula.schemas import manifest; manifest.native_commit = lambda: sys.argv.pop(1);"
+    " manifest.producer();"
+    " from alula.cli import journal; journal.PERIOD_S, journal.LEAST_S = 0.1, 0;"
+    " journal.MOST_SHARE = 1e9; from alula.cli.main import main; main(sys.argv[1:])"
+)
+WORDS = ["simulate", "long.toml", "-o", "r.run.mcap", "--jobs", "1"]
+JOURNAL = Path("r.run.mcap.journal")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    (tmp_path / "small.toml").write_text(SMALL)
+    (tmp_path / "long.toml").write_text(LONG)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def record(path="r.run.json") -> RunRecord:
+    return msgspec.json.decode(Path(path).read_bytes(), type=RunRecord)
+
+
+def test_a_small_run_says_what_geometry_says(here, capsys):
+    assert run(["simulate", "small.toml", "-o", "r.run.mcap", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["status"] == "written"
+    summary = said["summary"]
+    assert (summary["trials"], summary["collisions"], summary["passed"]) == (6, 0, 6)
+    assert summary["success_interval"] == pytest.approx([0.6096657, 1.0])
+    (met,) = summary["obstacles"]
+    assert met["success_rate"] == 1
+    assert met["mean_closest_m"] == pytest.approx(1, abs=1e-6)
+    found = record()
+    assert (found.name, found.filter, len(found.trials)) == ("small", "none", 6)
+    trial = found.trials[0]
+    assert trial.outcome == "passed"
+    assert trial.duration_s == pytest.approx(7.01, abs=0.02)  # they meet after 6 s, and recede for one
+    assert trial.path_length_m == pytest.approx(4 * trial.duration_s, abs=1e-6)
+    assert trial.obstacles[0].closest_m == pytest.approx(1, abs=1e-6)
+    assert trial.obstacles[0].detected_s is not None
+    assert read_run(Path("r.run.mcap")) == found
+    parameters = found.provenance.parameters
+    assert parameters["obstacles"][0]["velocity_m_s"] == [-6, 0, 0]
+    assert parameters["sensor"]["rate_hz"] == 20
+    assert parameters["filter"]["parameters"]["h_max_s"] == 0.4
+    assert [ref.role for ref in found.provenance.inputs] == ["scenario"]
+    flights = read_flights(Path("r.run.mcap")).by_trial
+    assert sorted(flights) == [0, 1]
+    assert flights[0].margin.min() == pytest.approx(1 - 0.35, abs=0.02)
+    assert run(["simulate", "small.toml", "-o", "r.run.mcap"]) == 0
+    assert "unchanged" in capsys.readouterr().out
+
+
+def test_options_and_settings_replace_keys(here):
+    words = [
+        "simulate",
+        "small.toml",
+        "-o",
+        "r.run.mcap",
+        "--trials",
+        "3",
+        "--seed",
+        "9",
+        "--filter",
+        "dr-acbf",
+    ]
+    sets = [
+        "clearance_m=2",
+        "solver=gs",
+        "sensor.rate_hz=40",
+        "rp_cbf.alpha=2",
+        "obstacles.0.velocity_m_s=-5,0,0",
+    ]
+    assert run([*words, *(word for pair in sets for word in ("--set", pair)), "-q"]) == 0
+    made = record().provenance
+    assert made.seed == 9
+    assert made.parameters["trials"]["count"] == 3
+    assert made.parameters["sensor"]["rate_hz"] == 40
+    assert made.parameters["obstacles"][0]["velocity_m_s"] == [-5, 0, 0]
+    chosen = made.parameters["filter"]
+    assert chosen["name"] == "dr-acbf"
+    values = chosen["parameters"]
+    assert (values["clearance_m"], values["solver"], values["rp_cbf"]["alpha"]) == (2, "gs", 2)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--set", "clearance=2"], "unknown field `clearance` - at `$.filter.parameters`"),
+        (["--set", "sensor.rate_hz=-4"], "at `$.sensor.rate_hz`"),
+        (["--set", "h_max_s=0.01"], "small.toml: `$.filter.parameters`"),
+        (["--filter", "cone-di"], "at `$.filter.name`"),
+        (["--beta", "3"], "--beta is for flights among static obstacles, which these are not"),
+        (["--scene", "a.scene.npz"], "--scene is for flights among static obstacles"),
+        (["--trials", "0"], "--trials must be between 1 and"),
+        (["--scheduler", "nowhere"], "--scheduler must be an address"),
+    ],
+)
+def test_what_is_wrong_is_one_line(here, capsys, words, said):
+    assert run(["simulate", "small.toml", "-o", "r.run.mcap", *words]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert said in error
+    assert not list(Path().glob("r.run*"))
+
+
+def test_a_scheduler_is_for_moving_obstacles(here, capsys):
+    Path("other.toml").write_text('[map]\ncover = "c.cover.npz"')
+    assert run(["simulate", "other.toml", "-o", "r.run.mcap", "--scheduler", "tcp://a:1"]) == 2
+    assert "--scheduler is for scenarios with moving obstacles" in capsys.readouterr().err
+
+
+def test_the_run_can_be_explained_and_reported(here, capsys):
+    assert run(["info", "small.toml", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["encounter"]["goal_m"] == [100, 0, 10]
+    assert facts["obstacles"][0]["radius_m"] == 0.2
+    assert run(["simulate", "small.toml", "-o", "r.run.mcap", "-q"]) == 0
+    assert run(["info", "r.run.mcap", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["summary"]["trials"] == 6
+    assert run(["report", "r.run.mcap", "-o", "page.html", "-q"]) == 0
+    assert "passed" in Path("page.html").read_text()
+
+
+def test_flights_into_walls_fail_the_check(here, capsys):
+    wall = "[[walls]]\nlower_m = [20, -1, 9]\nupper_m = [21, 1, 11]\n"
+    Path("wall.toml").write_text(SMALL + wall)
+    assert run(["simulate", "wall.toml", "-o", "r.run.mcap", "-q"]) == 0  # nothing was promised
+    assert record().summary["wall_collisions"] == 6
+    assert record().trials[0].map_clearance_m == pytest.approx(-0.65, abs=2e-3)
+    assert run(["simulate", "wall.toml", "-o", "r.run.mcap", "-q", "-f", "--filter", "dr-acbf"]) == 0
+    assert record().summary["min_map_clearance_m"] > 0
+
+
+def bare(path) -> RunRecord:
+    return msgspec.structs.replace(record(path), timing=None)
+
+
+def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch, capsys):
+    assert run([*WORDS[:3], "whole.run.mcap", "-q"]) == 0
+    monkeypatch.setattr(file, "LEAST_S", 0.0)
+    chunks = stage.fly_chunk
+
+    def stopping(chunk):
+        if chunk.first == 160:
+            raise KeyboardInterrupt
+        return chunks(chunk)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(stage, "fly_chunk", stopping)
+        assert run(WORDS) == 130
+    error = capsys.readouterr().err.strip()
+    assert error == "alula: interrupted; the same command continues from r.run.mcap.journal, 160 trials"
+    assert not Path("r.run.mcap").exists()
+    assert len(TrialJournal(FlownChunk, unpack(JOURNAL.read_bytes(), TRIALS)[1])) == 160
+    other = [*WORDS, "--seed", "1", "--dry-run"]
+    assert run(other) == 0
+    assert "ignoring r.run.mcap.journal: it is of another run: seed was 0, now 1" in capsys.readouterr().err
+    assert run(WORDS) == 0
+    assert "continuing from r.run.mcap.journal: 160 of its trials" in capsys.readouterr().err
+    assert not JOURNAL.exists()
+    assert Path("r.run.mcap").read_bytes() == Path("whole.run.mcap").read_bytes()
+    assert bare("r.run.json") == bare("whole.run.json")
+    assert record().timing["trials_flown"] == 640
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"])
+def test_a_run_that_is_killed_loses_little(here, name):
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-c", EAGER, producer().commit, *WORDS, "--trials", "20000"],
+        env=env, text=True, stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs ignore it
+    )  # fmt: skip
+    while process.poll() is None and not JOURNAL.exists():
+        time.sleep(0.01)
+    process.send_signal(getattr(signal, name))
+    error = process.communicate()[1]
+    assert process.returncode == (130 if name == "SIGINT" else -signal.SIGKILL)
+    assert ("the same command continues" in error) == (name == "SIGINT")
+    assert not Path("r.run.mcap").exists()
+    assert len(TrialJournal(FlownChunk, unpack(JOURNAL.read_bytes(), TRIALS)[1])) >= 16

@@ -1,0 +1,396 @@
+"""`alula simulate` among the ellipsoids of a scene, as a user runs it: files, logs, exit codes, errors."""
+
+import base64
+import json
+import re
+from collections import Counter
+
+import msgspec
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from scipy.spatial.transform import Rotation
+
+from alula.cli.main import run
+from alula.schemas.artifact import Artifact, make_artifact, write_artifact
+from alula.schemas.flights import read_flights
+from alula.schemas.kinds import PLAN, SCENE
+from alula.schemas.run import RunRecord, read_run, record_path
+from alula.stages.filtering.registry import SPLAT_FILTERS
+from alula.stages.planning.rest_to_rest import rest_to_rest
+from support.fabricate import box, make_cover, make_scene
+from support.paths import VEHICLES
+
+FAST = ["--trials", "2", "--speed", "2"]
+GUIDED = ["--filter", "cone-ecbf", "--guide", "cone-di"]
+LIGHT = ["--vehicle", str(VEHICLES / "crazyflie21.toml")]
+
+
+@pytest.fixture(scope="session")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("splat") / "field.scene.npz"
+    write_artifact(path, make_scene(60, low=(0, 0, 0), high=(6, 4, 3)))
+    return path
+
+
+def write_plan(path, start=(0, 0.5, 1), goal=(3, 0.5, 1), speed=1.5, frame="world"):
+    time, coefficient = rest_to_rest(start, goal, speed)
+    arrays = {"time": time, "coefficient": coefficient, "waypoint": [[*start, 0], [*goal, 0]]}
+    common = {"frame": frame, "unit": "m", "parameters": {}, "summary": {}}
+    write_artifact(path, make_artifact(PLAN, arrays, radius_m=0.1, speed_m_s=speed, certificate={}, **common))
+    return path
+
+
+def messages(path, topic):
+    with path.open("rb") as file:
+        return [
+            (schema.name, json.loads(message.data))
+            for schema, _, message in make_reader(file, validate_crcs=True).iter_messages(topics=[topic])
+        ]
+
+
+@pytest.mark.parametrize("name", ["none", *SPLAT_FILTERS])
+def test_every_filter_flies_and_any_number_of_threads_writes_the_same_bytes(scene, tmp_path, name):
+    a, b = tmp_path / "a.run.mcap", tmp_path / "b.run.mcap"
+    words = ["simulate", str(scene), *FAST, "--filter", name, "-q"]
+    codes = [run([*words, "-o", str(a), "--jobs", "1"]), run([*words, "-o", str(b), "--jobs", "2"])]
+    first, second = (msgspec.json.decode(record_path(p).read_bytes(), type=RunRecord) for p in (a, b))
+    hits = any(t.scene_clearance_m < -1e-6 for t in first.trials)
+    assert codes == [4 if hits and name != "none" else 0] * 2
+    assert a.read_bytes() == b.read_bytes()
+    assert msgspec.structs.replace(first, timing=None) == msgspec.structs.replace(second, timing=None)
+    assert (first.filter, len(first.trials), first.summary["sigma"]) == (name, 2, 1.0)
+    assert [ref.role for ref in first.provenance.inputs] == ["scene"]
+    timing = first.timing
+    assert timing["ticks"] == first.summary["steps"]
+    assert 0 < timing["tick_p50_s"] <= timing["tick_p99_s"] <= timing["tick_max_s"]
+    assert 0 <= timing["overruns"] <= timing["ticks"]
+    assert ("filter_p50_s" in timing) == (name != "none")
+    assert (name == "cone-backup") <= (first.summary["certified_steps"] > 0)
+    parameters = first.provenance.parameters
+    assert (parameters["speed_m_s"], parameters["plant"], parameters["radius_m"]) == (2.0, "quadrotor", 0.15)
+    assert "beta" not in parameters
+    assert bool(parameters["filter_parameters"]) == (name != "none")
+    for trial in first.trials:
+        assert trial.reference_speed_m_s == pytest.approx(2, rel=1e-3)
+        assert trial.peak_realisation_error_m_s2 >= 0
+        assert trial.map_clearance_m is None
+
+
+def test_the_log_has_attitude_rotors_and_what_the_filter_did(scene, tmp_path):
+    out = tmp_path / "r.run.mcap"
+    words = ["simulate", str(scene), *FAST, "--filter", "cone-backup", "--log-rate", "50"]
+    assert run([*words, "--seed", "3", "-o", str(out), "-q"]) == 0
+    record = read_run(out)
+    samples = sum(-(-t.steps // 2) + 1 for t in record.trials)
+    counts = Counter()
+    for topic in ("/map", "/path", "/pose", "/state", "/safety", "/log"):
+        counts |= Counter((topic, name) for name, _ in messages(out, topic))
+    assert counts == {
+        ("/map", "foxglove.SceneUpdate"): 1,
+        ("/path", "foxglove.PosesInFrame"): 2,
+        ("/pose", "foxglove.PoseInFrame"): samples,
+        ("/state", "alula.State"): samples,
+        ("/safety", "alula.Safety"): samples,
+        ("/log", "foxglove.Log"): 2,
+    }
+    states = [m for _, m in messages(out, "/state") if m["trial"] == 0]
+    for state in states:
+        assert sum(state["rotor_thrust_n"]) == pytest.approx(state["thrust_n"], abs=1e-5)
+        assert np.linalg.norm(list(state["attitude"].values())) == pytest.approx(1, abs=1e-5)
+    # the thrust axis of the first half is tilted towards the goal, as the body accelerates there
+    way = np.subtract(record.trials[0].goal_m, record.trials[0].start_m)[:2]
+    quat = list(states[len(states) // 5]["attitude"].values())
+    assert Rotation.from_quat(quat).apply([0, 0, 1])[:2] @ way > 0
+    heading = Rotation.from_quat(list(states[0]["attitude"].values())).as_euler("zyx")[0]
+    assert heading == pytest.approx(np.arctan2(way[1], way[0]), abs=1e-5)
+    safety = [m for _, m in messages(out, "/safety")]
+    assert {m["status_name"] for m in safety} <= {"ok", "filtered", "recovering", "refused", "backup"}
+    assert all(m["certified"] for m in safety)
+    assert any(m["candidates"] > 0 for m in safety)
+    assert max(m["gate_m"] for m in safety) >= 0.5
+    pose = messages(out, "/pose")[5][1]
+    assert pose["pose"]["orientation"] == messages(out, "/state")[5][1]["attitude"]
+    (entity,) = messages(out, "/map")[0][1]["entities"]
+    assert len(entity["spheres"]) == 60
+    assert {pair["key"]: pair["value"] for pair in entity["metadata"]} == {"ellipsoids": "60", "shown": "60"}
+    flights = read_flights(out)
+    assert flights.hulls is None
+    assert flights.by_trial[0].margin_unit == "of the filter's barrier"
+    assert np.nanmin(flights.by_trial[0].margin) >= record.trials[0].min_margin - 1e-6
+    assert flights.by_trial[0].speed_m_s.max() == pytest.approx(record.trials[0].max_speed_m_s, rel=0.05)
+
+
+def test_a_map_of_many_ellipsoids_shows_those_near_the_paths(tmp_path):
+    path, out = tmp_path / "many.scene.npz", tmp_path / "r.run.mcap"
+    write_artifact(path, make_scene(5000, low=(-20, -20, 5), high=(20, 20, 30)))
+    plan = write_plan(tmp_path / "p.plan.npz", (0, 0, 0), (2, 0, 0))
+    words = ["simulate", str(plan), "--map", str(path), "--filter", "none", "-o", str(out), "-q"]
+    assert run(words) == 0
+    (entity,) = messages(out, "/map")[0][1]["entities"]
+    metadata = {pair["key"]: pair["value"] for pair in entity["metadata"]}
+    assert metadata == {"ellipsoids": "5000", "shown": "3000"}
+    heights = [sphere["pose"]["position"]["z"] for sphere in entity["spheres"]]
+    assert max(heights) < 29
+
+
+def test_a_plan_flies_in_a_scene_and_a_report_is_made_of_it(scene, tmp_path):
+    plan, out = write_plan(tmp_path / "p.plan.npz"), tmp_path / "r.run.mcap"
+    words = [
+        "simulate",
+        str(plan),
+        "--map",
+        str(scene),
+        "--filter",
+        "cone-di",
+        "--plant",
+        "double-integrator",
+    ]
+    assert run([*words, "--confidence", "0.5", "-o", str(out), "-q"]) in (0, 4)
+    record = read_run(out)
+    (trial,) = record.trials
+    assert trial.start_m == [0.0, 0.5, 1.0]
+    assert trial.goal_m == pytest.approx([3.0, 0.5, 1.0])
+    assert trial.peak_realisation_error_m_s2 == 0
+    assert record.summary["sigma"] == pytest.approx(1.5382, abs=1e-4)  # median of the chi law
+    assert record.provenance.parameters["sigma"] == record.summary["sigma"]
+    report = tmp_path / "report.html"
+    assert run(["report", str(out), "-o", str(report), "-q"]) == 0
+    tables = report.with_suffix(".md").read_text()
+    assert "largest realisation error" in tables
+    assert "least γ" in tables
+    assert run(["info", str(out), "-q"]) == 0
+
+
+def test_a_cover_beside_a_scene_is_only_judged_against(scene, tmp_path):
+    cover, out = tmp_path / "c.cover.npz", tmp_path / "r.run.mcap"
+    write_artifact(cover, make_cover([box((0, 0, 0), (120, 80, 60))]))
+    words = ["simulate", str(cover), "--scene", str(scene), *FAST, "-o", str(out), "-q"]
+    assert run([*words, "--filter", "cone-backup"]) == 0
+    record = read_run(out)
+    assert all(t.map_clearance_m < 0 for t in record.trials)
+    assert not any(t.collision for t in record.trials)
+    assert [ref.role for ref in record.provenance.inputs] == ["cover", "scene"]
+
+
+def test_a_scenario_names_scene_vehicle_and_parameters(scene, tmp_path):
+    scenario, out = tmp_path / "s.toml", tmp_path / "r.run.mcap"
+    (tmp_path / "f.scene.npz").write_bytes(scene.read_bytes())
+    (tmp_path / "v.toml").write_bytes((VEHICLES / "fastbridge.toml").read_bytes())
+    scenario.write_text(
+        'name = "mine"\n[map]\nscene = "f.scene.npz"\nsigma = 1.2\n'
+        '[vehicle]\nfile = "v.toml"\nradius_m = 0.1\n'
+        '[filter]\nname = "cone-backup"\nparameters = { horizon_s = 1.0, nodes = 10 }\n'
+        "[trials]\ncount = 2\nseed = 5\n[run]\nmax_time_s = 4\n"
+    )
+    assert run(["simulate", str(scenario), "-o", str(out), "--set", "nodes=12", "-q"]) == 0
+    record = read_run(out)
+    parameters = record.provenance.parameters
+    assert (record.name, len(record.trials), record.provenance.seed) == ("mine", 2, 5)
+    assert (parameters["sigma"], parameters["radius_m"]) == (1.2, 0.1)
+    chosen = parameters["filter_parameters"]
+    assert (chosen["horizon_s"], chosen["nodes"], chosen["alpha_terminal"]) == (1.0, 12, 5.0)
+    assert [ref.role for ref in record.provenance.inputs] == ["scenario", "scene", "vehicle"]
+    assert all(t.duration_s <= 4 for t in record.trials)
+    before = out.read_bytes()
+    assert run(["simulate", str(scenario), "-o", str(out), "--set", "nodes=12", "-q"]) == 0
+    assert out.read_bytes() == before
+    assert run(["simulate", str(scenario), "-o", str(out), "--set", "nodes=13", "-q"]) == 2
+
+
+def test_a_guide_is_recorded_and_reported_with_all_it_was_told(scene, tmp_path):
+    a, b, report = tmp_path / "a.run.mcap", tmp_path / "b.run.mcap", tmp_path / "report.html"
+    words = ["simulate", str(scene), *FAST, *GUIDED, "--pairs", "blocked", "-q"]
+    for setting in ("guide.alpha=3", "guide.count=8", "lambda_=4", "solver=clarabel"):
+        words += ["--set", setting]
+    for path, jobs in ((a, "1"), (b, "2")):
+        assert run([*words, "-o", str(path), "--jobs", jobs]) in (0, 4)
+    assert a.read_bytes() == b.read_bytes()
+    record = read_run(a)
+    parameters, summary = record.provenance.parameters, record.summary
+    assert parameters["guide"] == "cone-di"
+    chosen = parameters["guide_parameters"]
+    assert (chosen["alpha"], chosen["count"], chosen["escape_rate"]) == (3.0, 8, 5.0)
+    assert (chosen["solver"], parameters["filter_parameters"]["solver"]) == ("active-set", "clarabel")
+    assert parameters["filter_parameters"]["lambda_"] == 4.0
+    assert (parameters["catch_up_m_s"], parameters["pairs"]) == (1.0, "blocked")
+    assert record.vehicle.endswith("guided by cone-di")
+    assert "nothing rests on it" in record.guarantee.statement
+    assert summary["blocked_pairs"] == 2 <= summary["sampled_pairs"]
+    assert all(t.line_clearance_m < 0 for t in record.trials)
+    assert run(["report", str(a), "-o", str(report), "-q"]) == 0
+    page, tables = report.read_text(), report.with_suffix(".md").read_text()
+    assert "Margin that the filter reported, of the filter&#x27;s barrier, and speed" in page
+    drawn = [base64.b64decode(data).decode() for data in re.findall(r"svg\+xml;base64,([^\"]*)", page)]
+    (closest,) = [svg for svg in drawn if ">margin" in svg]
+    assert "margin [m]" not in closest
+    assert "of the filter's barrier" in closest
+    for row in ("| guide | cone-di |", "| pairs with a blocked line | 2 |", "| steps with qp infeasible |"):
+        assert row in tables
+    (head,) = [line for line in tables.splitlines() if "| qp infeasible |" in line]
+    assert "| blocked | clearance of the straight line " in head
+
+
+def test_a_scenario_names_guide_pairs_and_solver(scene, tmp_path):
+    scenario, out = tmp_path / "s.toml", tmp_path / "r.run.mcap"
+    (tmp_path / "f.scene.npz").write_bytes(scene.read_bytes())
+    text = (
+        '[map]\nscene = "f.scene.npz"\n[filter]\nname = "cone-backup"\n'
+        'parameters = { solver = "interpolation" }\n'
+        '[controller]\nguide = "safer-splat"\nguide_parameters = { alpha = 3, beta = 2 }\n'
+        'catch_up_m_s = 0.4\n[trials]\ncount = 1\npairs = "blocked"\n[run]\nmax_time_s = 2\n'
+    )
+    scenario.write_text(text)
+    words = ["simulate", str(scenario), "-o", str(out), "-q", "--set", "guide.beta=4"]
+    assert run(words) in (0, 4)
+    parameters = read_run(out).provenance.parameters
+    assert parameters["guide"] == "safer-splat"
+    assert (parameters["guide_parameters"]["alpha"], parameters["guide_parameters"]["beta"]) == (3.0, 4.0)
+    assert parameters["filter_parameters"]["solver"] == "interpolation"
+    assert (parameters["catch_up_m_s"], parameters["pairs"]) == (0.4, "blocked")
+    scenario.write_text(text.replace('guide = "safer-splat"\n', ""))
+    assert run([*words, "-f"]) == 2
+
+
+def test_a_filtered_collision_exits_with_4(tmp_path, capsys):
+    path, out = tmp_path / "s.scene.npz", tmp_path / "r.run.mcap"
+    write_artifact(path, make_scene(400, low=(1, 0, 0), high=(2, 1, 2)))
+    plan = write_plan(tmp_path / "p.plan.npz", (1.5, 0.5, 1), (3, 0.5, 1))  # starts inside
+    words = ["simulate", str(plan), "--map", str(path), "-o", str(out)]
+    assert run([*words, "--filter", "cone-di", "-q"]) == 4
+    assert "1 of 1 filtered flights collided" in capsys.readouterr().err
+    assert read_run(out).summary["collisions"] == 1
+    assert run([*words, "--filter", "none", "-q", "-f"]) == 0
+
+
+def unaligned(path):
+    scene = make_scene(20)
+    manifest = msgspec.structs.replace(scene.manifest, unit="scene")
+    write_artifact(path, Artifact(manifest, scene.arrays))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["SCENE"], 2, "polytope-cbf sees the hulls of a cover, not a scene; --filter may be cone-di, "),
+        (["SCENE", "--filter", "nome"], 2, "no filter is called 'nome'; known: none, polytope-cbf, cone-di"),
+        (["COVER", "--filter", "cone-di"], 2, "cone-di sees the ellipsoids of a scene; give one"),
+        (["SCENE", "--filter", "cone-di", "--set", "alhpa=1"], 2, "unknown parameter 'alhpa'; it has alpha"),
+        (["SCENE", "--filter", "cone-di", "--set", "alpha=nan"], 2, "--set alpha: 'nan' is not finite"),
+        (["SCENE", "--filter", "cone-di", "--set", "alpha=-1"], 2, "cone-di: "),
+        (["SCENE", "--filter", "cone-di", "--set", "alpha"], 2, "--set needs NAME=VALUE"),
+        (["SCENE", "--filter", "cone-backup", "--set", "policy=fly"], 2, "cone-backup: "),
+        (["SCENE", "--filter", "cone-backup", "--set", "weight=1,2"], 2, "weight must be 4 numbers"),
+        (["SCENE", "--filter", "none", "--set", "alpha=1"], 2, "the filter none has no parameters"),
+        (["COVER", "--set", "beta=1"], 2, "polytope-cbf has the options --beta"),
+        (["COVER", "--sigma", "2"], 2, "--sigma is for flights among the ellipsoids"),
+        (["SCENE", "--filter", "cone-di", "--beta", "2"], 2, "--beta is for flights among the hulls"),
+        (["SCENE", "--filter", "none", "--confidence", "1"], 2, "--confidence must be between 0 and 1"),
+        (["SCENE", "--filter", "none", "--speed", "nan"], 2, "is not finite"),
+        (["SCENE", "--filter", "cone-ecbf", "--plant", "double-integrator"], 2, "has no thrust and torque"),
+        (["SCENE", "--filter", "none", "--radius", "9"], 5, "trial 0: no start and goal"),
+        (["SCENE", "--map", "SCENE", "--filter", "none"], 2, "is a scene already; --map"),
+        (["SCENE", "--scene", "SCENE", "--filter", "none"], 2, "is a scene already; --scene"),
+        (["UNALIGNED", "--filter", "none"], 3, "not metres; run scale-align first"),
+        (["absent.scene.npz", "--filter", "none"], 3, "does not exist"),
+        (["COVER", "--scene", "absent.npz", "--filter", "cone-di"], 3, "cannot read"),
+        (["PLAN", "--map", "SCENE", "--filter", "none", "--speed", "1"], 2, "a plan has its own speed"),
+        (["PLAN", "--map", "SCENE", "--filter", "none", "--trials", "3"], 2, "a plan is flown once"),
+        (["PLAN", "--map", "VEHICLE", "--filter", "none"], 3, "is not an alula artifact"),
+        (
+            ["ELSEWHERE", "--map", "SCENE", "--filter", "none"],
+            3,
+            "in the frame 'other', the scene in 'world'",
+        ),
+        (["SCENE", *GUIDED, "--guide", "nome"], 2, "--guide nome: a guide is cone-di or safer-splat"),
+        (["SCENE", *GUIDED, "--guide", "cone-backup"], 2, "cone-backup: a guide is cone-di or safer-splat"),
+        (["SCENE", *GUIDED, "--set", "guide.alhpa=1"], 2, "unknown parameter 'alhpa'; it has alpha"),
+        (["SCENE", *GUIDED, "--set", "guide.alpha=-1"], 2, "cone-di: "),
+        (["SCENE", "--filter", "cone-ecbf", "--set", "guide.alpha=1"], 2, "guide.alpha: there is no --guide"),
+        (["SCENE", "--filter", "cone-di", "--set", "solver=osqp"], 2, "must be active-set or clarabel, not"),
+        (["SCENE", "--filter", "safer-splat", "--set", "solver=clarabel"], 2, "unknown parameter 'solver'"),
+        (["SCENE", "--filter", "none", "--pairs", "blocked", "--radius", "9"], 5, "trial 0: no start and"),
+        (["PLAN", "--map", "SCENE", "--filter", "none", "--pairs", "blocked"], 2, "for random pairs; a plan"),
+        (["COVER", "--pairs", "blocked"], 2, "--pairs is for flights among the ellipsoids"),
+        (["COVER", "--guide", "cone-di"], 2, "--guide is for flights among the ellipsoids"),
+        (["COVER", "--set", "guide.alpha=1"], 2, "--set guide.NAME is for flights among the ellipsoids"),
+        (["COVER", "--catch-up", "1"], 2, "--catch-up is for flights among the ellipsoids"),
+        (["SCENE", "--filter", "none", "--catch-up", "0"], 2, "--catch-up must be between"),
+        (["SCENE", "--vehicle", "BAD", "--filter", "none"], 2, "wings"),
+        (["SCENE", "--vehicle", "absent.toml", "--filter", "none"], 3, "absent.toml: cannot read"),
+        (
+            ["SCENE", "--vehicle", "POINT", "--filter", "none", "--plant", "quadrotor"],
+            2,
+            "--plant quadrotor: ",
+        ),
+        (
+            ["SCENE", "--filter", "none", "--plant", "double-integrator", "--interface", "body-rates"],
+            2,
+            "a double integrator is told accelerations",
+        ),
+        (["SCENE", "--filter", "cone-di", "--set", "count=-1"], 2, "cone-di: count must be a whole number"),
+        (["SCENE", *LIGHT, "--filter", "cone-backup", "--set", "policy=hover"], 2, "they do not settle"),
+    ],
+)
+def test_errors_are_one_line_and_leave_nothing(
+    tmp_path, capsys, monkeypatch, scene, arguments, code, message
+):
+    monkeypatch.chdir(tmp_path)
+    write_artifact(tmp_path / "c.cover.npz", make_cover([box((0, 0, 0), (10, 10, 10))]))
+    unaligned(tmp_path / "u.scene.npz")
+    (tmp_path / "bad.toml").write_bytes((VEHICLES / "fastbridge.toml").read_bytes() + b"\n[wings]\n")
+    names = {
+        "SCENE": str(scene),
+        "COVER": "c.cover.npz",
+        "UNALIGNED": "u.scene.npz",
+        "PLAN": str(write_plan(tmp_path / "p.plan.npz")),
+        "ELSEWHERE": str(write_plan(tmp_path / "e.plan.npz", frame="other")),
+        "VEHICLE": str(VEHICLES / "fastbridge.toml"),
+        "BAD": "bad.toml",
+        "POINT": str(VEHICLES / "double-integrator.toml"),
+    }
+    before = sorted(tmp_path.iterdir())
+    assert run(["simulate", *(names.get(word, word) for word in arguments), "-o", "r.run.mcap"]) == code
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert message in output.err
+    assert output.err.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_numbers_without_meaning_in_a_scene_are_refused(tmp_path, capsys):
+    path = tmp_path / "s.scene.npz"
+    whole = make_scene(20)
+    write_artifact(path, whole)
+    data = bytearray(path.read_bytes())
+    mean = np.asarray(whole["mean"]).tobytes()
+    data[(at := data.find(mean)) : at + 4] = np.float32(np.nan).tobytes()
+    path.write_bytes(data)
+    assert run(["simulate", str(path), "--filter", "none", "-o", str(tmp_path / "r.run.mcap")]) == 3
+    assert "mean" in capsys.readouterr().err
+
+
+def test_a_scene_of_nothing_needs_bounds(tmp_path, capsys):
+    empty = make_artifact(
+        SCENE,
+        {
+            "mean": np.empty((0, 3)),
+            "scale": np.empty((0, 3)),
+            "quat_wxyz": np.empty((0, 4)),
+            "opacity": np.empty(0),
+            "color": np.empty((0, 3)),
+        },
+        frame="world",
+        unit="m",
+        parameters={},
+        summary={},
+        source={"format": "ply"},
+    )
+    path, out = tmp_path / "s.scene.npz", tmp_path / "r.run.mcap"
+    write_artifact(path, empty)
+    words = ["simulate", str(path), "--filter", "cone-backup", "--trials", "1", "-o", str(out), "-q"]
+    assert run(words) == 2
+    assert "no Gaussians to take bounds from; give --bounds" in capsys.readouterr().err
+    assert run([*words, "--bounds", "0", "0", "0", "3", "3", "3"]) == 0
+    (trial,) = read_run(out).trials
+    assert (trial.outcome, trial.scene_clearance_m, trial.min_gamma) == ("reached", None, None)

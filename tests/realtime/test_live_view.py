@@ -1,0 +1,140 @@
+"""The view in a browser: what it has no time for is counted, and its death is nothing to the flight."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from alula.cli.main import run
+from alula.schemas.errors import UsageError
+from alula.schemas.run import read_run
+from alula.stages.flight.recorder.live_view import ViewHead, open_view
+from alula.stages.flight.recorder.log import FlightRecorder
+from alula.stages.flight.recorder.pipe import FlightPipe
+from alula.stages.runlog.runs import map_message
+from support.flight_logs import head_of, sample
+from support.flights import BALL, mission
+
+SIM = "sim:?start=0.5,1.5,0"
+
+
+def needs_viser():
+    pytest.importorskip("viser", reason="viser is needed: pip install 'alula[live]'")
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def page(port):
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=10) as answer:
+        return answer.read()
+
+
+def view_head(made):
+    return ViewHead(
+        name="flight",
+        filter="none",
+        vehicle="v",
+        radius_m=0.1,
+        map_message=map_message(made.map, {"sigma": 1.0}, [np.zeros((1, 3))], "world"),
+        plan=[(0.0, 0.0, 1.0), (1.0, 0.0, 1.0)],
+    )
+
+
+def children(pid):
+    """Processes of a process, by what they run."""
+    found = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return {int(child): Path(f"/proc/{child}/cmdline").read_text() for child in found}
+
+
+def test_a_view_that_does_not_read_loses_its_samples_and_the_log_none(tmp_path):
+    view = FlightPipe("import os, time; os.read(0, 10); time.sleep(60)", ())
+    view.put(b"begins")
+    while view.offer(b"x" * 4000) or view.offer(b"x"):
+        pass
+    recorder = FlightRecorder(tmp_path / "f.run.mcap", head_of(mission()), echo=False, view=view)
+    for i in range(100):
+        recorder.tick(sample(i))
+    recorder.say(1.0, 2, "words")
+    assert (recorder.dropped, recorder.unseen) == (0, 26)
+    view.process.kill()
+    view.process.wait()
+    recorder.say(1.1, 2, "words")
+    assert (recorder.dropped, recorder.unseen) == (0, 27)
+    assert recorder.finish(None)
+    assert not view.close(1.0)
+
+
+def test_a_flight_offers_a_view_some_25_ticks_a_second(tmp_path):
+    view = FlightPipe("import sys; sys.stdin.buffer.read()", ())
+    view.put(b"begins")
+    for rate, expected in ((100.0, 25), (20.0, 100)):
+        recorder = FlightRecorder(None, head_of(mission()), echo=False, view=view, rate_hz=rate)
+        offered, offer = [], view.offer
+        view.offer = offered.append
+        for i in range(100):
+            recorder.tick(sample(i))
+        view.offer = offer
+        assert len(offered) == expected
+        recorder.finish(None)
+    assert view.close(10.0)
+
+
+def test_it_is_seen_on_loopback_only_and_ends_with_the_pipe():
+    needs_viser()
+    made, port = mission("cone-backup", scene=BALL, is_clear=True), free_port()
+    pipe, address = open_view(port, view_head(made))
+    assert address == f"http://127.0.0.1:{port}"
+    assert b"<html" in page(port).lower()
+    places = [line.split()[1] for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    assert {place.split(":")[0] for place in places if place.endswith(f":{port:04X}")} == {"0100007F"}
+    wide = Path("/proc/net/tcp6").read_text() if Path("/proc/net/tcp6").exists() else ""
+    assert f":{port:04X} 0000" not in wide
+    with pytest.raises(UsageError, match="in use"):
+        open_view(port, view_head(made))
+    for i in range(200):
+        pipe.offer(b"t" + msgspec.msgpack.encode(sample(i, 0.01 * i)))
+    assert pipe.close(10.0)
+
+
+def test_without_viser_one_line_says_so_before_anything_else(pipeline, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    words = ["fly", str(pipeline / "tiny.plan.npz"), "--map", str(pipeline / "tiny.cover.npz")]
+    assert run([*words, "--link", SIM, "-o", str(tmp_path / "f.run.mcap"), "--live"]) == 2
+    assert capsys.readouterr().err == (
+        "alula: --live needs viser, which is not installed: pip install 'alula[live]'\n"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_killed_view_does_not_disturb_the_flight(pipeline, tmp_path):
+    needs_viser()
+    log, port = tmp_path / "f.run.mcap", free_port()
+    command = [sys.executable, "-P", "-m", "alula.cli", "fly", str(pipeline / "tiny.plan.npz")]
+    command += ["--map", str(pipeline / "tiny.cover.npz"), "--link", SIM, "-o", str(log), "--live", str(port)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+        for line in process.stderr:
+            if "flying the plan" in line:
+                break
+        assert b"<html" in page(port).lower()
+        (view,) = [pid for pid, what in children(process.pid).items() if "live_view" in what]
+        time.sleep(0.3)
+        os.kill(view, signal.SIGKILL)
+        rest = process.stderr.read()
+        assert process.wait(60) == 0, rest
+    assert read_run(log).trials[0].outcome == "reached"
+    timing = json.loads((tmp_path / "f.run.json").read_text())["timing"]
+    assert timing["unseen_samples"] > 10
+    assert timing["dropped_samples"] == 0

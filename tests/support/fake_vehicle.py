@@ -1,0 +1,182 @@
+"""A vehicle for tests of flights: a rigid body or a point with modes, stepped by a clock that tests turn."""
+
+import math
+
+import numpy as np
+
+from alula import _core
+from alula.schemas.errors import LinkError
+from alula.schemas.vehicle import FASTBRIDGE
+from alula.stages.flight.links.protocol import (
+    AccelerationSetpoint,
+    Order,
+    RatesSetpoint,
+    VehicleState,
+    VehicleStatus,
+    VelocitySetpoint,
+)
+from alula.stages.vehicles.bodies import quadrotor
+
+STEP_S = 2.5e-3
+
+
+class FakeClock:
+    """Time that passes only when somebody sleeps."""
+
+    def __init__(self):
+        self.now_s = 100.0
+        self.extra_s = []  # added to the next sleeps, one by one
+
+    def __call__(self):
+        return self.now_s
+
+    def sleep(self, seconds):
+        self.now_s += seconds + (self.extra_s.pop(0) if self.extra_s else 0.0)
+
+
+class FakeVehicle:
+    """A link and its vehicle: the body of FastBridge with a rate loop, and modes MANUAL, GUIDED, LAND.
+
+    Faults are fields that tests set while it flies, or functions of the vehicle called at each poll.
+    """
+
+    def __init__(self, clock, position=(0.0, 0.0, 0.0), accepts=None, frame=None, state_hz=100.0):
+        self.clock = clock
+        self.status = VehicleStatus(
+            armed=False, landed=True, mode="MANUAL", battery_share=0.9, is_estimator_ready=True
+        )
+        self.state = None
+        self.accepts = accepts or frozenset({RatesSetpoint, AccelerationSetpoint, VelocitySetpoint})
+        self.body = quadrotor(FASTBRIDGE)
+        self.x = np.array([*position, 0, 0, 0, 0, 0, 0, 0, 0, 0.0])
+        self.ground_m = position[2]
+        self.frame = np.eye(3) if frame is None else np.asarray(frame, float)  # seen positions, velocities
+        self.state_period_s = 1 / state_hz
+        self.time_s = clock()
+        self.setpoint, self.height_m, self.hold_at = None, 0.0, None
+        self.sent, self.orders = [], []
+        self.is_silent = self.is_frozen = self.refuses = False
+        self.on_poll = lambda vehicle, now: None
+        self.closed = False
+
+    def open(self, timeout_s):
+        return "a fake vehicle"
+
+    def prepare(self):
+        return []
+
+    def close(self):
+        self.closed = True
+
+    def poll(self, now_s):
+        self.on_poll(self, now_s)
+        while self.time_s + STEP_S <= now_s:
+            self.step()
+        if self.is_silent:
+            return
+        self.status.heard_s = now_s
+        if self.is_frozen:
+            return
+        if self.state is None or now_s - self.state.received_s >= self.state_period_s - 1e-9:
+            self.state = self.seen(now_s)
+
+    def seen(self, now_s):
+        n = float(self.x[3:6] @ self.x[3:6])
+        quat = np.array([1 - n, *(2 * self.x[3:6])]) / (1 + n)
+        return VehicleState(now_s, self.frame @ self.x[:3], self.frame @ self.x[6:9], quat, self.x[9:].copy())
+
+    def order(self, order, now_s, height_m=0.0):
+        self.orders.append(order)
+        if self.refuses and order is not Order.NOTHING:
+            self.status.refusals.append((order, "it does not want to"))
+            return
+        if order is Order.ARM:
+            self.status.armed, self.status.mode = True, "GUIDED"
+        elif order is Order.TAKE_OFF:
+            self.height_m, self.status.mode = height_m, "GUIDED"
+            self.hold_at = self.x[:3] + np.array([0, 0, height_m])
+        elif order is Order.TAKE_CONTROL:
+            self.status.mode = "GUIDED"
+        elif order is Order.HOLD:
+            self.hold_at, self.setpoint = self.x[:3].copy(), None
+        elif order is Order.LAND:
+            self.status.mode, self.setpoint = "LAND", None
+            self.hold_at = np.array([*self.x[:2], self.ground_m - 1.0])
+        elif order is Order.DISARM and self.status.landed:
+            self.status.armed = False
+        self.status.obeys = self.status.mode == "GUIDED"
+
+    def send(self, setpoint, now_s):
+        if type(setpoint) not in self.accepts:
+            raise LinkError("no such set-point")
+        values = [np.atleast_1d(v) for v in (getattr(setpoint, name) for name in setpoint.__slots__)]
+        assert np.isfinite(np.concatenate(values)).all()
+        self.sent.append((now_s, self.status.mode, setpoint))
+        if self.status.mode == "GUIDED":
+            self.setpoint = setpoint
+
+    def step(self):
+        self.time_s += STEP_S
+        if not self.status.armed:
+            return
+        self.x = self.body.step(self.x[None], self.wrench()[None], dt_s=STEP_S)[0]
+        self.x[3:6] = _core.shadowed(self.x[None, 3:6])[0]
+        if self.x[2] <= self.ground_m:
+            self.x[2], self.x[3:] = self.ground_m, 0.0
+        self.status.landed = bool(self.x[2] < self.ground_m + 0.02)
+        if self.status.landed and self.status.mode == "LAND":
+            self.status.armed = False
+
+    def wrench(self):
+        """Of the autopilot's own loops."""
+        hover, inertia = self.body.hover_thrust, np.array(self.body.inertia)
+        if isinstance(self.setpoint, RatesSetpoint):
+            omega = self.x[9:]
+            torque = np.cross(omega, inertia * omega) + inertia * (self.setpoint.omega - omega) / 0.02
+            return self.body.limited(np.array([[self.setpoint.thrust_m_s2 * self.body.mass, *torque]]))[0]
+        target = self.hold_at
+        if isinstance(self.setpoint, AccelerationSetpoint):
+            acceleration = self.setpoint.acceleration
+        elif isinstance(self.setpoint, VelocitySetpoint):
+            acceleration = 4.0 * (self.setpoint.velocity - self.x[6:9])
+        elif target is None:
+            return np.array([hover if self.x[2] > self.ground_m else 0.0, 0, 0, 0])
+        else:
+            wish = np.clip(1.5 * (target - self.x[:3]), -0.8, 0.8)
+            acceleration = 4.0 * (wish - self.x[6:9])
+        row = np.zeros((1, 18))
+        row[0, :3], row[0, 3:6], row[0, 6:9] = self.x[:3], self.x[6:9], np.clip(acceleration, -4, 4)
+        gains = _core.TrackingGains(max_tilt_rad=0.6)
+        return self.body.limited(_core.track(self.body, gains, self.x[None], row)["wrench"])[0]
+
+
+class Kept:
+    """A recorder that keeps everything."""
+
+    def __init__(self):
+        self.samples, self.steps, self.lines = [], [], []
+
+    def tick(self, sample):
+        self.samples.append(sample)
+
+    def step(self, time_s, taken):
+        self.steps.append((time_s, taken))
+
+    def say(self, time_s, level, words):
+        self.lines.append((level, words))
+
+    @property
+    def states(self):
+        """The states one after another."""
+        found = []
+        for sample in self.samples:
+            if not found or found[-1] != sample.state:
+                found.append(sample.state)
+        return found
+
+    def positions(self, *states):
+        return np.array([s.position for s in self.samples if s.state in states and s.position])
+
+
+def norm(vector):
+    return math.sqrt(float(np.dot(vector, vector)))

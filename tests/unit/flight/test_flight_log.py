@@ -1,0 +1,195 @@
+"""The log of a flight: what it holds, that it never waits, and what is left of it after a crash."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from alula.schemas.cut_run import read_logged, salvage_run
+from alula.schemas.errors import ArtifactError, DamagedError, OutputError
+from alula.schemas.flights import count_messages
+from alula.schemas.run import read_run
+from alula.stages.flight.judge import timing_of
+from alula.stages.flight.recorder.log import FlightRecorder
+from support.flight_logs import head_of, record_of, sample
+from support.flights import fly, mission
+
+
+def test_a_flight_is_logged_as_simulate_logs_one(tmp_path):
+    log, made = (
+        tmp_path / "f.run.mcap",
+        mission(velocity_lag_s=0.0),
+    )  # as the model's: its plan is kept up with
+    recorder = FlightRecorder(log, head_of(made), echo=False)
+    loop, _ = fly(made, recorder=recorder)
+    assert recorder.finish(record_of(made, loop, recorder))
+    assert recorder.dropped == 0
+    found = read_logged(log)
+    assert found.damage == ""
+    (trial,) = found.record.trials
+    assert (trial.outcome, trial.collision) == ("reached", False)
+    assert trial.map_clearance_m > 0
+    assert trial.max_tracking_error_m < 0.3
+    counts, complete = count_messages(log)
+    assert complete
+    ticks = len(loop.counters.tick_s)
+    assert (counts["/map"], counts["/path"], counts["/state"]) == (1, 1, ticks)
+    assert counts["/safety"] == len(loop.counters.filter_s) == trial.steps
+    assert counts["/supervisor"] == ticks + len(loop.taken)
+    flight = found.flights.by_trial[0]
+    assert found.flights.hulls == 1
+    assert len(flight.time_s) == ticks
+    assert np.isfinite(flight.margin).all()
+    assert flight.margin_unit == "m"
+    timing = timing_of(loop.counters, recorder.dropped, 100.0)
+    assert timing["ticks"] == ticks
+    assert timing["overruns"] == 0
+
+
+def test_an_existing_log_is_left_alone(tmp_path):
+    log = tmp_path / "f.run.mcap"
+    log.write_bytes(b"mine")
+    with pytest.raises(OutputError, match="cannot write"):
+        FlightRecorder(log, head_of(mission()), echo=False)
+    assert log.read_bytes() == b"mine"
+
+
+def _wait_for(what, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_a_log_is_read_to_its_last_whole_chunk_when_its_writer_is_killed(tmp_path):
+    log, made = tmp_path / "f.run.mcap", mission()
+    recorder = FlightRecorder(log, head_of(made), echo=False)
+    begun = time.monotonic()
+    while log.stat().st_size < 30_000 and time.monotonic() < begun + 20:
+        for i in range(200):
+            recorder.tick(sample(i))
+        time.sleep(0.05)
+    os.kill(recorder.pid, signal.SIGKILL)
+    recorder.finish(None)
+    with pytest.raises(DamagedError):
+        read_run(log)
+    found = read_logged(log)
+    assert "cut" in found.damage
+    assert "in the state fly" in found.damage
+    assert found.record.filter == "polytope-cbf"
+    assert found.record.trials == []
+    assert len(found.flights.by_trial[0].time_s) > 50
+    assert found.flights.hulls == 1
+    whole = log.read_bytes()
+    before = len(found.flights.by_trial[0].time_s)
+    log.write_bytes(whole[: len(whole) // 2])  # a power cut that cost more
+    assert 0 < len(read_logged(log).flights.by_trial[0].time_s) < before
+    log.write_bytes(whole[:100])
+    with pytest.raises(ArtifactError):
+        read_logged(log)
+
+
+def test_a_log_of_a_killed_flight_is_closed_by_its_writer(tmp_path):
+    log = tmp_path / "f.run.mcap"
+    code = f"""
+import os, signal, sys
+sys.path[:0] = {sys.path!r}
+from pathlib import Path
+from support.flight_logs import head_of, sample
+from support.flights import mission
+from alula.stages.flight.recorder.log import FlightRecorder
+recorder = FlightRecorder(Path({str(log)!r}), head_of(mission()), echo=False)
+for i in range(100):
+    recorder.tick(sample(i, x=0.01 * i))
+recorder.say(1.0, 3, "about to die")
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    _wait_for(lambda: log.read_bytes().endswith(b"\x89MCAP0\r\n") and log.stat().st_size > 100)
+    counts, complete = count_messages(log)
+    assert complete
+    assert (counts["/state"], counts["/log"]) == (100, 1)
+    found = read_logged(log)
+    assert "0.99 s" in found.damage
+    assert found.flights.by_trial[0].position_world[-1, 0] == pytest.approx(0.99)
+
+
+def test_a_log_of_simulate_that_was_cut_is_not_taken_for_a_flight(tmp_path):
+    log = tmp_path / "f.run.mcap"
+    log.write_bytes(b"\x89MCAP0\r\n" + b"\x01" + (100).to_bytes(8, "little") + b"x" * 20)
+    assert salvage_run(log) is None
+    with pytest.raises(DamagedError):
+        read_logged(log)
+
+
+def test_a_writer_that_hangs_or_dies_costs_samples_and_no_time(tmp_path):
+    recorder = FlightRecorder(tmp_path / "f.run.mcap", head_of(mission()), echo=False)
+    os.kill(recorder.pid, signal.SIGSTOP)
+    for i in range(20_000):  # more than a pipe holds
+        recorder.tick(sample(i))
+    assert 0 < recorder.dropped < 20_000
+    assert len(recorder.rows) == 20_000
+    os.kill(recorder.pid, signal.SIGKILL)
+    recorder.tick(sample(0))
+    assert not recorder.finish(None, timeout_s=5.0)
+
+
+def test_a_writer_that_hangs_is_given_up_at_the_end(tmp_path):
+    loop, _ = fly(made := mission())
+    recorder = FlightRecorder(tmp_path / "f.run.mcap", head_of(made), echo=False)
+    recorder.tick(sample(0))
+    os.kill(recorder.pid, signal.SIGSTOP)
+    for i in range(20_000):
+        recorder.tick(sample(i))
+    assert not recorder.finish(record_of(made, loop, recorder), timeout_s=0.5)
+
+
+def writer_of(path, *, limit="", stderr=subprocess.PIPE, seconds=0.0):
+    """A process that logs 3000 ticks and a line; its output."""
+    code = f"""
+import resource, sys, time
+sys.path[:0] = {sys.path!r}
+from pathlib import Path
+from support.flight_logs import head_of, sample
+from support.flights import mission
+from alula.stages.flight.recorder.log import FlightRecorder
+{limit}
+recorder = FlightRecorder({path and f"Path({str(path)!r})"}, head_of(mission()), echo=True)
+for i in range(3000):
+    recorder.say(0.01 * i, 1, "a line")
+    recorder.tick(sample(i))
+    time.sleep({seconds} / 3000)
+print("written", recorder.finish(None))
+"""
+    return subprocess.run(
+        [sys.executable, "-P", "-c", code], stdout=subprocess.PIPE, stderr=stderr, text=True
+    )
+
+
+def test_a_full_disk_costs_the_log_and_is_said_in_one_line(tmp_path):
+    small = "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))"
+    done = writer_of(tmp_path / "f.run.mcap", limit=small)
+    assert done.stdout == "written False\n"
+    assert "Traceback" not in done.stderr
+    assert [line for line in done.stderr.splitlines() if "the log ends here: File too large" in line]
+    assert len(read_logged(tmp_path / "f.run.mcap").flights.by_trial[0].time_s) > 50
+
+
+def test_a_terminal_that_is_closed_costs_no_log(tmp_path):
+    read, write = os.pipe()
+    os.close(read)
+    done = writer_of(tmp_path / "f.run.mcap", stderr=write)
+    os.close(write)
+    assert done.stdout == "written True\n"
+    assert count_messages(tmp_path / "f.run.mcap")[0]["/log"] > 1000
+
+
+def test_a_dry_run_of_some_seconds_has_no_log_to_sync():
+    done = writer_of(None, seconds=1.5)
+    assert done.stdout == "written True\n"
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,309 @@
+"""Velocities for vehicles that follow them late: other models kept clear of boxes, and measured lags."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from alula.schemas.vehicle import FASTBRIDGE
+from alula.stages.filtering.protocol import FilterResult, FilterStatus
+from alula.stages.flight.commanders.velocity import VelocityCommander
+from alula.stages.flight.links.protocol import RatesSetpoint, VelocitySetpoint
+from alula.stages.flight.links.simulated_body import STEP_S, Body
+from alula.stages.flight.mission import make_commander, make_safety
+from support.autopilot_client import EXACT, Client
+from support.crazyflie_rehearsal import Rehearsal
+from support.crazyflie_rehearsal import velocity as crazyflie_velocity
+from support.flights import mission
+from support.small_scenes import box_cover
+from support.velocity_worlds import BOXES, ZERO, seen, target_at, world
+
+DT, STEPS = 0.01, 4
+RADIUS_M, MARGIN_M = 0.15, 0.1
+LOW, HIGH = (0.1 * np.array([box[i] for box in BOXES]) for i in (0, 1))
+
+
+def clearance(x):
+    """Of the vehicle's sphere, by distances from boxes."""
+    away = np.maximum(np.maximum(LOW - x, x - HIGH), 0.0)
+    return float(np.sqrt((away**2).sum(axis=1)).min()) - RADIUS_M
+
+
+def first_order(tau):
+    """x, v, a after a step of u held, exactly."""
+
+    def step(x, v, a, u, dt):
+        after = u + (v - u) * math.exp(-dt / tau)
+        return x + dt * u + tau * (v - after), after, a
+
+    return step
+
+
+def jerk_limited(gain, attitude_s, most_m_s2, most_m_s3):
+    """A velocity loop whose acceleration follows late, and is limited, as is its change."""
+
+    def within(vector, most):
+        size = np.linalg.norm(vector)
+        return vector if size <= most else vector * (most / size)
+
+    def step(x, v, a, u, dt):
+        jerk = within((within(gain * (u - v), most_m_s2) - a) / attitude_s, most_m_s3)
+        a = a + jerk * dt
+        v = v + a * dt
+        return x + v * dt, v, a
+
+    return step
+
+
+def stopping_s(step, speed):
+    """What 63 % of a stop take."""
+    x, v, a, ticks = ZERO, np.array([speed, 0, 0]), ZERO, 0
+    while v[0] > math.exp(-1) * speed:
+        x, v, a = step(x, v, a, ZERO, 1e-3)
+        ticks += 1
+    return ticks * 1e-3
+
+
+def commander_of(speed, lag):
+    made, safety = world(speed, lag)
+    return make_commander(made, safety, frozenset({VelocitySetpoint}))
+
+
+def least_clearance(step, speed, lag, start, goals, ticks=90):
+    """Of a flight at points wherever they are, each for a while; and how it ended."""
+    commander = commander_of(speed, lag)
+    x, v, a, least = np.array(start, float), ZERO, ZERO, math.inf
+    for goal in goals:
+        for _ in range(ticks):
+            decision = commander.decide(seen(x, v), 0.0, target_at(goal))
+            assert decision.setpoint is not None
+            commander.sent(decision.setpoint)
+            for _ in range(STEPS):
+                x, v, a = step(x, v, a, decision.setpoint.velocity, DT / STEPS)
+                least = min(least, clearance(x))
+    return least, x, v
+
+
+STARTS = st.sampled_from([(0.6, 2.6, 1.5), (2.0, 0.6, 1.5), (3.2, 3.0, 2.0), (2.0, 3.0, 1.0)])
+POINTS = st.tuples(st.floats(-1, 5.5), st.floats(-1, 4.5), st.floats(0.8, 3.0))
+FOUND = (Phase.explicit, Phase.reuse, Phase.generate)  # flights are too long to shrink
+GOALS = st.lists(POINTS, min_size=2, max_size=3)
+
+
+@settings(max_examples=12, deadline=None, phases=FOUND)
+@given(
+    STARTS, GOALS, st.sampled_from([1.0, 2.0, 3.0]), st.sampled_from([(0.25, 0.25), (0.25, 0.5), (0.5, 0.5)])
+)
+def test_a_first_order_vehicle_keeps_its_margin_whatever_is_asked(start, goals, speed, lags):
+    true, assumed = lags
+    least, _, _ = least_clearance(first_order(true), speed, assumed, start, goals)
+    assert least >= MARGIN_M - 1e-3
+
+
+SLUGGISH = {  # an ArduPilot's numbers, and worse
+    "lean": jerk_limited(2.5, 0.12, 5.66, 60.0),
+    "slow": jerk_limited(2.5, 0.15, 4.5, 25.0),
+}
+
+
+@settings(max_examples=12, deadline=None, phases=FOUND)
+@given(STARTS, GOALS, st.sampled_from([1.5, 3.0]), st.sampled_from(list(SLUGGISH)))
+def test_a_jerk_limited_vehicle_keeps_nearly_all_of_it(start, goals, speed, name):
+    step = SLUGGISH[name]
+    lag = round(1.25 * stopping_s(step, speed), 2)
+    least, _, _ = least_clearance(step, speed, lag, start, goals)
+    assert least >= 0.8 * MARGIN_M
+
+
+HEAD_ON = ((2.0, 1.6, 1.5), [(2.0, 3.0, 1.5), (5.0, 1.0, 1.5), (0.0, -1.0, 1.5)])
+
+
+@pytest.mark.parametrize("name", ["first order", *SLUGGISH])
+def test_without_the_lag_the_margin_is_used_up(name):
+    step = first_order(0.4) if name == "first order" else SLUGGISH[name]
+    lag = 0.4 if name == "first order" else round(1.25 * stopping_s(step, 3.0), 2)
+    assert least_clearance(step, 3.0, 0.0, *HEAD_ON)[0] < 0.3 * MARGIN_M
+    assert least_clearance(step, 3.0, lag, *HEAD_ON)[0] >= 0.8 * MARGIN_M
+
+
+def test_corners_are_not_cut():
+    """Around the end of a pillar, close by: q turns before p is there, and p keeps clear of the corner."""
+    goals = [(0.6, 0.0, 1.5), (2.0, 0.0, 1.5), (2.0, 2.0, 1.5), (2.0, 0.0, 1.5), (0.6, 0.0, 1.5)]
+    least, x, _ = least_clearance(first_order(0.5), 3.0, 0.5, (0.7, 1.5, 1.5), goals, ticks=120)
+    assert least >= MARGIN_M - 1e-3
+    assert np.linalg.norm(x - goals[-1]) < 0.2  # and it gets there
+
+
+def test_a_wall_between_the_vehicle_and_its_lead_is_not_flown_through():
+    """q is beyond the middle of a hull, or beyond the hull: what leads out of it there leads p into it."""
+    for y_speed in (0.0, 0.5):
+        for speed in (1.5, 2.5, 3.5):
+            commander = commander_of(3.0, 0.6)
+            p, v = np.array([2.1, 2.4, 1.5]), np.array([speed, y_speed, 0.0])  # a pillar from x = 2.5 to 2.8
+            decision = commander.decide(seen(p, v), 0.0, target_at((3.4, 2.4, 1.5)))
+            assert decision.status is FilterStatus.RECOVERING
+            u = decision.setpoint.velocity
+            assert u[0] < 0
+            assert np.linalg.norm(u) <= 3.0 + 1e-6
+            deep = p[0] + 0.6 * speed - (2.5 - RADIUS_M - MARGIN_M)
+            assert u[0] == pytest.approx(-min(3.0, 2.0 / 0.6 * deep), abs=0.15)
+
+
+def test_who_is_engaged_too_fast_is_led_out_and_does_not_touch():
+    """q begins within the margin, even within the hull."""
+    for p_y, speed in ((2.9, 1.0), (2.7, 1.5)):
+        commander = commander_of(3.0, 0.5)
+        x, v, a = np.array([2.0, p_y, 1.5]), np.array([0.0, speed, 0.0]), ZERO
+        least, first = math.inf, None
+        for _ in range(300):
+            decision = commander.decide(seen(x, v), 0.0, target_at((2.0, 3.6, 1.5)))
+            first = first or decision.status
+            commander.sent(decision.setpoint)
+            x, v, a = first_order(0.4)(x, v, a, decision.setpoint.velocity, DT)
+            least = min(least, clearance(x))
+        assert first is FilterStatus.RECOVERING
+        assert least > 0
+        assert clearance(x) >= MARGIN_M - 1e-3
+
+
+class Passing:
+    """A filter that keeps what it is asked, and lets all through."""
+
+    def __init__(self, margin=1.0):
+        self.asked, self.margin = [], margin
+
+    def __call__(self, x, u):
+        self.asked.append((x.copy(), u.copy()))
+        return FilterResult(u, FilterStatus.OK, self.margin)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.lists(st.tuples(*[st.floats(-3, 3)] * 3), min_size=1, max_size=8),
+    st.floats(0.05, 1.0),
+    st.integers(0, 7),
+    st.floats(0, 1),
+)
+def test_an_old_state_is_taken_on_by_what_was_sent(sent, tau, whole, part):
+    """A first-order vehicle, told what was sent tick by tick, is seen where it is, not where it was."""
+    age = min(whole + part, len(sent)) * DT
+    step, x, v = first_order(tau), np.array([1.0, -2.0, 3.0]), np.array([0.5, 1.0, -1.5])
+    commander = VelocityCommander(Passing(), 2.0, 20.0, lag_s=tau, delay_s=0.4 * age, dt_s=DT)
+    begin, left = len(sent) * DT - age, age
+    now_x, now_v = x, v
+    for i, u in enumerate(np.array(sent)):
+        commander.sent(VelocitySetpoint(u, 0.0))
+        held = min(max((i + 1) * DT - begin, 0.0), DT)
+        left -= held
+        now_x, now_v, _ = step(now_x, now_v, ZERO, u, held)
+    assert left == pytest.approx(0, abs=1e-9)
+    commander.decide(seen(x, v), 0.6 * age, target_at(ZERO))
+    lead, _ = commander.filter.asked[-1]
+    np.testing.assert_allclose(lead, now_x + tau * now_v, atol=1e-9)
+    found = commander.decide(seen(x, v), 0.6 * age, target_at(ZERO))
+    np.testing.assert_allclose(found.nominal, -now_x, atol=1e-9)  # the error is that of p
+
+
+def test_what_is_not_known_is_taken_on_by_its_velocity():
+    commander = VelocityCommander(Passing(), 2.0, 20.0, lag_s=0.5, delay_s=0.03, dt_s=DT)
+    v = np.array([1.0, 2.0, 0.0])
+    for then in (lambda: None, lambda: commander.sent(RatesSetpoint(9.8, ZERO)), commander.reset):
+        commander.filter.asked.clear()
+        then()
+        commander.decide(seen(ZERO, v), 0.02, target_at(ZERO))
+        np.testing.assert_allclose(commander.filter.asked[-1][0], (0.05 + 0.5) * v, atol=1e-12)
+
+
+def test_at_a_high_rate_as_much_time_is_known():
+    commander = VelocityCommander(Passing(), 2.0, 20.0, lag_s=0.5, delay_s=0.5, dt_s=0.002)
+    for _ in range(1000):
+        commander.sent(VelocitySetpoint(ZERO, 0.0))
+    commander.decide(seen(ZERO, np.array([1.0, 0, 0])), 0.15, target_at(ZERO))
+    np.testing.assert_allclose(commander.filter.asked[-1][0], (0.5, 0, 0), atol=1e-9)  # q stays where it was
+
+
+@pytest.mark.parametrize("margin", [0.01, 0.3, 5.0])
+def test_the_chord_is_asked_for_closely_and_from_end_to_end(margin):
+    commander = VelocityCommander(Passing(margin), 2.0, 20.0, lag_s=0.5)
+    commander.decide(seen(ZERO, np.array([3.0, 0, 0])), 0.0, target_at(ZERO))
+    places = [x[0] for x, _ in commander.filter.asked]
+    assert places[0] == 0
+    assert places[-1] == 1.5
+    assert 2 <= len(places) <= 13
+    assert max(np.diff(places)) <= max(0.5 * margin, 1.5 / 12) + 1e-9
+
+
+@pytest.mark.parametrize("share", [0.27, 0.4])
+def test_a_fast_vehicle_does_not_cut_across_a_thin_pillar(share):
+    """16 m of chord beside a pillar of 0.1 m: led to its other side, q sweeps the chord over it."""
+    made = mission(
+        cover=box_cover([((0, 0, 0), (1, 1, 40))]),
+        is_clear=True,
+        speed_m_s=10.0,
+        gain=8.0,
+        fence=(-40.0, -40.0, 0.0, 40.0, 40.0, 10.0),
+    )
+    lag = made.config.velocity_lag_s
+    commander = make_commander(made, make_safety(made), frozenset({VelocitySetpoint}))
+    x, v, least = np.array([0.05 - 16.0 * share, 0.42, 1.5]), np.array([16.0 / lag, 0, 0]), math.inf
+    for _ in range(160):
+        decision = commander.decide(seen(x, v), 0.0, target_at((2.1, -3.6, 1.5)))
+        commander.sent(decision.setpoint)
+        for _ in range(STEPS):
+            x, v, _ = first_order(lag)(x, v, ZERO, decision.setpoint.velocity, DT / STEPS)
+            away = np.maximum(np.abs(x[:2] - 0.05) - 0.05, 0.0)
+            least = min(least, float(np.hypot(*away)) - RADIUS_M)
+    assert least >= MARGIN_M - 1e-3
+
+
+@pytest.mark.parametrize(("speed", "most_m"), [(3.0, 0.15), (10.0, 0.2), (100.0, 0.2)])
+def test_no_thin_hull_fits_between_two_points_of_a_fast_vehicle(speed, most_m):
+    commander = VelocityCommander(Passing(0.01), 2.0, 100.0, lag_s=0.6)
+    commander.decide(seen(ZERO, np.array([speed, 0, 0])), 0.0, target_at(ZERO))
+    places = [x[0] for x, _ in commander.filter.asked]
+    assert max(np.diff(places)) <= most_m + 1e-9
+
+
+def responses():
+    """Speed after stopping from 3 m/s, of each vehicle that is simulated: at rates of DT, from 1 to 0."""
+    level = np.array([1.0, 0, 0])
+    client = Client(options=EXACT).fly(10.0)
+    mask = 0b111 | 0b111 << 6 | 1 << 11
+    body = Body(FASTBRIDGE, ZERO, 0.0, 0)
+    for up in (0.8, 0.0):
+        for _ in range(400):
+            body.step(VelocitySetpoint(np.array([0, 0, up]), 0.0))
+    flown = Rehearsal(controller=1)
+    flown.fly(1.0)
+
+    def ardupilot(v):
+        client.target(mask, v=tuple(v))
+        client.wait(DT)
+        return client.truth.velocity[0]
+
+    def simulated(v):
+        for _ in range(round(DT / STEP_S)):
+            body.step(VelocitySetpoint(v, 0.0))
+        return body.velocity[0]
+
+    def crazyflie(v):
+        flown.live(DT, crazyflie_velocity(*v))
+        return flown.vehicle.body.velocity[0]
+
+    for name, tick in (("ardupilot", ardupilot), ("sim", simulated), ("crazyflie", crazyflie)):
+        for _ in range(300):
+            begin = tick(3.0 * level)
+        yield name, np.array([tick(ZERO) for _ in range(150)]) / begin
+
+
+def test_lags_are_what_the_page_says_and_the_default_covers_them():
+    measured = {name: DT * (1 + float(np.argmax(stop < math.exp(-1)))) for name, stop in responses()}
+    assert measured == pytest.approx({"ardupilot": 0.45, "sim": 0.29, "crazyflie": 0.33}, abs=0.01)
+    made = mission(cover=box_cover(BOXES), is_clear=True, speed_m_s=3.0)
+    assert made.config.velocity_lag_s == pytest.approx(0.6)
+    assert made.config.velocity_lag_s >= 1.25 * max(measured.values())
+    assert mission(speed_m_s=1.0).config.velocity_lag_s == 0.5
+    assert mission(speed_m_s=90.0).config.velocity_lag_s == 5.0
+    assert mission(speed_m_s=3.0, velocity_lag_s=0.2).config.velocity_lag_s == 0.2

@@ -1,0 +1,150 @@
+"""What a report says of flights in a fence: rows, columns, windows, the closest flight."""
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from alula.schemas.flights import Flight
+from alula.schemas.manifest import Guarantee, producer
+from alula.schemas.provenance import Provenance
+from alula.schemas.run import FenceResult, RunRecord, TrialResult
+from alula.stages.reporting.curves import flight_maps
+from alula.stages.reporting.fenced import closest_flights, fence_rows, fence_shape, is_fenced
+from alula.stages.reporting.figures import all_figures, window
+from alula.stages.reporting.headline import cards, headline
+from alula.stages.reporting.material import Material, Run, outcome_of
+from alula.stages.reporting.tables import all_tables, runs_table, to_csv, trials_table
+from alula.stages.runlog.fence_shell import SHOWN_BEYOND_M
+
+FENCE = {"box_m": [-10.0, -10, 0, 10, 10, 20], "faces": []}
+
+
+def trial(index, distance):
+    fence = FenceResult(
+        passed_steps=60, blended_steps=30, backup_steps=10, no_pilot_steps=0, hand_over_steps=0,
+        refused_steps=0, interventions=1, altered_passes=0, out_of_range=0, longest_backup_s=0.1,
+        min_lambda=0.0, min_h_i_m=-0.1, brake_distance_m=6.0, stop_distance_m=None,
+    )  # fmt: skip
+    return TrialResult(
+        index=index, start_m=[0, 0, 5], goal_m=[9, 0, 5], outcome="outside" if distance < 0 else "inside",
+        collision=distance < 0, steps=100, duration_s=1.0, path_length_m=9.5, straight_length_m=9.0,
+        map_clearance_m=distance, scene_clearance_m=None, max_speed_m_s=10.0, filtered_steps=40,
+        shortened_steps=0, infeasible_steps=0, fallback_steps=10, mean_jerk_m_s3=1.0, max_jerk_m_s3=2.0,
+        fence=fence,
+    )  # fmt: skip
+
+
+def flight(end, status=("passed", "blended", "backup", "backup", "blended")):
+    time = np.linspace(0, 1, 5)
+    place = np.column_stack([end * time, 0.1 * time, 5 + time])
+    return Flight(
+        time_s=time, position_world=place, speed_m_s=10 * time, margin_time_s=time, margin=10 - place[:, 0],
+        margin_unit="m", status=status, share=np.array([1, 0.5, 0, 0, 0.5]),
+    )  # fmt: skip
+
+
+def run_of(distances, fence=FENCE, flights=None):
+    trials = [trial(index, distance) for index, distance in enumerate(distances)]
+    out = sum(t.collision for t in trials)
+    summary = {
+        "violations": out, "min_distance_m": min(distances), "worst_trial": int(np.argmin(distances)),
+        "success_rate": 1 - out / len(trials), "success_interval": [0.1, 0.9], "passed": 60 * len(trials),
+        "backup": 10 * len(trials), "ticks": 100 * len(trials), "max_speed_km_h": 36.0,
+        "interventions": len(trials), "engaged_trials": len(trials), "collisions": out,
+    }  # fmt: skip
+    made = Provenance(
+        schema="alula/run", version="1.0", producer=producer(), parameters={"fence": fence}, seed=0, inputs=[]
+    )
+    record = RunRecord(
+        schema="alula/run", version="1.0", provenance=made, name="r", filter="geofence", vehicle="racer",
+        trials=trials, summary=summary, guarantee=Guarantee("s", {}),
+    )  # fmt: skip
+    return Run("r", record, {0: flight(8.0), 1: flight(11.0)} if flights is None else flights)
+
+
+def test_a_fence_that_was_left_is_no_collision_but_outside():
+    run = run_of([1.0, -1.0, 2.0])
+    assert is_fenced(run)
+    assert [outcome_of(t) for t in run.record.trials] == ["inside", "outside", "inside"]
+    assert headline(Material("t", runs=(run,)))["flights"] == "2 of 3 stayed in the fence"
+    ((title, found),) = cards(Material("t", runs=(run,)))
+    assert title == "Flights"
+    assert (found[0].label, found[0].value, found[0].good) == ("left the fence", "1", False)
+    assert (found[1].value, found[1].good) == ("-1 m", False)
+
+
+def test_tables_have_the_rows_of_a_fence_and_no_others():
+    run = run_of([1.0, -1.0, 2.0])
+    rows = dict(row for row in runs_table(Material("t", runs=(run,))).rows)
+    assert rows["left the fence"] == 1
+    assert rows["share of ticks: passed"] == pytest.approx(0.6)
+    assert "success rate" not in rows
+    assert fence_rows(run)["share of ticks: no pilot"] is None  # not told
+    table = trials_table(run, "trials")
+    assert table.rows[1][:4] == (1, "outside", -1.0, 36.0)
+    assert len(table.columns) == len(table.rows[0])
+    assert [t.name for t in all_tables(Material("t", runs=(run,)))] == [
+        "runs",
+        "parameters",
+        "trials",
+        "inputs",
+    ]
+    lines = to_csv(Material("t", runs=(run,))).splitlines()
+    assert len(lines[0].split(",")) == len(lines[1].split(","))
+    assert dict(zip(lines[0].split(","), lines[1].split(","), strict=True))["fence_backup_steps"] == "10"
+
+
+def test_the_closest_of_the_logged_flights_is_drawn():
+    (closest,) = closest_flights([run_of([1.0, -1.0, -2.0])])  # the last one was not logged
+    assert closest.trial.index == 1
+    assert closest.distance_m.min() == pytest.approx(-1)
+    assert closest_flights([run_of([1.0], flights={})]) == []
+
+
+def test_figures_show_fence_flight_and_modes():
+    material = Material("t", runs=(run_of([1.0, -1.0, 2.0]),))
+    figures = {figure.name: figure for figure in all_figures(material)}
+    assert figures.keys() == {"map-1", "side-1", "fence-1", "clearance"}
+    assert "backup alone in 40 %" in figures["fence-1"].alt
+    assert "backup alone" in figures["fence-1"].svg
+    assert "λ" in figures["fence-1"].svg
+    assert "Below 0 is outside" in figures["clearance"].alt
+    assert "dark lines are the outline" in figures["map-1"].alt
+    again = {figure.name: figure for figure in all_figures(material)}
+    assert again == figures
+    (shown,) = flight_maps(material)
+    assert {tuple(corner) for corner in shown.fence.tolist()} == {(-10, -10), (10, -10), (10, 10), (-10, 10)}
+
+
+def test_a_run_without_log_or_without_a_fence_in_its_parameters_is_reported_all_the_same():
+    assert fence_shape(run_of([1.0], fence=None)) is None
+    assert fence_shape(run_of([1.0], fence={"box_m": None, "faces": []})) is None  # hulls alone
+    for run in (run_of([1.0, 2.0], flights={}), run_of([1.0, 2.0], fence=None)):
+        assert all_figures(Material("t", runs=(run,)))
+
+
+def test_other_runs_beside_keep_their_words():
+    other = run_of([1.0])
+    plain = msgspec.structs.replace(other.record.trials[0], fence=None, outcome="reached")
+    record = msgspec.structs.replace(other.record, trials=[plain])
+    both = Material("t", runs=(run_of([1.0, -1.0]), Run("p", record, {0: flight(5.0)})))
+    assert headline(both)["flights"] == "1 of 1 reached the goal; 1 of 2 stayed in the fence, 0 collided"
+    assert "Below 0 is a collision" in next(f.alt for f in all_figures(both) if f.name == "clearance")
+    names = [figure.name for figure in all_figures(both)]
+    assert names == ["map-1", "map-2", "side-1", "fence-1", "clearance", "path-ratio", "worst"]
+
+
+POINTS = st.lists(st.tuples(st.floats(-500, 500), st.floats(-500, 500)), min_size=1, max_size=8)
+
+
+@given(st.lists(POINTS, min_size=1, max_size=3))
+def test_windows_hold_all_points_and_end_before_an_open_fence_is_cut(lines):
+    arrays = [np.array(line) for line in lines]
+    low, high = window(arrays)
+    points = np.concatenate(arrays)
+    assert (low < points.min(axis=0)).all()
+    assert (high > points.max(axis=0)).all()
+    assert (points.min(axis=0) - low < SHOWN_BEYOND_M).all()
+    assert (high - points.max(axis=0) < SHOWN_BEYOND_M).all()

@@ -1,0 +1,131 @@
+"""What a report says of the course of a real flight: its states, its end, and its path without a verdict."""
+
+import json
+
+import numpy as np
+import pytest
+
+from alula.cli.main import run
+from alula.schemas.cut_run import read_logged
+from alula.schemas.flights import Course, Line, Step, flights_of
+from alula.stages.reporting.course import course_rows, course_tables, spells
+from alula.stages.reporting.curves import broken, paths_of
+from alula.stages.reporting.figures import all_figures
+from alula.stages.reporting.headline import cards, headline
+from alula.stages.reporting.material import NOT_JUDGED, Material, Run
+from alula.stages.reporting.tables import all_tables
+from support.fabricate import make_record, make_trial
+from support.flight_logs import FlightRecorder, head_of, record_of
+from support.flights import fly, mission
+
+COURSE = Course(
+    (
+        Step(0.0, "checks", "start", "run the checks"),
+        Step(2.0, "fly", "take-off height reached", "take control"),
+        Step(3.0, "hold", "state too old", "hold"),
+        Step(3.5, "hold", "order refused", "hold"),
+        Step(4.0, "fly", "all is well again", "take control"),
+        Step(9.0, "done", "disarmed", "nothing"),
+    ),
+    (Line(0.5, 2, "check level: holds"), Line(3.0, 3, "state too old: holding")),
+    9.0,
+)
+
+
+def run_of(log):
+    found = read_logged(log)
+    return Run("f", found.record, found.flights.by_trial, found.flights.hulls, found.flights.course)
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    log, made = tmp_path_factory.mktemp("flown") / "f.run.mcap", mission()
+    recorder = FlightRecorder(log, head_of(made), echo=False)
+    loop, _ = fly(made, recorder=recorder)
+    assert recorder.finish(record_of(made, loop, recorder))
+    return log, loop
+
+
+def test_states_follow_one_another_and_those_that_stay_are_one():
+    found = spells(COURSE)
+    assert [(one.state, one.begin_s, one.end_s) for one in found] == [
+        ("checks", 0.0, 2.0),
+        ("fly", 2.0, 3.0),
+        ("hold", 3.0, 4.0),
+        ("fly", 4.0, 9.0),
+    ]
+    assert spells(None) == ()
+    assert spells(Course((COURSE.steps[0],), (), 1.5))[0].end_s == 1.5  # a log that was cut
+
+
+def test_tables_have_every_step_and_every_line():
+    simulated, real = (
+        Run("s", make_record([make_trial(0)])),
+        Run("r", make_record([make_trial(0)]), course=COURSE),
+    )
+    steps, said = course_tables([simulated, real])
+    assert (steps[0], said[0]) == ("course-2", "said-2")
+    assert steps[3][2] == (3.0, "state too old", "hold", "hold")
+    assert len(steps[3]) == 6
+    assert [row[1:] for row in said[3]] == [
+        ("", "check level: holds"),
+        ("warning", "state too old: holding"),
+    ]
+    assert course_tables([simulated]) == []
+    assert course_rows({"trials": 1}) == {}
+    assert course_rows({"ended_by": "battery low", "holds": 2})["ended by"] == "battery low"
+
+
+def test_a_real_flight_is_reported_with_states_end_and_verdict(flown):
+    log, loop = flown
+    material = Material("t", (run_of(log),))
+    course = material.runs[0].course
+    assert [step.state for step in course.steps] == [taken.step.state.value for _, taken in loop.taken]
+    assert {"checks", "take-off", "fly", "land"} <= {spell.state for spell in spells(course)}
+    tables = {table.name: table for table in all_tables(material)}
+    assert tables["course"].rows[-1][1:3] == ("disarmed", "done")
+    assert any("check clearance: holds" in row[2] for row in tables["said"].rows)
+    rows = dict(row[:2] for row in tables["runs"].rows)
+    assert (rows["ended by"], rows["holds"]) == ("plan finished", 0)
+    assert rows["least clearance to the hulls [m]"] > 0
+    assert headline(material)["ended_by"] == "plan finished"
+    ((_, group),) = cards(material)
+    assert (group[0].label, group[0].value, group[0].good) == ("ended by", "plan finished", True)
+    figures = {figure.name: figure for figure in all_figures(material)}
+    assert figures.keys() == {"map-1", "worst"}  # a single flight is no distribution
+    assert "take-off" in figures["worst"].svg
+    assert "The supervisor's states: checks 0.00 to" in figures["worst"].alt
+
+
+def test_a_flight_that_was_cut_is_drawn_without_a_verdict(flown, tmp_path):
+    whole = flown[0].read_bytes()
+    log = tmp_path / "cut.run.mcap"
+    log.write_bytes(whole[: len(whole) * 3 // 4])
+    found = run_of(log)
+    assert found.record.trials == []
+    (path,) = paths_of(found)
+    assert path.outcome == NOT_JUDGED
+    assert len(path.position_world) > 50
+    ((_, (card,)),) = cards(Material("t", (found,)))
+    assert (card.value, card.good) == (NOT_JUDGED, False)
+    assert "the log of this flight was cut" in card.detail
+    assert run(["report", str(log), "-o", str(tmp_path / "cut.html"), "-q"]) == 0
+    page = (tmp_path / "cut.html").read_text()
+    assert "1 not judged" in page
+    assert "Course of cut (cut)" in page
+
+
+def test_no_line_is_drawn_over_a_time_without_answers():
+    time_s = np.array([0.0, 0.01, 0.02, 1.5, 1.51])
+    at, values = broken(time_s, np.arange(5.0))
+    np.testing.assert_array_equal(values, [0, 1, 2, np.nan, 3, 4])
+    np.testing.assert_array_equal(at, [0.0, 0.01, 0.02, 0.02, 1.5, 1.51])
+    assert broken(time_s[:1], np.ones(1))[1].tolist() == [1.0]
+    assert len(broken(np.arange(0, 50, 0.5), np.ones(100))[0]) == 100  # a log of few samples has no gaps
+
+
+def test_a_tick_without_numbers_is_no_step():
+    tick = {"time_s": 1.0, "state": 4, "state_name": "fly"}
+    found = flights_of([("/supervisor", json.dumps(tick).encode())])
+    assert found.course == Course((), (), 1.0)
+    assert flights_of([]).course is None

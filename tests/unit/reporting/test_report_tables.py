@@ -1,0 +1,348 @@
+"""The numbers of a report are those of the runs and artifacts, and nothing else."""
+
+import csv
+import io
+
+import msgspec
+import numpy as np
+import pytest
+
+from alula.schemas.artifact import Artifact
+from alula.schemas.errors import UsageError
+from alula.schemas.flights import Flight
+from alula.schemas.manifest import InputRef
+from alula.stages.reporting import curves
+from alula.stages.reporting.headline import cards, chain, headline
+from alula.stages.reporting.material import Material, Run, is_covered, proof
+from alula.stages.reporting.tables import (
+    CSV_COLUMNS,
+    all_tables,
+    compression_table,
+    cover_table,
+    runs_table,
+    text,
+    to_csv,
+    to_markdown,
+)
+from support.fabricate import box, exact_hull, make_cover, make_plan, make_record, make_scene, make_trial
+
+TRIALS = [
+    make_trial(0, clearance=0.25),
+    make_trial(1, "stuck", clearance=0.125),
+    make_trial(2, clearance=-0.03125),
+    make_trial(3, "timeout", clearance=0.5),
+]
+COVER = make_cover([box((0, 0, 0), (10, 10, 10)), box((20, 0, 0), (30, 5, 2))], summary={"voxels": 700})
+
+
+def flight(n=50, margin=0.5):
+    time = np.linspace(0, 5, n)
+    position = np.column_stack([time, np.zeros(n), np.ones(n)])
+    status = tuple("recovering" if i == 7 else "ok" for i in range(n))
+    return Flight(time, position, np.ones(n), time, margin + time, "m", status)
+
+
+def run_of(label="a", trials=TRIALS, **fields):
+    return Run(label, make_record(trials), {t.index: flight() for t in trials}, **fields)
+
+
+def row_of(table, key):
+    return next(row[1:] for row in table.rows if row[0] == key)
+
+
+def test_the_table_of_runs_repeats_the_summaries():
+    runs = [run_of("a", hulls=12), run_of("b", TRIALS[:2])]
+    table = runs_table(Material("t", runs=tuple(runs)))
+    assert table.columns == ("", "a", "b")
+    for key, name in [
+        ("success_rate", "success rate"),
+        ("collisions", "collided"),
+        ("stuck", "stuck"),
+        ("min_map_clearance_m", "least clearance to the hulls [m]"),
+        ("mean_path_ratio", "path / straight line, mean of successes"),
+    ]:
+        assert row_of(table, name) == tuple(run.record.summary[key] for run in runs)
+    assert row_of(table, "success rate, 95 % low") == (0.3125, 0.3125)
+    assert row_of(table, "hulls of the map") == (12, None)
+    assert row_of(table, "share of steps the filter changed") == (0.4, 0.4)
+    assert "least clearance to the splats [m]" not in [row[0] for row in table.rows]  # there are none
+
+
+def test_a_collision_is_shown_as_bad_and_none_as_good():
+    groups = dict(cards(Material("t", runs=(run_of(),))))
+    tone = {card.label: (card.value, card.good) for card in groups["Flights"]}
+    assert tone["collisions"] == ("1", False)
+    assert tone["least clearance to hulls"] == ("-0.03125 m", False)
+    groups = dict(cards(Material("t", runs=(run_of(trials=TRIALS[:1]),))))
+    assert {c.label: c.good for c in groups["Flights"]}["collisions"] is True
+
+
+def test_compression_counts_what_is_stored():
+    material = Material("t", cover=COVER, scene=make_scene(90), file_bytes={"cover": 1234, "scene": 99})
+    rows = {row[0]: row[1:] for row in compression_table(material).rows}
+    assert rows == {
+        "Gaussians": (90, None, 90 * 40, 99),
+        "voxels": (700, None, 700 * 12, None),
+        "hulls": (2, 12, 12 * 16, 1234),
+    }
+    counts = [("90", "Gaussians"), ("700", "voxels"), ("2", "hulls"), ("12", "half-planes")]
+    assert chain(material) == [*counts, ("192", "bytes of half-planes")]
+    summary = {**COVER.manifest.summary, "onboard_bytes": 1_100}
+    onboard = Artifact(msgspec.structs.replace(COVER.manifest, summary=summary), COVER.arrays)
+    assert chain(Material("t", cover=onboard))[-1] == ("1,100", "bytes on board")
+
+
+def test_voxels_are_counted_from_the_members_when_the_summary_does_not_say():
+    cover = make_cover([box((0, 0, 0), (1, 1, 1)), box((0, 0, 0), (2, 1, 1))])
+    assert compression_table(Material("t", cover=cover)).rows[0][:2] == ("voxels", 1)
+
+
+def test_only_a_certificate_says_that_a_map_is_covered():
+    groups = dict(cards(Material("t", cover=COVER)))
+    assert [(c.value, c.good) for c in groups["Map"] if c.label == "obstacles covered"] == [
+        ("not verified", None)
+    ]
+    assert is_covered({"covered": False}) is False
+    assert is_covered({"covered": "yes"}) is None
+    ellipsoids = {"covered": True, "checks": [{"name": "every ellipsoid lies in the voxels", "ok": True}]}
+    assert proof(ellipsoids).startswith("ellipsoids in voxels")
+    assert "ellipsoids were not" in proof({"covered": True, "checks": [{"name": "every voxel is a member"}]})
+    rows = dict(cover_table(Material("t", cover=COVER, certificate=ellipsoids)).rows)
+    assert rows["verified: covered"] is True
+    assert rows["verified: every ellipsoid lies in the voxels"].startswith("holds")
+    ellipsoids["checks"][0]["ok"] = False
+    rows = dict(cover_table(Material("t", cover=COVER, certificate=ellipsoids)).rows)
+    assert rows["verified: every ellipsoid lies in the voxels"].startswith("DOES NOT HOLD")
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (None, "–"),
+        (float("nan"), "–"),
+        (True, "yes"),
+        (1234567, "1,234,567"),
+        (0.123456, "0.1235"),
+        (123456.7, "123,457"),
+        ([1, 0.5], "1, 0.5"),
+        ({"a": False}, "a no"),
+    ],
+)
+def test_values_read_well(value, shown):
+    assert text(value) == shown
+
+
+def test_csv_has_a_row_per_trial_with_all_digits():
+    material = Material("t", runs=(run_of("a, b"), run_of("c", TRIALS[1:])))
+    rows = list(csv.DictReader(io.StringIO(to_csv(material))))
+    assert list(rows[0]) == list(CSV_COLUMNS)
+    assert [(row["run"], row["index"]) for row in rows] == [
+        *(("a, b", str(t.index)) for t in TRIALS),
+        *(("c", str(t.index)) for t in TRIALS[1:]),
+    ]
+    for row, trial in zip(rows, [*TRIALS, *TRIALS[1:]], strict=True):
+        assert float(row["path_length_m"]) == trial.path_length_m
+        assert [float(x) for x in row["start_m"].split()] == trial.start_m
+        assert row["scene_clearance_m"] == ""
+        assert row["collision"] == str(trial.collision).lower()
+
+
+def test_markdown_holds_the_same_cells_and_no_markup_of_names():
+    run = run_of("evil | <b>*x*</b>\nnext")
+    tables = all_tables(Material("t", runs=(run,)))
+    shown = to_markdown("A <title>", headline(Material("t", cover=COVER)), tables, "alula-provenance: {}")
+    assert shown.startswith("<!-- alula-provenance: {} -->")
+    assert "<b>" not in shown
+    assert "evil \\| &lt;b&gt;\\*x\\*&lt;/b&gt; next" in shown
+    body = [line for line in shown.splitlines() if line.startswith("| ") and "---" not in line]
+    assert len(body) == sum(1 + len(table.rows) for table in tables)
+
+
+def test_the_headline_adds_up_the_runs():
+    runs = (run_of("a"), run_of("b"))
+    facts = headline(Material("t", runs=runs, cover=COVER))
+    trials = [trial for run in runs for trial in run.record.trials]
+    reached = sum(trial.outcome == "reached" and not trial.collision for trial in trials)
+    collisions = sum(trial.collision for trial in trials)
+    assert facts["flights"] == f"{reached} of {len(trials)} reached the goal, {collisions} collided"
+    assert facts["least_clearance_m"] == min(t.map_clearance_m for t in trials)
+    assert facts["obstacles_covered"] == "not verified"
+    assert facts["compression"].endswith("bytes of half-planes")
+    assert "obstacles_covered" not in headline(Material("t", runs=runs))  # there is no map to verify
+    shown = to_markdown("t", facts, [], "")
+    assert f"- flights: {facts['flights']}" in shown
+
+
+def test_flights_past_moving_obstacles_need_not_reach_a_goal():
+    kinds = [("passed", 0.5), ("timeout", 0.5), ("passed", -0.03125)]
+    passed = [
+        msgspec.structs.replace(make_trial(i, outcome, clearance=clearance), obstacles=[])
+        for i, (outcome, clearance) in enumerate(kinds)
+    ]
+    facts = headline(Material("t", runs=(run_of("m", passed),)))
+    assert facts["flights"] == "2 of 3 touched nothing, 1 collided"
+    groups = dict(cards(Material("t", runs=(run_of("m", passed),))))
+    (success,) = (card for card in groups["Flights"] if card.label == "success rate")
+    assert success.detail.startswith("2 of 3 touched nothing")
+    both = headline(Material("t", runs=(run_of("a"), run_of("m", passed))))
+    assert both["flights"] == "1 of 4 reached the goal; 2 of 3 touched nothing, 2 collided"
+
+
+def test_only_the_named_tables_are_kept():
+    material = Material("t", runs=(run_of("a"), run_of("b")), cover=COVER)
+    assert [t.name for t in all_tables(material, ["trials-2", "runs"])] == ["runs", "trials-2"]
+    with pytest.raises(UsageError, match="this report has runs, compression, cover, parameters, trials-1"):
+        all_tables(material, ["nothing"])
+
+
+def test_the_paper_stands_beside_ours():
+    cover_ref = InputRef("cover", "alula/cover", "1.0", "ab" * 32, "room.cover.npz")
+    material = Material(
+        "t", runs=(run_of("a", hulls=50), run_of("b", hulls=77)), cover=COVER, inputs=(cover_ref,)
+    )
+    tables = {t.name: t for t in all_tables(material, paper="polymerge")}
+    sizes = {row[0]: row[1:] for row in tables["polymerge-1"].rows}
+    assert sizes["ours: room.cover.npz"][:3] == (2, 12, 6.0)
+    assert sizes["published: Room"][:2] == (454, 33_000)
+    assert len(sizes) == 10
+    flights = tables["polymerge-2"].rows
+    assert [row[0] for row in flights] == [10, 30, 50, 77, 100, 150]
+    assert flights[2] == (50, 250, 1.0, 0.098, 50, "a", 4, 0.25, 0.3125, 0.9375, -0.03125)
+    assert flights[3][1:6] == (None, None, None, 77, "b")
+    with pytest.raises(UsageError, match="needs a run or --cover"):
+        all_tables(Material("t"), paper="polymerge")
+
+
+def test_a_run_is_matched_to_the_cover_that_it_flew_through():
+    from alula.stages.reporting.papers.published import hulls_of
+
+    ref = InputRef("cover", "alula/cover", "1.0", "ab" * 32, "x.cover.npz")
+    run = run_of()
+    assert hulls_of(run, Material("t", cover=COVER, inputs=(ref,))) is None
+    run.record.provenance.inputs.append(InputRef("cover", "alula/cover", "1.0", "ab" * 32, "x.cover.npz"))
+    material = Material("t", runs=(run,), cover=COVER, inputs=(ref,))
+    assert hulls_of(run, material) == 2
+    assert row_of(runs_table(material), "flew through the cover shown") == (True,)
+    other = Material("t", runs=(run,), cover=COVER, inputs=(InputRef("cover", "", "", "cd" * 32, "y"),))
+    assert hulls_of(run, other) is None
+    assert row_of(runs_table(other), "flew through the cover shown") == (False,)
+    assert curves.flight_maps(material)[0].hulls == 2
+    assert curves.flight_maps(other)[0].hulls == 0
+
+
+def test_distributions_are_sorted_and_end_at_one():
+    (shown,) = curves.clearances([run_of()])
+    assert shown.value.tolist() == [-0.03125, 0.125, 0.25, 0.5]
+    assert shown.share.tolist() == [0.25, 0.5, 0.75, 1.0]
+    (ratios,) = curves.path_ratios([run_of()])
+    assert ratios.value.tolist() == [4.4 / 4.0]  # the only one that reached its goal unharmed
+
+
+def test_the_worst_flight_is_the_closest_one():
+    worst = curves.worst_flight([run_of("a", TRIALS[:2]), run_of("b")])
+    assert (worst.label, worst.trial, worst.clearance_m) == ("b", 2, -0.03125)
+    assert worst.trouble.sum() == 1
+    assert worst.statuses == ("recovering",)
+    assert curves.worst_flight([Run("a", make_record(TRIALS))]) is None
+
+
+def test_the_map_shows_the_hulls_at_the_heights_that_were_flown():
+    cover = make_cover([box((0, 0, 0), (10, 10, 30)), box((0, 0, 40), (5, 5, 50))], g=0.05)
+    (shown,) = curves.flight_maps(Material("t", runs=(run_of(),), cover=cover))
+    assert shown.band_m == (1.0, 1.0)
+    assert shown.hulls == 2
+    assert [sorted(map(tuple, f.tolist())) for f in shown.footprints] == [
+        [(0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5)]
+    ]
+    assert {path.outcome for path in shown.paths} == {"reached", "stuck", "collision", "timeout"}
+    (alone,) = curves.flight_maps(Material("t", cover=cover))
+    assert len(alone.footprints) == 2
+
+
+def test_footprints_are_convex_hulls():
+    from scipy.spatial import ConvexHull
+
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        points = rng.integers(-9, 10, (30, 2))
+        polygon = curves.footprint(points)
+        hull = ConvexHull(points)
+        x, y = polygon.T
+        area = 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
+        assert area == pytest.approx(hull.volume)
+        assert {tuple(p) for p in polygon.tolist()} == {tuple(p) for p in points[hull.vertices].tolist()}
+    assert curves.footprint(np.array([[1, 1], [1, 1]])).tolist() == [[1, 1]]
+
+
+def test_plans_are_sampled_by_their_polynomials():
+    points = curves.plan_positions(make_plan())
+    assert points[0].tolist() == [0, 0, 1]
+    assert points[-1] == pytest.approx([3, 0, 1])
+    assert (np.diff(points[:, 0]) >= 0).all()
+
+
+def test_the_compression_curve_comes_from_the_certificate():
+    stored = {"hulls": [9, 3], "excess_sum_voxels": [0.0, 350.0], "half_planes": [90, 20]}
+    curve = curves.compression(make_cover([], summary={"voxels": 700}, certificate={"curve": stored}))
+    assert curve.hulls.tolist() == [9, 3]
+    assert curve.growth.tolist() == [1.0, 1.5]
+    assert curve.planes.tolist() == [90, 20]
+    assert curves.compression(COVER) is None
+    assert curves.compression(make_cover([], certificate={"curve": {"hulls": [1]}})) is None
+
+
+def test_drawn_paths_are_few_and_the_bad_ones_are_among_them():
+    trials = [make_trial(i, clearance=-0.1 if i == 555 else 0.1) for i in range(600)]
+    paths = curves.paths_of(run_of(trials=trials))
+    assert len(paths) == 300
+    assert [path.outcome for path in paths].count("collision") == 1
+
+
+def test_long_runs_are_listed_in_part():
+    trials = [make_trial(i) for i in range(501)]
+    table = all_tables(Material("t", runs=(run_of(trials=trials),)), ["trials"])[0]
+    assert len(table.rows) == 500
+    assert "first 500 of 501" in table.note
+    assert to_csv(Material("t", runs=(run_of(trials=trials),))).count("\n") == 502
+
+
+def test_thinning_keeps_the_ends():
+    points = np.arange(30_000.0).reshape(-1, 3)
+    thin = curves.thin(points)
+    assert len(thin) == 600
+    assert (thin[0] == points[0]).all()
+    assert (thin[-1] == points[-1]).all()
+
+
+def test_the_merged_mesh_leaves_out_the_smallest_hulls_when_there_are_too_many():
+    from alula.stages.compression.facets import mesh
+    from alula.stages.reporting.view3d import merged, sample
+
+    small = exact_hull([(40, 0, 0), (41, 0, 0), (40, 1, 0), (40, 0, 1)])
+    meshes = mesh(make_cover([small, box((0, 0, 0), (10, 10, 10))]))
+    solid, shown = merged(meshes)
+    assert (shown, len(solid.triangles), len(solid.points_voxel)) == (2, 16, 12)
+    solid, shown = merged(meshes, most=12)
+    assert (shown, len(solid.triangles), len(solid.points_voxel)) == (1, 12, 8)
+    assert solid.points_voxel.max() == 10
+    assert solid.triangles.max() == 7
+    scene = make_scene(50)
+    points, colors = sample(scene, most=7)
+    assert len(points) == len(colors) == 7
+    assert colors[0] == int.from_bytes(bytes(scene["color"][0]), "big")
+
+
+def test_what_lies_above_the_flights_is_hidden_at_first():
+    from alula.stages.compression.facets import mesh
+    from alula.stages.reporting import view3d
+
+    solid, _ = view3d.merged(mesh(make_cover([box((0, 0, 0), (9, 9, 9)), box((0, 0, 60), (9, 9, 61))])))
+    low, high = view3d._hull_objects(solid, 0.05, top=2.9)
+    assert (low.visible, high.visible) == (True, False)
+    assert (low.vertices[:, 2].max(), high.vertices[:, 2].min()) == pytest.approx((0.45, 3.0))
+    assert len(low.indices.reshape(-1, 3)) == len(high.indices.reshape(-1, 3)) == 12
+    (only,) = view3d._hull_objects(solid, 0.05, top=np.inf)
+    assert only.visible
+    points = np.array([[0, 0, 0], [1, 1, 3]], np.float32)
+    clouds = view3d._cloud_objects(points, np.array([1, 2], np.uint32), top=2.0)
+    assert [cloud.visible for cloud in clouds] == [True, False]

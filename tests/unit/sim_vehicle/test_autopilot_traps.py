@@ -1,0 +1,221 @@
+"""The traps that were observed on the real autopilot, each with the number that was seen."""
+
+import math
+
+import pytest
+
+from alula.stages.sim_vehicle.ardupilot.guided import Sub
+from alula.stages.sim_vehicle.common.quaternions import from_euler
+from support.autopilot_client import EXACT, GUIDED, NOGPS, Client
+
+THRUST = {"GUID_OPTIONS": 8}
+LEVEL_THRUST = {"GUID_OPTIONS": 8, "ATC_ANGLE_BOOST": 0}
+NAN = float("nan")
+
+
+def test_take_off_to_ten_metres_takes_about_nine_seconds():
+    client = Client()
+    client.wait(2.5)
+    client.mode(GUIDED)
+    client.arm()
+    begin = client.vehicle.time_s
+    assert client.command(22, 0, 0, 0, 0, 0, 0, 10.0) == 0
+    while client.height < 9.5 and client.vehicle.time_s < begin + 20:
+        client.wait(0.05)
+    assert client.vehicle.time_s - begin == pytest.approx(9.4, abs=0.4)
+
+
+def test_thrust_is_a_climb_rate_unless_the_option_is_set():
+    client = Client(options=EXACT).fly(10)
+    client.stream(3, thrust=0.75)  # half of WPNAV_SPEED_UP
+    assert client.climb == pytest.approx(1.25, abs=0.05)
+    client.stream(3, thrust=0.25)  # half of WPNAV_SPEED_DN
+    assert client.climb == pytest.approx(-0.75, abs=0.05)
+    client.stream(3, thrust=0.5)
+    assert client.climb == pytest.approx(0, abs=0.05)
+    falling = Client(options=EXACT, parameters=THRUST).fly(12)
+    falling.stream(1, thrust=0.75 * falling.copter.hover_throttle)
+    assert falling.climb == pytest.approx(-0.25 * 9.81, rel=0.1)
+
+
+@pytest.mark.parametrize("share", [0.8, 0.9, 1.1, 1.25])
+def test_thrust_over_hover_thrust_predicts_the_climb_within_a_tenth(share):
+    client = Client(options=EXACT, parameters=LEVEL_THRUST).fly(12)
+    client.stream(1, thrust=share * client.copter.hover_throttle)
+    assert client.climb == pytest.approx((share - 1) * 9.81, rel=0.1)
+
+
+def test_the_hover_thrust_that_is_believed_moves_no_rotor():
+    climbs = []
+    for parameters in (LEVEL_THRUST, LEVEL_THRUST | {"MOT_THST_HOVER": 0.4}):
+        client = Client(options=EXACT, parameters=parameters).fly(10)
+        client.stream(1, thrust=1.1 * client.copter.hover_throttle)
+        climbs.append(client.climb)
+    assert climbs[0] == pytest.approx(climbs[1], abs=0.05)
+
+
+@pytest.mark.parametrize(("boost", "climb"), [(0, -1.44), (1, 0.0)])
+def test_angle_boost_makes_up_for_the_tilt_unless_it_is_off(boost, climb):
+    client = Client(options=EXACT, parameters=THRUST | {"ATC_ANGLE_BOOST": boost}).fly(12)
+    hover = client.copter.hover_throttle
+    client.stream(math.radians(30), omega=(1.0, 0.0, 0.0), thrust=hover)
+    client.stream(1, thrust=hover)
+    assert math.degrees(client.tilt) == pytest.approx(30, abs=1)
+    assert client.climb == pytest.approx(climb, abs=0.2)
+
+
+def test_rates_are_followed_within_forty_milliseconds():
+    client = Client(options=EXACT, parameters=THRUST).fly(10)
+    hover = client.copter.hover_throttle
+    for axis, rate in ((0, 0.5), (1, 0.5), (2, 2.5), (0, -2.5)):
+        omega = tuple(rate if i == axis else 0.0 for i in range(3))
+        begin, rise, seen = client.vehicle.time_s, None, []
+        for _ in range(160):
+            client.rates(omega, hover)
+            client.wait(0.0025)
+            seen.append(client.truth.omega[axis] / rate)
+            if rise is None and seen[-1] >= 0.632:
+                rise = client.vehicle.time_s - begin
+        assert rise == pytest.approx(0.040, abs=0.005)
+        assert seen[-1] == pytest.approx(1, abs=0.03)
+        assert max(seen) < 1.08
+        client.stream(1.0, mask=7, thrust=1.2 * hover)  # level again
+
+
+def test_rates_are_integrated_into_an_attitude_that_is_held():
+    client = Client(options=EXACT, parameters=THRUST).fly(12)
+    hover = client.copter.hover_throttle
+    client.stream(0.4, omega=(0.5, 0, 0), thrust=hover)
+    client.stream(0.6, thrust=hover)
+    assert client.tilt == pytest.approx(0.2, abs=0.01)  # a pure rate loop would have lost the lag
+    target = client.copter.attitude.target
+    assert 2 * math.asin(target[1]) == pytest.approx(client.tilt, abs=0.005)
+
+
+def test_thrust_without_a_number_gives_minimum_throttle():
+    client = Client(options=EXACT, parameters=THRUST).fly(12)
+    client.stream(0.6, thrust=NAN)
+    assert client.climb == pytest.approx(-5.5, abs=0.15)
+
+
+def test_a_climb_rate_without_a_number_is_none():
+    client = Client(options=EXACT).fly(5)
+    client.stream(2, thrust=NAN)
+    assert client.climb == pytest.approx(0, abs=0.05)
+
+
+def test_partial_masks_are_rejected_and_the_mode_begins_again():
+    client = Client(options=EXACT, parameters=THRUST).fly(10)
+    guided = client.copter.flying.guided
+    for count, mask in enumerate((129, 130, 132, 131, 133, 134, 192, 64, 1, 128 | 7 | 64), 1):
+        client.stream(0.1, omega=(0.6, 0, 0), thrust=client.copter.hover_throttle)
+        assert guided.sub is Sub.ANGLE
+        client.rates((2.0, 2.0, 2.0), 1.0, mask=mask)
+        assert guided.rejected == count
+        assert guided.sub is Sub.VELOCITY
+    client.wait(4)
+    assert client.tilt < 0.03
+    assert math.dist(client.truth.velocity, (0, 0, 0)) < 0.1
+
+
+def test_an_attitude_that_is_none_is_rejected():
+    client = Client(options=EXACT, parameters=THRUST).fly(2)
+    for count, q in enumerate(((0.0,) * 4, (2.0, 0.0, 0.0, 0.0), (NAN, 0.0, 0.0, 0.0)), 1):
+        client.rates(thrust=0.3, mask=7, q=q)
+        assert client.copter.flying.guided.rejected == count
+
+
+def test_an_attitude_is_taken_up():
+    client = Client(options=EXACT).fly(5)
+    for _ in range(50):
+        client.rates(thrust=0.5, mask=7, q=from_euler(0.2, 0.0, 0.3))
+        client.wait(0.02)
+    assert client.truth.attitude == pytest.approx(from_euler(0.2, 0.0, 0.3), abs=0.01)
+
+
+def test_silence_means_level_and_no_climb_after_the_timeout_only():
+    client = Client(options=EXACT, parameters=THRUST).fly(20)
+    hover = client.copter.hover_throttle
+    client.stream(0.3, omega=(0.05, 0, 0), thrust=1.02 * hover)
+    client.wait(2.8)
+    assert client.tilt > 0.14  # the last rates have gone on all the time
+    client.wait(1.5)
+    assert client.tilt < 0.01
+    client.wait(2)
+    assert client.climb == pytest.approx(0, abs=0.05)
+    quick = Client(options=EXACT, parameters=THRUST | {"GUID_TIMEOUT": 0.3}).fly(10)
+    quick.stream(0.3, omega=(0.5, 0, 0), thrust=hover)
+    quick.wait(0.25)
+    assert quick.tilt > 0.15
+    quick.wait(0.8)
+    assert quick.tilt < 0.02
+
+
+def test_setpoints_are_followed_in_guided_modes_only():
+    client = Client(options=EXACT, parameters=THRUST).fly(10)
+    client.mode(5)
+    client.wait(1)
+    client.stream(1, omega=(1.0, 0, 0), thrust=0.0)
+    assert client.tilt < 0.02
+    assert abs(client.climb) < 0.1
+    assert client.mode(NOGPS) == 0
+    client.stream(0.5, omega=(0.4, 0, 0), thrust=client.copter.hover_throttle)
+    assert client.tilt == pytest.approx(0.2, abs=0.02)
+
+
+IGNORE_P, IGNORE_V, IGNORE_A, FORCE, IGNORE_YAW, IGNORE_RATE = 7, 56, 448, 512, 1024, 2048
+YAW = IGNORE_YAW | IGNORE_RATE
+
+
+def streamed(client, seconds, *arguments, **named):
+    for _ in range(round(seconds / 0.05)):
+        client.target(*arguments, **named)
+        client.wait(0.05)
+
+
+def test_a_position_is_flown_to():
+    client = Client(options=EXACT).fly(4)
+    client.target(IGNORE_V | IGNORE_A | IGNORE_RATE, p=(3, -2, -5), yaw=1.0)
+    client.wait(9)
+    assert client.truth.position == pytest.approx((3, -2, -5), abs=0.1)
+    assert client.truth.attitude == pytest.approx(from_euler(0, 0, 1.0), abs=0.03)
+    client.target(IGNORE_V | IGNORE_A | YAW, p=(1, 0, 0), frame=9)  # ahead of the body
+    client.wait(6)
+    ahead = (3 + math.cos(1.0), -2 + math.sin(1.0), -5)
+    assert client.truth.position == pytest.approx(ahead, abs=0.1)
+
+
+def test_a_velocity_is_flown_until_it_times_out():
+    client = Client(options=EXACT).fly(4)
+    streamed(client, 3, IGNORE_P | IGNORE_A | YAW, v=(0.8, -0.4, -0.2))
+    assert client.truth.velocity == pytest.approx((0.8, -0.4, -0.2), abs=0.05)
+    client.wait(2.8)
+    assert client.truth.velocity == pytest.approx((0.8, -0.4, -0.2), abs=0.05)
+    client.wait(3)
+    assert math.dist(client.truth.velocity, (0, 0, 0)) < 0.1
+
+
+def test_an_acceleration_is_flown():
+    client = Client(options=EXACT).fly(4)
+    streamed(client, 1, IGNORE_P | IGNORE_V | YAW, a=(1.0, 0.0, 0.0))
+    assert client.truth.velocity[0] == pytest.approx(1.0, abs=0.2)
+    assert client.truth.velocity[1:] == pytest.approx((0, 0), abs=0.05)
+
+
+def test_a_moving_point_is_followed():
+    client = Client(options=EXACT).fly(4)
+    x0, y0, z0 = client.truth.position
+    for i in range(200):
+        t = i * 0.02
+        client.target(YAW, p=(x0 + 0.25 * t * t, y0, z0), v=(0.5 * t, 0, 0), a=(0.5, 0, 0))
+        client.wait(0.02)
+    assert client.truth.position == pytest.approx((x0 + 4.0, y0, z0), abs=0.15)
+
+
+def test_positions_that_mean_nothing_are_rejected():
+    client = Client(options=EXACT).fly(2)
+    nothing, force = IGNORE_P | IGNORE_V | IGNORE_A, IGNORE_P | IGNORE_A | FORCE
+    cases = [(nothing, 1, 1), (force, 1, 1), (IGNORE_P | IGNORE_A, 0, 1), (IGNORE_P | IGNORE_A, 1, NAN)]
+    for count, (mask, frame, speed) in enumerate(cases, 1):
+        client.target(mask, v=(speed, 0, 0), frame=frame)
+        assert client.copter.flying.guided.rejected == count

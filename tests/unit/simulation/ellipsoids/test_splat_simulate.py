@@ -1,0 +1,210 @@
+"""Simulations among ellipsoids: pairs, the judge, vehicles, filters by name."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from alula import _core
+from alula.schemas.artifact import Artifact, make_artifact
+from alula.schemas.configs.simulate import SimulateConfig
+from alula.schemas.errors import UsageError
+from alula.schemas.kinds import PLAN, SCENE
+from alula.schemas.vehicle import FASTBRIDGE, BodyTable, LimitsTable, Vehicle
+from alula.stages.clearance import clearance_to_scene
+from alula.stages.filtering import registry
+from alula.stages.filtering.splat_filters import parameters_of
+from alula.stages.planning.rest_to_rest import rest_to_rest
+from alula.stages.simulation.ellipsoids.simulate import simulate_splat
+from support.fabricate import make_scene
+from support.foreign_filters import Broken, Limiting
+
+FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
+NATIVE = list(registry.SPLAT_FILTERS)
+
+
+def ellipsoid_scene(mean, scale):
+    return make_artifact(
+        SCENE,
+        {
+            "mean": np.atleast_2d(mean),
+            "scale": np.atleast_2d(scale),
+            "quat_wxyz": [[1, 0, 0, 0]] * len(np.atleast_2d(mean)),
+            "opacity": np.ones(len(np.atleast_2d(mean))),
+            "color": np.zeros((len(np.atleast_2d(mean)), 3)),
+        },
+        frame="world",
+        unit="m",
+        parameters={},
+        summary={},
+        source={"format": "ply"},
+    )
+
+
+def quick(**fields):
+    return SimulateConfig(**({"trials": 3, "filter": "none", "speed_m_s": 1.5} | fields))
+
+
+@pytest.mark.parametrize("name", ["none", *NATIVE])
+def test_a_run_does_not_depend_on_jobs(name):
+    config = quick(filter=name)
+    one, many = (simulate_splat(config, FIELD, FASTBRIDGE, jobs=jobs) for jobs in (1, 3))
+    assert one.trials == many.trials
+    assert one.summary == many.summary
+    for a, b in zip(one.flights, many.flights, strict=True):
+        np.testing.assert_array_equal(a.state, b.state)
+        for key, rows in a.flown.items():
+            np.testing.assert_array_equal(rows, b.flown[key])
+    assert (one.tick_s > 0).all()
+    assert len(one.tick_s) == one.summary["steps"]
+
+
+def test_the_judge_measures_the_path_that_was_flown():
+    scene = ellipsoid_scene([[2, 0, 1], [9, 9, 9]], [[0.2, 0.3, 0.2], [0.1, 0.1, 0.1]])
+    plan = make_plan((0, 0.9, 1), (4, 0.9, 1), 1.0)
+    result = simulate_splat(quick(trials=None, speed_m_s=None, radius_m=0.1), scene, FASTBRIDGE, plan=plan)
+    (trial,) = result.trials
+    assert trial.outcome == "reached"
+    assert not trial.collision
+    assert trial.scene_clearance_m == pytest.approx(0.9 - 0.3 - 0.1, abs=1e-3)
+    assert trial.map_clearance_m is None
+    assert trial.max_speed_m_s == pytest.approx(1, abs=1e-2)
+    assert trial.reference_speed_m_s == pytest.approx(1, abs=1e-3)
+    assert trial.max_tracking_error_m < 0.01
+    assert trial.mean_speed_m_s == pytest.approx(trial.path_length_m / trial.duration_s)
+    # jerk of the septic of 4 m in 8.75 s: at most 52.5 L / T^3, in the middle
+    assert trial.max_jerk_m_s3 == pytest.approx(52.5 * 4 / 8.75**3, rel=0.1)
+    through = simulate_splat(
+        quick(trials=None, speed_m_s=None, sigma=2.0),
+        scene,
+        FASTBRIDGE,
+        plan=make_plan((0, 0, 1), (4, 0, 1), 1.0),
+    )
+    (trial,) = through.trials
+    assert trial.collision
+    assert trial.scene_clearance_m == pytest.approx(-0.4 - 0.15, abs=1e-3)
+    assert trial.min_gamma == pytest.approx(-1, abs=1e-3)
+    assert through.guarantee.claims["scene_collisions"] == 1
+    assert through.summary["success_rate"] == 0
+
+
+def make_plan(start, goal, speed):
+    time, coefficient = rest_to_rest(start, goal, speed)
+    return make_artifact(
+        PLAN,
+        {"time": time, "coefficient": coefficient, "waypoint": [[*start, 0], [*goal, 0]]},
+        frame="world",
+        unit="m",
+        parameters={},
+        summary={},
+        radius_m=0.1,
+        speed_m_s=speed,
+        certificate={},
+    )
+
+
+def test_gamma_is_the_least_over_all_ellipsoids_and_points():
+    rng = np.random.default_rng(4)
+    index = _core.EllipsoidIndex(FIELD["mean"], FIELD["scale"], FIELD["quat_wxyz"], sigma=1.0, radius=0.1)
+    centre, a = index.grown()
+    for count in (1, 63, 65, 400):
+        points = np.cumsum(rng.normal(size=(count, 3)) * 0.05, axis=0) + np.array([3, 2, 1.5])
+        r = centre[None] - points[:, None]
+        expected = np.einsum("tni,nij,tnj->tn", r, a, r).min() - 1
+        assert _core.least_gamma(index, points) == pytest.approx(expected, rel=1e-12)
+    assert _core.least_gamma(index, np.empty((0, 3))) == np.inf
+
+
+def test_starts_and_goals_are_clear_and_the_log_says_what_was_flown():
+    config = quick(trials=5, filter="cone-di", log_rate_hz=25)
+    result = simulate_splat(config, FIELD, FASTBRIDGE)
+    for trial, log in zip(result.trials, result.flights, strict=True):
+        for point in (trial.start_m, trial.goal_m):
+            assert clearance_to_scene([point], FIELD, 1.0).min() >= 0.15 + 0.05 - 1e-9
+        assert len(log.time_s) == -(-trial.steps // 4) + 1
+        assert log.time_s[-1] == pytest.approx(trial.duration_s)
+        assert log.flown["a_error"].max() == trial.peak_realisation_error_m_s2
+        assert trial.reference_speed_m_s == pytest.approx(1.5, rel=1e-3)
+        assert trial.certified_steps == 0
+        assert trial.filtered_steps <= trial.steps
+        np.testing.assert_allclose(log.flown["rotor_thrust"].sum(axis=1), log.flown["u"][:, 0])
+    assert result.summary["filter_kind"] == "native"
+    assert result.summary["sampled_points"] > 5
+    assert result.map is FIELD
+
+
+def test_the_alignment_s_inflation_is_added_to_what_filters_see():
+    manifest = msgspec.structs.replace(FIELD.manifest, suggested_inflation_m=0.07)
+    grown = Artifact(manifest, FIELD.arrays)
+    assert simulate_splat(quick(trials=1), grown, FASTBRIDGE).summary["inflation_m"] == 0.07
+    without = simulate_splat(quick(trials=1, inflation_m=0.0), grown, FASTBRIDGE)
+    assert without.summary["inflation_m"] == 0
+    assert without.trials == simulate_splat(quick(trials=1), FIELD, FASTBRIDGE).trials
+
+
+def test_a_double_integrator_of_its_own_file_keeps_its_limit():
+    vehicle = Vehicle(
+        name="point",
+        model="double-integrator",
+        body=BodyTable(radius_m=0.1),
+        limits=LimitsTable(max_acceleration_m_s2=2.0),
+    )
+    result = simulate_splat(quick(speed_m_s=3.0), FIELD, vehicle)
+    assert result.vehicle == "point: sphere of radius 0.1 m, double integrator"
+    assert max(t.max_acceleration_m_s2 for t in result.trials) <= 2 + 1e-9
+    assert result.summary["saturated_steps"] > 0
+    with pytest.raises(UsageError, match="--plant quadrotor: point is a double-integrator"):
+        simulate_splat(quick(plant="quadrotor"), FIELD, vehicle)
+    lone = Vehicle(name="dot", model="single-integrator", body=BodyTable(radius_m=0.1))
+    with pytest.raises(UsageError, match="single-integrator"):
+        simulate_splat(quick(), FIELD, lone)
+
+
+class Point:
+    def __init__(self, name, target):
+        self.name, self.value, self.target = name, f"elsewhere:{name}", target
+
+    def load(self):
+        if self.target is None:
+            raise ImportError("no module named 'elsewhere'")
+        return self.target
+
+
+@pytest.fixture
+def others(monkeypatch):
+    points = [Point("limiting", Limiting), Point("absent", None), Point("none", Broken)]
+    monkeypatch.setattr(
+        registry, "entry_points", lambda group: points if group == "alula.splat_filters" else []
+    )
+
+
+def test_a_filter_from_another_package_flies(others):
+    assert registry.splat_filter_names() == ["none", *NATIVE, "absent", "limiting"]
+    result = simulate_splat(quick(trials=2, filter="limiting"), FIELD, FASTBRIDGE)
+    assert result.summary["filter_kind"] == "python filter"
+    assert result.summary["filtered_steps"] == result.summary["steps"] > 0
+    assert all(t.min_margin == 0.5 for t in result.trials)
+    assert (result.filter_s > 0).all()
+    with pytest.raises(UsageError, match="cannot be loaded from elsewhere:absent"):
+        simulate_splat(quick(filter="absent"), FIELD, FASTBRIDGE)
+    with pytest.raises(UsageError, match="no filter is called 'nome'; known: none, cone-"):
+        simulate_splat(quick(filter="nome"), FIELD, FASTBRIDGE)
+
+
+def test_parameters_are_complete_and_checked():
+    parameters = parameters_of("cone-di", {"alpha": 3, "count": 8})
+    assert parameters["alpha"] == 3.0
+    assert isinstance(parameters["alpha"], float)
+    assert (parameters["count"], parameters["reaction_time_s"]) == (8, 0.3)
+    for given, message in (
+        ({"alhpa": 1.0}, "unknown parameter 'alhpa'; it has alpha, "),
+        ({"alpha": "big"}, "alpha must be a number"),
+        ({"count": 1.5}, "count must be a whole number"),
+        ({"gate": 1}, "gate must be true or false"),
+        ({"alpha": True}, "alpha must be a number"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            simulate_splat(quick(filter="cone-di", filter_parameters=given), FIELD, FASTBRIDGE)
+    with pytest.raises(UsageError, match="cone-di: "):
+        simulate_splat(quick(filter="cone-di", filter_parameters={"alpha": -1.0}), FIELD, FASTBRIDGE)
+    with pytest.raises(UsageError, match="has no parameters"):
+        simulate_splat(quick(filter_parameters={"alpha": 1.0}), FIELD, FASTBRIDGE)

@@ -1,0 +1,322 @@
+"""Encounters with moving obstacles: limits that hold, figures of the path, the same wherever flown."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from alula import _core
+from alula.schemas.encounters import Encounters, read_encounters
+from alula.schemas.errors import UsageError
+from alula.stages.clearance import hull_obstacles, path_clearance, wilson_interval
+from alula.stages.simulation.chunks import TrialJournal
+from alula.stages.simulation.encounters import simulate as module
+from alula.stages.simulation.encounters.simulate import FlownChunk, fly_encounters
+from alula.stages.simulation.encounters.summary import encounter_summary, encounter_timing
+from alula.stages.simulation.encounters.world import (
+    filter_options,
+    native_encounter,
+    native_filter,
+    static_walls,
+)
+from support.clusters import Cluster
+from support.paths import ROOT
+
+AHEAD = {"motion": "accelerating", "distance_m": 30.0, "acceleration_m_s2": (0.2, 0.8)}
+ASIDE = {
+    **{"motion": "curving", "distance_m": 30.0, "azimuth_rad": (0.35, 0.6), "either_side": True},
+    "heading_rad": (0.4, 0.8),
+}
+
+
+def made(**tables) -> Encounters:
+    base = {"obstacles": [ASIDE, AHEAD], "trials": {"count": 40, "seed": 3, "logged": 2}}
+    return msgspec.convert({**base, **tables}, Encounters)
+
+
+def flown(scenario: Encounters, walls=None, **rest):
+    spec = native_encounter(scenario, None if walls is None else hull_obstacles(walls))
+    return _core.fly_encounters(
+        spec, native_filter(scenario), seed=scenario.trials.seed, keeps_path=True, **rest
+    )
+
+
+def test_defaults_are_those_of_the_native_code():
+    options = {key: float(np.float32(value)) for key, value in filter_options(made()).items()}
+    native = {key: float(np.float32(value)) for key, value in _core.moving_filter_defaults().items()}
+    assert options == native
+    bare = _core.EncounterSpec(obstacles=[_core.ObstacleSpec()])
+    ours = native_encounter(made(obstacles=[{}]), None)
+    filters = native_filter(made())
+    for first in (0, 7):
+        a, b = (
+            _core.fly_encounters(spec, filters, seed=1, first=first, keeps_path=True)[0]
+            for spec in (bare, ours)
+        )
+        for key in ("vehicle", "obstacles", "tracks", "command"):
+            np.testing.assert_array_equal(a[key], b[key])
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    name=st.sampled_from(["dr-acbf", "dr-acbf-qp", "mpc", "cbf-qp", "rp-cbf", "none"]),
+    a_max=st.floats(0.5, 20),
+    j_max=st.floats(5, 500),
+    delay_s=st.floats(0, 0.1),
+    trial=st.integers(0, 2**31),
+    hovers=st.booleans(),
+)
+def test_commands_stay_in_the_box_and_the_vehicle_within_its_limits(
+    name, a_max, j_max, delay_s, trial, hovers
+):
+    body = {"a_max_m_s2": a_max, "j_max_m_s3": j_max, "actuation_delay_s": delay_s, "v_max_m_s": 7.0}
+    scenario = made(
+        filter={"name": name}, vehicle=body, encounter={"hovers": hovers}, run={"max_time_s": 6.0}
+    )
+    log = flown(scenario, first=trial)[0]
+    assert np.isfinite(log["vehicle"]).all()
+    assert np.abs(log["command"]).max() <= a_max * (1 + 1e-6)
+    p, v, a = log["vehicle"][:, :3], log["vehicle"][:, 3:6], log["vehicle"][:, 6:]
+    speed = np.linalg.norm(v, axis=1)
+    assert speed.max() <= 7 + 1e-9
+    free = (speed[1:] < 6.9) & (speed[:-1] < 6.9)
+    assert (np.abs(np.diff(a, axis=0))[free] <= 0.01 * j_max + 1e-9).all()
+    assert log["refused_ticks"] == 0
+    # The least distances are those of the path, which was sampled 100 times a second.
+    gap = np.linalg.norm(log["obstacles"] - p[:, None], axis=2)
+    assert (log["obstacle"][:, 0] <= gap.min(axis=0) + 1e-9).all()
+    assert (log["obstacle"][:, 0] >= gap.min(axis=0) - 0.01 * 25).all()
+
+
+def test_no_filter_flies_straight_to_the_goal():
+    scenario = made(
+        filter={"name": "none"}, obstacles=[], run={"max_time_s": 40.0}, encounter={"goal_m": (40, 0, 10)}
+    )
+    log = flown(scenario)[0]
+    assert log["outcome"] == "timeout"
+    assert np.abs(log["vehicle"][:, 1:3] - [0, 10]).max() < 1e-9
+    assert abs(log["vehicle"][-1, 0] - 40) < 0.05
+    assert log["path_length_m"] >= 40 - 0.05
+
+
+def test_the_filter_avoids_what_hits_without_it():
+    straight = [{"motion": "constant-velocity", "distance_m": 30.0, "speed_m_s": 6.0}]
+    hits = fly_encounters(made(obstacles=straight, filter={"name": "none"}), jobs=2).trials
+    assert all(trial.collision and trial.obstacles[0].collision for trial in hits)
+    kept = fly_encounters(made(obstacles=straight), jobs=2).trials
+    assert sum(trial.collision for trial in kept) <= 1
+    for trial in kept:
+        (met,) = trial.obstacles
+        assert met.detected_s <= met.warned_s
+        assert met.closest_m <= met.separation_m + 1e-12
+        assert 5 < met.closing_m_s < 11
+
+
+def plain(run) -> tuple:
+    """What may not differ."""
+    return msgspec.json.encode(run.trials), msgspec.json.encode(run.flights)
+
+
+def test_results_do_not_depend_on_workers_chunks_or_interruptions(monkeypatch):
+    scenario = made()
+    whole = fly_encounters(scenario, jobs=1)
+    assert [trial.index for trial in whole.trials] == list(range(40))
+    assert [flight.trial for flight in whole.flights] == [0, 1]
+    assert plain(fly_encounters(scenario, jobs=3)) == plain(whole)
+
+    journal = TrialJournal(FlownChunk)
+
+    def stop(done: int, total: int) -> None:
+        if done >= 16:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fly_encounters(scenario, journal=journal, jobs=1, progress=stop)
+    assert len(journal) == 16
+    seen = []
+    resumed = TrialJournal(FlownChunk, journal.snapshot())
+    again = fly_encounters(scenario, journal=resumed, jobs=2, progress=lambda *at: seen.append(at))
+    assert seen[0] == (16, 40)
+    assert seen[-1] == (40, 40)
+    assert plain(again) == plain(whole)
+    monkeypatch.setattr(module, "CHUNK", 7)
+    assert plain(fly_encounters(scenario, jobs=2)) == plain(whole)
+    with pytest.raises(ValueError, match=r"."):
+        TrialJournal(FlownChunk, b"\x01\x02")
+
+
+def test_a_trial_is_a_function_of_seed_and_number():
+    first, other = fly_encounters(made()).trials, fly_encounters(made(trials={"count": 40, "seed": 4})).trials
+    assert msgspec.json.encode(first) != msgspec.json.encode(other)
+    more = fly_encounters(made(trials={"count": 50, "seed": 3, "logged": 0})).trials
+    assert msgspec.json.encode(more[:40]) == msgspec.json.encode(first)
+
+
+@pytest.mark.filterwarnings("default")  # those of other packages
+def test_a_worker_that_is_lost_loses_nothing(tmp_path):
+    scenario = made(trials={"count": 200, "seed": 3, "logged": 2})
+    whole = fly_encounters(scenario, jobs=2)
+    cluster = Cluster(tmp_path, 2)
+    lost = []
+
+    def progress(done, total):
+        if done > total // 4 and not lost:
+            lost.append(done)
+            cluster.workers[0].kill()
+
+    try:
+        far = fly_encounters(scenario, scheduler=cluster.wait_for_workers(), progress=progress)
+        assert lost
+        assert cluster.workers[0].wait() == -9
+        assert plain(far) == plain(whole)
+    finally:
+        cluster.stop()
+
+
+def test_walls_are_avoided_and_judged_as_the_exact_distance_says():
+    walls = [{"lower_m": (-5, side, 0), "upper_m": (60, side + 1, 20)} for side in (1.5, -2.5)]
+    scenario = made(obstacles=[AHEAD], walls=walls, filter={"parameters": {"clearance_m": 0.6}})
+    hulls = static_walls(scenario, None)
+    assert len(hulls) == 2
+    for log in flown(scenario, hulls, count=8):
+        exact = path_clearance(log["vehicle"][:, :3], hull_obstacles(hulls)).min() - scenario.vehicle.radius_m
+        assert log["wall_clearance_m"] <= exact + 1e-4  # the path of the log has corners
+        assert log["wall_clearance_m"] >= exact - 1e-2
+    trials = fly_encounters(scenario).trials
+    assert all(trial.map_clearance_m > 0 for trial in trials)
+    assert sum(trial.collision for trial in trials) <= 2
+    blind = fly_encounters(
+        made(walls=[{"lower_m": (10, -1, 9), "upper_m": (11, 1, 11)}], obstacles=[])
+    ).trials
+    assert all(trial.outcome == "timeout" for trial in blind)
+
+
+def test_walls_that_are_passed_by_do_not_hide_the_one_ahead():
+    slabs = [{"lower_m": (-2, -5 + i / 4, 9), "upper_m": (-0.5, -4.8 + i / 4, 11)} for i in range(40)]
+    ahead = {"lower_m": (10, -20, 0), "upper_m": (11, 20, 20)}
+    way = {"start_speed_m_s": 0.0, "cruise_m_s": 10.0, "gain_per_s": 4.0}
+    scenario = made(obstacles=[], encounter=way, walls=[*slabs, ahead], run={"max_time_s": 4.0})
+    (log,) = flown(scenario, static_walls(scenario, None), count=1)
+    assert log["wall_clearance_m"] > 0
+
+
+def test_a_weak_vehicle_sees_a_wall_in_time_to_stop():
+    wall = {"lower_m": (150, -20, 0), "upper_m": (151, 20, 20)}
+    way = {"goal_m": (1000.0, 0, 10), "start_speed_m_s": 12.0, "cruise_m_s": 12.0}
+    body = {"a_max_m_s2": 1.0}
+    scenario = made(obstacles=[], encounter=way, vehicle=body, walls=[wall], run={"max_time_s": 40.0})
+    (log,) = flown(scenario, static_walls(scenario, None), count=1)
+    assert log["wall_clearance_m"] > 0
+
+
+def test_a_trial_is_flown_even_if_nothing_comes():
+    gone = {"position_m": (-20.0, 0, 10), "velocity_m_s": (-6.0, 0, 0)}
+    scenario = made(obstacles=[gone], encounter={"receded_s": 0.0}, trials={"count": 1})
+    (trial,) = fly_encounters(scenario).trials
+    assert (trial.outcome, trial.steps) == ("passed", 1)
+    assert trial.obstacles[0].closest_m == pytest.approx(20, abs=0.2)
+
+
+def test_the_summary_counts_runs_and_obstacles():
+    scenario = made(filter={"name": "none"}, trials={"count": 30})
+    run = fly_encounters(scenario)
+    summary = encounter_summary(scenario, run.trials)
+    good = sum(not trial.collision for trial in run.trials)
+    assert (summary["trials"], summary["collisions"]) == (30, 30 - good)
+    assert summary["success_interval"] == list(wilson_interval(good, 30))
+    for i, met in enumerate(summary["obstacles"]):
+        safe = sum(not trial.obstacles[i].collision for trial in run.trials)
+        assert met["success_rate"] == safe / 30
+        assert met["success_interval"] == list(wilson_interval(safe, 30))
+        assert met["mean_closest_m"] == pytest.approx(np.mean([t.obstacles[i].closest_m for t in run.trials]))
+    assert summary["passed"] + summary["timeout"] == 30
+    timing = encounter_timing(scenario, run)
+    assert timing["filter_calls"] == summary["active_steps"]
+    json = msgspec.json.decode(msgspec.json.encode(summary))
+    assert json == summary  # no number that JSON does not have
+
+
+def test_what_means_nothing_together_is_refused_with_its_key(tmp_path):
+    cases = {
+        "vehicle": ({"v_max_m_s": 12.0}, {"h_max_s": 0.1}, r"\$\.filter\.parameters"),
+        "sensor": ({"sigma_range_m": 0.0}, {}, r"\$\.sensor"),
+        "tracker": ({"transition": (0.5, 0.4, 0.1, 0.9)}, {}, r"\$\.tracker"),
+    }
+    for table, (values, parameters, where) in cases.items():
+        scenario = made(**{table: values}, filter={"parameters": parameters})
+        with pytest.raises(UsageError, match=where):
+            fly_encounters(scenario)
+    with pytest.raises(UsageError, match=r"\$\.obstacles\[0\]"):
+        fly_encounters(made(obstacles=[{"motion": "constant-velocity", "way_points_m": [(0, 0, 0)]}]))
+
+
+def test_the_examples_read_and_fly():
+
+    folder = ROOT / "examples" / "dr-acbf"
+    names = {path.stem for path in folder.glob("*.toml")}
+    assert {"scenario-1", "scenario-2", "thrown", "approaching", "wall"} <= names
+    for name in sorted(names):
+        scenario = read_encounters(folder / f"{name}.toml", {"trials.count": 8})
+        run = fly_encounters(scenario)
+        assert math.isfinite(sum(o.closest_m for t in run.trials for o in t.obstacles))
+        assert all(o.detected_s is not None for t in run.trials for o in t.obstacles)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32 - 1))
+def test_the_risk_bounds_how_often_an_obstacle_hits(seed):
+    rng = np.random.default_rng(seed)
+    p = rng.normal(size=3) * [4, 1, 1] + [5, 0, 0]
+    v, a = rng.normal(size=3) * 2 - [8, 0, 0], rng.uniform(-6, 6, 3)
+    factor = np.diag([0.2] * 3 + [0.6] * 3) @ rng.normal(size=(6, 6)) / 2
+    covariance = factor @ factor.T
+    risk = _core.collision_risk(p, v, covariance[np.tril_indices(6)], a, 0.3, 0.4)
+    if p @ v >= 0:
+        assert risk == 0
+        return
+    t = np.linspace(0, 0.4, 4001)[:, None]
+    way = p + v * t - a * t**2 / 2
+    best = np.linalg.norm(way, axis=1).argmin()
+    drawn = rng.multivariate_normal(np.r_[p, v], covariance, 4000)
+    then = drawn[:, :3] + t[best] * drawn[:, 3:] - a * t[best] ** 2 / 2
+    hits = np.mean(np.linalg.norm(then, axis=1) <= 0.3)
+    assert 0 <= risk <= 1
+    assert hits <= risk + 4 * math.sqrt(max(risk * (1 - risk), 1e-4) / 4000)
+    assert risk == 1 if np.linalg.norm(way[best]) < 0.3 - 1e-6 else True
+
+
+def test_the_risk_of_a_flight_is_less_with_a_filter_and_bounds_its_collisions():
+    risks = {}
+    for name in ("none", "dr-acbf", "cbf-qp"):
+        trials = fly_encounters(made(filter={"name": name})).trials
+        hits = np.mean([sum(o.collision for o in t.obstacles) for t in trials])
+        assert all((t.risk_spent is None) == (name != "dr-acbf") for t in trials)
+        risks[name] = np.mean([t.mission_risk for t in trials])
+        assert hits <= risks[name]
+    assert max(risks["dr-acbf"], risks["cbf-qp"]) < 0.5 * risks["none"]
+
+
+def test_a_sensor_that_turns_loses_fewer_obstacles():
+    warned = []
+    for rate in (0.0, 1.0):
+        aside = ASIDE | {"distance_m": 50.0}
+        scenario = made(obstacles=[aside], vehicle={"yaw_rate_rad_s": rate}, tracker={"coast_s": 0.0})
+        trials = fly_encounters(scenario).trials
+        warned.append(sum(t.obstacles[0].warned_s is not None for t in trials))
+    assert warned[1] > warned[0]
+
+
+def test_what_is_thrown_is_dodged_on_its_parabola():
+
+    path = ROOT / "examples" / "dr-acbf" / "thrown.toml"
+
+    def good(changes):
+        trials = fly_encounters(read_encounters(path, {"trials.count": 60} | changes)).trials
+        return sum(not t.collision for t in trials)
+
+    assert good({}) >= 48
+    assert good({"filter.parameters.accelerated": False}) <= 40
+    assert good({"filter.name": "none"}) <= 36

@@ -1,0 +1,130 @@
+"""The same results in the same order, wherever chunks are computed, and clear words when that fails."""
+
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.errors import LinkError, UsageError
+from alula.schemas.manifest import Producer
+from alula.stages import distribute as module
+from alula.stages.compression import tiles
+from alula.stages.compression.voxelize import voxelize
+from alula.stages.distribute import distribute
+from support.clusters import Cluster
+from support.fabricate import make_scene
+
+
+def square(x):
+    return x * x
+
+
+def test_results_come_in_order_and_chunks_are_taken_one_by_one():
+    taken = []
+
+    def chunks():
+        for i in range(40):
+            taken.append(i)
+            yield i
+
+    def slow_at_first(i):
+        time.sleep(0.002 * (i % 5))
+        return i * i
+
+    found = []
+    for result in distribute(slow_at_first, chunks(), jobs=3):
+        found.append(result)
+        assert len(taken) <= len(found) + 4
+    assert found == [i * i for i in range(40)]
+    assert list(distribute(square, [], jobs=2)) == []
+
+
+def test_processes_give_the_same():
+    assert list(distribute(abs, range(-5, 5), jobs=2, processes=True)) == [abs(i) for i in range(-5, 5)]
+
+
+def test_what_a_chunk_raises_is_raised_and_the_rest_is_dropped():
+    started = []
+
+    def fails(i):
+        started.append(i)
+        if i == 3:
+            raise ValueError("chunk 3")
+        return i
+
+    results = distribute(fails, range(1000), jobs=1)
+    with pytest.raises(ValueError, match="chunk 3"):
+        list(results)
+    assert len(started) < 10
+
+
+def test_a_caller_that_stops_drops_the_rest():
+    started = []
+    for _ in distribute(started.append, range(1000), jobs=1):
+        break
+    assert len(started) < 10
+
+
+@pytest.mark.parametrize("address", ["host:1", "tcp://host", "", "tcp://host:99999999"])
+def test_what_is_no_address_is_refused(address):
+    with pytest.raises(UsageError, match="--scheduler must be an address like tcp"):
+        list(distribute(square, [1], scheduler=address))
+
+
+def test_without_distributed_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(UsageError, match=r"pip install 'alula\[cluster\]'"):
+        list(distribute(square, [1], scheduler="tcp://127.0.0.1:9"))
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    started = Cluster(tmp_path, 2)
+    yield started
+    started.stop()
+
+
+@pytest.mark.filterwarnings("default")  # those of other packages
+def test_tiles_on_workers_give_the_same_and_a_lost_worker_loses_nothing(cluster, monkeypatch):
+    monkeypatch.setattr(tiles, "CHUNK", 200)
+    scene, config = make_scene(4000), VoxelizeConfig(size_m=0.02, min_overlap=2)
+    plain = voxelize(config, scene)
+    monkeypatch.setattr(
+        module.distribute, "__kwdefaults__", module.distribute.__kwdefaults__ | {"timeout_s": 60.0}
+    )
+    lost = []
+
+    def progress(done, total):
+        if done > total // 4 and not lost:
+            lost.append(done)
+            cluster.workers[0].kill()
+
+    tiled = voxelize(config, scene, tile_m=0.3, scheduler=cluster.address, progress=progress)
+    assert lost
+    assert cluster.workers[0].wait() == -9
+    assert cluster.workers[1].poll() is None
+    assert tiled.manifest == plain.manifest
+    for name in ("index", "overlap"):
+        np.testing.assert_array_equal(tiled[name], plain[name])
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_scheduler_that_does_not_answer_or_has_no_workers_is_said(tmp_path):
+    pytest.importorskip("distributed")
+    with pytest.raises(LinkError, match=r"no scheduler answers at tcp://127.0.0.1:9 within 1 s"):
+        list(distribute(square, [1], scheduler="tcp://127.0.0.1:9", timeout_s=1))
+    alone = Cluster(tmp_path, 0)
+    try:
+        with pytest.raises(LinkError, match="has no workers"):
+            list(distribute(square, [1], scheduler=alone.address, timeout_s=1))
+    finally:
+        alone.stop()
+
+
+@pytest.mark.filterwarnings("default")
+def test_workers_of_another_version_are_refused(cluster, monkeypatch):
+    monkeypatch.setattr(module, "producer", lambda: Producer("alula", "0.0", "none"))
+    with pytest.raises(LinkError, match=r"runs alula .*, not 0\.0 \(none\)"):
+        list(distribute(square, [1], scheduler=cluster.address, timeout_s=180))

@@ -1,0 +1,133 @@
+"""The shape of the project: import directions, sizes, generated files, a quick command line."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from support.paths import ROOT
+
+SOURCES = sorted(path for part in ("cli", "stages", "schemas") for path in (ROOT / part).rglob("*.py"))
+MAY_IMPORT = {
+    "cli": {"cli", "stages", "schemas", "_core", "__version__"},
+    "stages": {"stages", "schemas", "_core"},
+    "schemas": {"schemas", "__version__", "_core.commit"},
+}
+HEAVY = ("numpy", "scipy", "open3d", "pycolmap", "cvxpy", "trimesh", "matplotlib", "k3d", "mcap", "rich")
+
+
+def imported_parts(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            module = node.module or ""
+            names = [
+                f"{module}.{a.name}" if module in ("alula", "alula._core") else module for a in node.names
+            ]
+        else:
+            continue
+        for name in names:
+            assert name.split(".")[0] not in ("cli", "stages", "schemas"), f"{path}: imports {name}"
+            if name.startswith("alula."):
+                part = name.split(".")[1]
+                found.add(
+                    name.removeprefix("alula.") if part == "_core" and path.match("schemas/*") else part
+                )
+    return found
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_point_one_way(path):
+    part = path.relative_to(ROOT).parts[0]
+    assert imported_parts(path) <= MAY_IMPORT[part]
+
+
+def test_no_source_file_is_over_400_lines():
+    patterns = (
+        "cli/**/*.py",
+        "stages/**/*.py",
+        "schemas/**/*.py",
+        "native/**/*.?pp",
+        "native/**/*.[ch]",
+        "tests/**/*.py",
+    )
+    files = [path for pattern in patterns for path in ROOT.glob(pattern)]
+    assert len(files) > 50
+    long = {str(f.relative_to(ROOT)): n for f in files if (n := len(f.read_text().splitlines())) > 400}
+    assert not long
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys; from alula.cli.main import run; run(['--help']);"
+        f"print([m for m in {HEAVY!r} if m in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+    assert "voxelize" in done.stdout
+
+
+def test_help_of_each_command_imports_nothing_heavy_and_shows_two_examples():
+    code = f"""
+import sys
+from alula.cli.main import COMMANDS, run
+for name, (_, line) in COMMANDS.items():
+    import contextlib, io
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        assert run([name, '-h']) == 0, name
+    text = out.getvalue()
+    assert line in " ".join(text.split()), (name, text)
+    assert text.count('alula ' + name) >= 3, (name, text)
+heavy = [m for m in {HEAVY!r} if m in sys.modules]
+assert not heavy, heavy
+"""
+    subprocess.run([sys.executable, "-P", "-c", code], check=True)
+
+
+def test_the_command_reference_is_current():
+    from alula.cli.reference import reference
+
+    assert (ROOT / "docs/guide/commands.md").read_text() == reference(), "run make docs"
+
+
+def test_the_json_schemas_are_current():
+    from alula.schemas.generate import documents
+
+    folder = ROOT / "schemas/json"
+    assert {path.name for path in folder.iterdir()} == set(documents())
+    for name, text in documents().items():
+        assert (folder / name).read_bytes() == text, f"{name}: run make schemas"
+
+
+def test_the_type_stub_of_the_native_module_is_current(tmp_path):
+    pytest.importorskip("nanobind", reason="nanobind is a build dependency")
+    stub = tmp_path / "_core.pyi"
+    command = [sys.executable, "-P", "-m", "nanobind.stubgen", "-q", "-m", "alula._core", "-o", str(stub)]
+    subprocess.run(command, check=True)
+    assert (ROOT / "native/python/alula/_core.pyi").read_text() == stub.read_text(), "run make schemas"
+
+
+def test_the_top_level_is_as_the_design_card_says():
+    tracked = subprocess.run(["git", "-C", str(ROOT), "ls-files"], capture_output=True, text=True)
+    if tracked.returncode:
+        pytest.skip("not a git checkout")
+    allowed = {
+        *("cli", "stages", "schemas", "tests", "examples", "native", "docs", "benchmarks"),
+        *(
+            "Makefile",
+            "pyproject.toml",
+            "CMakeLists.txt",
+            "README.md",
+            "CHANGELOG.md",
+            "CONTRIBUTING.md",
+            "LICENSE",
+        ),
+    }
+    top = {line.split("/")[0] for line in tracked.stdout.splitlines()}
+    assert {name for name in top if not name.startswith(".")} <= allowed
