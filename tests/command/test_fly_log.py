@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from alula.cli.fly.command import flight as fly_run
+from alula.cli.fly import flight as fly_run
 from alula.cli.options import Common
 from alula.schemas.cut_run import read_logged
 from alula.schemas.errors import CheckError, ExitCode, LinkError, OutputError

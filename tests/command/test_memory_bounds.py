@@ -13,7 +13,7 @@ from alula.schemas.artifact import Artifact, make_artifact, read_artifact, write
 from alula.schemas.kinds import VOXELS
 from alula.stages.compression import limits, merge
 from alula.stages.compression import verify as certificate
-from alula.stages.compression.onboard.layout import verify as map_certificate
+from alula.stages.compression.onboard import verify as map_certificate
 
 # Runs the command line in a child and prints the child's peak, in bytes (ru_maxrss counts KiB on Linux).
 PEAK = (

@@ -8,6 +8,7 @@ import pytest
 from alula.cli.main import run
 from alula.schemas.cut_run import read_logged
 from alula.schemas.flights import Course, Line, Step, flights_of
+from alula.stages.flight.recorder.log import FlightRecorder
 from alula.stages.reporting.course import course_rows, course_tables, spells
 from alula.stages.reporting.curves import broken, paths_of
 from alula.stages.reporting.figures import all_figures
@@ -15,7 +16,7 @@ from alula.stages.reporting.headline import cards, headline
 from alula.stages.reporting.material import NOT_JUDGED, Material, Run
 from alula.stages.reporting.tables import all_tables
 from support.fabricate import make_record, make_trial
-from support.flight_logs import FlightRecorder, head_of, record_of
+from support.flight_logs import head_of, record_of
 from support.flights import fly, mission
 
 COURSE = Course(
