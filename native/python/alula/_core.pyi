@@ -571,7 +571,9 @@ class ReferenceCurve:
     def duration_s(self) -> float: ...
 
 class TrackingGains:
-    """Gains and limits of the geometric controller: alula/dynamics/tracking_controller.hpp."""
+    """
+    Gains and limits of the geometric controller: alula/dynamics/tracking_controller.hpp.
+    """
 
     def __init__(self, *, kp: float = 3.0, kv: float = 2.0, k_r: Sequence[float] = [0.35, 0.35, 0.12], k_omega: Sequence[float] = [0.025, 0.025, 0.012], catch_up_m_s: float = float('inf'), max_tilt_rad: float = float('inf'), max_thrust_share: float = float('inf'), uses_acceleration: bool = True) -> None: ...
 
@@ -911,7 +913,9 @@ class ShieldOptions:
     def motor_time_constant_s(self) -> float: ...
 
 class Shield:
-    """Checks that a safe manoeuvre to rest is known: alula/filters/shield.hpp."""
+    """
+    Checks that a safe manoeuvre to rest is known: alula/filters/shield.hpp.
+    """
 
     def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ShieldOptions = ...) -> None: ...
 
