@@ -11,6 +11,7 @@ import click
 from alula.cli import options, runner
 from alula.cli.options import PATH, Common
 from alula.schemas.configs.demo_scene import DemoSceneConfig
+from alula.schemas.progress import Progress
 
 EXAMPLES = """\b
 Examples:
@@ -80,7 +81,7 @@ def command(
             for name, text in colmap_model(walk, splats, common.seed).items():
                 write_text(colmap / name, text)
 
-    def make(provenance: Provenance, progress: runner.Progress) -> tuple[Callable[[], None], dict[str, Any]]:
+    def make(provenance: Provenance, progress: Progress) -> tuple[Callable[[], None], dict[str, Any]]:
         splats = demo_scene(config, common.seed)
         summary = {
             "gaussians": len(splats),

@@ -12,7 +12,7 @@ from alula.cli.options import Common
 from alula.schemas.configs.export import ExportConfig
 
 if TYPE_CHECKING:
-    from alula.cli.runner import Progress
+    from alula.schemas.progress import Progress
     from alula.schemas.provenance import Provenance
 
 EXAMPLES = """\b

@@ -15,6 +15,7 @@ from alula.cli import options, runner
 from alula.cli.options import Common
 from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import AlulaError, InputError, UsageError
+from alula.schemas.progress import Progress
 
 EXAMPLES = """\b
 Examples:
@@ -43,7 +44,7 @@ def command(splat: Path, config: ImportSplatConfig, common: Common) -> None:
     with read_stdin(splat, common) as path:
         found = SplatFile.find(path, config.format)
 
-        def build(progress: runner.Progress) -> Artifact:
+        def build(progress: Progress) -> Artifact:
             splats = found.decode(progress)
             try:
                 return import_splat(config, splats)

@@ -15,9 +15,8 @@ from alula.cli.options import Common
 from alula.schemas.atomic import atomic_output
 from alula.schemas.errors import DamagedError, InputError, OutputError
 from alula.schemas.journal import SUFFIX, JournalKind, pack, strangeness, unpack
+from alula.schemas.progress import Progress
 from alula.schemas.provenance import Provenance, read_provenance
-
-Progress = Callable[[int, int], None]
 
 PERIOD_S = 30.0  # between two writes
 LEAST_S = 3.0  # what a shorter run had measured is not worth a file

@@ -37,11 +37,12 @@ def command(source: Path, config: MergeConfig, common: options.Common) -> None:
     """
     from alula import _core
     from alula.cli.journal import JournalFile
-    from alula.cli.runner import Progress, run_stage
+    from alula.cli.runner import run_stage
     from alula.schemas.artifact import Artifact, read_artifact
     from alula.schemas.errors import WrongKindError
     from alula.schemas.journal import MERGE
     from alula.schemas.kinds import COVER, VOXELS
+    from alula.schemas.progress import Progress
     from alula.stages.compression.merge import merge
 
     def build(progress: Progress) -> Artifact:

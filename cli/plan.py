@@ -8,6 +8,7 @@ import click
 
 from alula.cli import options, runner
 from alula.schemas.configs.plan import PlanConfig
+from alula.schemas.progress import Progress
 
 
 @click.command(
@@ -27,7 +28,7 @@ def command(common: options.Common, config: PlanConfig, cover: Path) -> None:
     from alula.schemas.kinds import COVER, PLAN
     from alula.stages.planning.plan import plan
 
-    def build(progress: runner.Progress) -> Artifact:
+    def build(progress: Progress) -> Artifact:
         return plan(config, read_artifact(cover, COVER), jobs=common.jobs, progress=progress)
 
     runner.run_stage(common, PLAN, config, {"cover": cover}, build)

@@ -15,7 +15,7 @@ from alula.cli.options import Common
 from alula.schemas.configs.report import ReportConfig
 
 if TYPE_CHECKING:
-    from alula.cli.runner import Progress
+    from alula.schemas.progress import Progress
     from alula.schemas.provenance import Provenance
     from alula.stages.reporting.material import Material
 

@@ -19,14 +19,13 @@ from alula.cli.present import plain, print_json
 from alula.schemas.atomic import write_text
 from alula.schemas.errors import InputError, OutputError, UsageError
 from alula.schemas.files import check_no_stream, is_special, printable
+from alula.schemas.progress import Progress
 from alula.schemas.provenance import Provenance, differences, parameters_of, read_provenance
 
 if TYPE_CHECKING:
     from alula.schemas.artifact import Artifact
     from alula.schemas.kinds import Kind
     from alula.schemas.manifest import InputRef
-
-Progress = Callable[[int, int], None]
 
 
 def input_ref(role: str, path: Path) -> InputRef:

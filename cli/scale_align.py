@@ -14,6 +14,7 @@ from alula.cli.options import FINITE_FLOAT, PATH, POINT, Common
 from alula.cli.present import print_json
 from alula.schemas.configs.scale_align import Distance, ScaleAlignConfig
 from alula.schemas.errors import InputError, UsageError
+from alula.schemas.progress import Progress
 
 if TYPE_CHECKING:
     from alula.stages.alignment.evidence import Correspondences
@@ -148,7 +149,7 @@ def command(
         if not (common.quiet or common.json):
             show_alignment(alignment, common.verbose)
 
-    def build(progress: runner.Progress) -> Artifact:
+    def build(progress: Progress) -> Artifact:
         return scale_align(config, read_artifact(scene, SCENE), _evidence(config, files), common.seed, report)
 
     if not common.json:

@@ -51,10 +51,11 @@ def command(
     are refused: 2 GiB each. --tile bounds the counters by those of one tile per job, and takes 32 bytes
     per marked voxel. Tiles, jobs and scheduler never change the result.
     """
-    from alula.cli.runner import Progress, run_stage
+    from alula.cli.runner import run_stage
     from alula.schemas.artifact import Artifact, read_artifact
     from alula.schemas.errors import InfeasibleError, InputError, UsageError
     from alula.schemas.kinds import SCENE, VOXELS
+    from alula.schemas.progress import Progress
     from alula.stages.compression.voxelize import voxelize
 
     if config.confidence is not None and options.is_given(context, "sigma"):

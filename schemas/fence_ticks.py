@@ -8,13 +8,11 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import DamagedError
 from alula.schemas.flights import SAFETY_TOPIC, STATE_TOPIC
 from alula.schemas.run import open_log
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from alula._core import EllipsoidSet, PolytopeSet
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import InputError
 from alula.stages.compression.hulls import Hulls
-
-FloatArray = NDArray[np.float64]
 
 COLLISION_TOLERANCE_M = 1e-6  # clearances are exact to far less; a touch is no collision
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from alula.schemas.arrays import FloatArray
 
 
-def matrix_from_quat_wxyz(quat_wxyz: NDArray[Any]) -> Array:
+def matrix_from_quat_wxyz(quat_wxyz: NDArray[Any]) -> FloatArray:
     """Rotation matrices of unit quaternions; column i is the image of axis i.
 
     Args:
@@ -28,7 +28,7 @@ def matrix_from_quat_wxyz(quat_wxyz: NDArray[Any]) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def quat_wxyz_from_matrix(matrix: NDArray[Any]) -> Array:
+def quat_wxyz_from_matrix(matrix: NDArray[Any]) -> FloatArray:
     """Unit quaternions of rotation matrices, with w >= 0; accurate for every angle.
 
     The largest of the four squared components is found from the diagonal and divides the others.
@@ -56,11 +56,11 @@ def quat_wxyz_from_matrix(matrix: NDArray[Any]) -> Array:
     best = np.argmax(np.diagonal(candidates, axis1=-2, axis2=-1), axis=-1)
     quat = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
     quat = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
-    signed: Array = np.where(quat[..., :1] < 0, -quat, quat)
+    signed: FloatArray = np.where(quat[..., :1] < 0, -quat, quat)
     return signed
 
 
-def multiply_quat_wxyz(left: NDArray[Any], right: NDArray[Any]) -> Array:
+def multiply_quat_wxyz(left: NDArray[Any], right: NDArray[Any]) -> FloatArray:
     """Hamilton products; the rotation `right` first, then `left`.
 
     Args:

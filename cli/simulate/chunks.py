@@ -18,7 +18,7 @@ from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
-    from alula.cli.runner import Progress
+    from alula.schemas.progress import Progress
     from alula.schemas.provenance import Provenance
     from alula.schemas.run import TrialResult
     from alula.stages.simulation.chunks import FlownTrials

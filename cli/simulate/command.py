@@ -18,7 +18,7 @@ from alula.schemas.errors import CheckError, UsageError, WrongKindError
 from alula.schemas.provenance import parameters_of
 
 if TYPE_CHECKING:
-    from alula.cli.runner import Progress
+    from alula.schemas.progress import Progress
     from alula.schemas.provenance import Provenance
     from alula.stages.simulation.hulls.simulate import RunResult
     from alula.stages.simulation.pairs import Pairs

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import CheckError, InputError
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.evidence import Correspondences
 from alula.stages.alignment.sampling import blocks, jackknife, thinned_to
-from alula.stages.alignment.similarity import Array, compose, is_collinear, transform_points, umeyama
+from alula.stages.alignment.similarity import compose, is_collinear, transform_points, umeyama
 from alula.stages.alignment.uncertainty import Uncertainty
 
 _MOST = 60_000  # points of either side after thinning
@@ -39,7 +40,7 @@ class Cloud:
     """Surveyed points, shape (n, 3) [m], and where in the world the scene is to begin with."""
 
     name: str
-    points: Array
+    points: FloatArray
     initial: Similarity | Correspondences | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
 
@@ -63,18 +64,20 @@ class CloudFit:
     similarity: Similarity
     uncertainty: Uncertainty
     count: int
-    residual: Array
+    residual: FloatArray
     block: NDArray[np.intp]
-    block_centre: Array
+    block_centre: FloatArray
     block_edge: float
     scene_share: float
     cloud_share: float
     thinning_m: float
     leave_one_out: tuple[float, float]
-    singular_values: Array
+    singular_values: FloatArray
 
 
-def fit_cloud(points: Array, cloud: Array, initial: Similarity, threshold: float, least: float) -> CloudFit:
+def fit_cloud(
+    points: FloatArray, cloud: FloatArray, initial: Similarity, threshold: float, least: float
+) -> CloudFit:
     """Register points to a cloud, from a similarity that is nearly right.
 
     Both are averaged in cubes of half the threshold. Point-to-point ICP with scale runs on the overlap,
@@ -116,7 +119,7 @@ def fit_cloud(points: Array, cloud: Array, initial: Similarity, threshold: float
     normals, flat = _planes(target, tree)
     even = _planes(mapped, cKDTree(mapped))[1]
 
-    def pairs_of(now: Array, distance: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def pairs_of(now: FloatArray, distance: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         first, second = _pairs(now, target, tree, distance)
         keep = even[first] & flat[second]
         return first[keep], second[keep]
@@ -129,7 +132,7 @@ def fit_cloud(points: Array, cloud: Array, initial: Similarity, threshold: float
         information = (jacobian * weight[:, None]).T @ jacobian
         lever = float(np.sqrt(((transform_points(moved, mapped)[pairs[0]] - at) ** 2).sum(axis=1).mean()))
         _determined(information, float(weight.sum()), lever)
-        gradient: Array = (jacobian * weight[:, None]).T @ residual
+        gradient: FloatArray = (jacobian * weight[:, None]).T @ residual
         step = -np.asarray(np.linalg.solve(information, gradient), np.float64)
         moved = compose(_small(step, at), moved)
         if step_number >= _WIDE_STEPS and np.abs(jacobian @ step).max() < _STILL * (
@@ -184,12 +187,14 @@ class _Known:
     label: NDArray[np.intp]
     count: int
     edge: float
-    moves: Array
-    covariance: Array
+    moves: FloatArray
+    covariance: FloatArray
     size: float
 
 
-def _by_blocks(where: Array, jacobian: Array, residual: Array, least: float, wanted: int) -> _Known:
+def _by_blocks(
+    where: FloatArray, jacobian: FloatArray, residual: FloatArray, least: float, wanted: int
+) -> _Known:
     label, count, edge = blocks(where, least, wanted)
     if count < _LEAST_BLOCKS:
         raise InputError(f"the overlap is too small to say how well it fits ({count} blocks of {edge:g} m)")
@@ -215,14 +220,14 @@ def _require(scene_share: float, cloud_share: float, distance: float, least: flo
         )
 
 
-def _cloud_share(mapped: Array, target: Array, distance: float) -> float:
+def _cloud_share(mapped: FloatArray, target: FloatArray, distance: float) -> float:
     from scipy.spatial import cKDTree
 
     found, _ = cKDTree(mapped).query(target, distance_upper_bound=distance)
     return float(np.isfinite(found).mean())
 
 
-def _coarse(mapped: Array, target: Array, tree: Any, threshold: float) -> Similarity:
+def _coarse(mapped: FloatArray, target: FloatArray, tree: Any, threshold: float) -> Similarity:
     """Point-to-point ICP with scale, at each stage on what overlaps at its distance.
 
     Our own, because Open3D's adds up in the order in which threads finish: not the same bits each time.
@@ -243,7 +248,7 @@ def _coarse(mapped: Array, target: Array, tree: Any, threshold: float) -> Simila
     return moved
 
 
-def icp(points: Array, fixed: Array, tree: Any, start: Similarity, distance: float) -> Similarity:
+def icp(points: FloatArray, fixed: FloatArray, tree: Any, start: Similarity, distance: float) -> Similarity:
     """Repeat nearest neighbours within a distance and least squares; the start where too few are near.
 
     Source: Besl and McKay 1992, with the scale of Umeyama 1991.
@@ -264,7 +269,7 @@ def icp(points: Array, fixed: Array, tree: Any, start: Similarity, distance: flo
     return found
 
 
-def _misfit(moved: Array, target: Array, tree: Any, distance: float) -> float:
+def _misfit(moved: FloatArray, target: FloatArray, tree: Any, distance: float) -> float:
     """Mean squared distances to the other side, cut off, of both sides."""
     from scipy.spatial import cKDTree
 
@@ -272,7 +277,7 @@ def _misfit(moved: Array, target: Array, tree: Any, distance: float) -> float:
     return float(sum((np.minimum(d, distance) ** 2).mean() for d in (there, back)))
 
 
-def _planes(points: Array, tree: Any) -> tuple[Array, NDArray[np.bool_]]:
+def _planes(points: FloatArray, tree: Any) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Unit normals of the planes through the nearest neighbours of each point, and where it is flat.
 
     Averages round off edges, on either side by as much as its sampling says, and planes there are of
@@ -282,12 +287,12 @@ def _planes(points: Array, tree: Any) -> tuple[Array, NDArray[np.bool_]]:
     near = points[index] - points[index].mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(near.swapaxes(1, 2) @ near)
     ratio = values[:, 0] / np.maximum(values[:, 1], 1e-300)
-    normals: Array = vectors[:, :, 0]
+    normals: FloatArray = vectors[:, :, 0]
     return normals, ratio <= _FLAT * float(np.median(ratio))
 
 
 def _pairs(
-    moved: Array, target: Array, tree: Any, threshold: float
+    moved: FloatArray, target: FloatArray, tree: Any, threshold: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Indices of points that are nearest to each other."""
     from scipy.spatial import cKDTree
@@ -305,8 +310,11 @@ def _pairs(
 
 
 def _linear(
-    moved: Array, target: Array, normals: Array, pairs: tuple[NDArray[np.intp], NDArray[np.intp]]
-) -> tuple[Array, Array, Array]:
+    moved: FloatArray,
+    target: FloatArray,
+    normals: FloatArray,
+    pairs: tuple[NDArray[np.intp], NDArray[np.intp]],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The middle of the pairs, derivatives by (tau, lambda, omega) about it, and distances to planes."""
     p, q, n = moved[pairs[0]], target[pairs[1]], normals[pairs[1]]
     centre = p.mean(axis=0)
@@ -315,21 +323,21 @@ def _linear(
     return centre, jacobian, (n * (p - q)).sum(axis=1)
 
 
-def _weights(residual: Array) -> tuple[Array, float]:
+def _weights(residual: FloatArray) -> tuple[FloatArray, float]:
     """Tukey's biweight, and its width: 4.685 times the robust standard deviation."""
     size = max(_TUKEY * 1.4826 * float(np.median(np.abs(residual))), 1e-12)
-    weight: Array = np.clip(1 - (residual / size) ** 2, 0, None) ** 2
+    weight: FloatArray = np.clip(1 - (residual / size) ** 2, 0, None) ** 2
     return weight, size
 
 
-def _bend(residual: Array, size: float) -> Array:
+def _bend(residual: FloatArray, size: float) -> FloatArray:
     """Derivative of weight times residual, relative to the weight."""
     u = np.clip((residual / size) ** 2, 0, 1 - 1e-9)
-    bend: Array = 1 - 4 * u / (1 - u)
+    bend: FloatArray = 1 - 4 * u / (1 - u)
     return bend
 
 
-def _determined(information: Array, total: float, lever: float) -> None:
+def _determined(information: FloatArray, total: float, lever: float) -> None:
     """Refuse surfaces along which the scene could slide, turn or grow unnoticed.
 
     Of the information per unit of weight, with angles and growth in units of the points' mean distance,
@@ -345,7 +353,7 @@ def _determined(information: Array, total: float, lever: float) -> None:
         )
 
 
-def _small(step: Array, centre: Array) -> Similarity:
+def _small(step: FloatArray, centre: FloatArray) -> Similarity:
     """The similarity of a small step about a centre."""
     x, y, z = step[4:]
     angle = float(np.linalg.norm(step[4:]))

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.stages.alignment.quiet import quiet
-from alula.stages.alignment.similarity import Array
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".xyzn", ".xyzrgb", ".pts", ".npz")
 _KEYS = ("points", "xyz", "positions")
 
 
-def read_cloud(path: Path) -> Array:
+def read_cloud(path: Path) -> FloatArray:
     """Points of a cloud, shape (n, 3), in the file's units.
 
     PLY, PCD, XYZ and PTS are read by Open3D; of an .npz the array `points`, `xyz` or `positions`.
@@ -41,7 +41,7 @@ def read_cloud(path: Path) -> Array:
     return points
 
 
-def _npz(path: Path) -> Array:
+def _npz(path: Path) -> FloatArray:
     try:
         with np.load(path, allow_pickle=False) as found:
             keys = [key for key in _KEYS if key in found.files]
@@ -54,7 +54,7 @@ def _npz(path: Path) -> Array:
         raise InputError(f"{path}: is no readable .npz file: {str(error)[:200]}") from error
 
 
-def _open3d(path: Path) -> Array:
+def _open3d(path: Path) -> FloatArray:
     with quiet():
         try:
             import open3d

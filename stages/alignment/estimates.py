@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.scale_align import Distance, ScaleAlignConfig
 from alula.schemas.errors import UsageError
@@ -17,7 +18,6 @@ from alula.stages.alignment.cloud import Cloud, fit_cloud
 from alula.stages.alignment.evidence import Correspondences
 from alula.stages.alignment.poses import fit_poses
 from alula.stages.alignment.robust import Fit, fit_similarity
-from alula.stages.alignment.similarity import Array
 from alula.stages.alignment.uncertainty import CONFIDENCE, Uncertainty, mapped_corners
 
 _VISIBLE = 0.1  # opacity of Gaussians that are registered to a cloud
@@ -46,7 +46,11 @@ class Estimate:
 
 
 def estimate(
-    config: ScaleAlignConfig, scene: Artifact, evidence: Evidence, seed: int, box: tuple[Array, Array]
+    config: ScaleAlignConfig,
+    scene: Artifact,
+    evidence: Evidence,
+    seed: int,
+    box: tuple[FloatArray, FloatArray],
 ) -> Estimate:
     """The similarity that the evidence says, from the scene with that bounding box."""
     match evidence:
@@ -75,7 +79,7 @@ def _fit(config: ScaleAlignConfig, evidence: Correspondences, seed: int) -> Fit:
 
 
 def _by_correspondences(
-    config: ScaleAlignConfig, evidence: Correspondences, seed: int, box: tuple[Array, Array]
+    config: ScaleAlignConfig, evidence: Correspondences, seed: int, box: tuple[FloatArray, FloatArray]
 ) -> Estimate:
     fit = _fit(config, evidence, seed)
     items: list[dict[str, Any]] = [
@@ -107,7 +111,7 @@ def _by_correspondences(
 
 
 def _by_cloud(
-    config: ScaleAlignConfig, scene: Artifact, evidence: Cloud, seed: int, box: tuple[Array, Array]
+    config: ScaleAlignConfig, scene: Artifact, evidence: Cloud, seed: int, box: tuple[FloatArray, FloatArray]
 ) -> Estimate:
     facts: dict[str, Any] = {"initial": "as it is"}
     match evidence.initial:
@@ -154,7 +158,7 @@ def _by_cloud(
     return Estimate(fit.similarity, record, _bound(fit.similarity, fit.uncertainty, box))
 
 
-def _sizes(residual: Array, unit: str) -> dict[str, float]:
+def _sizes(residual: FloatArray, unit: str) -> dict[str, float]:
     return {
         f"rms_{unit}": float(np.sqrt((residual**2).mean())),
         f"median_{unit}": float(np.median(residual)),
@@ -162,11 +166,11 @@ def _sizes(residual: Array, unit: str) -> dict[str, float]:
     }
 
 
-def _bound(similarity: Similarity, uncertainty: Uncertainty, box: tuple[Array, Array]) -> float:
+def _bound(similarity: Similarity, uncertainty: Uncertainty, box: tuple[FloatArray, FloatArray]) -> float:
     return uncertainty.position_error(mapped_corners(similarity, *box))
 
 
-def _by_distances(distances: Sequence[Distance], threshold: float, corners: Array) -> Estimate:
+def _by_distances(distances: Sequence[Distance], threshold: float, corners: FloatArray) -> Estimate:
     """Least squares of metres = scale * length through the origin."""
     from scipy.stats import t as student
 

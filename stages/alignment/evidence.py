@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
-from alula.stages.alignment.similarity import Array, inverse, transform_points
+from alula.stages.alignment.similarity import inverse, transform_points
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +26,11 @@ class Correspondences:
     """
 
     rows: tuple[str, ...]
-    scene: Array
-    world: Array
+    scene: FloatArray
+    world: FloatArray
     unused: int = 0
-    R_scene: Array | None = None
-    R_world: Array | None = None
+    R_scene: FloatArray | None = None
+    R_world: FloatArray | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
@@ -43,9 +44,9 @@ class Positions:
     """
 
     names: tuple[str, ...]
-    position: Array
+    position: FloatArray
     rows: tuple[str, ...]
-    axes: Array | None = None
+    axes: FloatArray | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
-from alula.stages.alignment.similarity import Array
 
 GEODETIC = ("lat", "lon", "alt")
 
@@ -16,8 +16,8 @@ Origin = tuple[float, float, float]
 
 
 def enu_from_geodetic(
-    geodetic: Array, rows: Sequence[str], origin: Origin | None = None
-) -> tuple[Array, dict[str, Any]]:
+    geodetic: FloatArray, rows: Sequence[str], origin: Origin | None = None
+) -> tuple[FloatArray, dict[str, Any]]:
     """East, north, up from latitude, longitude and height on the WGS84 ellipsoid.
 
     The frame is tangent at the origin and rigid: no projection distorts it. Heights above sea level

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import CheckError, InputError
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.sampling import blocks, jackknife, thinned_to
-from alula.stages.alignment.similarity import Array
 from alula.stages.alignment.uncertainty import Uncertainty
 
 _TRIALS = 3000
@@ -41,7 +41,7 @@ class Level:
     warnings: tuple[str, ...] = ()
 
 
-def turn_up(up: Array) -> Array:
+def turn_up(up: FloatArray) -> FloatArray:
     """The smallest rotation that takes a direction to +z; about x when it is -z.
 
     With m half way between up and z, the product of two reflections, (I - 2 m m') (I - 2 up up'). Below the
@@ -53,18 +53,18 @@ def turn_up(up: Array) -> Array:
     if not np.linalg.norm(half) > 0:
         return np.diag([1.0, -1.0, -1.0])
     m = half / np.linalg.norm(half)
-    rotation: Array = (np.eye(3) - 2 * np.outer(m, m)) @ (np.eye(3) - 2 * np.outer(u, u))
+    rotation: FloatArray = (np.eye(3) - 2 * np.outer(m, m)) @ (np.eye(3) - 2 * np.outer(u, u))
     return rotation
 
 
-def level_by_direction(up: Array) -> Level:
+def level_by_direction(up: FloatArray) -> Level:
     """Turn a direction of the present frame upwards; the origin stays."""
     rotation = turn_up(up)
     facts = {"by": "direction", "up": (up / np.linalg.norm(up)).tolist(), "turned_deg": _turned(rotation)}
     return Level(Similarity(scale=1.0, rotation=rotation.tolist(), translation_m=[0.0] * 3), facts)
 
 
-def level_by_floor(points: Array, up: Array, tolerance: float, seed: int) -> Level:
+def level_by_floor(points: FloatArray, up: FloatArray, tolerance: float, seed: int) -> Level:
     """Find the floor, turn its normal upwards and make its height zero; x and y of the origin stay.
 
     Planes through three random points within 40 degrees of level are rated by how many points of the
@@ -144,11 +144,13 @@ def level_by_floor(points: Array, up: Array, tolerance: float, seed: int) -> Lev
     return Level(motion, facts, error)
 
 
-def _turned(rotation: Array) -> float:
+def _turned(rotation: FloatArray) -> float:
     return degrees(float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))))
 
 
-def _best_plane(points: Array, up: Array, tolerance: float, rng: np.random.Generator) -> tuple[Array, float]:
+def _best_plane(
+    points: FloatArray, up: FloatArray, tolerance: float, rng: np.random.Generator
+) -> tuple[FloatArray, float]:
     drawn = points[rng.integers(0, len(points), (_TRIALS, 3))]
     normals = np.cross(drawn[:, 1] - drawn[:, 0], drawn[:, 2] - drawn[:, 0])
     length = np.linalg.norm(normals, axis=1)
@@ -173,7 +175,7 @@ def _best_plane(points: Array, up: Array, tolerance: float, rng: np.random.Gener
     return normals[best], float(offsets[best])
 
 
-def _known(levelled: Array, height: float, least: float, thickness: float) -> Uncertainty | None:
+def _known(levelled: FloatArray, height: float, least: float, thickness: float) -> Uncertainty | None:
     """Errors of the floor's height and tilts, from blocks of it; None when there are too few.
 
     A tenth of the thickness is added to the height's: what stands on a floor pulls all blocks alike.

@@ -8,10 +8,11 @@ from math import comb, degrees, log, pi, radians
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.robust import Fit, fit_similarity, leave_one_out, threshold_warnings
-from alula.stages.alignment.similarity import Array, is_collinear, transform_points
+from alula.stages.alignment.similarity import is_collinear, transform_points
 from alula.stages.alignment.uncertainty import alike_warnings, of_points, shape_warnings, untruncated
 
 _TRIALS = 2000
@@ -28,7 +29,13 @@ _CONVENTIONS = {
 
 
 def fit_poses(
-    source: Array, R_source: Array, target: Array, R_target: Array, threshold: float, angle: float, seed: int
+    source: FloatArray,
+    R_source: FloatArray,
+    target: FloatArray,
+    R_target: FloatArray,
+    threshold: float,
+    angle: float,
+    seed: int,
 ) -> Fit:
     """Find the similarity that most pairs of poses agree on, then fit it to those.
 
@@ -76,28 +83,28 @@ def fit_poses(
     return fit
 
 
-def chordal_mean(rotations: Array) -> Array:
+def chordal_mean(rotations: FloatArray) -> FloatArray:
     """The rotation with the least sum of squared matrix differences to (n, 3, 3)."""
     return _nearest(rotations.sum(axis=0))
 
 
-def _nearest(matrix: Array) -> Array:
+def _nearest(matrix: FloatArray) -> FloatArray:
     u, _, vt = np.linalg.svd(matrix)
     u[..., :, 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
-    rotation: Array = u @ vt
+    rotation: FloatArray = u @ vt
     return rotation
 
 
-def angles(first: Array, second: Array) -> Array:
+def angles(first: FloatArray, second: FloatArray) -> FloatArray:
     """Angles between rotations (n, 3, 3), accurate near zero too [rad]."""
     chord = np.linalg.norm(first - second, axis=(1, 2))
-    angle: Array = 2 * np.arcsin(np.clip(chord / np.sqrt(8.0), 0, 1))
+    angle: FloatArray = 2 * np.arcsin(np.clip(chord / np.sqrt(8.0), 0, 1))
     return angle
 
 
 def _solve(
-    x: Array, y: Array, R_mean: Array, w: float, sigma: float, turning: bool
-) -> tuple[float, Array, Array]:
+    x: FloatArray, y: FloatArray, R_mean: FloatArray, w: float, sigma: float, turning: bool
+) -> tuple[float, FloatArray, FloatArray]:
     """Scale, rotation, translation; positions have a say in the rotation if `turning`."""
     x_mean, y_mean = x.mean(axis=0), y.mean(axis=0)
     x, y = x - x_mean, y - y_mean
@@ -115,7 +122,13 @@ def _solve(
 
 
 def _consensus(
-    source: Array, R_source: Array, target: Array, R_target: Array, threshold: float, angle: float, seed: int
+    source: FloatArray,
+    R_source: FloatArray,
+    target: FloatArray,
+    R_target: FloatArray,
+    threshold: float,
+    angle: float,
+    seed: int,
 ) -> NDArray[np.bool_]:
     count = len(source)
     rng = np.random.default_rng(seed)
@@ -155,7 +168,7 @@ def _consensus(
     return best
 
 
-def _swing(a: Array, b: Array) -> Array:
+def _swing(a: FloatArray, b: FloatArray) -> FloatArray:
     """The smallest rotation that takes one unit vector to another; none for opposite ones."""
     x, y, z = np.cross(a, b)
     v, c = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), float(a @ b)
@@ -163,8 +176,8 @@ def _swing(a: Array, b: Array) -> Array:
 
 
 def _agreeing(
-    source: Array, target: Array, turn: Array, scale: float, rotation: Array, shift: Array,
-    threshold: float, angle: float,
+    source: FloatArray, target: FloatArray, turn: FloatArray, scale: float, rotation: FloatArray,
+    shift: FloatArray, threshold: float, angle: float,
 ) -> tuple[NDArray[np.bool_], float]:  # fmt: skip
     squared = ((scale * source @ rotation.T + shift - target) ** 2).sum(axis=1)
     inlier = (squared <= threshold * threshold) & (angles(turn, rotation[None]) <= angle)
@@ -172,7 +185,12 @@ def _agreeing(
 
 
 def _evaluate(
-    source: Array, R_source: Array, target: Array, R_target: Array, inlier: NDArray[np.bool_], limit: float
+    source: FloatArray,
+    R_source: FloatArray,
+    target: FloatArray,
+    R_target: FloatArray,
+    inlier: NDArray[np.bool_],
+    limit: float,
 ) -> Fit:
     x, y, count = source[inlier], target[inlier], int(inlier.sum())
     if np.ptp(x, axis=0).max() <= 0:
@@ -233,7 +251,9 @@ def _evaluate(
     )
 
 
-def _leave_one_out_given(x: Array, y: Array, rotation: Array, scale: float) -> tuple[float, float]:
+def _leave_one_out_given(
+    x: FloatArray, y: FloatArray, rotation: FloatArray, scale: float
+) -> tuple[float, float]:
     """Range of the scale with one pose left out and the rotation kept; itself with two."""
     if len(x) < 3:
         return scale, scale
@@ -246,12 +266,14 @@ def _leave_one_out_given(x: Array, y: Array, rotation: Array, scale: float) -> t
     return (min(scales), max(scales)) if scales else (scale, scale)
 
 
-def _rotation_of(x: Array, y: Array) -> Array:
+def _rotation_of(x: FloatArray, y: FloatArray) -> FloatArray:
     """By positions alone."""
     return _nearest((y - y.mean(axis=0)).T @ (x - x.mean(axis=0)))
 
 
-def _turn_of_axes(x: Array, R_x: Array, y: Array, R_y: Array, sigma: float) -> tuple[Array, float]:
+def _turn_of_axes(
+    x: FloatArray, R_x: FloatArray, y: FloatArray, R_y: FloatArray, sigma: float
+) -> tuple[FloatArray, float]:
     """The constant turn of camera axes E in R_y = R R_x E, R from positions; and its standard error."""
     rotation = _rotation_of(x, y)
     y = y - y.mean(axis=0)
@@ -262,7 +284,7 @@ def _turn_of_axes(x: Array, R_x: Array, y: Array, R_y: Array, sigma: float) -> t
     return mean, float(np.sqrt(scatter + sigma**2 * np.trace(np.linalg.inv(told)) / 3))
 
 
-def _constant_turn(x: Array, R_x: Array, y: Array, R_y: Array, sigma: float) -> list[str]:
+def _constant_turn(x: FloatArray, R_x: FloatArray, y: FloatArray, R_y: FloatArray, sigma: float) -> list[str]:
     """Warn when orientations contradict positions by a constant turn; refuse a large one."""
     if len(x) < 4 or is_collinear(x):
         return []
@@ -276,7 +298,7 @@ def _constant_turn(x: Array, R_x: Array, y: Array, R_y: Array, sigma: float) -> 
     return [f"{text}: orientations were given little weight"]
 
 
-def _by_positions(source: Array, target: Array, threshold: float, seed: int) -> Fit | None:
+def _by_positions(source: FloatArray, target: FloatArray, threshold: float, seed: int) -> Fit | None:
     """The fit to positions alone, where they determine one."""
     try:
         return fit_similarity(source, target, threshold, seed) if len(source) >= 4 else None
@@ -285,7 +307,12 @@ def _by_positions(source: Array, target: Array, threshold: float, seed: int) -> 
 
 
 def _refuse_turned(
-    source: Array, R_source: Array, target: Array, R_target: Array, fit: Fit, agreeing: int
+    source: FloatArray,
+    R_source: FloatArray,
+    target: FloatArray,
+    R_target: FloatArray,
+    fit: Fit,
+    agreeing: int,
 ) -> None:
     """Refuse poses whose positions agree much better than their orientations."""
     x, y = source[fit.inlier], target[fit.inlier]
@@ -298,7 +325,7 @@ def _refuse_turned(
     )
 
 
-def _named(turn: Array) -> str:
+def _named(turn: FloatArray) -> str:
     for name, signs in _CONVENTIONS.items():
         if angles(turn[None], np.diag(np.array(signs, np.float64))[None])[0] < radians(20):
             return f", like {name}"
@@ -309,7 +336,7 @@ def _named(turn: Array) -> str:
     return " about the camera's axis " + " ".join(f"{value:.2f}" for value in vector / length)
 
 
-def _hint(source: Array, R_source: Array, target: Array, R_target: Array) -> str:
+def _hint(source: FloatArray, R_source: FloatArray, target: FloatArray, R_target: FloatArray) -> str:
     """What may be wrong with poses of which nothing agrees: another convention of the axes."""
     best, name = pi / 4, ""
     for title, signs in _CONVENTIONS.items():

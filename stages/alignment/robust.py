@@ -9,16 +9,10 @@ from math import comb, log
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
-from alula.stages.alignment.similarity import (
-    COLLINEAR,
-    Array,
-    from_moments,
-    is_collinear,
-    transform_points,
-    umeyama,
-)
+from alula.stages.alignment.similarity import COLLINEAR, from_moments, is_collinear, transform_points, umeyama
 from alula.stages.alignment.uncertainty import (
     Uncertainty,
     alike_warnings,
@@ -53,16 +47,16 @@ class Fit:
 
     similarity: Similarity
     inlier: NDArray[np.bool_]
-    residual: Array
+    residual: FloatArray
     sigma: float
     uncertainty: Uncertainty
     leave_one_out: tuple[float, float]
-    singular_values: Array
-    angle: Array | None = None
+    singular_values: FloatArray
+    angle: FloatArray | None = None
     warnings: tuple[str, ...] = ()
 
 
-def fit_similarity(source: Array, target: Array, threshold: float, seed: int) -> Fit:
+def fit_similarity(source: FloatArray, target: FloatArray, threshold: float, seed: int) -> Fit:
     """Find the similarity that most correspondences agree on, then fit it to those.
 
     Three correspondences at a time (all triples, or up to 2000 random ones) propose a similarity. Those
@@ -99,13 +93,13 @@ def fit_similarity(source: Array, target: Array, threshold: float, seed: int) ->
     return _evaluate(source, target, inlier, threshold)
 
 
-def _squared(source: Array, target: Array, similarity: Similarity) -> Array:
-    squared: Array = ((transform_points(similarity, source) - target) ** 2).sum(axis=1)
+def _squared(source: FloatArray, target: FloatArray, similarity: Similarity) -> FloatArray:
+    squared: FloatArray = ((transform_points(similarity, source) - target) ** 2).sum(axis=1)
     return squared
 
 
 def _consensus(
-    source: Array, target: Array, threshold: float, seed: int, least: float = 0.0
+    source: FloatArray, target: FloatArray, threshold: float, seed: int, least: float = 0.0
 ) -> NDArray[np.bool_]:
     """Inliers of the best proposal after refitting; a share below `least` need not be found."""
     rng = np.random.default_rng(seed)
@@ -141,7 +135,7 @@ def _consensus(
 
 
 def _refined(
-    source: Array, target: Array, limit: float, proposal: Similarity
+    source: FloatArray, target: FloatArray, limit: float, proposal: Similarity
 ) -> tuple[NDArray[np.bool_], float]:
     """Inliers when refitting no longer changes them, and the truncated cost."""
     squared = _squared(source, target, proposal)
@@ -167,7 +161,9 @@ def _triples(count: int, rng: np.random.Generator) -> NDArray[np.intp]:
     return distinct
 
 
-def _proposals(source: Array, target: Array, triples: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+def _proposals(
+    source: FloatArray, target: FloatArray, triples: NDArray[np.intp]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Similarities of triples: scales, rotations, translations; degenerate triples are left out."""
     x, y = source[triples], target[triples]
     x_mean, y_mean = x.mean(axis=1), y.mean(axis=1)
@@ -183,7 +179,7 @@ def _proposals(source: Array, target: Array, triples: NDArray[np.intp]) -> tuple
 
 
 def _refuse_mirrored(
-    source: Array, target: Array, inlier: NDArray[np.bool_], threshold: float, seed: int
+    source: FloatArray, target: FloatArray, inlier: NDArray[np.bool_], threshold: float, seed: int
 ) -> None:
     """A reflection that clearly explains more than every proper similarity means a mirrored set."""
     mirror = source * np.array([-1.0, 1.0, 1.0])
@@ -205,7 +201,7 @@ def _refuse_mirrored(
         )
 
 
-def _evaluate(source: Array, target: Array, inlier: NDArray[np.bool_], threshold: float) -> Fit:
+def _evaluate(source: FloatArray, target: FloatArray, inlier: NDArray[np.bool_], threshold: float) -> Fit:
     x, y = source[inlier], target[inlier]
     similarity = umeyama(x, y)
     residual = np.sqrt(_squared(source, target, similarity))
@@ -230,7 +226,7 @@ def _evaluate(source: Array, target: Array, inlier: NDArray[np.bool_], threshold
     )
 
 
-def leave_one_out(x: Array, y: Array, scale: float) -> tuple[float, float]:
+def leave_one_out(x: FloatArray, y: FloatArray, scale: float) -> tuple[float, float]:
     """Smallest and largest scale with one correspondence left out; `scale` itself with three."""
     if len(x) <= 3:
         return scale, scale

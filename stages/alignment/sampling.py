@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
-from alula.stages.alignment.similarity import Array
 
 BLOCKS = 30  # at least this many groups carry an estimate of uncertainty
 
 
-def thinned(points: Array, edge: float) -> Array:
+def thinned(points: FloatArray, edge: float) -> FloatArray:
     """The mean of the points in each occupied cube of an edge, sorted by cube."""
     _, label, count = np.unique(_cells(points, edge), return_inverse=True, return_counts=True)
     sums = [np.bincount(label, weights=points[:, axis]) for axis in range(3)]
-    mean: Array = np.stack(sums, axis=1) / count[:, None]
+    mean: FloatArray = np.stack(sums, axis=1) / count[:, None]
     return mean
 
 
-def thinned_to(points: Array, edge: float, most: int) -> tuple[Array, float]:
+def thinned_to(points: FloatArray, edge: float, most: int) -> tuple[FloatArray, float]:
     """`thinned` with the first of edge, 1.25 edge, ... that leaves no more points than wanted."""
     found = thinned(points, edge)
     while len(found) > most:
@@ -28,7 +28,7 @@ def thinned_to(points: Array, edge: float, most: int) -> tuple[Array, float]:
     return found, edge
 
 
-def blocks(points: Array, least: float, wanted: int = BLOCKS) -> tuple[NDArray[np.intp], int, float]:
+def blocks(points: FloatArray, least: float, wanted: int = BLOCKS) -> tuple[NDArray[np.intp], int, float]:
     """Group points by the largest cubes of which enough are occupied.
 
     Errors of neighbours are alike; errors of large blocks are nearly independent, so uncertainty is
@@ -50,7 +50,7 @@ def blocks(points: Array, least: float, wanted: int = BLOCKS) -> tuple[NDArray[n
         edge = max(edge / 1.25, least)
 
 
-def _cells(points: Array, edge: float) -> NDArray[np.int64]:
+def _cells(points: FloatArray, edge: float) -> NDArray[np.int64]:
     """A number per point, equal for points in the same cube, increasing by x, y, z."""
     low = points.min(axis=0)
     size = np.floor((points.max(axis=0) - low) / edge) + 1
@@ -62,7 +62,7 @@ def _cells(points: Array, edge: float) -> NDArray[np.int64]:
     return numbers
 
 
-def jackknife(information: Array, score: Array) -> Array:
+def jackknife(information: FloatArray, score: FloatArray) -> FloatArray:
     """Covariance of the root of a sum of scores, from leaving out each block of them.
 
     Without block b the solution moves by inv(sum of all H - H_b) g_b; the sum of these moves' squares,
@@ -79,5 +79,5 @@ def jackknife(information: Array, score: Array) -> Array:
     count = len(score)
     move = np.linalg.solve(information.sum(axis=0) - information, score[:, :, None])[:, :, 0]
     move = move - move.mean(axis=0)
-    covariance: Array = (count - 1) / count * move.T @ move
+    covariance: FloatArray = (count - 1) / count * move.T @ move
     return covariance

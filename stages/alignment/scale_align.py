@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.scale_align import ScaleAlignConfig
 from alula.schemas.errors import CheckError, InputError, UsageError
@@ -18,7 +19,7 @@ from alula.stages.alignment.cloud import Cloud
 from alula.stages.alignment.estimates import Estimate, Evidence, Given, estimate, scale_only
 from alula.stages.alignment.evidence import Correspondences
 from alula.stages.alignment.levelling import level_by_direction, level_by_floor
-from alula.stages.alignment.similarity import Array, compose, transform_points
+from alula.stages.alignment.similarity import compose, transform_points
 from alula.stages.alignment.uncertainty import CONFIDENCE, mapped_corners
 from alula.stages.reconstruction.formats.splats import rounded_up
 from alula.stages.rotation import multiply_quat_wxyz, quat_wxyz_from_matrix
@@ -148,7 +149,7 @@ def scale_align(
     )
 
 
-def _bounds(mean: Array, scale: NDArray[np.float32]) -> tuple[Array, Array]:
+def _bounds(mean: FloatArray, scale: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
     """A box that holds the ellipsoids for whose points the error is bounded."""
     reach = _BOUNDED_SIGMA * scale.max(axis=1, keepdims=True).astype(np.float64)
     return (mean - reach).min(axis=0), (mean + reach).max(axis=0)
@@ -157,8 +158,8 @@ def _bounds(mean: Array, scale: NDArray[np.float32]) -> tuple[Array, Array]:
 def _levelled(
     config: ScaleAlignConfig,
     found: Estimate,
-    mean: Array,
-    box: tuple[Array, Array],
+    mean: FloatArray,
+    box: tuple[FloatArray, FloatArray],
     seed: int,
     *,
     frame_is_known: bool,
@@ -226,7 +227,9 @@ def _check_gates(config: ScaleAlignConfig, alignment: dict[str, Any]) -> None:
         )
 
 
-def _mapped(scene: Artifact, similarity: Similarity, q_world_scene: Array) -> tuple[dict[str, Any], float]:
+def _mapped(
+    scene: Artifact, similarity: Similarity, q_world_scene: FloatArray
+) -> tuple[dict[str, Any], float]:
     """The arrays in the new frame, and how far the rounding of means moves one."""
     exact = transform_points(similarity, scene["mean"])
     quat = multiply_quat_wxyz(q_world_scene, scene["quat_wxyz"])

@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.manifest import Similarity
-
-Array = NDArray[np.float64]
 
 COLLINEAR = 1e-3  # second over first singular value below this: no rotation
 
 
-def umeyama(source: Array, target: Array) -> Similarity:
+def umeyama(source: FloatArray, target: FloatArray) -> Similarity:
     """The similarity with the least sum of |target_i - (s R source_i + t)|^2; det R = +1.
 
     With the singular values U D V' of the cross-covariance sum y_i x_i' of centred points,
@@ -31,19 +30,19 @@ def umeyama(source: Array, target: Array) -> Similarity:
     return Similarity(scale=float(scale), rotation=rotation.tolist(), translation_m=translation.tolist())
 
 
-def from_moments(cross: Array, spread: Any) -> tuple[Array, Array]:
+def from_moments(cross: FloatArray, spread: Any) -> tuple[FloatArray, FloatArray]:
     """Scale and rotation from cross-covariances (..., 3, 3) and sums of squares (...) of the source."""
     u, d, vt = np.linalg.svd(cross)
     sign = np.where(np.linalg.det(u) * np.linalg.det(vt) < 0, -1.0, 1.0)
     d[..., 2] *= sign
     u[..., :, 2] *= sign[..., None]
-    scale: Array = d.sum(axis=-1) / spread
+    scale: FloatArray = d.sum(axis=-1) / spread
     return scale, u @ vt
 
 
-def transform_points(similarity: Similarity, points: NDArray[Any]) -> Array:
+def transform_points(similarity: Similarity, points: NDArray[Any]) -> FloatArray:
     """Scale R p + t for points of shape (n, 3), in double precision."""
-    moved: Array = np.asarray(points, np.float64) @ np.array(similarity.rotation).T
+    moved: FloatArray = np.asarray(points, np.float64) @ np.array(similarity.rotation).T
     moved = similarity.scale * moved + np.array(similarity.translation_m)
     return moved
 
@@ -66,7 +65,7 @@ def inverse(similarity: Similarity) -> Similarity:
     )
 
 
-def is_collinear(points: Array) -> bool:
+def is_collinear(points: FloatArray) -> bool:
     """Whether points of shape (n, 3) lie on a line, or nearly so."""
     singular = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(singular[1] <= COLLINEAR * singular[0])

@@ -6,9 +6,9 @@ import json
 
 import numpy as np
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
-from alula.stages.alignment.similarity import Array
 
 _ORTHONORMAL = 1e-4
 
@@ -41,7 +41,7 @@ def parse_transform(text: str, name: str) -> Similarity:
     return checked_similarity(linear, translation, name)
 
 
-def checked_similarity(linear: Array, translation: Array, name: str) -> Similarity:
+def checked_similarity(linear: FloatArray, translation: FloatArray, name: str) -> Similarity:
     """The similarity of a 3x3 matrix, a rotation times a scale up to rounding, and a translation.
 
     Raises:

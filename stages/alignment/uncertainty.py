@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.manifest import Similarity
-from alula.stages.alignment.similarity import Array, transform_points
+from alula.stages.alignment.similarity import transform_points
 
 CONFIDENCE = 0.95
 _WIDEST = 2 / 3  # of the threshold: a larger sigma cannot be told from residuals below it
@@ -30,8 +31,8 @@ class Uncertainty:
         freedom: degrees of freedom its size was estimated with.
     """
 
-    centre: Array
-    covariance: Array
+    centre: FloatArray
+    covariance: FloatArray
     freedom: float
 
     def student(self) -> float:
@@ -40,7 +41,7 @@ class Uncertainty:
 
         return float(student.ppf((1 + CONFIDENCE) / 2, self.freedom))
 
-    def at(self, points: Array) -> Array:
+    def at(self, points: FloatArray) -> FloatArray:
         """Covariances of the positions of mapped points (n, 3), shape (n, 3, 3)."""
         d = points - self.centre
         zero = np.zeros(len(d))
@@ -51,10 +52,10 @@ class Uncertainty:
         ]
         identity = np.broadcast_to(np.eye(3), (len(d), 3, 3))
         jacobian = np.concatenate([identity, np.stack(rows, axis=1)], axis=2)
-        covariance: Array = jacobian @ self.covariance @ jacobian.swapaxes(1, 2)
+        covariance: FloatArray = jacobian @ self.covariance @ jacobian.swapaxes(1, 2)
         return covariance
 
-    def position_error(self, corners: Array) -> float:
+    def position_error(self, corners: FloatArray) -> float:
         """How far any point of a box may be off, with 95 % confidence for all of the box at once.
 
         The largest eigenvalue of a point's covariance is convex in the point, so a corner has the
@@ -98,7 +99,7 @@ class Uncertainty:
 
 
 def of_points(
-    mapped: Array,
+    mapped: FloatArray,
     sigma: float,
     freedom: float,
     rotation_information: float = 0.0,
@@ -186,7 +187,7 @@ def untruncated(sigma: float, freedom: float, threshold: float) -> Spread:
     )
 
 
-def shape_warnings(singular_values: Array) -> list[str]:
+def shape_warnings(singular_values: FloatArray) -> list[str]:
     """What is weak about the arrangement of points with these singular values."""
     first, second, third = singular_values
     ratio = "singular values " + ", ".join(f"{value:.3g}" for value in singular_values)
@@ -197,7 +198,7 @@ def shape_warnings(singular_values: Array) -> list[str]:
     return []
 
 
-def alike_warnings(where: Array, error: Array) -> list[str]:
+def alike_warnings(where: FloatArray, error: FloatArray) -> list[str]:
     """Whether errors are alike where points are near each other, as those of a drift are.
 
     Of independent errors e the mean of e_i . e_j over nearest neighbours j of i, relative to that of
@@ -222,7 +223,7 @@ def alike_warnings(where: Array, error: Array) -> list[str]:
     ]
 
 
-def mapped_corners(similarity: Similarity, lower: Array, upper: Array) -> Array:
+def mapped_corners(similarity: Similarity, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Where the corners of a box land, shape (8, 3)."""
     from itertools import product
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +13,7 @@ from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import SPLAT_LOSS, SceneManifest
-
-Progress = Callable[[int, int], None]
+from alula.schemas.progress import Progress
 
 
 @dataclass(frozen=True, slots=True)

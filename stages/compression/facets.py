@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import IntArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError
 from alula.stages.compression.hulls import is_outer, outer_solids
-
-Ints = NDArray[np.int64]
 
 _CHUNK = 2**20  # pairs looked at together
 
@@ -31,9 +30,9 @@ class Mesh:
     """
 
     points_voxel: NDArray[np.float64]
-    point_start: Ints
-    triangles: Ints
-    triangle_start: Ints
+    point_start: IntArray
+    triangles: IntArray
+    triangle_start: IntArray
     exact: NDArray[np.bool_]
 
     def __len__(self) -> int:
@@ -67,7 +66,7 @@ def mesh(cover: Artifact) -> Mesh:
     return Mesh(np.asarray(cover["vertex"], np.float64), vertex_start, found, start, exact)
 
 
-def triangles(cover: Artifact) -> tuple[Ints, Ints]:
+def triangles(cover: Artifact) -> tuple[IntArray, IntArray]:
     """Triangulate each hull of an `alula/cover` over its own vertices.
 
     The corners of a facet are the vertices v with normal . v = offset. Seen along the axis of the
@@ -98,11 +97,11 @@ def triangles(cover: Artifact) -> tuple[Ints, Ints]:
     return fans, _starts(np.bincount(hull, minlength=n))
 
 
-def _starts(counts: NDArray[np.int64]) -> Ints:
+def _starts(counts: NDArray[np.int64]) -> IntArray:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def _groups(counts: Ints) -> Iterator[slice]:
+def _groups(counts: IntArray) -> Iterator[slice]:
     """Consecutive slices of rows whose counts add up to about `_CHUNK`."""
     total = np.cumsum(counts)
     begin = 0
@@ -113,15 +112,19 @@ def _groups(counts: Ints) -> Iterator[slice]:
         begin = end
 
 
-def _expand(counts: Ints) -> tuple[Ints, Ints]:
+def _expand(counts: IntArray) -> tuple[IntArray, IntArray]:
     """For each row, `counts` copies of its number, and 0, 1, ... beside them."""
     row = np.repeat(np.arange(len(counts)), counts)
     return row, np.arange(len(row)) - np.repeat(_starts(counts)[:-1], counts)
 
 
 def _incidences(
-    vertex: Ints, vertex_start: Ints, normal: Ints, offset: NDArray[np.int64], hull_of_plane: Ints
-) -> tuple[Ints, Ints]:
+    vertex: IntArray,
+    vertex_start: IntArray,
+    normal: IntArray,
+    offset: NDArray[np.int64],
+    hull_of_plane: IntArray,
+) -> tuple[IntArray, IntArray]:
     """All pairs of a plane and a vertex of its hull on it, sorted.
 
     Offsets and products may wrap around 2^64; their difference, the slack, is small and so exact.
@@ -141,7 +144,7 @@ def _incidences(
     return np.concatenate(planes), np.concatenate(corners)
 
 
-def _fans(vertex: Ints, normal: Ints, plane: Ints, corner: Ints) -> tuple[Ints, Ints]:
+def _fans(vertex: IntArray, normal: IntArray, plane: IntArray, corner: IntArray) -> tuple[IntArray, IntArray]:
     """Each facet as a fan of triangles around its least corner, and the plane of each triangle."""
     if len(plane) == 0:
         return np.empty((0, 3), np.int64), np.empty(0, np.int64)
@@ -173,7 +176,7 @@ def _fans(vertex: Ints, normal: Ints, plane: Ints, corner: Ints) -> tuple[Ints, 
     return fans, facet_plane[row]
 
 
-def _closed(fans: Ints, hull: Ints, n: int, vertices: int) -> NDArray[np.bool_]:
+def _closed(fans: IntArray, hull: IntArray, n: int, vertices: int) -> NDArray[np.bool_]:
     """Whether the triangles of each hull meet edge to edge, each edge once in each direction."""
     ahead, back = (fans, np.roll(fans, -1, axis=1))
     forward = np.sort((ahead * vertices + back).reshape(-1))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import InputError
+from alula.schemas.progress import Progress
 
-Floats = NDArray[np.float64]
 _SLIVER = 1e-9  # of a voxel's volume; roundings of planes stay far below
 
 
@@ -51,7 +52,7 @@ def measure_cover(
     index: NDArray[np.integer[Any]] | None = None,
     *,
     jobs: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Measure:
     """Measure the polytopes of an `alula/cover`, as their planes bound them, against voxels.
 
@@ -71,12 +72,12 @@ def measure_cover(
 
 
 def measure_points(
-    parts: Sequence[Floats],
+    parts: Sequence[FloatArray],
     index: NDArray[np.integer[Any]],
     *,
     sliver: float = _SLIVER,
     jobs: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Measure:
     """Measure the union of convex hulls of points, as other tools give them, against voxels.
 
@@ -101,7 +102,7 @@ def measure_points(
     return _measure(all_planes[:, :3], -all_planes[:, 3], start, lower, upper, index, sliver, jobs, progress)
 
 
-def half_spaces(points: Floats) -> Floats:
+def half_spaces(points: FloatArray) -> FloatArray:
     """The facets of the convex hull of points, (k, 3): rows (normal, -offset), (F, 4); none when it is flat.
 
     Raises:
@@ -117,7 +118,7 @@ def half_spaces(points: Floats) -> Floats:
         return np.empty((0, 4))
 
 
-def _boxes(normal: Floats, offset: Floats, start: NDArray[np.int64]) -> tuple[Floats, Floats]:
+def _boxes(normal: FloatArray, offset: FloatArray, start: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
     """Bounding boxes from the planes that have them as facets."""
     hull = np.repeat(np.arange(len(start) - 1), np.diff(start))
     sides = np.full((2, len(start) - 1, 3), np.nan)
@@ -131,15 +132,15 @@ def _boxes(normal: Floats, offset: Floats, start: NDArray[np.int64]) -> tuple[Fl
 
 
 def _measure(
-    normal: Floats,
-    offset: Floats,
+    normal: FloatArray,
+    offset: FloatArray,
     start: NDArray[np.int64],
-    lower: Floats,
-    upper: Floats,
+    lower: FloatArray,
+    upper: FloatArray,
     index: NDArray[np.integer[Any]],
     sliver: float,
     jobs: int,
-    progress: Callable[[int, int], None] | None,
+    progress: Progress | None,
 ) -> Measure:
     voxels = np.unique(np.asarray(index, np.int32).reshape(-1, 3), axis=0)
     if len(voxels) == 0:

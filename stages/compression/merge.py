@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from alula.schemas.configs.merge import MergeConfig
 from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.kinds import COVER
 from alula.schemas.manifest import OUTER_POLYTOPES, CoverManifest, Guarantee, VoxelsManifest
+from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.stages.compression.limits import MERGE_VOXELS, require_at_most
 from alula.stages.progress import WHOLE, share
@@ -31,7 +31,7 @@ def merge(
     source: Artifact,
     *,
     jobs: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
     journal: _core.MergeJournal | None = None,
 ) -> Artifact:
     r"""Cover voxels by merging convex hulls of local clusters.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.progress import Progress
 from alula.stages.distribute import distribute
 from alula.stages.progress import WHOLE, share
 
 Box = tuple[float, float, float, float, float, float]
 Floats = NDArray[np.float32]
-Progress = Callable[[int, int], None]
 
 LONGEST_EDGE = 2**20  # of a tile, in voxels
 CHUNK = 1 << 16  # ellipsoids of the tiles that are sent together: 2.6 MB

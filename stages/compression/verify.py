@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -13,6 +13,7 @@ from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError
 from alula.schemas.manifest import CoverManifest, LevelManifest, SceneManifest, VoxelsManifest
+from alula.schemas.progress import Progress
 from alula.stages.compression.ellipsoids import lost_before, retained, unproven_voxels
 from alula.stages.compression.hulls import is_outer
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
@@ -20,7 +21,6 @@ from alula.stages.progress import share
 
 SCHEMA, VERSION = "alula/certificate", "1.0"
 LISTED = 100  # offenders of one check
-Progress = Callable[[int, int], None] | None
 
 # What each fault of native/core/include/alula/cover/cover_check.hpp is about.
 _POLYTOPES = (0, 1, 2, 3, 4, 5, 6, 9, 12, 13, 14)
@@ -103,7 +103,7 @@ def verify(
     scene: Artifact | None = None,
     sha256: Mapping[str, str] | None = None,
     jobs: int = 0,
-    progress: Progress = None,
+    progress: Progress | None = None,
 ) -> Certificate:
     """Check a cover from its arrays alone, against voxels and scene; `covered` when every check holds.
 
@@ -198,7 +198,7 @@ def _unclaimed(manifest: CoverManifest | VoxelsManifest, what: str) -> list[Offe
     ]
 
 
-def _check_hulls(cover: Artifact, jobs: int, progress: Progress) -> NDArray[np.int64]:
+def _check_hulls(cover: Artifact, jobs: int, progress: Progress | None) -> NDArray[np.int64]:
     """Rows (fault, hull, row, other) of the native checker."""
     vertex, vertex_start, normal, offset, plane_start, member, member_start = (
         np.ascontiguousarray(cover[name]) for name in _GEOMETRY
@@ -211,7 +211,7 @@ def _check_hulls(cover: Artifact, jobs: int, progress: Progress) -> NDArray[np.i
     )
 
 
-def _hull_checks(cover: Artifact, jobs: int, progress: Progress) -> list[Check]:
+def _hull_checks(cover: Artifact, jobs: int, progress: Progress | None) -> list[Check]:
     found = _check_hulls(cover, jobs, progress)
     hulls, members = len(cover["plane_start"]) - 1, len(cover["member_index"])
     detail = "planes support the vertices" if is_outer(cover) else "planes are the facets of vertices"
@@ -267,7 +267,7 @@ def _history_check(cover: Artifact) -> Check:
     return _check("history is consistent", merges, offences[:LISTED], len(offences), detail)
 
 
-def _volume_check(cover: Artifact, jobs: int, progress: Progress) -> Check:
+def _volume_check(cover: Artifact, jobs: int, progress: Progress | None) -> Check:
     """The recorded conservativeness is that of the polytopes."""
     voxels = np.unique(np.asarray(cover["member_index"], np.int32), axis=0)
     vertex, vertex_start, normal, offset, plane_start = (
@@ -283,7 +283,7 @@ def _volume_check(cover: Artifact, jobs: int, progress: Progress) -> Check:
 
 
 def _scene_check(
-    manifest: LevelManifest, scene: Artifact, index: NDArray[np.int32], jobs: int, progress: Progress
+    manifest: LevelManifest, scene: Artifact, index: NDArray[np.int32], jobs: int, progress: Progress | None
 ) -> Check:
     missing = unproven_voxels(
         scene,

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
+from alula.schemas.arrays import IntArray
 
 
-def voxel_mesh(index: NDArray[np.integer[Any]]) -> tuple[Ints, Ints]:
+def voxel_mesh(index: NDArray[np.integer[Any]]) -> tuple[IntArray, IntArray]:
     """The faces between occupied and free voxels, two triangles each.
 
     Every edge is used as often in one direction as in the other, so the mesh bounds the voxels; where
@@ -29,7 +29,7 @@ def voxel_mesh(index: NDArray[np.integer[Any]]) -> tuple[Ints, Ints]:
     lower = cubes.min(axis=0) - 1
     size = cubes.max(axis=0) + 3 - lower
 
-    def key(points: Ints) -> Ints:
+    def key(points: IntArray) -> IntArray:
         return np.asarray(np.ravel_multi_index(tuple((points - lower).T), tuple(size)), np.int64)
 
     occupied = key(cubes)

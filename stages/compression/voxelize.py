@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,11 +13,11 @@ from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
 from alula.schemas.kinds import VOXELS
 from alula.schemas.manifest import SPLAT_LOSS, Guarantee, SceneManifest
+from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.stages.compression.ellipsoids import lost_before, retained, rows_of
 from alula.stages.compression.tiles import LONGEST_EDGE, Ellipsoids, Marked, mark, mark_tiles
 
-Progress = Callable[[int, int], None]
 DEFAULT_TILE = 128  # voxels, where a scheduler is given but no tile
 
 

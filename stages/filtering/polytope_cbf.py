@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import UsageError
-from alula.stages.filtering.protocol import FilterResult, FilterStatus, FloatArray, World
+from alula.stages.filtering.protocol import FilterResult, FilterStatus, World
 
 
 class NativeFilter:

@@ -7,12 +7,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from alula.schemas.arrays import FloatArray
 from alula.stages.compression.hulls import Hulls
-
-FloatArray = NDArray[np.float64]
 
 
 class FilterStatus(IntEnum):

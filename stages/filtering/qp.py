@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import UsageError
 
-FloatArray = NDArray[np.float64]
 QpSolverName = Literal["active-set", "clarabel"]
 
 

@@ -9,7 +9,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from alula import _core
-from alula.stages.filtering.protocol import FilterStatus, FloatArray
+from alula.schemas.arrays import FloatArray
+from alula.stages.filtering.protocol import FilterStatus
 
 InputKind = Literal["acceleration", "wrench"]
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import Outcome, TrialResult
 from alula.stages.clearance import (
@@ -21,8 +21,6 @@ from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.loop.options import Counters
 from alula.stages.flight.loop.supervisor import Event, State, Supervision, Taken
 from alula.stages.flight.mission import Mission
-
-FloatArray = NDArray[np.float64]
 
 
 def outcome_of_cause(cause: Event | None) -> Outcome:

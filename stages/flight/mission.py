@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.errors import InputError, LinkError, UsageError
@@ -35,7 +35,6 @@ from alula.stages.planning.curve_certificate import certify
 from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 
-FloatArray = NDArray[np.float64]
 Obstacles = list[tuple[str, _core.PolytopeSet | _core.EllipsoidSet]]
 
 _ROOM_M = 2.0  # of the default fence around the plan

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from alula._core import PolytopeSet, check_curves
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import InputError
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.trajectory import DEGREE, control_points
-
-FloatArray = NDArray[np.float64]
 
 METHOD = "separating planes of Bernstein control hulls, by subdivision"
 _DEPTH = 14  # of the subdivision of a piece

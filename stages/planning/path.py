@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alula._core import MAX_LATTICE_POINTS, PolytopeSet, SearchStatus, find_path, tighten_path
+from alula.schemas.arrays import FloatArray
 from alula.schemas.configs.plan import PlanConfig, Point
 from alula.schemas.errors import InfeasibleError, UsageError
+from alula.schemas.progress import Progress
 from alula.stages.clearance import path_clearance, segment_clearance
-
-FloatArray = NDArray[np.float64]
-Progress = Callable[[int, int], None]
 
 _MARGIN_M = 1e-9  # paths keep this much more than the radius, so that the proof of a line is never marginal
 _DEFAULT_LATTICE = 4_000_000  # points of the lattice when its spacing is not given

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from alula._core import PolytopeSet
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.plan import PlanConfig
 from alula.schemas.errors import InfeasibleError
 from alula.schemas.kinds import PLAN
 from alula.schemas.manifest import Guarantee
+from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.compression.hulls import Hulls
@@ -31,14 +32,10 @@ from alula.stages.planning.trajectory import (
     subdivided,
 )
 
-FloatArray = NDArray[np.float64]
-
 _SPLITS = 4  # how often a piece that fails its proof is halved before it becomes a straight line
 
 
-def plan(
-    config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Callable[[int, int], None] | None = None
-) -> Artifact:
+def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progress | None = None) -> Artifact:
     """Plan a smooth flight that provably keeps a distance from every hull of a cover.
 
     A lattice search joins the points by straight lines that keep `radius_m` exactly; a

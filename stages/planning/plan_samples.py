@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.stages.planning.trajectory import evaluate
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

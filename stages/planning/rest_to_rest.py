@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.stages.planning.trajectory import DEGREE, allocate_times, septic_spline
-
-FloatArray = NDArray[np.float64]
 
 PEAK_SPEED = 2.1875  # of a rest-to-rest septic, in units of its length over its duration
 

@@ -10,11 +10,10 @@ from functools import cache
 from math import comb, factorial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 DEGREE = 7
 _SUBDIVISIONS = 32  # the bound on a peak is then within about 0.1 % of the peak

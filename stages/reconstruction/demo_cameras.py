@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from alula.schemas.arrays import FloatArray
 from alula.stages.reconstruction.demo_scene import Q_SCENE_WORLD_WXYZ, scene_from_world
 from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.room import SIZE
-from alula.stages.reconstruction.surfaces import Array
 from alula.stages.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
 _WIDTH, _HEIGHT, _FOCAL = 1280, 720, 720.0
@@ -33,9 +33,9 @@ class DemoCameras:
     """
 
     names: tuple[str, ...]
-    centre_scene: Array
-    quat_camera_scene_wxyz: Array
-    reference_world: Array
+    centre_scene: FloatArray
+    quat_camera_scene_wxyz: FloatArray
+    reference_world: FloatArray
 
 
 def demo_cameras(count: int, seed: int) -> DemoCameras:
@@ -66,7 +66,7 @@ def demo_cameras(count: int, seed: int) -> DemoCameras:
     )
 
 
-def positions_csv(names: Sequence[str], positions: Array) -> str:
+def positions_csv(names: Sequence[str], positions: FloatArray) -> str:
     """Rows `image,x,y,z`, to a hundredth of a micrometre."""
     rows = [f"{name},{x:.8f},{y:.8f},{z:.8f}" for name, (x, y, z) in zip(names, positions, strict=True)]
     return "\n".join(["image,x,y,z", *rows]) + "\n"

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.configs.demo_scene import DemoSceneConfig
 from alula.schemas.manifest import Similarity
 from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.room import HOOPS, SIZE, room
-from alula.stages.reconstruction.surfaces import Array, Surface
+from alula.stages.reconstruction.surfaces import Surface
 from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz, quat_wxyz_from_matrix
 
 SCENE_SCALE = 0.37  # scene units per metre
@@ -26,9 +27,11 @@ _NEEDLE_SHARE = 0.01
 _FAINT_SHARE = 0.04
 
 
-def scene_from_world(points_world: Array) -> Array:
+def scene_from_world(points_world: FloatArray) -> FloatArray:
     """p_scene = 0.37 R p_world + t: the arbitrary frame that the built-in scene is written in."""
-    points_scene: Array = SCENE_SCALE * points_world @ matrix_from_quat_wxyz(Q_SCENE_WORLD_WXYZ).T + T_SCENE
+    points_scene: FloatArray = (
+        SCENE_SCALE * points_world @ matrix_from_quat_wxyz(Q_SCENE_WORLD_WXYZ).T + T_SCENE
+    )
     return points_scene
 
 
@@ -79,7 +82,7 @@ def demo_scene(config: DemoSceneConfig, seed: int) -> Splats:
     )
 
 
-def _shares(weights: Array, total: int) -> NDArray[np.int64]:
+def _shares(weights: FloatArray, total: int) -> NDArray[np.int64]:
     """Whole numbers in proportion to the weights that sum up to the total."""
     ends = np.rint(np.cumsum(weights) / weights.sum() * total).astype(np.int64)
     shares: NDArray[np.int64] = np.diff(ends, prepend=0)
@@ -123,7 +126,7 @@ def _cover(surface: Surface, count: int, growth: float, rng: np.random.Generator
     }
 
 
-def _floaters(count: int, surface_points: Array, rng: np.random.Generator) -> dict[str, Any]:
+def _floaters(count: int, surface_points: FloatArray, rng: np.random.Generator) -> dict[str, Any]:
     """Haze everywhere and small solid blobs in free space."""
     places = _free_places(min(_BLOBS, -(-count // (3 * _BLOB))), surface_points, rng)
     n_blob = min(count // 3, _BLOB * len(places))
@@ -140,14 +143,14 @@ def _floaters(count: int, surface_points: Array, rng: np.random.Generator) -> di
     }
 
 
-def _free_places(count: int, surface_points: Array, rng: np.random.Generator) -> Array:
+def _free_places(count: int, surface_points: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Up to so many points, 0.5 m from every surface, 1 m from every hoop's centre, 0.6 m apart."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(surface_points[:: max(1, len(surface_points) // 50_000)])
     hoops = cKDTree(np.array([hoop.centre for hoop in HOOPS]))
     tried = rng.uniform(0.0, 1.0, (20_000, 3)) * np.array(SIZE)
-    found: list[Array] = []
+    found: list[FloatArray] = []
     for place in tried[(tree.query(tried)[0] > 0.5) & (hoops.query(tried)[0] > 1.0)]:
         if len(found) < count and all(np.linalg.norm(place - other) > 0.6 for other in found):
             found.append(place)

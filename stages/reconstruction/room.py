@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from alula.schemas.arrays import FloatArray
 from alula.stages.reconstruction.surfaces import (
-    Array,
     Color,
     Surface,
     Vector,
@@ -56,7 +56,7 @@ HOOPS = (
 )
 
 
-def hoop_centres() -> Array:
+def hoop_centres() -> FloatArray:
     """Centres of the hoops in the order of a lap, shape (4, 3), world frame [m]."""
     return np.array([hoop.centre for hoop in HOOPS])
 
@@ -95,7 +95,7 @@ def _shell() -> list[Surface]:
     ]
 
 
-def _legs(x: Array, y: Array, width: float, height: float, color: Color) -> list[Surface]:
+def _legs(x: FloatArray, y: FloatArray, width: float, height: float, color: Color) -> list[Surface]:
     return [
         face
         for a in x

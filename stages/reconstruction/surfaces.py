@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Sampler = Callable[[Array, Array], tuple[Array, Array]]
-Paint = Callable[[Array, Array], Array]
+from alula.schemas.arrays import FloatArray
+
+Sampler = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+Paint = Callable[[FloatArray, FloatArray], FloatArray]
 Vector = tuple[float, float, float]
 Color = tuple[float, float, float]
 
@@ -43,7 +43,7 @@ def plain(color: Color) -> Paint:
 def striped(first: Color, second: Color, count: int, *, along_u: bool = True) -> Paint:
     """Stripes in two colours that alternate irregularly, like planks or the spines of books."""
 
-    def paint(u: Array, v: Array) -> Array:
+    def paint(u: FloatArray, v: FloatArray) -> FloatArray:
         stripe = np.floor((v if along_u else u) * count)
         mix = (np.sin(stripe * 12.9898) * 43758.5453 % 1.0)[:, None]
         return np.array(first) * (1 - mix) + np.array(second) * mix
@@ -54,7 +54,7 @@ def striped(first: Color, second: Color, count: int, *, along_u: bool = True) ->
 def framed(inner: Paint, outer: Color, border: float) -> Paint:
     """A border around another paint; `border` is a share of each edge."""
 
-    def paint(u: Array, v: Array) -> Array:
+    def paint(u: FloatArray, v: FloatArray) -> FloatArray:
         inside = (np.minimum(u, 1 - u) > border) & (np.minimum(v, 1 - v) > border)
         return np.where(inside[:, None], inner(u, v), np.array(outer))
 
@@ -67,7 +67,7 @@ def rectangle(corner: Vector, edge_u: Vector, edge_v: Vector, paint: Paint, **lo
     cross = np.cross(a, b)
     area = float(np.linalg.norm(cross))
 
-    def sample(u: Array, v: Array) -> tuple[Array, Array]:
+    def sample(u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         points = start + u[:, None] * a + v[:, None] * b
         return points, np.broadcast_to(cross / area, points.shape)
 
@@ -97,7 +97,7 @@ def tube(
     slope = (radius - end) / height
     slant = float(np.hypot(height, radius - end))
 
-    def sample(u: Array, v: Array) -> tuple[Array, Array]:
+    def sample(u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         angle = 2 * np.pi * u
         across = np.sqrt(radius**2 + v * (end**2 - radius**2))  # even over the area
         rise = v * height if end == radius else (radius - across) / slope
@@ -111,7 +111,7 @@ def tube(
 def disc(centre: Vector, radius: float, paint: Paint, **looks: float) -> Surface:
     """A horizontal disc that looks up."""
 
-    def sample(u: Array, v: Array) -> tuple[Array, Array]:
+    def sample(u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         angle, across = 2 * np.pi * u, radius * np.sqrt(v)
         flat = np.stack([across * np.cos(angle), across * np.sin(angle), np.zeros_like(u)], axis=1)
         return np.array(centre) + flat, np.broadcast_to(np.array([0.0, 0.0, 1.0]), flat.shape)
@@ -122,7 +122,7 @@ def disc(centre: Vector, radius: float, paint: Paint, **looks: float) -> Surface
 def sphere(centre: Vector, radius: float, paint: Paint, **looks: float) -> Surface:
     """A ball's surface."""
 
-    def sample(u: Array, v: Array) -> tuple[Array, Array]:
+    def sample(u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         z, angle = 2 * v - 1, 2 * np.pi * u
         across = np.sqrt(np.maximum(1 - z * z, 0.0))
         normals = np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
@@ -140,7 +140,7 @@ def torus(
     side = np.cross(up, forward)
     ratio = thickness / radius
 
-    def sample(u: Array, v: Array) -> tuple[Array, Array]:
+    def sample(u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         around, wanted = 2 * np.pi * u, 2 * np.pi * v
         angle = wanted.copy()
         for _ in range(6):  # Newton: angle + ratio sin(angle) = wanted makes it even over the area

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.run import TrialResult
 from alula.stages.compression.hulls import Hulls
@@ -25,8 +26,6 @@ from alula.stages.reporting.material import (
 )
 from alula.stages.reporting.tables import path_ratio, voxel_count
 
-Floats = NDArray[np.float64]
-
 _QUIET = ("", "ok", "filtered", "passed", "blended")  # what a filter does all the time
 _GAP_S = 0.2
 _PLAN_SAMPLES = 400
@@ -39,8 +38,8 @@ class Distribution:
     """Sorted values of one run; `share[i]` of them are at most `value[i]`."""
 
     label: str
-    value: Floats
-    share: Floats
+    value: FloatArray
+    share: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +48,7 @@ class Path:
 
     label: str
     outcome: str
-    position_world: Floats
+    position_world: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,20 +59,20 @@ class FlightMap:
     """
 
     label: str
-    footprints: tuple[Floats, ...]
+    footprints: tuple[FloatArray, ...]
     paths: tuple[Path, ...]
     band_m: tuple[float, float] | None
     hulls: int
-    fence: Floats | None = None  # corners of its outline, shape (n, 2); None without a fence
+    fence: FloatArray | None = None  # corners of its outline, shape (n, 2); None without a fence
 
 
 @dataclass(frozen=True, slots=True)
 class Compression:
     """Growth, the sum of all hulls' volumes over that of the voxels, and half-planes, over hulls."""
 
-    hulls: Floats
-    growth: Floats
-    planes: Floats
+    hulls: FloatArray
+    growth: FloatArray
+    planes: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,11 +87,11 @@ class WorstFlight:
     label: str
     trial: int
     clearance_m: float
-    margin_time_s: Floats
-    margin: Floats
+    margin_time_s: FloatArray
+    margin: FloatArray
     margin_unit: str
-    speed_time_s: Floats
-    speed_m_s: Floats
+    speed_time_s: FloatArray
+    speed_m_s: FloatArray
     trouble: NDArray[np.bool_]
     statuses: tuple[str, ...]
     spells: tuple[Spell, ...] = ()
@@ -119,7 +118,7 @@ def path_ratios(runs: Sequence[Run]) -> list[Distribution]:
     return [one for one in found if len(one.value)]
 
 
-def plan_positions(plan: Artifact) -> Floats:
+def plan_positions(plan: Artifact) -> FloatArray:
     """Points along a plan, evenly spaced in time over each piece, shape (n, 3) [m]."""
     time, coefficient = np.asarray(plan["time"]), np.asarray(plan["coefficient"])
     pieces = len(coefficient)
@@ -128,11 +127,11 @@ def plan_positions(plan: Artifact) -> Floats:
     each = max(2, _PLAN_SAMPLES // pieces)
     local = np.linspace(0, 1, each)[None, :] * np.diff(time)[:, None]
     powers = local[:, :, None] ** np.arange(coefficient.shape[2])
-    points: Floats = np.einsum("kaj,ksj->ksa", coefficient[:, :3], powers).reshape(-1, 3)
+    points: FloatArray = np.einsum("kaj,ksj->ksa", coefficient[:, :3], powers).reshape(-1, 3)
     return points
 
 
-def thin(points: Floats, most: int = _DRAWN_POINTS) -> Floats:
+def thin(points: FloatArray, most: int = _DRAWN_POINTS) -> FloatArray:
     """At most `most` of the points, evenly spaced, the first and the last among them."""
     if len(points) <= most:
         return points
@@ -175,7 +174,7 @@ def _flight_map(cover: Artifact | None, label: str, paths: list[Path]) -> Flight
         return FlightMap(label, (), tuple(paths), band, 0)
     hulls = Hulls.from_cover(cover)
     vertex, start = hulls.vertices_world, hulls.vertex_start
-    shown: list[Floats] = []
+    shown: list[FloatArray] = []
     for hull in range(len(start) - 1):
         own = vertex[start[hull] : start[hull + 1]]
         low, high = own[:, 2].min(), own[:, 2].max()
@@ -184,7 +183,7 @@ def _flight_map(cover: Artifact | None, label: str, paths: list[Path]) -> Flight
     return FlightMap(label, tuple(shown), tuple(paths), band, len(start) - 1)
 
 
-def footprint(points: Floats) -> Floats:
+def footprint(points: FloatArray) -> FloatArray:
     """Convex hull of points in the plane, counter-clockwise from the least; exact for small integers.
 
     Source: Andrew 1979, monotone chain.
@@ -223,7 +222,7 @@ def compression(cover: Artifact | None) -> Compression | None:
     return Compression(hulls, 1 + excess / max(voxel_count(cover), 1), planes)
 
 
-def broken(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+def broken(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """A curve with a NaN wherever nothing was said for much longer than usual: no line bridges a gap."""
     step = np.diff(time_s)
     if len(step) == 0:

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.run import FenceResult, TrialResult
 from alula.stages.reporting.material import Run
 from alula.stages.runlog.fence_shell import fence_shell
 from alula.stages.simulation.geofence.world import fence_faces
-
-Floats = NDArray[np.float64]
 
 FENCE_NOTE = (
     "Distances are of the vehicle's sphere to the nearest face or hull, judged by the true path and not "
@@ -81,7 +80,7 @@ def fence_columns() -> dict[str, Callable[[TrialResult], Any]]:
 class FenceShape:
     """The fence as far as it is shown: corners (V, 3) and triangles (T, 3)."""
 
-    corners_world: Floats
+    corners_world: FloatArray
     triangles: NDArray[np.int64]
 
 
@@ -104,12 +103,12 @@ class ClosestFlight:
 
     label: str
     trial: TrialResult
-    time_s: Floats
-    distance_m: Floats
-    share: Floats
+    time_s: FloatArray
+    distance_m: FloatArray
+    share: FloatArray
     status: tuple[str, ...]
-    speed_time_s: Floats
-    speed_m_s: Floats
+    speed_time_s: FloatArray
+    speed_m_s: FloatArray
 
 
 def closest_flights(runs: Sequence[Run]) -> list[ClosestFlight]:

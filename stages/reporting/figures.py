@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from alula.schemas.arrays import FloatArray
 from alula.stages.reporting import curves
 from alula.stages.reporting.course import Spell
 from alula.stages.reporting.fenced import is_fenced
@@ -108,7 +109,7 @@ def drawing(
         yield axes, render
 
 
-def window(lines: Sequence[curves.Floats]) -> tuple[curves.Floats, curves.Floats]:
+def window(lines: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Corners of what is shown around points in the plane; nearer than where `fence_shell` cuts open ones."""
     low = np.min([line.min(axis=0) for line in lines], axis=0)
     high = np.max([line.max(axis=0) for line in lines], axis=0)
@@ -117,7 +118,7 @@ def window(lines: Sequence[curves.Floats]) -> tuple[curves.Floats, curves.Floats
     return low - pad, high + pad
 
 
-def outline(axes: Any, corners: curves.Floats) -> None:
+def outline(axes: Any, corners: FloatArray) -> None:
     """The outline of a fence, of the corners that are seen from a side, shape (V, 2)."""
     if len(corners):
         line = curves.footprint(corners)

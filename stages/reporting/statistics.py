@@ -19,11 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.stages.clearance import wilson_interval
 from alula.stages.reporting.tables import text
-
-FloatArray = NDArray[np.float64]
 
 _RESAMPLES = 4000
 _TAIL = 0.025  # on each side of an interval

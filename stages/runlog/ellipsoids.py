@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.runlog.writer import logged_ticks
 from alula.stages.simulation.ellipsoids.closed_loop import SplatFlown
-
-FloatArray = NDArray[np.float64]
 
 SHOWN_ELLIPSOIDS = 3000  # of the map, those nearest to the paths
 _DECIMALS = 6

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.stages.compression.hulls import Hulls
 from alula.stages.runlog.ellipsoids import xyz
 from alula.stages.runlog.writer import UPRIGHT, stamp
 from alula.stages.simulation.geofence.world import FlownWorld
-
-FloatArray = NDArray[np.float64]
 
 SHOWN_BEYOND_M = 20.0  # of a fence that is open: as far around the paths as it is drawn
 _FENCE_COLOR = {"r": 0.1, "g": 0.55, "b": 0.8, "a": 0.12}

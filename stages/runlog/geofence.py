@@ -6,15 +6,13 @@ from typing import Any, BinaryIO, Self
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.run import RunRecord, TrialResult
 from alula.stages.runlog.ellipsoids import number, xyz
 from alula.stages.runlog.fence_shell import fence_entities
 from alula.stages.runlog.writer import GAP_S, LogWriter, log_message, logged_ticks, path_message, stamp
 from alula.stages.simulation.geofence.world import FlownWorld
-
-FloatArray = NDArray[np.float64]
 
 CHANNELS = {
     "/map": "foxglove.SceneUpdate",

@@ -7,6 +7,7 @@ from typing import Generic, Protocol, TypeVar
 
 import msgspec
 
+from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
 from alula.stages.distribute import distribute
 
@@ -76,7 +77,7 @@ def fly_missing(
     *,
     jobs: int = 0,
     scheduler: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Flown]:
     """Fly the chunks that a journal has not, and add them to it; all chunks, in their order.
 

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.run import TrialResult
-
-FloatArray = NDArray[np.float64]
 
 _BLOCK = 256  # candidates drawn at a time
 _BLOCKS = 64  # then it is hopeless

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.stages.rotation import multiply_quat_wxyz
-
-FloatArray = NDArray[np.float64]
 
 _HALF = math.sqrt(0.5)
 _NED_FROM_ENU = np.array([0.0, _HALF, _HALF, 0.0])  # half a turn about (1, 1, 0); its own inverse

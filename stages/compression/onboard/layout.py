@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError, InfeasibleError, InputError
+from alula.schemas.progress import Progress
 from alula.schemas.provenance import Provenance
 from alula.stages.compression.onboard.image import (
     FANOUT,
@@ -32,8 +33,6 @@ _SMALLEST_M, _LARGEST_M = 1e-6, 1e5
 _MOST_BYTES, _MOST_HULLS = 2**32 - 1, 2**24
 LEAF_HULLS = 4
 
-Progress = Callable[[int, int], None] | None
-
 
 def encode_map(
     cover: Artifact,
@@ -42,7 +41,7 @@ def encode_map(
     cover_sha256: str = "",
     indexed: bool = False,
     jobs: int = 0,
-    progress: Progress = None,
+    progress: Progress | None = None,
 ) -> bytes:
     """The image of a cover, 64 + sum(14 + 5 k) bytes; k oblique planes take 2 k where all are of a k-DOP.
 

@@ -12,6 +12,7 @@ from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import CoverManifest, LevelManifest, VoxelsManifest
+from alula.schemas.progress import Progress
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
 from alula.stages.compression.onboard.image import MARGIN_OF_EXTENT, MapImage
 from alula.stages.compression.verify import (
@@ -20,7 +21,6 @@ from alula.stages.compression.verify import (
     Certificate,
     Check,
     Offence,
-    Progress,
     _check,
     _left_out,
     _place,
@@ -38,7 +38,7 @@ def verify_map(
     scene: Artifact | None = None,
     sha256: Mapping[str, str] | None = None,
     jobs: int = 0,
-    progress: Progress = None,
+    progress: Progress | None = None,
 ) -> Certificate:
     """Check a decoded map against the cover, the voxels and the scene behind it.
 
@@ -126,7 +126,7 @@ def _margin_holds(image: MapImage) -> Check:
     return _check("margin covers single precision", len(image), offences, len(offences), detail)
 
 
-def _voxels_held(image: MapImage, occupied: NDArray[np.int32], jobs: int, progress: Progress) -> Check:
+def _voxels_held(image: MapImage, occupied: NDArray[np.int32], jobs: int, progress: Progress | None) -> Check:
     outside = _core.check_map_voxels(*_arrays(image), occupied, jobs, progress)
     first = [
         Offence(fault="voxel is in no hull", place_m=_place(occupied[row] + 0.5, image.voxel_size_m))

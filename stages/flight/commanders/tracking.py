@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.filtering.splat_protocol import FlightState, Nominal, SplatFilter, is_input
 from alula.stages.flight.links.protocol import (
@@ -18,8 +18,6 @@ from alula.stages.flight.links.protocol import (
     Setpoint,
     VehicleState,
 )
-
-FloatArray = NDArray[np.float64]
 
 _TURN_RAD_S = 0.7  # from the heading that it has to the plan's
 

@@ -46,13 +46,11 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.stages.filtering.protocol import Filter, FilterResult, FilterStatus
 from alula.stages.flight.commanders.tracking import Decision
 from alula.stages.flight.links.protocol import Setpoint, VehicleState, VelocitySetpoint
-
-FloatArray = NDArray[np.float64]
 
 _FASTER = 1.01  # of the speed limit, for filters in single precision
 _POINTS = 12  # of the chord, at most, beside p

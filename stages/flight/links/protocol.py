@@ -6,10 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]
+from alula.schemas.arrays import FloatArray
 
 HIGHEST_M = 100.0  # of a take-off
 UNANSWERED, UNDONE = "no answer", "not done"  # how reasons begin of orders that nobody declined

@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.vehicle import Vehicle
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
@@ -17,8 +17,6 @@ from alula.stages.flight.links.protocol import (
     VelocitySetpoint,
 )
 from alula.stages.vehicles.bodies import plant, quadrotor, tracking_gains
-
-FloatArray = NDArray[np.float64]
 
 STEP_S = 0.0025
 _VELOCITY_GAIN_PER_S = 4.0  # of a velocity set-point, to an acceleration

@@ -5,9 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from alula.schemas.arrays import FloatArray
 from alula.stages.flight.links.protocol import Link
 from alula.stages.flight.loop.frame_check import HandCheck
 from alula.stages.flight.loop.preflight import Needs, Observed, Verdict, verdicts
@@ -20,7 +18,6 @@ PLACED = frozenset(
 )  # said of a place, which comes with the estimator
 CARRIED = PLACED | {"on the ground"}
 
-FloatArray = NDArray[np.float64]
 Say = Callable[[int, str], None]
 
 

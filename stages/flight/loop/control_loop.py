@@ -10,8 +10,8 @@ from contextlib import suppress
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.commanders.tracking import Commander, PlanClock, heading_of
@@ -36,8 +36,6 @@ from alula.stages.flight.loop.supervisor import (
 )
 from alula.stages.flight.recorder.samples import ERROR, INFO, WARNING, FilterSample, Recorder, level_of
 from alula.stages.flight.recorder.sampling import filter_sample, tick_sample
-
-FloatArray = NDArray[np.float64]
 
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
 _LAST_WORDS_S = 1.0  # for an order to land when the loop itself fails

@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alula._core import Fence, Geofence, RacerModel
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import Vehicle
 from alula.stages.flight.links.protocol import (
@@ -18,8 +18,6 @@ from alula.stages.flight.links.protocol import (
     VehicleState,
     VelocitySetpoint,
 )
-
-FloatArray = NDArray[np.float64]
 
 # Of a fence around a room rather than an airfield: it pushes off walls from nearby only, and lets a command
 # through that is farther than a few decimetres from mattering.

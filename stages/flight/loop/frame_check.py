@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.rotation import matrix_from_quat_wxyz
-
-FloatArray = NDArray[np.float64]
 
 _GRAVITY = 9.81
 _AXES = (("+x", (1.0, 0.0, 0.0)), ("+y", (0.0, 1.0, 0.0)), ("+z", (0.0, 0.0, 1.0)))

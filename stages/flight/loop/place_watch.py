@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from alula.schemas.arrays import FloatArray
 from alula.stages.flight.links.protocol import VehicleState
-
-FloatArray = NDArray[np.float64]
 
 _BRAKE_M_S2, _NOTICE_S = 2.0, 0.5  # what autopilots brake with at least, and how soon
 

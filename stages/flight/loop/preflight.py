@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alula._core import EllipsoidSet, Fence, PolytopeSet
+from alula.schemas.arrays import FloatArray
 from alula.stages.clearance import path_clearance
 from alula.stages.flight.links.protocol import HIGHEST_M, Setpoint, VehicleState, VehicleStatus
 from alula.stages.rotation import matrix_from_quat_wxyz
 
-FloatArray = NDArray[np.float64]
 Obstacles = PolytopeSet | EllipsoidSet
 
 _LEAST_CLIMB_M = 0.1  # to the start: without a climb there is no take-off, and set-points come on the ground

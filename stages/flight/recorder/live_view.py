@@ -14,15 +14,13 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import OutputError, UsageError
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.recorder.log import LineSample, StepSample
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.recorder.samples import FilterSample, TickSample
-
-FloatArray = NDArray[np.float64]
 
 HOST = "127.0.0.1"
 _READY_S = 30.0  # to import viser on a busy machine

@@ -14,8 +14,8 @@ from typing import Any, BinaryIO
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import OutputError
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import FLIGHT_METADATA, RunRecord, record_path
@@ -32,8 +32,6 @@ from alula.stages.flight.recorder.messages import (
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.recorder.samples import TickSample
 from alula.stages.runlog.writer import LogWriter, path_message
-
-FloatArray = NDArray[np.float64]
 
 _CHUNK_BYTES = 2**14  # some ticks: what a crash may cost
 _SYNC_S = 1.0  # what a power cut may cost

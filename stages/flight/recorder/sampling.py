@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from alula.schemas.arrays import FloatArray
 from alula.stages.flight.commanders.tracking import Decision, PlanClock
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
-    FloatArray,
     RatesSetpoint,
     Setpoint,
     VehicleState,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
+from alula.schemas.progress import Progress
 from alula.schemas.provenance import MARK
 from alula.stages.reconstruction.formats.ply import COMMENT_LIMIT, check_harmonics, check_room, tags_of
 from alula.stages.reconstruction.formats.ply_header import HEADER_LIMIT, Element, Header, parse_header
@@ -16,7 +17,6 @@ from alula.stages.reconstruction.formats.source import Source
 from alula.stages.reconstruction.formats.splats import (
     SH_C0,
     Loss,
-    Progress,
     Splats,
     color_from_sh0,
     exp,

@@ -13,6 +13,7 @@ from msgspec import Raw, Struct
 from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
+from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.gltf_accessors import (
     FLOAT,
     Column,
@@ -23,15 +24,7 @@ from alula.stages.reconstruction.formats.gltf_accessors import (
 )
 from alula.stages.reconstruction.formats.gltf_nodes import NAME, Placed, placed_primitives
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splats import (
-    Loss,
-    Progress,
-    Splats,
-    color_from_sh0,
-    exp,
-    growth,
-    rounded_up,
-)
+from alula.stages.reconstruction.formats.splats import Loss, Splats, color_from_sh0, exp, growth, rounded_up
 from alula.stages.rotation import multiply_quat_wxyz
 
 _KNOWN = (NAME, "KHR_mesh_quantization")

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
+from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splats import Loss, Progress, Splats, loss_bound
+from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound
 
 HEADER = 4096
 SECTION_HEADER = 1024

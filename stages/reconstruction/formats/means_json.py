@@ -11,16 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
+from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splats import (
-    Loss,
-    Progress,
-    Splats,
-    exp,
-    growth,
-    logistic,
-    loss_bound,
-)
+from alula.stages.reconstruction.formats.splats import Loss, Splats, exp, growth, logistic, loss_bound
 from alula.stages.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
 _KEYS = ("means", "rotations", "scalings", "opacities", "colors")

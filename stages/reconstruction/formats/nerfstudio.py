@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
+from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.checkpoint import Checkpoint, is_checkpoint
 from alula.stages.reconstruction.formats.ply import decode_ply
 from alula.stages.reconstruction.formats.source import Source
-from alula.stages.reconstruction.formats.splats import Progress, Splats, color_from_sh0, exp, logistic
+from alula.stages.reconstruction.formats.splats import Splats, color_from_sh0, exp, logistic
 from alula.stages.reconstruction.formats.torch_pickle import Tensor
 
 FRAME = "nerfstudio training frame"

@@ -11,16 +11,11 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.errors import ArtifactError
+from alula.schemas.progress import Progress
 from alula.schemas.provenance import MARK
 from alula.stages.reconstruction.formats.ply_header import HEADER_LIMIT, Element, Header, parse_header
 from alula.stages.reconstruction.formats.source import let_go
-from alula.stages.reconstruction.formats.splats import (
-    Loss,
-    Progress,
-    Splats,
-    loss_bound,
-    sh0_from_color,
-)
+from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound, sh0_from_color
 
 _CHUNK = 2**13  # rows that are written at a time
 _BLOCK = 2**24  # bytes of rows that are decoded before they are let go

@@ -10,6 +10,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 from alula.schemas.errors import ArtifactError, InputError, UsageError
+from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.compressed_ply import decode_compressed_ply, is_compressed_ply
 from alula.stages.reconstruction.formats.gltf import decode_gltf, is_gltf, members_of_gltf
 from alula.stages.reconstruction.formats.ksplat import decode_ksplat, is_ksplat
@@ -23,7 +24,7 @@ from alula.stages.reconstruction.formats.ply import decode_ply
 from alula.stages.reconstruction.formats.sog import decode_sog, is_sog, sog_members
 from alula.stages.reconstruction.formats.source import Source, find_source
 from alula.stages.reconstruction.formats.splat import decode_splat
-from alula.stages.reconstruction.formats.splats import Progress, Splats
+from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.formats.spz import decode_spz
 from alula.stages.reconstruction.formats.spz_container import is_spz
 

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.errors import ArtifactError
+from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.rotations import chart_rotation_error, smallest_three
 from alula.stages.reconstruction.formats.sog_meta import SogMeta, levels_of_detail, parse_json, parse_meta
 from alula.stages.reconstruction.formats.source import Source
 from alula.stages.reconstruction.formats.splats import (
     Loss,
-    Progress,
     Splats,
     color_from_sh0,
     exp,

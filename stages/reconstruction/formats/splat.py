@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from alula.schemas.errors import ArtifactError
+from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.rotations import whole_rotation_error
-from alula.stages.reconstruction.formats.splats import Loss, Progress, Splats, loss_bound, rounded_up
+from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound, rounded_up
 
 RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _CHUNK = 2**18

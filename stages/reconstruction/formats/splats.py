@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,8 +12,6 @@ from alula import _core
 SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)): the constant spherical harmonic
 
 LOSSES = ("position", "scale_relative", "rotation_rad")  # columns of `Loss.bound`
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)

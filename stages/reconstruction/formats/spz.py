@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula.schemas.errors import InputError
+from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.rotations import chart_rotation_error, smallest_three
 from alula.stages.reconstruction.formats.splats import (
     Loss,
-    Progress,
     Splats,
     color_from_sh0,
     exp,

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.run import TrialResult
 from alula.stages.reporting.papers.dracbf import (
     BASE,
@@ -26,8 +26,6 @@ from alula.stages.reporting.papers.published import DRACBF
 from alula.stages.reporting.shares import HIGH, LOW
 from alula.stages.reporting.statistics import Rate, mean_of, rate
 from alula.stages.reporting.tables import Table, flat
-
-FloatArray = NDArray[np.float64]
 
 _STEP = 5e-4  # of a stop, in horizons: the undershoot is off by less than 1 %
 _SPAN = 12.0  # horizons after which a stop is over

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.run import TrialResult
 from alula.stages.clearance import wilson_interval
 from alula.stages.reporting.papers.published import FASTBRIDGE
@@ -24,8 +24,6 @@ from alula.stages.reporting.papers.sweeps import (
 )
 from alula.stages.reporting.statistics import Estimate, mean_estimate
 from alula.stages.reporting.tables import Table
-
-FloatArray = NDArray[np.float64]
 
 GAP_VARIANTS = ("ideal-di", "cone-di", "cone-ecbf")
 BASELINE, OURS = "safer-splat", "cone-ecbf"

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alula import _core
-
-FloatArray = NDArray[np.float64]
+from alula.schemas.arrays import FloatArray
 
 REGULATION, PROGRAM = "regulation", "backup-qp"
 GAIN = {REGULATION: "beta", PROGRAM: "alpha"}  # the option that makes a rule approach faster

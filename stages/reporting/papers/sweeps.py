@@ -6,15 +6,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.schemas.run import TrialResult
 from alula.stages.reporting.material import Run
 from alula.stages.reporting.statistics import Estimate, difference_estimate, ratio_estimate
 from alula.stages.reporting.tables import flat, text
-
-FloatArray = NDArray[np.float64]
 
 _ROUNDING_M_S2 = 1e-9  # of an acceleration; what flies is off by 1e-15
 

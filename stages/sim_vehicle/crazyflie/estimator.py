@@ -6,12 +6,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.stages.flight.links.simulated_body import Body
 from alula.stages.rotation import multiply_quat_wxyz
-
-FloatArray = NDArray[np.float64]
 
 _UNKNOWN_M2, _KNOWN_M2 = 100.0, 1e-4  # variances
 _SHARE = 0.2  # of what a pose says otherwise is taken over

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from alula.schemas.arrays import FloatArray
 
 _STOP, _GO_TO, _TAKE_OFF, _LAND, _GO_TO_2 = 3, 4, 7, 8, 12
 _BUSY, _UNKNOWN = 1, 8

@@ -7,12 +7,10 @@ import struct
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.stages.flight.links.crazyflie.numbers import expand_quat_wxyz
 from alula.stages.sim_vehicle.crazyflie.planner import Goal
-
-FloatArray = NDArray[np.float64]
 
 PID, MELLINGER, LEE, OUT_OF_TREE = 1, 2, 5, 6
 

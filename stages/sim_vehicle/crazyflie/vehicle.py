@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import Vehicle
@@ -36,8 +35,6 @@ from alula.stages.sim_vehicle.crazyflie.setpoints import (
 )
 from alula.stages.sim_vehicle.crazyflie.supervisor import Stage, Supervisor
 from alula.stages.sim_vehicle.crazyflie.tables import LogTable, ParameterTable
-
-FloatArray = NDArray[np.float64]
 
 PROTOCOL = 12
 BASE_PORT = 19850  # of UDP, where clients look

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
+from alula.schemas.progress import Progress
 from alula.schemas.run import Outcome
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.filtering.splat_filters import NativeSplatFilter
 from alula.stages.filtering.splat_protocol import FlightState, Nominal, SplatFilter, is_input
-
-FloatArray = NDArray[np.float64]
 
 _OUTCOMES: tuple[Outcome, ...] = ("reached", "stuck", "timeout", "refused")  # by number, from 1
 
@@ -81,7 +81,7 @@ def fly(
     seed: int = 0,
     first_trial: int = 0,
     jobs: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[SplatFlown]:
     """Fly every reference in closed loop; see native/core/include/alula/flight/splat_flight.hpp.
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.run import TrialResult
 from alula.stages.clearance import (
@@ -20,8 +21,6 @@ from alula.stages.clearance import (
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.simulation.ellipsoids.closed_loop import SplatFlown
-
-FloatArray = NDArray[np.float64]
 
 
 class SplatJudge:

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.simulate import SimulateConfig
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.ellipsoids.judge import SplatJudge
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
-
-FloatArray = NDArray[np.float64]
 
 
 def references_of(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.configs.simulate import DEFAULT_SPEED_M_S, SimulateConfig
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.manifest import Guarantee
+from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
 from alula.stages.clearance import wilson_interval
@@ -38,10 +38,6 @@ from alula.stages.vehicles.bodies import (
     quadrotor,
     tracking_gains,
 )
-
-FloatArray = NDArray[np.float64]
-
-Progress = Callable[[int, int], None]
 
 _BATCH = 16  # trials whose full-rate samples are in memory at once
 _PLANT_STEP_S = 1e-3  # at most, by default of FlightRules

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.encounters import Encounters
+from alula.schemas.progress import Progress
 from alula.schemas.run import ObstacleResult, TrialResult
 from alula.stages.clearance import COLLISION_TOLERANCE_M, hull_obstacles
 from alula.stages.compression.hulls import Hulls
@@ -78,7 +79,7 @@ def fly_encounters(
     journal: TrialJournal[FlownChunk] | None = None,
     jobs: int = 0,
     scheduler: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> EncounterRun:
     """Fly all trials of a scenario with moving obstacles.
 

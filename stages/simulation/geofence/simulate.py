@@ -15,6 +15,7 @@ from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.geofence import FenceScenario
+from alula.schemas.progress import Progress
 from alula.schemas.run import FenceResult, TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.stages.filtering.obstacles import require_obstacles
@@ -108,7 +109,7 @@ def fly_in_fence(
     journal: TrialJournal[FlownChunk] | None = None,
     jobs: int = 0,
     scheduler: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> FenceRun:
     """Fly all trials of a scenario with a fence.
 

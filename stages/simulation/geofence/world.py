@@ -9,9 +9,9 @@ from typing import Any, Self
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.geofence import FenceScenario
@@ -20,8 +20,6 @@ from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.vehicles.racer import racer_model, racer_options
-
-FloatArray = NDArray[np.float64]
 
 # Where the native options are called otherwise.
 _PLANT_NAMES = {"linear_drag_n_s_m": "linear_drag", "quadratic_drag_n_s2_m2": "quadratic_drag"}

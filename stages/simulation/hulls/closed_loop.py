@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
+from alula.schemas.progress import Progress
 from alula.schemas.run import Outcome
 from alula.stages.filtering.polytope_cbf import NativeFilter
 from alula.stages.filtering.protocol import Filter, FilterStatus
 from alula.stages.planning.plan_samples import Reference
-
-FloatArray = NDArray[np.float64]
 
 _OUTCOMES: tuple[Outcome, ...] = ("reached", "stuck", "timeout", "refused")  # by number, from 1
 
@@ -53,7 +52,7 @@ def fly(
     reference: Reference,
     *,
     jobs: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Flown]:
     """Fly every pair, start and goal of shape (N, 3), in closed loop.
 

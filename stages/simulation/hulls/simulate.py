@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.simulate import DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S, SimulateConfig
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.manifest import Guarantee
+from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.stages.clearance import (
@@ -39,8 +41,6 @@ from alula.stages.runlog.ellipsoids import SplatFlightLog
 from alula.stages.runlog.writer import logged_ticks
 from alula.stages.simulation.hulls.closed_loop import Flown, fly
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
-
-FloatArray = NDArray[np.float64]
 
 _BATCH = 64  # trials whose full-rate samples are in memory at once
 _STUCK_STEPS = 100
@@ -124,7 +124,7 @@ def simulate(
     vehicle: Vehicle | None = None,
     given: Pairs | None = None,
     jobs: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> RunResult:
     """Fly random or given start-goal pairs, or a plan, and judge each flight afterwards.
 

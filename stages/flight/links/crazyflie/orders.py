@@ -7,15 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.crazyflie.session import Session
 from alula.stages.flight.links.mavlink.orders import check_height
 from alula.stages.flight.links.protocol import UNDONE, Order, VehicleStatus
-
-FloatArray = NDArray[np.float64]
 
 CAN_BE_ARMED, IS_ARMED, AUTO_ARMS, CAN_FLY, IS_FLYING = 1, 2, 4, 8, 16
 IS_TUMBLED, IS_LOCKED, IS_CRASHED = 32, 64, 128  # bits of supervisor.info

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.stages.flight.links.mocap import Mocap
-
-FloatArray = NDArray[np.float64]
 
 _PERIOD_S = 0.01
 

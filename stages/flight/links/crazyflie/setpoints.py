@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.crazyflie.numbers import LARGEST
 from alula.stages.flight.links.options import Limits
 from alula.stages.flight.links.protocol import AccelerationSetpoint, VelocitySetpoint
 from alula.stages.vehicles.frames import LocalFrame
 
-FloatArray = NDArray[np.float64]
 Triple = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 

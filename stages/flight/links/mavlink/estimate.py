@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.flight.links.vehicle_clock import VehicleClock
 from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz
 from alula.stages.vehicles.frames import LocalFrame, flipped_body
-
-FloatArray = NDArray[np.float64]
 
 _MOST_APART_S = 0.05  # position and attitude of one state
 _LARGEST = (1e5, 1e3, 1e2)  # [m], [m/s], [rad/s]: beyond is no measurement

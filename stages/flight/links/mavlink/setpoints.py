@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.hover import HoverThrottle
 from alula.stages.flight.links.options import Limits
@@ -18,8 +18,6 @@ from alula.stages.flight.links.protocol import (
     VelocitySetpoint,
 )
 from alula.stages.vehicles.frames import LocalFrame, flipped_body
-
-FloatArray = NDArray[np.float64]
 
 # What a message says to ignore.
 RATES_MASK = 128  # SET_ATTITUDE_TARGET: the attitude alone: all three rates and the thrust count
