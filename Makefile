@@ -5,19 +5,26 @@ SHELL := bash
 MAKEFLAGS += --no-builtin-rules
 
 BIN := .venv/bin
+comma := ,
 VIEW := build/typing/alula
 NATIVE := $(shell find native -name '*.[ch]' -o -name '*.[ch]pp') CMakeLists.txt
 CONSTRAINTS := .ci/constraints.txt
 # Clients that tests fly simulated vehicles with; what else they ask for draws maps or pins versions.
 PEERS := mavproxy cflib pyusb libusb-package importlib-resources
 
-# Long native tests of what begins no thread.
+# Long native tests that start no thread: not run under the thread sanitizer.
 UNTHREADED := teensy_flight|wrench_filters
 
-# Of commands; vehicles in real time fly in `make test` alone.
-WHEEL_TESTS = $(filter-out %/test_fly_log.py %/test_fly_signals.py,$(wildcard tests/command/test_*.py))
+# Smoke tests of the wheel: every command once, its artifacts, streams and exit codes.
+WHEEL_TESTS := tests/command/test_conduct.py tests/command/test_info.py tests/unit/schemas/test_artifact.py
 
-.PHONY: help demo test setup firmware lint format typecheck typing-view test-native onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly docs schemas clean
+# Compilers are called through ccache where it is installed.
+ifneq ($(shell command -v ccache),)
+export CMAKE_C_COMPILER_LAUNCHER := ccache
+export CMAKE_CXX_COMPILER_LAUNCHER := ccache
+endif
+
+.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz test-wheel wheel examples bench bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly docs schemas clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -25,8 +32,12 @@ help: ## list the targets
 demo: setup ## fly the built-in scene end to end and leave a report
 	@$(MAKE) --no-print-directory -C examples/room
 
-test: setup ## install what the tests need and run them
-	$(BIN)/pytest tests
+test: setup ## install what the tests need and run them, all but long and real-time ones: minutes
+	$(BIN)/pytest tests -n auto --dist worksteal -m "not slow and not realtime"
+
+test-all: setup ## run all tests: long ones too, with new random examples, then flights in real time one by one
+	ALULA_TESTS=all $(BIN)/pytest tests -m realtime
+	ALULA_TESTS=all $(BIN)/pytest tests -n auto --dist worksteal -m "not realtime"
 
 setup: .venv/.installed ## make the environment in .venv/
 
@@ -67,15 +78,22 @@ typecheck: typing-view ## check types, strictly
 	$(BIN)/mypy -p alula
 
 test-native: setup ## build the native tests with sanitizers and run them, and fuzz for 20 s where clang can
-	@for sanitizers in address,undefined thread; do \
-	  build=build/native-$${sanitizers%%,*}; \
-	  $(BIN)/cmake -S . -B $$build -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja \
-	    -DALULA_PYTHON=OFF -DALULA_TESTS=ON -DALULA_SANITIZE=$$sanitizers >/dev/null; \
-	  $(BIN)/cmake --build $$build; \
-	  .ci/fixed-addresses $(BIN)/ctest --test-dir $$build --output-on-failure -j$$(nproc) \
-	    $$([ $$sanitizers != thread ] || echo --exclude-regex '$(UNTHREADED)'); \
-	done
+	@$(MAKE) --no-print-directory -j2 native-address native-thread
 	.ci/fixed-addresses $(BIN)/python -P tests/support/fuzz_onboard.py --seconds 20
+
+# $(call sanitized,sanitizers,folder,options of ctest)
+define sanitized
+	@$(BIN)/cmake -S . -B build/$(2) -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja \
+	  -DALULA_PYTHON=OFF -DALULA_TESTS=ON -DALULA_SANITIZE=$(1) >/dev/null
+	@$(BIN)/cmake --build build/$(2) -j$$(( ($$(nproc) + 1) / 2 ))
+	@.ci/fixed-addresses $(BIN)/ctest --test-dir build/$(2) --output-on-failure -j$$(nproc) $(3)
+endef
+
+native-address:
+	$(call sanitized,address$(comma)undefined,native-address)
+
+native-thread:
+	$(call sanitized,thread,native-thread,--exclude-regex '$(UNTHREADED)')
 
 onboard: setup ## run the filters on emulated microcontrollers: the host's bits, instructions, sizes, stacks
 	.ci/system-packages --onboard
@@ -87,18 +105,21 @@ fuzz: setup ## mutated splat files against every reader, and the onboard code, f
 	.ci/system-packages --fuzz
 	$(BIN)/python -P tests/support/fuzz_onboard.py --seconds $(or $(FUZZ_SECONDS),600)
 
+# The wheel is built where the editable install was: what that compiled is compiled once.
 wheel: setup ## build the wheel and the sdist into dist/
 	rm -rf dist
 	ALULA_COMMIT=$$(git describe --always --dirty --abbrev=12 --exclude='*' 2>/dev/null || true) \
-	  $(BIN)/python -m build -q --no-isolation --outdir dist .
+	  $(BIN)/python -m build -q --no-isolation --sdist --wheel --outdir dist .
 	@ls -l dist
 
-test-wheel: wheel ## run the tests of commands and artifacts against the built wheel in an environment of its own
+# Its environment has the wheel, and sees the packages (but not the editable install) of .venv.
+test-wheel: wheel ## run smoke tests against the built wheel in an environment of its own
 	$$($(BIN)/python -c 'import sys; print(sys._base_executable)') -m venv --clear build/wheel-venv
-	build/wheel-venv/bin/pip install -q --disable-pip-version-check -c $(CONSTRAINTS) -U pip
-	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) dist/*.whl --group dev
-	build/wheel-venv/bin/pip install -q -c $(CONSTRAINTS) --no-deps $(PEERS)
-	build/wheel-venv/bin/pytest -m 'not slow' tests/unit/schemas tests/unit/test_layout.py $(WHEEL_TESTS)
+	$(BIN)/python -c 'import site; print(site.getsitepackages()[0])' \
+	  > "$$(build/wheel-venv/bin/python -c 'import site; print(site.getsitepackages()[0])')/packages.pth"
+	build/wheel-venv/bin/pip install -q --disable-pip-version-check --no-deps dist/*.whl
+	build/wheel-venv/bin/python -P -c 'import alula._core; assert "wheel-venv" in alula._core.__file__'
+	build/wheel-venv/bin/python -P -m pytest -m 'not slow' $(WHEEL_TESTS)
 
 examples: demo ## run every example
 	@$(MAKE) --no-print-directory -C examples/polymerge

@@ -2,7 +2,10 @@ import os
 import signal
 from pathlib import Path
 
+import hypothesis
 import pytest
+
+from support.effort import ALL
 
 pytest_plugins = ["support.pipeline"]
 
@@ -23,3 +26,22 @@ def data() -> Path:
     if not folder or not Path(folder).is_dir():
         pytest.skip("real data: set ALULA_DATA to the folder of scenes")
     return Path(folder)
+
+
+# `make test` draws the same examples every time; what a run with ALULA_TESTS=all finds becomes an @example.
+hypothesis.settings.register_profile("quick", derandomize=True, database=None)
+hypothesis.settings.register_profile("all", print_blob=True)
+hypothesis.settings.load_profile("all" if ALL else "quick")
+
+MARKS = {"realtime": pytest.mark.realtime, "examples": pytest.mark.slow}  # by folder
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark tests by their folder, and those whose module starts programs."""
+    here = Path(__file__).parent
+    for item in items:
+        folder = item.path.relative_to(here).parts[0]
+        if folder in MARKS:
+            item.add_marker(MARKS[folder])
+        if hasattr(getattr(item, "module", None), "subprocess"):
+            item.add_marker(pytest.mark.process)
