@@ -4,7 +4,7 @@
  *
  *   psi_k(p) = max_l (n_kl . p - d_kl)        psi(p) = min_k psi_k(p)
  *
- * psi never exceeds the Euclidean distance to the obstacles and is 1-Lipschitz. The smooth version
+ * psi never exceeds the Euclidean distance to the obstacles and is 1-Lipschitz. The smooth version, a soft-min of soft-max,
  *
  *   s_k = (1/kappa) (log sum_l exp(kappa a_kl) - log L_k),  s = -(1/kappa) log sum_k exp(-kappa s_k)
  *
@@ -73,7 +73,7 @@ typedef struct {
   float radius_m; /* r >= 0, of the vehicle's sphere */
   float beta;     /* > 0, at most 1 / dt [1/s] */
   float kappa;    /* > 0 [1/m] */
-  float dt_s;     /* how long a command is held */
+  float dt_s;     /* how long a command is held (zero-order hold) */
   float v_max;    /* speed limit of the command [m/s] */
   alula_smoothing smoothing;
   int brute_force; /* nonzero: look at every plane; the results are the same, bit by bit */
