@@ -34,7 +34,7 @@ def test_a_subcover_consists_of_clusters_and_covers_every_voxel(index, block):
 
 
 def test_the_greedy_set_cover_takes_the_clusters_without_excess_where_they_suffice():
-    """A block of 27 voxels with an arm: only the clusters at the joint have W > 0, and they are not needed."""
+    """A block of 27 voxels with an arm: only clusters at the joint have W > 0, and they are not needed."""
     index = set(product(range(3), repeat=3)) | {(x, 1, 1) for x in range(3, 9)}
     sets, cover = subcover_of(index, 1)
     assert cover.manifest.conservativeness == 1

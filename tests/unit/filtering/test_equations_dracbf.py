@@ -1,4 +1,4 @@
-"""DR-ACBF, eqs. 2 to 6, 14 to 17, 21 and 22: whole rows of the filter from tracks; poles of the gains."""
+"""DR-ACBF, eqs. 2 to 6, 14 to 17 and 20 to 22: whole rows of the filter from tracks; poles of the gains."""
 
 import numpy as np
 import pytest
@@ -49,6 +49,18 @@ def test_rows_of_a_tick_are_those_of_the_printed_equations():
         assert report.violation == pytest.approx(missed, rel=1e-3, abs=2e-2)
         compared += report.feasible
     assert compared > 50
+
+
+@pytest.mark.parametrize("alpha", [0.5, 0.1, 0.025])
+def test_the_tightening_factor_is_the_smallest_that_holds_for_every_distribution(alpha):
+    """Cantelli: Pr(x <= mean - lambda sigma) <= alpha, with equality for one distribution on two points."""
+    factor = _core.cantelli(alpha)
+    values, weights = np.array([-factor, 1 / factor]), np.array([alpha, 1 - alpha])
+    assert weights @ values == pytest.approx(0, abs=1e-6)
+    assert weights @ values**2 == pytest.approx(1, rel=1e-6)  # so it reaches -lambda sigma with alpha
+    rng = np.random.default_rng(2)
+    for x in (rng.normal(size=10**5), -rng.exponential(size=10**5), rng.standard_t(5, 10**5)):
+        assert np.mean(x <= x.mean() - factor * x.std()) <= alpha
 
 
 @pytest.mark.parametrize("horizon", [0.15, 0.4])
