@@ -73,7 +73,7 @@ typedef struct {
   float radius_m; /* r >= 0, of the vehicle's sphere */
   float beta;     /* > 0, at most 1 / dt [1/s] */
   float kappa;    /* > 0 [1/m] */
-  float dt_s;     /* how long a command is held (zero-order hold) */
+  float dt_s;     /* how long a command is held */
   float v_max;    /* speed limit of the command [m/s] */
   alula_smoothing smoothing;
   int brute_force; /* nonzero: look at every plane; the results are the same, bit by bit */
