@@ -9,7 +9,7 @@ namespace alula::flight {
 namespace {
 
 constexpr double kGate[] = {16.26623619623813, 18.46682695290317};  // chi^2 of 3 and 4 degrees, quantile 0.999
-constexpr double kDrift = 0.1, kAlarm = 8, kMostSurprise = 16;
+constexpr double kDrift = 0.1, kAlarm = 8, kMostSurprise = 16;  // of the CUSUM of the NIS
 constexpr double kMostEvidence = 20, kEvidence = 3;
 constexpr double kMostAlpha = 0.7;
 constexpr double kReadBound = 2 - 0.05;  // [m]

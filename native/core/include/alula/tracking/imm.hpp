@@ -65,7 +65,7 @@ class Imm {
   int winner_ = 0;  // the most probable at the last correction
   double probability_[kMostModels] = {};
   Belief belief_[kMostModels];
-  double surprise_ = 0;  // cumulative sum (CUSUM) of squared innovation distances (NIS) that are too large
+  double surprise_ = 0;  // cumulative sum of innovations that are too large
   double evidence_ = 0;  // G
   int clear_scans_ = 0;  // corrections in a row that let the winner be read
 };

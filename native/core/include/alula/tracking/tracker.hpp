@@ -1,4 +1,4 @@
-// Tracks of moving obstacles: global nearest neighbours (GNN) and interacting multiple models (IMM).
+// Tracks of moving obstacles: global nearest neighbours and interacting multiple models.
 //
 // Models: constant velocity (6 states), constant acceleration (9), optionally a coordinated turn. Association: the
 // Hungarian method on squared Mahalanobis distances of innovations within a gate, confirmed tracks first, so that one
