@@ -9,7 +9,7 @@ namespace alula::flight {
 namespace {
 
 constexpr double kGate[] = {16.26623619623813, 18.46682695290317};  // chi^2 of 3 and 4 degrees, quantile 0.999
-constexpr double kDrift = 0.1, kAlarm = 8, kMostSurprise = 16;  // of the CUSUM of the NIS
+constexpr double kDrift = 0.1, kAlarm = 8, kMostSurprise = 16;
 constexpr double kMostEvidence = 20, kEvidence = 3;
 constexpr double kMostAlpha = 0.7;
 constexpr double kReadBound = 2 - 0.05;  // [m]
@@ -193,7 +193,7 @@ void Imm::weigh(const ImmRules& rules, const Innovation (&innovation)[kMostModel
     distance[j] = innovation[j].distance;
   }
   const double mean = weighted(probability_, distance, models_);
-  surprise_ = std::clamp(surprise_ + mean / size - 1 - kDrift, 0.0, kMostSurprise);
+  surprise_ = std::clamp(surprise_ + mean / size - 1 - kDrift, 0.0, kMostSurprise);  // CUSUM of the NIS
   const bool is_heavy = rules.options.heavy_tails && surprise_ > kAlarm;
   const double freedom = rules.options.jamming ? 1 : 5;
   double likelihood[kMostModels];  // logarithms, without what the models have in common
