@@ -1,4 +1,9 @@
-"""The similarity that most correspondences agree on."""
+"""Robust estimation of a similarity from point correspondences: MSAC, then least squares on the inliers.
+
+MSAC (M-estimator sample consensus) is RANSAC with the truncated quadratic cost: it draws minimal samples as
+RANSAC does, but rates a proposal by sum min(residual^2, threshold^2) and not by the number of its inliers.
+Source: Fischler and Bolles 1981 (RANSAC); Torr and Zisserman 2000 (MSAC).
+"""
 
 from __future__ import annotations
 

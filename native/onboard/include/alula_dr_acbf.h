@@ -121,13 +121,13 @@ alula_half_space alula_wall_row(const alula_dr_acbf_config* config, const alula_
 /* `executed` follows `command` for a tick, as fast as the jerk limit lets it. */
 void alula_execute(const alula_dr_acbf_config* config, const float command[3], float executed[3]);
 
-/* The parts of a row, for what is compared with it. */
+/* The parts of a row, for comparisons: effective clearance R_eff, bound b and Cantelli's lambda. */
 float alula_effective_clearance(const alula_dr_acbf_config* config, const alula_encounter* encounter,
                                 float horizon_s);
 float alula_row_bound(const alula_dr_acbf_config* config, const alula_encounter* encounter, float horizon_s,
                       float lambda);
 float alula_cantelli(float alpha);
-/* alpha_i of each active encounter; sums to `total`. The others get 0. */
+/* Risk allocation: alpha_i of each active encounter; sums to the risk budget `total`. The others get 0. */
 void alula_allocate_risk(const alula_encounter* encounter, uint32_t count, float total, float* alpha);
 
 /* Closing speed below which following a row from D = v H never asks for more than a_max along an axis. */

@@ -1,4 +1,5 @@
-/* Geofencing by an implicit control barrier function: no gradient, no optimisation, in freestanding C99.
+/* Geofencing by an implicit control barrier function (implicit CBF, h_I) and a regulation function (lambda): no
+ * gradient, no optimisation, in freestanding C99.
  *
  * With phi_k(x) the flow under the backup controller u_B (alula_racer.h, alula_fence.h):
  *

@@ -4,7 +4,7 @@
  *
  *   psi_k(p) = max_l (n_kl . p - d_kl)        psi(p) = min_k psi_k(p)
  *
- * psi never exceeds the Euclidean distance to the obstacles and is 1-Lipschitz. The smooth version
+ * psi never exceeds the Euclidean distance to the obstacles and is 1-Lipschitz. The smooth soft-min of soft-max
  *
  *   s_k = (1/kappa) (log sum_l exp(kappa a_kl) - log L_k),  s = -(1/kappa) log sum_k exp(-kappa s_k)
  *

@@ -193,7 +193,7 @@ void Imm::weigh(const ImmRules& rules, const Innovation (&innovation)[kMostModel
     distance[j] = innovation[j].distance;
   }
   const double mean = weighted(probability_, distance, models_);
-  surprise_ = std::clamp(surprise_ + mean / size - 1 - kDrift, 0.0, kMostSurprise);
+  surprise_ = std::clamp(surprise_ + mean / size - 1 - kDrift, 0.0, kMostSurprise);  // CUSUM of the NIS
   const bool is_heavy = rules.options.heavy_tails && surprise_ > kAlarm;
   const double freedom = rules.options.jamming ? 1 : 5;
   double likelihood[kMostModels];  // logarithms, without what the models have in common

@@ -97,7 +97,7 @@ bool Tracker::State::is_out_of_sight(const Kept& track, const Belief& mixture) c
   return !field->holds({mixture.x[0], mixture.x[1], mixture.x[2]}, covariance, o.field_margin);
 }
 
-// Gives what is left of the detections to the tracks that are confirmed, or to those that are not.
+// GNN: assigns the detections that are left to the tracks that are confirmed, or to those that are not.
 void Tracker::State::associate(bool confirmed) {
   rows.clear();
   for (std::size_t i = 0; i < tracks.size(); ++i)

@@ -1,4 +1,4 @@
-// Geometric tracking on SE(3) with analytic feed-forward: no derivative is taken numerically.
+// Geometric tracking on SE(3) with analytic feed-forward (differential flatness): no numerical derivative.
 //
 //   f_c = m (a_r + g e3) - K_p e_p - K_v e_v,  T = f_c . b,  b = R^T e3,  a = -g e3 + (T/m) b
 //   f_c' = m j_r - K_p e_v - K_v e_a,  T' = f_c' . b + f_c . b',  j = (T' b + T b') / m

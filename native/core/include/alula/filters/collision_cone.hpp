@@ -78,7 +78,7 @@ inline ConeRates cone_rates(const GrownEllipsoid& e, const Cone& c, Vec3 a, Vec3
   return d;
 }
 
-// Rows over the acceleration, and over (u_T'', tau) with u_T = T / m.
+// Rows over the acceleration (h has relative degree 1), and over (u_T'', tau) with u_T = T / m (relative degree 3).
 struct AccelerationRow {
   Vec3 row;
   double bound = 0;
@@ -88,7 +88,7 @@ struct SnapRow {
   double bound = 0;
 };
 
-// h' + alpha h >= 0. With a = 0 it holds by exactly alpha h.
+// h' + alpha h >= 0, the CBF condition of forward invariance. With a = 0 it holds by exactly alpha h.
 inline AccelerationRow cone_row(const Cone& c, double alpha) { return {c.w, -alpha * c.h}; }
 
 // For a vehicle inside (gamma < 0), where h >= 0 cannot be had: gamma is of second order in a, and
@@ -100,7 +100,7 @@ inline AccelerationRow escape_row(const Cone& c, double k) {
 // The same for a velocity input: gamma' + k gamma >= 0, row . v >= bound. At v = 0 too.
 inline AccelerationRow velocity_escape_row(const Cone& c, double k) { return {c.gamma_grad_p(), -k * c.gamma}; }
 
-// How the input reaches the position: with u_T = T / m and its rate as states and u_T'' as input,
+// How the input reaches the position. Dynamic extension: u_T = T / m and its rate are states, u_T'' is the input,
 //   p'''' = drift + per_thrust u_T'' + per_torque tau.
 struct SnapMap {
   Vec3 acceleration, jerk;  // [m/s^2, m/s^3]
@@ -126,7 +126,7 @@ inline SnapMap snap_map(const Quadrotor& body, const FlightState& state) {
   return m;
 }
 
-// The torque about x and y, and u_T'', that make the snap; `torque_z` is given. For a thrust that is not zero.
+// Feedback linearisation: the torque about x and y, and u_T'', for a snap and `torque_z`; the thrust is not zero.
 inline std::array<double, 4> snap_input(const Quadrotor& body, const FlightState& state, const SnapMap& map,
                                         Vec3 snap, double torque_z) {
   const Vec3 asked = body_from_inertial(state.x.sigma) * (snap - map.drift), j = body.inertia();
@@ -146,7 +146,7 @@ inline std::array<double, 3> ecbf_psi(const Cone& c, const ConeRates& d, double 
   return {c.h, d.h1 + lambda * c.h, d.h2 + 2 * lambda * d.h1 + lambda * lambda * c.h};
 }
 
-// h''' + 3 l h'' + 3 l^2 h' + l^3 h >= 0, a triple pole at -l = -lambda [1/s].
+// h''' + 3 l h'' + 3 l^2 h' + l^3 h >= 0: pole placement, a triple pole at -l = -lambda [1/s].
 inline SnapRow ecbf_row(const Cone& c, const ConeRates& d, const SnapMap& m, double lambda) {
   return snap_row(m, c.w, d.phi + lambda * (3 * d.h2 + lambda * (3 * d.h1 + lambda * c.h)));
 }

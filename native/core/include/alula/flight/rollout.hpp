@@ -1,4 +1,4 @@
-// Closed loop of a single integrator, x' = u, behind the onboard polytope filter.
+// Closed loop of a single integrator, x' = u with a zero-order hold of u, behind the onboard polytope filter.
 #pragma once
 
 #include <cstdint>
