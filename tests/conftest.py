@@ -1,5 +1,7 @@
+import gc
 import os
 import signal
+from collections import Counter
 from pathlib import Path
 
 import hypothesis
@@ -37,11 +39,28 @@ MARKS = {"realtime": pytest.mark.realtime, "examples": pytest.mark.slow}  # by f
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark tests by their folder, and those whose module starts programs."""
+    """Mark tests by their folder, those whose module starts programs, and cases that `every` leaves out."""
     here = Path(__file__).parent
+    cases: Counter[str] = Counter()
     for item in items:
+        if every := item.get_closest_marker("every"):
+            test = item.nodeid.partition("[")[0]
+            if cases[test] % every.args[0]:
+                item.add_marker(pytest.mark.slow)
+            cases[test] += 1
         folder = item.path.relative_to(here).parts[0]
         if folder in MARKS:
             item.add_marker(MARKS[folder])
         if hasattr(getattr(item, "module", None), "subprocess"):
             item.add_marker(pytest.mark.process)
+
+
+def pytest_collection_finish() -> None:
+    """Flights collect garbage before they begin: what the collection of tests left is no part of that."""
+    gc.collect()
+    gc.freeze()
+
+
+def pytest_sessionfinish() -> None:
+    """Undo `gc.freeze`."""
+    gc.unfreeze()
