@@ -18,7 +18,7 @@ from alula.stages.clearance import (
     wilson_interval,
 )
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.loop.options import Counters
+from alula.stages.flight.loop.control_loop import Counters
 from alula.stages.flight.loop.supervisor import Event, State, Supervision, Taken
 from alula.stages.flight.mission import Mission
 

@@ -24,11 +24,13 @@ from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
 from alula.stages.filtering.protocol import Filter, World
 from alula.stages.filtering.registry import complete_parameters, make_filter, make_splat_filter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
-from alula.stages.flight.commanders.tracking import Commander, PlanClock, SplatCommander
+from alula.stages.flight.commanders.geometric import GeometricCommander
+from alula.stages.flight.commanders.protocol import Commander
 from alula.stages.flight.commanders.velocity import VelocityCommander
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
+from alula.stages.flight.loop.control_loop import LoopOptions
 from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
-from alula.stages.flight.loop.options import LoopOptions
+from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.preflight import Needs
 from alula.stages.flight.loop.supervisor import SupervisorLimits
 from alula.stages.planning.curve_certificate import certify
@@ -282,7 +284,7 @@ def make_commander(
             delay_s=delay,
             dt_s=1 / config.rate_hz,
         )
-    return SplatCommander(
+    return GeometricCommander(
         filter=cast(SplatFilter | None, safety),
         body=quadrotor(vehicle),
         gains=tracking_gains(vehicle, config.catch_up_m_s),
@@ -325,7 +327,7 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         loop_hz=config.rate_hz,
         stale_s=config.stale_s,
         battery_share=config.battery,
-        most_thrust_m_s2=sum(model.thrust),
+        max_thrust_m_s2=sum(model.thrust),
         gravity_m_s2=model.gravity,
     )
 

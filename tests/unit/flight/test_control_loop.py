@@ -186,7 +186,7 @@ def test_orders_that_are_refused():
     assert 20 < vehicle.orders.count(Order.ARM) < 90  # about once a second for a minute
     said = [words for _, words in loop.recorder.lines]
     assert said.count("vehicle declines to arm: it does not want to") == 1
-    assert sum("asking again" in words for words in said) == 1
+    assert sum("arming refused: arming is ordered again" in words for words in said) == 1
     assert not vehicle.sent
 
 
@@ -205,9 +205,9 @@ def test_silence_declines_nothing_and_is_told_once():
     said = [words for _, words in loop.recorder.lines]
     assert said.count("order to land: no answer for 5 s") == 1
     assert not any("declines" in words for words in said)
-    handed = [words for words in said if "not ours any more" in words]
+    handed = [words for words in said if "no longer controls the vehicle" in words]
     assert handed
-    assert all("Ctrl-C ends this program and leaves the vehicle to the pilot" in words for words in handed)
+    assert all("Ctrl-C ends it and leaves the vehicle to the pilot" in words for words in handed)
 
 
 @pytest.mark.parametrize(

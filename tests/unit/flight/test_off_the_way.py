@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from alula.stages.flight.links.protocol import Order, VehicleState
-from alula.stages.flight.loop.frame_check import Jump
-from alula.stages.flight.loop.place_watch import PlaceWatch
 from alula.stages.flight.loop.supervisor import Event, State
+from alula.stages.flight.loop.watches import JumpWatch, PositionWatch
 from support.fake_vehicle import FakeClock, FakeVehicle
 from support.flights import START, fly, loop_of, mission
 
@@ -219,22 +218,22 @@ def test_a_state_from_the_future_is_as_bad_as_an_old_one():
 @given(st.sampled_from([math.nan, math.inf, -math.inf]), st.integers(0, 2))
 def test_what_is_not_a_number_is_never_in_its_place(bad, axis):
     place = [0.0, 0.0, 0.5]
-    watch = PlaceWatch(1.0)
-    assert not watch.astray_m(state(place)) <= 0  # nothing was proven
+    watch = PositionWatch(1.0)
+    assert not watch.off_climb_m(state(place)) <= 0  # nothing was proven
     watch.proven(np.zeros(3), 0.1)
-    assert watch.astray_m(state(place)) == 0
+    assert watch.off_climb_m(state(place)) == 0
     assert watch.drift_m(state(place)) == 0
     place[axis] = bad
     low = axis == 2 and bad == -math.inf
-    assert low or not watch.astray_m(state(place)) <= 0
+    assert low or not watch.off_climb_m(state(place)) <= 0
     assert not watch.drift_m(state(place)) <= 1.0
-    jump = Jump()
-    jump.of(state((0, 0, 0.5)))
-    assert jump.of(state(place, at=10.01)) == math.inf
+    jump = JumpWatch()
+    jump.jump_m(state((0, 0, 0.5)))
+    assert jump.jump_m(state(place, at=10.01)) == math.inf
 
 
 def test_room_is_around_the_whole_way_up_and_a_hold_may_brake():
-    watch = PlaceWatch(2.0)
+    watch = PositionWatch(2.0)
     watch.proven(np.array([1.0, 1.0, 0.5]), 0.2)
     for place, astray in (
         ((1.0, 1.0, -1.0), 0.0),  # an estimate of height that is off
@@ -243,7 +242,7 @@ def test_room_is_around_the_whole_way_up_and_a_hold_may_brake():
         ((1.0, 1.0, 2.2), 0.0),
         ((1.0, 1.3, 2.4), 0.3),
     ):
-        assert watch.astray_m(state(place)) == pytest.approx(astray, abs=1e-9)
+        assert watch.off_climb_m(state(place)) == pytest.approx(astray, abs=1e-9)
     watch.drift_m(state((0, 0, 1), (2.0, 0, 0)))
     assert watch.drift_m(state((2.0, 0, 1))) == 0  # 1 m to notice, 1 m to brake
     assert watch.drift_m(state((2.5, 0, 1))) == pytest.approx(0.5)

@@ -121,8 +121,8 @@ def test_clearance_is_that_of_the_way_up_from_the_ground_and_over():
         if v.name == "clearance"
     ]
     assert f"{1.5 * needed - 0.2:.3f} m to " in verdict.words
-    assert f"begins {1.5 * needed:.3f} m up, and reaches 0.200 m above where it stands" in verdict.words
-    assert "finer voxels help, or a start further up" in verdict.words
+    assert f"begins {1.5 * needed:.3f} m up, and reaches 0.200 m above where the vehicle stands" in verdict.words
+    assert "use finer voxels or a higher start" in verdict.words
     for cover in (roof, beside):  # neither is below
         made = make_needs(mission(cover=cover, is_clear=True), NEEDS.setpoints)
         assert "finer voxels" not in " ".join(v.words for v in verdicts(observed(), made))
@@ -187,29 +187,29 @@ def test_what_is_not_told_is_waited_for_and_then_refused(name):
 
     loop, _ = fly(on_poll=late)
     assert loop.supervision.cause is Event.PLAN_FINISHED
-    assert any("waiting for" in words and "not told" in words for _, words in loop.recorder.lines)
+    assert any("waiting for" in words and "not reported" in words for _, words in loop.recorder.lines)
 
     def never(vehicle, now):
         setattr(vehicle.status, name, None)
 
     loop, vehicle = fly(on_poll=never)
     assert loop.supervision.cause is Event.CHECK_FAILED
-    assert "not told: the vehicle says nothing of its" in loop.checks.failure()
+    assert "not reported: the vehicle does not report" in loop.checks.failure()
     assert loop.checks.is_of_link
     assert {order.value for order in vehicle.orders} == {"nothing"}
 
 
 def test_a_vehicle_that_tells_no_charge_flies_where_none_is_asked_for():
-    def untold(vehicle, now):
+    def unreported(vehicle, now):
         vehicle.status.battery_share = None
 
-    loop, _ = fly(mission(battery=0.0), on_poll=untold)
+    loop, _ = fly(mission(battery=0.0), on_poll=unreported)
     assert loop.supervision.cause is Event.PLAN_FINISHED
 
 
 def test_a_low_battery_is_not_waited_for():
     loop, vehicle = fly(on_poll=lambda v, now: setattr(v.status, "battery_share", 0.1))
-    assert loop.checks.failure() == "battery: 10%, 30% needed"
+    assert loop.checks.failure() == "battery: 10%, 30% required"
     assert vehicle.clock() < 104
 
 

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from alula.stages.flight.links.protocol import Order, VehicleStatus
-from alula.stages.flight.loop.mode_watch import ModeWatch
 from alula.stages.flight.loop.supervisor import (
     Action,
     Event,
@@ -24,6 +23,7 @@ from alula.stages.flight.loop.supervisor import (
     sends_setpoints,
 )
 from alula.stages.flight.loop.supervisor_table import IGNORED, TABLE, described
+from alula.stages.flight.loop.watches import ModeWatch
 from support.paths import ROOT
 
 LIMITS = SupervisorLimits(flight_s=100.0)
@@ -49,8 +49,8 @@ SHOWN = {
     Event.FALLBACK_LONG: {"fallback_s": 3.1},
     Event.FENCE: {"fence_m": -0.01},
     Event.BATTERY_LOW: {"battery_share": 0.19},
-    Event.UNTOLD: {"untold": True},
-    Event.OFF_WAY: {"astray_m": 0.01},
+    Event.UNTOLD: {"health_unknown": True},
+    Event.OFF_WAY: {"off_climb_m": 0.01},
     Event.DRIFTS: {"drift_m": 1.01},
     Event.LINK_LOST: {"silence_s": 1.6},
     Event.ESTIMATOR_BAD: {"estimator_ready": False},
@@ -168,7 +168,7 @@ def test_no_way_leads_from_hand_over_to_set_points_or_orders():
 
 
 def test_the_documentation_has_the_table():
-    text = (ROOT / "docs" / "fly.md").read_text()
+    text = (ROOT / "docs" / "guide" / "fly.md").read_text()
     assert described() in text
 
 
