@@ -87,7 +87,7 @@ def test_a_take_off_that_shoots_past_its_height_is_landed():
     def shoot(vehicle):  # over the end of the way between two ticks
         if vehicle.x[2] < START[2]:
             vehicle.x[2], vehicle.hold_at[2] = START[2] + 0.7, START[2] + 2.0
-            loops[0]._jump._last = None  # and no jump is seen, as after a gap
+            loops[0]._jumps._last = None  # and no jump is seen, as after a gap
 
     loops = []
     vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
