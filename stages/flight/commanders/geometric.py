@@ -98,7 +98,7 @@ class GeometricCommander:
             infeasible, certified = result.infeasible, result.certified
             u = np.ascontiguousarray(result.u, np.float64)
             if status is not FilterStatus.REFUSED and not is_input(u, self.filter.kind):
-                raise ValueError(f"the filter returned {result.u!r}, which is no {kind}")
+                raise ValueError(f"the filter returned {result.u!r}, which is not a valid {kind}")
         setpoint: Setpoint | None = None
         safe = u[:3] if kind == "acceleration" else self._acceleration_of(predicted, float(u[0]))
         if status is not FilterStatus.REFUSED:

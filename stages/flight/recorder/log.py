@@ -119,16 +119,16 @@ class FlightRecorder:
         view: FlightPipe | None = None,
         rate_hz: float = 100.0,
     ) -> None:
-        self._path, self._beside = path, None if path is None else _beside(path, replaces=replaces)
+        self._path, self._temporary = path, None if path is None else _temporary(path, replaces=replaces)
         self.has_flown = False
         try:
-            log = path if self._beside is None else self._beside
+            log = path if self._temporary is None else self._temporary
             where, how = (os.devnull, 0) if log is None else (log, os.O_CREAT | os.O_EXCL)
             file = os.open(where, os.O_WRONLY | how, 0o644)
         except OSError as error:
             raise OutputError(f"{path}: cannot write: {error.strerror}") from error
         code = "from alula.stages.flight.recorder.log import main; main()"
-        names = () if path is None or self._beside is None else (str(self._beside), str(path))
+        names = () if path is None or self._temporary is None else (str(self._temporary), str(path))
         self._pipe = FlightPipe(code, (str(file), str(int(echo)), *names), files=(file,))
         os.close(file)
         self._encode = msgspec.msgpack.Encoder().encode
@@ -207,19 +207,19 @@ class FlightRecorder:
         except OSError:
             self._pipe.process.kill()
         has_ended = self._pipe.close(timeout_s)
-        if self.has_flown and self._path is not None and self._beside is not None:
-            _replace(self._beside, self._path)  # in case the writer died before it did
+        if self.has_flown and self._path is not None and self._temporary is not None:
+            _replace(self._temporary, self._path)  # in case the writer died before it did
         return has_ended
 
     @property
     def where(self) -> Path | None:
         """File of the log at present."""
-        return self._beside if self._beside is not None and self._beside.exists() else self._path
+        return self._temporary if self._temporary is not None and self._temporary.exists() else self._path
 
     def discard(self) -> None:
         """Remove the log of a flight that never took off; an earlier log stays unchanged; after `finish`."""
         if self._path is not None and not self.has_flown:
-            (self._path if self._beside is None else self._beside).unlink(missing_ok=True)
+            (self._path if self._temporary is None else self._temporary).unlink(missing_ok=True)
 
     def _put(self, kind: bytes, sample: Any, *, is_seen: bool = True) -> None:
         try:
@@ -232,17 +232,17 @@ class FlightRecorder:
             self.unseen += not self._view.offer(message)
 
 
-def _beside(path: Path, *, replaces: bool) -> Path | None:
+def _temporary(path: Path, *, replaces: bool) -> Path | None:
     """Temporary path of a log until it replaces an earlier log or record; None if there is neither."""
     if not replaces or not (os.path.lexists(path) or os.path.lexists(record_path(path))):
         return None
     return path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
 
 
-def _replace(beside: Path, path: Path) -> None:
+def _replace(temporary: Path, path: Path) -> None:
     """Move a log from its temporary path to its final one, and remove the earlier record; only once."""
     with suppress(OSError):  # then the log stays at its temporary path
-        beside.replace(path)
+        temporary.replace(path)
         record_path(path).unlink(missing_ok=True)
         folder = os.open(path.parent, os.O_RDONLY)
         try:

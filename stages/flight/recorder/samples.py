@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import msgspec
 
 from alula.schemas.arrays import FloatArray
+from alula.stages.flight.commanders.protocol import Decision
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
     RatesSetpoint,
@@ -14,12 +15,9 @@ from alula.stages.flight.links.protocol import (
     VehicleState,
     VehicleStatus,
 )
+from alula.stages.flight.loop.fence_guard import Guarded
+from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.supervisor import Event, State, Taken
-
-if TYPE_CHECKING:  # the processes that only read samples do not load the filters
-    from alula.stages.flight.commanders.protocol import Decision
-    from alula.stages.flight.loop.fence_guard import Guarded
-    from alula.stages.flight.loop.plan_clock import PlanClock
 
 INFO, WARNING, ERROR = 2, 3, 4  # levels of foxglove.Log
 
