@@ -1,4 +1,4 @@
-"""What the supervisor watches where the vehicle flies by itself: the way up, a hold, and what it tells."""
+"""Watches of the supervisor while the vehicle flies by itself: climb path, hold, and reported health."""
 
 import dataclasses
 import math
@@ -33,7 +33,7 @@ def climbing(do):
 
 
 def holding(do):
-    """A hold for a state that was old for 0.3 s, and a fault at each poll of it."""
+    """A hold because of a state that was old for 0.3 s, and a fault at each poll of the hold."""
 
     def poll(vehicle, now):
         vehicle.first_s = getattr(vehicle, "first_s", now if vehicle.sent else math.inf)
@@ -53,7 +53,7 @@ def ended(loop, cause, *path):
 
 
 def blown(speed_m_s, axis=0):
-    """Wind that carries it along, and which it does not feel."""
+    """Drift that the vehicle does not measure."""
 
     def do(vehicle):
         vehicle.x[axis] += speed_m_s * 0.01
@@ -68,10 +68,10 @@ def test_a_take_off_that_drifts_off_its_column_is_landed(axis):
     ended(loop, Event.OFF_WAY, "take-off", "land", "done")
     assert not vehicle.sent
     room = loop.checks.room_m
-    assert 0.1 <= room <= 0.5  # the margin at least, where it may stand at most
+    assert 0.1 <= room <= 0.5  # at least the margin, at most --near
     at = next(s for s in loop.recorder.samples if s.state == "land")
     off = np.hypot(at.position[0] - START[0], at.position[1] - START[1])
-    assert room < off < room + 0.03  # at once
+    assert room < off < room + 0.03  # without delay
     assert any("off the way up: landing" in words for _, words in loop.recorder.lines)
 
 
@@ -84,10 +84,10 @@ def test_a_take_off_in_its_column_is_left_alone():
 
 
 def test_a_take_off_that_shoots_past_its_height_is_landed():
-    def shoot(vehicle):  # over the end of the way between two ticks
+    def shoot(vehicle):  # beyond the end of the climb between two ticks
         if vehicle.x[2] < START[2]:
             vehicle.x[2], vehicle.hold_at[2] = START[2] + 0.7, START[2] + 2.0
-            loops[0]._jumps._last = None  # and no jump is seen, as after a gap
+            loops[0]._jumps._last = None  # so that no jump is detected, as after a gap
 
     loops = []
     vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
@@ -98,7 +98,7 @@ def test_a_take_off_that_shoots_past_its_height_is_landed():
 
 
 def test_a_take_off_through_a_side_of_the_fence_is_landed():
-    near = START[0] - 0.15 - 0.02  # 2 cm beside its sphere
+    near = START[0] - 0.15 - 0.02  # 2 cm from its sphere
     made = mission(fence=(near, -1.0, 0.5, 6.0, 5.0, 3.0))  # and the ground lies below its bottom
     loop, _ = fly(made, on_poll=climbing(blown(-0.2)))
     ended(loop, Event.FENCE, "take-off", "land", "done")
@@ -137,7 +137,7 @@ def test_a_vehicle_whose_mode_is_unknown_and_which_does_not_follow_is_landed(whe
     def fault(vehicle, now):
         if loops[0].state.value == when or Order.LAND in vehicle.orders:
             vehicle.status.mode, vehicle.status.obeys = "", False
-            vehicle.x[2] = min(vehicle.x[2], 0.5) if when == "take-off" else vehicle.x[2]  # it takes its time
+            vehicle.x[2] = min(vehicle.x[2], 0.5) if when == "take-off" else vehicle.x[2]  # it climbs slowly
             vehicle.status.armed = not (Order.LAND in vehicle.orders and vehicle.status.landed)
 
     loops = []
@@ -164,7 +164,7 @@ def test_what_is_no_longer_told_is_not_taken_for_good(name):
 
 
 def test_a_vehicle_that_may_still_be_arming_is_not_left():
-    """The order to arm is on its way when the flight is given up: that it is not armed yet says nothing."""
+    """The order to arm may arrive after the flight is aborted; not being armed yet does not end it."""
 
     def fault(vehicle, now):
         if Order.ARM in vehicle.orders:
@@ -236,7 +236,7 @@ def test_room_is_around_the_whole_way_up_and_a_hold_may_brake():
     watch = PositionWatch(2.0)
     watch.proven(np.array([1.0, 1.0, 0.5]), 0.2)
     for place, astray in (
-        ((1.0, 1.0, -1.0), 0.0),  # an estimate of height that is off
+        ((1.0, 1.0, -1.0), 0.0),  # a wrong estimate of the height
         ((1.2, 1.0, 0.5), 0.0),
         ((1.3, 1.0, 1.0), 0.1),
         ((1.0, 1.0, 2.2), 0.0),
@@ -244,7 +244,7 @@ def test_room_is_around_the_whole_way_up_and_a_hold_may_brake():
     ):
         assert watch.off_climb_m(state(place)) == pytest.approx(astray, abs=1e-9)
     watch.drift_m(state((0, 0, 1), (2.0, 0, 0)))
-    assert watch.drift_m(state((2.0, 0, 1))) == 0  # 1 m to notice, 1 m to brake
+    assert watch.drift_m(state((2.0, 0, 1))) == 0  # 1 m to react, 1 m to brake
     assert watch.drift_m(state((2.5, 0, 1))) == pytest.approx(0.5)
     watch.moved()
     assert watch.drift_m(state((2.5, 0, 1))) == 0
