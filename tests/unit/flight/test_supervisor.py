@@ -49,7 +49,7 @@ SHOWN = {
     Event.FALLBACK_LONG: {"fallback_s": 3.1},
     Event.FENCE: {"fence_m": -0.01},
     Event.BATTERY_LOW: {"battery_share": 0.19},
-    Event.UNREPORTED: {"health_unknown": True},
+    Event.UNTOLD: {"health_unknown": True},
     Event.OFF_WAY: {"off_climb_m": 0.01},
     Event.DRIFTS: {"drift_m": 1.01},
     Event.LINK_LOST: {"silence_s": 1.6},
