@@ -14,7 +14,7 @@ from alula.cli.interruption import InterruptedWithAdvice
 from alula.cli.options import Common
 from alula.schemas.atomic import atomic_output
 from alula.schemas.errors import DamagedError, InputError, OutputError
-from alula.schemas.journal import SUFFIX, JournalKind, pack, strangeness, unpack
+from alula.schemas.journal import SUFFIX, JournalKind, mismatches, pack, unpack
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import Provenance, read_provenance
 
@@ -105,7 +105,7 @@ class JournalFile(Generic[J]):
         with suppress(OSError):
             try:
                 recorded, _ = unpack(self._path.read_bytes(), self._kind)
-                is_done = made is not None and not strangeness(recorded, made)
+                is_done = made is not None and not mismatches(recorded, made)
             except InputError:
                 is_done = self._is_ours()
             if is_done:
@@ -128,7 +128,7 @@ class JournalFile(Generic[J]):
             return self._ignored(error)
         try:
             recorded, measured = unpack(self._path.read_bytes(), self._kind)
-            if strange := strangeness(recorded, wanted):
+            if strange := mismatches(recorded, wanted):
                 return self._ignored(f"it is of another {self._kind.command}: {'; '.join(strange)}")
             journal = self._make(measured)
         except (OSError, ValueError, InputError) as error:

@@ -1,4 +1,7 @@
-"""Logs of real flights that ended with a crash or a power cut, read up to their last whole chunk."""
+"""Truncated logs of real flights, read up to their last complete chunk.
+
+A log is truncated when the flight ended with a crash or a power cut.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,13 @@ from alula.schemas.run import (
 
 @dataclass(frozen=True, slots=True)
 class LoggedRun:
-    """A run and its flights; `damage` says how much there is of a log that was cut, else it is empty."""
+    """Run and its flights.
+
+    Attributes:
+        record: of the run.
+        flights: by trial.
+        damage: where a truncated log ends, in words; empty for a complete log.
+    """
 
     record: RunRecord
     flights: Flights
@@ -38,12 +47,15 @@ class _Supervisor(msgspec.Struct):
 
 
 def read_logged(log: Path) -> LoggedRun:
-    """A run with its flights, or what is left of the log of a real flight that nobody ended.
+    """Read a run with its flights, or the readable part of a truncated log of a real flight.
+
+    Args:
+        log: file of the run.
 
     Raises:
         InputError: the log cannot be read.
-        ArtifactError: it is not a run of alula's.
-        DamagedError: truncated or corrupt, and no log of a real flight.
+        ArtifactError: the file is not a run.
+        DamagedError: the file is truncated or corrupt, and is not the log of a real flight.
     """
     try:
         return LoggedRun(read_run(log), read_flights(log))
@@ -55,9 +67,12 @@ def read_logged(log: Path) -> LoggedRun:
 
 
 def salvage_run(log: Path) -> LoggedRun | None:
-    """What can be read of the log of a real flight without its end; None of any other file.
+    """Read the complete chunks of a truncated log of a real flight; None for any other file.
 
-    The record has no trial, for nobody has judged the flight.
+    The record has no trial, because the flight was not judged.
+
+    Args:
+        log: file of the log.
 
     Raises:
         InputError: the log cannot be opened.
@@ -73,10 +88,12 @@ def salvage_run(log: Path) -> LoggedRun | None:
         provenance = msgspec.json.decode(head["provenance"], type=Provenance)
         flights = flights_of(messages)
         decode = msgspec.json.Decoder(_Supervisor).decode
-        known = [decode(data) for topic, data in messages if topic == "/supervisor"]
+        ticks = [decode(data) for topic, data in messages if topic == "/supervisor"]
     except (KeyError, ValueError, msgspec.MsgspecError):
         return None
-    ended = f"after {known[-1].time_s:.2f} s, in the state {known[-1].state_name}" if known else "at once"
+    ended = (
+        f"after {ticks[-1].time_s:.2f} s, in the state {ticks[-1].state_name}" if ticks else "at its start"
+    )
     damage = f"the log of this flight was cut: it ends {ended}"
     record = RunRecord(
         schema=RUN_SCHEMA,
@@ -87,13 +104,13 @@ def salvage_run(log: Path) -> LoggedRun | None:
         vehicle=head.get("vehicle", ""),
         trials=[],
         summary={"trials": 0, "notes": [f"{damage}; the flight was not judged"]},
-        guarantee=Guarantee("Nobody has judged this flight: its log was cut.", {}),
+        guarantee=Guarantee("This flight was not judged, because its log was cut.", {}),
     )
     return LoggedRun(record, flights, damage)
 
 
 def _records(log: Path) -> Iterator[tuple[str, bytes | dict[str, str]]]:
-    """Messages by topic and metadata by name, in the order of the file, up to where it is damaged."""
+    """Messages by topic and metadata by name, in the order of the file, up to the first damage."""
     from mcap.records import Channel, Message, Metadata
     from mcap.stream_reader import StreamReader
 

@@ -1,4 +1,4 @@
-"""Journals: what an interrupted command had done, and which command that was."""
+"""Journals: results of an interrupted command and the provenance of its output."""
 
 from __future__ import annotations
 
@@ -13,14 +13,20 @@ from alula.schemas.provenance import Provenance, differences
 
 SUFFIX = ".journal"
 _VERSION = 1
-_START = struct.Struct("<4sII")  # magic, version, CRC-32 of all that follows
+_START = struct.Struct("<4sII")  # magic, version, CRC-32 of all following bytes
 _SIZES = struct.Struct("<IQ")  # bytes of JSON and of measurements
 _HEAD = _START.size + _SIZES.size
 
 
 @dataclass(frozen=True, slots=True)
 class JournalKind:
-    """Whose journal: the first bytes of the file, what is interrupted, and what it has done so far."""
+    """Kind of a journal.
+
+    Attributes:
+        magic: first bytes of the file.
+        command: name of the interrupted command, for messages.
+        done: name of its results, for messages.
+    """
 
     magic: bytes
     command: str
@@ -33,21 +39,37 @@ MAGIC = MERGE.magic
 
 
 def pack(provenance: Provenance, measured: bytes, kind: JournalKind = MERGE) -> bytes:
-    """The file: the provenance of the output that was being made, and what was done, as bytes."""
+    """Encode a journal.
+
+    Args:
+        provenance: of the output that was being made.
+        measured: results so far, as bytes.
+        kind: of the journal.
+
+    Returns:
+        Contents of the file.
+    """
     record = msgspec.json.encode(provenance, order="sorted")
     rest = _SIZES.pack(len(record), len(measured)) + record + measured
     return _START.pack(kind.magic, _VERSION, zlib.crc32(rest)) + rest
 
 
 def unpack(raw: bytes, kind: JournalKind = MERGE) -> tuple[Provenance, bytes]:
-    """What `pack` was given.
+    """Decode a journal.
+
+    Args:
+        raw: contents of the file.
+        kind: expected kind of the journal.
+
+    Returns:
+        Provenance and results, as given to `pack`.
 
     Raises:
-        VersionError: it was written by another version of this format.
-        DamagedError: it is no journal, or its bytes are not those that were written.
+        VersionError: the file has another version of this format.
+        DamagedError: the file is not a journal, is truncated, or does not match its checksum.
     """
     if not raw.startswith(kind.magic):
-        raise DamagedError(f"it is no journal of a {kind.command}")
+        raise DamagedError(f"it is not a journal of a {kind.command}")
     if len(raw) < _HEAD:
         raise DamagedError("it is cut off")
     _, version, crc = _START.unpack_from(raw)
@@ -65,12 +87,16 @@ def unpack(raw: bytes, kind: JournalKind = MERGE) -> tuple[Provenance, bytes]:
     return provenance, raw[_HEAD + length :]
 
 
-def strangeness(recorded: Provenance, wanted: Provenance) -> list[str]:
-    """In a few words each, why a journal is not of the output that is wanted; empty when it is.
+def mismatches(recorded: Provenance, expected: Provenance) -> list[str]:
+    """Reasons why a journal does not belong to an output, a few words each; empty if it does.
 
-    Unlike an output, a journal is only of use to the very program that wrote it, commit included.
+    Unlike an output, a journal can be used only by the commit of the program that wrote it.
+
+    Args:
+        recorded: provenance in the journal.
+        expected: provenance of the output.
     """
-    found = differences(recorded, wanted)
-    if not found and recorded.producer != wanted.producer:
+    found = differences(recorded, expected)
+    if not found and recorded.producer != expected.producer:
         found.append(f"it was written by commit {recorded.producer.commit}")
     return found

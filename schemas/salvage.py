@@ -1,4 +1,4 @@
-"""What can still be read of a damaged artifact."""
+"""Readable parts of a damaged artifact."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from alula.schemas.errors import InputError
 
 _HEADER = struct.Struct("<4s5H3I2H")
 _STEP = 2**22
-_LARGEST_MANIFEST = 2**26
+_MAX_MANIFEST = 2**26
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,10 +22,10 @@ class Salvage:
     """The readable parts of an artifact file.
 
     Attributes:
-        manifest: as stored, unchecked; None when it cannot be read.
-        whole: members whose bytes match their checksum.
-        damaged: members whose bytes do not.
-        cut: the member in which the file ends, "" when it ends after them all.
+        manifest: as stored, not validated; None if it cannot be read.
+        whole: names of members that match their checksum.
+        damaged: names of members that do not match it.
+        cut: name of the member in which the file ends; empty if it ends after all members.
     """
 
     manifest: dict[str, Any] | None
@@ -34,7 +34,7 @@ class Salvage:
     cut: str
 
     def words(self) -> str:
-        """What is damaged, in words."""
+        """Describe the damage in words."""
         parts = []
         if self.cut:
             parts.append(f"the file ends inside {self.cut}")
@@ -46,10 +46,13 @@ class Salvage:
 
 
 def is_artifact_like(path: Path) -> bool:
-    """Whether a file begins as an artifact does, however damaged it is behind that.
+    """Return True if a file begins like an artifact, whatever follows.
+
+    Args:
+        path: of the file.
 
     Raises:
-        InputError: it cannot be read.
+        InputError: the file cannot be read.
     """
     try:
         with path.open("rb") as file:
@@ -62,10 +65,13 @@ def is_artifact_like(path: Path) -> bool:
 
 
 def salvage(path: Path) -> Salvage:
-    """Walk the members of an artifact from its start, without the directory at its end.
+    """Read the members of an artifact from its start, without the directory at its end.
+
+    Args:
+        path: of the file.
 
     Raises:
-        InputError: it cannot be read at all.
+        InputError: the file cannot be read at all.
     """
     manifest: dict[str, Any] | None = None
     whole: list[str] = []
@@ -87,7 +93,7 @@ def salvage(path: Path) -> Salvage:
                 if file.tell() + length > size:
                     cut = name
                     break
-                keep = name == "manifest.json" and length <= _LARGEST_MANIFEST
+                keep = name == "manifest.json" and length <= _MAX_MANIFEST
                 text, found = bytearray(), 0
                 for begin in range(0, length, _STEP):
                     block = file.read(min(_STEP, length - begin))

@@ -25,46 +25,47 @@ Examples:
 @click.command(epilog=EXAMPLES)
 @click.argument("source", type=options.input_path())
 @click.option(
-    "--map", "map_path", type=options.input_path(), help="Cover or scene to fly in; needed with a plan."
+    "--map", "map_path", type=options.input_path(), help="Cover or scene to fly in; required with a plan."
 )
-@click.option(
-    "--scene", "scene_path", type=options.input_path(), help="Metric scene, beside a cover as --map."
-)
+@click.option("--scene", "scene_path", type=options.input_path(), help="Metric scene, if --map is a cover.")
 @click.option(
     "--vehicle",
     "vehicle_path",
     type=options.input_path(),
-    help="What flies (.toml); default: the quadrotor of FastBridge.",
+    help="Vehicle (.toml); default: the quadrotor of FastBridge.",
 )
 @click.option(
     "--link",
     "address",
     metavar="ADDRESS",
-    help="The vehicle: udpin:HOST:PORT, udpout:…, tcp:…, serial:DEVICE:BAUD, or sim: for a simulated one.",
+    help="Link to the vehicle: udpin:HOST:PORT, udpout:…, tcp:…, serial:DEVICE:BAUD, or sim: for a simulated "
+    "one.",
 )
-@click.option("--allow-remote", is_flag=True, help="Speak to other machines than this one, too.")
+@click.option("--allow-remote", is_flag=True, help="Allow links to other machines than this one.")
 @click.option(
-    "--mocap", metavar="ADDRESS", help="Where motion capture is heard, udp:HOST:PORT, and passed on."
+    "--mocap",
+    metavar="ADDRESS",
+    help="Address at which motion capture is received, udp:HOST:PORT; it is forwarded to the vehicle.",
 )
 @click.option(
     "--signing-key",
     "key_path",
     type=options.input_path(),
-    help="File of 32 bytes, or 64 hexadecimal digits, that packets are signed with.",
+    help="Key that signs packets: a file of 32 bytes, or of 64 hexadecimal digits.",
 )
 @click.option(
     "--yaw",
     type=options.FINITE_FLOAT,
     default=0.0,
     show_default=True,
-    help="From east to the map's x axis, counter-clockwise [degrees].",
+    help="Angle from east to the map's x axis, counter-clockwise [degrees].",
 )
 @click.option(
     "--origin",
     type=options.POINT,
     default="0 0 0",
     show_default=True,
-    help="The map's origin in the vehicle's local frame, east north up [m].",
+    help="Origin of the map in the vehicle's local frame, east north up [m].",
 )
 @click.option(
     "--set",
@@ -79,7 +80,7 @@ Examples:
     is_flag=False,
     flag_value=8080,
     metavar="[PORT]",
-    help="Show the flight in a browser, on this port of this machine only (8080); needs alula[live].",
+    help="Show the flight in a browser, at this port of this machine only (8080); requires alula[live].",
 )
 @options.from_config(FlyConfig)
 @options.output(".run.mcap")
@@ -103,15 +104,16 @@ def command(
 ) -> None:
     """Fly a plan on a real vehicle, behind a safety filter.
 
-    SOURCE is a plan with --map and --link, or a scenario (.toml) with a plan, whose table [fly] has the link
-    and options of this command. After the pre-flight checks the vehicle arms, takes off to the height of the
-    plan's start, flies the plan and lands; docs/guide/fly.md says what else may happen. --dry-run makes
-    all checks and arms nothing. Ctrl-C lands; a second one stops the motors, on the ground only. The pilot
-    may take the vehicle at any time, and keeps it.
+    SOURCE is a plan, with --map and --link, or a scenario (.toml) with a plan. The table [fly] of a scenario
+    sets the link and options of this command. After the pre-flight checks the vehicle arms, takes off to the
+    height of the plan's start, flies the plan and lands. docs/guide/fly.md describes all other courses.
+    --dry-run runs the checks and does not arm. Ctrl-C lands the vehicle; a second Ctrl-C stops the motors,
+    but only on the ground. The pilot can take control at any time; this command then sends nothing more.
 
-    The log is written while it flies; R.run.json beside it holds the summary and the measured times. Exit
+    The log is written during the flight; R.run.json beside it holds the summary and the measured times. Exit
     code 3: an input cannot be read, or the flight went well, but its log or record is not complete; 4: a
-    check does not hold, the plan was not finished, or the flight touched the map; 6: link, vehicle.
+    check does not hold, the plan was not finished, or the flight came closer to the map than the vehicle's
+    radius; 6: the link or the vehicle failed.
     """
     import math
 
@@ -138,7 +140,7 @@ def command(
     if scenario is not None:
         config, address = _from_scenario(context, source, config, address, scenario)
     if address is None:
-        raise UsageError("--link is needed: which vehicle to fly, or sim: for a simulated one")
+        raise UsageError("--link is needed: the address of a vehicle, or sim: for a simulated one")
     config = dataclasses.replace(
         config, filter_parameters={**config.filter_parameters, **dict(setting_of(word) for word in settings)}
     )
@@ -160,7 +162,7 @@ def command(
     check_output(record_path(common.output), paths)
     for old in (common.output, record_path(common.output)):
         if old.exists() and not (common.force or common.dry_run):
-            raise UsageError(f"{old}: exists; every flight is a new one; -f replaces it")
+            raise UsageError(f"{old}: exists; a flight is not continued; use -f to replace it")
     mission = make_mission(
         config,
         read_artifact(paths["plan"], PLAN),
@@ -186,7 +188,7 @@ def command(
 def _inputs(
     source: Path, map_path: Path | None, scene: Path | None, vehicle: Path | None
 ) -> tuple[dict[str, Path], Scenario | None]:
-    """All files to read, by role, and the scenario if there is one."""
+    """Paths of all inputs by role, and the scenario if there is one."""
     from alula.cli.simulate.command import inputs_of
     from alula.schemas.scenario import read_scenario
 
@@ -201,12 +203,12 @@ def _inputs(
 def _from_scenario(
     context: click.Context, source: Path, config: FlyConfig, address: str | None, scenario: Scenario
 ) -> tuple[FlyConfig, str | None]:
-    """What the scenario says, replaced by what the command line does."""
-    found = scenario.fly_settings()
-    link = found.pop("link", None)
+    """Configuration and link of the scenario; options on the command line take precedence."""
+    settings = scenario.fly_settings()
+    link = settings.pop("link", None)
     names = {f.name for f in dataclasses.fields(config)}
     given = {name: getattr(config, name) for name in names if options.is_given(context, name)}
     try:
-        return FlyConfig(**{**found, **given}), address or link
+        return FlyConfig(**{**settings, **given}), address or link
     except UsageError as error:
         raise UsageError(f"{source}: {error}") from error

@@ -1,4 +1,4 @@
-"""A flight of `alula fly`: open the link, fly, close it, write what there is to write."""
+"""Flight of `alula fly`: open the link, fly, close the link, write log and record."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
     from alula.stages.flight.recorder.pipe import FlightPipe
 
-_OPEN_S = 15.0  # for the vehicle to be heard
-_CLOSE_S = 2.0  # for the view to end
+_OPEN_S = 15.0  # maximum time until the first message of the vehicle
+_CLOSE_S = 2.0  # maximum time until the live view ends
 _SHOWN = ("rate_hz", "ticks", "tick_p99_s", "lateness_p99_s", "overruns", "dropped_samples")
 
 
 class _Flown(NamedTuple):
-    """The verdict on a flight, if there was one, and what of its log or record is not as it should be."""
+    """Verdict on a flight, if there is one, and messages about an incomplete log or record."""
 
     trial: TrialResult | None
     trouble: list[str]
@@ -39,11 +39,20 @@ class _Flown(NamedTuple):
 def fly(
     mission: Mission, link: Link, provenance: Provenance, common: Common, live: int | None = None
 ) -> None:
-    """Fly a mission over a link, in a browser at the port `live`, too, if there is one.
+    """Fly a mission over a link.
+
+    Args:
+        mission: to fly.
+        link: to the vehicle; not yet open.
+        provenance: of the log and the record.
+        common: common options of commands.
+        live: port of the live view; None for none.
 
     Raises:
-        CheckError, LinkError, KeyboardInterrupt: how it ended, unless well.
-        OutputError: it ended well, but its log or record is not complete.
+        CheckError: a check failed, or the plan was not finished.
+        LinkError: the link or the vehicle failed.
+        KeyboardInterrupt: the operator ended the flight.
+        OutputError: the flight went well, but its log or record is not complete.
     """
     from alula.stages.flight.loop.checks import FlightChecks
     from alula.stages.flight.loop.control_loop import ControlLoop
@@ -62,7 +71,7 @@ def fly(
 
     interrupts = 0
 
-    def asked() -> int:
+    def count_interrupts() -> int:
         return interrupts
 
     def count(number: int, frame: object) -> None:
@@ -85,15 +94,15 @@ def fly(
         view=view,
         rate_hz=mission.config.rate_hz,
     )
-    # From here on the vehicle hears us, and everything that takes long is behind us.
+    # From here on messages are sent to the vehicle; everything that takes long has been done.
     try:
         with _signals(_stop):
             address = str(provenance.parameters.get("link", ""))
-            if address and not common.quiet and not address.startswith("sim:"):  # which is there at once
-                click.echo(f"link: waits for the vehicle at {address}, {_OPEN_S:g} s at most", err=True)
-            what = link.open(_OPEN_S)
+            if address and not common.quiet and not address.startswith("sim:"):  # sim: needs no wait
+                click.echo(f"link: waiting for the vehicle at {address}, at most {_OPEN_S:g} s", err=True)
+            vehicle = link.open(_OPEN_S)
             if not common.quiet:
-                click.echo(f"link: {what}", err=True)
+                click.echo(f"link: {vehicle}", err=True)
             trouble, changed = "", list[str]()
             try:
                 changed = link.prepare()
@@ -114,18 +123,18 @@ def fly(
                 float(mission.start[2]),
                 recorder,
                 make_options(mission.config, dry_run=common.dry_run),
-                interrupts=asked,
+                interrupts=count_interrupts,
             )
             with _signals(count):
                 with _priority():
                     loop.run()
                 link.close()
-                _tell(link, recorder, loop.taken[-1][0] if loop.taken else 0.0)
+                _report_texts(link, recorder, loop.taken[-1][0] if loop.taken else 0.0)
                 flown = _finish(mission, loop, recorder, provenance, common)
     except BaseException:
-        with _signals(count):  # a second one would leave the vehicle's parameters changed
+        with _signals(count):  # an interrupt here would leave the vehicle's parameters changed
             link.close()
-        _tell(link, recorder, 0.0)
+        _report_texts(link, recorder, 0.0)
         recorder.finish(None)
         recorder.discard()
         raise
@@ -135,8 +144,8 @@ def fly(
     _conclude(loop, flown, common)
 
 
-def _tell(link: Link, recorder: FlightRecorder, time_s: float) -> None:
-    """What closing a link had to say: which parameters could not be put back, and what they were."""
+def _report_texts(link: Link, recorder: FlightRecorder, time_s: float) -> None:
+    """Report what the link found at its end: parameters that could not be restored, and their values."""
     from alula.stages.flight.recorder.samples import WARNING
 
     for text in link.status.texts:
@@ -145,7 +154,7 @@ def _tell(link: Link, recorder: FlightRecorder, time_s: float) -> None:
 
 
 def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) -> FlightPipe:
-    """The view in a browser, of what the log's head holds and the plan."""
+    """Start the live view with the map, the plan and the names in the log's head."""
     from alula.stages.flight.recorder.live_view import ViewHead, open_view
 
     facts = ViewHead(
@@ -163,20 +172,20 @@ def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) ->
 
 
 def _points(mission: Mission) -> Any:
-    """Points of the plan, shape (T, 3)."""
+    """Points of the plan every 0.1 s, shape (T, 3), world frame [m]."""
     from alula.stages.planning.plan_samples import sample_plan
 
     return sample_plan(mission.plan, 0.1).position_world
 
 
 def _stop(number: int, frame: object) -> None:
-    """Before the loop runs there is nothing to land, but parameters to put back."""
+    """Interrupt the program before the loop runs: parameters are restored, and nothing has to land."""
     raise KeyboardInterrupt
 
 
 @contextmanager
 def _signals(handler: Any) -> Iterator[None]:
-    """Handle Ctrl-C, SIGTERM and a closed terminal."""
+    """Handle Ctrl-C, SIGTERM and a closed terminal by a function."""
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, handler) for number in numbers}
     try:
@@ -188,7 +197,7 @@ def _signals(handler: Any) -> Iterator[None]:
 
 @contextmanager
 def _priority() -> Iterator[None]:
-    """This thread before all ordinary ones, where the system allows it: wake-ups are late otherwise."""
+    """Give this thread real-time priority if the system allows it; otherwise wake-ups are late."""
     before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
@@ -206,7 +215,7 @@ def _finish(
     provenance: Provenance,
     common: Common,
 ) -> _Flown:
-    """The end of the log, and the record beside it; a flight that never took off leaves neither."""
+    """Complete the log and write the record; a flight that never took off leaves neither."""
     import platform
 
     import msgspec
@@ -226,7 +235,7 @@ def _finish(
         if not recorder.has_flown:
             return _Flown(None, [])
         if not common.quiet:
-            click.echo(f"{recorder.where}: the log of a take-off, which nobody has judged", err=True)
+            click.echo(f"{recorder.where}: log of a take-off without a flight; it has no verdict", err=True)
         return _Flown(None, [] if is_whole else [_cut(recorder.where)])
     trial = judge(mission, rows, loop.supervision.cause, common.jobs)
     summary = summary_of(trial, loop.supervision, loop.taken)
@@ -253,14 +262,14 @@ def _finish(
     machine = {"cpu_count": os.cpu_count(), "machine": platform.machine(), "system": platform.system()}
     try:
         _write_record(record_path(log), msgspec.structs.replace(record, timing=machine | timing))
-    except OutputError as error:  # the flight was as it was, and is told
+    except OutputError as error:  # the result of the flight is still shown
         trouble.append(str(error))
     show(common, "written", summary | {key: timing[key] for key in _SHOWN if key in timing})
     return _Flown(trial, trouble)
 
 
 def _cut(log: Path | None) -> str:
-    return f"{log}: the log was cut, its writer failed; it is read to its last whole chunk"
+    return f"{log}: the log was cut because its writer failed; it is readable up to its last complete chunk"
 
 
 def _write_record(path: Path, record: RunRecord) -> None:
@@ -273,12 +282,7 @@ def _write_record(path: Path, record: RunRecord) -> None:
 
 
 def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
-    """Fail as the flight did; if it went well, as its log did.
-
-    Raises:
-        CheckError, LinkError, KeyboardInterrupt: how it ended, unless well.
-        OutputError: it ended well, but the log or the record is not complete.
-    """
+    """Raise the error that the flight ended with; see `fly`."""
     from alula.stages.flight.loop.supervisor import Event
 
     cause, trial = loop.supervision.cause, flown.trial
@@ -299,9 +303,9 @@ def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
         *(Event.LINK_LOST, Event.FAILSAFE, Event.NOT_OBEYED, Event.ORDER_REFUSED, Event.ESTIMATOR_BAD),
         *(Event.DISARMED, Event.BATTERY_LOW, Event.FAILSAFE_IDLE, Event.OFF_WAY, Event.DRIFTS, Event.UNTOLD),
     )
-    said = "no reason is known" if cause is None else cause.value
+    reason = "no reason is known" if cause is None else cause.value
     if cause in of_vehicle or not loop.counters.filter_s:
-        raise LinkError(f"the flight ended early: {said}")
+        raise LinkError(f"the flight ended early: {reason}")
     if cause is not Event.PLAN_FINISHED:
-        raise CheckError(f"{common.output}: the plan was not finished: {said}")
+        raise CheckError(f"{common.output}: the plan was not finished: {reason}")
     raise CheckError(f"{common.output}: the flight came closer to the map than the vehicle's radius")

@@ -12,7 +12,7 @@ from alula.schemas.errors import UsageError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlyConfig:
-    """Parameters of `fly`; None stands for what the plan or the vehicle says, or for the default."""
+    """Parameters of `fly`; None stands for a value of the plan or the vehicle, or for a default."""
 
     name: str = field(default="flight", metadata={"help": "Name of the flight, for reports."})
     filter: str = field(
@@ -21,34 +21,37 @@ class FlyConfig:
     margin_m: float = field(
         default=0.1,
         metadata={
-            "help": "What filters keep beyond the vehicle's radius, for errors of tracking and state [m].",
+            "help": "Distance that filters keep beyond the vehicle's radius, for errors of tracking and "
+            "state [m].",
             "option": "--margin",
         },
     )
-    rate_hz: float = field(default=100.0, metadata={"help": "Ticks per second.", "option": "--rate"})
+    rate_hz: float = field(
+        default=100.0, metadata={"help": "Rate of the control loop [Hz].", "option": "--rate"}
+    )
     fence: tuple[float, float, float, float, float, float] | None = field(
         default=None,
         metadata={
-            "help": "Box not to leave, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; default: the plan's, and 2 m "
-            "around it.",
+            "help": "Box that the vehicle must not leave, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; default: the "
+            "plan's box and 2 m around it.",
             "metavar": "BOX",
         },
     )
     fence_map: bool = field(
         default=False,
-        metadata={"help": "The geofence also keeps out of the hulls of the cover, by the vehicle's radius."},
+        metadata={"help": "The geofence also keeps the vehicle's radius from the hulls of the cover."},
     )
     fence_reserve_m: float = field(
         default=0.05,
         metadata={
-            "help": "What the geofence keeps beyond the radius, for what its model leaves out [m].",
+            "help": "Distance that the geofence keeps beyond the radius, for errors of its model [m].",
             "option": "--fence-reserve",
         },
     )
     latency_s: float = field(
         default=0.03,
         metadata={
-            "help": "From a state, or a command, until it acts, for the geofence [s].",
+            "help": "Latency of states and commands, for the geofence [s].",
             "option": "--latency",
         },
     )
@@ -62,16 +65,16 @@ class FlyConfig:
     speed_m_s: float | None = field(
         default=None,
         metadata={
-            "help": "Speed limit of velocity set-points [m/s]; default: 1.5 times the plan's.",
+            "help": "Maximum speed of velocity set-points [m/s]; default: 1.5 times the plan's speed.",
             "option": "--speed",
         },
     )
     velocity_lag_s: float | None = field(
         default=None,
         metadata={
-            "help": "How late the vehicle follows velocity set-points: 1.25 times what 63 % of a stop from "
-            "--speed take [s]; default: 0.15 s and 0.15 s per m/s of --speed, at least 0.5 s. Rather too "
-            "long than too short.",
+            "help": "Lag with which the vehicle follows velocity set-points [s]: 1.25 times the duration "
+            "of 63 % of a stop from --speed; default: 0.15 s plus 0.15 s per m/s of --speed, at least 0.5 "
+            "s. Too long is safe, too short is not.",
             "option": "--velocity-lag",
         },
     )
@@ -82,57 +85,63 @@ class FlyConfig:
     inflation_m: float | None = field(
         default=None,
         metadata={
-            "help": "What filters among ellipsoids add to radius and margin [m]; default: what the scene's "
-            "alignment suggests.",
+            "help": "Distance that filters among ellipsoids add to radius and margin [m]; default: as "
+            "suggested by the scene's alignment.",
             "option": "--inflate",
         },
     )
     catch_up_m_s: float | None = field(
         default=None,
         metadata={
-            "help": "How much faster than its reference a vehicle that was held up may fly among ellipsoids "
-            "[m/s]; default: of its file, else half the plan's speed.",
+            "help": "Speed above that of the reference with which a vehicle may catch up among ellipsoids "
+            "[m/s]; default: from the vehicle's file, else half the plan's speed.",
             "option": "--catch-up",
         },
     )
     frame_check: Literal["motion", "hand", "none"] = field(
         default="motion",
         metadata={
-            "help": "How to see that the vehicle's frame is the map's: in flight, by its motion; hand: also "
-            "before, you move it along the map's axes."
+            "help": "Check that the vehicle's frame is the map's. motion: in flight, by the motion; hand: "
+            "also before take-off, by moves of the vehicle by hand along the map's axes."
         },
     )
     near_m: float = field(
         default=0.5,
-        metadata={"help": "How far beside the plan's start it may stand [m].", "option": "--near"},
+        metadata={
+            "help": "Maximum horizontal distance of the vehicle from the plan's start at take-off [m].",
+            "option": "--near",
+        },
     )
     battery: float = field(
-        default=0.3, metadata={"help": "Least charge to take off with, of 1; it lands at two thirds of that."}
+        default=0.3,
+        metadata={"help": "Minimum charge at take-off, from 0 to 1; the vehicle lands at two thirds of it."},
     )
     stale_s: float = field(
-        default=0.15, metadata={"help": "Oldest state that is flown on [s].", "option": "--stale"}
+        default=0.15, metadata={"help": "Maximum age of a state in flight [s].", "option": "--stale"}
     )
     fallback_s: float = field(
         default=3.0,
         metadata={
-            "help": "How long a filter may fly its fallback before a hold [s].",
+            "help": "Maximum time in which filter or geofence may fly a fallback; then the vehicle holds "
+            "[s].",
             "option": "--fallback",
         },
     )
     max_time_s: float | None = field(
         default=None,
         metadata={
-            "help": "It lands when the plan takes longer [s]; default: 10 s and three times its duration.",
+            "help": "Maximum duration of the flight of the plan, after which the vehicle lands [s]; "
+            "default: 10 s plus three times its duration.",
             "option": "--max-time",
         },
     )
     log_rate_hz: float = field(
-        default=100.0, metadata={"help": "Samples per second in the log.", "option": "--log-rate"}
+        default=100.0, metadata={"help": "Rate of samples in the log [Hz].", "option": "--log-rate"}
     )
     filter_parameters: Mapping[str, Any] = field(default_factory=dict, metadata={"internal": True})
 
     def __post_init__(self) -> None:
-        """Refuse values that mean nothing."""
+        """Refuse values that are out of range."""
         for option, value, low, high in (
             ("--margin", self.margin_m, 0.0, 100.0),
             ("--rate", self.rate_hz, 10.0, 500.0),

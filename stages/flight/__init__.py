@@ -1,1 +1,1 @@
-"""Vehicles, trajectories, planning and simulation."""
+"""Real flights: mission, commanders, control loop, links to vehicles, recorder and verdict."""

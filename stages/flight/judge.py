@@ -1,4 +1,4 @@
-"""How a real flight is judged: by its positions as measured, against the map, independently of any filter."""
+"""Verdict on a real flight: its measured positions against the map, independent of any filter."""
 
 from __future__ import annotations
 
@@ -18,13 +18,17 @@ from alula.stages.clearance import (
     wilson_interval,
 )
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.loop.options import Counters
+from alula.stages.flight.loop.control_loop import Counters
 from alula.stages.flight.loop.supervisor import Event, State, Supervision, Taken
 from alula.stages.flight.mission import Mission
 
 
 def outcome_of_cause(cause: Event | None) -> Outcome:
-    """How a flight is said to have ended."""
+    """Outcome of a flight in its record.
+
+    Args:
+        cause: first event that ended the flight; None if there was none.
+    """
     if cause is Event.PLAN_FINISHED:
         return "reached"
     if cause is Event.TIMED_OUT:
@@ -33,20 +37,20 @@ def outcome_of_cause(cause: Event | None) -> Outcome:
 
 
 def judge(mission: Mission, rows: FloatArray, cause: Event | None, jobs: int = 0) -> TrialResult:
-    """The verdict on a flight.
+    """Judge a flight by the exact distances of its measured path to the map.
 
     Args:
-        mission: what was flown.
-        rows: `FlightRecorder.rows`, at least one.
-        cause: why it ended.
-        jobs: threads.
+        mission: that was flown.
+        rows: `FlightRecorder.rows`, shape (n, 13) with n >= 1.
+        cause: first event that ended the flight.
+        jobs: number of threads, 0 for all cores.
     """
     position, velocity = np.ascontiguousarray(rows[:, 1:4]), rows[:, 4:7]
     radius, dt = mission.vehicle.body.radius_m, 1 / mission.config.rate_hz
     clearance: dict[str, float | None] = {"a hull": None, "an ellipsoid": None}
     for name, obstacles in mission.obstacles:
-        least = float(path_clearance(position, obstacles, jobs=jobs).min()) - radius
-        clearance[name] = least if math.isfinite(least) else None
+        distance = float(path_clearance(position, obstacles, jobs=jobs).min()) - radius
+        clearance[name] = distance if math.isfinite(distance) else None
     worst = min((c for c in clearance.values() if c is not None), default=math.inf)
     flying = rows[:, 7] >= 0
     status = np.bincount(rows[flying, 7].astype(np.int64), minlength=len(FilterStatus))
@@ -91,7 +95,13 @@ def judge(mission: Mission, rows: FloatArray, cause: Event | None, jobs: int = 0
 def summary_of(
     trial: TrialResult, supervision: Supervision, taken: Sequence[tuple[float, Taken]]
 ) -> dict[str, Any]:
-    """The numbers that a person wants, with the keys of `simulate`."""
+    """Summary of a flight, with the keys of `simulate`.
+
+    Args:
+        trial: verdict on the flight.
+        supervision: last state of the supervisor.
+        taken: steps of the supervisor with their times [s].
+    """
     good = trial.outcome == "reached" and not trial.collision
     ratio = trial.path_length_m / trial.straight_length_m if trial.straight_length_m > 0 else None
     cause = supervision.cause
@@ -115,7 +125,13 @@ def summary_of(
 
 
 def timing_of(counters: Counters, dropped: int, rate_hz: float) -> dict[str, Any]:
-    """Measured times of the loop, as a table of overruns has them."""
+    """Measured times of the loop, for the record.
+
+    Args:
+        counters: of the loop.
+        dropped: number of samples that the log lacks.
+        rate_hz: nominal rate of the loop [Hz].
+    """
     found: dict[str, Any] = {}
     for name, values in (
         ("filter", counters.filter_s),
@@ -123,8 +139,8 @@ def timing_of(counters: Counters, dropped: int, rate_hz: float) -> dict[str, Any
         ("lateness", counters.late_s),
     ):
         if values:
-            p50, p99, most = np.percentile(values, [50, 99, 100]).tolist()
-            found |= {f"{name}_p50_s": p50, f"{name}_p99_s": p99, f"{name}_max_s": most}
+            p50, p99, p100 = np.percentile(values, [50, 99, 100]).tolist()
+            found |= {f"{name}_p50_s": p50, f"{name}_p99_s": p99, f"{name}_max_s": p100}
     ticks = len(counters.tick_s)
     return found | {
         "rate_hz": rate_hz,
@@ -137,15 +153,21 @@ def timing_of(counters: Counters, dropped: int, rate_hz: float) -> dict[str, Any
 
 
 def guarantee_of(mission: Mission, trial: TrialResult) -> Guarantee:
-    """What a flight shows; a real one proves nothing beyond itself."""
+    """Statement of what a flight shows; a real flight proves nothing about other flights.
+
+    Args:
+        mission: that was flown.
+        trial: verdict on the flight.
+    """
     name = mission.config.filter
     who = "without a filter" if name == "none" else f"behind the filter {name!r}"
     touched = "came closer to the map than its radius" if trial.collision else "kept its radius from the map"
     proven, how = mission.is_clear
     return Guarantee(
-        statement=f"A real flight {who}, above a geofence. The plan before it: {how}. By its positions, "
-        f"as measured by the vehicle and joined at {mission.config.rate_hz:g} Hz, it {touched}. Nothing "
-        "is said of what the vehicle did not measure, and of the real scene only as far as the map holds it.",
+        statement=f"A real flight {who}, with a geofence. The plan before the flight: {how}. According to "
+        f"the positions that the vehicle measured, sampled at {mission.config.rate_hz:g} Hz and joined by "
+        f"straight lines, it {touched}. Motion that the vehicle did not measure is not covered, nor are "
+        "obstacles that the map does not contain.",
         claims={
             "proven_by_filter": False,
             "plan_certified": proven,

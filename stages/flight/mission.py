@@ -1,4 +1,4 @@
-"""A real flight from its artifacts: what it needs, what flies it, and what it is judged by afterwards."""
+"""Parts of a real flight, built from its artifacts: obstacles, filter, commander, geofence and checks."""
 
 from __future__ import annotations
 
@@ -24,11 +24,13 @@ from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
 from alula.stages.filtering.protocol import Filter, World
 from alula.stages.filtering.registry import complete_parameters, make_filter, make_splat_filter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
-from alula.stages.flight.commanders.tracking import Commander, PlanClock, SplatCommander
+from alula.stages.flight.commanders.geometric import GeometricCommander
+from alula.stages.flight.commanders.protocol import Commander
 from alula.stages.flight.commanders.velocity import VelocityCommander
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
+from alula.stages.flight.loop.control_loop import LoopOptions
 from alula.stages.flight.loop.fence_guard import FenceGuard, rates_model
-from alula.stages.flight.loop.options import LoopOptions
+from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.preflight import Needs
 from alula.stages.flight.loop.supervisor import SupervisorLimits
 from alula.stages.planning.curve_certificate import certify
@@ -37,30 +39,32 @@ from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 
 Obstacles = list[tuple[str, _core.PolytopeSet | _core.EllipsoidSet]]
 
-_ROOM_M = 2.0  # of the default fence around the plan
-_PLAN_SPEED_FACTOR = 1.5  # room to catch up with the plan
-_CATCH_UP = 0.5  # of the plan's speed
-# How late velocities are followed at most by the autopilots of docs/guide/fly.md, at a limit of speed.
-_LEAST_LAG_S, _LAG_S, _LAG_S2_M, _MOST_LAG_S = 0.5, 0.15, 0.15, 5.0
-_NEAR_M, _FAR_M = 0.3, 1.0  # errors at which the plan's time slows down, and stands still
-_SAMPLE_S = 1e-3  # of the plan, where its clearance is found by samples
-_EXTRA_TIME_S = 10.0
-_CARRYING_S = 600.0  # for checks with moves by hand
+_ROOM_M = 2.0  # between the plan's box and the default fence
+_PLAN_SPEED_FACTOR = 1.5  # default speed limit by the plan's speed, to catch up with the plan
+_CATCH_UP = 0.5  # default catch-up speed by the plan's speed
+# Maximum lag of the autopilots in docs/guide/fly.md: _LAG_S + _LAG_S2_M * speed limit, within bounds.
+_MIN_LAG_S, _LAG_S, _LAG_S2_M, _MAX_LAG_S = 0.5, 0.15, 0.15, 5.0
+_NEAR_M, _FAR_M = 0.3, 1.0  # errors from which on the plan's time slows down, and stands still
+_SAMPLE_S = 1e-3  # step of the plan where its clearance is computed from samples
+_EXTRA_TIME_S = 10.0  # added to three durations of the plan
+_CARRYING_S = 600.0  # maximum time of checks with moves by hand
 
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """What is flown, and among what.
+    """Plan, vehicle and map of a real flight.
 
     Attributes:
-        config: complete.
-        plan, vehicle: as given; cover, scene: what there is of the map.
-        is_splat: whether the filter sees the scene's ellipsoids, else the cover's hulls.
-        curve: the plan; start: its first point, shape (3,) [m].
-        obstacles: all there is of the map, to judge by.
-        inflation_m: that filters among ellipsoids add.
-        fence: where to fly.
-        is_clear: whether the plan keeps the vehicle's radius from the map, and how that was found.
+        config: complete configuration, see `resolve_fly`.
+        plan, vehicle: as given.
+        cover, scene: the map; at least one of them.
+        is_splat: the filter uses the ellipsoids of the scene, else the hulls of the cover.
+        curve: the plan.
+        start: first point of the plan, shape (3,), world frame [m].
+        obstacles: all obstacles of the map by name, for checks and verdict, world frame.
+        inflation_m: distance that filters among ellipsoids add to radius and margin [m].
+        fence: volume to fly in, world frame.
+        is_clear: whether the plan keeps the vehicle's radius from the map, and how this was found, in words.
     """
 
     config: FlyConfig
@@ -78,20 +82,26 @@ class Mission:
 
     @property
     def map(self) -> Artifact:
-        """What the filter sees."""
+        """The artifact whose obstacles the filter uses."""
         found = self.scene if self.is_splat else self.cover
         assert found is not None
         return found
 
     @property
     def goal(self) -> FloatArray:
-        """The end of the plan, shape (3,) [m]."""
+        """End of the plan, shape (3,), world frame [m]."""
         end: FloatArray = self.curve.at(np.array([self.curve.duration_s]))[0, :3]
         return end
 
 
 def resolve_fly(config: FlyConfig, plan: Artifact, vehicle: Vehicle, *, is_splat: bool) -> FlyConfig:
-    """Fill in what the configuration leaves to the plan, the vehicle or a default.
+    """Complete a configuration with values of the plan and the vehicle, and with defaults.
+
+    Args:
+        config: as given by the user.
+        plan: of kind `alula/plan`.
+        vehicle: contents of the vehicle's file.
+        is_splat: the filter uses the ellipsoids of a scene.
 
     Raises:
         UsageError: the vehicle has no rotors, or a parameter of the filter is unknown.
@@ -106,9 +116,9 @@ def resolve_fly(config: FlyConfig, plan: Artifact, vehicle: Vehicle, *, is_splat
     if is_splat:
         parameters = complete_parameters(config.filter, parameters)
     elif parameters and config.filter in ("none", "polytope-cbf"):
-        raise UsageError(f"--set: the filter {config.filter} has none; --beta and --kappa are options")
+        raise UsageError(f"--set: {config.filter} takes no parameters; polytope-cbf has --beta and --kappa")
     limit = config.speed_m_s or _PLAN_SPEED_FACTOR * speed
-    lag = min(max(_LEAST_LAG_S, _LAG_S + _LAG_S2_M * limit), _MOST_LAG_S)
+    lag = min(max(_MIN_LAG_S, _LAG_S + _LAG_S2_M * limit), _MAX_LAG_S)
     return dataclasses.replace(
         config,
         speed_m_s=limit,
@@ -130,13 +140,23 @@ def make_mission(
     is_splat: bool,
     jobs: int = 0,
 ) -> Mission:
-    """Read what a flight needs out of its artifacts, and prove the plan against the map again.
+    """Build a mission from its artifacts, and prove again that the plan is clear of the map.
 
-    Against hulls the proof holds for the continuous time (`certify`); against ellipsoids the exact distance
-    of chords of 1 ms is taken.
+    Against hulls the proof holds in continuous time (`certify`). Against ellipsoids it uses the exact
+    distance of chords of 1 ms.
+
+    Args:
+        config: as given by the user.
+        plan: of kind `alula/plan`.
+        vehicle: contents of the vehicle's file.
+        cover: map of hulls, if there is one.
+        scene: map of ellipsoids, if there is one.
+        is_splat: the filter uses the ellipsoids of the scene, else the hulls of the cover.
+        jobs: number of threads, 0 for all cores.
 
     Raises:
-        UsageError, InputError, ArtifactError: artifacts do not fit each other, or a parameter means nothing.
+        UsageError: a parameter is invalid.
+        InputError, ArtifactError: the artifacts do not match each other.
     """
     config = resolve_fly(config, plan, vehicle, is_splat=is_splat)
     frame = plan.manifest.frame
@@ -166,8 +186,8 @@ def make_mission(
         ellipsoids = scene_obstacles(scene, config.sigma)
         obstacles.append(("an ellipsoid", ellipsoids))
         points = sample_plan(plan, _SAMPLE_S).position_world
-        least = float(path_clearance(points, ellipsoids, jobs=jobs).min(initial=math.inf))
-        proofs.append((least >= radius, f"{least:.3f} m from the ellipsoids, {radius:g} m needed"))
+        distance = float(path_clearance(points, ellipsoids, jobs=jobs).min(initial=math.inf))
+        proofs.append((distance >= radius, f"{distance:.3f} m from the ellipsoids, {radius:g} m required"))
     curve = _core.ReferenceCurve(
         np.asarray(plan["time"], np.float64), np.asarray(plan["coefficient"], np.float64)
     )
@@ -202,10 +222,13 @@ def _inflation(config: FlyConfig, scene: Artifact | None) -> float:
 
 
 def make_safety(mission: Mission) -> Filter | SplatFilter | None:
-    """The filter, with the parameters of `simulate`; None flies what the controller asks for.
+    """Build the safety filter, with the parameters of `simulate`; None sends the nominal command.
+
+    Args:
+        mission: to fly.
 
     Raises:
-        UsageError: the filter is unknown or a parameter is wrong.
+        UsageError: the filter is unknown, or a parameter is invalid.
     """
     config, vehicle = mission.config, mission.vehicle
     keep = vehicle.body.radius_m + config.margin_m + mission.inflation_m
@@ -242,7 +265,12 @@ def make_safety(mission: Mission) -> Filter | SplatFilter | None:
 
 
 def wanted_setpoints(mission: Mission, safety: Filter | SplatFilter | None) -> tuple[type[Setpoint], ...]:
-    """Kinds of set-points that the filter's answer can be sent as, the best first."""
+    """Kinds of set-points that can carry the filter's output, the best first.
+
+    Args:
+        mission: to fly.
+        safety: from `make_safety`.
+    """
     if not mission.is_splat:
         return (VelocitySetpoint,)
     if safety is None:
@@ -254,23 +282,23 @@ def wanted_setpoints(mission: Mission, safety: Filter | SplatFilter | None) -> t
 def make_commander(
     mission: Mission, safety: Filter | SplatFilter | None, accepts: frozenset[type[Setpoint]]
 ) -> Commander:
-    """What turns states into set-points: the controllers of `simulate` behind a filter.
+    """Build the commander: a controller of `simulate` behind the filter.
 
     Args:
-        mission: what is flown.
+        mission: to fly.
         safety: from `make_safety`.
-        accepts: kinds of set-points that the link takes.
+        accepts: kinds of set-points that the link accepts.
 
     Raises:
-        LinkError: the link takes no kind of set-point that the filter's answer can be sent as.
+        LinkError: the link accepts no kind of set-point that can carry the filter's output.
     """
     config, vehicle = mission.config, mission.vehicle
     lag, delay = vehicle.assumed.motor_time_constant_s, vehicle.assumed.delay_s
-    wanted = wanted_setpoints(mission, safety)
-    kind = next((kind for kind in wanted if kind in accepts), None)
+    kinds = wanted_setpoints(mission, safety)
+    kind = next((kind for kind in kinds if kind in accepts), None)
     if kind is None:
-        names = " or ".join(kind.__name__ for kind in wanted)
-        raise LinkError(f"the filter {config.filter} needs a link that takes {names}; this one does not")
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise LinkError(f"the filter {config.filter} needs a link that accepts {names}; this link does not")
     if not mission.is_splat:
         assert config.speed_m_s is not None
         assert config.velocity_lag_s is not None
@@ -282,7 +310,7 @@ def make_commander(
             delay_s=delay,
             dt_s=1 / config.rate_hz,
         )
-    return SplatCommander(
+    return GeometricCommander(
         filter=cast(SplatFilter | None, safety),
         body=quadrotor(vehicle),
         gains=tracking_gains(vehicle, config.catch_up_m_s),
@@ -296,7 +324,12 @@ def make_commander(
 
 
 def make_guard(mission: Mission, accepts: frozenset[type[Setpoint]]) -> FenceGuard:
-    """The geofence underneath."""
+    """Build the geofence behind the filter.
+
+    Args:
+        mission: to fly.
+        accepts: kinds of set-points that the link accepts.
+    """
     return FenceGuard(
         mission.fence,
         mission.vehicle,
@@ -308,7 +341,12 @@ def make_guard(mission: Mission, accepts: frozenset[type[Setpoint]]) -> FenceGua
 
 
 def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
-    """What the pre-flight checks ask for."""
+    """Requirements of the flight for the pre-flight checks.
+
+    Args:
+        mission: to fly.
+        setpoints: kinds of set-points; the link must accept one of them.
+    """
     config = mission.config
     model = rates_model(mission.vehicle)
     return Needs(
@@ -325,13 +363,18 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         loop_hz=config.rate_hz,
         stale_s=config.stale_s,
         battery_share=config.battery,
-        most_thrust_m_s2=sum(model.thrust),
+        max_thrust_m_s2=sum(model.thrust),
         gravity_m_s2=model.gravity,
     )
 
 
 def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
-    """Of the loop, from a complete configuration."""
+    """Parameters of the control loop.
+
+    Args:
+        config: complete configuration, see `resolve_fly`.
+        dry_run: end after the pre-flight checks.
+    """
     assert config.max_time_s is not None
     limits = SupervisorLimits(
         stale_s=config.stale_s,
@@ -350,19 +393,31 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
 
 
 def make_clock(mission: Mission) -> PlanClock:
-    """The time along the plan."""
+    """Build the clock along the plan.
+
+    Args:
+        mission: to fly.
+    """
     return PlanClock(mission.curve, near_m=_NEAR_M, far_m=_FAR_M)
 
 
 def describe(mission: Mission) -> str:
-    """The vehicle, in words."""
+    """Describe the vehicle in words, for log and record.
+
+    Args:
+        mission: to fly.
+    """
     vehicle = mission.vehicle
     sphere = f"a sphere of radius {vehicle.body.radius_m:g} m"
     return f"{vehicle.name}: a real quadrotor of {vehicle.body.mass_kg:g} kg in {sphere}"
 
 
 def head_facts(mission: Mission) -> dict[str, Any]:
-    """What the log's head says of the mission beside its provenance."""
+    """Fields of `FlightHead` that the mission determines.
+
+    Args:
+        mission: to fly.
+    """
     return {
         "name": mission.config.name,
         "filter": mission.config.filter,

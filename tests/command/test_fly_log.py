@@ -1,4 +1,4 @@
-"""What a flight leaves of logs: of an old one that is replaced, of a writer that dies, of a full disk."""
+"""Logs after a flight: an earlier log is replaced, the writer dies, the disk is full."""
 
 import functools
 import os
@@ -28,7 +28,7 @@ OLD = b"an old log"
 
 @pytest.fixture
 def fly(tmp_path, monkeypatch):
-    """Flies a fake vehicle by the command's own steps; returns the log."""
+    """Fly a fake vehicle by the steps of the command; return the log."""
     recorders = []
 
     class Kept(FlightRecorder):
@@ -97,7 +97,7 @@ def test_the_log_of_a_take_off_is_kept_though_nobody_can_judge_it(fly):
     found = read_logged(fly.log)
     assert "in the state done" in found.damage
     assert len(found.flights.by_trial[0].time_s) > 200
-    assert fly.left() == ["f.run.mcap"]  # the old flight's record is none of this one's
+    assert fly.left() == ["f.run.mcap"]  # the record of the earlier flight does not belong to this one
 
 
 @pytest.mark.parametrize("old", [True, False])
@@ -132,7 +132,7 @@ def test_a_record_that_cannot_be_written_is_told_after_the_flight(fly, monkeypat
         fly()
     assert read_run(fly.log).trials[0].outcome == "reached"
 
-    def low(vehicle, now, recorder):  # and beside worse news it is a line of its own
+    def low(vehicle, now, recorder):  # the message is then a line of its own
         if vehicle.sent:
             vehicle.status.battery_share = 0.1
 

@@ -1,4 +1,4 @@
-"""Signals while a vehicle's parameters are changed or put back, but nothing flies."""
+"""Signals while parameters of a vehicle on the ground are changed or restored."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ from support.flights import START, mission
 
 
 class Interrupted(FakeVehicle):
-    """Gets one signal while parameters are changed, and others while they are put back."""
+    """Link that gets one signal while parameters are changed, and others while they are restored."""
 
     number = signal.SIGINT
 

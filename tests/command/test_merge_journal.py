@@ -17,7 +17,7 @@ from alula.cli import journal as file
 from alula.cli.main import run
 from alula.schemas.artifact import make_artifact, write_artifact
 from alula.schemas.errors import DamagedError, VersionError
-from alula.schemas.journal import pack, strangeness, unpack
+from alula.schemas.journal import mismatches, pack, unpack
 from alula.schemas.kinds import VOXELS
 from alula.schemas.manifest import producer
 from alula.schemas.provenance import Provenance, read_provenance
@@ -187,8 +187,8 @@ def test_another_program_has_other_measurements(interrupted):
     recorded, _ = unpack(interrupted.read_bytes())
     other = msgspec.structs.replace(recorded.producer, commit="another")
     wanted = msgspec.structs.replace(recorded, producer=other)
-    assert strangeness(recorded, recorded) == []
-    assert strangeness(recorded, wanted) == [f"it was written by commit {recorded.producer.commit}"]
+    assert mismatches(recorded, recorded) == []
+    assert mismatches(recorded, wanted) == [f"it was written by commit {recorded.producer.commit}"]
 
 
 def test_a_forged_journal_changes_what_is_merged_but_not_what_is_covered(interrupted, whole):

@@ -56,9 +56,9 @@ def test_a_flight_is_flown_logged_and_reported(pipeline, tmp_path):
     assert run(["info", str(log), "-q"]) == 0
     assert run(["report", str(log), "-o", str(tmp_path / "f.html"), "-q"]) == 0
     assert "reached" in (tmp_path / "f.html").read_text()
-    assert run(words(pipeline, log)) == 2  # every flight is a new one
+    assert run(words(pipeline, log)) == 2  # a flight is not continued
     log.unlink()
-    assert run(words(pipeline, log)) == 2  # and the record is another's still
+    assert run(words(pipeline, log)) == 2  # the record still belongs to another flight
 
 
 def test_a_dry_run_writes_nothing_and_prints_the_checks(pipeline, tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""The view in a browser: what it has no time for is counted, and its death is nothing to the flight."""
+"""Live view in a browser: dropped samples are counted, and its end does not affect the flight."""
 
 import json
 import os
@@ -54,7 +54,7 @@ def view_head(made):
 
 
 def children(pid):
-    """Processes of a process, by what they run."""
+    """Child processes of a process, by their code."""
     found = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     return {int(child): Path(f"/proc/{child}/cmdline").read_text() for child in found}
 

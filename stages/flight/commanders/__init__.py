@@ -1,1 +1,1 @@
-"""From a state and a plan to a set-point."""
+"""Commanders: controllers and filters of `simulate` that compute one set-point per tick."""

@@ -1,1 +1,1 @@
-"""The loop that flies: supervisor, checks and watches."""
+"""Control loop of a real flight: supervisor, pre-flight checks, watches and geofence."""

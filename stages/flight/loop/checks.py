@@ -1,4 +1,7 @@
-"""The pre-flight checks over time: observe, ask for moves by hand, judge, wait for what may still come."""
+"""Pre-flight checks over time: collect observations, prompt for moves by hand, evaluate, and repeat.
+
+The checks themselves are in `preflight`.
+"""
 
 from __future__ import annotations
 
@@ -11,25 +14,31 @@ from alula.stages.flight.loop.frame_check import HandCheck
 from alula.stages.flight.loop.preflight import Needs, Observed, Verdict, verdicts
 from alula.stages.flight.recorder.samples import ERROR, INFO
 
-# What time may mend, and what somebody who carries the vehicle still will.
-MAY_COME = frozenset({"heartbeat", "state", "rate", "estimator", "loop", "level"})
-PLACED = frozenset(
-    {"start", "clearance", "landing", "fence"}
-)  # said of a place, which comes with the estimator
-CARRIED = PLACED | {"on the ground"}
+# Checks that may pass later without any action.
+TRANSIENT = frozenset({"heartbeat", "state", "rate", "estimator", "loop", "level"})
+# Checks of the position; they may pass later when the estimator gets ready or somebody carries the vehicle.
+OF_POSITION = frozenset({"start", "clearance", "landing", "fence"})
+CARRIED = OF_POSITION | {"on the ground"}
 
 Say = Callable[[int, str], None]
 
 
 class FlightChecks:
-    """Runs all checks on what was observed, again and again while only such fail that time may mend.
+    """Pre-flight checks of one flight; they are repeated while all checks that fail may pass later.
 
     Args:
-        needs: of the flight.
-        changed: what `Link.prepare` changed; trouble: why it failed.
-        observe_s: how long to look before each verdict.
-        patience_s: how long to wait for estimator and rates.
-        by_hand: ask the operator to move the vehicle along the axes of the map.
+        needs: requirements of the flight.
+        changed: parameters that `Link.prepare` changed, one line each.
+        trouble: reason why `Link.prepare` failed; empty if it did not.
+        observe_s: duration of the observation before each evaluation [s].
+        patience_s: time after which a failed check is final even if it may pass later [s].
+        by_hand: prompt the operator to move the vehicle along the axes of the map.
+
+    Attributes:
+        result: whether all checks passed; None while they run.
+        position: position of the vehicle when all checks passed, shape (3,), world frame [m].
+        room_m: distance by which it may leave the climb path from there without touching anything [m].
+        verdicts: of the last evaluation.
     """
 
     def __init__(
@@ -44,8 +53,8 @@ class FlightChecks:
     ) -> None:
         self.needs = needs
         self.result: bool | None = None
-        self.place: FloatArray | None = None  # where it stood when all held, shape (3,)
-        self.room_m = 0.0  # that it has around the way up from there
+        self.position: FloatArray | None = None
+        self.room_m = 0.0
         self.verdicts: list[Verdict] = []
         self._changed, self._trouble = changed or [], trouble
         self._observe_s, self._patience_s = observe_s, patience_s
@@ -56,7 +65,14 @@ class FlightChecks:
         self._late_s, self._seen_s, self._since_s = 0.0, -1.0, 0.0
 
     def look(self, link: Link, now_s: float, late_s: float, say: Say) -> None:
-        """Take in a tick; sets `result` when it is known."""
+        """Register a tick; sets `result` as soon as it is known.
+
+        Args:
+            link: to the vehicle.
+            now_s: monotonic clock [s].
+            late_s: lateness of the tick [s].
+            say: logs a message of a level.
+        """
         if self.result is not None:
             return
         if self._first_s is None:
@@ -70,24 +86,25 @@ class FlightChecks:
             self._states += 1
             if self._hand is not None:
                 self._hand.update(state)
-        if self._hand is not None and self._asks(self._hand, now_s, say):
+        if self._hand is not None and self._prompts(self._hand, now_s, say):
             return
         if now_s - self._since_s < self._observe_s:
             return
-        self._judge(link, now_s, say)
+        self._evaluate(link, now_s, say)
 
     def failure(self) -> str:
-        """The first check that does not hold, with what was found."""
+        """Names and findings of all checks that do not hold; empty if all hold."""
         failed = [v for v in self.verdicts if not v.holds]
         return "; ".join(f"{v.name}: {v.words}" for v in failed)
 
     @property
     def is_of_link(self) -> bool:
-        """Whether all that fails is for the link or the vehicle to answer."""
+        """True when checks fail, and the link or the vehicle is the cause of all of them."""
         failed = [v for v in self.verdicts if not v.holds]
         return bool(failed) and all(v.of_link for v in failed)
 
-    def _asks(self, hand: HandCheck, now_s: float, say: Say) -> bool:
+    def _prompts(self, hand: HandCheck, now_s: float, say: Say) -> bool:
+        """Prompt for the next move; False when there is none, or when a move was wrong."""
         wrong = hand.verdict()
         prompt = "" if wrong else hand.prompt
         if prompt and prompt != self._prompt:
@@ -99,10 +116,10 @@ class FlightChecks:
                 self._restart(now_s)
             self.needs = dataclasses.replace(self.needs, frame=wrong)
             return False
-        self.needs = dataclasses.replace(self.needs, frame=None)  # also of one that was lifted again
+        self.needs = dataclasses.replace(self.needs, frame=None)  # also after the vehicle was lifted again
         return True
 
-    def _judge(self, link: Link, now_s: float, say: Say) -> None:
+    def _evaluate(self, link: Link, now_s: float, say: Say) -> None:
         assert self._first_s is not None
         seen = Observed(
             now_s=now_s,
@@ -115,19 +132,21 @@ class FlightChecks:
             states=self._states,
             ticks=self._ticks,
             worst_late_s=self._late_s,
-            hover=getattr(getattr(link, "hover", None), "value", None),  # of links that send throttle
+            hover=getattr(
+                getattr(link, "hover", None), "value", None
+            ),  # only links that send throttle have it
         )
         before = {v.name for v in self.verdicts if not v.holds}
         self.verdicts = verdicts(seen, self.needs)
         failed = {v.name for v in self.verdicts if not v.holds}
-        may_come = MAY_COME if self._hand is None else MAY_COME | CARRIED
-        may_come |= {v.name for v in self.verdicts if v.is_untold}
+        may_pass = TRANSIENT if self._hand is None else TRANSIENT | CARRIED
+        may_pass |= {v.name for v in self.verdicts if v.is_unknown}
         if failed & {"state", "estimator"}:
-            may_come |= PLACED
+            may_pass |= OF_POSITION
         if (
             failed
             and not self.needs.frame
-            and failed <= may_come
+            and failed <= may_pass
             and now_s - self._first_s < self._patience_s
         ):
             if failed != before:
@@ -136,7 +155,7 @@ class FlightChecks:
             return
         self.result = not failed
         if self.result and link.state is not None:
-            self.place = link.state.position.copy()
+            self.position = link.state.position.copy()
             self.room_m = min(self.needs.near_m, *(v.room_m for v in self.verdicts))
         for v in self.verdicts:
             say(INFO if v.holds else ERROR, f"check {v.name}: {'holds' if v.holds else 'FAILS'}, {v.words}")

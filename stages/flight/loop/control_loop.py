@@ -1,4 +1,7 @@
-"""The loop that flies: at a fixed rate, from state to set-point, under the supervisor."""
+"""Control loop of a real flight: from state to set-point at a fixed rate, under the supervisor.
+
+This file is one thing and therefore long: the order of the steps within a tick is what makes it safe.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -14,14 +18,12 @@ import numpy as np
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
 from alula.stages.filtering.protocol import FilterStatus
-from alula.stages.flight.commanders.tracking import Commander, PlanClock, heading_of
+from alula.stages.flight.commanders.protocol import Commander
 from alula.stages.flight.links.protocol import Link, Order, Setpoint, VehicleState, refusal_words
 from alula.stages.flight.loop.checks import FlightChecks
 from alula.stages.flight.loop.fence_guard import FenceGuard, Guarded
-from alula.stages.flight.loop.frame_check import Jump, MotionCheck
-from alula.stages.flight.loop.mode_watch import HealthWatch, ModeWatch
-from alula.stages.flight.loop.options import Counters, LoopOptions
-from alula.stages.flight.loop.place_watch import PlaceWatch
+from alula.stages.flight.loop.frame_check import MotionCheck
+from alula.stages.flight.loop.plan_clock import PlanClock, heading_of
 from alula.stages.flight.loop.supervisor import (
     Action,
     Event,
@@ -29,38 +31,93 @@ from alula.stages.flight.loop.supervisor import (
     FilterHealth,
     State,
     Supervision,
+    SupervisorLimits,
     Taken,
     advance,
     begun,
     sends_setpoints,
 )
-from alula.stages.flight.recorder.samples import ERROR, INFO, WARNING, FilterSample, Recorder, level_of
-from alula.stages.flight.recorder.sampling import filter_sample, tick_sample
+from alula.stages.flight.loop.watches import HealthWatch, JumpWatch, ModeWatch, PositionWatch
+from alula.stages.flight.recorder.samples import (
+    ERROR,
+    INFO,
+    WARNING,
+    FilterSample,
+    Recorder,
+    filter_sample,
+    level_of,
+    tick_sample,
+)
 
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
-_LAST_WORDS_S = 1.0  # for an order to land when the loop itself fails
+_EMERGENCY_S = 1.0  # for the order to land when the loop itself fails
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopOptions:
+    """Parameters of the control loop.
+
+    Attributes:
+        rate_hz: ticks per second [Hz].
+        limits: of the supervisor.
+        dry_run: end after the pre-flight checks.
+        watch_frame: compare motion with the frame from take-off on.
+        stop_m, stop_speed_m_s: maximum distance from the end of the plan [m] and maximum speed [m/s] at which
+            the end counts as reached.
+        margin_m: additional distance at which a filter may stop the vehicle [m]; it is accepted after the
+            vehicle has been at rest for `rest_s` [s].
+    """
+
+    rate_hz: float = 100.0
+    limits: SupervisorLimits = field(default_factory=SupervisorLimits)
+    dry_run: bool = False
+    watch_frame: bool = True
+    stop_m: float = 0.2
+    stop_speed_m_s: float = 0.3
+    margin_m: float = 0.0
+    rest_s: float = 1.5
+
+
+@dataclass(slots=True)
+class Counters:
+    """Measured times of a flight.
+
+    Attributes:
+        late_s, tick_s: lateness and duration of each tick, in all states [s].
+        filter_s: duration of each decision of the commander [s].
+        overruns: ticks that ended after the next deadline.
+        skipped: deadlines that were left out.
+    """
+
+    late_s: list[float] = field(default_factory=list)
+    tick_s: list[float] = field(default_factory=list)
+    filter_s: list[float] = field(default_factory=list)
+    overruns: int = 0
+    skipped: int = 0
 
 
 class ControlLoop:
-    """One flight over a link.
+    """Control loop of one flight over a link.
 
-    A tick polls the link, looks at the facts, does what the supervisor's table says and, in `State.FLY`,
-    sends one set-point. So it does in `State.HOLD` while the state is fresh and the filter well: the filter's
-    answer to standing still; otherwise the vehicle holds by itself. Deadlines are absolute: a tick that
-    overruns makes the next one late, and deadlines that have passed are left out, not made up for. Whatever a
-    filter raises holds the vehicle.
+    A tick polls the link, collects the facts, performs the actions of the supervisor's table and, in
+    `State.FLY`, sends one set-point. In `State.HOLD` it also sends one while the state is fresh and the
+    filter works: the filter's answer to a reference that stands still. Otherwise the vehicle holds by itself.
+
+    Deadlines are absolute: a tick that overruns makes the next one late, and deadlines that have passed are
+    left out. An exception of the filter leads to a hold.
 
     Args:
-        link: opened and prepared.
-        commander: makes set-points.
-        guard: the fence.
-        plan: the time along the plan.
-        checks: before take-off.
-        height_m: of the plan's start, in the world.
-        recorder: takes samples and lines.
+        link: to the vehicle, opened and prepared.
+        commander: computes set-points.
+        guard: geofence.
+        plan: time along the plan.
+        checks: pre-flight checks.
+        height_m: height of the plan's start, world frame [m].
+        recorder: receives samples and messages.
         options: see `LoopOptions`.
-        interrupts: how often the operator has asked to end.
-        clock, sleep: monotonic time [s], and waiting.
+        interrupts: returns how often the operator has interrupted the program.
+        clock: returns monotonic time [s].
+        sleep: waits for a time [s].
     """
 
     def __init__(
@@ -86,31 +143,31 @@ class ControlLoop:
         self._start_height_m = height_m
         self._interrupts, self._clock, self._sleep = interrupts, clock, sleep
         self._begin_s = 0.0
-        self._modes, self._health, self._places = ModeWatch(), HealthWatch(), PlaceWatch(height_m)
-        self._motion, self._jump, self._jump_m = MotionCheck(), Jump(), 0.0
+        self._modes, self._health, self._positions = ModeWatch(), HealthWatch(), PositionWatch(height_m)
+        self._motion, self._jumps, self._jump_m = MotionCheck(), JumpWatch(), 0.0
         self._ground_m: float | None = None
         self._filter = FilterHealth.GOOD
         self._fallback_from_s, self._overruns = math.inf, 0
         self._fence_m: float | None = None
-        self._astray_m = self._drift_m = 0.0
+        self._off_climb_m = self._drift_m = 0.0
         self._refused_s, self._refused = math.inf, (State.IDLE, "")
-        self._jumps: int | None = None
-        self._deaf = False
-        self._was_there = False
+        self._clock_jumps: int | None = None  # of the vehicle's clock, when arming was first ordered
+        self._link_failed = False
+        self._has_arrived = False
         self._rested_s = 0.0
-        self._place: FloatArray | None = None  # where the filter holds it, a row of the reference
+        self._hold_row: FloatArray | None = None  # where the filter holds it, a row of the reference
         self._sent: Setpoint | None = None  # in this tick
 
     @property
     def state(self) -> State:
-        """Of the supervisor."""
+        """State of the supervisor."""
         return self.supervision.state
 
     def run(self) -> None:
         """Fly until the supervisor is done.
 
         Raises:
-            Exception: what the loop itself failed with, after the vehicle was told to land.
+            Exception: any error of the loop itself, after the order to land was sent.
         """
         gc.collect()
         gc.freeze()
@@ -119,7 +176,7 @@ class ControlLoop:
         try:
             self._loop()
         except BaseException:
-            self._last_words()
+            self._emergency_land()
             raise
         finally:
             gc.enable()
@@ -133,7 +190,7 @@ class ControlLoop:
         while self.state is not State.DONE:
             wait = deadline - self._clock()
             if wait > 0:
-                self._sleep(min(wait, period))  # more only where a clock goes back
+                self._sleep(min(wait, period))  # a longer wait means that the clock went back
             now = self._clock()
             late = now - deadline
             self.tick(now, late, spent)
@@ -145,22 +202,28 @@ class ControlLoop:
             self._overruns = self._overruns + 1 if has_overrun else 0
             deadline += period
             if (behind := self._clock() - deadline) >= period:
-                missed = int(behind / period + 0.1) + 1  # the next one is not at once
+                missed = int(behind / period + 0.1) + 1  # so that the next tick is not immediate
                 counters.skipped += missed
                 deadline += missed * period
-                if (still := self._sent) is not None:  # it is followed until the next one
+                if (active := self._sent) is not None:  # the vehicle follows it until the next set-point
                     for _ in range(missed):
-                        self.commander.sent(still)
+                        self.commander.sent(active)
 
     def tick(self, now_s: float, late_s: float, spent_s: float) -> None:
-        """One tick; `spent_s` is what the one before took."""
+        """Run one tick.
+
+        Args:
+            now_s: monotonic clock [s].
+            late_s: time since the deadline of this tick [s].
+            spent_s: duration of the tick before [s].
+        """
         self._sent = None
         self._poll(now_s)
         state = self.link.state
-        self._look(state, now_s, late_s)
+        self._observe(state, now_s, late_s)
         self._supervise(now_s, late_s)
         sample = None
-        if state is not None and (sends_setpoints(self.state) or self._stays(state, now_s)):
+        if state is not None and (sends_setpoints(self.state) or self._filters_hold(state, now_s)):
             sample = self._fly(state, now_s)
             if self._filter is not FilterHealth.GOOD or self._fence_m == -math.inf:
                 self._supervise(now_s, late_s)
@@ -169,49 +232,49 @@ class ControlLoop:
     def _poll(self, now_s: float) -> None:
         try:
             self.link.poll(now_s)
-            self._deaf = False
+            self._link_failed = False
         except LinkError as error:
-            if not self._deaf:
+            if not self._link_failed:
                 self.say(now_s, ERROR, str(error))
-            self._deaf = True
+            self._link_failed = True
         status = self.link.status
         while status.texts:
             self.say(now_s, INFO, f"vehicle: {status.texts.pop(0)}")
         while status.refusals:
             refused = self.state, refusal_words(*status.refusals.pop(0))
-            if refused != self._refused:  # orders are given again and again
+            if refused != self._refused:  # orders are repeated
                 self.say(now_s, WARNING, refused[1])
             self._refused = refused
             self._refused_s = min(self._refused_s, now_s)
 
-    def _look(self, state: VehicleState | None, now_s: float, late_s: float) -> None:
-        """What takes more than a glance: distances, the frame, the checks."""
-        where = self.state
-        if where is State.CHECKS:
+    def _observe(self, state: VehicleState | None, now_s: float, late_s: float) -> None:
+        """Run the checks and update distances, jumps and the frame."""
+        phase = self.state
+        if phase is State.CHECKS:
             self.checks.look(self.link, now_s, late_s, partial(self.say, now_s))
-        self._look_where(state)
-        self._jump_m = 0.0 if state is None else self._jump.of(state)
-        if state is not None and self.options.watch_frame and where in (State.TAKE_OFF, State.FLY):
+        self._observe_distances(state)
+        self._jump_m = 0.0 if state is None else self._jumps.jump_m(state)
+        if state is not None and self.options.watch_frame and phase in (State.TAKE_OFF, State.FLY):
             self._motion.update(state)
 
-    def _look_where(self, state: VehicleState | None) -> None:
-        where = self.state
-        self._fence_m, self._astray_m, self._drift_m = None, 0.0, 0.0
+    def _observe_distances(self, state: VehicleState | None) -> None:
+        phase = self.state
+        self._fence_m, self._off_climb_m, self._drift_m = None, 0.0, 0.0
         if state is None:
             return
-        if where in (State.FLY, State.HOLD):
+        if phase in (State.FLY, State.HOLD):
             self._fence_m = self.guard.distance(state)
-        elif where is State.TAKE_OFF:  # the ground may be nearer than the fence allows
+        elif phase is State.TAKE_OFF:  # the ground may be nearer than the fence allows
             self._fence_m = self.guard.distance(state, self._start_height_m)
-        if where in (State.ARMING, State.TAKE_OFF):
-            self._astray_m = self._places.astray_m(state)
-        if where is State.HOLD:
-            self._drift_m = self._places.drift_m(state)
+        if phase in (State.ARMING, State.TAKE_OFF):
+            self._off_climb_m = self._positions.off_climb_m(state)
+        if phase is State.HOLD:
+            self._drift_m = self._positions.drift_m(state)
 
     def _facts(self, now_s: float, late_s: float) -> Facts:
         state, status = self.link.state, self.link.status
         ground, start = self._ground_m, self._start_height_m
-        silence = math.inf if status.heard_s is None or self._deaf else now_s - status.heard_s
+        silence = math.inf if status.heard_s is None or self._link_failed else now_s - status.heard_s
         return Facts(
             now_s=now_s,
             state_age_s=math.inf if state is None else now_s - state.received_s,
@@ -221,10 +284,10 @@ class ControlLoop:
             landed=status.landed,
             obeys=status.obeys,
             is_failsafe=status.is_failsafe,
-            untold=self._health.is_untold(status, now_s),
-            astray_m=self._astray_m,
+            health_unknown=self._health.is_unknown(status, now_s),
+            off_climb_m=self._off_climb_m,
             drift_m=self._drift_m,
-            restarted=self._jumps is not None and status.clock_jumps > self._jumps,
+            restarted=self._clock_jumps is not None and status.clock_jumps > self._clock_jumps,
             estimator_ready=status.is_estimator_ready,
             battery_share=status.battery_share,
             is_ours=self._modes.is_ours(status),
@@ -239,7 +302,7 @@ class ControlLoop:
             filter=self._filter,
             fallback_s=max(0.0, now_s - self._fallback_from_s),
             fence_m=self._fence_m,
-            plan_done=self._was_there,
+            plan_done=self._has_arrived,
             interrupts=self._interrupts(),
         )
 
@@ -263,7 +326,7 @@ class ControlLoop:
             self._try(each.step.action, now_s)
 
     def _try(self, action: Action, now_s: float) -> None:
-        """Do it, or say why not, as if the vehicle had declined it."""
+        """Perform an action; report a link error and treat it as a refusal by the vehicle."""
         try:
             self._do(action, now_s)
         except LinkError as error:
@@ -273,20 +336,20 @@ class ControlLoop:
     def _do(self, action: Action, now_s: float) -> None:
         state, status = self.link.state, self.link.status
         if action is Action.ARM:
-            if self._jumps is None:
-                self._jumps = status.clock_jumps
+            if self._clock_jumps is None:
+                self._clock_jumps = status.clock_jumps
                 self._health.armed(status)
-                if self.checks.place is not None:
-                    self._places.proven(self.checks.place, self.checks.room_m)
-                    self._ground_m = float(self.checks.place[2])
+                if self.checks.position is not None:
+                    self._positions.proven(self.checks.position, self.checks.room_m)
+                    self._ground_m = float(self.checks.position[2])
             self._order(Order.ARM, now_s)
         elif action is Action.TAKE_OFF:
             if self._ground_m is None:
-                raise LinkError("the vehicle has not said where it stands")
+                raise LinkError("the vehicle has not reported its position on the ground")
             self._order(Order.TAKE_OFF, now_s, self._start_height_m - self._ground_m)
         elif action is Action.ENGAGE:
-            self._place = None
-            self._places.moved()
+            self._hold_row = None
+            self._positions.moved()
             self.commander.reset()
             self.guard.reset()
             if state is not None:
@@ -306,63 +369,63 @@ class ControlLoop:
         self._modes.ordered(order, self.link.status)
         self.link.order(order, now_s, height_m)
 
-    def _stays(self, state: VehicleState, now_s: float) -> bool:
-        """Whether a hold is the filter's; where it ceases to be, it is the vehicle's own again."""
+    def _filters_hold(self, state: VehicleState, now_s: float) -> bool:
+        """Decide whether the filter holds the vehicle; if no longer, order the vehicle to hold by itself."""
         is_hold = self.state is State.HOLD
         is_well = self._filter is FilterHealth.GOOD and self.supervision.well_since_s < math.inf
-        stays = is_hold and is_well and self.link.status.obeys
-        if stays and self._place is None:
+        is_filtered = is_hold and is_well and self.link.status.obeys
+        if is_filtered and self._hold_row is None:
             self.commander.reset()
             self.guard.reset()
-            self._place = np.zeros((1, 18))
-            self._place[0, :3], self._place[0, 15] = state.position, heading_of(state.attitude_wxyz)
-        elif not stays and self._place is not None:
-            self._place = None
+            self._hold_row = np.zeros((1, 18))
+            self._hold_row[0, :3], self._hold_row[0, 15] = state.position, heading_of(state.attitude_wxyz)
+        elif not is_filtered and self._hold_row is not None:
+            self._hold_row = None
             if is_hold:
                 self._try(Action.HOLD, now_s)
-        return stays
+        return is_filtered
 
     def _fly(self, state: VehicleState, now_s: float) -> FilterSample | None:
-        """One set-point; what goes wrong on the way is for the supervisor."""
+        """Compute and send one set-point; failures are left to the supervisor."""
         age, before = max(0.0, now_s - state.received_s), self._clock()
         try:
-            target = self.plan.target() if self._place is None else self._place
+            target = self.plan.target() if self._hold_row is None else self._hold_row
             decision = self.commander.decide(state, age, target)
             filter_s = self._clock() - before
             if not math.isfinite(decision.error_m):
-                raise ArithmeticError("how far it is from the plan is not a number")
+                raise ArithmeticError("the distance from the plan is not a number")
             guarded = Guarded(None, math.nan, 0.0, takes_over=False)
             if decision.setpoint is None:
                 self._filter = FilterHealth.REFUSED
             else:
                 guarded = self.guard.guard(state, age, decision.setpoint)
-                if guarded.setpoint is None and self._place is not None:
-                    self._filter = FilterHealth.REFUSED  # the vehicle's own hold is what the fence asks for
+                if guarded.setpoint is None and self._hold_row is not None:
+                    self._filter = FilterHealth.REFUSED  # then the vehicle holds by itself
                 elif guarded.setpoint is None:
                     self._fence_m = -math.inf
                 else:
                     self.link.send(guarded.setpoint, now_s)
                     self._sent = guarded.setpoint
                     self.commander.sent(self._sent)
-        except Exception as error:  # noqa: BLE001  whatever a filter raises must not leave the vehicle alone
+        except Exception as error:  # noqa: BLE001  no error of a filter may leave the vehicle without commands
             self._filter = FilterHealth.FAILED
             self.say(now_s, ERROR, f"no set-point: {type(error).__name__}: {error}")
             return None
         self.counters.filter_s.append(filter_s)
         period, is_fallback = 1 / self.options.rate_hz, decision.status in _FALLBACKS or guarded.takes_over
         self._fallback_from_s = min(self._fallback_from_s, now_s) if is_fallback else math.inf
-        if self._place is None:
+        if self._hold_row is None:
             self.plan.advance(period, decision.error_m)
             self._arrive(math.sqrt(float(state.velocity @ state.velocity)), decision.error_m, period)
         return filter_sample(decision, guarded, self.plan, filter_s)
 
     def _arrive(self, speed_m_s: float, error_m: float, period_s: float) -> None:
-        """Whether it is at the end of the plan, or as near as its filter lets it."""
+        """Detect that the vehicle is at the end of the plan, or as near to it as the filter allows."""
         options = self.options
         is_slow = self.plan.is_over and speed_m_s < options.stop_speed_m_s
         self._rested_s = self._rested_s + period_s if is_slow else 0.0
         near = options.stop_m + (options.margin_m if self._rested_s > options.rest_s else 0.0)
-        self._was_there = self._was_there or (is_slow and error_m < near)
+        self._has_arrived = self._has_arrived or (is_slow and error_m < near)
 
     def _record(
         self,
@@ -378,20 +441,26 @@ class ControlLoop:
         )
 
     def say(self, now_s: float, level: int, words: str) -> None:
-        """A line for people."""
+        """Log a message for the operator.
+
+        Args:
+            now_s: monotonic clock [s].
+            level: `INFO`, `WARNING` or `ERROR`.
+            words: the message.
+        """
         self.recorder.say(now_s - self._begin_s, level, words)
 
-    def _last_words(self) -> None:
-        """The loop itself failed: land, if it may be flying and is ours."""
+    def _emergency_land(self) -> None:
+        """Order a landing after the loop itself failed, if the vehicle may fly and nobody took control."""
         if self.state in (State.IDLE, State.CHECKS, State.HAND_OVER, State.DONE):
             return
-        now, is_told = self._clock(), False
-        until = now + _LAST_WORDS_S
+        now, is_ordered = self._clock(), False
+        until = now + _EMERGENCY_S
         while now < until:
-            with suppress(Exception):  # the first error is the one to see, and this the last that can be done
-                if not is_told:
+            with suppress(Exception):  # the first error is the one to report
+                if not is_ordered:
                     self.link.order(Order.LAND, now)
-                    is_told = True
+                    is_ordered = True
                 self.link.poll(now)
             self._sleep(0.02)
             now = self._clock()

@@ -1,4 +1,4 @@
-"""The geofence underneath every filter: what it lets through, and when it flies itself."""
+"""Geofence behind every filter: passes or changes each set-point, and takes over near the fence."""
 
 from __future__ import annotations
 
@@ -19,39 +19,46 @@ from alula.stages.flight.links.protocol import (
     VelocitySetpoint,
 )
 
-# Of a fence around a room rather than an airfield: it pushes off walls from nearby only, and lets a command
-# through that is farther than a few decimetres from mattering.
+# For a fence around a room rather than an airfield: it pushes the vehicle off walls at short distances only,
+# and does not change commands that are a few decimetres away from the limit.
 PARAMETERS = {"beta": 8.0, "push_distance_m": 0.2, "push_gain": 0.5, "push_speed_m_s": 0.3}
-_LOOP_S = 0.04  # of an autopilot's rate loop, where the vehicle's file knows a faster one
-_BACK_M = 0.05  # h_I that ends a take-over
+_LOOP_S = 0.04  # minimum assumed time constant of the rate loop, if the vehicle's file has a faster one
+_RETURN_M = 0.05  # h_I above which a take-over ends
 
 
 class Guarded(NamedTuple):
-    """One tick of the fence.
+    """Result of the geofence for one tick.
 
     Attributes:
-        setpoint: what may be sent; None when the fence would have to fly and the link takes no rates.
-        h_m: h_I: least distance to the fence along the flow of the backup controller, all margins off [m].
-        share: of the set-point in what may be sent, from 0 to 1.
-        takes_over: whether the backup controller flies.
+        setpoint: allowed set-point; None when the geofence must take over and the link accepts no rates.
+        h_m: h_I, minimum distance to the fence along the flow of the backup controller, less all margins [m].
+        regulation: value of the regulation function lambda, the weight of the given set-point in the allowed
+            one, from 0 to 1.
+        takes_over: the backup controller flies.
     """
 
     setpoint: Setpoint | None
     h_m: float
-    share: float
+    regulation: float
     takes_over: bool
 
 
 def rates_model(vehicle: Vehicle) -> RacerModel:
-    """A vehicle behind its rate loop: its map from throttle to thrust, or a straight one up to its rotors'.
+    """Model of a vehicle behind its rate loop, for the geofence.
+
+    The map from throttle to thrust is the one in the vehicle's file, else linear up to the maximum thrust of
+    the rotors.
+
+    Args:
+        vehicle: contents of the vehicle's file.
 
     Raises:
-        UsageError: it has no rotors.
+        UsageError: the vehicle has no rotors.
     """
     if vehicle.rotors is None or vehicle.body.mass_kg is None:
         raise UsageError(f"{vehicle.name} is a {vehicle.model}; the geofence needs a quadrotor")
-    most = sum(vehicle.rotors.max_thrust_n) / vehicle.body.mass_kg
-    thrust = (0.0, most, 0.0) if vehicle.throttle is None else vehicle.throttle.acceleration_m_s2
+    max_thrust_m_s2 = sum(vehicle.rotors.max_thrust_n) / vehicle.body.mass_kg
+    thrust = (0.0, max_thrust_m_s2, 0.0) if vehicle.throttle is None else vehicle.throttle.acceleration_m_s2
     return RacerModel(
         gravity=vehicle.body.gravity_m_s2,
         thrust=thrust,
@@ -61,23 +68,24 @@ def rates_model(vehicle: Vehicle) -> RacerModel:
 
 
 class FenceGuard:
-    """A geofence over set-points of any kind.
+    """Geofence for set-points of any kind.
 
-    Rates pass through it: u = lambda u_des + (1 - lambda) u_B. Of others it knows the state, and how far they
-    can lead while a take-over is on its way; from h_I <= 0 of either on its backup controller flies by rates,
-    until both are positive again; a link that takes no rates
-    gets nothing then, and the flight is to be held.
+    Rates are blended with the backup controller: u = lambda u_des + (1 - lambda) u_B. For velocities and
+    accelerations the geofence evaluates h_I at the state, and at the state to which the set-point can lead
+    before a take-over acts. When one of the two is not positive, the backup controller flies by rates. It
+    ends when both exceed 0.05 m. If the link accepts no rates, no set-point is allowed then and the loop must
+    hold the vehicle.
 
     Args:
-        fence: where to fly.
-        vehicle: what flies; its radius is kept from the fence.
-        dt_s: of a tick.
-        takes_rates: whether the link does.
-        reserve_m: kept beyond the radius, for what the model leaves out.
-        latency_s: of state and command.
+        fence: volume to fly in, world frame.
+        vehicle: contents of the vehicle's file; its radius is kept from the fence.
+        dt_s: duration of a tick [s].
+        takes_rates: the link accepts rates.
+        reserve_m: distance kept beyond the radius, for errors of the model [m].
+        latency_s: latency of state and command [s].
 
     Raises:
-        UsageError: the fence or the numbers mean nothing to the geofence.
+        UsageError: the geofence rejects the fence or a number.
     """
 
     def __init__(
@@ -94,8 +102,8 @@ class FenceGuard:
         self.radius_m = vehicle.body.radius_m
         self.takes_rates = takes_rates
         self._model = rates_model(vehicle)
-        most = self._model.thrust
-        self._top = most[0] + most[1] + most[2]
+        a, b, c = self._model.thrust
+        self._max_thrust_m_s2 = a + b + c
         given = {"radius_m": self.radius_m, "tick_s": dt_s, "reserve_m": reserve_m, "latency_s": latency_s}
         try:
             self._filter = Geofence(fence, self._model, PARAMETERS | given)
@@ -105,21 +113,30 @@ class FenceGuard:
         self._lead_s = latency_s + dt_s + max(vehicle.rates.time_constant_s, _LOOP_S)
 
     def reset(self) -> None:
-        """To before the first tick."""
+        """Return to the condition before the first tick."""
         self._filter.reset()
         self._flies = False
 
-    def distance(self, state: VehicleState, least_m: float = -math.inf) -> float:
-        """From the vehicle's sphere to the fence; negative outside [m].
+    def distance(self, state: VehicleState, floor_m: float = -math.inf) -> float:
+        """Distance from the vehicle's sphere to the fence; negative outside [m].
 
-        Below the height `least_m` it is taken to be there: so the sides and the top count, the bottom not.
+        Args:
+            state: of the vehicle, world frame.
+            floor_m: a vehicle below this height counts as being at it, so that the sides and the top of the
+                fence count and its bottom does not [m].
         """
         x, y, z = state.position.tolist()
-        z = least_m if z < least_m else z
+        z = floor_m if z < floor_m else z
         return self.fence.clearance((x, y, z), (x, y, z)) - self.radius_m
 
     def guard(self, state: VehicleState, age_s: float, setpoint: Setpoint) -> Guarded:
-        """What may be sent instead of a set-point."""
+        """Compute the allowed set-point.
+
+        Args:
+            state: of the vehicle, world frame.
+            age_s: age of the state [s].
+            setpoint: of the commander.
+        """
         row = np.concatenate(
             [state.position + age_s * state.velocity, state.velocity, state.attitude_wxyz, state.omega]
         )
@@ -127,8 +144,8 @@ class FenceGuard:
             pilot = np.array([self._model.throttle_for(setpoint.thrust_m_s2), *setpoint.omega])
             return self._answer(row, pilot, setpoint)
         values, _ = self._filter.evaluate(np.stack([row, self._led(row, setpoint)]))
-        h = float(values[:, 0].min())  # what is not a number is no distance, and taken over
-        if self._flies and h > _BACK_M:
+        h = float(values[:, 0].min())  # NaN leads to a take-over
+        if self._flies and h > _RETURN_M:
             self._flies = False
         if not self._flies and h > 0:
             return Guarded(setpoint, h, 1.0, takes_over=False)
@@ -140,14 +157,14 @@ class FenceGuard:
         return self._answer(row, None, setpoint)
 
     def _led(self, row: FloatArray, setpoint: VelocitySetpoint | AccelerationSetpoint) -> FloatArray:
-        """Where a set-point leads before a take-over acts, as far as the vehicle can follow, shape (13,)."""
+        """State to which a set-point can lead before a take-over acts, shape (13,)."""
         if isinstance(setpoint, AccelerationSetpoint):
-            change, fastest = setpoint.acceleration * self._lead_s, self._top
-        else:  # who follows velocities leans by 45 degrees at most
+            change, fastest = setpoint.acceleration * self._lead_s, self._max_thrust_m_s2
+        else:  # a vehicle that follows velocities tilts by at most 45 degrees
             change, fastest = setpoint.velocity - row[3:6], self._model.gravity
-        size, most = math.sqrt(float(change @ change)), fastest * self._lead_s
-        if size > most:
-            change = change * (most / size)
+        size, max_size = math.sqrt(float(change @ change)), fastest * self._lead_s
+        if size > max_size:
+            change = change * (max_size / size)
         led = row.copy()
         led[3:6] += change
         led[:3] += self._lead_s * (row[3:6] + 0.5 * change)
@@ -162,6 +179,8 @@ class FenceGuard:
             return Guarded(None, h, 0.0, takes_over=True)
         throttle = float(command[0])
         a, b, c = self._model.thrust
-        made = RatesSetpoint(a + throttle * (b + throttle * c), command[1:])
-        share = float(detail["lambda"]) if status == "blended" else 0.0
-        return Guarded(made, h if math.isfinite(h) else -math.inf, share, takes_over=status != "blended")
+        allowed = RatesSetpoint(a + throttle * (b + throttle * c), command[1:])
+        regulation = float(detail["lambda"]) if status == "blended" else 0.0
+        return Guarded(
+            allowed, h if math.isfinite(h) else -math.inf, regulation, takes_over=status != "blended"
+        )

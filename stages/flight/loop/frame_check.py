@@ -1,4 +1,8 @@
-"""Whether positions, velocities and attitudes of a vehicle are in one frame, and in the map's."""
+"""Checks that positions, velocities and attitudes of a vehicle are in one frame, and that it is the map's.
+
+A frame cannot be checked on a vehicle at rest. `HandCheck` compares positions with moves by hand before
+take-off; `MotionCheck` compares positions, velocities and tilt with each other in flight.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +21,24 @@ _AXES = (("+x", (1.0, 0.0, 0.0)), ("+y", (0.0, 1.0, 0.0)), ("+z", (0.0, 0.0, 1.0
 
 @dataclass(slots=True)
 class HandCheck:
-    """The operator moves the vehicle along +x, +y and +z; its positions must move the same way.
+    """Comparison of reported positions with moves of the vehicle by hand along +x, +y and +z of the map.
 
-    A mirrored frame, a rotated one and swapped axes all show. A move counts once it is `far_m` long and the
-    vehicle rests again. Afterwards it must rest at the height that it was lifted from, to `down_m`: a vehicle
-    in a hand believes that it is on the ground, and must not be armed there.
+    The check detects mirrored and rotated frames and swapped axes. A move counts when it is at least `far_m`
+    long and the vehicle is at rest again. After the last move the vehicle must rest within `down_m` of the
+    height that it was lifted from: an autopilot held in a hand reports that it is on the ground, and must not
+    be armed there.
+
+    Attributes:
+        far_m: minimum length of a move [m].
+        max_angle_rad: maximum angle between a move and its axis [rad].
+        rest_m_s: maximum speed of a vehicle at rest [m/s].
+        down_m: maximum difference of the final height from the initial one [m].
+        is_down: the vehicle is back on the ground.
+        moved: reported displacements so far, each of shape (3,), world frame [m].
     """
 
     far_m: float = 0.3
-    most_rad: float = 0.6
+    max_angle_rad: float = 0.6
     rest_m_s: float = 0.05
     down_m: float = 0.2
     is_down: bool = False
@@ -35,7 +48,7 @@ class HandCheck:
 
     @property
     def prompt(self) -> str:
-        """What to do next; empty when all is done."""
+        """Next instruction for the operator; empty when all moves are made."""
         if len(self.moved) == len(_AXES):
             return "" if self.is_down else "put the vehicle back on the ground, where it is to take off"
         return (
@@ -43,7 +56,11 @@ class HandCheck:
         )
 
     def update(self, state: VehicleState) -> None:
-        """Look at where it is now."""
+        """Register a state; call it once per received state.
+
+        Args:
+            state: newest state of the vehicle, world frame.
+        """
         rests = float(np.linalg.norm(state.velocity)) < self.rest_m_s
         if len(self.moved) == len(_AXES):
             self.is_down = rests and abs(float(state.position[2]) - self._lifted_m) < self.down_m
@@ -57,10 +74,10 @@ class HandCheck:
             self._from = state.position.copy()
 
     def verdict(self) -> str:
-        """What is wrong, in words; empty when the moves so far are right."""
+        """Description of the first wrong move; empty when all moves so far are right."""
         for (name, axis), step in zip(_AXES, self.moved, strict=False):
             along = float(np.dot(step, axis)) / float(np.linalg.norm(step))
-            if math.acos(max(-1.0, min(1.0, along))) > self.most_rad:
+            if math.acos(max(-1.0, min(1.0, along))) > self.max_angle_rad:
                 seen = ", ".join(f"{value:+.2f}" for value in step)
                 mirrored = " (mirrored)" if self._is_mirrored() else ""
                 return f"a move along {name} was seen as ({seen}) m{mirrored}"
@@ -71,60 +88,82 @@ class HandCheck:
 
 
 class _Pairs:
-    """Expected and found motion over windows, without their means: a steady wind is none of the frame's."""
+    """Expected and measured motion over windows.
+
+    Means are subtracted before the two are compared, so a steady wind has no effect.
+    """
 
     def __init__(self, floor: float) -> None:
         self.floor = floor
         self.expected: list[FloatArray] = []
-        self.found: list[FloatArray] = []
+        self.measured: list[FloatArray] = []
         self.amount = 0.0
 
-    def add(self, expected: FloatArray, found: FloatArray) -> None:
-        """Take in a window; only what really moved counts as motion."""
+    def add(self, expected: FloatArray, measured: FloatArray) -> None:
+        """Add a window; `amount` grows only by measured motion of at least `floor`."""
         self.expected.append(expected)
-        self.found.append(found)
-        moved = float(np.linalg.norm(found))
+        self.measured.append(measured)
+        moved = float(np.linalg.norm(measured))
         self.amount += moved if moved >= self.floor else 0.0
 
     def correlation(self) -> float:
-        """Of both, over all windows and axes, less the means: 1 when they agree."""
-        a, b = np.array(self.expected), np.array(self.found)
+        """Correlation of both over all windows and axes, less the means; 1 when they agree."""
+        a, b = np.array(self.expected), np.array(self.measured)
         a, b = a - a.mean(axis=0), b - b.mean(axis=0)
         return float((a * b).sum()) / math.sqrt(float((a * a).sum() * (b * b).sum()) + 1e-12)
 
 
 class MotionCheck:
-    """In flight: velocities against positions, and accelerations against where the thrust points.
+    """Comparison of velocities with positions, and of accelerations with the thrust direction, in flight.
 
-    Over windows of `window_s`, the displacement must be the integral of the velocity, and the change of the
-    horizontal velocity that of g tan(tilt) in the direction of the tilt, which holds where the height hardly
-    changes. Each comparison is decided once, when there was enough motion, by the correlation of the two: 1
-    when they agree, 0 for a frame turned by a right angle, negative for one turned further. A mirror shows as
-    soon as there is motion along the mirrored axis. What can be seen of a frame in a hover is nothing.
+    Over windows of `window_s`, the displacement must equal the integral of the velocity, and the change of
+    the horizontal velocity must equal the integral of g tan(tilt) in the direction of the tilt. The second
+    relation holds while the height is almost constant. Each comparison is decided once, after enough motion,
+    by the correlation of the two sides: 1 when they agree, 0 for a frame rotated by a right angle, negative
+    for a larger rotation. A mirrored axis is detected as soon as there is motion along it. A hover gives no
+    information about the frame.
+
+    Args:
+        window_s: length of a window [s].
+        path_m: displacement after which the positions are compared [m].
+        speed_m_s: change of speed after which the accelerations are compared [m/s].
+        min_correlation: correlation below which the frame is wrong.
+
+    Attributes:
+        wrong: description of what is wrong; empty while nothing is.
     """
 
     def __init__(
-        self, *, window_s: float = 0.2, path_m: float = 0.3, speed_m_s: float = 0.6, least: float = 0.3
+        self,
+        *,
+        window_s: float = 0.2,
+        path_m: float = 0.3,
+        speed_m_s: float = 0.6,
+        min_correlation: float = 0.3,
     ) -> None:
-        self.window_s, self.least = window_s, least
+        self.window_s, self.min_correlation = window_s, min_correlation
         self._displacement = _Pairs(0.02)
         self._acceleration = _Pairs(0.1)
         self._open = [
-            (self._displacement, path_m, "positions do not move as velocities say"),
-            (self._acceleration, speed_m_s, "it does not accelerate to where it tilts"),
+            (self._displacement, path_m, "positions do not move as the velocities predict"),
+            (self._acceleration, speed_m_s, "it does not accelerate in the direction of its tilt"),
         ]
         self.wrong = ""
         self._start: tuple[float, FloatArray, FloatArray] | None = None
         self._last_s = 0.0
-        self._travel, self._push = np.zeros(3), np.zeros(2)
+        self._expected_step, self._expected_change = np.zeros(3), np.zeros(2)
 
     @property
     def is_decided(self) -> bool:
-        """Whether both comparisons are made, or one was wrong."""
+        """True after both comparisons, or after one that failed."""
         return not self._open or bool(self.wrong)
 
     def update(self, state: VehicleState) -> None:
-        """Take in a state; a gap begins a new window."""
+        """Add a state; a gap of more than two windows begins a new window.
+
+        Args:
+            state: newest state of the vehicle, world frame.
+        """
         now = state.received_s
         if self.is_decided or (self._start is not None and now <= self._last_s):
             return
@@ -133,43 +172,23 @@ class MotionCheck:
             return
         dt, self._last_s = now - self._last_s, now
         axis = matrix_from_quat_wxyz(state.attitude_wxyz)[:, 2]
-        self._travel += dt * state.velocity
+        self._expected_step += dt * state.velocity
         if axis[2] > 0.3:
-            self._push += dt * _GRAVITY * axis[:2] / axis[2]
+            self._expected_change += dt * _GRAVITY * axis[:2] / axis[2]
         begin, position, velocity = self._start
         if now - begin < self.window_s:
             return
-        self._displacement.add(self._travel, state.position - position)
-        self._acceleration.add(self._push, (state.velocity - velocity)[:2])
+        self._displacement.add(self._expected_step, state.position - position)
+        self._acceleration.add(self._expected_change, (state.velocity - velocity)[:2])
         self._begin(state)
         for item in list(self._open):
             pairs, needed, words = item
-            if pairs.amount >= needed and len(pairs.found) > 2:
+            if pairs.amount >= needed and len(pairs.measured) > 2:
                 self._open.remove(item)
-                if (found := pairs.correlation()) < self.least:
-                    self.wrong = f"{words} (correlation {found:.2f}): the frame is turned or mirrored"
+                if (found := pairs.correlation()) < self.min_correlation:
+                    self.wrong = f"{words} (correlation {found:.2f}): the frame is rotated or mirrored"
 
     def _begin(self, state: VehicleState) -> None:
         self._start = (state.received_s, state.position.copy(), state.velocity.copy())
         self._last_s = state.received_s
-        self._travel, self._push = np.zeros(3), np.zeros(2)
-
-
-class Jump:
-    """How far positions jump: the distance from where the velocities lead from the state before.
-
-    What an acceleration of 20 m/s^2 may do between the two is taken off.
-    """
-
-    def __init__(self) -> None:
-        self._last: VehicleState | None = None
-
-    def of(self, state: VehicleState) -> float:
-        """Of a state, against the one before; 0 for the same one, infinite for what is not a number [m]."""
-        last, self._last = self._last, state
-        if last is None or last is state:
-            return 0.0
-        dt = max(0.0, state.received_s - last.received_s)
-        away = state.position - last.position - 0.5 * dt * (state.velocity + last.velocity)
-        jump = math.sqrt(float(away @ away)) - 10.0 * dt * dt
-        return max(0.0, jump) if math.isfinite(jump) else math.inf
+        self._expected_step, self._expected_change = np.zeros(3), np.zeros(2)

@@ -1,4 +1,4 @@
-"""What must hold before the motors start: named checks, each a function of what was observed."""
+"""Pre-flight checks: named functions of what was observed and of what the flight requires."""
 
 from __future__ import annotations
 
@@ -17,31 +17,34 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 
 Obstacles = PolytopeSet | EllipsoidSet
 
-_LEAST_CLIMB_M = 0.1  # to the start: without a climb there is no take-off, and set-points come on the ground
-_UNIT = 1e-2  # how far from 1 the square of a quaternion may be
-_THRUST_RATIO = 1.5  # between the vehicle's thrust and its file's: another vehicle's file
-_PROBE_M = 1e-3  # a step up, which leads that far away from what is straight below
-_FOOT = 1.5  # of the clearance needed: so far above its feet a vehicle on the ground must be clear of all
+_MIN_CLIMB_M = 0.1  # to the start: with a lower start set-points would be sent on the ground
+_UNIT_TOLERANCE = 1e-2  # of the squared norm of a quaternion
+_THRUST_RATIO = 1.5  # between the measured maximum thrust and the file's; more means a wrong file
+_PROBE_M = 1e-3  # a step up; it increases the distance by as much if the obstacle is straight below
+_FOOT = 1.5  # required clearance times this is the height from which on the climb path must be clear
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Needs:
-    """What a flight needs of its vehicle and of where it stands.
+    """Requirements of a flight for the vehicle and its position on the ground.
 
     Attributes:
-        setpoints: kinds of which the link must accept one.
-        start, goal: of the plan, each of shape (3,) [m].
-        obstacles: what a path must stay clear of, by name.
-        radius_m: of the vehicle; margin_m: more than that for where it stands and climbs.
-        fence: where it may fly.
-        plan: whether the plan is proven clear of the map, and how that was found, in words.
-        most_thrust_m_s2: per mass, as the vehicle's file has it; gravity_m_s2: of the same.
-        near_m: how far from below the start it may stand, sideways.
-        state_hz: least rate of states; loop_hz: wanted rate of the loop.
-        silence_s, stale_s: oldest word and state.
-        battery_share: least charge, of 1; with 0 one that tells none will do.
-        max_tilt_rad: of where it stands.
-        frame: verdict of the check by hand, in words of what is wrong; empty when right, None when not made.
+        setpoints: kinds of set-points; the link must accept one of them.
+        start, goal: ends of the plan, each of shape (3,), world frame [m].
+        obstacles: obstacles by name, world frame.
+        radius_m: radius of the vehicle [m].
+        margin_m: additional clearance of the climb path [m].
+        fence: volume to fly in, world frame.
+        plan: whether the plan is proven clear of the map, and how, in words.
+        max_thrust_m_s2: maximum thrust per mass in the vehicle's file [m/s^2].
+        gravity_m_s2: gravity in the vehicle's file [m/s^2].
+        near_m: maximum horizontal distance between the vehicle and the start [m].
+        state_hz: minimum rate of states [Hz].
+        loop_hz: nominal rate of the loop [Hz].
+        silence_s, stale_s: maximum age of the last message and of the state [s].
+        battery_share: minimum charge, from 0 to 1; with 0 the vehicle need not report it.
+        max_tilt_rad: maximum tilt on the ground [rad].
+        frame: what the check by hand found wrong; empty when nothing is, None when it was not made.
     """
 
     setpoints: frozenset[type[Setpoint]]
@@ -52,7 +55,7 @@ class Needs:
     margin_m: float
     fence: Fence
     plan: tuple[bool, str]
-    most_thrust_m_s2: float = math.inf
+    max_thrust_m_s2: float = math.inf
     gravity_m_s2: float = 9.81
     near_m: float = 0.5
     state_hz: float = 20.0
@@ -66,13 +69,19 @@ class Needs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Observed:
-    """What was seen of a vehicle for `seconds`, up to `now_s`.
+    """Observations of a vehicle during a time before the evaluation.
 
     Attributes:
-        status, state: the newest; accepts: of the link.
-        changed: parameters that the link had to set, a line each; trouble: why it could not, if so.
-        hover: throttle that carries the weight, as the vehicle says; None where it does not.
-        states: how many came; ticks: of the loop; worst_late_s: of a tick.
+        now_s: end of the observation, monotonic clock [s].
+        seconds: duration of the observation [s].
+        status, state: newest status and state of the vehicle.
+        accepts: kinds of set-points that the link accepts.
+        changed: parameters that the link has set, one line each.
+        trouble: reason why the link could not set the parameters; empty if it could.
+        states: number of states received.
+        ticks: number of ticks of the loop.
+        worst_late_s: maximum lateness of a tick [s].
+        hover: throttle at hover reported by the vehicle, from 0 to 1; None if it is not reported.
     """
 
     now_s: float
@@ -89,73 +98,79 @@ class Observed:
 
 
 class Verdict(NamedTuple):
-    """Of one check: its name, whether it holds, what was found.
+    """Result of one check.
 
-    `of_link` when the vehicle is the cause; `is_untold` when it has not said what is needed, and still may.
-    `room_m`, of the clearance, is how far off its way up the vehicle's sphere still touches nothing.
+    Attributes:
+        name: of the check.
+        holds: whether it passed.
+        words: what was found.
+        of_link: the link or the vehicle is the cause of a failure.
+        is_unknown: the vehicle has not yet reported a required value.
+        room_m: distance by which the vehicle may leave the climb path without touching anything [m]; only the
+            check of the clearance sets it.
     """
 
     name: str
     holds: bool
     words: str
     of_link: bool = False
-    is_untold: bool = False
+    is_unknown: bool = False
     room_m: float = math.inf
 
 
-def _untold(name: str, what: str) -> Verdict:
-    return Verdict(name, False, f"not told: the vehicle says nothing of its {what}", True, True)
+def _unknown(name: str, what: str) -> Verdict:
+    return Verdict(name, False, f"not reported: the vehicle does not report {what}", True, True)
 
 
 def _heartbeat(seen: Observed, needs: Needs) -> Verdict:
-    heard = seen.status.heard_s
-    age = math.inf if heard is None else seen.now_s - heard
-    words = "nothing was heard" if heard is None else f"heard {age:.2f} s ago"
+    last_s = seen.status.heard_s
+    age = math.inf if last_s is None else seen.now_s - last_s
+    words = "no message was received" if last_s is None else f"last message {age:.2f} s ago"
     return Verdict("heartbeat", age <= needs.silence_s, words, of_link=True)
 
 
 def _parameters(seen: Observed, needs: Needs) -> Verdict:
-    words = seen.trouble or "; ".join(seen.changed) or "all as needed"
+    words = seen.trouble or "; ".join(seen.changed) or "all as required"
     return Verdict("parameters", not seen.trouble, words, of_link=True)
 
 
 def _setpoints(seen: Observed, needs: Needs) -> Verdict:
-    wanted = " or ".join(sorted(kind.__name__ for kind in needs.setpoints))
+    kinds = " or ".join(sorted(kind.__name__ for kind in needs.setpoints))
     holds = not needs.setpoints.isdisjoint(seen.accepts)
-    return Verdict("set-points", holds, f"{wanted} {'accepted' if holds else 'not accepted'}")
+    return Verdict("set-points", holds, f"{kinds} {'accepted' if holds else 'not accepted'}")
 
 
 def _thrust(seen: Observed, needs: Needs) -> Verdict:
-    """Full throttle makes g / hover; controller, filter and fence reckon with the file's."""
-    if seen.hover is None or not math.isfinite(needs.most_thrust_m_s2):
-        return Verdict("thrust", True, "not told")
-    most = needs.gravity_m_s2 / seen.hover
-    holds = 1 / _THRUST_RATIO <= most / needs.most_thrust_m_s2 <= _THRUST_RATIO
-    words = f"hover at {seen.hover:.2f} of full throttle makes {most:.1f} m/s^2 at most"
-    return Verdict("thrust", holds, f"{words}, the vehicle's file {needs.most_thrust_m_s2:.1f}")
+    """The maximum thrust is g / hover; controller, filter and fence use the one in the vehicle's file."""
+    if seen.hover is None or not math.isfinite(needs.max_thrust_m_s2):
+        return Verdict("thrust", True, "not reported")
+    max_m_s2 = needs.gravity_m_s2 / seen.hover
+    holds = 1 / _THRUST_RATIO <= max_m_s2 / needs.max_thrust_m_s2 <= _THRUST_RATIO
+    words = f"hover at {seen.hover:.2f} of full throttle means at most {max_m_s2:.1f} m/s^2"
+    return Verdict("thrust", holds, f"{words}; the vehicle's file has {needs.max_thrust_m_s2:.1f}")
 
 
 def _position(seen: Observed, needs: Needs) -> Verdict:
     if seen.state is None:
-        return Verdict("state", False, "no complete and finite state was seen", of_link=True)
+        return Verdict("state", False, "no complete and finite state was received", of_link=True)
     state, age = seen.state, seen.now_s - seen.state.received_s
     if not all(np.isfinite(part).all() for part in (state.position, state.velocity, state.omega)):
         return Verdict("state", False, "position, velocity or rates are not finite", of_link=True)
     if not _is_attitude(state):
-        return Verdict("state", False, "the attitude is no unit quaternion", of_link=True)
+        return Verdict("state", False, "the attitude is not a unit quaternion", of_link=True)
     x, y, z = state.position
-    holds = abs(age) <= needs.stale_s  # what comes from the future never grows old
+    holds = abs(age) <= needs.stale_s  # a time in the future is an error, too
     return Verdict("state", holds, f"at ({x:.2f} {y:.2f} {z:.2f}), {age:.3f} s old", True)
 
 
 def _is_attitude(state: VehicleState) -> bool:
-    return abs(float(state.attitude_wxyz @ state.attitude_wxyz) - 1.0) < _UNIT
+    return abs(float(state.attitude_wxyz @ state.attitude_wxyz) - 1.0) < _UNIT_TOLERANCE
 
 
 def _rate(seen: Observed, needs: Needs) -> Verdict:
     states = seen.states / seen.seconds if seen.seconds > 0 else 0.0
     holds = states >= needs.state_hz
-    return Verdict("rate", holds, f"{states:.0f} states/s, {needs.state_hz:.0f} needed", of_link=True)
+    return Verdict("rate", holds, f"{states:.0f} states/s, {needs.state_hz:.0f} required", of_link=True)
 
 
 def _loop(seen: Observed, needs: Needs) -> Verdict:
@@ -167,37 +182,38 @@ def _loop(seen: Observed, needs: Needs) -> Verdict:
 def _estimator(seen: Observed, needs: Needs) -> Verdict:
     ready = seen.status.is_estimator_ready
     if ready is None:
-        return _untold("estimator", "estimate of where it is")
+        return _unknown("estimator", "the state of its position estimate")
     return Verdict("estimator", ready, "ready" if ready else "not ready")
 
 
 def _battery(seen: Observed, needs: Needs) -> Verdict:
-    share = seen.status.battery_share
-    if share is None and needs.battery_share == 0:
-        return Verdict("battery", True, "not told, and none is needed")
-    if share is None:
-        return _untold("battery", "battery's charge")
-    holds = needs.battery_share <= share <= 1
-    return Verdict("battery", holds, f"{share:.0%}, {needs.battery_share:.0%} needed")
+    charge = seen.status.battery_share
+    if charge is None and needs.battery_share == 0:
+        return Verdict("battery", True, "not reported, and not required")
+    if charge is None:
+        return _unknown("battery", "the charge of its battery")
+    holds = needs.battery_share <= charge <= 1
+    return Verdict("battery", holds, f"{charge:.0%}, {needs.battery_share:.0%} required")
 
 
 def _on_ground(seen: Observed, needs: Needs) -> Verdict:
     status = seen.status
     if status.is_failsafe:
-        return Verdict("on the ground", False, "the vehicle is in a failsafe of its own")
+        return Verdict("on the ground", False, "the vehicle is in one of its own failsafes")
     if status.armed or status.landed is False:
         return Verdict("on the ground", False, "armed" if status.armed else "in the air")
     if status.armed is None or status.landed is None:
-        return _untold("on the ground", "motors" if status.armed is None else "being landed or not")
+        what = "whether it is armed" if status.armed is None else "whether it has landed"
+        return _unknown("on the ground", what)
     return Verdict("on the ground", True, "disarmed")
 
 
 def _level(seen: Observed, needs: Needs) -> Verdict:
-    """At rest gravity says where up is: an attitude in another convention does not stand level."""
+    """A vehicle at rest is level; an attitude in another convention is not."""
     if seen.state is None:
         return Verdict("level", False, "no state")
     if not _is_attitude(seen.state):
-        return Verdict("level", False, "the attitude is no unit quaternion")
+        return Verdict("level", False, "the attitude is not a unit quaternion")
     up = float(matrix_from_quat_wxyz(seen.state.attitude_wxyz)[2, 2])
     tilt = math.acos(max(-1.0, min(1.0, up)))
     resting = (
@@ -212,51 +228,55 @@ def _start(seen: Observed, needs: Needs) -> Verdict:
         return Verdict("start", False, "no state")
     away = needs.start - seen.state.position
     sideways = math.hypot(away[0], away[1])
-    holds = sideways <= needs.near_m and _LEAST_CLIMB_M <= away[2] <= HIGHEST_M
+    holds = sideways <= needs.near_m and _MIN_CLIMB_M <= away[2] <= HIGHEST_M
     words = f"the plan starts {sideways:.2f} m away sideways and {away[2]:.2f} m above"
-    wanted = f"at most {needs.near_m:g} m sideways, {_LEAST_CLIMB_M:g} to {HIGHEST_M:g} m above"
-    return Verdict("start", holds, f"{words}; {wanted}")
+    allowed = f"at most {needs.near_m:g} m sideways, {_MIN_CLIMB_M:g} to {HIGHEST_M:g} m above"
+    return Verdict("start", holds, f"{words}; {allowed}")
 
 
 def climb(position: FloatArray, start: FloatArray, foot_m: float) -> FloatArray:
-    """The way up to the height of the start and over to it, shape (3, 3): the first `foot_m` are left out,
-    for the ground is there.
+    """Climb path: straight up to the height of the start and over to it, three points, shape (3, 3) [m].
+
+    Args:
+        position: of the vehicle on the ground, shape (3,), world frame [m].
+        start: of the plan, shape (3,), world frame [m].
+        foot_m: height of the path's first point above the position, to leave out the ground [m].
     """
     low = min(position[2] + foot_m, max(start[2], position[2]))
     return np.array([[position[0], position[1], low], [position[0], position[1], start[2]], start])
 
 
 def _clearance(seen: Observed, needs: Needs) -> Verdict:
-    """By distances to the map, not by the filter."""
+    """Exact distance of the climb path to the map, independent of the filter."""
     if seen.state is None:
         return Verdict("clearance", False, "no state")
     needed = needs.radius_m + needs.margin_m
-    way = climb(seen.state.position, needs.start, _FOOT * needed)
-    if not np.isfinite(way).all():
+    path = climb(seen.state.position, needs.start, _FOOT * needed)
+    if not np.isfinite(path).all():
         return Verdict("clearance", False, "no finite position")
     room = math.inf
     for name, obstacles in needs.obstacles:
-        least = float(path_clearance(way, obstacles, jobs=1).min())
-        if not least >= needed:
-            words = f"{least:.3f} m to {name} on the way up to the start, {needed:.3f} m needed"
+        distance = float(path_clearance(path, obstacles, jobs=1).min())
+        if not distance >= needed:
+            words = f"{distance:.3f} m to {name} on the climb path to the start, {needed:.3f} m required"
             return Verdict(
-                "clearance", False, words + _underfoot(way, seen.state.position[2], obstacles, least)
+                "clearance", False, words + _underfoot(path, seen.state.position[2], obstacles, distance)
             )
-        room = min(room, least - needs.radius_m)
-    return Verdict("clearance", True, f"the way up to the start is {needed:.3f} m clear", room_m=room)
+        room = min(room, distance - needs.radius_m)
+    return Verdict("clearance", True, f"the climb path to the start is {needed:.3f} m clear", room_m=room)
 
 
-def _underfoot(way: FloatArray, ground_m: float, obstacles: Obstacles, least_m: float) -> str:
-    """Where what blocks a way up is straight below its beginning: how far, and what helps."""
-    probe = way[:1] + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, _PROBE_M]])
+def _underfoot(path: FloatArray, ground_m: float, obstacles: Obstacles, distance_m: float) -> str:
+    """Advice for an obstacle straight below the beginning of a climb path; empty for any other obstacle."""
+    probe = path[:1] + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, _PROBE_M]])
     here, above = (float(path_clearance(point[None], obstacles, jobs=1)[0]) for point in probe)
-    if here > least_m + 1e-9 or above - here < 0.9 * _PROBE_M:
+    if here > distance_m + 1e-9 or above - here < 0.9 * _PROBE_M:
         return ""
-    top_m = float(way[0, 2]) - here - ground_m
+    top_m = float(path[0, 2]) - here - ground_m
     return (
-        f": that is below the way, which begins {way[0, 2] - ground_m:.3f} m up, and reaches "
-        f"{top_m:.3f} m above where it stands; if it is the floor as the map has it, finer voxels help, "
-        "or a start further up"
+        f": the obstacle is below the path, which begins {path[0, 2] - ground_m:.3f} m up, and reaches "
+        f"{top_m:.3f} m above where the vehicle stands; if it is the floor as mapped, use finer voxels "
+        "or a higher start"
     )
 
 
@@ -264,28 +284,26 @@ def _fence(seen: Observed, needs: Needs) -> Verdict:
     if seen.state is None:
         return Verdict("fence", False, "no state")
     _, top, start = (tuple(row) for row in climb(seen.state.position, needs.start, 0.0).tolist())
-    least = needs.fence.clearance(top, start) - needs.radius_m
-    return Verdict("fence", least > 0, f"{least:.2f} m from the fence at the start")
+    distance = needs.fence.clearance(top, start) - needs.radius_m
+    return Verdict("fence", distance > 0, f"{distance:.2f} m from the fence at the start")
 
 
 def _landing(seen: Observed, needs: Needs) -> Verdict:
-    """Straight down from the end of the plan, where it lands by itself and no filter sees it."""
+    """Distance of the landing path, straight down from the end of the plan; no filter is active there."""
     if seen.state is None:
         return Verdict("landing", False, "no state")
     down = needs.goal.copy()
-    foot_m = _FOOT * (
-        needs.radius_m + needs.margin_m
-    )  # of the way up, too: the ground, as thick as the map has it
+    foot_m = _FOOT * (needs.radius_m + needs.margin_m)  # as for the climb path, to leave out the ground
     down[2] = min(seen.state.position[2] + foot_m, needs.goal[2])
-    way = np.array([needs.goal, down])
-    if not np.isfinite(way).all():
+    path = np.array([needs.goal, down])
+    if not np.isfinite(path).all():
         return Verdict("landing", False, "no finite position")
     for name, obstacles in needs.obstacles:
-        least = float(path_clearance(way, obstacles, jobs=1).min())
-        if not least >= needs.radius_m:
-            words = f"{least:.3f} m to {name} on the way down from the goal, {needs.radius_m:.3f} m needed"
-            return Verdict("landing", False, words)
-    return Verdict("landing", True, f"the way down from the goal is {needs.radius_m:.3f} m clear")
+        distance = float(path_clearance(path, obstacles, jobs=1).min())
+        if not distance >= needs.radius_m:
+            words = f"{distance:.3f} m to {name} on the landing path from the goal"
+            return Verdict("landing", False, f"{words}, {needs.radius_m:.3f} m required")
+    return Verdict("landing", True, f"the landing path from the goal is {needs.radius_m:.3f} m clear")
 
 
 def _plan(seen: Observed, needs: Needs) -> Verdict:
@@ -299,22 +317,34 @@ def _frame(seen: Observed, needs: Needs) -> Verdict:
 
 
 CHECKS: tuple[Callable[[Observed, Needs], Verdict], ...] = (
-    *(
-        _heartbeat,
-        _parameters,
-        _setpoints,
-        _thrust,
-        _position,
-        _rate,
-        _loop,
-        _estimator,
-        _battery,
-        _on_ground,
-    ),
-    *(_level, _start, _clearance, _landing, _fence, _plan, _frame),
+    _heartbeat,
+    _parameters,
+    _setpoints,
+    _thrust,
+    _position,
+    _rate,
+    _loop,
+    _estimator,
+    _battery,
+    _on_ground,
+    _level,
+    _start,
+    _clearance,
+    _landing,
+    _fence,
+    _plan,
+    _frame,
 )
 
 
 def verdicts(seen: Observed, needs: Needs) -> list[Verdict]:
-    """All checks in order; each of them, whatever the others found."""
+    """Run all checks, whatever the results of the others.
+
+    Args:
+        seen: observations of the vehicle.
+        needs: requirements of the flight.
+
+    Returns:
+        One verdict per check, in the order of `CHECKS`.
+    """
     return [check(seen, needs) for check in CHECKS]

@@ -1,8 +1,8 @@
-"""Who flies: the states of a flight and what leads from one to the next, as a table.
+"""Supervisor of a flight: turns facts into events and takes the steps of the table.
 
-The vehicle is sent set-points along the plan in `State.FLY` alone. Taking off, holding and landing are done
-by the vehicle itself, and need neither our state nor our filter; a hold is filtered by the loop where it can
-be. Nothing leads from `State.HAND_OVER` back.
+Set-points along the plan are sent in `State.FLY` only. The vehicle takes off, holds and lands by itself,
+which needs neither the loop's state nor its filter; the loop filters a hold where it can. No step leads from
+`State.HAND_OVER` back to a flight.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from alula.stages.flight.loop.supervisor_table import IGNORED, TABLE, Action, Ev
 
 
 class FilterHealth(Enum):
-    """How the filter answered last."""
+    """Result of the last call of the filter."""
 
     GOOD = "good"
     REFUSED = "refused"
@@ -27,22 +27,24 @@ class FilterHealth(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class SupervisorLimits:
-    """When an observation is an event.
+    """Limits beyond which a fact is an event.
 
     Attributes:
-        stale_s: oldest state that is flown on.
-        jump_m: of a position beyond what velocities explain.
-        silence_s: without any word of the vehicle for this long the link is lost.
-        late_s: a tick that begins this late is an event, as are `overruns` that overran in a row.
-        fallback_s: how long a filter may fly its fallback.
-        fence_m: least distance to the fence.
-        battery_share: least charge, of 1.
-        settle_s: all must be well for this long before a hold ends.
-        engage_s: how long the vehicle may take to follow us, at first and whenever it does not.
-        drift_m: from where a hold began, beyond what it takes to brake.
-        failsafe_s: how long a vehicle in a failsafe may take to leave our mode; many are told to do nothing.
-        holds: of one flight; after the last it lands.
-        checks_s, arming_s, take_off_s, flight_s, hold_s, landing_s, abort_s: longest time in a state.
+        stale_s: maximum age of a state [s].
+        jump_m: maximum jump of the position, see `JumpWatch` [m].
+        silence_s: maximum time without any message of the vehicle [s].
+        late_s: maximum lateness of a tick [s].
+        overruns: number of ticks that overran in a row.
+        fallback_s: maximum time for which the filter or the geofence may fly a fallback [s].
+        fence_m: minimum distance to the fence [m].
+        battery_share: minimum charge of the battery, from 0 to 1.
+        settle_s: time without any cause of a hold, after which a hold ends [s].
+        engage_s: maximum time in which the vehicle does not follow orders, at first and later [s].
+        drift_m: maximum drift of a hold, see `PositionWatch` [m].
+        failsafe_s: maximum time for which a vehicle in a failsafe may stay in the mode that follows
+            set-points; many failsafes are configured to do nothing [s].
+        holds: maximum number of holds of a flight; the vehicle lands at the next one.
+        checks_s, arming_s, take_off_s, flight_s, hold_s, landing_s, abort_s: maximum time in a state [s].
     """
 
     stale_s: float = 0.15
@@ -69,29 +71,32 @@ class SupervisorLimits:
 
 @dataclass(slots=True)
 class Facts:
-    """What is known at one time; None is unknown.
+    """Facts of one tick; None is unknown.
 
     Attributes:
-        now_s: monotonic clock.
-        state_age_s: of the newest state; jump_m: how far it lies from where velocities led to.
-        silence_s: since anything valid arrived.
-        armed, landed, obeys, is_failsafe, estimator_ready, battery_share: as the vehicle says.
-        is_ours: False once somebody else has changed the mode.
-        order_refused: the vehicle has declined the last order, some time ago.
-        untold: the vehicle no longer says of its health what it said when it was armed.
-        astray_m: how far it is beyond what was proven clear of its way up; 0 is within.
-        drift_m: how far a hold has let it go, beyond what it takes to brake.
-        restarted: the vehicle has started anew since the checks, and forgotten what it was told.
-        checks: whether all pre-flight checks passed; None while they run.
-        dry_run: checks are all there is to do.
-        climbed_m: since the motors were armed.
-        height_m: to take off to.
-        frame_wrong: motion contradicts the frame.
-        late_s: of the last tick; overruns: in a row.
-        filter: its last answer; fallback_s: for how long it has flown a fallback.
-        fence_m: distance to the fence; unknown without a state.
-        plan_done: the end of the plan is reached.
-        interrupts: how often the operator has asked to end.
+        now_s: monotonic clock [s].
+        state_age_s: age of the newest state [s].
+        jump_m: distance of its position from the predicted one, see `JumpWatch` [m].
+        silence_s: time since the last valid message [s].
+        armed, landed, obeys, is_failsafe, estimator_ready, battery_share: as reported by the vehicle.
+        is_ours: False after somebody else has changed the mode.
+        order_refused: the vehicle refused the last order more than 1 s ago.
+        health_unknown: the vehicle no longer reports a health value that it reported when it was armed.
+        off_climb_m: distance from the climb path beyond the room that was proven clear; 0 within [m].
+        drift_m: drift of a hold beyond the distance needed to brake; 0 within [m].
+        restarted: the vehicle has rebooted since the checks, and has lost all orders and parameters.
+        checks: result of the pre-flight checks; None while they run.
+        dry_run: the flight ends after the checks.
+        climbed_m: height above the position of the checks [m].
+        height_m: height of the take-off above the same position [m].
+        frame_wrong: the motion contradicts the frame.
+        late_s: lateness of the last tick [s].
+        overruns: number of ticks that overran in a row.
+        filter: result of the last call of the filter.
+        fallback_s: time for which the filter or the geofence has flown a fallback [s].
+        fence_m: distance to the fence [m]; None without a state.
+        plan_done: the vehicle is at the end of the plan.
+        interrupts: how often the operator has interrupted the program.
     """
 
     now_s: float
@@ -103,8 +108,8 @@ class Facts:
     obeys: bool = False
     is_failsafe: bool = False
     restarted: bool = False
-    untold: bool = False
-    astray_m: float = 0.0
+    health_unknown: bool = False
+    off_climb_m: float = 0.0
     drift_m: float = 0.0
     estimator_ready: bool | None = None
     battery_share: float | None = None
@@ -126,18 +131,18 @@ class Facts:
 
 @dataclass(frozen=True, slots=True)
 class Supervision:
-    """Where a flight stands.
+    """State of the supervisor and what it remembers.
 
     Attributes:
-        state: since `since_s`.
-        seen: events of this state that were dealt with and left it as it is.
-        well_since_s: since when all has been well in a hold.
-        engaged: whether the vehicle has followed set-points since it was told to.
-        unheeded_s: since when it has not been in the mode that it should be in.
-        flying_s: when it first flew the plan: holds do not begin its time anew.
-        holds: how many there were.
-        failsafe_s: since when the vehicle tells of a failsafe, and follows us nevertheless.
-        cause: the first event that ended the flight as planned or otherwise; None so far.
+        state: the state of the flight, entered at `since_s` [s].
+        seen: events that were handled in this state without leaving it.
+        well_since_s: time since which no cause of a hold has been present, in a hold [s].
+        engaged: the vehicle has followed set-points since it was ordered to.
+        unheeded_s: time since which the vehicle has not been in the ordered mode [s].
+        flying_s: time at which the plan was first flown; a hold does not reset it [s].
+        holds: number of holds so far.
+        failsafe_s: time since which the vehicle reports a failsafe and still follows set-points [s].
+        cause: first event that ended the flight, as planned or not; None so far.
     """
 
     state: State = State.IDLE
@@ -153,31 +158,39 @@ class Supervision:
 
 
 class Taken(NamedTuple):
-    """A step that was taken: from where, on which event, and what the table says."""
+    """A step that was taken: the state before, the event, and the step of the table."""
 
     state: State
     event: Event
     step: Step
 
 
-_REPEATS = frozenset({Event.ORDER_REFUSED})  # may come again in the same state and means the same again
+_REPEATS = frozenset({Event.ORDER_REFUSED})  # acts each time it occurs in a state, not only once
 _HOLDING = frozenset({Event.STATE_STALE, Event.LINK_LOST, Event.LOOP_LATE, Event.FENCE})
-_OBEYING = frozenset(
-    {State.TAKE_OFF, State.FLY, State.HOLD}
-)  # in a mode that follows set-points; not in LAND
+# The vehicle must be in a mode that follows set-points in these states, and in none in LAND.
+_OBEYING = frozenset({State.TAKE_OFF, State.FLY, State.HOLD})
 _ENDS = frozenset({State.LAND, State.HAND_OVER, State.ABORT, State.DONE})
 
 
 def sends_setpoints(state: State) -> bool:
-    """Whether set-points along the plan are sent in a state."""
+    """Return True if set-points along the plan are sent in a state.
+
+    Args:
+        state: of the supervisor.
+    """
     return state is State.FLY
 
 
 def advance(was: Supervision, facts: Facts, limits: SupervisorLimits) -> tuple[Supervision, list[Taken]]:
-    """One look at the facts: the first event in order of urgency that the state has not dealt with yet.
+    """Take the steps of the events in the facts, most urgent first, up to one that leaves the state.
+
+    Args:
+        was: state before.
+        facts: of this tick.
+        limits: beyond which a fact is an event.
 
     Returns:
-        Where the flight stands now, and the steps that were taken, at most one that leaves the state.
+        The state now, and the steps that were taken; at most one of them leaves the state.
     """
     now = _timed(was, facts, limits)
     taken: list[Taken] = []
@@ -188,21 +201,34 @@ def advance(was: Supervision, facts: Facts, limits: SupervisorLimits) -> tuple[S
         taken.append(Taken(now.state, event, step))
         if step.state is not now.state:
             return _entered(now, step.state, event, facts.now_s), taken
-        # A landed vehicle that declines to disarm is asked again: it may not do so by itself.
+        # If a landed vehicle refuses to disarm, the order is repeated: it may not disarm by itself.
         forgotten = {Event.LANDED} if event is Event.ORDER_REFUSED else set()
         now = dataclasses.replace(now, seen=(now.seen | {event}) - forgotten)
     return now, taken
 
 
 def begun(now_s: float) -> tuple[Supervision, list[Taken]]:
-    """The operator starts: the checks begin."""
+    """Start a flight: the checks begin.
+
+    Args:
+        now_s: monotonic clock [s].
+
+    Returns:
+        The state now, and the step that was taken.
+    """
     step = TABLE[State.IDLE][Event.START]
     start = Supervision(since_s=now_s)
     return _entered(start, step.state, Event.START, now_s), [Taken(State.IDLE, Event.START, step)]
 
 
 def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterator[Event]:
-    """All that is the case, most urgent first; what is not a number is as bad as can be."""
+    """Yield all events that the facts show, most urgent first; NaN counts as beyond its limit.
+
+    Args:
+        was: state before.
+        facts: of this tick.
+        limits: beyond which a fact is an event.
+    """
     state = was.state
     longest = _longest(limits)[state]
     fence = facts.fence_m
@@ -211,10 +237,10 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
     second = facts.interrupts >= 2
     begin_s = min(was.since_s, was.flying_s) if state is State.FLY else was.since_s
     since_s = facts.now_s - was.since_s
-    # An order to arm may still be on its way to a vehicle that says it is not.
+    # An order to arm may still be on its way to a vehicle that reports that it is not armed.
     is_disarmed = facts.armed is False and (state is not State.ABORT or since_s > limits.settle_s)
     for event, is_so in (
-        # Whoever took the vehicle has it, before anything else.
+        # Somebody who takes the vehicle over has priority over every other event.
         (Event.MODE_CHANGED, not facts.is_ours),
         (Event.FAILSAFE, facts.is_failsafe and not facts.obeys),
         (Event.DISARMED, is_disarmed),
@@ -227,10 +253,10 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.FAILSAFE_IDLE, facts.now_s - was.failsafe_s > limits.failsafe_s),
         (Event.ESTIMATOR_BAD, facts.estimator_ready is False),
         (Event.BATTERY_LOW, battery is not None and not battery >= limits.battery_share),
-        (Event.UNTOLD, facts.untold),
-        (Event.STATE_STALE, not abs(facts.state_age_s) <= limits.stale_s),  # nor from the future
+        (Event.UNTOLD, facts.health_unknown),
+        (Event.STATE_STALE, not abs(facts.state_age_s) <= limits.stale_s),  # nor in the future
         (Event.STATE_JUMPED, not facts.jump_m <= limits.jump_m),
-        (Event.OFF_WAY, not facts.astray_m <= 0.0),
+        (Event.OFF_WAY, not facts.off_climb_m <= 0.0),
         (Event.DRIFTS, not facts.drift_m <= limits.drift_m),
         (Event.LOOP_LATE, not facts.late_s <= limits.late_s or facts.overruns >= limits.overruns),
         (Event.FILTER_FAILED, facts.filter is FilterHealth.FAILED),
@@ -275,11 +301,11 @@ def _longest(limits: SupervisorLimits) -> Mapping[State, float]:
 
 
 def _timed(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Supervision:
-    """Since when all has been well, in a failsafe or not as told, and whether it has begun to follow."""
+    """Update the times since which a condition holds, and `engaged`."""
     is_idle = facts.is_failsafe and facts.obeys
-    is_deaf = (was.state in _OBEYING and not facts.obeys) or (was.state is State.LAND and facts.obeys)
+    is_unheeded = (was.state in _OBEYING and not facts.obeys) or (was.state is State.LAND and facts.obeys)
     failsafe = min(was.failsafe_s, facts.now_s) if is_idle else math.inf
-    unheeded = min(was.unheeded_s, facts.now_s) if is_deaf else math.inf
+    unheeded = min(was.unheeded_s, facts.now_s) if is_unheeded else math.inf
     if (failsafe, unheeded) != (was.failsafe_s, was.unheeded_s):
         was = dataclasses.replace(was, failsafe_s=failsafe, unheeded_s=unheeded)
     if was.state is State.FLY and facts.obeys and not was.engaged:

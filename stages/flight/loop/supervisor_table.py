@@ -1,4 +1,4 @@
-"""The table of the supervisor: what each event means in each state."""
+"""Table of the supervisor: the step that each event causes in each state."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class State(Enum):
-    """Where a flight stands."""
+    """State of a flight."""
 
     IDLE = "idle"
     CHECKS = "checks"
@@ -23,7 +23,7 @@ class State(Enum):
 
 
 class Event(Enum):
-    """What can happen."""
+    """Event of a flight; its value is its name in logs and in the documentation."""
 
     START = "start"
     CHECKS_PASSED = "checks passed"
@@ -63,7 +63,7 @@ class Event(Enum):
 
 
 class Action(Enum):
-    """What is done when a step is taken."""
+    """Action of a step; its value is its name in logs and in the documentation."""
 
     NOTHING = "nothing"
     CHECK = "run the checks"
@@ -77,7 +77,7 @@ class Action(Enum):
 
 
 class Step(NamedTuple):
-    """What an event leads to: a state, an action, and a line for the log."""
+    """Step of the table: the next state, an action, and a message for the log."""
 
     state: State
     action: Action
@@ -101,7 +101,7 @@ def _hold(*events: Event) -> _Row:
 
 
 def _hand_over(*events: Event) -> _Row:
-    words = "the vehicle is not ours any more; Ctrl-C ends this program and leaves the vehicle to the pilot"
+    words = "this program no longer controls the vehicle; Ctrl-C ends it and leaves the vehicle to the pilot"
     return {event: Step(_S.HAND_OVER, _A.LET_GO, f"{event.value}: {words}") for event in events}
 
 
@@ -113,7 +113,7 @@ def _stay(state: State, action: Action, words: str, *events: Event) -> _Row:
     return {event: Step(state, action, f"{event.value}: {words}") for event in events}
 
 
-_TAKEN = (_E.MODE_CHANGED, _E.FAILSAFE)
+_TAKEN_OVER = (_E.MODE_CHANGED, _E.FAILSAFE)
 
 TABLE: Mapping[State, Mapping[Event, Step]] = {
     _S.IDLE: {_E.START: Step(_S.CHECKS, _A.CHECK, "pre-flight checks begin")} | _done(_E.INTERRUPT),
@@ -125,9 +125,9 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     | _done(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.ARMING: {
         _E.ARMED: Step(_S.TAKE_OFF, _A.TAKE_OFF, "armed: taking off"),
-        _E.ORDER_REFUSED: Step(_S.ARMING, _A.ARM, "arming refused: asking again"),
+        _E.ORDER_REFUSED: Step(_S.ARMING, _A.ARM, "arming refused: arming is ordered again"),
     }
-    | _hand_over(*_TAKEN)
+    | _hand_over(*_TAKEN_OVER)
     | _abort(
         _E.FAILSAFE_IDLE,
         _E.STATE_STALE,
@@ -142,7 +142,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     )
     | _abort(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.TAKE_OFF: {_E.AIRBORNE: Step(_S.FLY, _A.ENGAGE, "take-off height reached: flying the plan")}
-    | _hand_over(*_TAKEN)
+    | _hand_over(*_TAKEN_OVER)
     | _done(_E.DISARMED)
     | _land(
         _E.FRAME_WRONG,
@@ -154,11 +154,11 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.BATTERY_LOW,
         _E.UNTOLD,
     )
-    # Low, and near the column that was proven clear: a hold would stay where nothing was.
+    # The vehicle is low and near the climb path that was proven clear; a hold would be in unproven space.
     | _land(_E.OFF_WAY, _E.FENCE)
     | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
-    _S.FLY: _hand_over(*_TAKEN)
+    _S.FLY: _hand_over(*_TAKEN_OVER)
     | _done(_E.DISARMED)
     | _hold(_E.STATE_STALE, _E.LOOP_LATE, _E.FILTER_REFUSED, _E.FILTER_FAILED, _E.FALLBACK_LONG, _E.FENCE)
     | _land(
@@ -174,7 +174,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.HOLD: {_E.RECOVERED: Step(_S.FLY, _A.ENGAGE, "all is well again: flying on")}
-    | _hand_over(*_TAKEN)
+    | _hand_over(*_TAKEN_OVER)
     | _done(_E.DISARMED)
     | _land(
         _E.LINK_LOST,
@@ -186,11 +186,11 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.FRAME_WRONG,
         _E.HOLDS_USED_UP,
     )
-    # A hold that does not hold: what is left is to be down before it is somewhere.
+    # The vehicle does not hold its position: land before it drifts into something.
     | _land(_E.DRIFTS, _E.NOT_OBEYED)
     | _land(_E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
-    _S.LAND: _hand_over(*_TAKEN, _E.TIMED_OUT)
+    _S.LAND: _hand_over(*_TAKEN_OVER, _E.TIMED_OUT)
     | _done(_E.DISARMED)
     | _stay(_S.LAND, _A.DISARM, "disarming", _E.LANDED, _E.INTERRUPT_ON_GROUND)
     | _stay(_S.LAND, _A.LAND, "landing is ordered again", _E.ORDER_REFUSED, _E.LINK_LOST, _E.NOT_OBEYED)
@@ -198,13 +198,13 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     _S.HAND_OVER: _done(_E.DISARMED, _E.LINK_LOST)
     | _done(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.ABORT: _done(_E.DISARMED)
-    | _hand_over(*_TAKEN, _E.TIMED_OUT)
+    | _hand_over(*_TAKEN_OVER, _E.TIMED_OUT)
     | _stay(_S.ABORT, _A.DISARM, "disarming is ordered again", _E.ORDER_REFUSED),
     _S.DONE: {},
 }
 
-# What means nothing in a state, or what the state is about anyway. With the table this is every pair.
-_BEFORE = (_E.CHECKS_PASSED, _E.CHECKS_PASSED_DRY, _E.CHECK_FAILED)
+# Events without effect in a state. Together with the table they cover every pair of state and event.
+_OF_CHECKS = (_E.CHECKS_PASSED, _E.CHECKS_PASSED_DRY, _E.CHECK_FAILED)
 _OF_FLIGHT = (_E.LOOP_LATE, _E.FILTER_REFUSED, _E.FILTER_FAILED, _E.FALLBACK_LONG, _E.PLAN_FINISHED)
 _OF_HOLD = (_E.RECOVERED, _E.HOLDS_USED_UP)
 _HEALTH = (
@@ -217,47 +217,47 @@ _HEALTH = (
     _E.UNTOLD,
     _E.FENCE,
 )
-_PLACE = (_E.OFF_WAY, _E.DRIFTS)  # of the way up, and of a hold: elsewhere there is no such place
+_POSITION = (_E.OFF_WAY, _E.DRIFTS)  # defined in a climb and in a hold only
 _INTERRUPTS = (_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR)
 
 IGNORED: Mapping[State, frozenset[Event]] = {
     _S.IDLE: frozenset(Event) - {_E.START, _E.INTERRUPT},
-    # What the vehicle says meanwhile is what the checks look at.
+    # The checks themselves evaluate what the vehicle reports in the meantime.
     _S.CHECKS: frozenset(
         {_E.START, _E.ARMED, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.FAILSAFE_IDLE, *_PLACE, *_TAKEN}
+        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.FAILSAFE_IDLE, *_POSITION, *_TAKEN_OVER}
     ),
     _S.ARMING: frozenset(
-        {_E.START, *_BEFORE, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD}
+        {_E.START, *_OF_CHECKS, _E.DISARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD}
         | {_E.FRAME_WRONG, _E.FENCE, _E.NOT_OBEYED, _E.DRIFTS}
     ),
-    _S.TAKE_OFF: frozenset({_E.START, *_BEFORE, _E.ARMED, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, _E.DRIFTS}),
-    # That it says it has landed is no reason to stop the motors of a vehicle that is told to fly.
-    _S.FLY: frozenset({_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_HOLD, *_PLACE}),
-    # What led here is still so until it has recovered, or has lasted too long.
+    _S.TAKE_OFF: frozenset({_E.START, *_OF_CHECKS, _E.ARMED, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, _E.DRIFTS}),
+    # A report of having landed is no reason to stop the motors of a vehicle that is ordered to fly.
+    _S.FLY: frozenset({_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_HOLD, *_POSITION}),
+    # The cause of the hold is still present until it has recovered, or has lasted too long.
     _S.HOLD: frozenset(
-        {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, _E.OFF_WAY}
+        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, _E.OFF_WAY}
         | {_E.STATE_STALE, _E.FENCE}
     ),
-    # It lands whatever else is wrong: where it is no better is known, and what it drifts by is the wind.
+    # The landing continues whatever else is wrong: there is no better action, and wind may cause drift.
     _S.LAND: frozenset(
-        {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {*_PLACE, _E.FAILSAFE_IDLE, _E.INTERRUPT}
+        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
+        | {*_POSITION, _E.FAILSAFE_IDLE, _E.INTERRUPT}
     ),
     _S.HAND_OVER: frozenset(
-        {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE, *_PLACE, *_TAKEN}
+        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
+        | {_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE, *_POSITION, *_TAKEN_OVER}
     ),
     _S.ABORT: frozenset(
-        {_E.START, *_BEFORE, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
-        | {_E.NOT_OBEYED, _E.LINK_LOST, _E.FAILSAFE_IDLE, *_PLACE, *_INTERRUPTS}
+        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, *_OF_HOLD, *_HEALTH}
+        | {_E.NOT_OBEYED, _E.LINK_LOST, _E.FAILSAFE_IDLE, *_POSITION, *_INTERRUPTS}
     ),
     _S.DONE: frozenset(Event),
 }
 
 
 def described() -> str:
-    """The table in Markdown: per state, what leads where and what is done."""
+    """Table in Markdown for docs/guide/fly.md: event, next state and action per state."""
     lines = ["| in | when | then | and |", "| --- | --- | --- | --- |"]
     for state, row in TABLE.items():
         together: dict[tuple[State, Action], list[str]] = {}

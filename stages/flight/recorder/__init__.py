@@ -1,1 +1,1 @@
-"""What a flight leaves: samples, log and live view, written by processes beside it."""
+"""Recorder of a real flight: samples, and the processes that write the log and show the live view."""

@@ -1,4 +1,4 @@
-"""A flight in a browser while it is flown: a process beside it, which it never waits for."""
+"""Live view of a flight in a browser, in a process for which the flight never waits."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.recorder.samples import FilterSample, TickSample
 
 HOST = "127.0.0.1"
-_READY_S = 30.0  # to import viser on a busy machine
-_SHOW_S = 0.05  # between poses
-_TELL_S = 0.2  # between texts
-_PATH_S = 0.5  # between lengths of path
+_READY_S = 30.0  # maximum time to import viser on a busy machine
+_POSE_S = 0.05  # between updates of the pose
+_TEXT_S = 0.2  # between updates of the text
+_PATH_S = 0.5  # between updates of the path
 _PATH_POINTS = 3000
-_LINES = 8
+_LINES = 8  # number of messages shown
 _NICE = 10
 _PLAN, _MAP, _VEHICLE = (40, 110, 220), (140, 153, 173), (250, 210, 40)
 _COLOURS = {
@@ -40,7 +40,14 @@ _OTHER = (210, 40, 40)
 
 
 class ViewHead(msgspec.Struct, frozen=True, kw_only=True):
-    """What a view begins with: the map as logged, the plan's points, and names."""
+    """First message to the view: the map as logged, the plan, and names.
+
+    Attributes:
+        name, filter, vehicle: as in `FlightHead`.
+        radius_m: radius of the vehicle [m].
+        map_message: the map as `foxglove.SceneUpdate`.
+        plan: points of the plan, world frame [m].
+    """
 
     name: str
     filter: str
@@ -51,17 +58,26 @@ class ViewHead(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def require_viser() -> None:
-    """Raises:
-    UsageError: viser is not installed.
+    """Check that viser is installed.
+
+    Raises:
+        UsageError: viser is not installed.
     """
     if importlib.util.find_spec("viser") is None:
         raise UsageError("--live needs viser, which is not installed: pip install 'alula[live]'")
 
 
 def open_view(port: int, head: ViewHead) -> tuple[FlightPipe, str]:
-    """Start the process and wait until a browser can open it; its pipe and its address.
+    """Start the process of the view and wait until a browser can connect to it.
 
-    It listens on loopback only, and ends when the pipe does.
+    The process listens on loopback only, and ends when the pipe is closed.
+
+    Args:
+        port: to listen on.
+        head: facts that are known before the flight.
+
+    Returns:
+        The pipe to the process, and the address for the browser.
 
     Raises:
         UsageError: viser is not installed, or the port is taken.
@@ -83,15 +99,15 @@ def open_view(port: int, head: ViewHead) -> tuple[FlightPipe, str]:
     watchdog = _deadline(pipe.process)
     try:
         pipe.put(msgspec.msgpack.encode(head), _READY_S)
-        said = pipe.process.stdout.readline().decode().strip()
+        port_line = pipe.process.stdout.readline().decode().strip()
     except OSError:
-        said = ""
+        port_line = ""
     finally:
         watchdog.cancel()
-    if not said:
+    if not port_line:
         pipe.close(0.0)
-        raise OutputError("--live: the process of the view does not start")
-    return pipe, f"http://{HOST}:{said}"
+        raise OutputError("--live: the process of the view did not start")
+    return pipe, f"http://{HOST}:{port_line}"
 
 
 def _deadline(process: subprocess.Popen[bytes]) -> Any:
@@ -104,14 +120,14 @@ def _deadline(process: subprocess.Popen[bytes]) -> Any:
 
 
 class _View:
-    """What the process shows."""
+    """Contents of the view, in its process."""
 
     def __init__(self, server: Any, head: ViewHead) -> None:
         self.server, self.head = server, head
         self.lines: deque[str] = deque(maxlen=_LINES)
         self.points: list[tuple[float, float, float]] = []
         self.colours: list[tuple[int, int, int]] = []
-        self.shown_s = self.told_s = self.drawn_s = -np.inf
+        self.pose_s = self.text_s = self.path_s = -np.inf
         self.state = "idle"
         server.gui.configure_theme(show_share_button=False, show_logo=False)
         scene = server.scene
@@ -130,7 +146,7 @@ class _View:
         server.initial_camera.look_at = centre
 
     def _map(self, message: dict[str, Any]) -> None:
-        """Hulls as one mesh, ellipsoids as scaled spheres."""
+        """Show hulls as one mesh and ellipsoids as scaled spheres."""
         (entity,) = message["entities"]
         if triangles := entity.get("triangles"):
             points = [np.array([[p["x"], p["y"], p["z"]] for p in hull["points"]]) for hull in triangles]
@@ -161,7 +177,7 @@ class _View:
             )
 
     def take(self, message: bytes) -> None:
-        """A message of the flight."""
+        """Process a message of the flight."""
         kind, body = message[:1], message[1:]
         if kind == b"t":
             self._tick(msgspec.msgpack.decode(body, type=TickSample))
@@ -173,23 +189,23 @@ class _View:
 
     def _tick(self, sample: TickSample) -> None:
         now = time.monotonic()
-        if sample.position is not None and sample.attitude_wxyz is not None and now - self.shown_s > _SHOW_S:
-            self.shown_s = now
+        if sample.position is not None and sample.attitude_wxyz is not None and now - self.pose_s > _POSE_S:
+            self.pose_s = now
             self.vehicle.position, self.vehicle.wxyz = sample.position, sample.attitude_wxyz
             if sample.armed:
                 status = None if sample.filter is None else FilterStatus(sample.filter.status)
                 self.points.append(sample.position)
                 self.colours.append((90, 90, 90) if status is None else _COLOURS.get(status, _OTHER))
-        if now - self.drawn_s > _PATH_S and len(self.points) > 1:
-            self.drawn_s = now
+        if now - self.path_s > _PATH_S and len(self.points) > 1:
+            self.path_s = now
             if len(self.points) > _PATH_POINTS:
                 self.points, self.colours = self.points[::2], self.colours[::2]
             colours = np.repeat(np.array(self.colours[1:], np.uint8)[:, None, :], 2, axis=1)
             self.server.scene.add_line_segments(
                 "/path", _segments(np.array(self.points)), colours, thickness=0.025
             )
-        if now - self.told_s > _TELL_S:
-            self.told_s = now
+        if now - self.text_s > _TEXT_S:
+            self.text_s = now
             self.text.content = self._words(sample)
 
     def _words(self, sample: TickSample) -> str:
@@ -223,8 +239,8 @@ def _filter_rows(done: FilterSample) -> list[tuple[str, str]]:
     ]
 
 
-def _percent(share: float | None) -> str:
-    return "not said" if share is None else f"{share:.0%}"
+def _percent(fraction: float | None) -> str:
+    return "not reported" if fraction is None else f"{fraction:.0%}"
 
 
 def _segments(points: FloatArray) -> FloatArray:
@@ -233,18 +249,18 @@ def _segments(points: FloatArray) -> FloatArray:
 
 
 def main() -> None:
-    """The process: reads messages from standard input until there are no more."""
+    """Run the process of the view: read messages from standard input until the pipe ends."""
     for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # it ends when the pipe does
+        signal.signal(number, signal.SIG_IGN)  # it ends with the pipe
     os.nice(_NICE)
     source, port = sys.stdin.buffer, int(sys.argv[1])
     head = msgspec.msgpack.decode(next_message(source), type=ViewHead)
     out = os.dup(1)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for what viser says
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # viser prints to standard output
 
     class Server(_viser().ViserServer):  # type: ignore[misc]
         def request_share_url(self, verbose: bool = True) -> None:
-            """Never: this would open a way in for others."""
+            """Do nothing: sharing would give other machines access."""
 
     server = Server(host=HOST, port=port, label=f"alula fly: {head.name}", verbose=False)
     view = _View(server, head)
@@ -252,7 +268,7 @@ def main() -> None:
     os.close(out)
     while message := next_message(source):
         view.take(message)
-    os._exit(0)  # its threads wait for browsers
+    os._exit(0)  # the server's threads do not end by themselves
 
 
 def _viser() -> Any:

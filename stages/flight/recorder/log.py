@@ -1,4 +1,4 @@
-"""The log of a real flight: a pipe that never waits, and the process behind it that writes the file."""
+"""Log of a real flight: a recorder that never waits, and the process that writes the file."""
 
 from __future__ import annotations
 
@@ -33,17 +33,26 @@ from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.recorder.samples import TickSample
 from alula.stages.runlog.writer import LogWriter, path_message
 
-_CHUNK_BYTES = 2**14  # some ticks: what a crash may cost
-_SYNC_S = 1.0  # what a power cut may cost
-_HEAD_S = 60.0  # for the writer to begin
-_WORDS = 1000  # characters of a line, at most
+_CHUNK_BYTES = 2**14  # some ticks: the maximum loss in a crash
+_SYNC_S = 1.0  # the maximum loss in a power cut
+_HEAD_S = 60.0  # maximum time for the writer to start
+_WORDS = 1000  # maximum number of characters of a message
 _COLUMNS = 13
-_VIEW_HZ = 25.0  # samples for a view
+_VIEW_HZ = 25.0  # rate of samples for a live view
 _PATH_POINTS = 2000
 
 
 class FlightHead(msgspec.Struct, frozen=True, kw_only=True):
-    """What a flight's log begins with: all that is known before it."""
+    """First message to the writer: all facts that are known before the flight.
+
+    Attributes:
+        name, filter, vehicle: for reports.
+        frame: name of the map's frame.
+        is_splat: the filter uses ellipsoids.
+        log_every: the log holds every so many ticks.
+        provenance: of the log and its record.
+        map_message: the map as `foxglove.SceneUpdate`.
+    """
 
     name: str
     filter: str
@@ -66,7 +75,7 @@ class StepSample(msgspec.Struct, array_like=True):
 
 
 class LineSample(msgspec.Struct, array_like=True):
-    """A line for people."""
+    """A message for the operator."""
 
     time_s: float
     level: int
@@ -74,24 +83,30 @@ class LineSample(msgspec.Struct, array_like=True):
 
 
 class FlightRecorder:
-    """Hands a flight to a writer process; `Recorder` for the loop.
+    """`Recorder` of the loop that passes samples and messages to a writer process.
 
-    Nothing here waits for disk or terminal: what the pipe has no room for is dropped and counted, and a
-    writer that has died costs the log, not the flight. Samples of flying and holding are also kept here, in
-    `rows`, to judge the flight by.
+    No method waits for disk or terminal. A sample for which the pipe has no room is dropped and counted. If
+    the writer dies the log is lost, and the flight continues. Samples of flying and holding are also kept in
+    `rows`, for the verdict.
 
     Args:
-        path: the log; it must not exist. None keeps no log, and only says lines.
-        replaces: it may exist. It is replaced, and the record beside it removed, when the vehicle takes off:
-            until then this log is written beside it, under a temporary name.
-        head: what is known before the flight.
-        echo: the writer also says lines of the flight on its standard error.
-        view: a process that also gets lines, steps and some 25 ticks a second, if it has room for them;
-            what it has not is counted as `unseen`.
-        rate_hz: of ticks.
+        path: file of the log; it must not exist unless `replaces`. With None no log is written, and messages
+            are only printed.
+        head: facts that are known before the flight.
+        replaces: the file may exist. The log is then written beside it under a temporary name. When the
+            vehicle takes off, the log replaces the file, and the record beside it is removed.
+        echo: the writer also prints messages on its standard error.
+        view: process of the live view. It also receives messages, steps and about 25 ticks a second, if it
+            has room for them.
+        rate_hz: rate of ticks [Hz].
+
+    Attributes:
+        has_flown: the vehicle has taken off, or is taking off.
+        dropped: number of samples that the log lacks.
+        unseen: number of samples that the live view lacks.
 
     Raises:
-        OutputError: the log cannot be made.
+        OutputError: the log cannot be written.
     """
 
     def __init__(
@@ -104,16 +119,16 @@ class FlightRecorder:
         view: FlightPipe | None = None,
         rate_hz: float = 100.0,
     ) -> None:
-        self._path, self._beside = path, None if path is None else _beside(path, replaces=replaces)
-        self.has_flown = False  # or is taking off
+        self._path, self._temporary = path, None if path is None else _temporary(path, replaces=replaces)
+        self.has_flown = False
         try:
-            log = path if self._beside is None else self._beside
+            log = path if self._temporary is None else self._temporary
             where, how = (os.devnull, 0) if log is None else (log, os.O_CREAT | os.O_EXCL)
             file = os.open(where, os.O_WRONLY | how, 0o644)
         except OSError as error:
             raise OutputError(f"{path}: cannot write: {error.strerror}") from error
         code = "from alula.stages.flight.recorder.log import main; main()"
-        names = () if path is None or self._beside is None else (str(self._beside), str(path))
+        names = () if path is None or self._temporary is None else (str(self._temporary), str(path))
         self._pipe = FlightPipe(code, (str(file), str(int(echo)), *names), files=(file,))
         os.close(file)
         self._encode = msgspec.msgpack.Encoder().encode
@@ -129,18 +144,21 @@ class FlightRecorder:
 
     @property
     def pid(self) -> int:
-        """Of the writer."""
+        """Process id of the writer."""
         return self._pipe.process.pid
 
     @property
     def is_viewed(self) -> bool:
-        """Whether there is a view."""
+        """True with a live view."""
         return self._view is not None
 
     @property
     def rows(self) -> FloatArray:
-        """Ticks of flying and holding, shape (n, 13): time, position, velocity, status (-1 while holding),
-        1 infeasible + 2 certified, margin, error, time of the filter, reference's time.
+        """Ticks of flying and holding, shape (n, 13), world frame, SI units.
+
+        Columns: time, position (3), velocity (3), status of the filter (-1 while the vehicle holds by
+            itself),
+        infeasible + 2 certified, margin, error, duration of the decision, time along the plan.
         """
         return np.array(self._rows, np.float64).reshape(-1, _COLUMNS)
 
@@ -174,31 +192,39 @@ class FlightRecorder:
         self._put(b"l", LineSample(time_s, level, words[:_WORDS]))
 
     def finish(self, record: RunRecord | None, timeout_s: float = 30.0) -> bool:
-        """Let the writer end the log, with the record if there is one; whether it did."""
+        """Let the writer complete the log and end.
+
+        Args:
+            record: of the flight, to store in the log, if there is one.
+            timeout_s: maximum time to wait [s].
+
+        Returns:
+            True if the log is complete.
+        """
         try:
             if record is not None:
                 self._pipe.put(b"f" + self._encode(record), timeout_s)
         except OSError:
             self._pipe.process.kill()
         has_ended = self._pipe.close(timeout_s)
-        if self.has_flown and self._path is not None and self._beside is not None:
-            _replace(self._beside, self._path)  # where the writer has not lived to do it
+        if self.has_flown and self._path is not None and self._temporary is not None:
+            _replace(self._temporary, self._path)  # in case the writer died before it did
         return has_ended
 
     @property
     def where(self) -> Path | None:
-        """Where the log is now."""
-        return self._beside if self._beside is not None and self._beside.exists() else self._path
+        """File of the log at present."""
+        return self._temporary if self._temporary is not None and self._temporary.exists() else self._path
 
     def discard(self) -> None:
-        """Leave no log of what never took off, and what was there before as it was; after `finish`."""
+        """Remove the log of a flight that never took off; an earlier log stays unchanged; after `finish`."""
         if self._path is not None and not self.has_flown:
-            (self._path if self._beside is None else self._beside).unlink(missing_ok=True)
+            (self._path if self._temporary is None else self._temporary).unlink(missing_ok=True)
 
-    def _put(self, kind: bytes, what: Any, *, is_seen: bool = True) -> None:
+    def _put(self, kind: bytes, sample: Any, *, is_seen: bool = True) -> None:
         try:
-            message = kind + self._encode(what)
-        except (TypeError, ValueError):  # no number of ours
+            message = kind + self._encode(sample)
+        except (TypeError, ValueError):  # a value that cannot be encoded
             self.dropped += 1
             return
         self.dropped += not self._pipe.offer(message)
@@ -206,17 +232,17 @@ class FlightRecorder:
             self.unseen += not self._view.offer(message)
 
 
-def _beside(path: Path, *, replaces: bool) -> Path | None:
-    """Where a log is written until it replaces another, or another's record; None if there is none."""
+def _temporary(path: Path, *, replaces: bool) -> Path | None:
+    """Temporary path of a log until it replaces an earlier log or record; None if there is neither."""
     if not replaces or not (os.path.lexists(path) or os.path.lexists(record_path(path))):
         return None
     return path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
 
 
-def _replace(beside: Path, path: Path) -> None:
-    """Let a log that was begun beside another take its place, once; the other's record goes with it."""
-    with suppress(OSError):  # then it stays where it is, and is read there
-        beside.replace(path)
+def _replace(temporary: Path, path: Path) -> None:
+    """Move a log from its temporary path to its final one, and remove the earlier record; only once."""
+    with suppress(OSError):  # then the log stays at its temporary path
+        temporary.replace(path)
         record_path(path).unlink(missing_ok=True)
         folder = os.open(path.parent, os.O_RDONLY)
         try:
@@ -226,16 +252,16 @@ def _replace(beside: Path, path: Path) -> None:
 
 
 class _Writer:
-    """What the other process does with what it reads; `moves` is where the log is and where it belongs."""
+    """Log in the writer process; `moves` is empty, or the temporary and the final path of the log."""
 
     def __init__(self, stream: BinaryIO, head: FlightHead, *, echo: bool, moves: list[Path]) -> None:
         self.head, self.echo, self.ticks, self.moves = head, echo, 0, moves
         self.log = LogWriter(stream, CHANNELS, chunk_bytes=_CHUNK_BYTES)
-        known = msgspec.structs.asdict(head)
-        known.pop("map_message")
+        facts = msgspec.structs.asdict(head)
+        facts.pop("map_message")
         texts = {
             key: value if isinstance(value, str) else msgspec.json.encode(value).decode()
-            for key, value in known.items()
+            for key, value in facts.items()
         }
         self.log.note(FLIGHT_METADATA, texts)
         self.log.send("/map", 0.0, head.map_message)
@@ -243,7 +269,7 @@ class _Writer:
         self.last_s = 0.0
 
     def take(self, message: bytes) -> bool:
-        """A message; False after the last."""
+        """Process a message; False after the last one."""
         kind, body = message[:1], message[1:]
         if kind == b"t":
             self._tick(msgspec.msgpack.decode(body, type=TickSample))
@@ -269,7 +295,7 @@ class _Writer:
         return True
 
     def _say(self, text: str) -> None:
-        """To the terminal, which may have been closed: the log goes on without it."""
+        """Print a message; if the terminal was closed, the log continues without it."""
         try:
             os.write(2, text.encode(errors="replace"))
         except OSError:
@@ -292,22 +318,22 @@ class _Writer:
 
 
 def main() -> None:
-    """The writer process: reads frames from standard input, writes the log to the given file descriptor.
+    """Run the writer process: read messages from standard input, write the log to a file descriptor.
 
-    When the pipe ends without a record, because whoever flew was killed, the log is closed without one. A
-    disk that takes no more ends it with a line.
+    If the pipe ends without a record, because the flying process was killed, the log is closed without one. A
+    full disk ends the process with a message.
     """
     try:
         _write()
     except OSError as error:
         with suppress(OSError):
             os.write(2, f"the log ends here: {error.strerror}\n".encode())
-        os._exit(1)  # what is buffered has nowhere to go
+        os._exit(1)  # buffered data cannot be written
 
 
 def _write() -> None:
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # it ends when the pipe does
+        signal.signal(number, signal.SIG_IGN)  # it ends with the pipe
     file, echo, moves = int(sys.argv[1]), sys.argv[2] == "1", [Path(name) for name in sys.argv[3:]]
     source = sys.stdin.buffer
     writer: _Writer | None = None
@@ -332,5 +358,5 @@ def _write() -> None:
 
 def _sync(stream: BinaryIO) -> None:
     stream.flush()
-    with suppress(OSError):  # a pipe, or no log at all, is not on a disk
+    with suppress(OSError):  # a pipe or /dev/null is not on a disk
         os.fsync(stream.fileno())

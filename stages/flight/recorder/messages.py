@@ -1,4 +1,4 @@
-"""Samples of a real flight as messages of its log, on the channels that `simulate` writes and one more."""
+"""Messages of a flight's log, built from samples: the channels of `simulate`, and `/supervisor`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,11 @@ _NUMBERS = {state.value: number for number, state in enumerate(State)}
 
 
 def state_message(sample: TickSample) -> dict[str, Any]:
-    """`alula.State`."""
+    """Message `alula.State` of a tick.
+
+    Args:
+        sample: of a tick.
+    """
     return {
         "trial": 0,
         "time_s": round(sample.time_s, 9),
@@ -37,13 +41,27 @@ def state_message(sample: TickSample) -> dict[str, Any]:
 
 
 def pose_message(sample: TickSample, frame: str) -> dict[str, Any]:
-    """`foxglove.PoseInFrame`."""
+    """Message `foxglove.PoseInFrame` of a tick.
+
+    Args:
+        sample: of a tick.
+        frame: name of the map's frame.
+    """
     pose = {"position": _point(sample.position), "orientation": _attitude(sample)}
     return {"timestamp": stamp(sample.time_s), "frame_id": frame, "pose": pose}
 
 
 def safety_message(sample: TickSample, done: FilterSample, *, is_splat: bool) -> dict[str, Any]:
-    """`alula.Safety`: velocities and metres among hulls, accelerations and a barrier among ellipsoids."""
+    """Message `alula.Safety` of a tick.
+
+    Among hulls it holds velocities and a distance in metres; among ellipsoids accelerations and the value of
+    the barrier.
+
+    Args:
+        sample: of a tick.
+        done: result of controller and filter in the tick.
+        is_splat: the filter uses ellipsoids.
+    """
     status = FilterStatus(done.status)
     margin = _number(done.margin)
     common: dict[str, Any] = {
@@ -72,7 +90,11 @@ def safety_message(sample: TickSample, done: FilterSample, *, is_splat: bool) ->
 
 
 def tick_message(sample: TickSample) -> dict[str, Any]:
-    """`alula.Supervisor` of a tick."""
+    """Message `alula.Supervisor` of a tick; unknown values are left out.
+
+    Args:
+        sample: of a tick.
+    """
     known: dict[str, Any] = {
         "time_s": round(sample.time_s, 9),
         "state": _NUMBERS[sample.state],
@@ -100,7 +122,14 @@ def tick_message(sample: TickSample) -> dict[str, Any]:
 
 
 def step_message(time_s: float, state: str, event: str, action: str) -> dict[str, Any]:
-    """`alula.Supervisor` of a step."""
+    """Message `alula.Supervisor` of a step of the supervisor.
+
+    Args:
+        time_s: time since the start of the flight [s].
+        state: name of the state after the step.
+        event: name of the event.
+        action: name of the action.
+    """
     return {
         "time_s": round(time_s, 9),
         "state": _NUMBERS[state],
@@ -111,7 +140,13 @@ def step_message(time_s: float, state: str, event: str, action: str) -> dict[str
 
 
 def log_line(time_s: float, level: int, words: str) -> dict[str, Any]:
-    """`foxglove.Log`."""
+    """Message `foxglove.Log`.
+
+    Args:
+        time_s: time since the start of the flight [s].
+        level: as in foxglove.Log.
+        words: the message.
+    """
     return {
         "timestamp": stamp(time_s),
         "level": level,

@@ -1,4 +1,4 @@
-"""A pipe to a process beside the flight: what it has no room for is left out, and nothing waits for it."""
+"""Pipe to a process beside the flight; a full pipe drops messages, and the flight never waits for it."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from contextlib import suppress
 from typing import BinaryIO
 
 _LENGTH = struct.Struct("<I")
-_ATOMIC = 4096  # PIPE_BUF on Linux: what is written at once is whole or not at all
+_ATOMIC = 4096  # PIPE_BUF on Linux: a write of at most this size is complete or fails
 _PIPE_BYTES = 2**20
 
 
 class FlightPipe:
-    """Starts a Python process, and hands it messages on its standard input.
+    """Python process that receives messages on its standard input.
 
     Args:
-        code: what the process runs; it takes messages by `next_message`.
-        arguments: of the process, from `sys.argv[1]` on.
-        files: descriptors that it inherits.
-        stdout: of the process, as of `subprocess.Popen`.
+        code: Python code of the process; it reads messages by `next_message`.
+        arguments: arguments of the process, from `sys.argv[1]` on.
+        files: descriptors that the process inherits.
+        stdout: standard output of the process, as for `subprocess.Popen`.
     """
 
     def __init__(
         self, code: str, arguments: Sequence[str], *, files: Sequence[int] = (), stdout: int | None = None
     ) -> None:
-        self.process = subprocess.Popen(  # in a session of its own: Ctrl-C is not for it
+        self.process = subprocess.Popen(  # in its own session, so that it does not receive Ctrl-C
             [sys.executable, "-P", "-c", code, *arguments],
             stdin=subprocess.PIPE,
             stdout=stdout,
@@ -43,31 +43,49 @@ class FlightPipe:
         fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
     def put(self, message: bytes, timeout_s: float = 30.0) -> None:
-        """Write a message however long it is.
+        """Write a message of any length.
+
+        Args:
+            message: to write.
+            timeout_s: maximum time without progress [s].
 
         Raises:
-            OSError: nobody reads any more, or takes nothing for so long.
+            OSError: the process has closed the pipe, or reads nothing for `timeout_s`.
         """
         os.set_blocking(self._pipe, False)
         frame = memoryview(_LENGTH.pack(len(message)) + message)
         while frame:
             if not select.select([], [self._pipe], [], timeout_s)[1]:
-                raise TimeoutError("nothing is taken")
+                raise TimeoutError("the process reads nothing")
             frame = frame[os.write(self._pipe, frame[:_ATOMIC]) :]
 
     def offer(self, message: bytes) -> bool:
-        """Write a message if there is room for it at once; after the first `put`."""
+        """Write a message if the pipe has room for it now; call `put` first.
+
+        Args:
+            message: to write; a message over 4092 bytes is never written.
+
+        Returns:
+            True if it was written.
+        """
         frame = _LENGTH.pack(len(message)) + message
         if len(frame) > _ATOMIC:
             return False
         try:
             os.write(self._pipe, frame)
-        except OSError:  # full, or nobody reads any more
+        except OSError:  # the pipe is full or closed
             return False
         return True
 
     def close(self, timeout_s: float) -> bool:
-        """End the pipe and wait for the process, or kill it when the time is over; whether it ended well."""
+        """Close the pipe and wait for the process to end; kill it after `timeout_s`.
+
+        Args:
+            timeout_s: maximum time to wait [s].
+
+        Returns:
+            True if the process ended without an error.
+        """
         assert self.process.stdin is not None
         if self.process.stdout is not None:
             self.process.stdout.close()
@@ -83,6 +101,10 @@ class FlightPipe:
 
 
 def next_message(source: BinaryIO) -> bytes:
-    """The next message; empty when there is none any more."""
+    """Read the next message; empty at the end of the pipe.
+
+    Args:
+        source: standard input of the process.
+    """
     raw = source.read(_LENGTH.size)
     return source.read(_LENGTH.unpack(raw)[0]) if len(raw) == _LENGTH.size else b""

@@ -1,4 +1,4 @@
-"""What one tick of a real flight leaves behind, and who takes it."""
+"""Samples of a real flight: their structures, how a tick of the loop fills them, and their receiver."""
 
 from __future__ import annotations
 
@@ -6,9 +6,20 @@ from typing import Protocol
 
 import msgspec
 
+from alula.schemas.arrays import FloatArray
+from alula.stages.flight.commanders.protocol import Decision
+from alula.stages.flight.links.protocol import (
+    AccelerationSetpoint,
+    RatesSetpoint,
+    Setpoint,
+    VehicleState,
+    VehicleStatus,
+)
+from alula.stages.flight.loop.fence_guard import Guarded
+from alula.stages.flight.loop.plan_clock import PlanClock
 from alula.stages.flight.loop.supervisor import Event, State, Taken
 
-INFO, WARNING, ERROR = 2, 3, 4  # levels as Foxglove counts them
+INFO, WARNING, ERROR = 2, 3, 4  # levels of foxglove.Log
 
 _BAD = frozenset(
     {Event.CHECK_FAILED, Event.LINK_LOST, Event.FAILSAFE, Event.FILTER_FAILED, Event.FRAME_WRONG}
@@ -23,7 +34,7 @@ Three = tuple[float, float, float]
 
 
 class FilterSample(msgspec.Struct, array_like=True, gc=False):
-    """What controller, filter and fence did in a tick; see `Decision` and `Guarded`."""
+    """Result of controller, filter and geofence in a tick; see `Decision` and `Guarded`."""
 
     status: int
     margin: float
@@ -45,13 +56,20 @@ class FilterSample(msgspec.Struct, array_like=True, gc=False):
 
 
 class TickSample(msgspec.Struct, array_like=True, gc=False):
-    """A tick: `time_s` since the start, the state with its age, and what was done; None outside of flying.
+    """One tick of the loop.
 
     Attributes:
-        time_s: when the tick began; late_s: how much too late; tick_s: how long the one before took.
-        state: of the supervisor.
-        age_s: of the vehicle's state; None without one, as are the next four.
-        mode, armed, landed, battery_share: as the vehicle says.
+        time_s: start of the tick, since the start of the flight [s].
+        late_s: time since the deadline of the tick [s].
+        tick_s: duration of the tick before [s].
+        state: name of the supervisor's state.
+        age_s: age of the vehicle's state [s]; None without a state, as are the next four.
+        position, velocity: world frame [m], [m/s].
+        attitude_wxyz: unit quaternion that turns body vectors into the world frame.
+        omega: angular velocity, body components [rad/s].
+        mode, armed, landed, battery_share: as reported by the vehicle; the charge as a fraction.
+        fence_m: distance of the vehicle's sphere to the fence [m]; None where it is not computed.
+        filter: result of controller and filter; None in a tick without a set-point.
     """
 
     time_s: float
@@ -72,22 +90,132 @@ class TickSample(msgspec.Struct, array_like=True, gc=False):
 
 
 class Recorder(Protocol):
-    """Takes what happens; returns at once, whatever becomes of it."""
+    """Receiver of samples and messages; its methods never block and never raise."""
 
     def tick(self, sample: TickSample) -> None:
-        """A tick."""
+        """Record a tick.
+
+        Args:
+            sample: of the tick.
+        """
         ...
 
     def step(self, time_s: float, taken: Taken) -> None:
-        """A step of the supervisor."""
+        """Record a step of the supervisor.
+
+        Args:
+            time_s: time since the start of the flight [s].
+            taken: the step.
+        """
         ...
 
     def say(self, time_s: float, level: int, words: str) -> None:
-        """A line for people."""
+        """Record a message for the operator.
+
+        Args:
+            time_s: time since the start of the flight [s].
+            level: `INFO`, `WARNING` or `ERROR`.
+            words: the message.
+        """
         ...
 
 
 def level_of(taken: Taken) -> int:
-    """How bad it is that this step was taken."""
+    """Log level of a step of the supervisor: `INFO`, `WARNING` or `ERROR`.
+
+    Args:
+        taken: the step.
+    """
     is_fine = taken.event in _FINE or taken[:2] == (State.LAND, Event.DISARMED)
     return ERROR if taken.event in _BAD else INFO if is_fine else WARNING
+
+
+def tick_sample(
+    times: tuple[float, float, float, float],
+    phase: str,
+    state: VehicleState | None,
+    status: VehicleStatus,
+    fence_m: float | None,
+    flown: FilterSample | None,
+) -> TickSample:
+    """Build the sample of a tick.
+
+    Args:
+        times: time since the start of the flight, lateness, duration of the tick before, and age of the
+            state [s].
+        phase: name of the supervisor's state.
+        state: of the vehicle, world frame, if there is one.
+        status: of the vehicle.
+        fence_m: distance to the fence [m], if it was computed.
+        flown: result of controller and filter, if a set-point was computed.
+    """
+    now_s, late_s, spent_s, age_s = times
+    position = velocity = omega = attitude = None
+    if state is not None:
+        position, velocity, omega = _three(state.position), _three(state.velocity), _three(state.omega)
+        w, x, y, z = state.attitude_wxyz.tolist()
+        attitude = (w, x, y, z)
+    return TickSample(
+        time_s=now_s,
+        late_s=late_s,
+        tick_s=spent_s,
+        state=phase,
+        age_s=None if state is None else age_s,
+        position=position,
+        velocity=velocity,
+        attitude_wxyz=attitude,
+        omega=omega,
+        mode=status.mode,
+        armed=status.armed,
+        landed=status.landed,
+        battery_share=status.battery_share,
+        fence_m=fence_m,
+        filter=flown,
+    )
+
+
+def filter_sample(decision: Decision, guarded: Guarded, plan: PlanClock, filter_s: float) -> FilterSample:
+    """Build the sample of a decision and of the set-point that was sent after the geofence.
+
+    Args:
+        decision: of the commander.
+        guarded: result of the geofence.
+        plan: time along the plan.
+        filter_s: duration of the decision [s].
+    """
+    kind, values = _numbers(guarded.setpoint)
+    return FilterSample(
+        status=int(decision.status),
+        margin=decision.margin,
+        active=decision.active,
+        infeasible=decision.infeasible,
+        certified=decision.certified,
+        nominal=_three(decision.nominal),
+        safe=_three(decision.safe),
+        thrust_nominal_n=decision.thrust_nominal_n,
+        error_m=decision.error_m,
+        plan_s=plan.time_s,
+        plan_rate=plan.rate,
+        filter_s=filter_s,
+        fence_h_m=guarded.h_m,
+        fence_share=guarded.regulation,
+        fence_flies=guarded.takes_over,
+        sent=kind,
+        sent_values=values,
+    )
+
+
+def _three(vector: FloatArray) -> Three:
+    x, y, z = vector.tolist()
+    return x, y, z
+
+
+def _numbers(setpoint: Setpoint | None) -> tuple[str, tuple[float, ...]]:
+    """Kind and numbers of a set-point, for the log."""
+    if setpoint is None:
+        return "", ()
+    if isinstance(setpoint, RatesSetpoint):
+        return "rates", (setpoint.thrust_m_s2, *setpoint.omega.tolist())
+    if isinstance(setpoint, AccelerationSetpoint):
+        return "acceleration", (*setpoint.acceleration.tolist(), setpoint.yaw_rad)
+    return "velocity", (*setpoint.velocity.tolist(), setpoint.yaw_rad)

@@ -1,4 +1,4 @@
-"""A vehicle that is carried by hand before take-off, and whose frame is not the map's, over MAVLink."""
+"""Check of the frame by hand over MAVLink: a vehicle is carried before take-off, in wrong frames too."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ MOVES_M, MOVE_S, REST_S = 0.4, 0.6, 0.4
 
 
 def carried(seconds):
-    """Where it truly is from its start, and how fast, x east: along +x, +y, +z, and back at once."""
+    """True displacement and velocity of the carried vehicle, x east: along +x, +y, +z, and straight back."""
     place, speed = np.zeros(3), np.zeros(3)
     for axis in range(3):
         done = (seconds - axis * (MOVE_S + REST_S)) / MOVE_S
@@ -24,7 +24,7 @@ def carried(seconds):
 
 
 def in_frame(matrix):
-    """What it says of that in a frame of its own."""
+    """Displacement and velocity as reported in another frame."""
 
     def begin(flight):
         def change(message):

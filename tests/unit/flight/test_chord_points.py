@@ -1,4 +1,4 @@
-"""Points of a chord that do not agree, and a filter that fails at any one of them: nothing unsafe is sent."""
+"""Chord points that do not agree, and a filter that fails at one of them: nothing unsafe is sent."""
 
 import math
 
@@ -19,7 +19,7 @@ from support.velocity_worlds import ZERO, seen, target_at, world
     ],
 )
 def test_what_is_sent_is_let_through_at_all_points_of_the_chord(p, v, nominal):
-    """Also where three rounds are not enough for them to agree."""
+    """This also holds where three passes do not suffice for an agreement."""
     _, safety = world(3.0, 0.6)
     asked = Failing(safety)
     commander = VelocityCommander(asked, 8.0, 3.0, lag_s=0.6)
@@ -33,7 +33,7 @@ def test_what_is_sent_is_let_through_at_all_points_of_the_chord(p, v, nominal):
 
 
 class Failing:
-    """A filter that fails at one of its calls, and counts them."""
+    """Filter that counts its calls and fails at one of them."""
 
     def __init__(self, inner, how="", at=-1):
         self.inner, self.how, self.at, self.calls = inner, how, at, 0
@@ -52,7 +52,7 @@ class Failing:
         return FilterResult(ZERO, FilterStatus.REFUSED, math.nan)
 
 
-# Clear all along; near walls, so that points must agree; into a pillar, whose margin is then looked for.
+# Clear everywhere; near walls, so that points must agree; into a pillar, so that its margin is located.
 CHORDS = {
     "clear": ((2.0, 0.6, 1.5), (-0.5, 0.2, 0.0)),
     "near": ((0.5, 2.6, 1.5), (0.0, 1.0, 0.0)),

@@ -11,7 +11,6 @@ from alula import _core
 from alula.schemas.vehicle import FASTBRIDGE
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.filtering.splat_protocol import FlightState, Nominal
-from alula.stages.flight.commanders.tracking import PlanClock, heading_of
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
     RatesSetpoint,
@@ -19,6 +18,7 @@ from alula.stages.flight.links.protocol import (
     VelocitySetpoint,
 )
 from alula.stages.flight.loop.fence_guard import FenceGuard
+from alula.stages.flight.loop.plan_clock import PlanClock, heading_of
 from alula.stages.flight.mission import make_commander, make_safety
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from support.flights import BALL, GOAL, START, mission
@@ -173,7 +173,7 @@ def test_far_from_the_fence_a_set_point_passes_as_it_is():
     ):
         found = guard.guard(at((0, 0, 0)), 0.0, setpoint)
         assert found.setpoint is setpoint
-        assert (found.share, found.takes_over) == (1.0, False)
+        assert (found.regulation, found.takes_over) == (1.0, False)
     assert guard.distance(at((49, 0, 0))) == pytest.approx(0.85)
 
 
@@ -205,7 +205,7 @@ def test_the_fence_sees_where_a_set_point_leads_before_a_take_over_acts(kind):
 
 @pytest.mark.parametrize("name", ["rates", "velocity"])
 def test_a_bad_filter_does_not_get_through_the_fence(name):
-    """A body with a rate loop, flown at full speed at a wall, stays inside."""
+    """A body with a rate loop that flies at a wall at full speed stays inside the fence."""
     guard = FenceGuard(BOX, FASTBRIDGE, dt_s=DT, takes_rates=True, reserve_m=0.05, latency_s=0.02)
     body = quadrotor(FASTBRIDGE)
     inertia = np.array(body.inertia)
@@ -220,7 +220,7 @@ def test_a_bad_filter_does_not_get_through_the_fence(name):
             else VelocitySetpoint(np.array([3.0, 0, 0]), 0.0)
         )
         found = guard.guard(state, 0.0, wish)
-        flown_by_fence += found.share < 0.5
+        flown_by_fence += found.regulation < 0.5
         told = found.setpoint
         for _ in range(4):
             omega = x[9:]

@@ -1,4 +1,4 @@
-"""The loop over a fake vehicle with a clock of its own: flights as planned, and every fault on the way."""
+"""Control loop over a fake vehicle with an injected clock: flights as planned, and faults in flight."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def test_velocities_are_filtered_among_hulls():
     through = line_plan((0.3, 1.0, 1.0), (3.7, 1.0, 1.0))  # straight into the pillar
     loop, _ = fly(mission(plan=through, is_clear=True, max_time_s=15.0), position=(0.3, 1.0, 0.0))
     path = loop.recorder.positions("fly", "hold")
-    assert path[:, 0].max() < 1.8 - RADIUS_M  # it stays before it, and gives up
+    assert path[:, 0].max() < 1.8 - RADIUS_M  # it stays in front of it until it times out
     assert loop.supervision.cause in (Event.TIMED_OUT, Event.HOLDS_USED_UP)
     margins = [s.filter.margin for s in loop.recorder.samples if s.filter]
     assert min(margins) > -0.05
@@ -146,7 +146,7 @@ def test_the_pilot_takes_it_and_keeps_it(mode, seconds):
         vehicle.hold_at = vehicle.x[:3].copy()
         vehicle.taken_s = vehicle.time_s
 
-    def give_back(vehicle, now):  # as if he switched back: it is not ours any more
+    def give_back(vehicle, now):  # as if the pilot switched back: control stays with the pilot
         take_it(vehicle, now)
         if hasattr(vehicle, "taken_s") and 2 < now - vehicle.taken_s < 4:
             vehicle.status.mode, vehicle.status.obeys = "GUIDED", True
@@ -186,7 +186,7 @@ def test_orders_that_are_refused():
     assert 20 < vehicle.orders.count(Order.ARM) < 90  # about once a second for a minute
     said = [words for _, words in loop.recorder.lines]
     assert said.count("vehicle declines to arm: it does not want to") == 1
-    assert sum("asking again" in words for words in said) == 1
+    assert sum("arming refused: arming is ordered again" in words for words in said) == 1
     assert not vehicle.sent
 
 
@@ -205,9 +205,9 @@ def test_silence_declines_nothing_and_is_told_once():
     said = [words for _, words in loop.recorder.lines]
     assert said.count("order to land: no answer for 5 s") == 1
     assert not any("declines" in words for words in said)
-    handed = [words for words in said if "not ours any more" in words]
+    handed = [words for words in said if "no longer controls the vehicle" in words]
     assert handed
-    assert all("Ctrl-C ends this program and leaves the vehicle to the pilot" in words for words in handed)
+    assert all("Ctrl-C ends it and leaves the vehicle to the pilot" in words for words in handed)
 
 
 @pytest.mark.parametrize(
@@ -231,7 +231,7 @@ def test_a_filter_that_fails_is_held_then_landed(how, event):
     assert len(held) == 4  # three more tries
     assert all(np.isfinite(s.velocity).all() for _, _, s in vehicle.sent)
     first = next(i for i, s in enumerate(loop.recorder.samples) if s.state == "hold")
-    assert vehicle.orders.count(Order.HOLD) == 4  # what holds by the filter has begun with one, too
+    assert vehicle.orders.count(Order.HOLD) == 4  # a filtered hold also begins with an order
     if how != "falls back":  # in the very tick
         assert loop.recorder.samples[first - 1].filter is not None
         assert not [s for s in loop.recorder.samples[first + 1 :] if s.filter and s.filter.sent]
@@ -310,7 +310,7 @@ def test_a_late_loop_is_held_counted_and_not_made_up_for():
 
 @pytest.mark.parametrize("late_s", [0.03, 0.07])
 def test_what_was_sent_is_remembered_for_as_long_as_it_was_followed(late_s):
-    """Ticks that are left out are no time that did not pass: an old state is taken on by all of it."""
+    """An old state is predicted over all of its age, including the ticks that were left out."""
     vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
     vehicle.on_poll = after(1.0, lambda v: v.clock.extra_s.append(late_s))
     loop = loop_of(mission(), vehicle)
@@ -335,7 +335,7 @@ def test_what_was_sent_is_remembered_for_as_long_as_it_was_followed(late_s):
 
 @pytest.mark.parametrize("how", ["raises", "nan", "refuses"])
 def test_a_filter_that_fails_at_any_point_of_the_chord_is_held_in_that_tick(how):
-    """With the lag of the defaults a tick is many calls; whichever of them fails, nothing is sent."""
+    """With the default lag a tick calls the filter several times; if any call fails, nothing is sent."""
     for point in (1, 4):
         vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
         loop = loop_of(mission(), vehicle)
@@ -356,7 +356,7 @@ def test_a_filter_that_fails_at_any_point_of_the_chord_is_held_in_that_tick(how)
         assert failed[0] not in [at for at, _, _ in vehicle.sent]
         first = next(taken for _, taken in loop.taken if taken.step.state is State.HOLD)
         assert first.event is (Event.FILTER_REFUSED if how == "refuses" else Event.FILTER_FAILED)
-        assert loop.supervision.cause is Event.PLAN_FINISHED  # one failure costs a hold, no more
+        assert loop.supervision.cause is Event.PLAN_FINISHED  # one failure causes one hold
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.08])

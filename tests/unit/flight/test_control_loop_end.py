@@ -1,4 +1,4 @@
-"""How flights over a fake vehicle end: by Ctrl-C, by errors, held up, and near the goal."""
+"""Ends of flights over a fake vehicle: by Ctrl-C, by errors, when blocked, and near the goal."""
 
 import numpy as np
 import pytest
@@ -106,7 +106,7 @@ def test_as_near_to_the_goal_as_the_filter_lets_it_is_there():
 
 
 class Hesitant(FakeVehicle):
-    """One that is disarmed by order only, and declines the first orders to."""
+    """Vehicle that disarms by order only, and refuses the first orders."""
 
     declined = 0
 

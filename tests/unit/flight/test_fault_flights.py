@@ -1,4 +1,4 @@
-"""Flights through the built-in room with faults on the way: the plan is flown, or they end on the ground.
+"""Flights through the built-in room with faults: the plan is completed, or the vehicle lands.
 
 The room goes through the whole pipeline. Both filters fly it against the simulated autopilot, with its noise
 and delay; where the vehicle truly was is held against the map by exact distances, of which no filter knows.
@@ -23,7 +23,7 @@ AS_PLANNED = ["checks", "arming", "take-off", "fly", "land", "done"]
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
-    """Missions among its ellipsoids and among its hulls, by the rate of the loop."""
+    """Missions among the ellipsoids and among the hulls of the room, by the rate of the loop."""
     folder = tmp_path_factory.mktemp("room")
     f = lambda name: str(folder / name)  # noqa: E731
     poses = ("--colmap", f("colmap"), "--reference", f("poses.csv"))
@@ -66,7 +66,7 @@ LINE = [  # one after another, while it flies
     burst("delay", 3.8, amount=0.05),
     burst("drop", 4.3, probability=0.3, way="in"),
 ]
-GAPS = [  # each too long to be flown on; times count from where it flies on
+GAPS = [  # each too long to continue; times count from where it flies again
     burst("freeze", 0.8, 0.4),
     burst("delay", 1.0, 0.3, amount=0.4),
     burst("drop", 1.25, 0.4),
@@ -94,7 +94,7 @@ def test_admissible_faults_end_at_the_goal_in_the_safe_set(room, name, faults):
 
 
 HELD, LOST = ["fly", "hold", "land", "done"], ["fly", "hold", "land", "hand-over", "done"]
-ENDING = {  # what ends the flight, and the states of it
+ENDING = {  # the fault, the cause that ends the flight, and its states
     "freeze": (fault("freeze"), Event.TIMED_OUT, HELD),
     "no numbers": (fault("nan"), Event.TIMED_OUT, HELD),
     "150 ms late": (fault("delay", amount=0.15), Event.TIMED_OUT, HELD),

@@ -1,4 +1,4 @@
-"""The log of a flight: what it holds, that it never waits, and what is left of it after a crash."""
+"""Log of a flight: its contents, that it never waits, and its readable part after a crash."""
 
 import os
 import signal
@@ -23,7 +23,7 @@ def test_a_flight_is_logged_as_simulate_logs_one(tmp_path):
     log, made = (
         tmp_path / "f.run.mcap",
         mission(velocity_lag_s=0.0),
-    )  # as the model's: its plan is kept up with
+    )  # as the model's, so that it keeps up with the plan
     recorder = FlightRecorder(log, head_of(made), echo=False)
     loop, _ = fly(made, recorder=recorder)
     assert recorder.finish(record_of(made, loop, recorder))
@@ -86,7 +86,7 @@ def test_a_log_is_read_to_its_last_whole_chunk_when_its_writer_is_killed(tmp_pat
     assert found.flights.hulls == 1
     whole = log.read_bytes()
     before = len(found.flights.by_trial[0].time_s)
-    log.write_bytes(whole[: len(whole) // 2])  # a power cut that cost more
+    log.write_bytes(whole[: len(whole) // 2])  # a power cut with a greater loss
     assert 0 < len(read_logged(log).flights.by_trial[0].time_s) < before
     log.write_bytes(whole[:100])
     with pytest.raises(ArtifactError):
@@ -150,7 +150,7 @@ def test_a_writer_that_hangs_is_given_up_at_the_end(tmp_path):
 
 
 def writer_of(path, *, limit="", stderr=subprocess.PIPE, seconds=0.0):
-    """A process that logs 3000 ticks and a line; its output."""
+    """Run a process that logs 3000 ticks and a message; return its output."""
     code = f"""
 import resource, sys, time
 sys.path[:0] = {sys.path!r}

@@ -48,7 +48,7 @@ def test_polytope_cbf_flies_past_a_pillar_and_lands(among_hulls, kind, flown, la
 
 
 def test_a_plan_that_ends_fast_before_a_wall_leaves_all_of_the_margin():
-    """At 3 m/s; a filter that knows nothing of the autopilot's lag is flown into the wall."""
+    """At 3 m/s a filter that ignores the lag of the autopilot hits the wall."""
     wall = box_cover([((40, 0, 0), (44, 40, 30))])
     made = mission(cover=wall, plan=line_plan(START, GOAL, 2.5), speed_m_s=3.0)
     loop, served = fly(made)

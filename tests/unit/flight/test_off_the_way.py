@@ -1,4 +1,4 @@
-"""What the supervisor watches where the vehicle flies by itself: the way up, a hold, and what it tells."""
+"""Watches of the supervisor while the vehicle flies by itself: climb path, hold, and reported health."""
 
 import dataclasses
 import math
@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from alula.stages.flight.links.protocol import Order, VehicleState
-from alula.stages.flight.loop.frame_check import Jump
-from alula.stages.flight.loop.place_watch import PlaceWatch
 from alula.stages.flight.loop.supervisor import Event, State
+from alula.stages.flight.loop.watches import JumpWatch, PositionWatch
 from support.fake_vehicle import FakeClock, FakeVehicle
 from support.flights import START, fly, loop_of, mission
 
@@ -34,7 +33,7 @@ def climbing(do):
 
 
 def holding(do):
-    """A hold for a state that was old for 0.3 s, and a fault at each poll of it."""
+    """A hold because of a state that was old for 0.3 s, and a fault at each poll of the hold."""
 
     def poll(vehicle, now):
         vehicle.first_s = getattr(vehicle, "first_s", now if vehicle.sent else math.inf)
@@ -54,7 +53,7 @@ def ended(loop, cause, *path):
 
 
 def blown(speed_m_s, axis=0):
-    """Wind that carries it along, and which it does not feel."""
+    """Drift that the vehicle does not measure."""
 
     def do(vehicle):
         vehicle.x[axis] += speed_m_s * 0.01
@@ -69,10 +68,10 @@ def test_a_take_off_that_drifts_off_its_column_is_landed(axis):
     ended(loop, Event.OFF_WAY, "take-off", "land", "done")
     assert not vehicle.sent
     room = loop.checks.room_m
-    assert 0.1 <= room <= 0.5  # the margin at least, where it may stand at most
+    assert 0.1 <= room <= 0.5  # at least the margin, at most --near
     at = next(s for s in loop.recorder.samples if s.state == "land")
     off = np.hypot(at.position[0] - START[0], at.position[1] - START[1])
-    assert room < off < room + 0.03  # at once
+    assert room < off < room + 0.03  # without delay
     assert any("off the way up: landing" in words for _, words in loop.recorder.lines)
 
 
@@ -85,10 +84,10 @@ def test_a_take_off_in_its_column_is_left_alone():
 
 
 def test_a_take_off_that_shoots_past_its_height_is_landed():
-    def shoot(vehicle):  # over the end of the way between two ticks
+    def shoot(vehicle):  # beyond the end of the climb between two ticks
         if vehicle.x[2] < START[2]:
             vehicle.x[2], vehicle.hold_at[2] = START[2] + 0.7, START[2] + 2.0
-            loops[0]._jump._last = None  # and no jump is seen, as after a gap
+            loops[0]._jumps._last = None  # so that no jump is detected, as after a gap
 
     loops = []
     vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
@@ -99,7 +98,7 @@ def test_a_take_off_that_shoots_past_its_height_is_landed():
 
 
 def test_a_take_off_through_a_side_of_the_fence_is_landed():
-    near = START[0] - 0.15 - 0.02  # 2 cm beside its sphere
+    near = START[0] - 0.15 - 0.02  # 2 cm from its sphere
     made = mission(fence=(near, -1.0, 0.5, 6.0, 5.0, 3.0))  # and the ground lies below its bottom
     loop, _ = fly(made, on_poll=climbing(blown(-0.2)))
     ended(loop, Event.FENCE, "take-off", "land", "done")
@@ -138,7 +137,7 @@ def test_a_vehicle_whose_mode_is_unknown_and_which_does_not_follow_is_landed(whe
     def fault(vehicle, now):
         if loops[0].state.value == when or Order.LAND in vehicle.orders:
             vehicle.status.mode, vehicle.status.obeys = "", False
-            vehicle.x[2] = min(vehicle.x[2], 0.5) if when == "take-off" else vehicle.x[2]  # it takes its time
+            vehicle.x[2] = min(vehicle.x[2], 0.5) if when == "take-off" else vehicle.x[2]  # it climbs slowly
             vehicle.status.armed = not (Order.LAND in vehicle.orders and vehicle.status.landed)
 
     loops = []
@@ -165,7 +164,7 @@ def test_what_is_no_longer_told_is_not_taken_for_good(name):
 
 
 def test_a_vehicle_that_may_still_be_arming_is_not_left():
-    """The order to arm is on its way when the flight is given up: that it is not armed yet says nothing."""
+    """The order to arm may arrive after the flight is aborted; not being armed yet does not end it."""
 
     def fault(vehicle, now):
         if Order.ARM in vehicle.orders:
@@ -219,33 +218,33 @@ def test_a_state_from_the_future_is_as_bad_as_an_old_one():
 @given(st.sampled_from([math.nan, math.inf, -math.inf]), st.integers(0, 2))
 def test_what_is_not_a_number_is_never_in_its_place(bad, axis):
     place = [0.0, 0.0, 0.5]
-    watch = PlaceWatch(1.0)
-    assert not watch.astray_m(state(place)) <= 0  # nothing was proven
+    watch = PositionWatch(1.0)
+    assert not watch.off_climb_m(state(place)) <= 0  # nothing was proven
     watch.proven(np.zeros(3), 0.1)
-    assert watch.astray_m(state(place)) == 0
+    assert watch.off_climb_m(state(place)) == 0
     assert watch.drift_m(state(place)) == 0
     place[axis] = bad
     low = axis == 2 and bad == -math.inf
-    assert low or not watch.astray_m(state(place)) <= 0
+    assert low or not watch.off_climb_m(state(place)) <= 0
     assert not watch.drift_m(state(place)) <= 1.0
-    jump = Jump()
-    jump.of(state((0, 0, 0.5)))
-    assert jump.of(state(place, at=10.01)) == math.inf
+    jump = JumpWatch()
+    jump.jump_m(state((0, 0, 0.5)))
+    assert jump.jump_m(state(place, at=10.01)) == math.inf
 
 
 def test_room_is_around_the_whole_way_up_and_a_hold_may_brake():
-    watch = PlaceWatch(2.0)
+    watch = PositionWatch(2.0)
     watch.proven(np.array([1.0, 1.0, 0.5]), 0.2)
     for place, astray in (
-        ((1.0, 1.0, -1.0), 0.0),  # an estimate of height that is off
+        ((1.0, 1.0, -1.0), 0.0),  # a wrong estimate of the height
         ((1.2, 1.0, 0.5), 0.0),
         ((1.3, 1.0, 1.0), 0.1),
         ((1.0, 1.0, 2.2), 0.0),
         ((1.0, 1.3, 2.4), 0.3),
     ):
-        assert watch.astray_m(state(place)) == pytest.approx(astray, abs=1e-9)
+        assert watch.off_climb_m(state(place)) == pytest.approx(astray, abs=1e-9)
     watch.drift_m(state((0, 0, 1), (2.0, 0, 0)))
-    assert watch.drift_m(state((2.0, 0, 1))) == 0  # 1 m to notice, 1 m to brake
+    assert watch.drift_m(state((2.0, 0, 1))) == 0  # 1 m to react, 1 m to brake
     assert watch.drift_m(state((2.5, 0, 1))) == pytest.approx(0.5)
     watch.moved()
     assert watch.drift_m(state((2.5, 0, 1))) == 0

@@ -1,4 +1,4 @@
-"""The pre-flight checks: each of them refuses what it is there for, and names itself."""
+"""Pre-flight checks: each of them fails for its own cause and reports its name."""
 
 import dataclasses
 
@@ -74,7 +74,7 @@ def test_all_checks_hold_for_a_vehicle_that_is_ready():
         ({"battery_share": 0.29}, ["battery"]),
         ({"battery_share": None}, ["battery"]),
         ({"battery_share": float("nan")}, ["battery"]),
-        ({"battery_share": 90.0}, ["battery"]),  # a share is of 1
+        ({"battery_share": 90.0}, ["battery"]),  # the charge is from 0 to 1
         ({"landed": None}, ["on the ground"]),
         ({"armed": True}, ["on the ground"]),
         ({"landed": False}, ["on the ground"]),
@@ -87,11 +87,11 @@ def test_all_checks_hold_for_a_vehicle_that_is_ready():
         ({"state": state(quat=(float("nan"), 0, 0, 0))}, ["state", "level"]),
         ({"state": state(quat=(2, 0, 0, 0))}, ["state", "level"]),
         ({"state": state(velocity=(0, float("inf"), 0))}, ["state", "level"]),
-        ({"state": state(at=60.0)}, ["state"]),  # of the future: it would never grow old
-        ({"state": state((START[0], START[1], -99.5))}, ["start"]),  # farther than a take-off goes
+        ({"state": state(at=60.0)}, ["state"]),  # in the future: it would never get too old
+        ({"state": state((START[0], START[1], -99.5))}, ["start"]),  # higher than a take-off may be
         ({"state": state((START[0] + 0.51, START[1], 0))}, ["start"]),
         ({"state": state((START[0], START[1], 1.6))}, ["start"]),
-        ({"state": state((START[0], START[1], 1.2))}, ["start"]),  # nothing to take off to
+        ({"state": state((START[0], START[1], 1.2))}, ["start"]),  # the start is below
         ({"state": state((-2.0, START[1], 0))}, ["start", "fence"]),
     ],
 )
@@ -121,8 +121,10 @@ def test_clearance_is_that_of_the_way_up_from_the_ground_and_over():
         if v.name == "clearance"
     ]
     assert f"{1.5 * needed - 0.2:.3f} m to " in verdict.words
-    assert f"begins {1.5 * needed:.3f} m up, and reaches 0.200 m above where it stands" in verdict.words
-    assert "finer voxels help, or a start further up" in verdict.words
+    assert (
+        f"begins {1.5 * needed:.3f} m up, and reaches 0.200 m above where the vehicle stands" in verdict.words
+    )
+    assert "use finer voxels or a higher start" in verdict.words
     for cover in (roof, beside):  # neither is below
         made = make_needs(mission(cover=cover, is_clear=True), NEEDS.setpoints)
         assert "finer voxels" not in " ".join(v.words for v in verdicts(observed(), made))
@@ -187,29 +189,29 @@ def test_what_is_not_told_is_waited_for_and_then_refused(name):
 
     loop, _ = fly(on_poll=late)
     assert loop.supervision.cause is Event.PLAN_FINISHED
-    assert any("waiting for" in words and "not told" in words for _, words in loop.recorder.lines)
+    assert any("waiting for" in words and "not reported" in words for _, words in loop.recorder.lines)
 
     def never(vehicle, now):
         setattr(vehicle.status, name, None)
 
     loop, vehicle = fly(on_poll=never)
     assert loop.supervision.cause is Event.CHECK_FAILED
-    assert "not told: the vehicle says nothing of its" in loop.checks.failure()
+    assert "not reported: the vehicle does not report" in loop.checks.failure()
     assert loop.checks.is_of_link
     assert {order.value for order in vehicle.orders} == {"nothing"}
 
 
 def test_a_vehicle_that_tells_no_charge_flies_where_none_is_asked_for():
-    def untold(vehicle, now):
+    def unreported(vehicle, now):
         vehicle.status.battery_share = None
 
-    loop, _ = fly(mission(battery=0.0), on_poll=untold)
+    loop, _ = fly(mission(battery=0.0), on_poll=unreported)
     assert loop.supervision.cause is Event.PLAN_FINISHED
 
 
 def test_a_low_battery_is_not_waited_for():
     loop, vehicle = fly(on_poll=lambda v, now: setattr(v.status, "battery_share", 0.1))
-    assert loop.checks.failure() == "battery: 10%, 30% needed"
+    assert loop.checks.failure() == "battery: 10%, 30% required"
     assert vehicle.clock() < 104
 
 
@@ -223,7 +225,7 @@ def test_a_place_comes_with_the_estimator_and_is_waited_for_like_it():
 
 
 def carry(check, moves, frame):
-    """Move by hand along the axes of the map; positions are seen in `frame`."""
+    """Move the vehicle by hand along the axes of the map; positions are reported in `frame`."""
     position, now = np.zeros(3), 0.0
     check.update(state(frame @ position, at=now))
     for move in moves:
@@ -320,7 +322,7 @@ def test_by_hand_a_wrong_frame_is_refused_before_take_off():
 
 
 def wander(check, seen_position, seen_velocity, seconds=6.0, wind=0.0, noise=0.0, seed=0):
-    """A vehicle that accelerates by its tilt alone; its positions and velocities are seen in frames."""
+    """Vehicle that accelerates by its tilt; its positions and velocities are reported in two frames."""
     rng = np.random.default_rng(seed)
     p, v, dt = np.array([0, 0, 1.0]), np.zeros(3), 0.01
     for i in range(int(seconds / dt)):

@@ -1,4 +1,4 @@
-"""Whole flights of the link to PX4 against the simulated one, through sockets, on one clock."""
+"""Whole flights of the PX4 link against the simulated PX4, through sockets, on one clock."""
 
 import pytest
 
@@ -20,7 +20,7 @@ def among_hulls():
 
 
 def test_a_stream_that_stops_ends_in_its_own_landing_and_nothing_takes_it_back(among_hulls):
-    """What is sent to it is lost for a while: it lands by COM_OBL_RC_ACT."""
+    """Set-points are lost for some time: the vehicle lands by COM_OBL_RC_ACT."""
     loop, served = fly_px4(among_hulls, Fault(kind="drop", way="in", duration=0.6))
     assert loop.recorder.states[:5] == [*AS_PLANNED[:4], "hand-over"]
     assert loop.supervision.cause in (Event.MODE_CHANGED, Event.FAILSAFE)
@@ -36,7 +36,7 @@ def test_the_pilots_sticks_win_in_offboard(among_hulls):
             if self.flown is not None and now - self.flown > 1.5:
                 self.copter.pilot.move(2, 1900 if now - self.flown < 1.8 else 1500)
             if self.flown is not None and now - self.flown > 3.0 and not self.copter.is_landed:
-                self.copter.set_mode(Px4Mode.LAND)  # the pilot's own choice again
+                self.copter.set_mode(Px4Mode.LAND)  # a choice of the pilot again
 
     loop, served = fly(among_hulls, kind=Handled)
     assert loop.recorder.states[:5] == [*AS_PLANNED[:4], "hand-over"]

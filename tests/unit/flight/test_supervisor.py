@@ -1,4 +1,4 @@
-"""The table of the supervisor: every pair defined, every step taken by the facts that mean it."""
+"""Table of the supervisor: every pair is defined, and facts lead to every step."""
 
 import dataclasses
 import itertools
@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from alula.stages.flight.links.protocol import Order, VehicleStatus
-from alula.stages.flight.loop.mode_watch import ModeWatch
 from alula.stages.flight.loop.supervisor import (
     Action,
     Event,
@@ -24,14 +23,15 @@ from alula.stages.flight.loop.supervisor import (
     sends_setpoints,
 )
 from alula.stages.flight.loop.supervisor_table import IGNORED, TABLE, described
+from alula.stages.flight.loop.watches import ModeWatch
 from support.paths import ROOT
 
 LIMITS = SupervisorLimits(flight_s=100.0)
 NOW = 1000.0
-TOLD = {"armed": True, "landed": False, "obeys": True}
-WELL = Facts(now_s=NOW, state_age_s=0.01, silence_s=0.01, **TOLD, height_m=1.0, fence_m=1.0)
+REPORTED = {"armed": True, "landed": False, "obeys": True}
+WELL = Facts(now_s=NOW, state_age_s=0.01, silence_s=0.01, **REPORTED, height_m=1.0, fence_m=1.0)
 ON_GROUND = dataclasses.replace(WELL, armed=False, landed=True, obeys=False)
-# Facts that show an event, beside which all is well; some depend on the state or its duration.
+# Facts that show one event only; some events depend on the state or its duration.
 SHOWN = {
     Event.CHECKS_PASSED: {"checks": True},
     Event.CHECKS_PASSED_DRY: {"checks": True, "dry_run": True},
@@ -49,8 +49,8 @@ SHOWN = {
     Event.FALLBACK_LONG: {"fallback_s": 3.1},
     Event.FENCE: {"fence_m": -0.01},
     Event.BATTERY_LOW: {"battery_share": 0.19},
-    Event.UNTOLD: {"untold": True},
-    Event.OFF_WAY: {"astray_m": 0.01},
+    Event.UNTOLD: {"health_unknown": True},
+    Event.OFF_WAY: {"off_climb_m": 0.01},
     Event.DRIFTS: {"drift_m": 1.01},
     Event.LINK_LOST: {"silence_s": 1.6},
     Event.ESTIMATOR_BAD: {"estimator_ready": False},
@@ -68,7 +68,7 @@ _FOR_LONG = {Event.TIMED_OUT: 1e6, Event.NOT_OBEYED: 2.1, Event.DISARMED: 1.1}
 
 
 def standing(state, event=None):
-    """A flight that stands in a state, for as long as the event needs."""
+    """Supervision that has been in a state for as long as the event requires."""
     since = NOW - _FOR_LONG.get(event, 0.5)
     if (state, event) == (State.ABORT, Event.DISARMED):
         since = NOW - 1.1
@@ -91,9 +91,11 @@ def standing(state, event=None):
 def facts_of(event, state):
     usual = {"armed": None} if state in (State.CHECKS, State.ARMING, State.ABORT) else {}
     shown = SHOWN.get(event, {})
-    obeys = {"obeys": (event is Event.NOT_OBEYED) == (state is State.LAND)}  # in LAND its mode is another
+    obeys = {
+        "obeys": (event is Event.NOT_OBEYED) == (state is State.LAND)
+    }  # in LAND the mode follows no set-points
     if event is Event.TIMED_OUT and state is State.HOLD:
-        obeys |= {"late_s": 0.2}  # or else it has recovered
+        obeys |= {"late_s": 0.2}  # otherwise it has recovered
     return dataclasses.replace(WELL, **{**obeys, **usual, **shown})
 
 
@@ -168,7 +170,7 @@ def test_no_way_leads_from_hand_over_to_set_points_or_orders():
 
 
 def test_the_documentation_has_the_table():
-    text = (ROOT / "docs" / "fly.md").read_text()
+    text = (ROOT / "docs" / "guide" / "fly.md").read_text()
     assert described() in text
 
 
@@ -252,14 +254,14 @@ STATUS = {"GUIDED": True, "LAND": False, "LOITER": False, "STANDBY": False, "": 
 
 @pytest.mark.parametrize(
     ("story", "lost_at"),
-    [  # orders and the modes that are seen after them
+    [  # orders, and the modes reported after them
         (
             ["STANDBY", Order.ARM, "STANDBY", "GUIDED", Order.HOLD, "GUIDED", Order.LAND, "GUIDED", "LAND"],
             None,
         ),
         (["LOITER"], None),  # nothing was ordered yet
         ([Order.ARM, "STANDBY", "LOITER"], 2),
-        ([Order.ARM, "GUIDED", "LOITER", "GUIDED"], 2),  # and it stays so
+        ([Order.ARM, "GUIDED", "LOITER", "GUIDED"], 2),  # permanently
         ([Order.ARM, "GUIDED", "", "GUIDED"], None),
         ([Order.ARM, "GUIDED", Order.HOLD, "LOITER"], 3),
         ([Order.ARM, "GUIDED", "LAND"], 2),  # the pilot lands it

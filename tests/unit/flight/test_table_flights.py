@@ -33,14 +33,14 @@ START, GOAL = (0.3, 2.0, 0.5), (2.7, 2.0, 0.5)
 SHORT = {"duration": 0.4}
 
 # No flight takes these. `ControlLoop` begins with the checks: Ctrl-C before that ends the command
-# (test_fly_signals). Motion is compared with the frame in take-off and flight only, and what it finds is
-# dealt with in the same tick.
+# (test_fly_signals). Motion is compared with the frame in take-off and flight only, and the result is
+# handled in the same tick.
 NEVER = {(S.IDLE, E.INTERRUPT), (S.HOLD, E.FRAME_WRONG)}
 
 
 @dataclasses.dataclass
 class Plot:
-    """Rows that a flight must take, what is done to it, and how it is set up."""
+    """Rows of the table that a flight must take, its faults, and its configuration."""
 
     rows: list[tuple[State, Event]]
     upsets: list[Upset]
@@ -56,24 +56,24 @@ def on(state, *do, after=0.1):
 
 
 def failsafe(flight):
-    """The vehicle tells of one, and does nothing about it."""
+    """The vehicle reports a failsafe and does nothing else."""
     flight.copter.failsafe = "Battery"
 
 
 def left_to_itself(flight):
-    """The link tells of a failsafe and no mode: of ArduPilot the changed mode is seen, which comes first."""
+    """The link reports a failsafe and no mode; with ArduPilot the changed mode would have priority."""
     status = flight.link.status
     status.is_failsafe, status.obeys, status.mode = True, False, ""
     flight.muted.add("HEARTBEAT")
 
 
 def kill(flight):
-    """Motors stop, wherever it is."""
+    """The motors stop, in the air or on the ground."""
     flight.copter.disarm(forced=True)
 
 
 def broken(status):
-    """The filter answers so, once the vehicle is flown; `None` raises."""
+    """The filter returns this status as soon as the vehicle flies; `None` raises."""
 
     def do(flight):
         inner = flight.loop.commander.filter
@@ -93,7 +93,7 @@ def mend(flight):
     flight.mended()
 
 
-ENDINGS = {  # in the air, from any state in which the vehicle is ours
+ENDINGS = {  # in the air, from any state in which the program has control
     E.MODE_CHANGED: [fault("mode", amount=5)],  # LOITER
     E.FAILSAFE: [left_to_itself],
     E.DISARMED: [kill],
@@ -110,7 +110,7 @@ ENDINGS = {  # in the air, from any state in which the vehicle is ours
 
 
 def endings(state, before, after):
-    """A flight for each of `ENDINGS` in a state; one row more is what ends it after a hand-over."""
+    """A flight for each of `ENDINGS` in a state; after a hand-over one more row ends it."""
     found = {}
     for event, dos in ENDINGS.items():
         rows, upsets, limits = [(state, event)], [*before, *on(state, *dos, after=after)], {}
@@ -132,7 +132,7 @@ def endings(state, before, after):
     return found
 
 
-HANDED = {  # how a flight ends that was handed over
+HANDED = {  # event that ends a flight after a hand-over
     (S.TAKE_OFF, E.MODE_CHANGED): E.INTERRUPT,
     (S.TAKE_OFF, E.FAILSAFE): E.INTERRUPT_IN_AIR,
     (S.FLY, E.MODE_CHANGED): E.LINK_LOST,
@@ -150,13 +150,13 @@ OVER = {
 
 
 def armed_unseen(flight):
-    """The motors start, which no heartbeat has told yet."""
+    """The motors start; no heartbeat has reported it yet."""
     return flight.copter.is_armed
 
 
 UNARMED = on(S.CHECKS, refuse("arm"), after=0.0)
 FROZEN = on(S.FLY, fault("freeze", **SHORT), after=0.3)
-# Armed, but not seen to be, when the operator ends it: the order to disarm does not get through.
+# Armed, but not reported as armed, when the operator ends the flight: the order to disarm is lost.
 STRAY = on(S.ARMING, interrupt(1), fault("drop", way="in"), after=armed_unseen)
 
 PLOTS = {
@@ -344,7 +344,7 @@ def test_every_row_of_the_table_has_a_flight():
 
 
 def holds(flight):
-    """One trouble after another, each as soon as the last one is over."""
+    """One fault after another, each as soon as the last one is over."""
     troubles = [
         fault("freeze", duration=0.3),
         stall(0.2),

@@ -1,4 +1,4 @@
-"""Velocities for vehicles that follow them late: other models kept clear of boxes, and measured lags."""
+"""Velocity commander with vehicles that lag: other models keep clear of boxes, and measured lags."""
 
 import math
 
@@ -26,13 +26,13 @@ LOW, HIGH = (0.1 * np.array([box[i] for box in BOXES]) for i in (0, 1))
 
 
 def clearance(x):
-    """Of the vehicle's sphere, by distances from boxes."""
+    """Clearance of the vehicle's sphere from boxes."""
     away = np.maximum(np.maximum(LOW - x, x - HIGH), 0.0)
     return float(np.sqrt((away**2).sum(axis=1)).min()) - RADIUS_M
 
 
 def first_order(tau):
-    """x, v, a after a step of u held, exactly."""
+    """Exact x, v, a after a step with constant u."""
 
     def step(x, v, a, u, dt):
         after = u + (v - u) * math.exp(-dt / tau)
@@ -42,7 +42,7 @@ def first_order(tau):
 
 
 def jerk_limited(gain, attitude_s, most_m_s2, most_m_s3):
-    """A velocity loop whose acceleration follows late, and is limited, as is its change."""
+    """Velocity loop with a lag of the acceleration, and with limits of acceleration and jerk."""
 
     def within(vector, most):
         size = np.linalg.norm(vector)
@@ -58,7 +58,7 @@ def jerk_limited(gain, attitude_s, most_m_s2, most_m_s3):
 
 
 def stopping_s(step, speed):
-    """What 63 % of a stop take."""
+    """Duration of 63 % of a stop."""
     x, v, a, ticks = ZERO, np.array([speed, 0, 0]), ZERO, 0
     while v[0] > math.exp(-1) * speed:
         x, v, a = step(x, v, a, ZERO, 1e-3)
@@ -72,7 +72,7 @@ def commander_of(speed, lag):
 
 
 def least_clearance(step, speed, lag, start, goals, ticks=90):
-    """Of a flight at points wherever they are, each for a while; and how it ended."""
+    """Minimum clearance of a flight towards arbitrary points, each for some time; and its last state."""
     commander = commander_of(speed, lag)
     x, v, a, least = np.array(start, float), ZERO, ZERO, math.inf
     for goal in goals:
@@ -102,7 +102,7 @@ def test_a_first_order_vehicle_keeps_its_margin_whatever_is_asked(start, goals, 
     assert least >= MARGIN_M - 1e-3
 
 
-SLUGGISH = {  # an ArduPilot's numbers, and worse
+SLUGGISH = {  # the parameters of an ArduPilot, and worse ones
     "lean": jerk_limited(2.5, 0.12, 5.66, 60.0),
     "slow": jerk_limited(2.5, 0.15, 4.5, 25.0),
 }
@@ -129,15 +129,15 @@ def test_without_the_lag_the_margin_is_used_up(name):
 
 
 def test_corners_are_not_cut():
-    """Around the end of a pillar, close by: q turns before p is there, and p keeps clear of the corner."""
+    """Close around the end of a pillar: q turns before p does, and p keeps clear of the corner."""
     goals = [(0.6, 0.0, 1.5), (2.0, 0.0, 1.5), (2.0, 2.0, 1.5), (2.0, 0.0, 1.5), (0.6, 0.0, 1.5)]
     least, x, _ = least_clearance(first_order(0.5), 3.0, 0.5, (0.7, 1.5, 1.5), goals, ticks=120)
     assert least >= MARGIN_M - 1e-3
-    assert np.linalg.norm(x - goals[-1]) < 0.2  # and it gets there
+    assert np.linalg.norm(x - goals[-1]) < 0.2  # it arrives
 
 
 def test_a_wall_between_the_vehicle_and_its_lead_is_not_flown_through():
-    """q is beyond the middle of a hull, or beyond the hull: what leads out of it there leads p into it."""
+    """q is beyond the middle of a hull, or beyond the hull: the way out of it at q leads p into it."""
     for y_speed in (0.0, 0.5):
         for speed in (1.5, 2.5, 3.5):
             commander = commander_of(3.0, 0.6)
@@ -169,7 +169,7 @@ def test_who_is_engaged_too_fast_is_led_out_and_does_not_touch():
 
 
 class Passing:
-    """A filter that keeps what it is asked, and lets all through."""
+    """Filter that records its arguments and changes nothing."""
 
     def __init__(self, margin=1.0):
         self.asked, self.margin = [], margin
@@ -187,7 +187,7 @@ class Passing:
     st.floats(0, 1),
 )
 def test_an_old_state_is_taken_on_by_what_was_sent(sent, tau, whole, part):
-    """A first-order vehicle, told what was sent tick by tick, is seen where it is, not where it was."""
+    """The prediction of a first-order vehicle from the sent set-points equals its true state."""
     age = min(whole + part, len(sent)) * DT
     step, x, v = first_order(tau), np.array([1.0, -2.0, 3.0]), np.array([0.5, 1.0, -1.5])
     commander = VelocityCommander(Passing(), 2.0, 20.0, lag_s=tau, delay_s=0.4 * age, dt_s=DT)
@@ -237,7 +237,7 @@ def test_the_chord_is_asked_for_closely_and_from_end_to_end(margin):
 
 @pytest.mark.parametrize("share", [0.27, 0.4])
 def test_a_fast_vehicle_does_not_cut_across_a_thin_pillar(share):
-    """16 m of chord beside a pillar of 0.1 m: led to its other side, q sweeps the chord over it."""
+    """A chord of 16 m near a pillar of 0.1 m: on the path to its other side the chord sweeps over it."""
     made = mission(
         cover=box_cover([((0, 0, 0), (1, 1, 40))]),
         is_clear=True,
@@ -267,7 +267,7 @@ def test_no_thin_hull_fits_between_two_points_of_a_fast_vehicle(speed, most_m):
 
 
 def responses():
-    """Speed after stopping from 3 m/s, of each vehicle that is simulated: at rates of DT, from 1 to 0."""
+    """Speed during a stop from 3 m/s of each simulated vehicle, at steps of DT, as a fraction from 1 to 0."""
     level = np.array([1.0, 0, 0])
     client = Client(options=EXACT).fly(10.0)
     mask = 0b111 | 0b111 << 6 | 1 << 11

@@ -1,0 +1,69 @@
+"""Interface of commanders, which compute one set-point per tick from a state and the reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from alula.schemas.arrays import FloatArray
+from alula.stages.filtering.protocol import FilterStatus
+from alula.stages.flight.links.protocol import Setpoint, VehicleState
+
+
+@dataclass(slots=True)
+class Decision:
+    """Result of a commander for one tick.
+
+    Attributes:
+        setpoint: to send; None when the filter has no safe input.
+        status: of the filter.
+        margin: value of the filter's barrier; among hulls a distance [m].
+        nominal, safe: command before and after the filter, shape (3,), world frame: velocities [m/s] or
+            accelerations [m/s^2].
+        error_m: distance from the reference [m].
+        active: index of the obstacle that determines the command, -1 for none.
+        infeasible, certified: as reported by the filter.
+        thrust_nominal_n: thrust of the controller [N]; None for velocity set-points.
+    """
+
+    setpoint: Setpoint | None
+    status: FilterStatus
+    margin: float
+    nominal: FloatArray
+    safe: FloatArray
+    error_m: float
+    active: int = -1
+    infeasible: bool = False
+    certified: bool = False
+    thrust_nominal_n: float | None = None
+
+
+class Commander(Protocol):
+    """Controller and filter that turn a state and a row of the reference into a set-point."""
+
+    @property
+    def setpoint(self) -> type[Setpoint]:
+        """Kind of set-point that it computes."""
+        ...
+
+    def reset(self) -> None:
+        """Forget what was flown; called before the first set-point and after each hold."""
+        ...
+
+    def decide(self, state: VehicleState, age_s: float, target: FloatArray) -> Decision:
+        """Compute the set-point of a tick.
+
+        Args:
+            state: newest state of the vehicle, world frame.
+            age_s: time since the state was received [s].
+            target: reference, a row of `ReferenceCurve.at`, shape (1, 18), world frame.
+        """
+        ...
+
+    def sent(self, setpoint: Setpoint) -> None:
+        """Register the set-point that was sent; the geofence may have replaced the computed one.
+
+        Args:
+            setpoint: as sent to the vehicle.
+        """
+        ...

@@ -1,0 +1,176 @@
+"""Watches over what the vehicle reports: its mode, its health, its position while it flies by itself, jumps.
+
+Each watch keeps what it needs of earlier reports and answers one question per tick. The supervisor turns the
+answers into events.
+"""
+
+from __future__ import annotations
+
+import math
+
+from alula.schemas.arrays import FloatArray
+from alula.stages.flight.links.protocol import Order, VehicleState, VehicleStatus
+
+_UNKNOWN_S = 1.0  # a health value may be unknown for this long
+_HEALTH = ("armed", "is_estimator_ready", "battery_share")
+_BRAKE_M_S2, _REACTION_S = 2.0, 0.5  # minimum deceleration of autopilots, and their maximum reaction time
+
+
+class ModeWatch:
+    """Distinguishes a mode change by the pilot from the effect of an order.
+
+    The vehicle carries out all orders but LAND in a mode that follows set-points. The name of the landing
+    mode contains "land" (`Order`). After the first order only these modes are allowed: the earlier one, until
+    the vehicle follows set-points; then a mode that follows set-points; and, once landing was ordered, a
+    landing mode. Any other mode means that somebody else took control, and this result is permanent.
+    """
+
+    def __init__(self) -> None:
+        self._before: str | None = None
+        self._follows = self._may_land = self._lands = self._lost = False
+
+    def ordered(self, order: Order, status: VehicleStatus) -> None:
+        """Register an order that is about to be sent.
+
+        Args:
+            order: the order.
+            status: of the vehicle, before the order.
+        """
+        if self._before is None:
+            self._before = status.mode
+        self._may_land = self._may_land or order is Order.LAND
+
+    def is_ours(self, status: VehicleStatus) -> bool:
+        """Return True while nobody else has changed the mode.
+
+        Args:
+            status: of the vehicle, now. An unknown mode, "", counts as no change.
+        """
+        if self._before is None or self._lost or not status.mode:
+            return not self._lost
+        if self._may_land and "land" in status.mode.lower():
+            self._lands = True
+        elif self._may_land and status.armed is False:
+            pass  # nobody flies it any more
+        elif self._lands:
+            self._lost = True
+        elif status.obeys:
+            self._follows = True
+        elif self._follows or status.mode != self._before:
+            self._lost = True
+        return not self._lost
+
+
+class HealthWatch:
+    """Detects that the vehicle no longer reports a health value that it reported when it was armed.
+
+    A link sets a value to unknown when no report has arrived for some seconds. Without this watch the flight
+    would continue on the last good value.
+    """
+
+    def __init__(self) -> None:
+        self._reported: tuple[str, ...] = ()
+        self._since_s = math.inf
+
+    def armed(self, status: VehicleStatus) -> None:
+        """Store which health values the vehicle reports; called when it is about to be armed.
+
+        Args:
+            status: of the vehicle, now.
+        """
+        self._reported = tuple(name for name in _HEALTH if getattr(status, name) is not None)
+
+    def is_unknown(self, status: VehicleStatus, now_s: float) -> bool:
+        """Return True when a value that was reported has been unknown for more than 1 s.
+
+        Args:
+            status: of the vehicle, now.
+            now_s: monotonic clock [s].
+        """
+        is_unknown = any(getattr(status, name) is None for name in self._reported)
+        self._since_s = min(self._since_s, now_s) if is_unknown else math.inf
+        return now_s - self._since_s > _UNKNOWN_S
+
+
+class PositionWatch:
+    """Distance of the vehicle from the climb path that was proven clear, and from where a hold began.
+
+    Args:
+        top_m: height of the end of the climb, in the world [m].
+    """
+
+    def __init__(self, top_m: float) -> None:
+        self.top_m = top_m
+        self._foot: FloatArray | None = None
+        self._room_m = 0.0
+        self._held: VehicleState | None = None
+
+    def proven(self, foot: FloatArray, room_m: float) -> None:
+        """Store the climb path that the checks proved clear.
+
+        Args:
+            foot: start of the climb, which leads straight up, shape (3,), world frame [m].
+            room_m: distance by which the vehicle may leave the path without touching anything [m].
+        """
+        self._foot, self._room_m = foot.copy(), room_m
+
+    def off_climb_m(self, state: VehicleState) -> float:
+        """Distance from the climb path, beside it or above its end, less the proven room; 0 within [m].
+
+        A vehicle below the foot counts as being on the path: height above the ground is what estimators get
+        wrong most. The result is infinite before `proven`, and NaN for a position that is not a number.
+
+        Args:
+            state: of the vehicle, world frame.
+        """
+        if self._foot is None:
+            return math.inf
+        x, y, z = (state.position - self._foot).tolist()
+        above = z + float(self._foot[2]) - self.top_m
+        off = math.sqrt(x * x + y * y + (0.0 if above < 0 else above) ** 2) - self._room_m
+        return 0.0 if off <= 0 else off  # NaN stays NaN
+
+    def moved(self) -> None:
+        """Forget the last hold: the vehicle flies again, and the next hold begins elsewhere."""
+        self._held = None
+
+    def drift_m(self, state: VehicleState) -> float:
+        """Distance from where a hold began, less the distance needed to react and to brake; 0 within [m].
+
+        A hold begins with the first state that is passed after `moved`. The result is NaN for a position that
+        is not a number.
+
+        Args:
+            state: of the vehicle, world frame.
+        """
+        if self._held is None:
+            self._held = state
+        begin = self._held
+        speed = math.sqrt(float(begin.velocity @ begin.velocity))
+        away = state.position - begin.position
+        off = math.sqrt(float(away @ away)) - speed * (_REACTION_S + 0.5 * speed / _BRAKE_M_S2)
+        return 0.0 if off <= 0 else off
+
+
+class JumpWatch:
+    """Distance between a reported position and the one that the velocities predict from the state before.
+
+    The distance that an acceleration of 20 m/s^2 can cover between the two states is subtracted.
+    """
+
+    def __init__(self) -> None:
+        self._last: VehicleState | None = None
+
+    def jump_m(self, state: VehicleState) -> float:
+        """Jump from the last state to this one [m]; 0 for the same state, infinite if it is not a number.
+
+        Args:
+            state: newest state of the vehicle, world frame.
+        """
+        last, self._last = self._last, state
+        if last is None or last is state:
+            return 0.0
+        dt = max(0.0, state.received_s - last.received_s)
+        away = state.position - last.position - 0.5 * dt * (state.velocity + last.velocity)
+        jump = math.sqrt(float(away @ away)) - 10.0 * dt * dt
+        return max(0.0, jump) if math.isfinite(jump) else math.inf
