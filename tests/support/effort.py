@@ -1,4 +1,4 @@
-"""How thorough a run of the tests is: quick and the same every time, or all of it, with new random examples."""
+"""Effort of a run of the tests: quick and the same every time, or all of it with new random examples."""
 
 import os
 
