@@ -17,7 +17,7 @@ from alula.stages.simulation.geofence import simulate as stage
 from support.paths import VEHICLES
 
 RACER = VEHICLES / "racer7.toml"
-DOCUMENTATION = RACER.parents[2] / "docs" / "geofence.md"
+DOCUMENTATION = RACER.parents[2] / "docs" / "theory" / "geofence.md"
 FASTBRIDGE = RACER.with_name("fastbridge.toml")
 # The paper's flight: 40 m to a wall, pitched by 72 degrees.
 WALL = """
