@@ -151,11 +151,10 @@ def command(
         from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
         from alula.stages.sim_vehicle.common.faults import parse_fault
         from alula.stages.sim_vehicle.common.hand import Hand
-        from alula.stages.sim_vehicle.personalities import PERSONALITIES
-        from alula.stages.sim_vehicle.simulator import SimulatedVehicle
+        from alula.stages.sim_vehicle.simulator import FIRMWARES, SimulatedVehicle
 
-        personality = PERSONALITIES[autopilot]
-        copter = personality.copter(
+        firmware = FIRMWARES[autopilot]
+        copter = firmware.copter(
             FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path),
             parameters=values,
             options=EstimatorOptions(boot_time_s=boot_time_s),
@@ -167,7 +166,7 @@ def command(
             copter.name,
             SimulatedVehicle(
                 copter,
-                faults=tuple(parse_fault(text, personality.switch) for text in faults),
+                faults=tuple(parse_fault(text, firmware.switch) for text in faults),
                 seed=seed,
                 channel=0 if console or signing_key is None else 1,
                 key=None if signing_key is None else read_key(signing_key),

@@ -2,18 +2,51 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 
 from alula.stages.sim_vehicle.ardupilot.copter import Copter
-from alula.stages.sim_vehicle.common.camera import PERIOD_S, Camera
+from alula.stages.sim_vehicle.ardupilot.dialogue import Dialogue
+from alula.stages.sim_vehicle.ardupilot.modes import Mode
+from alula.stages.sim_vehicle.ardupilot.telemetry import Telemetry
+from alula.stages.sim_vehicle.common.airframe import Motion
 from alula.stages.sim_vehicle.common.faults import Fault, Schedule
 from alula.stages.sim_vehicle.common.line import Line
 from alula.stages.sim_vehicle.common.packets import Codec, Message
-from alula.stages.sim_vehicle.personalities import PERSONALITIES
+from alula.stages.sim_vehicle.common.quaternions import Vector
+from alula.stages.sim_vehicle.px4.modes import SWITCH
+from alula.stages.sim_vehicle.px4.protocol import Px4Dialogue, Px4Telemetry
+from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
+from alula.stages.vehicles.frames import LocalFrame
 
 _SIGNING_EPOCH_S = 1420070400  # 2015-01-01, from which signatures count
+_MOCAP_PERIOD_S = 0.01
+_MOCAP_NOISE_M = 0.0005
+
+
+@dataclass(frozen=True, slots=True)
+class Firmware:
+    """A firmware: the same body, estimator and loops with other manners.
+
+    Attributes:
+        copter: modes, arming, failsafes and names of parameters.
+        telemetry: what it tells unasked, and its own messages.
+        dialogue: commands, encodings, and which set-points it takes.
+        switch: places of the pilot's switch by name, for the fault `mode`.
+    """
+
+    copter: type[Copter]
+    telemetry: type[Telemetry]
+    dialogue: type[Dialogue]
+    switch: dict[str, int]
+
+
+FIRMWARES: dict[str, Firmware] = {
+    "ardupilot": Firmware(Copter, Telemetry, Dialogue, {mode.name: int(mode) for mode in Mode}),
+    "px4": Firmware(Px4Copter, Px4Telemetry, Px4Dialogue, SWITCH),
+}
 
 
 def signing_time(epoch_s: float) -> int:
@@ -58,9 +91,9 @@ class SimulatedVehicle:
         )
         self._schedule = Schedule(faults)
         self._line = Line(self.codec, self._schedule, seed)
-        personality = PERSONALITIES[copter.AUTOPILOT]
-        self.telemetry = personality.telemetry(copter, epoch_s)
-        self._dialogue = personality.dialogue(copter, self.telemetry, self.codec, signing_time(epoch_s))
+        firmware = FIRMWARES[copter.AUTOPILOT]
+        self.telemetry = firmware.telemetry(copter, epoch_s)
+        self._dialogue = firmware.dialogue(copter, self.telemetry, self.codec, signing_time(epoch_s))
         self._random = np.random.default_rng([seed, 10])
         self._begun: dict[int, bool] = {}  # faults of the vehicle that had their turn: whether they act
         self._outbox: list[bytes] = []
@@ -100,9 +133,9 @@ class SimulatedVehicle:
 
     def mocap(self) -> bytes | None:
         """A datagram of motion capture, a hundred times a second and while that is not lost; else None."""
-        if self.time_s < self._pictures * PERIOD_S - 1e-9:
+        if self.time_s < self._pictures * _MOCAP_PERIOD_S - 1e-9:
             return None
-        self._pictures = int(self.time_s / PERIOD_S + 1e-6) + 1
+        self._pictures = int(self.time_s / _MOCAP_PERIOD_S + 1e-6) + 1
         if self.copter.estimator.is_deaf:
             return None
         return self._camera.datagram(self.time_s, self.copter.airframe.truth)
@@ -136,3 +169,26 @@ class SimulatedVehicle:
         estimator.is_deaf = "mocap-loss" in acting
         estimator.is_sick = "estimator" in acting
         copter.pilot.is_lost = "radio-loss" in acting
+
+
+class Camera:
+    """Sees the true pose, to half a millimetre, in east-north-up with body forward-left-up.
+
+    Args:
+        seed: of the noise.
+        start: where the vehicle boots, in the camera's frame [m].
+    """
+
+    def __init__(self, seed: int, start: Vector = (0.0, 0.0, 0.0)) -> None:
+        x, y, z = start
+        self._frame = LocalFrame(0.0, (-x, -y, -z))
+        self._random = np.random.default_rng([seed, 11])
+
+    def datagram(self, time_s: float, truth: Motion) -> bytes:
+        """One JSON object: time, position [m], attitude (w, x, y, z)."""
+        position = self._frame.position_from_ned(np.array(truth.position))
+        position += _MOCAP_NOISE_M * self._random.standard_normal(3)
+        attitude = self._frame.attitude_from_ned(np.array(truth.attitude))
+        return msgspec.json.encode(
+            {"time_s": time_s, "position_m": position.tolist(), "attitude_wxyz": attitude.tolist()}
+        )

@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.links.addresses import parse_address
 from alula.stages.flight.links.mavlink.estimate import euler_from_quat
@@ -28,6 +29,7 @@ from alula.stages.vehicles.frames import LocalFrame
 STALE_S = 0.15
 _PATIENCE_S = 2.0  # with a camera whose clock was set back a little
 _PERIOD_S = 0.02
+_POSE_PERIOD_S = 0.01
 _MOST_BYTES = 1024
 _MOST_READS = 64
 _SLOPE_S = 0.1  # over which a velocity is fitted
@@ -181,3 +183,27 @@ class Mocap:
             return np.zeros(3)
         slope = time @ np.array([each.position_m for each in near]) / square
         return np.clip(slope, -_LARGEST_M_S, _LARGEST_M_S)
+
+
+class PoseFeed(Mocap):
+    """The newest fresh pose, in the vehicle's frame; datagrams are those of `mocap`."""
+
+    def pose(self, now_s: float) -> tuple[FloatArray, FloatArray] | None:
+        """Take in what has come; position and attitude (w, x, y, z) if a new one is due."""
+        self.take_all(now_s)
+        is_new = self._arrival_s > self._sent_s
+        # Half a period early is in time: ticks of the loop are as long as the period.
+        if not is_new or now_s < self._next_s - _POSE_PERIOD_S / 2 or not self.is_fresh(now_s):
+            return None
+        self._next_s = max(self._next_s + _POSE_PERIOD_S, now_s)
+        self._sent_s = self._arrival_s
+        return self.newest()
+
+    def newest(self) -> tuple[FloatArray, FloatArray] | None:
+        """The newest pose, whether it was taken or not."""
+        if not self._recent:
+            return None
+        sample = self._recent[-1][1]
+        quat = np.array(sample.attitude_wxyz)
+        position = self._frame.position_to_local(np.array(sample.position_m))
+        return position, self._frame.attitude_to_local(quat / math.sqrt(float(quat @ quat)))

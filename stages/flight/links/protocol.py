@@ -7,6 +7,7 @@ from enum import Enum
 from typing import Protocol
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.errors import LinkError
 
 HIGHEST_M = 100.0  # of a take-off
 UNANSWERED, UNDONE = "no answer", "not done"  # how reasons begin of orders that nobody declined
@@ -114,6 +115,14 @@ def refusal_words(order: Order, reason: str) -> str:
     """A line for people; silence declines nothing."""
     is_undone = reason.startswith((UNANSWERED, UNDONE))
     return f"{'order to' if is_undone else 'vehicle declines to'} {order.value}: {reason}"
+
+
+def check_height(height_m: float) -> None:
+    """Refuse (LinkError) a take-off that makes no sense."""
+    if not 0 < height_m <= HIGHEST_M:
+        raise LinkError(
+            f"take-off to {height_m:g} m is refused: heights are above 0 and up to {HIGHEST_M:g} m"
+        )
 
 
 class Link(Protocol):

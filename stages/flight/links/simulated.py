@@ -15,7 +15,6 @@ import numpy as np
 from alula.schemas.errors import LinkError, UsageError
 from alula.schemas.vehicle import DisturbanceTable, Vehicle, check_vehicle, read_vehicle
 from alula.stages.flight.links.addresses import Address
-from alula.stages.flight.links.mavlink.orders import check_height
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import (
     Order,
@@ -24,6 +23,7 @@ from alula.stages.flight.links.protocol import (
     VehicleState,
     VehicleStatus,
     VelocitySetpoint,
+    check_height,
 )
 from alula.stages.flight.links.simulated_body import STEP_S, Body
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from types import MappingProxyType
 from typing import Literal
 
 from alula.schemas.errors import UsageError
-from alula.stages.sim_vehicle.ardupilot.modes import Mode
 
 Since = Literal["boot", "arm", "airborne"]
 Way = Literal["out", "in"]
@@ -24,7 +24,7 @@ KINDS: dict[str, tuple[float, float, float]] = {
     "wrong-system": (42, 1, 255),  # packets come from that system
     "bad-crc": (0, 0, 0),  # packets are damaged
     "jump": (2, -1000, 1000),  # the estimate is that far off, to the north [m]
-    "mode": (Mode.LOITER, 0, 255),  # the pilot's switch, by number or name
+    "mode": (5, 0, 255),  # the pilot's mode switch, by number or name; by default 5, LOITER of ArduPilot
     "battery": (0.05, 0, 1),  # that share of the charge is left
     "mocap-loss": (0, 0, 0),  # external navigation does not arrive
     "estimator": (0, 0, 0),  # the estimator gives up
@@ -80,7 +80,7 @@ class Fault:
         return KINDS[self.kind][0] if self.amount is None else self.amount
 
 
-def parse_fault(text: str, modes: Mapping[str, int] = Mode.__members__) -> Fault:
+def parse_fault(text: str, modes: Mapping[str, int] = MappingProxyType({})) -> Fault:
     """A fault written as `kind` or `kind:key=value,key=value`; modes may be named.
 
     Raises:

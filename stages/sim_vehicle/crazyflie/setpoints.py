@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
-from alula.stages.flight.links.crazyflie.numbers import expand_quat_wxyz
+from alula.stages.flight.links.crazyflie.setpoints import expand_quat_wxyz
 from alula.stages.sim_vehicle.crazyflie.planner import Goal
 
 PID, MELLINGER, LEE, OUT_OF_TREE = 1, 2, 5, 6

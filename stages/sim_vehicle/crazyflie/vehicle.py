@@ -18,7 +18,7 @@ import numpy as np
 
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import Vehicle
-from alula.stages.flight.links.crazyflie.numbers import compress_quat_wxyz
+from alula.stages.flight.links.crazyflie.setpoints import compress_quat_wxyz
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint
 from alula.stages.flight.links.simulated_body import STEP_S, Body
 from alula.stages.sim_vehicle.crazyflie.estimator import Estimator

@@ -87,7 +87,8 @@ def test_what_comes_in_can_be_lost_too():
 def test_faults_wait_for_arming_and_flight_and_position_jumps():
     text = "jump:since=airborne,start=8,duration=2,amount=1.5"
     client = Client(
-        options=EXACT, faults=(parse_fault(text), parse_fault("mode:since=arm,start=22,amount=land"))
+        options=EXACT,
+        faults=(parse_fault(text), parse_fault("mode:since=arm,start=22,amount=land", Mode.__members__)),
     )
     client.fly(3)
     begin = client.vehicle.time_s

@@ -11,12 +11,11 @@ from alula.stages.flight.loop.frame_check import HandCheck
 from alula.stages.sim_vehicle.ardupilot.copter import Copter
 from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
-from alula.stages.sim_vehicle.common.camera import Camera
 from alula.stages.sim_vehicle.common.hand import Hand
 from alula.stages.sim_vehicle.common.packets import Codec, mavlink
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
-from alula.stages.sim_vehicle.simulator import SimulatedVehicle
+from alula.stages.sim_vehicle.simulator import Camera, SimulatedVehicle
 from alula.stages.vehicles.frames import LocalFrame
 
 

@@ -13,13 +13,12 @@ import numpy as np
 
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.addresses import Address
-from alula.stages.flight.links.crazyflie.choice import read_choice
-from alula.stages.flight.links.crazyflie.numbers import expand_quat_wxyz
+from alula.stages.flight.links.crazyflie.address_options import read_address_options
 from alula.stages.flight.links.crazyflie.orders import Motion, Orders
 from alula.stages.flight.links.crazyflie.parameters import Parameters
-from alula.stages.flight.links.crazyflie.pose import PoseFeed
 from alula.stages.flight.links.crazyflie.session import Session
-from alula.stages.flight.links.crazyflie.setpoints import SetpointEncoder
+from alula.stages.flight.links.crazyflie.setpoints import SetpointEncoder, expand_quat_wxyz
+from alula.stages.flight.links.mocap import PoseFeed
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
@@ -65,14 +64,14 @@ class CrazyflieLink:
     """
 
     def __init__(self, address: Address, options: LinkOptions) -> None:
-        choice = read_choice(address)
-        self._kind, self._watches = choice.kind, choice.watches
+        given = read_address_options(address)
+        self._kind, self._has_watchdog = given.kind, given.has_watchdog
         self._options = options
         self._session = Session(f"{address.scheme}:{address.place}", options)
         self._feed = None if options.mocap is None else PoseFeed(options.mocap, options.frame)
         self._status = VehicleStatus(is_estimator_ready=False)
         self._orders = Orders(self._session, self._status)
-        self._parameters = Parameters(self._session, choice.controller, choice.parameters)
+        self._parameters = Parameters(self._session, given.controller, given.parameters)
         self._encoder = SetpointEncoder(
             options.frame, options.all_limits(), options.vehicle.body.gravity_m_s2
         )
@@ -179,7 +178,7 @@ class CrazyflieLink:
             self._hold(now_s)
         self._orders.poll(now_s)
         is_watched = self._noticed_s > -math.inf  # once begun it must go on
-        if (is_watched or (self._watches and status.armed)) and now_s - self._noticed_s >= _NOTICE_S:
+        if (is_watched or (self._has_watchdog and status.armed)) and now_s - self._noticed_s >= _NOTICE_S:
             self._noticed_s = now_s
             session.notice()
 

@@ -10,8 +10,7 @@ from typing import Any
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.crazyflie.session import Session
-from alula.stages.flight.links.mavlink.orders import check_height
-from alula.stages.flight.links.protocol import UNDONE, Order, VehicleStatus
+from alula.stages.flight.links.protocol import UNDONE, Order, VehicleStatus, check_height
 
 CAN_BE_ARMED, IS_ARMED, AUTO_ARMS, CAN_FLY, IS_FLYING = 1, 2, 4, 8, 16
 IS_TUMBLED, IS_LOCKED, IS_CRASHED = 32, 64, 128  # bits of supervisor.info

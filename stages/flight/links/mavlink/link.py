@@ -15,7 +15,7 @@ from alula.stages.flight.links.addresses import Address
 from alula.stages.flight.links.hover import HoverThrottle
 from alula.stages.flight.links.mavlink.autopilots import ALL_SETPOINTS, ARDUPILOT, Autopilot, autopilot_of
 from alula.stages.flight.links.mavlink.estimate import Estimate
-from alula.stages.flight.links.mavlink.orders import Addressee, Orders, check_height
+from alula.stages.flight.links.mavlink.orders import Addressee, Orders
 from alula.stages.flight.links.mavlink.parameters import Parameters
 from alula.stages.flight.links.mavlink.session import COMPONENT, GROUND_STATION, Session
 from alula.stages.flight.links.mavlink.setpoints import SetpointEncoder
@@ -28,6 +28,7 @@ from alula.stages.flight.links.protocol import (
     Setpoint,
     VehicleState,
     VehicleStatus,
+    check_height,
 )
 
 _ANSWER_S = 2.0

@@ -9,11 +9,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from alula.schemas.errors import LinkError
 from alula.stages.flight.links.mavlink.autopilots import Autopilot, mode_command
 from alula.stages.flight.links.mavlink.session import Session
 from alula.stages.flight.links.mavlink.telemetry import Telemetry
-from alula.stages.flight.links.protocol import HIGHEST_M, UNANSWERED, UNDONE, Order
+from alula.stages.flight.links.protocol import UNANSWERED, UNDONE, Order, check_height
 
 _REPEAT_S = 0.5
 _PATIENCE_S = 5.0
@@ -199,11 +198,3 @@ class Orders:
                 return [_Step(*mode_command(landing), lambda: telemetry.mode == landing)]
             case _:
                 return []
-
-
-def check_height(height_m: float) -> None:
-    """Refuse (LinkError) a take-off that makes no sense."""
-    if not 0 < height_m <= HIGHEST_M:
-        raise LinkError(
-            f"take-off to {height_m:g} m is refused: heights are above 0 and up to {HIGHEST_M:g} m"
-        )
