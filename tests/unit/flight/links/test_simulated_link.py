@@ -81,7 +81,7 @@ def test_what_leaves_this_machine_needs_permission(text):
         ("sim:?noise=much", "expected 1 number"),
         ("sim:?delay_ms=-1", "between 0 and 1000"),
         ("sim:?start=1,2", "expected 3 numbers"),
-        ("sim:here", "options follow"),
+        ("sim:here", "write the options after"),
         ("udpout:127.0.0.1:1?colour=red", "no option 'colour'"),
         ("pigeon:post", "no link is called 'pigeon'"),
     ],
@@ -244,7 +244,7 @@ def test_a_late_poll_catches_up_only_so_far():
     clock, link = airborne()
     clock.now += 3.0
     link.poll(clock.now)
-    assert any("left out 2.75 s" in text for text in link.status.texts)
+    assert any("skipped 2.75 s" in text for text in link.status.texts)
     assert link.state.received_s == pytest.approx(clock.now, abs=0.003)
 
 
