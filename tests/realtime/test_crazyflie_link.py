@@ -141,7 +141,7 @@ def test_when_set_points_end_it_holds_its_place_by_itself() -> None:
         wish = VelocitySetpoint(np.array([0.6, 0.0, 0.0]), 0.0)
         fly_until(link, lambda: clock() - begin > 1.0, make=lambda: wish)
         fly_until(link, lambda: False, 2.5)
-        assert any("holds its place" in text for text in link.status.texts)
+        assert any("holds its position" in text for text in link.status.texts)
         assert vehicle.vehicle.supervisor.stage is Stage.FLYING
         assert np.linalg.norm(link.state.velocity) < 0.05
         assert link.state.position[2] == pytest.approx(0.3, abs=0.1)
@@ -273,7 +273,7 @@ def test_the_emergency_watchdog_is_kept_fed_and_locks_at_the_end() -> None:
         link.order(Order.LAND, clock())
         assert fly_until(link, lambda: link.status.landed is True)
         link.close()
-        assert any("start it anew" in text for text in link.status.texts)
+        assert any("restart it" in text for text in link.status.texts)
         pause(1.3)
         assert vehicle.vehicle.supervisor.stage is Stage.LOCKED
 
@@ -308,6 +308,6 @@ def test_a_battery_that_is_not_a_number_is_not_told(volts, share):
         "pm.vbat": volts,
         "supervisor.info": 0,
     }
-    link._told = (10.0, values)
+    link._status_block = (10.0, values)
     link._read_status(10.1)
     assert link.status.battery_share == (share if share is None else pytest.approx(share))

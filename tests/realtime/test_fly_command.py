@@ -89,7 +89,7 @@ def test_a_failing_check_is_named_and_leaves_no_log(pipeline, tmp_path, capsys):
     ("more", "link", "code", "text"),
     [
         ([], "sim:?nonsense=1", 2, "nonsense"),
-        ([], "carrier-pigeon", 2, "no address of a vehicle"),
+        ([], "carrier-pigeon", 2, "not a vehicle address"),
         ([], "udpout:192.0.2.1:14550", 2, "--allow-remote"),
         (["--rate", "1000"], SIM, 2, "--rate must be between"),
         (["--fence", "0", "0", "0", "0", "1", "1"], SIM, 2, "--fence needs"),

@@ -83,8 +83,8 @@ class SimulatedLink:
     """A `Link` to a vehicle that `poll` simulates up to the present time.
 
     The vehicle arms, takes off, holds and lands by itself. It follows set-points while its mode is `GUIDED`,
-    holds its position 0.3 s after the last one, and stops its motors after landing. Its own modes use the true
-    state, without noise.
+    holds its position 0.3 s after the last one, and stops its motors after landing. Its own modes use the
+    true state, without noise.
 
     Args:
         vehicle: the vehicle file.

@@ -17,7 +17,7 @@ MOTION = Motion(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0, 0.0)
 def flying():
     session, status = Session("udp://127.0.0.1:1", LinkOptions()), VehicleStatus()
     orders = Orders(session, status)
-    orders.see(IS_ARMED | IS_FLYING)
+    orders.update(IS_ARMED | IS_FLYING)
     assert status.armed
     return session, status, orders
 

@@ -69,8 +69,8 @@ def test_what_leaves_this_machine_needs_permission(text):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no address"),
-        ("/dev/ttyACM0", "no address"),
+        ("", "not a vehicle address"),
+        ("/dev/ttyACM0", "not a vehicle address"),
         ("udpin:127.0.0.1", "HOST:PORT"),
         ("udpin:127.0.0.1:0", "HOST:PORT"),
         ("udpin:127.0.0.1:99999", "HOST:PORT"),
