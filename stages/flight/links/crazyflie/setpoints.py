@@ -59,9 +59,9 @@ class SetpointEncoder:
 
     The firmware tracks the position and velocity of a full state with its own gains. The position and
     velocity of an `AccelerationSetpoint` belong to the time when it was computed. The encoder extrapolates
-    them by 20 ms (the delay of sending, and half of the time that the set-point is flown), p + v t + a t^2 / 2
-    and v + a t; otherwise the gains would pull the vehicle back. The attitude is that of the thrust a + g with
-    the yaw. The body rates turn it as the acceleration changes, smoothed over 50 ms.
+    them by 20 ms (the delay of sending, and half of the time that the set-point is flown),
+    p + v t + a t^2 / 2 and v + a t; otherwise the gains would pull the vehicle back. The attitude is that of
+    the thrust a + g with the yaw. The body rates turn it as the acceleration changes, smoothed over 50 ms.
 
     Args:
         frame: the world frame relative to the vehicle's local frame.

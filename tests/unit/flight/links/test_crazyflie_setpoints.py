@@ -119,7 +119,7 @@ def test_a_velocity_turns_towards_the_heading_by_the_short_way() -> None:
         ("radio://0/80/2M?controller=best", "controller=best"),
         ("radio://0/80/2M?controller=9", "controller=9"),
         ("radio://0/80/2M?setpoints=fast", "setpoints=fast"),
-        ("radio://0/80/2M?controller=pid&setpoints=full-state", "does not fly"),
+        ("radio://0/80/2M?controller=pid&setpoints=full-state", "does not follow"),
         ("radio://0/80/2M?watchdog=yes", "watchdog=yes"),
         ("radio://0/80/2M?alula.radius=wide", "alula.radius=wide"),
         ("radio://0/80/2M?colour=red", "colour"),
