@@ -45,8 +45,8 @@ class Autopilot:
     Attributes:
         name: name of the family.
         parameters: parameters that are set before a flight and restored afterwards.
-        fixed: parameters with their allowed values for motion capture; they are only checked, because a change
-            needs a restart.
+        fixed: parameters with their allowed values for motion capture; they are only checked, because a
+            change needs a restart.
         ground_station: possible names of the parameter with the system whose heartbeats are monitored.
         hover: name of the parameter with the hover throttle.
         is_bytewise: whether an integer parameter is sent as the bits of a float instead of its value.

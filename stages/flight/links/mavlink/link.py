@@ -147,8 +147,8 @@ class MavlinkLink:
         """Set the parameters that flights need; a line for each change.
 
         Raises:
-            LinkError: the vehicle is armed, so somebody may fly it; or it does not have or accept a parameter,
-                and those changed before are restored.
+            LinkError: the vehicle is armed, so somebody may fly it; or it does not have or accept a
+                parameter, and those changed before are restored.
         """
         if self._parameters is None:
             raise LinkError("the vehicle was not opened")
@@ -317,8 +317,7 @@ class MavlinkLink:
             if watched is not None:
                 if round(watched) != GROUND_STATION:
                     lines.append(
-                        f"{name} is {watched:g}, not {GROUND_STATION}: "
-                        "the vehicle will not land when this program's heartbeats end"
+                        f"{name} is {watched:g}: the vehicle will not land when this program's heartbeats end"
                     )
                 break
         target, limits = self._session.target, self._options.all_limits()

@@ -167,7 +167,7 @@ def test_a_signed_flight_and_a_wrong_key(tmp_path):
         time.run(link, 3.0)
         assert link.status.armed
     served = Served(key=bytes(32), channel=1, epoch_s=wall)
-    with pytest.raises(LinkError, match="no vehicle was heard"), flight(served=served, **options):
+    with pytest.raises(LinkError, match="no vehicle heartbeat"), flight(served=served, **options):
         pass
 
 

@@ -140,7 +140,10 @@ def test_a_signed_conversation_from_end_to_end(tmp_path):
 
 @pytest.mark.parametrize(
     ("key", "said"),
-    [(None, "it signs its packets"), (bytes(32), "bad packets came; do both ends have the same signing key")],
+    [
+        (None, "it signs its packets"),
+        (bytes(32), "bad packets were received; do both ends have the same signing key"),
+    ],
 )
 def test_who_has_no_key_or_another_is_told_so(tmp_path, key, said):
     peer = Peer()
@@ -153,7 +156,7 @@ def test_who_has_no_key_or_another_is_told_so(tmp_path, key, said):
 
 
 def test_of_other_systems_than_the_one_that_was_asked_for_it_says_which():
-    words = "no vehicle was heard within 5 s: only system 1, not 2"
+    words = "no vehicle heartbeat within 5 s: only system 1, not 2"
     with pytest.raises(LinkError, match=words), vehicle(address="?system=2"):
         pass
 
@@ -161,7 +164,7 @@ def test_of_other_systems_than_the_one_that_was_asked_for_it_says_which():
 def test_where_nothing_comes_from_is_named():
     peer = Peer()
     peer.beat = lambda: None
-    words = rf"udpout:127.0.0.1:{peer.port}: no vehicle was heard .*: nothing"
+    words = rf"udpout:127.0.0.1:{peer.port}: no vehicle heartbeat .*: nothing"
     with pytest.raises(LinkError, match=words), vehicle(peer=peer):
         pass
 
@@ -282,7 +285,7 @@ def test_tcp_carries_the_same_and_its_end_is_one_line():
     try:
         link.open(5.0)
         lines[0].close()
-        with pytest.raises(LinkError, match="line"):
+        with pytest.raises(LinkError, match="connection"):
             time.peers.clear() or [time.run(link, 0.1) for _ in range(10)]
     finally:
         link.close()
@@ -298,7 +301,7 @@ def test_tcp_carries_the_same_and_its_end_is_one_line():
         ("udpin:203.0.113.7:14550", "[Cc]annot assign"),
         ("serial:/dev/does-not-exist:921600", "No such file"),
         ("serial:/dev/null:921600", "serial line"),
-        ("serial:/dev/null:12345", "no rate"),
+        ("serial:/dev/null:12345", "does not support 12345 baud"),
     ],
 )
 def test_a_line_that_cannot_be_opened_is_one_line(address, words):

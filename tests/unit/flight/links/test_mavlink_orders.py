@@ -176,7 +176,7 @@ def test_guided_without_position_takes_rates_alone():
         time.run(link, 0.2)
         assert link.status.mode == "GUIDED_NOGPS"
         assert link.status.obeys
-    with pytest.raises(UsageError, match="known are guided"):
+    with pytest.raises(UsageError, match="must be guided"):
         open_link("udpout:127.0.0.1:1?mode=rtl")
 
 

@@ -117,7 +117,7 @@ def test_a_vehicle_that_starts_anew_is_noticed_and_its_old_state_dropped():
         assert link.status.clock_jumps == 0  # one packet proves nothing
         time.run(link, 0.3, each=lambda: peer.send_state((4, 5, 6)))
         assert link.status.clock_jumps == 1
-        assert any("started anew" in text for text in link.status.texts)
+        assert any("restarted" in text for text in link.status.texts)
         assert time() - link.state.received_s < 0.02
         time.run(link, 4.0)
         assert peer.commands(m.MAV_CMD_SET_MESSAGE_INTERVAL)  # which it has forgotten
