@@ -143,7 +143,7 @@ class SimulatedVehicle:
         if self.time_s < self._datagrams * _MOCAP_PERIOD_S - 1e-9:
             return None
         self._datagrams = int(self.time_s / _MOCAP_PERIOD_S + 1e-6) + 1
-        if self.copter.estimator.is_deaf:
+        if self.copter.estimator.is_mocap_lost:
             return None
         return self._camera.datagram(self.time_s, self.copter.airframe.truth)
 
@@ -173,8 +173,8 @@ class SimulatedVehicle:
                 copter.battery.drain_to(fault.size)
         jump = acting.get("jump")
         estimator.offset = (0.0, 0.0, 0.0) if jump is None else (jump.size, 0.0, 0.0)
-        estimator.is_deaf = "mocap-loss" in acting
-        estimator.is_sick = "estimator" in acting
+        estimator.is_mocap_lost = "mocap-loss" in acting
+        estimator.has_failed = "estimator" in acting
         copter.pilot.is_lost = "radio-loss" in acting
 
 

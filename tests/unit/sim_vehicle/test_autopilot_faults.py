@@ -107,9 +107,9 @@ def test_mocap_is_lost_by_a_fault_and_faults_can_be_injected():
     client = Client()
     client.vehicle.inject(Fault(kind="mocap-loss", duration=1))
     client.wait(0.5)
-    assert client.copter.estimator.is_deaf
+    assert client.copter.estimator.is_mocap_lost
     client.wait(1)
-    assert not client.copter.estimator.is_deaf
+    assert not client.copter.estimator.is_mocap_lost
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))

@@ -34,7 +34,7 @@ def carried(frame, *, hears=True, until_s=20.0, kind=Copter):
     check, farthest = HandCheck(), 0.0
     while copter.time_s < until_s:
         if hears and copter.time_s > 1:
-            copter.hear_ground_station(255)
+            copter.note_ground_station(255)
         copter.tick()
         if copter.estimator.has_position and round(copter.time_s * 400) % 8 == 0:
             check.update(state_of(copter.estimator.motion, frame))
@@ -80,7 +80,7 @@ def test_a_hand_lets_go_of_what_is_armed():
     copter = Copter(FASTBRIDGE, options=EstimatorOptions(boot_time_s=3.0), hand=Hand())
     copter.set_mode(4)
     while not copter.airframe.is_carried:
-        copter.hear_ground_station(255)
+        copter.note_ground_station(255)
         copter.tick()
     for _ in range(400):
         copter.tick()

@@ -188,7 +188,7 @@ def test_heartbeats_of_a_companion_do_not_count():
 )
 def test_a_low_battery_does_what_its_parameters_say(parameters, share, mode):
     client = Client(parameters={"BATT_LOW_TIMER": 2, **parameters}).fly(2)
-    assert client.copter.battery.share > 0.9
+    assert client.copter.battery.remaining > 0.9
     client.vehicle.inject(Fault(kind="battery", amount=share))
     client.wait(3)
     assert client.copter.mode is mode
@@ -275,10 +275,10 @@ def test_what_is_told_is_late_and_noisy_and_the_same_for_the_same_seed():
     assert 0.002 < first.std() < 0.05
     late = EstimatorOptions(boot_time_s=0.5, delay_s=0.2)
     _, client = run(3, late)
-    assert client.copter.estimator.told is not client.copter.estimator.motion
+    assert client.copter.estimator.reported is not client.copter.estimator.motion
     client.mode(LAND)
     client.wait(2)
-    lag = client.copter.estimator.told.position[2] - client.copter.estimator.motion.position[2]
+    lag = client.copter.estimator.reported.position[2] - client.copter.estimator.motion.position[2]
     assert lag == pytest.approx(-0.2 * 0.5, abs=0.03)
 
 

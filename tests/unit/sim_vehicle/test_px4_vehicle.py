@@ -154,7 +154,7 @@ def test_rates_and_thrust_hover_at_the_hover_throttle():
     assert client.truth.omega[2] == pytest.approx(1.0, abs=0.05)
     # No division by the cosine of the tilt, no climb rates.
     client.stream(0.3, omega=(1.0, 0, 0), thrust=hover)
-    assert client.copter.attitude.wanted_throttle == pytest.approx(hover, rel=1e-6)
+    assert client.copter.attitude.throttle_command == pytest.approx(hover, rel=1e-6)
 
 
 @pytest.mark.parametrize(
