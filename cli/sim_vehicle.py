@@ -42,7 +42,7 @@ _CRTP = "udp://"
     type=click.Choice(["ardupilot", "px4"]),
     default="ardupilot",
     show_default=True,
-    help="Firmware whose behaviour is simulated.",
+    help="Firmware to simulate.",
 )
 @click.option("--vehicle", "vehicle_path", type=options.PATH, help="Vehicle file; by default FastBridge's.")
 @click.option(

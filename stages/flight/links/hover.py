@@ -99,7 +99,7 @@ class HoverThrottle:
         """Record a throttle that was sent at `now_s` [s]."""
         self._sent.append((now_s, throttle))
 
-    def seen(self, state: VehicleState) -> None:
+    def update(self, state: VehicleState) -> None:
         """Update the estimate with a newer state."""
         start = self._start
         if start is None or state.received_s - start.received_s > 2 * _WINDOW_S:

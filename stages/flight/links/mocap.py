@@ -70,7 +70,7 @@ class Mocap:
         parsed.only()
         if parsed.scheme != "udp":
             raise UsageError(f"{address}: motion capture needs an address udp:HOST:PORT")
-        self._place = parsed.host_port()
+        self._host_port = parsed.host_port()
         self._frame = frame
         self._socket: socket.socket | None = None
         self._decoder = msgspec.json.Decoder(MocapSample)
@@ -89,10 +89,10 @@ class Mocap:
             LinkError: the address is in use or does not belong to this machine.
         """
         try:
-            family, place = find_udp(*self._place)
+            family, local = find_udp(*self._host_port)
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
             self._socket.setblocking(False)
-            self._socket.bind(place)
+            self._socket.bind(local)
         except OSError as error:
             self.close()
             raise LinkError(f"udp:{self._place[0]}:{self._place[1]}: {error.strerror or error}") from error

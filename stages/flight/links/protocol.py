@@ -181,7 +181,15 @@ class Link(Protocol):
         ...
 
     def send(self, setpoint: Setpoint, now_s: float) -> None:
-        """Send a set-point; raises LinkError if it is not finite or out of the vehicle's range."""
+        """Send a set-point.
+
+        Args:
+            setpoint: the set-point, world frame.
+            now_s: monotonic clock [s].
+
+        Raises:
+            LinkError: it is not finite or out of the vehicle's range.
+        """
         ...
 
     def order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:

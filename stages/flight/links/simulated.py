@@ -157,6 +157,10 @@ class SimulatedLink:
     def send(self, setpoint: Setpoint, now_s: float) -> None:
         """Follow a set-point from now on.
 
+        Args:
+            setpoint: the set-point, world frame.
+            now_s: monotonic clock [s].
+
         Raises:
             LinkError: the vehicle's model does not take its kind, or a field is not finite.
         """
@@ -170,6 +174,11 @@ class SimulatedLink:
 
     def order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:
         """Execute or refuse a command at once.
+
+        Args:
+            order: the command.
+            now_s: monotonic clock [s].
+            height_m: take-off height above the present position [m].
 
         Raises:
             LinkError: the height of a take-off is out of range.

@@ -15,7 +15,7 @@ class VehicleClock:
     """Estimator of the minimum of (arrival - time stamp), the offset of the fastest packet, with drift.
 
     A clock that is set back a little, or that stops for a while, looks like packets that are late from then
-    on. `found` separates the two cases if the vehicle answers; otherwise only time does.
+    on. `synchronise` separates the two cases if the vehicle answers; otherwise only time does.
 
     Args:
         patience_s: packets that are late for this long without a break count as on time again [s].
@@ -58,8 +58,8 @@ class VehicleClock:
         self._last_stamp = max(self._last_stamp, stamp_s)
         return min(now_s, stamp_s + self._offset)
 
-    def found(self, clock_s: float, requested_s: float) -> None:
-        """Use an answer to a time request: the offset is at least sending time minus vehicle time.
+    def synchronise(self, clock_s: float, requested_s: float) -> None:
+        """Use an answer to a time request: the offset is not below sending time minus vehicle time.
 
         Args:
             clock_s: vehicle's clock in its answer [s].

@@ -73,9 +73,9 @@ class PositionControl:
             climb_m_s: climb rate, upward [m/s].
         """
         limit = max(self._parameters["WPNAV_ACCEL_Z"], 1.0) / 100
-        wanted = max(-limit, min(limit, (climb_m_s - self._climb_m_s) / 0.3))
+        command = max(-limit, min(limit, (climb_m_s - self._climb_m_s) / 0.3))
         jerk = _JERK_PER_S * limit * TICK_S
-        change = max(-jerk, min(jerk, wanted - self._climb_m_s2))
+        change = max(-jerk, min(jerk, command - self._climb_m_s2))
         self._climb_m_s2 += change
         self._climb_m_s += self._climb_m_s2 * TICK_S
         self._throttle(motion, self._climb_m_s, self._climb_m_s2)
@@ -146,12 +146,14 @@ class PositionControl:
             ahead: acceleration, NED [m/s^2].
         """
         gain = self._parameters["PSC_POSXY_P"]
-        wanted = list(velocity)
+        command = list(velocity)
         if position is not None:
-            wanted = [v + gain * (p - q) for v, p, q in zip(velocity, position, motion.position, strict=True)]
-        self._course = wanted[:2]
+            command = [
+                v + gain * (p - q) for v, p, q in zip(velocity, position, motion.position, strict=True)
+            ]
+        self._course = command[:2]
         self._lean(motion, self._course, ahead[:2])
-        self.follow_vertical(motion, wanted[2], ahead[2])
+        self.follow_vertical(motion, command[2], ahead[2])
 
     def lean_for(self, motion: Motion, north_m_s2: float, east_m_s2: float) -> None:
         """Command lean angles for a horizontal acceleration, at most ANGLE_MAX, and turn with the yaw rate.
@@ -174,12 +176,12 @@ class PositionControl:
         self._attitude.input_attitude(from_euler(roll, pitch, self.yaw))
 
     def _lean(self, motion: Motion, course: list[float], ahead: tuple[float, ...]) -> None:
-        wanted = []
+        command = []
         for axis in range(2):
             error = course[axis] - motion.velocity[axis]
             self._integrate(axis, error)
-            wanted.append(ahead[axis] + _SPEED_GAIN * error + self._integral[axis])
-        self.lean_for(motion, *wanted)
+            command.append(ahead[axis] + _SPEED_GAIN * error + self._integral[axis])
+        self.lean_for(motion, *command)
 
     def _throttle(self, motion: Motion, climb_m_s: float, climb_m_s2: float) -> None:
         error = climb_m_s + motion.velocity[2]

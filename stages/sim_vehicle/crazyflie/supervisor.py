@@ -63,13 +63,13 @@ class Supervisor:
         """Return whether it is flying: the motors ran in the last two seconds."""
         return self.stage in (Stage.FLYING, Stage.LEVEL_OUT)
 
-    def arm(self, wanted: bool) -> bool:
+    def arm(self, arms: bool) -> bool:
         """Request to arm (True) or disarm (False); returns whether the request holds now."""
-        if wanted == self.is_armed:
+        if arms == self.is_armed:
             return True
-        if wanted and self.stage is not Stage.CHECKED:
+        if arms and self.stage is not Stage.CHECKED:
             return False
-        self.is_armed = wanted
+        self.is_armed = arms
         return True
 
     def notice(self, now_s: float) -> None:

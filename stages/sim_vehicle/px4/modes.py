@@ -32,7 +32,7 @@ class Px4Row:
 
     Attributes:
         name: name in texts.
-        flown: mode of ArduPilot whose controller in `Flying` it uses.
+        flown: mode of ArduPilot with the controller in `Flying` that it uses.
         needs_position: it is not entered without a position estimate.
         can_arm: arming is allowed.
         is_piloted: sticks control it.

@@ -1,6 +1,7 @@
 """The vehicle with PX4's behaviour: streams of set-points, arming, and failsafes.
 
-It follows PX4's documentation; PX4 itself was not observed. docs/guide/sim-vehicle.md lists what is uncertain.
+It follows PX4's documentation; PX4 itself was not observed. docs/guide/sim-vehicle.md lists what is
+uncertain.
 """
 
 from __future__ import annotations

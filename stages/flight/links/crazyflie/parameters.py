@@ -65,21 +65,21 @@ class Parameters:
             LinkError: the vehicle does not have or accept one.
         """
         lines = []
-        for name, wanted in values.items():
+        for name, value in values.items():
             present = self._session.read(name)
             if present is None:
                 group = name.partition(".")[0]
                 there = self._session.names(group)
                 has = f"; {group} has {', '.join(there)}" if there else f"; it has no group {group}"
                 raise LinkError(f"the vehicle has no parameter {name}{has}")
-            if math.isclose(present, wanted, rel_tol=1e-6, abs_tol=1e-9):
+            if math.isclose(present, value, rel_tol=1e-6, abs_tol=1e-9):
                 continue
             # Remembered before writing: a value that may or may not have been accepted is restored too.
-            self._changed.setdefault(name, (present, wanted))
-            self._changed[name] = (self._changed[name][0], wanted)
-            if not self._session.write(name, wanted):
-                raise LinkError(f"the vehicle did not take {name} = {wanted:g}")
-            lines.append(f"{name}: {present:g} -> {wanted:g}")
+            self._changed.setdefault(name, (present, value))
+            self._changed[name] = (self._changed[name][0], value)
+            if not self._session.write(name, value):
+                raise LinkError(f"the vehicle did not take {name} = {value:g}")
+            lines.append(f"{name}: {present:g} -> {value:g}")
         return lines
 
     def restore(self, timeout_s: float) -> list[str]:

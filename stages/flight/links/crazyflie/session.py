@@ -196,12 +196,12 @@ class Session:
             self._waiting.add(what)
             self._queue.put(lambda: self._send_newest(what))
 
-    def arm(self, wanted: bool) -> None:
+    def arm(self, arms: bool) -> None:
         """Send a request to arm or disarm."""
         if self.protocol >= _SUPERVISOR_PROTOCOL:
-            self.post(lambda vehicle: vehicle.supervisor.send_arming_request(wanted))
+            self.post(lambda vehicle: vehicle.supervisor.send_arming_request(arms))
         else:
-            self.post(lambda vehicle: _send_raw(vehicle, _PLATFORM, 0, bytes([_ARM, wanted])))
+            self.post(lambda vehicle: _send_raw(vehicle, _PLATFORM, 0, bytes([_ARM, arms])))
 
     def notice(self) -> None:
         """Send a notice of the emergency watchdog; after the first it is required every second."""

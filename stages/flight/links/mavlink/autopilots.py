@@ -47,7 +47,7 @@ class Autopilot:
         parameters: parameters that are set before a flight and restored afterwards.
         fixed: parameters with their allowed values for motion capture; they are only checked, because a
             change needs a restart.
-        ground_station: possible names of the parameter with the system whose heartbeats are monitored.
+        ground_station: possible names of the parameter with the system id of the monitored ground station.
         hover: name of the parameter with the hover throttle.
         is_bytewise: whether an integer parameter is sent as the bits of a float instead of its value.
         control: main and sub mode that follow set-points.

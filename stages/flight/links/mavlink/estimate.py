@@ -78,7 +78,7 @@ class Estimate:
             requested_s: when the request was sent, local clock [s].
         """
         for clock in self._clocks.values():
-            clock.found(clock_s, requested_s)
+            clock.synchronise(clock_s, requested_s)
 
     def take(self, message: Any, now_s: float) -> None:
         """Process a message; messages without a part of the state are ignored.

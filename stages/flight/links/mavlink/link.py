@@ -193,7 +193,15 @@ class MavlinkLink:
             self._request_intervals(now_s)
 
     def send(self, setpoint: Setpoint, now_s: float) -> None:
-        """Send a set-point; raises LinkError if it is not finite or far out of range."""
+        """Send a set-point.
+
+        Args:
+            setpoint: the set-point, world frame.
+            now_s: monotonic clock [s].
+
+        Raises:
+            LinkError: it is not finite, far out of range, or not possible now.
+        """
         if type(setpoint) not in self.accepts:
             raise LinkError(f"the vehicle takes no {type(setpoint).__name__} in this mode")
         if self._encoder is None:
@@ -384,7 +392,7 @@ class MavlinkLink:
 
     def _learn(self, hover: HoverThrottle, state: VehicleState) -> None:
         if self._options.learns_hover and self.status.armed and not self.status.landed:
-            hover.seen(state)
+            hover.update(state)
 
     def _interval(self, number: int, rate_hz: float) -> Any:
         """SET_MESSAGE_INTERVAL; a rate of 0 selects the vehicle's default."""

@@ -15,7 +15,7 @@ from alula.stages.flight.links.mavlink.transport import Transport, open_transpor
 from alula.stages.flight.links.mavlink.wire import Packet, Wire
 from alula.stages.flight.links.options import LinkOptions
 
-GROUND_STATION = 255  # the system whose heartbeats autopilots monitor by default
+GROUND_STATION = 255  # autopilots monitor the heartbeats of this system by default
 COMPONENT = dialect.MAV_COMP_ID_ONBOARD_COMPUTER
 AUTOPILOT_COMPONENT = dialect.MAV_COMP_ID_AUTOPILOT1
 

@@ -48,7 +48,7 @@ class Telemetry:
 
     @property
     def beat_s(self) -> float:
-        """When the newest HEARTBEAT arrived; minus infinity if it is old [s]."""
+        """Arrival time of the newest HEARTBEAT; minus infinity if it is old [s]."""
         return self._arrived_s.get("HEARTBEAT", -math.inf)
 
     def take(self, message: Any, now_s: float) -> list[str]:

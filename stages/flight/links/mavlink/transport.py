@@ -73,23 +73,23 @@ def find_udp(host: str, port: int) -> tuple[socket.AddressFamily, Any]:
         OSError: the host is unknown.
     """
     found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
-    family, _, _, _, place = min(found, key=lambda each: each[0] != socket.AF_INET)
-    return family, place
+    family, _, _, _, destination = min(found, key=lambda each: each[0] != socket.AF_INET)
+    return family, destination
 
 
 class _Udp:
     is_datagram = True
 
     def __init__(self, host: str, port: int, *, is_listening: bool) -> None:
-        family, place = find_udp(host, port)
+        family, destination = find_udp(host, port)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        self._peer: Any = None if is_listening else place
+        self._peer: Any = None if is_listening else destination
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
             if is_listening:
-                self._socket.bind(place)
+                self._socket.bind(destination)
             else:
-                self._socket.connect(place)  # accepts packets from there only
+                self._socket.connect(destination)  # accepts packets from there only
         except OSError:
             self._socket.close()
             raise

@@ -271,7 +271,7 @@ def test_hover_throttle_is_found_in_flight_slowly_and_within_bounds():
             hover.sent(throttle, now)
             velocity = velocity + np.array([0, 0, (throttle / true - 1) * G]) * 0.01
             quat = np.array([1.0, 0, 0, 0])
-            hover.seen(VehicleState(now, np.zeros(3), velocity.copy(), quat, np.zeros(3)))
+            hover.update(VehicleState(now, np.zeros(3), velocity.copy(), quat, np.zeros(3)))
             assert abs(hover.value - last) <= 0.02 * 0.3 * hover.value
             last = hover.value
         assert hover.value == pytest.approx(expected, rel=0.03)
