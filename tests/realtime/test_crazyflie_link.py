@@ -1,4 +1,4 @@
-"""The link to a Crazyflie against the simulated one, in real time, through cflib as it is published."""
+"""Link to the simulated Crazyflie in real time, through the published cflib."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_rates_arrive_in_radian_and_the_logged_pitch_rate_has_its_sign() -> None
 def test_velocities_fly_by_pid_and_turn_to_the_heading() -> None:
     with served(arms_itself=True) as vehicle:
         link = opened(f"{vehicle.address}?controller=pid")
-        assert link.status.armed is False  # it armed itself, but nobody asked
+        assert link.status.armed is False  # it armed itself, without a command
         link.prepare()
         take_off(link)
         begin = clock()
@@ -147,7 +147,7 @@ def test_when_set_points_end_it_holds_its_place_by_itself() -> None:
         assert link.state.position[2] == pytest.approx(0.3, abs=0.1)
         link.order(Order.DISARM, clock())
         assert link.status.refusals.pop()[0] is Order.DISARM
-        link.close()  # in the air: neither does cflib stop the motors, nor is the controller changed
+        link.close()  # in the air: cflib does not stop the motors, and the controller is not changed
         pause(0.5)
         assert vehicle.vehicle.body.position[2] == pytest.approx(0.3, abs=0.1)
         assert any("in the air" in text for text in link.status.texts)
@@ -300,7 +300,7 @@ def test_older_firmware_is_armed_by_its_platform_port_and_the_oldest_refused(
 @pytest.mark.parametrize(("volts", "share"), [(3.55, 0.5), (math.nan, None)])
 def test_a_battery_that_is_not_a_number_is_not_told(volts, share):
     link = open_link("udp://127.0.0.1:19850", LinkOptions())
-    link.status.battery_share = 0.9  # of before
+    link.status.battery_share = 0.9  # an earlier value
     values = {
         "kalman.varX": 0.0,
         "kalman.varY": 0.0,

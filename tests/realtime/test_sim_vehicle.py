@@ -1,4 +1,4 @@
-"""`alula sim-vehicle` end to end: with stock pymavlink, and with clients of others."""
+"""`alula sim-vehicle` end to end with stock pymavlink and third-party clients."""
 
 import importlib.util
 import json
@@ -23,7 +23,7 @@ def mavutil():
 
 
 def hop(client):
-    """Arm, take off to 1.5 m and land with bare pymavlink; the greatest height."""
+    """Arm, take off to 1.5 m and land with bare pymavlink; returns the maximum height."""
 
     def ordered(number, *params):
         values = [*params, *[0] * (7 - len(params))]
@@ -138,7 +138,7 @@ def test_mavproxy_arms_takes_off_and_lands_it(tmp_path):
                 return (tmp_path / "out").read_text()
 
             def say(text, answer):
-                """Until it is answered: what is not allowed yet is refused."""
+                """Repeat a command until it is accepted; before, the vehicle may refuse it."""
                 for _ in range(15):
                     proxy.stdin.write(text + "\n")
                     proxy.stdin.flush()

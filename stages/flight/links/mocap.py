@@ -95,7 +95,9 @@ class Mocap:
             self._socket.bind(local)
         except OSError as error:
             self.close()
-            raise LinkError(f"udp:{self._place[0]}:{self._place[1]}: {error.strerror or error}") from error
+            raise LinkError(
+                f"udp:{self._host_port[0]}:{self._host_port[1]}: {error.strerror or error}"
+            ) from error
 
     def is_fresh(self, now_s: float) -> bool:
         """Return whether the newest sample is at most 0.15 s old, counting from the smallest delay so far."""

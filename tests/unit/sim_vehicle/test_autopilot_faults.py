@@ -1,4 +1,4 @@
-"""Faults on purpose: of packets, of the vehicle, and how they are written."""
+"""Injected faults: of packets, of the vehicle, and their syntax."""
 
 import itertools
 import math
@@ -97,7 +97,7 @@ def test_faults_wait_for_arming_and_flight_and_position_jumps():
     while client.vehicle.time_s < begin + 8:
         client.wait(0.1)
         seen.append(client.truth.position[0])
-    assert min(seen) < -0.5  # the vehicle flew where its estimate was back in place
+    assert min(seen) < -0.5  # the vehicle flew to where its estimate was back at the set-point
     assert client.copter.mode is Mode.GUIDED
     client.wait(10)
     assert client.copter.mode is Mode.LAND

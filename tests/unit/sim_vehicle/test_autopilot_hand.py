@@ -1,4 +1,4 @@
-"""The simulated vehicle moved by hand, and seen by cameras that do not begin where it stands."""
+"""The simulated vehicle moved by hand, and motion capture with another origin."""
 
 import json
 
@@ -20,7 +20,7 @@ from alula.stages.vehicles.frames import LocalFrame
 
 
 def state_of(motion, frame):
-    """What a link makes of the vehicle's estimate."""
+    """State that a link derives from the vehicle's estimate."""
     return VehicleState(
         *(0.0, frame.position_from_ned(np.array(motion.position))),
         frame.vector_from_ned(np.array(motion.velocity)),
@@ -29,7 +29,7 @@ def state_of(motion, frame):
 
 
 def carried(frame, *, hears=True, until_s=20.0, kind=Copter):
-    """The vehicle after a time in which a client spoke to it, what the check says, how far it was."""
+    """The vehicle after a client was connected for a time, the result of the check, and its distance."""
     copter = kind(FASTBRIDGE, options=EstimatorOptions(boot_time_s=3.0), hand=Hand())
     check, farthest = HandCheck(), 0.0
     while copter.time_s < until_s:

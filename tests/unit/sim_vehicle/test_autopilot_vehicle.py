@@ -159,7 +159,7 @@ def test_losing_the_ground_station_does_what_the_parameter_says(action, mode):
     client = Client(parameters={"FS_GCS_ENABLE": action}).fly(2)
     heartbeat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
     client.wait(6)
-    assert client.copter.mode is Mode.GUIDED  # none was ever heard
+    assert client.copter.mode is Mode.GUIDED  # no heartbeat ever arrived
     client.send(heartbeat)
     client.wait(4.9)
     assert client.copter.mode is Mode.GUIDED
@@ -222,14 +222,14 @@ def test_the_pilot_takes_over_by_the_switch_and_by_an_override():
     client = Client().fly(3)
     client.copter.pilot.move(5, 1000)
     client.wait(0.2)
-    client.copter.pilot.move(5, 1700)  # the fifth place: LOITER
+    client.copter.pilot.move(5, 1700)  # the fifth position: LOITER
     client.wait(0.2)
     assert client.copter.mode is Mode.LOITER
     client.wait(2)
     assert client.height == pytest.approx(3, abs=0.3)
     client.mode(GUIDED)
     channels = [65535] * 8 + [0] * 10
-    channels[4] = 1300  # the second place: LAND
+    channels[4] = 1300  # the second position: LAND
     client.send(mavlink.MAVLink_rc_channels_override_message(1, 1, *channels))
     client.wait(0.2)
     assert client.copter.mode is Mode.LAND

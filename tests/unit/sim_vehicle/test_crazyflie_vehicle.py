@@ -1,4 +1,4 @@
-"""The simulated Crazyflie, spoken to in bytes, on a clock of the test."""
+"""The simulated Crazyflie: bytes in and out, on the clock of the test."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_a_plan_waits_for_its_turn_and_without_one_the_motors_stop() -> None:
     rehearsal.live(0.3, full_state((0, 0, 0.5)))
     rehearsal.vehicle.receive(land(1.5))
     rehearsal.live(0.3)
-    assert rehearsal.vehicle.setpoint.kind == "full-state"  # still the stronger one
+    assert rehearsal.vehicle.setpoint.kind == "full-state"  # still the one with the higher priority
     rehearsal.vehicle.receive(RELAX)
     rehearsal.live(4.0)
     assert rehearsal.height == 0.0

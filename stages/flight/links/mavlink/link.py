@@ -12,9 +12,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.links.addresses import Address
-from alula.stages.flight.links.hover import HoverThrottle
 from alula.stages.flight.links.mavlink.autopilots import ALL_SETPOINTS, ARDUPILOT, Autopilot, autopilot_of
 from alula.stages.flight.links.mavlink.estimate import Estimate
+from alula.stages.flight.links.mavlink.hover import HoverThrottle
 from alula.stages.flight.links.mavlink.orders import Addressee, Orders
 from alula.stages.flight.links.mavlink.parameters import Parameters
 from alula.stages.flight.links.mavlink.session import COMPONENT, GROUND_STATION, Session

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
-from alula.stages.flight.links.hover import HoverThrottle
+from alula.stages.flight.links.mavlink.hover import HoverThrottle
 from alula.stages.flight.links.options import Limits
 from alula.stages.flight.links.protocol import (
     RatesSetpoint,

@@ -1,4 +1,4 @@
-"""What a Crazyflie is told, without one."""
+"""Set-points and address options of a Crazyflie, without a vehicle."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_the_attitude_pushes_along_the_acceleration_and_has_the_heading(push, ya
     thrust = there + np.array([0, 0, G])
     assert np.allclose(axes[:, 2], thrust / np.linalg.norm(thrust), atol=1e-9)
     along = np.array([math.cos(yaw + turn), math.sin(yaw + turn), 0])
-    assert axes[:, 1] @ along == pytest.approx(0, abs=1e-9)  # y stands across the heading
+    assert axes[:, 1] @ along == pytest.approx(0, abs=1e-9)  # y is perpendicular to the heading
     assert axes[:, 0] @ along > 0
     assert np.allclose(
         sent.position,

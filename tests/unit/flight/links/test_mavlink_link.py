@@ -1,4 +1,4 @@
-"""The MAVLink link against a scripted vehicle, through real sockets, on a clock of the tests."""
+"""MAVLink link to a scripted vehicle, through real sockets, on the clock of the test."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_of_two_vehicles_one_must_be_chosen():
             tick(_now)
             second.link = first.link
             second.now_s = _now
-            if first.link is not None:  # a router: both from one place
+            if first.link is not None:  # a router: both from one address
                 first.send_bytes(
                     second.pack(m.MAVLink_heartbeat_message(m.MAV_TYPE_QUADROTOR, 3, 0, 5, 3, 3))
                 )

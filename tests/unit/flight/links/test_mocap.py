@@ -1,4 +1,4 @@
-"""Motion capture: what comes in, what goes to the vehicle, and what happens when it stops."""
+"""Motion capture: received datagrams, messages to the vehicle, and its loss."""
 
 from __future__ import annotations
 

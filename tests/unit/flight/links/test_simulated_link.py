@@ -1,4 +1,4 @@
-"""Addresses, the registry, and `sim:` on a clock of the tests."""
+"""Addresses, the registry, and `sim:` on the clock of the test."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from alula.schemas.errors import LinkError, UsageError
 from alula.schemas.vehicle import BodyTable, LimitsTable, Vehicle
 from alula.stages.flight.links import open_link as registry
 from alula.stages.flight.links.addresses import check_address, parse_address
-from alula.stages.flight.links.hover import HoverThrottle, hover_from, throttle_of
+from alula.stages.flight.links.mavlink.hover import HoverThrottle, hover_from, throttle_of
 from alula.stages.flight.links.open_link import link_schemes, open_link
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import (
