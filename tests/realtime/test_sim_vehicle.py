@@ -177,7 +177,7 @@ def test_mavproxy_arms_takes_off_and_lands_it(tmp_path):
         (["--link", "udpin:127.0.0.1:0", "--boot-time", "0"], 2, "--boot-time"),
         (["--link", "udpin:127.0.0.1:0", "--param", "NOPE=1"], 2, "no parameter is called 'NOPE'"),
         (["--link", "udpin:127.0.0.1:0", "--param", "GUID_OPTIONS"], 2, "NAME=VALUE"),
-        (["--link", "udpin:127.0.0.1:0", "--mocap", "tcp:127.0.0.1:9"], 2, "not udp:HOST:PORT"),
+        (["--link", "udpin:127.0.0.1:0", "--mocap", "tcp:127.0.0.1:9"], 2, "must be udp:HOST:PORT"),
         (["--link", "udpin:127.0.0.1:0", "--mocap", "udp:192.0.2.1:9"], 2, "--allow-remote"),
         (["--link", "udpin:127.0.0.1:0", "--fault", "flood"], 2, "fault 'flood'"),
         (["--link", "udpin:127.0.0.1:0", "--vehicle", "none.toml"], 3, "none.toml"),

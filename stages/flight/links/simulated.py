@@ -31,7 +31,7 @@ _SILENCE_S = 0.3  # a set-point expires after this time, as with GUID_TIMEOUT
 _MAX_BEHIND_S = 0.25  # real time that one poll catches up; more is skipped
 _CLIMB_M_S, _SINK_M_S = 1.0, 0.5
 _HEIGHT_GAIN_PER_S, _POSITION_GAIN_PER_S = 1.5, 1.0
-_HARD_M_S = 2.0  # a touch-down at this speed stops the motors
+_HARD_M_S = 2.0  # a faster touch-down stops the motors
 # Standard deviations at noise=1, those of a good estimator indoors.
 _NOISE = {
     "position_noise_m": 0.005,

@@ -66,9 +66,9 @@ def decode(data: bytes) -> Setpoint | None:
         quat = expand_quat_wxyz(values[9])
         w, x, y, z = quat
         thousandths = np.array([*values[:9], *values[10:]]) * 1e-3
-        position, velocity, acceleration_, omega = thousandths.reshape(4, 3)
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        return Setpoint("full-state", position, velocity, acceleration_, quat, omega, yaw)
+        p, v, a, omega = thousandths.reshape(4, 3)
+        return Setpoint("full-state", p, v, a, quat, omega, yaw)
     if kind in (_LEGACY_VELOCITY, _VELOCITY, _POSITION) and len(rest) == _FOUR.size:
         x, y, z, angle = _FOUR.unpack(rest)
         if not all(map(math.isfinite, (x, y, z, angle))):

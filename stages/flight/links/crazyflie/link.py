@@ -194,15 +194,7 @@ class CrazyflieLink:
             session.notice()
 
     def send(self, setpoint: Setpoint, now_s: float) -> None:
-        """Send a set-point.
-
-        Args:
-            setpoint: the set-point, world frame.
-            now_s: monotonic clock [s].
-
-        Raises:
-            LinkError: it is not finite, out of the vehicle's range, or not possible now.
-        """
+        """Send a set-point, see `Link.send`; also raises LinkError if it is not possible now."""
         if not self._is_prepared:
             raise LinkError("a set-point before the vehicle was prepared")
         if type(setpoint) is not self._kind:

@@ -193,15 +193,7 @@ class MavlinkLink:
             self._request_intervals(now_s)
 
     def send(self, setpoint: Setpoint, now_s: float) -> None:
-        """Send a set-point.
-
-        Args:
-            setpoint: the set-point, world frame.
-            now_s: monotonic clock [s].
-
-        Raises:
-            LinkError: it is not finite, far out of range, or not possible now.
-        """
+        """Send a set-point, see `Link.send`; also raises LinkError if it is not possible now."""
         if type(setpoint) not in self.accepts:
             raise LinkError(f"the vehicle takes no {type(setpoint).__name__} in this mode")
         if self._encoder is None:
