@@ -14,7 +14,7 @@ from alula.cli import options
 from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
-    from alula.stages.sim_vehicle.common.endpoint import Flown
+    from alula.stages.sim_vehicle.common.endpoint import Vehicle
 
 _CRTP = "udp://"
 
@@ -34,48 +34,54 @@ _CRTP = "udp://"
     "--link",
     required=True,
     metavar="KIND:HOST:PORT",
-    help="udpout: talk to HOST:PORT, as ArduPilot's simulation does; udpin, tcpin: wait there; "
-    "udp://HOST:PORT: be a Crazyflie there.",
+    help="udpout: send to HOST:PORT, as ArduPilot's simulation does; udpin, tcpin: listen there; "
+    "udp://HOST:PORT: simulate a Crazyflie there.",
 )
 @click.option(
     "--autopilot",
     type=click.Choice(["ardupilot", "px4"]),
     default="ardupilot",
     show_default=True,
-    help="Whose manners it has: ArduPilot Copter's or PX4's.",
+    help="Firmware to simulate.",
 )
-@click.option("--vehicle", "vehicle_path", type=options.PATH, help="Vehicle file; FastBridge's without one.")
+@click.option("--vehicle", "vehicle_path", type=options.PATH, help="Vehicle file; by default FastBridge's.")
 @click.option(
     "--boot-time",
     "boot_time_s",
     type=options.FINITE_FLOAT,
     default=36.0,
     show_default=True,
-    help="From boot until the estimator has settled, with satellites [s].",
+    help="Time from boot until the estimator has settled, with satellites [s].",
 )
-@click.option("--param", "parameters", multiple=True, metavar="NAME=VALUE", help="Parameter at boot.")
+@click.option(
+    "--param",
+    "parameters",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Value of a parameter at boot; may be repeated.",
+)
 @click.option(
     "--fault",
     "faults",
     multiple=True,
     metavar="KIND[:KEY=VALUE,...]",
-    help="What goes wrong; keys: start, duration, probability, amount, way, since.",
+    help="Fault to inject; keys: start, duration, probability, amount, way, since. May be repeated.",
 )
 @click.option(
     "--mocap",
     "mocap_address",
     metavar="udp:HOST:PORT",
-    help="Send the true pose there as motion capture does, for fly --mocap.",
+    help="Send the true pose to this address as motion capture, for fly --mocap.",
 )
 @click.option(
     "--mocap-start",
     type=options.POINT,
     default="0 0 0",
     show_default=True,
-    help="Where it boots, in the frame of motion capture, east north up [m].",
+    help="Initial position in the frame of motion capture, east north up [m].",
 )
 @click.option(
-    "--hand", is_flag=True, help="Be moved by hand, as fly --frame-check hand asks for, and put back."
+    "--hand", is_flag=True, help="Simulate a hand that moves the vehicle, for fly --frame-check hand."
 )
 @click.option(
     "--heading",
@@ -83,19 +89,21 @@ _CRTP = "udp://"
     type=options.FINITE_FLOAT,
     default=0.0,
     show_default=True,
-    help="At the start, clockwise from north [degrees].",
+    help="Initial heading, clockwise from north [degrees].",
 )
 @click.option(
     "--signing-key",
     type=options.PATH,
-    help="File with the key of MAVLink 2 signatures; unsigned packets are then refused.",
+    help="File with the key for MAVLink 2 signatures; unsigned packets are then refused.",
 )
 @click.option(
-    "--console", is_flag=True, help="Be the port that takes unsigned packets even with --signing-key."
+    "--console",
+    is_flag=True,
+    help="Simulate the console port, which accepts unsigned packets even with --signing-key.",
 )
-@click.option("--duration", "duration_s", type=options.FINITE_FLOAT, help="End after that long [s].")
-@click.option("--allow-remote", is_flag=True, help="Allow a link beyond this machine.")
-@click.option("--seed", type=options.Whole(0), default=0, show_default=True, help="Of noise and faults.")
+@click.option("--duration", "duration_s", type=options.FINITE_FLOAT, help="Stop after this time [s].")
+@click.option("--allow-remote", is_flag=True, help="Allow a link to another machine.")
+@click.option("--seed", type=options.Whole(0), default=0, show_default=True, help="Seed of noise and faults.")
 @options.reporting
 def command(
     link: str,
@@ -117,7 +125,7 @@ def command(
     quiet: bool,
     verbose: int,
 ) -> None:
-    """Be a MAVLink vehicle for rehearsals, as ArduPilot Copter or PX4 is one."""
+    """Simulate a MAVLink vehicle that behaves like ArduPilot Copter or PX4."""
     import json as json_module
     import time
 
@@ -128,9 +136,9 @@ def command(
     if duration_s is not None and duration_s <= 0:
         raise UsageError("--duration must be positive")
     if mocap_address is None and any(mocap_start):
-        raise UsageError("--mocap-start is for --mocap")
+        raise UsageError("--mocap-start needs --mocap")
     values = dict(_parameter(text) for text in parameters)
-    vehicle: Flown
+    vehicle: Vehicle
     if link.startswith(_CRTP):
         if faults or signing_key is not None or console or hand or autopilot != "ardupilot":
             raise UsageError(
@@ -151,11 +159,10 @@ def command(
         from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
         from alula.stages.sim_vehicle.common.faults import parse_fault
         from alula.stages.sim_vehicle.common.hand import Hand
-        from alula.stages.sim_vehicle.personalities import PERSONALITIES
-        from alula.stages.sim_vehicle.simulator import SimulatedVehicle
+        from alula.stages.sim_vehicle.simulator import FIRMWARES, SimulatedVehicle
 
-        personality = PERSONALITIES[autopilot]
-        copter = personality.copter(
+        firmware = FIRMWARES[autopilot]
+        copter = firmware.copter(
             FASTBRIDGE if vehicle_path is None else read_vehicle(vehicle_path),
             parameters=values,
             options=EstimatorOptions(boot_time_s=boot_time_s),
@@ -167,7 +174,7 @@ def command(
             copter.name,
             SimulatedVehicle(
                 copter,
-                faults=tuple(parse_fault(text, personality.switch) for text in faults),
+                faults=tuple(parse_fault(text, firmware.switch) for text in faults),
                 seed=seed,
                 channel=0 if console or signing_key is None else 1,
                 key=None if signing_key is None else read_key(signing_key),
@@ -189,7 +196,7 @@ def command(
         sys.stdout.flush()
         lost_s = serve(vehicle, endpoint, mocap=mocap, duration_s=duration_s)
         if lost_s and not quiet:
-            click.echo(f"alula: the machine was too busy for {lost_s:.1f} s of the simulation", err=True)
+            click.echo(f"alula: the machine was too slow; {lost_s:.1f} s were not simulated", err=True)
 
 
 def _crazyflie(
@@ -200,19 +207,19 @@ def _crazyflie(
     poses: bool,
     start: tuple[float, float, float],
     seed: int,
-) -> tuple[str, Flown]:
+) -> tuple[str, Vehicle]:
     from alula.schemas.vehicle import read_vehicle
     from alula.stages.sim_vehicle.crazyflie.vehicle import CrazyflieOptions, SimulatedCrazyflie
 
     if vehicle_path is None:
-        raise UsageError("a simulated Crazyflie needs --vehicle: examples/vehicles/crazyflie21.toml is one")
+        raise UsageError("a simulated Crazyflie needs --vehicle, such as examples/vehicles/crazyflie21.toml")
     vehicle = read_vehicle(vehicle_path)
     has_app = any(name.startswith("alula.") for name in values)
-    found = SimulatedCrazyflie(
+    crazyflie = SimulatedCrazyflie(
         vehicle, CrazyflieOptions(start=start, yaw_rad=yaw_rad, needs_poses=poses, has_app=has_app, seed=seed)
     )
-    found.set_parameters(values)
-    return f"{vehicle.name}, a simulated Crazyflie,", found
+    crazyflie.set_parameters(values)
+    return f"{vehicle.name}, a simulated Crazyflie,", crazyflie
 
 
 def _parameter(text: str) -> tuple[str, float]:

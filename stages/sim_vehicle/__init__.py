@@ -1,1 +1,1 @@
-"""The simulated autopilot: a vehicle that answers MAVLink as ArduPilot Copter was seen to."""
+"""Simulated vehicles: ArduPilot Copter and PX4 over MAVLink, and a Crazyflie over CRTP."""

@@ -1,41 +1,74 @@
-"""The whole simulated vehicle, bytes in and bytes out, on a clock that the caller moves."""
+"""The simulated MAVLink vehicle with either firmware: bytes in and out, on the caller's clock."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 
 from alula.stages.sim_vehicle.ardupilot.copter import Copter
-from alula.stages.sim_vehicle.common.camera import PERIOD_S, Camera
+from alula.stages.sim_vehicle.ardupilot.dialogue import Dialogue
+from alula.stages.sim_vehicle.ardupilot.modes import Mode
+from alula.stages.sim_vehicle.ardupilot.telemetry import Telemetry
+from alula.stages.sim_vehicle.common.airframe import Motion
 from alula.stages.sim_vehicle.common.faults import Fault, Schedule
 from alula.stages.sim_vehicle.common.line import Line
 from alula.stages.sim_vehicle.common.packets import Codec, Message
-from alula.stages.sim_vehicle.personalities import PERSONALITIES
+from alula.stages.sim_vehicle.common.quaternions import Vector
+from alula.stages.sim_vehicle.px4.modes import SWITCH
+from alula.stages.sim_vehicle.px4.protocol import Px4Dialogue, Px4Telemetry
+from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
+from alula.stages.vehicles.frames import LocalFrame
 
-_SIGNING_EPOCH_S = 1420070400  # 2015-01-01, from which signatures count
+_SIGNING_EPOCH_S = 1420070400  # 2015-01-01, the epoch of signature time stamps
+_MOCAP_PERIOD_S = 0.01
+_MOCAP_NOISE_M = 0.0005
+
+
+@dataclass(frozen=True, slots=True)
+class Firmware:
+    """Classes of a firmware; body, estimator and control loops are the same for all.
+
+    Attributes:
+        copter: modes, arming, failsafes and names of parameters.
+        telemetry: messages and their default rates.
+        dialogue: commands, encodings, and accepted set-points.
+        switch: positions of the pilot's mode switch by name, for the fault `mode`.
+    """
+
+    copter: type[Copter]
+    telemetry: type[Telemetry]
+    dialogue: type[Dialogue]
+    switch: dict[str, int]
+
+
+FIRMWARES: dict[str, Firmware] = {
+    "ardupilot": Firmware(Copter, Telemetry, Dialogue, {mode.name: int(mode) for mode in Mode}),
+    "px4": Firmware(Px4Copter, Px4Telemetry, Px4Dialogue, SWITCH),
+}
 
 
 def signing_time(epoch_s: float) -> int:
-    """The time of signatures, in units of 10 us, of a Unix time [s]."""
+    """Signature time stamp of a Unix time [s], in units of 10 us since 2015."""
     return max(0, int((epoch_s - _SIGNING_EPOCH_S) * 1e5))
 
 
 class SimulatedVehicle:
     """A `Copter` on a MAVLink channel, with faults.
 
-    Nothing here knows a socket or a clock: `receive` takes what came, `advance` lives until a time and gives
-    the packets to send. Tests may reach into `copter`, call `inject`, and move the pilot's hands by
-    `copter.pilot`.
+    It uses neither sockets nor the system's clock: `receive` takes bytes, `advance` simulates up to a time
+    and returns the packets to send. Tests may access `copter`, call `inject`, and move the remote control's
+    sticks by `copter.pilot`.
 
     Args:
         copter: the vehicle.
-        faults: that happen by themselves.
-        seed: of which packets they hit.
-        channel: number of the serial port; channel 0 takes unsigned packets even with a key.
+        faults: faults to inject.
+        seed: seed of the faults and of the noise of motion capture.
+        channel: number of the serial port; channel 0 accepts unsigned packets even with a key.
         key: 32 bytes for signatures, or None.
-        epoch_s: Unix time at boot, which SYSTEM_TIME and signatures need; 0 if unknown.
-        camera_start: where it boots, in the frame of motion capture, east north up [m].
+        epoch_s: Unix time at boot for SYSTEM_TIME and signatures [s]; 0 if unknown.
+        camera_start: initial position in the frame of motion capture, east north up [m].
     """
 
     def __init__(
@@ -58,31 +91,38 @@ class SimulatedVehicle:
         )
         self._schedule = Schedule(faults)
         self._line = Line(self.codec, self._schedule, seed)
-        personality = PERSONALITIES[copter.AUTOPILOT]
-        self.telemetry = personality.telemetry(copter, epoch_s)
-        self._dialogue = personality.dialogue(copter, self.telemetry, self.codec, signing_time(epoch_s))
+        firmware = FIRMWARES[copter.AUTOPILOT]
+        self.telemetry = firmware.telemetry(copter, epoch_s)
+        self._dialogue = firmware.dialogue(copter, self.telemetry, self.codec, signing_time(epoch_s))
         self._random = np.random.default_rng([seed, 10])
-        self._begun: dict[int, bool] = {}  # faults of the vehicle that had their turn: whether they act
+        self._begun: dict[int, bool] = {}  # faults of the vehicle that were drawn: whether they act
         self._outbox: list[bytes] = []
         self._camera = Camera(seed, camera_start)
-        self._pictures = 0
+        self._datagrams = 0
 
     @property
     def time_s(self) -> float:
-        """Since boot."""
+        """Time since boot [s]."""
         return self.copter.time_s
 
     def inject(self, fault: Fault) -> None:
-        """Let something go wrong, `start` seconds from now."""
+        """Inject a fault `fault.start` seconds from now."""
         self._schedule.add(replace(fault, start=self.time_s + fault.start, since="boot"))
 
     def receive(self, data: bytes) -> None:
-        """Take in what came; answers leave with the next `advance`."""
+        """Process received bytes; the next `advance` returns the answers."""
         for message in self._line.receive(data, self.time_s):
             self._answer(message)
 
     def advance(self, to_s: float) -> list[bytes]:
-        """Live until a time since boot [s]; the packets to send, each for a datagram of its own."""
+        """Simulate up to a time since boot.
+
+        Args:
+            to_s: the time [s].
+
+        Returns:
+            The packets to send, each in a datagram of its own.
+        """
         while self.time_s < to_s - 1e-9:
             self._fail()
             self.copter.tick()
@@ -99,11 +139,11 @@ class SimulatedVehicle:
         return packets
 
     def mocap(self) -> bytes | None:
-        """A datagram of motion capture, a hundred times a second and while that is not lost; else None."""
-        if self.time_s < self._pictures * PERIOD_S - 1e-9:
+        """Datagram of motion capture, 100 times a second; None between them and during its loss."""
+        if self.time_s < self._datagrams * _MOCAP_PERIOD_S - 1e-9:
             return None
-        self._pictures = int(self.time_s / PERIOD_S + 1e-6) + 1
-        if self.copter.estimator.is_deaf:
+        self._datagrams = int(self.time_s / _MOCAP_PERIOD_S + 1e-6) + 1
+        if self.copter.estimator.is_mocap_lost:
             return None
         return self._camera.datagram(self.time_s, self.copter.airframe.truth)
 
@@ -115,7 +155,7 @@ class SimulatedVehicle:
         self._outbox += self._line.send(message, self.time_s)
 
     def _fail(self) -> None:
-        """Faults of the vehicle itself, of which each is drawn once, when its time comes."""
+        """Apply faults of the vehicle itself; each is drawn once, when it begins."""
         if not self._schedule:
             return
         estimator, copter = self.copter.estimator, self.copter
@@ -133,6 +173,34 @@ class SimulatedVehicle:
                 copter.battery.drain_to(fault.size)
         jump = acting.get("jump")
         estimator.offset = (0.0, 0.0, 0.0) if jump is None else (jump.size, 0.0, 0.0)
-        estimator.is_deaf = "mocap-loss" in acting
-        estimator.is_sick = "estimator" in acting
+        estimator.is_mocap_lost = "mocap-loss" in acting
+        estimator.has_failed = "estimator" in acting
         copter.pilot.is_lost = "radio-loss" in acting
+
+
+class Camera:
+    """Motion capture: the true pose with noise of 0.5 mm, in east-north-up with body forward-left-up.
+
+    Args:
+        seed: seed of the noise.
+        start: initial position of the vehicle in the camera's frame [m].
+    """
+
+    def __init__(self, seed: int, start: Vector = (0.0, 0.0, 0.0)) -> None:
+        x, y, z = start
+        self._frame = LocalFrame(0.0, (-x, -y, -z))
+        self._random = np.random.default_rng([seed, 11])
+
+    def datagram(self, time_s: float, truth: Motion) -> bytes:
+        """Datagram for `alula fly --mocap`: time [s], position [m], attitude (w, x, y, z) as JSON.
+
+        Args:
+            time_s: time since boot [s].
+            truth: true motion of the vehicle.
+        """
+        position = self._frame.position_from_ned(np.array(truth.position))
+        position += _MOCAP_NOISE_M * self._random.standard_normal(3)
+        attitude = self._frame.attitude_from_ned(np.array(truth.attitude))
+        return msgspec.json.encode(
+            {"time_s": time_s, "position_m": position.tolist(), "attitude_wxyz": attitude.tolist()}
+        )

@@ -1,4 +1,4 @@
-"""The link to a Crazyflie against the simulated one, in real time, through cflib as it is published."""
+"""Link to the simulated Crazyflie in real time, through the published cflib."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_rates_arrive_in_radian_and_the_logged_pitch_rate_has_its_sign() -> None
 def test_velocities_fly_by_pid_and_turn_to_the_heading() -> None:
     with served(arms_itself=True) as vehicle:
         link = opened(f"{vehicle.address}?controller=pid")
-        assert link.status.armed is False  # it armed itself, but nobody asked
+        assert link.status.armed is False  # it armed itself, without a command
         link.prepare()
         take_off(link)
         begin = clock()
@@ -141,13 +141,13 @@ def test_when_set_points_end_it_holds_its_place_by_itself() -> None:
         wish = VelocitySetpoint(np.array([0.6, 0.0, 0.0]), 0.0)
         fly_until(link, lambda: clock() - begin > 1.0, make=lambda: wish)
         fly_until(link, lambda: False, 2.5)
-        assert any("holds its place" in text for text in link.status.texts)
+        assert any("holds its position" in text for text in link.status.texts)
         assert vehicle.vehicle.supervisor.stage is Stage.FLYING
         assert np.linalg.norm(link.state.velocity) < 0.05
         assert link.state.position[2] == pytest.approx(0.3, abs=0.1)
         link.order(Order.DISARM, clock())
         assert link.status.refusals.pop()[0] is Order.DISARM
-        link.close()  # in the air: neither does cflib stop the motors, nor is the controller changed
+        link.close()  # in the air: cflib does not stop the motors, and the controller is not changed
         pause(0.5)
         assert vehicle.vehicle.body.position[2] == pytest.approx(0.3, abs=0.1)
         assert any("in the air" in text for text in link.status.texts)
@@ -273,7 +273,7 @@ def test_the_emergency_watchdog_is_kept_fed_and_locks_at_the_end() -> None:
         link.order(Order.LAND, clock())
         assert fly_until(link, lambda: link.status.landed is True)
         link.close()
-        assert any("start it anew" in text for text in link.status.texts)
+        assert any("restart it" in text for text in link.status.texts)
         pause(1.3)
         assert vehicle.vehicle.supervisor.stage is Stage.LOCKED
 
@@ -300,7 +300,7 @@ def test_older_firmware_is_armed_by_its_platform_port_and_the_oldest_refused(
 @pytest.mark.parametrize(("volts", "share"), [(3.55, 0.5), (math.nan, None)])
 def test_a_battery_that_is_not_a_number_is_not_told(volts, share):
     link = open_link("udp://127.0.0.1:19850", LinkOptions())
-    link.status.battery_share = 0.9  # of before
+    link.status.battery_share = 0.9  # an earlier value
     values = {
         "kalman.varX": 0.0,
         "kalman.varY": 0.0,
@@ -308,6 +308,6 @@ def test_a_battery_that_is_not_a_number_is_not_told(volts, share):
         "pm.vbat": volts,
         "supervisor.info": 0,
     }
-    link._told = (10.0, values)
+    link._status_block = (10.0, values)
     link._read_status(10.1)
     assert link.status.battery_share == (share if share is None else pytest.approx(share))

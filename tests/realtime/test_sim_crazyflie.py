@@ -1,4 +1,4 @@
-"""`alula sim-vehicle --link udp://…`: a Crazyflie in a process of its own."""
+"""`alula sim-vehicle --link udp://…`: the simulated Crazyflie in a process of its own."""
 
 import json
 import signal

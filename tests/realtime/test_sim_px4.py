@@ -1,4 +1,4 @@
-"""`alula sim-vehicle --autopilot px4` end to end: with a client of others, and what it refuses."""
+"""`alula sim-vehicle --autopilot px4` end to end with a third-party client, and its refusals."""
 
 import subprocess
 import sys
@@ -71,7 +71,7 @@ def test_mavsdk_flies_px4_by_its_offboard_plugin_and_lands_it():
             [sys.executable, "-P", "-c", MAVSDK, url], capture_output=True, text=True, timeout=90
         )
     assert "landed" in done.stdout, done.stdout + done.stderr
-    assert "early taken" not in done.stdout  # a stream of less than a second is none
+    assert "early taken" not in done.stdout  # a stream shorter than a second does not count
 
 
 @pytest.mark.parametrize("hand", [(), ("--hand",)], ids=["by itself", "by hand"])

@@ -1,4 +1,4 @@
-"""`alula sim-vehicle` end to end: with stock pymavlink, and with clients of others."""
+"""`alula sim-vehicle` end to end with stock pymavlink and third-party clients."""
 
 import importlib.util
 import json
@@ -23,7 +23,7 @@ def mavutil():
 
 
 def hop(client):
-    """Arm, take off to 1.5 m and land with bare pymavlink; the greatest height."""
+    """Arm, take off to 1.5 m and land with bare pymavlink; returns the maximum height."""
 
     def ordered(number, *params):
         values = [*params, *[0] * (7 - len(params))]
@@ -138,7 +138,7 @@ def test_mavproxy_arms_takes_off_and_lands_it(tmp_path):
                 return (tmp_path / "out").read_text()
 
             def say(text, answer):
-                """Until it is answered: what is not allowed yet is refused."""
+                """Repeat a command until it is accepted; before, the vehicle may refuse it."""
                 for _ in range(15):
                     proxy.stdin.write(text + "\n")
                     proxy.stdin.flush()
@@ -177,7 +177,7 @@ def test_mavproxy_arms_takes_off_and_lands_it(tmp_path):
         (["--link", "udpin:127.0.0.1:0", "--boot-time", "0"], 2, "--boot-time"),
         (["--link", "udpin:127.0.0.1:0", "--param", "NOPE=1"], 2, "no parameter is called 'NOPE'"),
         (["--link", "udpin:127.0.0.1:0", "--param", "GUID_OPTIONS"], 2, "NAME=VALUE"),
-        (["--link", "udpin:127.0.0.1:0", "--mocap", "tcp:127.0.0.1:9"], 2, "not udp:HOST:PORT"),
+        (["--link", "udpin:127.0.0.1:0", "--mocap", "tcp:127.0.0.1:9"], 2, "must be udp:HOST:PORT"),
         (["--link", "udpin:127.0.0.1:0", "--mocap", "udp:192.0.2.1:9"], 2, "--allow-remote"),
         (["--link", "udpin:127.0.0.1:0", "--fault", "flood"], 2, "fault 'flood'"),
         (["--link", "udpin:127.0.0.1:0", "--vehicle", "none.toml"], 3, "none.toml"),

@@ -1,1 +1,1 @@
-"""Links to vehicles: what speaks to an autopilot, real or simulated."""
+"""Links to vehicles: the connections to real and simulated autopilots."""

@@ -1,11 +1,11 @@
-"""Addresses of vehicles: `scheme:place?name=value&...`, and which of them stay on this machine.
+"""Vehicle addresses, `scheme:place?name=value&...`, and the check that they stay on this machine.
 
-udpin:127.0.0.1:14550             wait there for a vehicle
-udpout:127.0.0.1:14540            speak to it first
+udpin:127.0.0.1:14550             listen for a vehicle
+udpout:127.0.0.1:14540            send to a vehicle first
 tcp:127.0.0.1:5760
 serial:/dev/ttyACM0:921600
 radio://0/80/2M/E7E7E7E7E7        a Crazyflie
-udp://127.0.0.1:19850             a simulated one
+udp://127.0.0.1:19850             a simulated Crazyflie
 sim:?delay_ms=20
 """
 
@@ -18,22 +18,28 @@ from urllib.parse import parse_qsl
 from alula.schemas.errors import UsageError
 
 NETWORK_SCHEMES = ("udpin", "udpout", "udp", "tcp")
-LOCAL_SCHEMES = ("serial", "sim", "radio", "usb")  # cables, this process, or a radio of its own
+LOCAL_SCHEMES = ("serial", "sim", "radio", "usb")  # no network: cables, this process, a dedicated radio
 
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """An address taken apart; `place` is what stands between the scheme and the options."""
+    """A parsed address.
+
+    Attributes:
+        scheme: the part before the first colon.
+        place: the part between the scheme and the options.
+        options: the values after `?` by name.
+    """
 
     scheme: str
     place: str = ""
     options: dict[str, str] = field(default_factory=dict)
 
     def host_port(self) -> tuple[str, int]:
-        """Of a network address; IPv6 hosts stand in brackets.
+        """Host and port of a network address; an IPv6 host is written in brackets.
 
         Raises:
-            UsageError: it is none.
+            UsageError: the address is not HOST:PORT.
         """
         host, _, port = self.place.removeprefix("//").rpartition(":")
         if not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
@@ -41,10 +47,10 @@ class Address:
         return host.strip("[]"), int(port)
 
     def device_baud(self) -> tuple[str, int]:
-        """Of a serial line.
+        """Device and baud rate of a serial line.
 
         Raises:
-            UsageError: it is none.
+            UsageError: the address is not DEVICE:BAUD.
         """
         device, _, baud = self.place.rpartition(":")
         if not device or not baud.isascii() or not baud.isdigit():
@@ -52,7 +58,14 @@ class Address:
         return device, int(baud)
 
     def only(self, *names: str) -> None:
-        """Refuse options of other names (UsageError)."""
+        """Reject options with other names.
+
+        Args:
+            *names: the option names that the scheme has.
+
+        Raises:
+            UsageError: the address has another option.
+        """
         for name in self.options:
             if name not in names:
                 known = f"known: {', '.join(names)}" if names else "it has none"
@@ -60,19 +73,22 @@ class Address:
 
 
 def parse_address(text: str) -> Address:
-    """Take an address apart.
+    """Parse an address.
+
+    Args:
+        text: the address, as in `scheme:place?name=value&...`.
 
     Raises:
         UsageError: it has no scheme, or its options are not name=value.
     """
     scheme, colon, rest = text.partition(":")
     if not colon or not scheme.isidentifier():
-        raise UsageError(f"{text!r} is no address of a vehicle; for example udpin:127.0.0.1:14550 or sim:")
+        raise UsageError(f"{text!r} is not a vehicle address; examples: udpin:127.0.0.1:14550, sim:")
     place, _, query = rest.partition("?")
     try:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
     except ValueError as error:
-        raise UsageError(f"{text!r}: after ? stand name=value, joined by &") from error
+        raise UsageError(f"{text!r}: expected name=value pairs after ?, joined by &") from error
     options = dict(pairs)
     if len(options) < len(pairs):
         raise UsageError(f"{text!r}: an option is given twice")
@@ -80,7 +96,7 @@ def parse_address(text: str) -> Address:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether packets to and from this host stay on this machine; of names only localhost does."""
+    """Return whether packets to and from a host stay on this machine; the only such name is localhost."""
     if host == "localhost":
         return True
     try:
@@ -90,10 +106,16 @@ def is_loopback(host: str) -> bool:
 
 
 def check_address(text: str, allow_remote: bool) -> None:
-    """Refuse what leaves this machine by a network unless that is allowed; serial and `sim:` always pass.
+    """Reject an address that leaves this machine over a network, unless that is allowed.
+
+    Addresses of `LOCAL_SCHEMES` always pass.
+
+    Args:
+        text: the address.
+        allow_remote: accept remote addresses and schemes that may be remote.
 
     Raises:
-        UsageError: the address is remote, cannot be understood, or nothing is known of its scheme.
+        UsageError: the address is remote, cannot be parsed, or has an unknown scheme.
     """
     address = parse_address(text)
     if allow_remote or address.scheme in LOCAL_SCHEMES:
@@ -102,7 +124,5 @@ def check_address(text: str, allow_remote: bool) -> None:
         host, _ = address.host_port()
         if is_loopback(host):
             return
-        raise UsageError(f"{text}: {host} is not this machine; give --allow-remote if it is meant")
-    raise UsageError(
-        f"{text}: {address.scheme}: may leave this machine; give --allow-remote if that is meant"
-    )
+        raise UsageError(f"{text}: {host} is not this machine; pass --allow-remote to allow it")
+    raise UsageError(f"{text}: {address.scheme}: may leave this machine; pass --allow-remote to allow it")

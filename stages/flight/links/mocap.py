@@ -1,10 +1,11 @@
-"""Motion capture: datagrams with poses come in, vision estimates go out to the vehicle.
+"""Motion capture: poses received as datagrams and forwarded to the vehicle.
 
 A datagram is one JSON object of at most 1 KiB, in the world frame (z up, body x forward, y left, z up):
 
     {"time_s": 12.345, "position_m": [1, 2, 0.5], "attitude_wxyz": [1, 0, 0, 0], "velocity_m_s": [0, 0, 0]}
 
-`time_s` is the sender's clock and grows; `velocity_m_s` may be left out.
+`time_s` is the sender's clock and must increase; `velocity_m_s` is optional. A MAVLink vehicle gets the poses
+as vision estimates (`Mocap`), a Crazyflie as external poses (`PoseFeed`).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import msgspec
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.links.addresses import parse_address
 from alula.stages.flight.links.mavlink.estimate import euler_from_quat
@@ -26,18 +28,19 @@ from alula.stages.flight.links.vehicle_clock import VehicleClock
 from alula.stages.vehicles.frames import LocalFrame
 
 STALE_S = 0.15
-_PATIENCE_S = 2.0  # with a camera whose clock was set back a little
+_PATIENCE_S = 2.0  # after that long a camera clock that was set back a little is accepted
 _PERIOD_S = 0.02
-_MOST_BYTES = 1024
-_MOST_READS = 64
-_SLOPE_S = 0.1  # over which a velocity is fitted
+_POSE_PERIOD_S = 0.01
+_MAX_BYTES = 1024
+_MAX_READS = 64
+_SLOPE_S = 0.1  # velocities are fitted over this time
 _LARGEST_M, _LARGEST_M_S = 1e4, 1e2
 
 Triple = tuple[float, float, float]
 
 
 class MocapSample(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a datagram says."""
+    """The content of a datagram."""
 
     time_s: float
     position_m: Triple
@@ -46,24 +49,28 @@ class MocapSample(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Mocap:
-    """Listens, and forwards VISION_POSITION_ESTIMATE and VISION_SPEED_ESTIMATE at 50 Hz while samples come.
+    """Receiver of motion capture that makes VISION_POSITION_ESTIMATE and VISION_SPEED_ESTIMATE at 50 Hz.
 
-    A sample that is not finite, out of range, no unit attitude, late or a copy is as good as missing.
+    It sends them while samples arrive. It drops a sample that is not finite, out of range, without a unit
+    attitude, late or repeated.
 
     Args:
-        address: `udp:HOST:PORT`.
-        frame: where the world lies in the vehicle's local frame.
+        address: `udp:HOST:PORT` to listen on.
+        frame: the world frame relative to the vehicle's local frame.
 
     Attributes:
-        bad: datagrams that were refused.
+        bad: number of datagrams that were refused.
+
+    Raises:
+        UsageError: the address is not of this form.
     """
 
     def __init__(self, address: str, frame: LocalFrame) -> None:
         parsed = parse_address(address)
         parsed.only()
         if parsed.scheme != "udp":
-            raise UsageError(f"{address}: motion capture comes by udp:HOST:PORT")
-        self._place = parsed.host_port()
+            raise UsageError(f"{address}: motion capture needs an address udp:HOST:PORT")
+        self._host_port = parsed.host_port()
         self._frame = frame
         self._socket: socket.socket | None = None
         self._decoder = msgspec.json.Decoder(MocapSample)
@@ -76,26 +83,33 @@ class Mocap:
         self.bad = 0
 
     def open(self) -> None:
-        """Begin to listen.
+        """Start to listen.
 
         Raises:
-            LinkError: the address is taken or not ours.
+            LinkError: the address is in use or does not belong to this machine.
         """
         try:
-            family, place = find_udp(*self._place)
+            family, local = find_udp(*self._host_port)
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
             self._socket.setblocking(False)
-            self._socket.bind(place)
+            self._socket.bind(local)
         except OSError as error:
             self.close()
-            raise LinkError(f"udp:{self._place[0]}:{self._place[1]}: {error.strerror or error}") from error
+            raise LinkError(
+                f"udp:{self._host_port[0]}:{self._host_port[1]}: {error.strerror or error}"
+            ) from error
 
     def is_fresh(self, now_s: float) -> bool:
-        """Whether the newest sample came less than 0.15 s ago, as by the fastest way so far."""
+        """Return whether the newest sample is at most 0.15 s old, counting from the smallest delay so far."""
         return now_s - self._arrival_s <= STALE_S
 
     def poll(self, now_s: float, start_s: float) -> list[Any]:
-        """Take in what has come; messages that are due, with time since `start_s`."""
+        """Receive datagrams and return the messages that are due.
+
+        Args:
+            now_s: monotonic clock [s].
+            start_s: zero of the time stamps in the messages, same clock [s].
+        """
         self.take_all(now_s)
         if now_s < self._next_s or not self._recent or self._arrival_s <= self._sent_s:
             return []
@@ -105,17 +119,17 @@ class Mocap:
         return self._messages(round((self._arrival_s - start_s) * 1e6)) if self.is_fresh(now_s) else []
 
     def take_all(self, now_s: float) -> None:
-        """The datagrams that have come, at most 64 of them at once."""
+        """Receive the waiting datagrams, at most 64 in one call."""
         assert self._socket is not None
-        for _ in range(_MOST_READS):
+        for _ in range(_MAX_READS):
             try:
-                data = self._socket.recv(_MOST_BYTES + 1)
+                data = self._socket.recv(_MAX_BYTES + 1)
             except OSError:
                 break
             self.take(data, now_s)
 
     def take(self, data: bytes, now_s: float) -> None:
-        """A datagram."""
+        """Process a datagram that arrived at `now_s` [s]."""
         sample = self._checked(data)
         if sample is None:
             self.bad += 1
@@ -137,7 +151,7 @@ class Mocap:
             self._socket = None
 
     def _checked(self, data: bytes) -> MocapSample | None:
-        if len(data) > _MOST_BYTES:
+        if len(data) > _MAX_BYTES:
             return None
         try:
             sample = self._decoder.decode(data)
@@ -170,7 +184,7 @@ class Mocap:
         ]
 
     def _velocity(self, newest: MocapSample) -> Any:
-        """The sample's own, or the slope of a line through the last tenth of a second."""
+        """The velocity in the sample, or the slope of a line fitted to the last tenth of a second."""
         if newest.velocity_m_s is not None:
             return np.array(newest.velocity_m_s)
         near = [each for _, each in self._recent if newest.time_s - each.time_s <= _SLOPE_S]
@@ -181,3 +195,27 @@ class Mocap:
             return np.zeros(3)
         slope = time @ np.array([each.position_m for each in near]) / square
         return np.clip(slope, -_LARGEST_M_S, _LARGEST_M_S)
+
+
+class PoseFeed(Mocap):
+    """Receiver of motion capture that gives poses in the vehicle's frame at up to 100 Hz."""
+
+    def pose(self, now_s: float) -> tuple[FloatArray, FloatArray] | None:
+        """Receive datagrams; position [m] and attitude (w, x, y, z) if a new pose is due, else None."""
+        self.take_all(now_s)
+        is_new = self._arrival_s > self._sent_s
+        # Half a period early counts as due, because the loop's ticks are as long as the period.
+        if not is_new or now_s < self._next_s - _POSE_PERIOD_S / 2 or not self.is_fresh(now_s):
+            return None
+        self._next_s = max(self._next_s + _POSE_PERIOD_S, now_s)
+        self._sent_s = self._arrival_s
+        return self.newest()
+
+    def newest(self) -> tuple[FloatArray, FloatArray] | None:
+        """The newest pose, position [m] and attitude (w, x, y, z), even if it was already sent."""
+        if not self._recent:
+            return None
+        sample = self._recent[-1][1]
+        quat = np.array(sample.attitude_wxyz)
+        position = self._frame.position_to_local(np.array(sample.position_m))
+        return position, self._frame.attitude_to_local(quat / math.sqrt(float(quat @ quat)))

@@ -1,4 +1,4 @@
-"""Links by the scheme of an address: those of this package, then those of others through entry points."""
+"""Registry of links by address scheme: the built-in ones and those of other packages' entry points."""
 
 from __future__ import annotations
 
@@ -25,27 +25,31 @@ _BUILT_IN = {
 
 
 def link_schemes() -> list[str]:
-    """All schemes of addresses; the built-in ones first."""
+    """All address schemes, the built-in ones first."""
     others = {point.name for point in entry_points(group=ENTRY_POINTS)} - _BUILT_IN.keys()
     return [*_BUILT_IN, *sorted(others)]
 
 
 def open_link(address: str, options: LinkOptions | None = None) -> Link:
-    """Make the link for an address; nothing is sent or listened to before its `open`.
+    """Make the link for an address; it neither sends nor listens before its `open`.
 
-    The entry point of another package in the group `alula.links`, named like the scheme, names a callable
-    (Address, LinkOptions) -> Link, imported only now.
+    Another package provides a link by an entry point in the group `alula.links`. The entry point has the name
+    of the scheme and refers to a callable (Address, LinkOptions) -> Link. It is imported only here.
+
+    Args:
+        address: the vehicle address, see `addresses`.
+        options: options of the link; None for the defaults.
 
     Raises:
         UsageError: the address is wrong, or remote without `allow_remote`; no link has its scheme; or the
             package that provides it cannot be imported.
-        LinkError: what the link needs is missing.
+        LinkError: something that the link needs is missing.
     """
     options = LinkOptions() if options is None else options
     parsed = parse_address(address)
     factory = _factory(parsed.scheme)
     if options.mocap is not None and not options.mocap.startswith("udp:"):
-        raise UsageError(f"{options.mocap}: motion capture comes by udp:HOST:PORT")
+        raise UsageError(f"{options.mocap}: motion capture needs an address udp:HOST:PORT")
     for each in (address, options.mocap):
         if each is not None:
             check_address(each, options.allow_remote)

@@ -1,4 +1,4 @@
-"""What a caller tells every link beside its address."""
+"""Options of a link besides its address."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from alula.stages.vehicles.frames import LocalFrame
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What set-points are clipped to, per axis, and how fast they may change; twice a limit is refused.
+    """Limits of set-points and of their rate of change, per axis.
 
-    A number so far out is a mistake of units or signs, not a large command.
+    A set-point beyond a limit is clipped. One beyond twice a limit is refused, because it is more likely an
+    error of units or signs than a large command. Throttles are fractions of full throttle.
     """
 
     rates_rad_s: tuple[float, float, float] = (10.0, 10.0, 4.0)
@@ -30,20 +31,22 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkOptions:
-    """All that a link may need; each link takes what it has a use for.
+    """Options of all links; each link reads those that apply to it.
 
     Attributes:
-        frame: where the world lies in the vehicle's local frame.
-        vehicle: its file: the body of `sim:`, gravity, and the limits of rates.
-        state_rate_hz: how often state is asked for.
-        limits: of set-points; None takes the rates from the vehicle and the defaults for the rest.
-        learns_hover: whether the throttle at hover is followed in flight, not only read beforehand.
-        key: 32 bytes that packets are signed with; unsigned ones are then refused.
-        signing_file: where the newest time stamp of signatures is kept from run to run; needed with a key.
-        mocap: `udp:HOST:PORT` where motion capture is listened to, and forwarded to the vehicle.
-        origin: latitude, longitude [deg] and height [m] that a vehicle without satellites is told to be at.
-        allow_remote: whether other machines may be spoken to.
-        clock: monotonic [s]; wall_clock: since 1970 [s]; sleep: waits for seconds.
+        frame: the world frame relative to the vehicle's local frame.
+        vehicle: the vehicle file; gives the body of `sim:`, gravity, and the limits of body rates.
+        state_rate_hz: rate at which state messages are requested [Hz].
+        limits: limits of set-points; None for the vehicle's body rates and otherwise the defaults.
+        learns_hover: estimate the hover throttle in flight instead of only reading it beforehand.
+        key: 32 bytes that sign packets; unsigned packets are then refused.
+        signing_file: file that stores the newest signature time stamp between runs; required with a key.
+        mocap: `udp:HOST:PORT` to receive motion capture on, which is forwarded to the vehicle.
+        origin: latitude, longitude [deg] and height [m] sent as the origin to a vehicle without satellites.
+        allow_remote: allow addresses of other machines.
+        clock: monotonic clock [s].
+        wall_clock: time since 1970 [s].
+        sleep: function that waits for a time [s].
     """
 
     frame: LocalFrame = field(default_factory=LocalFrame)
@@ -61,5 +64,5 @@ class LinkOptions:
     sleep: Callable[[float], None] = time.sleep
 
     def all_limits(self) -> Limits:
-        """Those given, or those of the vehicle."""
+        """`limits`, or by default those of the vehicle."""
         return self.limits or Limits(rates_rad_s=self.vehicle.rates.max_rad_s)

@@ -1,4 +1,7 @@
-"""What every link to a vehicle takes and gives; world frame z up, body frame x forward, y left, z up."""
+"""Interface of all links: states, set-points, commands and status.
+
+World frame z up; body frame x forward, y left, z up.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,18 @@ from enum import Enum
 from typing import Protocol
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.errors import LinkError
 
-HIGHEST_M = 100.0  # of a take-off
-UNANSWERED, UNDONE = "no answer", "not done"  # how reasons begin of orders that nobody declined
+HIGHEST_M = 100.0  # maximum take-off height
+UNANSWERED, UNDONE = "no answer", "not done"  # first words of the reason if no refusal was received
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleState:
-    """Where the vehicle says it is.
+    """Estimated state that the vehicle reports.
 
     Attributes:
-        received_s: when the newest part of it arrived, on this host's monotonic clock [s].
+        received_s: arrival time of its newest part, on this host's monotonic clock [s].
         position: shape (3,), world frame [m].
         velocity: shape (3,), world frame [m/s].
         attitude_wxyz: unit quaternion that turns body vectors into the world frame, shape (4,).
@@ -41,7 +45,10 @@ class RatesSetpoint:
 
 @dataclass(frozen=True, slots=True)
 class AccelerationSetpoint:
-    """Acceleration of the translation, and the position and velocity it is given at; each (3,), world."""
+    """Translational acceleration [m/s^2] with its reference velocity [m/s] and position [m] and the yaw.
+
+    The three vectors have shape (3,) and are in the world frame.
+    """
 
     acceleration: FloatArray
     velocity: FloatArray
@@ -51,7 +58,7 @@ class AccelerationSetpoint:
 
 @dataclass(frozen=True, slots=True)
 class VelocitySetpoint:
-    """Velocity, shape (3,), world frame [m/s]."""
+    """Velocity, shape (3,), world frame [m/s], and yaw."""
 
     velocity: FloatArray
     yaw_rad: float
@@ -61,9 +68,9 @@ Setpoint = RatesSetpoint | AccelerationSetpoint | VelocitySetpoint
 
 
 class Order(Enum):
-    """What a vehicle can be told beside set-points; the answer is seen in `VehicleStatus`.
+    """A command to the vehicle other than a set-point; its outcome shows in `VehicleStatus`.
 
-    All but LAND are carried out in a mode that follows set-points; that of landing has "land" in its name.
+    All but LAND are executed in a mode that follows set-points. The name of the landing mode contains "land".
     """
 
     TAKE_CONTROL = "take control"
@@ -73,25 +80,28 @@ class Order(Enum):
     HOLD = "hold"
     LAND = "land"
     NOTHING = "nothing"
-    """Nothing is told: what is still being repeated is dropped."""
+    """Sends nothing; cancels the command that is still being repeated."""
 
 
 @dataclass(slots=True)
 class VehicleStatus:
-    """What else a vehicle says; None is unknown.
+    """Reported status of a vehicle besides its state; None means unknown.
 
     Attributes:
-        heard_s: when anything valid arrived last, monotonic clock [s].
-        armed, landed: as the vehicle says.
-        obeys: whether its mode follows our set-points.
-        mode: the mode's own name.
-        battery_share: of 1; battery_v: [V].
-        is_estimator_ready: whether its own estimate of position and attitude may be flown on.
-        is_failsafe: whether it is in one of its own failsafes.
-        texts: what it says to people, oldest first; the reader takes them out.
-        refusals: orders that it declined, with its reason, or did not do; the reader takes them out.
-        bad_packets, lost_packets: counted.
-        clock_jumps: how often the vehicle's own clock jumped; it started anew, and knows nothing of before.
+        heard_s: when the last valid packet arrived, monotonic clock [s].
+        armed: whether the vehicle reports that it is armed.
+        landed: whether the vehicle reports that it is on the ground.
+        obeys: whether its mode follows this program's set-points.
+        mode: name of the mode.
+        battery_share: remaining charge, a fraction from 0 to 1.
+        battery_v: voltage [V].
+        is_estimator_ready: whether its own estimate of position and attitude is good enough to fly.
+        is_failsafe: whether one of its own failsafes acts.
+        texts: its messages for people, oldest first; the reader removes them.
+        refusals: commands that it refused or did not execute, with the reason; the reader removes them.
+        bad_packets: number of packets that were refused.
+        lost_packets: number of packets that are missing.
+        clock_jumps: how often the vehicle's clock jumped: it restarted and lost its earlier settings.
     """
 
     heard_s: float | None = None
@@ -111,15 +121,36 @@ class VehicleStatus:
 
 
 def refusal_words(order: Order, reason: str) -> str:
-    """A line for people; silence declines nothing."""
+    """One line for the user about a failed command; a missing answer is not called a refusal.
+
+    Args:
+        order: the command that failed.
+        reason: the reason, as in `VehicleStatus.refusals`.
+    """
     is_undone = reason.startswith((UNANSWERED, UNDONE))
-    return f"{'order to' if is_undone else 'vehicle declines to'} {order.value}: {reason}"
+    return f"{'command to' if is_undone else 'vehicle refuses to'} {order.value}: {reason}"
+
+
+def check_height(height_m: float) -> None:
+    """Reject a take-off height that is not above 0 and at most `HIGHEST_M`.
+
+    Args:
+        height_m: take-off height [m].
+
+    Raises:
+        LinkError: the height is out of this range.
+    """
+    if not 0 < height_m <= HIGHEST_M:
+        raise LinkError(
+            f"take-off to {height_m:g} m is refused: heights are above 0 and up to {HIGHEST_M:g} m"
+        )
 
 
 class Link(Protocol):
-    """A vehicle. Only `open` and `prepare` may wait; all else returns at once and is called from one thread.
+    """A connection to one vehicle.
 
-    Raises of all methods: LinkError, with one line for a person.
+    Only `open` and `prepare` may block. All other methods return at once; one thread calls them. Every method
+    may raise LinkError with a message of one line.
     """
 
     @property
@@ -129,34 +160,48 @@ class Link(Protocol):
 
     @property
     def state(self) -> VehicleState | None:
-        """The newest complete and finite one; None before the first."""
+        """The newest complete and finite state; None before the first."""
         ...
 
     @property
     def status(self) -> VehicleStatus:
-        """The same object always, brought up to date by `poll`."""
+        """The status, always the same object; `poll` updates it."""
         ...
 
     def open(self, timeout_s: float) -> str:
-        """Find the vehicle; returns what it is, in words."""
+        """Connect to the vehicle within `timeout_s` [s]; returns a description of it."""
         ...
 
     def prepare(self) -> list[str]:
-        """Read, set and remember the parameters that flights need; a line for each that was changed."""
+        """Set the parameters that flights need and remember their old values; a line for each change."""
         ...
 
     def poll(self, now_s: float) -> None:
-        """Take in all that has arrived, and send what is due by itself (heartbeats, repeated orders)."""
+        """Receive all that has arrived, and send periodic messages (heartbeats, repeated commands)."""
         ...
 
     def send(self, setpoint: Setpoint, now_s: float) -> None:
-        """Send a set-point; refuses (LinkError) what is not finite or out of the vehicle's range."""
+        """Send a set-point.
+
+        Args:
+            setpoint: the set-point, world frame.
+            now_s: monotonic clock [s].
+
+        Raises:
+            LinkError: it is not finite or out of the vehicle's range.
+        """
         ...
 
     def order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:
-        """Tell it something; repeated by `poll` until answered or until another order replaces it."""
+        """Send a command; `poll` repeats it until it is answered or replaced by another command.
+
+        Args:
+            order: the command.
+            now_s: monotonic clock [s].
+            height_m: take-off height [m].
+        """
         ...
 
     def close(self) -> None:
-        """Put changed parameters back, as far as it still answers, and let go; never raises."""
+        """Restore changed parameters as far as the vehicle still answers, and disconnect; never raises."""
         ...

@@ -1,4 +1,4 @@
-"""`sim:` our own vehicle in real time, in this process: for rehearsals and tests without an autopilot.
+"""`sim:`, a link to a vehicle simulated in this process in real time, for rehearsals and tests.
 
 sim:?vehicle=racer.toml&start=0,0,0&yaw=0&delay_ms=20&noise=1&battery_s=600&seed=0
 """
@@ -15,7 +15,6 @@ import numpy as np
 from alula.schemas.errors import LinkError, UsageError
 from alula.schemas.vehicle import DisturbanceTable, Vehicle, check_vehicle, read_vehicle
 from alula.stages.flight.links.addresses import Address
-from alula.stages.flight.links.mavlink.orders import check_height
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import (
     Order,
@@ -24,15 +23,16 @@ from alula.stages.flight.links.protocol import (
     VehicleState,
     VehicleStatus,
     VelocitySetpoint,
+    check_height,
 )
 from alula.stages.flight.links.simulated_body import STEP_S, Body
 
-_SILENCE_S = 0.3  # after which a set-point no longer counts, as GUID_TIMEOUT has it
-_MOST_BEHIND_S = 0.25  # of real time that one poll catches up; more is left out
+_SILENCE_S = 0.3  # a set-point expires after this time, as with GUID_TIMEOUT
+_MAX_BEHIND_S = 0.25  # real time that one poll catches up; more is skipped
 _CLIMB_M_S, _SINK_M_S = 1.0, 0.5
-_HEIGHT_GAIN_PER_S, _PLACE_GAIN_PER_S = 1.5, 1.0
-_HARD_M_S = 2.0  # of a touch-down
-# Standard deviations at noise=1: what a good estimator indoors has.
+_HEIGHT_GAIN_PER_S, _POSITION_GAIN_PER_S = 1.5, 1.0
+_HARD_M_S = 2.0  # a faster touch-down stops the motors
+# Standard deviations at noise=1, those of a good estimator indoors.
 _NOISE = {
     "position_noise_m": 0.005,
     "velocity_noise_m_s": 0.02,
@@ -43,26 +43,30 @@ _OPTIONS = ("vehicle", "start", "yaw", "delay_ms", "noise", "battery_s", "seed")
 
 
 def make_link(address: Address, options: LinkOptions) -> SimulatedLink:
-    """The link for an address.
+    """Make the link for an address `sim:?name=value&...`.
+
+    Args:
+        address: the parsed address.
+        options: options of the link; `mocap` must be None.
 
     Raises:
-        UsageError: an option is unknown or means nothing.
-        InputError: the vehicle's file cannot be read.
+        UsageError: an option is unknown or has an invalid value.
+        InputError: the vehicle file cannot be read.
     """
     address.only(*_OPTIONS)
     if address.place:
-        raise UsageError(f"sim:{address.place}: options follow after sim:?")
+        raise UsageError(f"sim:{address.place}: write the options after sim:?")
     if options.mocap is not None:
-        raise UsageError("sim: knows where it is and takes no motion capture")
+        raise UsageError("sim: does not use motion capture; leave it out")
     given = address.options
     vehicle = read_vehicle(Path(given["vehicle"])) if "vehicle" in given else options.vehicle
     table = msgspec.structs.asdict(vehicle.disturbance)
     if "delay_ms" in given:
         table["delay_s"] = _number(given, "delay_ms", 0.0, 1000.0) * 1e-3
     if "noise" in given:
-        share = _number(given, "noise", 0.0, 100.0)
+        scale = _number(given, "noise", 0.0, 100.0)
         kinds = _NOISE if vehicle.model == "quadrotor" else dict(list(_NOISE.items())[:2])
-        table |= {name: share * value for name, value in kinds.items()}
+        table |= {name: scale * value for name, value in kinds.items()}
     if "delay_ms" in given or "noise" in given:
         vehicle = msgspec.structs.replace(vehicle, disturbance=DisturbanceTable(**table))
     check_vehicle(vehicle)
@@ -76,11 +80,18 @@ def make_link(address: Address, options: LinkOptions) -> SimulatedLink:
 
 
 class SimulatedLink:
-    """A `Link` to a vehicle that lives in `poll`, which flies it until now.
+    """A `Link` to a vehicle that `poll` simulates up to the present time.
 
-    It arms, takes off, holds and lands by itself, obeys set-points while `GUIDED`, holds its place 0.3 s
-    after the last one, and stops its motors where it lands. There is no noise in what it does by itself:
-    these modes use the true state.
+    The vehicle arms, takes off, holds and lands by itself. It follows set-points while its mode is `GUIDED`,
+    holds its position 0.3 s after the last one, and stops its motors after landing. Its own modes use the
+    true state, without noise.
+
+    Args:
+        vehicle: the vehicle file.
+        body: the body that flies.
+        options: options of the link.
+        yaw_rad: initial heading, world frame [rad].
+        battery_s: time until the battery is empty [s].
     """
 
     def __init__(
@@ -92,10 +103,10 @@ class SimulatedLink:
             armed=False, landed=True, mode="STANDBY", battery_share=1.0, is_estimator_ready=False
         )
         self._state: VehicleState | None = None
-        self._flown_s: float | None = None  # how far the vehicle's life has come
+        self._flown_s: float | None = None  # simulated up to this time
         self._begin_s = 0.0
         self._setpoint: tuple[float, Setpoint] | None = None
-        self._place = body.position  # where it holds, or climbs to
+        self._goal = body.position  # position that it holds or climbs to
         self._yaw = yaw_rad
 
     @property
@@ -105,36 +116,36 @@ class SimulatedLink:
 
     @property
     def state(self) -> VehicleState | None:
-        """The newest one."""
+        """The newest state; None before `open`."""
         return self._state
 
     @property
     def status(self) -> VehicleStatus:
-        """The same object always, brought up to date by `poll`."""
+        """The status, always the same object; `poll` updates it."""
         return self._status
 
     def open(self, timeout_s: float) -> str:
-        """Begin to live; returns what it is, in words."""
+        """Start the simulation; returns a description of the vehicle."""
         self._flown_s = self._begin_s = self._options.clock()
         self._status.is_estimator_ready = True
         self.poll(self._flown_s)
         return f"simulated {self.vehicle.name}, a {self.vehicle.model}"
 
     def prepare(self) -> list[str]:
-        """There is nothing to change."""
+        """Return no lines: this link changes no parameters."""
         return []
 
     def poll(self, now_s: float) -> None:
-        """Fly until now."""
+        """Simulate up to `now_s` and update state and status."""
         if self._flown_s is None:
             raise LinkError("sim: was not opened")
         behind = now_s - self._flown_s
-        if behind > _MOST_BEHIND_S:
-            self._status.texts.append(f"simulation left out {behind - _MOST_BEHIND_S:.2f} s")
-            self._flown_s = now_s - _MOST_BEHIND_S
+        if behind > _MAX_BEHIND_S:
+            self._status.texts.append(f"simulation skipped {behind - _MAX_BEHIND_S:.2f} s")
+            self._flown_s = now_s - _MAX_BEHIND_S
         while self._flown_s + STEP_S <= now_s + 1e-9:
             self._flown_s += STEP_S
-            self._live(self._flown_s)
+            self._step(self._flown_s)
         status = self._status
         status.heard_s = now_s
         status.landed = self.body.is_resting
@@ -144,7 +155,15 @@ class SimulatedLink:
             self._state = VehicleState(self._flown_s, *measured)
 
     def send(self, setpoint: Setpoint, now_s: float) -> None:
-        """Send a set-point; refuses (LinkError) what is not finite."""
+        """Follow a set-point from now on.
+
+        Args:
+            setpoint: the set-point, world frame.
+            now_s: monotonic clock [s].
+
+        Raises:
+            LinkError: the vehicle's model does not take its kind, or a field is not finite.
+        """
         if type(setpoint) not in self.accepts:
             raise LinkError(f"a {self.vehicle.model} takes no {type(setpoint).__name__}")
         for field in dataclasses.fields(setpoint):
@@ -154,10 +173,15 @@ class SimulatedLink:
         self._setpoint = now_s, setpoint
 
     def order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:
-        """Tell it something; done or refused at once.
+        """Execute or refuse a command at once.
+
+        Args:
+            order: the command.
+            now_s: monotonic clock [s].
+            height_m: take-off height above the present position [m].
 
         Raises:
-            LinkError: the height of a take-off makes no sense.
+            LinkError: the height of a take-off is out of range.
         """
         status = self._status
         if order is Order.NOTHING:
@@ -172,14 +196,14 @@ class SimulatedLink:
             self._do(order, height_m)
 
     def close(self) -> None:
-        """End its life."""
+        """End the simulation."""
         self._flown_s = None
         self._status.heard_s = None
 
     def _do(self, order: Order, height_m: float) -> None:
         status = self._status
         self._setpoint = None
-        self._place = self.body.position
+        self._goal = self.body.position
         if order is Order.DISARM:
             status.armed = False
         elif order is Order.LAND:
@@ -188,22 +212,22 @@ class SimulatedLink:
             status.mode, status.obeys = "GUIDED", True
             status.armed = status.armed or order is Order.ARM
             if order is Order.TAKE_OFF:
-                self._place[2] += height_m
+                self._goal[2] += height_m
 
-    def _live(self, now_s: float) -> None:
+    def _step(self, now_s: float) -> None:
         status, was_resting = self._status, self.body.is_resting
-        if not status.armed:  # which it is only at rest
+        if not status.armed:  # it is disarmed only at rest
             return
-        self.body.step(self._wish(now_s))
+        self.body.step(self._flown_setpoint(now_s))
         if self.body.is_resting and not was_resting:
             if self.body.impact_m_s > _HARD_M_S:
                 status.texts.append(f"hit the floor at {self.body.impact_m_s:.1f} m/s")
             if status.mode == "LAND" or self.body.impact_m_s > _HARD_M_S:
                 status.armed = False
-            self._place = self.body.position
+            self._goal = self.body.position
 
-    def _wish(self, now_s: float) -> Setpoint:
-        """The set-point that is flown: what was sent, or what the mode makes."""
+    def _flown_setpoint(self, now_s: float) -> Setpoint:
+        """The set-point that is flown: the one that was sent, or the one that the mode computes."""
         if self._setpoint is not None:
             sent_s, setpoint = self._setpoint
             if not isinstance(setpoint, RatesSetpoint):
@@ -211,19 +235,19 @@ class SimulatedLink:
             if now_s - sent_s <= _SILENCE_S and self._status.obeys:
                 return setpoint
             self._setpoint = None
-            self._place = self.body.position
-        away = self._place - self.body.position
-        velocity = np.clip(_PLACE_GAIN_PER_S * away, -_CLIMB_M_S, _CLIMB_M_S)
-        velocity[2] = min(max(_HEIGHT_GAIN_PER_S * away[2], -_CLIMB_M_S), _CLIMB_M_S)
+            self._goal = self.body.position
+        error = self._goal - self.body.position
+        velocity = np.clip(_POSITION_GAIN_PER_S * error, -_CLIMB_M_S, _CLIMB_M_S)
+        velocity[2] = min(max(_HEIGHT_GAIN_PER_S * error[2], -_CLIMB_M_S), _CLIMB_M_S)
         if self._status.mode == "LAND":
             velocity[2] = -_SINK_M_S
         return VelocitySetpoint(velocity, self._yaw)
 
 
-def _number(given: dict[str, str], name: str, least: float, most: float) -> float:
+def _number(given: dict[str, str], name: str, minimum: float, maximum: float) -> float:
     (value,) = _numbers(given[name], name, 1)
-    if not least <= value <= most:
-        raise UsageError(f"sim: {name}={given[name]}: between {least:g} and {most:g}")
+    if not minimum <= value <= maximum:
+        raise UsageError(f"sim: {name}={given[name]}: must be between {minimum:g} and {maximum:g}")
     return value
 
 

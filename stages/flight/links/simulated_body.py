@@ -1,4 +1,4 @@
-"""What flies behind `sim:`: a rigid body with a rate loop, or a point, on a flat floor."""
+"""The body simulated by `sim:`: a rigid body with a rate loop, or a point, above a flat floor."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from alula.stages.flight.links.protocol import (
 from alula.stages.vehicles.bodies import plant, quadrotor, tracking_gains
 
 STEP_S = 0.0025
-_VELOCITY_GAIN_PER_S = 4.0  # of a velocity set-point, to an acceleration
-_MOST_M_S2 = 20.0
+_VELOCITY_GAIN_PER_S = 4.0  # from a velocity error to an acceleration
+_MAX_M_S2 = 20.0
 
 
 class Measured(NamedTuple):
-    """What the vehicle's own estimate says: position, velocity, attitude (w, x, y, z), body rates."""
+    """The vehicle's own estimate: position, velocity, attitude (w, x, y, z), body rates."""
 
     position: FloatArray
     velocity: FloatArray
@@ -33,15 +33,22 @@ class Measured(NamedTuple):
 
 
 class Body:
-    """A vehicle of a file, resting or flying; `step` is 2.5 ms of a set-point held.
+    """The body of a vehicle file, resting or flying; `step` holds a set-point for 2.5 ms.
 
-    A quadrotor flies rates by tau = omega x J omega + J (omega_set - omega) / tau_rate, as the vehicle file
-    has it, within the limits of its rotors; accelerations and velocities through the geometric
-    controller. Points fly accelerations and velocities, or velocities alone.
+    A quadrotor follows rates by tau = omega x J omega + J (omega_set - omega) / tau_rate, with the values of
+    the vehicle file and within the limits of its rotors; it follows accelerations and velocities through the
+    geometric controller. A double integrator follows accelerations and velocities, a single integrator only
+    velocities.
+
+    Args:
+        vehicle: the vehicle file.
+        start: initial position, shape (3,), world frame [m]; its height is that of the floor.
+        yaw_rad: initial heading [rad].
+        seed: seed of the vehicle's noise.
 
     Attributes:
-        is_resting: on the floor.
-        impact_m_s: speed of the last touch-down.
+        is_resting: whether it is on the floor.
+        impact_m_s: speed of the last touch-down [m/s].
     """
 
     def __init__(self, vehicle: Vehicle, start: FloatArray, yaw_rad: float, seed: int) -> None:
@@ -63,7 +70,7 @@ class Body:
 
     @property
     def accepts(self) -> frozenset[type[Setpoint]]:
-        """What it can be told."""
+        """Kinds of set-points that the model can follow."""
         if self._has_rotors:
             return frozenset({RatesSetpoint, AccelerationSetpoint, VelocitySetpoint})
         point: frozenset[type[Setpoint]] = frozenset({VelocitySetpoint})
@@ -71,16 +78,16 @@ class Body:
 
     @property
     def position(self) -> FloatArray:
-        """The true one."""
+        """True position, shape (3,), world frame [m]."""
         return self._x[:3].copy()
 
     @property
     def velocity(self) -> FloatArray:
-        """The true one."""
+        """True velocity, shape (3,), world frame [m/s]."""
         return self._x[6:9].copy()
 
     def measured(self) -> Measured:
-        """With the file's noise and delay, except at rest."""
+        """State with the noise and delay of the vehicle file; the true state at rest."""
         x = self._x if self._plant is None or self.is_resting else np.asarray(self._plant.measured)
         if self._has_rotors:
             return Measured(x[:3].copy(), x[6:9].copy(), _quat_wxyz(x[3:6]), x[9:12].copy())
@@ -89,7 +96,7 @@ class Body:
         return Measured(x[:3].copy(), x[6:9].copy(), attitude, np.zeros(3))
 
     def step(self, setpoint: Setpoint) -> None:
-        """Fly a set-point for `STEP_S`; a vehicle at rest rises only when it pushes up."""
+        """Follow a set-point for `STEP_S`; a vehicle at rest leaves the floor only with enough thrust."""
         if self._has_rotors:
             self._step_quadrotor(setpoint)
         else:
@@ -100,9 +107,9 @@ class Body:
     def _touch_down(self) -> None:
         self.impact_m_s = float(np.linalg.norm(self._x[6:9]))
         yaw = _yaw_of(_quat_wxyz(self._x[3:6]))
-        place = [self._x[0], self._x[1], self.floor_m]
+        position = [self._x[0], self._x[1], self.floor_m]
         self._x[:] = 0.0
-        self._x[:3], self._x[5] = place, math.tan(yaw / 4)
+        self._x[:3], self._x[5] = position, math.tan(yaw / 4)
         self.is_resting = True
         if self._plant is not None:
             self._plant.reset(self._x)
@@ -120,18 +127,18 @@ class Body:
     def _wrench(self, setpoint: Setpoint) -> FloatArray:
         x = self._x[None]
         if isinstance(setpoint, RatesSetpoint):
-            most = np.array(self._vehicle.rates.max_rad_s)
-            rates, omega = np.clip(setpoint.omega, -most, most), self._x[9:12]
-            spin = np.cross(omega, self._inertia * omega)
-            torque = spin + self._inertia * (rates - omega) / self._vehicle.rates.time_constant_s
-            asked = np.array([[self._quadrotor.mass * setpoint.thrust_m_s2, *torque]])
+            max_rates = np.array(self._vehicle.rates.max_rad_s)
+            rates, omega = np.clip(setpoint.omega, -max_rates, max_rates), self._x[9:12]
+            gyroscopic = np.cross(omega, self._inertia * omega)
+            torque = gyroscopic + self._inertia * (rates - omega) / self._vehicle.rates.time_constant_s
+            wrench = np.array([[self._quadrotor.mass * setpoint.thrust_m_s2, *torque]])
         else:
             reference = np.zeros((1, 18))
-            wanted = self._acceleration(setpoint)[None]
-            reference[0, :3], reference[0, 3:6], reference[0, 6:9] = self._x[:3], self._x[6:9], wanted
+            command = self._acceleration(setpoint)[None]
+            reference[0, :3], reference[0, 3:6], reference[0, 6:9] = self._x[:3], self._x[6:9], command
             reference[0, 15] = setpoint.yaw_rad
-            asked = _core.realise(self._quadrotor, self._gains, x, reference, wanted)
-        return np.ascontiguousarray(self._quadrotor.limited(np.ascontiguousarray(asked))[0])
+            wrench = _core.realise(self._quadrotor, self._gains, x, reference, command)
+        return np.ascontiguousarray(self._quadrotor.limited(np.ascontiguousarray(wrench))[0])
 
     def _step_point(self, setpoint: Setpoint) -> None:
         assert not isinstance(setpoint, RatesSetpoint)
@@ -151,14 +158,14 @@ class Body:
 
     def _acceleration(self, setpoint: AccelerationSetpoint | VelocitySetpoint) -> FloatArray:
         if isinstance(setpoint, AccelerationSetpoint):
-            wanted = np.asarray(setpoint.acceleration, np.float64)
+            command = np.asarray(setpoint.acceleration, np.float64)
         else:
-            wanted = _VELOCITY_GAIN_PER_S * (np.asarray(setpoint.velocity) - self._x[6:9])
-        return np.clip(wanted, -_MOST_M_S2, _MOST_M_S2)
+            command = _VELOCITY_GAIN_PER_S * (np.asarray(setpoint.velocity) - self._x[6:9])
+        return np.clip(command, -_MAX_M_S2, _MAX_M_S2)
 
 
 def _quat_wxyz(sigma: FloatArray) -> FloatArray:
-    """Of modified Rodrigues parameters."""
+    """Quaternion of modified Rodrigues parameters, with w >= 0."""
     square = float(sigma @ sigma)
     quat = np.array([1 - square, *(2 * sigma)]) / (1 + square)
     return quat if quat[0] >= 0 else -quat

@@ -1,27 +1,27 @@
-"""A vehicle's clock against ours: which of its packets are late, old, or from before it started anew."""
+"""Offset between the vehicle's clock and the local clock; detects late, old and pre-reboot packets."""
 
 from __future__ import annotations
 
 import math
 
-_DRIFT = 2e-4  # that two clocks may have against each other
-_EARLY_S = 0.05  # no packet is this much faster than the fastest before, unless a clock was set
-_BACK_S = 0.5  # further back than packets overtake each other
-_AHEAD_S = 5.0  # a queue on the way that empties looks like a clock set ahead, but by less
-_WITNESSES = 3  # packets in a row that must agree that a clock was set
+_DRIFT = 2e-4  # maximum relative drift of the two clocks
+_EARLY_S = 0.05  # a packet that much faster than the fastest before means that a clock was set
+_BACK_S = 0.5  # packets overtake each other by less
+_AHEAD_S = 5.0  # a queue that empties looks like a clock set ahead, but by less
+_WITNESSES = 3  # consecutive packets that must agree that a clock was set
 
 
 class VehicleClock:
-    """Finds the least (arrival - time stamp), the way of the fastest packet, and lets it drift.
+    """Estimator of the minimum of (arrival - time stamp), the offset of the fastest packet, with drift.
 
-    A clock that is set back a little, or stands still for a while, looks like packets that are late from then
-    on. `found` tells the two apart, where the vehicle answers; otherwise only time does.
+    A clock that is set back a little, or that stops for a while, looks like packets that are late from then
+    on. `synchronise` separates the two cases if the vehicle answers; otherwise only time does.
 
     Args:
-        patience_s: after being late for this long without a break packets count as in time again.
+        patience_s: packets that are late for this long without a break count as on time again [s].
 
     Attributes:
-        jumps: how often the vehicle's clock was set back, or far ahead: it started anew.
+        jumps: how often the vehicle's clock was set back, or far ahead, which means that it restarted.
     """
 
     def __init__(self, patience_s: float = math.inf) -> None:
@@ -31,10 +31,15 @@ class VehicleClock:
         self._last_now = 0.0
         self._last_stamp = 0.0
         self._witnesses: list[tuple[float, float]] = []
-        self._late: tuple[float, float] | None = None  # since when, and the least offset since
+        self._late: tuple[float, float] | None = None  # since when, and the minimum offset since
 
     def arrival(self, stamp_s: float, now_s: float) -> float | None:
-        """When a packet that came now would have come by the fastest way; None while in doubt."""
+        """Arrival time that a packet would have had with the smallest delay so far; None while in doubt.
+
+        Args:
+            stamp_s: time stamp in the packet, vehicle's clock [s].
+            now_s: when it arrived, local clock [s].
+        """
         offset = now_s - stamp_s
         if self._offset is None:
             self._offset = offset
@@ -53,25 +58,30 @@ class VehicleClock:
         self._last_stamp = max(self._last_stamp, stamp_s)
         return min(now_s, stamp_s + self._offset)
 
-    def found(self, clock_s: float, asked_s: float) -> None:
-        """The vehicle read its clock after we asked: no packet comes faster than the question left."""
-        least = asked_s - clock_s
-        if self._offset is not None and 0 < least - self._offset < _AHEAD_S:
-            self._offset = least
+    def synchronise(self, clock_s: float, requested_s: float) -> None:
+        """Use an answer to a time request: the offset is not below sending time minus vehicle time.
+
+        Args:
+            clock_s: vehicle's clock in its answer [s].
+            requested_s: when the request was sent, local clock [s].
+        """
+        minimum = requested_s - clock_s
+        if self._offset is not None and 0 < minimum - self._offset < _AHEAD_S:
+            self._offset = minimum
 
     def _patient(self, before: float, offset: float, now_s: float) -> float:
         if offset <= before + _EARLY_S:
             self._late = None
             return before
-        since_s, least = self._late or (now_s, offset)
-        self._late = since_s, min(least, offset)
+        since_s, minimum = self._late or (now_s, offset)
+        self._late = since_s, min(minimum, offset)
         if now_s - since_s < self._patience_s:
             return before
         self._late = None
-        return min(least, offset)
+        return min(minimum, offset)
 
     def _is_confirmed(self, stamp_s: float, offset: float) -> bool:
-        """Whether several in a row, none older than the one before, tell of the same new time."""
+        """Return whether several consecutive packets, in order, agree on the same new offset."""
         if self._witnesses:
             before_s, before_offset = self._witnesses[-1]
             if stamp_s < before_s or abs(offset - before_offset) > _BACK_S / 2:

@@ -1,1 +1,1 @@
-"""A simulated ArduPilot Copter."""
+"""The simulated ArduPilot Copter."""

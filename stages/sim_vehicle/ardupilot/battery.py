@@ -1,4 +1,4 @@
-"""A battery that is used up by hovering, and what the vehicle thinks of it."""
+"""Battery that the flight discharges, and the vehicle's assessment of it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _OHM = 0.01
 
 
 class Charge(IntEnum):
-    """How the battery is, worst last."""
+    """Level of the battery, worst last."""
 
     GOOD = 0
     LOW = 1
@@ -20,7 +20,18 @@ class Charge(IntEnum):
 
 
 class Battery:
-    """Three cells of BATT_CAPACITY; voltage falls evenly with the charge, and by its resistance."""
+    """Battery of three cells with BATT_CAPACITY.
+
+    The voltage is linear in the charge, minus the drop at the internal resistance.
+
+    Args:
+        parameters: capacity and thresholds, read at every use.
+
+    Attributes:
+        used_mah: charge used so far [mAh].
+        current_a: present current [A].
+        charge: level; it never improves.
+    """
 
     def __init__(self, parameters: Parameters) -> None:
         self._parameters = parameters
@@ -30,22 +41,30 @@ class Battery:
         self.charge = Charge.GOOD
 
     @property
-    def share(self) -> float:
-        """What is left, of 1."""
+    def remaining(self) -> float:
+        """Remaining fraction of the charge, 0 to 1."""
         return max(0.0, 1 - self.used_mah / max(self._parameters["BATT_CAPACITY"], 1.0))
 
     @property
     def voltage(self) -> float:
-        """At its terminals [V]."""
-        return _EMPTY_V + (_FULL_V - _EMPTY_V) * self.share - _OHM * self.current_a
+        """Voltage at the terminals [V]."""
+        return _EMPTY_V + (_FULL_V - _EMPTY_V) * self.remaining - _OHM * self.current_a
 
-    def drain_to(self, share: float) -> None:
-        """A fault: this much is left."""
-        self.used_mah = (1 - share) * self._parameters["BATT_CAPACITY"]
+    def drain_to(self, remaining: float) -> None:
+        """Apply a fault: set the remaining fraction of the charge."""
+        self.used_mah = (1 - remaining) * self._parameters["BATT_CAPACITY"]
 
-    def use(self, duration_s: float, hover_share: float) -> Charge:
-        """Give power for a while, in shares of what hovering takes; the state never gets better."""
-        self.current_a = _IDLE_A + _HOVER_A * max(0.0, hover_share) ** 1.5
+    def use(self, duration_s: float, hover_fraction: float) -> Charge:
+        """Discharge the battery for a while and update its level.
+
+        Args:
+            duration_s: the time [s].
+            hover_fraction: throttle relative to the hover throttle.
+
+        Returns:
+            The level.
+        """
+        self.current_a = _IDLE_A + _HOVER_A * max(0.0, hover_fraction) ** 1.5
         self.used_mah += self.current_a * duration_s / 3.6
         for level, name in ((Charge.LOW, "LOW"), (Charge.CRITICAL, "CRT")):
             volts, mah = self._parameters[f"BATT_{name}_VOLT"], self._parameters[f"BATT_{name}_MAH"]

@@ -1,4 +1,4 @@
-"""The vehicle: arming, modes, landing, failsafes, around the loops. Its clock is its own count of ticks."""
+"""The vehicle: arming, modes, landing and failsafes around the control loops. Its clock counts its ticks."""
 
 from __future__ import annotations
 
@@ -17,45 +17,54 @@ from alula.stages.sim_vehicle.ardupilot.pilot import Pilot
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Airframe
 from alula.stages.sim_vehicle.common.hand import Hand
 
-HOME: LatLonAlt = (-35.3632621, 149.1652374, 584.0)  # where ArduPilot's simulation starts
+HOME: LatLonAlt = (-35.3632621, 149.1652374, 584.0)  # start of ArduPilot's own simulation
 EMERGENCY, CRITICAL, ERROR, WARNING, NOTICE, INFO = 0, 2, 3, 4, 5, 6  # MAV_SEVERITY
 
 _LANDED_S = 1.0
-_RESTING_SHARE = 0.9  # of the weight: less thrust than that for `_LANDED_S` on the ground is a landing
-_CHECK_S = 0.1  # between looks at failsafes
-_ESTIMATOR_S = 1.0  # a bad estimate for this long is a failsafe
-_REMINDER_S = 30.0  # between texts that say why it would not arm
+_RESTING_FRACTION = 0.9  # of the weight; less thrust for `_LANDED_S` on the ground is a landing
+_CHECK_S = 0.1  # between checks of failsafes
+_ESTIMATOR_S = 1.0  # a bad estimate for this long triggers a failsafe
+_REMINDER_S = 30.0  # between texts with the reason why it would not arm
 _GCS_ACTION = {1: Mode.RTL, 2: Mode.RTL, 3: Mode.RTL, 4: Mode.LAND, 5: Mode.LAND, 7: Mode.BRAKE}
 _THROTTLE_ACTION = {1: Mode.RTL, 2: Mode.RTL, 3: Mode.LAND, 4: Mode.RTL, 5: Mode.LAND, 7: Mode.BRAKE}
 _BATTERY_ACTION = {1: Mode.LAND, 2: Mode.RTL, 3: Mode.RTL, 4: Mode.LAND, 7: Mode.BRAKE}
-_CONTINUES_IN_PILOTED = 16  # of FS_OPTIONS
+_CONTINUES_IN_PILOTED = 16  # bit of FS_OPTIONS
 
 
 class Copter:
-    """A quadrotor with its autopilot; `tick` is 2.5 ms of its life.
+    """A quadrotor with its autopilot; `tick` simulates 2.5 ms.
 
-    MOT_THST_HOVER starts as learned from this vehicle, weight over full thrust, unless it is given: then the
-    autopilot believes it and the rotors do not.
+    The initial value of MOT_THST_HOVER is the true one, weight over full thrust. A value in `parameters`
+    replaces it; the autopilot then uses the given value, but the rotors do not change.
 
     Args:
         vehicle: a quadrotor.
-        parameters: by name, replacing defaults.
+        parameters: values by name that replace the defaults.
         options: errors of the estimate.
-        home: latitude, longitude [deg] and altitude [m] of the start; by default where the firmware's own
-            simulation starts.
-        heading_rad: at the start, clockwise from north.
-        seed: of everything random.
-        hand: who moves it while it is disarmed; nobody by default.
+        home: latitude, longitude [deg] and altitude [m] of the start; by default that of the firmware's own
+            simulation.
+        heading_rad: initial heading, clockwise from north [rad].
+        seed: seed of all random numbers.
+        hand: hand that moves the vehicle while it is disarmed; None for none.
+
+    Attributes:
+        airframe, attitude, pilot, battery, estimator, flying, parameters: its parts.
+        hover_throttle: true hover throttle, weight over full thrust.
+        mode: the present mode.
+        is_armed: whether it is armed.
+        is_landed: whether it has detected a landing.
+        failsafe: name of the last failsafe that acts; empty without one.
+        texts: STATUSTEXTs to send, severity and text.
 
     Raises:
-        UsageError: the vehicle is no quadrotor, or a parameter is unknown.
+        UsageError: the vehicle is not a quadrotor, or a parameter is unknown.
     """
 
-    # What another firmware does otherwise is in its own class, `px4.Px4Copter`.
+    # The differences of PX4 are in `px4.vehicle.Px4Copter`.
     AUTOPILOT: ClassVar[str] = "ardupilot"
     FIRMWARE: ClassVar[str] = "ArduCopter V4.7.0-dev (simulated)"
-    HOVER: ClassVar[str] = "MOT_THST_HOVER"  # the parameter with the throttle that carries the weight
-    PLACE: ClassVar[LatLonAlt] = HOME
+    HOVER: ClassVar[str] = "MOT_THST_HOVER"  # parameter with the hover throttle
+    LOCATION: ClassVar[LatLonAlt] = HOME
     ARMING_DELAY_S: ClassVar[float] = 2.0  # the rotors stand still this long after arming
 
     def __init__(
@@ -72,15 +81,15 @@ class Copter:
         self.name = vehicle.name
         self.airframe = Airframe(vehicle, seed=seed, heading_rad=heading_rad)
         self.hover_throttle = self.airframe.weight_n / self.airframe.body.max_thrust
-        learned = {self.HOVER: round(self.hover_throttle, 6)}
-        self.parameters = self._parameters(learned | dict(parameters or {}))
+        initial = {self.HOVER: round(self.hover_throttle, 6)}
+        self.parameters = self._parameters(initial | dict(parameters or {}))
         lag_s = vehicle.disturbance.motor_time_constant_s
         self.attitude = AttitudeControl(self.airframe, self.parameters, vehicle.rates.time_constant_s, lag_s)
         self.pilot = Pilot(self.parameters)
         self.battery = Battery(self.parameters)
         options = options or EstimatorOptions()
         self.estimator = Estimator(
-            self.parameters, options, self.airframe.truth, self.PLACE if home is None else home, seed
+            self.parameters, options, self.airframe.truth, self.LOCATION if home is None else home, seed
         )
         self.flying = Flying(self.attitude, self.parameters, self.pilot, vehicle.body.gravity_m_s2)
         self._hand = hand
@@ -88,7 +97,7 @@ class Copter:
         self.mode = Mode.STABILIZE
         self.is_armed = False
         self.is_landed = True
-        self.failsafe = ""  # the last one that acts
+        self.failsafe = ""
         self._ticks = 0
         self._armed_s = 0.0
         self._resting_s = 0.0
@@ -99,12 +108,12 @@ class Copter:
         self._gcs_s: float | None = None
         self._client_s: float | None = None
         self._active: set[str] = set()
-        self._said: set[str] = set()
+        self._announced: set[str] = set()
         self._boot()
         self.say(INFO, self.FIRMWARE)
 
     def _boot(self) -> None:
-        """The mode that it starts in, and what else a firmware keeps."""
+        """Set the initial mode and other initial state of the firmware."""
         initial = self.parameters.whole("INITIAL_MODE")
         if refusal(initial, has_position=False) is None:
             self.mode = Mode(initial)
@@ -114,20 +123,25 @@ class Copter:
 
     @property
     def time_s(self) -> float:
-        """Since boot."""
+        """Time since boot [s]."""
         return self._ticks * TICK_S
 
     def say(self, severity: int, text: str) -> None:
-        """STATUSTEXT."""
+        """Queue a STATUSTEXT.
+
+        Args:
+            severity: MAV_SEVERITY.
+            text: the text.
+        """
         self.texts.append((severity, text))
 
     @property
     def _is_spooling(self) -> bool:
-        """Armed too short a time ago: the rotors stand, come to idle, and come to obey."""
+        """Return whether the rotors are still starting after arming."""
         return self.time_s - self._armed_s < self.ARMING_DELAY_S + 2 * self.parameters["MOT_SPOOL_TIME"]
 
     def tick(self) -> None:
-        """Live for `TICK_S`."""
+        """Simulate `TICK_S`."""
         self._ticks += 1
         if self._hand is not None:
             self._hand.attend(self.time_s, self._client_s, is_ready=self.estimator.has_position)
@@ -142,7 +156,9 @@ class Copter:
         if not self.is_armed:
             self.flying.rest(motion)
             self.attitude.throttle = 0.0
-        elif self._is_spooling or (self.is_landed and not self.flying.wants_to_climb(self.mode, self.time_s)):
+        elif self._is_spooling or (
+            self.is_landed and not self.flying.should_leave_ground(self.mode, self.time_s)
+        ):
             self.flying.rest(motion)
         else:
             self.flying.run(self.mode, motion, self.time_s)
@@ -151,7 +167,7 @@ class Copter:
         self._detect_landing(thrust)
 
     def arming_refusal(self) -> str | None:
-        """Why it would not arm, in ArduPilot's words; None if it would."""
+        """Reason why it would not arm, in ArduPilot's words; None if it would."""
         if not MODES[self.mode].can_arm:
             return f"{self.mode.name} mode not armable"
         if not self.estimator.is_started:
@@ -160,7 +176,7 @@ class Copter:
             if self.parameters.whole("GPS1_TYPE") and not self.estimator.has_fix:
                 return "GPS 1: Bad fix"
             return "Need Position Estimate"
-        if self.estimator.is_sick:
+        if self.estimator.has_failed:
             return "AHRS: EKF3 unhealthy"
         if self.battery.charge is not Charge.GOOD:
             return "Battery 1 low voltage failsafe"
@@ -169,7 +185,11 @@ class Copter:
         return None
 
     def arm(self, *, forced: bool = False) -> bool:
-        """COMPONENT_ARM_DISARM; force changes nothing but the text."""
+        """Arm by COMPONENT_ARM_DISARM; returns whether it is armed.
+
+        Args:
+            forced: whether arming is forced, which is always refused.
+        """
         if self.is_armed:
             return True
         reason = "forced arming refused" if forced else self.arming_refusal()
@@ -183,7 +203,11 @@ class Copter:
         return True
 
     def disarm(self, *, forced: bool = False) -> bool:
-        """Refused in the air, unless forced."""
+        """Disarm; returns whether it is disarmed.
+
+        Args:
+            forced: disarm in the air too.
+        """
         if not (self.is_landed or forced):
             return False
         if self.is_armed:
@@ -193,7 +217,7 @@ class Copter:
         return True
 
     def set_mode(self, number: int) -> bool:
-        """Enter a mode; refusals are said."""
+        """Enter a mode by its number; returns whether it was entered. A text states why it was refused."""
         reason = refusal(number, has_position=self.estimator.has_position)
         if reason is not None:
             self.say(WARNING, reason)
@@ -204,28 +228,32 @@ class Copter:
         return True
 
     def switch_to(self, number: float | None) -> None:
-        """A fault: the pilot's switch goes to a mode, LOITER unless one is named."""
+        """Apply a fault: set the pilot's switch to a mode; None for LOITER."""
         self.set_mode(Mode.LOITER if number is None else int(number))
 
     def take_off(self, height_m: float) -> bool:
-        """NAV_TAKEOFF to a height above home: armed, in GUIDED, from the ground."""
+        """Execute NAV_TAKEOFF; returns whether it is possible: armed, in GUIDED, on the ground.
+
+        Args:
+            height_m: height above home [m].
+        """
         if not (self.is_armed and self.is_landed and self.mode is Mode.GUIDED and height_m > 0):
             return False
         self.flying.guided.take_off(self.estimator.motion, height_m - self.flying.home[2])
         return True
 
-    def hear_client(self) -> None:
-        """A heartbeat of whomever: what a hand waits for."""
+    def note_client(self) -> None:
+        """Record a heartbeat of any client; a hand waits for it."""
         self._client_s = self.time_s
 
-    def hear_ground_station(self, system: int) -> None:
-        """A heartbeat; only that of SYSID_MYGCS counts."""
-        self.hear_client()
+    def note_ground_station(self, system: int) -> None:
+        """Record a heartbeat of a system; only SYSID_MYGCS counts as the ground station."""
+        self.note_client()
         if system == self.parameters.whole("SYSID_MYGCS"):
             self._gcs_s = self.time_s
 
     def _check(self, passed_s: float) -> None:
-        """What is looked at less often: the switch, failsafes by the tables of their actions, texts."""
+        """Periodic checks: the mode switch, failsafes by their tables of actions, texts."""
         self._announce()
         if (switched := self.pilot.moved_switch(self.time_s)) is not None:
             self.set_mode(switched)
@@ -261,7 +289,7 @@ class Copter:
         self.pilot.attend(landed=self.is_landed)
 
     def _watch(self, name: str, is_bad: bool, action: Mode | None) -> None:
-        """Act once when something gets bad; say when it is good again."""
+        """Start a failsafe once when its cause appears; send a text when the cause is gone."""
         if is_bad and name not in self._active:
             self._active.add(name)
             self._act(name, action)
@@ -270,7 +298,7 @@ class Copter:
             self.say(WARNING, f"{name} Failsafe Cleared")
 
     def _act(self, name: str, action: Mode | None) -> None:
-        """A failsafe: change the mode in the air, disarm on the ground."""
+        """Execute a failsafe: change the mode in the air, disarm on the ground."""
         if not self.is_armed:
             return
         self.say(WARNING, f"{name} Failsafe")
@@ -290,13 +318,13 @@ class Copter:
         if not self.airframe.on_ground:
             self.is_landed, self._resting_s = False, 0.0
             return
-        resting = thrust_n < _RESTING_SHARE * self.airframe.weight_n
+        resting = thrust_n < _RESTING_FRACTION * self.airframe.weight_n
         self._resting_s = self._resting_s + TICK_S if resting else 0.0
         if not self.is_landed and self._resting_s >= _LANDED_S:
             self.is_landed = True
             self._touch_down()
         if self.is_armed and self.is_landed:
-            waits = self.flying.wants_to_climb(self.mode, self.time_s)
+            waits = self.flying.should_leave_ground(self.mode, self.time_s)
             self._idle_s = 0.0 if waits else self._idle_s + TICK_S
             if 0 < self._disarm_delay_s() <= self._idle_s:
                 self.disarm()
@@ -306,11 +334,11 @@ class Copter:
             self.disarm()
 
     def _disarm_delay_s(self) -> float:
-        """How long it stays armed on the ground without being asked to climb; for ever if not positive."""
+        """Time after which it disarms on the ground without a command to climb [s]; never if not positive."""
         return self.parameters["DISARM_DELAY"]
 
     def _announce(self) -> None:
-        """What the estimator says once."""
+        """Send each text of the estimator once."""
         now = set()
         if self.estimator.is_started:
             now.add("EKF3 IMU0 initialised")
@@ -319,6 +347,6 @@ class Copter:
         if self.estimator.is_settled:
             source = "external nav data" if self.estimator.uses_mocap else "GPS"
             now.add(f"EKF3 IMU0 is using {source}")
-        for text in sorted(now - self._said):
+        for text in sorted(now - self._announced):
             self.say(INFO, text)
-        self._said = now
+        self._announced = now

@@ -1,4 +1,4 @@
-"""Messages in, messages out: everything that the vehicle is asked beside flying."""
+"""Protocol of the vehicle: the answer to each received message, and the messages that are due."""
 
 from __future__ import annotations
 
@@ -6,21 +6,27 @@ from collections import deque
 from collections.abc import Callable
 from typing import ClassVar
 
-from alula.stages.sim_vehicle.ardupilot.commands import Commands, order_of
+from alula.stages.sim_vehicle.ardupilot.commands import Commands, command_of
 from alula.stages.sim_vehicle.ardupilot.copter import INFO, WARNING, Copter
 from alula.stages.sim_vehicle.ardupilot.modes import MODES
 from alula.stages.sim_vehicle.ardupilot.telemetry import Telemetry
 from alula.stages.sim_vehicle.common.packets import COMPONENT, Codec, Message, mavlink
 
 _CHUNK = 50  # characters of a STATUSTEXT
-_PARAMETERS_AT_ONCE = 4  # a tick
+_PARAMETERS_AT_ONCE = 4  # in a tick
 _NAK, _UNKNOWN_COMMAND = 129, 7  # of MAVLink FTP
 
 
 class Dialogue:
-    """Answers what clients ask at connecting and in flight.
+    """Answers the messages that clients send when they connect and in flight.
 
-    Messages for another system or component are left alone, as are those that it does not know.
+    Messages for another system or component, and unknown messages, are ignored.
+
+    Args:
+        copter: the vehicle.
+        telemetry: its messages.
+        codec: encoder of the channel, for signing and the system id.
+        time_10us: present time for signatures, in units of 10 us since 2015.
     """
 
     COMMANDS: ClassVar[type[Commands]] = Commands
@@ -33,7 +39,7 @@ class Dialogue:
         self._commands = self.COMMANDS(copter, telemetry)
         self._listing: deque[str] = deque()
         self._text_id = 0
-        self._place_told = (copter.estimator.origin, copter.flying.home)
+        self._sent_location = (copter.estimator.origin, copter.flying.home)
         self._table: dict[str, Callable[[Message], list[Message]]] = {
             "HEARTBEAT": self._heartbeat,
             "COMMAND_LONG": self._command,
@@ -63,7 +69,7 @@ class Dialogue:
         }
 
     def answer(self, message: Message) -> list[Message]:
-        """What to send because of a message."""
+        """Process a message; returns the answers."""
         target = getattr(message, "target_system", 0)
         component = getattr(message, "target_component", 0)
         if target not in (0, self._codec.system) or component not in (0, COMPONENT):
@@ -72,11 +78,11 @@ class Dialogue:
         return [] if row is None else row(message)
 
     def due(self) -> list[Message]:
-        """What is to be sent now without being asked."""
+        """Messages that are due without a request."""
         found = self._telemetry.due()
-        place = (self._copter.estimator.origin, self._copter.flying.home)
-        if place != self._place_told:  # both are told by themselves whenever they change
-            self._place_told = place
+        location = (self._copter.estimator.origin, self._copter.flying.home)
+        if location != self._sent_location:  # both are sent whenever they change
+            self._sent_location = location
             found += self._one("GPS_GLOBAL_ORIGIN") + self._one("HOME_POSITION")
         while self._copter.texts:
             found += self._text(*self._copter.texts.popleft())
@@ -98,15 +104,15 @@ class Dialogue:
         ]
 
     def _heartbeat(self, message: Message) -> list[Message]:
-        self._copter.hear_ground_station(message.get_srcSystem())
+        self._copter.note_ground_station(message.get_srcSystem())
         return []
 
     def _command(self, message: Message) -> list[Message]:
-        result, besides = self._commands.obey(order_of(message))
+        result, others = self._commands.execute(command_of(message))
         ack = mavlink.MAVLink_command_ack_message(
             message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
         )
-        return [ack, *besides]
+        return [ack, *others]
 
     def _set_mode(self, message: Message) -> list[Message]:
         result = self.COMMANDS.REFUSED
@@ -136,7 +142,7 @@ class Dialogue:
         )
 
     def _wire_value(self, name: str) -> float:
-        """What stands for a value in PARAM_VALUE."""
+        """Float that encodes the parameter in PARAM_VALUE."""
         return self._copter.parameters[name]
 
     def _list_parameters(self, _message: Message) -> list[Message]:
@@ -152,7 +158,7 @@ class Dialogue:
         return [self._parameter(name)] if name is not None and name in parameters else []
 
     def _set_parameter(self, message: Message) -> list[Message]:
-        """The answer is the value that now holds; of unknown names there is none."""
+        """Set a parameter; the answer is its new value, none for an unknown name."""
         name = parameter_name(message.param_id)
         if name not in self._copter.parameters:
             return []
@@ -170,8 +176,8 @@ class Dialogue:
         return []
 
     def _set_origin(self, message: Message) -> list[Message]:
-        place = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
-        self._copter.estimator.set_origin(place)
+        location = (message.latitude / 1e7, message.longitude / 1e7, message.altitude / 1e3)
+        self._copter.estimator.set_origin(location)
         return []
 
     def _vision_position(self, message: Message) -> list[Message]:
@@ -220,10 +226,10 @@ class Dialogue:
         return mavlink.MAVLink_mission_ack_message(*to, result, message.mission_type)
 
     def _file_transfer(self, message: Message) -> list[Message]:
-        """There are no files: what is asked is refused, so that clients go on at once."""
-        asked = bytes(message.payload)
-        number = (int.from_bytes(asked[:2], "little") + 1) % 65536
-        head = number.to_bytes(2, "little") + bytes([asked[2], _NAK, 1, asked[3], 0, 0])
+        """Refuse every request, because there are no files; clients then continue at once."""
+        request = bytes(message.payload)
+        number = (int.from_bytes(request[:2], "little") + 1) % 65536
+        head = number.to_bytes(2, "little") + bytes([request[2], _NAK, 1, request[3], 0, 0])
         reply = head + bytes(4) + bytes([_UNKNOWN_COMMAND])
         to = (message.get_srcSystem(), message.get_srcComponent())
         payload = list(reply.ljust(251, b"\0"))
@@ -231,6 +237,6 @@ class Dialogue:
 
 
 def parameter_name(identifier: str | bytes) -> str:
-    """A param_id without its padding."""
+    """Name in a param_id, without its padding."""
     text = identifier.decode("ascii", "replace") if isinstance(identifier, bytes) else identifier
     return text.rstrip("\0")

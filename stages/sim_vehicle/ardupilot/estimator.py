@@ -1,4 +1,4 @@
-"""What the vehicle believes of its motion: strapdown integration held to its sources, late to lose faith."""
+"""State estimate of the simulated vehicle: strapdown integration corrected by its position sources."""
 
 from __future__ import annotations
 
@@ -26,31 +26,33 @@ SETTLED, NO_POSITION, UNINITIALISED = 0x33F, 0xA7, 0x400
 EXTERNAL = 6  # EK3_SRC1_*: external navigation
 GPS = 3
 MOCAP_LOST_S = 7.0  # flags change this long after external navigation stops
-_MOCAP_SETTLE = 15.6 / 36.0  # of the boot time, from the origin on
-_STARTED = 0.1  # of the boot time: attitude and height are there
-_FIXED = 0.5  # of the boot time: satellites are there
-_GATE_M = 1.0  # external positions further off are refused
-_REFUSED_S = 5.0  # after which the estimate is reset to them
-_GAIN = (4.0, 4.0, 2.0)  # of position to position and velocity, and of velocity to velocity [1/s, 1/s^2, 1/s]
-_BLOCK = 512  # ticks for which noise is drawn at once
+_MOCAP_SETTLE = 15.6 / 36.0  # fraction of the boot time from setting the origin until it has settled
+_STARTED = 0.1  # fraction of the boot time until attitude and height are available
+_FIXED = 0.5  # fraction of the boot time until satellites are available
+_GATE_M = 1.0  # external positions with a larger error are rejected
+_REFUSED_S = 5.0  # after rejecting them for this long the estimate is reset to them
+_GAIN = (4.0, 4.0, 2.0)  # position to position and velocity, velocity to velocity [1/s, 1/s^2, 1/s]
+_BLOCK = 512  # ticks in one draw of noise
 
 LatLonAlt = tuple[float, float, float]
-_HIGHEST_M, _FARTHEST_M, _FASTEST_M_S = 1e5, 1e5, 1e3  # what is beyond is no measurement
+_HIGHEST_M, _FARTHEST_M, _FASTEST_M_S = 1e5, 1e5, 1e3  # larger values are invalid
 _EARTH_M = 6378100.0
 
 
 @dataclass(frozen=True, slots=True)
 class EstimatorOptions:
-    """Errors of the estimate, standard deviations per axis; white ones unless said otherwise.
+    """Errors of the estimate; standard deviations per axis, of white noise unless stated otherwise.
 
     Attributes:
-        boot_time_s: from boot until position may be flown on, with satellites; others in proportion.
-        position_noise_m: a first-order Gauss-Markov process.
-        velocity_noise_m_s: the same.
-        noise_time_s: of both; at least 0.05.
-        attitude_noise_rad, rate_noise_rad_s: of lean angles and heading, and of rates.
-        accelerometer_bias_m_s2: what makes position drift when nothing holds it.
-        delay_s: of what is told to others; the vehicle's own loops do not wait for it.
+        boot_time_s: time from boot until the position is good enough to fly, with satellites; other delays of
+            the boot are in proportion [s].
+        position_noise_m: position error, a first-order Gauss-Markov process [m].
+        velocity_noise_m_s: velocity error, a first-order Gauss-Markov process [m/s].
+        noise_time_s: time constant of both; at least 0.05 [s].
+        attitude_noise_rad: error of lean angles and heading [rad].
+        rate_noise_rad_s: error of body rates [rad/s].
+        accelerometer_bias_m_s2: bias that makes the position drift without a position source [m/s^2].
+        delay_s: delay of the reported estimate; the vehicle's own loops use it without delay [s].
     """
 
     boot_time_s: float = 36.0
@@ -63,24 +65,33 @@ class EstimatorOptions:
     delay_s: float = 0.01
 
 
-def is_place(place: LatLonAlt) -> bool:
-    """Whether it is a place on Earth: degrees, and metres above the sea."""
-    return abs(place[0]) <= 90 and abs(place[1]) <= 180 and abs(place[2]) <= _HIGHEST_M
+def is_location(location: LatLonAlt) -> bool:
+    """Return whether latitude, longitude [deg] and altitude [m] are a location on Earth."""
+    return abs(location[0]) <= 90 and abs(location[1]) <= 180 and abs(location[2]) <= _HIGHEST_M
 
 
 class Estimator:
-    """Position, velocity and attitude as the vehicle believes them, and what it says of their quality.
+    """Estimated position, velocity and attitude, and their reported quality.
 
-    Velocity integrates the true acceleration plus a constant bias; position integrates velocity; both are
-    pulled to the source that EK3_SRC1_POSXY names. Satellites are always there; external navigation is what
-    arrives by VISION_POSITION_ESTIMATE and VISION_SPEED_ESTIMATE. When that stops, flags stay for 7 s.
+    Velocity integrates the true acceleration plus a constant bias; position integrates velocity. Both are
+    corrected towards the source that EK3_SRC1_POSXY selects. Satellites are always available; external
+    navigation arrives by VISION_POSITION_ESTIMATE and VISION_SPEED_ESTIMATE. When it stops, the flags change
+    only after 7 s.
 
     Args:
-        parameters: sources are read at every tick.
+        parameters: the sources, read at every tick.
         options: errors.
-        start: the motion at boot.
-        home: latitude, longitude [deg] and altitude [m] of the start, as satellites know it.
-        seed: of the noise.
+        start: motion at boot.
+        home: latitude, longitude [deg] and altitude [m] of the start.
+        seed: seed of the noise.
+
+    Attributes:
+        offset: fault: offset of the position estimate, NED [m].
+        has_failed: fault: the estimate is invalid.
+        is_mocap_lost: fault: external navigation does not arrive.
+        origin: latitude, longitude [deg] and altitude [m] of the local frame; None before it is set.
+        motion: the present estimate.
+        is_settled: whether the estimate has settled on its sources.
     """
 
     def __init__(
@@ -93,7 +104,7 @@ class Estimator:
     ) -> None:
         self._parameters = parameters
         self._options = options
-        self._place = home
+        self._start_location = home
         self._random = np.random.default_rng([seed, 8])
         self._walk = np.zeros(6)
         self._noise: list[list[float]] = []
@@ -102,70 +113,79 @@ class Estimator:
         self._position, self._velocity = list(start.position), list(start.velocity)
         self._yaw_error = 0.0
         self._time_s = 0.0
-        self._vision_s: float | None = None  # the newest
-        self._usable_s: float | None = None  # since when origin and external navigation are both there
+        self._vision_s: float | None = None  # time of the newest external position
+        self._usable_s: float | None = None  # since when the source is available and the origin is set
         self._refused_s: float | None = None
         self._variance = 0.05
-        self._told: deque[tuple[float, Motion]] = deque()
-        self.offset: Vector = (0.0, 0.0, 0.0)  # a fault: the estimate jumps by this
-        self.is_sick = False  # a fault: the estimator gives up
-        self.is_deaf = False  # a fault: external navigation does not arrive
+        self._history: deque[tuple[float, Motion]] = deque()
+        self.offset: Vector = (0.0, 0.0, 0.0)
+        self.has_failed = False
+        self.is_mocap_lost = False
         self.origin: LatLonAlt | None = None
         self.motion = start
         self.is_settled = False
 
     @property
     def uses_mocap(self) -> bool:
-        """Whether horizontal position comes from outside."""
+        """Return whether the horizontal position comes from external navigation."""
         p = self._parameters
         return p.whole("EK3_SRC1_POSXY") == EXTERNAL and p.whole("VISO_TYPE") != 0
 
     @property
     def has_fix(self) -> bool:
-        """Whether satellites are seen."""
+        """Return whether satellites are available."""
         boot = self._options.boot_time_s
         return self._parameters.whole("GPS1_TYPE") != 0 and self._time_s >= _FIXED * boot
 
     @property
     def is_started(self) -> bool:
-        """Whether attitude and height are there."""
+        """Return whether attitude and height are available."""
         return self._time_s >= _STARTED * self._options.boot_time_s
 
     @property
     def has_position(self) -> bool:
-        """Whether position may be flown on."""
-        return self.is_settled and not self.is_sick
+        """Return whether the position is good enough to fly."""
+        return self.is_settled and not self.has_failed
 
     @property
     def flags(self) -> int:
-        """Of EKF_STATUS_REPORT."""
+        """Flags of EKF_STATUS_REPORT."""
         if not self.is_started:
             return UNINITIALISED
         return SETTLED if self.has_position else NO_POSITION
 
     @property
     def variance(self) -> float:
-        """Of EKF_STATUS_REPORT: innovations over their gates; above 0.8 is bad."""
-        return 1.5 if self.is_sick else self._variance
+        """Variance of EKF_STATUS_REPORT: innovations divided by their gates; above 0.8 is bad."""
+        return 1.5 if self.has_failed else self._variance
 
     @property
-    def told(self) -> Motion:
-        """What others hear: the estimate of `delay_s` ago."""
-        return self._told[0][1] if self._told else self.motion
+    def reported(self) -> Motion:
+        """The reported estimate, that of `delay_s` ago."""
+        return self._history[0][1] if self._history else self.motion
 
     def set_origin(self, origin: LatLonAlt) -> bool:
-        """SET_GPS_GLOBAL_ORIGIN; only the first one counts."""
-        if self.origin is not None or not is_place(origin):
+        """Set the origin by SET_GPS_GLOBAL_ORIGIN, once; returns whether it was accepted.
+
+        Args:
+            origin: latitude, longitude [deg] and altitude [m].
+        """
+        if self.origin is not None or not is_location(origin):
             return False
         self.origin = origin
         return True
 
     def vision_position(self, position: Vector, yaw_rad: float) -> None:
-        """External navigation: where the vehicle is and heads, NED."""
-        if self.is_deaf or not self.uses_mocap:
+        """Process an external position.
+
+        Args:
+            position: NED [m].
+            yaw_rad: heading [rad].
+        """
+        if self.is_mocap_lost or not self.uses_mocap:
             return
         if not (all(abs(c) < _FARTHEST_M for c in position) and abs(yaw_rad) < _FARTHEST_M):
-            return  # NaN too
+            return  # also if NaN
         late = self._vision_s is None or self._time_s - self._vision_s > MOCAP_LOST_S
         interval = 0.02 if self._vision_s is None else min(max(self._time_s - self._vision_s, 1e-3), 0.2)
         self._vision_s = self._time_s
@@ -192,15 +212,20 @@ class Estimator:
             self._yaw_error += error if late else (1 - math.exp(-_GAIN[0] * interval)) * error
 
     def vision_velocity(self, velocity: Vector) -> None:
-        """External navigation: how the vehicle moves, NED."""
-        if self.is_deaf or not self.uses_mocap or not all(abs(c) < _FASTEST_M_S for c in velocity):
+        """Process an external velocity, NED [m/s]."""
+        if self.is_mocap_lost or not self.uses_mocap or not all(abs(c) < _FASTEST_M_S for c in velocity):
             return
         for i, name in enumerate(("VELXY", "VELXY", "VELZ")):
             if self._parameters.whole(f"EK3_SRC1_{name}") == EXTERNAL:
                 self._velocity[i] += 0.3 * (velocity[i] - self._velocity[i])
 
     def update(self, truth: Motion, *, is_still: bool) -> None:
-        """Believe a tick more."""
+        """Advance the estimate by one tick.
+
+        Args:
+            truth: measured motion, with the sensor noise of the vehicle file.
+            is_still: whether the vehicle stands still on the ground.
+        """
         self._time_s += TICK_S
         noise = self._next_noise()
         turn = from_euler(0.0, 0.0, self._yaw_error)
@@ -216,13 +241,13 @@ class Estimator:
             attitude,
             (o[0] + rate * noise[9], o[1] + rate * noise[10], o[2] + rate * noise[11]),
         )
-        self._told.append((self._time_s, self.motion))
-        while len(self._told) > 1 and self._told[1][0] <= self._time_s - self._options.delay_s + 1e-9:
-            self._told.popleft()
+        self._history.append((self._time_s, self.motion))
+        while len(self._history) > 1 and self._history[1][0] <= self._time_s - self._options.delay_s + 1e-9:
+            self._history.popleft()
 
     def global_position(self, position: Vector) -> LatLonAlt:
-        """Latitude, longitude [deg] and altitude [m] of a local position, on a sphere."""
-        lat, lon, alt = self.origin or self._place
+        """Latitude, longitude [deg] and altitude [m] of a local position, NED [m], on a sphere."""
+        lat, lon, alt = self.origin or self._start_location
         north, east, down = position
         cosine = max(math.cos(math.radians(lat)), 1e-6)
         return (
@@ -231,12 +256,12 @@ class Estimator:
             alt - down,
         )
 
-    def local_position(self, place: LatLonAlt) -> Vector:
-        """The inverse of `global_position`."""
-        lat, lon, alt = self.origin or self._place
-        north = math.radians(place[0] - lat) * _EARTH_M
-        east = math.radians(place[1] - lon) * _EARTH_M * math.cos(math.radians(lat))
-        return north, east, alt - place[2]
+    def local_position(self, location: LatLonAlt) -> Vector:
+        """Local position, NED [m]; the inverse of `global_position`."""
+        lat, lon, alt = self.origin or self._start_location
+        north = math.radians(location[0] - lat) * _EARTH_M
+        east = math.radians(location[1] - lon) * _EARTH_M * math.cos(math.radians(lat))
+        return north, east, alt - location[2]
 
     def _integrate(self, truth: Motion, turn: Quat, noise: list[float], is_still: bool) -> None:
         mocap = self.uses_mocap
@@ -246,7 +271,7 @@ class Estimator:
         moved = (x, y, z)
         for i in range(3):
             if is_still and not self.has_position:
-                self._velocity[i] = 0.0  # who stands still knows it
+                self._velocity[i] = 0.0  # standstill is detected
             else:
                 self._velocity[i] += (moved[i] + self._bias[i]) * TICK_S
             if follows[i]:
@@ -264,7 +289,7 @@ class Estimator:
         else:
             usable, wait_s = self.has_fix, (1 - _FIXED) * self._options.boot_time_s
             if usable and self.origin is None:
-                self.origin = self._place
+                self.origin = self._start_location
         if not usable:
             self._usable_s = None
         elif self._usable_s is None:

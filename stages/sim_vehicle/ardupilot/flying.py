@@ -1,4 +1,4 @@
-"""How each mode flies: from the estimate, sticks and set-points to attitude and throttle."""
+"""Controllers of the flight modes: from estimate, sticks and set-points to attitude and throttle."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from alula.stages.sim_vehicle.ardupilot.position import PositionControl
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
 from alula.stages.sim_vehicle.common.quaternions import Vector, from_euler, to_euler
 
-_AT_M = 0.3  # this near a point is there
+_AT_M = 0.3  # a point is reached within this distance
 
 
 class Return(Enum):
-    """Parts of RTL, in their order."""
+    """Phases of RTL, in their order."""
 
     CLIMB = "climb"
     FLY = "fly"
@@ -28,7 +28,20 @@ class Return(Enum):
 
 
 class Flying:
-    """The controllers of all modes; the autopilot says which one runs."""
+    """Controllers of all modes.
+
+    Args:
+        attitude: the inner loop.
+        parameters: parameters, read at every tick.
+        pilot: the remote control.
+        gravity: g [m/s^2].
+
+    Attributes:
+        position: the outer loops.
+        guided: the mode GUIDED.
+        has_position: whether the estimated position is good enough to fly.
+        home: home position, NED [m].
+    """
 
     def __init__(
         self, attitude: AttitudeControl, parameters: Parameters, pilot: Pilot, gravity: float
@@ -41,7 +54,7 @@ class Flying:
         self.has_position = False
         self.home: Vector = (0.0, 0.0, 0.0)
         self._hold: Vector | None = None
-        self._part = Return.CLIMB
+        self._phase = Return.CLIMB
         self._waited_s = 0.0
         self._height_m = 0.0
         self._rows: dict[Mode, Callable[[Motion, float], None]] = {
@@ -56,31 +69,37 @@ class Flying:
         }
 
     def enter(self, mode: Mode, motion: Motion) -> None:
-        """Begin a mode."""
+        """Enter a mode from a motion."""
         self.attitude.reset(motion.attitude)
         self.position.reset(motion)
         self._hold = None
-        self._part, self._waited_s = Return.CLIMB, 0.0
+        self._phase, self._waited_s = Return.CLIMB, 0.0
         self._height_m = max(-motion.position[2], self._parameters["RTL_ALT"] / 100)
         self.guided.needs_position = mode is not Mode.GUIDED_NOGPS
         self.guided.enter(motion)
 
     def rest(self, motion: Motion) -> None:
-        """On the ground: no thrust, nothing wound up."""
+        """Rest on the ground: no thrust, integrators reset."""
         self.attitude.reset(motion.attitude)
         self.position.reset(motion)
         self.attitude.set_throttle(0.0)
 
-    def wants_to_climb(self, mode: Mode, now_s: float) -> bool:
-        """Whether a vehicle on the ground should leave it."""
+    def should_leave_ground(self, mode: Mode, now_s: float) -> bool:
+        """Return whether a mode commands a vehicle on the ground to leave it."""
         if mode in (Mode.GUIDED, Mode.GUIDED_NOGPS):
-            return self.guided.wants_to_climb()
+            return self.guided.should_leave_ground()
         return mode in (Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER) and (
             self._pilot.stick("THROTTLE", now_s) > 0
         )
 
     def run(self, mode: Mode, motion: Motion, now_s: float) -> None:
-        """One tick in flight."""
+        """Run one tick in flight.
+
+        Args:
+            mode: the mode.
+            motion: estimated motion.
+            now_s: time since boot [s].
+        """
         self._rows[mode](motion, now_s)
 
     def _stabilize(self, motion: Motion, now_s: float) -> None:
@@ -123,23 +142,23 @@ class Flying:
         north, east, down = motion.position
         away = math.dist((north, east), self.home[:2])
         speed = self._parameters["WPNAV_SPEED"] / 100
-        match self._part:
+        match self._phase:
             case Return.CLIMB:
                 self._stay(motion)
                 self.position.height(motion, -self._height_m)
                 if abs(down + self._height_m) < _AT_M:
-                    self._part = Return.FLY
+                    self._phase = Return.FLY
             case Return.FLY:
                 self.position.point(motion, self.home[:2], speed)
                 self.position.height(motion, -self._height_m)
                 if away < _AT_M:
-                    self._part = Return.WAIT
+                    self._phase = Return.WAIT
             case Return.WAIT:
                 self._waited_s += TICK_S
                 self.position.point(motion, self.home[:2], speed)
                 self.position.height(motion, -self._height_m)
                 if self._waited_s >= self._parameters["RTL_LOIT_TIME"] / 1000:
-                    self._part = Return.LAND
+                    self._phase = Return.LAND
             case Return.LAND:
                 self.position.point(motion, self.home[:2], speed)
                 self._descend(motion)
@@ -151,7 +170,7 @@ class Flying:
         self.position.climb(motion, -(slow if above <= 0 else min(fast, slow + above)))
 
     def _stay(self, motion: Motion) -> None:
-        """Brake, then hold the place."""
+        """Brake, then hold the position."""
         if self._hold is None and math.hypot(*motion.velocity[:2]) < 0.2:
             self._hold = motion.position
         if self._hold is None:
@@ -160,8 +179,8 @@ class Flying:
             self.position.point(motion, self._hold[:2], 1.0)
 
     def _lean_by_sticks(self, now_s: float) -> None:
-        most = math.radians(self._parameters["ANGLE_MAX"] / 100)
-        roll, pitch = (self._pilot.stick(name, now_s) * most for name in ("ROLL", "PITCH"))
+        max_lean = math.radians(self._parameters["ANGLE_MAX"] / 100)
+        roll, pitch = (self._pilot.stick(name, now_s) * max_lean for name in ("ROLL", "PITCH"))
         self.position.yaw += self._stick_turn(now_s) * TICK_S
         self.attitude.input_attitude(from_euler(roll, pitch, self.position.yaw))
 

@@ -1,4 +1,4 @@
-"""GUIDED: what set-points are taken, how they are misread, and how they are flown."""
+"""The mode GUIDED: accepted set-points, their interpretation with its pitfalls, and their control."""
 
 from __future__ import annotations
 
@@ -21,26 +21,38 @@ from alula.stages.sim_vehicle.common.quaternions import (
     unit,
 )
 
-THRUST_AS_THRUST = 8  # of GUID_OPTIONS
+THRUST_AS_THRUST = 8  # bit of GUID_OPTIONS
 _RATE_BITS, _THRUST_BIT, _ATTITUDE_BIT = 0b111, 64, 128
 _POSITION_BITS, _VELOCITY_BITS, _ACCELERATION_BITS = 0b111, 0b111 << 3, 0b111 << 6
 _FORCE_BIT, _YAW_BIT, _YAW_RATE_BIT = 1 << 9, 1 << 10, 1 << 11
 
 
 class Sub(Enum):
-    """What GUIDED is doing."""
+    """Sub-mode of GUIDED."""
 
-    VELOCITY = "velocity"  # and acceleration, and position beside them
+    VELOCITY = "velocity"  # also with acceleration and position
     POINT = "point"
     ANGLE = "angle"
     TAKE_OFF = "take off"
 
 
 class Guided:
-    """The mode that follows set-points.
+    """Controller of the mode that follows set-points.
 
-    A message that is not understood re-initialises the mode: it brakes and holds. Silence for GUID_TIMEOUT
-    means a level attitude and no climb, or no velocity; until then the last set-point goes on.
+    An unsupported message re-initialises the mode: the vehicle brakes and holds. GUID_TIMEOUT after the last
+    set-point the command becomes a level attitude without climb, or zero velocity. Until then the last
+    set-point stays in force.
+
+    Args:
+        attitude: the inner loop.
+        position: the outer loops.
+        parameters: parameters, read at every tick.
+
+    Attributes:
+        sub: the present sub-mode.
+        needs_position: True for GUIDED, False for GUIDED_NOGPS, which follows attitudes only.
+        rejected: number of set-points that re-initialised the mode.
+        speed_m_s: speed from MAV_CMD_DO_CHANGE_SPEED [m/s]; None for the default.
     """
 
     def __init__(self, attitude: AttitudeControl, position: PositionControl, parameters: Parameters) -> None:
@@ -48,23 +60,23 @@ class Guided:
         self._position = position
         self._parameters = parameters
         self.sub = Sub.VELOCITY
-        self.needs_position = True  # GUIDED, as against GUIDED_NOGPS, which knows attitudes only
-        self.rejected = 0  # set-points that re-initialised the mode
+        self.needs_position = True
+        self.rejected = 0
         self._silent_s = 0.0
         self._target: Quat | None = None
         self._omega: Vector = (0.0, 0.0, 0.0)
-        self._thrust = 0.0  # of 0..1, or a climb rate [m/s]
+        self._thrust = 0.0  # throttle 0 to 1, or a climb rate [m/s]
         self._is_thrust = False
         self._point: Vector | None = None
         self._velocity: Vector = (0.0, 0.0, 0.0)
         self._acceleration: Vector = (0.0, 0.0, 0.0)
         self._is_streamed = self._integrates = False
         self._climbing_s = 0.0  # since the take-off began
-        self.speed_m_s: float | None = None  # MAV_CMD_DO_CHANGE_SPEED
+        self.speed_m_s: float | None = None
         self._hold: Vector | None = None
 
     def enter(self, motion: Motion) -> None:
-        """Begin, or begin again: brake."""
+        """Enter or re-initialise the mode: brake."""
         self.sub, self._is_streamed, self._point, self._hold = Sub.VELOCITY, False, None, None
         self._velocity = self._acceleration = (0.0, 0.0, 0.0)
         self._silent_s = 0.0
@@ -74,26 +86,36 @@ class Guided:
             self._target, self._omega = from_euler(0, 0, to_euler(motion.attitude)[2]), (0.0, 0.0, 0.0)
 
     def take_off(self, motion: Motion, height_m: float) -> None:
-        """Climb straight to a height above home."""
+        """Climb straight up.
+
+        Args:
+            motion: estimated motion.
+            height_m: height above the local origin [m].
+        """
         self._position.reset(motion)
         self.sub, self._point = Sub.TAKE_OFF, (*motion.position[:2], -height_m)
         self._climbing_s = 0.0
 
     def go_to(self, motion: Motion, point: Vector) -> None:
-        """Fly to a point, with shaped speeds, and stay."""
+        """Fly to a point with shaped speeds, and stay there.
+
+        Args:
+            motion: estimated motion.
+            point: NED [m].
+        """
         if self.sub is not Sub.POINT:
             self._position.reset(motion)
         self.sub, self._point = Sub.POINT, point
 
     def is_taking_off(self, motion: Motion) -> bool:
-        """Whether the height of the take-off is not yet reached."""
+        """Return whether it is still below the height of its take-off."""
         return (
             self.sub is Sub.TAKE_OFF and self._point is not None and motion.position[2] > self._point[2] + 0.5
         )
 
     @property
-    def wanted(self) -> tuple[int, Vector, Vector, Vector] | None:
-        """Mask, position, velocity and acceleration that are followed; None while attitudes are."""
+    def target(self) -> tuple[int, Vector, Vector, Vector] | None:
+        """Mask, position, velocity and acceleration that are followed, NED; None for attitude set-points."""
         zero = (0.0, 0.0, 0.0)
         if self.sub is Sub.ANGLE:
             return None
@@ -104,8 +126,8 @@ class Guided:
         ignored |= _POSITION_BITS if self._point is None else 0
         return ignored, self._point or zero, self._velocity, self._acceleration
 
-    def wants_to_climb(self) -> bool:
-        """Whether a vehicle on the ground should leave it."""
+    def should_leave_ground(self) -> bool:
+        """Return whether the set-point commands a vehicle on the ground to leave it."""
         match self.sub:
             case Sub.TAKE_OFF:
                 return True
@@ -117,7 +139,12 @@ class Guided:
                 return self._velocity[2] < 0 or self._acceleration[2] < 0
 
     def attitude_target(self, message: Message, motion: Motion) -> None:
-        """SET_ATTITUDE_TARGET."""
+        """Process a SET_ATTITUDE_TARGET.
+
+        Args:
+            message: the message.
+            motion: estimated motion.
+        """
         mask = message.type_mask
         rates = mask & _RATE_BITS
         quat: Quat | None = None
@@ -141,13 +168,18 @@ class Guided:
         if is_thrust:
             self._thrust = _constrained(message.thrust, -1.0, 1.0)
             return None
-        share = 2 * (_constrained(message.thrust, 0.0, 1.0) - 0.5)
-        way = "UP" if share > 0 else "DN"
-        self._thrust = share * self._parameters[f"WPNAV_SPEED_{way}"] / 100
+        climb = 2 * (_constrained(message.thrust, 0.0, 1.0) - 0.5)
+        direction = "UP" if climb > 0 else "DN"
+        self._thrust = climb * self._parameters[f"WPNAV_SPEED_{direction}"] / 100
         return None
 
     def position_target(self, message: Message, motion: Motion) -> None:
-        """SET_POSITION_TARGET_LOCAL_NED; without a position it means nothing."""
+        """Process a SET_POSITION_TARGET_LOCAL_NED; GUIDED_NOGPS ignores it.
+
+        Args:
+            message: the message.
+            motion: estimated motion.
+        """
         if not self.needs_position:
             return None
         mask, frame = message.type_mask, message.coordinate_frame
@@ -188,7 +220,7 @@ class Guided:
         return None
 
     def run(self, motion: Motion) -> None:
-        """One tick of attitude and throttle."""
+        """Run one tick: command attitude and throttle."""
         self._silent_s += TICK_S
         silent = self._silent_s > self._parameters["GUID_TIMEOUT"]
         match self.sub:
@@ -198,8 +230,8 @@ class Guided:
                 self._run_velocity(motion, silent)
             case Sub.POINT | Sub.TAKE_OFF:
                 assert self._point is not None
-                most = self.speed_m_s or self._parameters["WPNAV_SPEED"] / 100
-                self._position.point(motion, self._point[:2], most)
+                max_speed = self.speed_m_s or self._parameters["WPNAV_SPEED"] / 100
+                self._position.point(motion, self._point[:2], max_speed)
                 self._climbing_s += TICK_S
                 throttle = self._climbing_s / max(self._parameters["TKOFF_SLEW_TIME"], 0.25)
                 if self.sub is Sub.TAKE_OFF and throttle < self._parameters["MOT_THST_HOVER"]:
@@ -259,5 +291,5 @@ class Guided:
 
 
 def _constrained(value: float, low: float, high: float) -> float:
-    """ArduPilot's: what is no number becomes the middle, which for a thrust is none at all."""
+    """Clip as ArduPilot does: NaN becomes the middle of the range, which for a thrust is zero."""
     return (low + high) / 2 if math.isnan(value) else max(low, min(high, value))

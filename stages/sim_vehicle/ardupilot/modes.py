@@ -1,4 +1,4 @@
-"""Flight modes as a table: numbers and names of ArduPilot Copter, and what each asks for."""
+"""Table of the flight modes of ArduPilot Copter: numbers, names and requirements."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class Mode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class ModeRow:
-    """What a mode asks for and allows.
+    """Properties of a mode.
 
     Attributes:
-        needs_position: without one it cannot be entered, and losing it is a failsafe.
-        can_arm: arming is allowed in it.
-        takes_setpoints: SET_ATTITUDE_TARGET and SET_POSITION_TARGET_LOCAL_NED are followed.
-        is_piloted: sticks fly it, so it is no mode without a remote control.
+        needs_position: it cannot be entered without a position estimate, and losing it triggers a failsafe.
+        can_arm: arming is allowed.
+        takes_setpoints: it follows SET_ATTITUDE_TARGET and SET_POSITION_TARGET_LOCAL_NED.
+        is_piloted: sticks control it, so it needs a remote control.
     """
 
     needs_position: bool
@@ -47,7 +47,7 @@ MODES: dict[Mode, ModeRow] = {
     Mode.GUIDED_NOGPS: ModeRow(needs_position=False, can_arm=True, takes_setpoints=True),
 }
 
-# Modes of the real one that this one refuses, with the word it uses.
+# Modes of ArduPilot Copter that the simulation refuses, by name.
 ABSENT = {
     1: "ACRO",
     3: "AUTO",
@@ -71,7 +71,12 @@ ABSENT = {
 
 
 def refusal(number: int, *, has_position: bool) -> str | None:
-    """Why a mode cannot be entered, in ArduPilot's words; None if it can."""
+    """Reason why a mode cannot be entered, in ArduPilot's words; None if it can.
+
+    Args:
+        number: custom_mode.
+        has_position: whether there is a valid position estimate.
+    """
     if number not in Mode._value2member_map_:
         if number in ABSENT:
             return f"Mode change to {ABSENT[number]} failed: not simulated"

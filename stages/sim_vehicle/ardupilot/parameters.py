@@ -1,4 +1,4 @@
-"""Parameters by ArduPilot's names, with its defaults where the simulated vehicle has a use for them."""
+"""Parameters with ArduPilot's names and defaults, as far as the simulated vehicle or its clients use them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from alula.schemas.errors import UsageError
 
 
 class ParamType(IntEnum):
-    """MAV_PARAM_TYPE; values travel as floats whatever their type."""
+    """MAV_PARAM_TYPE; values of all types are sent as floats."""
 
     INT8 = 2
     INT16 = 4
@@ -20,7 +20,7 @@ class ParamType(IntEnum):
 
 _B, _H, _I, _F = ParamType.INT8, ParamType.INT16, ParamType.INT32, ParamType.FLOAT
 
-# name: (type, default). What is only read by clients is here too: they ask for it at connecting.
+# name: (type, default). Some are here only because clients read them when they connect.
 TABLE: dict[str, tuple[ParamType, float]] = {
     "ACRO_YAW_RATE": (_F, 202.5),
     "AHRS_EKF_TYPE": (_B, 3),
@@ -34,7 +34,7 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "ATC_ANG_PIT_P": (_F, 4.5),
     "ATC_ANG_RLL_P": (_F, 4.5),
     "ATC_ANG_YAW_P": (_F, 4.5),
-    "ATC_INPUT_TC": (_F, 0.15),  # s, how soon a new lean angle is taken up
+    "ATC_INPUT_TC": (_F, 0.15),  # s, time constant of lean-angle commands
     "BATT_CAPACITY": (_I, 3300),
     "BATT_CRT_MAH": (_F, 0),
     "BATT_CRT_VOLT": (_F, 0),
@@ -75,7 +75,7 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "FS_VIBE_ENABLE": (_B, 1),
     "GPS1_TYPE": (_B, 1),
     "GPS2_TYPE": (_B, 0),
-    "GUID_OPTIONS": (_I, 0),  # 8: "thrust" of SET_ATTITUDE_TARGET is one
+    "GUID_OPTIONS": (_I, 0),  # 8: the "thrust" of SET_ATTITUDE_TARGET is a thrust
     "GUID_TIMEOUT": (_F, 3),
     "INITIAL_MODE": (_B, 0),
     "LAND_ALT_LOW": (_H, 1000),  # cm
@@ -132,13 +132,13 @@ _BITS = {ParamType.INT8: 8, ParamType.INT16: 16, ParamType.INT32: 32}
 class Parameters:
     """The parameters of one vehicle.
 
-    The loops ask for them by ArduPilot's names. An autopilot with other names has a table of its own, and
-    says what the loops find behind theirs; clients neither see nor set those.
+    The control loops read them by ArduPilot's names. A firmware with other names has a table of its own and
+    derives the values under ArduPilot's names from it; clients can neither read nor set those.
 
     Args:
         changed: values by name that replace defaults.
         table: names, types and defaults.
-        derived: what the loops ask for and the table does not hold, from what it holds.
+        derived: for names that the table does not hold, functions of the values in the table.
 
     Raises:
         UsageError: a name is unknown or a value is not finite.
@@ -176,29 +176,37 @@ class Parameters:
         return name in self._table
 
     def whole(self, name: str) -> int:
-        """An integer parameter."""
+        """Value of an integer parameter."""
         return int(self._values[name])
 
     def name_at(self, index: int) -> str | None:
-        """The name at an index of the list; None beyond it."""
+        """Name at an index of the sorted list; None beyond its end."""
         return self._names[index] if 0 <= index < len(self._names) else None
 
     def index_of(self, name: str) -> int:
-        """Its place in the list."""
+        """Index of a name in the sorted list."""
         return self._index[name]
 
     def type_of(self, name: str) -> ParamType:
-        """How it travels."""
+        """Type of a parameter."""
         return self._table[name][0]
 
     def set(self, name: str, value: float) -> bool:
-        """Change one; integers are rounded. False for an unknown name or a value that is not finite."""
+        """Set a parameter; integers are rounded and clipped to their range.
+
+        Args:
+            name: its name.
+            value: the new value.
+
+        Returns:
+            False if the name is unknown or the value is not finite.
+        """
         if name not in self._table or not math.isfinite(value):
             return False
         kind = self._table[name][0]
         if kind is not ParamType.FLOAT:
-            most = 2 ** (_BITS[kind] - 1)
-            value = float(max(-most, min(most - 1, round(value))))
+            limit = 2 ** (_BITS[kind] - 1)
+            value = float(max(-limit, min(limit - 1, round(value))))
         self._values[name] = value
         self._derive()
         return True

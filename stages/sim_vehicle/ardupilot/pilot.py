@@ -1,4 +1,4 @@
-"""The pilot's remote control: sticks, the mode switch, and what overrides them."""
+"""The pilot's remote control: sticks, mode switch and channel overrides."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 CHANNELS = 16
 CENTRE, LOW, HIGH = 1500, 1000, 2000
 _DEAD_US = 30
-_SWITCH = (1230, 1360, 1490, 1620, 1749)  # between the six places of the mode switch [us]
-_IGNORED = (0, 65535)  # of RC_CHANNELS_OVERRIDE; 0 gives channels 1 to 8 back
+_SWITCH = (1230, 1360, 1490, 1620, 1749)  # boundaries of the six positions of the mode switch [us]
+_IGNORED = (0, 65535)  # not overrides in RC_CHANNELS_OVERRIDE; 0 releases channels 1 to 8
 
 
 class Pilot:
-    """A receiver with centred sticks, and an attentive pilot: throttle low on the ground, centred in the air.
+    """Receiver of a remote control with centred sticks; on the ground the throttle is low.
 
     RC_CHANNELS_OVERRIDE replaces channels for RC_OVERRIDE_TIME.
+
+    Args:
+        parameters: channel numbers and timeouts, read at every use.
+
+    Attributes:
+        is_lost: whether the receiver has lost the signal.
     """
 
     def __init__(self, parameters: Parameters) -> None:
@@ -22,11 +28,11 @@ class Pilot:
         self._sticks = [CENTRE] * CHANNELS
         self._sticks[2] = LOW
         self._overrides: dict[int, tuple[int, float]] = {}
-        self._place: int | None = None
-        self.is_lost = False  # the receiver hears no pilot
+        self._position: int | None = None
+        self.is_lost = False
 
     def channels(self, now_s: float) -> list[int]:
-        """Pulse widths [us]."""
+        """Pulse widths of all channels at `now_s` [us]."""
         channels = list(self._sticks)
         for index, (value, until_s) in list(self._overrides.items()):
             if now_s > until_s:
@@ -38,7 +44,12 @@ class Pilot:
         return channels
 
     def override(self, values: list[int], now_s: float) -> None:
-        """RC_CHANNELS_OVERRIDE."""
+        """Process an RC_CHANNELS_OVERRIDE.
+
+        Args:
+            values: pulse widths of the channels [us]; 0 and 65535 are not overrides.
+            now_s: time since boot [s].
+        """
         until_s = now_s + self._parameters["RC_OVERRIDE_TIME"]
         for index, value in enumerate(values[:CHANNELS]):
             if value not in _IGNORED:
@@ -47,15 +58,25 @@ class Pilot:
                 self._overrides.pop(index, None)
 
     def move(self, channel: int, value: int) -> None:
-        """A test's hand on a stick or switch, counted from 1 [us]."""
+        """Move a stick or switch; used by tests.
+
+        Args:
+            channel: number of the channel, from 1.
+            value: pulse width [us].
+        """
         self._sticks[channel - 1] = value
 
     def attend(self, *, landed: bool) -> None:
-        """Hold the throttle stick as one does."""
+        """Hold the throttle stick low on the ground, centred in the air."""
         self._sticks[2] = LOW if landed else CENTRE
 
     def stick(self, name: str, now_s: float) -> float:
-        """Of RCMAP_*: -1 to 1 with a dead zone around 0."""
+        """Deflection of a stick, -1 to 1 with a dead zone around 0.
+
+        Args:
+            name: ROLL, PITCH, THROTTLE or YAW, as in RCMAP_*.
+            now_s: time since boot [s].
+        """
         channel = max(1, min(CHANNELS, self._parameters.whole(f"RCMAP_{name}")))
         value = self.channels(now_s)[channel - 1] - CENTRE
         if abs(value) <= _DEAD_US:
@@ -65,12 +86,12 @@ class Pilot:
         )
 
     def moved_switch(self, now_s: float) -> int | None:
-        """The mode that the switch was moved to since the last call; None if it was not."""
+        """FLTMODE value of the switch if it moved since the last call, else None."""
         channel = self._parameters.whole("FLTMODE_CH")
         if not 1 <= channel <= CHANNELS:
             return None
         value = self.channels(now_s)[channel - 1]
-        place = sum(value > edge for edge in _SWITCH)
-        moved = self._place is not None and place != self._place
-        self._place = place
-        return self._parameters.whole(f"FLTMODE{place + 1}") if moved else None
+        position = sum(value > edge for edge in _SWITCH)
+        moved = self._position is not None and position != self._position
+        self._position = position
+        return self._parameters.whole(f"FLTMODE{position + 1}") if moved else None

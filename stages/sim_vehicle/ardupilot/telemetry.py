@@ -1,4 +1,4 @@
-"""What the vehicle tells of itself, and how often."""
+"""Telemetry messages of the simulated vehicle and their rates."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
 from alula.stages.sim_vehicle.common.packets import Message, mavlink
 from alula.stages.sim_vehicle.common.quaternions import to_euler
 
-# REQUEST_DATA_STREAM's groups and the parameter that holds the rate of each at boot.
+# Groups of REQUEST_DATA_STREAM: the parameter with the rate at boot, and the messages.
 STREAMS: dict[int, tuple[str, tuple[str, ...]]] = {
     mavlink.MAV_DATA_STREAM_RAW_SENSORS: ("SR0_RAW_SENS", ("SIM_STATE",)),
     mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
@@ -51,9 +51,16 @@ _VERSION = (4 << 24) | (7 << 16)  # 4.7.0, a development version
 
 
 class Telemetry:
-    """Messages by name, and those that are due.
+    """Builder and scheduler of the vehicle's messages.
 
-    A builder gives None where the vehicle has nothing to say: no position is sent before there is one.
+    A message without valid content is not sent: no position before there is an estimate.
+
+    Args:
+        copter: the vehicle.
+        epoch_s: Unix time at boot [s]; 0 if unknown.
+
+    Attributes:
+        ids: names of the messages by number.
     """
 
     STREAMS: ClassVar[Mapping[int, tuple[str, tuple[str, ...]]]] = STREAMS
@@ -64,7 +71,7 @@ class Telemetry:
         *("ekf_status_report", "position_target_local_ned", "attitude_target", "sim_state"),
         "mission_current",
     )
-    RATES_HZ: ClassVar[Mapping[str, float]] = {"HEARTBEAT": 1.0}  # unless asked otherwise
+    RATES_HZ: ClassVar[Mapping[str, float]] = {"HEARTBEAT": 1.0}  # default rates
 
     def __init__(self, copter: Copter, epoch_s: float = 0.0) -> None:
         self._copter = copter
@@ -81,20 +88,25 @@ class Telemetry:
             self.set_stream(group, copter.parameters[parameter])
 
     def build(self, name: str) -> Message | None:
-        """One message now."""
+        """Build a message by name; None if it has no valid content now."""
         return self._builders[name]()
 
     def interval_s(self, name: str) -> float | None:
-        """Between two of them; None for one that is not sent."""
+        """Interval of a message [s]; None if it is not sent."""
         return self._interval_s.get(name)
 
     def usual_interval_s(self, name: str) -> float | None:
-        """The interval that nobody has asked for; None for a message that is not sent then."""
+        """Default interval of a message [s]; None if it is not sent by default."""
         rate_hz = self.RATES_HZ.get(name)
         return None if rate_hz is None else 1 / rate_hz
 
     def set_interval(self, name: str, interval_s: float | None) -> None:
-        """Send it that often; None for never again."""
+        """Set the interval of a message.
+
+        Args:
+            name: its name.
+            interval_s: the interval [s]; None stops it.
+        """
         self._due = [(when, other) for when, other in self._due if other != name]
         heapq.heapify(self._due)
         self._interval_s.pop(name, None)
@@ -103,14 +115,19 @@ class Telemetry:
             heapq.heappush(self._due, (self._copter.time_s, name))
 
     def set_stream(self, group: int, rate_hz: float) -> None:
-        """REQUEST_DATA_STREAM: all of a group, or with group 0 of all of them; 0 Hz ends it."""
+        """Process a REQUEST_DATA_STREAM.
+
+        Args:
+            group: the group of messages; 0 for all groups.
+            rate_hz: the rate [Hz]; 0 stops them.
+        """
         for key, (_, names) in self.STREAMS.items():
             if group in (key, mavlink.MAV_DATA_STREAM_ALL):
                 for name in names:
                     self.set_interval(name, 1 / rate_hz if rate_hz > 0 else None)
 
     def due(self) -> list[Message]:
-        """What is to be sent now, on a schedule that does not slip."""
+        """Messages that are due now, on a schedule without drift."""
         now, found = self._copter.time_s, []
         while self._due and self._due[0][0] <= now + 1e-9:
             when, name = heapq.heappop(self._due)
@@ -125,7 +142,7 @@ class Telemetry:
 
     @property
     def _motion(self) -> Motion:
-        return self._copter.estimator.told
+        return self._copter.estimator.reported
 
     def _heartbeat(self) -> Message:
         copter = self._copter
@@ -152,7 +169,7 @@ class Telemetry:
         present = _SENSORS | gps | mavlink.MAV_SYS_STATUS_AHRS | mavlink.MAV_SYS_STATUS_PREARM_CHECK
         healthy = _SENSORS
         healthy |= gps if copter.estimator.has_fix else 0
-        settled = copter.estimator.has_position and not copter.estimator.is_sick
+        settled = copter.estimator.has_position and not copter.estimator.has_failed
         healthy |= mavlink.MAV_SYS_STATUS_AHRS if settled else 0
         healthy |= mavlink.MAV_SYS_STATUS_PREARM_CHECK if settled and not battery.charge else 0
         return mavlink.MAVLink_sys_status_message(
@@ -162,7 +179,7 @@ class Telemetry:
             150,
             round(battery.voltage * 1000),
             round(battery.current_a * 100),
-            round(battery.share * 100),
+            round(battery.remaining * 100),
             *(0, 0, 0, 0, 0, 0),
         )
 
@@ -237,7 +254,7 @@ class Telemetry:
         volts = [round(battery.voltage * 1000)] + [65535] * 9
         return mavlink.MAVLink_battery_status_message(
             *(0, 0, 0, 32767, volts, round(battery.current_a * 100)),
-            *(round(battery.used_mah), -1, round(battery.share * 100)),
+            *(round(battery.used_mah), -1, round(battery.remaining * 100)),
         )
 
     def _autopilot_version(self) -> Message:
@@ -277,10 +294,10 @@ class Telemetry:
         return mavlink.MAVLink_ekf_status_report_message(estimator.flags, bad, bad, 0.05, 0.05, 0.0)
 
     def _position_target_local_ned(self) -> Message | None:
-        wanted = self._copter.flying.guided.wanted
-        if self._copter.mode is not Mode.GUIDED or wanted is None:
+        target = self._copter.flying.guided.target
+        if self._copter.mode is not Mode.GUIDED or target is None:
             return None
-        mask, point, velocity, acceleration = wanted
+        mask, point, velocity, acceleration = target
         return mavlink.MAVLink_position_target_local_ned_message(
             self._now_ms, mavlink.MAV_FRAME_LOCAL_NED, mask, *point, *velocity, *acceleration, 0.0, 0.0
         )
@@ -288,11 +305,11 @@ class Telemetry:
     def _attitude_target(self) -> Message:
         attitude = self._copter.attitude
         return mavlink.MAVLink_attitude_target_message(
-            self._now_ms, 0, list(attitude.target), *attitude.rates, attitude.wanted_throttle
+            self._now_ms, 0, list(attitude.target), *attitude.rates, attitude.throttle_command
         )
 
     def _sim_state(self) -> Message:
-        """The truth, as ArduPilot's simulation tells it."""
+        """True motion, as ArduPilot's simulation sends it."""
         truth = self._copter.airframe.truth
         lat, lon, alt = self._copter.estimator.global_position(truth.position)
         return mavlink.MAVLink_sim_state_message(

@@ -1,1 +1,1 @@
-"""Parts that the simulated autopilots share."""
+"""Parts that the simulated vehicles share; nothing here depends on a firmware."""

@@ -1,4 +1,4 @@
-"""The body of the simulated vehicle: the native plant, a floor, and north-east-down around it."""
+"""Body of the simulated vehicle: the native plant above a floor, in north-east-down."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from alula.stages.sim_vehicle.common.quaternions import (
 from alula.stages.vehicles.bodies import plant, quadrotor
 from alula.stages.vehicles.frames import LocalFrame, flipped_body
 
-TICK_S = 1 / 400  # of the autopilot, as ArduPilot's main loop
-_STEPS = 3  # of the plant in a tick: 1200 Hz
+TICK_S = 1 / 400  # period of the autopilot, that of ArduPilot's main loop
+_STEPS = 3  # steps of the plant in a tick: 1200 Hz
 _FLIP = np.tile([1.0, -1.0, -1.0], 4)
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Where the vehicle is and how it moves; world north-east-down from home, body forward-right-down.
+    """Motion of the vehicle; world north-east-down (NED) from the start, body forward-right-down (FRD).
 
     Attributes:
-        position: [m].
-        velocity: [m/s].
-        attitude: NED from FRD, w, x, y, z.
-        omega: body rates [rad/s].
-        acceleration: of the velocity [m/s^2].
+        position: in NED [m].
+        velocity: in NED [m/s].
+        attitude: unit quaternion w, x, y, z that turns FRD vectors into NED.
+        omega: body rates in FRD [rad/s].
+        acceleration: derivative of the velocity, in NED [m/s^2].
     """
 
     position: Vector
@@ -49,16 +49,21 @@ class Motion:
 class Airframe:
     """A quadrotor on or above a flat floor at height 0.
 
-    The plant's own world here is north-west-up, so that both frames of it turn into the autopilot's by the
-    same half turn about x: the signs of y and z of every vector of the state, Rodrigues parameters included.
-    The floor holds what pushes less than its weight; who comes down on it stands level and still.
-
-    `touchdown_m_s` is the fastest that it came down on the floor.
+    The plant's own world is north-west-up. Both of its frames then turn into the autopilot's by the same half
+    turn about x, which changes the signs of y and z of every vector of the state, Rodrigues parameters
+    included. On the floor the vehicle stays at rest while its thrust is below its weight. After a touch-down
+    it stands level and still.
 
     Args:
         vehicle: a quadrotor; its disturbances act.
-        seed: of noise and gusts.
-        heading_rad: at the start, clockwise from north.
+        seed: seed of noise and gusts.
+        heading_rad: initial heading, clockwise from north [rad].
+
+    Attributes:
+        truth: true motion.
+        sensed: motion with the sensor noise and delay of the vehicle file.
+        on_ground: whether it stands on the floor.
+        touchdown_m_s: largest speed of a touch-down [m/s].
 
     Raises:
         UsageError: the vehicle is no quadrotor.
@@ -79,18 +84,23 @@ class Airframe:
             or vehicle.disturbance.rate_noise_rad_s
         )
         self.on_ground = True
-        self._stood: Vector | None = None  # before a hand took it
+        self._stood: Vector | None = None  # position before a hand lifted it
         self.touchdown_m_s = 0.0
         self.truth = self.sensed = Motion((0.0,) * 3, (0.0,) * 3, from_euler(0, 0, heading_rad), (0.0,) * 3)
         self._park()
 
     @property
     def is_carried(self) -> bool:
-        """Whether a hand holds it."""
+        """Return whether a hand holds it."""
         return self._stood is not None
 
     def carry(self, by: tuple[Vector, Vector, Vector] | None) -> None:
-        """Held by a hand, level: position from where it stood, velocity, acceleration; None puts it back."""
+        """Move the vehicle as a hand does, level.
+
+        Args:
+            by: displacement from where it stood [m], velocity [m/s] and acceleration [m/s^2], all NED; None
+                puts it back.
+        """
         if by is None:
             if self._stood is not None:
                 self._park()
@@ -103,18 +113,23 @@ class Airframe:
 
     @property
     def weight_n(self) -> float:
-        """What hovering takes."""
+        """Weight, the thrust of hovering [N]."""
         return self.body.mass * self.body.gravity
 
     def step(self, thrust_n: float, torque: Vector) -> None:
-        """Fly one tick with a thrust [N] and a torque, FRD [N m]; roll and pitch go before thrust and yaw."""
-        wanted = np.array([[max(thrust_n, 0.0), torque[0], -torque[1], -torque[2]]])
-        given = self.body.limited(wanted)[0]
+        """Simulate one tick; when rotors saturate, roll and pitch have priority over thrust and yaw.
+
+        Args:
+            thrust_n: thrust [N].
+            torque: torque in FRD [N m].
+        """
+        wrench = np.array([[max(thrust_n, 0.0), torque[0], -torque[1], -torque[2]]])
+        limited = self.body.limited(wrench)[0]
         if self.on_ground:
-            if given[0] <= self.weight_n:
+            if limited[0] <= self.weight_n:
                 return
             self.on_ground = False
-        self._commands[:] = given
+        self._commands[:] = limited
         self._plant.fly(TICK_S / _STEPS, self._commands)
         self._plant.switch_shadow()
         self.truth = _motion(self._plant.state, self._plant.acceleration)
@@ -139,7 +154,7 @@ def _motion(state: np.ndarray, acceleration: list[float]) -> Motion:
 
 
 def _turned(vehicle: Vehicle) -> Vehicle:
-    """The vehicle whose wind, given east-north-up, is along the axes of this plant."""
+    """The vehicle with its wind and gusts turned from east-north-up to the axes of this plant."""
     frame, table = LocalFrame(), vehicle.disturbance
     wind = flipped_body(frame.vector_to_ned(np.array(table.wind_m_s)))
     gust = np.abs(frame.vector_to_ned(np.array(table.gust_m_s)))

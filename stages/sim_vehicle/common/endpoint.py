@@ -1,4 +1,4 @@
-"""The sockets of the simulated vehicle, and real time: the only impure part of it."""
+"""Sockets and real time of the simulated vehicle, the only part with side effects."""
 
 from __future__ import annotations
 
@@ -15,38 +15,42 @@ from alula.stages.sim_vehicle.common.airframe import TICK_S
 
 KINDS = ("udpout", "udpin", "tcpin")
 _PERIOD_S = 2 * TICK_S
-_MOST_DATAGRAMS = 1000  # at once: a flood must not stop the vehicle
+_MAX_DATAGRAMS = 1000  # in one call: a flood must not stop the vehicle
 _Address = tuple[Any, ...]
-_LATE_S = 0.25  # a machine that stood still for longer is not caught up with
+_LATE_S = 0.25  # a longer delay of the machine is skipped, not caught up
 
 
 class Endpoint(Protocol):
-    """Where packets come from and go to."""
+    """One end of a link that sends and receives packets."""
 
     name: str
 
     def fileno(self) -> int:
-        """What to wait on."""
+        """File descriptor for `select`."""
         ...
 
     def read(self) -> list[bytes]:
-        """All that has come; never waits."""
+        """All received packets; never blocks."""
         ...
 
     def write(self, packets: list[bytes]) -> None:
-        """Send; what cannot be sent is lost."""
+        """Send packets; those that cannot be sent are lost."""
         ...
 
     def close(self) -> None:
-        """Let go."""
+        """Close the sockets."""
         ...
 
 
 def open_endpoint(link: str, *, allow_remote: bool = False) -> Endpoint:
     """Open `udpout:HOST:PORT`, `udpin:HOST:PORT` or `tcpin:HOST:PORT`.
 
+    Args:
+        link: the address.
+        allow_remote: allow addresses of other machines.
+
     Raises:
-        UsageError: it is none of these, or not on this machine and not allowed.
+        UsageError: the address has another form, or is on another machine without permission.
         LinkError: it cannot be opened.
     """
     kind, _, place = link.partition(":")
@@ -60,7 +64,7 @@ def open_endpoint(link: str, *, allow_remote: bool = False) -> Endpoint:
         raise LinkError(f"link {link}: {error.strerror or error}") from error
     family, *_, address = found[0]
     if not allow_remote and not ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback:
-        raise UsageError(f"link {link}: not on this machine; --allow-remote allows it")
+        raise UsageError(f"link {link}: not on this machine; pass --allow-remote to allow it")
     try:
         return _Tcp(family, address) if kind == "tcpin" else _Udp(family, address, kind)
     except OSError as error:
@@ -68,15 +72,20 @@ def open_endpoint(link: str, *, allow_remote: bool = False) -> Endpoint:
 
 
 def open_mocap(address: str, *, allow_remote: bool = False) -> Endpoint:
-    """Where datagrams of motion capture go, `udp:HOST:PORT`; errors as of `open_endpoint`."""
+    """Open the endpoint that datagrams of motion capture are sent to; errors as in `open_endpoint`.
+
+    Args:
+        address: `udp:HOST:PORT`.
+        allow_remote: allow addresses of other machines.
+    """
     scheme, _, place = address.partition(":")
     if scheme != "udp":
-        raise UsageError(f"mocap {address!r}: not udp:HOST:PORT")
+        raise UsageError(f"mocap {address!r}: must be udp:HOST:PORT")
     return open_endpoint(f"udpout:{place}", allow_remote=allow_remote)
 
 
 class _Udp:
-    """Datagrams: with one place only, or with whoever wrote last."""
+    """Datagrams, to and from one address (udpout) or the last sender (udpin)."""
 
     def __init__(self, family: int, address: _Address, kind: str) -> None:
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
@@ -87,7 +96,7 @@ class _Udp:
             if self._waits:
                 self._socket.bind(address)
             else:
-                self._socket.connect(address)  # nobody else is heard then
+                self._socket.connect(address)  # then it receives from this address only
         except OSError:
             self._socket.close()
             raise
@@ -99,7 +108,7 @@ class _Udp:
 
     def read(self) -> list[bytes]:
         found: list[bytes] = []
-        while len(found) < _MOST_DATAGRAMS:
+        while len(found) < _MAX_DATAGRAMS:
             try:
                 data, self._peer = self._socket.recvfrom(65536)
             except ConnectionError:
@@ -122,7 +131,7 @@ class _Udp:
 
 
 class _Tcp:
-    """A stream to one client at a time; a new one takes the place of an old one."""
+    """A stream to one client at a time; a new client replaces the old one."""
 
     def __init__(self, family: int, address: _Address) -> None:
         self._listening = socket.socket(family, socket.SOCK_STREAM)
@@ -187,31 +196,42 @@ class _Tcp:
         self._client, self._unsent = None, b""
 
 
-class Flown(Protocol):
-    """What `serve` keeps alive."""
+class Vehicle(Protocol):
+    """A simulated vehicle that `serve` can run."""
 
     def receive(self, data: bytes) -> None:
-        """Bytes have come."""
+        """Process received bytes."""
         ...
 
     def advance(self, to_s: float) -> list[bytes]:
-        """Live until a time since boot."""
+        """Simulate up to a time since boot [s]; returns the packets to send."""
         ...
 
     def mocap(self) -> bytes | None:
-        """What motion capture sees, when it is time."""
+        """Datagram of motion capture if one is due, else None."""
         ...
 
 
 def serve(
-    vehicle: Flown,
+    vehicle: Vehicle,
     endpoint: Endpoint,
     *,
     mocap: Endpoint | None = None,
     duration_s: float | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> float:
-    """Let a vehicle live in real time; the time it lost to a busy machine [s]."""
+    """Run a vehicle in real time.
+
+    Args:
+        vehicle: the vehicle.
+        endpoint: its link.
+        mocap: where its motion capture is sent; None for none.
+        duration_s: simulated time after which it stops [s]; None for no limit.
+        stop: polled in every period; True stops it.
+
+    Returns:
+        The time that was not simulated because the machine was too slow [s].
+    """
     begin = time.monotonic()
     lost_s = 0.0
     due = begin
@@ -228,10 +248,10 @@ def serve(
                     vehicle.receive(data)
         for data in endpoint.read():
             vehicle.receive(data)
-        lived_s = due - begin - lost_s
-        endpoint.write(vehicle.advance(lived_s))
-        if mocap is not None and (picture := vehicle.mocap()) is not None:
-            mocap.write([picture])
-        if duration_s is not None and lived_s >= duration_s:
+        time_s = due - begin - lost_s
+        endpoint.write(vehicle.advance(time_s))
+        if mocap is not None and (datagram := vehicle.mocap()) is not None:
+            mocap.write([datagram])
+        if duration_s is not None and time_s >= duration_s:
             break
     return lost_s

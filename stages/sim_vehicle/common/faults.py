@@ -1,53 +1,53 @@
-"""Faults on purpose: what goes wrong, when, for how long, and how likely."""
+"""Injected faults: kind, start, duration and probability."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from types import MappingProxyType
 from typing import Literal
 
 from alula.schemas.errors import UsageError
-from alula.stages.sim_vehicle.ardupilot.modes import Mode
 
 Since = Literal["boot", "arm", "airborne"]
 Way = Literal["out", "in"]
 
-# Each kind: what `amount` is unless given, and its limits.
+# Each kind: default, minimum and maximum of `amount`.
 KINDS: dict[str, tuple[float, float, float]] = {
     "drop": (0, 0, 0),  # packets are lost
-    "delay": (0.2, 0, 60),  # packets come that much later [s]
-    "duplicate": (0, 0, 0),  # packets come twice
-    "reorder": (0, 0, 0),  # a packet comes after the next one
-    "freeze": (0, 0, 0),  # messages of motion repeat the last one
-    "nan": (0, 0, 0),  # messages of motion hold no numbers
-    "wrong-system": (42, 1, 255),  # packets come from that system
+    "delay": (0.2, 0, 60),  # packets arrive that much later [s]
+    "duplicate": (0, 0, 0),  # packets arrive twice
+    "reorder": (0, 0, 0),  # a packet arrives after the next one
+    "freeze": (0, 0, 0),  # motion messages repeat the last one
+    "nan": (0, 0, 0),  # motion messages contain NaN
+    "wrong-system": (42, 1, 255),  # packets have that system id
     "bad-crc": (0, 0, 0),  # packets are damaged
-    "jump": (2, -1000, 1000),  # the estimate is that far off, to the north [m]
-    "mode": (Mode.LOITER, 0, 255),  # the pilot's switch, by number or name
-    "battery": (0.05, 0, 1),  # that share of the charge is left
+    "jump": (2, -1000, 1000),  # offset of the estimate to the north [m]
+    "mode": (5, 0, 255),  # the pilot's mode switch, by number or name; by default 5, LOITER of ArduPilot
+    "battery": (0.05, 0, 1),  # remaining fraction of the charge
     "mocap-loss": (0, 0, 0),  # external navigation does not arrive
-    "estimator": (0, 0, 0),  # the estimator gives up
-    "radio-loss": (0, 0, 0),  # the receiver hears no pilot
+    "estimator": (0, 0, 0),  # the estimator fails
+    "radio-loss": (0, 0, 0),  # the receiver has no signal of the remote control
 }
 BOTH_WAYS = frozenset({"drop", "delay", "duplicate", "reorder"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """One of `KINDS`.
+    """An injected fault.
 
     Attributes:
-        kind: what goes wrong.
+        kind: one of `KINDS`.
         start: when it begins, after `since` [s].
-        duration: how long it goes on [s].
-        probability: of each packet; of faults of the vehicle that it happens at all.
-        amount: as `KINDS` says; None for its default.
-        way: of packets; "out" leave the vehicle.
-        since: what `start` counts from.
+        duration: how long it lasts [s].
+        probability: probability for each packet; for a fault of the vehicle itself, that it occurs at all.
+        amount: size of the fault, with the meaning and limits of `KINDS`; None for the default.
+        way: direction of the packets; "out" for those that the vehicle sends.
+        since: the event that `start` counts from.
 
     Raises:
-        UsageError: something of it means nothing.
+        UsageError: a value is unknown or out of range.
     """
 
     kind: str
@@ -76,15 +76,19 @@ class Fault:
 
     @property
     def size(self) -> float:
-        """The amount, or what it is unless given."""
+        """The amount, or its default."""
         return KINDS[self.kind][0] if self.amount is None else self.amount
 
 
-def parse_fault(text: str, modes: Mapping[str, int] = Mode.__members__) -> Fault:
-    """A fault written as `kind` or `kind:key=value,key=value`; modes may be named.
+def parse_fault(text: str, modes: Mapping[str, int] = MappingProxyType({})) -> Fault:
+    """Parse a fault written as `kind` or `kind:key=value,key=value`.
+
+    Args:
+        text: the fault.
+        modes: positions of the mode switch by name, for the kind `mode`.
 
     Raises:
-        UsageError: it is not one.
+        UsageError: the text is not a fault.
     """
     kind, _, rest = text.partition(":")
     values: dict[str, object] = {}
@@ -106,7 +110,11 @@ def parse_fault(text: str, modes: Mapping[str, int] = Mode.__members__) -> Fault
 
 
 class Schedule:
-    """The faults of one vehicle, and which of them act now."""
+    """The faults of one vehicle and their timing.
+
+    Args:
+        faults: the faults.
+    """
 
     def __init__(self, faults: tuple[Fault, ...] = ()) -> None:
         self._faults = list(faults)
@@ -116,15 +124,20 @@ class Schedule:
         return bool(self._faults)
 
     def add(self, fault: Fault) -> None:
-        """One more."""
+        """Add a fault."""
         self._faults.append(fault)
 
     def mark(self, event: Since, now_s: float) -> None:
-        """The event that faults wait for has happened; only the first time counts."""
+        """Record an event that faults wait for; only its first occurrence counts.
+
+        Args:
+            event: the event.
+            now_s: time since boot [s].
+        """
         self._began.setdefault(event, now_s)
 
     def acting(self, now_s: float) -> list[Fault]:
-        """Those whose time it is, in the order they were given."""
+        """Faults that act at `now_s` [s], in the order in which they were added."""
         if not self._faults:
             return []
         found = []

@@ -1,4 +1,4 @@
-"""The line between the vehicle and whoever talks to it, with the faults of packets on it."""
+"""Line between the vehicle and its clients, with packet faults."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ import numpy as np
 from alula.stages.sim_vehicle.common.faults import Fault, Schedule
 from alula.stages.sim_vehicle.common.packets import Codec, Message
 
-# Messages of motion, which freeze and turn into NaN.
+# Motion messages, to which the faults `freeze` and `nan` apply.
 _MOTION = frozenset({"LOCAL_POSITION_NED", "ATTITUDE", "ATTITUDE_QUATERNION", "ODOMETRY"})
 _Heap = list[tuple[float, int, Any]]
 
 
 class Line:
-    """Messages out to packets, packets in to messages; late ones wait here.
+    """Converter between messages and packets that applies faults and keeps delayed packets.
 
     Args:
-        codec: makes packets.
-        schedule: faults that act.
-        seed: of which packets they hit.
+        codec: encoder and decoder of packets.
+        schedule: the faults.
+        seed: seed of the choice of affected packets.
     """
 
     def __init__(self, codec: Codec, schedule: Schedule, seed: int) -> None:
@@ -37,7 +37,7 @@ class Line:
         self._held: dict[str, list[bytes | Message]] = {"out": [], "in": []}
 
     def send(self, message: Message, now_s: float) -> list[bytes]:
-        """Packets to send now."""
+        """Encode a message; returns the packets to send at `now_s` [s]."""
         acting = [fault for fault in self._schedule.acting(now_s) if fault.way == "out"]
         kind = message.get_type()
         if not acting:
@@ -59,7 +59,7 @@ class Line:
         return self._passed(packet, hit, now_s, "out", self._waiting)
 
     def receive(self, data: bytes, now_s: float) -> list[Message]:
-        """Messages that arrive with these bytes."""
+        """Decode bytes received at `now_s` [s]; returns the messages that arrive now."""
         found: list[Message] = []
         for message in self.codec.decode(data):
             acting = [fault for fault in self._schedule.acting(now_s) if fault.way == "in"]
@@ -70,11 +70,11 @@ class Line:
         return found
 
     def late_packets(self, now_s: float) -> list[bytes]:
-        """Packets that were delayed until now."""
+        """Delayed packets that are due at `now_s` [s]."""
         return _popped(self._waiting, now_s)
 
     def late_messages(self, now_s: float) -> list[Message]:
-        """Messages that were delayed until now."""
+        """Delayed messages that are due at `now_s` [s]."""
         return _popped(self._arriving, now_s)
 
     def _drawn(self, acting: list[Fault]) -> dict[str, Fault]:
@@ -98,7 +98,7 @@ class Line:
         return self._released(copies, way)
 
     def _released(self, items: list[Any], way: str) -> list[Any]:
-        """These, then those that were held back for them."""
+        """Return these items, then those that were held back for them."""
         if self._held[way]:
             items, self._held[way] = items + self._held[way], []
         return items

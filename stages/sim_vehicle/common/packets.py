@@ -1,4 +1,4 @@
-"""MAVLink messages and packets: the one place that knows the generated dialect."""
+"""MAVLink messages and packets; the only module of the simulator that imports the generated dialect."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega
 
-# The generated module has no types; everything made of it is Any here and nowhere else.
+# The generated module has no types; its objects are Any, declared only here.
 mavlink: Any = ardupilotmega
 Message = Any
 
@@ -14,16 +14,19 @@ COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 
 
 class Codec:
-    """Packets of one channel: counts them, checks them, signs them.
+    """Encoder and decoder of the packets of one channel; counts, checks and signs them.
 
-    With a key every packet that leaves is signed. Channel 0 takes unsigned packets all the same, as
-    ArduPilot's USB port does; any other channel then takes signed ones only.
+    With a key every sent packet is signed. Channel 0 still accepts unsigned packets, as ArduPilot's USB port
+    does; any other channel then accepts only signed ones.
 
     Args:
-        system: our system id.
+        system: system id of the vehicle.
         channel: number of the serial port; 0 is the console.
         key: 32 bytes shared with the other side, or None.
-        time_10us: the time now for signatures, in units of 10 us since 2015.
+        time_10us: present time for signatures, in units of 10 us since 2015.
+
+    Attributes:
+        bad_packets: number of damaged and refused packets.
     """
 
     def __init__(
@@ -38,7 +41,7 @@ class Codec:
 
     @property
     def system(self) -> int:
-        """Our system id."""
+        """System id of the vehicle."""
         return int(self._mav.srcSystem)
 
     @system.setter
@@ -47,12 +50,17 @@ class Codec:
 
     @property
     def unsigned_refused(self) -> int:
-        """Packets refused because they were not signed by the key."""
+        """Number of packets refused because they were not signed with the key."""
         signing = self._mav.signing
         return int(signing.badsig_count + signing.reject_count)
 
     def set_key(self, key: bytes, time_10us: int) -> None:
-        """Sign from now on; 32 zero bytes end it."""
+        """Start to sign packets.
+
+        Args:
+            key: 32 bytes; all zero ends signing.
+            time_10us: present time for signatures, in units of 10 us since 2015.
+        """
         signing = self._mav.signing
         signing.secret_key = key if any(key) else None
         signing.sign_outgoing = any(key)
@@ -61,7 +69,7 @@ class Codec:
         signing.allow_unsigned_callback = (lambda _mav, _id: True) if self.channel == 0 else self._refuse
 
     def decode(self, data: bytes) -> list[Message]:
-        """Messages that are complete with these bytes; damaged and refused ones are counted."""
+        """Messages that these bytes complete; damaged and refused ones are counted."""
         good = []
         for message in self._mav.parse_buffer(data) or ():
             if message.get_msgId() < 0 or message.get_type() == "BAD_DATA":
@@ -71,13 +79,18 @@ class Codec:
         return good
 
     def encode(self, message: Message, system: int | None = None) -> bytes:
-        """The packet of a message, by default of our system."""
-        mine = self._mav.srcSystem
-        self._mav.srcSystem = mine if system is None else system
+        """Packet of a message.
+
+        Args:
+            message: the message.
+            system: system id in the packet; None for that of the vehicle.
+        """
+        own = self._mav.srcSystem
+        self._mav.srcSystem = own if system is None else system
         try:
             packet = bytes(message.pack(self._mav))
         finally:
-            self._mav.srcSystem = mine
+            self._mav.srcSystem = own
         self._mav.seq = (self._mav.seq + 1) % 256
         return packet
 

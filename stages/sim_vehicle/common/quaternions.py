@@ -1,6 +1,6 @@
-"""Rotations of one body as plain numbers: arrays of four cost more than they hold at 400 Hz.
+"""Rotations of one body as tuples of floats, which are faster than arrays of four at 400 Hz.
 
-Quaternions (w, x, y, z) turn body vectors into the world; a test holds them against `alula.stages.rotation`.
+Quaternions (w, x, y, z) turn body vectors into the world; a test compares them with `alula.stages.rotation`.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ def added(a: Vector, b: Vector) -> Vector:
 
 
 def scaled(a: Vector, scale: float) -> Vector:
-    """A vector so many times."""
+    """The product of a vector and a number."""
     return a[0] * scale, a[1] * scale, a[2] * scale
 
 
 def multiply(left: Quat, right: Quat) -> Quat:
-    """The Hamilton product: `right` first, then `left`."""
+    """The Hamilton product: the rotation `right`, then the rotation `left`."""
     a, b, c, d = left
     e, f, g, h = right
     return (
@@ -41,27 +41,27 @@ def conjugate(q: Quat) -> Quat:
 
 
 def unit(q: Quat) -> Quat:
-    """Of length 1, with w >= 0."""
+    """The quaternion scaled to length 1, with w >= 0."""
     w, x, y, z = q
     scale = math.copysign(1 / math.sqrt(w * w + x * x + y * y + z * z), w)
     return w * scale, x * scale, y * scale, z * scale
 
 
 def rotate(q: Quat, v: Vector) -> Vector:
-    """Body components of a vector to world components."""
+    """Rotate a vector from body to world components."""
     _, x, y, z = multiply(multiply(q, (0.0, *v)), conjugate(q))
     return x, y, z
 
 
 def from_vector(v: Vector) -> Quat:
-    """The rotation by |v| about v."""
+    """Quaternion of the rotation by |v| [rad] about v."""
     angle = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
     scale = 0.5 if angle < 1e-9 else math.sin(angle / 2) / angle
     return math.cos(angle / 2), v[0] * scale, v[1] * scale, v[2] * scale
 
 
 def to_vector(q: Quat) -> Vector:
-    """The shortest rotation vector of a unit quaternion."""
+    """The shortest rotation vector of a unit quaternion [rad]."""
     w, x, y, z = unit(q)
     sine = math.sqrt(x * x + y * y + z * z)
     scale = 2.0 if sine < 1e-9 else 2 * math.atan2(sine, w) / sine
@@ -69,7 +69,7 @@ def to_vector(q: Quat) -> Vector:
 
 
 def from_euler(roll: float, pitch: float, yaw: float) -> Quat:
-    """Yaw about z, then pitch about y, then roll about x, each about the turned axis."""
+    """Quaternion of yaw about z, then pitch about y, then roll about x, each about the turned axis [rad]."""
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
     cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
     cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
@@ -90,7 +90,7 @@ def to_euler(q: Quat) -> Vector:
 
 
 def from_mrp(sigma: Vector) -> Quat:
-    """Of modified Rodrigues parameters, tan(angle / 4) about the axis."""
+    """Quaternion of modified Rodrigues parameters, tan(angle / 4) times the axis."""
     square = sigma[0] * sigma[0] + sigma[1] * sigma[1] + sigma[2] * sigma[2]
     scale = 2 / (1 + square)
     return (1 - square) / (1 + square), sigma[0] * scale, sigma[1] * scale, sigma[2] * scale
@@ -103,5 +103,5 @@ def to_mrp(q: Quat) -> Vector:
 
 
 def cos_tilt(q: Quat) -> float:
-    """Of the angle between body z and world z."""
+    """Cosine of the angle between body z and world z."""
     return 1 - 2 * (q[1] * q[1] + q[2] * q[2])

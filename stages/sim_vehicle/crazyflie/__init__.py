@@ -1,1 +1,1 @@
-"""A simulated Crazyflie."""
+"""The simulated Crazyflie."""

@@ -1,4 +1,4 @@
-"""What the simulated Crazyflie believes of its motion."""
+"""State estimate of the simulated Crazyflie."""
 
 from __future__ import annotations
 
@@ -12,19 +12,24 @@ from alula.stages.flight.links.simulated_body import Body
 from alula.stages.rotation import multiply_quat_wxyz
 
 _UNKNOWN_M2, _KNOWN_M2 = 100.0, 1e-4  # variances
-_SHARE = 0.2  # of what a pose says otherwise is taken over
+_WEIGHT = 0.2  # fraction of the difference to a pose by which the estimate is corrected
 _FRESH_S = 0.1
 _DRIFT_M_S, _GROWTH_M2_S = 0.3, 0.5
 
 
 class Estimator:
-    """The body's measurements, moved and turned about z as poses from outside say.
+    """The measured state of the body, shifted and turned about z by external poses.
 
-    With `needs_poses` the place drifts away without them, and its variance grows.
+    With `needs_poses` the position drifts and its variance grows while no poses arrive.
+
+    Args:
+        body: the body.
+        needs_poses: whether the estimate drifts without poses.
+        seed: seed of the direction of the drift.
 
     Attributes:
-        variance: of each axis of the position [m^2].
-        yaw_offset_rad: by which the estimate is turned against the truth.
+        variance: variance of each axis of the position [m^2].
+        yaw_offset_rad: rotation of the estimate relative to the truth [rad].
     """
 
     def __init__(self, body: Body, *, needs_poses: bool, seed: int) -> None:
@@ -39,11 +44,11 @@ class Estimator:
 
     @property
     def yaw_rad(self) -> float:
-        """Heading."""
+        """Estimated heading [rad]."""
         return _yaw(self.attitude_wxyz)
 
     def step(self, dt_s: float) -> None:
-        """Time goes on."""
+        """Advance the estimate by `dt_s` [s]."""
         self._pose_age_s += dt_s
         if self._needs_poses and self._pose_age_s > _FRESH_S:
             self.variance = min(self.variance + _GROWTH_M2_S * dt_s, _UNKNOWN_M2)
@@ -52,19 +57,29 @@ class Estimator:
         self._look()
 
     def take_pose(self, position: FloatArray, attitude_wxyz: FloatArray) -> None:
-        """A pose from outside."""
+        """Correct the estimate by an external pose.
+
+        Args:
+            position: shape (3,) [m].
+            attitude_wxyz: unit quaternion, shape (4,).
+        """
         if not (np.isfinite(position).all() and np.isfinite(attitude_wxyz).all()):
             return
         self._pose_age_s = 0.0
-        self.variance = max(_KNOWN_M2, self.variance * (1 - _SHARE))
+        self.variance = max(_KNOWN_M2, self.variance * (1 - _WEIGHT))
         turn = math.remainder(_yaw(attitude_wxyz) - self.yaw_rad, 2 * math.pi)
-        self.yaw_offset_rad += _SHARE * turn
+        self.yaw_offset_rad += _WEIGHT * turn
         self._look()
-        self._offset = self._offset + _SHARE * (position - self.position)
+        self._offset = self._offset + _WEIGHT * (position - self.position)
         self._look()
 
     def reset(self, position: FloatArray, yaw_rad: float) -> None:
-        """Begin anew at a place."""
+        """Reset the estimate.
+
+        Args:
+            position: shape (3,) [m].
+            yaw_rad: heading [rad].
+        """
         if not (np.isfinite(position).all() and math.isfinite(yaw_rad)):
             return
         self.variance = _UNKNOWN_M2 if self._needs_poses else _KNOWN_M2
@@ -75,11 +90,11 @@ class Estimator:
             self._look()
 
     def to_truth(self, vector: FloatArray) -> FloatArray:
-        """A vector of the estimate's frame, in the true one."""
+        """Turn a vector, shape (3,), from the estimate's frame to the true frame."""
         return self._turned(vector, -self.yaw_offset_rad)
 
     def readers(self) -> dict[str, Callable[[], float]]:
-        """Variables of the compressed state, in m, m/s and rad/s; the pitch rate with the firmware's sign."""
+        """Log variables of the compressed state [m, m/s, rad/s]; the pitch rate has the firmware's sign."""
 
         def of(name: str, i: int, sign: float = 1.0) -> Callable[[], float]:
             return lambda: sign * float(getattr(self, name)[i])

@@ -1,4 +1,4 @@
-"""The simulated Crazyflie's high-level commander: smooth ways to a height or a place, planned on board."""
+"""High-level commander of the simulated Crazyflie: smooth trajectories to a height or a position."""
 
 from __future__ import annotations
 
@@ -13,21 +13,28 @@ from alula.schemas.arrays import FloatArray
 
 _STOP, _GO_TO, _TAKE_OFF, _LAND, _GO_TO_2 = 3, 4, 7, 8, 12
 _BUSY, _UNKNOWN = 1, 8
-_FARTHEST = 1000.0  # of places [m] and durations [s]
+_FARTHEST = 1000.0  # maximum of positions [m] and durations [s]
 _FORMATS = {_TAKE_OFF: "<Bff?f", _LAND: "<Bff?f", _GO_TO: "<BBfffff", _GO_TO_2: "<BBBfffff"}
 
 
 class Plan(Enum):
-    """What the commander does."""
+    """State of the commander."""
 
-    IDLE = "idle"  # and wants the motors off
+    IDLE = "idle"  # commands the motors off
     FLYING = "flying"
     LANDING = "landing"
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """A point of the way; yaw in radian."""
+    """A point of the trajectory.
+
+    Attributes:
+        position: shape (3,) [m].
+        velocity: shape (3,) [m/s].
+        acceleration: shape (3,) [m/s^2].
+        yaw_rad: heading [rad].
+    """
 
     position: FloatArray
     velocity: FloatArray
@@ -36,7 +43,7 @@ class Goal:
 
 
 def _ends(time: float) -> FloatArray:
-    """Rows that give value and three derivatives of a polynomial of degree 7."""
+    """Matrix from the coefficients of a polynomial of degree 7 to its value and three derivatives."""
     rows = np.zeros((4, 8))
     for order in range(4):
         for power in range(order, 8):
@@ -48,15 +55,28 @@ _FROM_ENDS = np.linalg.inv(np.concatenate([_ends(0.0), _ends(1.0)]))
 
 
 class Planner:
-    """Polynomials of degree 7 from where the vehicle is to rest at a goal; without jerk at both ends."""
+    """Planner of polynomials of degree 7 from the present motion to rest at a goal, without jerk at the ends.
+
+    Attributes:
+        plan: state of the commander.
+    """
 
     def __init__(self) -> None:
         self.plan = Plan.IDLE
         self._begin_s, self._duration_s = 0.0, 1.0
-        self._coefficients = np.zeros((8, 4))  # of x, y, z, yaw over the share of the duration
+        self._coefficients = np.zeros((8, 4))  # of x, y, z, yaw over the fraction of the duration
 
     def receive(self, data: bytes, here: Goal, now_s: float) -> int:
-        """Do a command, from where the vehicle is; 0, or an error number."""
+        """Execute a command.
+
+        Args:
+            data: the packet.
+            here: present motion of the vehicle.
+            now_s: time since boot [s].
+
+        Returns:
+            0, or an error number.
+        """
         command, rest = data[0], data[1:]
         if command in _FORMATS and len(rest) == struct.calcsize(_FORMATS[command]):
             values = struct.unpack(_FORMATS[command], rest)
@@ -86,15 +106,15 @@ class Planner:
         return 0
 
     def is_finished(self, now_s: float) -> bool:
-        """Whether the goal is reached."""
+        """Return whether the duration of the plan is over."""
         return now_s - self._begin_s >= self._duration_s
 
     def goal(self, now_s: float) -> Goal:
-        """The point of the way now; a landing that is over ends the plan."""
-        share = min(max((now_s - self._begin_s) / self._duration_s, 0.0), 1.0)
+        """Point of the trajectory at `now_s` [s]; a finished landing ends the plan."""
+        fraction = min(max((now_s - self._begin_s) / self._duration_s, 0.0), 1.0)
         if self.plan is Plan.LANDING and self.is_finished(now_s):
             self.plan = Plan.IDLE
-        value, slope, bend, _ = _ends(share) @ self._coefficients
+        value, slope, bend, _ = _ends(fraction) @ self._coefficients
         slope, bend = slope / self._duration_s, bend / self._duration_s**2
         return Goal(value[:3], slope[:3], bend[:3], float(value[3]))
 

@@ -1,21 +1,21 @@
-"""The supervisor of the simulated Crazyflie: when its motors may run."""
+"""Supervisor of the simulated Crazyflie, which decides when the motors may run."""
 
 from __future__ import annotations
 
 from enum import Enum
 
-WARNING_S = 0.5  # without a set-point: level out
-TIMEOUT_S = 2.0  # ... and the motors off, for good
-EMERGENCY_S = 1.0  # between two notices, once there was one
-STILL_S = 2.0  # motors off for that long: no longer flying
-PREFLIGHT_S = 30.0  # armed without flying
+WARNING_S = 0.5  # time without a set-point until it levels out
+TIMEOUT_S = 2.0  # time without a set-point until the motors stop permanently
+EMERGENCY_S = 1.0  # maximum time between two notices, after the first
+STILL_S = 2.0  # time with the motors off until it is no longer flying
+PREFLIGHT_S = 30.0  # maximum time armed without flying
 
 _CAN_BE_ARMED, _IS_ARMED, _AUTO_ARMS, _CAN_FLY, _IS_FLYING = 0, 1, 2, 3, 4
 _IS_TUMBLED, _IS_LOCKED, _PLANS, _PLAN_FINISHED, _PLAN_DISABLED = 5, 6, 8, 9, 10
 
 
 class Stage(Enum):
-    """Of the supervisor."""
+    """Stage of the supervisor."""
 
     NOT_CHECKED = "pre-flight checks not passed"
     CHECKED = "pre-flight checks passed"
@@ -29,15 +29,18 @@ _RUNS = (Stage.READY, Stage.FLYING, Stage.LEVEL_OUT)
 
 
 class Supervisor:
-    """Arms on request or by itself, levels out and stops without set-points, and locks after an emergency.
+    """State machine that arms on request or by itself, stops without set-points, and locks in an emergency.
 
-    A locked one must be started anew. All times are since boot [s].
+    A locked supervisor must be restarted. All times are since boot [s].
+
+    Args:
+        arms_itself: whether it arms without a request.
 
     Attributes:
-        stage: see `Stage`.
-        is_armed: whether arming was asked for and is in force.
-        tumbled: upside down, or crashed; set from outside.
-        texts: for the console; the reader takes them out.
+        stage: the present stage.
+        is_armed: whether it is armed.
+        tumbled: whether it lies upside down or crashed; set by the caller.
+        texts: texts for the console; the reader removes them.
     """
 
     def __init__(self, *, arms_itself: bool) -> None:
@@ -52,33 +55,39 @@ class Supervisor:
 
     @property
     def motors_may_run(self) -> bool:
-        """Whether set-points reach the motors."""
+        """Return whether set-points reach the motors."""
         return self.stage in _RUNS
 
     @property
     def is_flying(self) -> bool:
-        """Whether motors ran in the last two seconds."""
+        """Return whether it is flying: the motors ran in the last two seconds."""
         return self.stage in (Stage.FLYING, Stage.LEVEL_OUT)
 
-    def arm(self, wanted: bool) -> bool:
-        """Ask to arm or disarm; whether it is so now."""
-        if wanted == self.is_armed:
+    def arm(self, arms: bool) -> bool:
+        """Request to arm (True) or disarm (False); returns whether the request holds now."""
+        if arms == self.is_armed:
             return True
-        if wanted and self.stage is not Stage.CHECKED:
+        if arms and self.stage is not Stage.CHECKED:
             return False
-        self.is_armed = wanted
+        self.is_armed = arms
         return True
 
     def notice(self, now_s: float) -> None:
-        """Begin, or go on, to need such notices every second."""
+        """Process a notice of the emergency watchdog; after the first it is required every second."""
         self._notice_s = now_s
 
     def stop(self) -> None:
-        """Emergency: motors off."""
+        """Emergency stop: lock with the motors off."""
         self._is_stopped = True
 
     def update(self, now_s: float, setpoint_s: float, is_pushing: bool) -> None:
-        """Look at the age of the set-point and at the motors."""
+        """Update the stage.
+
+        Args:
+            now_s: time since boot [s].
+            setpoint_s: time of the last set-point [s].
+            is_pushing: whether the motors run.
+        """
         if is_pushing:
             self._thrust_s = now_s
         moves = self._thrust_s is not None and now_s - self._thrust_s < STILL_S
@@ -100,7 +109,12 @@ class Supervisor:
             self.texts.append("SUP: Locked, reboot required\n")
 
     def bits(self, plans: bool, finished: bool) -> int:
-        """What `supervisor.info` holds; of the high-level commander whether it flies a plan, or has."""
+        """Bits of the log variable `supervisor.info`.
+
+        Args:
+            plans: whether the high-level commander executes a plan.
+            finished: whether its plan is finished.
+        """
         found = {
             _CAN_BE_ARMED: self.stage is Stage.CHECKED,
             _IS_ARMED: self.is_armed,

@@ -1,4 +1,4 @@
-"""Parameters and log variables of the simulated Crazyflie: their tables, as clients read them over CRTP."""
+"""Tables of the parameters and log variables of the simulated Crazyflie, as read over CRTP."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TABLE = 0  # channel
 _READ, _WRITE, _MISC = 1, 2, 3  # channels of parameters
 _SETTINGS, _DATA = 1, 2  # channels of logs
 _CREATE, _APPEND, _DELETE, _START, _STOP, _RESET = 6, 7, 2, 3, 4, 5
-_MOST_BYTES, _MOST_BLOCKS, _MOST_VARIABLES = 26, 16, 128
+_MAX_BYTES, _MAX_BLOCKS, _MAX_VARIABLES = 26, 16, 128
 _BEGIN_MS = 10
 
 Reply = tuple[int, bytes]  # channel, data
@@ -43,7 +43,11 @@ class ParameterTable:
     """Parameters by number and name.
 
     Args:
-        values: the name, as `group.name`, to the format of its number and its value at the start.
+        values: by name, as `group.name`: `struct` format and initial value.
+
+    Attributes:
+        values: present values by name.
+        written: names that were written; the reader removes them.
     """
 
     def __init__(self, values: Mapping[str, tuple[str, float]]) -> None:
@@ -53,7 +57,12 @@ class ParameterTable:
         self.written: list[str] = []
 
     def receive(self, channel: int, data: bytes) -> list[Reply]:
-        """Answer a packet of the parameters' port."""
+        """Answer a packet on the port of the parameters.
+
+        Args:
+            channel: CRTP channel.
+            data: the packet without its header.
+        """
         if not data:
             return []
         if channel == _TABLE:
@@ -72,7 +81,16 @@ class ParameterTable:
         return [(_WRITE, data[:2] + self._packed(name))]
 
     def set(self, name: str, value: float) -> None:
-        """Write one; KeyError or struct.error if it does not exist or hold the value."""
+        """Write a parameter.
+
+        Args:
+            name: its name.
+            value: the new value.
+
+        Raises:
+            KeyError: there is no such parameter.
+            struct.error: its type cannot hold the value.
+        """
         format_ = self._formats[name]
         self._write(name, struct.pack("<" + format_, value if format_ == "f" else int(value)))
 
@@ -113,7 +131,7 @@ class LogTable:
     """Log variables by number and name, and the blocks in which they are sent.
 
     Args:
-        readers: the name, as `group.name`, to the format that it is stored in and what reads it.
+        readers: by name, as `group.name`: `struct` format and function that returns the value.
     """
 
     def __init__(self, readers: Mapping[str, tuple[str, Callable[[], float]]]) -> None:
@@ -122,11 +140,17 @@ class LogTable:
         self._blocks: dict[int, _Block] = {}
 
     def receive(self, channel: int, data: bytes, now_ms: float) -> list[Reply]:
-        """Answer a packet of the logs' port."""
+        """Answer a packet on the port of the logs.
+
+        Args:
+            channel: CRTP channel.
+            data: the packet without its header.
+            now_ms: time since boot [ms].
+        """
         if not data:
             return []
         if channel == _TABLE:
-            limits = bytes([_MOST_BLOCKS, _MOST_VARIABLES])
+            limits = bytes([_MAX_BLOCKS, _MAX_VARIABLES])
             return _table(
                 data, self._names, [LOG_TYPES[self._readers[each][0]] for each in self._names], limits
             )
@@ -136,7 +160,7 @@ class LogTable:
         return [(_SETTINGS, bytes([data[0], number, self._set(data[0], number, data[2:], now_ms)]))]
 
     def due(self, now_ms: float) -> list[Reply]:
-        """Packets of the blocks that are due."""
+        """Packets of the blocks that are due at `now_ms` [ms]."""
         replies = []
         for number, block in self._blocks.items():
             if now_ms < block.due_ms:
@@ -148,14 +172,14 @@ class LogTable:
         return replies
 
     def _set(self, command: int, number: int, rest: bytes, now_ms: float) -> int:
-        """What a command does to a block; an error number."""
+        """Execute a command on a block; returns 0 or an error number."""
         if command == _RESET:
             self._blocks.clear()
             return 0
         if command == _CREATE:
             if number in self._blocks:
                 return errno.EEXIST
-            if len(self._blocks) >= _MOST_BLOCKS:
+            if len(self._blocks) >= _MAX_BLOCKS:
                 return errno.ENOMEM
             self._blocks[number] = _Block()
         block = self._blocks.get(number)
@@ -180,9 +204,9 @@ class LogTable:
             if format_ is None or number >= len(self._names):
                 return errno.ENOENT
             block.variables.append((self._names[number], format_))
-        if sum(len(each.variables) for each in self._blocks.values()) > _MOST_VARIABLES:
+        if sum(len(each.variables) for each in self._blocks.values()) > _MAX_VARIABLES:
             return errno.ENOMEM
-        return errno.E2BIG if block.size() > _MOST_BYTES else 0
+        return errno.E2BIG if block.size() > _MAX_BYTES else 0
 
     def _packed(self, name: str, format_: str) -> bytes:
         value = self._readers[name][1]()

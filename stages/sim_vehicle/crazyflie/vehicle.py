@@ -1,9 +1,9 @@
-"""A simulated Crazyflie, bytes in and bytes out, on a clock that the caller moves.
+"""The simulated Crazyflie: bytes in and out, on the caller's clock.
 
-A datagram is a packet of CRTP: a byte of port (high half) and channel (lowest two bits), and up to 30 more.
-It behaves as the firmware of protocol 12 does where flights need it: tables of parameters and logs,
-set-points with priorities and watchdogs, the high-level commander, the supervisor, external poses, the
-console.
+A datagram is a packet of CRTP: a byte with port (high half) and channel (lowest two bits), and up to 30 more
+bytes. The vehicle behaves like the firmware with protocol 12 in the parts that flights need: tables of
+parameters and logs, set-points with priorities and watchdogs, high-level commander, supervisor, external
+poses, console.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import Vehicle
-from alula.stages.flight.links.crazyflie.numbers import compress_quat_wxyz
+from alula.stages.flight.links.crazyflie.setpoints import compress_quat_wxyz
 from alula.stages.flight.links.protocol import AccelerationSetpoint, RatesSetpoint
 from alula.stages.flight.links.simulated_body import STEP_S, Body
 from alula.stages.sim_vehicle.crazyflie.estimator import Estimator
@@ -37,29 +37,30 @@ from alula.stages.sim_vehicle.crazyflie.supervisor import Stage, Supervisor
 from alula.stages.sim_vehicle.crazyflie.tables import LogTable, ParameterTable
 
 PROTOCOL = 12
-BASE_PORT = 19850  # of UDP, where clients look
+BASE_PORT = 19850  # UDP port that clients scan first
 
 _CONSOLE, _PARAMETERS, _RPYT, _MEMORY, _LOGS, _LOCALIZATION = 0, 2, 3, 4, 5, 6
 _SETPOINTS, _HIGH_LEVEL, _SUPERVISOR, _PLATFORM, _LINK = 7, 8, 9, 13, 15
-_MOST_BYTES = 30
+_MAX_BYTES = 30
 _PRIORITY_NONE, _PRIORITY_PLANNER, _PRIORITY_RADIO = 0, 1, 2
-_PLAN_S = _PICTURE_S = 0.01
-_TUMBLES_M_S = 2.5  # a touch-down this hard
+_PLAN_S = _MOCAP_S = 0.01
+_TUMBLES_M_S = 2.5  # a faster touch-down makes it tumble
 _FULL_V, _EMPTY_V, _SAG_V = 4.15, 3.0, 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CrazyflieOptions:
-    """How it is equipped.
+    """Equipment and initial state of the simulated Crazyflie.
 
     Attributes:
-        start: place and height of the floor, in its own frame [m].
-        yaw_rad: heading at the start.
-        arms_itself: as a Crazyflie 2.1 does; a Bolt or a brushless one waits for a request.
-        needs_poses: without poses from outside its estimate drifts away.
-        has_app: with the parameters and logs of the out-of-tree app; its filter does not act.
-        flight_s: until the battery is empty.
-        seed: of noise and drift.
+        start: initial position in its own frame [m]; its height is that of the floor.
+        yaw_rad: initial heading [rad].
+        arms_itself: whether it arms by itself, as a Crazyflie 2.1 does; a Bolt or a brushless one waits for a
+            request.
+        needs_poses: whether its estimate drifts without external poses.
+        has_app: whether it has the parameters and logs of the out-of-tree app, whose filter is not simulated.
+        flight_s: flight time until the battery is empty [s].
+        seed: seed of noise and drift.
     """
 
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -72,16 +73,18 @@ class CrazyflieOptions:
 
 
 class SimulatedCrazyflie:
-    """A Crazyflie as its radio sees it; `receive` takes packets, `advance` lives and gives those to send.
+    """A simulated Crazyflie; `receive` takes packets, `advance` simulates and returns those to send.
 
     Args:
         vehicle: a quadrotor; its disturbances act.
         options: see `CrazyflieOptions`.
 
     Attributes:
-        body: the true one.
-        setpoint: what is flown, or was last.
-        supervisor, planner, estimator: its parts.
+        body: the true body.
+        setpoint: the set-point that is followed, or was last.
+        setpoints: number of set-points received by radio.
+        time_s: time since boot [s].
+        supervisor, planner, estimator, parameters, logs: its parts.
     """
 
     def __init__(self, vehicle: Vehicle, options: CrazyflieOptions | None = None) -> None:
@@ -97,7 +100,7 @@ class SimulatedCrazyflie:
         self.setpoints = 0
         self._hover_m_s2 = vehicle.body.gravity_m_s2
         self._setpoint_s, self._priority = 0.0, _PRIORITY_NONE
-        self._plan_due_s = self._picture_due_s = 0.0
+        self._plan_due_s = self._mocap_due_s = 0.0
         self._yaw = options.yaw_rad
         self._used_s = 0.0
         self._refused = 0
@@ -105,7 +108,10 @@ class SimulatedCrazyflie:
         self._text = bytearray(b"SYS: Crazyflie simulated by alula is up and running!\n")
 
     def set_parameters(self, values: Mapping[str, float]) -> None:
-        """Begin with these values.
+        """Set parameters at boot.
+
+        Args:
+            values: values by name.
 
         Raises:
             UsageError: there is no such parameter, or its type cannot hold the value.
@@ -117,17 +123,17 @@ class SimulatedCrazyflie:
                 raise UsageError(f"the simulated Crazyflie has no parameter {name}") from None
             except (struct.error, ValueError, OverflowError):
                 raise UsageError(f"{name} cannot be {value:g}") from None
-        self._look_at_parameters()
+        self._apply_parameters()
 
     def receive(self, data: bytes) -> None:
-        """Take in a packet; answers leave with the next `advance`."""
-        if not 1 <= len(data) <= 1 + _MOST_BYTES:
+        """Process a packet; the next `advance` returns the answers."""
+        if not 1 <= len(data) <= 1 + _MAX_BYTES:
             return
         port, channel, rest = data[0] >> 4, data[0] & 3, data[1:]
         if port == _PARAMETERS:
             for number, answer in self.parameters.receive(channel, rest):
                 self._send(port, number, answer)
-            self._look_at_parameters()
+            self._apply_parameters()
         elif port == _LOGS:
             for number, answer in self.logs.receive(channel, rest, 1e3 * self.time_s):
                 self._send(port, number, answer)
@@ -137,7 +143,14 @@ class SimulatedCrazyflie:
             self._answer(port, channel, rest)
 
     def advance(self, to_s: float) -> list[bytes]:
-        """Live until a time since boot [s]; the packets to send, each for a datagram of its own."""
+        """Simulate up to a time since boot.
+
+        Args:
+            to_s: the time [s].
+
+        Returns:
+            The packets to send, each in a datagram of its own.
+        """
         while self.time_s + STEP_S <= to_s + 1e-9:
             self.time_s += STEP_S
             self._step()
@@ -147,23 +160,23 @@ class SimulatedCrazyflie:
             self._text += text.encode()
         self.supervisor.texts.clear()
         while self._text:
-            self._send(_CONSOLE, 0, bytes(self._text[:_MOST_BYTES]))
-            del self._text[:_MOST_BYTES]
+            self._send(_CONSOLE, 0, bytes(self._text[:_MAX_BYTES]))
+            del self._text[:_MAX_BYTES]
         packets, self._outbox = self._outbox, []
         return packets
 
     def mocap(self) -> bytes | None:
-        """A datagram of motion capture with the true pose, a hundred times a second; else None."""
-        if self.time_s < self._picture_due_s:
+        """Datagram of motion capture with the true pose, 100 times a second; None between them."""
+        if self.time_s < self._mocap_due_s:
             return None
-        self._picture_due_s = max(self._picture_due_s + _PICTURE_S, self.time_s)
+        self._mocap_due_s = max(self._mocap_due_s + _MOCAP_S, self.time_s)
         position, attitude = self.body.position.tolist(), self.estimator.true_attitude_wxyz.tolist()
         sample = {"time_s": self.time_s, "position_m": position, "attitude_wxyz": attitude}
         return msgspec.json.encode(sample)
 
     @property
     def battery_v(self) -> float:
-        """Under load."""
+        """Voltage of the battery [V]; it sags while the motors run."""
         left = max(0.0, 1.0 - self._used_s / self.options.flight_s)
         sag = _SAG_V if self._is_pushing else 0.0
         return _EMPTY_V + (_FULL_V - _EMPTY_V) * left - sag
@@ -178,9 +191,9 @@ class SimulatedCrazyflie:
             self._plan()
         self.estimator.step(STEP_S)
         self.supervisor.update(self.time_s, self._setpoint_s, self._is_pushing)
-        wish = None
+        command = None
         if self.supervisor.motors_may_run:
-            wish = acceleration(
+            command = acceleration(
                 self.setpoint,
                 int(self.parameters.values["stabilizer.controller"]),
                 self.estimator.position,
@@ -188,12 +201,12 @@ class SimulatedCrazyflie:
                 levels_out=self.supervisor.stage is Stage.LEVEL_OUT,
             )
         was_resting = self.body.is_resting
-        if wish is None:
+        if command is None:
             self.body.step(RatesSetpoint(0.0, np.zeros(3)))
         else:
             self._used_s += STEP_S
-            # The attitude loop is that of the true body: a wrong estimate moves and turns the wish alone.
-            turned = self.estimator.to_truth(wish)
+            # The attitude loop uses the true body; a wrong estimate affects only the commanded acceleration.
+            turned = self.estimator.to_truth(command)
             if self.setpoint.yaw_rad is None:
                 self._yaw += STEP_S * self.setpoint.yaw_rate_rad_s
             else:
@@ -204,7 +217,7 @@ class SimulatedCrazyflie:
             self.supervisor.tumbled = True
 
     def _plan(self) -> None:
-        """The high-level commander's set-point, which any other one comes before."""
+        """Follow the high-level commander's set-point; any other set-point has priority."""
         if self._priority > _PRIORITY_PLANNER:
             return
         if self.planner.plan is Plan.IDLE:
@@ -246,7 +259,7 @@ class SimulatedCrazyflie:
 
     def _answer_link(self, channel: int, data: bytes) -> None:
         if channel == 1:
-            self._send(_LINK, 1, b"Bitcraze Crazyflie".ljust(_MOST_BYTES, b"\0"))
+            self._send(_LINK, 1, b"Bitcraze Crazyflie".ljust(_MAX_BYTES, b"\0"))
         elif channel in (0, 3):
             self._send(_LINK, channel, data)
 
@@ -271,8 +284,8 @@ class SimulatedCrazyflie:
         elif channel == 1 and data[0] == 4:
             self.supervisor.notice(self.time_s)
 
-    def _look_at_parameters(self) -> None:
-        """What parameters do at once."""
+    def _apply_parameters(self) -> None:
+        """Apply parameters that were written and act at once."""
         values = self.parameters.values
         for name in self.parameters.written:
             if name == "kalman.resetEstimation" and values[name]:
@@ -292,7 +305,7 @@ class SimulatedCrazyflie:
         return self.supervisor.bits(plans, self.planner.is_finished(self.time_s))
 
     def _send(self, port: int, channel: int, data: bytes) -> None:
-        self._outbox.append(bytes([port << 4 | 0x0C | channel]) + data[:_MOST_BYTES])
+        self._outbox.append(bytes([port << 4 | 0x0C | channel]) + data[:_MAX_BYTES])
 
     def _parameters(self) -> dict[str, tuple[str, float]]:
         found: dict[str, tuple[str, float]] = {

@@ -1,1 +1,1 @@
-"""A simulated PX4 multicopter."""
+"""The simulated PX4 multicopter, derived from the simulated ArduPilot Copter."""

@@ -1,4 +1,4 @@
-"""PX4's flight modes as a table: numbers, names, what each asks for, and which controller flies it."""
+"""Table of PX4's flight modes: numbers, names, requirements and controllers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from alula.stages.sim_vehicle.ardupilot.modes import Mode
 
 
 def custom_mode(main: int, sub: int = 0) -> int:
-    """HEARTBEAT.custom_mode: main << 16 | sub << 24."""
+    """HEARTBEAT.custom_mode of a main and a sub mode: main << 16 | sub << 24."""
     return main << 16 | sub << 24
 
 
@@ -28,14 +28,14 @@ class Px4Mode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Px4Row:
-    """What a mode asks for.
+    """Properties of a mode.
 
     Attributes:
-        name: in texts.
-        flown: which of the controllers of `Flying` flies it.
-        needs_position: without one it is not entered.
-        can_arm: the vehicle arms in it.
-        is_piloted: sticks fly it.
+        name: name in texts.
+        flown: mode of ArduPilot with the controller in `Flying` that it uses.
+        needs_position: it is not entered without a position estimate.
+        can_arm: arming is allowed.
+        is_piloted: sticks control it.
     """
 
     name: str
@@ -56,7 +56,7 @@ ROWS: dict[Px4Mode, Px4Row] = {
     Px4Mode.LAND: Px4Row("Land", Mode.LAND, needs_position=False, can_arm=False),
 }
 
-# Places of the pilot's switch, as COM_FLTMODE1 to 6 number them.
+# Values of COM_FLTMODE1 to 6, the positions of the pilot's mode switch.
 SWITCH = {"ALTITUDE": 1, "POSITION": 2, "HOLD": 4, "RETURN": 5, "OFFBOARD": 7, "STABILIZED": 8, "LAND": 11}
 SWITCHED = {
     1: Px4Mode.ALTCTL,

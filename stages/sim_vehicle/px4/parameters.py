@@ -1,4 +1,4 @@
-"""PX4's parameters with its documented defaults, and what the loops find in them."""
+"""PX4's parameters with its documented defaults, and ArduPilot's parameters derived from them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from alula.stages.sim_vehicle.ardupilot.parameters import TABLE as ARDUPILOT
 from alula.stages.sim_vehicle.ardupilot.parameters import ParamType
 
 _I, _F = ParamType.INT32, ParamType.FLOAT
-_NO_TIMEOUT_S = 1e9  # a set-point lives until the mode ends
-_FULL_MAH = 3300.0  # of a battery whose capacity nobody has set
+_NO_TIMEOUT_S = 1e9  # a set-point stays in force until the mode ends
+_FULL_MAH = 3300.0  # capacity of the battery if BAT1_CAPACITY is not set
 EV_HORIZONTAL, EV_VERTICAL, EV_VELOCITY, EV_YAW = 1, 2, 4, 8  # EKF2_EV_CTRL
 
 TABLE: dict[str, tuple[ParamType, float]] = {

@@ -1,4 +1,4 @@
-"""What PX4 says and takes otherwise: modes in two numbers, integers bit by bit, altitudes above the sea."""
+"""Protocol of PX4 where it differs: modes of two numbers, bytewise integers, altitudes above the sea."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import struct
 from collections.abc import Mapping
 from typing import ClassVar, cast
 
-from alula.stages.sim_vehicle.ardupilot.commands import Commands, Order
+from alula.stages.sim_vehicle.ardupilot.commands import Command, Commands
 from alula.stages.sim_vehicle.ardupilot.copter import CRITICAL, Copter
 from alula.stages.sim_vehicle.ardupilot.dialogue import Dialogue, parameter_name
-from alula.stages.sim_vehicle.ardupilot.estimator import is_place
+from alula.stages.sim_vehicle.ardupilot.estimator import is_location
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
 from alula.stages.sim_vehicle.ardupilot.parameters import ParamType
 from alula.stages.sim_vehicle.ardupilot.telemetry import CAPABILITIES, Telemetry
@@ -22,15 +22,15 @@ from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
 _VERSION = (1 << 24) | (15 << 16) | (4 << 8) | 255  # 1.15.4, released
 _SETTLED, _NO_POSITION = 0x33F, 0xA5  # ESTIMATOR_STATUS.flags: all but above ground; attitude and height
 _PRESSURE_HPA, _FALL_HPA_M = 1013.25, 0.1186
-_MAGNETIC_GAUSS = (0.21, 0.01, 0.42)  # about that of Zurich, NED
-_POSITION, _VELOCITY, _ACCELERATION = 0b111, 0b111 << 3, 0b111 << 6  # of type_mask
+_MAGNETIC_GAUSS = (0.21, 0.01, 0.42)  # approximate field at Zurich, NED
+_POSITION, _VELOCITY, _ACCELERATION = 0b111, 0b111 << 3, 0b111 << 6  # bits of type_mask
 _FORCE, _ATTITUDE, _THRUST, _RATES = 1 << 9, 128, 64, 0b111
 _RELATIVE = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 _BY_MODE = {Mode.LAND: Px4Mode.LAND, Mode.RTL: Px4Mode.RTL, Mode.LOITER: Px4Mode.HOLD}
 
 
 class Px4Telemetry(Telemetry):
-    """Streams by itself what a companion gets, at rates of its own until others are asked for."""
+    """Telemetry of PX4: it streams the messages of a companion link without a request."""
 
     STREAMS: ClassVar[Mapping[int, tuple[str, tuple[str, ...]]]] = {}
     MESSAGES: ClassVar[tuple[str, ...]] = (
@@ -139,7 +139,7 @@ class Px4Telemetry(Telemetry):
 
 
 class Px4Commands(Commands):
-    """Refusals are temporary, modes two numbers, and a take-off is above the sea."""
+    """Commands of PX4: temporary refusals, modes of two numbers, take-off altitudes above the sea."""
 
     REFUSED: ClassVar[int] = mavlink.MAV_RESULT_TEMPORARILY_REJECTED
 
@@ -152,8 +152,8 @@ class Px4Commands(Commands):
     def _enter(self, mode: Mode) -> int:
         return int(mavlink.MAV_RESULT_ACCEPTED if self._px4.set_mode(_BY_MODE[mode]) else self.REFUSED)
 
-    def _set_mode(self, order: Order, _out: list[Message]) -> int:
-        base, main, sub = order.params[:3]
+    def _set_mode(self, command: Command, _out: list[Message]) -> int:
+        base, main, sub = command.params[:3]
         if not all(map(math.isfinite, (base, main))):
             return int(mavlink.MAV_RESULT_DENIED)
         if not int(base) & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
@@ -161,26 +161,26 @@ class Px4Commands(Commands):
         number = custom_mode(int(main), int(sub) if math.isfinite(sub) else 0)
         return int(mavlink.MAV_RESULT_ACCEPTED if self._px4.set_mode(number) else self.REFUSED)
 
-    def _take_off(self, order: Order, _out: list[Message]) -> int:
-        is_taken = self._px4.take_off(order.params[6])
+    def _take_off(self, command: Command, _out: list[Message]) -> int:
+        is_taken = self._px4.take_off(command.params[6])
         return int(mavlink.MAV_RESULT_ACCEPTED if is_taken else self.REFUSED)
 
-    def _reposition(self, order: Order, _out: list[Message]) -> int:
-        lat, lon, alt = order.params[4:]
-        if order.frame in _RELATIVE:
+    def _reposition(self, command: Command, _out: list[Message]) -> int:
+        lat, lon, alt = command.params[4:]
+        if command.frame in _RELATIVE:
             alt += self._px4.estimator.global_position(self._px4.flying.home)[2]
-        if not is_place((lat, lon, alt)):
+        if not is_location((lat, lon, alt)):
             return int(mavlink.MAV_RESULT_DENIED)
         return int(mavlink.MAV_RESULT_ACCEPTED if self._px4.go_to((lat, lon, alt)) else self.REFUSED)
 
-    def _check(self, _order: Order, _out: list[Message]) -> int:
+    def _check(self, _command: Command, _out: list[Message]) -> int:
         if (reason := self._px4.arming_refusal()) is not None:
             self._px4.say(CRITICAL, f"Preflight Fail: {reason}")
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
 
 class Px4Dialogue(Dialogue):
-    """Integers travel bit by bit, set-points are counted in every mode, and only documented ones at all."""
+    """Dialogue of PX4: bytewise integers; set-points count in every mode, but only documented kinds."""
 
     COMMANDS: ClassVar[type[Commands]] = Px4Commands
 
@@ -190,9 +190,9 @@ class Px4Dialogue(Dialogue):
         del self._table["REQUEST_DATA_STREAM"]
 
     def _heartbeat(self, message: Message) -> list[Message]:
-        self._px4.hear_client()
-        if message.type == mavlink.MAV_TYPE_GCS:  # a companion's does not count
-            self._px4.hear_ground_station(message.get_srcSystem())
+        self._px4.note_client()
+        if message.type == mavlink.MAV_TYPE_GCS:  # the heartbeat of a companion does not count
+            self._px4.note_ground_station(message.get_srcSystem())
         return []
 
     def _wire_value(self, name: str) -> float:
@@ -202,7 +202,7 @@ class Px4Dialogue(Dialogue):
         return float(struct.unpack("<f", struct.pack("<i", int(value)))[0])
 
     def _set_parameter(self, message: Message) -> list[Message]:
-        """Without an answer if the name is unknown or the type another; the answer is what now holds."""
+        """Set a parameter; the answer is its new value, none for an unknown name or a wrong type."""
         parameters, name = self._copter.parameters, parameter_name(message.param_id)
         if name not in parameters:
             return []
@@ -217,20 +217,20 @@ class Px4Dialogue(Dialogue):
         return [self._parameter(name)]
 
     def _attitude_target(self, message: Message) -> list[Message]:
-        """An attitude with thrust, or all three rates with thrust; others are no set-points."""
+        """Accept an attitude with thrust or all three rates with thrust; ignore other combinations."""
         mask, thrust = message.type_mask, message.thrust
         numbers = message.q if not mask & _ATTITUDE else _rates(message)
         is_whole = not mask & _THRUST and (not mask & _ATTITUDE or not mask & _RATES)
         if not is_whole or not all(map(math.isfinite, (*numbers, thrust))):
             return []
         if not mask & _ATTITUDE:
-            message.type_mask = _RATES  # the attitude decides, and rates beside it do not count
-        if self._px4.hear_setpoint():
+            message.type_mask = _RATES  # the attitude is followed; rates beside it are ignored
+        if self._px4.note_setpoint():
             self._px4.flying.guided.attitude_target(message, self._px4.estimator.motion)
         return []
 
     def _position_target(self, message: Message) -> list[Message]:
-        """Positions, velocities and accelerations as documented; a field without a number is one left out."""
+        """Accept the documented combinations of position, velocity and acceleration; NaN omits a field."""
         mask = message.type_mask
         for bits, names in (
             (_POSITION, ("x", "y", "z")),
@@ -246,9 +246,9 @@ class Px4Dialogue(Dialogue):
         if mask & _FORCE or mask & everything == everything or message.coordinate_frame not in frames:
             return []
         if mask & everything == _VELOCITY:
-            return []  # no documented combination
+            return []  # not a documented combination
         message.type_mask = mask
-        if self._px4.hear_setpoint():
+        if self._px4.note_setpoint():
             self._px4.flying.guided.position_target(message, self._px4.estimator.motion)
         return []
 
@@ -258,5 +258,5 @@ def _rates(message: Message) -> tuple[float, float, float]:
 
 
 def _header(message: Message) -> int:
-    """Bytes before the payload."""
+    """Number of bytes before the payload."""
     return 10 if bytes(message.get_msgbuf())[0] == 0xFD else 6

@@ -1,6 +1,7 @@
-"""The vehicle with PX4's manners: streams of set-points, arming, and what happens when something is lost.
+"""The vehicle with PX4's behaviour: streams of set-points, arming, and failsafes.
 
-Taken from PX4's documentation, not observed of PX4; docs/guide/sim-vehicle.md says what of it is uncertain.
+It follows PX4's documentation; PX4 itself was not observed. docs/guide/sim-vehicle.md lists what is
+uncertain.
 """
 
 from __future__ import annotations
@@ -17,19 +18,19 @@ from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.px4.modes import ROWS, SWITCHED, Px4Mode
 from alula.stages.sim_vehicle.px4.parameters import DERIVED, TABLE
 
-ZURICH: LatLonAlt = (47.397742, 8.545594, 488.0)  # where PX4's simulation starts
+ZURICH: LatLonAlt = (47.397742, 8.545594, 488.0)  # start of PX4's own simulation
 
-_SLOWEST_S = 0.5  # set-points further apart are no stream: 2 Hz
-_PROOF_S = 1.0  # of a stream, before it counts
-_ESTIMATOR_S = 1.0  # a bad estimate for this long is a failsafe
-_NO_STICKS = 4  # COM_RC_IN_MODE
-_EXCEPT_OFFBOARD = 4  # COM_RCL_EXCEPT
-_IN_AUTO, _IN_OFFBOARD = 1, 2  # COM_RC_OVERRIDE
-_ON_TOP_M = 0.3  # below its height a take-off is over
+_SLOWEST_S = 0.5  # maximum interval of set-points in a stream: 2 Hz
+_PROOF_S = 1.0  # a stream counts after this time
+_ESTIMATOR_S = 1.0  # a bad estimate for this long triggers a failsafe
+_NO_STICKS = 4  # value of COM_RC_IN_MODE
+_EXCEPT_OFFBOARD = 4  # bit of COM_RCL_EXCEPT
+_IN_AUTO, _IN_OFFBOARD = 1, 2  # bits of COM_RC_OVERRIDE
+_ON_TOP_M = 0.3  # a take-off ends this far below its height
 
 
 class Action(IntEnum):
-    """What a failsafe does, the most severe last."""
+    """Action of a failsafe, the most severe last."""
 
     NONE = 0
     STABILIZED = 1
@@ -49,7 +50,7 @@ _FLOWN = {
     Action.RETURN: Px4Mode.RTL,
     Action.LAND: Px4Mode.LAND,
 }
-# By the values of COM_OBL_RC_ACT, and of NAV_RCL_ACT and NAV_DLL_ACT. To terminate is to disarm here.
+# Actions by the values of COM_OBL_RC_ACT, and of NAV_RCL_ACT and NAV_DLL_ACT. Termination is a disarm here.
 _OFFBOARD_ACTION = {
     0: Action.POSITION,
     1: Action.ALTITUDE,
@@ -68,25 +69,29 @@ _BATTERY_ACTION = {
 
 
 class Px4Copter(Copter):
-    """A `Copter` that takes itself for one with PX4.
+    """A `Copter` with the firmware PX4.
 
-    Two modes are kept: the one that was chosen, and the one that flies. They differ while a failsafe acts;
-    when its cause is gone the vehicle goes back to the chosen one **by itself**, to Offboard too. Who chooses
-    a mode meanwhile ends the failsafe, until something else happens.
+    It keeps two modes: the chosen one and the one that is flown. They differ while a failsafe acts. When the
+    cause is gone the vehicle returns to the chosen mode **by itself**, also to Offboard. Choosing a mode
+    meanwhile ends the failsafe until another cause appears.
+
+    Attributes:
+        chosen: the chosen mode.
+        flown: the mode that is flown.
     """
 
     AUTOPILOT: ClassVar[str] = "px4"
     FIRMWARE: ClassVar[str] = "PX4 v1.15.4 (simulated)"
     HOVER: ClassVar[str] = "MPC_THR_HOVER"
-    PLACE: ClassVar[LatLonAlt] = ZURICH
+    LOCATION: ClassVar[LatLonAlt] = ZURICH
     ARMING_DELAY_S: ClassVar[float] = 0.0
 
     def _boot(self) -> None:
         self.chosen = self.flown = Px4Mode.HOLD
         self._setpoint_s = self._stream_s = -math.inf
         self._since_s: dict[str, float] = {}  # when each cause of a failsafe began
-        self._ended: set[str] = set()  # causes that somebody has taken over from
-        self._top_m: float | None = None  # of a take-off, above the local origin
+        self._ended: set[str] = set()  # causes ended by the choice of a mode
+        self._top_m: float | None = None  # height of a take-off above the local origin
         self._has_flown = False
         self.mode = ROWS[self.flown].flown
 
@@ -95,24 +100,24 @@ class Px4Copter(Copter):
 
     @property
     def has_stream(self) -> bool:
-        """Whether set-points came at 2 Hz for over a second, and the last one within COM_OF_LOSS_T."""
+        """Return whether set-points came at 2 Hz for over a second, the last within COM_OF_LOSS_T."""
         last_s = self.time_s - self._setpoint_s
         return last_s <= self.parameters["COM_OF_LOSS_T"] and self.time_s - self._stream_s > _PROOF_S
 
-    def hear_setpoint(self) -> bool:
-        """A set-point that PX4 understands, in whatever mode; whether it is to be followed."""
+    def note_setpoint(self) -> bool:
+        """Record a set-point of a supported kind, in any mode; returns whether it is to be followed."""
         if self.time_s - self._setpoint_s > min(_SLOWEST_S, self.parameters["COM_OF_LOSS_T"]):
             self._stream_s = self.time_s
         self._setpoint_s = self.time_s
         return self.flown is Px4Mode.OFFBOARD
 
-    def hear_ground_station(self, system: int) -> None:
-        """A heartbeat of a ground station, whatever its system."""
-        self.hear_client()
+    def note_ground_station(self, system: int) -> None:
+        """Record a heartbeat of a ground station with any system id."""
+        self.note_client()
         self._gcs_s = self.time_s
 
     def refusal(self, mode: Px4Mode) -> str | None:
-        """Why a mode cannot be entered; None if it can."""
+        """Reason why a mode cannot be entered; None if it can."""
         if ROWS[mode].needs_position and not self.estimator.has_position:
             return "no valid position estimate"
         if mode is Px4Mode.OFFBOARD and not self.has_stream:
@@ -120,7 +125,7 @@ class Px4Copter(Copter):
         return None
 
     def set_mode(self, number: int) -> bool:
-        """Enter a mode, by custom_mode; refusals are said."""
+        """Enter a mode by its custom_mode; returns whether it was entered. A text states a refusal."""
         if number not in Px4Mode._value2member_map_:
             self.say(WARNING, f"Switching to mode {number:#x} is not simulated")
             return False
@@ -129,51 +134,58 @@ class Px4Copter(Copter):
             self.say(CRITICAL, f"Switching to {ROWS[mode].name} is currently not available: {reason}")
             return False
         if mode is Px4Mode.TAKEOFF and self._top_m is None:
-            self._top_m = self._least_top_m()
+            self._top_m = self._min_top_m()
         self._ended |= self._since_s.keys()
         self.chosen = mode
         self._fly(mode)
         return True
 
     def switch_to(self, number: float | None) -> None:
-        """A fault: the pilot's switch goes to a place, Position unless one is named."""
+        """Apply a fault: set the pilot's switch to a value of COM_FLTMODE; None for Position."""
         mode = Px4Mode.POSCTL if number is None else SWITCHED.get(int(number))
         if mode is None:
-            self.say(WARNING, f"Switch place {number:g} is not simulated")
+            self.say(WARNING, f"Switch position {number:g} is not simulated")
         else:
             self.set_mode(mode)
 
     def take_off(self, height_m: float) -> bool:
-        """NAV_TAKEOFF to an altitude **above the sea**; without a number to MIS_TAKEOFF_ALT above home.
+        """Execute NAV_TAKEOFF; returns whether it is possible.
 
-        An altitude lower than MIS_TAKEOFF_ALT above home is raised to that, and a text says so.
+        A target lower than MIS_TAKEOFF_ALT above home is raised to that height, and a text states it.
+
+        Args:
+            height_m: altitude **above the sea** [m]; NaN for MIS_TAKEOFF_ALT above home.
         """
         if not self.estimator.has_position:
             return False
-        least_m = self._least_top_m()
-        top_m = least_m
+        min_m = self._min_top_m()
+        top_m = min_m
         if math.isfinite(height_m):
-            top_m = -self.estimator.local_position((*self.PLACE[:2], height_m))[2]
-            if top_m < least_m - 1e-3:
+            top_m = -self.estimator.local_position((*self.LOCATION[:2], height_m))[2]
+            if top_m < min_m - 1e-3:
                 lowest = self.parameters["MIS_TAKEOFF_ALT"]
                 self.say(CRITICAL, f"Using minimum takeoff altitude: {lowest:.2f} m")
-                top_m = least_m
+                top_m = min_m
         self._top_m = top_m
         return self.set_mode(Px4Mode.TAKEOFF)
 
-    def go_to(self, place: LatLonAlt) -> bool:
-        """DO_REPOSITION: hold there."""
+    def go_to(self, location: LatLonAlt) -> bool:
+        """Execute DO_REPOSITION: fly to a location and hold; returns whether it is possible.
+
+        Args:
+            location: latitude, longitude [deg] and altitude [m].
+        """
         if not (self.is_armed and not self.is_landed and self.set_mode(Px4Mode.HOLD)):
             return False
         self.mode = ROWS[Px4Mode.TAKEOFF].flown
         self.flying.enter(self.mode, self.estimator.motion)
-        self.flying.guided.go_to(self.estimator.motion, self.estimator.local_position(place))
+        self.flying.guided.go_to(self.estimator.motion, self.estimator.local_position(location))
         return True
 
     def arming_refusal(self) -> str | None:
-        """Why it would not arm; None if it would."""
+        """Reason why it would not arm; None if it would."""
         row = ROWS[self.chosen]
-        if not self.estimator.is_started or self.estimator.is_sick:
+        if not self.estimator.is_started or self.estimator.has_failed:
             return "ekf2 missing data"
         if not row.can_arm:
             return "Mode not suitable for takeoff"
@@ -188,7 +200,11 @@ class Px4Copter(Copter):
         return None
 
     def arm(self, *, forced: bool = False) -> bool:
-        """COMPONENT_ARM_DISARM; **force skips every check**."""
+        """Arm by COMPONENT_ARM_DISARM; returns whether it is armed.
+
+        Args:
+            forced: **skip every check**.
+        """
         if self.is_armed:
             return True
         if not forced and (reason := self.arming_refusal()) is not None:
@@ -200,13 +216,17 @@ class Px4Copter(Copter):
         self._ended.clear()
         self.flying.home = self.estimator.motion.position
         if self.chosen is Px4Mode.TAKEOFF and self._top_m is None:
-            self._top_m = self._least_top_m()
+            self._top_m = self._min_top_m()
         self._fly(self.chosen, again=True)
         self.say(INFO, "Armed by external command")
         return True
 
     def disarm(self, *, forced: bool = False) -> bool:
-        """Refused in the air, unless forced."""
+        """Disarm; returns whether it is disarmed.
+
+        Args:
+            forced: disarm in the air too.
+        """
         if not (self.is_landed or forced):
             self.say(CRITICAL, "Disarming denied: not landed")
             return False
@@ -216,12 +236,12 @@ class Px4Copter(Copter):
             self.say(INFO, "Disarmed")
         return True
 
-    def _least_top_m(self) -> float:
+    def _min_top_m(self) -> float:
         ground = self.flying.home if self.is_armed else self.estimator.motion.position
         return self.parameters["MIS_TAKEOFF_ALT"] - ground[2]
 
     def _fly(self, mode: Px4Mode, *, again: bool = False) -> None:
-        """Let a mode fly, from the start if it does so already."""
+        """Fly a mode; `again` restarts it if it is already flown."""
         if mode is not Px4Mode.TAKEOFF:
             self._top_m = None
         if mode is self.flown and self.mode is ROWS[mode].flown and not again and mode is not Px4Mode.TAKEOFF:
@@ -247,14 +267,14 @@ class Px4Copter(Copter):
         self.pilot.attend(landed=self.is_landed)
 
     def _override_by_sticks(self) -> None:
-        """The pilot's sticks, further out than COM_RC_STICK_OV, take over to Position."""
+        """Change to Position when the pilot moves a stick beyond COM_RC_STICK_OV."""
         bit = _IN_OFFBOARD if self.flown is Px4Mode.OFFBOARD else _IN_AUTO
         if ROWS[self.flown].is_piloted or self.is_landed or self.pilot.is_lost:
             return
         if not self.parameters.whole("COM_RC_OVERRIDE") & bit or self._without_sticks():
             return
-        most = max(abs(self.pilot.stick(name, self.time_s)) for name in ("ROLL", "PITCH", "YAW"))
-        if most > self.parameters["COM_RC_STICK_OV"] / 100 and self.set_mode(Px4Mode.POSCTL):
+        deflection = max(abs(self.pilot.stick(name, self.time_s)) for name in ("ROLL", "PITCH", "YAW"))
+        if deflection > self.parameters["COM_RC_STICK_OV"] / 100 and self.set_mode(Px4Mode.POSCTL):
             self.say(INFO, "Pilot took over using sticks")
 
     def _judge_battery(self, passed_s: float) -> None:
@@ -262,12 +282,12 @@ class Px4Copter(Copter):
         battery.use(passed_s, self.attitude.throttle / self.hover_throttle)
         levels = ((Charge.LOW, "LOW"), (Charge.CRITICAL, "CRIT"))
         for level, name in levels:
-            if battery.share < self.parameters[f"BAT_{name}_THR"] and battery.charge < level:
+            if battery.remaining < self.parameters[f"BAT_{name}_THR"] and battery.charge < level:
                 battery.charge = level
                 self.say(CRITICAL, f"{'Low' if level is Charge.LOW else 'Critical'} battery level")
 
     def _judge_failsafes(self, passed_s: float) -> None:
-        """The most severe action of all causes that are there, each after COM_FAIL_ACT_T of Hold."""
+        """Execute the most severe action of all present causes, each after COM_FAIL_ACT_T of Hold."""
         if not self.is_armed:
             return
         needs = ROWS[self.flown].needs_position and not self.estimator.has_position
@@ -277,12 +297,12 @@ class Px4Copter(Copter):
             del self._since_s[cause]
             self._ended.discard(cause)
         action, reason = Action.NONE, ""
-        for cause, (wanted, waits) in causes.items():
+        for cause, (candidate, waits) in causes.items():
             began_s = self._since_s.setdefault(cause, self.time_s)
             if waits and self.time_s - began_s < self.parameters["COM_FAIL_ACT_T"]:
-                wanted = min(wanted, Action.HOLD)
-            if cause not in self._ended and wanted > action:
-                action, reason = wanted, cause
+                candidate = min(candidate, Action.HOLD)
+            if cause not in self._ended and candidate > action:
+                action, reason = candidate, cause
         if reason and reason != self.failsafe:
             self.say(CRITICAL, f"Failsafe activated: {reason}")
         elif self.failsafe and not reason:
@@ -300,20 +320,20 @@ class Px4Copter(Copter):
             self._fly(self.chosen)
 
     def _causes(self) -> dict[str, tuple[Action, bool]]:
-        """What is wrong now: its action, and whether it waits in Hold first."""
+        """Present causes of a failsafe: the action of each, and whether it first waits in Hold."""
         whole = self.parameters.whole
         found: dict[str, tuple[Action, bool]] = {}
         if self.chosen is Px4Mode.OFFBOARD and not self.has_stream:
             action = _OFFBOARD_ACTION.get(whole("COM_OBL_RC_ACT"), Action.LAND)
             if action <= Action.POSITION and (self.pilot.is_lost or self._without_sticks()):
-                action = _LINK_ACTION.get(whole("NAV_RCL_ACT"), Action.LAND)  # nobody to fly it by hand
+                action = _LINK_ACTION.get(whole("NAV_RCL_ACT"), Action.LAND)  # no pilot can take over
             found["no offboard signal"] = (action, False)
         if self._is_radio_missed():
             found["manual control lost"] = (_LINK_ACTION.get(whole("NAV_RCL_ACT"), Action.NONE), True)
         if self._gcs_s is not None and self._is_ground_station_away():
             found["GCS connection lost"] = (_LINK_ACTION.get(whole("NAV_DLL_ACT"), Action.NONE), True)
         action = _BATTERY_ACTION.get(whole("COM_LOW_BAT_ACT"), {}).get(self.battery.charge, Action.NONE)
-        if action is Action.RETURN and self.battery.share < self.parameters["BAT_EMERGEN_THR"]:
+        if action is Action.RETURN and self.battery.remaining < self.parameters["BAT_EMERGEN_THR"]:
             found["emergency battery"] = (Action.LAND, False)
         found["low battery"] = (action, True)
         if self._bad_s >= _ESTIMATOR_S - 1e-9 and not self.estimator.has_position:

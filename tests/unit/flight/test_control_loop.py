@@ -185,7 +185,7 @@ def test_orders_that_are_refused():
     assert loop.supervision.cause is Event.TIMED_OUT
     assert 20 < vehicle.orders.count(Order.ARM) < 90  # about once a second for a minute
     said = [words for _, words in loop.recorder.lines]
-    assert said.count("vehicle declines to arm: it does not want to") == 1
+    assert said.count("vehicle refuses to arm: it does not want to") == 1
     assert sum("arming refused: arming is ordered again" in words for words in said) == 1
     assert not vehicle.sent
 
@@ -203,8 +203,8 @@ def test_silence_declines_nothing_and_is_told_once():
     loop, _ = fly(on_poll=dies, interrupts=lambda: 0 if len(told) < 20 else 2)
     assert len(told) >= 20
     said = [words for _, words in loop.recorder.lines]
-    assert said.count("order to land: no answer for 5 s") == 1
-    assert not any("declines" in words for words in said)
+    assert said.count("command to land: no answer for 5 s") == 1
+    assert not any("refuses" in words for words in said)
     handed = [words for words in said if "no longer controls the vehicle" in words]
     assert handed
     assert all("Ctrl-C ends it and leaves the vehicle to the pilot" in words for words in handed)

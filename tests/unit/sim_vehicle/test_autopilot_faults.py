@@ -1,4 +1,4 @@
-"""Faults on purpose: of packets, of the vehicle, and how they are written."""
+"""Injected faults: of packets, of the vehicle, and their syntax."""
 
 import itertools
 import math
@@ -87,7 +87,8 @@ def test_what_comes_in_can_be_lost_too():
 def test_faults_wait_for_arming_and_flight_and_position_jumps():
     text = "jump:since=airborne,start=8,duration=2,amount=1.5"
     client = Client(
-        options=EXACT, faults=(parse_fault(text), parse_fault("mode:since=arm,start=22,amount=land"))
+        options=EXACT,
+        faults=(parse_fault(text), parse_fault("mode:since=arm,start=22,amount=land", Mode.__members__)),
     )
     client.fly(3)
     begin = client.vehicle.time_s
@@ -96,7 +97,7 @@ def test_faults_wait_for_arming_and_flight_and_position_jumps():
     while client.vehicle.time_s < begin + 8:
         client.wait(0.1)
         seen.append(client.truth.position[0])
-    assert min(seen) < -0.5  # the vehicle flew where its estimate was back in place
+    assert min(seen) < -0.5  # the vehicle flew to where its estimate was back at the set-point
     assert client.copter.mode is Mode.GUIDED
     client.wait(10)
     assert client.copter.mode is Mode.LAND
@@ -106,9 +107,9 @@ def test_mocap_is_lost_by_a_fault_and_faults_can_be_injected():
     client = Client()
     client.vehicle.inject(Fault(kind="mocap-loss", duration=1))
     client.wait(0.5)
-    assert client.copter.estimator.is_deaf
+    assert client.copter.estimator.is_mocap_lost
     client.wait(1)
-    assert not client.copter.estimator.is_deaf
+    assert not client.copter.estimator.is_mocap_lost
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))

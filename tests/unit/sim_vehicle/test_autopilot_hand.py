@@ -1,4 +1,4 @@
-"""The simulated vehicle moved by hand, and seen by cameras that do not begin where it stands."""
+"""The simulated vehicle moved by hand, and motion capture with another origin."""
 
 import json
 
@@ -11,17 +11,16 @@ from alula.stages.flight.loop.frame_check import HandCheck
 from alula.stages.sim_vehicle.ardupilot.copter import Copter
 from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
-from alula.stages.sim_vehicle.common.camera import Camera
 from alula.stages.sim_vehicle.common.hand import Hand
 from alula.stages.sim_vehicle.common.packets import Codec, mavlink
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
-from alula.stages.sim_vehicle.simulator import SimulatedVehicle
+from alula.stages.sim_vehicle.simulator import Camera, SimulatedVehicle
 from alula.stages.vehicles.frames import LocalFrame
 
 
 def state_of(motion, frame):
-    """What a link makes of the vehicle's estimate."""
+    """State that a link derives from the vehicle's estimate."""
     return VehicleState(
         *(0.0, frame.position_from_ned(np.array(motion.position))),
         frame.vector_from_ned(np.array(motion.velocity)),
@@ -30,12 +29,12 @@ def state_of(motion, frame):
 
 
 def carried(frame, *, hears=True, until_s=20.0, kind=Copter):
-    """The vehicle after a time in which a client spoke to it, what the check says, how far it was."""
+    """The vehicle after a client was connected for a time, the result of the check, and its distance."""
     copter = kind(FASTBRIDGE, options=EstimatorOptions(boot_time_s=3.0), hand=Hand())
     check, farthest = HandCheck(), 0.0
     while copter.time_s < until_s:
         if hears and copter.time_s > 1:
-            copter.hear_ground_station(255)
+            copter.note_ground_station(255)
         copter.tick()
         if copter.estimator.has_position and round(copter.time_s * 400) % 8 == 0:
             check.update(state_of(copter.estimator.motion, frame))
@@ -81,7 +80,7 @@ def test_a_hand_lets_go_of_what_is_armed():
     copter = Copter(FASTBRIDGE, options=EstimatorOptions(boot_time_s=3.0), hand=Hand())
     copter.set_mode(4)
     while not copter.airframe.is_carried:
-        copter.hear_ground_station(255)
+        copter.note_ground_station(255)
         copter.tick()
     for _ in range(400):
         copter.tick()

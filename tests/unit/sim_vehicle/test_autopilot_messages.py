@@ -1,4 +1,4 @@
-"""What clients ask: parameters, intervals, missions, time, signatures."""
+"""Requests of clients: parameters, intervals, missions, time, signatures."""
 
 import itertools
 import math
@@ -221,7 +221,7 @@ def test_messages_for_others_and_unknown_commands_are_left_alone():
 def test_noise_on_the_line_harms_nothing(noise):
     client = Client()
     client.vehicle.receive(noise)
-    client.vehicle.receive(bytes(300))  # whatever length was announced is over
+    client.vehicle.receive(bytes(300))  # completes a frame of any announced length
     client.wait(0.1)
     assert client.command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_ATTITUDE) == 0
 

@@ -1,4 +1,4 @@
-"""Flying on motion capture: when it may, what it believes, and how late it notices that it is gone."""
+"""Flight on motion capture: arming, the estimate, and the late detection of its loss."""
 
 import math
 
@@ -19,7 +19,7 @@ MOCAP = {
 
 
 class Mocap:
-    """A camera system that sees the vehicle and tells it, 50 times a second, in a turned frame."""
+    """Motion capture that sends the pose of the vehicle 50 times a second, in a turned frame."""
 
     def __init__(self, client, turn=0.0):
         self.client, self.turn = client, turn
@@ -91,7 +91,7 @@ def test_flags_change_seven_seconds_after_mocap_stops_and_position_drifts_meanwh
     drift = math.dist(client.truth.position, place)
     told = client.last("LOCAL_POSITION_NED")
     assert 0.2 < drift < 3
-    assert math.dist((told.x, told.y, told.z), place) < 0.2  # it does not notice
+    assert math.dist((told.x, told.y, told.z), place) < 0.2  # it does not detect the loss
     client.wait(0.2)
     assert client.last("EKF_STATUS_REPORT").flags == NO_POSITION
     client.wait(1.2)

@@ -1,4 +1,4 @@
-"""The traps that were observed on the real autopilot, each with the number that was seen."""
+"""Pitfalls observed on the real autopilot, each with the measured number."""
 
 import math
 
@@ -138,7 +138,7 @@ def test_silence_means_level_and_no_climb_after_the_timeout_only():
     hover = client.copter.hover_throttle
     client.stream(0.3, omega=(0.05, 0, 0), thrust=1.02 * hover)
     client.wait(2.8)
-    assert client.tilt > 0.14  # the last rates have gone on all the time
+    assert client.tilt > 0.14  # the last rates stayed in force
     client.wait(1.5)
     assert client.tilt < 0.01
     client.wait(2)

@@ -159,7 +159,7 @@ def test_losing_the_ground_station_does_what_the_parameter_says(action, mode):
     client = Client(parameters={"FS_GCS_ENABLE": action}).fly(2)
     heartbeat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
     client.wait(6)
-    assert client.copter.mode is Mode.GUIDED  # none was ever heard
+    assert client.copter.mode is Mode.GUIDED  # no heartbeat ever arrived
     client.send(heartbeat)
     client.wait(4.9)
     assert client.copter.mode is Mode.GUIDED
@@ -188,7 +188,7 @@ def test_heartbeats_of_a_companion_do_not_count():
 )
 def test_a_low_battery_does_what_its_parameters_say(parameters, share, mode):
     client = Client(parameters={"BATT_LOW_TIMER": 2, **parameters}).fly(2)
-    assert client.copter.battery.share > 0.9
+    assert client.copter.battery.remaining > 0.9
     client.vehicle.inject(Fault(kind="battery", amount=share))
     client.wait(3)
     assert client.copter.mode is mode
@@ -222,14 +222,14 @@ def test_the_pilot_takes_over_by_the_switch_and_by_an_override():
     client = Client().fly(3)
     client.copter.pilot.move(5, 1000)
     client.wait(0.2)
-    client.copter.pilot.move(5, 1700)  # the fifth place: LOITER
+    client.copter.pilot.move(5, 1700)  # the fifth position: LOITER
     client.wait(0.2)
     assert client.copter.mode is Mode.LOITER
     client.wait(2)
     assert client.height == pytest.approx(3, abs=0.3)
     client.mode(GUIDED)
     channels = [65535] * 8 + [0] * 10
-    channels[4] = 1300  # the second place: LAND
+    channels[4] = 1300  # the second position: LAND
     client.send(mavlink.MAVLink_rc_channels_override_message(1, 1, *channels))
     client.wait(0.2)
     assert client.copter.mode is Mode.LAND
@@ -275,10 +275,10 @@ def test_what_is_told_is_late_and_noisy_and_the_same_for_the_same_seed():
     assert 0.002 < first.std() < 0.05
     late = EstimatorOptions(boot_time_s=0.5, delay_s=0.2)
     _, client = run(3, late)
-    assert client.copter.estimator.told is not client.copter.estimator.motion
+    assert client.copter.estimator.reported is not client.copter.estimator.motion
     client.mode(LAND)
     client.wait(2)
-    lag = client.copter.estimator.told.position[2] - client.copter.estimator.motion.position[2]
+    lag = client.copter.estimator.reported.position[2] - client.copter.estimator.motion.position[2]
     assert lag == pytest.approx(-0.2 * 0.5, abs=0.03)
 
 

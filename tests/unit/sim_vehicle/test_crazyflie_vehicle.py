@@ -1,4 +1,4 @@
-"""The simulated Crazyflie, spoken to in bytes, on a clock of the test."""
+"""The simulated Crazyflie: bytes in and out, on the clock of the test."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from alula.stages.flight.links.crazyflie.numbers import compress_quat_wxyz, expand_quat_wxyz
+from alula.stages.flight.links.crazyflie.setpoints import compress_quat_wxyz, expand_quat_wxyz
 from alula.stages.sim_vehicle.crazyflie.planner import Goal, Plan, Planner
 from alula.stages.sim_vehicle.crazyflie.supervisor import Stage
 from support.crazyflie_rehearsal import ARM, DISARM, Rehearsal, packet, take_off, velocity
@@ -120,7 +120,7 @@ def test_a_plan_waits_for_its_turn_and_without_one_the_motors_stop() -> None:
     rehearsal.live(0.3, full_state((0, 0, 0.5)))
     rehearsal.vehicle.receive(land(1.5))
     rehearsal.live(0.3)
-    assert rehearsal.vehicle.setpoint.kind == "full-state"  # still the stronger one
+    assert rehearsal.vehicle.setpoint.kind == "full-state"  # still the one with the higher priority
     rehearsal.vehicle.receive(RELAX)
     rehearsal.live(4.0)
     assert rehearsal.height == 0.0

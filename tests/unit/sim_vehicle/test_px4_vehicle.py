@@ -1,4 +1,4 @@
-"""The simulated vehicle with PX4's manners, as documented, seen by a client on the vehicle's own clock."""
+"""The simulated vehicle with PX4's documented behaviour, tested by a client on its own clock."""
 
 import math
 import struct
@@ -34,7 +34,7 @@ class Px4Client(Client):
         self.send(m.MAVLink_heartbeat_message(kind, m.MAV_AUTOPILOT_INVALID, 0, 0, m.MAV_STATE_ACTIVE, 3))
 
     def offboard(self, height=1.5):
-        """In the air, flown by velocities."""
+        """Vehicle in the air that follows velocity set-points."""
         self.wait(0.6)
         self.velocities(1.2)
         assert self.px4_mode(Px4Mode.OFFBOARD) == ACCEPTED
@@ -49,14 +49,14 @@ class Px4Client(Client):
 
     @property
     def told(self):
-        """The newest mode and state that it tells."""
+        """The newest reported mode and state."""
         self.wait(1.05)
         beat = self.last("HEARTBEAT")
         return Px4Mode(beat.custom_mode), beat.system_status, bool(beat.base_mode & 128)
 
     @property
     def said(self):
-        """All texts; long ones come in pieces."""
+        """All texts; long ones arrive in pieces."""
         return "".join(self.texts())
 
     def value(self, name):
@@ -100,11 +100,11 @@ def test_offboard_is_refused_without_a_stream_that_is_fast_and_long_enough():
     assert "Switching to Offboard is currently not available: no offboard signal" in client.said
     client.velocities(0.9)
     assert client.px4_mode(Px4Mode.OFFBOARD) == REFUSED
-    client.velocities(3.0, period=0.6)  # slower than 2 Hz is none
+    client.velocities(3.0, period=0.6)  # slower than 2 Hz does not count
     assert client.px4_mode(Px4Mode.OFFBOARD) == REFUSED
     client.velocities(1.2, period=0.4)
     assert client.px4_mode(Px4Mode.OFFBOARD) == ACCEPTED
-    client.wait(1.2)  # it stopped: armed it is not
+    client.wait(1.2)  # the stream stopped: it does not arm
     assert client.arm() == REFUSED
     assert "Preflight Fail: no offboard signal" in client.said
     assert "Arming denied: Resolve system health failures first" in client.said
@@ -154,7 +154,7 @@ def test_rates_and_thrust_hover_at_the_hover_throttle():
     assert client.truth.omega[2] == pytest.approx(1.0, abs=0.05)
     # No division by the cosine of the tilt, no climb rates.
     client.stream(0.3, omega=(1.0, 0, 0), thrust=hover)
-    assert client.copter.attitude.wanted_throttle == pytest.approx(hover, rel=1e-6)
+    assert client.copter.attitude.throttle_command == pytest.approx(hover, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -308,7 +308,9 @@ def test_integers_travel_bit_by_bit_and_other_types_are_refused():
     assert client.copter.parameters["COM_OBL_RC_ACT"] == 4
     assert put("COM_OBL_RC_ACT", 5.0, m.MAV_PARAM_TYPE_REAL32) == []
     assert client.copter.parameters["COM_OBL_RC_ACT"] == 4
-    put("COM_OBL_RC_ACT", 5.0, m.MAV_PARAM_TYPE_INT32)  # cast as for ArduPilot: nonsense, and it is believed
+    put(
+        "COM_OBL_RC_ACT", 5.0, m.MAV_PARAM_TYPE_INT32
+    )  # cast as for ArduPilot: a wrong value, which it accepts
     assert client.copter.parameters["COM_OBL_RC_ACT"] == 0x40A00000
     assert put("GUID_OPTIONS", 8.0, m.MAV_PARAM_TYPE_REAL32) == []
 

@@ -1,1 +1,1 @@
-"""Crazyflies over CRTP."""
+"""Link to Crazyflies over CRTP."""

@@ -1,4 +1,4 @@
-"""A Crazyflie as a `Link`, over CRTP by cflib: by radio, USB, or UDP to a simulated one.
+"""`Link` to a Crazyflie over CRTP with cflib: by radio, by USB, or by UDP to a simulated one.
 
 radio://0/80/2M/E7E7E7E7E7?controller=mellinger
 udp://127.0.0.1:19850?controller=oot&alula.radius=0.12&watchdog=1
@@ -13,13 +13,12 @@ import numpy as np
 
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.addresses import Address
-from alula.stages.flight.links.crazyflie.choice import read_choice
-from alula.stages.flight.links.crazyflie.numbers import expand_quat_wxyz
+from alula.stages.flight.links.crazyflie.address_options import read_address_options
 from alula.stages.flight.links.crazyflie.orders import Motion, Orders
 from alula.stages.flight.links.crazyflie.parameters import Parameters
-from alula.stages.flight.links.crazyflie.pose import PoseFeed
 from alula.stages.flight.links.crazyflie.session import Session
-from alula.stages.flight.links.crazyflie.setpoints import SetpointEncoder
+from alula.stages.flight.links.crazyflie.setpoints import SetpointEncoder, expand_quat_wxyz
+from alula.stages.flight.links.mocap import PoseFeed
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import (
     AccelerationSetpoint,
@@ -34,23 +33,27 @@ from alula.stages.flight.links.vehicle_clock import VehicleClock
 _STATE = [f"stateEstimateZ.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "quat")]
 _STATE += [f"stateEstimateZ.rate{name}" for name in ("Roll", "Pitch", "Yaw")]
 _STATUS = ["kalman.varX", "kalman.varY", "kalman.varZ", "pm.vbat", "supervisor.info"]
-_REFUSED = "alula.refused"  # parameters that meant nothing to the app; the last good ones stay
+_REFUSED = "alula.refused"  # count of invalid parameters that the app rejected; it keeps the last valid ones
 _STATUS_S, _OLD_S = 0.1, 1.0
 _FARTHEST_M = 32.0  # a compressed position wraps around at 32.768
-_KNOWN_M2 = 0.01  # variance of a position that may be flown on
-_EMPTY_V, _FULL_V = 3.0, 4.1  # under the load of hovering
-_SILENCE_S = 0.3  # its own watchdog levels out at 0.5 s and stops the motors at 2 s
+_KNOWN_M2 = 0.01  # maximum variance of a position that is good enough to fly
+_EMPTY_V, _FULL_V = 3.0, 4.1  # while hovering
+_SILENCE_S = 0.3  # the vehicle's own watchdog levels out at 0.5 s and stops the motors at 2 s
 _NOTICE_S = 0.25
 _WRAP_MS = 1 << 24
-_MOST_TEXTS = 100
+_MAX_TEXTS = 100
 _RESTORE_S = 3.0
 
 
 def make_link(address: Address, options: LinkOptions) -> CrazyflieLink:
-    """The link for an address.
+    """Make the link for an address.
+
+    Args:
+        address: the parsed address.
+        options: options of the link.
 
     Raises:
-        UsageError: an option is unknown or means nothing.
+        UsageError: an option is unknown or has an invalid value.
     """
     return CrazyflieLink(address, options)
 
@@ -58,31 +61,35 @@ def make_link(address: Address, options: LinkOptions) -> CrazyflieLink:
 class CrazyflieLink:
     """A `Link` to a Crazyflie.
 
-    What is sent: set-points as they come, orders until answered, poses of motion capture, and with
-    `watchdog=1` the notices of the emergency watchdog. When the set-points end for 0.3 s the vehicle is told
-    to hold its place, by its own high-level commander. What is changed: the parameters of
-    `crazyflie_parameters` and those named in the address, put back by `close` on the ground.
+    It sends set-points as they come, commands until they are answered, poses of motion capture, and with
+    `watchdog=1` the notices of the emergency watchdog. After 0.3 s without a set-point it commands the
+    vehicle's own high-level commander to hold the position. It changes the parameters of
+    `crazyflie.parameters` and those named in the address; `close` restores them on the ground.
+
+    Args:
+        address: the parsed address.
+        options: options of the link.
     """
 
     def __init__(self, address: Address, options: LinkOptions) -> None:
-        choice = read_choice(address)
-        self._kind, self._watches = choice.kind, choice.watches
+        given = read_address_options(address)
+        self._kind, self._has_watchdog = given.kind, given.has_watchdog
         self._options = options
         self._session = Session(f"{address.scheme}:{address.place}", options)
         self._feed = None if options.mocap is None else PoseFeed(options.mocap, options.frame)
         self._status = VehicleStatus(is_estimator_ready=False)
         self._orders = Orders(self._session, self._status)
-        self._parameters = Parameters(self._session, choice.controller, choice.parameters)
+        self._parameters = Parameters(self._session, given.controller, given.parameters)
         self._encoder = SetpointEncoder(
             options.frame, options.all_limits(), options.vehicle.body.gravity_m_s2
         )
         self._clock = VehicleClock()
         self._state: VehicleState | None = None
         self._motion: Motion | None = None
-        self._arrived: tuple[float, int, Mapping[str, float]] | None = None  # written by cflib's thread
-        self._told: tuple[float, Mapping[str, float]] | None = None  # ... as well
-        self._taken: object = None
-        self._read: object = None
+        self._state_block: tuple[float, int, Mapping[str, float]] | None = None  # written by cflib's thread
+        self._status_block: tuple[float, Mapping[str, float]] | None = None  # written by cflib's thread
+        self._state_read: object = None  # the block that was read last
+        self._status_read: object = None
         self._stamp_ms: int | None = None
         self._streamed_s: float | None = None
         self._noticed_s = -math.inf
@@ -92,26 +99,26 @@ class CrazyflieLink:
 
     @property
     def accepts(self) -> frozenset[type[Setpoint]]:
-        """Kinds of set-points that can be sent: what the controller flies."""
+        """Kinds of set-points that can be sent: those that the controller follows."""
         return frozenset({self._kind})
 
     @property
     def state(self) -> VehicleState | None:
-        """The newest complete and finite one; None before the first."""
+        """The newest complete and finite state; None before the first."""
         return self._state
 
     @property
     def status(self) -> VehicleStatus:
-        """The same object always, brought up to date by `poll`."""
+        """The status, always the same object; `poll` updates it."""
         return self._status
 
     @property
     def clipped(self) -> int:
-        """Set-points that did not go out as they came in."""
+        """Number of set-points that were changed by a limit."""
         return self._encoder.clipped
 
     def open(self, timeout_s: float) -> str:
-        """Find the vehicle; returns what it is, in words.
+        """Connect to the vehicle within `timeout_s` [s]; returns a description of it.
 
         Raises:
             LinkError: cflib is missing, no vehicle answers, or its firmware is too old.
@@ -123,7 +130,7 @@ class CrazyflieLink:
             self._session.log("state", 1e-3 * self._period_ms, _STATE, self._take_state)
             app = [_REFUSED] if self._session.logs(_REFUSED) else []
             self._session.log("status", _STATUS_S, _STATUS + app, self._take_status)
-            self._session.wait(lambda: None not in (self._arrived, self._told), 2.0)
+            self._session.wait(lambda: None not in (self._state_block, self._status_block), 2.0)
         except BaseException:
             self.close()
             raise
@@ -131,19 +138,19 @@ class CrazyflieLink:
         return f"Crazyflie at {self._session.uri}, CRTP {self._session.protocol}"
 
     def prepare(self) -> list[str]:
-        """Change the parameters that flights need; a line for each that was changed.
+        """Set the parameters that flights need; a line for each change.
 
         Raises:
-            LinkError: the vehicle does not have or take one; those changed before are put back.
+            LinkError: the vehicle does not have or accept one; those changed before are restored.
         """
-        if self._arrived is None or self._told is None:
+        if self._state_block is None or self._status_block is None:
             raise LinkError("the vehicle was not opened, or sends no state")
         pose = None
         if self._feed is not None:
             self._session.wait(self._has_pose, 2.0)
             pose = self._feed.newest()
             if pose is None:
-                raise LinkError("motion capture says nothing")
+                raise LinkError("no pose from motion capture arrived within 2 s")
         try:
             lines = self._checked(lambda: self._parameters.change(pose))
         except BaseException:
@@ -153,17 +160,20 @@ class CrazyflieLink:
         return lines
 
     def configure(self, values: Mapping[str, float]) -> list[str]:
-        """Set parameters, as the app's `alula.radius`, put back by `close`; a line for each that was changed.
+        """Set parameters, such as the app's `alula.radius`; `close` restores them. A line for each change.
 
-        May wait: not for use in flight.
+        It may block: do not call it in flight.
+
+        Args:
+            values: values by name.
 
         Raises:
-            LinkError: the vehicle does not have or take one, or the app refuses them together.
+            LinkError: the vehicle does not have or accept one, or the app rejects the combination.
         """
         return self._checked(lambda: self._parameters.set(values))
 
     def poll(self, now_s: float) -> None:
-        """Take in all that has arrived, and send what is due by itself."""
+        """Receive all that has arrived, and send periodic messages."""
         self._forward_pose(now_s)
         session, status = self._session, self._status
         status.heard_s, status.lost_packets = session.heard_s, self._lost
@@ -175,16 +185,16 @@ class CrazyflieLink:
         if not self._is_prepared:
             return
         if self._streamed_s is not None and now_s - self._streamed_s > _SILENCE_S:
-            self._say(f"no set-point for {_SILENCE_S:g} s: it holds its place")
+            self._say(f"no set-point for {_SILENCE_S:g} s: it holds its position")
             self._hold(now_s)
         self._orders.poll(now_s)
-        is_watched = self._noticed_s > -math.inf  # once begun it must go on
-        if (is_watched or (self._watches and status.armed)) and now_s - self._noticed_s >= _NOTICE_S:
+        is_watched = self._noticed_s > -math.inf  # once started, the notices must not stop
+        if (is_watched or (self._has_watchdog and status.armed)) and now_s - self._noticed_s >= _NOTICE_S:
             self._noticed_s = now_s
             session.notice()
 
     def send(self, setpoint: Setpoint, now_s: float) -> None:
-        """Send a set-point; refuses (LinkError) what is not finite or out of the vehicle's range."""
+        """Send a set-point, see `Link.send`; also raises LinkError if it is not possible now."""
         if not self._is_prepared:
             raise LinkError("a set-point before the vehicle was prepared")
         if type(setpoint) is not self._kind:
@@ -196,7 +206,7 @@ class CrazyflieLink:
             w, x, y, z = full.attitude_wxyz
             position, velocity = full.position.tolist(), full.velocity.tolist()
             acceleration, rates = full.acceleration.tolist(), full.omega
-            # cflib says degrees/s, and writes thousandths of what it is given; the firmware reads mrad/s.
+            # cflib documents degrees/s but writes thousandths of its argument; the firmware reads mrad/s.
             self._session.post_newest(
                 "set-point",
                 lambda vehicle: vehicle.commander.send_full_state_setpoint(
@@ -205,7 +215,7 @@ class CrazyflieLink:
             )
         elif isinstance(setpoint, VelocitySetpoint):
             if self._motion is None:
-                raise LinkError("a set-point before the vehicle said where it is")
+                raise LinkError("a set-point before the vehicle reported its position")
             yaw_now = self._motion.yaw_rad - self._options.frame.yaw_rad
             speed, turn_deg_s = self._encoder.velocity(setpoint, yaw_now, now_s)
             vx, vy, vz = speed.tolist()
@@ -216,15 +226,20 @@ class CrazyflieLink:
         self._streamed_s = now_s
 
     def order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:
-        """Tell it something; repeated by `poll` until done, refused or replaced by another order.
+        """Send a command; `poll` repeats it until it is done, refused or replaced by another command.
 
-        NOTHING leaves a vehicle that follows set-points hovering, by itself: without them it would fall.
+        NOTHING makes a vehicle that follows set-points hover by itself: without set-points it would fall.
+
+        Args:
+            order: the command.
+            now_s: monotonic clock [s].
+            height_m: take-off height above the present position [m].
 
         Raises:
-            LinkError: it makes no sense now.
+            LinkError: the command is not possible now.
         """
         if not self._is_prepared:
-            raise LinkError("an order before the vehicle was prepared")
+            raise LinkError("a command before the vehicle was prepared")
         if order is Order.NOTHING:
             if self._streamed_s is not None:
                 self._hold(now_s)
@@ -237,7 +252,7 @@ class CrazyflieLink:
             self._encoder.reset()
 
     def close(self) -> None:
-        """Put changed parameters back if it is on the ground and still answers, and let go; never raises."""
+        """Restore changed parameters if the vehicle is landed and answers, and disconnect; never raises."""
         try:
             if self._is_prepared and self._session.lost is None:
                 if self._streamed_s is not None:
@@ -249,7 +264,7 @@ class CrazyflieLink:
                 else:
                     self._say(*self._parameters.restore(_RESTORE_S))
                 if self._noticed_s > -math.inf:
-                    self._say("its emergency watchdog locks it now: start it anew")
+                    self._say("its emergency watchdog locks it now: restart it")
         except LinkError as error:
             self._say(str(error))
         finally:
@@ -259,8 +274,8 @@ class CrazyflieLink:
             self._session.close()
 
     def _checked(self, change: Callable[[], list[str]]) -> list[str]:
-        """What was changed, unless the app refused it."""
-        before = self._told
+        """Apply a change and return its lines; raises LinkError if the app rejects it."""
+        before = self._status_block
         lines = change()
         if (
             before is None
@@ -269,12 +284,15 @@ class CrazyflieLink:
         ):
             return lines
         changed_s = self._options.clock()
-        self._session.wait(lambda: self._told is not None and self._told[0] > changed_s + _STATUS_S, _OLD_S)
-        if self._told is not None and self._told[1][_REFUSED] != before[1][_REFUSED]:
+        self._session.wait(lambda: self._has_status_since(changed_s + _STATUS_S), _OLD_S)
+        if self._status_block is not None and self._status_block[1][_REFUSED] != before[1][_REFUSED]:
             raise LinkError(
-                "the app refuses its parameters: they mean nothing together, or one is out of range"
+                "the app refuses its parameters: the combination is invalid, or one is out of range"
             )
         return lines
+
+    def _has_status_since(self, time_s: float) -> bool:
+        return self._status_block is not None and self._status_block[0] > time_s
 
     def _hold(self, now_s: float) -> None:
         self._streamed_s = None
@@ -295,27 +313,27 @@ class CrazyflieLink:
         self._session.post_newest("pose", lambda vehicle: vehicle.loc.send_extpose(position, [x, y, z, w]))
 
     def _take_state(self, stamp_ms: int, values: Mapping[str, float]) -> None:
-        if self._arrived is not None:
-            gap_ms = (stamp_ms - self._arrived[1]) % _WRAP_MS
-            if gap_ms < _WRAP_MS // 2:  # otherwise it started anew
+        if self._state_block is not None:
+            gap_ms = (stamp_ms - self._state_block[1]) % _WRAP_MS
+            if gap_ms < _WRAP_MS // 2:  # otherwise it restarted
                 self._lost += max(0, round(gap_ms / self._period_ms) - 1)
-        self._arrived = (self._options.clock(), stamp_ms, values)
+        self._state_block = (self._options.clock(), stamp_ms, values)
 
     def _take_status(self, _stamp_ms: int, values: Mapping[str, float]) -> None:
-        self._told = (self._options.clock(), values)
+        self._status_block = (self._options.clock(), values)
 
     def _read_state(self, now_s: float) -> None:
-        """The newest block of the log, unless it was read already, is no state, or motion capture is old."""
-        newest = self._arrived
-        if newest is None or newest is self._taken:
+        """Read the newest log block; skip it if it was read before, is invalid, or motion capture is old."""
+        newest = self._state_block
+        if newest is None or newest is self._state_read:
             return
-        self._taken = newest
-        heard_s, stamp_ms, values = newest
+        self._state_read = newest
+        arrived_s, stamp_ms, values = newest
         before_ms = self._stamp_ms
         if before_ms is not None:  # 24 bits of milliseconds
             stamp_ms = before_ms + (stamp_ms - before_ms + _WRAP_MS // 2) % _WRAP_MS - _WRAP_MS // 2
         self._stamp_ms = stamp_ms
-        arrival_s = self._clock.arrival(1e-3 * stamp_ms, heard_s)
+        arrival_s = self._clock.arrival(1e-3 * stamp_ms, arrived_s)
         self._status.clock_jumps = self._clock.jumps
         x, y, z, vx, vy, vz, quat, roll, pitch, yaw = (values[name] for name in _STATE)
         position = 1e-3 * np.array([x, y, z])
@@ -325,7 +343,7 @@ class CrazyflieLink:
             self._status.bad_packets += 1
             return
         if self._feed is not None and not self._feed.is_fresh(now_s):
-            return  # its estimate goes on without poses, and away
+            return  # without poses its estimate continues and drifts away
         velocity = 1e-3 * np.array([vx, vy, vz])
         omega = 1e-3 * np.array([roll, -pitch, yaw])  # the firmware logs the pitch rate with the other sign
         frame = self._options.frame
@@ -344,23 +362,23 @@ class CrazyflieLink:
         )
 
     def _read_status(self, now_s: float) -> None:
-        status, newest = self._status, self._told
+        status, newest = self._status, self._status_block
         if newest is None or now_s - newest[0] > _OLD_S:
             status.armed = status.landed = status.battery_v = status.battery_share = None
             status.is_estimator_ready = None
             return
         _, values = newest
-        spread = [values[name] for name in _STATUS[:3]]
-        status.is_estimator_ready = self._state is not None and all(0 <= each < _KNOWN_M2 for each in spread)
+        variances = [values[name] for name in _STATUS[:3]]
+        status.is_estimator_ready = self._state is not None and all(0 <= v < _KNOWN_M2 for v in variances)
         volts = values["pm.vbat"]
         status.battery_v = status.battery_share = None
         if math.isfinite(volts):
             status.battery_v = volts
             status.battery_share = min(max((volts - _EMPTY_V) / (_FULL_V - _EMPTY_V), 0.0), 1.0)
-        if newest is not self._read:
-            self._read = newest
-            self._orders.see(int(values["supervisor.info"]))
+        if newest is not self._status_read:
+            self._status_read = newest
+            self._orders.update(int(values["supervisor.info"]))
 
     def _say(self, *lines: str) -> None:
         self._status.texts.extend(lines)
-        del self._status.texts[:-_MOST_TEXTS]
+        del self._status.texts[:-_MAX_TEXTS]

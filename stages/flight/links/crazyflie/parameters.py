@@ -1,4 +1,4 @@
-"""Parameters of a Crazyflie that flights need: set, verified, and put back."""
+"""Parameters of a Crazyflie that flights need: set, verified and restored."""
 
 from __future__ import annotations
 
@@ -24,59 +24,66 @@ Pose = tuple[NDArray[Any], NDArray[Any]]
 
 
 class Parameters:
-    """Changes to parameters that end with us.
+    """Temporary changes to parameters.
 
     Args:
-        session: with the vehicle.
-        controller: wanted number of `stabilizer.controller`.
-        named: others that the user wants.
+        session: the connection to the vehicle.
+        controller: required value of `stabilizer.controller`.
+        named: values of other parameters from the address, by name.
     """
 
     def __init__(self, session: Session, controller: int, named: Mapping[str, float]) -> None:
         self._session, self._controller, self._named = session, controller, dict(named)
-        self._changed: dict[str, tuple[float, float]] = {}  # what it was, what we made it
+        self._changed: dict[str, tuple[float, float]] = {}  # old value, value that was set
 
     def change(self, pose: Pose | None) -> list[str]:
-        """Make them what a flight needs; with a pose of motion capture the estimate begins anew there.
+        """Set the parameters that a flight needs; a line for each change.
+
+        Args:
+            pose: position, shape (3,) [m], and attitude w, x, y, z from motion capture, vehicle's frame; the
+                vehicle's estimate is reset to it. None without motion capture.
 
         Raises:
-            LinkError: the vehicle does not have or take one.
+            LinkError: the vehicle does not have or accept one.
         """
         lines = self.set({**self._named, _CONTROLLER: self._controller})
-        if self._session.read(_ESTIMATOR) != 3:  # the unscented one knows a position too
+        if self._session.read(_ESTIMATOR) != 3:  # 3: the unscented one estimates a position too
             lines += self.set({_ESTIMATOR: _KALMAN})
-        if self._session.read(_HIGH_LEVEL) is not None:  # older firmwares ask for it
+        if self._session.read(_HIGH_LEVEL) is not None:  # older firmwares need it
             lines += self.set({_HIGH_LEVEL: 1})
         if pose is not None:
             lines += self._begin_at(pose)
         return lines
 
     def set(self, values: Mapping[str, float]) -> list[str]:
-        """Set parameters; a line for each that was changed.
+        """Set parameters; a line for each change.
+
+        Args:
+            values: values by name.
 
         Raises:
-            LinkError: the vehicle does not have or take one.
+            LinkError: the vehicle does not have or accept one.
         """
         lines = []
-        for name, wanted in values.items():
+        for name, value in values.items():
             present = self._session.read(name)
             if present is None:
                 group = name.partition(".")[0]
                 there = self._session.names(group)
                 has = f"; {group} has {', '.join(there)}" if there else f"; it has no group {group}"
                 raise LinkError(f"the vehicle has no parameter {name}{has}")
-            if math.isclose(present, wanted, rel_tol=1e-6, abs_tol=1e-9):
+            if math.isclose(present, value, rel_tol=1e-6, abs_tol=1e-9):
                 continue
-            # Remembered first: a value of which nobody knows whether it was taken is put back too.
-            self._changed.setdefault(name, (present, wanted))
-            self._changed[name] = (self._changed[name][0], wanted)
-            if not self._session.write(name, wanted):
-                raise LinkError(f"the vehicle did not take {name} = {wanted:g}")
-            lines.append(f"{name}: {present:g} -> {wanted:g}")
+            # Remembered before writing: a value that may or may not have been accepted is restored too.
+            self._changed.setdefault(name, (present, value))
+            self._changed[name] = (self._changed[name][0], value)
+            if not self._session.write(name, value):
+                raise LinkError(f"the vehicle did not take {name} = {value:g}")
+            lines.append(f"{name}: {present:g} -> {value:g}")
         return lines
 
     def restore(self, timeout_s: float) -> list[str]:
-        """Put back what was changed, the newest first; a line for each that was not."""
+        """Restore all changes within `timeout_s` [s], the newest first; a line for each failure."""
         lines = []
         clock = self._session.options.clock
         end_s = clock() + timeout_s
@@ -90,7 +97,7 @@ class Parameters:
         return lines
 
     def leave(self) -> list[str]:
-        """Leave what was changed as it is; a line for each."""
+        """Leave all changes in place; a line for each."""
         lines = [
             f"{name} stays {ours:g}; it was {before:g}" for name, (before, ours) in self._changed.items()
         ]

@@ -1,6 +1,6 @@
-"""A connection to a Crazyflie through cflib: its threads on one side, values without waiting on the other.
+"""Non-blocking connection to a Crazyflie through cflib, which runs threads of its own.
 
-cflib is the optional extra `crazyflie` (its licence is the GPL, version 3) and imported only here, by `open`.
+cflib is the optional extra `crazyflie` (its licence is the GPL, version 3). Only `open` imports it.
 """
 
 from __future__ import annotations
@@ -16,25 +16,29 @@ from typing import Any
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.options import LinkOptions
 
-OLDEST_PROTOCOL = 9  # velocities with the yaw rate of today
+OLDEST_PROTOCOL = 9  # the first with the present sign of the yaw rate in velocity set-points
 _SUPERVISOR_PROTOCOL = 12
 _POLL_S = 0.01
 _ANSWER_S = 3.0
 _SETTLE_S = 0.03
 _HIGH_LEVEL, _PLATFORM, _LOCALIZATION = 8, 13, 6  # ports of CRTP
 _ARM, _WATCHDOG = 1, 4
-_MOST_TEXT = 1000
+_MAX_TEXT = 1000
 
 
 class Session:
-    """One vehicle. `open`, `read`, `write` and `close` wait; all else returns at once.
+    """Connection to one vehicle. `open`, `read`, `write` and `close` may block; all else returns at once.
 
-    What is sent goes through a thread of its own, since cflib waits for a radio that is lost; of set-points
-    and poses only the newest is sent. What comes is left by cflib's thread in attributes, the newest last.
+    A thread sends all packets, because cflib blocks while the radio is lost. Of waiting set-points and poses
+    it sends only the newest. cflib's thread stores what it receives in attributes.
+
+    Args:
+        uri: address of the vehicle for cflib.
+        options: options of the link.
 
     Attributes:
-        heard_s: when a packet came last.
-        lost: why the connection ended.
+        heard_s: when the last packet arrived, monotonic clock [s].
+        lost: why the connection ended; None while it holds.
     """
 
     def __init__(self, uri: str, options: LinkOptions) -> None:
@@ -43,7 +47,7 @@ class Session:
         self.lost: str | None = None
         self._vehicle: Any = None
         self._ready = threading.Event()
-        self._updates: dict[str, int] = {}  # how often a parameter's value came
+        self._updates: dict[str, int] = {}  # number of received values by parameter
         self._queue: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._sender: threading.Thread | None = None
         self._newest: dict[str, Callable[[Any], None]] = {}
@@ -54,11 +58,14 @@ class Session:
 
     @property
     def protocol(self) -> int:
-        """Version of CRTP that the vehicle speaks."""
+        """Version of CRTP that the vehicle uses."""
         return int(self._vehicle.platform.get_protocol_version())
 
     def open(self, timeout_s: float) -> None:
         """Connect, and read all tables and parameters.
+
+        Args:
+            timeout_s: maximum time [s].
 
         Raises:
             LinkError: cflib is missing, or no vehicle answers.
@@ -75,24 +82,24 @@ class Session:
         vehicle.fully_connected.add_callback(lambda _: self._ready.set())
         vehicle.connection_failed.add_callback(lambda _, why: self._lose(why))
         vehicle.connection_lost.add_callback(lambda _, why: self._lose(why))
-        vehicle.packet_received.add_callback(self._hear)
+        vehicle.packet_received.add_callback(self._note_packet)
         vehicle.console.receivedChar.add_callback(self._take_text)
         vehicle.add_port_callback(_HIGH_LEVEL, self._take_answer)
         vehicle.param.add_update_callback(cb=self._count)
         vehicle.open_link(self.uri)
         if not self.wait(lambda: self._ready.is_set() or self.lost is not None, timeout_s) or self.lost:
-            lost = (self.lost or "").removeprefix("Exception: ")  # a class's name helps nobody
+            lost = (self.lost or "").removeprefix("Exception: ")  # the class name does not help the user
             raise LinkError(f"{self.uri}: no Crazyflie: {lost or f'no answer within {timeout_s:g} s'}")
         if self.protocol < OLDEST_PROTOCOL:
             raise LinkError(
                 f"{self.uri}: the firmware is too old: CRTP {self.protocol}, not {OLDEST_PROTOCOL}"
             )
-        vehicle.link_statistics.stop()  # ten pings a second, from a thread that outlives the program
+        vehicle.link_statistics.stop()  # it pings ten times a second, in a thread that outlives the program
         self._sender = threading.Thread(target=self._send_all, name="crazyflie-sender", daemon=True)
         self._sender.start()
 
     def wait(self, is_done: Callable[[], bool], timeout_s: float) -> bool:
-        """Until something is so; whether it became so."""
+        """Block until a condition holds, at most `timeout_s` [s]; returns whether it holds."""
         clock = self.options.clock
         end_s = clock() + timeout_s
         while not is_done():
@@ -102,36 +109,41 @@ class Session:
         return True
 
     def names(self, group: str) -> list[str]:
-        """Parameters of a group."""
+        """Names of the parameters of a group."""
         return list(self._vehicle.param.toc.toc.get(group, ()))
 
     def read(self, name: str) -> float | None:
-        """A parameter; None if the vehicle has none of that name."""
+        """Value of a parameter; None if the vehicle does not have it."""
         group, _, rest = name.partition(".")
         value = self._vehicle.param.values.get(group, {}).get(rest)
         return None if value is None else float(value)
 
     def write(self, name: str, value: float, timeout_s: float = _ANSWER_S, keeps: bool = True) -> bool:
-        """Set a parameter; whether the vehicle says that it has the value.
+        """Set a parameter; returns whether the vehicle reports the new value.
 
-        The answer to a write repeats it: a value that the firmware does not take, as the number of a
-        controller it does not have, it changes back a moment later. So it is read again, unless it is one
-        that does not keep its value.
+        The answer to a write only repeats the value. A value that the firmware rejects, such as the number of
+        a controller that it does not have, changes back a moment later. So the parameter is read again.
+
+        Args:
+            name: `group.name`.
+            value: the new value.
+            timeout_s: maximum time [s].
+            keeps: whether the parameter keeps its value; if not, it is not read again.
         """
         end_s = self.options.clock() + timeout_s
         parameters = self._vehicle.param
         try:
-            is_answered = self._ask(name, end_s, lambda: parameters.set_value(name, value))
+            is_answered = self._request(name, end_s, lambda: parameters.set_value(name, value))
         except (KeyError, AttributeError, ValueError, struct.error):
             return False
         if not is_answered or not keeps:
             return is_answered
         self.options.sleep(_SETTLE_S)
-        is_answered = self._ask(name, end_s, lambda: parameters.request_param_update(name))
+        is_answered = self._request(name, end_s, lambda: parameters.request_param_update(name))
         return is_answered and _is_same(self.read(name), value)
 
-    def _ask(self, name: str, end_s: float, send: Callable[[], None]) -> bool:
-        """Whether the vehicle answers with the value of a parameter."""
+    def _request(self, name: str, end_s: float, send: Callable[[], None]) -> bool:
+        """Send something; returns whether the vehicle answers with the value of a parameter."""
         before = self._updates.get(name, 0)
         send()
         return self.wait(lambda: self._updates.get(name, 0) > before, max(end_s - self.options.clock(), 0.0))
@@ -140,12 +152,18 @@ class Session:
         self._updates[name] = self._updates.get(name, 0) + 1
 
     def logs(self, name: str) -> bool:
-        """Whether the vehicle has a log variable."""
+        """Return whether the vehicle has a log variable."""
         group, _, rest = name.partition(".")
         return rest in self._vehicle.log.toc.toc.get(group, ())
 
     def log(self, name: str, period_s: float, variables: list[str], take: Callable[[int, Any], None]) -> None:
-        """Have variables sent; `take` gets the vehicle's milliseconds and the values, in cflib's thread.
+        """Start a log block.
+
+        Args:
+            name: name of the block.
+            period_s: time between two blocks [s].
+            variables: names of the log variables.
+            take: called in cflib's thread with the vehicle's clock [ms] and the values.
 
         Raises:
             LinkError: the vehicle does not have them.
@@ -163,40 +181,45 @@ class Session:
         block.start()
 
     def post(self, send: Callable[[Any], None]) -> None:
-        """Let the sender call something with the vehicle of cflib."""
+        """Queue a call with cflib's vehicle as its argument for the sending thread."""
         self._queue.put(lambda: send(self._vehicle))
 
     def post_newest(self, what: str, send: Callable[[Any], None]) -> None:
-        """... which takes the place of one of its kind that was not sent yet: it would be stale."""
+        """Queue a call like `post`; it replaces a waiting one of the same kind, which would be stale.
+
+        Args:
+            what: the kind.
+            send: the call.
+        """
         self._newest[what] = send
         if what not in self._waiting:
             self._waiting.add(what)
             self._queue.put(lambda: self._send_newest(what))
 
-    def arm(self, wanted: bool) -> None:
-        """Ask to arm or disarm."""
+    def arm(self, arms: bool) -> None:
+        """Send a request to arm or disarm."""
         if self.protocol >= _SUPERVISOR_PROTOCOL:
-            self.post(lambda vehicle: vehicle.supervisor.send_arming_request(wanted))
+            self.post(lambda vehicle: vehicle.supervisor.send_arming_request(arms))
         else:
-            self.post(lambda vehicle: _send_raw(vehicle, _PLATFORM, 0, bytes([_ARM, wanted])))
+            self.post(lambda vehicle: _send_raw(vehicle, _PLATFORM, 0, bytes([_ARM, arms])))
 
     def notice(self) -> None:
-        """The emergency watchdog: begin, or go on, to need this every second."""
+        """Send a notice of the emergency watchdog; after the first it is required every second."""
         if self.protocol >= _SUPERVISOR_PROTOCOL:
             self.post(lambda vehicle: vehicle.supervisor.send_emergency_stop_watchdog())
         else:
             self.post(lambda vehicle: _send_raw(vehicle, _LOCALIZATION, 1, bytes([_WATCHDOG])))
 
     def texts(self) -> list[str]:
-        """Lines of the console since the last call."""
+        """Lines of the vehicle's console since the last call."""
         return _drained(self._texts)
 
     def answers(self) -> list[tuple[int, int]]:
-        """Commands of the high-level commander that were answered, and with which error number."""
+        """Answers of the high-level commander since the last call: command and error number."""
         return _drained(self._answers)
 
     def flush(self, timeout_s: float) -> None:
-        """Wait until what was posted is sent."""
+        """Block until all queued calls are sent, at most `timeout_s` [s]."""
         if self._sender is None or not self._sender.is_alive():
             return
         done = threading.Event()
@@ -204,7 +227,7 @@ class Session:
         self.wait(done.is_set, timeout_s)
 
     def close(self) -> None:
-        """Let go, without the thrust of zero that cflib would send before: it stops the motors."""
+        """Disconnect without the zero-thrust set-point of cflib's own `close`, which stops the motors."""
         self._queue.put(None)
         vehicle = self._vehicle
         if vehicle is None:
@@ -228,18 +251,18 @@ class Session:
         while (call := self._queue.get()) is not None:
             try:
                 call()
-            except Exception as error:  # noqa: BLE001  cflib raises plain ones; the loop must hear of it
+            except Exception as error:  # noqa: BLE001  cflib raises plain ones; the loop must learn of it
                 self._lose(f"{type(error).__name__}: {error}")
 
     def _lose(self, why: str) -> None:
         if self.lost is None:
             self.lost = str(why).strip().splitlines()[-1] if str(why).strip() else "connection lost"
 
-    def _hear(self, _packet: Any) -> None:
+    def _note_packet(self, _packet: Any) -> None:
         self.heard_s = self.options.clock()
 
     def _take_text(self, text: str) -> None:
-        *lines, self._text = (self._text + text)[-_MOST_TEXT:].split("\n")
+        *lines, self._text = (self._text + text)[-_MAX_TEXT:].split("\n")
         for line in lines:
             shown = "".join(each for each in line if each.isprintable()).strip()
             if shown:
@@ -269,5 +292,5 @@ def _send_raw(vehicle: Any, port: int, channel: int, data: bytes) -> None:
 
 
 def _is_same(a: float | None, b: float) -> bool:
-    """As floats of single precision, which is how they travel."""
+    """Compare two values as single-precision floats, which is how they are sent."""
     return a is not None and math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9)

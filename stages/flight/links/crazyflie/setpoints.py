@@ -1,8 +1,12 @@
-"""Set-points for a Crazyflie: full states in 16 bits each, and velocities with a yaw rate."""
+"""Set-points for a Crazyflie, full states and velocities with a yaw rate, and its number formats.
+
+A full state has 16 bits for each number, in thousandths of m, m/s, m/s^2 and rad/s, and 32 for the attitude.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +14,6 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
-from alula.stages.flight.links.crazyflie.numbers import LARGEST
 from alula.stages.flight.links.options import Limits
 from alula.stages.flight.links.protocol import AccelerationSetpoint, VelocitySetpoint
 from alula.stages.vehicles.frames import LocalFrame
@@ -18,11 +21,15 @@ from alula.stages.vehicles.frames import LocalFrame
 Triple = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 
+LARGEST = 32.767  # largest m, m/s, m/s^2 or rad/s in 16 bits of thousandths
+
+_QUAT_BITS = 9
+_QUAT_MAX = (1 << _QUAT_BITS) - 1
+
 LEAD_S = 0.02
-_GAP_S = 0.3  # after which the last set-point says nothing about the next
-_FIRST_S = 0.01
+_GAP_S = 0.3  # after a longer gap the last set-point does not limit the next
 _JERK_S = 0.05
-_LEAST_M_S2 = 1.0  # of thrust: below it the attitude says nothing
+_MIN_THRUST_M_S2 = 1.0  # below it the attitude is undefined
 _FLAT = 1e-3
 _FAR_OUT = 2.0
 _TURN_PER_S = 2.0
@@ -30,7 +37,15 @@ _TURN_PER_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class FullState:
-    """What is sent: in the vehicle's own frame, z up; rates forward-left-up [rad/s]."""
+    """A full state as it is sent, in the vehicle's own frame, z up.
+
+    Attributes:
+        position: shape (3,) [m].
+        velocity: shape (3,) [m/s].
+        acceleration: shape (3,) [m/s^2].
+        attitude_wxyz: unit quaternion.
+        omega: body rates, forward-left-up [rad/s].
+    """
 
     position: FloatArray
     velocity: FloatArray
@@ -40,16 +55,21 @@ class FullState:
 
 
 class SetpointEncoder:
-    """Checks, clips and slows down set-points, and moves them into the vehicle's frame.
+    """Encoder of set-points: checks, clips and slew-limits them, and turns them into the vehicle's frame.
 
-    A full state is flown with the firmware's gains around its position and velocity. Those of an
-    `AccelerationSetpoint` are of the moment it was made: here they are taken on by 20 ms (sending, and half
-    of the time that it is flown), p + v t + a t^2 / 2 and v + a t; otherwise they would pull back. The
-    attitude is that of the thrust a + g with the yaw; the rates are those that turn it as the acceleration
-    changes, smoothed over 50 ms.
+    The firmware tracks the position and velocity of a full state with its own gains. The position and
+    velocity of an `AccelerationSetpoint` belong to the time when it was computed. The encoder extrapolates
+    them by 20 ms (the delay of sending, and half of the time that the set-point is flown),
+    p + v t + a t^2 / 2 and v + a t; otherwise the gains would pull the vehicle back. The attitude is that of
+    the thrust a + g with the yaw. The body rates turn it as the acceleration changes, smoothed over 50 ms.
+
+    Args:
+        frame: the world frame relative to the vehicle's local frame.
+        limits: limits of set-points.
+        gravity_m_s2: g [m/s^2].
 
     Attributes:
-        clipped: set-points that did not go out as they came in.
+        clipped: number of set-points that were changed by a limit.
     """
 
     def __init__(self, frame: LocalFrame, limits: Limits, gravity_m_s2: float) -> None:
@@ -59,7 +79,11 @@ class SetpointEncoder:
         self._jerk = np.zeros(3)
 
     def full_state(self, setpoint: AccelerationSetpoint, now_s: float) -> FullState:
-        """A full state.
+        """Full state of an acceleration set-point.
+
+        Args:
+            setpoint: the set-point.
+            now_s: monotonic clock [s].
 
         Raises:
             LinkError: a field is not finite, far out of range, or beyond 16 bits of thousandths.
@@ -67,17 +91,17 @@ class SetpointEncoder:
         limits = self.limits
         _check("position", setpoint.position, math.inf)
         _check("velocity", setpoint.velocity, limits.speed_m_s)
-        wish = _check("acceleration", setpoint.acceleration, limits.acceleration_m_s2)
+        nominal = _check("acceleration", setpoint.acceleration, limits.acceleration_m_s2)
         yaw = _angle(setpoint.yaw_rad) + self.frame.yaw_rad
-        most, step = limits.acceleration_m_s2, limits.acceleration_slew_m_s3
-        given, dt_s = self._limited(wish, most, step, now_s)
-        speed, lead = np.asarray(setpoint.velocity, np.float64), LEAD_S * given
+        limit, slew = limits.acceleration_m_s2, limits.acceleration_slew_m_s3
+        limited, dt_s = self._limited(nominal, limit, slew, now_s)
+        speed, lead = np.asarray(setpoint.velocity, np.float64), LEAD_S * limited
         ahead = setpoint.position + LEAD_S * (speed + 0.5 * lead)
         flown = np.clip(speed + lead, -limits.speed_m_s, limits.speed_m_s)
-        moves = self.frame.vector_to_local(np.array([flown, given, self._jerk]))
-        push, jerk = moves[1:].tolist()
-        quat, omega = self._attitude(push, jerk, yaw, math.isfinite(dt_s))
-        sent = FullState(self.frame.position_to_local(ahead), moves[0], moves[1], quat, omega)
+        local = self.frame.vector_to_local(np.array([flown, limited, self._jerk]))
+        acceleration, jerk = local[1:].tolist()
+        quat, omega = self._attitude(acceleration, jerk, yaw, math.isfinite(dt_s))
+        sent = FullState(self.frame.position_to_local(ahead), local[0], local[1], quat, omega)
         for name, unit in (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s^2")):
             for axis, value in zip("xyz", getattr(sent, name).tolist(), strict=True):
                 if abs(value) > LARGEST:
@@ -88,67 +112,74 @@ class SetpointEncoder:
     def velocity(
         self, setpoint: VelocitySetpoint, yaw_now_rad: float, now_s: float
     ) -> tuple[FloatArray, float]:
-        """A velocity in the vehicle's frame [m/s], and the yaw rate towards the heading [degrees/s].
+        """Velocity in the vehicle's frame [m/s], and the yaw rate towards the heading [degrees/s].
+
+        Args:
+            setpoint: the set-point.
+            yaw_now_rad: present heading, world frame [rad].
+            now_s: monotonic clock [s].
 
         Raises:
             LinkError: a field is not finite or far out of range.
         """
         limits = self.limits
-        wish = _check("velocity", setpoint.velocity, limits.speed_m_s)
-        given, _ = self._limited(wish, limits.speed_m_s, limits.speed_slew_m_s2, now_s)
+        nominal = _check("velocity", setpoint.velocity, limits.speed_m_s)
+        limited, _ = self._limited(nominal, limits.speed_m_s, limits.speed_slew_m_s2, now_s)
         turn = math.remainder(_angle(setpoint.yaw_rad) - yaw_now_rad, 2 * math.pi)
-        most = limits.rates_rad_s[2]
-        rate = min(max(_TURN_PER_S * turn, -most), most)
-        return self.frame.vector_to_local(given), math.degrees(rate)
+        limit = limits.rates_rad_s[2]
+        rate = min(max(_TURN_PER_S * turn, -limit), limit)
+        return self.frame.vector_to_local(limited), math.degrees(rate)
 
     def reset(self) -> None:
-        """The last set-point says nothing about the next."""
+        """Forget the last set-point: it does not limit the next."""
         self._last = None
 
-    def _limited(self, wish: FloatArray, most: float, slew: float, now_s: float) -> tuple[FloatArray, float]:
-        """Within limits and within reach of the last one; and the time since it."""
-        values: FloatArray = np.clip(wish, -most, most)
+    def _limited(
+        self, nominal: FloatArray, limit: float, slew: float, now_s: float
+    ) -> tuple[FloatArray, float]:
+        """Values within the limit and the slew limit, and the time since the last ones [s]."""
+        values: FloatArray = np.clip(nominal, -limit, limit)
         dt_s = math.inf
         if self._last is not None and now_s - self._last[0] < _GAP_S:
             dt_s = max(now_s - self._last[0], 0.0)
             values = np.clip(values, self._last[1] - slew * dt_s, self._last[1] + slew * dt_s)
             if dt_s > 0:
-                share = dt_s / (dt_s + _JERK_S)
-                self._jerk += share * ((values - self._last[1]) / dt_s - self._jerk)
+                weight = dt_s / (dt_s + _JERK_S)
+                self._jerk += weight * ((values - self._last[1]) / dt_s - self._jerk)
         else:
             self._jerk = np.zeros(3)
         self._last = (now_s, values)
-        self.clipped += bool((values != wish).any())
+        self.clipped += bool((values != nominal).any())
         return values, dt_s
 
     def _attitude(
-        self, push: list[float], jerk: list[float], yaw: float, has_jerk: bool
+        self, acceleration: list[float], jerk: list[float], yaw: float, has_jerk: bool
     ) -> tuple[Quat, Triple]:
-        """The attitude whose z axis is along a + g, and the rates that turn it with the jerk."""
-        zx, zy, zz = push[0], push[1], push[2] + self._gravity
+        """Attitude with its z axis along a + g, and the body rates that follow from the jerk."""
+        zx, zy, zz = acceleration[0], acceleration[1], acceleration[2] + self._gravity
         size = math.sqrt(zx * zx + zy * zy + zz * zz)
         cos, sin = math.cos(yaw), math.sin(yaw)
-        if size > _LEAST_M_S2:
+        if size > _MIN_THRUST_M_S2:
             zx, zy, zz = zx / size, zy / size, zz / size
         else:
             zx, zy, zz = 0.0, 0.0, 1.0
         yx, yy, yz = -zz * sin, zz * cos, zx * sin - zy * cos
         norm = math.sqrt(yx * yx + yy * yy + yz * yz)
-        if norm < _FLAT:  # it lies along the heading
+        if norm < _FLAT:  # the z axis lies along the heading
             zx, zy, zz, yx, yy, yz, norm = 0.0, 0.0, 1.0, -sin, cos, 0.0, 1.0
         yx, yy, yz = yx / norm, yy / norm, yz / norm
         xx, xy, xz = yy * zz - yz * zy, yz * zx - yx * zz, yx * zy - yy * zx
         quat = _quat_wxyz((xx, xy, xz), (yx, yy, yz), (zx, zy, zz))
-        if not has_jerk or size <= _LEAST_M_S2:
+        if not has_jerk or size <= _MIN_THRUST_M_S2:
             return quat, (0.0, 0.0, 0.0)
         roll = -(jerk[0] * yx + jerk[1] * yy + jerk[2] * yz) / size
         pitch = (jerk[0] * xx + jerk[1] * xy + jerk[2] * xz) / size
-        most = self.limits.rates_rad_s
-        return quat, (min(max(roll, -most[0]), most[0]), min(max(pitch, -most[1]), most[1]), 0.0)
+        limit = self.limits.rates_rad_s
+        return quat, (min(max(roll, -limit[0]), limit[0]), min(max(pitch, -limit[1]), limit[1]), 0.0)
 
 
 def _quat_wxyz(x: Triple, y: Triple, z: Triple) -> Quat:
-    """Of three axes, with w >= 0; numbers, since arrays of four cost ten times as much."""
+    """Quaternion of three body axes, with w >= 0; plain floats, since small arrays cost ten times as much."""
     squares = (
         1 + x[0] + y[1] + z[2],
         1 + x[0] - y[1] - z[2],
@@ -168,16 +199,16 @@ def _quat_wxyz(x: Triple, y: Triple, z: Triple) -> Quat:
     return row[0] * scale, row[1] * scale, row[2] * scale, row[3] * scale
 
 
-def _check(name: str, values: Any, most: float) -> FloatArray:
-    """Finite and not far out, component by component."""
+def _check(name: str, values: Any, limit: float) -> FloatArray:
+    """Check that each component is finite and within twice the limit; raises LinkError."""
     array = np.asarray(values, np.float64)
     if array.shape != (3,):
         raise LinkError(f"set-point refused: {name} has the shape {array.shape}, not (3,)")
     for axis, value in zip("xyz", array.tolist(), strict=True):
         if not math.isfinite(value):
             raise LinkError(f"set-point refused: {name}.{axis} is {value}")
-        if abs(value) > _FAR_OUT * most:
-            raise LinkError(f"set-point refused: {name}.{axis} is {value:g}, the limit {most:g}")
+        if abs(value) > _FAR_OUT * limit:
+            raise LinkError(f"set-point refused: {name}.{axis} is {value:g}, the limit {limit:g}")
     return array
 
 
@@ -185,3 +216,45 @@ def _angle(value: float) -> float:
     if not math.isfinite(value):
         raise LinkError(f"set-point refused: yaw_rad is {value}")
     return float(value)
+
+
+def compress_quat_wxyz(quat_wxyz: Sequence[float]) -> int:
+    """Compress a unit quaternion to 32 bits.
+
+    The two highest bits hold the index of the component of x, y, z, w with the largest magnitude. That
+    component is made positive and omitted. The sign and nine bits of |q| sqrt(2) of each of the three others
+    follow in this order.
+
+    Args:
+        quat_wxyz: unit quaternion w, x, y, z.
+    """
+    w, x, y, z = map(float, quat_wxyz)
+    parts = (x, y, z, w)
+    largest = max(range(4), key=lambda i: abs(parts[i]))
+    packed = largest
+    for i, part in enumerate(parts):
+        if i != largest:
+            is_negative = (part < 0) != (parts[largest] < 0)
+            scaled = min(abs(part) * math.sqrt(2.0), 1.0)
+            packed = packed << (_QUAT_BITS + 1) | is_negative << _QUAT_BITS | int(scaled * _QUAT_MAX + 0.5)
+    return packed
+
+
+def expand_quat_wxyz(packed: int) -> tuple[float, float, float, float]:
+    """Expand 32 bits to a quaternion; inverse of `compress_quat_wxyz`.
+
+    The error of each component that was sent is at most 1.4e-3.
+
+    Args:
+        packed: the 32 bits.
+    """
+    largest = packed >> 30 & 3
+    parts = [0.0] * 4
+    for i in (3, 2, 1, 0):
+        if i != largest:
+            magnitude = (packed & _QUAT_MAX) / _QUAT_MAX / math.sqrt(2.0)
+            parts[i] = -magnitude if packed >> _QUAT_BITS & 1 else magnitude
+            packed >>= _QUAT_BITS + 1
+    parts[largest] = math.sqrt(max(0.0, 1.0 - sum(part * part for part in parts)))
+    x, y, z, w = parts
+    return w, x, y, z

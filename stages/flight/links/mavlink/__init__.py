@@ -1,1 +1,1 @@
-"""ArduPilot Copter and PX4 over MAVLink."""
+"""Link to ArduPilot Copter and PX4 over MAVLink."""

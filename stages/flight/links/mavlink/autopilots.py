@@ -1,4 +1,4 @@
-"""What ArduPilot and PX4 call things: modes, parameters, messages."""
+"""Differences between ArduPilot and PX4: modes, parameters, messages."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from alula.stages.flight.links.protocol import (
 )
 
 _MULTICOPTERS = (2, 13, 14, 15, 29, 35)  # MAV_TYPE
-_CUSTOM_MODE = 1  # of base_mode
+_CUSTOM_MODE = 1  # bit of base_mode
 ALL_SETPOINTS: frozenset[type[Setpoint]] = frozenset({RatesSetpoint, AccelerationSetpoint, VelocitySetpoint})
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One that flights need to have a certain value.
+    """A parameter that must have a certain value in flight.
 
     Attributes:
-        name: of at most 16 characters.
-        wanted: from its present value.
-        why: in words, for the person whose vehicle it is.
-        is_required: whether a vehicle without it is refused.
+        name: name of at most 16 characters.
+        required: the required value as a function of the present one.
+        why: the reason, for the user.
+        is_required: whether a vehicle without the parameter is refused.
     """
 
     name: str
-    wanted: Callable[[float], float]
+    required: Callable[[float], float]
     why: str
     is_required: bool = True
 
@@ -43,15 +43,20 @@ class Autopilot:
     """A family of autopilots.
 
     Attributes:
-        parameters: changed before flights and put back afterwards.
-        fixed: those that must have a value with motion capture, and are not changed: they need a restart.
-        ground_station: names of the parameter that says which system's heartbeats are watched.
-        hover: parameter with the throttle that carries the weight.
-        is_bytewise: whether integers travel bit by bit in the place of a float.
-        control, landing: main and sub mode.
-        streams_first: whether set-points must already come before it obeys.
-        takes_off_by_command: otherwise by a set-point of position.
-        mode_of: from custom_mode to main mode, sub mode and name.
+        name: name of the family.
+        parameters: parameters that are set before a flight and restored afterwards.
+        fixed: parameters with their allowed values for motion capture; they are only checked, because a
+            change needs a restart.
+        ground_station: possible names of the parameter with the system id of the monitored ground station.
+        hover: name of the parameter with the hover throttle.
+        is_bytewise: whether an integer parameter is sent as the bits of a float instead of its value.
+        control: main and sub mode that follow set-points.
+        landing: main and sub mode that land.
+        streams_first: whether set-points must arrive before the vehicle enters the control mode.
+        takes_off_by_command: whether it takes off by MAV_CMD_NAV_TAKEOFF; otherwise by a position set-point.
+        has_odometry: whether it sends ODOMETRY and ESTIMATOR_STATUS.
+        mode_of: function from custom_mode to main mode, sub mode and name.
+        accepts: kinds of set-points that it follows.
     """
 
     name: str
@@ -69,11 +74,15 @@ class Autopilot:
     accepts: frozenset[type[Setpoint]] = ALL_SETPOINTS
 
     def intervals(self, rate_hz: float) -> dict[int, float]:
-        """How often each message is asked for [Hz]."""
+        """Requested rate of each message [Hz] by its number.
+
+        Args:
+            rate_hz: rate of the state messages [Hz].
+        """
         rates = {
             dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: rate_hz,
             dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: rate_hz,
-            dialect.MAVLINK_MSG_ID_HEARTBEAT: 5.0,  # with it comes the mode that a pilot has chosen
+            dialect.MAVLINK_MSG_ID_HEARTBEAT: 5.0,  # it contains the mode that a pilot has chosen
             dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
             dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
         }
@@ -113,8 +122,8 @@ ARDUPILOT = Autopilot(
     parameters=(
         Parameter("GUID_OPTIONS", _with_bit(8), "thrust in SET_ATTITUDE_TARGET is thrust, not a climb rate"),
         Parameter("ATC_ANGLE_BOOST", _always(0.0), "thrust is not divided by the cosine of the tilt"),
-        Parameter("GUID_TIMEOUT", _always(0.3), "silence ends a set-point after 0.3 s"),
-        Parameter("FS_GCS_ENABLE", _always(5.0), "it lands when our heartbeats end"),
+        Parameter("GUID_TIMEOUT", _always(0.3), "a set-point expires after 0.3 s"),
+        Parameter("FS_GCS_ENABLE", _always(5.0), "the vehicle lands when this program's heartbeats end"),
     ),
     fixed=(
         *((f"EK3_SRC1_{each}", (6.0,)) for each in ("POSXY", "VELXY", "POSZ", "VELZ", "YAW")),
@@ -134,10 +143,12 @@ ARDUPILOT = Autopilot(
 PX4 = Autopilot(
     name="PX4",
     parameters=(
-        Parameter("COM_OF_LOSS_T", _always(0.3), "silence ends offboard control after 0.3 s"),
-        Parameter("COM_OBL_RC_ACT", _always(4.0), "it lands then", is_required=False),
+        Parameter("COM_OF_LOSS_T", _always(0.3), "offboard control ends 0.3 s after the last set-point"),
+        Parameter("COM_OBL_RC_ACT", _always(4.0), "the vehicle then lands", is_required=False),
         Parameter("COM_RCL_EXCEPT", _with_bit(4), "offboard control needs no radio", is_required=False),
-        Parameter("COM_RC_OVERRIDE", _with_bit(2), "the pilot's sticks end it", is_required=False),
+        Parameter(
+            "COM_RC_OVERRIDE", _with_bit(2), "the pilot's sticks end offboard control", is_required=False
+        ),
     ),
     fixed=(("EKF2_EV_CTRL", tuple(map(float, (9, 11, 13, 15)))),),
     ground_station=(),
@@ -155,7 +166,10 @@ _BY_NUMBER = {dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: ARDUPILOT, dialect.MAV_AUTOPI
 
 
 def autopilot_of(heartbeat: Any) -> Autopilot:
-    """The family of the vehicle that sent a HEARTBEAT.
+    """Family of the autopilot that sent a HEARTBEAT.
+
+    Args:
+        heartbeat: the message.
 
     Raises:
         LinkError: it is neither ArduPilot nor PX4, or no multicopter.
@@ -171,5 +185,9 @@ def autopilot_of(heartbeat: Any) -> Autopilot:
 
 
 def mode_command(mode: tuple[int, int]) -> tuple[int, tuple[float, ...]]:
-    """MAV_CMD_DO_SET_MODE and its parameters."""
+    """MAV_CMD_DO_SET_MODE and its parameters.
+
+    Args:
+        mode: main and sub mode.
+    """
     return dialect.MAV_CMD_DO_SET_MODE, (float(_CUSTOM_MODE), float(mode[0]), float(mode[1]))

@@ -1,4 +1,4 @@
-"""The vehicle's state from its own estimate: LOCAL_POSITION_NED with an attitude, or ODOMETRY."""
+"""Vehicle state from the vehicle's own estimate: LOCAL_POSITION_NED with an attitude, or ODOMETRY."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from alula.stages.flight.links.vehicle_clock import VehicleClock
 from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz
 from alula.stages.vehicles.frames import LocalFrame, flipped_body
 
-_MOST_APART_S = 0.05  # position and attitude of one state
-_LARGEST = (1e5, 1e3, 1e2)  # [m], [m/s], [rad/s]: beyond is no measurement
+_MAX_APART_S = 0.05  # between position and attitude of one state
+_LARGEST = (1e5, 1e3, 1e2)  # [m], [m/s], [rad/s]: larger values are invalid
 _WRAP_MS = 1 << 32
 _LOCAL_NED, _BODY_FRD, _LOCAL_FRD = 1, 12, 20  # MAV_FRAME
 
@@ -31,19 +31,19 @@ class _Part:
 
 
 class Estimate:
-    """Puts states together; what is not finite, not newer, or beyond any vehicle is dropped.
+    """Assembler of states; it drops values that are not finite, not newer, or implausibly large.
 
-    Position and attitude come separately, so the older of the two is carried to the time of the newer:
-    p + v dt, or q exp(omega dt), over at most 50 ms. Further apart they are no state, so that a state ages
-    as soon as either stops. `VehicleState.received_s` counts from when it would have come by the fastest way
-    so far: a packet that was held up is old when it comes.
+    Position and attitude arrive separately. The older of the two is extrapolated to the time of the newer,
+    p + v dt or q exp(omega dt), over at most 50 ms. If they are further apart there is no new state, so a
+    state ages as soon as either stops. `VehicleState.received_s` is the arrival time with the smallest
+    delay so far: a delayed packet is already old when it arrives.
 
     Args:
-        frame: where the world lies in the vehicle's local frame.
-        is_open: asked with the time; while it says no, states are not renewed.
+        frame: the world frame relative to the vehicle's local frame.
+        is_open: function of the time; while it returns False, states are not renewed.
 
     Attributes:
-        dropped: messages that held no measurement.
+        dropped: number of messages with invalid values.
     """
 
     def __init__(self, frame: LocalFrame, is_open: Callable[[float], bool] = lambda _: True) -> None:
@@ -59,24 +59,34 @@ class Estimate:
 
     @property
     def jumps(self) -> int:
-        """How often the vehicle's clock was set."""
+        """Number of jumps of the vehicle's clock."""
         return sum(clock.jumps for clock in self._clocks.values())
 
     @property
     def state(self) -> VehicleState | None:
-        """The newest one."""
+        """The newest state; None before the first."""
         if self._is_new:
             self._is_new = False
             self._state = self._assembled() or self._state
         return self._state
 
-    def synchronise(self, clock_s: float, asked_s: float) -> None:
-        """The vehicle answered at `clock_s` of its time since boot what was asked at `asked_s` of ours."""
+    def synchronise(self, clock_s: float, requested_s: float) -> None:
+        """Use the answer to a time request.
+
+        Args:
+            clock_s: vehicle's time since boot in the answer [s].
+            requested_s: when the request was sent, local clock [s].
+        """
         for clock in self._clocks.values():
-            clock.found(clock_s, asked_s)
+            clock.synchronise(clock_s, requested_s)
 
     def take(self, message: Any, now_s: float) -> None:
-        """A message of the vehicle; those without a part of the state are left alone."""
+        """Process a message; messages without a part of the state are ignored.
+
+        Args:
+            message: a message of the vehicle.
+            now_s: when it arrived, local clock [s].
+        """
         kind = message.get_type()
         boot_s = self._since_boot(getattr(message, "time_boot_ms", None))
         if kind == "ODOMETRY":
@@ -96,7 +106,7 @@ class Estimate:
             self._keep("attitude", "boot", boot_s, now_s, quat, rates)
 
     def _since_boot(self, stamp_ms: int | None) -> float:
-        """[s]; 32 bits of milliseconds come round after 49.7 days, which is no new start."""
+        """Time since boot [s]; 32 bits of milliseconds wrap around after 49.7 days, which is no restart."""
         if stamp_ms is None:
             return math.nan
         if self._boot_ms is not None:
@@ -118,7 +128,7 @@ class Estimate:
         position = (message.x, message.y, message.z)
         parts = dict(self._parts)
         if not self._has_odometry:
-            self._parts.clear()  # of one source, never of two
+            self._parts.clear()  # a state never mixes two sources
         if self._keep("position", "odometry", stamp, now_s, position, velocity) and self._keep(
             "attitude", "odometry", stamp, now_s, quat, rates
         ):
@@ -127,7 +137,7 @@ class Estimate:
             self._parts = parts
 
     def _keep(self, part: str, clock: str, stamp_s: float, now_s: float, first: Any, second: Any) -> bool:
-        """Whether a part was new and a measurement."""
+        """Store a part; returns whether it was new and valid."""
         if self._has_odometry and clock != "odometry":
             return False
         is_good = (
@@ -154,28 +164,37 @@ class Estimate:
         return True
 
     def _assembled(self) -> VehicleState | None:
-        place, attitude = self._parts.get("position"), self._parts.get("attitude")
-        if place is None or attitude is None:
+        translation, attitude = self._parts.get("position"), self._parts.get("attitude")
+        if translation is None or attitude is None:
             return None
-        ahead = attitude.stamp_s - place.stamp_s
-        if abs(ahead) > _MOST_APART_S:
+        ahead = attitude.stamp_s - translation.stamp_s
+        if abs(ahead) > _MAX_APART_S:
             return None
-        position, quat = place.first, attitude.first
+        position, quat = translation.first, attitude.first
         if ahead > 0:
-            position = position + ahead * place.second
+            position = position + ahead * translation.second
         elif ahead < 0:
             quat = multiply_quat_wxyz(quat, _turn(-ahead * attitude.second))
         return VehicleState(
-            received_s=max(place.arrival_s, attitude.arrival_s),
+            received_s=max(translation.arrival_s, attitude.arrival_s),
             position=self.frame.position_from_ned(position),
-            velocity=self.frame.vector_from_ned(place.second),
+            velocity=self.frame.vector_from_ned(translation.second),
             attitude_wxyz=self.frame.attitude_from_ned(quat),
             omega=flipped_body(attitude.second),
         )
 
 
 def quat_from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Quaternion w, x, y, z of yaw, then pitch, then roll about the body's own axes [rad]."""
+    """Quaternion w, x, y, z of yaw, then pitch, then roll about the body's own axes.
+
+    Args:
+        roll: angle about x [rad].
+        pitch: angle about y [rad].
+        yaw: angle about z [rad].
+
+    Returns:
+        The unit quaternion; NaN if an angle is not finite.
+    """
     half = (0.5 * roll, 0.5 * pitch, 0.5 * yaw)
     if not all(map(math.isfinite, half)):
         return (math.nan,) * 4
@@ -189,7 +208,11 @@ def quat_from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float
 
 
 def euler_from_quat(quat: NDArray[Any]) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of a unit quaternion w, x, y, z [rad]; the inverse of `quat_from_euler`."""
+    """Roll, pitch and yaw [rad] of a quaternion; the inverse of `quat_from_euler`.
+
+    Args:
+        quat: unit quaternion w, x, y, z, shape (4,).
+    """
     w, x, y, z = map(float, quat)
     return (
         math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
@@ -199,7 +222,7 @@ def euler_from_quat(quat: NDArray[Any]) -> tuple[float, float, float]:
 
 
 def _is_within(values: Any, largest: float) -> bool:
-    return all(-largest < value < largest for value in values)  # NaN is not
+    return all(-largest < value < largest for value in values)  # False for NaN
 
 
 def _is_quaternion(values: Any) -> bool:
@@ -213,7 +236,7 @@ def _unit(quat: Any) -> FloatArray:
 
 
 def _turn(vector: FloatArray) -> FloatArray:
-    """Exp of a rotation vector, as a quaternion."""
+    """Quaternion of a rotation vector (exponential map)."""
     angle = float(np.linalg.norm(vector))
-    share = 0.5 * float(np.sinc(angle / (2 * math.pi)))
-    return np.array([math.cos(0.5 * angle), *(share * vector)])
+    scale = 0.5 * float(np.sinc(angle / (2 * math.pi)))
+    return np.array([math.cos(0.5 * angle), *(scale * vector)])

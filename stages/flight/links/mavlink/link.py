@@ -1,4 +1,4 @@
-"""ArduPilot Copter and PX4 over MAVLink: `udpin:`, `udpout:`, `tcp:`, `serial:`."""
+"""`Link` to ArduPilot Copter or PX4 over MAVLink: `udpin:`, `udpout:`, `tcp:`, `serial:`."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.links.addresses import Address
-from alula.stages.flight.links.hover import HoverThrottle
 from alula.stages.flight.links.mavlink.autopilots import ALL_SETPOINTS, ARDUPILOT, Autopilot, autopilot_of
 from alula.stages.flight.links.mavlink.estimate import Estimate
-from alula.stages.flight.links.mavlink.orders import Addressee, Orders, check_height
+from alula.stages.flight.links.mavlink.hover import HoverThrottle
+from alula.stages.flight.links.mavlink.orders import Addressee, Orders
 from alula.stages.flight.links.mavlink.parameters import Parameters
 from alula.stages.flight.links.mavlink.session import COMPONENT, GROUND_STATION, Session
 from alula.stages.flight.links.mavlink.setpoints import SetpointEncoder
@@ -28,36 +28,50 @@ from alula.stages.flight.links.protocol import (
     Setpoint,
     VehicleState,
     VehicleStatus,
+    check_height,
 )
 
 _ANSWER_S = 2.0
 _RESTORE_S = 4.0
-_OTHERS_S = 1.2  # more than a heartbeat: long enough to hear whether there is a second vehicle
+_OTHERS_S = 1.2  # more than a heartbeat's period, to detect a second vehicle
 _STREAM_S = 0.05
-_STREAM_FIRST_S = 1.1  # of set-points, before PX4 is asked to follow them
-_STATE_S = 1.0  # without state, intervals are asked for again: it may have started anew
-_ASK_AGAIN_S = 2.0
+_STREAM_FIRST_S = 1.1  # set-points are sent this long before PX4's mode is changed
+_STATE_S = 1.0  # after this time without state, intervals are requested again: it may have restarted
+_REQUEST_AGAIN_S = 2.0
 _ORIGIN_S = 1.0
 _SYNC_S = 0.5
 _GUIDED_NOGPS = (20, 0)
 
 
 def make_link(address: Address, options: LinkOptions) -> MavlinkLink:
-    """The link for an address."""
+    """Make the link for an address.
+
+    Args:
+        address: the parsed address.
+        options: options of the link.
+
+    Raises:
+        UsageError: an option is unknown or has an invalid value.
+        LinkError: signing lacks its file, or a system number is wrong.
+    """
     return MavlinkLink(address, options)
 
 
 class MavlinkLink:
     """A `Link` to an autopilot.
 
-    What is sent: a heartbeat a second, set-points as they come, orders until answered, and with motion
-    capture its poses. What is changed: the parameters of `mavlink_autopilots`, put back by `close`.
+    It sends a heartbeat every second, set-points as they come, commands until they are answered, and with
+    motion capture its poses. It changes the parameters of `mavlink.autopilots`; `close` restores them.
+
+    Args:
+        address: the parsed address.
+        options: options of the link.
     """
 
     def __init__(self, address: Address, options: LinkOptions) -> None:
         mode = address.options.get("mode", "guided")
         if mode not in ("guided", "guided_nogps"):
-            raise UsageError(f"{address.scheme}: mode={mode}: known are guided and guided_nogps")
+            raise UsageError(f"{address.scheme}: mode={mode}: must be guided or guided_nogps")
         self._options = options
         self._is_without_position = mode == "guided_nogps"
         rest = {name: value for name, value in address.options.items() if name != "mode"}
@@ -69,14 +83,14 @@ class MavlinkLink:
         self._autopilot: Autopilot = ARDUPILOT
         self._version: Any = None
         self._origin: Any = None
-        self._origin_s = self._asked_s = self._streamed_s = self._sync_s = -math.inf
+        self._origin_s = self._requested_s = self._streamed_s = self._sync_s = -math.inf
         self._round_trip_s: float | None = None
         self._parameters: Parameters | None = None
         self._orders: Orders | None = None
         self._encoder: SetpointEncoder | None = None
         self._hover: HoverThrottle | None = None
-        self._stream: Callable[[int], Any] | None = None  # what goes out while nobody sends
-        self._stream_since_s = math.inf  # without a break
+        self._stream: Callable[[int], Any] | None = None  # set-point repeated while `send` is not called
+        self._stream_since_s = math.inf  # start of the uninterrupted stream
         self._state: VehicleState | None = None
 
     @property
@@ -86,39 +100,39 @@ class MavlinkLink:
 
     @property
     def state(self) -> VehicleState | None:
-        """The newest complete and finite one; None before the first, and after the vehicle started anew."""
+        """The newest complete and finite state; None before the first and after the vehicle restarted."""
         return self._state
 
     @property
     def status(self) -> VehicleStatus:
-        """The same object always, brought up to date by `poll`."""
+        """The status, always the same object; `poll` updates it."""
         return self._telemetry.status
 
     @property
     def hover(self) -> HoverThrottle | None:
-        """Throttle at hover; None before `prepare`."""
+        """The hover throttle; None before `prepare`."""
         return self._hover
 
     @property
     def clipped(self) -> int:
-        """Set-points that did not go out as they came in."""
+        """Number of set-points that were changed by a limit."""
         return 0 if self._encoder is None else self._encoder.clipped
 
     @property
     def unsent(self) -> int:
-        """Packets that the line had no room for."""
+        """Number of packets dropped because the line's buffer was full."""
         return self._session.unsent
 
     @property
     def round_trip_s(self) -> float | None:
-        """How long an answer of the vehicle took; a state is older than it says by at most that."""
+        """Time until the last answer of the vehicle; a state is older than it shows by at most that [s]."""
         return self._round_trip_s
 
     def open(self, timeout_s: float) -> str:
-        """Find the vehicle; returns what it is, in words.
+        """Connect to the vehicle within `timeout_s` [s]; returns a description of it.
 
         Raises:
-            LinkError: there is none, there are several, or it is none that can be flown.
+            LinkError: there is no vehicle, there are several, or this program cannot fly it.
         """
         try:
             if self._mocap is not None:
@@ -130,16 +144,16 @@ class MavlinkLink:
             raise
 
     def prepare(self) -> list[str]:
-        """Change the parameters that flights need; a line for each that was changed.
+        """Set the parameters that flights need; a line for each change.
 
         Raises:
-            LinkError: the vehicle is armed, so somebody flies it; or it does not have or take one: those
-                changed before are put back.
+            LinkError: the vehicle is armed, so somebody may fly it; or it does not have or accept a
+                parameter, and those changed before are restored.
         """
         if self._parameters is None:
             raise LinkError("the vehicle was not opened")
         if self.status.armed:
-            raise LinkError("the vehicle is armed: its parameters are left alone")
+            raise LinkError("the vehicle is armed: its parameters are not changed")
         try:
             return self._prepare(self._parameters)
         except BaseException:
@@ -150,7 +164,7 @@ class MavlinkLink:
             raise
 
     def poll(self, now_s: float) -> None:
-        """Take in all that has arrived, and send what is due by itself."""
+        """Receive all that has arrived, and send periodic messages."""
         self._forward_mocap(now_s)
         self._session.poll(now_s)
         before, self._state = self._state, self._estimate.state
@@ -161,7 +175,7 @@ class MavlinkLink:
         status.lost_packets = self._session.lost
         if status.clock_jumps != self._estimate.jumps:
             status.clock_jumps = self._estimate.jumps
-            telemetry.say("the vehicle's clock jumped: it may have started anew")
+            telemetry.say("the vehicle's clock jumped: it may have restarted")
         if self._orders is None:
             return
         self._orders.poll(now_s)
@@ -175,11 +189,11 @@ class MavlinkLink:
         if self._hover is not None and self._state is not None and self._state is not before:
             self._learn(self._hover, self._state)
         newest_s = -math.inf if self._state is None else self._state.received_s
-        if now_s - newest_s > _STATE_S and now_s - self._asked_s > _ASK_AGAIN_S:
-            self._ask_intervals(now_s)
+        if now_s - newest_s > _STATE_S and now_s - self._requested_s > _REQUEST_AGAIN_S:
+            self._request_intervals(now_s)
 
     def send(self, setpoint: Setpoint, now_s: float) -> None:
-        """Send a set-point; refuses (LinkError) what is not finite or far out of range."""
+        """Send a set-point, see `Link.send`; also raises LinkError if it is not possible now."""
         if type(setpoint) not in self.accepts:
             raise LinkError(f"the vehicle takes no {type(setpoint).__name__} in this mode")
         if self._encoder is None:
@@ -190,19 +204,24 @@ class MavlinkLink:
         self._session.send(message)
 
     def order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:
-        """Tell it something; repeated by `poll` until done, refused or replaced by another order.
+        """Send a command; `poll` repeats it until it is done, refused or replaced by another command.
 
-        ARM takes control first, where the vehicle does not obey yet. HOLD is a stream of zero velocity, and
-        PX4's TAKE_OFF one of a position above; both end with the next set-point or order, and neither
-        changes the mode: a pilot who took over keeps control.
+        ARM first takes control if the vehicle does not follow set-points yet. HOLD is a stream of
+        zero-velocity set-points. TAKE_OFF of PX4 is a stream of the position set-point above. Both end with
+        the next set-point or command, and neither changes the mode: a pilot who took over keeps control.
+
+        Args:
+            order: the command.
+            now_s: monotonic clock [s].
+            height_m: take-off height [m].
 
         Raises:
-            LinkError: it makes no sense now.
+            LinkError: the command is not possible now.
         """
         if self._orders is None or self._encoder is None:
-            raise LinkError("an order before the vehicle was prepared")
+            raise LinkError("a command before the vehicle was prepared")
         if order is Order.HOLD and self._is_without_position:
-            raise LinkError("holding needs a position, and guided_nogps has none")
+            raise LinkError("hold is refused: the mode guided_nogps has no position")
         is_climb = order is Order.TAKE_OFF and not self._autopilot.takes_off_by_command
         is_followed = order in (Order.ARM, Order.TAKE_CONTROL) and self._autopilot.streams_first
         stream = self._climb(self._encoder, height_m) if is_climb else self._encoder.stop
@@ -219,9 +238,10 @@ class MavlinkLink:
         self.poll(now_s)
 
     def close(self) -> None:
-        """Put changed parameters back, as far as it still answers, and let go; never raises.
+        """Restore changed parameters as far as the vehicle still answers, and disconnect; never raises.
 
-        In the air, and still in the mode that follows us, they stay: they are what lands it now.
+        They stay changed if the vehicle is in the air and still in the mode that follows this program: they
+        make it land.
         """
         self._stream = self._orders = None
         status = self.status
@@ -229,13 +249,13 @@ class MavlinkLink:
             if self._parameters is not None:
                 if status.armed and status.obeys and status.landed is not True:
                     self._telemetry.say(
-                        "it is in the air and nobody flies it: its parameters stay as they are"
+                        "it is in the air without set-points: its parameters stay changed, so that it lands"
                     )
                     self._telemetry.say(*self._parameters.leave())
                 else:
                     self._telemetry.say(*self._parameters.restore(_RESTORE_S))
                 for number in self._autopilot.intervals(1.0):
-                    is_heartbeat = number == dialect.MAVLINK_MSG_ID_HEARTBEAT  # always once a second
+                    is_heartbeat = number == dialect.MAVLINK_MSG_ID_HEARTBEAT  # always sent once a second
                     self._session.send(self._interval(number, 1.0 if is_heartbeat else 0.0))
         except LinkError as error:
             self._telemetry.say(f"parameters could not be put back: {error}")
@@ -248,7 +268,7 @@ class MavlinkLink:
     def _identify(self, timeout_s: float) -> str:
         session, telemetry = self._session, self._telemetry
         if not session.wait(lambda: telemetry.heartbeat is not None, timeout_s):
-            raise LinkError(f"{session.name}: no vehicle was heard within {timeout_s:g} s{session.refused()}")
+            raise LinkError(f"{session.name}: no vehicle heartbeat within {timeout_s:g} s{session.refused()}")
         autopilot = autopilot_of(telemetry.heartbeat)
         if self._is_without_position:
             if autopilot is not ARDUPILOT:
@@ -258,21 +278,25 @@ class MavlinkLink:
         telemetry.read_mode()
         if session.wait(lambda: bool(session.others), _OTHERS_S):
             systems = ", ".join(map(str, sorted({session.target[0], *session.others})))
-            raise LinkError(f"several vehicles are heard: {systems}; choose one with ?system=NUMBER")
+            raise LinkError(f"several vehicles send heartbeats: {systems}; choose one with ?system=NUMBER")
         self._parameters = Parameters(session, autopilot.is_bytewise)
-        ask = session.command(
+        request = session.command(
             dialect.MAV_CMD_REQUEST_MESSAGE, (float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION),)
         )
-        if not session.wait(lambda: self._version is not None, _ANSWER_S, again=lambda: session.send(ask)):
-            key = "; it signs its packets: does it take only those with its key?" if session.is_signed else ""
-            raise LinkError(f"the vehicle does not say what its autopilot can do (AUTOPILOT_VERSION){key}")
+        if not session.wait(
+            lambda: self._version is not None, _ANSWER_S, again=lambda: session.send(request)
+        ):
+            key = "; it signs its packets: does it need --signing-key?" if session.is_signed else ""
+            raise LinkError(f"the vehicle does not report its capabilities (AUTOPILOT_VERSION){key}")
         needed = dialect.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
         if not self._is_without_position:
             needed |= dialect.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
         if self._version.capabilities & needed != needed:
-            raise LinkError("the vehicle's autopilot takes no set-points: so says its AUTOPILOT_VERSION")
-        self._estimate = Estimate(self._options.frame, self._is_mocap_fresh)  # without what lay in the socket
-        self._ask_intervals(self._options.clock())
+            raise LinkError("the vehicle's autopilot takes no set-points, according to its AUTOPILOT_VERSION")
+        self._estimate = Estimate(
+            self._options.frame, self._is_mocap_fresh
+        )  # drops what waited in the socket
+        self._request_intervals(self._options.clock())
         number = self._version.flight_sw_version
         version = ".".join(str(number >> shift & 0xFF) for shift in (24, 16, 8))
         return f"{autopilot.name} {version}, system {session.target[0]}"
@@ -281,7 +305,7 @@ class MavlinkLink:
         lines = [line for each in self._autopilot.parameters if (line := parameters.change(each)) is not None]
         hover = parameters.read(self._autopilot.hover)
         if hover is None:
-            raise LinkError(f"the vehicle says nothing of its parameter {self._autopilot.hover}")
+            raise LinkError(f"the vehicle does not report its parameter {self._autopilot.hover}")
         try:
             self._hover = HoverThrottle(hover, self._options.vehicle.body.gravity_m_s2)
         except ValueError as error:
@@ -292,23 +316,25 @@ class MavlinkLink:
             watched = parameters.read(name, 0.6)
             if watched is not None:
                 if round(watched) != GROUND_STATION:
-                    lines.append(f"{name} is {watched:g}: that our heartbeats end will land nothing")
+                    lines.append(
+                        f"{name} is {watched:g}: the vehicle will not land when this program's heartbeats end"
+                    )
                 break
         target, limits = self._session.target, self._options.all_limits()
         self._encoder = SetpointEncoder(target, self._options.frame, limits, self._hover)
         self._orders = Orders(self._session, self._autopilot, self._telemetry)
-        if self._autopilot.streams_first:  # so that it follows at once when it is asked to
+        if self._autopilot.streams_first:  # so that a mode change is accepted at once
             self._stream = self._encoder.stop
         return lines
 
     def _take(self, message: Any, now_s: float) -> None:
-        """A message of the vehicle."""
+        """Process a message of the vehicle."""
         kind = message.get_type()
         if kind == "PARAM_VALUE":
             if self._parameters is not None:
                 self._parameters.take(message)
         elif kind == "COMMAND_ACK":
-            is_ours = self._addressee.is_ours(message)  # also before there are orders: it learns from each
+            is_ours = self._addressee.is_ours(message)  # called for every message, since it learns from each
             if is_ours and self._orders is not None:
                 self._orders.take_answer(message, now_s)
         elif kind == "AUTOPILOT_VERSION":
@@ -324,7 +350,7 @@ class MavlinkLink:
                     self._orders.take_text(text, now_s)
 
     def _take_time(self, message: Any, now_s: float) -> None:
-        """An answer to the newest question; the vehicle's own is left unanswered: it keeps its time."""
+        """Process the answer to the newest time request; the vehicle's own requests stay unanswered."""
         if message.tc1 > 0 and message.ts1 == round(self._sync_s * 1e9):
             self._round_trip_s = now_s - self._sync_s
             self._estimate.synchronise(message.tc1 * 1e-9, self._sync_s)
@@ -340,30 +366,32 @@ class MavlinkLink:
         if self._origin is None and now_s - self._origin_s >= _ORIGIN_S:
             self._origin_s = now_s
             latitude, longitude, height = self._options.origin
-            place = (round(latitude * 1e7), round(longitude * 1e7), round(height * 1e3))
-            self._session.send(dialect.MAVLink_set_gps_global_origin_message(self._session.target[0], *place))
+            origin = (round(latitude * 1e7), round(longitude * 1e7), round(height * 1e3))
+            self._session.send(
+                dialect.MAVLink_set_gps_global_origin_message(self._session.target[0], *origin)
+            )
 
     def _is_mocap_fresh(self, now_s: float) -> bool:
         return self._mocap is None or self._mocap.is_fresh(now_s)
 
     def _climb(self, encoder: SetpointEncoder, height_m: float) -> Callable[[int], Any]:
-        """A stream of the position above the present one."""
+        """Stream of the position set-point above the present position."""
         check_height(height_m)
         if self._state is None:
-            raise LinkError("take-off is refused: the vehicle has not said where it is")
+            raise LinkError("take-off is refused: the vehicle has not reported its position")
         above = self._options.frame.position_to_ned(self._state.position + np.array([0.0, 0.0, height_m]))
-        return lambda time_ms: encoder.place(above, time_ms)
+        return lambda time_ms: encoder.position(above, time_ms)
 
     def _learn(self, hover: HoverThrottle, state: VehicleState) -> None:
         if self._options.learns_hover and self.status.armed and not self.status.landed:
-            hover.seen(state)
+            hover.update(state)
 
     def _interval(self, number: int, rate_hz: float) -> Any:
-        """SET_MESSAGE_INTERVAL; 0 is the vehicle's own rate."""
+        """SET_MESSAGE_INTERVAL; a rate of 0 selects the vehicle's default."""
         period_us = round(1e6 / rate_hz) if rate_hz else 0
         return self._session.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, (float(number), float(period_us)))
 
-    def _ask_intervals(self, now_s: float) -> None:
-        self._asked_s = now_s
+    def _request_intervals(self, now_s: float) -> None:
+        self._requested_s = now_s
         for number, rate_hz in self._autopilot.intervals(self._options.state_rate_hz).items():
             self._session.send(self._interval(number, rate_hz))

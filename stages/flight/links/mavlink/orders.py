@@ -1,4 +1,4 @@
-"""Orders to a vehicle: repeated until it does them, refuses them or takes too long."""
+"""Commands to a vehicle, repeated until it executes or refuses them or a timeout passes."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from alula.schemas.errors import LinkError
 from alula.stages.flight.links.mavlink.autopilots import Autopilot, mode_command
 from alula.stages.flight.links.mavlink.session import Session
 from alula.stages.flight.links.mavlink.telemetry import Telemetry
-from alula.stages.flight.links.protocol import HIGHEST_M, UNANSWERED, UNDONE, Order
+from alula.stages.flight.links.protocol import UNANSWERED, UNDONE, Order, check_height
 
 _REPEAT_S = 0.5
 _PATIENCE_S = 5.0
-_SETTLED_S = 0.3  # a heartbeat that comes so long after an order knows of it
-_REASONS_S = 2.0  # how long before a refusal its reason may have been said
-_AFTER_S = 0.1  # and how long after it: PX4 answers first, then says why
+_SETTLED_S = 0.3  # a heartbeat that arrives this long after a command shows its effect
+_REASONS_S = 2.0  # texts up to this long before a refusal may be its reason
+_AFTER_S = 0.1  # and texts up to this long after it: PX4 sends the refusal first
 _PREFIXES = ("PreArm:", "Arm:", "Arming", "Preflight", "Takeoff", "Mode change", "Switching")
 
 
 class Addressee:
-    """Which COMMAND_ACKs answer us, and not another ground station's command.
+    """Filter of COMMAND_ACKs: those for this program and not for another ground station.
 
-    An answer to another system or component is none of ours. Older autopilots, and MAVLink 1, name nobody
-    (0): such an answer counts if it is to the command of the order that stands, for there is no other way to
-    tell. A vehicle that has named us once always does, and then what names nobody is not for us.
+    An answer to another system or component is rejected. Older autopilots, and MAVLink 1, leave the target 0.
+    Such an answer counts if it has the number of the pending command, since nothing else identifies it. A
+    vehicle that has named this program once always does; from then on answers with target 0 are rejected.
 
     Args:
-        system, component: ours.
+        system: system of this program.
+        component: component of this program.
     """
 
     def __init__(self, system: int, component: int) -> None:
@@ -39,7 +39,7 @@ class Addressee:
         self._names_us = False
 
     def is_ours(self, message: Any) -> bool:
-        """Whether a COMMAND_ACK is an answer to us."""
+        """Return whether a COMMAND_ACK answers this program."""
         named = message.target_system, message.target_component
         self._names_us = self._names_us or named == self._ours
         if self._names_us:
@@ -49,12 +49,12 @@ class Addressee:
 
 @dataclass(slots=True)
 class _Step:
-    """One command; done when the vehicle shows it, or without a sign of that when it is acknowledged."""
+    """One COMMAND_LONG; done when the vehicle's state shows it, or without `is_done` when acknowledged."""
 
     number: int
     values: tuple[float, ...]
     is_done: Callable[[], bool] | None = None
-    first_s: float = 0.0  # to wait before it is sent
+    first_s: float = 0.0  # delay before it is sent
     since_s: float = math.inf
     next_s: float = math.inf
     sent: int = 0
@@ -63,14 +63,20 @@ class _Step:
 
 
 class Orders:
-    """The one order that stands; a new one replaces it.
+    """The one pending command; a new one replaces it.
 
-    A step is done when the vehicle's own state shows it (a mode, armed or not; disarmed only by a heartbeat
-    from after it was sent, for an order to arm may be on its way); a take-off when it is acknowledged.
-    Refused or unanswered for 5 s, an order goes to `VehicleStatus.refusals` and ends; only LAND goes on for
-    ever. Nothing is repeated once another mode is seen than when it was first sent, be it in the very poll: a
-    pilot has chosen it. A vehicle that obeyed once is not taken control of again without a new order: the
-    pilot may have taken it back.
+    A step is done when the vehicle's reported state shows it: a mode, or armed or not. Disarmed counts only
+    in a heartbeat that arrives after the command was sent, because a command to arm may still be in transit.
+    A take-off is done when it is acknowledged. A command that is refused, or unanswered for 5 s, is
+    appended to `VehicleStatus.refusals` and ends; only LAND is repeated without limit. Repetition stops as
+    soon as the mode differs from that at the first transmission, even within one poll, because a pilot has
+    chosen the new mode. After the vehicle has followed set-points once, control is not taken again without
+    a new command, because the pilot may have taken it back.
+
+    Args:
+        session: the connection to the vehicle.
+        autopilot: the family of its autopilot.
+        telemetry: its reported status.
     """
 
     def __init__(self, session: Session, autopilot: Autopilot, telemetry: Telemetry) -> None:
@@ -78,30 +84,36 @@ class Orders:
         self._order: Order | None = None
         self._steps: list[_Step] = []
         self._is_reported = False
-        self._mode: tuple[int, int] | None = None  # when the step that stands was first sent
-        self._said: list[tuple[float, str]] = []
-        self._refusal: tuple[float, str] | None = None  # when it came, until its reason may have come, too
+        self._mode: tuple[int, int] | None = None  # at the first transmission of the pending step
+        self._texts: list[tuple[float, str]] = []
+        self._refusal: tuple[float, str] | None = None  # kept until its reason may have arrived
 
     def start(self, order: Order, now_s: float, height_m: float, first_s: float = 0.0) -> None:
-        """Give an order; control is asked for after `first_s`.
+        """Start a command.
+
+        Args:
+            order: the command.
+            now_s: monotonic clock [s].
+            height_m: take-off height [m].
+            first_s: delay before control is requested [s].
 
         Raises:
-            LinkError: the height makes no sense.
+            LinkError: the height is out of range.
         """
         if order is Order.TAKE_OFF:
             check_height(height_m)
         self._order, self._is_reported, self._refusal = order, False, None
         self._steps = self._steps_of(order, height_m, first_s)
         if order is Order.DISARM and self._telemetry.status.landed is not True:
-            self._refuse("the vehicle does not say that it is on the ground")
+            self._refuse("the vehicle does not report that it is on the ground")
         self._advance(now_s)
 
     def drop(self) -> None:
-        """Nothing stands any more."""
+        """Cancel the pending command."""
         self._steps, self._refusal = [], None
 
     def poll(self, now_s: float) -> None:
-        """Send what is due."""
+        """Send the pending command if it is due."""
         self._advance(now_s)
         if not self._steps:
             return
@@ -124,12 +136,12 @@ class Orders:
             step.sent += 1
 
     def _is_taken(self) -> bool:
-        """Whether the mode is another than when the step was sent, and not by it, for it is not done."""
+        """Return whether the mode changed since the step was sent, although the step is not done."""
         mode = self._telemetry.mode
         return mode is not None and self._mode is not None and mode != self._mode
 
     def take_answer(self, message: Any, now_s: float) -> None:
-        """A COMMAND_ACK."""
+        """Process a COMMAND_ACK that arrived at `now_s` [s]."""
         step = self._steps[0] if self._steps else None
         if step is None or message.command != step.number or step.sent == 0:
             return
@@ -145,20 +157,20 @@ class Orders:
             self._refusal = now_s, result.replace("_", " ")
 
     def _take_reasons(self, since_s: float, result: str, now_s: float) -> None:
-        """Refused, with what was said of it, when no more is to be expected."""
+        """Report a refusal with its reasons, once no more of them are expected."""
         if now_s - since_s < _AFTER_S:
             return
         self._refusal = None
-        said = [text for at, text in self._said if since_s - at <= _REASONS_S]
-        self._refuse("; ".join([result, *dict.fromkeys(said)]))
+        texts = [text for at, text in self._texts if since_s - at <= _REASONS_S]
+        self._refuse("; ".join([result, *dict.fromkeys(texts)]))
 
     def take_text(self, text: str, now_s: float) -> None:
-        """What may be the reason of a refusal."""
+        """Keep a text that arrived at `now_s` [s] if it may be the reason of a refusal."""
         if text.startswith(_PREFIXES):
-            self._said = [*self._said[-7:], (now_s, text)]
+            self._texts = [*self._texts[-7:], (now_s, text)]
 
     def _advance(self, now_s: float) -> None:
-        """Leave behind what is done."""
+        """Remove steps that are done."""
         while self._steps:
             step = self._steps[0]
             if step.since_s == math.inf:
@@ -180,7 +192,7 @@ class Orders:
         telemetry, autopilot = self._telemetry, self._autopilot
         status = telemetry.status
         control = _Step(*mode_command(autopilot.control), lambda: status.obeys, first_s)
-        arm = dialect.MAV_CMD_COMPONENT_ARM_DISARM  # never by force
+        arm = dialect.MAV_CMD_COMPONENT_ARM_DISARM  # never forced
         match order:
             case Order.TAKE_CONTROL:
                 return [control]
@@ -199,11 +211,3 @@ class Orders:
                 return [_Step(*mode_command(landing), lambda: telemetry.mode == landing)]
             case _:
                 return []
-
-
-def check_height(height_m: float) -> None:
-    """Refuse (LinkError) a take-off that makes no sense."""
-    if not 0 < height_m <= HIGHEST_M:
-        raise LinkError(
-            f"take-off to {height_m:g} m is refused: heights are above 0 and up to {HIGHEST_M:g} m"
-        )

@@ -1,4 +1,4 @@
-"""Parameters of a vehicle: read, set, verified, and put back."""
+"""Parameters of a vehicle: read, set, verified and restored."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ _LEFT = struct.Struct("<f")
 
 
 class Parameters:
-    """Changes to a vehicle's parameters that end with us.
+    """Temporary changes to a vehicle's parameters.
 
     Args:
-        session: with the vehicle.
-        is_bytewise: whether integers travel bit by bit in the place of a float (PX4), or as its value.
+        session: the connection to the vehicle.
+        is_bytewise: whether an integer is sent as the bits of a float (PX4) instead of its value.
     """
 
     def __init__(self, session: Session, is_bytewise: bool) -> None:
         self._session, self._is_bytewise = session, is_bytewise
         self._values: dict[str, float] = {}
         self._types: dict[str, int] = {}
-        self._changed: dict[str, tuple[float, float]] = {}  # what it was, what we made it
+        self._changed: dict[str, tuple[float, float]] = {}  # old value, value that was set
 
     def take(self, message: Any) -> None:
-        """A PARAM_VALUE."""
+        """Process a PARAM_VALUE."""
         name = str(message.param_id)
         value = float(message.param_value)
         format_ = _FORMATS.get(message.param_type)
@@ -44,7 +44,7 @@ class Parameters:
             self._values[name], self._types[name] = value, message.param_type
 
     def read(self, name: str, timeout_s: float = _ANSWER_S) -> float | None:
-        """Its present value; None if the vehicle says nothing of it."""
+        """Read a parameter within `timeout_s` [s]; None if the vehicle does not report it."""
         self._types.setdefault(name, dialect.MAV_PARAM_TYPE_REAL32)
         self._values.pop(name, None)
         request = dialect.MAVLink_param_request_read_message(*self._session.target, name.encode(), -1)
@@ -52,42 +52,48 @@ class Parameters:
         return self._values.get(name)
 
     def change(self, parameter: Parameter) -> str | None:
-        """Give a parameter the value that flights need; a line that says so, or None if it had it.
+        """Set a parameter to the value that flights need; a line, or None if nothing was changed.
+
+        Args:
+            parameter: the parameter.
 
         Raises:
-            LinkError: the vehicle does not have it, or does not take the value.
+            LinkError: the vehicle does not have it, or does not accept the value.
         """
         present = self.read(parameter.name)
         if present is None:
             if parameter.is_required:
-                raise LinkError(f"the vehicle says nothing of its parameter {parameter.name}")
+                raise LinkError(f"the vehicle does not report its parameter {parameter.name}")
             return None
-        wanted = parameter.wanted(present)
-        if _is_same(present, wanted):
+        required = parameter.required(present)
+        if _is_same(present, required):
             return None
-        # Remembered first: a value of which nobody knows whether it was taken is put back too.
-        self._changed.setdefault(parameter.name, (present, wanted))
-        if not self._write(parameter.name, wanted, _ANSWER_S):
-            raise LinkError(f"the vehicle did not take {parameter.name} = {wanted:g}")
-        return f"{parameter.name}: {present:g} -> {wanted:g} ({parameter.why})"
+        # Remembered before writing: a value that may or may not have been accepted is restored too.
+        self._changed.setdefault(parameter.name, (present, required))
+        if not self._write(parameter.name, required, _ANSWER_S):
+            raise LinkError(f"the vehicle did not take {parameter.name} = {required:g}")
+        return f"{parameter.name}: {present:g} -> {required:g} ({parameter.why})"
 
     def require(self, needed: tuple[tuple[str, tuple[float, ...]], ...]) -> None:
-        """Refuse a vehicle of which parameters have none of the values that are allowed.
+        """Check that parameters have allowed values.
+
+        Args:
+            needed: names and allowed values.
 
         Raises:
-            LinkError: naming all of them.
+            LinkError: some do not; the message lists all of them.
         """
         wrong = []
         for name, allowed in needed:
             value = self.read(name)
             if value not in allowed:
-                said = "not there" if value is None else f"{value:g}"
-                wrong.append(f"{name} is {said}, not {' or '.join(f'{each:g}' for each in allowed)}")
+                shown = "missing" if value is None else f"{value:g}"
+                wrong.append(f"{name} is {shown}, not {' or '.join(f'{each:g}' for each in allowed)}")
         if wrong:
             raise LinkError(f"for motion capture set these and restart the vehicle: {'; '.join(wrong)}")
 
     def restore(self, timeout_s: float) -> list[str]:
-        """Put back what was changed, the newest first; a line for each that was not."""
+        """Restore all changes within `timeout_s` [s], the newest first; a line for each failure."""
         lines = []
         end_s = self._session.options.clock() + timeout_s
         for name, (before, ours) in reversed(self._changed.items()):
@@ -98,7 +104,7 @@ class Parameters:
             left_s = max(end_s - self._session.options.clock(), 0.0)
             try:
                 is_back = self._write(name, before, left_s)
-            except LinkError:  # the line is gone: each is named all the same
+            except LinkError:  # the connection is lost: each parameter is listed nevertheless
                 is_back = False
             if not is_back:
                 lines.append(f"{name} could not be put back: set it to {before:g}")
@@ -106,7 +112,7 @@ class Parameters:
         return lines
 
     def leave(self) -> list[str]:
-        """Leave what was changed as it is; a line for each."""
+        """Leave all changes in place; a line for each."""
         lines = [
             f"{name} stays {ours:g}; it was {before:g}" for name, (before, ours) in self._changed.items()
         ]
@@ -129,5 +135,5 @@ class Parameters:
 
 
 def _is_same(a: float, b: float) -> bool:
-    """As floats of single precision, which is how they travel."""
+    """Compare two values as single-precision floats, which is how they are sent."""
     return math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9)

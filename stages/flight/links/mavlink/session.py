@@ -1,4 +1,4 @@
-"""A MAVLink conversation with one vehicle: packets to and from it, heartbeats, and questions with answers."""
+"""MAVLink session with one vehicle: packets in both directions, heartbeats, requests with answers."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from alula.stages.flight.links.mavlink.transport import Transport, open_transpor
 from alula.stages.flight.links.mavlink.wire import Packet, Wire
 from alula.stages.flight.links.options import LinkOptions
 
-GROUND_STATION = 255  # the system whose heartbeats autopilots watch, unless told otherwise
+GROUND_STATION = 255  # autopilots monitor the heartbeats of this system by default
 COMPONENT = dialect.MAV_COMP_ID_ONBOARD_COMPUTER
 AUTOPILOT_COMPONENT = dialect.MAV_COMP_ID_AUTOPILOT1
 
-_MOST_READS = 64  # of one poll
-_MOST_BYTES = 1 << 15
+_MAX_READS = 64  # in one poll
+_MAX_BYTES = 1 << 15
 _HEARTBEAT_S = 1.0
 _WAIT_S = 0.005
-_DESERTED_S = 3.0  # without its packets another place may speak for the vehicle
+_DESERTED_S = 3.0  # after this time without packets another address may take the vehicle's place
 
 WANTED = (
     "HEARTBEAT SYS_STATUS PARAM_VALUE ATTITUDE ATTITUDE_QUATERNION LOCAL_POSITION_NED COMMAND_ACK "
@@ -33,23 +33,30 @@ WANTED = (
 
 
 class Session:
-    """Everything between bytes and meaning.
+    """MAVLink session with one vehicle, from received bytes to its messages.
 
-    Of an open socket anybody may write to, only packets with the system of the vehicle and the component of
-    its autopilot get through, and with a key only signed ones. The first valid heartbeat of an autopilot says
-    which system that is, and where to answer; another place is believed only after 3 s of silence.
+    Anybody may write to an open socket. The session accepts only packets with the system of the vehicle and
+    the component of its autopilot, and with a key only signed ones. The first valid heartbeat of an
+    autopilot determines the system and the address to answer to. Packets from another address are accepted
+    only after 3 s of silence.
 
     Args:
-        take: called with each message of the vehicle.
+        address: the parsed address; options `system` (of the vehicle) and `source` (of this program).
+        options: options of the link.
+        take: called with each message of the vehicle and the time [s].
 
     Attributes:
         vehicle: system of the vehicle; None until its first heartbeat.
-        others: systems of other autopilots that were heard.
-        heard_s: when a packet of the vehicle came last.
-        source: our own system.
-        start_s: when it began; times in messages count from there.
-        lost, bad: packets that the numbers of others show missing, and that were refused.
-        unsent: packets that the line had no room for.
+        others: systems of other autopilots that send heartbeats.
+        heard_s: when the last packet of the vehicle arrived.
+        source: system of this program.
+        start_s: start of the session, zero of the times in messages.
+        lost: number of packets that are missing by the sequence numbers.
+        unsent: number of packets dropped because the line's buffer was full.
+
+    Raises:
+        LinkError: a key without a file for its time stamps, or a system number is wrong.
+        UsageError: the address has another option.
     """
 
     def __init__(self, address: Address, options: LinkOptions, take: Callable[[Any, float], None]) -> None:
@@ -60,7 +67,7 @@ class Session:
         source = _number(address, "source")
         self._is_given = self.vehicle is not None
         self.others: set[int] = set()
-        self._unasked: set[int] = set()  # beside the one that was
+        self._unselected: set[int] = set()  # other autopilots than the one that the address selects
         self.heard_s: float | None = None
         self.lost = self.unsent = 0
         self._strangers = 0
@@ -72,7 +79,7 @@ class Session:
         self.signer: Signer | None = None
         if options.key is not None:
             if options.signing_file is None:
-                raise LinkError("signing needs a file that keeps its time stamps from run to run")
+                raise LinkError("signing needs a file that stores its time stamps between runs")
             self.signer = Signer(
                 options.key, file=options.signing_file, clock=options.clock, wall_clock=options.wall_clock
             )
@@ -82,27 +89,27 @@ class Session:
 
     @property
     def bad(self) -> int:
-        """Frames that were refused."""
+        """Number of frames that were refused."""
         return self._wire.bad + self._strangers
 
     @property
     def name(self) -> str:
-        """The address, as it was given."""
+        """The address without its options."""
         return f"{self._address.scheme}:{self._address.place}"
 
     @property
     def is_signed(self) -> bool:
-        """Whether packets of the vehicle were signed although we have no key."""
+        """Return whether packets of the vehicle were signed although this session has no key."""
         return self.signer is None and self._wire.is_signed
 
     def refused(self) -> str:
-        """How many frames were refused, and what may be the matter: the end of a sentence."""
-        if self._unasked:
-            return f": only system {', '.join(map(str, sorted(self._unasked)))}, not {self.vehicle}"
+        """Number of refused frames and a possible cause, as the end of an error message."""
+        if self._unselected:
+            return f": only system {', '.join(map(str, sorted(self._unselected)))}, not {self.vehicle}"
         if not self.bad:
-            return ": nothing came"
+            return ": nothing was received"
         guess = "do both ends have the same signing key?" if self.signer else "is it MAVLink, at this speed?"
-        return f": {self.bad} bad packets came; {guess}"
+        return f": {self.bad} bad packets were received; {guess}"
 
     @property
     def target(self) -> tuple[int, int]:
@@ -111,29 +118,32 @@ class Session:
         return self.vehicle, AUTOPILOT_COMPONENT
 
     def time_ms(self, now_s: float) -> int:
-        """Since this session began, as messages carry it."""
+        """Time stamp for messages: time since the session began [ms], modulo 2^32."""
         return round((now_s - self.start_s) * 1e3) & 0xFFFFFFFF
 
     def open(self, timeout_s: float) -> None:
         """Open the line.
 
+        Args:
+            timeout_s: maximum time [s].
+
         Raises:
-            LinkError: it cannot be.
+            LinkError: it cannot be opened.
         """
         self._transport = open_transport(self._address, timeout_s, self.options.clock)
 
     def poll(self, now_s: float) -> None:
-        """Take in what has come, at most some 32 KiB, and send a heartbeat when it is due."""
+        """Receive what has arrived, at most about 32 KiB, and send a heartbeat if it is due."""
         assert self._transport is not None
         size = 0
-        for _ in range(_MOST_READS):
-            came = self._transport.receive()
-            if came is None:
+        for _ in range(_MAX_READS):
+            received = self._transport.receive()
+            if received is None:
                 break
-            data, peer = came
+            data, peer = received
             size += len(data)
             self._receive(data, peer, now_s)
-            if size > _MOST_BYTES:
+            if size > _MAX_BYTES:
                 break
         if now_s - self._beat_s >= _HEARTBEAT_S:
             self._beat_s = now_s
@@ -154,14 +164,20 @@ class Session:
         """Send a message.
 
         Raises:
-            LinkError: the line is gone.
+            LinkError: the connection is lost.
         """
         assert self._transport is not None
         if not self._transport.send(self._wire.pack(message)):
             self.unsent += 1
 
     def command(self, number: int, values: tuple[float, ...], confirmation: int = 0) -> Any:
-        """A COMMAND_LONG to the vehicle; parameters that are left out are 0."""
+        """A COMMAND_LONG to the vehicle.
+
+        Args:
+            number: MAV_CMD.
+            values: its first parameters; the others are 0.
+            confirmation: number of earlier transmissions.
+        """
         filled = (*values, *((0.0,) * (7 - len(values))))
         return dialect.MAVLink_command_long_message(*self.target, number, min(confirmation, 255), *filled)
 
@@ -173,7 +189,14 @@ class Session:
         again: Callable[[], None] | None = None,
         every_s: float = 0.5,
     ) -> bool:
-        """Poll until something holds; `again` is called at once and then every so often. Whether it holds."""
+        """Poll until a condition holds or the time is over; returns whether it holds.
+
+        Args:
+            is_done: the condition.
+            timeout_s: maximum time [s].
+            again: called at once and then every `every_s`.
+            every_s: period of `again` [s].
+        """
         clock = self.options.clock
         end_s, next_s = clock() + timeout_s, -math.inf
         while True:
@@ -189,14 +212,14 @@ class Session:
             self.options.sleep(_WAIT_S)
 
     def close(self) -> None:
-        """Let go of the line, and keep the time stamp of signatures; never raises."""
+        """Close the line and save the signature time stamp; never raises."""
         transport, self._transport = self._transport, None
         if transport is not None:
             transport.close()
         if self.signer is not None:
             try:
                 self.signer.save()
-            except LinkError:  # the file still holds an earlier one with a reserve
+            except LinkError:  # the file still holds an earlier stamp with a reserve
                 return
 
     def _receive(self, data: bytes, peer: Any, now_s: float) -> None:
@@ -230,13 +253,13 @@ class Session:
             if self.vehicle is None:
                 self.vehicle = packet.system
                 return True
-            (self._unasked if self._is_given else self.others).add(packet.system)  # a byte: 255 at most
+            (self._unselected if self._is_given else self.others).add(packet.system)  # a byte: at most 255
         return False
 
     def _count(self, sequence: int) -> None:
         if self._sequence is not None:
             gap = (sequence - self._sequence - 1) % 256
-            if gap >= 128:  # late, or twice
+            if gap >= 128:  # late or repeated
                 return
             self.lost += gap
         self._sequence = sequence

@@ -1,4 +1,4 @@
-"""Set-points as messages of MAVLink: axes, masks, limits and how fast they may change."""
+"""Set-points as MAVLink messages: axes, masks, limits and slew limits."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
-from alula.stages.flight.links.hover import HoverThrottle
+from alula.stages.flight.links.mavlink.hover import HoverThrottle
 from alula.stages.flight.links.options import Limits
 from alula.stages.flight.links.protocol import (
     RatesSetpoint,
@@ -19,30 +19,36 @@ from alula.stages.flight.links.protocol import (
 )
 from alula.stages.vehicles.frames import LocalFrame, flipped_body
 
-# What a message says to ignore.
-RATES_MASK = 128  # SET_ATTITUDE_TARGET: the attitude alone: all three rates and the thrust count
+# Bits of type_mask: fields that the vehicle ignores.
+RATES_MASK = 128  # SET_ATTITUDE_TARGET: ignores the attitude, uses all three rates and the thrust
 _NO_POSITION, _NO_VELOCITY, _NO_ACCELERATION = 0b111, 0b111 << 3, 0b111 << 6
 _NO_YAW, _NO_YAW_RATE = 1 << 10, 1 << 11
 VELOCITY_MASK = _NO_POSITION | _NO_ACCELERATION | _NO_YAW_RATE
 STOP_MASK = VELOCITY_MASK | _NO_YAW
-# The position that an acceleration was computed at is past when it is flown: sent along, it would pull back.
+# The position at which an acceleration was computed is in the past when it is flown, and would pull back.
 ACCELERATION_MASK = _NO_POSITION | _NO_YAW_RATE
 POSITION_MASK = _NO_VELOCITY | _NO_ACCELERATION | _NO_YAW_RATE | _NO_YAW
 
 _LOCAL_NED = 1  # MAV_FRAME
-_GAP_S = 0.5  # after which the last set-point says nothing about the next
+_GAP_S = 0.5  # after a longer gap the last set-point does not limit the next
 _FIRST_S = 0.02
-_FAR_OUT = 2.0  # times a limit
+_FAR_OUT = 2.0  # set-points beyond this multiple of a limit are refused
 
 
 class SetpointEncoder:
-    """Checks, clips, slows down and turns set-points into messages for one vehicle.
+    """Encoder of set-points for one vehicle: checks, clips and slew-limits them and makes messages.
 
-    Not finite, or beyond twice a limit: refused with the field's name. Beyond the limit: clipped, and
-    counted. Faster than the slew limit: brought as far as it goes since the last one.
+    A set-point that is not finite or beyond twice a limit is refused, with the field's name. One beyond a
+    limit or the slew limit is clipped and counted.
+
+    Args:
+        target: system and component of the autopilot.
+        frame: the world frame relative to the vehicle's local frame.
+        limits: limits of set-points.
+        hover: the hover throttle.
 
     Attributes:
-        clipped: set-points that did not go out as they came in.
+        clipped: number of set-points that were changed by a limit.
     """
 
     def __init__(
@@ -53,7 +59,12 @@ class SetpointEncoder:
         self._last: tuple[type[Setpoint], float, FloatArray] | None = None
 
     def encode(self, setpoint: Setpoint, now_s: float, time_ms: int) -> Any:
-        """The message of a set-point.
+        """Message of a set-point.
+
+        Args:
+            setpoint: the set-point, world frame.
+            now_s: monotonic clock [s].
+            time_ms: time stamp of the message [ms].
 
         Raises:
             LinkError: a field is not finite or far out of range.
@@ -73,9 +84,9 @@ class SetpointEncoder:
                 now_s,
             )
             return self._point(time_ms, VELOCITY_MASK, velocity=velocity, yaw=yaw)
-        most = self.limits.speed_m_s
+        limit = self.limits.speed_m_s
         _check("position", setpoint.position, math.inf)
-        velocity = _check("velocity", setpoint.velocity, most)
+        velocity = _check("velocity", setpoint.velocity, limit)
         acceleration = self._limited(
             setpoint,
             "acceleration",
@@ -87,18 +98,23 @@ class SetpointEncoder:
         return self._point(
             time_ms,
             ACCELERATION_MASK,
-            velocity=np.clip(velocity, -most, most),
+            velocity=np.clip(velocity, -limit, limit),
             acceleration=acceleration,
             yaw=yaw,
         )
 
     def stop(self, time_ms: int) -> Any:
-        """Zero velocity, whatever the heading; needs no state."""
+        """Message of zero velocity with any heading; it needs no state."""
         self._last = None
         return self._point(time_ms, STOP_MASK)
 
-    def place(self, position_ned: FloatArray, time_ms: int) -> Any:
-        """A position of the vehicle's own local frame, whatever the heading."""
+    def position(self, position_ned: FloatArray, time_ms: int) -> Any:
+        """Message of a position with any heading.
+
+        Args:
+            position_ned: shape (3,), vehicle's local frame, north-east-down [m].
+            time_ms: time stamp of the message [ms].
+        """
         self._last = None
         _check("position", position_ned, math.inf)
         return self._point(time_ms, POSITION_MASK, position_ned=position_ned)
@@ -112,12 +128,12 @@ class SetpointEncoder:
             raise LinkError(
                 f"set-point refused: thrust_m_s2 {setpoint.thrust_m_s2:g} is {throttle:.3g} of full"
             )
-        most = np.array([high, *limits.rates_rad_s])
-        wish = np.array([throttle, *_check("omega", setpoint.omega, most[1:])])
-        least = np.array([low, *(-most[1:])])
+        upper = np.array([high, *limits.rates_rad_s])
+        nominal = np.array([throttle, *_check("omega", setpoint.omega, upper[1:])])
+        lower = np.array([low, *(-upper[1:])])
         slew = np.array([limits.throttle_slew_per_s, *(3 * [limits.rates_slew_rad_s2])])
         neutral = np.array([self.hover.value, 0.0, 0.0, 0.0])
-        values = self._bounded(setpoint, wish, least, most, slew, neutral, now_s)
+        values = self._bounded(setpoint, nominal, lower, upper, slew, neutral, now_s)
         self.hover.sent(float(values[0]), now_s)
         roll, pitch, yaw = flipped_body(values[1:])
         return dialect.MAVLink_set_attitude_target_message(
@@ -125,32 +141,32 @@ class SetpointEncoder:
         )
 
     def _limited(
-        self, setpoint: Setpoint, name: str, values: FloatArray, most: float, slew: float, now_s: float
+        self, setpoint: Setpoint, name: str, values: FloatArray, limit: float, slew: float, now_s: float
     ) -> FloatArray:
-        wish = _check(name, values, most)
-        edge = np.full(3, most)
-        return self._bounded(setpoint, wish, -edge, edge, np.full(3, slew), None, now_s)
+        nominal = _check(name, values, limit)
+        upper = np.full(3, limit)
+        return self._bounded(setpoint, nominal, -upper, upper, np.full(3, slew), None, now_s)
 
     def _bounded(
         self,
         setpoint: Setpoint,
-        wish: FloatArray,
-        least: FloatArray,
-        most: FloatArray,
+        nominal: FloatArray,
+        lower: FloatArray,
+        upper: FloatArray,
         slew: FloatArray,
         neutral: FloatArray | None,
         now_s: float,
     ) -> FloatArray:
-        """Within limits and within reach of what was sent last; the first is held against `neutral`."""
-        values: FloatArray = np.clip(wish, least, most)
+        """Clip to the limits and slew-limit from the last values; the first start from `neutral`."""
+        values: FloatArray = np.clip(nominal, lower, upper)
         last, dt_s = neutral, _FIRST_S
         if self._last is not None and self._last[0] is type(setpoint) and now_s - self._last[1] < _GAP_S:
             last, dt_s = self._last[2], max(now_s - self._last[1], 0.0)
         if last is not None:
             values = np.clip(values, last - slew * dt_s, last + slew * dt_s)
-            values = np.clip(values, least, most)
+            values = np.clip(values, lower, upper)
         self._last = (type(setpoint), now_s, values)
-        self.clipped += bool((values != wish).any())
+        self.clipped += bool((values != nominal).any())
         return values
 
     def _point(
@@ -177,16 +193,16 @@ class SetpointEncoder:
         )
 
 
-def _check(name: str, values: Any, most: Any) -> FloatArray:
-    """Finite and not far out, component by component."""
+def _check(name: str, values: Any, limit: Any) -> FloatArray:
+    """Check that each component is finite and within twice the limit; raises LinkError."""
     array = np.atleast_1d(np.asarray(values, np.float64))
     if name != "thrust_m_s2" and array.shape != (3,):
         raise LinkError(f"set-point refused: {name} has the shape {array.shape}, not (3,)")
-    limits = np.broadcast_to(most, array.shape)
-    for axis, value, limit in zip("xyz", array.tolist(), limits.tolist(), strict=False):
-        place = name if len(array) == 1 else f"{name}.{axis}"
+    limits = np.broadcast_to(limit, array.shape)
+    for axis, value, bound in zip("xyz", array.tolist(), limits.tolist(), strict=False):
+        field = name if len(array) == 1 else f"{name}.{axis}"
         if not math.isfinite(value):
-            raise LinkError(f"set-point refused: {place} is {value}")
-        if abs(value) > _FAR_OUT * limit:
-            raise LinkError(f"set-point refused: {place} is {value:g}, the limit {limit:g}")
+            raise LinkError(f"set-point refused: {field} is {value}")
+        if abs(value) > _FAR_OUT * bound:
+            raise LinkError(f"set-point refused: {field} is {value:g}, the limit {bound:g}")
     return array

@@ -1,6 +1,6 @@
-"""Signatures of MAVLink 2: which packets are from someone who knows the key, and were not sent before.
+"""Signatures of MAVLink 2: they prove that the sender has the key and that a packet is not a replay.
 
-A signed frame ends with a link's number (1 byte), a time stamp (6 bytes, units of 10 us since 2015-01-01 UTC)
+A signed frame ends with a link number (1 byte), a time stamp (6 bytes, units of 10 us since 2015-01-01 UTC)
 and the first 6 bytes of sha256(key, frame up to there). Source: MAVLink guide, "Message Signing".
 """
 
@@ -20,17 +20,20 @@ _UNITS_PER_S = 100_000
 _EPOCH_S = 1_420_070_400  # 2015-01-01 in seconds since 1970
 _STAMP_BYTES = 6
 _LARGEST_STAMP = 2 ** (8 * _STAMP_BYTES) - 1
-_LATE = 60 * _UNITS_PER_S  # how far a new stream may be behind
-_KEPT_AHEAD = 60 * _UNITS_PER_S  # of the file, so that it need not be written at every packet
-_PACKETS = _UNITS_PER_S  # more than are sent until it is written again, where each takes one stamp
-_MOST_STREAMS = 256
+_LATE = 60 * _UNITS_PER_S  # maximum lag of a new stream
+_KEPT_AHEAD = 60 * _UNITS_PER_S  # the file is that far ahead, so that it is not written at every packet
+_PACKETS = _UNITS_PER_S  # more packets, of one stamp each, than are sent between two writes of the file
+_MAX_STREAMS = 256
 
 
 def read_key(path: Path) -> bytes:
-    """The key of a file that holds nothing else: 32 bytes, or as many written as 64 hexadecimal digits.
+    """Read a key file, which holds only the key: 32 bytes, or 64 hexadecimal digits.
+
+    Args:
+        path: the file.
 
     Raises:
-        InputError: it cannot be read, or holds no key.
+        InputError: the file cannot be read, or does not hold a key.
     """
     try:
         key = path.read_bytes()
@@ -47,19 +50,22 @@ def read_key(path: Path) -> bytes:
 
 
 class Signer:
-    """A key, and time stamps that only ever grow: within a run, and through `file` from run to run.
+    """A key and strictly increasing time stamps, within a run and through `file` between runs.
 
-    After a run that was killed the file is ahead of the time of day. Stamps then go on from it one by one
-    until that has caught up: runs killed one after another do not lead away from what the vehicle uses.
+    After a run that was killed, the file is ahead of the time of day. Stamps then continue from the file in
+    steps of one until the time has caught up, so that repeated kills do not move the stamps ever further
+    ahead of those of the vehicle.
 
     Args:
         key: 32 bytes.
-        file: keeps a stamp above all that were used; without one a clock set back makes packets refused.
-        wall_clock: seconds since 1970, asked once; `clock` carries on from there.
+        file: stores a stamp above all that were used; without it, packets are refused after the clock was set
+            back.
+        clock: monotonic clock [s].
+        wall_clock: time since 1970 [s], read once; `clock` continues from there.
         link: number of this link, so that several may share a key.
 
     Raises:
-        LinkError: the file cannot be read or written, or the key has not 32 bytes.
+        LinkError: the file cannot be read or written, or the key does not have 32 bytes.
     """
 
     def __init__(
@@ -81,18 +87,24 @@ class Signer:
             raise LinkError("the time of day is before 2015 or far beyond: no packet can be signed")
         self._zero = today - round(clock() * _UNITS_PER_S)
         self._last = max(kept, today)
-        self._before = kept - _KEPT_AHEAD  # runs before came this far, whatever the time of day is said to be
+        self._before = kept - _KEPT_AHEAD  # earlier runs came this far, whatever the present time of day is
         self._kept = kept
         self._streams: dict[tuple[int, int, int], int] = {}
         self.save(_KEPT_AHEAD)
 
     def next_stamp(self) -> int:
-        """A stamp above all before it."""
+        """A time stamp larger than all before it."""
         self._last = max(self._now(), self._last + 1)
         return self._last
 
     def accepts(self, frame: bytes, system: int, component: int) -> bool:
-        """Whether a signed frame is signed with the key and newer than all before it of its sender."""
+        """Return whether a frame is signed with the key and newer than all before it from its sender.
+
+        Args:
+            frame: the whole frame with its signature.
+            system: system of the sender.
+            component: component of the sender.
+        """
         expected = hashlib.sha256(self.key + frame[:-_STAMP_BYTES]).digest()[:_STAMP_BYTES]
         if not hmac.compare_digest(expected, frame[-_STAMP_BYTES:]):
             return False
@@ -101,21 +113,24 @@ class Signer:
         stream = (system, component, link)
         before = self._streams.get(stream)
         if before is None:
-            if stamp < max(self._now(), self._before) - _LATE or len(self._streams) >= _MOST_STREAMS:
+            if stamp < max(self._now(), self._before) - _LATE or len(self._streams) >= _MAX_STREAMS:
                 return False
         elif stamp <= before:
             return False
         self._streams[stream] = stamp
-        self._last = max(self._last, stamp)  # what is sent next must not look old to the other side
+        self._last = max(self._last, stamp)  # the next packet must not look old to the other side
         return True
 
     def keep_up(self) -> None:
-        """Write the file when half of what it holds in reserve is used."""
+        """Write the file when half of its reserve is used."""
         if self._last > self._kept - _PACKETS // 2 or self._now() > self._kept - _KEPT_AHEAD // 2:
             self.save(_KEPT_AHEAD)
 
     def save(self, ahead: int = 0) -> None:
-        """Write the file, `ahead` of the time and of the last stamp.
+        """Write the file.
+
+        Args:
+            ahead: how far it is ahead of the time and of the last stamp, units of 10 us.
 
         Raises:
             LinkError: it cannot be written.
@@ -142,5 +157,5 @@ def _read_stamp(file: Path) -> int:
     except (OSError, UnicodeDecodeError) as error:
         raise LinkError(f"{file}: cannot be read: {error}") from error
     if not text.strip().isascii() or not text.strip().isdigit():
-        raise LinkError(f"{file}: holds no time stamp of signatures")
+        raise LinkError(f"{file}: holds no time stamp for signatures")
     return int(text)

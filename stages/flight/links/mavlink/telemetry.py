@@ -1,4 +1,4 @@
-"""What a vehicle says beside its state: mode, battery, health, texts; what is old is unknown."""
+"""Reported status of a vehicle besides its state: mode, battery, health, texts; old values are unknown."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from alula.stages.flight.links.mavlink.autopilots import Autopilot
-from alula.stages.flight.links.mavlink.texts import Texts
 from alula.stages.flight.links.protocol import VehicleStatus
 
 _OLD_S = {"HEARTBEAT": 5.0, "SYS_STATUS": 10.0, "EXTENDED_SYS_STATE": 3.0, "ESTIMATOR": 3.0}
-_MOST_TEXTS = 100
+_MAX_TEXTS = 100
 _FLAGS_NEEDED = 1 | 2 | 4 | 32  # EKF_STATUS_FLAGS: attitude, horizontal and vertical velocity, height
 _FLAGS_EITHER = 8 | 16  # position, relative or absolute
 _FLAGS_BAD = 128 | 1024  # constant position; not initialised (ArduPilot), jumps of satellites (PX4)
@@ -23,15 +22,20 @@ _LANDED = {
     dialect.MAV_LANDED_STATE_TAKEOFF: False,
     dialect.MAV_LANDED_STATE_LANDING: False,
 }
+_PIECE = 50  # characters of a STATUSTEXT; a shorter piece is the last
+_MAX_PIECES = 8
+_MAX_OPEN = 4
+_PATIENCE_S = 1.0
 
 
 class Telemetry:
-    """Keeps a `VehicleStatus` up to date from messages.
+    """Updates a `VehicleStatus` from messages.
 
     Attributes:
-        heartbeat: the newest HEARTBEAT.
-        mode: main and sub mode of it.
-        autopilot: by whose names it is read; None before it is known.
+        status: the status.
+        heartbeat: the newest HEARTBEAT; None before the first.
+        mode: its main and sub mode; None if unknown or old.
+        autopilot: the family that defines the modes; None before it is known.
     """
 
     def __init__(self) -> None:
@@ -40,15 +44,15 @@ class Telemetry:
         self.mode: tuple[int, int] | None = None
         self.autopilot: Autopilot | None = None
         self._texts = Texts()
-        self._said_s: dict[str, float] = {}
+        self._arrived_s: dict[str, float] = {}  # by kind of message
 
     @property
     def beat_s(self) -> float:
-        """When the newest HEARTBEAT arrived; minus infinity when it is old."""
-        return self._said_s.get("HEARTBEAT", -math.inf)
+        """Arrival time of the newest HEARTBEAT; minus infinity if it is old [s]."""
+        return self._arrived_s.get("HEARTBEAT", -math.inf)
 
     def take(self, message: Any, now_s: float) -> list[str]:
-        """A message; texts that it completes."""
+        """Process a message that arrived at `now_s` [s]; returns the texts that it completes."""
         kind, status = message.get_type(), self.status
         if kind == "STATUSTEXT":
             return self.say(*self._texts.take(message, now_s))
@@ -56,9 +60,9 @@ class Telemetry:
             self.heartbeat = message
             self.read_mode()
         elif kind == "SYS_STATUS":
-            voltage, share = message.voltage_battery, message.battery_remaining
+            voltage, percent = message.voltage_battery, message.battery_remaining
             status.battery_v = voltage * 1e-3 if 0 < voltage < _NO_VOLTAGE else None
-            status.battery_share = share * 1e-2 if 0 <= share <= 100 else None
+            status.battery_share = percent * 1e-2 if 0 <= percent <= 100 else None
         elif kind == "EXTENDED_SYS_STATE":
             status.landed = _LANDED.get(message.landed_state)
         elif kind in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
@@ -67,18 +71,18 @@ class Telemetry:
             status.is_estimator_ready = has_all and not flags & _FLAGS_BAD
         else:
             return []
-        self._said_s[kind] = now_s
+        self._arrived_s[kind] = now_s
         return []
 
     def read_mode(self) -> None:
-        """What the newest heartbeat says."""
+        """Update the status from the newest heartbeat."""
         if self.autopilot is None or self.heartbeat is None:
             return
         status, beat = self.status, self.heartbeat
         main, sub, status.mode = self.autopilot.mode_of(beat.custom_mode)
         self.mode = main, sub
-        wanted_main, wanted_sub = self.autopilot.control
-        status.obeys = main == wanted_main and (wanted_sub in (0, sub))
+        control_main, control_sub = self.autopilot.control
+        status.obeys = main == control_main and (control_sub in (0, sub))
         status.armed = bool(beat.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
         status.is_failsafe = beat.system_status in (
             dialect.MAV_STATE_CRITICAL,
@@ -87,17 +91,17 @@ class Telemetry:
         )
 
     def say(self, *texts: str) -> list[str]:
-        """Texts for people; of too many the oldest are dropped."""
+        """Append texts for the user; beyond 100 the oldest are dropped."""
         self.status.texts += texts
-        del self.status.texts[:-_MOST_TEXTS]
+        del self.status.texts[:-_MAX_TEXTS]
         return list(texts)
 
     def poll(self, now_s: float) -> None:
-        """Forget what is old."""
+        """Mark old values as unknown."""
         self.say(*self._texts.flush(now_s))
         status = self.status
-        for kind in [kind for kind, at in self._said_s.items() if now_s - at > _OLD_S[kind]]:
-            del self._said_s[kind]
+        for kind in [kind for kind, at in self._arrived_s.items() if now_s - at > _OLD_S[kind]]:
+            del self._arrived_s[kind]
             if kind == "HEARTBEAT":
                 status.armed, status.obeys, status.mode, self.mode = None, False, "", None
             elif kind == "SYS_STATUS":
@@ -106,3 +110,46 @@ class Telemetry:
                 status.landed = None
             else:
                 status.is_estimator_ready = None
+
+
+class Texts:
+    """Joins the pieces of long STATUSTEXTs and removes characters that a terminal could execute."""
+
+    def __init__(self) -> None:
+        self._open: dict[int, tuple[float, dict[int, str]]] = {}
+
+    def take(self, message: Any, now_s: float) -> list[str]:
+        """Process a STATUSTEXT that arrived at `now_s` [s]; returns the texts that it completes."""
+        piece = _printable(message.text)
+        if message.id == 0:
+            return [piece] if piece else []
+        done = []
+        if message.id not in self._open and len(self._open) >= _MAX_OPEN:
+            done += self._finish(min(self._open, key=lambda each: self._open[each][0]))
+        _, pieces = self._open.setdefault(message.id, (now_s, {}))
+        if message.chunk_seq < _MAX_PIECES:
+            pieces[message.chunk_seq] = piece
+        last = max(pieces, default=0)
+        is_ended = len(_str_of(message.text)) < _PIECE or last == _MAX_PIECES - 1
+        if is_ended and len(pieces) == last + 1:
+            done += self._finish(message.id)
+        return done
+
+    def flush(self, now_s: float) -> list[str]:
+        """Incomplete texts whose missing piece is overdue, with a gap in its place."""
+        late = [each for each, (since_s, _) in self._open.items() if now_s - since_s > _PATIENCE_S]
+        return [text for each in late for text in self._finish(each)]
+
+    def _finish(self, number: int) -> list[str]:
+        _, pieces = self._open.pop(number)
+        text = "".join(pieces.get(each, "...") for each in range(max(pieces, default=-1) + 1))
+        return [text] if text else []
+
+
+def _str_of(text: bytes | str) -> str:
+    """Decode a text; pymavlink returns either type."""
+    return text.decode("utf-8", "replace") if isinstance(text, bytes | bytearray) else text
+
+
+def _printable(text: bytes | str) -> str:
+    return "".join(each for each in _str_of(text) if each.isprintable())

@@ -1,4 +1,4 @@
-"""Bytes to and from a vehicle, never waiting: UDP, TCP and serial lines."""
+"""Non-blocking transport of bytes to and from a vehicle: UDP, TCP and serial lines."""
 
 from __future__ import annotations
 
@@ -13,39 +13,44 @@ from alula.schemas.errors import LinkError
 from alula.stages.flight.links.addresses import Address
 
 _DATAGRAM = 4096
-_MOST_WAITING = 1024  # bytes that a stream has not taken yet; beyond, frames are dropped whole
+_MAX_WAITING = 1024  # bytes that a stream has not accepted yet; beyond, whole frames are dropped
 _BUFFER = 1 << 18
-_AGAIN_S = 0.5  # between attempts to open a serial line that dropped out
+_AGAIN_S = 0.5  # between attempts to reopen a serial line
 
 
 class Transport(Protocol):
-    """Where bytes go; all of it raises LinkError when the other end is gone for good."""
+    """A line for bytes; its methods raise LinkError when the connection is lost."""
 
     is_datagram: bool
 
     def receive(self) -> tuple[bytes, Any] | None:
-        """What has come, and from where; None if nothing."""
+        """Received bytes and their sender; None if there are none."""
         ...
 
     def send(self, data: bytes) -> bool:
-        """Whether it was taken; a frame is taken whole or not at all."""
+        """Send a frame, whole or not at all; returns whether it was accepted."""
         ...
 
     def use(self, peer: Any) -> None:
-        """Speak to this one from now on."""
+        """Send to this peer from now on."""
         ...
 
     def close(self) -> None:
-        """Let go."""
+        """Close the line."""
         ...
 
 
 def open_transport(address: Address, timeout_s: float, clock: Callable[[], float]) -> Transport:
-    """Open what an address names; by the clock a serial line that drops out is opened again.
+    """Open the line of an address.
+
+    Args:
+        address: the parsed address.
+        timeout_s: maximum time to connect [s].
+        clock: monotonic clock [s], for reopening a serial line that dropped out.
 
     Raises:
         UsageError: the address is incomplete.
-        LinkError: it cannot be opened; one line says why.
+        LinkError: it cannot be opened.
     """
     try:
         if address.scheme == "serial":
@@ -58,29 +63,33 @@ def open_transport(address: Address, timeout_s: float, clock: Callable[[], float
 
 
 def find_udp(host: str, port: int) -> tuple[socket.AddressFamily, Any]:
-    """Family and address of a host; IPv4 where it has both, as vehicles send to 127.0.0.1.
+    """Socket family and address of a host; IPv4 if it has both, because vehicles send to 127.0.0.1.
+
+    Args:
+        host: name or address.
+        port: UDP port.
 
     Raises:
-        OSError: nobody knows it.
+        OSError: the host is unknown.
     """
     found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
-    family, _, _, _, place = min(found, key=lambda each: each[0] != socket.AF_INET)
-    return family, place
+    family, _, _, _, destination = min(found, key=lambda each: each[0] != socket.AF_INET)
+    return family, destination
 
 
 class _Udp:
     is_datagram = True
 
     def __init__(self, host: str, port: int, *, is_listening: bool) -> None:
-        family, place = find_udp(host, port)
+        family, destination = find_udp(host, port)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        self._peer: Any = None if is_listening else place
+        self._peer: Any = None if is_listening else destination
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
             if is_listening:
-                self._socket.bind(place)
+                self._socket.bind(destination)
             else:
-                self._socket.connect(place)  # takes packets from there only
+                self._socket.connect(destination)  # accepts packets from there only
         except OSError:
             self._socket.close()
             raise
@@ -92,7 +101,7 @@ class _Udp:
             return self._socket.recvfrom(_DATAGRAM)
         except (BlockingIOError, InterruptedError):
             return None
-        except OSError:  # nobody listens there now; silence is what counts
+        except OSError:  # nobody listens there now; the session counts the silence
             return None
 
     def send(self, data: bytes) -> bool:
@@ -114,7 +123,7 @@ class _Udp:
 
 
 class _Stream(ABC):
-    """A stream takes as much as it likes of a frame; the rest goes before the next one."""
+    """A stream; it may accept part of a frame, and the rest is sent before the next one."""
 
     is_datagram = False
 
@@ -122,8 +131,8 @@ class _Stream(ABC):
         self._waiting = b""
 
     def send(self, data: bytes) -> bool:
-        is_taken = len(self._waiting) + len(data) <= _MOST_WAITING
-        if is_taken:
+        is_accepted = len(self._waiting) + len(data) <= _MAX_WAITING
+        if is_accepted:
             self._waiting += data
         if self._waiting:
             try:
@@ -131,8 +140,10 @@ class _Stream(ABC):
             except (BlockingIOError, InterruptedError):
                 pass
             except OSError as error:
-                raise LinkError(f"the vehicle's line is gone: {error.strerror or error}") from error
-        return is_taken
+                raise LinkError(
+                    f"the connection to the vehicle is lost: {error.strerror or error}"
+                ) from error
+        return is_accepted
 
     def receive(self) -> tuple[bytes, Any] | None:
         try:
@@ -140,9 +151,9 @@ class _Stream(ABC):
         except (BlockingIOError, InterruptedError):
             return None
         except OSError as error:
-            raise LinkError(f"the vehicle's line is gone: {error.strerror or error}") from error
+            raise LinkError(f"the connection to the vehicle is lost: {error.strerror or error}") from error
         if not data:
-            raise LinkError("the vehicle's line was closed by the other end")
+            raise LinkError("the vehicle closed the connection")
         return data, None
 
     def use(self, peer: Any) -> None:  # noqa: B027  the other end of a stream is always the same
@@ -150,11 +161,11 @@ class _Stream(ABC):
 
     @abstractmethod
     def _read(self) -> bytes:
-        """Some of what has come; empty at the end, OSError when there is nothing."""
+        """Some of the received bytes; empty at the end, OSError if there are none."""
 
     @abstractmethod
     def _write(self, data: bytes) -> int:
-        """How many bytes were taken; OSError when none can be."""
+        """Number of bytes that were accepted; OSError if none can be."""
 
 
 class _Tcp(_Stream):
@@ -177,7 +188,7 @@ class _Tcp(_Stream):
 class _Serial(_Stream):
     """A terminal line in raw mode, 8 data bits, no parity, no flow control.
 
-    One that drops out, as a plug that is loose, is opened again when its device is there again.
+    A line that drops out, for example by a loose plug, is reopened when its device is back.
     """
 
     def __init__(self, device: str, baud: int, clock: Callable[[], float]) -> None:
@@ -196,11 +207,11 @@ class _Serial(_Stream):
 
     @contextlib.contextmanager
     def _opened(self) -> Iterator[None]:
-        """With the line, if it is there."""
+        """Reopen the line if it was closed; close it after an error."""
         try:
             if self._file is None:
                 if self._clock() < self._again_s:
-                    raise LinkError(f"the vehicle's line is gone: {self._device}")
+                    raise LinkError(f"the connection to the vehicle is lost: {self._device}")
                 self._file = _open_serial(self._device, self._baud)
             yield
         except (LinkError, OSError) as error:
@@ -209,7 +220,7 @@ class _Serial(_Stream):
             self.close()
             if isinstance(error, LinkError):
                 raise
-            raise LinkError(f"the vehicle's line is gone: {error.strerror or error}") from error
+            raise LinkError(f"the connection to the vehicle is lost: {error.strerror or error}") from error
 
     def _read(self) -> bytes:
         return os.read(self._line, _DATAGRAM)
@@ -237,7 +248,7 @@ def _open_serial(device: str, baud: int) -> int:
         raise LinkError("serial lines need termios; use udpin: with a router instead") from error
     speed = getattr(termios, f"B{baud}", None)
     if speed is None:
-        raise LinkError(f"{device}: {baud} is no rate that this system knows")
+        raise LinkError(f"{device}: this system does not support {baud} baud")
     file = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
         tty.setraw(file)

@@ -1,9 +1,9 @@
-"""Frames of MAVLink: from bytes to messages and back.
+"""MAVLink frames: from bytes to messages and back.
 
-pymavlink's `mavutil` connections block, reconnect and print by themselves, and its parser throws away a whole
-frame's length after a damaged one, passes messages that it does not know before it has looked at their
-signature, and remembers time stamps of signatures that turn out to be wrong. So frames are found and checked
-here, from any bytes and without waiting; pymavlink packs and unpacks the fields.
+pymavlink's `mavutil` connections block, reconnect and print by themselves. Its parser discards a whole
+frame's length after a damaged frame, passes unknown messages before it checks their signature, and keeps the
+time stamps of wrong signatures. Frames are therefore found and checked here, from any bytes and without
+blocking; pymavlink packs and unpacks the fields.
 """
 
 from __future__ import annotations
@@ -19,14 +19,20 @@ from alula.stages.flight.links.mavlink.signing import SIGNATURE_BYTES, Signer
 _V1, _V2 = 0xFE, 0xFD
 _HEADER = {_V1: 6, _V2: 10}
 _CRC = 2
-_SIGNED = 1  # the only incompatibility flag there is
-_MOST_BAD = 32  # frames per call, after which the rest of the bytes is given up
+_SIGNED = 1  # the only incompatibility flag
+_MAX_BAD = 32  # bad frames in one call; the bytes after them are discarded
 
 
 class Packet(NamedTuple):
-    """A frame; `message` is None for those that nobody asked for.
+    """A received frame.
 
-    Of a message without a definition the checksum cannot be checked: it may be from anybody.
+    Attributes:
+        system: system of the sender.
+        component: component of the sender.
+        sequence: sequence number.
+        message: the message; None if it is not wanted.
+        is_checked: whether the checksum was checked; it cannot be for a message without a definition, which
+            may come from any sender.
     """
 
     system: int
@@ -37,11 +43,17 @@ class Packet(NamedTuple):
 
 
 class Wire:
-    """One end of a link; takes any bytes and never raises for them.
+    """Encoder and decoder at one end of a link; the decoder accepts any bytes and never raises.
+
+    Args:
+        system: system of this program.
+        component: component of this program.
+        wanted: numbers of the messages to decode.
+        signer: signs and checks packets; None without a key.
 
     Attributes:
-        bad: frames, and runs of other bytes, that were refused.
-        is_signed: whether a frame that was not refused had a signature.
+        bad: number of frames, and runs of other bytes, that were refused.
+        is_signed: whether an accepted frame had a signature.
     """
 
     def __init__(
@@ -59,7 +71,7 @@ class Wire:
             signing.secret_key, signing.link_id, signing.sign_outgoing = signer.key, signer.link, True
 
     def pack(self, message: Any) -> bytes:
-        """The next frame, MAVLink 2, signed if there is a key."""
+        """Frame of a message, MAVLink 2, signed if there is a key."""
         if self._signer is not None:
             self._writer.signing.timestamp = self._signer.next_stamp()
         frame = bytes(message.pack(self._writer))
@@ -67,14 +79,18 @@ class Wire:
         return frame
 
     def forget(self) -> None:
-        """Drop what began and did not end: the bytes that follow come from elsewhere."""
+        """Drop an incomplete frame: the bytes that follow come from another sender."""
         self._rest = b""
 
     def take(self, data: bytes, *, is_datagram: bool = False) -> list[Packet]:
-        """All valid frames; what begins a further one is kept for the next call.
+        """Decode all valid frames; an incomplete one is kept for the next call.
 
-        In a datagram with anything bad before it such a beginning is more likely none, and is dropped: it
-        would hold up the next datagram.
+        An incomplete frame after bad bytes in a datagram is dropped. It is probably not a frame and would
+        delay the next datagram.
+
+        Args:
+            data: received bytes.
+            is_datagram: whether they are a whole datagram.
         """
         buffer = self._rest + data
         self._rest = b""
@@ -84,7 +100,7 @@ class Wire:
             start = _next_frame(buffer, at)
             if start > at:
                 self.bad += 1
-            if self.bad - bad_before > _MOST_BAD or start == len(buffer):
+            if self.bad - bad_before > _MAX_BAD or start == len(buffer):
                 break
             length = _frame_length(buffer, start)
             if length is None or start + length > len(buffer):
@@ -95,7 +111,7 @@ class Wire:
             if packet is None:
                 self.bad += 1
                 at = start + 1
-                # The byte after a refused one that began nothing is no second fault.
+                # The bytes up to the next frame belong to the refused one and are not counted again.
                 at = _next_frame(buffer, at)
             else:
                 packets.append(packet)
@@ -118,7 +134,7 @@ class Wire:
             crc = x25crc(frame[1:end] + bytes([kind.crc_extra])).crc
             if crc != int.from_bytes(frame[end : end + _CRC], "little"):
                 return None
-        elif following and following[0] not in _HEADER:  # all that tells of a message without a definition
+        elif following and following[0] not in _HEADER:  # the only check without a definition of the message
             return None
         if self._signer is not None and not (signed and self._signer.accepts(frame, system, component)):
             return None
@@ -133,12 +149,12 @@ class Wire:
 
 
 def _next_frame(buffer: bytes, at: int) -> int:
-    places = [place for place in (buffer.find(_V2, at), buffer.find(_V1, at)) if place >= 0]
-    return min(places, default=len(buffer))
+    starts = [start for start in (buffer.find(_V2, at), buffer.find(_V1, at)) if start >= 0]
+    return min(starts, default=len(buffer))
 
 
 def _frame_length(buffer: bytes, start: int) -> int | None:
-    """None while it cannot be known."""
+    """Length of the frame; None while too few bytes are there."""
     if len(buffer) - start < 3:
         return None
     signature = SIGNATURE_BYTES if buffer[start] == _V2 and buffer[start + 2] & _SIGNED else 0

@@ -1,4 +1,4 @@
-"""Orders to a Crazyflie, and what waits to be sent to it, without one."""
+"""Commands to a Crazyflie and the queue of packets, without a vehicle."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOTION = Motion(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0, 0.0)
 def flying():
     session, status = Session("udp://127.0.0.1:1", LinkOptions()), VehicleStatus()
     orders = Orders(session, status)
-    orders.see(IS_ARMED | IS_FLYING)
+    orders.update(IS_ARMED | IS_FLYING)
     assert status.armed
     return session, status, orders
 
@@ -25,7 +25,7 @@ def flying():
 @pytest.mark.parametrize("order", [Order.HOLD, Order.LAND])
 def test_what_may_be_flying_is_held_and_landed_though_it_does_not_say_so(order):
     session, status, orders = flying()
-    status.armed = status.landed = None  # its log was silent for a second: without us it falls after two
+    status.armed = status.landed = None  # no log for a second: without set-points it falls after two
     orders.start(order, 10.0, 0.0, MOTION)
     assert status.refusals == []
     assert not session._queue.empty()

@@ -1,4 +1,4 @@
-"""What a Crazyflie is told, without one."""
+"""Set-points and address options of a Crazyflie, without a vehicle."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_the_attitude_pushes_along_the_acceleration_and_has_the_heading(push, ya
     thrust = there + np.array([0, 0, G])
     assert np.allclose(axes[:, 2], thrust / np.linalg.norm(thrust), atol=1e-9)
     along = np.array([math.cos(yaw + turn), math.sin(yaw + turn), 0])
-    assert axes[:, 1] @ along == pytest.approx(0, abs=1e-9)  # y stands across the heading
+    assert axes[:, 1] @ along == pytest.approx(0, abs=1e-9)  # y is perpendicular to the heading
     assert axes[:, 0] @ along > 0
     assert np.allclose(
         sent.position,
@@ -119,7 +119,7 @@ def test_a_velocity_turns_towards_the_heading_by_the_short_way() -> None:
         ("radio://0/80/2M?controller=best", "controller=best"),
         ("radio://0/80/2M?controller=9", "controller=9"),
         ("radio://0/80/2M?setpoints=fast", "setpoints=fast"),
-        ("radio://0/80/2M?controller=pid&setpoints=full-state", "does not fly"),
+        ("radio://0/80/2M?controller=pid&setpoints=full-state", "does not follow"),
         ("radio://0/80/2M?watchdog=yes", "watchdog=yes"),
         ("radio://0/80/2M?alula.radius=wide", "alula.radius=wide"),
         ("radio://0/80/2M?colour=red", "colour"),

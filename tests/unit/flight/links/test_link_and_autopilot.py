@@ -1,4 +1,4 @@
-"""The MAVLink link against the simulated autopilot, from end to end through sockets, on one clock."""
+"""MAVLink link to the simulated autopilot, end to end through sockets, on one clock."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_arming_before_the_estimator_has_settled_is_refused_with_its_words():
 def test_when_we_are_gone_it_lands_and_a_pilots_mode_is_seen():
     with flight() as (served, time, link):
         take_off(time, link)
-        for _ in range(700):  # nothing is polled: no heartbeats of ours
+        for _ in range(700):  # without polls the link sends no heartbeats
             time.sleep(0.01)
         assert served.copter.mode.name == "LAND"
         time.run(link, 1.5)
@@ -167,7 +167,7 @@ def test_a_signed_flight_and_a_wrong_key(tmp_path):
         time.run(link, 3.0)
         assert link.status.armed
     served = Served(key=bytes(32), channel=1, epoch_s=wall)
-    with pytest.raises(LinkError, match="no vehicle was heard"), flight(served=served, **options):
+    with pytest.raises(LinkError, match="no vehicle heartbeat"), flight(served=served, **options):
         pass
 
 

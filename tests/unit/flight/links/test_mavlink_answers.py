@@ -1,4 +1,4 @@
-"""Whose COMMAND_ACK it is: an answer to another ground station is not taken for one to us."""
+"""COMMAND_ACKs: an answer to another ground station does not count."""
 
 import itertools
 
@@ -13,7 +13,7 @@ TAKE_OFF = m.MAV_CMD_NAV_TAKEOFF
 
 
 class Deaf(Peer):
-    """Does not answer take-offs by itself, and names whom it answers if `names` says so."""
+    """Peer that does not answer take-offs by itself, and names the addressee if `names` is set."""
 
     names = NOBODY
 
@@ -32,7 +32,7 @@ class Deaf(Peer):
 
 
 def answered(names, result, whom):
-    """What an answer to `whom` does to our take-off: times that it is sent in 3 s, and refusals."""
+    """Effect of an answer to `whom` on a take-off: transmissions in 3 s, and refusals."""
     peer = Deaf()
     peer.names = names
     with vehicle(peer=peer) as (peer, time, link):
@@ -80,7 +80,7 @@ def test_a_vehicle_that_was_being_armed_is_disarmed_whatever_it_said_before():
     with vehicle() as (peer, time, link):
         peer.landed = m.MAV_LANDED_STATE_ON_GROUND
         time.run(link, 1.1)
-        peer.silent = True  # the order to arm is on its way, and so is what it says
+        peer.silent = True  # the command to arm and its answer are in transit
         link.order(Order.ARM, time())
         time.run(link, 0.1)
         assert link.status.armed is False

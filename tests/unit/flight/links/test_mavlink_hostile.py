@@ -1,4 +1,4 @@
-"""What comes in over a MAVLink link and must change nothing: damaged, foreign, absurd."""
+"""Input to a MAVLink link that must change nothing: damaged, foreign, absurd packets."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_random_bytes_raise_nothing_and_change_nothing():
             peer.send_bytes(head + data)
         link.poll(time())
         assert said(link) == before
-        peer.send_bytes(b"\0" * 300)  # whatever was begun ends
+        peer.send_bytes(b"\0" * 300)  # completes any frame that was begun
         link.poll(time())
         assert said(link) == before
 
@@ -49,7 +49,7 @@ def test_random_bytes_raise_nothing_and_change_nothing():
         peer.send_state((4, 5, 6))
         before = said(link)
         link.poll(time())
-        assert said(link) != before  # and it still listens
+        assert said(link) != before  # and it still receives
 
 
 def test_of_a_real_log_all_that_pymavlink_reads_is_read_and_the_restart_in_it_is_found():
@@ -89,7 +89,7 @@ def test_of_a_real_log_all_that_pymavlink_reads_is_read_and_the_restart_in_it_is
 
 
 def framed(peer, number, payload):
-    """A frame with a right checksum, whatever it carries."""
+    """A frame with a valid checksum and any content."""
     kind = m.mavlink_map[number]
     head = bytes([len(payload), 0, 0, peer.mav.seq, 1, 1]) + number.to_bytes(3, "little")
     crc = m.x25crc(head + payload + bytes([kind.crc_extra])).crc
@@ -124,7 +124,7 @@ def test_whatever_the_vehicle_itself_says_raises_nothing_and_states_stay_finite(
         before = link.status.bad_packets
         peer.send_bytes(framed(peer, 0, bytes(9)))
         link.poll(time())
-        assert link.status.bad_packets == before  # such frames are right
+        assert link.status.bad_packets == before  # such frames are valid
 
 
 def test_every_damaged_byte_is_noticed():
@@ -232,7 +232,7 @@ def test_another_place_does_not_take_a_link_over():
         assert link.status.bad_packets >= 3
         time.run(link, 0.5)
         assert not thief.heard
-        peer.silent = True  # it moved: after a while another place may speak
+        peer.silent = True  # it moved: after a while another address is accepted
         time.run(link, 4.0)
         thief.beat()
         time.run(link, 1.2)

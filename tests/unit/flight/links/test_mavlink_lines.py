@@ -41,7 +41,7 @@ def test_with_a_key_only_what_is_signed_with_it_and_new_gets_through(tmp_path):
 
     assert not passes(bytes(beat.pack(m.MAVLink(None, srcSystem=1, srcComponent=1))))
     assert not passes(sign(None, bytes(32), now, beat))
-    assert not passes(sign(None, bytes(32), now + 10**9, beat))  # and its stamp is not believed either
+    assert not passes(sign(None, bytes(32), now + 10**9, beat))  # and its time stamp is not used either
     good = sign(None, KEY, now + 10, beat)
     assert passes(good)
     assert not passes(good)
@@ -50,7 +50,7 @@ def test_with_a_key_only_what_is_signed_with_it_and_new_gets_through(tmp_path):
     assert not passes(sign(None, KEY, now - 61 * 10**5, beat, link=1))
     assert passes(sign(None, KEY, now - 59 * 10**5, beat, link=2))
     unknown = bytearray(b"\xfd\x01\x00\x00\x00\x01\x01\xf0\xff\xff\x01\x00\x00")
-    assert wire.take(bytes(unknown)) == []  # nor what nobody knows
+    assert wire.take(bytes(unknown)) == []  # nor an unknown message
 
 
 def test_our_packets_are_signed_as_pymavlink_expects_it(tmp_path):
@@ -72,7 +72,7 @@ def test_stamps_grow_from_run_to_run_even_when_the_clock_is_set_back(tmp_path):
         first = signer.next_stamp()
         assert first > last
         last = max(signer.next_stamp() for _ in range(100))
-        if wall != 1.5e9:  # that run was killed: the file is ahead of what it used
+        if wall != 1.5e9:  # that run was killed: the file is ahead of the stamps it used
             signer.save()
     file.write_text("soon\n")
     with pytest.raises(LinkError, match="holds no time stamp"):
@@ -93,7 +93,7 @@ def test_runs_that_are_killed_do_not_lead_away_from_the_vehicles_time(tmp_path):
     old = sign(None, KEY, round((wall - 1_420_070_400 - 130) * 1e5), beat)
     signer = Signer(
         KEY, file=file, clock=lambda: 0.0, wall_clock=lambda: 1.5e9
-    )  # nor is a wrong one believed
+    )  # nor is a wrong one accepted
     assert not Wire(255, 191, [m.MAVLINK_MSG_ID_HEARTBEAT], signer).take(old)
 
 
@@ -140,20 +140,23 @@ def test_a_signed_conversation_from_end_to_end(tmp_path):
 
 @pytest.mark.parametrize(
     ("key", "said"),
-    [(None, "it signs its packets"), (bytes(32), "bad packets came; do both ends have the same signing key")],
+    [
+        (None, "it signs its packets"),
+        (bytes(32), "bad packets were received; do both ends have the same signing key"),
+    ],
 )
 def test_who_has_no_key_or_another_is_told_so(tmp_path, key, said):
     peer = Peer()
     peer.mav.signing.secret_key, peer.mav.signing.sign_outgoing = KEY, True
     peer.mav.signing.timestamp = round((1.8e9 - 1_420_070_400) * 1e5)
-    peer.answer = lambda message: None  # as it does to who is not signed with its key
+    peer.answer = lambda message: None  # as it does to packets that are not signed with its key
     options = {"key": key, "signing_file": None if key is None else tmp_path / "stamp"}
     with pytest.raises(LinkError, match=said), vehicle(peer=peer, wall_clock=lambda: 1.8e9, **options):
         pass
 
 
 def test_of_other_systems_than_the_one_that_was_asked_for_it_says_which():
-    words = "no vehicle was heard within 5 s: only system 1, not 2"
+    words = "no vehicle heartbeat within 5 s: only system 1, not 2"
     with pytest.raises(LinkError, match=words), vehicle(address="?system=2"):
         pass
 
@@ -161,13 +164,13 @@ def test_of_other_systems_than_the_one_that_was_asked_for_it_says_which():
 def test_where_nothing_comes_from_is_named():
     peer = Peer()
     peer.beat = lambda: None
-    words = rf"udpout:127.0.0.1:{peer.port}: no vehicle was heard .*: nothing"
+    words = rf"udpout:127.0.0.1:{peer.port}: no vehicle heartbeat .*: nothing"
     with pytest.raises(LinkError, match=words), vehicle(peer=peer):
         pass
 
 
 class SerialPeer(Peer):
-    """At the far end of a line that can be pulled out and put in again; `device` is its name."""
+    """Peer at the far end of a serial line that can be unplugged; `device` is its name."""
 
     def __init__(self, device):
         super().__init__()
@@ -282,7 +285,7 @@ def test_tcp_carries_the_same_and_its_end_is_one_line():
     try:
         link.open(5.0)
         lines[0].close()
-        with pytest.raises(LinkError, match="line"):
+        with pytest.raises(LinkError, match="connection"):
             time.peers.clear() or [time.run(link, 0.1) for _ in range(10)]
     finally:
         link.close()
@@ -298,7 +301,7 @@ def test_tcp_carries_the_same_and_its_end_is_one_line():
         ("udpin:203.0.113.7:14550", "[Cc]annot assign"),
         ("serial:/dev/does-not-exist:921600", "No such file"),
         ("serial:/dev/null:921600", "serial line"),
-        ("serial:/dev/null:12345", "no rate"),
+        ("serial:/dev/null:12345", "does not support 12345 baud"),
     ],
 )
 def test_a_line_that_cannot_be_opened_is_one_line(address, words):

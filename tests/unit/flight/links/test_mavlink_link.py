@@ -1,4 +1,4 @@
-"""The MAVLink link against a scripted vehicle, through real sockets, on a clock of the tests."""
+"""MAVLink link to a scripted vehicle, through real sockets, on the clock of the test."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_a_vehicle_is_found_and_named_and_asked_for_its_state():
         ({"kind": m.MAV_TYPE_GROUND_ROVER}, "not a multicopter"),
         ({"autopilot": m.MAV_AUTOPILOT_PPZ}, "neither ArduPilot nor PX4"),
         ({"capabilities": 8192}, "takes no set-points"),
-        ({"silent": True}, "no vehicle was heard"),
+        ({"silent": True}, "no vehicle heartbeat"),
         ({"results": {m.MAV_CMD_REQUEST_MESSAGE: 3}}, "AUTOPILOT_VERSION"),
     ],
 )
@@ -65,7 +65,7 @@ def test_what_cannot_be_flown_is_refused_with_its_reason(change, words):
 
 
 def test_of_two_vehicles_one_must_be_chosen():
-    for address, outcome in (("", "several vehicles are heard: 1, 2"), ("?system=2", None)):
+    for address, outcome in (("", "several vehicles send heartbeats: 1, 2"), ("?system=2", None)):
         first, second = Peer(), Peer(system=2)
         second.own_messages = False
 
@@ -73,7 +73,7 @@ def test_of_two_vehicles_one_must_be_chosen():
             tick(_now)
             second.link = first.link
             second.now_s = _now
-            if first.link is not None:  # a router: both from one place
+            if first.link is not None:  # a router: both from one address
                 first.send_bytes(
                     second.pack(m.MAVLink_heartbeat_message(m.MAV_TYPE_QUADROTOR, 3, 0, 5, 3, 3))
                 )

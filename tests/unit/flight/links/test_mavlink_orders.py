@@ -1,4 +1,4 @@
-"""Orders and parameters over the MAVLink link: repeated, refused, verified, put back."""
+"""Commands and parameters over the MAVLink link: repeated, refused, verified, restored."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def test_a_repeat_that_is_due_when_the_pilot_switches_does_not_go_out(order):
         assert before == 1
         peer.custom_mode = 5
         peer.beat()
-        time.sleep(2.0)  # the switch and the time of the repeat are seen by one poll
+        time.sleep(2.0)  # one poll receives the new mode and is due to repeat the command
         link.poll(time())
         time.run(link, 3.0)
         assert link.status.mode == "LOITER"
@@ -176,7 +176,7 @@ def test_guided_without_position_takes_rates_alone():
         time.run(link, 0.2)
         assert link.status.mode == "GUIDED_NOGPS"
         assert link.status.obeys
-    with pytest.raises(UsageError, match="known are guided"):
+    with pytest.raises(UsageError, match="must be guided"):
         open_link("udpout:127.0.0.1:1?mode=rtl")
 
 

@@ -1,4 +1,4 @@
-"""The state that a MAVLink link makes of packets that are late, old, apart or from another life."""
+"""State of a MAVLink link from packets that are late, old, apart or from before a restart."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_late_twice_and_old_packets_are_no_new_state():
         for data in held:
             peer.send_bytes(data)
         link.poll(time())
-        assert time() - link.state.received_s == pytest.approx(0.395, abs=0.01)  # old when it comes
+        assert time() - link.state.received_s == pytest.approx(0.395, abs=0.01)  # old when it arrives
 
 
 def test_state_ages_as_soon_as_one_of_its_parts_stops():
@@ -76,7 +76,7 @@ def test_odometry_is_one_state_and_taken_before_the_others():
             m.MAV_FRAME_LOCAL_NED,
             m.MAV_FRAME_BODY_FRD,
             *(1.0, 2.0, -3.0),
-            [half, 0, 0, half],  # it looks east
+            [half, 0, 0, half],  # its heading is east
             *(1.0, 0.0, 0.0),
             *(0.1, 0.2, 0.3),
             [0.0] * 21,
@@ -117,10 +117,10 @@ def test_a_vehicle_that_starts_anew_is_noticed_and_its_old_state_dropped():
         assert link.status.clock_jumps == 0  # one packet proves nothing
         time.run(link, 0.3, each=lambda: peer.send_state((4, 5, 6)))
         assert link.status.clock_jumps == 1
-        assert any("started anew" in text for text in link.status.texts)
+        assert any("restarted" in text for text in link.status.texts)
         assert time() - link.state.received_s < 0.02
         time.run(link, 4.0)
-        assert peer.commands(m.MAV_CMD_SET_MESSAGE_INTERVAL)  # which it has forgotten
+        assert peer.commands(m.MAV_CMD_SET_MESSAGE_INTERVAL)  # it has lost its settings
 
 
 def test_a_clock_drifts_but_does_not_jump():
@@ -238,6 +238,6 @@ def test_a_clock_of_32_bits_that_comes_round_is_no_new_start():
         assert min(stamps) < 2000 < 4e9 < max(stamps)
         assert max(ages) < 0.05
         assert link.status.clock_jumps == 0
-        peer.boot_s = -time()  # and now it does start anew
+        peer.boot_s = -time()  # and now it does restart
         time.run(link, 1.0, each=say)
         assert link.status.clock_jumps == 1

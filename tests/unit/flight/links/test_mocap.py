@@ -1,4 +1,4 @@
-"""Motion capture: what comes in, what goes to the vehicle, and what happens when it stops."""
+"""Motion capture: received datagrams, messages to the vehicle, and its loss."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_a_vehicle_that_is_not_set_up_for_it_is_refused_by_name():
     del peer.parameters["VISO_TYPE"]
     before = dict(peer.parameters)
     with (
-        pytest.raises(LinkError, match=r"EK3_SRC1_YAW is 1, not 6; VISO_TYPE is not there, not 1"),
+        pytest.raises(LinkError, match=r"EK3_SRC1_YAW is 1, not 6; VISO_TYPE is missing, not 1"),
         vehicle(peer=peer, mocap=f"udp:127.0.0.1:{free_port()}"),
     ):
         pass

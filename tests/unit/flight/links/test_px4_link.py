@@ -1,4 +1,4 @@
-"""The link to PX4 against the simulated one, through sockets, on one clock: what only PX4 does."""
+"""Link to the simulated PX4 through sockets, on one clock: the behaviour specific to PX4."""
 
 import socket
 

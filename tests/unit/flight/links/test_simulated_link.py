@@ -1,4 +1,4 @@
-"""Addresses, the registry, and `sim:` on a clock of the tests."""
+"""Addresses, the registry, and `sim:` on the clock of the test."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from alula.schemas.errors import LinkError, UsageError
 from alula.schemas.vehicle import BodyTable, LimitsTable, Vehicle
 from alula.stages.flight.links import open_link as registry
 from alula.stages.flight.links.addresses import check_address, parse_address
-from alula.stages.flight.links.hover import HoverThrottle, hover_from, throttle_of
+from alula.stages.flight.links.mavlink.hover import HoverThrottle, hover_from, throttle_of
 from alula.stages.flight.links.open_link import link_schemes, open_link
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import (
@@ -69,8 +69,8 @@ def test_what_leaves_this_machine_needs_permission(text):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no address"),
-        ("/dev/ttyACM0", "no address"),
+        ("", "not a vehicle address"),
+        ("/dev/ttyACM0", "not a vehicle address"),
         ("udpin:127.0.0.1", "HOST:PORT"),
         ("udpin:127.0.0.1:0", "HOST:PORT"),
         ("udpin:127.0.0.1:99999", "HOST:PORT"),
@@ -81,7 +81,7 @@ def test_what_leaves_this_machine_needs_permission(text):
         ("sim:?noise=much", "expected 1 number"),
         ("sim:?delay_ms=-1", "between 0 and 1000"),
         ("sim:?start=1,2", "expected 3 numbers"),
-        ("sim:here", "options follow"),
+        ("sim:here", "write the options after"),
         ("udpout:127.0.0.1:1?colour=red", "no option 'colour'"),
         ("pigeon:post", "no link is called 'pigeon'"),
     ],
@@ -244,7 +244,7 @@ def test_a_late_poll_catches_up_only_so_far():
     clock, link = airborne()
     clock.now += 3.0
     link.poll(clock.now)
-    assert any("left out 2.75 s" in text for text in link.status.texts)
+    assert any("skipped 2.75 s" in text for text in link.status.texts)
     assert link.state.received_s == pytest.approx(clock.now, abs=0.003)
 
 
@@ -271,7 +271,7 @@ def test_hover_throttle_is_found_in_flight_slowly_and_within_bounds():
             hover.sent(throttle, now)
             velocity = velocity + np.array([0, 0, (throttle / true - 1) * G]) * 0.01
             quat = np.array([1.0, 0, 0, 0])
-            hover.seen(VehicleState(now, np.zeros(3), velocity.copy(), quat, np.zeros(3)))
+            hover.update(VehicleState(now, np.zeros(3), velocity.copy(), quat, np.zeros(3)))
             assert abs(hover.value - last) <= 0.02 * 0.3 * hover.value
             last = hover.value
         assert hover.value == pytest.approx(expected, rel=0.03)

@@ -1,4 +1,4 @@
-"""From thrust to throttle: what share of it carries the weight."""
+"""Hover throttle: conversion between thrust and throttle, and its estimate in flight."""
 
 from __future__ import annotations
 
@@ -11,20 +11,32 @@ from numpy.typing import NDArray
 from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.rotation import matrix_from_quat_wxyz
 
-_WINDOW_S = 0.25  # over which velocities are compared
-_RISE_S = 0.06  # from a throttle to its thrust
-_FASTEST_PER_S = 0.02  # how much of itself a hover throttle may change in a second
+_WINDOW_S = 0.25  # velocities are compared over this time
+_RISE_S = 0.06  # delay from a throttle to its thrust
+_FASTEST_PER_S = 0.02  # maximum relative change of the hover throttle in a second
 _ALLOWED = (0.05, 0.9)
-_RANGE = 1.5  # of what it began with
+_RANGE = 1.5  # maximum factor between the estimate and its initial value
 
 
 def throttle_of(thrust_m_s2: float, hover: float, gravity_m_s2: float) -> float:
-    """Thr = (T / g) hover, T per mass; not limited."""
+    """Throttle of a thrust, throttle = (T / g) hover; not clipped.
+
+    Args:
+        thrust_m_s2: thrust per mass T [m/s^2].
+        hover: hover throttle, a fraction of full throttle.
+        gravity_m_s2: g [m/s^2].
+    """
     return thrust_m_s2 / gravity_m_s2 * hover
 
 
 def hover_from(throttle: float, thrust_m_s2: float, gravity_m_s2: float) -> float:
-    """The hover throttle with which a flown throttle gives a measured thrust per mass."""
+    """Hover throttle that explains a measured thrust; the inverse of `throttle_of`.
+
+    Args:
+        throttle: throttle that was sent, a fraction of full throttle.
+        thrust_m_s2: measured thrust per mass [m/s^2].
+        gravity_m_s2: g [m/s^2].
+    """
     return throttle * gravity_m_s2 / thrust_m_s2
 
 
@@ -35,31 +47,43 @@ def measured_thrust(
     attitude_wxyz: NDArray[np.float64],
     gravity_m_s2: float,
 ) -> float:
-    """(dv / dt + g e_z) along the body's z axis: thrust per mass of a body without drag [m/s^2]."""
+    """Thrust per mass of a body without drag: (dv / dt + g e_z) along the body's z axis [m/s^2].
+
+    Args:
+        velocity_before: velocity at the start, shape (3,), world frame, z up [m/s].
+        velocity_after: velocity at the end, likewise.
+        dt_s: time between them [s].
+        attitude_wxyz: unit quaternion that turns body vectors into the world frame, shape (4,).
+        gravity_m_s2: g [m/s^2].
+    """
     acceleration = (velocity_after - velocity_before) / dt_s
     acceleration[2] += gravity_m_s2
     return float(acceleration @ matrix_from_quat_wxyz(attitude_wxyz)[:, 2])
 
 
 class HoverThrottle:
-    """Follows the hover throttle in flight, slowly and within bounds.
+    """Estimator of the hover throttle in flight, slow and bounded.
 
-    The mean throttle over a quarter of a second, 60 ms ago, is compared with the thrust that the change of
-    velocity shows: hover' = hover g / T. Each comparison moves the estimate by time / tau of the way in
-    the logarithm, and never by more than 2 % in a second; it stays within a factor of 1.5 of what it began
-    with and between 0.05 and 0.9. Windows with less than half or more than twice the weight of thrust or
-    more than 45 degrees of tilt do not count: there drag and the rotors' own curve are not small.
+    It compares the mean throttle over a quarter of a second, 60 ms ago, with the thrust measured from the
+    change of velocity: hover' = hover g / T. Each comparison moves the logarithm of the estimate by the
+    fraction time / tau of its error, and by at most 2 % in a second. The estimate stays within a factor of
+    1.5 of its initial value and between 0.05 and 0.9. Windows with a thrust below half or above twice the
+    weight, or with more than 45 degrees of tilt, are skipped: there drag and the rotors' thrust curve are
+    not negligible.
 
     Args:
-        initial: what the autopilot has learned.
-        gravity_m_s2: of the vehicle's file.
-        tau_s: time in which an error falls to a third.
+        initial: the hover throttle that the autopilot has learned.
+        gravity_m_s2: gravity from the vehicle file [m/s^2].
+        tau_s: time in which an error falls to a third [s].
+
+    Raises:
+        ValueError: `initial` is not between 0.05 and 0.9.
     """
 
     def __init__(self, initial: float, gravity_m_s2: float = 9.81, *, tau_s: float = 10.0) -> None:
         low, high = _ALLOWED
         if not low <= initial <= high:
-            raise ValueError(f"a hover throttle is between {low:g} and {high:g}, not {initial:g}")
+            raise ValueError(f"the hover throttle must be between {low:g} and {high:g}, not {initial:g}")
         self.value = initial
         self.gravity_m_s2 = gravity_m_s2
         self._tau_s = tau_s
@@ -68,15 +92,15 @@ class HoverThrottle:
         self._start: VehicleState | None = None
 
     def throttle(self, thrust_m_s2: float) -> float:
-        """`throttle_of` with the present estimate."""
+        """Throttle of a thrust per mass [m/s^2], by `throttle_of` with the present estimate."""
         return throttle_of(thrust_m_s2, self.value, self.gravity_m_s2)
 
     def sent(self, throttle: float, now_s: float) -> None:
-        """A throttle that was sent."""
+        """Record a throttle that was sent at `now_s` [s]."""
         self._sent.append((now_s, throttle))
 
-    def seen(self, state: VehicleState) -> None:
-        """A newer state."""
+    def update(self, state: VehicleState) -> None:
+        """Update the estimate with a newer state."""
         start = self._start
         if start is None or state.received_s - start.received_s > 2 * _WINDOW_S:
             self._start = state
@@ -93,12 +117,12 @@ class HoverThrottle:
         if not 0.5 < thrust / self.gravity_m_s2 < 2.0:
             return
         step = math.log(hover_from(throttle, thrust, self.gravity_m_s2) / self.value) * dt_s / self._tau_s
-        most = _FASTEST_PER_S * dt_s
+        max_step = _FASTEST_PER_S * dt_s
         low, high = self._bounds
-        self.value = min(max(self.value * math.exp(min(max(step, -most), most)), low), high)
+        self.value = min(max(self.value * math.exp(min(max(step, -max_step), max_step)), low), high)
 
     def _mean(self, begin_s: float, end_s: float) -> float | None:
-        """Time-weighted, each throttle held until the next; None where nothing was sent all the way."""
+        """Time-weighted mean, each throttle held until the next; None if the interval is not covered."""
         while len(self._sent) > 1 and self._sent[1][0] <= begin_s:
             self._sent.popleft()
         if not self._sent or self._sent[0][0] > begin_s or end_s - self._sent[-1][0] > _WINDOW_S / 2:

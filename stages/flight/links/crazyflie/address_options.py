@@ -1,4 +1,4 @@
-"""What the address of a Crazyflie says: its controller, what that flies, and parameters."""
+"""Options in the address of a Crazyflie: controller, kind of set-points, watchdog, parameters."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from alula.schemas.errors import UsageError
 from alula.stages.flight.links.addresses import Address
 from alula.stages.flight.links.protocol import AccelerationSetpoint, Setpoint, VelocitySetpoint
 
-# Numbers of stabilizer.controller, and what its controller flies. PID leaves accelerations out; Mellinger
-# takes a velocity for the order to go down to height 0, and Lee for one to stop the motors.
+# Values of stabilizer.controller, and the set-points that each controller can fly. PID ignores accelerations.
+# Given a velocity, Mellinger descends to height 0 and Lee stops the motors.
 CONTROLLERS: dict[str, tuple[int, type[Setpoint]]] = {
     "mellinger": (2, AccelerationSetpoint),
     "lee": (5, AccelerationSetpoint),
@@ -21,20 +21,30 @@ _SETPOINTS: dict[str, type[Setpoint]] = {"full-state": AccelerationSetpoint, "ve
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
-    """Number of the controller, the set-points that it flies, parameters, and whether the watchdog is fed."""
+class AddressOptions:
+    """Options in the address of a Crazyflie.
+
+    Attributes:
+        controller: value of `stabilizer.controller`.
+        kind: set-points that this controller follows.
+        parameters: other parameters to set, by name.
+        has_watchdog: whether to send the notices of the emergency watchdog.
+    """
 
     controller: int
     kind: type[Setpoint]
     parameters: dict[str, float]
-    watches: bool
+    has_watchdog: bool
 
 
-def read_choice(address: Address) -> Choice:
-    """The options of an address.
+def read_address_options(address: Address) -> AddressOptions:
+    """Read and check the options of an address.
+
+    Args:
+        address: the parsed address; names with a dot are parameters of the vehicle.
 
     Raises:
-        UsageError: one is unknown or means nothing, or the place of `udp:` is none.
+        UsageError: an option is unknown or has an invalid value, or `udp:` has no HOST:PORT.
     """
     named = {name: _number(name, value) for name, value in address.options.items() if "." in name}
     given = {name: value for name, value in address.options.items() if name not in named}
@@ -42,28 +52,28 @@ def read_choice(address: Address) -> Choice:
     if address.scheme == "udp":
         address.host_port()
     number, kind = _controller(given.get("controller", "mellinger"), given.get("setpoints"))
-    return Choice(number, kind, named, _flag(given.get("watchdog", "0"), "watchdog"))
+    return AddressOptions(number, kind, named, _flag(given.get("watchdog", "0"), "watchdog"))
 
 
 def _controller(name: str, setpoints: str | None) -> tuple[int, type[Setpoint]]:
     if setpoints is not None and setpoints not in _SETPOINTS:
-        raise UsageError(f"setpoints={setpoints}: known are {' and '.join(_SETPOINTS)}")
+        raise UsageError(f"setpoints={setpoints}: must be {' or '.join(_SETPOINTS)}")
     if name in CONTROLLERS:
         number, kind = CONTROLLERS[name]
         if setpoints is not None and _SETPOINTS[setpoints] is not kind:
-            raise UsageError(f"setpoints={setpoints}: the controller {name} does not fly them")
+            raise UsageError(f"setpoints={setpoints}: the controller {name} does not follow them")
         return number, kind
     if not name.isdecimal() or not 0 < int(name) < 256 or setpoints is None:
         raise UsageError(
-            f"controller={name}: known are {', '.join(CONTROLLERS)}; "
-            "or a number, with setpoints=full-state or velocity"
+            f"controller={name}: must be {', '.join(CONTROLLERS)}, "
+            "or a number with setpoints=full-state or velocity"
         )
     return int(name), _SETPOINTS[setpoints]
 
 
 def _flag(text: str, name: str) -> bool:
     if text not in ("0", "1"):
-        raise UsageError(f"{name}={text}: 0 or 1")
+        raise UsageError(f"{name}={text}: must be 0 or 1")
     return text == "1"
 
 
