@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +15,11 @@ from alula.schemas.errors import InputError
 from alula.stages.compression.hulls import Hulls
 
 COLLISION_TOLERANCE_M = 1e-6  # clearances are exact to far less; a touch is no collision
+
+
+def is_collision(*clearances_m: float | None) -> bool:
+    """One of the clearances of a flight is below zero, beyond rounding; None stands for no obstacle."""
+    return any(c is not None and c < -COLLISION_TOLERANCE_M for c in clearances_m)
 
 
 def hull_obstacles(hulls: Hulls) -> PolytopeSet:
@@ -99,6 +103,18 @@ def segment_clearance(
     return np.asarray(obstacles.clearance(a, b, float(cap_m), jobs))
 
 
+def sphere_clearance(
+    points: ArrayLike, obstacles: PolytopeSet | EllipsoidSet, radius_m: float, *, jobs: int = 0
+) -> float | None:
+    """Minimum over a path, shape (T, 3) [m], of `path_clearance` less a sphere's radius [m].
+
+    Returns:
+        None where there are no obstacles.
+    """
+    found = float(path_clearance(points, obstacles, jobs=jobs).min()) - radius_m
+    return found if math.isfinite(found) else None
+
+
 def clearance_to_hulls(
     points: ArrayLike, hulls: Hulls, *, jobs: int = 0, cap_m: float = math.inf
 ) -> FloatArray:
@@ -150,27 +166,3 @@ def path_metrics(points: ArrayLike, dt: float) -> PathMetrics:
         mean_jerk_m_s3=float(jerk.mean()) if len(jerk) else 0.0,
         max_jerk_m_s3=float(jerk.max(initial=0.0)),
     )
-
-
-def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Confidence interval of a success rate by the score test; (0, 1) without trials.
-
-    With z the normal quantile of (1 + confidence) / 2 and p = successes / n:
-    (p + z^2/2n +- z sqrt(p (1 - p) / n + z^2/4n^2)) / (1 + z^2/n).
-
-    Raises:
-        InputError: not 0 <= successes <= n, or the confidence is not in (0, 1).
-
-    Source: Wilson 1927.
-    """
-    if not (0 <= successes <= n) or not (0 < confidence < 1):
-        raise InputError(f"no interval for {successes} of {n} at confidence {confidence}")
-    if n == 0:
-        return 0.0, 1.0
-    z = NormalDist().inv_cdf((1 + confidence) / 2)
-    p = successes / n
-    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
-    lower = 0.0 if successes == 0 else max(0.0, centre - half)
-    upper = 1.0 if successes == n else min(1.0, centre + half)
-    return lower, upper

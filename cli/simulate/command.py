@@ -20,8 +20,8 @@ from alula.schemas.provenance import parameters_of
 if TYPE_CHECKING:
     from alula.schemas.progress import Progress
     from alula.schemas.provenance import Provenance
-    from alula.stages.simulation.hulls.simulate import RunResult
     from alula.stages.simulation.pairs import Pairs
+    from alula.stages.simulation.result import RunResult
 
 EXAMPLES = """\b
 Examples:

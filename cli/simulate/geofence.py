@@ -123,5 +123,7 @@ def _write(
         output,
         record,
         timing | fence_timing(flown.times),
-        lambda log: write_fence_log(log, record, flown.flights, flown.world, frame, tick_s=tick_s),
+        lambda log: write_fence_log(
+            log, record, flown.flights, flown.world.faces, flown.world.hulls, frame, tick_s=tick_s
+        ),
     )

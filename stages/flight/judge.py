@@ -15,12 +15,12 @@ from alula.stages.clearance import (
     COLLISION_TOLERANCE_M,
     path_clearance,
     path_metrics,
-    wilson_interval,
 )
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.loop.options import Counters
 from alula.stages.flight.loop.supervisor import Event, State, Supervision, Taken
 from alula.stages.flight.mission import Mission
+from alula.stages.verdict import wilson_interval
 
 
 def outcome_of_cause(cause: Event | None) -> Outcome:

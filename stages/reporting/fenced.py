@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 from alula.schemas.run import FenceResult, TrialResult
 from alula.stages.reporting.material import Run
-from alula.stages.runlog.fence_shell import fence_shell
-from alula.stages.simulation.geofence.world import fence_faces
+from alula.stages.runlog.maps import fence_shell
+from alula.stages.vehicles.fence import fence_faces
 
 FENCE_NOTE = (
     "Distances are of the vehicle's sphere to the nearest face or hull, judged by the true path and not "

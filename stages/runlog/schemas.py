@@ -1,8 +1,34 @@
-"""JSON Schemas of the channels in a log; those named foxglove.* follow Foxglove's own definitions."""
+"""Channels of a log, and JSON Schemas of their messages; foxglove.* follow Foxglove's own definitions."""
 
 from __future__ import annotations
 
 from typing import Any
+
+# Schemas by topic. Their order is that in the file.
+HULL_CHANNELS = {
+    "/map": "foxglove.SceneUpdate",
+    "/path": "foxglove.PosesInFrame",
+    "/state": "alula.State",
+    "/safety": "alula.Safety",
+    "/log": "foxglove.Log",
+}
+ELLIPSOID_CHANNELS = HULL_CHANNELS | {"/pose": "foxglove.PoseInFrame"}
+ENCOUNTER_CHANNELS = {
+    "/map": "foxglove.SceneUpdate",
+    "/obstacles": "foxglove.SceneUpdate",
+    "/path": "foxglove.PosesInFrame",
+    "/state": "alula.State",
+    "/safety": "alula.Safety",
+    "/log": "foxglove.Log",
+}
+FENCE_CHANNELS = {
+    "/map": "foxglove.SceneUpdate",
+    "/path": "foxglove.PosesInFrame",
+    "/pose": "foxglove.PoseInFrame",
+    "/state": "alula.State",
+    "/safety": "alula.Safety",
+    "/log": "foxglove.Log",
+}
 
 
 def _object(**properties: Any) -> dict[str, Any]:

@@ -68,6 +68,11 @@ class TrialJournal(Generic[Flown]):
         return msgspec.msgpack.encode(self.in_order())
 
 
+def shown(chunk: _Chunk, logged: int) -> int:
+    """Number of trials at the beginning of a chunk that are among the first `logged` ones of the run."""
+    return min(max(logged - chunk.first, 0), chunk.count)
+
+
 def fly_missing(
     fly: Callable[[Chunk], Flown],
     chunk_of: Callable[[int, int], Chunk],

@@ -1,22 +1,13 @@
-"""Racing drones and the geofence around them: native models, fences and filters from artifacts."""
+"""Racing drones and their geofence filter as native models, from vehicle files."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from alula._core import Fence, Geofence, RacerModel, RacerOptions
-from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import Vehicle
-from alula.stages.clearance import hull_obstacles
-from alula.stages.compression.hulls import Hulls
-from alula.stages.compression.onboard.layout import encode_map
-
-Point = tuple[float, float, float]
 
 
 def racer_model(vehicle: Vehicle) -> RacerModel:
@@ -67,37 +58,6 @@ def racer_options(vehicle: Vehicle, **changed: Any) -> RacerOptions:
         return RacerOptions(**options)
     except (TypeError, ValueError) as error:
         raise UsageError(f"vehicle {vehicle.name}: {error}") from error
-
-
-def fence(
-    *,
-    box: tuple[Point, Point] | None = None,
-    faces: NDArray[np.float64] | None = None,
-    cover: Artifact | None = None,
-) -> Fence:
-    """Where to fly: inside the box and the polytope, outside the hulls of the cover.
-
-    Args:
-        box: lower and upper corner [m].
-        faces: shape (L, 4), rows (n, d) of the polytope {p : n . p <= d} with unit n [m].
-        cover: an `alula/cover`, in metres; the filter flies around its onboard map, which contains each hull,
-            and flights are judged by the hulls themselves.
-
-    Raises:
-        UsageError: there is nothing to stay in or out of.
-        InfeasibleError, InputError, ArtifactError: the cover has no onboard map, see `encode_map`.
-    """
-    if box is None and faces is None and cover is None:
-        raise UsageError("a fence needs a box, faces or a cover")
-    image, keep_out = None, None
-    if cover is not None:
-        image, keep_out = encode_map(cover, indexed=True), hull_obstacles(Hulls.from_cover(cover))
-    return Fence(
-        box=box,
-        faces=None if faces is None else np.ascontiguousarray(faces, np.float64),
-        image=image,
-        keep_out=keep_out,
-    )
 
 
 def geofence(vehicle: Vehicle, where: Fence, parameters: Mapping[str, float] | None = None) -> Geofence:

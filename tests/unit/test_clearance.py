@@ -21,9 +21,9 @@ from alula.stages.clearance import (
     path_metrics,
     scene_obstacles,
     segment_clearance,
-    wilson_interval,
 )
 from alula.stages.compression.hulls import Hulls
+from alula.stages.verdict import wilson_interval
 
 QP_TOLERANCE = 2e-7  # of the interior-point solver, in metres, at distances of the order of one
 

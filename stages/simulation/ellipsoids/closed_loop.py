@@ -18,8 +18,12 @@ from alula.schemas.run import Outcome
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.filtering.splat_filters import NativeSplatFilter
 from alula.stages.filtering.splat_protocol import FlightState, Nominal, SplatFilter, is_input
+from alula.stages.simulation.result import LOOP_OUTCOMES, SplatFlightLog, logged_ticks
 
-_OUTCOMES: tuple[Outcome, ...] = ("reached", "stuck", "timeout", "refused")  # by number, from 1
+_LOGGED = (
+    *("a_nominal", "a_command", "a_error", "u_nominal", "u", "rotor_thrust", "margin", "gate_m", "active"),
+    *("candidates", "rows", "iterations", "status", "capped", "infeasible", "certified", "saturated"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,4 +161,28 @@ def _flown(log: dict[str, Any]) -> SplatFlown:
         name: (flags & bit) != 0
         for name, bit in (("capped", 1), ("infeasible", 2), ("certified", 4), ("saturated", 8))
     }
-    return SplatFlown(**{**log, **named, "outcome": _OUTCOMES[log["outcome"] - 1]})
+    return SplatFlown(**{**log, **named, "outcome": LOOP_OUTCOMES[log["outcome"] - 1]})
+
+
+def decimate(flown: SplatFlown, dt_s: float, rate_hz: float) -> SplatFlightLog:
+    """Sample a flight for the log, see `logged_ticks`; `a_error` is the maximum since the sample before.
+
+    Args:
+        flown: the flight.
+        dt_s: duration of a tick [s].
+        rate_hz: samples per second in the log.
+    """
+    steps = len(flown.status)
+    sample = logged_ticks(steps, dt_s, rate_hz)
+    held = np.minimum(sample, steps - 1)
+    rows = {name: getattr(flown, name)[held] for name in _LOGGED}
+    rows["a_error"][1:] = np.maximum.reduceat(flown.a_error, sample[:-1])
+    rows["a_error"][0] = flown.a_error[0]
+    state = flown.state[sample]
+    is_finite = np.isfinite(state).all(axis=1)  # a flight whose state is not finite is refused at once
+    return SplatFlightLog(
+        time_s=sample[is_finite].astype(np.float64) * dt_s,
+        position=state[is_finite, :3],
+        state=state[is_finite],
+        flown={name: row[is_finite] for name, row in rows.items()},
+    )

@@ -12,11 +12,11 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.run import TrialResult
 from alula.stages.clearance import (
-    COLLISION_TOLERANCE_M,
     hull_obstacles,
-    path_clearance,
+    is_collision,
     scene_obstacles,
     segment_clearance,
+    sphere_clearance,
 )
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.protocol import FilterStatus
@@ -64,7 +64,7 @@ class SplatJudge:
         acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / dt_s
         jerk = np.linalg.norm(np.diff(velocity, n=2, axis=0), axis=1) / dt_s**2
         status = np.bincount(flown.status, minlength=len(FilterStatus))
-        clearance = self._least(flown.position, self.scene)
+        clearance = self._clearance(flown.position, self.scene)
         gamma = _core.least_gamma(grown, np.ascontiguousarray(_finite(position)))
         margin = flown.margin[np.isfinite(flown.margin)]
         duration = steps * dt_s
@@ -74,12 +74,12 @@ class SplatJudge:
             start_m=position[0].tolist(),
             goal_m=goal.tolist(),
             outcome=flown.outcome,
-            collision=clearance is not None and clearance < -COLLISION_TOLERANCE_M,
+            collision=is_collision(clearance),
             steps=steps,
             duration_s=duration,
             path_length_m=length,
             straight_length_m=float(np.linalg.norm(goal - position[0])),
-            map_clearance_m=None if self.hulls is None else self._least(flown.position, self.hulls),
+            map_clearance_m=None if self.hulls is None else self._clearance(flown.position, self.hulls),
             scene_clearance_m=clearance,
             max_speed_m_s=_most(speed),
             filtered_steps=int(steps - status[FilterStatus.OK]),
@@ -99,12 +99,13 @@ class SplatJudge:
             certified_steps=int(flown.certified.sum()),
             capped_steps=int(flown.capped.sum()),
             saturated_steps=int(flown.saturated.sum()),
-            line_clearance_m=self._least(np.array([position[0], goal]), self.scene),
+            line_clearance_m=self._clearance(np.array([position[0], goal]), self.scene),
         )
 
-    def _least(self, position: FloatArray, obstacles: _core.EllipsoidSet | _core.PolytopeSet) -> float | None:
-        least = float(path_clearance(_finite(position), obstacles, jobs=self.jobs).min()) - self.radius_m
-        return least if math.isfinite(least) else None
+    def _clearance(
+        self, position: FloatArray, obstacles: _core.EllipsoidSet | _core.PolytopeSet
+    ) -> float | None:
+        return sphere_clearance(_finite(position), obstacles, self.radius_m, jobs=self.jobs)
 
 
 def _finite(points: FloatArray) -> FloatArray:

@@ -17,19 +17,17 @@ from alula.schemas.manifest import Guarantee
 from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
-from alula.stages.clearance import wilson_interval
 from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
 from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
 from alula.stages.filtering.splat_filters import GUIDES, NativeSplatFilter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
-from alula.stages.runlog.ellipsoids import SplatFlightLog, decimate
-from alula.stages.simulation.ellipsoids.closed_loop import fly
+from alula.stages.simulation.ellipsoids.closed_loop import decimate, fly
 from alula.stages.simulation.ellipsoids.judge import SplatJudge
 from alula.stages.simulation.ellipsoids.references import references_of
-from alula.stages.simulation.hulls.simulate import RunResult
 from alula.stages.simulation.pairs import Pairs
+from alula.stages.simulation.result import LOOP_OUTCOMES, RunResult, SplatFlightLog
 from alula.stages.vehicles.bodies import (
     actuator_model,
     disturbances,
@@ -38,7 +36,12 @@ from alula.stages.vehicles.bodies import (
     quadrotor,
     tracking_gains,
 )
+from alula.stages.verdict import UNFILTERED, head, mean, mean_path_ratio, minimum, statement, totals
 
+_COUNTED = (
+    *("steps", "filtered_steps", "infeasible_steps", "fallback_steps", "backup_steps"),
+    *("certified_steps", "capped_steps", "saturated_steps"),
+)
 _BATCH = 16  # trials whose full-rate samples are in memory at once
 _PLANT_STEP_S = 1e-3  # at most, by default of FlightRules
 _STUCK_S = 2.0
@@ -263,39 +266,22 @@ def _describe(config: SimulateConfig, vehicle: Vehicle) -> str:
 def _summary(
     trials: list[TrialResult], sampled: dict[str, int], safety_filter: SplatFilter | None
 ) -> dict[str, Any]:
-    good = [t for t in trials if t.outcome == "reached" and not t.collision]
-    ratios = [t.path_length_m / t.straight_length_m for t in good if t.straight_length_m > 0]
     native = safety_filter is None or isinstance(safety_filter, NativeSplatFilter)
-    total = {
-        name: sum(getattr(t, name) or 0 for t in trials)
-        for name in (
-            *("steps", "filtered_steps", "infeasible_steps", "fallback_steps", "backup_steps"),
-            *("certified_steps", "capped_steps", "saturated_steps"),
-        )
-    }
     return {
-        "trials": len(trials),
-        "success_rate": len(good) / len(trials),
-        "success_interval": list(wilson_interval(len(good), len(trials))),
-        "collisions": sum(t.collision for t in trials),
-        **{o: sum(t.outcome == o for t in trials) for o in ("reached", "stuck", "timeout", "refused")},
-        "min_map_clearance_m": _least([t.map_clearance_m for t in trials]),
-        "min_scene_clearance_m": _least([t.scene_clearance_m for t in trials]),
-        "min_gamma": _least([t.min_gamma for t in trials]),
-        "min_margin": _least([t.min_margin for t in trials]),
-        "mean_path_ratio": math.fsum(ratios) / len(ratios) if ratios else None,
+        **head(trials, LOOP_OUTCOMES),
+        "min_map_clearance_m": minimum(t.map_clearance_m for t in trials),
+        "min_scene_clearance_m": minimum(t.scene_clearance_m for t in trials),
+        "min_gamma": minimum(t.min_gamma for t in trials),
+        "min_margin": minimum(t.min_margin for t in trials),
+        "mean_path_ratio": mean_path_ratio(trials),
         "max_speed_m_s": max(t.max_speed_m_s for t in trials),
         "max_jerk_m_s3": max(t.max_jerk_m_s3 for t in trials),
-        "mean_jerk_m_s3": math.fsum(t.mean_jerk_m_s3 for t in trials) / len(trials),
+        "mean_jerk_m_s3": mean(t.mean_jerk_m_s3 for t in trials),
         "peak_realisation_error_m_s2": max(t.peak_realisation_error_m_s2 or 0.0 for t in trials),
-        **total,
+        **totals(trials, _COUNTED),
         **sampled,
         "filter_kind": "native" if native else "python filter",
     }
-
-
-def _least(values: list[float | None]) -> float | None:
-    return min((v for v in values if v is not None), default=None)
 
 
 def _model(vehicle: Vehicle) -> str:
@@ -315,25 +301,33 @@ def _guarantee(
     steps, certified = sum(t.steps for t in trials), sum(t.certified_steps or 0 for t in trials)
     share = "all" if certified == steps else f"{certified} of {steps}"
     if config.filter == NO_FILTER:
-        head = "No filter was flown; nothing was guaranteed beforehand."
+        beforehand = UNFILTERED
     elif certified:
-        head = (
+        beforehand = (
             f"In {share} steps the filter proved that a backup manoeuvre from the end of the step keeps the "
             f"radius from every ellipsoid, for {_model(vehicle)}."
         )
         if outside := [*left_out(vehicle), *(["a rate loop"] if config.interface != "wrench" else [])]:
-            head += f" These flights had {', '.join(outside)}, which that model leaves out."
+            beforehand += f" These flights had {', '.join(outside)}, which that model leaves out."
     else:
-        head = f"The filter {config.filter!r} bounds the rate of a barrier at each step; it proves no flight."
+        beforehand = (
+            f"The filter {config.filter!r} bounds the rate of a barrier at each step; it proves no flight."
+        )
     if config.guide != NO_FILTER:
-        head += f" The guide {config.guide!r} only bends what the controller asks for; nothing rests on it."
-    found = f"{hits or 'none'} of {len(trials)} flights came closer to an ellipsoid than the radius"
+        beforehand += (
+            f" The guide {config.guide!r} only bends what the controller asks for; nothing rests on it."
+        )
     model = "double integrator" if config.plant == "double-integrator" else "quadrotor with rotor limits"
     given = scene.manifest.guarantee
     return Guarantee(
-        statement=f"{head} Judged afterwards over the whole path against the scene's ellipsoids at "
-        f"{config.sigma:.4g} sigma: {found}. This holds for the simulated {model}, and for the real scene as "
-        "far as its ellipsoids do.",
+        statement=statement(
+            beforehand,
+            f"afterwards over the whole path against the scene's ellipsoids at {config.sigma:.4g} sigma",
+            hits,
+            len(trials),
+            "flights came closer to an ellipsoid than the radius",
+            f"This holds for the simulated {model}, and for the real scene as far as its ellipsoids do.",
+        ),
         claims={
             "proven_by_filter": False,
             "scene_clear": hits == 0,

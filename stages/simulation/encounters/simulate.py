@@ -15,12 +15,12 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.encounters import Encounters
 from alula.schemas.progress import Progress
 from alula.schemas.run import ObstacleResult, TrialResult
-from alula.stages.clearance import COLLISION_TOLERANCE_M, hull_obstacles
+from alula.stages.clearance import hull_obstacles, is_collision
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.obstacles import require_obstacles
-from alula.stages.runlog.encounters import EncounterFlight
-from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing
+from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing, shown
 from alula.stages.simulation.encounters.world import native_encounter, native_filter, static_walls
+from alula.stages.simulation.result import EncounterFlight
 
 CHUNK = 16  # trials: some tenths of a second
 _FIGURES = (
@@ -146,11 +146,11 @@ def fly_chunk(chunk: _Chunk) -> FlownChunk:
         )
         return enumerate(logs, first)
 
-    shown = min(max(logged - chunk.first, 0), chunk.count)
+    kept = shown(chunk, logged)
     trials, ticks, commands, reactions, flights = [], [], [], [], []
     for index, log in (
-        *flown(chunk.first, shown, True),
-        *flown(chunk.first + shown, chunk.count - shown, False),
+        *flown(chunk.first, kept, True),
+        *flown(chunk.first + kept, chunk.count - kept, False),
     ):
         trials.append(_trial(scenario, index, log))
         ticks.append(log["active_tick_s"].tobytes())
@@ -184,8 +184,7 @@ def _trial(scenario: Encounters, index: int, log: dict[str, Any]) -> TrialResult
         start_m=list(way.start_m),
         goal_m=list(goal),
         outcome=log["outcome"],
-        collision=any(obstacle.collision for obstacle in obstacles)
-        or (clearance is not None and clearance < -COLLISION_TOLERANCE_M),
+        collision=any(obstacle.collision for obstacle in obstacles) or is_collision(clearance),
         steps=log["ticks"],
         duration_s=log["ticks"] * scenario.run.dt_s,
         path_length_m=log["path_length_m"],

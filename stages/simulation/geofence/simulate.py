@@ -19,9 +19,10 @@ from alula.schemas.progress import Progress
 from alula.schemas.run import FenceResult, TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.stages.filtering.obstacles import require_obstacles
-from alula.stages.runlog.geofence import FenceFlight
-from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing
-from alula.stages.simulation.geofence.world import FlownWorld, KeepOut, native_world
+from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing, shown
+from alula.stages.simulation.geofence.world import FlownWorld, native_world
+from alula.stages.simulation.result import FenceFlight
+from alula.stages.vehicles.fence import KeepOut
 
 CHUNK, CHUNK_TICKS = 4, 20_000  # trials and ticks, at most: less than a second
 _LEAST_S, _BINS, _PER_OCTAVE = 1e-8, 2400, 60  # of the histogram of times: to 1.2 % from 10 ns to hours
@@ -174,9 +175,9 @@ def fly_chunk(chunk: _Chunk, world: FlownWorld | None = None) -> FlownChunk:
     scenario = chunk.scenario
     if world is None:
         world = native_world(scenario, chunk.vehicle, chunk.keep_out)
-    shown = min(max(scenario.run.traces - chunk.first, 0), chunk.count)
-    trials, times, flights = _flown(scenario, world, chunk.first, shown, keeps_trace=True)
-    rest, more, _ = _flown(scenario, world, chunk.first + shown, chunk.count - shown, keeps_trace=False)
+    kept = shown(chunk, scenario.run.traces)
+    trials, times, flights = _flown(scenario, world, chunk.first, kept, keeps_trace=True)
+    rest, more, _ = _flown(scenario, world, chunk.first + kept, chunk.count - kept, keeps_trace=False)
     tick_s = scenario.filter.parameters.tick_s
     return FlownChunk(
         first=chunk.first,

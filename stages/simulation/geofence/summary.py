@@ -9,16 +9,16 @@ from typing import Any
 from alula.schemas.geofence import FenceScenario
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import FenceResult, TrialResult
-from alula.stages.clearance import wilson_interval
 from alula.stages.simulation.geofence.simulate import FenceRun, Times, worst_trial
+from alula.stages.verdict import UNFILTERED, head, minimum, statement
 
 _COUNTS = ("passed", "blended", "backup", "no_pilot", "hand_over", "refused")
 _HOLDS = {
     "geofence": "As long as the model is right, h_I > 0 at the start and navigation comes in, the onboard "
-    "geofence keeps the vehicle inside",
+    "geofence keeps the vehicle inside.",
     "backup-qp": "As long as the model is right and the program has a solution, the backup-set barrier keeps "
-    "the vehicle inside, between ticks to first order",
-    "none": "No filter was flown; nothing was guaranteed beforehand",
+    "the vehicle inside, between ticks to first order.",
+    "none": UNFILTERED,
 }
 
 
@@ -37,12 +37,9 @@ def fence_summary(scenario: FenceScenario, flown: FenceRun) -> dict[str, Any]:
     trials, found = flown.trials, fence_results(flown.trials)
     out = sum(trial.collision for trial in trials)
     summary = {
-        "trials": len(trials),
-        "success_rate": (len(trials) - out) / len(trials),
-        "success_interval": list(wilson_interval(len(trials) - out, len(trials))),
-        "collisions": out,
+        **head(trials, (), lambda trial: not trial.collision),
         "violations": out,
-        "min_distance_m": min((t.map_clearance_m or 0.0 for t in trials), default=None),
+        "min_distance_m": minimum(t.map_clearance_m or 0.0 for t in trials),
         "worst_trial": worst_trial(trials).index,
         "max_speed_km_h": 3.6 * max(trial.max_speed_m_s for trial in trials),
         "interventions": sum(result.interventions for result in found),
@@ -52,8 +49,8 @@ def fence_summary(scenario: FenceScenario, flown: FenceRun) -> dict[str, Any]:
         "altered_passes": sum(result.altered_passes for result in found),
         "out_of_range": sum(result.out_of_range for result in found),
         "longest_backup_s": max(result.longest_backup_s for result in found),
-        "min_lambda": _least(result.min_lambda for result in found),
-        "min_h_i_m": _least(result.min_h_i_m for result in found),
+        "min_lambda": minimum(result.min_lambda for result in found),
+        "min_h_i_m": minimum(result.min_h_i_m for result in found),
         "brake_distance_m": _median(result.brake_distance_m for result in found),
         "stop_distance_m": _median(result.stop_distance_m for result in found),
         "start_h_i_m": flown.world.start_h_i_m,
@@ -76,10 +73,6 @@ def _notes(scenario: FenceScenario, flown: FenceRun, summary: dict[str, Any]) ->
     if summary["altered_passes"] or summary["out_of_range"]:
         found.append("the filter changed what it says it passed, or left the limits: please report this")
     return found
-
-
-def _least(values: Iterable[float | None]) -> float | None:
-    return min((value for value in values if value is not None), default=None)
 
 
 def _median(values: Iterable[float | None]) -> float | None:
@@ -107,12 +100,18 @@ def fence_guarantee(scenario: FenceScenario, flown: FenceRun) -> Guarantee:
     trials, deviates = flown.trials, flown.world.deviations
     out = sum(trial.collision for trial in trials)
     name = scenario.filter.name
-    found = f"{out or 'none'} of {len(trials)} flights left the fence"
-    body = f"Judged from the simulated truth, along chords of the plant's steps: {found}."
+    limits = ""
     if deviates and name != "none":
-        body += f" The vehicle was not as the filter's model: {', '.join(deviates)}."
+        limits = f"The vehicle was not as the filter's model: {', '.join(deviates)}."
     return Guarantee(
-        statement=f"{_HOLDS[name]}. {body}",
+        statement=statement(
+            _HOLDS[name],
+            "from the simulated truth, along chords of the plant's steps",
+            out,
+            len(trials),
+            "flights left the fence",
+            limits,
+        ),
         claims={
             "filter": name,
             "trials": len(trials),

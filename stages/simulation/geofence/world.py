@@ -3,43 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.geofence import FenceScenario
 from alula.schemas.vehicle import Vehicle
-from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
-from alula.stages.compression.onboard.layout import encode_map
+from alula.stages.vehicles.fence import KeepOut, fence, fence_faces, unit_faces
 from alula.stages.vehicles.racer import racer_model, racer_options
 
 # Where the native options are called otherwise.
 _PLANT_NAMES = {"linear_drag_n_s_m": "linear_drag", "quadratic_drag_n_s2_m2": "quadratic_drag"}
-
-
-@dataclass(frozen=True, slots=True)
-class KeepOut:
-    """A cover: the image of its onboard map, which the filter reads, and the hulls that it is judged by."""
-
-    image: bytes
-    hulls: Hulls
-
-    @classmethod
-    def of(cls, cover: Artifact) -> Self:
-        """Encode a cover.
-
-        Raises:
-            InfeasibleError, InputError, ArtifactError: it has no onboard map, see `encode_map`.
-        """
-        return cls(encode_map(cover), Hulls.from_cover(cover))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,11 +55,8 @@ def native_world(scenario: FenceScenario, vehicle: Vehicle, keep_out: KeepOut | 
     radius = vehicle.body.radius_m if table.radius_m is None else table.radius_m
     box = scenario.fence.box_m
     unit = unit_faces(scenario.fence.faces)
-    where = _core.Fence(
-        box=None if box is None else (box[:3], box[3:]),
-        faces=unit if len(unit) else None,
-        image=None if keep_out is None else keep_out.image,
-        keep_out=None if keep_out is None else hull_obstacles(keep_out.hulls),
+    where = fence(
+        box=None if box is None else (box[:3], box[3:]), faces=unit if len(unit) else None, cover=keep_out
     )
     filter_ = _filter(scenario, vehicle, where, radius)
     start = start_state(scenario)
@@ -120,24 +97,6 @@ def _deviations(scenario: FenceScenario, vehicle: Vehicle) -> tuple[str, ...]:
         else vehicle.throttle.sag_share
     )
     return tuple(found + ([f"sag_share {sag:g}"] if sag else []))
-
-
-def unit_faces(rows: Sequence[Sequence[float]]) -> FloatArray:
-    """The faces of a polytope with unit normals, shape (L, 4), rows (n, d) with n . p <= d inside."""
-    faces = np.array(rows, np.float64).reshape(-1, 4)
-    unit: FloatArray = faces / np.linalg.norm(faces[:, :3], axis=1, keepdims=True)
-    return unit
-
-
-def fence_faces(box: Sequence[float] | None, rows: Sequence[Sequence[float]]) -> FloatArray:
-    """Those of a box, upper before lower, and of a polytope together, as `unit_faces`."""
-    faces = unit_faces(rows)
-    if box is None:
-        return faces
-    axes = np.eye(3)
-    upper = np.column_stack([axes, np.array(box[3:])])
-    lower = np.column_stack([-axes, -np.array(box[:3])])
-    return np.concatenate([upper, lower, faces])
 
 
 def start_state(scenario: FenceScenario) -> FloatArray | None:

@@ -17,8 +17,7 @@ from alula.schemas.run import Outcome
 from alula.stages.filtering.polytope_cbf import NativeFilter
 from alula.stages.filtering.protocol import Filter, FilterStatus
 from alula.stages.planning.plan_samples import Reference
-
-_OUTCOMES: tuple[Outcome, ...] = ("reached", "stuck", "timeout", "refused")  # by number, from 1
+from alula.stages.simulation.result import LOOP_OUTCOMES
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,5 +123,5 @@ def _flown(log: dict[str, Any]) -> Flown:
         margin=np.asarray(log["margin"], np.float32),
         status=np.asarray(log["status"], np.uint8),
         filter_s=np.asarray(log["filter_s"], np.float32),
-        outcome=_OUTCOMES[log["outcome"] - 1],
+        outcome=LOOP_OUTCOMES[log["outcome"] - 1],
     )

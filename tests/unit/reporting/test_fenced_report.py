@@ -16,7 +16,7 @@ from alula.stages.reporting.figures import all_figures, window
 from alula.stages.reporting.headline import cards, headline
 from alula.stages.reporting.material import Material, Run, outcome_of
 from alula.stages.reporting.tables import all_tables, runs_table, to_csv, trials_table
-from alula.stages.runlog.fence_shell import SHOWN_BEYOND_M
+from alula.stages.runlog.maps import SHOWN_BEYOND_M
 
 FENCE = {"box_m": [-10.0, -10, 0, 10, 10, 20], "faces": []}
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from alula.stages.runlog.writer import logged_ticks
+from alula.stages.simulation.result import logged_ticks
 
 
 @pytest.mark.parametrize(

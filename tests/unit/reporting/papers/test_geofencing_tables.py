@@ -7,7 +7,6 @@ from alula.schemas.fence_ticks import Ticks
 from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import FenceResult, RunRecord, TrialResult
-from alula.stages.clearance import wilson_interval
 from alula.stages.reporting.papers import (
     geofencing,
     geofencing_figures,
@@ -15,6 +14,7 @@ from alula.stages.reporting.papers import (
     geofencing_short,
 )
 from alula.stages.reporting.papers.pendulum import PROGRAM, REGULATION, sweep
+from alula.stages.verdict import wilson_interval
 
 
 def trial(index, least=0.5, *, speed=20.0, interventions=1, altered=0, **steps):

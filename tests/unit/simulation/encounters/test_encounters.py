@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from alula import _core
 from alula.schemas.encounters import Encounters, read_encounters
 from alula.schemas.errors import UsageError
-from alula.stages.clearance import hull_obstacles, path_clearance, wilson_interval
+from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.simulation.chunks import TrialJournal
 from alula.stages.simulation.encounters import simulate as module
 from alula.stages.simulation.encounters.simulate import FlownChunk, fly_encounters
@@ -22,6 +22,7 @@ from alula.stages.simulation.encounters.world import (
     native_filter,
     static_walls,
 )
+from alula.stages.verdict import wilson_interval
 from support.clusters import Cluster
 from support.paths import ROOT
 
