@@ -28,17 +28,18 @@ class KeepOut:
     hulls: Hulls
 
     @classmethod
-    def of(cls, cover: Artifact, *, indexed: bool = False) -> Self:
+    def of(cls, cover: Artifact, *, indexed: bool = False, jobs: int = 0) -> Self:
         """Encode a cover.
 
         Args:
             cover: an `alula/cover`, in metres.
-            indexed: see `encode_map`.
+            indexed: add the tree of boxes to the map, see `encode_map`.
+            jobs: threads, 0 for all processors.
 
         Raises:
             InfeasibleError, InputError, ArtifactError: it has no onboard map, see `encode_map`.
         """
-        return cls(encode_map(cover, indexed=indexed), Hulls.from_cover(cover))
+        return cls(encode_map(cover, indexed=indexed, jobs=jobs), Hulls.from_cover(cover))
 
 
 def fence(

@@ -1,4 +1,4 @@
-"""The shape of the project: import directions, sizes, generated files, a quick command line."""
+"""The shape of the project: import directions, circles, sizes, generated files, a quick command line."""
 
 import ast
 import subprocess
@@ -47,19 +47,71 @@ def test_imports_point_one_way(path):
     assert imported_parts(path) <= MAY_IMPORT[part]
 
 
-def test_no_source_file_is_over_400_lines():
-    patterns = (
-        "cli/**/*.py",
-        "stages/**/*.py",
-        "schemas/**/*.py",
-        "native/**/*.?pp",
-        "native/**/*.[ch]",
-        "tests/**/*.py",
-    )
-    files = [path for pattern in patterns for path in ROOT.glob(pattern)]
-    assert len(files) > 50
-    long = {str(f.relative_to(ROOT)): n for f in files if (n := len(f.read_text().splitlines())) > 400}
-    assert not long
+def imported_files() -> dict[str, set[str]]:
+    """Modules of the project by name, each with those that it imports, at its top or in a function."""
+    modules = {
+        ".".join(("alula", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__"): path
+        for path in SOURCES
+    }
+    found = {}
+    for module, path in modules.items():
+        names: set[str] = set()
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                names |= {f"{node.module}", *(f"{node.module}.{alias.name}" for alias in node.names)}
+        found[module] = names & modules.keys() - {module}
+    return found
+
+
+def test_no_python_files_import_each_other_in_a_circle():
+    graph = imported_files()
+    assert len(graph) > 250
+    done: set[str] = set()
+
+    def visit(module: str, chain: tuple[str, ...]) -> None:
+        assert module not in chain, " -> ".join((*chain[chain.index(module) :], module))
+        if module not in done:
+            for imported in sorted(graph[module]):
+                visit(imported, (*chain, module))
+            done.add(module)
+
+    for module in graph:
+        visit(module, ())
+
+
+@pytest.mark.parametrize(
+    ("importer", "imported"),
+    [
+        ("flight", "reporting"),
+        ("reporting", "flight"),
+        ("simulation", "reporting"),
+        ("simulation", "runlog"),  # a log is written from results, not the other way round
+        ("vehicles", "simulation"),
+    ],
+)
+def test_rooms_of_the_stages_do_not_import_each_other(importer, imported):
+    graph = imported_files()
+    found = [
+        f"{module} -> {other}"
+        for module, others in graph.items()
+        for other in others
+        if module.startswith(f"alula.stages.{importer}.") and other.startswith(f"alula.stages.{imported}.")
+    ]
+    assert any(module.startswith(f"alula.stages.{importer}.") for module in graph)
+    assert any(module.startswith(f"alula.stages.{imported}.") for module in graph)
+    assert not found
+
+
+def test_no_folder_of_the_stages_has_more_than_30_percent_of_their_lines():
+    lines: dict[str, int] = {}
+    for path in (ROOT / "stages").rglob("*.py"):
+        folder = path.relative_to(ROOT / "stages").parts[0]
+        lines[folder] = lines.get(folder, 0) + len(path.read_text().splitlines())
+    assert len(lines) > 10
+    largest = max(lines, key=lambda folder: lines[folder])
+    assert lines[largest] <= 0.3 * sum(lines.values()), f"stages/{largest}: {lines[largest]} lines"
 
 
 def test_help_imports_nothing_heavy():
