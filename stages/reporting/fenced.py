@@ -120,7 +120,7 @@ def closest_flights(runs: Sequence[Run]) -> list[ClosestFlight]:
             continue
         trial = min(shown, key=lambda t: (t.map_clearance_m or 0.0, t.index))
         flight = run.flights[trial.index]
-        share = np.full(len(flight.margin), np.nan) if flight.share is None else flight.share
+        share = np.full(len(flight.margin), np.nan) if flight.regulation is None else flight.regulation
         found.append(
             ClosestFlight(
                 run.label, trial, flight.margin_time_s, flight.margin, share, flight.status, flight.time_s,

@@ -110,7 +110,7 @@ def test_runs_that_keep_away_more_fly_the_same_pairs(maps, tmp_path):
     ("words", "message"),
     [
         (["--trials", "4"], "--trials 4: the run of --pairs-from has 3"),
-        (["--pairs", "blocked"], "--pairs is for random pairs; those of --pairs-from are flown as they are"),
+        (["--pairs", "blocked"], "--pairs is for random pairs; leave it out with --pairs-from"),
         (["--margin", "0.2"], "--margin is for random pairs"),
         (["--inflate", "1"], "nearer to an obstacle than this run keeps"),
     ],
