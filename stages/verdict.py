@@ -43,12 +43,21 @@ def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> tuple[f
 
 
 def success(good: int, n: int) -> dict[str, Any]:
-    """Success rate of n trials, at least one, with its 95 % Wilson interval, by the keys of a summary."""
+    """Success rate with its 95 % Wilson interval, by the keys of a summary.
+
+    Args:
+        good: number of successful trials.
+        n: number of trials, at least one.
+    """
     return {"success_rate": good / n, "success_interval": list(wilson_interval(good, n))}
 
 
 def is_success(trial: TrialResult) -> bool:
-    """The flight reached its goal without collision."""
+    """True when the flight reached its goal without collision.
+
+    Args:
+        trial: its verdict.
+    """
     return trial.outcome == "reached" and not trial.collision
 
 
@@ -60,9 +69,9 @@ def head(
     """First keys of every summary: trials, success rate, collisions, and a count for each outcome.
 
     Args:
-        trials: at least one.
-        outcomes: those that are counted.
-        is_good: the trial is a success.
+        trials: verdicts, at least one.
+        outcomes: the outcomes to count.
+        is_good: returns True for a successful trial.
     """
     return {
         "trials": len(trials),
@@ -73,25 +82,42 @@ def head(
 
 
 def totals(trials: Iterable[TrialResult], names: Sequence[str]) -> dict[str, Any]:
-    """Sums of fields over all trials; a field that a trial does not have counts as 0."""
+    """Sums of fields over all trials; a missing field counts as 0.
+
+    Args:
+        trials: verdicts.
+        names: of the fields.
+    """
     each = list(trials)
     return {name: sum(getattr(trial, name) or 0 for trial in each) for name in names}
 
 
 def mean_path_ratio(trials: Iterable[TrialResult]) -> float | None:
-    """Mean path length over straight length of the successful trials; None without any."""
+    """Mean path length over straight length of the successful trials; None without any.
+
+    Args:
+        trials: verdicts.
+    """
     return mean(
         t.path_length_m / t.straight_length_m for t in trials if is_success(t) and t.straight_length_m > 0
     )
 
 
 def minimum(values: Iterable[float | None]) -> float | None:
-    """Minimum of the values that are known; None without any."""
+    """Minimum of the known values; None without any.
+
+    Args:
+        values: numbers, or None for an unknown one.
+    """
     return min((value for value in values if value is not None), default=None)
 
 
 def mean(values: Iterable[float | None]) -> float | None:
-    """Mean of the values that are known; None without any."""
+    """Mean of the known values; None without any.
+
+    Args:
+        values: numbers, or None for an unknown one.
+    """
     known = [value for value in values if value is not None]
     return math.fsum(known) / len(known) if known else None
 

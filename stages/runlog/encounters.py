@@ -92,7 +92,7 @@ def _logged(
 def _words(trial: TrialResult) -> str:
     near = [f"{obstacle.closest_m:.2f}" for obstacle in trial.obstacles or []]
     words = f"trial {trial.index}: {trial.outcome} after {trial.duration_s:.2f} s"
-    return f"{words}, obstacles came as near as {' and '.join(near)} m" if near else words
+    return f"{words}, minimum distance to obstacles {' and '.join(near)} m" if near else words
 
 
 def _obstacle_message(

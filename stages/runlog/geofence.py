@@ -91,7 +91,7 @@ def _safety(
 def _words(trial: TrialResult) -> str:
     words = f"trial {trial.index}: {trial.outcome} for {trial.duration_s:.2f} s"
     if trial.map_clearance_m is not None:
-        words += f", least distance to the fence {trial.map_clearance_m:.4f} m"
+        words += f", minimum distance to the fence {trial.map_clearance_m:.4f} m"
     if trial.fence is not None:
         words += f", {trial.fence.interventions} interventions"
     return words

@@ -14,8 +14,8 @@ from alula.stages.compression.facets import mesh
 from alula.stages.compression.hulls import Hulls
 from alula.stages.runlog.messages import entity, facts, quaternion, scene_message, sphere, triangle_list, xyz
 
-SHOWN_ELLIPSOIDS = 3000  # of the map, those nearest to the paths
-SHOWN_BEYOND_M = 20.0  # an open fence is drawn as far as this around the paths
+SHOWN_ELLIPSOIDS = 3000  # maximum number; those nearest to the paths are shown
+SHOWN_BEYOND_M = 20.0  # around the paths, where an open fence is cut
 _MAP_COLOR = {"r": 0.55, "g": 0.6, "b": 0.68, "a": 0.6}
 _FENCE_COLOR = {"r": 0.1, "g": 0.55, "b": 0.8, "a": 0.12}
 
@@ -39,7 +39,12 @@ def map_message(
 
 
 def walls_message(walls: Hulls | None, frame: str) -> dict[str, Any]:
-    """`foxglove.SceneUpdate` of static walls; empty without any."""
+    """`foxglove.SceneUpdate` of static walls; empty without any.
+
+    Args:
+        walls: convex hulls.
+        frame: name of their frame.
+    """
     return scene_message() if walls is None else scene_message(_hulls(walls, frame))
 
 
@@ -65,9 +70,16 @@ def fence_message(
 
 
 def fence_shell(faces: FloatArray, paths: list[FloatArray]) -> tuple[FloatArray, IntArray]:
-    """Corners (V, 3) and triangles (T, 3) of the polytope {p : n . p <= d}; none where it is empty.
+    """Surface of the polytope {p : n . p <= d} as triangles; none where it is empty.
 
-    One that no box bounds is shown as far as `SHOWN_BEYOND_M` around the paths, and open there.
+    A polytope that is not bounded by a box is cut `SHOWN_BEYOND_M` around the paths, and drawn open there.
+
+    Args:
+        faces: shape (L, 4), rows (n, d) with unit n, world frame [m].
+        paths: flown positions, each of shape (T, 3), world frame [m].
+
+    Returns:
+        Corners, shape (V, 3) [m], and triangles, shape (T, 3), counter-clockwise from outside.
     """
     from scipy.optimize import linprog
     from scipy.spatial import HalfspaceIntersection

@@ -15,20 +15,32 @@ _LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
 
 
 def number(value: Any) -> float | None:
-    """A number with six digits after the point; None for one that is not finite."""
+    """Round to six digits after the point; None for a value that is not finite.
+
+    Args:
+        value: anything that `float` takes.
+    """
     scalar = float(value)
     # Adding zero turns a rounded -0.0 into 0.0.
     return round(scalar, DECIMALS) + 0.0 if math.isfinite(scalar) else None
 
 
 def xyz(vector: NDArray[Any]) -> dict[str, Any]:
-    """Foxglove's Vector3 or Point3 of shape (3,); components that are not finite are None."""
+    """Foxglove's Vector3 or Point3; components that are not finite are None.
+
+    Args:
+        vector: shape (3,).
+    """
     x, y, z = (number(value) for value in vector)
     return {"x": x, "y": y, "z": z}
 
 
 def quaternion(wxyz: NDArray[Any]) -> dict[str, Any]:
-    """Foxglove's Quaternion of shape (4,) in the order w, x, y, z."""
+    """Foxglove's Quaternion.
+
+    Args:
+        wxyz: shape (4,).
+    """
     w, x, y, z = (number(value) for value in wxyz)
     return {"x": x, "y": y, "z": z, "w": w}
 
@@ -37,6 +49,9 @@ def quaternion_of_mrp(sigma: FloatArray) -> dict[str, float]:
     """Foxglove's Quaternion, body to world, of Modified Rodrigues Parameters of the body in the world.
 
     q = (1 - n, 2 sigma) / (1 + n) with n = |sigma|^2 turns the world's axes into the body's.
+
+    Args:
+        sigma: shape (3,).
     """
     n = float(sigma @ sigma)
     x, y, z = (number(2 * value / (1 + n)) for value in sigma)
@@ -44,12 +59,12 @@ def quaternion_of_mrp(sigma: FloatArray) -> dict[str, float]:
 
 
 def nanoseconds(time_s: float) -> int:
-    """A log time [ns]."""
+    """Log time [ns] of a time [s]."""
     return round(time_s * 1e9)
 
 
 def stamp(time_s: float) -> dict[str, int]:
-    """Foxglove's time."""
+    """Foxglove's time of a log time [s]."""
     sec, nsec = divmod(nanoseconds(time_s), 10**9)
     return {"sec": sec, "nsec": nsec}
 
@@ -109,7 +124,13 @@ def scene_message(*entities: dict[str, Any]) -> dict[str, Any]:
 
 
 def entity(name: str, frame: str, time_s: float = 0.0) -> dict[str, Any]:
-    """`foxglove.SceneEntity` that stays until it is replaced, yet without shapes."""
+    """`foxglove.SceneEntity` without shapes; it stays until it is replaced.
+
+    Args:
+        name: its id.
+        frame: name of its frame.
+        time_s: log time [s].
+    """
     return {
         "timestamp": stamp(time_s),
         "frame_id": frame,
@@ -127,7 +148,14 @@ def facts(**values: int) -> list[dict[str, str]]:
 def sphere(
     position: dict[str, Any], orientation: dict[str, Any], size: dict[str, Any], color: dict[str, float]
 ) -> dict[str, Any]:
-    """`foxglove.SpherePrimitive`: an ellipsoid with these diameters along its axes [m]."""
+    """`foxglove.SpherePrimitive`: an ellipsoid.
+
+    Args:
+        position: of its centre, from `xyz` [m].
+        orientation: from `quaternion`.
+        size: diameters along its axes, from `xyz` [m].
+        color: red, green, blue and opacity, 0 to 1.
+    """
     return {"pose": {"position": position, "orientation": orientation}, "size": size, "color": color}
 
 

@@ -52,7 +52,7 @@ def _words(trial: TrialResult) -> str:
     clearance = (
         trial.map_clearance_m if trial.peak_realisation_error_m_s2 is None else trial.scene_clearance_m
     )
-    return words if clearance is None else f"{words}, least clearance {clearance:.4f} m"
+    return words if clearance is None else f"{words}, minimum clearance {clearance:.4f} m"
 
 
 def _among_hulls(flight: FlightLog, i: int) -> Messages:

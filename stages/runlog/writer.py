@@ -42,12 +42,23 @@ class LogWriter:
             self._channels[topic] = self._writer.register_channel(topic, "json", schema_id)
 
     def send(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
-        """Add a message at a log time [s]."""
+        """Add a message.
+
+        Args:
+            topic: one of the channels.
+            time_s: log time [s].
+            message: its fields.
+        """
         now = nanoseconds(time_s)
         self._writer.add_message(self._channels[topic], now, msgspec.json.encode(message), now)
 
     def note(self, name: str, texts: Mapping[str, str]) -> None:
-        """Add metadata, at once."""
+        """Add metadata, at once.
+
+        Args:
+            name: of the metadata.
+            texts: values by key.
+        """
         self._writer.add_metadata(name, dict(texts))
 
     def close(self) -> None:
@@ -55,7 +66,11 @@ class LogWriter:
         self._writer.finish()
 
     def finish(self, record: RunRecord) -> None:
-        """Add the record without its measured times, and its provenance, as metadata; close the log."""
+        """Add the record without its measured times, and its provenance, as metadata; close the log.
+
+        Args:
+            record: of the run.
+        """
         bare = msgspec.structs.replace(record, timing=None)
         texts = {"record": bare, "provenance": bare.provenance}
         encoded = {key: msgspec.json.encode(value, order="sorted").decode() for key, value in texts.items()}

@@ -76,12 +76,20 @@ class _StoredFlight(msgspec.Struct, frozen=True, kw_only=True):
     status: bytes
 
     def rows(self, name: str) -> FloatArray:
-        """Numbers of a field: shape (T, ...) as the class says."""
+        """Numbers of a field, shape (T, ...) as the class documents it.
+
+        Args:
+            name: of the field.
+        """
         flat: FloatArray = np.frombuffer(getattr(self, name), np.float64)
         return flat.reshape(len(self.status), *self._SHAPES[name])
 
     def time_s(self, tick_s: float) -> FloatArray:
-        """Times of the samples, shape (T,) [s], of ticks of this duration [s]."""
+        """Times of the samples, shape (T,) [s].
+
+        Args:
+            tick_s: duration of a tick [s].
+        """
         return np.frombuffer(self.tick, np.int64).astype(np.float64) * tick_s
 
 
@@ -107,7 +115,14 @@ class EncounterFlight(_StoredFlight, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, trial: int, flown: dict[str, Any], dt_s: float, rate_hz: float) -> Self:
-        """Sample a native log; see `logged_ticks`."""
+        """Sample a native log; see `logged_ticks`.
+
+        Args:
+            trial: its number.
+            flown: arrays by name, a row per tick.
+            dt_s: duration of a tick [s].
+            rate_hz: samples per second.
+        """
         sample = logged_ticks(len(flown["mode"]) - 1, dt_s, rate_hz)
         rows = {name: flown[name][sample].tobytes() for name in (*cls._SHAPES, "mode", "status")}
         return cls(trial=trial, tick=sample.tobytes(), **rows)
@@ -132,7 +147,14 @@ class FenceFlight(_StoredFlight, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, trial: int, flown: dict[str, Any], tick_s: float, rate_hz: float) -> Self:
-        """Sample a native log; see `logged_ticks`."""
+        """Sample a native log; see `logged_ticks`.
+
+        Args:
+            trial: its number.
+            flown: arrays by name, a row per tick.
+            tick_s: duration of a tick [s].
+            rate_hz: samples per second.
+        """
         sample = logged_ticks(len(flown["status"]) - 1, tick_s, rate_hz)
         nearest = flown["distance"][sample]
         nearest[1:] = np.minimum(nearest[1:], np.minimum.reduceat(flown["distance"], sample)[:-1])

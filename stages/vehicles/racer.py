@@ -11,7 +11,10 @@ from alula.schemas.vehicle import Vehicle
 
 
 def racer_model(vehicle: Vehicle) -> RacerModel:
-    """The drone as the geofence knows it: thrust by throttle, rates as a first-order lag.
+    """The geofence's model of the drone: thrust by throttle, rates as a first-order lag.
+
+    Args:
+        vehicle: a quadrotor with a table `[throttle]`.
 
     Raises:
         UsageError: the vehicle has no map from throttle to thrust.
@@ -27,7 +30,7 @@ def racer_model(vehicle: Vehicle) -> RacerModel:
 
 
 def racer_options(vehicle: Vehicle, **changed: Any) -> RacerOptions:
-    """What the plant does beside that: the file's drag, wind, gusts, delay and sag.
+    """Properties of the plant that the model does not have: the file's drag, wind, gusts, delay and sag.
 
     Args:
         vehicle: one that `racer_model` takes.
@@ -35,7 +38,7 @@ def racer_options(vehicle: Vehicle, **changed: Any) -> RacerOptions:
 
     Raises:
         UsageError: the vehicle has no map from throttle to thrust, wind has no drag to act through, or an
-            option means nothing.
+            option is unknown or out of range.
     """
     if vehicle.throttle is None or vehicle.body.mass_kg is None:
         raise UsageError(f"vehicle {vehicle.name}: `$.throttle`: flying by throttle and rates needs it")
@@ -53,7 +56,7 @@ def racer_options(vehicle: Vehicle, **changed: Any) -> RacerOptions:
     } | changed
     drag = (*options["linear_drag"], *options["quadratic_drag"])
     if not any(drag) and any((*options["wind_m_s"], *options["gust_m_s"])):
-        raise UsageError("wind and gusts act through drag, and there is none")
+        raise UsageError("wind and gusts act through drag, but the drag is zero")
     try:
         return RacerOptions(**options)
     except (TypeError, ValueError) as error:
@@ -61,7 +64,12 @@ def racer_options(vehicle: Vehicle, **changed: Any) -> RacerOptions:
 
 
 def geofence(vehicle: Vehicle, where: Fence, parameters: Mapping[str, float] | None = None) -> Geofence:
-    """The onboard filter for a vehicle: its model, its radius, and parameters by name.
+    """Onboard filter for a vehicle.
+
+    Args:
+        vehicle: one that `racer_model` takes; its radius is the default of `radius_m`.
+        where: the fence.
+        parameters: of the filter, by name.
 
     Raises:
         UsageError: the vehicle has no map from throttle to thrust, or a parameter is unknown or out of range.

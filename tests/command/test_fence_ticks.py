@@ -1,4 +1,4 @@
-"""Every tick of a logged flight in a fence is the native one's; the example's scenarios are valid."""
+"""Logged ticks of flights in a fence equal those of the native filter; the example's scenarios are valid."""
 
 import numpy as np
 import pytest

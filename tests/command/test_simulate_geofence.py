@@ -240,7 +240,7 @@ def test_a_dry_run_writes_nothing(here, capsys):
 def test_notes_are_said_beside_the_result(here, capsys):
     assert run([*WORDS, "--trials", "1", "--set", "run.stale_from_s=0.1"]) in (0, 4)
     out, error = capsys.readouterr()
-    assert "note: navigation was out for longer than stale_limit_s" in error
+    assert "note: navigation was lost for longer than stale_limit_s" in error
     assert "notes" not in out
     assert record().summary["hand_over"] > 0
 

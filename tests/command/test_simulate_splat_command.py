@@ -215,7 +215,7 @@ def test_a_guide_is_recorded_and_reported_with_all_it_was_told(scene, tmp_path):
     assert parameters["filter_parameters"]["lambda_"] == 4.0
     assert (parameters["catch_up_m_s"], parameters["pairs"]) == (1.0, "blocked")
     assert record.vehicle.endswith("guided by cone-di")
-    assert "nothing rests on it" in record.guarantee.statement
+    assert "no proof depends on it" in record.guarantee.statement
     assert summary["blocked_pairs"] == 2 <= summary["sampled_pairs"]
     assert all(t.line_clearance_m < 0 for t in record.trials)
     assert run(["report", str(a), "-o", str(report), "-q"]) == 0
@@ -326,7 +326,7 @@ def unaligned(path):
         (
             ["SCENE", "--filter", "none", "--plant", "double-integrator", "--interface", "body-rates"],
             2,
-            "a double integrator is told accelerations",
+            "a double integrator is commanded by acceleration",
         ),
         (["SCENE", "--filter", "cone-di", "--set", "count=-1"], 2, "cone-di: count must be a whole number"),
         (["SCENE", *LIGHT, "--filter", "cone-backup", "--set", "policy=hover"], 2, "they do not settle"),

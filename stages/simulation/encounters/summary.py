@@ -1,4 +1,4 @@
-"""What all trials of a scenario with moving obstacles say together."""
+"""Summary, measured times and guarantee of all trials of a scenario with moving obstacles."""
 
 from __future__ import annotations
 
@@ -24,9 +24,14 @@ _COUNTED = (
 
 
 def encounter_summary(scenario: Encounters, trials: list[TrialResult]) -> dict[str, Any]:
-    """Success of runs and per obstacle with 95 % Wilson intervals, means over those that were warned of.
+    """Success of runs and per obstacle with 95 % Wilson intervals; means over obstacles with a warning.
 
-    A run succeeds when the vehicle touched no obstacle and no wall, an obstacle when it was not touched.
+    A run succeeds when the vehicle touched no obstacle and no wall, an obstacle when the vehicle did not
+    touch it.
+
+    Args:
+        scenario: what was flown.
+        trials: verdicts, at least one.
     """
     met = [list(column) for column in zip(*(trial.obstacles or [] for trial in trials), strict=True)]
     steps = sum(trial.steps for trial in trials)
@@ -61,7 +66,12 @@ def _met(met: list[ObstacleResult]) -> dict[str, Any]:
 
 
 def encounter_timing(scenario: Encounters, flown: EncounterRun) -> dict[str, Any]:
-    """Measured times: of the filter in active ticks, and per obstacle to the command and to the reaction."""
+    """Measured times: of the filter in active ticks, and per obstacle to the command and to the reaction.
+
+    Args:
+        scenario: what was flown.
+        flown: the run.
+    """
     timing: dict[str, Any] = {"filter_calls": len(flown.tick_s)}
     if len(flown.tick_s):
         found = np.percentile(flown.tick_s, [50, 99, 100]).tolist()
@@ -76,7 +86,12 @@ def encounter_timing(scenario: Encounters, flown: EncounterRun) -> dict[str, Any
 
 
 def encounter_guarantee(scenario: Encounters, trials: list[TrialResult]) -> Guarantee:
-    """What the run shows; nothing is proven beforehand."""
+    """State what the run shows; nothing is proven beforehand.
+
+    Args:
+        scenario: what was flown.
+        trials: verdicts, at least one.
+    """
     hits = sum(trial.collision for trial in trials)
     if scenario.filter.name == "none":
         beforehand = UNFILTERED

@@ -1,4 +1,4 @@
-"""What all flights of a scenario with a fence say together."""
+"""Summary, measured times and guarantee of all flights of a scenario with a fence."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from alula.stages.verdict import UNFILTERED, head, minimum, statement
 
 _COUNTS = ("passed", "blended", "backup", "no_pilot", "hand_over", "refused")
 _HOLDS = {
-    "geofence": "As long as the model is right, h_I > 0 at the start and navigation comes in, the onboard "
+    "geofence": "As long as the model is right, h_I > 0 at the start and navigation is received, the onboard "
     "geofence keeps the vehicle inside.",
     "backup-qp": "As long as the model is right and the program has a solution, the backup-set barrier keeps "
     "the vehicle inside, between ticks to first order.",
@@ -23,16 +23,22 @@ _HOLDS = {
 
 
 def fence_results(trials: list[TrialResult]) -> list[FenceResult]:
-    """What is said of each flight in a fence."""
+    """Results of the flights that were flown in a fence.
+
+    Args:
+        trials: verdicts.
+    """
     return [trial.fence for trial in trials if trial.fence is not None]
 
 
 def fence_summary(scenario: FenceScenario, flown: FenceRun) -> dict[str, Any]:
-    """Violations with a 95 % Wilson interval, extremes and sums.
+    """Violations with a 95 % Wilson interval, extremes and sums; it has no measured time.
 
     `brake_distance_m` and `stop_distance_m` are medians over the flights that have one.
 
-    Nothing in it is measured by a clock.
+    Args:
+        scenario: what was flown.
+        flown: the run.
     """
     trials, found = flown.trials, fence_results(flown.trials)
     out = sum(trial.collision for trial in trials)
@@ -61,17 +67,21 @@ def fence_summary(scenario: FenceScenario, flown: FenceRun) -> dict[str, Any]:
 
 
 def _notes(scenario: FenceScenario, flown: FenceRun, summary: dict[str, Any]) -> list[str]:
-    """What takes the guarantee away, or says that something is broken."""
+    """Conditions that void the guarantee, or show a defect."""
     found = []
     start = flown.world.start_h_i_m
     if scenario.filter.name != "none" and start is not None and start <= 0:
-        found.append(f"h_I is {start:.4g} m at the start: no braking from there is known to end inside")
+        found.append(f"h_I is {start:.4g} m at the start: braking from there is not known to end inside")
     if summary["hand_over"]:
-        found.append("navigation was out for longer than stale_limit_s: from then on no fence is guarded")
+        found.append(
+            "navigation was lost for longer than stale_limit_s: from then on the fence was not enforced"
+        )
     if summary["refused"] and scenario.filter.name == "geofence":
-        found.append("there was no navigation at the start: the filter refused, and the motors stood still")
+        found.append("there was no navigation at the start: the filter refused and the motors stood still")
     if summary["altered_passes"] or summary["out_of_range"]:
-        found.append("the filter changed what it says it passed, or left the limits: please report this")
+        found.append(
+            "the filter changed a command that it reports as passed, or left the limits: please report this"
+        )
     return found
 
 
@@ -81,14 +91,18 @@ def _median(values: Iterable[float | None]) -> float | None:
 
 
 def fence_timing(times: Times) -> dict[str, Any]:
-    """Measured times of the filter, quantiles to 1.2 %; none without calls."""
+    """Measured times of the filter, quantiles to 1.2 %; none without calls.
+
+    Args:
+        times: of all chunks.
+    """
     if times.calls == 0:
         return {"filter_calls": 0}
     return {
         "filter_calls": times.calls,
         "filter_p50_s": times.quantile(0.5),
         "filter_p99_s": times.quantile(0.99),
-        "filter_max_s": times.most_s,
+        "filter_max_s": times.max_s,
         "filter_mean_s": times.total_s / times.calls,
         "filter_total_s": times.total_s,
         "overruns": times.overruns,
@@ -96,13 +110,18 @@ def fence_timing(times: Times) -> dict[str, Any]:
 
 
 def fence_guarantee(scenario: FenceScenario, flown: FenceRun) -> Guarantee:
-    """What holds beforehand, for which model, and what the run shows."""
+    """State what holds beforehand, for which model, and what the run shows.
+
+    Args:
+        scenario: what was flown.
+        flown: the run.
+    """
     trials, deviates = flown.trials, flown.world.deviations
     out = sum(trial.collision for trial in trials)
     name = scenario.filter.name
     limits = ""
     if deviates and name != "none":
-        limits = f"The vehicle was not as the filter's model: {', '.join(deviates)}."
+        limits = f"The vehicle differed from the filter's model: {', '.join(deviates)}."
     return Guarantee(
         statement=statement(
             _HOLDS[name],

@@ -1,4 +1,4 @@
-"""Simulate flights behind a safety filter and judge them against the map and the scene."""
+"""Simulation of flights in a cover behind a safety filter, and their judgement against cover and scene."""
 
 from __future__ import annotations
 
@@ -42,16 +42,21 @@ from alula.stages.verdict import UNFILTERED, head, mean_path_ratio, minimum, sta
 _BATCH = 64  # trials whose full-rate samples are in memory at once
 _STUCK_STEPS = 100
 _STUCK_FRACTION = 1e-3  # of the speed limit
-_PLAN_SPEED_FACTOR = 1.5  # room to catch up with the plan
+_PLAN_SPEED_FACTOR = 1.5  # leaves room to catch up with the plan
 _EXTRA_TIME_S = 10.0
 
 
 def resolve(config: SimulateConfig, plan: Artifact | None, vehicle: Vehicle | None = None) -> SimulateConfig:
-    """Fill in what the configuration leaves to the vehicle, the plan or a default.
+    """Complete the configuration from the vehicle, the plan or defaults.
+
+    Args:
+        config: see `SimulateConfig`.
+        plan: the `alula/plan` to fly, if any.
+        vehicle: a single integrator, if a file is given.
 
     Raises:
         UsageError: a number of trials is given with a plan, which is flown once; a gain is too high for the
-            time step; or the vehicle is no single integrator, or slower than asked for.
+            time step; the vehicle is no single integrator, or slower than the given speed.
     """
     config.check_gains()
     radius, speed = DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S
@@ -63,8 +68,8 @@ def resolve(config: SimulateConfig, plan: Artifact | None, vehicle: Vehicle | No
     if vehicle is not None:
         if vehicle.model != "single-integrator":
             raise UsageError(
-                f"{vehicle.name} is a {vehicle.model}, which flies among the ellipsoids of a scene; "
-                "among the hulls of a cover flies a single-integrator"
+                f"{vehicle.name} is a {vehicle.model}, which flies among the ellipsoids of a scene, "
+                "not among hulls"
             )
         limit = vehicle.limits.max_speed_m_s
         assert limit is not None
@@ -92,24 +97,24 @@ def simulate(
 ) -> RunResult:
     """Fly random or given start-goal pairs, or a plan, and judge each flight afterwards.
 
-    A single integrator x' = u under the nominal controller of eq. 16 and the filter, with exact
-    state. Every flight is judged independently of the filter: exact signed Euclidean distance
-    of the continuous path to the hulls and, with a scene, to its ellipsoids at the cover's sigma, minus
-    the vehicle's radius. A success is a flight that reached its goal without collision.
+    The vehicle is a single integrator x' = u with exact state, under the nominal controller of eq. 16 and the
+    filter. Every flight is judged independently of the filter: exact signed Euclidean distance of the
+    continuous path to the hulls and, with a scene, to its ellipsoids at the cover's sigma, minus the
+    vehicle's radius. A success is a flight that reached its goal without collision.
 
     Args:
         config: see `SimulateConfig`.
-        cover: the map that the filter sees.
+        cover: map of the filter.
         plan: flown instead of random pairs.
         scene: metric scene in the cover's frame; starts and goals also keep clear of its ellipsoids.
-        vehicle: a single integrator, whose radius and speed limit are the defaults.
-        given: flown instead of random pairs.
+        vehicle: a single integrator; its radius and speed limit replace the defaults.
+        given: pairs flown instead of random ones.
         jobs: threads, 0 for all processors; only measured times depend on it.
         progress: called with (trials done, trials).
 
     Raises:
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
-        UsageError: the filter is unknown, a parameter has no meaning, the vehicle does not fly here, or a
+        UsageError: the filter is unknown, a parameter does not apply, the vehicle is of the wrong model, or a
             given start or goal is not clear of the map.
         InputError: scene or plan do not fit the cover.
         InfeasibleError: no clear start-goal pairs were found.
@@ -205,7 +210,16 @@ class _Judge:
         self.jobs = jobs
 
     def is_clear(self, points: FloatArray, psi: FloatArray, margin_m: float) -> NDArray[np.bool_]:
-        """Which points are `margin_m` clear of the hulls, by psi, and of the ellipsoids."""
+        """Find the points that are clear of the hulls and of the ellipsoids.
+
+        Args:
+            points: shape (M, 3), world frame [m].
+            psi: psi of the hulls there, shape (M,) [m].
+            margin_m: clearance beyond the radius [m].
+
+        Returns:
+            Shape (M,).
+        """
         needed = self.radius_m + margin_m
         clear = np.asarray(psi >= needed)
         if self.scene is not None and clear.any():
@@ -215,7 +229,14 @@ class _Judge:
         return clear
 
     def trial(self, index: int, goal: FloatArray, flown: Flown, dt_s: float) -> TrialResult:
-        """The verdict on one flight."""
+        """Judge one flight.
+
+        Args:
+            index: number of the trial.
+            goal: shape (3,), world frame [m].
+            flown: the flight.
+            dt_s: duration of a step [s].
+        """
         path = path_metrics(flown.position, dt_s)
         map_clearance, scene_clearance = (
             None
@@ -260,7 +281,7 @@ def _check_fit(cover: Artifact, role: str, other: Artifact | None) -> None:
 def _extent(
     hulls: Hulls, bounds: tuple[FloatArray, FloatArray] | None, reference: Reference, given: Pairs | None
 ) -> float:
-    """Twice the largest coordinate that is known beforehand; a flight beyond is refused."""
+    """Twice the largest coordinate that is known beforehand; a flight that exceeds it is refused."""
     ends = () if given is None else (given.start, given.goal)
     parts = [hulls.vertices_world, reference.position_world, *(bounds or ()), *ends]
     return 2 * max(float(np.abs(part).max(initial=0.0)) for part in parts)
@@ -304,20 +325,21 @@ def _summary(trials: list[TrialResult], pairs: Pairs, safety_filter: Filter) -> 
 def _guarantee(
     config: SimulateConfig, cover: Artifact, trials: list[TrialResult], safety_filter: Filter
 ) -> Guarantee:
-    """What the run shows, and for the sound filter what it proves; both relative to the cover."""
+    """State what the run shows and, for the sound filter, what is proven; both relative to the cover."""
     hits = sum(is_collision(t.map_clearance_m) for t in trials)
     proven = isinstance(safety_filter, NativeFilter) and safety_filter.enabled and config.smoothing == "sound"
     if proven:
         beforehand = (
-            "The filter keeps psi >= radius at every sample and, by clipping each held step against every "
-            "hull, between samples, from every start that has it; psi never exceeds the distance to a hull."
+            "From every start with psi >= radius, the filter keeps psi >= radius at every sample and, by "
+            "clipping each held step against every hull, between samples; psi never exceeds the distance "
+            "to a hull."
         )
     elif config.filter == "none":
         beforehand = UNFILTERED
     elif config.filter == "polytope-cbf":
         beforehand = "UNSAFE: the smoothing as printed may exceed the true barrier and steps are not checked."
     else:
-        beforehand = f"What the filter {config.filter!r} guarantees is its own claim."
+        beforehand = f"alula does not check what the filter {config.filter!r} guarantees."
     given = cover.manifest.guarantee
     return Guarantee(
         statement=statement(
@@ -327,7 +349,7 @@ def _guarantee(
             len(trials),
             "flights came closer to a hull than the radius",
             "This holds for a velocity-controlled point with exact state, and for the real scene only as far "
-            "as the cover does.",
+            "as the cover contains it.",
         ),
         claims={
             "proven_by_filter": proven,

@@ -1,4 +1,4 @@
-"""Which ticks a log shows."""
+"""Ticks that a log shows."""
 
 import numpy as np
 import pytest

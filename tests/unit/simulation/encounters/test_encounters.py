@@ -1,4 +1,4 @@
-"""Encounters with moving obstacles: limits that hold, figures of the path, the same wherever flown."""
+"""Encounters with moving obstacles: limits, figures of the path, equal results on all workers."""
 
 import math
 
@@ -117,7 +117,7 @@ def test_the_filter_avoids_what_hits_without_it():
 
 
 def plain(run) -> tuple:
-    """What may not differ."""
+    """Results that must not depend on the workers."""
     return msgspec.json.encode(run.trials), msgspec.json.encode(run.flights)
 
 

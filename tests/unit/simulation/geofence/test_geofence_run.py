@@ -1,4 +1,4 @@
-"""Runs in a fence: what is kept of which flight, times, logs, the drawing of the fence."""
+"""Runs in a fence: kept samples, times, logs, the drawing of the fence."""
 
 import io
 import pickle
@@ -231,7 +231,7 @@ def test_quantiles_of_times_are_close_however_they_are_joined(a, b):
     parts = [Times.of(np.array(part, np.float32), 0.0025) for part in (a, b)]
     times = Times.joined(parts)
     assert times.calls == len(seconds)
-    assert times.most_s == float(seconds.max())
+    assert times.max_s == float(seconds.max())
     assert times.overruns == int((seconds > 0.0025).sum())
     for share in (0.01, 0.5, 0.99, 1.0):
         exact = float(np.sort(seconds)[max(0, int(np.ceil(share * len(seconds))) - 1)])
@@ -272,7 +272,7 @@ def test_notes_say_when_nothing_is_promised():
     fast = scenario(trials=start, run={"duration_s": 0.5})
     run = fly_in_fence(fast, RACER)
     assert run.world.start_h_i_m < 0
-    assert any("no braking from there" in note for note in fence_summary(fast, run)["notes"])
+    assert any("braking from there is not known" in note for note in fence_summary(fast, run)["notes"])
 
 
 @pytest.mark.parametrize(
