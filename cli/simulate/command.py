@@ -403,13 +403,12 @@ def _write(
 
 def _check(output: Path, trials: list[Any], *, splat: bool) -> None:
     """Raise CheckError when a filtered flight came closer to the filter's map than the vehicle's radius."""
-    from alula.stages.clearance import COLLISION_TOLERANCE_M
+    from alula.stages.clearance import is_collision
 
-    def clearance(trial: Any) -> float:
-        found = trial.scene_clearance_m if splat else trial.map_clearance_m
-        return math.inf if found is None else found
+    def clearance(trial: Any) -> Any:
+        return trial.scene_clearance_m if splat else trial.map_clearance_m
 
-    hits = [trial for trial in trials if clearance(trial) < -COLLISION_TOLERANCE_M]
+    hits = [trial for trial in trials if is_collision(clearance(trial))]
     if hits:
         worst = min(hits, key=clearance)
         start = " ".join(f"{value:.3f}" for value in worst.start_m)

@@ -91,7 +91,7 @@ def test_no_python_files_import_each_other_in_a_circle():
         ("vehicles", "simulation"),
     ],
 )
-def test_rooms_of_the_stages_do_not_import_each_other(importer, imported):
+def test_folders_of_the_stages_that_do_not_import_each_other(importer, imported):
     graph = imported_files()
     found = [
         f"{module} -> {other}"
