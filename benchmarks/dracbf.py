@@ -32,10 +32,10 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.encounters import Encounters, read_encounters
-from alula.stages.clearance import wilson_interval
 from alula.stages.filtering.qp import clarabel_backend
 from alula.stages.simulation.encounters.simulate import fly_encounters
 from alula.stages.simulation.encounters.world import filter_options, native_encounter, native_filter
+from alula.stages.verdict import wilson_interval
 
 FloatArray = NDArray[np.float64]
 Figures = dict[str, Any]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 if TYPE_CHECKING:
     from alula.schemas.run import RunRecord
-    from alula.stages.simulation.hulls.simulate import RunResult
+    from alula.stages.simulation.result import RunResult
 
 
 def check_log_name(output: Path) -> None:

@@ -1,4 +1,4 @@
-"""What a log of a flight in a geofence holds: state, the pilot's share and his command, by time."""
+"""Contents of the log of a flight in a geofence: state, regulation function and commands over time."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ class Ticks:
     """One flight at the log's rate, n samples.
 
     Attributes:
-        time_s: shape (n,).
+        time_s: times, shape (n,) [s].
         position: shape (n, 3), world [m].
         velocity: shape (n, 3), world [m/s].
-        tilt_rad: angle between the body's z axis and up, shape (n,).
-        share: lambda, the pilot's share of the command, shape (n,); NaN without.
-        h_i_m: h_I, shape (n,); NaN where it was not evaluated.
-        distance_m: to the fence less the radius, the least since the sample before, shape (n,).
-        throttle: wished (NaN without a pilot) and flown, shape (n, 2).
+        tilt_rad: angle between the body's z axis and up, shape (n,) [rad].
+        regulation: regulation function lambda: 1 passes the pilot's command, 0 the backup's; shape (n,), NaN
+            where there is none.
+        h_i_m: h_I, shape (n,) [m]; NaN where it was not evaluated.
+        distance_m: minimum distance to the fence since the sample before, less the radius, shape (n,) [m].
+        throttle: the pilot's (NaN without one) and the flown one, shape (n, 2).
         status: n words.
     """
 
@@ -35,7 +36,7 @@ class Ticks:
     position: FloatArray
     velocity: FloatArray
     tilt_rad: FloatArray
-    share: FloatArray
+    regulation: FloatArray
     h_i_m: FloatArray
     distance_m: FloatArray
     throttle: FloatArray
@@ -63,23 +64,26 @@ class _State(msgspec.Struct, gc=False):
     attitude: _Attitude
 
 
-class _Answer(msgspec.Struct, gc=False, rename={"share": "lambda"}):
+class _Answer(msgspec.Struct, gc=False, rename={"regulation": "lambda"}):
     trial: int
     time_s: float
     margin: float
     throttle_safe: float
     status_name: str
-    share: float | None = None
+    regulation: float | None = None
     h_m: float | None = None
     throttle_nom: float | None = None
 
 
 def read_ticks(log: Path) -> dict[int, Ticks]:
-    """The flights in a geofence run's log, by trial.
+    """Read the flights in a geofence run's log, by trial.
+
+    Args:
+        log: the file.
 
     Raises:
         InputError: the log cannot be read.
-        DamagedError: truncated or corrupt, or its states and answers do not belong together.
+        DamagedError: truncated or corrupt, or states and messages of the filter have different times.
     """
     from mcap.reader import make_reader
 
@@ -98,7 +102,7 @@ def read_ticks(log: Path) -> dict[int, Ticks]:
                 answer = decode_answer(message.data)
                 answers.setdefault(answer.trial, []).append(answer)
     if {k: len(v) for k, v in states.items()} != {k: len(v) for k, v in answers.items()}:
-        raise DamagedError(f"{log}: its states and the filter's answers are not of the same times")
+        raise DamagedError(f"{log}: its states and the messages of the filter have different times")
     return {trial: _ticks(states[trial], answers[trial]) for trial in sorted(states)}
 
 
@@ -115,7 +119,7 @@ def _ticks(states: list[_State], answers: list[_Answer]) -> Ticks:
         position=np.array([(s.position_m.x, s.position_m.y, s.position_m.z) for s in states]),
         velocity=np.array([(s.velocity_m_s.x, s.velocity_m_s.y, s.velocity_m_s.z) for s in states]),
         tilt_rad=np.array([math.acos(max(-1.0, min(1.0, c))) for c in upright]),
-        share=known([a.share for a in answers]),
+        regulation=known([a.regulation for a in answers]),
         h_i_m=known([a.h_m for a in answers]),
         distance_m=np.array([a.margin for a in answers]),
         throttle=np.stack(

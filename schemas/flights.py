@@ -1,4 +1,4 @@
-"""What a run's log holds: states and safety margins of each flight over time, and its channels."""
+"""Contents of a run's log: its channels, states and safety margins of each flight over time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SAFETY_TOPIC = "/safety"
 SUPERVISOR_TOPIC = "/supervisor"
 LINE_TOPIC = "/log"
 
-_LARGEST = 1e12  # [s], [m], [m/s], of margins: beyond is no measurement, and no figure shows it
+_LARGEST = 1e12  # [s], [m], [m/s]; larger values are no measurements, and no figure can show them
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +34,9 @@ class Flight:
         speed_m_s: shape (n,) [m/s].
         margin_time_s: times of the filter's answers, shape (m,) [s].
         margin: margin that the filter reported, NaN where it had none, shape (m,).
-        margin_unit: "m", or what else it measures in words.
+        margin_unit: "m", or the quantity in words.
         status: status that the filter reported, m words.
-        share: of the pilot in what was flown, in a geofence, NaN where unknown, shape (m,); None elsewhere.
+        regulation: regulation function lambda of a geofence, NaN where unknown, shape (m,); None elsewhere.
     """
 
     time_s: NDArray[np.float64]
@@ -46,12 +46,12 @@ class Flight:
     margin: NDArray[np.float64]
     margin_unit: str
     status: tuple[str, ...]
-    share: NDArray[np.float64] | None = None
+    regulation: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A step of a real flight's supervisor: the state that it led to, the event, what was ordered."""
+    """Step of a real flight's supervisor: its new state, the event, and the action that it ordered."""
 
     time_s: float
     state: str
@@ -61,7 +61,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """What was said in a real flight; `level` as in `foxglove.Log`, where 3 is a warning."""
+    """Message to the operator of a real flight; `level` as in `foxglove.Log`, where 3 is a warning."""
 
     time_s: float
     level: int
@@ -70,7 +70,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """How a real flight went, by its supervisor; `end_s` is when it last said anything."""
+    """Course of a real flight by its supervisor; `end_s` is the time of its last message [s]."""
 
     steps: tuple[Step, ...]
     lines: tuple[Line, ...]
@@ -79,9 +79,7 @@ class Course:
 
 @dataclass(frozen=True, slots=True)
 class Flights:
-    """The flights of a run by trial, the hulls of the map that it flew through, when it says, and the course
-    of a real one.
-    """
+    """Flights of a run by trial, number of hulls of its map if the log has it, and course of a real one."""
 
     by_trial: dict[int, Flight]
     hulls: int | None
@@ -108,7 +106,7 @@ class _Safety(msgspec.Struct, gc=False):
     margin: float | None = None
     margin_unit: str | None = None  # absent among hulls, where h_m is the margin
     status_name: str = ""
-    share: float | None = msgspec.field(default=None, name="lambda")
+    regulation: float | None = msgspec.field(default=None, name="lambda")
 
 
 class _Supervisor(msgspec.Struct, gc=False):
@@ -143,7 +141,10 @@ class _Map(msgspec.Struct):
 
 
 def read_flights(log: Path) -> Flights:
-    """The flights in a run's log; none when it holds no states.
+    """Read the flights in a run's log; none when it holds no states.
+
+    Args:
+        log: the file.
 
     Raises:
         InputError: the log cannot be read.
@@ -162,10 +163,13 @@ def read_flights(log: Path) -> Flights:
 
 
 def flights_of(messages: Iterable[tuple[str, bytes]]) -> Flights:
-    """The flights in messages, each with its topic; those of other topics are passed over.
+    """Gather the flights in messages.
+
+    Args:
+        messages: topics and contents, in the order of the log; other topics are skipped.
 
     Raises:
-        ValueError: a time, position, velocity or margin is larger than any measured one.
+        ValueError: a time, position, velocity or margin is too large to be a measurement.
     """
     states: dict[int, list[_State]] = {}
     safety: dict[int, list[_Safety]] = {}
@@ -226,22 +230,25 @@ def _flight(states: list[_State], safety: list[_Safety]) -> Flight:
         margin=_measured("margin", [a.h_m if a.margin_unit is None else a.margin for a in safety]),
         margin_unit=(safety[0].margin_unit if safety else None) or "m",
         status=tuple(answer.status_name for answer in safety),
-        share=None
-        if all(a.share is None for a in safety)
-        else np.array([a.share for a in safety], np.float64),
+        regulation=None
+        if all(a.regulation is None for a in safety)
+        else np.array([a.regulation for a in safety], np.float64),
     )
 
 
 def _measured(name: str, values: list[Any]) -> NDArray[np.float64]:
-    """As an array, None as NaN; refuses (ValueError) what is too large."""
+    """Convert to an array, None to NaN; raise ValueError for values that are too large."""
     found = np.array(values, np.float64)
     if (np.abs(found) > _LARGEST).any():
-        raise ValueError(f"a {name} of {np.nanmax(np.abs(found)):.3g} is none that anybody measured")
+        raise ValueError(f"a {name} of {np.nanmax(np.abs(found)):.3g} is too large to be measured")
     return found
 
 
 def count_messages(log: Path) -> tuple[dict[str, int], bool]:
-    """Messages per topic as far as a log can be read, and whether that is to its end.
+    """Count the messages per topic as far as a log can be read; the second value is True at its end.
+
+    Args:
+        log: the file.
 
     Raises:
         InputError: the log cannot be opened.

@@ -1,4 +1,4 @@
-"""What a run says of itself: one record per flight, beside and inside the MCAP log."""
+"""Records of runs: the verdict on each flight and the summary, beside and inside the MCAP log."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, BinaryIO, Literal, Self
 
 import msgspec
 
@@ -18,19 +18,25 @@ RUN_SCHEMA = "alula/run"
 RUN_VERSION = VERSION
 RUN_SUFFIX = ".run.mcap"
 
-FLIGHT_METADATA = "alula/flight"  # at the beginning of the log of a real flight: what is known before it
+FLIGHT_METADATA = "alula/flight"  # at the beginning of the log of a real flight: known before it begins
 
-# "stopped": a real flight that ended before its goal, by landing or in the hands of the pilot.
+# "stopped": a real flight that ended before its goal, by landing or because the pilot took over.
 Outcome = Literal["reached", "stuck", "timeout", "refused", "passed", "inside", "outside", "stopped"]
 
 
 class ObstacleResult(msgspec.Struct, frozen=True, kw_only=True):
-    """How a trial met one moving obstacle; None for what never was. Of the truth, not of what was tracked.
+    """Encounter of a trial with one moving obstacle, by its true state; None for an event that did not occur.
 
-    `closest_m` is the least distance of the centres over the run, `separation_m` that from its warning until
-    the vehicle has stopped hovering. Its warning is the first in which it is the most urgent;
-    `closing_m_s` the closing speed then; `reaction_s` the simulated time from it until the command is not
-    the nominal one, `avoid_s` from there to the end of hovering.
+    Attributes:
+        closest_m: minimum distance of the centres over the run [m].
+        separation_m: the same from the obstacle's warning until the vehicle has stopped hovering [m]. The
+            obstacle's warning is the first one in which it is the most urgent obstacle.
+        closing_m_s: closing speed at its warning [m/s].
+        detected_s: simulated time of the first detection [s].
+        warned_s: simulated time of its warning [s].
+        reaction_s: simulated time from its warning until the command differs from the nominal one [s].
+        avoid_s: simulated time from there to the end of hovering [s].
+        collision: the vehicle touched it.
     """
 
     closest_m: float
@@ -44,14 +50,25 @@ class ObstacleResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FenceResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What a flight in a geofence was like; steps are ticks of its filter, None stands for what never was.
+    """Flight in a geofence; steps are ticks of its filter, None stands for an event that did not occur.
 
-    Steps in which the pilot's command was passed, blended, replaced by the backup controller's, or there was
-    no pilot, navigation was too old, or nothing could be done. An intervention begins where lambda falls
-    below 1/2, after having been above 9/10. `altered_passes` and `out_of_range` are 0 of a filter that works:
-    passed commands that are not the pilot's bits, and commands beyond the limits. `brake_distance_m` is the
-    distance to the fence at the first intervention, `stop_distance_m` that when first slower than 0.5 m/s
-    after it.
+    `altered_passes` and `out_of_range` are 0 for a filter that works.
+
+    Attributes:
+        passed_steps: the pilot's command was passed.
+        blended_steps: it was blended with the backup controller's.
+        backup_steps: it was replaced by the backup controller's.
+        no_pilot_steps: there was no command of a pilot.
+        hand_over_steps: navigation was too old.
+        refused_steps: no command could be computed.
+        interventions: times that lambda fell below 1/2 after having been above 9/10.
+        altered_passes: passed commands that are not the pilot's, bit by bit.
+        out_of_range: commands beyond the limits.
+        longest_backup_s: longest time of the backup controller alone [s].
+        min_lambda: minimum of the regulation function.
+        min_h_i_m: minimum of h_I [m].
+        brake_distance_m: distance to the fence at the first intervention [m].
+        stop_distance_m: distance to the fence when first slower than 0.5 m/s after it [m].
     """
 
     passed_steps: int
@@ -71,31 +88,56 @@ class FenceResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
-    """How one flight ended.
+    """Verdict on one flight.
 
-    Clearances are those of the vehicle's sphere, so negative means collision; they are computed
-    after the flight, independently of the filter, over the continuous path. `map_clearance_m` is
-    against the hulls of the cover, `scene_clearance_m` against the ellipsoids when a scene was given. Jerk
-    is the second difference of the velocity at the rate of the filter.
+    Clearances are those of the vehicle's sphere: negative means collision. They are computed after the
+    flight, independently of the filter, over the continuous path. Jerk is the second difference of the
+    velocity at the rate of the filter.
 
-    What follows `max_jerk_m_s3` is of flights among ellipsoids, and None for others: the peak of the
-    reference's speed, the speed and largest acceleration of the body, how far at most it was from the
-    reference, the largest difference between the acceleration and the one that was commanded, the
-    least barrier of the filter, the least r' A r - 1 over all ellipsoids as the filter grew them (below 0
-    inside one; at the rate of the filter), and steps in which the backup policy flew, in which a safe backup
-    manoeuvre was proven to remain, in which the cap on the number of ellipsoids cut some off, and in which
-    the rotors could not do what was asked; and what the clearance of the straight line from start to goal
-    would be, whose sphere meets an ellipsoid where it is negative.
+    Encounters with moving obstacles: "passed" means that all obstacles have receded, `map_clearance_m` is
+    that of static walls, and `collision` is one with an obstacle or a wall. Flights in a geofence:
+    `map_clearance_m` is the minimum distance to the fence, faces and hulls; `goal_m` is the last position;
+    `collision` means that the flight left the fence.
 
-    What follows `line_clearance_m` is of encounters with moving obstacles, and None for others: each
-    obstacle, steps in a manoeuvre or with a warning, steps that the filter refused, iterations of its
-    projection, the largest violation of its rows as an acceleration, the sum over steps of the risk that
-    flown rows left (None for filters without such rows), and the sum over windows of the risk of a collision.
-    There "passed" says that all obstacles have receded, `map_clearance_m` is that of static walls, and a
-    `collision` is one with either.
-
-    `fence` is of flights in a geofence, and None for others. There `map_clearance_m` is the least distance
-    to the fence, faces and hulls, `goal_m` is where the flight ended, and a `collision` says that it left.
+    Attributes:
+        index: number of the trial.
+        start_m, goal_m: positions, world frame [m].
+        outcome: end of the flight.
+        collision: a clearance is negative, beyond rounding.
+        steps: ticks of the filter.
+        duration_s: simulated or, of a real flight, measured time [s].
+        path_length_m: length of the flown path [m].
+        straight_length_m: distance from start to goal [m].
+        map_clearance_m: minimum clearance of the hulls of the cover [m].
+        scene_clearance_m: minimum clearance of the ellipsoids of the scene [m].
+        max_speed_m_s: [m/s].
+        filtered_steps: the filter changed the command.
+        shortened_steps: the step was cut short.
+        infeasible_steps: no command met all constraints, or the filter refused.
+        fallback_steps: the filter flew its recovery or backup.
+        mean_jerk_m_s3, max_jerk_m_s3: [m/s^3].
+        reference_speed_m_s: peak speed of the reference; this and what follows up to `line_clearance_m` only
+            among ellipsoids [m/s].
+        mean_speed_m_s, max_acceleration_m_s2: of the body [m/s], [m/s^2].
+        max_tracking_error_m: maximum distance from the reference [m].
+        peak_realisation_error_m_s2: maximum difference of the acceleration and the commanded one [m/s^2].
+        min_margin: minimum of the filter's barrier.
+        min_gamma: minimum of r' A r - 1 over all ellipsoids as the filter grew them, at the rate of the
+            filter; below 0 inside one.
+        backup_steps: the backup policy flew.
+        certified_steps: a safe backup manoeuvre was proven to remain.
+        capped_steps: the limit on the number of ellipsoids left some out.
+        saturated_steps: the rotors could not realise the command.
+        line_clearance_m: clearance of the straight line from start to goal [m].
+        obstacles: one result per moving obstacle; this and what follows up to `mission_risk` only in
+            encounters.
+        active_steps: ticks in a manoeuvre or with a warning.
+        refused_steps: the filter refused.
+        iterations: of the filter's projection.
+        worst_violation_m_s2: maximum violation of the filter's rows, as an acceleration [m/s^2].
+        risk_spent: sum over steps of the risk that the flown rows left; None for filters without such rows.
+        mission_risk: sum over windows of the risk of a collision.
+        fence: only in a geofence.
     """
 
     index: int
@@ -139,9 +181,9 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """The whole of a run's summary; `timing` is measured and so differs from run to run.
+    """Record of a run; `timing` is measured and differs from run to run.
 
-    `summary` holds at least: trials, success_rate, success_interval (95 % Wilson), collisions,
+    `summary` has at least these keys: trials, success_rate, success_interval (95 % Wilson), collisions,
     reached, stuck, timeout, refused, min_map_clearance_m, min_scene_clearance_m, mean_path_ratio
     (path over straight line, successful flights only).
     """
@@ -157,15 +199,53 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     guarantee: Guarantee
     timing: dict[str, Any] | None = None
 
+    @classmethod
+    def of(
+        cls,
+        provenance: Provenance,
+        *,
+        name: str,
+        filter: str,
+        vehicle: str,
+        trials: list[TrialResult],
+        summary: dict[str, Any],
+        guarantee: Guarantee,
+    ) -> Self:
+        """Make the record of a simulated run, without measured times.
+
+        Args:
+            provenance: that of the command; the record's also holds the summary.
+            name: of the run.
+            filter: its name.
+            vehicle: in words.
+            trials: verdicts, in their order.
+            summary: numbers over all trials.
+            guarantee: statement and claims.
+        """
+        return cls(
+            schema=RUN_SCHEMA,
+            version=RUN_VERSION,
+            provenance=msgspec.structs.replace(provenance, summary=summary),
+            name=name,
+            filter=filter,
+            vehicle=vehicle,
+            trials=trials,
+            summary=summary,
+            guarantee=guarantee,
+        )
+
 
 def record_path(log: Path) -> Path:
-    """Where the summary beside a log lies: R.run.mcap has R.run.json."""
+    """Path of the record beside a log: R.run.json for R.run.mcap."""
     return log.with_suffix(".json")
 
 
 @contextmanager
 def open_log(log: Path) -> Iterator[BinaryIO]:
-    """An MCAP log, opened; whatever its reader or its codecs raise in the block says that it is damaged.
+    """Open an MCAP log; any other error of its reader or codecs within the block means that it is damaged.
+
+    Args:
+        log: the file.
 
     Raises:
         InputError: the log cannot be read.
@@ -186,7 +266,7 @@ def open_log(log: Path) -> Iterator[BinaryIO]:
     except AlulaError:
         raise
     except OSError as error:
-        if error.errno != errno.EINVAL:  # what a footer that points before the start leads to
+        if error.errno != errno.EINVAL:  # a footer that points before the start of the file
             raise InputError(f"{log}: cannot read: {error.strerror or error}") from error
         raise DamagedError(f"{log}: truncated or corrupt MCAP log (its footer is wrong)") from error
     except Exception as error:
@@ -195,7 +275,10 @@ def open_log(log: Path) -> Iterator[BinaryIO]:
 
 
 def read_run(log: Path) -> RunRecord:
-    """The summary of a run, from the log's metadata; timing comes from the file beside it.
+    """Read the record of a run from the log's metadata, and its timing from the file beside it.
+
+    Args:
+        log: the file.
 
     Raises:
         InputError: the log cannot be read.

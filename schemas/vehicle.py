@@ -1,4 +1,4 @@
-"""Vehicles: what flies, in one TOML file, `alula/vehicle`.
+"""Vehicles: body, rotors, limits and gains in one TOML file, `alula/vehicle`.
 
     schema = "alula/vehicle"      # optional, as is the version
     version = "1.0"
@@ -27,14 +27,14 @@
     kp_per_s2 = 3.0
     kv_per_s = 2.0
 
-    [disturbance]                 # what it does in simulation; all off by default
+    [disturbance]                 # in simulation; all off by default
     motor_time_constant_s = 0.03
 
-    [assumed]                     # what controller and filters count with; off by default
+    [assumed]                     # by controller and filters; off by default
     motor_time_constant_s = 0.03
 
 A quadrotor needs mass, inertia and rotors. A double integrator has `[limits] max_acceleration_m_s2`, a
-single integrator `[limits] max_speed_m_s`. A table or key that the model has no use for is refused.
+single integrator `[limits] max_speed_m_s`. A table or key that does not apply to the model is refused.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ Positive = Annotated[float, Meta(gt=0)]
 Size = Annotated[float, Meta(ge=0)]
 Sizes = tuple[Size, Size, Size]
 Positives = tuple[Positive, Positive, Positive]
-Place = tuple[float, float]
+RotorPosition = tuple[float, float]
 Spin = Literal[-1, 1]
 
-# How fast the attitude is corrected when a file leaves it open: K_R = this J, K_omega = this J.
+# Gains of the attitude over the inertia J, when a file has none: K_R = this J, K_omega = this J.
 _ATTITUDE_PER_S2 = (500.0, 500.0, 110.0)
 _RATE_PER_S = (36.0, 36.0, 11.0)
 
@@ -82,7 +82,7 @@ class BodyTable(_Table, frozen=True, kw_only=True):
 class RotorsTable(_Table, frozen=True, kw_only=True):
     """Four rotors that push along body z, and the limits of their thrusts."""
 
-    positions_m: tuple[Place, Place, Place, Place]
+    positions_m: tuple[RotorPosition, RotorPosition, RotorPosition, RotorPosition]
     spins: tuple[Spin, Spin, Spin, Spin]
     torque_ratio_m: Positive
     max_thrust_n: tuple[Positive, Positive, Positive, Positive]
@@ -90,21 +90,21 @@ class RotorsTable(_Table, frozen=True, kw_only=True):
 
 
 class LimitsTable(_Table, frozen=True, kw_only=True):
-    """What a point without rotors can do."""
+    """Limits of a point without rotors."""
 
     max_speed_m_s: Positive | None = None
     max_acceleration_m_s2: Positive | None = None
 
 
 class RatesTable(_Table, frozen=True, kw_only=True):
-    """Of commands to a rate loop, which follows them as a first-order lag where the rotors allow it."""
+    """Limits of rate commands, and the first-order lag of the rate loop within the rotors' limits."""
 
     max_rad_s: Positives = (10.0, 10.0, 4.0)
     time_constant_s: Positive = 0.02
 
 
 class ThrottleTable(_Table, frozen=True, kw_only=True):
-    """What a throttle gives with a fresh battery; held at full it falls by at most `sag_share`."""
+    """Acceleration by throttle with a fresh battery; at full throttle it falls by at most `sag_share`."""
 
     acceleration_m_s2: tuple[float, Size, Size]
     sag_share: Annotated[float, Meta(ge=0, lt=1)] = 0.0
@@ -112,7 +112,7 @@ class ThrottleTable(_Table, frozen=True, kw_only=True):
 
 
 class TrackingTable(_Table, frozen=True, kw_only=True):
-    """Gains of the geometric controller, and what a large error may ask for; see
+    """Gains of the geometric controller, and limits of its command; see
     `alula/dynamics/tracking_controller.hpp`.
     """
 
@@ -127,7 +127,7 @@ class TrackingTable(_Table, frozen=True, kw_only=True):
 
 
 class DisturbanceTable(_Table, frozen=True, kw_only=True):
-    """What the plant adds to a rigid body; all off by default. Drag is along the body's axes."""
+    """Disturbances of the simulated plant, all off by default; drag is along the body's axes."""
 
     motor_time_constant_s: Size = 0.0
     linear_drag_n_s_m: Sizes = (0.0, 0.0, 0.0)
@@ -143,13 +143,13 @@ class DisturbanceTable(_Table, frozen=True, kw_only=True):
 
 
 class AssumedTable(_Table, frozen=True, kw_only=True):
-    """What controller and filters take rotors and sensors for: of a real vehicle what was identified."""
+    """Lag and delay that controller and filters assume; for a real vehicle the identified values."""
 
     motor_time_constant_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
     delay_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
 
 
-# What each model has no use for.
+# Keys that do not apply to each model.
 _UNUSED = {
     "quadrotor": ("limits",),
     "double-integrator": (
@@ -222,7 +222,7 @@ class Vehicle(_Table, frozen=True, kw_only=True):
         )
 
 
-# The vehicle of the FastBridge paper; `examples/vehicles/fastbridge.toml` says where each number is from.
+# The vehicle of the FastBridge paper; `examples/vehicles/fastbridge.toml` has the source of each number.
 FASTBRIDGE = Vehicle(
     name="fastbridge",
     model="quadrotor",
@@ -243,7 +243,11 @@ FASTBRIDGE = Vehicle(
 
 
 def contents(table: msgspec.Struct) -> dict[str, Any]:
-    """A vehicle as plain JSON values, with the defaults that its file may leave out."""
+    """Convert a vehicle to plain JSON values, including the defaults that its file may omit.
+
+    Args:
+        table: the vehicle or a table of it.
+    """
     values = {
         name: contents(value) if isinstance(value, msgspec.Struct) else value
         for name, value in msgspec.structs.asdict(table).items()
@@ -252,13 +256,16 @@ def contents(table: msgspec.Struct) -> dict[str, Any]:
 
 
 def read_vehicle(path: Path) -> Vehicle:
-    """Read a vehicle.
+    """Read and check a vehicle file.
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: the file cannot be read, is empty or is not TOML.
         VersionError: it was written for a later major version.
-        UsageError: a key is unknown, missing, of no use to the model, of the wrong type or out of range; the
-            message has its path.
+        UsageError: a key is unknown, missing, not applicable to the model, of the wrong type or out of range;
+            the message has its path.
     """
     vehicle = read_toml(path, Vehicle, VEHICLE_SCHEMA)
     try:
@@ -269,7 +276,14 @@ def read_vehicle(path: Path) -> Vehicle:
 
 
 def check_vehicle(vehicle: Vehicle) -> None:
-    """Raise UsageError, with the path of the key, where numbers do not fit each other or the model."""
+    """Check that the numbers of a vehicle fit each other and its model.
+
+    Args:
+        vehicle: as read.
+
+    Raises:
+        UsageError: they do not; the message has the path of the key.
+    """
     values = msgspec.to_builtins(vehicle)
     _check_finite("$", values)
     for key in _NEEDED[vehicle.model]:
@@ -277,11 +291,11 @@ def check_vehicle(vehicle: Vehicle) -> None:
             raise UsageError(f"`$.{key}`: a {vehicle.model} needs it")
     for key in _UNUSED[vehicle.model]:
         if _has(values, key):
-            raise UsageError(f"`$.{key}`: a {vehicle.model} has no use for it")
+            raise UsageError(f"`$.{key}`: does not apply to a {vehicle.model}")
     disturbance = vehicle.disturbance
     has_drag = any(disturbance.linear_drag_n_s_m) or any(disturbance.quadratic_drag_n_s2_m2)
     if not has_drag and (any(disturbance.wind_m_s) or any(disturbance.gust_m_s)):
-        raise UsageError("`$.disturbance`: wind and gusts act through drag, and there is none")
+        raise UsageError("`$.disturbance`: wind and gusts act through drag, but the drag is zero")
     if vehicle.model == "quadrotor":
         _check_quadrotor(vehicle)
 
@@ -302,18 +316,18 @@ def _check_quadrotor(vehicle: Vehicle) -> None:
             f"`$.rotors.max_thrust_n`: {sum(low):g} to {sum(high):g} N of thrust cannot hover {weight:.3g} N"
         )
     _check_throttle(vehicle, sum(high) / mass)
-    share = vehicle.tracking.max_thrust_share
-    if share is not None and 0.95 * share * sum(high) < weight:
-        raise UsageError(f"`$.tracking.max_thrust_share`: {share:g} of the thrust cannot hover")
+    fraction = vehicle.tracking.max_thrust_share
+    if fraction is not None and 0.95 * fraction * sum(high) < weight:
+        raise UsageError(f"`$.tracking.max_thrust_share`: {fraction:g} of the thrust cannot hover")
 
 
 def _check_throttle(vehicle: Vehicle, strongest_m_s2: float) -> None:
     if vehicle.throttle is None:
         return
-    least, full = vehicle.throttle.acceleration_m_s2[0], sum(vehicle.throttle.acceleration_m_s2)
+    idle, full = vehicle.throttle.acceleration_m_s2[0], sum(vehicle.throttle.acceleration_m_s2)
     gravity = vehicle.body.gravity_m_s2
-    if not least < gravity < full * (1 - vehicle.throttle.sag_share):
-        raise UsageError(f"`$.throttle.acceleration_m_s2`: {least:g} to {full:.3g} m/s^2 cannot hover")
+    if not idle < gravity < full * (1 - vehicle.throttle.sag_share):
+        raise UsageError(f"`$.throttle.acceleration_m_s2`: {idle:g} to {full:.3g} m/s^2 cannot hover")
     if abs(full - strongest_m_s2) > 0.05 * strongest_m_s2:
         raise UsageError(
             f"`$.throttle.acceleration_m_s2`: {full:.3g} m/s^2 at full throttle,"
@@ -322,7 +336,7 @@ def _check_throttle(vehicle: Vehicle, strongest_m_s2: float) -> None:
 
 
 def _has(values: Any, key: str) -> bool:
-    """Whether a table of the file sets a key: absent and default are the same."""
+    """True when a table of the file sets a key; a default value counts as absent."""
     for part in key.split("."):
         if part not in values:
             return False
@@ -331,7 +345,7 @@ def _has(values: Any, key: str) -> bool:
 
 
 def _check_finite(where: str, value: Any) -> None:
-    """TOML has inf and nan; no key of a vehicle has."""
+    """Refuse inf and nan, which TOML allows."""
     if isinstance(value, float) and not math.isfinite(value):
         raise UsageError(f"`{where}`: must be finite")
     if isinstance(value, dict):

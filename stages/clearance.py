@@ -1,10 +1,9 @@
-"""How a flown or planned path is judged, independently of any filter: exact clearance, path, intervals."""
+"""Judgement of a flown or planned path, independent of any filter: clearance in continuous time, motion."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,8 +17,21 @@ from alula.stages.compression.hulls import Hulls
 COLLISION_TOLERANCE_M = 1e-6  # clearances are exact to far less; a touch is no collision
 
 
+def is_collision(*clearances_m: float | None) -> bool:
+    """True when one of the clearances of a flight is below zero, beyond rounding.
+
+    Args:
+        clearances_m: signed distances less the vehicle's radius [m]; None stands for no obstacle.
+    """
+    return any(c is not None and c < -COLLISION_TOLERANCE_M for c in clearances_m)
+
+
 def hull_obstacles(hulls: Hulls) -> PolytopeSet:
-    """The hulls in a search tree, for many queries by `path_clearance`."""
+    """Build a search tree of hulls, for many queries by `path_clearance`.
+
+    Args:
+        hulls: world frame [m].
+    """
     return PolytopeSet(
         normals=np.ascontiguousarray(hulls.normal_world),
         offsets=np.ascontiguousarray(hulls.offset_m),
@@ -30,10 +42,14 @@ def hull_obstacles(hulls: Hulls) -> PolytopeSet:
 
 
 def scene_obstacles(scene: Artifact, sigma: float) -> EllipsoidSet:
-    """The ellipsoids {x : (x - mu)' inv(Sigma) (x - mu) <= sigma^2} of a scene in a search tree.
+    """Build a search tree of the ellipsoids {x : (x - mu)' inv(Sigma) (x - mu) <= sigma^2} of a scene.
 
-    Each is grown by what its splat file's format may have lost of it (`level_of` in `ellipsoid.hpp`), so that
-    no clearance exceeds that of the Gaussians that the file was made from.
+    Each is grown by the loss of its splat file's format (`level_of` in `ellipsoid.hpp`), so that no clearance
+    exceeds that of the Gaussians that the file was made from.
+
+    Args:
+        scene: an `alula/scene`; the tree is in its frame and unit.
+        sigma: level, in standard deviations.
 
     Raises:
         InputError: `sigma` is not positive and finite.
@@ -88,7 +104,21 @@ def segment_clearance(
     jobs: int = 0,
     cap_m: float = math.inf,
 ) -> FloatArray:
-    """Like `path_clearance` for unconnected segments, shapes (S, 3) and (S, 3); returns shape (S,)."""
+    """Signed distance of unconnected segments to the nearest obstacle, as `path_clearance` defines it.
+
+    Args:
+        start: first points, shape (S, 3), in the frame and unit of the obstacles.
+        end: last points, shape (S, 3).
+        obstacles: from `hull_obstacles` or `scene_obstacles`.
+        jobs: threads, 0 for all processors; the result does not depend on it.
+        cap_m: distances of at least this are returned as this.
+
+    Returns:
+        Shape (S,).
+
+    Raises:
+        InputError: the shapes differ, a coordinate is not finite, or `cap_m` is not a number.
+    """
     a, b = np.ascontiguousarray(start, np.float64), np.ascontiguousarray(end, np.float64)
     if a.ndim != 2 or a.shape[1] != 3 or a.shape != b.shape:
         raise InputError(f"segments have the shapes (S, 3) and (S, 3), not {a.shape} and {b.shape}")
@@ -99,17 +129,50 @@ def segment_clearance(
     return np.asarray(obstacles.clearance(a, b, float(cap_m), jobs))
 
 
+def sphere_clearance(
+    points: ArrayLike, obstacles: PolytopeSet | EllipsoidSet, radius_m: float, *, jobs: int = 0
+) -> float | None:
+    """Minimum clearance of a sphere along a path.
+
+    Args:
+        points: path of its centre, shape (T, 3), in the frame of the obstacles [m].
+        obstacles: from `hull_obstacles` or `scene_obstacles`.
+        radius_m: of the sphere [m].
+        jobs: threads, 0 for all processors; the result does not depend on it.
+
+    Returns:
+        The minimum of `path_clearance` less the radius [m]; None without obstacles.
+    """
+    found = float(path_clearance(points, obstacles, jobs=jobs).min()) - radius_m
+    return found if math.isfinite(found) else None
+
+
 def clearance_to_hulls(
     points: ArrayLike, hulls: Hulls, *, jobs: int = 0, cap_m: float = math.inf
 ) -> FloatArray:
-    """`path_clearance` of a path, shape (T, 3) in the world frame [m], to the hulls of a cover."""
+    """`path_clearance` of a path to the hulls of a cover.
+
+    Args:
+        points: shape (T, 3), world frame [m].
+        hulls: world frame [m].
+        jobs: threads, 0 for all processors.
+        cap_m: distances of at least this are returned as this.
+    """
     return path_clearance(points, hull_obstacles(hulls), jobs=jobs, cap_m=cap_m)
 
 
 def clearance_to_scene(
     points: ArrayLike, scene: Artifact, sigma: float, *, jobs: int = 0, cap_m: float = math.inf
 ) -> FloatArray:
-    """`path_clearance` of a path, shape (T, 3), to the sigma-ellipsoids of a scene, in its frame and unit."""
+    """`path_clearance` of a path to the ellipsoids of a scene.
+
+    Args:
+        points: shape (T, 3), in the frame and unit of the scene.
+        scene: an `alula/scene`.
+        sigma: level of its ellipsoids, in standard deviations.
+        jobs: threads, 0 for all processors.
+        cap_m: distances of at least this are returned as this.
+    """
     return path_clearance(points, scene_obstacles(scene, sigma), jobs=jobs, cap_m=cap_m)
 
 
@@ -150,27 +213,3 @@ def path_metrics(points: ArrayLike, dt: float) -> PathMetrics:
         mean_jerk_m_s3=float(jerk.mean()) if len(jerk) else 0.0,
         max_jerk_m_s3=float(jerk.max(initial=0.0)),
     )
-
-
-def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Confidence interval of a success rate by the score test; (0, 1) without trials.
-
-    With z the normal quantile of (1 + confidence) / 2 and p = successes / n:
-    (p + z^2/2n +- z sqrt(p (1 - p) / n + z^2/4n^2)) / (1 + z^2/n).
-
-    Raises:
-        InputError: not 0 <= successes <= n, or the confidence is not in (0, 1).
-
-    Source: Wilson 1927.
-    """
-    if not (0 <= successes <= n) or not (0 < confidence < 1):
-        raise InputError(f"no interval for {successes} of {n} at confidence {confidence}")
-    if n == 0:
-        return 0.0, 1.0
-    z = NormalDist().inv_cdf((1 + confidence) / 2)
-    p = successes / n
-    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
-    lower = 0.0 if successes == 0 else max(0.0, centre - half)
-    upper = 1.0 if successes == n else min(1.0, centre + half)
-    return lower, upper

@@ -1,4 +1,4 @@
-"""The same function over many chunks, on threads, processes or a `dask.distributed` scheduler."""
+"""Map of a function over many chunks, on threads, processes or a `dask.distributed` scheduler."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from alula.schemas.manifest import producer
 
 Chunk = TypeVar("Chunk")
 Result = TypeVar("Result")
-TIMEOUT_S = 10.0  # for a scheduler to answer and to have a worker
+TIMEOUT_S = 10.0  # maximum time for a scheduler to answer and to have a worker
 
 
 class _Future(Protocol):
@@ -24,7 +24,7 @@ class _Future(Protocol):
 
 
 class _Workers(Protocol):
-    """Where chunks go, and how many may be under way: enough that no worker waits for the next."""
+    """Workers that take chunks; `under_way` is the number of chunks that keeps all of them busy."""
 
     def submit(self, function: Callable[[Any], Any], chunk: Any) -> _Future: ...
 
@@ -42,24 +42,24 @@ def distribute(
 ) -> Iterator[Result]:
     """Yield function(chunk) for every chunk, in the order of the chunks.
 
-    Results do not depend on where and on how many workers they are computed, as long as `function`
-    depends on its chunk alone. Chunks are taken from the iterable when a worker is about to be free,
-    so neither all chunks nor all results are in memory at once. A chunk of a worker that is lost is
-    computed again by another. When the caller stops early, or is interrupted, what has not begun is dropped.
+    Results do not depend on the kind and number of workers, as long as `function` depends on its chunk alone.
+    Chunks are taken from the iterable when a worker is about to be free, so neither all chunks nor all
+    results are in memory at once. Another worker repeats the chunk of a worker that is lost. When the caller
+    stops early, or is interrupted, chunks that have not begun are dropped.
 
     Args:
         function: for processes and a scheduler one that is found by its name in a module of `alula`, or
             can be pickled.
         chunks: large enough that a few milliseconds of overhead do not matter, below about 100 MB each.
         jobs: threads or processes; 0 is one per processor. Not used with a scheduler.
-        processes: for functions that hold the interpreter's lock.
+        processes: use processes; for functions that hold the interpreter's lock.
         scheduler: address of a `dask.distributed` scheduler, tcp://host:port.
-        timeout_s: how long the scheduler may take to answer and to have a worker.
+        timeout_s: maximum time for the scheduler to answer and to have a worker [s].
 
     Raises:
-        UsageError: the address is none, or `distributed` is not installed.
+        UsageError: the address is malformed, or `distributed` is not installed.
         LinkError: the scheduler does not answer, has no worker, or its workers run another version.
-        Exception: what `function` raises, for the first chunk in order.
+        Exception: raised by `function`, for the first chunk in order.
     """
     pool = _local(jobs, processes) if scheduler is None else _cluster(scheduler, timeout_s)
     with pool as workers:
@@ -93,7 +93,7 @@ def _local(jobs: int, processes: bool) -> Iterator[_Workers]:
     import os
 
     jobs = jobs or os.cpu_count() or 1
-    # Not forked: a copy of a process with threads may hang.
+    # Spawned, not forked: a forked process with threads may hang.
     context = multiprocessing.get_context("spawn")
     executor = ProcessPoolExecutor(jobs, mp_context=context) if processes else ThreadPoolExecutor(jobs)
     try:
@@ -111,7 +111,7 @@ class _Cluster:
         return future
 
     def under_way(self) -> int:
-        """Two per thread of the workers there are just now."""
+        """Two chunks per thread of the current workers."""
         threads: int = sum(self._client.nthreads().values())
         return 2 * max(1, threads)
 
@@ -127,7 +127,7 @@ def _cluster(address: str, timeout_s: float) -> Iterator[_Workers]:
         raise UsageError(
             "--scheduler needs dask.distributed, which is not installed: pip install 'alula[cluster]'"
         ) from error
-    # Chunks are sent with their tasks on purpose: a scheduler that holds them can send them again.
+    # Chunks are part of their tasks on purpose: the scheduler can then send them again.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"}):
         try:
             client = distributed.Client(address, timeout=timeout_s, set_as_default=False)
@@ -138,13 +138,13 @@ def _cluster(address: str, timeout_s: float) -> Iterator[_Workers]:
             try:
                 yield _Cluster(client)
             except distributed.KilledWorker as error:
-                raise LinkError(f"several workers of {address} were lost over the same chunk") from error
+                raise LinkError(f"several workers of {address} were lost with the same chunk") from error
             except CancelledError as error:
                 raise LinkError(f"the connection to the scheduler at {address} was lost") from error
 
 
 def _check_workers(client: Any, address: str, timeout_s: float) -> None:
-    """Refuse workers without this version: what they compute would not be what is recorded.
+    """Refuse workers of another version: their results would not be those that the record describes.
 
     Raises:
         LinkError: there is no worker, or one has another alula.
@@ -155,7 +155,7 @@ def _check_workers(client: Any, address: str, timeout_s: float) -> None:
         raise LinkError(f"the scheduler at {address} has no workers") from error
     try:
         found = client.run(_version)
-    except Exception as error:  # whatever the worker raised where it has no alula, or an older one
+    except Exception as error:  # of any type: the worker may have no alula, or an older one
         raise LinkError(f"a worker of {address} cannot run alula: {error}") from error
     for worker, theirs in sorted(found.items()):
         if theirs != _version():

@@ -1,4 +1,4 @@
-"""Progress of a stage that works in several parts."""
+"""Progress of a stage with several parts."""
 
 from __future__ import annotations
 
@@ -8,19 +8,24 @@ WHOLE = 1000
 
 
 def share(progress: Progress | None, begin: float, end: float) -> Progress | None:
-    """A callback for one part of the work, from `begin` to `end` of the whole, 0 to 1.
+    """Callback for one part of the work.
 
-    It reports (done, WHOLE) to `progress`; parts whose total is not known yet, 0 or 1, stand at their
-    beginning. What it reports never decreases.
+    It reports (done, WHOLE) to `progress`. A part whose total is not known yet, 0 or 1, counts as not begun.
+    The reported value never decreases.
+
+    Args:
+        progress: of the whole work; None gives None.
+        begin: fraction of the whole at which the part begins, 0 to 1.
+        end: fraction of the whole at which it ends, 0 to 1.
     """
     if progress is None:
         return None
-    most = begin
+    reached = begin
 
     def report(done: int, total: int) -> None:
-        nonlocal most
+        nonlocal reached
         if total > 1:
-            most = max(most, begin + (end - begin) * min(done / total, 1.0))
-        progress(int(WHOLE * most), WHOLE)
+            reached = max(reached, begin + (end - begin) * min(done / total, 1.0))
+        progress(int(WHOLE * reached), WHOLE)
 
     return report

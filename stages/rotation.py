@@ -1,4 +1,4 @@
-"""Quaternions in the order w, x, y, z and rotation matrices, one or many at a time."""
+"""Quaternions in the order w, x, y, z and rotation matrices, single or in arrays."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def quat_wxyz_from_matrix(matrix: NDArray[Any]) -> FloatArray:
 
 
 def multiply_quat_wxyz(left: NDArray[Any], right: NDArray[Any]) -> FloatArray:
-    """Hamilton products; the rotation `right` first, then `left`.
+    """Hamilton products: the rotation `right` first, then `left`.
 
     Args:
         left: shape (..., 4).

@@ -67,7 +67,7 @@ def fly(
         wanted_setpoints,
     )
     from alula.stages.flight.recorder.log import FlightHead, FlightRecorder
-    from alula.stages.runlog.runs import map_message
+    from alula.stages.runlog.maps import map_message
 
     interrupts = 0
 

@@ -1,4 +1,4 @@
-"""What `alula simulate` does for every scenario whose trials are flown in chunks."""
+"""Steps of `alula simulate` that all scenarios with chunks of trials share."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 
 class Flown(Protocol):
-    """What a stage says of all trials."""
+    """Result of a stage that flies all trials."""
 
     @property
     def trials(self) -> list[TrialResult]:
-        """In their order."""
+        """Verdicts, in their order."""
         ...
 
 
@@ -38,14 +38,14 @@ Write = Callable[["Provenance", F, dict[str, Any], dict[str, Any], str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Meaning:
-    """What options of `simulate` mean to a kind of scenario.
+class ScenarioOptions:
+    """Options of `simulate` that apply to a kind of scenario.
 
     Attributes:
-        keys: fields of the configuration that mean something in it, and their keys there.
-        tables: of the scenario; what --set names outside of them are the filter's parameters.
-        others: parameters of the command that mean nothing in it, and their options.
-        meant_for: what options are for that mean nothing in it.
+        keys: scenario key by field of the configuration, for the fields that apply.
+        tables: of the scenario; --set with any other name sets a parameter of the filter.
+        others: option by parameter of the command, for those that do not apply.
+        meant_for: flights that the options which do not apply are for, in words.
     """
 
     keys: Mapping[str, str]
@@ -59,35 +59,36 @@ def replaced_keys(
     config: SimulateConfig,
     settings: Mapping[str, Any],
     seed: int,
-    meaning: Meaning,
+    applicable: ScenarioOptions,
 ) -> dict[str, Any]:
-    """What the command line replaces, by the keys of the scenario.
+    """Keys of the scenario that the command line replaces, with their new values.
 
     Args:
-        context: knows which options were given.
+        context: tells which options were given.
         config: of `simulate`.
-        settings: those of --set.
+        settings: names and values of --set.
         seed: of --seed.
-        meaning: of the options.
+        applicable: options that apply to the scenario.
 
     Raises:
-        UsageError: an option was given that means nothing.
+        UsageError: an option was given that does not apply.
     """
     changes: dict[str, Any] = {}
     for field in dataclasses.fields(config):
         if field.name == "seed" or not options.is_given(context, field.name):
             continue
-        if field.name not in meaning.keys:
-            raise UsageError(f"{options.option_of(field)} is for {meaning.meant_for}")
-        changes[meaning.keys[field.name]] = getattr(config, field.name)
-    for name, option in meaning.others.items():
+        if field.name not in applicable.keys:
+            raise UsageError(f"{options.option_of(field)} is for {applicable.meant_for}")
+        changes[applicable.keys[field.name]] = getattr(config, field.name)
+    for name, option in applicable.others.items():
         if options.is_given(context, name):
-            raise UsageError(f"{option} is for {meaning.meant_for}")
+            raise UsageError(f"{option} is for {applicable.meant_for}")
     if options.is_given(context, "seed"):
         changes["trials.seed"] = seed
     for name, value in settings.items():
         first = name.partition(".")[0]
-        changes[name if first in meaning.tables and "." in name else f"filter.parameters.{name}"] = value
+        is_key = first in applicable.tables and "." in name
+        changes[name if is_key else f"filter.parameters.{name}"] = value
     return changes
 
 
@@ -101,16 +102,16 @@ def run_trials(
     summarize: Callable[[F], dict[str, Any]],
     write: Write[F],
 ) -> None:
-    """Fly all trials of a scenario and write what was found; an interrupted run goes on from its journal.
+    """Fly all trials of a scenario and write the run; continue an interrupted run from its journal.
 
     Args:
         common: the shared options.
-        parameters: the scenario, without what has no influence on results.
-        paths: the files, by role: the scenario, a cover if there is one, others.
-        chunk: of the journal.
+        parameters: the scenario, without names of files.
+        paths: the files by role: the scenario, a cover if there is one, others.
+        chunk: type of the journal's chunks.
         fly: the stage; called with cover, journal, jobs and progress by name.
-        summarize: what the record says in short.
-        write: writes the files, from provenance, what was flown, summary, measured times and the frame.
+        summarize: returns the summary of the flown trials.
+        write: writes the files, from provenance, flown trials, summary, measured times and name of the frame.
     """
     from alula.cli.journal import JournalFile
     from alula.schemas.artifact import read_artifact
@@ -137,7 +138,7 @@ def run_trials(
         frame = "world" if cover is None else cover.manifest.frame
         return lambda: write(provenance, flown, summary, timing, frame), summary
 
-    # What a scenario is called in a file matters no more than how its tables are ordered.
+    # The id of the scenario's schema has no influence on results, as the order of its tables has none.
     parameters = {key: value for key, value in parameters.items() if key not in ("schema", "version")}
     seed = parameters["trials"].pop("seed")
     run(common, RUN_SCHEMA, RUN_VERSION, parameters, dict(paths), make, seed=seed)

@@ -20,8 +20,8 @@ from alula.schemas.provenance import parameters_of
 if TYPE_CHECKING:
     from alula.schemas.progress import Progress
     from alula.schemas.provenance import Provenance
-    from alula.stages.simulation.hulls.simulate import RunResult
     from alula.stages.simulation.pairs import Pairs
+    from alula.stages.simulation.result import RunResult
 
 EXAMPLES = """\b
 Examples:
@@ -46,32 +46,32 @@ _GUIDE = "guide."  # before the name of a parameter of the guide
     "--scene",
     "scene_path",
     type=options.input_path(),
-    help="Metric scene; also judge against its ellipsoids.",
+    help="Metric scene; flights are also judged against its ellipsoids.",
 )
 @click.option(
     "--vehicle",
     "vehicle_path",
     type=options.input_path(),
-    help="What flies (.toml); default: among ellipsoids the quadrotor of FastBridge.",
+    help="Vehicle file (.toml); default in a scene: the quadrotor of FastBridge.",
 )
 @click.option(
     "--pairs-from",
     "pairs_path",
     type=options.input_path(),
-    help="Another run (.run.mcap), whose starts and goals are flown instead of random ones.",
+    help="Run (.run.mcap) with the starts and goals to fly instead of random ones.",
 )
 @click.option(
     "--set",
     "settings",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Parameter of a filter among ellipsoids or moving obstacles or in a fence, guide.NAME=VALUE of its "
-    "guide; may be repeated.",
+    help="Set a parameter of the filter, or with guide.NAME=VALUE of the guide; may be repeated.",
 )
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
-    help="Send trials among moving obstacles or in a fence to this dask.distributed scheduler, tcp://host:port.",
+    help="Send trials of scenarios with moving obstacles or a fence to this dask.distributed scheduler, "
+    "tcp://host:port.",
 )
 @options.from_config(SimulateConfig)
 @options.output(".run.mcap")
@@ -88,21 +88,28 @@ def command(
     config: SimulateConfig,
     common: options.Common,
 ) -> None:
-    """Fly start-goal pairs or a plan behind a safety filter.
+    r"""Fly start-goal pairs or a plan behind a safety filter.
 
-    SOURCE is a scenario (.toml), a plan with --map, or a cover or a scene, in which random pairs are flown.
-    Among the hulls of a cover flies a single integrator, a point with velocities as input (none,
-    polytope-cbf); among the ellipsoids of a scene a quadrotor with rotors, or a double integrator, a point
-    with accelerations as input (none, cone-di, safer-splat, and with rotors cone-ecbf, cone-backup).
-    Options given here replace those of the scenario. A scenario with [[obstacles]] has moving ones
-    (none, dr-acbf, dr-acbf-qp, mpc, cbf-qp, rp-cbf): --set replaces any of its keys, as in
-    --set sensor.rate_hz=40, or a parameter of the filter; --trials of them are flown, an interrupted run
-    leaves OUTPUT.journal, and the same command again continues from it. So it is with a scenario with
-    [fence]: a racing drone and a simulated pilot, whose commands a geofence keeps inside (geofence,
-    backup-qp, none).
+    SOURCE is a cover, a scene, a plan or a scenario (.toml). Random start-goal pairs are flown in a cover or
+    a scene; a plan is flown in the --map. Options on the command line replace those of a scenario.
 
-    Beside R.run.mcap, R.run.json holds the same summary and the measured times. Exit code 4: a filtered
-    flight collided with its map, or left its fence.
+    \b
+    Vehicle and filters:
+      cover          single integrator, commanded by velocity:
+                     none, polytope-cbf
+      scene          double integrator, commanded by acceleration, or quadrotor:
+                     none, cone-di, safer-splat; quadrotor: cone-ecbf, cone-backup
+      [[obstacles]]  double integrator among the moving obstacles of a scenario:
+                     none, dr-acbf, dr-acbf-qp, mpc, cbf-qp, rp-cbf
+      [fence]        racing drone with a simulated pilot in a scenario's geofence:
+                     none, geofence, backup-qp
+
+    Scenarios with [[obstacles]] or [fence] fly --trials trials. Their --set replaces any key, as in
+    --set sensor.rate_hz=40, or a parameter of the filter. An interrupted run leaves OUTPUT.journal; the same
+    command continues from it.
+
+    The run's summary and measured times are also written to R.run.json, beside R.run.mcap. Exit code 4: a
+    filtered flight collided with its map or left its fence.
     """
     from alula.cli.run_files import check_log_name
     from alula.schemas.artifact import read_artifact
@@ -195,7 +202,18 @@ def command(
 def inputs_of(
     source: Path, map_path: Path | None, scene: Path | None, vehicle: Path | None
 ) -> dict[str, Path]:
-    """All files to read, by role; those of a scenario are relative to its folder."""
+    """Paths of all files to read, by role; those in a scenario are relative to its folder.
+
+    Args:
+        source: scenario, plan, cover or scene.
+        map_path: cover or scene of --map.
+        scene: scene of --scene.
+        vehicle: file of --vehicle.
+
+    Raises:
+        WrongKindError: a file is of another kind.
+        UsageError: the files do not go together.
+    """
     from alula.schemas.artifact import read_manifest
     from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.scenario import read_scenario
@@ -220,11 +238,11 @@ def inputs_of(
             )
         role = found.removeprefix("alula/")
         if role != "plan" and map_path is not None:
-            raise UsageError(f"{source} is a {role} already; --map is for plans and scenarios")
+            raise UsageError(f"{source} is a {role}; --map is for plans and scenarios")
         if role == "plan" and map_path is None:
-            raise UsageError("a plan needs --map, the cover or the scene to fly it in")
+            raise UsageError("a plan needs --map: a cover or a scene to fly it in")
         if role == "scene" and scene is not None:
-            raise UsageError(f"{source} is a scene already; --scene is for covers")
+            raise UsageError(f"{source} is a scene; --scene is for covers")
         paths = {role: source}
     if map_path is not None:
         found = read_manifest(map_path).schema
@@ -239,10 +257,16 @@ def inputs_of(
 
 
 def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
-    """Whether the filter sees the ellipsoids of the scene; `none` flies what the map is for.
+    """Decide between the ellipsoids of a scene (True) and the hulls of a cover, by the filter.
+
+    The filter `none` takes the cover if there is one.
+
+    Args:
+        name: of the filter.
+        paths: files by role.
 
     Raises:
-        UsageError: there is no such filter, or not the map that it sees.
+        UsageError: there is no such filter, or its map is missing.
     """
     from alula.stages.filtering.registry import NO_FILTER, filter_names, splat_filter_names
 
@@ -254,22 +278,22 @@ def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
         return "cover" not in paths
     if name in ellipsoids:
         if "scene" not in paths:
-            raise UsageError(f"{name} sees the ellipsoids of a scene; give one, with --scene beside a cover")
+            raise UsageError(f"{name} needs a scene, for its ellipsoids; add --scene to a cover")
         return True
     if "cover" not in paths:
         others = [other for other in ellipsoids if other != NO_FILTER]
         raise UsageError(
-            f"{name} sees the hulls of a cover, not a scene; --filter may be {', '.join(others)} or none"
+            f"{name} needs a cover, for its hulls; in a scene --filter is {', '.join(others)} or none"
         )
     return False
 
 
 def _check_options(config: SimulateConfig, given: Set[str], *, splat: bool) -> None:
-    """Refuse options that the flights to be do not have."""
+    """Refuse options that do not apply to these flights."""
     wrong = [name for name in (HULLS_ONLY if splat else ELLIPSOIDS_ONLY) if name in given]
     if wrong:
-        whom = "hulls of a cover" if splat else "ellipsoids of a scene"
-        raise UsageError(f"{_option_of(wrong[0])} is for flights among the {whom}, which these are not")
+        others = "hulls of a cover" if splat else "ellipsoids of a scene"
+        raise UsageError(f"{_option_of(wrong[0])} is for flights among the {others}")
     if not splat and config.filter_parameters and config.filter in ("none", "polytope-cbf"):
         known = (
             "no parameters"
@@ -280,25 +304,23 @@ def _check_options(config: SimulateConfig, given: Set[str], *, splat: bool) -> N
 
 
 def _check_pairs_from(context: click.Context, has_plan: bool) -> None:
-    """Refuse options that say which pairs to draw, where another run's are flown."""
+    """Refuse options for random pairs, where those of another run are flown."""
     if has_plan:
-        raise UsageError("--pairs-from: a plan is flown as it is")
+        raise UsageError("--pairs-from: a plan has its own start and goal")
     for name in SAMPLING_ONLY:
         if options.is_given(context, name):
-            raise UsageError(
-                f"{_option_of(name)} is for random pairs; those of --pairs-from are flown as they are"
-            )
+            raise UsageError(f"{_option_of(name)} is for random pairs; leave it out with --pairs-from")
 
 
 def _option_of(name: str) -> str:
-    """How a field of the configuration is called on the command line."""
+    """Option of a field of the configuration."""
     return options.option_of(next(f for f in dataclasses.fields(SimulateConfig) if f.name == name))
 
 
 def _configured(
     context: click.Context, source: Path, config: SimulateConfig, seed: int, settings: tuple[str, ...]
 ) -> tuple[SimulateConfig, set[str]]:
-    """The scenario's settings, replaced by what was given on the command line; and which fields were set."""
+    """Settings of the scenario, replaced by those of the command line, and the names of the fields given."""
     from alula.schemas.scenario import read_scenario
 
     given: dict[str, Any] = {
@@ -318,7 +340,7 @@ def _configured(
         given["seed"] = seed
     found = read_scenario(source).settings()
     if "sigma" in given and "confidence" not in given:
-        found.pop("confidence", None)  # the same level in other words
+        found.pop("confidence", None)  # it would set the same level
     if parameters:
         given["filter_parameters"] = {**found.get("filter_parameters", {}), **parameters}
     if guides:
@@ -330,7 +352,14 @@ def _configured(
 
 
 def setting_of(word: str) -> tuple[str, Any]:
-    """NAME=VALUE: a whole number, a number, numbers with commas, true or false, else a word."""
+    """Parse NAME=VALUE; the value is an integer, a number, a list with commas, true or false, else a word.
+
+    Args:
+        word: of --set.
+
+    Raises:
+        UsageError: name or value is missing, or the number is not finite.
+    """
     name, equals, text = word.partition("=")
     if not (equals and name and text):
         raise UsageError(f"--set needs NAME=VALUE, not {word!r}")
@@ -350,17 +379,13 @@ def setting_of(word: str) -> tuple[str, Any]:
 def _write(
     output: Path, config: SimulateConfig, provenance: Provenance, result: RunResult, frame: str
 ) -> None:
-    """The log, then the record beside it."""
-    import msgspec
-
+    """Write the log, and the record beside it."""
     from alula.cli.run_files import flight_timing, write_run
-    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
+    from alula.schemas.run import RunRecord
     from alula.stages.runlog.runs import write_log
 
-    record = RunRecord(
-        schema=RUN_SCHEMA,
-        version=RUN_VERSION,
-        provenance=msgspec.structs.replace(provenance, summary=result.summary),
+    record = RunRecord.of(
+        provenance,
         name=config.name,
         filter=result.filter,
         vehicle=result.vehicle,
@@ -377,18 +402,17 @@ def _write(
 
 
 def _check(output: Path, trials: list[Any], *, splat: bool) -> None:
-    """Fail when a flight behind a filter came closer to what it sees than the vehicle's radius."""
-    from alula.stages.clearance import COLLISION_TOLERANCE_M
+    """Raise CheckError when a filtered flight came closer to the filter's map than the vehicle's radius."""
+    from alula.stages.clearance import is_collision
 
-    def clearance(trial: Any) -> float:
-        found = trial.scene_clearance_m if splat else trial.map_clearance_m
-        return math.inf if found is None else found
+    def clearance(trial: Any) -> Any:
+        return trial.scene_clearance_m if splat else trial.map_clearance_m
 
-    hits = [trial for trial in trials if clearance(trial) < -COLLISION_TOLERANCE_M]
+    hits = [trial for trial in trials if is_collision(clearance(trial))]
     if hits:
         worst = min(hits, key=clearance)
         start = " ".join(f"{value:.3f}" for value in worst.start_m)
         raise CheckError(
-            f"{output}: {len(hits)} of {len(trials)} filtered flights collided with the map; deepest in "
+            f"{output}: {len(hits)} of {len(trials)} filtered flights collided with the map; the deepest is "
             f"trial {worst.index} from ({start}), {-clearance(worst):.4g} m"
         )

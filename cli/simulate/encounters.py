@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from alula.cli import options
-from alula.cli.simulate.chunks import Meaning, replaced_keys, run_trials
+from alula.cli.simulate.chunks import ScenarioOptions, replaced_keys, run_trials
 from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import CheckError
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from alula.schemas.provenance import Provenance
     from alula.stages.simulation.encounters.simulate import EncounterRun
 
-_MEANING = Meaning(
+_OPTIONS = ScenarioOptions(
     keys={
         "name": "name",
         "filter": "filter.name",
@@ -33,7 +33,7 @@ _MEANING = Meaning(
     },
     tables=("encounter", "vehicle", "obstacles", "sensor", "tracker", "filter", "walls", "trials", "run"),
     others={"scene_path": "--scene", "vehicle_path": "--vehicle"},
-    meant_for="flights among static obstacles, which these are not",
+    meant_for="flights among static obstacles",
 )
 
 
@@ -46,7 +46,21 @@ def simulate_encounters(
     scheduler: str | None,
     common: options.Common,
 ) -> None:
-    """Fly the trials of a scenario with moving obstacles, and write the log and the record beside it."""
+    """Fly the trials of a scenario with moving obstacles, and write its log and record.
+
+    Args:
+        context: tells which options were given.
+        source: the scenario.
+        map_path: cover with static obstacles, in place of the scenario's.
+        config: of `simulate`.
+        settings: names and values of --set.
+        scheduler: address of a `dask.distributed` scheduler.
+        common: the shared options.
+
+    Raises:
+        UsageError: an option does not apply, or the scenario is wrong.
+        CheckError: a filtered flight hit a wall.
+    """
     import msgspec
 
     from alula.schemas.encounters import read_encounters
@@ -54,7 +68,7 @@ def simulate_encounters(
     from alula.stages.simulation.encounters.simulate import FlownChunk, fly_encounters
     from alula.stages.simulation.encounters.summary import encounter_summary
 
-    changes = replaced_keys(context, config, settings, common.seed, _MEANING)
+    changes = replaced_keys(context, config, settings, common.seed, _OPTIONS)
     scenario = read_encounters(source, changes)
     paths = {"scenario": source}
     if scenario.map.cover is not None or map_path is not None:
@@ -83,19 +97,15 @@ def _write(
     timing: dict[str, Any],
     frame: str,
 ) -> None:
-    """The log, then the record beside it."""
-    import msgspec
-
+    """Write the log, and the record beside it."""
     from alula.cli.run_files import write_run
-    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
+    from alula.schemas.run import RunRecord
     from alula.stages.runlog.encounters import write_encounter_log
     from alula.stages.simulation.encounters.summary import encounter_guarantee, encounter_timing
 
     body = scenario.vehicle
-    record = RunRecord(
-        schema=RUN_SCHEMA,
-        version=RUN_VERSION,
-        provenance=msgspec.structs.replace(provenance, summary=summary),
+    record = RunRecord.of(
+        provenance,
         name=scenario.name,
         filter=scenario.filter.name,
         vehicle=f"sphere of radius {body.radius_m:g} m, double integrator up to {body.v_max_m_s:g} m/s, "

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from alula.cli import options
-from alula.cli.simulate.chunks import Meaning, replaced_keys, run_trials
+from alula.cli.simulate.chunks import ScenarioOptions, replaced_keys, run_trials
 from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import CheckError
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from alula.schemas.provenance import Provenance
     from alula.stages.simulation.geofence.simulate import FenceRun
 
-_MEANING = Meaning(
+_OPTIONS = ScenarioOptions(
     keys={
         "name": "name",
         "filter": "filter.name",
@@ -30,7 +30,7 @@ _MEANING = Meaning(
     },
     tables=("fence", "vehicle", "filter", "pilot", "trials", "run"),
     others={"scene_path": "--scene", "pairs_path": "--pairs-from"},
-    meant_for="other flights than those in a fence",
+    meant_for="flights without a fence",
 )
 _FILES = {"vehicle": "vehicle.file", "cover": "fence.cover"}  # by role
 
@@ -44,9 +44,20 @@ def simulate_geofence(
     scheduler: str | None,
     common: options.Common,
 ) -> None:
-    """Fly the trials of a scenario with a fence, and write the log and the record beside it.
+    """Fly the trials of a scenario with a fence, and write its log and record.
 
-    `files` given on the command line, a vehicle or a cover, replace those of the scenario.
+    Args:
+        context: tells which options were given.
+        source: the scenario.
+        files: vehicle and cover of the command line, which replace those of the scenario.
+        config: of `simulate`.
+        settings: names and values of --set.
+        scheduler: address of a `dask.distributed` scheduler.
+        common: the shared options.
+
+    Raises:
+        UsageError: an option does not apply, or the scenario is wrong.
+        CheckError: a filtered flight left the fence.
     """
     import msgspec
 
@@ -58,14 +69,14 @@ def simulate_geofence(
 
     given = {role: path for role, path in files.items() if path is not None}
     named = {_FILES[role]: str(path) for role, path in given.items()}
-    changes = named | replaced_keys(context, config, settings, common.seed, _MEANING)
+    changes = named | replaced_keys(context, config, settings, common.seed, _OPTIONS)
     scenario = read_fence_scenario(source, changes)
     paths = {"scenario": source, "vehicle": source.parent / scenario.vehicle.file}
     if scenario.fence.cover is not None:
         paths["cover"] = source.parent / scenario.fence.cover
     paths |= given
     vehicle = read_vehicle(paths["vehicle"])
-    # Names of files do not matter, their content is hashed.
+    # The content of files is hashed; their names have no influence on results.
     parameters = msgspec.json.decode(msgspec.json.encode(scenario), type=dict[str, Any])
     for key in _FILES.values():
         table, name = key.split(".")
@@ -85,7 +96,7 @@ def simulate_geofence(
         if summary["violations"]:
             raise CheckError(
                 f"{common.output}: {summary['violations']} of {summary['trials']} filtered flights left the "
-                f"fence; farthest in trial {summary['worst_trial']}, {-summary['min_distance_m']:.4g} m"
+                f"fence; the farthest in trial {summary['worst_trial']}, {-summary['min_distance_m']:.4g} m"
             )
 
 
@@ -99,18 +110,14 @@ def _write(
     timing: dict[str, Any],
     frame: str,
 ) -> None:
-    """The log, then the record beside it."""
-    import msgspec
-
+    """Write the log, and the record beside it."""
     from alula.cli.run_files import write_run
-    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
+    from alula.schemas.run import RunRecord
     from alula.stages.runlog.geofence import write_fence_log
     from alula.stages.simulation.geofence.summary import fence_guarantee, fence_timing
 
-    record = RunRecord(
-        schema=RUN_SCHEMA,
-        version=RUN_VERSION,
-        provenance=msgspec.structs.replace(provenance, summary=summary),
+    record = RunRecord.of(
+        provenance,
         name=scenario.name,
         filter=scenario.filter.name,
         vehicle=f"{vehicle}, by throttle and rates, radius {flown.world.radius_m:g} m",
@@ -123,5 +130,7 @@ def _write(
         output,
         record,
         timing | fence_timing(flown.times),
-        lambda log: write_fence_log(log, record, flown.flights, flown.world, frame, tick_s=tick_s),
+        lambda log: write_fence_log(
+            log, record, flown.flights, flown.world.faces, flown.world.hulls, frame, tick_s=tick_s
+        ),
     )

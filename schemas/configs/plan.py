@@ -14,45 +14,45 @@ Point = tuple[float, float, float]
 class PlanConfig:
     """Parameters of `plan`; points in the world frame [m]."""
 
-    start: Point = field(metadata={"help": "Where the flight begins.", "metavar": "POINT"})
-    goal: Point = field(metadata={"help": "Where it ends.", "metavar": "POINT"})
+    start: Point = field(metadata={"help": "First point of the flight [m].", "metavar": "POINT"})
+    goal: Point = field(metadata={"help": "Last point of the flight [m].", "metavar": "POINT"})
     via: tuple[Point, ...] = field(
         default=(),
-        metadata={"help": "Fly through this point on the way; may be repeated.", "metavar": "POINT"},
+        metadata={"help": "Intermediate point to fly through [m]; may be repeated.", "metavar": "POINT"},
     )
     radius_m: float = field(
-        default=0.15, metadata={"help": "Distance to keep from every hull [m].", "option": "--radius"}
+        default=0.15, metadata={"help": "Minimum distance to every hull [m].", "option": "--radius"}
     )
-    speed_m_s: float = field(default=1.0, metadata={"help": "Largest speed [m/s].", "option": "--speed"})
+    speed_m_s: float = field(default=1.0, metadata={"help": "Maximum speed [m/s].", "option": "--speed"})
     acceleration_m_s2: float = field(
-        default=3.0, metadata={"help": "Largest acceleration [m/s^2].", "option": "--acceleration"}
+        default=3.0, metadata={"help": "Maximum acceleration [m/s^2].", "option": "--acceleration"}
     )
     resolution_m: float | None = field(
         default=None,
         metadata={
-            "help": "Spacing of the search lattice [m]; default: from radius and size of the world.",
+            "help": "Spacing of the search lattice [m]; default: by --radius and the size of the box.",
             "option": "--resolution",
         },
     )
     bounds: tuple[float, float, float, float, float, float] | None = field(
         default=None,
         metadata={
-            "help": "Stay in the box XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; default: around hulls and points.",
+            "help": "Box to stay in, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; default: around hulls and points.",
             "metavar": "BOX",
         },
     )
     yaw_rad: float = field(default=0.0, metadata={"help": "Constant heading [rad].", "option": "--yaw"})
 
     def __post_init__(self) -> None:
-        """Refuse values that mean nothing."""
-        for option, value, least, most in (
+        """Refuse values out of range and points that cannot be flown through."""
+        for option, value, low, high in (
             ("--radius", self.radius_m, 1e-3, 1e3),
             ("--speed", self.speed_m_s, 1e-3, 1e3),
             ("--acceleration", self.acceleration_m_s2, 1e-3, 1e4),
             ("--resolution", self.resolution_m, 1e-4, 1e3),
         ):
-            if value is not None and not (least <= value <= most):
-                raise UsageError(f"{option} must be between {least:g} and {most:g}, not {value:g}")
+            if value is not None and not (low <= value <= high):
+                raise UsageError(f"{option} must be between {low:g} and {high:g}, not {value:g}")
         if not (-7 <= self.yaw_rad <= 7):
             raise UsageError(f"--yaw is in radians, not {self.yaw_rad:g}")
         points = self.points
@@ -69,5 +69,5 @@ class PlanConfig:
 
     @property
     def points(self) -> list[Point]:
-        """Start, the points on the way, goal."""
+        """Start, intermediate points, goal."""
         return [self.start, *self.via, self.goal]

@@ -12,19 +12,19 @@ from alula.schemas.errors import UsageError
 DEFAULT_RADIUS_M = 0.1
 DEFAULT_SPEED_M_S = 1.0
 
-# Fields that only flights among the hulls of a cover have, and those among the ellipsoids of a scene.
+# Fields that apply only to flights among the hulls of a cover, and only among the ellipsoids of a scene.
 HULLS_ONLY = ("gain", "beta", "kappa_per_m", "smoothing", "onboard")
 ELLIPSOIDS_ONLY = (
     *("sigma", "confidence", "inflation_m", "plant", "guide", "guide_parameters", "catch_up_m_s"),
     *("interface", "pairs"),
 )
-# Fields that say which random pairs are drawn.
+# Fields that determine the random pairs.
 SAMPLING_ONLY = ("pairs", "bounds", "margin_m", "separation")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulateConfig:
-    """Parameters of `simulate`; None stands for what the plan or the vehicle says, or for the default."""
+    """Parameters of `simulate`; None stands for the value of the plan or the vehicle, or for the default."""
 
     name: str = field(default="run", metadata={"help": "Name of the run, for reports."})
     filter: str = field(
@@ -33,7 +33,7 @@ class SimulateConfig:
     radius_m: float | None = field(
         default=None,
         metadata={
-            "help": "Radius of the vehicle [m]; default: of its file, else the plan's, "
+            "help": "Radius of the vehicle [m]; default: that of its file, else the plan's, "
             f"else {DEFAULT_RADIUS_M}.",
             "option": "--radius",
         },
@@ -41,12 +41,13 @@ class SimulateConfig:
     speed_m_s: float | None = field(
         default=None,
         metadata={
-            "help": f"Speed limit [m/s]; default: of the vehicle's file, else 1.5 times a plan's, else "
-            f"{DEFAULT_SPEED_M_S}. Among ellipsoids: peak of the references; default: {DEFAULT_SPEED_M_S}.",
+            "help": f"In a cover: speed limit [m/s]; default: that of the vehicle's file, else 1.5 times the "
+            f"plan's, else {DEFAULT_SPEED_M_S}. In a scene: peak speed of the references; default: "
+            f"{DEFAULT_SPEED_M_S}.",
             "option": "--speed",
         },
     )
-    gain: float = field(default=2.0, metadata={"help": "Gain c of the nominal controller [1/s]."})
+    gain: float = field(default=2.0, metadata={"help": "In a cover: gain c of the nominal controller [1/s]."})
     beta: float = field(default=2.0, metadata={"help": "Gain of the barrier [1/s], at most 1 / dt."})
     kappa_per_m: float = field(
         default=100.0,
@@ -68,42 +69,45 @@ class SimulateConfig:
         },
     )
     trials: int | None = field(
-        default=None, metadata={"help": "Number of random start-goal pairs; default 100."}
+        default=None, metadata={"help": "Number of random start-goal pairs; default: 100."}
     )
     bounds: tuple[float, float, float, float, float, float] | None = field(
         default=None,
         metadata={
             "help": "Box for starts and goals, XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; "
-            "default: the central 98 % of the hulls' vertices, or the Gaussians' centres, on each axis.",
+            "default: on each axis the central 98 % of the hulls' vertices or of the Gaussians' centres.",
             "metavar": "BOX",
         },
     )
     margin_m: float = field(
         default=0.05,
-        metadata={"help": "Starts and goals are this much clearer than needed [m].", "option": "--margin"},
+        metadata={"help": "Extra clearance of random starts and goals [m].", "option": "--margin"},
     )
     separation: float = field(
-        default=0.3, metadata={"help": "Least start-goal distance, as a part of the box's diagonal."}
+        default=0.3,
+        metadata={"help": "Minimum distance from start to goal, as a fraction of the box's diagonal."},
     )
     stop_fraction: float = field(
         default=0.01,
         metadata={
-            "help": "Reached within this part of the start-goal distance, or 1 mm; among ellipsoids 5 cm."
+            "help": "The goal is reached within this fraction of the distance from start to goal, or within "
+            "1 mm; in a scene within 5 cm."
         },
     )
     dt_s: float = field(
         default=0.01,
         metadata={
-            "help": "Time step of filter and vehicle [s]; a rigid body moves in steps of at most 1 ms.",
+            "help": "Time step of filter and vehicle [s]; a quadrotor is integrated in steps of at most "
+            "1 ms.",
             "option": "--dt",
         },
     )
     max_time_s: float | None = field(
         default=None,
         metadata={
-            "help": "A flight that takes longer has failed [s]; default: 10 s, and five times the "
-            "box's diagonal at the speed limit, or a plan's duration; among ellipsoids three times the "
-            "reference's duration.",
+            "help": "Maximum duration of a flight [s]; longer ones fail. Default: 10 s plus the plan's "
+            "duration, or plus the time for five diagonals of the box at the speed limit; in a scene three "
+            "times the reference's duration.",
             "option": "--max-time",
         },
     )
@@ -112,7 +116,7 @@ class SimulateConfig:
     )
     sigma: float = field(
         default=1.0,
-        metadata={"help": "Level of the scene's ellipsoids as obstacles, in standard deviations."},
+        metadata={"help": "Level of the scene's ellipsoids, in standard deviations."},
     )
     confidence: float | None = field(
         default=None, metadata={"help": "Probability inside the ellipsoid; sets sigma by the chi-square law."}
@@ -120,42 +124,42 @@ class SimulateConfig:
     inflation_m: float | None = field(
         default=None,
         metadata={
-            "help": "What filters add to the radius [m]; default: what the scene's alignment suggests.",
+            "help": "Length that filters add to the radius [m]; default: suggested by the scene's alignment.",
             "option": "--inflate",
         },
     )
     plant: Literal["quadrotor", "double-integrator"] | None = field(
         default=None,
         metadata={
-            "help": "What flies among ellipsoids; double-integrator: accelerations come true. "
-            "Default: as the vehicle's file says."
+            "help": "Vehicle model in a scene; a double integrator realises every acceleration exactly. "
+            "Default: the model of the vehicle's file."
         },
     )
     guide: str = field(
         default="none",
         metadata={
-            "help": "Filter of accelerations that bends what the controller asks for among ellipsoids, "
-            "before the filter: cone-di or safer-splat.",
+            "help": "In a scene: filter of accelerations, cone-di or safer-splat, that changes the nominal "
+            "command before the safety filter gets it.",
             "metavar": "NAME",
         },
     )
     catch_up_m_s: float | None = field(
         default=None,
         metadata={
-            "help": "How much faster than its reference the controller asks a vehicle that was held up among "
-            "ellipsoids to fly [m/s]; default: of the vehicle's file, else half the reference's peak speed.",
+            "help": "In a scene: speed above the reference's at which the controller lets a delayed vehicle "
+            "catch up [m/s]; default: that of the vehicle's file, else half the reference's peak speed.",
             "option": "--catch-up",
         },
     )
     interface: Literal["wrench", "body-rates"] = field(
         default="wrench",
-        metadata={"help": "What a quadrotor is told: thrust and torque, or thrust and body rates."},
+        metadata={"help": "Command of a quadrotor: thrust and torque, or thrust and body rates."},
     )
     pairs: Literal["any", "blocked"] = field(
         default="any",
         metadata={
-            "help": "Random pairs among ellipsoids; blocked: only those whose straight line, swept by the "
-            "vehicle's sphere and what filters add to it, meets an ellipsoid."
+            "help": "In a scene: which random pairs to fly. blocked: only pairs for which the vehicle's "
+            "sphere with --inflate, moved along the straight line, meets an ellipsoid."
         },
     )
     seed: int = field(default=0, metadata={"internal": True})
@@ -165,7 +169,7 @@ class SimulateConfig:
     )
 
     def __post_init__(self) -> None:
-        """Refuse values that mean nothing."""
+        """Refuse values out of range or of the wrong kind."""
         _between("--dt", self.dt_s, 1e-5, 1.0)
         if self.radius_m is not None:
             _between("--radius", self.radius_m, 0.0, 1e3)
@@ -205,11 +209,11 @@ class SimulateConfig:
             raise UsageError("--name must not be empty")
 
     def check_gains(self) -> None:
-        """Refuse gains that are too high for the time step; only flights among hulls have them."""
-        for option, gain, most in (("--gain", self.gain, 2), ("--beta", self.beta, 1)):
-            if gain * self.dt_s > most * (1 + 1e-12):
+        """Refuse gains that are too high for the time step; they apply only among hulls."""
+        for option, gain, limit in (("--gain", self.gain, 2), ("--beta", self.beta, 1)):
+            if gain * self.dt_s > limit * (1 + 1e-12):
                 raise UsageError(
-                    f"{option} must be at most {most} / dt = {most / self.dt_s:g} at --dt {self.dt_s:g}, "
+                    f"{option} must be at most {limit} / dt = {limit / self.dt_s:g} at --dt {self.dt_s:g}, "
                     f"not {gain:g}"
                 )
 

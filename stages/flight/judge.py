@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,15 +11,15 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import Outcome, TrialResult
 from alula.stages.clearance import (
-    COLLISION_TOLERANCE_M,
-    path_clearance,
+    is_collision,
     path_metrics,
-    wilson_interval,
+    sphere_clearance,
 )
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.loop.control_loop import Counters
 from alula.stages.flight.loop.supervisor import Event, State, Supervision, Taken
 from alula.stages.flight.mission import Mission
+from alula.stages.verdict import head, mean_path_ratio, totals
 
 
 def outcome_of_cause(cause: Event | None) -> Outcome:
@@ -49,9 +48,7 @@ def judge(mission: Mission, rows: FloatArray, cause: Event | None, jobs: int = 0
     radius, dt = mission.vehicle.body.radius_m, 1 / mission.config.rate_hz
     clearance: dict[str, float | None] = {"a hull": None, "an ellipsoid": None}
     for name, obstacles in mission.obstacles:
-        distance = float(path_clearance(position, obstacles, jobs=jobs).min()) - radius
-        clearance[name] = distance if math.isfinite(distance) else None
-    worst = min((c for c in clearance.values() if c is not None), default=math.inf)
+        clearance[name] = sphere_clearance(position, obstacles, radius, jobs=jobs)
     flying = rows[:, 7] >= 0
     status = np.bincount(rows[flying, 7].astype(np.int64), minlength=len(FilterStatus))
     flags = rows[flying, 8].astype(np.int64)
@@ -72,7 +69,7 @@ def judge(mission: Mission, rows: FloatArray, cause: Event | None, jobs: int = 0
         start_m=position[0].tolist(),
         goal_m=mission.goal.tolist(),
         outcome=outcome_of_cause(cause),
-        collision=worst < -COLLISION_TOLERANCE_M,
+        collision=is_collision(*clearance.values()),
         steps=int(flying.sum()),
         duration_s=float(rows[-1, 0] - rows[0, 0]),
         path_length_m=float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum()),
@@ -102,25 +99,16 @@ def summary_of(
         supervision: last state of the supervisor.
         taken: steps of the supervisor with their times [s].
     """
-    good = trial.outcome == "reached" and not trial.collision
-    ratio = trial.path_length_m / trial.straight_length_m if trial.straight_length_m > 0 else None
     cause = supervision.cause
     return {
-        "trials": 1,
-        "success_rate": float(good),
-        "success_interval": list(wilson_interval(int(good), 1)),
-        "collisions": int(trial.collision),
-        **{o: int(trial.outcome == o) for o in ("reached", "stuck", "timeout", "refused", "stopped")},
+        **head([trial], ("reached", "stuck", "timeout", "refused", "stopped")),
         "min_map_clearance_m": trial.map_clearance_m,
         "min_scene_clearance_m": trial.scene_clearance_m,
-        "mean_path_ratio": ratio if good else None,
+        "mean_path_ratio": mean_path_ratio([trial]),
         "ended_by": cause.value if cause is not None else "nothing",
         "holds": sum(each.step.state is State.HOLD and each.state is not State.HOLD for _, each in taken),
         "max_tracking_error_m": trial.max_tracking_error_m,
-        "steps": trial.steps,
-        "filtered_steps": trial.filtered_steps,
-        "infeasible_steps": trial.infeasible_steps,
-        "fallback_steps": trial.fallback_steps,
+        **totals([trial], ("steps", "filtered_steps", "infeasible_steps", "fallback_steps")),
     }
 
 

@@ -18,7 +18,6 @@ from alula.schemas.errors import InputError, LinkError, UsageError
 from alula.schemas.vehicle import Vehicle
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
 from alula.stages.compression.hulls import Hulls
-from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
 from alula.stages.filtering.protocol import Filter, World
@@ -36,6 +35,7 @@ from alula.stages.flight.loop.supervisor import SupervisorLimits
 from alula.stages.planning.curve_certificate import certify
 from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
+from alula.stages.vehicles.fence import KeepOut, fence
 
 Obstacles = list[tuple[str, _core.PolytopeSet | _core.EllipsoidSet]]
 
@@ -193,8 +193,7 @@ def make_mission(
     )
     assert config.fence is not None
     low, high = config.fence[:3], config.fence[3:]
-    with_map = config.fence_map and cover is not None
-    image = encode_map(cover, jobs=jobs) if with_map and cover is not None else None
+    keep_out = KeepOut.of(cover, jobs=jobs) if config.fence_map and cover is not None else None
     return Mission(
         config=config,
         plan=plan,
@@ -206,11 +205,7 @@ def make_mission(
         start=np.array(curve.at(np.zeros(1))[0, :3]),
         obstacles=obstacles,
         inflation_m=_inflation(config, scene) if is_splat else 0.0,
-        fence=_core.Fence(
-            box=(low, high),
-            image=image,
-            keep_out=obstacles[0][1] if with_map else None,  # type: ignore[arg-type]
-        ),
+        fence=fence(box=(low, high), cover=keep_out),
         is_clear=(all(holds for holds, _ in proofs), "; ".join(words for _, words in proofs)),
     )
 

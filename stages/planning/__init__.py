@@ -1,1 +1,1 @@
-"""From a map to a trajectory that is proven clear of it."""
+"""Trajectories through a map that are proven clear of it."""

@@ -23,14 +23,14 @@ _JOINED_M = 1e-6  # consecutive pieces meet up to this
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """What `certify` found.
+    """Result of `certify`.
 
     Attributes:
-        proven: per piece, whether all of it keeps the radius, shape (K,).
-        clearance_m: per piece, a proven lower bound on its distance to all hulls, at most twice
-            the radius; where not proven, a distance that falls short.
-        pairs: decided pairs of a sub-piece and a hull.
-        depth: the deepest subdivision.
+        proven: per piece, True when all of it keeps the radius, shape (K,).
+        clearance_m: per piece, a proven lower bound on its distance to all hulls, at most twice the radius;
+            of a piece that is not proven, a distance below the radius, shape (K,) [m].
+        pairs: number of decided pairs of a sub-piece and a hull.
+        depth: maximum depth of the subdivision.
     """
 
     proven: NDArray[np.bool_]
@@ -40,7 +40,7 @@ class Certificate:
 
     @property
     def holds(self) -> bool:
-        """Whether every piece is proven."""
+        """True when every piece is proven."""
         return bool(self.proven.all())
 
 
@@ -68,13 +68,24 @@ def certify(plan: Artifact, hulls: Hulls, radius_m: float, *, jobs: int = 0) -> 
 def certify_curve(
     time: ArrayLike, coefficient: ArrayLike, obstacles: PolytopeSet, radius_m: float, *, jobs: int = 0
 ) -> Certificate:
-    """`certify` for the arrays of a trajectory, see `trajectory`, and hulls in a search tree.
+    """Do the same as `certify` for the arrays of a trajectory and hulls in a search tree.
 
     The bound on rounding errors of piece k, in metres, is 1e-12 + 2^-44 X with
-    X = max_d sum_j |c_kdj| T^j + max |vertex|: converting to control points takes fewer than 32
+    X = max_d sum_j |c_kdj| T^j + max |vertex|. Converting to control points takes fewer than 32
     roundings of terms that sum to at most X, the length of the interval errs by one, halving 14
     times adds 14 * 7, and the planes and vertices of the hulls another 64, each of at most
     2^-53 X and in three components: below sqrt(3) * 256 * 2^-53 X.
+
+    Args:
+        time: knots, shape (K + 1,) [s].
+        coefficient: shape (K, D, 8) with D >= 3, see `trajectory`; position in the first three rows, world
+            frame [m].
+        obstacles: hulls, world frame [m].
+        radius_m: distance to keep, positive [m].
+        jobs: threads; the result does not depend on it.
+
+    Raises:
+        InputError: the radius is not positive, or the trajectory has no finite bounds.
     """
     if not (0 < radius_m < math.inf):
         raise InputError(f"the radius must be positive, not {radius_m}")

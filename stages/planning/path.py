@@ -1,4 +1,4 @@
-"""A polyline for a ball from point to point among hulls: lattice search, shortcuts, rounded corners."""
+"""Polyline for a ball from point to point among hulls: lattice search, shortcuts, rounded corners."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.progress import Progress
 from alula.stages.clearance import path_clearance, segment_clearance
 
-_MARGIN_M = 1e-9  # paths keep this much more than the radius, so that the proof of a line is never marginal
+_MARGIN_M = 1e-9  # that paths keep beyond the radius, so that the proof of a line is never marginal
 _DEFAULT_LATTICE = 4_000_000  # points of the lattice when its spacing is not given
-_COMFORT = 1.0  # distance beyond the radius that paths pay for not having, in radii
+_COMFORT = 1.0  # distance beyond the radius, in radii, below which a path costs more
 _TIGHTEN_ROUNDS = 3
 _RELAX_ROUNDS = 10
 _WAYPOINT_RADII = 3.0  # between waypoints, in radii
@@ -26,14 +26,14 @@ _WAYPOINT_MIN_M = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Polyline:
-    """A path whose straight segments keep the radius.
+    """Path of straight segments that keep the radius.
 
     Attributes:
         point: shape (W, 3), world frame [m].
-        lower, upper: the box that was searched; it contains the path.
-        resolution_m: spacing of the search lattice.
-        lattice_points: their number.
-        visited: how many of them the searches visited, over all legs.
+        lower, upper: corners of the searched box, shape (3,) [m]; it contains the path.
+        resolution_m: spacing of the search lattice [m].
+        lattice_points: number of its points.
+        visited: number of points that the searches visited, over all legs.
     """
 
     point: FloatArray
@@ -49,9 +49,15 @@ def find_polyline(
 ) -> Polyline:
     """Join the points of a flight by straight segments that keep `radius_m` from every hull, exactly.
 
-    Per leg: the straight line when it is comfortable, else an A* search on a lattice whose edges
-    are proven free, shortcut, with points every three radii that are moved towards the middle of
-    their neighbours as long as both segments stay free, which rounds the corners.
+    A leg is the straight line when its clearance is comfortable. Otherwise an A* search runs on a lattice
+    whose edges are proven free. Its path is shortcut, and points every three radii are moved towards the
+    middle of their neighbours as long as both segments stay free, which rounds the corners.
+
+    Args:
+        config: see `PlanConfig`.
+        obstacles: hulls in a search tree.
+        jobs: threads, 0 for all processors; the result does not depend on it.
+        progress: called with (points visited, 0); 0 stands for an unknown total.
 
     Raises:
         InfeasibleError: a point is too close to a hull, or there is no path at this resolution.
@@ -75,8 +81,8 @@ def find_polyline(
 
 
 def _check_points(config: PlanConfig, obstacles: PolytopeSet) -> None:
-    """Name the point of the flight that is too close to a hull."""
-    names = ["start", *["point on the way"] * len(config.via), "goal"]
+    """Raise InfeasibleError with the point of the flight that is too close to a hull."""
+    names = ["start", *["intermediate point"] * len(config.via), "goal"]
     for name, point in zip(names, config.points, strict=True):
         distance = float(path_clearance([point], obstacles, cap_m=config.radius_m + 1)[0])
         if distance >= config.radius_m + _MARGIN_M:
@@ -85,12 +91,12 @@ def _check_points(config: PlanConfig, obstacles: PolytopeSet) -> None:
         if distance <= 0:
             raise InfeasibleError(f"{where} is inside an obstacle, {-distance:.3g} m deep")
         raise InfeasibleError(
-            f"{where} is {distance:.6g} m from an obstacle, too near for the radius {config.radius_m:g} m"
+            f"{where} is {distance:.6g} m from an obstacle, too close for the radius {config.radius_m:g} m"
         )
 
 
 def _bounds(config: PlanConfig, obstacles: PolytopeSet) -> tuple[FloatArray, FloatArray]:
-    """The box to search: as asked, or around hulls and points with room to pass outside of them."""
+    """Corners of the box to search: the given one, or one around hulls and points with room to pass."""
     if config.bounds is not None:
         return np.array(config.bounds[:3]), np.array(config.bounds[3:])
     corners = [np.array(config.points), *(np.array([side]) for side in obstacles.bounds() if len(obstacles))]
@@ -129,35 +135,35 @@ def _leg(
     jobs: int,
     progress: Progress | None,
 ) -> tuple[FloatArray, int]:
-    """A short polyline between two points whose segments keep the radius, and the points visited."""
+    """Short polyline between two points whose segments keep the radius, and number of points visited."""
     radius, comfort = config.radius_m + _MARGIN_M, _COMFORT * config.radius_m
     if path_clearance(ends, obstacles, cap_m=radius + comfort)[0] >= radius + comfort:
         return np.array(ends), 0
-    # How many lattice points the search will visit is not known; it is far from all of them.
+    # The number of points that the search will visit is unknown, and far below that of the lattice.
     visited = None if progress is None else lambda done, _: progress(done, 0)
     status, path, expanded = find_path(
         obstacles, origin.tolist(), spacing, count, *ends, radius, comfort, visited
     )
     finer = f"a --resolution below {spacing:.3g} m may find one"
     if status == SearchStatus.start_isolated:
-        raise InfeasibleError(f"no straight way leads from {names[0]} to the search lattice; {finer}")
+        raise InfeasibleError(f"no straight line leads from {names[0]} to the search lattice; {finer}")
     if status == SearchStatus.goal_isolated:
-        raise InfeasibleError(f"no straight way leads from the search lattice to {names[1]}; {finer}")
+        raise InfeasibleError(f"no straight line leads from the search lattice to {names[1]}; {finer}")
     if status == SearchStatus.no_path:
         raise InfeasibleError(f"no path from {names[0]} to {names[1]} keeps the radius; {finer}")
     return tighten_path(obstacles, path, radius, comfort, spacing, _TIGHTEN_ROUNDS, jobs), expanded
 
 
 def _rounded(config: PlanConfig, obstacles: PolytopeSet, leg: FloatArray, jobs: int) -> FloatArray:
-    """The leg with more points, moved towards their neighbours where that stays free."""
+    """The leg with additional points, moved towards their neighbours where that stays free."""
     spacing = max(_WAYPOINT_MIN_M, _WAYPOINT_RADII * config.radius_m)
     parts = [leg[:1]]
     for a, b in pairwise(leg):
         pieces = max(1, math.ceil(np.linalg.norm(b - a) / spacing - 1e-9))
-        share = np.arange(1, pieces + 1)[:, None] / pieces
-        parts.append((1 - share) * a + share * b)
+        fraction = np.arange(1, pieces + 1)[:, None] / pieces
+        parts.append((1 - fraction) * a + fraction * b)
     point = np.concatenate(parts)
-    # Moves may cost clearance down to this, below it none.
+    # Moves may reduce the clearance to this, and not at all below it.
     enough = 1.25 * config.radius_m
     radius = config.radius_m + _MARGIN_M
 

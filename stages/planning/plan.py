@@ -1,4 +1,4 @@
-"""Plan: a lattice path among the hulls, a smooth trajectory along it, and a proof for the whole curve."""
+"""Planning of a flight: a lattice path among the hulls, a smooth trajectory along it, and its proof."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from alula.stages.planning.trajectory import (
     subdivided,
 )
 
-_SPLITS = 4  # how often a piece that fails its proof is halved before it becomes a straight line
+_SPLITS = 4  # times that a piece without proof is halved before it becomes a straight line
 
 
 def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progress | None = None) -> Artifact:
     """Plan a smooth flight that provably keeps a distance from every hull of a cover.
 
-    A lattice search joins the points by straight lines that keep `radius_m` exactly; a
+    A lattice search joins the points by straight lines that keep `radius_m` exactly. A
     minimum-snap trajectory of degree 7 follows them within the limits of speed and acceleration,
-    both over the continuous time; `certify` proves each of its pieces. A piece without proof gets
+    both over the continuous time. `certify` proves each of its pieces. A piece without proof gets
     more waypoints on its line, and in the end becomes that line, flown from rest to rest. So the
     result is always proven.
 
@@ -112,7 +112,7 @@ def plan(config: PlanConfig, cover: Artifact, *, jobs: int = 0, progress: Progre
 def _smooth(
     config: PlanConfig, obstacles: PolytopeSet, path: Polyline, jobs: int
 ) -> tuple[FloatArray, NDArray[np.bool_], FloatArray, FloatArray, Certificate]:
-    """Waypoints, where to stop, knots, coefficients and proof of a trajectory along the polyline."""
+    """Waypoints, stops, knots, coefficients and proof of a trajectory along the polyline."""
     waypoint = path.point
     rest = np.zeros(len(waypoint), np.bool_)
     rest[[0, -1]] = True
@@ -134,7 +134,7 @@ def _smooth(
 def _refine(
     waypoint: FloatArray, rest: NDArray[np.bool_], splits: NDArray[np.int64], failed: NDArray[np.bool_]
 ) -> tuple[FloatArray, NDArray[np.bool_], NDArray[np.int64]]:
-    """Halve the pieces that failed; those halved often enough become straight, from rest to rest."""
+    """Halve the pieces that failed; pieces halved `_SPLITS` times become straight, from rest to rest."""
     halve = failed & (splits < _SPLITS)
     stop = rest.copy()
     stop[:-1] |= failed & ~halve
@@ -150,7 +150,7 @@ def _refine(
 
 
 def _within(path: Polyline, points: FloatArray) -> NDArray[np.bool_]:
-    """Whether the control points (K, 3, 8) of each piece, subdivided, lie in the searched box."""
+    """Find the pieces, control points (K, 3, 8), that lie in the searched box; shape (K,)."""
     slack = 1e-9
     parts = subdivided(points)
     low, high = parts.min(axis=(2, 3)), parts.max(axis=(2, 3))

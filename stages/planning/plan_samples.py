@@ -1,4 +1,4 @@
-"""A plan as the samples that a controller tracks."""
+"""Samples of a plan that a controller tracks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from alula.stages.planning.trajectory import evaluate
 class Reference:
     """Position and velocity at times 0, dt, 2 dt, ...; shapes (K, 3), world frame [m, m/s].
 
-    The last row is the plan's end, where the velocity is zero from then on.
+    The last row is the plan's end; from then on the velocity is zero.
     """
 
     position_world: FloatArray
@@ -29,6 +29,10 @@ def sample_plan(plan: Artifact, dt_s: float) -> Reference:
     """Evaluate a plan's polynomials every `dt_s`, and once at its end.
 
     On segment k position is sum_j c_kj (t - t_k)^j, velocity its derivative.
+
+    Args:
+        plan: an `alula/plan`.
+        dt_s: interval of the samples [s].
     """
     knots = np.asarray(plan["time"], np.float64)
     coefficient = np.asarray(plan["coefficient"], np.float64)[:, :3]

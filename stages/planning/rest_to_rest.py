@@ -1,4 +1,4 @@
-"""References to fly: knots and coefficients of (x, y, z, yaw) as in `alula/plan`, for `ReferenceCurve`."""
+"""References as knots and coefficients of (x, y, z, yaw), as in `alula/plan`, for `ReferenceCurve`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ReferencePath(NamedTuple):
 def rest_to_rest(
     start: ArrayLike, goal: ArrayLike, peak_speed: float, *, yaw_rad: float = 0.0
 ) -> ReferencePath:
-    """The straight septic from rest to rest, 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 of the way.
+    """The straight septic from rest to rest, 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 of the distance.
 
     Its speed peaks in the middle at 2.1875 L / T, which sets T; velocity, acceleration and jerk are zero
     at both ends.
@@ -33,7 +33,7 @@ def rest_to_rest(
         start: shape (3,) [m].
         goal: shape (3,) [m], another point.
         peak_speed: [m/s].
-        yaw_rad: heading all the way.
+        yaw_rad: constant heading [rad].
 
     Raises:
         InputError: the points are the same or not finite, or the speed is not positive.
@@ -59,8 +59,8 @@ def minimum_snap(
         waypoint: shape (W, 3), W >= 2, consecutive ones distinct [m].
         speed: limit [m/s].
         acceleration: limit [m/s^2].
-        rest: where else to stop, shape (W,).
-        yaw_rad: heading all the way.
+        rest: intermediate waypoints to stop at, shape (W,).
+        yaw_rad: constant heading [rad].
 
     Raises:
         InputError: waypoints coincide or are not finite, or a limit is not positive.

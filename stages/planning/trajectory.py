@@ -17,12 +17,12 @@ from alula.schemas.errors import InputError
 
 DEGREE = 7
 _SUBDIVISIONS = 32  # the bound on a peak is then within about 0.1 % of the peak
-_ALLOCATION_STEPS = 6  # per share
-_CRUISE_SHARES = (1.0, 0.7, 0.5, 0.35)  # of the speed limit, to start from; in tight turns slower is sooner
+_ALLOCATION_STEPS = 6  # per cruising speed
+_CRUISE_FRACTIONS = (1.0, 0.7, 0.5, 0.35)  # of the speed limit, to start from; slow ones win in tight turns
 
 
 def evaluate(time: ArrayLike, coefficient: ArrayLike, t: ArrayLike, derivative: int = 0) -> FloatArray:
-    """A derivative of a trajectory; constant ends: before and after, the ends are evaluated.
+    """Evaluate a derivative of a trajectory; times before its start or after its end give the value there.
 
     Args:
         time: knots, shape (K + 1,) [s].
@@ -51,9 +51,16 @@ def evaluate(time: ArrayLike, coefficient: ArrayLike, t: ArrayLike, derivative: 
 
 
 def control_points(time: ArrayLike, coefficient: ArrayLike) -> FloatArray:
-    """Bernstein coefficients of each piece on its interval, shape (K, D, 8).
+    """Bernstein coefficients of each piece on its interval.
 
     b_i = sum_j C(i, j) / C(7, j) c_j T^j; the curve lies in the hull of its control points.
+
+    Args:
+        time: knots, shape (K + 1,) [s].
+        coefficient: shape (K, D, 8).
+
+    Returns:
+        Shape (K, D, 8).
     """
     duration = np.diff(np.asarray(time, np.float64))
     powers = duration[:, None] ** np.arange(DEGREE + 1)
@@ -85,16 +92,32 @@ def _subdivision(degree: int, parts: int) -> FloatArray:
 
 
 def subdivided(points: FloatArray, parts: int = _SUBDIVISIONS) -> FloatArray:
-    """Control points (..., n + 1) on `parts` equal sub-intervals, shape (..., parts, n + 1)."""
+    """Control points on equal sub-intervals.
+
+    Args:
+        points: shape (..., n + 1).
+        parts: number of sub-intervals.
+
+    Returns:
+        Shape (..., parts, n + 1).
+    """
     return np.asarray(np.einsum("sij,...j->...si", _subdivision(points.shape[-1] - 1, parts), points))
 
 
 def peak_bounds(time: ArrayLike, coefficient: ArrayLike, derivative: int) -> FloatArray:
-    """Upper bound on the norm of a derivative over each piece, shape (K,).
+    """Upper bound on the norm of a derivative over each piece.
 
     The squared norm is a polynomial of degree 2 (7 - derivative) whose Bernstein coefficients on
     32 sub-intervals bound it from above: a bound over the continuous time, at most about 0.1 %
     above the true peak.
+
+    Args:
+        time: knots, shape (K + 1,) [s].
+        coefficient: shape (K, D, 8).
+        derivative: 0 for the position, up to 7.
+
+    Returns:
+        Shape (K,).
     """
     duration = np.diff(np.asarray(time, np.float64))
     points = control_points(time, coefficient)
@@ -135,8 +158,8 @@ def _end_derivatives() -> FloatArray:
 def septic_spline(waypoint: ArrayLike, duration: ArrayLike, rest: ArrayLike | None = None) -> FloatArray:
     """The minimum-snap trajectory through waypoints at given times, at rest at its ends.
 
-    Among all functions through the waypoints that have zero velocity, acceleration and jerk where
-    `rest` says so, it minimises the integral of |d^4 p / dt^4|^2. The minimiser is of degree 7 on
+    Among all functions through the waypoints that have zero velocity, acceleration and jerk at waypoints of
+    rest, it minimises the integral of |d^4 p / dt^4|^2. The minimiser is of degree 7 on
     each piece and has continuous derivatives up to the sixth at all other waypoints, which is a
     linear system, banded with five diagonals on each side, for velocity, acceleration and jerk
     there. At waypoints of rest derivatives up to the third are continuous. Between two adjacent
@@ -145,7 +168,7 @@ def septic_spline(waypoint: ArrayLike, duration: ArrayLike, rest: ArrayLike | No
     Args:
         waypoint: shape (W, D), W >= 2.
         duration: time between consecutive waypoints, shape (W - 1,), positive [s].
-        rest: where to stop, shape (W,); always true at both ends.
+        rest: waypoints to stop at, shape (W,); always true at both ends.
 
     Returns:
         Coefficients, shape (W - 1, D, 8).
@@ -201,12 +224,11 @@ def allocate_times(
 ) -> FloatArray:
     """Durations between waypoints, shape (W - 1,) [s], that keep the septic spline within limits.
 
-    It starts from the times of a point that slows down for the turns of the polyline, at several
-    cruising speeds. Then pieces
-    far below the limits are shortened and pieces above them stretched, a fixed number of times;
-    the fastest of the candidates is stretched as a whole until its bounds on speed and
-    acceleration (`peak_bounds`, so over the continuous time) are within the limits. Scaling all
-    times by f scales speed by 1/f and acceleration by 1/f^2 and leaves the path as it is.
+    Candidates start from the times of a point that slows down for the turns of the polyline, at several
+    cruising speeds. Then, a fixed number of times, pieces far below the limits are shortened and pieces above
+    them stretched. The fastest candidate is stretched as a whole until its bounds on speed and acceleration
+    (`peak_bounds`, so over the continuous time) are within the limits. Scaling all times by f scales speed by
+    1/f and acceleration by 1/f^2 and does not change the path.
 
     Args:
         waypoint: shape (W, D), consecutive ones distinct; the norm of all D columns is limited [m].
@@ -216,8 +238,8 @@ def allocate_times(
     """
     p = np.asarray(waypoint, np.float64)
     best, best_total = np.empty(0), np.inf
-    for share in _CRUISE_SHARES:
-        duration = _profile(p, share * speed, acceleration, rest)
+    for fraction in _CRUISE_FRACTIONS:
+        duration = _profile(p, fraction * speed, acceleration, rest)
         for _ in range(_ALLOCATION_STEPS):
             ratio = _limit_ratio(p, duration, speed, acceleration, rest)
             needed = duration * (ratio.max() * (1 + 1e-9))
@@ -249,7 +271,7 @@ def _profile(p: FloatArray, speed: float, acceleration: float, rest: ArrayLike |
 def _limit_ratio(
     p: FloatArray, duration: FloatArray, speed: float, acceleration: float, rest: ArrayLike | None
 ) -> FloatArray:
-    """By what factor each piece would have to be slower."""
+    """Factor by which each piece would have to be slower, shape (K,)."""
     time = np.concatenate([[0.0], np.cumsum(duration)])
     coefficient = septic_spline(p, np.diff(time), rest)
     slower = np.sqrt(peak_bounds(time, coefficient, 2) / acceleration)

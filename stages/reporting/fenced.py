@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 from alula.schemas.run import FenceResult, TrialResult
 from alula.stages.reporting.material import Run
-from alula.stages.runlog.fence_shell import fence_shell
-from alula.stages.simulation.geofence.world import fence_faces
+from alula.stages.runlog.maps import fence_shell
+from alula.stages.vehicles.fence import fence_faces
 
 FENCE_NOTE = (
     "Distances are of the vehicle's sphere to the nearest face or hull, judged by the true path and not "
@@ -120,7 +120,7 @@ def closest_flights(runs: Sequence[Run]) -> list[ClosestFlight]:
             continue
         trial = min(shown, key=lambda t: (t.map_clearance_m or 0.0, t.index))
         flight = run.flights[trial.index]
-        share = np.full(len(flight.margin), np.nan) if flight.share is None else flight.share
+        share = np.full(len(flight.margin), np.nan) if flight.regulation is None else flight.regulation
         found.append(
             ClosestFlight(
                 run.label, trial, flight.margin_time_s, flight.margin, share, flight.status, flight.time_s,

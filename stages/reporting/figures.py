@@ -16,7 +16,7 @@ from alula.stages.reporting.course import Spell
 from alula.stages.reporting.fenced import is_fenced
 from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material
 from alula.stages.reporting.tables import text
-from alula.stages.runlog.fence_shell import SHOWN_BEYOND_M
+from alula.stages.runlog.maps import SHOWN_BEYOND_M
 
 COLORS = {
     "reached": "#0072b2",

@@ -1,1 +1,1 @@
-"""Logs of runs: the one writer, the channels and their schemas."""
+"""Logs of runs: the writer, channels and schemas, messages and maps."""

@@ -1,147 +1,97 @@
-"""What a log says of a flight in a geofence: where it was, what was wished and flown, how far from it."""
+"""Logs of flights in a geofence: state, the pilot's command and the one flown, distance to the fence."""
 
 from __future__ import annotations
 
-from typing import Any, BinaryIO, Self
+from collections.abc import Iterator
+from typing import Any, BinaryIO
 
-import msgspec
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.run import RunRecord, TrialResult
-from alula.stages.runlog.ellipsoids import number, xyz
-from alula.stages.runlog.fence_shell import fence_entities
-from alula.stages.runlog.writer import GAP_S, LogWriter, log_message, logged_ticks, path_message, stamp
-from alula.stages.simulation.geofence.world import FlownWorld
+from alula.stages.compression.hulls import Hulls
+from alula.stages.runlog.maps import fence_message
+from alula.stages.runlog.messages import number, pose_message, quaternion, xyz
+from alula.stages.runlog.schemas import FENCE_CHANNELS
+from alula.stages.runlog.writer import LoggedTrial, write_trials
+from alula.stages.simulation.result import FenceFlight
 
-CHANNELS = {
-    "/map": "foxglove.SceneUpdate",
-    "/path": "foxglove.PosesInFrame",
-    "/pose": "foxglove.PoseInFrame",
-    "/state": "alula.State",
-    "/safety": "alula.Safety",
-    "/log": "foxglove.Log",
-}
 STATUSES = ("passed", "blended", "backup", "no-pilot", "hand-over", "refused")  # alula_geofence_status
-_COLUMNS = {"state": 13, "pilot": 4, "command": 4, "figure": 5}
-
-
-class FenceFlight(msgspec.Struct, frozen=True, kw_only=True):
-    """One flight at the log's rate: T rows of numbers, as bytes so that a journal can hold them.
-
-    `state` has position, velocity, attitude wxyz and rates, shape (T, 13); `pilot` and `command` throttle and
-    rates, shape (T, 4), NaN without a pilot; `figure` lambda, h_I, the filter's distance, its margin and
-    speed towards the fence, shape (T, 5); `distance` the least true one since the sample before, shape (T,);
-    `status` a byte for each.
-    """
-
-    trial: int
-    tick: bytes
-    state: bytes
-    pilot: bytes
-    command: bytes
-    figure: bytes
-    distance: bytes
-    status: bytes
-
-    @classmethod
-    def of(cls, trial: int, flown: dict[str, Any], tick_s: float, rate_hz: float) -> Self:
-        """Every so many ticks as the rate says, and the last one."""
-        sample = logged_ticks(len(flown["status"]) - 1, tick_s, rate_hz)
-        least = flown["distance"][sample]
-        least[1:] = np.minimum(least[1:], np.minimum.reduceat(flown["distance"], sample)[:-1])
-        rows = {name: flown[name][sample].tobytes() for name in (*_COLUMNS, "status")}
-        return cls(trial=trial, tick=sample.tobytes(), distance=least.tobytes(), **rows)
-
-    def rows(self, name: str) -> FloatArray:
-        """Of state, pilot, command or figure, shape (T, columns); of the distance, shape (T,)."""
-        flat: FloatArray = np.frombuffer(getattr(self, name), np.float64)
-        return flat.reshape(len(self.status), _COLUMNS[name]) if name in _COLUMNS else flat
-
-    def time_s(self, tick_s: float) -> FloatArray:
-        """When the samples are, shape (T,) [s]."""
-        return np.frombuffer(self.tick, np.int64).astype(np.float64) * tick_s
 
 
 def write_fence_log(
     stream: BinaryIO,
     record: RunRecord,
     flights: list[FenceFlight],
-    world: FlownWorld,
+    faces: FloatArray,
+    keep_out: Hulls | None,
     frame: str,
     *,
     tick_s: float,
 ) -> None:
-    """Write a log of the flights that are shown; equal arguments give equal bytes.
+    """Write the log of the flights that are shown; see `write_trials`.
 
-    Channels as `write_log` writes them of a rigid body. In `/safety` the margin is the true distance to the
-    fence less the vehicle's radius, h_m the filter's h_I, and lambda the pilot's share.
+    In `/safety` the margin is the true distance to the fence less the vehicle's radius, h_m the filter's h_I,
+    and lambda the pilot's part of the command.
 
     Args:
-        stream: where to write; the caller makes the file appear.
-        record: the summary, of all trials.
-        flights: some of them.
-        world: the fence that is drawn.
+        stream: binary stream to write to.
+        record: summary of all trials.
+        flights: samples of those that are shown.
+        faces: of the fence, shape (L, 4), as `fence_faces` returns them.
+        keep_out: hulls to stay out of.
         frame: name of the frame of all positions.
-        tick_s: between two calls of the filter.
+        tick_s: time between two calls of the filter [s].
     """
-    log = LogWriter(stream, CHANNELS)
     paths = [flight.rows("state")[:, :3] for flight in flights]
-    log.send("/map", 0.0, {"deletions": [], "entities": fence_entities(world, paths, frame)})
-    begin_s = 0.0
-    for flight in flights:
-        time, state, distance = flight.time_s(tick_s), flight.rows("state"), flight.rows("distance")
-        pilot, command, figure = flight.rows("pilot"), flight.rows("command"), flight.rows("figure")
-        log.send("/path", begin_s, path_message(state[:, :3], frame, begin_s))
-        for i in range(len(time)):
-            now_s = begin_s + float(time[i])
-            common = {"trial": flight.trial, "time_s": round(float(time[i]), 9)}
-            moved = _moved(state[i])
-            pose = {"position": moved["position_m"], "orientation": moved["attitude"]}
-            log.send("/pose", now_s, {"timestamp": stamp(now_s), "frame_id": frame, "pose": pose})
-            log.send("/state", now_s, common | moved)
-            answer = _answer(flight.status[i], float(distance[i]), figure[i], pilot[i], command[i])
-            log.send("/safety", now_s, common | answer)
-        begin_s += float(time[-1])
-        log.send("/log", begin_s, log_message(_words(record.trials[flight.trial]), begin_s))
-        begin_s += GAP_S
-    log.finish(record)
+    trials = (_logged(record.trials[flight.trial], flight, frame, tick_s) for flight in flights)
+    write_trials(stream, FENCE_CHANNELS, record, fence_message(faces, keep_out, paths, frame), trials, frame)
 
 
-def _moved(row: FloatArray) -> dict[str, Any]:
-    w, x, y, z = (number(value) for value in row[6:10])
-    return {
-        "position_m": xyz(row[:3]),
-        "velocity_m_s": xyz(row[3:6]),
-        "attitude": {"x": x, "y": y, "z": z, "w": w},
-        "omega_body_rad_s": xyz(row[10:13]),
-    }
+def _logged(trial: TrialResult, flight: FenceFlight, frame: str, tick_s: float) -> LoggedTrial:
+    state, distance, figure = flight.rows("state"), flight.rows("distance"), flight.rows("figure")
+    pilot, command = flight.rows("pilot"), flight.rows("command")
+
+    def messages(i: int, now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
+        row = state[i]
+        moved = {
+            "position_m": xyz(row[:3]),
+            "velocity_m_s": xyz(row[3:6]),
+            "attitude": quaternion(row[6:10]),
+            "omega_body_rad_s": xyz(row[10:13]),
+        }
+        yield "/pose", pose_message(moved["position_m"], moved["attitude"], frame, now_s)
+        yield "/state", moved
+        yield "/safety", _safety(flight.status[i], distance[i], figure[i], pilot[i], command[i])
+
+    is_good = not trial.collision
+    return LoggedTrial(trial, _words(trial), is_good, flight.time_s(tick_s), state[:, :3], messages)
 
 
-def _answer(
+def _safety(
     status: int, distance_m: float, figure: FloatArray, pilot: FloatArray, command: FloatArray
 ) -> dict[str, Any]:
-    share, h_i, _, margin, towards = figure
-    said: dict[str, Any] = {
+    lambda_, h_i, _, margin, towards = figure
+    fields: dict[str, Any] = {
         "margin": number(distance_m),
         "margin_unit": "m",
         "status": status,
         "status_name": STATUSES[status],
-        "lambda": number(share),
+        "lambda": number(lambda_),
         "throttle_safe": number(command[0]),
         "rates_safe_rad_s": xyz(command[1:]),
     }
     if np.isfinite(pilot).all():
-        said |= {"throttle_nom": number(pilot[0]), "rates_nom_rad_s": xyz(pilot[1:])}
+        fields |= {"throttle_nom": number(pilot[0]), "rates_nom_rad_s": xyz(pilot[1:])}
     if abs(h_i) < 1e30:  # the largest float stands for one that was not evaluated
-        said |= {"h_m": number(h_i), "allowance_m": number(margin), "towards_m_s": number(towards)}
-    return said
+        fields |= {"h_m": number(h_i), "allowance_m": number(margin), "towards_m_s": number(towards)}
+    return fields
 
 
-def _words(trial: TrialResult) -> tuple[str, bool, bool]:
+def _words(trial: TrialResult) -> str:
     words = f"trial {trial.index}: {trial.outcome} for {trial.duration_s:.2f} s"
     if trial.map_clearance_m is not None:
-        words += f", least distance to the fence {trial.map_clearance_m:.4f} m"
+        words += f", minimum distance to the fence {trial.map_clearance_m:.4f} m"
     if trial.fence is not None:
         words += f", {trial.fence.interventions} interventions"
-    return words, not trial.collision, trial.collision
+    return words

@@ -1,8 +1,34 @@
-"""JSON Schemas of the channels in a log; those named foxglove.* follow Foxglove's own definitions."""
+"""Channels of a log, and JSON Schemas of their messages; foxglove.* follow Foxglove's own definitions."""
 
 from __future__ import annotations
 
 from typing import Any
+
+# Schemas by topic. Their order is that in the file.
+HULL_CHANNELS = {
+    "/map": "foxglove.SceneUpdate",
+    "/path": "foxglove.PosesInFrame",
+    "/state": "alula.State",
+    "/safety": "alula.Safety",
+    "/log": "foxglove.Log",
+}
+ELLIPSOID_CHANNELS = HULL_CHANNELS | {"/pose": "foxglove.PoseInFrame"}
+ENCOUNTER_CHANNELS = {
+    "/map": "foxglove.SceneUpdate",
+    "/obstacles": "foxglove.SceneUpdate",
+    "/path": "foxglove.PosesInFrame",
+    "/state": "alula.State",
+    "/safety": "alula.Safety",
+    "/log": "foxglove.Log",
+}
+FENCE_CHANNELS = {
+    "/map": "foxglove.SceneUpdate",
+    "/path": "foxglove.PosesInFrame",
+    "/pose": "foxglove.PoseInFrame",
+    "/state": "alula.State",
+    "/safety": "alula.Safety",
+    "/log": "foxglove.Log",
+}
 
 
 def _object(**properties: Any) -> dict[str, Any]:
@@ -61,7 +87,7 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 torque_body_nm=_VECTOR,
             ),
             "description": "Position and velocity in the world frame; time_s counts from the trial's start. "
-            "Of a rigid body also attitude (body to world), body rates, and what its rotors make.",
+            "For a rigid body also attitude (body to world), body rates, and thrusts of its rotors.",
         },
         "alula.Safety": {
             **_object(
@@ -100,12 +126,12 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 sent_values=_array(_NUMBER),
                 solve_time_s=_NUMBER,
             ),
-            "description": "The filter's margin and status, the nominal and the filtered input: h_m and "
-            "velocities among hulls; among ellipsoids the filter's own barrier, not in metres, and "
-            "accelerations; in a geofence the true distance to it as margin, h_I as h_m with the allowance "
-            "that is taken off, the pilot's share lambda, and throttles and rates. Of a real flight also "
-            "what was sent in the end (rates: thrust per mass and body rates; acceleration, velocity: in the "
-            "world, and the yaw) and how long the filter took.",
+            "description": "The filter's margin and status, the nominal and the filtered input. Among hulls: "
+            "h_m and velocities. Among ellipsoids: the filter's own barrier, not in metres, and "
+            "accelerations. In a geofence: the true distance to it as margin, h_I as h_m after subtracting "
+            "allowance_m, the regulation function lambda, throttles and rates. In a real flight also the "
+            "set-point sent (rates: thrust per mass and body rates; acceleration, velocity: world frame, and "
+            "the yaw) and the time of the filter.",
         },
         "alula.Supervisor": {
             **_object(
@@ -129,8 +155,8 @@ SCHEMAS: dict[str, dict[str, Any]] = {
                 plan_rate=_NUMBER,
                 error_m=_NUMBER,
             ),
-            "description": "Who flies, tick by tick: the supervisor's state, what the vehicle says, and the "
-            "times of the loop. A step has the event that led to it and the action that was taken.",
+            "description": "The supervisor's state, the vehicle's reports and the times of the loop, per "
+            "tick. A step has the event that caused it and the action that was taken.",
         },
         "foxglove.PosesInFrame": _object(timestamp=_TIME, frame_id=_TEXT, poses=_array(_POSE)),
         "foxglove.PoseInFrame": _object(timestamp=_TIME, frame_id=_TEXT, pose=_POSE),

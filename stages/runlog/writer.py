@@ -1,38 +1,31 @@
-"""An MCAP log with JSON channels: how messages, times and the record of the run are written."""
+"""Writer of MCAP logs with JSON channels, and of the trials of a run one after another."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.provenance import RUN_METADATA
-from alula.schemas.run import RunRecord
+from alula.schemas.run import RunRecord, TrialResult
+from alula.stages.runlog.messages import log_message, nanoseconds, path_message
 from alula.stages.runlog.schemas import SCHEMAS
 
-GAP_S = 1.0  # between trials, which follow one another in log time
-DECIMALS = 6  # micrometres; the record has the exact figures
-UPRIGHT = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+_GAP_S = 1.0  # between trials, which follow one another in log time
 _CHUNK_BYTES = 2**20
-_LEVEL_INFO, _LEVEL_WARNING, _LEVEL_ERROR = 2, 3, 4
-
-
-def logged_ticks(last: int, dt_s: float, rate_hz: float) -> NDArray[np.int64]:
-    """Every so many ticks of `dt_s` as the rate says, from 0 on, and the last one."""
-    stride = max(1, round(1 / (rate_hz * dt_s)))
-    return np.append(np.arange(0, last, stride, dtype=np.int64), np.int64(last))
+_OF_TRIAL = ("/state", "/safety")  # messages that begin with the trial and its time
 
 
 class LogWriter:
-    """A log that is being written; equal calls give equal bytes.
+    """MCAP log that is being written; equal calls give equal bytes.
 
     Args:
-        stream: where to write; the caller makes the file appear.
-        channels: topic to the name of its schema in `log_schemas.SCHEMAS`.
-        chunk_bytes: how much is written at once; what is not yet written is lost in a crash.
+        stream: binary stream to write to.
+        channels: name of the schema, a key of `SCHEMAS`, by topic.
+        chunk_bytes: bytes that are written together; a crash loses those that are not written yet.
     """
 
     def __init__(
@@ -49,14 +42,23 @@ class LogWriter:
             self._channels[topic] = self._writer.register_channel(topic, "json", schema_id)
 
     def send(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
-        """Add a message."""
-        nanoseconds = _nanoseconds(time_s)
-        self._writer.add_message(
-            self._channels[topic], nanoseconds, msgspec.json.encode(message), nanoseconds
-        )
+        """Add a message.
+
+        Args:
+            topic: one of the channels.
+            time_s: log time [s].
+            message: its fields.
+        """
+        now = nanoseconds(time_s)
+        self._writer.add_message(self._channels[topic], now, msgspec.json.encode(message), now)
 
     def note(self, name: str, texts: Mapping[str, str]) -> None:
-        """Add metadata, at once."""
+        """Add metadata, at once.
+
+        Args:
+            name: of the metadata.
+            texts: values by key.
+        """
         self._writer.add_metadata(name, dict(texts))
 
     def close(self) -> None:
@@ -64,7 +66,11 @@ class LogWriter:
         self._writer.finish()
 
     def finish(self, record: RunRecord) -> None:
-        """Add the record without its measured times, and its provenance, as metadata; close the log."""
+        """Add the record without its measured times, and its provenance, as metadata; close the log.
+
+        Args:
+            record: of the run.
+        """
         bare = msgspec.structs.replace(record, timing=None)
         texts = {"record": bare, "provenance": bare.provenance}
         encoded = {key: msgspec.json.encode(value, order="sorted").decode() for key, value in texts.items()}
@@ -72,40 +78,61 @@ class LogWriter:
         self._writer.finish()
 
 
-def _nanoseconds(time_s: float) -> int:
-    return round(time_s * 1e9)
+@dataclass(frozen=True, slots=True)
+class LoggedTrial:
+    """Trial as a log shows it.
+
+    Attributes:
+        result: the verdict.
+        words: a line about it.
+        is_good: it ended well.
+        time_s: times of the samples from the trial's start, shape (T,) [s].
+        path: positions, shape (T, 3), world frame [m].
+        messages: topics and messages of sample i, from i and its log time [s]; of `/state` and `/safety` only
+            the fields beyond trial and time.
+    """
+
+    result: TrialResult
+    words: str
+    is_good: bool
+    time_s: FloatArray
+    path: FloatArray
+    messages: Callable[[int, float], Iterable[tuple[str, dict[str, Any]]]]
 
 
-def stamp(time_s: float) -> dict[str, int]:
-    """A time as Foxglove writes it."""
-    sec, nsec = divmod(_nanoseconds(time_s), 10**9)
-    return {"sec": sec, "nsec": nsec}
+def write_trials(
+    stream: BinaryIO,
+    channels: Mapping[str, str],
+    record: RunRecord,
+    map_: dict[str, Any],
+    trials: Iterable[LoggedTrial],
+    frame: str,
+) -> None:
+    """Write the log of a run; equal arguments give equal bytes.
 
+    `/map` comes once; `/path` and `/log` per trial; the other channels per sample. Log time starts at 0 and
+    trials follow one another with a second between them. The metadata `alula/summary` holds the record
+    without its measured times, and its provenance.
 
-def point_message(vector: NDArray[np.float64]) -> dict[str, float]:
-    """A finite point as Foxglove writes it."""
-    # adding zero turns a rounded -0.0 into 0.0
-    x, y, z = (round(float(value), DECIMALS) + 0.0 for value in vector)
-    return {"x": x, "y": y, "z": z}
-
-
-def path_message(points: NDArray[np.float64], frame: str, time_s: float) -> dict[str, Any]:
-    """A whole path, shape (T, 3)."""
-    poses = [{"position": point_message(point), "orientation": UPRIGHT} for point in points]
-    return {"timestamp": stamp(time_s), "frame_id": frame, "poses": poses}
-
-
-def log_message(said: tuple[str, bool, bool], time_s: float) -> dict[str, Any]:
-    """A line about a trial: its words, whether it ended well, and whether it collided."""
-    words, is_good, collided = said
-    level = _LEVEL_INFO if is_good else _LEVEL_WARNING
-    if collided:
-        level, words = _LEVEL_ERROR, words + ", COLLISION"
-    return {
-        "timestamp": stamp(time_s),
-        "level": level,
-        "message": words,
-        "name": "simulate",
-        "file": "",
-        "line": 0,
-    }
+    Args:
+        stream: binary stream to write to.
+        channels: see `LogWriter`.
+        record: summary of the run.
+        map_: the message of `/map`.
+        trials: those that are shown.
+        frame: name of the frame of all positions.
+    """
+    log = LogWriter(stream, channels)
+    log.send("/map", 0.0, map_)
+    begin_s = 0.0
+    for trial in trials:
+        log.send("/path", begin_s, path_message(trial.path, frame, begin_s))
+        for i, time_s in enumerate(trial.time_s.tolist()):
+            begins = {"trial": trial.result.index, "time_s": round(time_s, 9)}
+            for topic, message in trial.messages(i, begin_s + time_s):
+                log.send(topic, begin_s + time_s, begins | message if topic in _OF_TRIAL else message)
+        begin_s += float(trial.time_s[-1])
+        line = log_message(trial.words, begin_s, is_good=trial.is_good, collided=trial.result.collision)
+        log.send("/log", begin_s, line)
+        begin_s += _GAP_S
+    log.finish(record)

@@ -1,1 +1,1 @@
-"""Flights in simulation, and what they are judged by."""
+"""Simulated flights and their verdicts."""

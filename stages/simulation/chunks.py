@@ -1,4 +1,4 @@
-"""Trials of a scenario in chunks: a journal of those that are done, and how the others are flown."""
+"""Trials of a scenario in chunks: a journal of finished chunks, and the flights of the others."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from alula.stages.distribute import distribute
 
 
 class FlownTrials(msgspec.Struct, frozen=True, kw_only=True):
-    """Trials that follow one another, `first` being the number of the first one.
+    """Consecutive trials of a run, `first` being the number of the first one.
 
-    Stages add to it what else they keep; all of it can be written as MessagePack.
+    Stages extend it; every field can be written as MessagePack.
     """
 
     first: int
@@ -23,7 +23,7 @@ class FlownTrials(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Chunk(Protocol):
-    """Trials that are to be flown together."""
+    """Trials to fly together."""
 
     @property
     def first(self) -> int: ...
@@ -37,11 +37,11 @@ Chunk = TypeVar("Chunk", bound=_Chunk)
 
 
 class TrialJournal(Generic[Flown]):
-    """The chunks of a run that are done; `snapshot` and back is the identity.
+    """Finished chunks of a run; decoding a `snapshot` gives the same journal.
 
     Args:
-        kind: of the chunks.
-        snapshot: of another journal of such chunks; of no bytes an empty one is made.
+        kind: type of the chunks.
+        snapshot: of another journal of such chunks; no bytes give an empty one.
 
     Raises:
         ValueError: the bytes are not those of a snapshot.
@@ -52,20 +52,30 @@ class TrialJournal(Generic[Flown]):
         self.chunks = {chunk.first: chunk for chunk in chunks}
 
     def __len__(self) -> int:
-        """Trials that are done."""
+        """Number of finished trials."""
         return sum(len(chunk.trials) for chunk in self.chunks.values())
 
     def add(self, chunk: Flown) -> None:
-        """Keep one more."""
+        """Add a finished chunk."""
         self.chunks[chunk.first] = chunk
 
     def in_order(self) -> list[Flown]:
-        """All chunks, by their trials."""
+        """All chunks, in the order of their trials."""
         return [self.chunks[first] for first in sorted(self.chunks)]
 
     def snapshot(self) -> bytes:
         """All chunks, as bytes."""
         return msgspec.msgpack.encode(self.in_order())
+
+
+def shown(chunk: _Chunk, logged: int) -> int:
+    """Number of trials at the beginning of a chunk that the log shows.
+
+    Args:
+        chunk: consecutive trials.
+        logged: the log shows this many first trials of the run.
+    """
+    return min(max(logged - chunk.first, 0), chunk.count)
 
 
 def fly_missing(
@@ -79,14 +89,14 @@ def fly_missing(
     scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> list[Flown]:
-    """Fly the chunks that a journal has not, and add them to it; all chunks, in their order.
+    """Fly the chunks that a journal lacks and add them to it; return all chunks, in their order.
 
     Args:
-        fly: flies a chunk, which may be elsewhere: see `distribute`.
-        chunk_of: makes a chunk of the number of its first trial, and how many they are.
+        fly: flies a chunk, possibly on another machine: see `distribute`.
+        chunk_of: makes a chunk from the number of its first trial and the number of trials.
         total: trials of the run.
-        size: trials of a chunk, at most.
-        journal: chunks that are done already are taken from it, others added.
+        size: maximum number of trials per chunk.
+        journal: finished chunks are taken from it, others added.
         jobs: threads, 0 for all processors.
         scheduler: address of a `dask.distributed` scheduler, instead of threads.
         progress: called with (trials done, trials).
@@ -102,7 +112,7 @@ def fly_missing(
     done = total - sum(chunk.count for chunk in missing)
     if progress is not None and done > 0:
         progress(done, total)
-    if missing:  # else no scheduler is asked for
+    if missing:  # otherwise do not connect to a scheduler
         for chunk in distribute(fly, missing, jobs=jobs, scheduler=scheduler):
             journal.add(chunk)
             done += len(chunk.trials)

@@ -1,4 +1,4 @@
-"""Random start-goal pairs, clear of everything, reproducible one by one."""
+"""Start-goal pairs of trials: random ones clear of all obstacles, or those of another run."""
 
 from __future__ import annotations
 
@@ -13,16 +13,19 @@ from alula.schemas.errors import InfeasibleError, UsageError
 from alula.schemas.run import TrialResult
 
 _BLOCK = 256  # candidates drawn at a time
-_BLOCKS = 64  # then it is hopeless
-_TAIL_PERCENT = 1.0  # of the points on each side of each axis lies outside the default bounds
+_BLOCKS = 64  # blocks per trial before giving up
+_TAIL_PERCENT = 1.0  # of the points on each side of each axis are outside the default bounds
 
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """Start and goal of each trial, shapes (N, 3), world frame [m].
+    """Start and goal of each trial, with the counts of the sampling.
 
-    `sampled` points were looked at, of which `sampled_inside_hulls` lay inside a hull; with what is wanted of
-    a pair they made `candidates` pairs.
+    Attributes:
+        start, goal: shapes (N, 3), world frame [m].
+        sampled: number of points drawn.
+        sampled_inside_hulls: number of those inside a hull.
+        candidates: number of pairs formed from them.
     """
 
     start: FloatArray
@@ -33,10 +36,14 @@ class Pairs:
 
 
 def pairs_flown(trials: Sequence[TrialResult], count: int | None) -> Pairs:
-    """Starts and goals of another run's trials, the first `count` of them or all.
+    """Take the starts and goals of another run.
+
+    Args:
+        trials: of that run.
+        count: number of first trials to take; None for all.
 
     Raises:
-        UsageError: there are not so many.
+        UsageError: there are fewer.
     """
     if count is not None and count > len(trials):
         raise UsageError(f"--trials {count}: the run of --pairs-from has {len(trials)}")
@@ -46,24 +53,40 @@ def pairs_flown(trials: Sequence[TrialResult], count: int | None) -> Pairs:
 
 
 def check_clear(pairs: Pairs, is_clear: Callable[[FloatArray], NDArray[np.bool_]]) -> None:
-    """Raise UsageError where a start or a goal of another run is no place for this one."""
+    """Check the starts and goals of another run.
+
+    Args:
+        pairs: of the other run.
+        is_clear: which of the points, shape (M, 3), are clear of this run's map; shape (M,).
+
+    Raises:
+        UsageError: one is not clear.
+    """
     for what, points in (("starts", pairs.start), ("ends", pairs.goal)):
         if not (clear := is_clear(points)).all():
             i = int(np.argmin(clear))
             where = " ".join(f"{value:.3f}" for value in points[i])
             raise UsageError(
-                f"--pairs-from: trial {i} {what} at ({where}), nearer to an obstacle than this run keeps; "
-                "take the pairs of a run in the same map that keeps away at least as far"
+                f"--pairs-from: trial {i} {what} at ({where}), closer to an obstacle than this run allows; "
+                "take the pairs of a run in the same map with at least this clearance"
             )
 
 
 def central_box(
     points: FloatArray, given: tuple[float, ...] | None, what: str
 ) -> tuple[FloatArray, FloatArray]:
-    """The box for starts and goals: the given one, else the central 98 % of points (N, 3) per axis.
+    """Box for starts and goals: the given one, else the central 98 % of points per axis.
+
+    Args:
+        points: shape (N, 3), world frame [m].
+        given: XMIN YMIN ZMIN XMAX YMAX ZMAX [m].
+        what: the points in words.
+
+    Returns:
+        Lower and upper corner, shapes (3,) [m].
 
     Raises:
-        UsageError: none is given and there is nothing, `what` in words, to take one from.
+        UsageError: no box is given and there are no points.
     """
     if given is not None:
         return np.array(given[:3]), np.array(given[3:])
@@ -77,22 +100,22 @@ def sample_pairs(
     count: int,
     seed: int,
     bounds: tuple[FloatArray, FloatArray],
-    least_distance_m: float,
+    min_distance_m: float,
     clearance: Callable[[FloatArray], FloatArray],
     is_clear: Callable[[FloatArray, FloatArray], NDArray[np.bool_]],
     is_wanted: Callable[[FloatArray, FloatArray], NDArray[np.bool_]] | None = None,
 ) -> Pairs:
     """Draw pairs uniformly in a box, both points clear and far enough apart.
 
-    Trial i has a counter-based generator of its own, keyed on (seed, i): it does not depend on how
-    many trials there are, nor on who computes it. What `is_wanted` refuses is passed over for the next pair
-    of the same generator, so the pairs are those without it, under the condition that they are wanted.
+    Trial i has a counter-based generator of its own, keyed on (seed, i): its pair does not depend on the
+    number of trials or on threads. A pair that `is_wanted` rejects is replaced by the next pair of the same
+    generator, so the pairs are drawn under the condition that they are wanted.
 
     Args:
         count: number of trials.
         seed: of the whole run.
         bounds: lower and upper corner, each of shape (3,) [m].
-        least_distance_m: between start and goal.
+        min_distance_m: minimum distance from start to goal [m].
         clearance: psi of the map at points (M, 3), shape (M,), negative inside a hull [m].
         is_clear: which of the points, given with their psi, may be a start or a goal; shape (M,).
         is_wanted: which of the pairs, starts and goals of shape (P, 3), may be flown; shape (P,). All by
@@ -109,9 +132,7 @@ def sample_pairs(
         for _ in range(_BLOCKS):
             points = lower + generator.random((_BLOCK, 3)) * (upper - lower)
             psi = clearance(points)
-            found = _pairs(
-                points, is_clear(points, psi), least_distance_m, 1 if is_wanted is None else _BLOCK
-            )
+            found = _pairs(points, is_clear(points, psi), min_distance_m, 1 if is_wanted is None else _BLOCK)
             wanted = np.ones(len(found), np.bool_)
             if is_wanted is not None and len(found):
                 wanted = is_wanted(points[found[:, 0]], points[found[:, 1]])
@@ -125,7 +146,7 @@ def sample_pairs(
                 break
         else:
             raise InfeasibleError(
-                f"trial {i}: no start and goal at least {least_distance_m:.3g} m apart and clear of the map "
+                f"trial {i}: no start and goal at least {min_distance_m:.3g} m apart and clear of the map "
                 f"{'' if is_wanted is None else 'with a blocked line between them '}"
                 f"among {_BLOCK * _BLOCKS} points; widen --bounds or lower --separation, --margin or --radius"
             )
@@ -133,16 +154,16 @@ def sample_pairs(
 
 
 def _pairs(
-    points: FloatArray, clear: NDArray[np.bool_], least_distance_m: float, most: int
+    points: FloatArray, clear: NDArray[np.bool_], min_distance_m: float, limit: int
 ) -> NDArray[np.int64]:
-    """Numbers of at most so many pairs, shape (P, 2), each after the one before.
+    """Indices of at most `limit` pairs, shape (P, 2), each after the one before.
 
-    A pair is the first clear point and the first clear one after it that is far enough from it.
+    A pair is the first clear point and the first clear point after it that is far enough away.
     """
     found: list[tuple[int, int]] = []
     index = np.flatnonzero(clear)
-    while len(index) > 1 and len(found) < most:
-        far = np.linalg.norm(points[index] - points[index[0]], axis=1) >= least_distance_m
+    while len(index) > 1 and len(found) < limit:
+        far = np.linalg.norm(points[index] - points[index[0]], axis=1) >= min_distance_m
         far[0] = False
         if not far.any():
             break

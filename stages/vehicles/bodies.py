@@ -18,7 +18,10 @@ from alula.schemas.vehicle import Vehicle
 
 
 def quadrotor(vehicle: Vehicle) -> Quadrotor:
-    """The rigid body that filters and controllers know.
+    """Rigid body of the vehicle, the model of filters and controllers.
+
+    Args:
+        vehicle: a quadrotor.
 
     Raises:
         UsageError: the vehicle is no quadrotor, or its rotors cannot make every wrench.
@@ -47,8 +50,10 @@ def quadrotor(vehicle: Vehicle) -> Quadrotor:
 def tracking_gains(vehicle: Vehicle, catch_up_m_s: float | None = None) -> TrackingGains:
     """Gains and limits of the geometric controller; of a double integrator those of the translation.
 
-    `catch_up_m_s`, if given, replaces the file's: how much faster than its reference a vehicle that was
-    held up is asked to fly.
+    Args:
+        vehicle: quadrotor or double integrator.
+        catch_up_m_s: speed above the reference's at which a delayed vehicle catches up [m/s]; default: the
+            file's.
     """
     table = vehicle.tracking
     attitude, rate = vehicle.attitude_gains() if vehicle.model == "quadrotor" else ((0.0,) * 3, (0.0,) * 3)
@@ -65,7 +70,11 @@ def tracking_gains(vehicle: Vehicle, catch_up_m_s: float | None = None) -> Track
 
 
 def sensor_options(vehicle: Vehicle) -> SensorOptions:
-    """Noise and delay of measurements."""
+    """Noise and delay of measurements.
+
+    Args:
+        vehicle: quadrotor or double integrator.
+    """
     table = vehicle.disturbance
     return SensorOptions(
         position_noise_m=table.position_noise_m,
@@ -77,7 +86,11 @@ def sensor_options(vehicle: Vehicle) -> SensorOptions:
 
 
 def plant_options(vehicle: Vehicle) -> PlantOptions:
-    """Disturbances of a quadrotor."""
+    """Disturbances of a quadrotor.
+
+    Args:
+        vehicle: a quadrotor.
+    """
     table = vehicle.disturbance
     return PlantOptions(
         motor_time_constant_s=table.motor_time_constant_s,
@@ -91,16 +104,25 @@ def plant_options(vehicle: Vehicle) -> PlantOptions:
 
 
 def actuator_model(vehicle: Vehicle) -> ActuatorModel:
-    """Lag and delay that controller and filters count with."""
+    """Lag and delay that controller and filters assume.
+
+    Args:
+        vehicle: a quadrotor.
+    """
     table = vehicle.assumed
     return ActuatorModel(motor_time_constant_s=table.motor_time_constant_s, delay_s=table.delay_s)
 
 
 def plant(vehicle: Vehicle, *, seed: int = 0, trial: int = 0) -> Plant | DoubleIntegrator:
-    """What flies; noise and gusts are a function of seed, trial and step.
+    """Simulated plant; noise and gusts are a function of seed, trial and step.
+
+    Args:
+        vehicle: quadrotor or double integrator.
+        seed: of the run.
+        trial: number of the trial.
 
     Raises:
-        UsageError: a single integrator, which has no plant: its position follows the command.
+        UsageError: the vehicle is a single integrator, which has no plant: its position follows the command.
     """
     if vehicle.model == "double-integrator":
         return DoubleIntegrator(
@@ -113,7 +135,11 @@ def plant(vehicle: Vehicle, *, seed: int = 0, trial: int = 0) -> Plant | DoubleI
 
 
 def disturbances(vehicle: Vehicle) -> list[str]:
-    """What the file adds to a bare rigid body, in words."""
+    """Disturbances that the file adds to a bare rigid body, in words.
+
+    Args:
+        vehicle: of any model.
+    """
     table = vehicle.disturbance
     noise = (
         *(table.position_noise_m, table.velocity_noise_m_s),
@@ -126,20 +152,24 @@ def disturbances(vehicle: Vehicle) -> list[str]:
         "noise": any(noise),
         "delay": table.delay_s > 0,
     }
-    return [name for name, there in found.items() if there]
+    return [name for name, is_there in found.items() if is_there]
 
 
 def left_out(vehicle: Vehicle) -> list[str]:
-    """What the plant does and the model of the filters does not, or the other way round, in words."""
+    """Differences of the plant and the model of the filters, in words.
+
+    Args:
+        vehicle: of any model.
+    """
     assumed, true = vehicle.assumed, vehicle.disturbance
     pairs = {
         "motor lag": (assumed.motor_time_constant_s, true.motor_time_constant_s),
         "delay": (assumed.delay_s, true.delay_s),
     }
     found = [name for name in disturbances(vehicle) if name not in pairs]
-    for name, (believed, flown) in pairs.items():
-        if believed != flown:
-            found.append(f"a {name} other than assumed" if believed else name)
+    for name, (modelled, flown) in pairs.items():
+        if modelled != flown:
+            found.append(f"a {name} other than assumed" if modelled else name)
     return found
 
 

@@ -1,8 +1,9 @@
-"""Between our frames and an autopilot's: the only place where axes change their names or signs.
+"""Conversions between the world frame and an autopilot's frames; only here do axes swap names or signs.
 
-Ours: the world z up, the body x forward, y left, z up. An autopilot's (MAVLink): its local frame x north,
-y east, z down, from its own origin; the body x forward, y right, z down. East-north-up with the same origin
-lies between, and is the local frame of a Crazyflie.
+World frame: z up; body: x forward, y left, z up (FLU). MAVLink autopilots: the local frame has x north, y
+east, z down (NED), from its own origin; the body x forward, y right, z down (FRD). East-north-up (ENU) with
+the same origin lies between them, and is the local frame of a Crazyflie. Vectors have shape (..., 3),
+quaternions wxyz shape (..., 4).
 """
 
 from __future__ import annotations
@@ -23,16 +24,20 @@ _FLU_FROM_FRD = np.array([0.0, 1.0, 0.0, 0.0])  # half a turn about x; its own i
 
 
 def flipped_body(vector: NDArray[Any]) -> FloatArray:
-    """Body components FLU to FRD, and back: (x, -y, -z) of shape (..., 3)."""
+    """Body components FLU to FRD, and back: (x, -y, -z).
+
+    Args:
+        vector: shape (..., 3).
+    """
     return np.asarray(vector, np.float64) * (1.0, -1.0, -1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class LocalFrame:
-    """Where the autopilot's local frame lies: p_enu = Rz(yaw) p_world + origin, and NED from ENU.
+    """Pose of the autopilot's local frame: p_enu = Rz(yaw) p_world + origin, and NED from ENU.
 
     Attributes:
-        yaw_rad: angle from east to the world's x axis, counter-clockwise from above.
+        yaw_rad: angle from east to the world's x axis, counter-clockwise from above [rad].
         origin_enu_m: the world's origin in the autopilot's local frame, as east, north, up [m].
     """
 
@@ -66,31 +71,31 @@ class LocalFrame:
         return _canonical(multiply_quat_wxyz(self._yaw(-1.0), enu))
 
     def position_to_local(self, position: NDArray[Any]) -> FloatArray:
-        """World positions, shape (..., 3) [m], in a local frame with x east, y north, z up: a Crazyflie's."""
+        """World positions, shape (..., 3) [m], in the local ENU frame of a Crazyflie."""
         return self._turned(position, self.yaw_rad) + self.origin_enu_m
 
     def position_from_local(self, position: NDArray[Any]) -> FloatArray:
-        """Positions of such a frame, shape (..., 3) [m], in the world."""
+        """Positions in a local ENU frame, shape (..., 3) [m], in the world."""
         return self._turned(np.asarray(position, np.float64) - self.origin_enu_m, -self.yaw_rad)
 
     def vector_to_local(self, vector: NDArray[Any]) -> FloatArray:
-        """World velocities and accelerations, shape (..., 3), along the axes of such a frame."""
+        """World velocities and accelerations, shape (..., 3), along the axes of a local ENU frame."""
         return self._turned(vector, self.yaw_rad)
 
     def vector_from_local(self, vector: NDArray[Any]) -> FloatArray:
-        """Velocities and accelerations along the axes of such a frame, shape (..., 3), in the world."""
+        """Velocities and accelerations along the axes of a local ENU frame, shape (..., 3), in the world."""
         return self._turned(vector, -self.yaw_rad)
 
     def attitude_to_local(self, quat_wxyz: NDArray[Any]) -> FloatArray:
-        """Attitudes world from FLU, shape (..., 4), as such a frame from FLU, with w >= 0."""
+        """Attitudes world from FLU, shape (..., 4), as local ENU from FLU, with w >= 0."""
         return _canonical(multiply_quat_wxyz(self._yaw(1.0), quat_wxyz))
 
     def attitude_from_local(self, quat_wxyz: NDArray[Any]) -> FloatArray:
-        """Attitudes of such a frame from FLU, shape (..., 4), as world from FLU, with w >= 0."""
+        """Attitudes local ENU from FLU, shape (..., 4), as world from FLU, with w >= 0."""
         return _canonical(multiply_quat_wxyz(self._yaw(-1.0), quat_wxyz))
 
     def yaw_to_ned(self, yaw_rad: float) -> float:
-        """The heading of a yaw in the world, clockwise from north, in (-pi, pi] [rad]."""
+        """Heading of a yaw in the world, clockwise from north, in (-pi, pi] [rad]."""
         return math.pi - (math.pi / 2 + yaw_rad + self.yaw_rad) % (2 * math.pi)
 
     def _yaw(self, sign: float) -> FloatArray:

@@ -1,26 +1,20 @@
-"""Racing drones and the geofence around them: native models, fences and filters from artifacts."""
+"""Racing drones and their geofence filter as native models, from vehicle files."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from alula._core import Fence, Geofence, RacerModel, RacerOptions
-from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.vehicle import Vehicle
-from alula.stages.clearance import hull_obstacles
-from alula.stages.compression.hulls import Hulls
-from alula.stages.compression.onboard.layout import encode_map
-
-Point = tuple[float, float, float]
 
 
 def racer_model(vehicle: Vehicle) -> RacerModel:
-    """The drone as the geofence knows it: thrust by throttle, rates as a first-order lag.
+    """The geofence's model of the drone: thrust by throttle, rates as a first-order lag.
+
+    Args:
+        vehicle: a quadrotor with a table `[throttle]`.
 
     Raises:
         UsageError: the vehicle has no map from throttle to thrust.
@@ -36,7 +30,7 @@ def racer_model(vehicle: Vehicle) -> RacerModel:
 
 
 def racer_options(vehicle: Vehicle, **changed: Any) -> RacerOptions:
-    """What the plant does beside that: the file's drag, wind, gusts, delay and sag.
+    """Properties of the plant that the model does not have: the file's drag, wind, gusts, delay and sag.
 
     Args:
         vehicle: one that `racer_model` takes.
@@ -44,7 +38,7 @@ def racer_options(vehicle: Vehicle, **changed: Any) -> RacerOptions:
 
     Raises:
         UsageError: the vehicle has no map from throttle to thrust, wind has no drag to act through, or an
-            option means nothing.
+            option is unknown or out of range.
     """
     if vehicle.throttle is None or vehicle.body.mass_kg is None:
         raise UsageError(f"vehicle {vehicle.name}: `$.throttle`: flying by throttle and rates needs it")
@@ -62,46 +56,20 @@ def racer_options(vehicle: Vehicle, **changed: Any) -> RacerOptions:
     } | changed
     drag = (*options["linear_drag"], *options["quadratic_drag"])
     if not any(drag) and any((*options["wind_m_s"], *options["gust_m_s"])):
-        raise UsageError("wind and gusts act through drag, and there is none")
+        raise UsageError("wind and gusts act through drag, but the drag is zero")
     try:
         return RacerOptions(**options)
     except (TypeError, ValueError) as error:
         raise UsageError(f"vehicle {vehicle.name}: {error}") from error
 
 
-def fence(
-    *,
-    box: tuple[Point, Point] | None = None,
-    faces: NDArray[np.float64] | None = None,
-    cover: Artifact | None = None,
-) -> Fence:
-    """Where to fly: inside the box and the polytope, outside the hulls of the cover.
+def geofence(vehicle: Vehicle, where: Fence, parameters: Mapping[str, float] | None = None) -> Geofence:
+    """Onboard filter for a vehicle.
 
     Args:
-        box: lower and upper corner [m].
-        faces: shape (L, 4), rows (n, d) of the polytope {p : n . p <= d} with unit n [m].
-        cover: an `alula/cover`, in metres; the filter flies around its onboard map, which contains each hull,
-            and flights are judged by the hulls themselves.
-
-    Raises:
-        UsageError: there is nothing to stay in or out of.
-        InfeasibleError, InputError, ArtifactError: the cover has no onboard map, see `encode_map`.
-    """
-    if box is None and faces is None and cover is None:
-        raise UsageError("a fence needs a box, faces or a cover")
-    image, keep_out = None, None
-    if cover is not None:
-        image, keep_out = encode_map(cover, indexed=True), hull_obstacles(Hulls.from_cover(cover))
-    return Fence(
-        box=box,
-        faces=None if faces is None else np.ascontiguousarray(faces, np.float64),
-        image=image,
-        keep_out=keep_out,
-    )
-
-
-def geofence(vehicle: Vehicle, where: Fence, parameters: Mapping[str, float] | None = None) -> Geofence:
-    """The onboard filter for a vehicle: its model, its radius, and parameters by name.
+        vehicle: one that `racer_model` takes; its radius is the default of `radius_m`.
+        where: the fence.
+        parameters: of the filter, by name.
 
     Raises:
         UsageError: the vehicle has no map from throttle to thrust, or a parameter is unknown or out of range.

@@ -1,4 +1,4 @@
-"""Every tick of a logged flight in a fence is the native one's; the example's scenarios are valid."""
+"""Logged ticks of flights in a fence equal those of the native filter; the example's scenarios are valid."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def test_ticks_are_those_that_were_flown(tmp_path):
     assert ticks.status == tuple(STATUS[i] for i in flown["status"])
     assert {"passed", "blended", "no-pilot"} <= set(ticks.status)
     asked = flown["status"] < 3
-    np.testing.assert_allclose(ticks.share[asked], flown["figure"][asked, 0], atol=WRITTEN)
+    np.testing.assert_allclose(ticks.regulation[asked], flown["figure"][asked, 0], atol=WRITTEN)
     throttle = np.stack([flown["pilot"][:, 0], flown["command"][:, 0]], axis=1)
     np.testing.assert_allclose(ticks.throttle, throttle, atol=WRITTEN)
     assert np.isnan(ticks.throttle[~asked, 0]).all()
@@ -56,7 +56,7 @@ def test_states_without_answers_are_damage(tmp_path, monkeypatch):
     words = ["--set", "run.duration_s=0.05"]
     assert run(["simulate", str(EXAMPLE / "wall.toml"), "-o", str(log), "-q", *words]) == 0
     monkeypatch.setattr("alula.schemas.fence_ticks.SAFETY_TOPIC", "/nothing")
-    with pytest.raises(DamagedError, match="not of the same times"):
+    with pytest.raises(DamagedError, match="have different times"):
         read_ticks(log)
 
 

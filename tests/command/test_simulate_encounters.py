@@ -142,7 +142,7 @@ def test_options_and_settings_replace_keys(here):
         (["--set", "sensor.rate_hz=-4"], "at `$.sensor.rate_hz`"),
         (["--set", "h_max_s=0.01"], "small.toml: `$.filter.parameters`"),
         (["--filter", "cone-di"], "at `$.filter.name`"),
-        (["--beta", "3"], "--beta is for flights among static obstacles, which these are not"),
+        (["--beta", "3"], "--beta is for flights among static obstacles"),
         (["--scene", "a.scene.npz"], "--scene is for flights among static obstacles"),
         (["--trials", "0"], "--trials must be between 1 and"),
         (["--scheduler", "nowhere"], "--scheduler must be an address"),

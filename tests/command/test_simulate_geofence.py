@@ -17,7 +17,7 @@ from alula.stages.simulation.geofence import simulate as stage
 from support.paths import VEHICLES
 
 RACER = VEHICLES / "racer7.toml"
-DOCUMENTATION = RACER.parents[2] / "docs" / "theory" / "geofence.md"
+DOCUMENTATION = RACER.parents[2] / "docs/theory/geofence.md"
 FASTBRIDGE = RACER.with_name("fastbridge.toml")
 # The paper's flight: 40 m to a wall, pitched by 72 degrees.
 WALL = """
@@ -103,7 +103,7 @@ def test_the_wall_of_the_paper_as_a_golden_run(here, capsys):
     assert sorted(ref.role for ref in found.provenance.inputs) == ["scenario", "vehicle"]
     flight = read_flights(Path("wall.run.mcap")).by_trial[0]
     assert flight.margin.min() == pytest.approx(0.288, abs=2e-3)
-    assert 0.0098 < flight.share.min() < 0.02  # of the samples
+    assert 0.0098 < flight.regulation.min() < 0.02  # of the samples
     assert run(["simulate", "wall.toml", "-o", "wall.run.mcap"]) == 0
     assert "unchanged" in capsys.readouterr().out
 
@@ -216,9 +216,9 @@ def test_a_cover_is_kept_out_of_and_recorded(here, pipeline, capsys):
         (["--vehicle", str(FASTBRIDGE)], 2, "vehicle fastbridge: `$.throttle`"),
         (["--filter", "cone-di"], 2, "at `$.filter.name`"),
         (["--trials", "0"], 2, "--trials must be between 1 and"),
-        (["--dt", "0.01"], 2, "--dt is for other flights than those in a fence"),
-        (["--pairs-from", "vehicles/racer7.toml"], 2, "--pairs-from is for other flights"),
-        (["--scene", "vehicles/racer7.toml"], 2, "--scene is for other flights"),
+        (["--dt", "0.01"], 2, "--dt is for flights without a fence"),
+        (["--pairs-from", "vehicles/racer7.toml"], 2, "--pairs-from is for flights without a fence"),
+        (["--scene", "vehicles/racer7.toml"], 2, "--scene is for flights without a fence"),
         (["--scheduler", "nowhere"], 2, "--scheduler must be an address"),
         (["--map", "vehicles/racer7.toml"], 3, "racer7.toml"),
     ],
@@ -240,7 +240,7 @@ def test_a_dry_run_writes_nothing(here, capsys):
 def test_notes_are_said_beside_the_result(here, capsys):
     assert run([*WORDS, "--trials", "1", "--set", "run.stale_from_s=0.1"]) in (0, 4)
     out, error = capsys.readouterr()
-    assert "note: navigation was out for longer than stale_limit_s" in error
+    assert "note: navigation was lost for longer than stale_limit_s" in error
     assert "notes" not in out
     assert record().summary["hand_over"] > 0
 

@@ -1,4 +1,4 @@
-"""What `alula simulate` is given besides its map: a vehicle, and the pairs of another run."""
+"""Inputs of `alula simulate` besides the map: a vehicle, and the pairs of another run."""
 
 import msgspec
 import pytest
@@ -51,7 +51,7 @@ def test_a_single_integrator_flies_among_hulls_with_the_limits_of_its_file(maps,
 
 
 def test_the_parameters_hold_the_whole_vehicle(maps, tmp_path):
-    """Also without a file, and with what a file leaves out, so that a run can be flown again from its log."""
+    """A run can be flown again from its log: without a vehicle file, and with one that omits keys."""
     record = simulate(maps / "field.scene.npz", tmp_path / "a.run.mcap", "--filter", "none", *SCENE_WORDS)
     recorded = record.provenance.parameters["vehicle"]
     assert recorded == contents(FASTBRIDGE)
@@ -110,9 +110,9 @@ def test_runs_that_keep_away_more_fly_the_same_pairs(maps, tmp_path):
     ("words", "message"),
     [
         (["--trials", "4"], "--trials 4: the run of --pairs-from has 3"),
-        (["--pairs", "blocked"], "--pairs is for random pairs; those of --pairs-from are flown as they are"),
+        (["--pairs", "blocked"], "--pairs is for random pairs; leave it out with --pairs-from"),
         (["--margin", "0.2"], "--margin is for random pairs"),
-        (["--inflate", "1"], "nearer to an obstacle than this run keeps"),
+        (["--inflate", "1"], "closer to an obstacle than this run allows"),
     ],
 )
 def test_pairs_that_do_not_fit_are_refused(maps, tmp_path, capsys, words, message):

@@ -215,7 +215,7 @@ def test_a_guide_is_recorded_and_reported_with_all_it_was_told(scene, tmp_path):
     assert parameters["filter_parameters"]["lambda_"] == 4.0
     assert (parameters["catch_up_m_s"], parameters["pairs"]) == (1.0, "blocked")
     assert record.vehicle.endswith("guided by cone-di")
-    assert "nothing rests on it" in record.guarantee.statement
+    assert "no proof depends on it" in record.guarantee.statement
     assert summary["blocked_pairs"] == 2 <= summary["sampled_pairs"]
     assert all(t.line_clearance_m < 0 for t in record.trials)
     assert run(["report", str(a), "-o", str(report), "-q"]) == 0
@@ -272,9 +272,9 @@ def unaligned(path):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["SCENE"], 2, "polytope-cbf sees the hulls of a cover, not a scene; --filter may be cone-di, "),
+        (["SCENE"], 2, "polytope-cbf needs a cover, for its hulls; in a scene --filter is cone-di, "),
         (["SCENE", "--filter", "nome"], 2, "no filter is called 'nome'; known: none, polytope-cbf, cone-di"),
-        (["COVER", "--filter", "cone-di"], 2, "cone-di sees the ellipsoids of a scene; give one"),
+        (["COVER", "--filter", "cone-di"], 2, "cone-di needs a scene, for its ellipsoids; add --scene"),
         (["SCENE", "--filter", "cone-di", "--set", "alhpa=1"], 2, "unknown parameter 'alhpa'; it has alpha"),
         (["SCENE", "--filter", "cone-di", "--set", "alpha=nan"], 2, "--set alpha: 'nan' is not finite"),
         (["SCENE", "--filter", "cone-di", "--set", "alpha=-1"], 2, "cone-di: "),
@@ -289,8 +289,8 @@ def unaligned(path):
         (["SCENE", "--filter", "none", "--speed", "nan"], 2, "is not finite"),
         (["SCENE", "--filter", "cone-ecbf", "--plant", "double-integrator"], 2, "has no thrust and torque"),
         (["SCENE", "--filter", "none", "--radius", "9"], 5, "trial 0: no start and goal"),
-        (["SCENE", "--map", "SCENE", "--filter", "none"], 2, "is a scene already; --map"),
-        (["SCENE", "--scene", "SCENE", "--filter", "none"], 2, "is a scene already; --scene"),
+        (["SCENE", "--map", "SCENE", "--filter", "none"], 2, "is a scene; --map"),
+        (["SCENE", "--scene", "SCENE", "--filter", "none"], 2, "is a scene; --scene"),
         (["UNALIGNED", "--filter", "none"], 3, "not metres; run scale-align first"),
         (["absent.scene.npz", "--filter", "none"], 3, "does not exist"),
         (["COVER", "--scene", "absent.npz", "--filter", "cone-di"], 3, "cannot read"),
@@ -326,7 +326,7 @@ def unaligned(path):
         (
             ["SCENE", "--filter", "none", "--plant", "double-integrator", "--interface", "body-rates"],
             2,
-            "a double integrator is told accelerations",
+            "a double integrator is commanded by acceleration",
         ),
         (["SCENE", "--filter", "cone-di", "--set", "count=-1"], 2, "cone-di: count must be a whole number"),
         (["SCENE", *LIGHT, "--filter", "cone-backup", "--set", "policy=hover"], 2, "they do not settle"),

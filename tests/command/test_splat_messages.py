@@ -1,4 +1,4 @@
-"""What log and record of a flight among ellipsoids say: messages, level, what the model leaves out."""
+"""Log and record of a flight among ellipsoids: messages, level, effects that the model leaves out."""
 
 import json
 from collections import Counter
@@ -23,7 +23,7 @@ def scene(tmp_path_factory):
 
 
 def test_every_message_fits_its_schema(scene, tmp_path):
-    """Also where no obstacle gives the filter a margin."""
+    """Includes ticks in which no obstacle gives the filter a margin."""
     out = tmp_path / "a.run.mcap"
     found = Counter()
     for name in ("none", "cone-di"):
@@ -71,7 +71,7 @@ def test_what_the_model_leaves_out_is_said(scene, tmp_path):
     out = tmp_path / "a.run.mcap"
     run([*words, "--vehicle", str(tmp_path / "v.toml"), "-o", str(out), "-q"])
     record = read_run(out)
-    assert record.vehicle.endswith("told thrust and body rates, with motor lag")
+    assert record.vehicle.endswith("commanded by thrust and body rates, with motor lag")
     assert (
         "These flights had motor lag, a rate loop, which that model leaves out." in record.guarantee.statement
     )

@@ -20,7 +20,7 @@ from alula.schemas.run import read_run
 from alula.stages.flight.recorder.live_view import ViewHead, open_view
 from alula.stages.flight.recorder.log import FlightRecorder
 from alula.stages.flight.recorder.pipe import FlightPipe
-from alula.stages.runlog.runs import map_message
+from alula.stages.runlog.maps import map_message
 from support.flight_logs import head_of, sample
 from support.flights import BALL, mission
 

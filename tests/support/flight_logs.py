@@ -8,7 +8,7 @@ from alula.stages.flight.judge import guarantee_of, judge, summary_of
 from alula.stages.flight.mission import head_facts
 from alula.stages.flight.recorder.log import FlightHead
 from alula.stages.flight.recorder.samples import FilterSample, TickSample
-from alula.stages.runlog.runs import map_message
+from alula.stages.runlog.maps import map_message
 
 
 def head_of(made):

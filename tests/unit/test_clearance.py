@@ -17,15 +17,20 @@ from alula.stages.clearance import (
     clearance_to_hulls,
     clearance_to_scene,
     hull_obstacles,
+    is_collision,
     path_clearance,
     path_metrics,
     scene_obstacles,
     segment_clearance,
-    wilson_interval,
+    sphere_clearance,
 )
 from alula.stages.compression.hulls import Hulls
 
 QP_TOLERANCE = 2e-7  # of the interior-point solver, in metres, at distances of the order of one
+
+NO_HULLS = Hulls(
+    np.empty((0, 3)), np.empty(0), np.zeros(1, np.int64), np.empty((0, 3)), np.zeros(1, np.int64)
+)
 
 
 def hulls_of(clouds):
@@ -323,15 +328,12 @@ def test_threads_and_guesses_do_not_change_a_bit():
 
 
 def test_shapes_and_empty_worlds():
-    none = Hulls(
-        np.empty((0, 3)), np.empty(0), np.zeros(1, np.int64), np.empty((0, 3)), np.zeros(1, np.int64)
-    )
-    assert clearance_to_hulls([[0, 0, 0]], none).tolist() == [math.inf]
-    assert clearance_to_hulls([[0, 0, 0], [1, 0, 0], [2, 0, 0]], none, cap_m=5).tolist() == [5, 5]
+    assert clearance_to_hulls([[0, 0, 0]], NO_HULLS).tolist() == [math.inf]
+    assert clearance_to_hulls([[0, 0, 0], [1, 0, 0], [2, 0, 0]], NO_HULLS, cap_m=5).tolist() == [5, 5]
     assert len(clearance_to_hulls([[3, 0, 0]], hulls_of([box([0, 0, 0], [1, 1, 1])]))) == 1
     for bad in (np.empty((0, 3)), np.zeros((2, 2)), [[math.nan, 0, 0]]):
         with pytest.raises(InputError):
-            clearance_to_hulls(bad, none)
+            clearance_to_hulls(bad, NO_HULLS)
     with pytest.raises(InputError, match="level"):
         scene_obstacles(scene_of([[0, 0, 0]], [[1, 1, 1]], [[1, 0, 0, 0]]), 0.0)
 
@@ -350,13 +352,14 @@ def test_path_metrics_of_a_cubic():
         path_metrics(path, 0)
 
 
-@pytest.mark.parametrize(("successes", "n"), [(0, 10), (7, 10), (10, 10), (93, 100), (1, 1)])
-def test_the_wilson_interval_solves_the_score_equation(successes, n):
-    lower, upper = wilson_interval(successes, n)
-    assert 0 <= lower <= successes / n <= upper <= 1
-    for p in (lower, upper):
-        if 0 < p < 1:
-            assert abs(successes / n - p) / math.sqrt(p * (1 - p) / n) == pytest.approx(1.959964, rel=1e-6)
-    assert wilson_interval(0, 0) == (0.0, 1.0)
-    with pytest.raises(InputError):
-        wilson_interval(3, 2)
+def test_the_clearance_of_a_sphere_is_that_of_its_path_less_the_radius():
+    cube = hull_obstacles(hulls_of([box([0, 0, 0], [1, 1, 1])]))
+    path = [[3, 0.5, 0.5], [1.5, 0.5, 0.5], [3, 0.5, 0.5]]
+    assert sphere_clearance(path, cube, 0.2) == pytest.approx(0.3)
+    assert sphere_clearance(path, hull_obstacles(NO_HULLS), 0.2) is None
+
+
+def test_a_touch_and_a_missing_obstacle_are_no_collision():
+    assert not is_collision()
+    assert not is_collision(None, 0.0, -1e-7)
+    assert is_collision(None, 1.0, -2e-6)

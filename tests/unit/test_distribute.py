@@ -1,4 +1,4 @@
-"""The same results in the same order, wherever chunks are computed, and clear words when that fails."""
+"""Distributed chunks: the same results in the same order on all workers, and clear messages on failure."""
 
 import sys
 import time

@@ -1,8 +1,9 @@
-"""The shape of the project: import directions, sizes, generated files, a quick command line."""
+"""The shape of the project: import directions, circles, sizes, generated files, a quick command line."""
 
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -47,19 +48,84 @@ def test_imports_point_one_way(path):
     assert imported_parts(path) <= MAY_IMPORT[part]
 
 
-def test_no_source_file_is_over_400_lines():
-    patterns = (
-        "cli/**/*.py",
-        "stages/**/*.py",
-        "schemas/**/*.py",
-        "native/**/*.?pp",
-        "native/**/*.[ch]",
-        "tests/**/*.py",
-    )
-    files = [path for pattern in patterns for path in ROOT.glob(pattern)]
-    assert len(files) > 50
-    long = {str(f.relative_to(ROOT)): n for f in files if (n := len(f.read_text().splitlines())) > 400}
-    assert not long
+@cache
+def imported_files() -> dict[str, set[str]]:
+    """Modules of the project by name, each with those that it imports, at its top or in a function."""
+    modules = {
+        ".".join(("alula", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__"): path
+        for path in SOURCES
+    }
+    found = {}
+    for module, path in modules.items():
+        names: set[str] = set()
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                names |= {f"{node.module}", *(f"{node.module}.{alias.name}" for alias in node.names)}
+        found[module] = names & modules.keys() - {module}
+    return found
+
+
+def first_circle(graph: dict[str, set[str]]) -> str:
+    """The first circle of a directed graph in words, empty without any."""
+    done: set[str] = set()
+
+    def visit(node: str, chain: tuple[str, ...]) -> str:
+        if node in chain:
+            return " -> ".join((*chain[chain.index(node) :], node))
+        if node not in done:
+            for following in sorted(graph[node]):
+                if found := visit(following, (*chain, node)):
+                    return found
+            done.add(node)
+        return ""
+
+    return next(filter(None, (visit(node, ()) for node in graph)), "")
+
+
+def test_no_python_files_import_each_other_in_a_circle():
+    graph = imported_files()
+    assert len(graph) > 250
+    assert not first_circle(graph)
+    assert first_circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == "b -> c -> b"
+
+
+def folders_of_the_stages() -> dict[str, set[str]]:
+    """Folders and modules at the top of `stages`, each with those that it imports."""
+    graph: dict[str, set[str]] = {}
+    for module, others in imported_files().items():
+        if module.startswith("alula.stages."):
+            folder = module.split(".")[2]
+            imported = {other.split(".")[2] for other in others if other.startswith("alula.stages.")}
+            graph.setdefault(folder, set()).update(imported - {folder})
+    return graph
+
+
+def test_no_folders_of_the_stages_import_each_other_in_a_circle():
+    graph = folders_of_the_stages()
+    assert len(graph) > 10
+    assert not first_circle(graph)
+
+
+@pytest.mark.parametrize(
+    ("importer", "imported"),
+    [("flight", "reporting"), ("reporting", "flight"), ("simulation", "reporting"), ("simulation", "runlog")],
+)
+def test_folders_of_the_stages_that_do_not_import_each_other(importer, imported):
+    graph = folders_of_the_stages()
+    assert imported in graph
+    assert imported not in graph[importer]
+
+
+def test_no_folder_of_the_stages_has_more_than_30_percent_of_their_lines():
+    lines: dict[str, int] = {}
+    for path in (ROOT / "stages").rglob("*.py"):
+        folder = path.relative_to(ROOT / "stages").parts[0]
+        lines[folder] = lines.get(folder, 0) + len(path.read_text().splitlines())
+    assert len(lines) > 10
+    largest = max(lines, key=lambda folder: lines[folder])
+    assert lines[largest] <= 0.3 * sum(lines.values()), f"stages/{largest}: {lines[largest]} lines"
 
 
 def test_help_imports_nothing_heavy():

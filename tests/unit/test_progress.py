@@ -1,4 +1,4 @@
-"""Progress never goes back, ends at the whole and says when it is not known."""
+"""Progress never decreases, ends at the whole, and reports an unknown total."""
 
 import pytest
 from hypothesis import given

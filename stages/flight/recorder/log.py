@@ -31,7 +31,8 @@ from alula.stages.flight.recorder.messages import (
 )
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
 from alula.stages.flight.recorder.samples import TickSample
-from alula.stages.runlog.writer import LogWriter, path_message
+from alula.stages.runlog.messages import path_message
+from alula.stages.runlog.writer import LogWriter
 
 _CHUNK_BYTES = 2**14  # some ticks: the maximum loss in a crash
 _SYNC_S = 1.0  # the maximum loss in a power cut

@@ -10,7 +10,7 @@ import numpy as np
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.loop.supervisor import State
 from alula.stages.flight.recorder.samples import FilterSample, TickSample
-from alula.stages.runlog.writer import DECIMALS, point_message, stamp
+from alula.stages.runlog.messages import DECIMALS, stamp, xyz
 
 CHANNELS = {
     "/map": "foxglove.SceneUpdate",
@@ -168,7 +168,7 @@ def _attitude(sample: TickSample) -> dict[str, float]:
 
 
 def _point(values: tuple[float, ...] | None) -> dict[str, float]:
-    return point_message(np.array((0.0, 0.0, 0.0) if values is None else values))
+    return xyz(np.array((0.0, 0.0, 0.0) if values is None else values))
 
 
 def _number(value: float | None) -> float | None:

@@ -9,7 +9,6 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.run import TrialResult
-from alula.stages.clearance import wilson_interval
 from alula.stages.reporting.papers.published import FASTBRIDGE
 from alula.stages.reporting.papers.sweeps import (
     Comparison,
@@ -24,6 +23,7 @@ from alula.stages.reporting.papers.sweeps import (
 )
 from alula.stages.reporting.statistics import Estimate, mean_estimate
 from alula.stages.reporting.tables import Table
+from alula.stages.verdict import wilson_interval
 
 GAP_VARIANTS = ("ideal-di", "cone-di", "cone-ecbf")
 BASELINE, OURS = "safer-splat", "cone-ecbf"

@@ -111,7 +111,7 @@ def approach(ticks: Ticks) -> Approach:
     speed = np.linalg.norm(ticks.velocity, axis=1)
     fastest = int(np.argmax(speed))
     asked = np.array([word in _ASKED for word in ticks.status])
-    share = np.where(asked & np.isfinite(ticks.share), ticks.share, 1.0)
+    share = np.where(asked & np.isfinite(ticks.regulation), ticks.regulation, 1.0)
     low = np.flatnonzero(share < 0.5)
     tick_s = float(ticks.time_s[1] - ticks.time_s[0]) if len(ticks.time_s) > 1 else 0.0
     return Approach(

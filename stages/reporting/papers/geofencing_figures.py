@@ -121,7 +121,7 @@ def approach_figure(
             third = t.throttle[:, 1] if falls else np.degrees(t.tilt_rad)
             axes[2].plot(t.time_s[part], third[part], **line)
             if run.record.filter == BASE:
-                axes[3].plot(t.time_s[part], t.share[part], **line)
+                axes[3].plot(t.time_s[part], t.regulation[part], **line)
             a = approach(t)
             said.append(
                 f"{run.variant}: {text(a.peak_km_h)} km/h, least distance {text(a.least_m)} m, least λ "
@@ -155,7 +155,7 @@ def engaged_figure(run: Fenced | None) -> Figure | None:
             axes[1].plot(t.time_s, t.position[:, i], color=color, linewidth=1.4, label=name)
         axes[1].set(ylabel="position [m]")
         axes[1].legend(fontsize=9, ncols=3)
-        axes[2].plot(t.time_s, t.share, color=OURS, linewidth=1.2)
+        axes[2].plot(t.time_s, t.regulation, color=OURS, linewidth=1.2)
         axes[2].set(ylabel="λ", xlabel="time [s]", ylim=(-0.03, 1.05))
         svg = render()
     alt = (

@@ -1,4 +1,4 @@
-"""Flights among ellipsoids: natively on threads, or in a Python loop for a filter written in Python."""
+"""Closed-loop flights among ellipsoids: native on threads, or in a Python loop for a Python filter."""
 
 from __future__ import annotations
 
@@ -18,33 +18,37 @@ from alula.schemas.run import Outcome
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.filtering.splat_filters import NativeSplatFilter
 from alula.stages.filtering.splat_protocol import FlightState, Nominal, SplatFilter, is_input
+from alula.stages.simulation.result import LOOP_OUTCOMES, SplatFlightLog, logged_ticks
 
-_OUTCOMES: tuple[Outcome, ...] = ("reached", "stuck", "timeout", "refused")  # by number, from 1
+_LOGGED = (
+    *("a_nominal", "a_command", "a_error", "u_nominal", "u", "rotor_thrust", "margin", "gate_m", "active"),
+    *("candidates", "rows", "iterations", "status", "capped", "infeasible", "certified", "saturated"),
+)
 
 
 @dataclass(frozen=True, slots=True)
 class SplatFlown:
-    """One flight of S ticks; a row per tick, of the time at its beginning unless said otherwise.
+    """One flight of S ticks; a row per tick, at its beginning unless stated otherwise.
 
     Attributes:
-        position: shape (S plant_steps + 1, 3): the path at the rate of the plant, world frame [m].
-        state: shape (S + 1, 12), position, attitude (MRP), velocity, body rates; the last row is the end.
-        a_nominal: acceleration that the controller asked for, shape (S, 3) [m/s^2].
-        a_command: acceleration that the filter let through, shape (S, 3) [m/s^2]; of a wrench, the one that
-            its thrust makes along the true axis.
-        a_error: largest |a - a_command| within the tick, shape (S,) [m/s^2].
+        position: path at the rate of the plant, shape (S plant_steps + 1, 3), world frame [m].
+        state: position, attitude (MRP), velocity, body rates, shape (S + 1, 12); the last row is the end.
+        a_nominal: acceleration of the nominal command, shape (S, 3) [m/s^2].
+        a_command: acceleration after the filter, shape (S, 3) [m/s^2]; for a wrench, that of its thrust along
+            the true axis.
+        a_error: maximum of |a - a_command| within the tick, shape (S,) [m/s^2].
         u_nominal: thrust and torque of the controller, shape (S, 4) [N, N m].
         u: thrust and torque as flown, within the limits of the rotors, shape (S, 4); 0 without rotors.
         rotor_thrust: of each rotor, shape (S, 4) [N].
         margin: the filter's own barrier, shape (S,); infinite without an obstacle.
-        gate_m: distance within which ellipsoids counted, shape (S,) [m].
-        active: ellipsoid of the row that decided, -1 for none, shape (S,).
+        gate_m: distance within which the filter considered ellipsoids, shape (S,) [m].
+        active: ellipsoid of the decisive row, -1 for none, shape (S,).
         candidates, rows, iterations: of the filter's program, shape (S,).
         status: `FilterStatus`, shape (S,).
         capped, infeasible, certified, saturated: shape (S,).
         filter_s: measured time of the filter, shape (S,) [s].
         tick_s: measured time of controller and filter, shape (S,) [s].
-        outcome: how it ended.
+        outcome: end of the flight.
     """
 
     position: FloatArray
@@ -86,19 +90,19 @@ def fly(
     """Fly every reference in closed loop; see native/core/include/alula/flight/splat_flight.hpp.
 
     Args:
-        safety_filter: None flies what the controller asks for.
+        safety_filter: None flies the nominal command.
         vehicle: body, controller and plant.
         references: one per flight.
-        rules: times and when a flight ends.
-        guide: a filter of accelerations that bends what the controller asks for before the filter sees it.
-        seed: of the plant's noise, with the trial's number, which counts from `first_trial`.
+        rules: times and end of a flight.
+        guide: filter of accelerations that changes the nominal command before `safety_filter` gets it.
+        seed: of the plant's noise, together with the trial's number, which counts from `first_trial`.
         first_trial: number of the first flight.
-        jobs: threads; all but the measured times is independent of it.
+        jobs: threads, 0 for all processors; only measured times depend on it.
         progress: called with (flights done, flights).
 
     Raises:
         InputError: a Python filter returned something that cannot be flown.
-        ValueError: the rules mean nothing, or a wrench is to be flown by a double integrator.
+        ValueError: the rules are inconsistent, or a double integrator cannot fly a wrench.
     """
     bend = None if guide is None else guide.native
     if safety_filter is None or isinstance(safety_filter, NativeSplatFilter):
@@ -157,4 +161,28 @@ def _flown(log: dict[str, Any]) -> SplatFlown:
         name: (flags & bit) != 0
         for name, bit in (("capped", 1), ("infeasible", 2), ("certified", 4), ("saturated", 8))
     }
-    return SplatFlown(**{**log, **named, "outcome": _OUTCOMES[log["outcome"] - 1]})
+    return SplatFlown(**{**log, **named, "outcome": LOOP_OUTCOMES[log["outcome"] - 1]})
+
+
+def decimate(flown: SplatFlown, dt_s: float, rate_hz: float) -> SplatFlightLog:
+    """Sample a flight for the log, see `logged_ticks`; `a_error` is the maximum since the sample before.
+
+    Args:
+        flown: the flight.
+        dt_s: duration of a tick [s].
+        rate_hz: samples per second in the log.
+    """
+    steps = len(flown.status)
+    sample = logged_ticks(steps, dt_s, rate_hz)
+    held = np.minimum(sample, steps - 1)
+    rows = {name: getattr(flown, name)[held] for name in _LOGGED}
+    rows["a_error"][1:] = np.maximum.reduceat(flown.a_error, sample[:-1])
+    rows["a_error"][0] = flown.a_error[0]
+    state = flown.state[sample]
+    is_finite = np.isfinite(state).all(axis=1)  # a flight whose state is not finite is refused at once
+    return SplatFlightLog(
+        time_s=sample[is_finite].astype(np.float64) * dt_s,
+        position=state[is_finite, :3],
+        state=state[is_finite],
+        flown={name: row[is_finite] for name, row in rows.items()},
+    )

@@ -1,4 +1,4 @@
-"""How a flight among ellipsoids is judged: exact clearance of its path, motion, and what the filter did."""
+"""Verdict on a flight among ellipsoids: exact clearance of its path, motion, and steps of the filter."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.run import TrialResult
 from alula.stages.clearance import (
-    COLLISION_TOLERANCE_M,
     hull_obstacles,
-    path_clearance,
+    is_collision,
     scene_obstacles,
     segment_clearance,
+    sphere_clearance,
 )
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.protocol import FilterStatus
@@ -26,9 +26,16 @@ from alula.stages.simulation.ellipsoids.closed_loop import SplatFlown
 class SplatJudge:
     """Clearances of the vehicle's sphere to the ellipsoids of a scene and, when there is one, to a cover.
 
-    The path is that of the plant's steps, 1 ms each, joined by chords: a chord is at most a dt^2 / 8 off the
-    true path, below 1e-5 m up to an acceleration of 80 m/s^2. Along it the distance is exact. A collision
-    is one with the ellipsoids, which are what the filter sees; clearance to the hulls is only told.
+    The path consists of the plant's steps, 1 ms each, joined by chords. A chord is at most a dt^2 / 8 off the
+    true path, below 1e-5 m up to an acceleration of 80 m/s^2. Along it the distance is exact. Only contact
+    with the ellipsoids, which are the map of the filter, is a collision; clearance to the hulls is reported.
+
+    Args:
+        scene: metric scene.
+        sigma: level of its ellipsoids.
+        cover: an `alula/cover` in the same frame, if there is one.
+        radius_m: of the vehicle [m].
+        jobs: threads, 0 for all processors.
     """
 
     def __init__(
@@ -40,12 +47,29 @@ class SplatJudge:
         self.jobs = jobs
 
     def distance(self, points: FloatArray, cap_m: float) -> FloatArray:
-        """Signed distance of points (M, 3) to the nearest ellipsoid, at most `cap_m`, shape (M,) [m]."""
+        """Signed distance of points to the nearest ellipsoid.
+
+        Args:
+            points: shape (M, 3), world frame [m].
+            cap_m: larger distances are returned as this [m].
+
+        Returns:
+            Shape (M,) [m].
+        """
         rows = np.ascontiguousarray(points)
         return segment_clearance(rows, rows, self.scene, self.jobs, cap_m)
 
     def is_blocked(self, start: FloatArray, goal: FloatArray, keep_m: float) -> NDArray[np.bool_]:
-        """Which straight lines, shapes (S, 3), come nearer to an ellipsoid than `keep_m`; shape (S,)."""
+        """Find the straight lines that come closer to an ellipsoid than `keep_m`.
+
+        Args:
+            start: shape (S, 3), world frame [m].
+            goal: shape (S, 3), world frame [m].
+            keep_m: distance to keep [m].
+
+        Returns:
+            Shape (S,).
+        """
         return np.asarray(segment_clearance(start, goal, self.scene, self.jobs, keep_m) < keep_m)
 
     def trial(
@@ -57,14 +81,23 @@ class SplatJudge:
         dt_s: float,
         grown: _core.EllipsoidIndex,
     ) -> TrialResult:
-        """The verdict on one flight; `reference` is that at the times of the ticks, shape (S + 1, 18)."""
+        """Judge one flight.
+
+        Args:
+            index: number of the trial.
+            reference: reference at the times of the ticks, shape (S + 1, 18).
+            goal: shape (3,), world frame [m].
+            flown: the flight.
+            dt_s: duration of a tick [s].
+            grown: ellipsoids as the filter grew them.
+        """
         steps = len(flown.status)
         position, velocity = flown.state[:, :3], flown.state[:, 6:9]
         speed = np.linalg.norm(velocity, axis=1)
         acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / dt_s
         jerk = np.linalg.norm(np.diff(velocity, n=2, axis=0), axis=1) / dt_s**2
         status = np.bincount(flown.status, minlength=len(FilterStatus))
-        clearance = self._least(flown.position, self.scene)
+        clearance = self._clearance(flown.position, self.scene)
         gamma = _core.least_gamma(grown, np.ascontiguousarray(_finite(position)))
         margin = flown.margin[np.isfinite(flown.margin)]
         duration = steps * dt_s
@@ -74,12 +107,12 @@ class SplatJudge:
             start_m=position[0].tolist(),
             goal_m=goal.tolist(),
             outcome=flown.outcome,
-            collision=clearance is not None and clearance < -COLLISION_TOLERANCE_M,
+            collision=is_collision(clearance),
             steps=steps,
             duration_s=duration,
             path_length_m=length,
             straight_length_m=float(np.linalg.norm(goal - position[0])),
-            map_clearance_m=None if self.hulls is None else self._least(flown.position, self.hulls),
+            map_clearance_m=None if self.hulls is None else self._clearance(flown.position, self.hulls),
             scene_clearance_m=clearance,
             max_speed_m_s=_most(speed),
             filtered_steps=int(steps - status[FilterStatus.OK]),
@@ -99,16 +132,17 @@ class SplatJudge:
             certified_steps=int(flown.certified.sum()),
             capped_steps=int(flown.capped.sum()),
             saturated_steps=int(flown.saturated.sum()),
-            line_clearance_m=self._least(np.array([position[0], goal]), self.scene),
+            line_clearance_m=self._clearance(np.array([position[0], goal]), self.scene),
         )
 
-    def _least(self, position: FloatArray, obstacles: _core.EllipsoidSet | _core.PolytopeSet) -> float | None:
-        least = float(path_clearance(_finite(position), obstacles, jobs=self.jobs).min()) - self.radius_m
-        return least if math.isfinite(least) else None
+    def _clearance(
+        self, position: FloatArray, obstacles: _core.EllipsoidSet | _core.PolytopeSet
+    ) -> float | None:
+        return sphere_clearance(_finite(position), obstacles, self.radius_m, jobs=self.jobs)
 
 
 def _finite(points: FloatArray) -> FloatArray:
-    """The path up to where its numbers end: a flight that leaves them is refused at once."""
+    """The path up to its first value that is not finite; such a flight is refused at once."""
     bad = ~np.isfinite(points).all(axis=1)
     return points[: int(np.argmax(bad))] if bad.any() else points
 

@@ -1,4 +1,4 @@
-"""What is flown among ellipsoids: a plan, random pairs, or those of another run."""
+"""References of flights among ellipsoids: a plan, random pairs, or the pairs of another run."""
 
 from __future__ import annotations
 
@@ -23,12 +23,24 @@ def references_of(
     judge: SplatJudge,
     keep_m: float,
 ) -> tuple[list[_core.ReferenceCurve], FloatArray, dict[str, int]]:
-    """The curves to fly, where they end, and what was sampled for them.
+    """Make the reference curves, their goals, and the counts of sampled points and pairs.
 
-    A pair's goal is the one that was drawn, not the end of its curve, whose rounding depends on the speed.
+    The goal of a pair is the drawn one, not the end of its curve, as the rounding of the latter depends on
+    the speed.
+
+    Args:
+        config: see `SimulateConfig`, resolved.
+        scene: metric scene.
+        plan: the `alula/plan` to fly, if any.
+        given: pairs to fly instead of random ones.
+        judge: clearances to the scene.
+        keep_m: radius of the vehicle with its inflation [m].
+
+    Returns:
+        N curves, goals of shape (N, 3) in the world frame [m], and the counts by the keys of the summary.
 
     Raises:
-        UsageError: a given start or goal is nearer to an ellipsoid than `keep_m`, or there are no bounds.
+        UsageError: a given start or goal is closer to an ellipsoid than `keep_m`, or there are no bounds.
         InfeasibleError: no clear pairs were found.
     """
     if plan is not None:
@@ -73,5 +85,5 @@ def _sampled(config: SimulateConfig, scene: Artifact, judge: SplatJudge, keep_m:
     )
 
 
-def _heading(way: FloatArray) -> float:
-    return math.atan2(way[1], way[0])
+def _heading(direction: FloatArray) -> float:
+    return math.atan2(direction[1], direction[0])

@@ -1,4 +1,4 @@
-"""Simulate flights of a rigid body among the ellipsoids of a scene and judge them."""
+"""Simulation of flights of a rigid body among the ellipsoids of a scene, and their judgement."""
 
 from __future__ import annotations
 
@@ -17,19 +17,17 @@ from alula.schemas.manifest import Guarantee
 from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
-from alula.stages.clearance import wilson_interval
 from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
 from alula.stages.filtering.registry import NO_FILTER, complete_parameters, make_splat_filter
 from alula.stages.filtering.splat_filters import GUIDES, NativeSplatFilter
 from alula.stages.filtering.splat_protocol import SplatFilter, SplatWorld
-from alula.stages.runlog.ellipsoids import SplatFlightLog, decimate
-from alula.stages.simulation.ellipsoids.closed_loop import fly
+from alula.stages.simulation.ellipsoids.closed_loop import decimate, fly
 from alula.stages.simulation.ellipsoids.judge import SplatJudge
 from alula.stages.simulation.ellipsoids.references import references_of
-from alula.stages.simulation.hulls.simulate import RunResult
 from alula.stages.simulation.pairs import Pairs
+from alula.stages.simulation.result import LOOP_OUTCOMES, RunResult, SplatFlightLog
 from alula.stages.vehicles.bodies import (
     actuator_model,
     disturbances,
@@ -38,20 +36,30 @@ from alula.stages.vehicles.bodies import (
     quadrotor,
     tracking_gains,
 )
+from alula.stages.verdict import UNFILTERED, head, mean, mean_path_ratio, minimum, statement, totals
 
+_COUNTED = (
+    *("steps", "filtered_steps", "infeasible_steps", "fallback_steps", "backup_steps"),
+    *("certified_steps", "capped_steps", "saturated_steps"),
+)
 _BATCH = 16  # trials whose full-rate samples are in memory at once
-_PLANT_STEP_S = 1e-3  # at most, by default of FlightRules
+_PLANT_STEP_S = 1e-3  # maximum, the default of FlightRules
 _STUCK_S = 2.0
-_CATCH_UP = 0.5  # of the reference's peak speed, beyond it, for who was held up
+_CATCH_UP = 0.5  # speed above the reference's for a delayed vehicle, as a fraction of the peak speed
 _ROOM_M = 20.0  # around the scene and the references; a flight that leaves it is refused
 
 
 def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | None) -> SimulateConfig:
-    """Fill in what the configuration leaves to the vehicle, the plan or a default.
+    """Complete the configuration from the vehicle, the plan or defaults.
+
+    Args:
+        config: see `SimulateConfig`.
+        vehicle: quadrotor or double integrator.
+        plan: the `alula/plan` to fly, if any.
 
     Raises:
-        UsageError: a number of trials or a speed is given with a plan, which says both, or the vehicle is
-            none that flies among ellipsoids, or a parameter of the filter or the guide is unknown.
+        UsageError: a number of trials or a speed is given with a plan, which sets both; the vehicle's model
+            does not fly among ellipsoids; or a parameter of the filter or the guide is unknown.
     """
     if vehicle.model == "single-integrator":
         raise UsageError(
@@ -62,17 +70,19 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
         raise UsageError(f"--plant quadrotor: {vehicle.name} is a {vehicle.model}")
     if config.plant == "double-integrator" or vehicle.model == "double-integrator":
         if config.interface != "wrench":
-            raise UsageError(f"--interface {config.interface}: a double integrator is told accelerations")
+            raise UsageError(
+                f"--interface {config.interface}: a double integrator is commanded by acceleration"
+            )
         if alone := [name for name in disturbances(vehicle) if name not in ("noise", "delay")]:
             raise UsageError(
-                f"--plant double-integrator has no {' or '.join(alone)}, as {vehicle.name} asks for"
+                f"--plant double-integrator has no {' or '.join(alone)}, which {vehicle.name} has"
             )
     if plan is not None and config.trials not in (None, 1):
         raise UsageError("--trials is for random pairs; a plan is flown once")
     if plan is not None and config.speed_m_s is not None:
         raise UsageError("--speed is for random pairs; a plan has its own speed")
     if plan is not None and config.pairs != "any":
-        raise UsageError(f"--pairs {config.pairs} is for random pairs; a plan is flown as it is")
+        raise UsageError(f"--pairs {config.pairs} is for random pairs; a plan has its own start and goal")
     if config.guide not in (NO_FILTER, *GUIDES):
         raise UsageError(f"--guide {config.guide}: a guide is {' or '.join(GUIDES)}")
     if config.guide == NO_FILTER and config.guide_parameters:
@@ -80,7 +90,7 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
     speed = config.speed_m_s or DEFAULT_SPEED_M_S if plan is None else None
     peak = _peak_speed(plan) if plan is not None else speed
     assert peak is not None
-    held_up = vehicle.tracking.catch_up_m_s or _CATCH_UP * peak
+    catch_up = vehicle.tracking.catch_up_m_s or _CATCH_UP * peak
     return dataclasses.replace(
         config,
         sigma=config.sigma if config.confidence is None else sigma_of_confidence(config.confidence),
@@ -90,7 +100,7 @@ def resolve_splat(config: SimulateConfig, vehicle: Vehicle, plan: Artifact | Non
         trials=(100 if plan is None else 1) if config.trials is None else config.trials,
         filter_parameters=complete_parameters(config.filter, config.filter_parameters),
         guide_parameters=complete_parameters(config.guide, config.guide_parameters),
-        catch_up_m_s=config.catch_up_m_s or held_up,
+        catch_up_m_s=config.catch_up_m_s or catch_up,
     )
 
 
@@ -107,27 +117,27 @@ def simulate_splat(
 ) -> RunResult:
     """Fly start-goal pairs, or a plan, among the ellipsoids of a scene, and judge each flight.
 
-    A rigid body with rotors (or, as `plant` says, an ideal double integrator), in steps of at most 1 ms,
-    behind the tracking controller, its guide and the filter at every `dt_s`. A pair is joined by a straight
-    septic reference from rest to rest with the peak speed `speed_m_s`, whatever is in between; a plan is
-    flown as it is. Filters see the ellipsoids at the level `sigma`, and a sphere of the vehicle's radius plus
-    `inflation_m`. Every flight is judged independently of the filter: exact signed Euclidean distance of the
-    path at the plant's rate to the ellipsoids, minus the radius. A success is a flight that reached its goal
-    without collision.
+    The plant is a rigid body with rotors, in steps of at most 1 ms, or an ideal double integrator, as `plant`
+    says. Tracking controller, guide and filter run at every `dt_s`. A pair is joined by a straight septic
+    reference from rest to rest with the peak speed `speed_m_s`, regardless of obstacles; a plan is flown as
+    it is. The map of the filters is the ellipsoids at the level `sigma`; their sphere has the vehicle's
+    radius plus `inflation_m`. Every flight is judged independently of the filter: exact signed Euclidean
+    distance of the path at the plant's rate to the ellipsoids, minus the radius. A success is a flight that
+    reached its goal without collision.
 
     Args:
         config: see `SimulateConfig`.
         scene: metric scene.
         vehicle: body, rotors, controller and disturbances.
         plan: flown instead of random pairs.
-        cover: clearance to its hulls is also told.
-        given: flown instead of random pairs.
+        cover: clearance to its hulls is also reported.
+        given: pairs flown instead of random ones.
         jobs: threads, 0 for all processors; only measured times depend on it.
         progress: called with (trials done, trials).
 
     Raises:
-        UsageError: the filter is unknown, a parameter has no meaning, the plant cannot fly its output, or a
-            given start or goal is not clear of the map.
+        UsageError: the filter is unknown, a parameter does not apply, the plant cannot fly the filter's
+            output, or a given start or goal is not clear of the map.
         InputError: the scene is not metric, or plan or cover do not fit it.
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
         InfeasibleError: no clear start-goal pairs were found.
@@ -145,7 +155,7 @@ def simulate_splat(
     keep = config.radius_m + inflation
     index = ellipsoid_index(scene, config.sigma, keep)
     gains = tracking_gains(vehicle, config.catch_up_m_s)
-    # A point has no rotors: its controller and filters only use the translation, whatever the body.
+    # A point has no rotors: its controller and filters use only the translation, with any body.
     body = quadrotor(vehicle if vehicle.model == "quadrotor" else FASTBRIDGE)
     assumed = actuator_model(vehicle)
     world = SplatWorld(
@@ -238,7 +248,7 @@ def _check_fit(scene: Artifact, plan: Artifact | None, cover: Artifact | None) -
 def _room(
     scene: Artifact, references: list[_core.ReferenceCurve], dt_s: float
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """A box around all there is; whoever leaves it is lost."""
+    """A box around scene and references; a flight that leaves it is refused."""
     points = [np.asarray(scene["mean"], np.float64)]
     for curve in references:
         time = np.linspace(0, curve.duration_s, max(2, int(curve.duration_s / dt_s)))
@@ -254,52 +264,35 @@ def _describe(config: SimulateConfig, vehicle: Vehicle) -> str:
     disturbed = f", with {', '.join(found)}" if found else ""
     if config.plant == "double-integrator":
         return f"{vehicle.name}: sphere of radius {config.radius_m:g} m, double integrator{guided}{disturbed}"
-    told = "thrust and torque" if config.interface == "wrench" else "thrust and body rates"
+    command = "thrust and torque" if config.interface == "wrench" else "thrust and body rates"
     sphere = f"sphere of radius {config.radius_m:g} m"
     body = f"quadrotor of {vehicle.body.mass_kg:g} kg in a {sphere}"
-    return f"{vehicle.name}: {body}, told {told}{guided}{disturbed}"
+    return f"{vehicle.name}: {body}, commanded by {command}{guided}{disturbed}"
 
 
 def _summary(
     trials: list[TrialResult], sampled: dict[str, int], safety_filter: SplatFilter | None
 ) -> dict[str, Any]:
-    good = [t for t in trials if t.outcome == "reached" and not t.collision]
-    ratios = [t.path_length_m / t.straight_length_m for t in good if t.straight_length_m > 0]
     native = safety_filter is None or isinstance(safety_filter, NativeSplatFilter)
-    total = {
-        name: sum(getattr(t, name) or 0 for t in trials)
-        for name in (
-            *("steps", "filtered_steps", "infeasible_steps", "fallback_steps", "backup_steps"),
-            *("certified_steps", "capped_steps", "saturated_steps"),
-        )
-    }
     return {
-        "trials": len(trials),
-        "success_rate": len(good) / len(trials),
-        "success_interval": list(wilson_interval(len(good), len(trials))),
-        "collisions": sum(t.collision for t in trials),
-        **{o: sum(t.outcome == o for t in trials) for o in ("reached", "stuck", "timeout", "refused")},
-        "min_map_clearance_m": _least([t.map_clearance_m for t in trials]),
-        "min_scene_clearance_m": _least([t.scene_clearance_m for t in trials]),
-        "min_gamma": _least([t.min_gamma for t in trials]),
-        "min_margin": _least([t.min_margin for t in trials]),
-        "mean_path_ratio": math.fsum(ratios) / len(ratios) if ratios else None,
+        **head(trials, LOOP_OUTCOMES),
+        "min_map_clearance_m": minimum(t.map_clearance_m for t in trials),
+        "min_scene_clearance_m": minimum(t.scene_clearance_m for t in trials),
+        "min_gamma": minimum(t.min_gamma for t in trials),
+        "min_margin": minimum(t.min_margin for t in trials),
+        "mean_path_ratio": mean_path_ratio(trials),
         "max_speed_m_s": max(t.max_speed_m_s for t in trials),
         "max_jerk_m_s3": max(t.max_jerk_m_s3 for t in trials),
-        "mean_jerk_m_s3": math.fsum(t.mean_jerk_m_s3 for t in trials) / len(trials),
+        "mean_jerk_m_s3": mean(t.mean_jerk_m_s3 for t in trials),
         "peak_realisation_error_m_s2": max(t.peak_realisation_error_m_s2 or 0.0 for t in trials),
-        **total,
+        **totals(trials, _COUNTED),
         **sampled,
         "filter_kind": "native" if native else "python filter",
     }
 
 
-def _least(values: list[float | None]) -> float | None:
-    return min((v for v in values if v is not None), default=None)
-
-
 def _model(vehicle: Vehicle) -> str:
-    """What the filters take the vehicle for."""
+    """The filters' model of the vehicle, in words."""
     table = vehicle.assumed
     lag = f"a motor time constant of {table.motor_time_constant_s:g} s"
     delay = f"states that are {table.delay_s:g} s old"
@@ -310,30 +303,37 @@ def _model(vehicle: Vehicle) -> str:
 def _guarantee(
     config: SimulateConfig, vehicle: Vehicle, scene: Artifact, trials: list[TrialResult], inflation_m: float
 ) -> Guarantee:
-    """What the run shows; what a filter proves it proves tick by tick, and the log says which."""
+    """State what the run shows, and in how many steps the filter proved a backup; the log has the steps."""
     hits = sum(t.collision for t in trials)
     steps, certified = sum(t.steps for t in trials), sum(t.certified_steps or 0 for t in trials)
-    share = "all" if certified == steps else f"{certified} of {steps}"
+    proven = "all" if certified == steps else f"{certified} of {steps}"
     if config.filter == NO_FILTER:
-        head = "No filter was flown; nothing was guaranteed beforehand."
+        beforehand = UNFILTERED
     elif certified:
-        head = (
-            f"In {share} steps the filter proved that a backup manoeuvre from the end of the step keeps the "
+        beforehand = (
+            f"In {proven} steps the filter proved that a backup manoeuvre from the end of the step keeps the "
             f"radius from every ellipsoid, for {_model(vehicle)}."
         )
         if outside := [*left_out(vehicle), *(["a rate loop"] if config.interface != "wrench" else [])]:
-            head += f" These flights had {', '.join(outside)}, which that model leaves out."
+            beforehand += f" These flights had {', '.join(outside)}, which that model leaves out."
     else:
-        head = f"The filter {config.filter!r} bounds the rate of a barrier at each step; it proves no flight."
+        beforehand = (
+            f"The filter {config.filter!r} bounds the rate of a barrier at each step; it proves no flight."
+        )
     if config.guide != NO_FILTER:
-        head += f" The guide {config.guide!r} only bends what the controller asks for; nothing rests on it."
-    found = f"{hits or 'none'} of {len(trials)} flights came closer to an ellipsoid than the radius"
+        beforehand += f" The guide {config.guide!r} only changes the nominal command; no proof depends on it."
     model = "double integrator" if config.plant == "double-integrator" else "quadrotor with rotor limits"
     given = scene.manifest.guarantee
     return Guarantee(
-        statement=f"{head} Judged afterwards over the whole path against the scene's ellipsoids at "
-        f"{config.sigma:.4g} sigma: {found}. This holds for the simulated {model}, and for the real scene as "
-        "far as its ellipsoids do.",
+        statement=statement(
+            beforehand,
+            f"afterwards over the whole path against the scene's ellipsoids at {config.sigma:.4g} sigma",
+            hits,
+            len(trials),
+            "flights came closer to an ellipsoid than the radius",
+            f"This holds for the simulated {model}, and for the real scene as far as its ellipsoids "
+            "contain it.",
+        ),
         claims={
             "proven_by_filter": False,
             "scene_clear": hits == 0,

@@ -1,4 +1,4 @@
-"""Monte Carlo of encounters with moving obstacles, in chunks of trials, wherever these are computed."""
+"""Monte Carlo of encounters with moving obstacles, in chunks of trials on threads or a scheduler."""
 
 from __future__ import annotations
 
@@ -15,26 +15,30 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.encounters import Encounters
 from alula.schemas.progress import Progress
 from alula.schemas.run import ObstacleResult, TrialResult
-from alula.stages.clearance import COLLISION_TOLERANCE_M, hull_obstacles
+from alula.stages.clearance import hull_obstacles, is_collision
 from alula.stages.compression.hulls import Hulls
 from alula.stages.filtering.obstacles import require_obstacles
-from alula.stages.runlog.encounters import EncounterFlight
-from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing
+from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing, shown
 from alula.stages.simulation.encounters.world import native_encounter, native_filter, static_walls
+from alula.stages.simulation.result import EncounterFlight
 
-CHUNK = 16  # trials: some tenths of a second
+CHUNK = 16  # trials; they take some tenths of a second
 _FIGURES = (
     *("closest_m", "separation_m", "closing_m_s", "detected_s", "warned_s"),
     *("command_s", "reaction_s", "avoid_s"),
-)  # columns of what the native loop says of each obstacle
+)  # columns of the native log, per obstacle
 
 
 class FlownChunk(FlownTrials, frozen=True, kw_only=True):
-    """Trials that follow one another; the arrays, as bytes, are measured times and differ from run to run.
+    """Consecutive trials; the arrays, as bytes, are measured times and differ from run to run.
 
-    `tick_s` has the time of the filter in each active tick, float32; `command_s` and `reaction_s` per trial
-    and obstacle the time of the filter in the tick of its warning and with it the time to react, float64,
-    NaN for what never was.
+    Attributes:
+        tick_s: time of the filter in each active tick, float32 [s].
+        command_s: time of the filter in the tick of the warning, per trial and obstacle, float64 [s]; NaN
+            without a warning.
+        reaction_s: time from the warning to the reaction, including `command_s`, float64 [s]; NaN without
+            one.
+        flights: samples of the trials that the log shows.
     """
 
     tick_s: bytes
@@ -48,12 +52,12 @@ class EncounterRun:
     """All trials of a scenario; `tick_s`, `command_s` and `reaction_s` are measured, the rest is not.
 
     Attributes:
-        trials: in their order.
-        flights: of those that the log shows.
-        walls: what was static; None for nothing.
+        trials: verdicts, in their order.
+        flights: samples of those that the log shows.
+        walls: static obstacles; None without any.
         tick_s: time of the filter in every active tick, shape (T,) [s].
-        command_s: of the filter in the tick of each obstacle's warning, shape (trials, n) [s], else NaN.
-        reaction_s: with it the time from the warning to the reaction, shape (trials, n) [s].
+        command_s: time of the filter in the tick of each obstacle's warning, shape (trials, n) [s], else NaN.
+        reaction_s: time from the warning to the reaction, including `command_s`, shape (trials, n) [s].
     """
 
     trials: list[TrialResult]
@@ -83,26 +87,26 @@ def fly_encounters(
 ) -> EncounterRun:
     """Fly all trials of a scenario with moving obstacles.
 
-    Trial k is a function of the scenario and (seed, k) alone, so results do not depend on jobs, on the
-    scheduler or on what a journal brings, measured times aside.
+    Trial k is a function of the scenario and (seed, k) alone: except for measured times, results do not
+    depend on jobs, scheduler or journal.
 
     Args:
         scenario: all parameters.
-        cover: static obstacles, beside the scenario's own.
-        journal: chunks that are done already are taken from it, others added.
+        cover: static obstacles, in addition to the scenario's own.
+        journal: finished chunks are taken from it, others added.
         jobs: threads, 0 for all processors.
         scheduler: address of a `dask.distributed` scheduler, instead of threads.
         progress: called with (trials done, trials).
 
     Raises:
-        UsageError: numbers of the scenario mean nothing together; the message has the path of their key.
+        UsageError: values of the scenario are inconsistent; the message has the path of their key.
         ArtifactError, InputError: the cover is damaged, or not in metres.
         LinkError: see `distribute`.
     """
     if cover is not None:
         require_obstacles(cover, jobs=jobs)
     walls = static_walls(scenario, cover)
-    native_encounter(scenario, None)  # what is wrong is wrong before any work
+    native_encounter(scenario, None)  # refuse wrong values before any work
     native_filter(scenario)
     chunks = fly_missing(
         fly_chunk,
@@ -135,7 +139,11 @@ def _joined(scenario: Encounters, walls: Hulls | None, chunks: list[FlownChunk])
 
 
 def fly_chunk(chunk: _Chunk) -> FlownChunk:
-    """Fly some trials on the calling thread, without holding the interpreter."""
+    """Fly the trials of a chunk on the calling thread, without holding the interpreter.
+
+    Args:
+        chunk: scenario, walls and numbers of the trials.
+    """
     scenario, logged = chunk.scenario, chunk.scenario.trials.logged
     spec = native_encounter(scenario, None if chunk.walls is None else hull_obstacles(chunk.walls))
     native, seed = native_filter(scenario), scenario.trials.seed
@@ -146,11 +154,11 @@ def fly_chunk(chunk: _Chunk) -> FlownChunk:
         )
         return enumerate(logs, first)
 
-    shown = min(max(logged - chunk.first, 0), chunk.count)
+    kept = shown(chunk, logged)
     trials, ticks, commands, reactions, flights = [], [], [], [], []
     for index, log in (
-        *flown(chunk.first, shown, True),
-        *flown(chunk.first + shown, chunk.count - shown, False),
+        *flown(chunk.first, kept, True),
+        *flown(chunk.first + kept, chunk.count - kept, False),
     ):
         trials.append(_trial(scenario, index, log))
         ticks.append(log["active_tick_s"].tobytes())
@@ -170,9 +178,9 @@ def fly_chunk(chunk: _Chunk) -> FlownChunk:
 
 
 def _trial(scenario: Encounters, index: int, log: dict[str, Any]) -> TrialResult:
-    """The verdict on one trial: nothing in it was measured by a clock."""
-    way = scenario.encounter
-    goal = way.start_m if way.hovers else way.goal_m
+    """Judge one trial; the verdict has no measured time."""
+    encounter = scenario.encounter
+    goal = encounter.start_m if encounter.hovers else encounter.goal_m
     obstacles = []
     for row, hit in zip(log["obstacle"], log["collided"], strict=True):
         figures: dict[str, Any] = {name: _known(value) for name, value in zip(_FIGURES, row, strict=True)}
@@ -181,15 +189,14 @@ def _trial(scenario: Encounters, index: int, log: dict[str, Any]) -> TrialResult
     clearance = log["wall_clearance_m"] if math.isfinite(log["wall_clearance_m"]) else None
     return TrialResult(
         index=index,
-        start_m=list(way.start_m),
+        start_m=list(encounter.start_m),
         goal_m=list(goal),
         outcome=log["outcome"],
-        collision=any(obstacle.collision for obstacle in obstacles)
-        or (clearance is not None and clearance < -COLLISION_TOLERANCE_M),
+        collision=any(obstacle.collision for obstacle in obstacles) or is_collision(clearance),
         steps=log["ticks"],
         duration_s=log["ticks"] * scenario.run.dt_s,
         path_length_m=log["path_length_m"],
-        straight_length_m=math.dist(way.start_m, goal),
+        straight_length_m=math.dist(encounter.start_m, goal),
         map_clearance_m=clearance,
         scene_clearance_m=None,
         max_speed_m_s=log["max_speed_m_s"],
@@ -204,7 +211,7 @@ def _trial(scenario: Encounters, index: int, log: dict[str, Any]) -> TrialResult
         refused_steps=log["refused_ticks"],
         iterations=log["iterations"],
         worst_violation_m_s2=log["worst_violation"],
-        # Others have no rows whose risk could be left.
+        # Other filters have no rows with a risk.
         risk_spent=log["risk_spent"] if scenario.filter.name.startswith("dr-acbf") else None,
         mission_risk=log["mission_risk"],
     )

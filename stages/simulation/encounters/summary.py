@@ -1,8 +1,7 @@
-"""What all trials of a scenario with moving obstacles say together."""
+"""Summary, measured times and guarantee of all trials of a scenario with moving obstacles."""
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -10,68 +9,69 @@ import numpy as np
 from alula.schemas.encounters import Encounters
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import ObstacleResult, TrialResult
-from alula.stages.clearance import COLLISION_TOLERANCE_M, wilson_interval
+from alula.stages.clearance import is_collision
 from alula.stages.simulation.encounters.simulate import EncounterRun
+from alula.stages.verdict import UNFILTERED, head, mean, minimum, statement, success, totals
+
+_COUNTED = (
+    "steps",
+    "active_steps",
+    "filtered_steps",
+    "infeasible_steps",
+    "fallback_steps",
+    "refused_steps",
+)
 
 
 def encounter_summary(scenario: Encounters, trials: list[TrialResult]) -> dict[str, Any]:
-    """Success of runs and per obstacle with 95 % Wilson intervals, means over those that were warned of.
+    """Success of runs and per obstacle with 95 % Wilson intervals; means over obstacles with a warning.
 
-    A run succeeds when the vehicle touched no obstacle and no wall, an obstacle when it was not touched.
+    A run succeeds when the vehicle touched no obstacle and no wall, an obstacle when the vehicle did not
+    touch it.
+
+    Args:
+        scenario: what was flown.
+        trials: verdicts, at least one.
     """
-    good = sum(not trial.collision for trial in trials)
     met = [list(column) for column in zip(*(trial.obstacles or [] for trial in trials), strict=True)]
-    clearances = [trial.map_clearance_m for trial in trials if trial.map_clearance_m is not None]
     steps = sum(trial.steps for trial in trials)
     return {
-        "trials": len(trials),
-        "success_rate": good / len(trials),
-        "success_interval": list(wilson_interval(good, len(trials))),
-        "collisions": len(trials) - good,
-        "passed": sum(trial.outcome == "passed" for trial in trials),
-        "timeout": sum(trial.outcome == "timeout" for trial in trials),
+        **head(trials, ("passed", "timeout"), lambda trial: not trial.collision),
         "obstacles": [_met(column) for column in met],
-        "wall_collisions": sum(c < -COLLISION_TOLERANCE_M for c in clearances),
-        "min_map_clearance_m": min(clearances, default=None),
+        "wall_collisions": sum(is_collision(trial.map_clearance_m) for trial in trials),
+        "min_map_clearance_m": minimum(trial.map_clearance_m for trial in trials),
         "min_scene_clearance_m": None,
         "mean_path_ratio": None,
-        "steps": steps,
-        "active_steps": sum(trial.active_steps or 0 for trial in trials),
-        "filtered_steps": sum(trial.filtered_steps for trial in trials),
-        "infeasible_steps": sum(trial.infeasible_steps for trial in trials),
-        "fallback_steps": sum(trial.fallback_steps for trial in trials),
-        "refused_steps": sum(trial.refused_steps or 0 for trial in trials),
+        **totals(trials, _COUNTED),
         "mean_iterations": sum(trial.iterations or 0 for trial in trials) / steps if steps else None,
         "worst_violation_m_s2": max((trial.worst_violation_m_s2 or 0.0 for trial in trials), default=0.0),
-        "mean_risk_spent": _mean([trial.risk_spent for trial in trials]),
-        "mean_mission_risk": _mean([trial.mission_risk for trial in trials]),
+        "mean_risk_spent": mean(trial.risk_spent for trial in trials),
+        "mean_mission_risk": mean(trial.mission_risk for trial in trials),
         "max_jerk_limit_m_s3": scenario.vehicle.j_max_m_s3,
     }
 
 
 def _met(met: list[ObstacleResult]) -> dict[str, Any]:
-    good = sum(not obstacle.collision for obstacle in met)
     return {
-        "success_rate": good / len(met),
-        "success_interval": list(wilson_interval(good, len(met))),
+        **success(sum(not obstacle.collision for obstacle in met), len(met)),
         "detected": sum(obstacle.detected_s is not None for obstacle in met),
         "warned": sum(obstacle.warned_s is not None for obstacle in met),
-        "mean_closing_m_s": _mean([obstacle.closing_m_s for obstacle in met]),
-        "mean_separation_m": _mean([obstacle.separation_m for obstacle in met]),
-        "mean_closest_m": _mean([obstacle.closest_m for obstacle in met]),
+        "mean_closing_m_s": mean(obstacle.closing_m_s for obstacle in met),
+        "mean_separation_m": mean(obstacle.separation_m for obstacle in met),
+        "mean_closest_m": mean(obstacle.closest_m for obstacle in met),
         "least_closest_m": min(obstacle.closest_m for obstacle in met),
-        "mean_reaction_s": _mean([obstacle.reaction_s for obstacle in met]),
-        "mean_avoid_s": _mean([obstacle.avoid_s for obstacle in met]),
+        "mean_reaction_s": mean(obstacle.reaction_s for obstacle in met),
+        "mean_avoid_s": mean(obstacle.avoid_s for obstacle in met),
     }
 
 
-def _mean(values: list[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return math.fsum(known) / len(known) if known else None
-
-
 def encounter_timing(scenario: Encounters, flown: EncounterRun) -> dict[str, Any]:
-    """Measured times: of the filter in active ticks, and per obstacle to the command and to the reaction."""
+    """Measured times: of the filter in active ticks, and per obstacle to the command and to the reaction.
+
+    Args:
+        scenario: what was flown.
+        flown: the run.
+    """
     timing: dict[str, Any] = {"filter_calls": len(flown.tick_s)}
     if len(flown.tick_s):
         found = np.percentile(flown.tick_s, [50, 99, 100]).tolist()
@@ -81,26 +81,33 @@ def encounter_timing(scenario: Encounters, flown: EncounterRun) -> dict[str, Any
         timing["filter_total_s"] = float(flown.tick_s.sum(dtype=np.float64))
         timing["overruns"] = int((flown.tick_s > scenario.run.dt_s).sum())
     for name, times in (("command", flown.command_s), ("reaction", flown.reaction_s)):
-        timing[f"{name}_mean_s"] = [_mean([v for v in row.tolist() if v == v]) for row in times.T]
+        timing[f"{name}_mean_s"] = [mean(v for v in row.tolist() if v == v) for row in times.T]
     return timing
 
 
 def encounter_guarantee(scenario: Encounters, trials: list[TrialResult]) -> Guarantee:
-    """What the run shows; nothing is proven beforehand."""
+    """State what the run shows; nothing is proven beforehand.
+
+    Args:
+        scenario: what was flown.
+        trials: verdicts, at least one.
+    """
     hits = sum(trial.collision for trial in trials)
     if scenario.filter.name == "none":
-        head = "No filter was flown; nothing was guaranteed beforehand."
+        beforehand = UNFILTERED
     else:
-        head = (
+        beforehand = (
             f"{scenario.filter.name} decides by what was tracked, tick by tick; nothing was guaranteed "
             "beforehand."
         )
-    found = f"{hits or 'none'} of {len(trials)} trials touched an obstacle or a wall"
-    body = (
-        f"Judged from the simulated truth, between ticks too: {found}. This holds for the obstacles, the "
-        "sensor and the vehicle as simulated."
-    )
     return Guarantee(
-        statement=f"{head} {body}",
+        statement=statement(
+            beforehand,
+            "from the simulated truth, between ticks too",
+            hits,
+            len(trials),
+            "trials touched an obstacle or a wall",
+            "This holds for the obstacles, the sensor and the vehicle as simulated.",
+        ),
         claims={"filter": scenario.filter.name, "trials": len(trials), "collisions": hits, "proven": False},
     )

@@ -1,4 +1,4 @@
-"""The native world, vehicle and filter of a scenario with moving obstacles."""
+"""Native world, vehicle and filter of a scenario with moving obstacles."""
 
 from __future__ import annotations
 
@@ -15,14 +15,19 @@ from alula.stages.compression.hulls import Hulls
 
 _FACES = np.concatenate([np.eye(3), -np.eye(3)])
 SOLVERS = ("exact", "gs")  # by number
-# Of the largest acceleration, with which a wall is reckoned to be stopped at. Below 1 / sqrt(3), so that the
-# box holds what three walls at right angles ask for together, however they are turned.
-WALL_SHARE = 0.56
+# Fraction of the maximum acceleration that braking before a wall counts on. Below 1 / sqrt(3), so that the
+# box of accelerations contains what three walls at right angles require together, in any orientation.
+WALL_FRACTION = 0.56
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
 
 
 def static_walls(scenario: Encounters, cover: Artifact | None) -> Hulls | None:
-    """The hulls of a cover and the boxes of a scenario as one set; None when there are none."""
+    """Join the hulls of a cover and the boxes of a scenario to one set; None when there are none.
+
+    Args:
+        scenario: all parameters.
+        cover: an `alula/cover`, in metres, if there is one.
+    """
     parts = [_box(wall) for wall in scenario.walls]
     if cover is not None:
         parts.insert(0, Hulls.from_cover(cover))
@@ -54,34 +59,38 @@ def _box(wall: WallTable) -> Hulls:
 
 
 def native_encounter(scenario: Encounters, walls: _core.PolytopeSet | None) -> _core.EncounterSpec:
-    """Everything but the filter.
+    """Make the native encounter, all but the filter.
+
+    Args:
+        scenario: all parameters.
+        walls: static obstacles.
 
     Raises:
-        UsageError: numbers mean nothing together.
+        UsageError: values are inconsistent; the message has the path of their key.
     """
-    way, body, run = scenario.encounter, scenario.vehicle, scenario.run
-    resting = 0.0 if way.hovers else way.cruise_m_s
+    encounter, body, run = scenario.encounter, scenario.vehicle, scenario.run
+    resting = 0.0 if encounter.hovers else encounter.cruise_m_s
     try:
         return _core.EncounterSpec(
             vehicle=_core.EncounterVehicle(
-                start=way.start_m,
-                goal=way.goal_m,
-                start_speed_m_s=resting if way.start_speed_m_s is None else way.start_speed_m_s,
-                cruise_m_s=way.cruise_m_s,
-                gain=way.gain_per_s,
+                start=encounter.start_m,
+                goal=encounter.goal_m,
+                start_speed_m_s=resting if encounter.start_speed_m_s is None else encounter.start_speed_m_s,
+                cruise_m_s=encounter.cruise_m_s,
+                gain=encounter.gain_per_s,
                 radius_m=body.radius_m,
                 max_speed_m_s=body.v_max_m_s,
                 max_acceleration_m_s2=body.a_max_m_s2,
                 max_jerk_m_s3=body.j_max_m_s3,
                 actuation_delay_s=body.actuation_delay_s,
-                hovers=way.hovers,
+                hovers=encounter.hovers,
                 yaw_rate_rad_s=body.yaw_rate_rad_s,
             ),
             rules=_core.EncounterRules(
                 dt_s=run.dt_s,
                 plant_steps=run.plant_steps,
                 max_time_s=run.max_time_s,
-                receded_s=way.receded_s,
+                receded_s=encounter.receded_s,
                 risk_window_s=scenario.filter.parameters.h_max_s,
             ),
             obstacles=[_obstacle(i, table) for i, table in enumerate(scenario.obstacles)],
@@ -104,7 +113,7 @@ def _tracker(scenario: Encounters) -> _core.TrackerOptions:
     options: _core.TrackerOptions = _made(
         _core.TrackerOptions, msgspec.structs.asdict(scenario.tracker), "tracker"
     )
-    _made(_core.Tracker, {"options": options}, "tracker")  # which is what looks at them
+    _made(_core.Tracker, {"options": options}, "tracker")  # its constructor checks the options
     return options
 
 
@@ -120,10 +129,13 @@ def _obstacle(index: int, table: ObstacleTable) -> _core.ObstacleSpec:
 
 
 def native_filter(scenario: Encounters) -> _core.MovingFilter:
-    """The filter with its parameters.
+    """Make the native filter.
+
+    Args:
+        scenario: all parameters.
 
     Raises:
-        UsageError: they mean nothing together.
+        UsageError: its parameters are inconsistent.
     """
     try:
         return _core.moving_filter(scenario.filter.name.replace("-", "_"), filter_options(scenario))
@@ -131,7 +143,7 @@ def native_filter(scenario: Encounters) -> _core.MovingFilter:
         raise UsageError(f"`$.filter.parameters`: {error}") from error
 
 
-# Where the native options are called otherwise.
+# Native names of options that differ.
 _NATIVE_NAMES = {
     "envelope_start_m_s2": "envelope_start",
     "envelope_cap_m_s2": "envelope_cap",
@@ -148,13 +160,17 @@ _NATIVE_NAMES = {
 
 
 def filter_options(scenario: Encounters) -> dict[str, float]:
-    """All options of the native filter: those of the scenario, and what it knows of vehicle and time."""
+    """All options of the native filter by name: those of the scenario, and its vehicle and time step.
+
+    Args:
+        scenario: all parameters.
+    """
     values = msgspec.to_builtins(scenario.filter.parameters)
     body = scenario.vehicle
     for name in ("mpc", "cbf_qp", "rp_cbf"):
         values |= {f"{name}_{key}": value for key, value in values.pop(name).items()}
     if values["wall_deceleration_m_s2"] is None:
-        values["wall_deceleration_m_s2"] = WALL_SHARE * body.a_max_m_s2
+        values["wall_deceleration_m_s2"] = WALL_FRACTION * body.a_max_m_s2
     options = {_NATIVE_NAMES.get(key, key): value for key, value in values.items()}
     options["distributional"] = options.pop("trigger") == "cvar"
     options["solver"] = SOLVERS.index(options["solver"])

@@ -1,4 +1,4 @@
-"""Flights in a geofence, in chunks of trials, wherever these are computed."""
+"""Flights in a geofence, in chunks of trials on threads or a scheduler."""
 
 from __future__ import annotations
 
@@ -19,57 +19,71 @@ from alula.schemas.progress import Progress
 from alula.schemas.run import FenceResult, TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.stages.filtering.obstacles import require_obstacles
-from alula.stages.runlog.geofence import FenceFlight
-from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing
-from alula.stages.simulation.geofence.world import FlownWorld, KeepOut, native_world
+from alula.stages.simulation.chunks import FlownTrials, TrialJournal, fly_missing, shown
+from alula.stages.simulation.geofence.world import FlownWorld, native_world
+from alula.stages.simulation.result import FenceFlight
+from alula.stages.vehicles.fence import KeepOut
 
-CHUNK, CHUNK_TICKS = 4, 20_000  # trials and ticks, at most: less than a second
-_LEAST_S, _BINS, _PER_OCTAVE = 1e-8, 2400, 60  # of the histogram of times: to 1.2 % from 10 ns to hours
+CHUNK, CHUNK_TICKS = 4, 20_000  # maximum number of trials and ticks; they take less than a second
+_MIN_S, _BINS, _PER_OCTAVE = 1e-8, 2400, 60  # of the histogram of times: to 1.2 % from 10 ns to hours
 
 
 class Times(msgspec.Struct, frozen=True, kw_only=True):
-    """How long the filter took per tick: counts by logarithm, int64, and what is exact beside them."""
+    """Histogram of the filter's time per tick: counts by logarithm, int64; sum and maximum are exact."""
 
     counts: bytes
     calls: int
     total_s: float
-    most_s: float
+    max_s: float
     overruns: int
 
     @classmethod
     def of(cls, seconds: NDArray[np.float32], tick_s: float) -> Times:
-        """Of measured times; `overruns` took longer than a tick."""
-        place = np.floor(_PER_OCTAVE * np.log2(np.maximum(seconds, _LEAST_S) / _LEAST_S)).astype(np.int64)
-        counts = np.bincount(np.minimum(place, _BINS - 1), minlength=_BINS).astype(np.int64)
+        """Count measured times.
+
+        Args:
+            seconds: shape (C,) [s].
+            tick_s: duration of a tick [s]; longer times are `overruns`.
+        """
+        index = np.floor(_PER_OCTAVE * np.log2(np.maximum(seconds, _MIN_S) / _MIN_S)).astype(np.int64)
+        counts = np.bincount(np.minimum(index, _BINS - 1), minlength=_BINS).astype(np.int64)
         return cls(
             counts=counts.tobytes(),
             calls=len(seconds),
             total_s=float(seconds.sum(dtype=np.float64)),
-            most_s=float(seconds.max(initial=0.0)),
+            max_s=float(seconds.max(initial=0.0)),
             overruns=int((seconds > tick_s).sum()),
         )
 
     @classmethod
     def joined(cls, parts: list[Times]) -> Times:
-        """Of all parts; there is at least one."""
+        """Add up histograms, at least one.
+
+        Args:
+            parts: of chunks.
+        """
         counts = sum((np.frombuffer(part.counts, np.int64) for part in parts), np.zeros(_BINS, np.int64))
         return cls(
             counts=counts.tobytes(),
             calls=sum(part.calls for part in parts),
             total_s=math.fsum(part.total_s for part in parts),
-            most_s=max(part.most_s for part in parts),
+            max_s=max(part.max_s for part in parts),
             overruns=sum(part.overruns for part in parts),
         )
 
-    def quantile(self, share: float) -> float:
-        """The time that so large a share of ticks does not exceed, to 1.2 % [s]."""
+    def quantile(self, fraction: float) -> float:
+        """Quantile of the times, to 1.2 % [s].
+
+        Args:
+            fraction: of the ticks that take at most this time, in (0, 1].
+        """
         running = np.frombuffer(self.counts, np.int64).cumsum()
-        place = int(np.searchsorted(running, share * running[-1]))
-        return float(min(_LEAST_S * 2 ** ((place + 1) / _PER_OCTAVE), self.most_s))
+        index = int(np.searchsorted(running, fraction * running[-1]))
+        return float(min(_MIN_S * 2 ** ((index + 1) / _PER_OCTAVE), self.max_s))
 
 
 class FlownChunk(FlownTrials, frozen=True, kw_only=True):
-    """Trials that follow one another, and the samples of those that the log shows."""
+    """Consecutive trials, and the samples of those that the log shows."""
 
     times: Times
     flights: list[FenceFlight]
@@ -80,9 +94,9 @@ class FenceRun:
     """All flights of a scenario; `times` are measured, the rest is a function of the scenario.
 
     Attributes:
-        trials: in their order.
-        flights: of the first ones, and of the worst, in their order.
-        world: what was flown in.
+        trials: verdicts, in their order.
+        flights: samples of the first ones, and of the worst, in their order.
+        world: native scenario.
         times: of the filter.
     """
 
@@ -113,22 +127,22 @@ def fly_in_fence(
 ) -> FenceRun:
     """Fly all trials of a scenario with a fence.
 
-    Trial k is a function of the scenario, its files and (seed, k) alone, so results do not depend on jobs, on
-    the scheduler or on what a journal brings, measured times aside. Samples are kept of the first
-    `run.traces` trials; the one with the least distance is flown again when it is not among these.
+    Trial k is a function of the scenario, its files and (seed, k) alone: except for measured times, results
+    do not depend on jobs, scheduler or journal. Samples of the first `run.traces` trials are kept. The trial
+    with the minimum distance is flown again when it is not among these.
 
     Args:
         scenario: all parameters.
-        vehicle: of the scenario's file; one with a table `[throttle]`.
-        cover: keep out of its hulls.
-        journal: chunks that are done already are taken from it, others added.
+        vehicle: that of the scenario's file, with a table `[throttle]`.
+        cover: hulls to stay out of.
+        journal: finished chunks are taken from it, others added.
         jobs: threads, 0 for all processors.
         scheduler: address of a `dask.distributed` scheduler, instead of threads.
         progress: called with (trials done, trials).
 
     Raises:
-        UsageError: numbers of the scenario mean nothing together, or it begins outside of its fence; the
-            message has the path of their key.
+        UsageError: values of the scenario are inconsistent, or it begins outside of its fence; the message
+            has the path of their key.
         ArtifactError, InputError: the cover is damaged, or not in metres.
         InfeasibleError: it has no onboard map, see `encode_map`.
         LinkError: see `distribute`.
@@ -136,7 +150,7 @@ def fly_in_fence(
     if cover is not None:
         require_obstacles(cover, jobs=jobs)
     keep_out = None if cover is None else KeepOut.of(cover)
-    world = native_world(scenario, vehicle, keep_out)  # what is wrong is wrong before any work
+    world = native_world(scenario, vehicle, keep_out)  # refuse wrong values before any work
     fly: Callable[[_Chunk], FlownChunk] = fly_chunk
     if scheduler is None:
         fly = lambda chunk: fly_chunk(chunk, world)  # noqa: E731  one map for all threads
@@ -159,24 +173,33 @@ def fly_in_fence(
 
 
 def _chunk_size(scenario: FenceScenario) -> int:
-    """Trials that are flown together; fewer where flights are long, as no flight can be interrupted."""
+    """Number of trials per chunk; smaller for long flights, as a chunk cannot be interrupted."""
     ticks = scenario.run.duration_s / scenario.filter.parameters.tick_s
     return max(1, min(CHUNK, int(CHUNK_TICKS / ticks)))
 
 
 def worst_trial(trials: list[TrialResult]) -> TrialResult:
-    """The first of those that came closest to their fence."""
+    """The trial with the minimum distance to its fence, the first of equal ones.
+
+    Args:
+        trials: verdicts, at least one.
+    """
     return min(trials, key=lambda trial: (trial.map_clearance_m or 0.0, trial.index))
 
 
 def fly_chunk(chunk: _Chunk, world: FlownWorld | None = None) -> FlownChunk:
-    """Fly some trials on the calling thread, without holding the interpreter."""
+    """Fly the trials of a chunk on the calling thread, without holding the interpreter.
+
+    Args:
+        chunk: scenario, vehicle, cover and numbers of the trials.
+        world: the native scenario, if it is made already.
+    """
     scenario = chunk.scenario
     if world is None:
         world = native_world(scenario, chunk.vehicle, chunk.keep_out)
-    shown = min(max(scenario.run.traces - chunk.first, 0), chunk.count)
-    trials, times, flights = _flown(scenario, world, chunk.first, shown, keeps_trace=True)
-    rest, more, _ = _flown(scenario, world, chunk.first + shown, chunk.count - shown, keeps_trace=False)
+    kept = shown(chunk, scenario.run.traces)
+    trials, times, flights = _flown(scenario, world, chunk.first, kept, keeps_trace=True)
+    rest, more, _ = _flown(scenario, world, chunk.first + kept, chunk.count - kept, keeps_trace=False)
     tick_s = scenario.filter.parameters.tick_s
     return FlownChunk(
         first=chunk.first,
@@ -216,7 +239,7 @@ def _flown(
 
 
 def _trial(index: int, log: dict[str, Any], tick_s: float) -> TrialResult:
-    """The verdict on one flight: nothing in it was measured by a clock."""
+    """Judge one flight; the verdict has no measured time."""
     start, end = log["start"][:3].tolist(), log["end"][:3].tolist()
     is_out = log["min_distance_m"] < 0
     counts = ("passed", "blended", "backup", "no_pilot", "hand_over", "refused")
@@ -254,5 +277,5 @@ def _trial(index: int, log: dict[str, Any], tick_s: float) -> TrialResult:
 
 
 def _known(value: float) -> float | None:
-    """None for what never was: infinite, NaN, or the largest float."""
+    """None for a value that was never set: infinite, NaN, or the largest float."""
     return float(value) if abs(value) < 1e30 else None

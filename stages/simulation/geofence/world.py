@@ -1,59 +1,39 @@
-"""What a geofence scenario means to the native code: fence, filter, plant, pilot."""
+"""Native fence, filter, plant and pilot of a geofence scenario."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
-from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.geofence import FenceScenario
 from alula.schemas.vehicle import Vehicle
-from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
-from alula.stages.compression.onboard.layout import encode_map
+from alula.stages.vehicles.fence import KeepOut, fence, fence_faces, unit_faces
 from alula.stages.vehicles.racer import racer_model, racer_options
 
-# Where the native options are called otherwise.
+# Native names of options that differ.
 _PLANT_NAMES = {"linear_drag_n_s_m": "linear_drag", "quadratic_drag_n_s2_m2": "quadratic_drag"}
 
 
 @dataclass(frozen=True, slots=True)
-class KeepOut:
-    """A cover: the image of its onboard map, which the filter reads, and the hulls that it is judged by."""
-
-    image: bytes
-    hulls: Hulls
-
-    @classmethod
-    def of(cls, cover: Artifact) -> Self:
-        """Encode a cover.
-
-        Raises:
-            InfeasibleError, InputError, ArtifactError: it has no onboard map, see `encode_map`.
-        """
-        return cls(encode_map(cover), Hulls.from_cover(cover))
-
-
-@dataclass(frozen=True, slots=True)
 class FlownWorld:
-    """A scenario in native terms.
+    """Native scenario.
 
     Attributes:
         spec: plant, pilot, times and start.
         filter: with its fence, which also judges.
         radius_m: of the vehicle.
         faces: of box and polytope together, shape (L, 4), rows (n, d) with unit n and n . p <= d inside.
-        hulls: to keep out of, None without a cover.
-        start_h_i_m: h_I of a fixed start, None with random ones, of which each has one above 0.
-        deviations: in a few words each, in what the vehicle is not as the filter's model.
+        hulls: to stay out of; None without a cover.
+        start_h_i_m: h_I of a fixed start; None with random starts, which all have one above 0.
+        deviations: of the plant from the filter's model, in a few words each.
     """
 
     spec: _core.GeofenceSpec
@@ -66,27 +46,29 @@ class FlownWorld:
 
 
 def native_world(scenario: FenceScenario, vehicle: Vehicle, keep_out: KeepOut | None) -> FlownWorld:
-    """Everything native; made once, used by many threads.
+    """Make the native scenario, once for many threads.
+
+    Args:
+        scenario: all parameters.
+        vehicle: that of the scenario's file.
+        keep_out: cover to stay out of.
 
     Raises:
-        UsageError: numbers mean nothing together; the message has the path of their key.
+        UsageError: values are inconsistent; the message has the path of their key.
     """
     table = scenario.vehicle
     radius = vehicle.body.radius_m if table.radius_m is None else table.radius_m
     box = scenario.fence.box_m
     unit = unit_faces(scenario.fence.faces)
-    where = _core.Fence(
-        box=None if box is None else (box[:3], box[3:]),
-        faces=unit if len(unit) else None,
-        image=None if keep_out is None else keep_out.image,
-        keep_out=None if keep_out is None else hull_obstacles(keep_out.hulls),
+    where = fence(
+        box=None if box is None else (box[:3], box[3:]), faces=unit if len(unit) else None, cover=keep_out
     )
     filter_ = _filter(scenario, vehicle, where, radius)
     start = start_state(scenario)
     start_h_i = None
     if start is not None:
-        place = (float(start[0]), float(start[1]), float(start[2]))
-        if (room := where.clearance(place, place) - radius) < 0:
+        point = (float(start[0]), float(start[1]), float(start[2]))
+        if (room := where.clearance(point, point) - radius) < 0:
             raise UsageError(f"`$.trials.start_m`: is {-room:.4g} m outside of the fence")
         try:
             start_h_i = float(filter_.evaluate(start[None])[0][0, 0])
@@ -111,7 +93,7 @@ def _deviations(scenario: FenceScenario, vehicle: Vehicle) -> tuple[str, ...]:
         value = getattr(table, key)
         value = getattr(vehicle.disturbance, key) if value is None else value
         if key == "delay_s" and value > scenario.filter.parameters.latency_s:
-            found.append(f"delay_s {value:g} beyond latency_s")
+            found.append(f"delay_s {value:g} above latency_s")
         elif key != "delay_s" and any(value):
             found.append(key)
     sag = (
@@ -122,26 +104,12 @@ def _deviations(scenario: FenceScenario, vehicle: Vehicle) -> tuple[str, ...]:
     return tuple(found + ([f"sag_share {sag:g}"] if sag else []))
 
 
-def unit_faces(rows: Sequence[Sequence[float]]) -> FloatArray:
-    """The faces of a polytope with unit normals, shape (L, 4), rows (n, d) with n . p <= d inside."""
-    faces = np.array(rows, np.float64).reshape(-1, 4)
-    unit: FloatArray = faces / np.linalg.norm(faces[:, :3], axis=1, keepdims=True)
-    return unit
-
-
-def fence_faces(box: Sequence[float] | None, rows: Sequence[Sequence[float]]) -> FloatArray:
-    """Those of a box, upper before lower, and of a polytope together, as `unit_faces`."""
-    faces = unit_faces(rows)
-    if box is None:
-        return faces
-    axes = np.eye(3)
-    upper = np.column_stack([axes, np.array(box[3:])])
-    lower = np.column_stack([-axes, -np.array(box[:3])])
-    return np.concatenate([upper, lower, faces])
-
-
 def start_state(scenario: FenceScenario) -> FloatArray | None:
-    """The fixed start, shape (13,): p, v, q wxyz, omega; level."""
+    """Fixed start, level: p, v, q wxyz, omega, shape (13,); None with random starts.
+
+    Args:
+        scenario: all parameters.
+    """
     table = scenario.trials
     if table.start_m is None:
         return None

@@ -1,4 +1,4 @@
-"""Trials behind a filter: natively on threads, or in a Python loop for a filter written in Python."""
+"""Closed-loop flights of the single integrator: native on threads, or in Python for a Python filter."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from alula.schemas.run import Outcome
 from alula.stages.filtering.polytope_cbf import NativeFilter
 from alula.stages.filtering.protocol import Filter, FilterStatus
 from alula.stages.planning.plan_samples import Reference
-
-_OUTCOMES: tuple[Outcome, ...] = ("reached", "stuck", "timeout", "refused")  # by number, from 1
+from alula.stages.simulation.result import LOOP_OUTCOMES
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,13 +25,13 @@ class Flown:
     """One flight, sampled at every step.
 
     Attributes:
-        position: shape (S + 1, 3), before each step and at the end, world frame [m].
+        position: before each step and at the end, shape (S + 1, 3), world frame [m].
         u_nom: nominal input, shape (S, 3) [m/s].
         u: flown input, held for one step, shape (S, 3) [m/s].
         margin: the filter's barrier before the step, shape (S,) [m].
         status: `FilterStatus`, shape (S,).
         filter_s: measured time of each filter call, shape (S,) [s].
-        outcome: how it ended.
+        outcome: end of the flight.
     """
 
     position: FloatArray
@@ -54,11 +53,19 @@ def fly(
     jobs: int = 0,
     progress: Progress | None = None,
 ) -> list[Flown]:
-    """Fly every pair, start and goal of shape (N, 3), in closed loop.
+    """Fly every pair in closed loop.
 
     The vehicle is the single integrator x' = u with u held for dt; see
     native/core/include/alula/flight/rollout.hpp for the nominal controller and the end of a flight.
-    All but the measured times is independent of `jobs`.
+
+    Args:
+        safety_filter: native or in Python.
+        start: shape (N, 3), world frame [m].
+        goal: shape (N, 3), world frame [m].
+        rules: time step, controller and end of a flight.
+        reference: plan to track; empty to fly to the goal.
+        jobs: threads, 0 for all processors; only measured times depend on it.
+        progress: called with (flights done, flights).
 
     Raises:
         InputError: a Python filter returned something that is no velocity.
@@ -124,5 +131,5 @@ def _flown(log: dict[str, Any]) -> Flown:
         margin=np.asarray(log["margin"], np.float32),
         status=np.asarray(log["status"], np.uint8),
         filter_s=np.asarray(log["filter_s"], np.float32),
-        outcome=_OUTCOMES[log["outcome"] - 1],
+        outcome=LOOP_OUTCOMES[log["outcome"] - 1],
     )

@@ -1,11 +1,9 @@
-"""Simulate flights behind a safety filter and judge them against the map and the scene."""
+"""Simulation of flights in a cover behind a safety filter, and their judgement against cover and scene."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,13 +19,12 @@ from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import Vehicle
 from alula.stages.clearance import (
-    COLLISION_TOLERANCE_M,
     hull_obstacles,
-    path_clearance,
+    is_collision,
     path_metrics,
     scene_obstacles,
     segment_clearance,
-    wilson_interval,
+    sphere_clearance,
 )
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
@@ -37,57 +34,29 @@ from alula.stages.filtering.polytope_cbf import NativeFilter
 from alula.stages.filtering.protocol import Filter, FilterStatus, World
 from alula.stages.filtering.registry import make_filter
 from alula.stages.planning.plan_samples import NO_REFERENCE, Reference, sample_plan
-from alula.stages.runlog.ellipsoids import SplatFlightLog
-from alula.stages.runlog.writer import logged_ticks
 from alula.stages.simulation.hulls.closed_loop import Flown, fly
 from alula.stages.simulation.pairs import Pairs, central_box, check_clear, sample_pairs
+from alula.stages.simulation.result import LOOP_OUTCOMES, FlightLog, RunResult, logged_ticks
+from alula.stages.verdict import UNFILTERED, head, mean_path_ratio, minimum, statement, totals
 
 _BATCH = 64  # trials whose full-rate samples are in memory at once
 _STUCK_STEPS = 100
 _STUCK_FRACTION = 1e-3  # of the speed limit
-_PLAN_SPEED_FACTOR = 1.5  # room to catch up with the plan
+_PLAN_SPEED_FACTOR = 1.5  # leaves room to catch up with the plan
 _EXTRA_TIME_S = 10.0
 
 
-@dataclass(frozen=True, slots=True)
-class FlightLog:
-    """Samples of one flight at the log's rate and at its end; shapes (T,) and (T, 3).
-
-    `velocity` is the input flown from that time on, in the last sample the one flown before.
-    """
-
-    time_s: FloatArray
-    position: FloatArray
-    velocity: FloatArray
-    u_nom: FloatArray
-    margin: NDArray[np.float32]
-    status: NDArray[np.uint8]
-
-
-@dataclass(frozen=True, slots=True)
-class RunResult:
-    """What a run's record and log are written from; `filter_s` and `tick_s` are measured, the rest is not.
-
-    `map` is the cover, or the scene, that was flown through; `tick_s` the time of controller and filter.
-    """
-
-    filter: str
-    vehicle: str
-    trials: list[TrialResult]
-    summary: dict[str, Any]
-    guarantee: Guarantee
-    flights: Sequence[FlightLog | SplatFlightLog]
-    map: Artifact
-    filter_s: NDArray[np.float32]
-    tick_s: NDArray[np.float32] | None = None
-
-
 def resolve(config: SimulateConfig, plan: Artifact | None, vehicle: Vehicle | None = None) -> SimulateConfig:
-    """Fill in what the configuration leaves to the vehicle, the plan or a default.
+    """Complete the configuration from the vehicle, the plan or defaults.
+
+    Args:
+        config: see `SimulateConfig`.
+        plan: the `alula/plan` to fly, if any.
+        vehicle: a single integrator, if a file is given.
 
     Raises:
         UsageError: a number of trials is given with a plan, which is flown once; a gain is too high for the
-            time step; or the vehicle is no single integrator, or slower than asked for.
+            time step; the vehicle is no single integrator, or slower than the given speed.
     """
     config.check_gains()
     radius, speed = DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S
@@ -99,8 +68,8 @@ def resolve(config: SimulateConfig, plan: Artifact | None, vehicle: Vehicle | No
     if vehicle is not None:
         if vehicle.model != "single-integrator":
             raise UsageError(
-                f"{vehicle.name} is a {vehicle.model}, which flies among the ellipsoids of a scene; "
-                "among the hulls of a cover flies a single-integrator"
+                f"{vehicle.name} is a {vehicle.model}, which flies among the ellipsoids of a scene, "
+                "not among hulls"
             )
         limit = vehicle.limits.max_speed_m_s
         assert limit is not None
@@ -128,24 +97,24 @@ def simulate(
 ) -> RunResult:
     """Fly random or given start-goal pairs, or a plan, and judge each flight afterwards.
 
-    A single integrator x' = u under the nominal controller of eq. 16 and the filter, with exact
-    state. Every flight is judged independently of the filter: exact signed Euclidean distance
-    of the continuous path to the hulls and, with a scene, to its ellipsoids at the cover's sigma, minus
-    the vehicle's radius. A success is a flight that reached its goal without collision.
+    The vehicle is a single integrator x' = u with exact state, under the nominal controller of eq. 16 and the
+    filter. Every flight is judged independently of the filter: exact signed Euclidean distance of the
+    continuous path to the hulls and, with a scene, to its ellipsoids at the cover's sigma, minus the
+    vehicle's radius. A success is a flight that reached its goal without collision.
 
     Args:
         config: see `SimulateConfig`.
-        cover: the map that the filter sees.
+        cover: map of the filter.
         plan: flown instead of random pairs.
         scene: metric scene in the cover's frame; starts and goals also keep clear of its ellipsoids.
-        vehicle: a single integrator, whose radius and speed limit are the defaults.
-        given: flown instead of random pairs.
+        vehicle: a single integrator; its radius and speed limit replace the defaults.
+        given: pairs flown instead of random ones.
         jobs: threads, 0 for all processors; only measured times depend on it.
         progress: called with (trials done, trials).
 
     Raises:
         ArtifactError: planes and vertices of the cover do not describe the same polytopes.
-        UsageError: the filter is unknown, a parameter has no meaning, the vehicle does not fly here, or a
+        UsageError: the filter is unknown, a parameter does not apply, the vehicle is of the wrong model, or a
             given start or goal is not clear of the map.
         InputError: scene or plan do not fit the cover.
         InfeasibleError: no clear start-goal pairs were found.
@@ -241,7 +210,16 @@ class _Judge:
         self.jobs = jobs
 
     def is_clear(self, points: FloatArray, psi: FloatArray, margin_m: float) -> NDArray[np.bool_]:
-        """Which points are `margin_m` clear of the hulls, by psi, and of the ellipsoids."""
+        """Find the points that are clear of the hulls and of the ellipsoids.
+
+        Args:
+            points: shape (M, 3), world frame [m].
+            psi: psi of the hulls there, shape (M,) [m].
+            margin_m: clearance beyond the radius [m].
+
+        Returns:
+            Shape (M,).
+        """
         needed = self.radius_m + margin_m
         clear = np.asarray(psi >= needed)
         if self.scene is not None and clear.any():
@@ -251,11 +229,21 @@ class _Judge:
         return clear
 
     def trial(self, index: int, goal: FloatArray, flown: Flown, dt_s: float) -> TrialResult:
-        """The verdict on one flight."""
+        """Judge one flight.
+
+        Args:
+            index: number of the trial.
+            goal: shape (3,), world frame [m].
+            flown: the flight.
+            dt_s: duration of a step [s].
+        """
         path = path_metrics(flown.position, dt_s)
-        map_clearance = self._least(flown.position, self.hulls)
-        scene_clearance = None if self.scene is None else self._least(flown.position, self.scene)
-        worst = min(c for c in (map_clearance, scene_clearance, math.inf) if c is not None)
+        map_clearance, scene_clearance = (
+            None
+            if obstacles is None
+            else sphere_clearance(flown.position, obstacles, self.radius_m, jobs=self.jobs)
+            for obstacles in (self.hulls, self.scene)
+        )
         count = np.bincount(flown.status, minlength=len(FilterStatus))
         steps = len(flown.status)
         start = flown.position[0]
@@ -264,7 +252,7 @@ class _Judge:
             start_m=start.tolist(),
             goal_m=goal.tolist(),
             outcome=flown.outcome,
-            collision=worst < -COLLISION_TOLERANCE_M,
+            collision=is_collision(map_clearance, scene_clearance),
             steps=steps,
             duration_s=steps * dt_s,
             path_length_m=path.length_m,
@@ -280,10 +268,6 @@ class _Judge:
             max_jerk_m_s3=path.max_jerk_m_s3,
         )
 
-    def _least(self, position: FloatArray, obstacles: Any) -> float | None:
-        least = float(path_clearance(position, obstacles, jobs=self.jobs).min()) - self.radius_m
-        return least if math.isfinite(least) else None
-
 
 def _check_fit(cover: Artifact, role: str, other: Artifact | None) -> None:
     if other is None:
@@ -297,7 +281,7 @@ def _check_fit(cover: Artifact, role: str, other: Artifact | None) -> None:
 def _extent(
     hulls: Hulls, bounds: tuple[FloatArray, FloatArray] | None, reference: Reference, given: Pairs | None
 ) -> float:
-    """Twice the largest coordinate that is known beforehand; a flight beyond is refused."""
+    """Twice the largest coordinate that is known beforehand; a flight that exceeds it is refused."""
     ends = () if given is None else (given.start, given.goal)
     parts = [hulls.vertices_world, reference.position_world, *(bounds or ()), *ends]
     return 2 * max(float(np.abs(part).max(initial=0.0)) for part in parts)
@@ -324,58 +308,49 @@ def _decimate(flown: Flown, dt_s: float, rate_hz: float) -> FlightLog:
 
 
 def _summary(trials: list[TrialResult], pairs: Pairs, safety_filter: Filter) -> dict[str, Any]:
-    good = [t for t in trials if t.outcome == "reached" and not t.collision]
-    ratios = [t.path_length_m / t.straight_length_m for t in good if t.straight_length_m > 0]
-    native = isinstance(safety_filter, NativeFilter)
     return {
-        "trials": len(trials),
-        "success_rate": len(good) / len(trials),
-        "success_interval": list(wilson_interval(len(good), len(trials))),
-        "collisions": sum(t.collision for t in trials),
-        **{o: sum(t.outcome == o for t in trials) for o in ("reached", "stuck", "timeout", "refused")},
-        "min_map_clearance_m": _least([t.map_clearance_m for t in trials]),
-        "min_scene_clearance_m": _least([t.scene_clearance_m for t in trials]),
-        "mean_path_ratio": math.fsum(ratios) / len(ratios) if ratios else None,
-        "steps": sum(t.steps for t in trials),
-        "filtered_steps": sum(t.filtered_steps for t in trials),
-        "shortened_steps": sum(t.shortened_steps for t in trials),
-        "infeasible_steps": sum(t.infeasible_steps for t in trials),
-        "fallback_steps": sum(t.fallback_steps for t in trials),
+        **head(trials, LOOP_OUTCOMES),
+        "min_map_clearance_m": minimum(t.map_clearance_m for t in trials),
+        "min_scene_clearance_m": minimum(t.scene_clearance_m for t in trials),
+        "mean_path_ratio": mean_path_ratio(trials),
+        **totals(
+            trials, ("steps", "filtered_steps", "shortened_steps", "infeasible_steps", "fallback_steps")
+        ),
         "sampled_points": pairs.sampled,
         "sampled_inside_hulls": pairs.sampled_inside_hulls,
-        "filter_kind": "native" if native else "python filter",
+        "filter_kind": "native" if isinstance(safety_filter, NativeFilter) else "python filter",
     }
-
-
-def _least(values: list[float | None]) -> float | None:
-    return min((v for v in values if v is not None), default=None)
 
 
 def _guarantee(
     config: SimulateConfig, cover: Artifact, trials: list[TrialResult], safety_filter: Filter
 ) -> Guarantee:
-    """What the run shows, and for the sound filter what it proves; both relative to the cover."""
-    hits = sum(1 for t in trials if (t.map_clearance_m or 0.0) < -COLLISION_TOLERANCE_M)
+    """State what the run shows and, for the sound filter, what is proven; both relative to the cover."""
+    hits = sum(is_collision(t.map_clearance_m) for t in trials)
     proven = isinstance(safety_filter, NativeFilter) and safety_filter.enabled and config.smoothing == "sound"
     if proven:
-        head = (
-            "The filter keeps psi >= radius at every sample and, by clipping each held step against every "
-            "hull, between samples, from every start that has it; psi never exceeds the distance to a hull."
+        beforehand = (
+            "From every start with psi >= radius, the filter keeps psi >= radius at every sample and, by "
+            "clipping each held step against every hull, between samples; psi never exceeds the distance "
+            "to a hull."
         )
     elif config.filter == "none":
-        head = "No filter was flown; nothing was guaranteed beforehand."
+        beforehand = UNFILTERED
     elif config.filter == "polytope-cbf":
-        head = "UNSAFE: the smoothing as printed may exceed the true barrier and steps are not checked."
+        beforehand = "UNSAFE: the smoothing as printed may exceed the true barrier and steps are not checked."
     else:
-        head = f"What the filter {config.filter!r} guarantees is its own claim."
-    found = f"{hits or 'none'} of {len(trials)} flights came closer to a hull than the radius"
-    body = (
-        f"Judged afterwards over the continuous path against the cover's hulls: {found}. This holds for a "
-        "velocity-controlled point with exact state, and for the real scene only as far as the cover does."
-    )
+        beforehand = f"alula does not check what the filter {config.filter!r} guarantees."
     given = cover.manifest.guarantee
     return Guarantee(
-        statement=f"{head} {body}",
+        statement=statement(
+            beforehand,
+            "afterwards over the continuous path against the cover's hulls",
+            hits,
+            len(trials),
+            "flights came closer to a hull than the radius",
+            "This holds for a velocity-controlled point with exact state, and for the real scene only as far "
+            "as the cover contains it.",
+        ),
         claims={
             "proven_by_filter": proven,
             "map_clear": hits == 0,

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from alula import _core
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
-from alula.stages.vehicles.racer import fence
+from alula.stages.vehicles.fence import fence
 from support import covers
 from support import racer_model as model
 

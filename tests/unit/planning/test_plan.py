@@ -197,7 +197,7 @@ def test_near_an_edge_the_euclidean_distance_counts_not_the_planes():
     ("start", "goal", "message"),
     [
         ((0.5, 0.5, 0.5), (3, 3, 3), "the start .* is inside an obstacle, 0.5 m deep"),
-        ((3, 3, 3), (0.5, 0.5, 1.1), "the goal .* is 0.1 m from an obstacle, too near for the radius 0.15 m"),
+        ((3, 3, 3), (0.5, 0.5, 1.1), "the goal .* is 0.1 m from an obstacle, too close for the radius 0.15"),
         ((1.0, 0.5, 0.5), (3, 3, 3), "the start .* is inside an obstacle"),
     ],
 )

@@ -16,7 +16,7 @@ from alula.stages.reporting.figures import all_figures, window
 from alula.stages.reporting.headline import cards, headline
 from alula.stages.reporting.material import Material, Run, outcome_of
 from alula.stages.reporting.tables import all_tables, runs_table, to_csv, trials_table
-from alula.stages.runlog.fence_shell import SHOWN_BEYOND_M
+from alula.stages.runlog.maps import SHOWN_BEYOND_M
 
 FENCE = {"box_m": [-10.0, -10, 0, 10, 10, 20], "faces": []}
 
@@ -41,7 +41,7 @@ def flight(end, status=("passed", "blended", "backup", "backup", "blended")):
     place = np.column_stack([end * time, 0.1 * time, 5 + time])
     return Flight(
         time_s=time, position_world=place, speed_m_s=10 * time, margin_time_s=time, margin=10 - place[:, 0],
-        margin_unit="m", status=status, share=np.array([1, 0.5, 0, 0, 0.5]),
+        margin_unit="m", status=status, regulation=np.array([1, 0.5, 0, 0, 0.5]),
     )  # fmt: skip
 
 

@@ -1,9 +1,9 @@
-"""Which ticks a log shows."""
+"""Ticks that a log shows."""
 
 import numpy as np
 import pytest
 
-from alula.stages.runlog.writer import logged_ticks
+from alula.stages.simulation.result import logged_ticks
 
 
 @pytest.mark.parametrize(

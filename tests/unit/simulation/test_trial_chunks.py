@@ -1,4 +1,4 @@
-"""Trials in chunks: what a journal has is not flown again, and all come in their order."""
+"""Trials in chunks: finished chunks of a journal are not flown again, and all trials keep their order."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Plants: off is the bare body bit by bit, each disturbance is its formula, noise has its statistics."""
+"""Plants: without disturbances the bare body bit by bit; each disturbance follows its formula."""
 
 import numpy as np
 import pytest

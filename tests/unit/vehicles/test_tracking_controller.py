@@ -133,7 +133,7 @@ def test_torque_is_the_printed_law_of_its_own_terms():
 
 
 def differences(gains, seconds=0.6, h=1e-3, start=None, reference=lissajous):
-    """Rates on the way of a closed loop, ours and by differences of fourth order."""
+    """Rates along a closed loop, ours and by differences of fourth order."""
     x = near_reference(0.0, 5) if start is None else start
     rows = []
 
@@ -190,7 +190,7 @@ def test_a_moving_reference_is_flown_exactly():
 
 
 def consistent_state():
-    """The state that flatness asks for at t = 0."""
+    """State that flatness requires at t = 0."""
     from scipy.spatial.transform import Rotation
 
     r = lissajous(0.0)

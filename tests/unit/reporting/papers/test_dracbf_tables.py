@@ -8,10 +8,10 @@ from alula import _core
 from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import ObstacleResult, RunRecord, TrialResult
-from alula.stages.clearance import wilson_interval
 from alula.stages.reporting.papers import dracbf, dracbf_beyond, dracbf_figures, dracbf_small
 from alula.stages.reporting.shares import folded
 from alula.stages.reporting.tables import Table, text
+from alula.stages.verdict import wilson_interval
 
 
 def met(hit=False, closest=2.0, separation=1.5, warned=3.0, reaction=0.0):

@@ -7,7 +7,6 @@ from alula.schemas.fence_ticks import Ticks
 from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import FenceResult, RunRecord, TrialResult
-from alula.stages.clearance import wilson_interval
 from alula.stages.reporting.papers import (
     geofencing,
     geofencing_figures,
@@ -15,6 +14,7 @@ from alula.stages.reporting.papers import (
     geofencing_short,
 )
 from alula.stages.reporting.papers.pendulum import PROGRAM, REGULATION, sweep
+from alula.stages.verdict import wilson_interval
 
 
 def trial(index, least=0.5, *, speed=20.0, interventions=1, altered=0, **steps):
@@ -88,7 +88,7 @@ def braking():
         position=np.zeros((9, 3)),
         velocity=np.stack([speed, np.zeros(9), np.zeros(9)], axis=1),
         tilt_rad=np.radians([0, 80, 70, 60, 50, 40, 75, 20, 0]),
-        share=np.array([1, 1, 0.95, 0.6, 0.4, 0, 0, 0.3, 0.95]),
+        regulation=np.array([1, 1, 0.95, 0.6, 0.4, 0, 0, 0.3, 0.95]),
         h_i_m=np.full(9, 1.0),
         distance_m=np.array([10, 9.7, 8.75, 7.2, 5, 2.8, 1.25, 0.3, 0.4]),
         throttle=np.zeros((9, 2)),

@@ -1,4 +1,4 @@
-"""Flights whose controller is bent by a guide before the filter sees what it asks for."""
+"""Flights with a guide, which changes the nominal command before the safety filter."""
 
 import numpy as np
 import pytest
@@ -126,8 +126,8 @@ def test_a_guided_run_does_not_depend_on_jobs_and_says_who_guided():
     assert one.trials == many.trials
     for a, b in zip(one.flights, many.flights, strict=True):
         np.testing.assert_array_equal(a.state, b.state)
-    assert one.vehicle.endswith(", told thrust and torque, guided by cone-di")
-    assert "The guide 'cone-di' only bends what the controller asks for" in one.guarantee.statement
+    assert one.vehicle.endswith(", commanded by thrust and torque, guided by cone-di")
+    assert "The guide 'cone-di' only changes the nominal command" in one.guarantee.statement
     other = simulate_splat(quick(), FIELD, FASTBRIDGE)
     assert other.trials != one.trials
     point = simulate_splat(quick(plant="double-integrator", filter="none"), FIELD, FASTBRIDGE)

@@ -1,4 +1,4 @@
-"""The closed loop among ellipsoids against independent ones, and behind filters from elsewhere."""
+"""The closed loop among ellipsoids against independent ones, and with filters of other packages."""
 
 import numpy as np
 import pytest
@@ -212,7 +212,7 @@ class Turning:
 
 
 def test_a_filter_sees_the_attitude_that_the_tick_begins_with():
-    """Also in the tick after half a turn, where its parameters are switched."""
+    """Includes the tick after half a turn, where the attitude parameters switch."""
     turning = Turning()
     flown = one(turning, rules=_core.FlightRules(max_time_s=3.0))
     seen = np.array(turning.seen)

@@ -1,4 +1,4 @@
-"""Random pairs whose straight line is blocked, and how fast a vehicle catches up with its reference."""
+"""Random pairs with a blocked straight line, and speeds at which a vehicle catches up with its reference."""
 
 import dataclasses
 

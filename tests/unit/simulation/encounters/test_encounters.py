@@ -1,4 +1,4 @@
-"""Encounters with moving obstacles: limits that hold, figures of the path, the same wherever flown."""
+"""Encounters with moving obstacles: limits, figures of the path, equal results on all workers."""
 
 import math
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from alula import _core
 from alula.schemas.encounters import Encounters, read_encounters
 from alula.schemas.errors import UsageError
-from alula.stages.clearance import hull_obstacles, path_clearance, wilson_interval
+from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.simulation.chunks import TrialJournal
 from alula.stages.simulation.encounters import simulate as module
 from alula.stages.simulation.encounters.simulate import FlownChunk, fly_encounters
@@ -22,6 +22,7 @@ from alula.stages.simulation.encounters.world import (
     native_filter,
     static_walls,
 )
+from alula.stages.verdict import wilson_interval
 from support.clusters import Cluster
 from support.paths import ROOT
 
@@ -116,7 +117,7 @@ def test_the_filter_avoids_what_hits_without_it():
 
 
 def plain(run) -> tuple:
-    """What may not differ."""
+    """Results that must not depend on the workers."""
     return msgspec.json.encode(run.trials), msgspec.json.encode(run.flights)
 
 

@@ -1,4 +1,4 @@
-"""Draws of moving obstacles: where they are, whom they meet, functions of (seed, trial); the experiments."""
+"""Draws of moving obstacles: positions, targets, functions of (seed, trial); the experiments."""
 
 from math import radians
 

@@ -1,4 +1,4 @@
-"""Moving obstacles: each motion is its equation, whatever the step."""
+"""Moving obstacles: each motion follows its equation with any step."""
 
 import re
 

@@ -1,0 +1,138 @@
+"""Summaries and guarantee statements of judged trials: rates, intervals, extremes, means."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterable, Sequence
+from statistics import NormalDist
+from typing import Any
+
+from alula.schemas.errors import InputError
+from alula.schemas.run import Outcome, TrialResult
+
+UNFILTERED = "No filter was flown; nothing was guaranteed beforehand."
+
+
+def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Confidence interval of a success rate by the score test; (0, 1) without trials.
+
+    With z the normal quantile of (1 + confidence) / 2 and p = successes / n:
+    (p + z^2/2n +- z sqrt(p (1 - p) / n + z^2/4n^2)) / (1 + z^2/n).
+
+    Args:
+        successes: number of successful trials.
+        n: number of trials.
+        confidence: probability that the interval contains the rate, in (0, 1).
+
+    Raises:
+        InputError: not 0 <= successes <= n, or the confidence is not in (0, 1).
+
+    Source: Wilson 1927.
+    """
+    if not (0 <= successes <= n) or not (0 < confidence < 1):
+        raise InputError(f"no interval for {successes} of {n} at confidence {confidence}")
+    if n == 0:
+        return 0.0, 1.0
+    z = NormalDist().inv_cdf((1 + confidence) / 2)
+    p = successes / n
+    centre = (p + z * z / (2 * n)) / (1 + z * z / n)
+    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n)
+    lower = 0.0 if successes == 0 else max(0.0, centre - half)
+    upper = 1.0 if successes == n else min(1.0, centre + half)
+    return lower, upper
+
+
+def success(good: int, n: int) -> dict[str, Any]:
+    """Success rate with its 95 % Wilson interval, by the keys of a summary.
+
+    Args:
+        good: number of successful trials.
+        n: number of trials, at least one.
+    """
+    return {"success_rate": good / n, "success_interval": list(wilson_interval(good, n))}
+
+
+def is_success(trial: TrialResult) -> bool:
+    """True when the flight reached its goal without collision.
+
+    Args:
+        trial: its verdict.
+    """
+    return trial.outcome == "reached" and not trial.collision
+
+
+def head(
+    trials: Collection[TrialResult],
+    outcomes: Iterable[Outcome],
+    is_good: Callable[[TrialResult], bool] = is_success,
+) -> dict[str, Any]:
+    """First keys of every summary: trials, success rate, collisions, and a count for each outcome.
+
+    Args:
+        trials: verdicts, at least one.
+        outcomes: the outcomes to count.
+        is_good: returns True for a successful trial.
+    """
+    return {
+        "trials": len(trials),
+        **success(sum(map(is_good, trials)), len(trials)),
+        "collisions": sum(trial.collision for trial in trials),
+        **{outcome: sum(trial.outcome == outcome for trial in trials) for outcome in outcomes},
+    }
+
+
+def totals(trials: Iterable[TrialResult], names: Sequence[str]) -> dict[str, Any]:
+    """Sums of fields over all trials; a missing field counts as 0.
+
+    Args:
+        trials: verdicts.
+        names: of the fields.
+    """
+    each = list(trials)
+    return {name: sum(getattr(trial, name) or 0 for trial in each) for name in names}
+
+
+def mean_path_ratio(trials: Iterable[TrialResult]) -> float | None:
+    """Mean path length over straight length of the successful trials; None without any.
+
+    Args:
+        trials: verdicts.
+    """
+    return mean(
+        t.path_length_m / t.straight_length_m for t in trials if is_success(t) and t.straight_length_m > 0
+    )
+
+
+def minimum(values: Iterable[float | None]) -> float | None:
+    """Minimum of the known values; None without any.
+
+    Args:
+        values: numbers, or None for an unknown one.
+    """
+    return min((value for value in values if value is not None), default=None)
+
+
+def mean(values: Iterable[float | None]) -> float | None:
+    """Mean of the known values; None without any.
+
+    Args:
+        values: numbers, or None for an unknown one.
+    """
+    known = [value for value in values if value is not None]
+    return math.fsum(known) / len(known) if known else None
+
+
+def statement(beforehand: str, judged: str, hits: int, trials: int, what: str, limits: str = "") -> str:
+    """Guarantee of a run in words: what was guaranteed beforehand, what the judgement found, its limits.
+
+    Args:
+        beforehand: a sentence.
+        judged: how the flights were judged, after "Judged".
+        hits: number of trials that failed.
+        trials: number of trials.
+        what: the failure, after "... of 100".
+        limits: sentences that follow.
+    """
+    return (
+        f"{beforehand} Judged {judged}: {hits or 'none'} of {trials} {what}.{f' {limits}' if limits else ''}"
+    )
