@@ -238,7 +238,11 @@ def test_json_has_the_whole_record_even_of_a_dry_run(demo, align, tmp_path, caps
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (["--colmap", "m", "--reference", "a", "--poses", "b"], 2, "--reference and --poses exclude each other"),
+        (
+            ["--colmap", "m", "--reference", "a", "--poses", "b"],
+            2,
+            "--reference and --poses exclude each other",
+        ),
         (["--poses", "p.csv"], 2, "--reference and --poses need"),
         (["--cameras", "a", "--colmap", "b", "--reference", "c"], 2, "not --colmap and --cameras"),
         (["--initial", "i.json", "--scale", "2"], 2, "--initial is the first guess for --cloud"),
