@@ -58,7 +58,11 @@ class JournalFile(Generic[J]):
         self._wanted: Provenance | None = None
 
     def begin(self, wanted: Provenance) -> None:
-        """Set the provenance of the output that is to be made; call this before `kept`."""
+        """Set the provenance of the output that is to be made; call this before `kept`.
+
+        Args:
+            wanted: the provenance.
+        """
         self._wanted = wanted
 
     @contextmanager

@@ -103,7 +103,11 @@ def cli() -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit with the documented code."""
+    """Run the command line and exit with the documented code.
+
+    Args:
+        arguments: the words of the command line; None: those of the process.
+    """
     from alula.schemas import atomic
 
     # One thread: the sums of linear algebra must not depend on the machine, and idle threads cost time.

@@ -234,7 +234,12 @@ def option_of(field: dataclasses.Field[Any]) -> str:
 
 
 def is_given(context: click.Context, name: str) -> bool:
-    """Test whether an option was given on the command line."""
+    """Test whether an option was given on the command line.
+
+    Args:
+        context: context of the command.
+        name: name of the option's parameter.
+    """
     return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
 
 

@@ -59,7 +59,7 @@ def command(
     from alula.stages.compression.voxelize import voxelize
 
     if config.confidence is not None and options.is_given(context, "sigma"):
-        raise UsageError("--confidence sets sigma; give --confidence or --sigma, not both")
+        raise UsageError("--confidence sets sigma; give one of --confidence and --sigma")
 
     def build(progress: Progress) -> Artifact:
         metric = read_artifact(scene, SCENE)

@@ -51,7 +51,7 @@ class Artifact:
 
     @property
     def kind(self) -> Kind:
-        """The kind that the manifest names."""
+        """Kind that the manifest names."""
         return KINDS[self.manifest.schema]
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -59,7 +59,11 @@ class Artifact:
 
 
 def array_hash(array: NDArray[Any]) -> str:
-    """SHA-256 of an array's C-order bytes."""
+    """SHA-256 of an array's C-order bytes, in hexadecimal.
+
+    Args:
+        array: of any type and shape.
+    """
     return hashlib.sha256(_bytes_of(array)).hexdigest()
 
 
@@ -90,7 +94,10 @@ def _bytes_of(array: NDArray[Any]) -> memoryview:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file.
+    """SHA-256 of a file, in hexadecimal.
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: the file cannot be read.
@@ -159,12 +166,20 @@ def make_artifact(kind: Kind, arrays: Arrays, **fields: Any) -> Artifact:
 
 
 def encode_manifest(manifest: Manifest) -> bytes:
-    """Canonical JSON of a manifest: sorted keys, two spaces, a final newline."""
+    """Encode a manifest as canonical JSON: sorted keys, two spaces, a final newline.
+
+    Args:
+        manifest: of any kind.
+    """
     return msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=2) + b"\n"
 
 
 def write_artifact(path: Path, artifact: Artifact) -> None:
     """Write an artifact atomically.
+
+    Args:
+        path: the file; it is replaced when it exists.
+        artifact: manifest and arrays.
 
     Raises:
         OutputError: the file cannot be written.
@@ -202,6 +217,9 @@ def _write_member(
 
 def read_manifest(path: Path) -> Manifest:
     """Read the manifest of an artifact file, typed by its kind, without checking the arrays.
+
+    Args:
+        path: the file.
 
     Raises:
         ArtifactError: the file is not an artifact, or of a version that this program cannot read.

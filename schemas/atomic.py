@@ -55,7 +55,15 @@ def atomic_output(path: Path, *, is_final: bool = True) -> Iterator[BinaryIO]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically, in UTF-8; other bytes of file names in the text do not change."""
+    """Write a text file atomically, in UTF-8.
+
+    Args:
+        path: the file to write.
+        text: the text; bytes of file names that are not UTF-8 (surrogate escapes) do not change.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
     with atomic_output(path) as file:
         file.write(text.encode(errors="surrogateescape"))
 

@@ -9,12 +9,19 @@ from alula.schemas.errors import InputError
 
 
 def is_special(path: Path) -> bool:
-    """Test whether a path is a device, a pipe or a socket, which can be neither replaced nor mapped."""
+    """Test whether a path is a device, a pipe or a socket, which can be neither replaced nor mapped.
+
+    Args:
+        path: it need not exist.
+    """
     return path.exists() and not (path.is_file() or path.is_dir())
 
 
 def check_no_stream(path: Path) -> None:
     """Check that an input, if it exists, is a file or a folder.
+
+    Args:
+        path: the input.
 
     Raises:
         InputError: it is a device or a pipe, such as `/dev/stdin` or the `<(...)` of a shell.
@@ -26,5 +33,9 @@ def check_no_stream(path: Path) -> None:
 
 
 def printable(name: str) -> str:
-    """Convert a file's name to text for UTF-8; other bytes become a backslash and their code."""
+    """Convert a file's name to text for UTF-8; other bytes become a backslash and their code.
+
+    Args:
+        name: the name, with surrogate escapes for bytes that are not UTF-8.
+    """
     return os.fsencode(name).decode("utf-8", "backslashreplace")

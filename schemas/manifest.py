@@ -206,6 +206,9 @@ def producer() -> Producer:
 def parse_version(text: str) -> tuple[int, int]:
     """Parse a version string into MAJOR and MINOR.
 
+    Args:
+        text: such as "1.0".
+
     Raises:
         ValueError: the text is not of the form MAJOR.MINOR.
     """

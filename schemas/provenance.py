@@ -66,13 +66,21 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def line(self, summary: dict[str, Any] | None = None) -> str:
-        """Encode as one line of text, which `read_provenance` can read."""
+        """Encode as one line of text, which `read_provenance` can read.
+
+        Args:
+            summary: figures of the output to record too.
+        """
         record = msgspec.structs.replace(self, summary=summary or {})
         return MARK + msgspec.json.encode(record, order="sorted").decode()
 
 
 def parameters_of(config: Any) -> dict[str, Any]:
-    """Convert a configuration dataclass to the plain JSON values that a manifest records."""
+    """Convert a configuration dataclass to the plain JSON values that a manifest records.
+
+    Args:
+        config: an instance of the dataclass.
+    """
     # A round trip through JSON turns tuples into lists, as they are when read back and compared.
     return msgspec.json.decode(msgspec.json.encode(dataclasses.asdict(config)), type=dict[str, Any])
 

@@ -16,7 +16,12 @@ Table = TypeVar("Table", bound=msgspec.Struct)
 
 
 def has_key(path: Path, key: str) -> bool:
-    """Test whether a file is a TOML file with a key at its top level."""
+    """Test whether a file is a TOML file with a key at its top level.
+
+    Args:
+        path: the file; False when it cannot be read.
+        key: the key.
+    """
     try:
         return key in msgspec.toml.decode(path.read_bytes())
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, ValueError):

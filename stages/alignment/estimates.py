@@ -94,7 +94,11 @@ def estimate(
 
 
 def scale_only(scale: float) -> Similarity:
-    """Similarity that changes the scale alone: the origin and the axes stay."""
+    """Similarity that changes the scale alone: the origin and the axes stay.
+
+    Args:
+        scale: target units per source unit.
+    """
     return Similarity(scale=scale, rotation=np.eye(3).tolist(), translation_m=[0.0, 0.0, 0.0])
 
 

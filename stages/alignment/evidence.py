@@ -119,6 +119,9 @@ def in_training_frame(
 def distinct(found: Correspondences) -> Correspondences:
     """Refuse correspondences that hold a point twice: a repeated point is a mistake and adds no information.
 
+    Args:
+        found: the correspondences, which are returned unchanged.
+
     Raises:
         InputError: two points of one side are equal; names both rows.
     """

@@ -346,7 +346,7 @@ def _refuse_turned(
     fit: Fit,
     agreeing: int,
 ) -> None:
-    """Refuse poses whose positions agree much better than their orientations."""
+    """Refuse poses with positions that agree much better than their orientations."""
     x, y = source[fit.inlier], target[fit.inlier]
     turn, _ = _turn_of_axes(x, R_source[fit.inlier], y, R_target[fit.inlier], fit.sigma)
     angle = degrees(float(angles(turn[None], np.eye(3)[None])[0]))

@@ -64,7 +64,15 @@ def transform_points(similarity: Similarity, points: NDArray[Any]) -> FloatArray
 
 
 def compose(second: Similarity, first: Similarity) -> Similarity:
-    """The similarity that applies `first`, then `second`."""
+    """Composition of two similarities.
+
+    Args:
+        second: applied last, c from b.
+        first: applied first, b from a.
+
+    Returns:
+        c from a.
+    """
     return Similarity(
         scale=second.scale * first.scale,
         rotation=(np.array(second.rotation) @ np.array(first.rotation)).tolist(),
@@ -73,7 +81,14 @@ def compose(second: Similarity, first: Similarity) -> Similarity:
 
 
 def inverse(similarity: Similarity) -> Similarity:
-    """Inverse of a similarity."""
+    """Inverse of a similarity.
+
+    Args:
+        similarity: b from a.
+
+    Returns:
+        a from b.
+    """
     rotation = np.array(similarity.rotation).T
     translation = -(rotation @ np.array(similarity.translation_m)) / similarity.scale
     return Similarity(
@@ -82,6 +97,10 @@ def inverse(similarity: Similarity) -> Similarity:
 
 
 def is_collinear(points: FloatArray) -> bool:
-    """Test whether points of shape (n, 3) lie on a line, or nearly so."""
+    """Test whether points lie on a line, or nearly so.
+
+    Args:
+        points: shape (n, 3), any units.
+    """
     singular = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(singular[1] <= COLLINEAR * singular[0])

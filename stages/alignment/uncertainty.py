@@ -88,7 +88,7 @@ class Uncertainty:
         position of the source's origin.
 
         Args:
-            similarity: the similarity whose error this is.
+            similarity: the similarity with this error.
         """
         student = self.student()
         scale_sigma = similarity.scale * float(np.sqrt(self.covariance[3, 3]))

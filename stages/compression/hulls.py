@@ -104,7 +104,11 @@ def outer_solids(cover: Artifact, *, jobs: int = 0) -> dict[str, NDArray[Any]]:
 
 
 def is_outer(cover: Artifact) -> bool:
-    """Test whether a cover has outer polytopes, which contain the hulls of `vertex` but may be larger."""
+    """Test whether a cover has outer polytopes, which contain the hulls of `vertex` but may be larger.
+
+    Args:
+        cover: an `alula/cover`.
+    """
     return bool(cover.manifest.polytopes == "outer")  # type: ignore[attr-defined]
 
 

@@ -62,7 +62,11 @@ class Ellipsoids:
         }
 
     def part(self, rows: NDArray[np.uint32] | slice) -> Ellipsoids:
-        """Ellipsoids of some rows, on the same lattice."""
+        """Ellipsoids of some rows, on the same lattice.
+
+        Args:
+            rows: indices of the rows, shape (K,), or a slice.
+        """
         loss = None if self.loss is None else self.loss[rows]
         arrays = {name: getattr(self, name)[rows] for name in ("mean", "scale", "quat_wxyz")}
         return replace(self, **arrays, loss=loss)

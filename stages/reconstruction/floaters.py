@@ -28,7 +28,7 @@ def floaters(
     Args:
         mean: centres, shape (N, 3).
         scale: one-sigma semi-axes, shape (N, 3).
-        axes: rotation matrices whose columns are the local axes, shape (N, 3, 3).
+        axes: rotation matrices with the local axes as columns, shape (N, 3, 3).
 
     Returns:
         A mask of the floaters, shape (N,), and the edge of the cubes.
@@ -80,7 +80,7 @@ def _edge(mean: NDArray[np.float32]) -> float:
 
 
 def _cells(position: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
-    """One integer per cube; positions beyond a million cubes from the centre share the outermost ones."""
+    """One integer per cube; positions beyond a million cubes from the centre fall into the outermost ones."""
     cell = np.clip(np.floor(position / edge), 1 - _HALF, _HALF - 2).astype(np.int64) + _HALF
     key: NDArray[np.int64] = (cell[:, 0] << (2 * _BITS)) | (cell[:, 1] << _BITS) | cell[:, 2]
     return key

@@ -1,4 +1,4 @@
-"""`scale-align` by GPS, poses, nerfstudio's frame, a cloud and the floor, as a user runs it."""
+"""The command `scale-align` with GPS, poses, nerfstudio's frame, a cloud and the floor."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""What the help of merge and verify says about memory is true, and more voxels are refused at once."""
+"""The memory bounds in the help of merge and verify hold, and more voxels are refused at the start."""
 
 import json
 import os

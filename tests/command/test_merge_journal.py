@@ -1,4 +1,4 @@
-"""An interrupted `alula merge` continues when its command is repeated, and trusts no journal blindly."""
+"""An interrupted `alula merge` continues when its command is repeated, and checks its journal first."""
 
 import os
 import random

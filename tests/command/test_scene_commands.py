@@ -1,4 +1,4 @@
-"""`demo-scene`, `import-splat` and `scale-align` as a user runs them."""
+"""The commands `demo-scene`, `import-splat` and `scale-align`."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""What log and record of a flight among ellipsoids say: messages, level, what the model leaves out."""
+"""Log and record of a flight among ellipsoids: messages, level, limits of the model."""
 
 import json
 from collections import Counter

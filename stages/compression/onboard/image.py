@@ -76,7 +76,11 @@ class MapImage:
 
 
 def is_map(raw: bytes) -> bool:
-    """Test whether the first bytes of a file are those of an onboard map."""
+    """Test whether a file begins like an onboard map.
+
+    Args:
+        raw: at least its first 4 bytes.
+    """
     return raw.startswith(MAGIC)
 
 

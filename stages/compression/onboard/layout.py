@@ -138,7 +138,11 @@ def _index(records: bytes, hulls: int, *, is_kdop: bool) -> bytes:
 
 
 def index_bytes(hulls: int) -> int:
-    """Size of the index of so many hulls [bytes]; it never decreases with more hulls."""
+    """Size of the index of a map [bytes]; it never decreases with more hulls.
+
+    Args:
+        hulls: number of hulls of the map.
+    """
     size, total = -(-hulls // LEAF_HULLS), 0
     if hulls == 0:
         return 0
@@ -210,7 +214,11 @@ def image_c_header(image: bytes, provenance: Provenance) -> Iterator[bytes]:
 
 
 def map_facts(image: MapImage) -> dict[str, Any]:
-    """Summary figures of a map."""
+    """Summary figures of a map.
+
+    Args:
+        image: a decoded map.
+    """
     return {
         "hulls": len(image),
         "half_planes": image.half_planes,

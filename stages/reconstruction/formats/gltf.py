@@ -217,7 +217,12 @@ class _Output:
         return scale, loss[:, 0]
 
     def splats(self, tags: dict[str, str], notes: tuple[str, ...]) -> Splats:
-        """What was read."""
+        """Gaussians that were read, with their loss.
+
+        Args:
+            tags: see `Splats.tags`.
+            notes: notes for the user.
+        """
         unbounded = {}
         if self.saturated:
             unbounded["scale"] = f"{self.saturated} rows hold the largest code there is"

@@ -59,7 +59,7 @@ class SparseIndices(Struct, rename="camel"):
 
 
 class SparseValues(Struct, rename="camel"):
-    """What it puts there."""
+    """Values that a sparse accessor puts into these rows."""
 
     buffer_view: Natural
     byte_offset: Natural = 0

@@ -102,7 +102,7 @@ def _roots(document: Document, notes: list[str]) -> list[int]:
 
 
 def _local(node: Node, index: int) -> tuple[NDArray[np.float64], bool]:
-    """The 4 by 4 matrix of a node, and whether it is exactly the identity."""
+    """4 by 4 matrix of a node, and True when it is exactly the identity."""
     parts = {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}
     for name, length in parts.items():
         values = getattr(node, name)

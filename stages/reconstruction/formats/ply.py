@@ -99,7 +99,7 @@ def decode_ply(buffer: memoryview, progress: Progress | None = None) -> Splats:
 
 
 def _gaussians(header: Header) -> Element:
-    """The element with the Gaussians, after checking that it has all it needs."""
+    """Element with the Gaussians, after a check of its properties."""
     vertex = header.element("vertex")
     if vertex is None:
         raise ArtifactError("PLY: no element vertex, so no Gaussian splat")

@@ -71,13 +71,16 @@ class SogMeta:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """All images."""
+        """Names of all images."""
         own = (*self.means, self.scales, self.quats, self.sh0)
         return own if self.harmonics is None else (*own, self.harmonics.centroids, self.harmonics.labels)
 
 
 def parse_json(raw: bytes) -> dict[str, Any]:
     """Parse an object of strict JSON.
+
+    Args:
+        raw: the text in UTF-8.
 
     Raises:
         ArtifactError: the text is not JSON, or not an object.

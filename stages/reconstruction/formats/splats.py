@@ -86,25 +86,40 @@ def loss_bound(
 def exp(values: ArrayLike) -> NDArray[np.float64]:
     """Exponential function with the same bits on every machine, unlike NumPy's.
 
-    It is accurate enough for results in single precision. Arguments beyond 200 count as 200.
+    It is accurate enough for results in single precision.
+
+    Args:
+        values: of any shape; values beyond 200 count as 200.
     """
     exact = np.asarray(values, np.float64)
     return _core.portable_exp(np.ascontiguousarray(exact.ravel())).reshape(exact.shape)
 
 
 def logistic(values: ArrayLike) -> NDArray[np.float64]:
-    """Logistic function 1 / (1 + e^-x), with the properties of `exp`."""
+    """Logistic function 1 / (1 + e^-x), with the properties of `exp`.
+
+    Args:
+        values: of any shape.
+    """
     exact = np.asarray(values, np.float64)
     return _core.portable_logistic(np.ascontiguousarray(exact.ravel())).reshape(exact.shape)
 
 
 def growth(values: ArrayLike) -> NDArray[np.float64]:
-    """e^x - 1, never below it: by how much of itself a scale grows with its logarithm."""
+    """Relative growth e^x - 1 of a scale when its logarithm grows by x, rounded up.
+
+    Args:
+        values: x, of any shape.
+    """
     return exp(values) * (1.0 + 2.0**-50) - 1.0
 
 
 def rounded_up(values: ArrayLike) -> NDArray[np.float32]:
-    """Single precision, never below the value; infinite beyond its range."""
+    """Round up to single precision; the result is infinite beyond its range.
+
+    Args:
+        values: of any shape.
+    """
     exact = np.asarray(values, np.float64)
     with np.errstate(over="ignore"):
         near = exact.astype(np.float32)
@@ -113,11 +128,22 @@ def rounded_up(values: ArrayLike) -> NDArray[np.float32]:
 
 
 def color_from_sh0(sh0: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Base colour of constant spherical-harmonic coefficients: 0.5 + SH_C0 sh0, clamped; NaN gives 0."""
+    """Base colour of constant spherical-harmonic coefficients: 0.5 + SH_C0 sh0, clamped.
+
+    Args:
+        sh0: coefficients of any shape; a NaN gives the base colour 0.
+
+    Returns:
+        Colours from 0 to 255, same shape.
+    """
     value = np.nan_to_num(0.5 + SH_C0 * np.asarray(sh0, np.float64), nan=0.0)
     return np.rint(np.clip(value, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
 def sh0_from_color(color: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Constant spherical-harmonic coefficients of a base colour; inverse of `color_from_sh0`."""
+    """Constant spherical-harmonic coefficients of a base colour; inverse of `color_from_sh0`.
+
+    Args:
+        color: colours from 0 to 255, any shape.
+    """
     return ((np.asarray(color, np.float64) / 255.0 - 0.5) / SH_C0).astype(np.float32)

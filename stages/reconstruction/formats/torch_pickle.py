@@ -162,7 +162,7 @@ class _Machine:
         return values
 
     def step(self, name: str, argument: Any) -> None:
-        """One opcode."""
+        """Execute one opcode."""
         if name in _CONSTANTS:
             self.stack.append(_CONSTANTS[name]())
         elif name in _ARGUMENTS:

@@ -1,4 +1,4 @@
-"""How often reported 95 % intervals hold the truth, over many seeds; and agreement with COLMAP's own fit."""
+"""Coverage of the reported 95 % intervals over many seeds, and agreement with COLMAP's own fit."""
 
 from itertools import product
 

@@ -1,4 +1,4 @@
-"""Registration to a surveyed cloud: unbiased on partial overlap, honest about its uncertainty."""
+"""Registration to a surveyed cloud: unbiased on partial overlap, with a realistic uncertainty."""
 
 import os
 from pathlib import Path

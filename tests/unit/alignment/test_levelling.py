@@ -1,4 +1,4 @@
-"""Which way is up: a given direction, or the floor."""
+"""Levelling by a given direction or by the floor."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Back from the frame that nerfstudio trains in."""
+"""Transform from the frame that nerfstudio trains in to that of the source poses."""
 
 import json
 

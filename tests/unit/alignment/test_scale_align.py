@@ -1,4 +1,4 @@
-"""From a scene in its own frame to metres."""
+"""The stage `scale-align`: from a scene in its own frame to metres."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Tiles change nothing: the same bytes for every size, number of jobs and cut of the crop."""
+"""Tiles do not change the result: the same bytes for all sizes, numbers of jobs and crops."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""Occupancy of ellipsoids against exact rational arithmetic, sampling and brute force."""
+"""Occupancy of ellipsoids, compared with exact rational arithmetic, sampling and brute force."""
 
 import itertools
 from fractions import Fraction

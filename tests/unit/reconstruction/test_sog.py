@@ -1,4 +1,4 @@
-"""SOG by an encoder of our own with the roundings of writers, and real scenes."""
+"""SOG: a test encoder with the rounding of known writers, and real scenes."""
 
 import io
 import json

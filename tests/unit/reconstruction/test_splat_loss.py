@@ -1,4 +1,4 @@
-"""What a splat format lost: ellipsoids grown by it contain those of the Gaussians before the loss."""
+"""Loss of splat formats: ellipsoids grown by it contain those of the Gaussians before the loss."""
 
 from fractions import Fraction
 
