@@ -23,7 +23,7 @@ Examples:
 def command(source: Path, config: MergeConfig, common: options.Common) -> None:
     """Cover voxels with a limited number of convex polytopes.
 
-    Every occupied voxel lies inside a hull, proven in integers. Hulls are merged greedily: the pair that
+    Every occupied voxel lies inside a hull, in exact integers. Hulls are merged greedily: the pair that
     encloses the least free space comes first, until the limits hold. A cover as input is merged further.
 
     With a limit of half-planes or bytes the cover has more hulls with fewer planes each: outer polytopes

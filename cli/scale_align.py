@@ -31,7 +31,7 @@ SECTIONS = {
     "By points": ("correspondences", "distances", "cloud", "initial"),
     "By numbers": ("transform", "scale"),
     "Level the frame": ("up", "floor"),
-    "Judge the alignment": (
+    "Check the alignment": (
         *("threshold_m", "max_angle_deg", "max_rms_m", "max_scale_sigma", "min_inliers", "min_fitness"),
     ),
 }
@@ -101,7 +101,7 @@ class Files:
     "--initial",
     type=PATH,
     help="First guess for --cloud, a file like that of --transform; cameras or --correspondences can replace "
-    "it; default: the scene's own frame.",
+    "it; default: the identity.",
 )
 @click.option("--transform", type=PATH, help="JSON: 4x4 matrix, or scale, rotation and translation_m.")
 @options.from_config(ScaleAlignConfig)
