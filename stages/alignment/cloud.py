@@ -42,8 +42,7 @@ class Cloud:
     Attributes:
         name: of the file, for the record.
         points: shape (n, 3) [m].
-        initial: world from scene, approximately, or correspondences that determine it; None: the scene is
-            nearly aligned already.
+        initial: world from scene, approximately, or correspondences that determine it; None: the identity.
         facts: further figures for the alignment's record.
     """
 

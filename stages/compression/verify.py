@@ -1,6 +1,7 @@
 """The stage `verify`: prove that a cover contains every obstacle, independently of `merge` and `voxelize`.
 
-The checks share no code with those stages.
+The checks share no code with those stages. The file is long because it is one proof: its checks and the
+certificate with their results belong together.
 """
 
 from __future__ import annotations
