@@ -13,7 +13,12 @@ _SHOWN = 10  # items without -v
 
 
 def show_alignment(alignment: dict[str, Any], verbose: int = 0) -> None:
-    """All figures, the ten worst items (with -v all of them), and the warnings."""
+    """Print all figures, the ten largest residuals (with -v all of them), and the warnings.
+
+    Args:
+        alignment: the record of `scale_align`.
+        verbose: how often -v was given.
+    """
     for name, text in _rows(alignment):
         click.echo(f"  {name:<16}  {text}", err=True)
     items = sorted(alignment.get("items", []), key=lambda item: -item["residual_m"])
@@ -85,8 +90,8 @@ def _evidence(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
         yield "uncertainty", f"from {found['uncertainty_from']}"
     for unit in ("m", "deg"):
         if f"rms_{unit}" in found:
-            rms, median, most = (found[f"{name}_{unit}"] for name in ("rms", "median", "max"))
-            yield "residual", f"RMS {rms:.4g}, median {median:.4g}, max {most:.4g} {unit}"
+            rms, median, largest = (found[f"{name}_{unit}"] for name in ("rms", "median", "max"))
+            yield "residual", f"RMS {rms:.4g}, median {median:.4g}, max {largest:.4g} {unit}"
     if "singular_values" in found:
         yield "singular values", _numbers(found["singular_values"], ".4g")
 

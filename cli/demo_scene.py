@@ -38,8 +38,8 @@ def command(
 ) -> None:
     """Write the built-in scene: a furnished room with hoops.
 
-    The room is 8 x 6 x 3 m, z up, floor at z = 0, a corner at the origin; the file is in an arbitrary
-    frame and scale, as a training run leaves it, and scale-align brings it back.
+    The room is 8 x 6 x 3 m, with z up, the floor at z = 0 and a corner at the origin. The file has an
+    arbitrary frame and scale, like the result of a training run; scale-align recovers the room's frame.
     """
     from alula.schemas.atomic import atomic_output, write_text
     from alula.schemas.errors import OutputError, UsageError
@@ -99,5 +99,5 @@ def command(
 
     parameters = parameters_of(config)
     runner.run(common, SCHEMA, VERSION, parameters, {}, make, seed=common.seed)
-    if not common.dry_run and missing():  # the .ply was there already, but not all that goes with it
+    if not common.dry_run and missing():  # the .ply existed already, but not all of the other files
         write_sides(demo_scene(config, common.seed))

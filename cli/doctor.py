@@ -21,7 +21,7 @@ Examples:
   alula doctor --json
 """
 
-# What to import: the distribution that brings it.
+# Module to import: the distribution that provides it.
 PACKAGES = {
     "click": "click",
     "numpy": "numpy",
@@ -41,9 +41,9 @@ PACKAGES = {
     "open3d": "open3d-cpu" if sys.platform == "linux" and platform.machine() == "x86_64" else "open3d",
     "pycolmap": "pycolmap",
 }
-# What only some commands need: the extra that brings it, and what it is for.
+# Module that only some commands need: the extra that provides it, and its purpose.
 EXTRAS = {"viser": ("live", "only for fly --live"), "cflib": ("crazyflie", "only to fly a Crazyflie")}
-# Shared libraries that open3d's Linux wheels load: the Debian package that has each.
+# Shared library that open3d's Linux wheels load: the Debian package that provides it.
 LIBRARIES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
     "libEGL.so.1": "libegl1",
@@ -57,9 +57,13 @@ _IMPORT_SECONDS = 120
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was looked for.
+    """Result of one check.
 
-    `status` is ok, missing (needed, and not there) or optional (not there, and not needed).
+    Attributes:
+        name: the subject of the check.
+        status: ok, missing (required but not found) or optional (not found and not required).
+        found: version or location that was found.
+        note: remedy or purpose.
     """
 
     name: str
@@ -71,9 +75,9 @@ class Check:
 @click.command(epilog=EXAMPLES)
 @options.reporting
 def command(json: bool, quiet: bool, verbose: int) -> None:
-    """Check that everything alula needs is there.
+    """Check that everything alula needs is installed.
 
-    Exit code 4 when something that is needed is missing.
+    The exit code is 4 when something required is missing.
     """
     from alula.cli.present import print_json, print_table
     from alula.schemas.errors import CheckError
@@ -91,7 +95,7 @@ def command(json: bool, quiet: bool, verbose: int) -> None:
 
 
 def examine() -> list[Check]:
-    """All checks, in reading order."""
+    """Run all checks, in the order of the table."""
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
@@ -130,7 +134,7 @@ def _native() -> Check:
 
 
 def _package(module: str, distribution: str) -> Check:
-    """Import a module in a process of its own: some print, and a broken one may crash."""
+    """Import a module in a separate process, because some print and a broken one may crash."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:

@@ -31,10 +31,10 @@ Examples:
 def command(splat: Path, config: ImportSplatConfig, common: Common) -> None:
     """Read a Gaussian splat file into a scene.
 
-    SPLAT is a file, the output folder of a trainer, or - for standard input; the content decides which
-    format it is of. `alula info` tells that too, and docs/guide/splat-formats.md lists them all. Gaussians
-    that are left out are counted, by reason, in the output; what a lossy format may have changed is
-    recorded, and voxelize allows for it.
+    SPLAT is a file, the output folder of a trainer, or - for standard input. The format is recognised by
+    the content; `alula info` reports it too, and docs/guide/splat-formats.md lists all formats. The output
+    counts the Gaussians that are left out, by reason. It also records the precision that a lossy format may
+    have lost; voxelize grows the ellipsoids accordingly.
     """
     from alula.schemas.artifact import Artifact
     from alula.schemas.kinds import SCENE
@@ -56,7 +56,16 @@ def command(splat: Path, config: ImportSplatConfig, common: Common) -> None:
 
 @contextmanager
 def read_stdin(path: Path, common: Common) -> Iterator[Path]:
-    """The file itself, or for - a copy of standard input that is there for as long as it is needed."""
+    """Context with the path to read: the file itself, or for - a temporary copy of standard input.
+
+    Args:
+        path: the argument of the command.
+        common: the shared options.
+
+    Raises:
+        UsageError: standard input is a terminal, or --depfile is given with it.
+        InputError: standard input cannot be copied.
+    """
     if str(path) != "-":
         yield path
         return
@@ -70,9 +79,9 @@ def read_stdin(path: Path, common: Common) -> Iterator[Path]:
             with copy.open("wb") as file:
                 shutil.copyfileobj(sys.stdin.buffer, file, 2**20)
         except OSError as error:
-            raise InputError(f"standard input: cannot be kept: {error.strerror or error}") from error
+            raise InputError(f"standard input: cannot be copied: {error.strerror or error}") from error
         try:
             yield copy
-        except AlulaError as error:  # the name of the copy says nothing to anybody
+        except AlulaError as error:  # users do not know the name of the copy
             error.args = tuple(str(a).replace(str(copy), "standard input") for a in error.args)
             raise

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: at once where that is safe, a moment later in an import, never too late."""
+"""Handling of Ctrl-C and SIGTERM: immediate where safe, delayed in an import, ignored after the output."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class InterruptedWithAdvice(KeyboardInterrupt):
-    """An interruption after which there is something to do, said in one line.
+    """An interruption with one line of advice for the user.
 
-    Only this one's text is for users: other code may word an interruption that passed through it.
+    Only the text of this class is printed; other code may add text to a KeyboardInterrupt that passes it.
     """
 
 
 class Interruption:
-    """Signal handler that raises KeyboardInterrupt where the program can stand it.
+    """Signal handler that raises KeyboardInterrupt where the program can handle it.
 
-    Inside an import it waits: extension modules abort and class bodies wrap the exception. Once an
-    output has appeared under its name it comes too late: the command ends with its own exit code.
+    Inside an import it waits, because extension modules abort and class bodies wrap the exception. After an
+    output has appeared under its name it does nothing, and the command ends with its own exit code.
     """
 
     def __init__(self) -> None:
@@ -31,18 +31,18 @@ class Interruption:
         self._too_late = False
 
     def install(self) -> None:
-        """Take over SIGINT and SIGTERM, but leave ignored what a background job was told to ignore."""
+        """Handle SIGINT and SIGTERM, except those that a background job inherited as ignored."""
         for number in (*_SIGNALS, signal.SIGALRM):
             if signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, self)
 
     def ignore(self) -> None:
-        """Let nothing disturb the exit; Python would restore the default handlers while it ends."""
+        """Ignore all signals during the exit, in which Python would restore the default handlers."""
         for number in (*_SIGNALS, signal.SIGALRM):
             signal.signal(number, signal.SIG_IGN)
 
     def __call__(self, signum: int, frame: FrameType | None) -> None:
-        """Raise KeyboardInterrupt, now or when the import that is going on has ended."""
+        """Raise KeyboardInterrupt, now or at the end of the current import."""
         self.came = True
         if self._too_late:
             return
@@ -55,7 +55,7 @@ class Interruption:
 
     @contextmanager
     def appearing(self) -> Iterator[None]:
-        """Around the moment when an output appears; if that fails, interruptions count again."""
+        """Context for the moment when an output appears; if that fails, interruptions count again."""
         self._too_late = True
         try:
             yield

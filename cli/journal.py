@@ -1,4 +1,4 @@
-"""The file beside an output that lets an interrupted command continue when it is repeated."""
+"""Journal files: an interrupted command continues from its journal when it is repeated."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from alula.schemas.progress import Progress
 from alula.schemas.provenance import Provenance, read_provenance
 
 PERIOD_S = 30.0  # between two writes
-LEAST_S = 3.0  # what a shorter run had measured is not worth a file
-MOST_SHARE = 0.02  # of the time may go into writing
+MIN_RUN_S = 3.0  # a shorter interrupted run writes no file
+MAX_WRITING_FRACTION = 0.02  # of the time
 
 
 class Journal(Protocol):
-    """What a command has done so far: how much, and as bytes that it can be made of again."""
+    """Finished work of a command: its amount, and a snapshot as bytes that it can be restored from."""
 
     def __len__(self) -> int: ...
 
     def snapshot(self) -> bytes:
-        """All of it."""
+        """All finished work, as bytes."""
         ...
 
 
@@ -37,15 +37,16 @@ J = TypeVar("J", bound=Journal)
 
 
 class JournalFile(Generic[J]):
-    """`OUTPUT.journal`: written now and then and when interrupted, taken up by the same command again.
+    """The file `OUTPUT.journal`: written from time to time and when interrupted, read by the same command.
 
-    A file of that name that is no journal is neither read nor replaced nor removed. What is taken from a
-    journal only saves time: one of another output, or whose checksum is wrong, is left aside.
+    A file of that name that is not a journal is neither read nor replaced nor removed. A journal only saves
+    time; one of another output, or with a wrong checksum, is ignored.
 
     Args:
         common: the shared options.
-        kind: whose journals these are.
-        make: makes a journal of a snapshot, an empty one of no bytes; ValueError where they are none.
+        kind: kind of the journal, one per command.
+        make: function from a snapshot to a journal, which is empty for no bytes; raises ValueError for
+            invalid bytes.
     """
 
     def __init__(self, common: Common, kind: JournalKind, make: Callable[[bytes], J]) -> None:
@@ -57,18 +58,25 @@ class JournalFile(Generic[J]):
         self._wanted: Provenance | None = None
 
     def begin(self, wanted: Provenance) -> None:
-        """Learn the provenance of the output that is to be made."""
+        """Set the provenance of the output that is to be made; call this before `kept`.
+
+        Args:
+            wanted: the provenance.
+        """
         self._wanted = wanted
 
     @contextmanager
     def kept(self, progress: Progress) -> Iterator[tuple[J, Progress]]:
-        """The journal to measure with, and `progress` that also writes the file when it is time.
+        """Context with the journal to use, and a progress callback that also writes the file when due.
+
+        Args:
+            progress: the callback to wrap.
 
         Raises:
-            InterruptedWithAdvice: when the file is there to continue from.
+            InterruptedWithAdvice: the command was interrupted, and the file allows it to continue.
         """
         assert self._wanted is not None
-        wanted, journal = self._wanted, self._taken_up(self._wanted)
+        wanted, journal = self._wanted, self._continued(self._wanted)
         written = len(journal)
         start = time.monotonic()
         due = start + PERIOD_S
@@ -79,7 +87,7 @@ class JournalFile(Generic[J]):
             if self._may_write and len(journal) > written:
                 written = self._write(wanted, journal) or written
             now = time.monotonic()
-            due = now + max(PERIOD_S, (now - before) / MOST_SHARE)
+            due = now + max(PERIOD_S, (now - before) / MAX_WRITING_FRACTION)
 
         def watched(done: int, total: int) -> None:
             progress(done, total)
@@ -89,7 +97,7 @@ class JournalFile(Generic[J]):
         try:
             yield journal, watched
         except KeyboardInterrupt as interruption:
-            if time.monotonic() - start >= LEAST_S:
+            if time.monotonic() - start >= MIN_RUN_S:
                 write()
             if written == 0:
                 raise
@@ -98,7 +106,7 @@ class JournalFile(Generic[J]):
             ) from interruption
 
     def remove(self) -> None:
-        """Remove the file when it is about the output that is there now, or damaged."""
+        """Remove the file when it belongs to the output that now exists, or is damaged."""
         if not self._may_write or not self._path.is_file():
             return
         made = read_provenance(self._output)
@@ -112,12 +120,12 @@ class JournalFile(Generic[J]):
                 self._path.unlink()
 
     def _is_ours(self) -> bool:
-        """Whether the file is a journal, of whatever output and however damaged."""
+        """Test whether the file begins like a journal of this kind, even of another output or damaged."""
         with self._path.open("rb") as file:
             return file.read(len(self._kind.magic)) == self._kind.magic
 
-    def _taken_up(self, wanted: Provenance) -> J:
-        """What an earlier run had done; nothing, and a word why, when the file is of no use."""
+    def _continued(self, wanted: Provenance) -> J:
+        """Journal of an earlier run; an empty one, with a message, when the file cannot be used."""
         if not os.path.lexists(self._path):
             return self._make(b"")
         try:
@@ -133,26 +141,26 @@ class JournalFile(Generic[J]):
             journal = self._make(measured)
         except (OSError, ValueError, InputError) as error:
             return self._ignored(error)
-        self._say(f"continuing from {self._path.name}: {len(journal):,} of its {self._kind.done}")
+        self._print(f"continuing from {self._path.name}: {len(journal):,} of its {self._kind.done}")
         return journal
 
     def _ignored(self, why: object) -> J:
-        self._say(f"ignoring {self._path.name}: {why}")
+        self._print(f"ignoring {self._path.name}: {why}")
         return self._make(b"")
 
     def _write(self, wanted: Provenance, journal: J) -> int:
-        """Write all that is done so far; how much, or 0 when that cannot be done."""
+        """Write all finished work; return its amount, or 0 when the file cannot be written."""
         measured, count = journal.snapshot(), len(journal)
         try:
             with atomic_output(self._path, is_final=False) as file:
                 file.write(pack(wanted, measured, self._kind))
         except OutputError as error:
-            self._say(f"{error}; an interrupted {self._kind.command} starts anew")
+            self._print(f"{error}; an interrupted {self._kind.command} starts anew")
             self._may_write = False
             return 0
         return count
 
-    def _say(self, text: str) -> None:
-        """One line on stderr."""
+    def _print(self, text: str) -> None:
+        """Print one line on stderr."""
         if not self._is_quiet:
             click.echo(f"alula: {text}", err=True)

@@ -1,4 +1,4 @@
-"""`alula`: the group of all commands, and the one place where errors become exit codes."""
+"""The program `alula`: the group of all commands, and the conversion of errors to exit codes."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from alula.cli.interruption import InterruptedWithAdvice, Interruption
 from alula.cli.streams import ClosedPipeError, discard_stdout, open_streams, pipe
 from alula.schemas.errors import AlulaError, ExitCode
 
-# name: (module, first line of its help); a test holds the lines against the commands.
+# name: (module, first line of its help); a test compares the lines with the commands.
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo-scene": ("demo_scene", "Write the built-in scene: a furnished room with hoops."),
     "import-splat": ("import_splat", "Read a Gaussian splat file into a scene."),
     "scale-align": ("scale_align", "Give a scene metric scale and a named world frame."),
     "voxelize": ("voxelize", "Mark every voxel that an obstacle touches."),
-    "merge": ("merge", "Cover voxels with convex polytopes, as few as asked."),
-    "verify": ("verify", "Prove again that a cover contains every obstacle."),
+    "merge": ("merge", "Cover voxels with a limited number of convex polytopes."),
+    "verify": ("verify", "Prove independently that a cover contains every obstacle."),
     "plan": ("plan", "Find a smooth collision-free trajectory through a cover."),
     "simulate": ("simulate.command", "Fly start-goal pairs or a plan behind a safety filter."),
     "fly": ("fly.command", "Fly a plan on a real vehicle, behind a safety filter."),
@@ -32,7 +32,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "report": ("report", "Turn runs into tables, figures and one HTML page."),
     "export": ("export", "Convert a cover or a scene for other programs."),
     "info": ("info", "Explain an artifact or a splat file."),
-    "doctor": ("doctor", "Check that everything alula needs is there."),
+    "doctor": ("doctor", "Check that everything alula needs is installed."),
 }
 
 
@@ -40,7 +40,7 @@ class LazyGroup(click.Group):
     """A group whose commands are imported only when they run."""
 
     def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
-        """Parse the options of the group itself, of which some print."""
+        """Parse the options of the group itself; some of them print."""
         with pipe():
             return super().make_context(*args, **kwargs)
 
@@ -50,14 +50,14 @@ class LazyGroup(click.Group):
             try:
                 return super().invoke(ctx)
             except click.UsageError as error:
-                if error.ctx is None and ctx.invoked_subcommand:  # the parser of options does not say whose
+                if error.ctx is None and ctx.invoked_subcommand:  # the option parser does not set the command
                     command = self.get_command(ctx, ctx.invoked_subcommand)
                     if command is not None:
                         error.ctx = click.Context(command, ctx, ctx.invoked_subcommand)
                 raise
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Without any word the help is the complaint."""
+        """Print the help and exit with a usage error when there are no arguments."""
         if not args and not ctx.resilient_parsing:
             click.echo(ctx.get_help(), err=True)
             ctx.exit(ExitCode.USAGE)
@@ -66,7 +66,7 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find a command; name the one that was probably meant."""
+        """Find a command; for an unknown name, suggest the most similar one."""
         if args[0] not in COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
             near = difflib.get_close_matches(args[0], COMMANDS, 1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
@@ -103,10 +103,14 @@ def cli() -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit with the documented code."""
+    """Run the command line and exit with the documented code.
+
+    Args:
+        arguments: the words of the command line; None: those of the process.
+    """
     from alula.schemas import atomic
 
-    # One thread: the sums of linear algebra must not depend on the machine, and idle ones cost.
+    # One thread: the sums of linear algebra must not depend on the machine, and idle threads cost time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     interruption = Interruption()
     interruption.install()
@@ -118,10 +122,16 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run the command line; every error becomes one line on stderr and a code.
+    """Run the command line; every error becomes one line on stderr and an exit code.
 
-    With --json, stdout holds one JSON object even then: `error` and `exit_code`, unless the command has
-    printed a result before it failed.
+    With --json, an error also prints one JSON object with `error` and `exit_code` on stdout, unless the
+    command has printed a result before it failed.
+
+    Args:
+        arguments: the words of the command line; None: those of the process.
+
+    Returns:
+        The exit code.
     """
     words = sys.argv[1:] if arguments is None else arguments
     answer: dict[str, bool] = {}
@@ -134,16 +144,16 @@ def run(arguments: list[str] | None = None) -> int:
         return ExitCode.BROKEN_PIPE
     except (KeyboardInterrupt, click.Abort) as error:
         advice = [str(e) for e in (error, error.__cause__) if isinstance(e, InterruptedWithAdvice)]
-        said = "; ".join(["interrupted", *advice[:1]])
-        return _fail(said, ExitCode.INTERRUPTED, [], answered=False)
-    except Exception as error:  # noqa: BLE001  the last resort: no traceback reaches a user unasked
+        message = "; ".join(["interrupted", *advice[:1]])
+        return _fail(message, ExitCode.INTERRUPTED, [], answered=False)
+    except Exception as error:  # noqa: BLE001  the last resort: users see no traceback without -vv
         if isinstance(error, OSError):
             discard_stdout()
         return _fail(*_worded(error), words, answered=bool(answer))
 
 
 def _worded(error: Exception) -> tuple[str, ExitCode]:
-    """What an error says to a person, and its exit code."""
+    """Message of an error for the user, and its exit code."""
     match error:
         case AlulaError():
             return str(error), error.exit_code
@@ -155,14 +165,14 @@ def _worded(error: Exception) -> tuple[str, ExitCode]:
         case MemoryError():
             return "out of memory", ExitCode.INTERNAL
         case OSError(strerror=str(reason)):
-            # Files are read and written where their own errors are worded: this is stdout.
+            # Readers and writers of files raise AlulaErrors, so this error comes from stdout.
             where = os.fsdecode(error.filename) if error.filename else "cannot write the result"
             return f"{where}: {reason}", ExitCode.INPUT
     return f"internal error: {type(error).__name__}: {error} (-vv shows where)", ExitCode.INTERNAL
 
 
 def _fail(message: str, code: ExitCode, words: list[str], *, answered: bool) -> int:
-    """Print an error, in the block that caught it."""
+    """Print an error; call it in the block that caught the error, for the traceback of -vv."""
     options = words[: words.index("--")] if "--" in words else words
     line = " ".join(message.split())
     with suppress(OSError):

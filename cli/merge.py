@@ -21,19 +21,19 @@ Examples:
 @options.from_config(MergeConfig)
 @options.output(".cover.npz")
 def command(source: Path, config: MergeConfig, common: options.Common) -> None:
-    """Cover voxels with convex polytopes, as few as asked.
+    """Cover voxels with a limited number of convex polytopes.
 
-    Every occupied voxel ends up inside a hull, exactly. Hulls are merged greedily where that encloses
-    least free space, until the limits hold. A cover as input is merged further.
+    Every occupied voxel lies inside a hull, in exact integers. Hulls are merged greedily: the pair that
+    encloses the least free space comes first, until the limits hold. A cover as input is merged further.
 
-    Limits of half-planes or bytes buy more hulls of fewer planes: polytopes that contain the hulls, with
-    the planes that remove most free space.
+    With a limit of half-planes or bytes the cover has more hulls with fewer planes each: outer polytopes
+    that contain the hulls, with the planes that remove most free space.
 
-    An interrupted merge leaves OUTPUT.journal; the same command again continues from it and writes the
+    An interrupted merge leaves OUTPUT.journal. The same command then continues from it and writes the
     same bytes.
 
-    Memory: about 600 bytes per voxel of surfaces; at most 2,600 where voxels are scattered or --block is
-    0. More than 16,777,216 voxels are refused.
+    Memory: about 600 bytes per voxel where voxels form surfaces; at most 2,600 where they are scattered or
+    --block is 0. More than 16,777,216 voxels are refused.
     """
     from alula import _core
     from alula.cli.journal import JournalFile

@@ -1,4 +1,4 @@
-"""Options that every command shares, and options made from a configuration class."""
+"""Options that all commands share, and options made from a configuration class."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class FiniteFloat(click.ParamType):  # type: ignore[type-arg, unused-ignore]
     name = "float"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Parse the text; refuse what is not a finite number."""
+        """Parse the text; refuse anything but a finite number."""
         try:
             number = float(value)
         except (TypeError, ValueError):
@@ -51,34 +51,34 @@ class Point(click.ParamType):  # type: ignore[type-arg, unused-ignore]
 
 
 class Whole(click.ParamType):  # type: ignore[type-arg, unused-ignore]
-    """A whole number within limits; those that hold for all others keep it exact in JSON and in C++."""
+    """A whole number within limits; the default limits keep it exact in JSON and in C++."""
 
     name = "integer"
 
-    def __init__(self, least: int = -(2**53), most: int = 2**53) -> None:
-        self.least, self.most = least, most
+    def __init__(self, minimum: int = -(2**53), maximum: int = 2**53) -> None:
+        self.minimum, self.maximum = minimum, maximum
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Parse the text; refuse what is no whole number within the limits."""
+        """Parse the text; refuse anything but a whole number within the limits."""
         try:
             number = int(value)
         except (TypeError, ValueError):
             self.fail(f"{value!r} is not a whole number", param, ctx)
-        if not (self.least <= number <= self.most):
-            limits = f"not between {self.least} and {self.most}" if self.least == 0 else "out of range"
+        if not (self.minimum <= number <= self.maximum):
+            limits = f"not between {self.minimum} and {self.maximum}" if self.minimum == 0 else "out of range"
             self.fail(f"{number} is {limits}", param, ctx)
         return number
 
 
 class FilePath(click.Path):
-    """A file or folder by its name; whether it is there and of use is checked where it is used."""
+    """The name of a file or folder; the reader or writer checks the file itself."""
 
     def __init__(self, *, stdin: bool = False) -> None:
         super().__init__(path_type=Path)
         self.stdin = stdin
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Refuse what names no file."""
+        """Refuse text that cannot name a file."""
         if value == "":
             self.fail("the name of the file is empty", param, ctx)
         if value == "-" and not self.stdin:
@@ -96,7 +96,7 @@ JOBS = Whole(0, 256)
 
 @dataclass(frozen=True, slots=True)
 class Common:
-    """The options that every command that writes a file has."""
+    """Values of the options that all commands that write a file share."""
 
     output: Path
     force: bool
@@ -110,7 +110,7 @@ class Common:
 
 
 def reporting(function: F) -> F:
-    """Add -q, -v and --json, for commands that write no file; the function takes them by name."""
+    """Add -q, -v and --json, for commands that write no file; the function gets them by name."""
     for option in (
         click.option("-v", "--verbose", count=True, help="More notes; -vv shows tracebacks."),
         click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors."),
@@ -121,7 +121,11 @@ def reporting(function: F) -> F:
 
 
 def output(suffix: str) -> Callable[[F], F]:
-    """Add the common options; the function gets them as one argument `common`."""
+    """Decorator that adds the common options; the function gets them as one argument `common`.
+
+    Args:
+        suffix: usual suffix of the output, for the help.
+    """
 
     def decorate(function: F) -> F:
         def collect(*args: Any, **kwargs: Any) -> Any:
@@ -158,9 +162,13 @@ def output(suffix: str) -> Callable[[F], F]:
 
 
 def from_config(config: type[Any]) -> Callable[[F], F]:
-    """One option per field of a configuration dataclass; the function gets it as `config`.
+    """Decorator that adds one option per field of a configuration dataclass.
 
-    Metadata of a field: `help`; `option`, a name or several, when it differs; `metavar`.
+    The function gets an instance as its argument `config`. The metadata of a field can have `help`, `option`
+    (one name or several, when they differ from the field's name) and `metavar`.
+
+    Args:
+        config: the dataclass; fields with the metadata `internal` get no option.
     """
 
     def decorate(function: F) -> F:
@@ -220,16 +228,21 @@ def _type_of(hint: Any) -> dict[str, Any]:
 
 
 def option_of(field: dataclasses.Field[Any]) -> str:
-    """How a field of a configuration is called on the command line, first of all."""
+    """First name of a configuration field's option on the command line."""
     names: str | tuple[str, ...] = field.metadata.get("option", "--" + field.name.replace("_", "-"))
     return names if isinstance(names, str) else names[0]
 
 
 def is_given(context: click.Context, name: str) -> bool:
-    """Whether an option is on the command line, as against its default."""
+    """Test whether an option was given on the command line.
+
+    Args:
+        context: context of the command.
+        name: name of the option's parameter.
+    """
     return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
 
 
 def input_path() -> FilePath:
-    """A file to read; that it exists and is a file is checked by the reader, with exit code 3."""
+    """Type of a file to read; the reader checks that it exists and is a file, with exit code 3."""
     return PATH

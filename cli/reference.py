@@ -1,4 +1,4 @@
-"""`python -m alula.cli.reference FILE` writes the command reference from the parsers."""
+"""Command reference: `python -m alula.cli.reference FILE` writes it from the parsers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WIDTH: dict[str, Any] = {"terminal_width": 100, "max_content_width": 100}
 
 
 def reference() -> str:
-    """The help of every command, as Markdown."""
+    """Help of every command, as Markdown."""
     top = cli.make_context("alula", [], resilient_parsing=True, **WIDTH)
     parts = [HEADER + f"```\n{cli.get_help(top)}\n```\n"]
     for name in COMMANDS:

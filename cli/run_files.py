@@ -1,4 +1,4 @@
-"""The two files of a run: its log, and the record beside it with the measured times."""
+"""The two files of a run: its log, and its record with the measured times."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 
 def check_log_name(output: Path) -> None:
-    """Refuse a name that readers would not take for a log.
+    """Refuse a name that readers would not recognise as a log.
 
     Raises:
-        UsageError: it does not end in .mcap.
+        UsageError: the name does not end in .mcap.
     """
     from alula.schemas.errors import UsageError
     from alula.schemas.run import RUN_SUFFIX
@@ -27,7 +27,17 @@ def check_log_name(output: Path) -> None:
 def write_run(
     output: Path, record: RunRecord, timing: Mapping[str, Any], write_log: Callable[[BinaryIO], None]
 ) -> None:
-    """Write both or none; the machine that the times were measured on goes with them."""
+    """Write the log and the record, both or neither; the record also describes the machine.
+
+    Args:
+        output: file of the log.
+        record: record of the run, without measured times.
+        timing: measured times [s] and counts by name.
+        write_log: function that writes the log to a binary file.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
     import os
     import platform
 
@@ -45,7 +55,12 @@ def write_run(
 
 
 def flight_timing(result: RunResult, dt_s: float) -> dict[str, Any]:
-    """Measured times of the filter, and of whole ticks where known."""
+    """Statistics of the measured times of the filter, and of whole ticks where they were measured.
+
+    Args:
+        result: the run, with its measured times [s].
+        dt_s: period of a tick [s]; longer ticks count as overruns.
+    """
     import numpy as np
 
     timing: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""What every command that writes a file does around its stage: provenance, skipping, writing."""
+"""Common work of commands that write a file: provenance, skipping of current outputs, writing."""
 
 from __future__ import annotations
 
@@ -29,10 +29,14 @@ if TYPE_CHECKING:
 
 
 def input_ref(role: str, path: Path) -> InputRef:
-    """Describe an input file; its kind and version when it is an artifact.
+    """Describe an input file, with its kind and version when it is an artifact.
+
+    Args:
+        role: role of the input, such as "scene".
+        path: the file.
 
     Raises:
-        InputError: it cannot be read.
+        InputError: the file cannot be read.
     """
     from alula.schemas.artifact import file_hash
     from alula.schemas.manifest import InputRef
@@ -64,9 +68,19 @@ def run_stage(
     seed: int | None = None,
     begin: Callable[[Provenance], None] | None = None,
 ) -> None:
-    """Run a stage whose output is an array artifact, unless the output is already there.
+    """Run a stage with an array artifact as its output, unless the output is already current.
 
-    `begin` is told the provenance of what `build` will make.
+    Args:
+        common: the shared options.
+        kind: kind of the output.
+        config: configuration of the stage; its fields are the recorded parameters.
+        inputs: role to path of all files that the output depends on.
+        build: function from a progress callback to the artifact.
+        seed: the seed, when the output depends on one.
+        begin: called with the provenance of the output before `build`.
+
+    Raises:
+        UsageError, InputError, OutputError: as `run`.
     """
     from alula.schemas.artifact import Artifact, write_artifact
 
@@ -102,15 +116,15 @@ def run(
         common: the shared options.
         schema: kind of the output; with `version` it is part of the provenance.
         version: version of that kind.
-        parameters: everything that shapes the output, as plain JSON values.
+        parameters: all parameters that the output depends on, as plain JSON values.
         inputs: role to path of all files that the output depends on.
-        make: given the provenance to record and a progress callback, computes everything and
-            returns a function that writes the file atomically, and the summary to print.
+        make: function from the provenance to record and a progress callback to a function that writes the
+            file atomically, and the summary to print.
         seed: the seed, when the output depends on one.
 
     Raises:
         UsageError: the output exists with other provenance and --force is not given, or is an input.
-        InputError: an input cannot be read, or changed meanwhile.
+        InputError: an input cannot be read, or changed during the run.
         OutputError: the output's folder does not exist or the file cannot be written.
     """
     _run(
@@ -129,7 +143,7 @@ def _run(
     make: Callable[[Callable[[], Provenance], Progress], tuple[Callable[[], None], dict[str, Any]]],
     seed: int | None,
 ) -> None:
-    """As `run`; `make` may ask for the provenance late, so that inputs are hashed while it works."""
+    """As `run`, but `make` gets a function that returns the provenance, so that hashing runs beside it."""
     check_output(common.output, inputs)
     if common.depfile is not None:
         check_output(common.depfile, {**inputs, "output": common.output})
@@ -167,7 +181,7 @@ def _run(
 
 
 def _state(path: Path) -> tuple[int, ...]:
-    """What differs once a file was written to or replaced; nothing where it is gone."""
+    """Attributes that change when a file is written to or replaced; empty where it does not exist."""
     try:
         found = path.stat()
     except OSError:
@@ -176,20 +190,20 @@ def _state(path: Path) -> tuple[int, ...]:
 
 
 class _Meanwhile:
-    """The result of a call that is made in a thread while other work is done."""
+    """Result of a call that runs in a thread beside other work."""
 
     def __init__(self, call: Callable[[], Provenance]) -> None:
         self._call = call
         self._result: Provenance | None = None
         self._error: Exception | None = None
-        # A daemon: when the work fails or is interrupted, the command ends without waiting for it.
+        # A daemon thread: when the work fails or is interrupted, the command ends without waiting for it.
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
         try:
             self._result = self._call()
-        except Exception as error:  # noqa: BLE001  raised again where the result is asked for
+        except Exception as error:  # noqa: BLE001  raised again where the result is used
             self._error = error
 
     def __call__(self) -> Provenance:
@@ -201,10 +215,15 @@ class _Meanwhile:
 
 
 def current(output: Path, provenance: Provenance, *, force: bool) -> Provenance | None:
-    """What an existing output records of itself when that is as wanted; None when it is to be made.
+    """Recorded provenance of an existing output that is current; None when it must be made.
+
+    Args:
+        output: the file.
+        provenance: provenance that the output must have.
+        force: allow the replacement of a file with other provenance.
 
     Raises:
-        UsageError: it exists with other provenance, or is a foreign file, and `force` is not given.
+        UsageError: the output has other provenance or was not made by alula, and `force` is not given.
     """
     if not output.exists():
         return None
@@ -216,7 +235,16 @@ def current(output: Path, provenance: Provenance, *, force: bool) -> Provenance 
 
 
 def check_output(output: Path, inputs: Mapping[str, Path]) -> None:
-    """Refuse an output that cannot be written, before any work is done."""
+    """Refuse an output that cannot be written, before any work is done.
+
+    Args:
+        output: the file to write.
+        inputs: role to path of the inputs, which the output must not replace.
+
+    Raises:
+        OutputError: the output is a folder or a device, or its folder is missing or not writable.
+        UsageError: the output is also an input.
+    """
     if output.is_dir():
         raise OutputError(f"{output}: is a folder, not a file to write")
     if is_special(output):
@@ -235,7 +263,13 @@ def check_output(output: Path, inputs: Mapping[str, Path]) -> None:
 
 
 def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:
-    """Print the result on stdout: one JSON object, or a line per number; notes are said on stderr."""
+    """Print the result on stdout, as one JSON object or a line per figure; notes go to stderr.
+
+    Args:
+        common: the shared options.
+        status: written, unchanged or dry-run.
+        summary: figures by name; `notes` is a list of sentences.
+    """
     if common.json:
         print_json({"output": str(common.output), "status": status, "summary": summary})
         return
@@ -252,7 +286,13 @@ def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:
 
 @contextmanager
 def progress_bar(common: Common) -> Iterator[Progress]:
-    """A progress callback (done, total; up to 1: unknown), drawn on stderr when that is a terminal."""
+    """Context with a progress callback that draws a bar on stderr when that is a terminal.
+
+    The callback takes (done, total); a total of at most 1 means that it is unknown.
+
+    Args:
+        common: the shared options.
+    """
     if common.quiet or common.json or not sys.stderr.isatty():
         yield lambda done, total: None
         return
@@ -269,5 +309,5 @@ def progress_bar(common: Common) -> Iterator[Progress]:
 
 
 def _make_escape(path: Path, special: str = " \t#:*?[") -> str:
-    """A file name as GNU Make reads it back; a target needs % escaped too, a prerequisite must not."""
+    """Escape a file name for GNU Make; a target needs % escaped too, a prerequisite must not."""
     return re.sub(rf"(\\*)([{re.escape(special)}])", r"\1\1\\\2", str(path)).replace("$", "$$")

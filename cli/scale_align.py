@@ -31,7 +31,7 @@ SECTIONS = {
     "By points": ("correspondences", "distances", "cloud", "initial"),
     "By numbers": ("transform", "scale"),
     "Level the frame": ("up", "floor"),
-    "Judge the alignment": (
+    "Check the alignment": (
         *("threshold_m", "max_angle_deg", "max_rms_m", "max_scale_sigma", "min_inliers", "min_fitness"),
     ),
 }
@@ -53,7 +53,7 @@ class Sectioned(click.Command):
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Files:
-    """The files that a scene is aligned by; a field per option."""
+    """Files with the evidence for the alignment, one field per option."""
 
     colmap: Path | None
     cameras: Path | None
@@ -84,8 +84,8 @@ class Files:
 @click.option(
     "--nerfstudio",
     type=PATH,
-    help="Run folder or dataparser_transforms.json: go back to the frame of the source poses; with --colmap "
-    "or --cameras these are in that frame.",
+    help="Run folder or dataparser_transforms.json: map the scene back to the frame of the source poses; "
+    "--colmap or --cameras are then in that frame.",
 )
 @click.option("--correspondences", type=PATH, help="CSV sx,sy,sz,wx,wy,wz of points in both frames.")
 @click.option(
@@ -94,13 +94,14 @@ class Files:
     type=(POINT, POINT, FINITE_FLOAT),
     multiple=True,
     metavar="'X Y Z' 'X Y Z' METRES",
-    help="Two points of the scene and how far they are apart; repeatable; fixes the scale alone.",
+    help="Two points of the scene and their distance; repeatable; determines the scale alone.",
 )
 @click.option("--cloud", type=PATH, help="Surveyed cloud [m]: PLY, PCD, XYZ, PTS or .npz (points).")
 @click.option(
     "--initial",
     type=PATH,
-    help="First guess for --cloud, like --transform; cameras or --correspondences do too; default: as it is.",
+    help="First guess for --cloud, a file like that of --transform; cameras or --correspondences can replace "
+    "it; default: the identity.",
 )
 @click.option("--transform", type=PATH, help="JSON: 4x4 matrix, or scale, rotation and translation_m.")
 @options.from_config(ScaleAlignConfig)
@@ -117,8 +118,8 @@ def command(
 ) -> None:
     """Give a scene metric scale and a named world frame.
 
-    One way to align is needed: --colmap or --cameras with --reference or --poses, --nerfstudio,
-    --correspondences, --distance, --cloud, --transform or --scale. The alignment is judged before
+    Give one kind of evidence: --colmap or --cameras with --reference or --poses, --nerfstudio,
+    --correspondences, --distance, --cloud, --transform or --scale. The alignment is checked before
     anything is written. A scene that is aligned already may be aligned again, or only levelled.
     """
     from alula.schemas.artifact import Artifact, read_artifact
@@ -128,13 +129,13 @@ def command(
 
     config = dataclasses.replace(config, distances=distances)
     files = Files(**paths)
-    _check_ways(config, files)
-    for name, option, path, way in (
+    _check_evidence_options(config, files)
+    for name, option, path, needed in (
         ("min_fitness", "--min-fitness", files.cloud, "--cloud"),
         ("max_angle_deg", "--angle-threshold", files.poses, "--poses"),
     ):
         if path is None and options.is_given(context, name):
-            raise UsageError(f"{option} goes with {way}")
+            raise UsageError(f"{option} goes with {needed}")
     single = ("cameras", "reference", "poses", "correspondences", "cloud", "initial", "transform")
     inputs = {"scene": scene} | {role: path for role in single if (path := getattr(files, role)) is not None}
     if files.colmap is not None:
@@ -155,7 +156,7 @@ def command(
     if not common.json:
         runner.run_stage(common, SCENE, config, inputs, build, seed=common.seed)
         return
-    # The whole record, not only the summary that every command prints.
+    # Print the whole record, not only the summary that every command prints.
     silent = dataclasses.replace(common, json=False, quiet=True)
     runner.run_stage(silent, SCENE, config, inputs, build, seed=common.seed)
     status = "unchanged" if not shown else "dry-run" if common.dry_run else "written"
@@ -172,24 +173,24 @@ def _recorded(manifest: Any) -> dict[str, Any]:
     return found
 
 
-def _check_ways(config: ScaleAlignConfig, files: Files) -> None:
-    """Refuse a combination of options that means nothing, or more than one thing."""
+def _check_evidence_options(config: ScaleAlignConfig, files: Files) -> None:
+    """Refuse combinations of options that are contradictory, redundant or incomplete."""
     given = {
         "--colmap": files.colmap, "--cameras": files.cameras, "--correspondences": files.correspondences,
         "--distance": config.distances or None, "--cloud": files.cloud, "--transform": files.transform,
         "--scale": config.scale,
     }  # fmt: skip
-    ways = [name for name, value in given.items() if value is not None]
-    cameras = [name for name in ways if name in ("--colmap", "--cameras")]
+    kinds = [name for name, value in given.items() if value is not None]
+    cameras = [name for name in kinds if name in ("--colmap", "--cameras")]
     known = [name for name, path in (("--reference", files.reference), ("--poses", files.poses)) if path]
     if len(known) > 1:
-        raise UsageError("--reference and --poses say the same; only one of them is needed")
+        raise UsageError("--reference and --poses exclude each other; give one of them")
     if bool(known) != bool(cameras):
-        raise UsageError("--reference goes with --colmap or --cameras, and these with it; so does --poses")
+        raise UsageError("--reference and --poses need --colmap or --cameras, and these need one of them")
     if files.nerfstudio is not None and not cameras:
-        ways.append("--nerfstudio")
+        kinds.append("--nerfstudio")
     if files.cloud is not None:
-        first = [name for name in ways if name != "--cloud"] + (["--initial"] if files.initial else [])
+        first = [name for name in kinds if name != "--cloud"] + (["--initial"] if files.initial else [])
         if len(first) > 1 or not set(first) <= {"--colmap", "--cameras", "--correspondences", "--initial"}:
             raise UsageError(
                 "--cloud takes one first guess: --initial, --correspondences, or cameras; not "
@@ -197,15 +198,15 @@ def _check_ways(config: ScaleAlignConfig, files: Files) -> None:
             )
     elif files.initial is not None:
         raise UsageError("--initial is the first guess for --cloud; a similarity to apply is --transform")
-    elif len(ways) != 1 and not (not ways and config.levels):
-        what = f"not {' and '.join(ways)}" if ways else "none was given"
+    elif len(kinds) != 1 and not (not kinds and config.levels):
+        what = f"not {' and '.join(kinds)}" if kinds else "none was given"
         raise UsageError(f"exactly one of {', '.join([*given, '--nerfstudio'])} is needed, {what}")
     if config.origin is not None and files.reference is None:
         raise UsageError("--origin goes with the lat,lon,alt of --reference")
 
 
 def _evidence(config: ScaleAlignConfig, files: Files) -> Evidence | None:
-    """Read what the scene is aligned by."""
+    """Read the evidence for the alignment."""
     from alula.stages.alignment import cloud_files, tables
     from alula.stages.alignment.cloud import Cloud
     from alula.stages.alignment.scale_align import Given, scale_only
@@ -227,13 +228,13 @@ def _evidence(config: ScaleAlignConfig, files: Files) -> Evidence | None:
         return parse_transform(_text(files.transform), files.transform.name)
     if files.nerfstudio is not None:
         frame = _training_frame(files.nerfstudio)
-        warning = "the scene is in the frame of the source poses: in metres only if those were"
+        warning = "the scene is in the frame of the source poses; it is in metres only if those were"
         return Given(frame.original_from_training, "nerfstudio", (warning, *frame.warnings), frame.facts)
     return config.distances or None
 
 
 def _cameras(config: ScaleAlignConfig, files: Files) -> Correspondences:
-    """Cameras of the scene and of the world, the former brought to the frame that training used."""
+    """Cameras of the scene and of the world; those of the scene are mapped to the training frame."""
     from alula.stages.alignment import colmap, evidence, tables
 
     oriented = files.poses is not None
@@ -251,7 +252,7 @@ def _cameras(config: ScaleAlignConfig, files: Files) -> Correspondences:
     if files.nerfstudio is None:
         return points
     frame = _training_frame(files.nerfstudio)
-    return evidence.before(frame.original_from_training, points, frame.facts, frame.warnings)
+    return evidence.in_training_frame(frame.original_from_training, points, frame.facts, frame.warnings)
 
 
 def _training_frame(path: Path) -> TrainingFrame:

@@ -1,4 +1,4 @@
-"""Standard streams as a program among others finds them: closed, full, or read by `head`."""
+"""Handling of standard streams that are closed, full, or read by a program such as `head`."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from pathlib import Path
 
 
 class ClosedPipeError(Exception):
-    """Nobody reads the output any more; click would turn a BrokenPipeError into exit code 1."""
+    """The reader of the output has closed its pipe; click would turn a BrokenPipeError into exit code 1."""
 
 
 @contextmanager
 def pipe() -> Iterator[None]:
-    """Turn a BrokenPipeError into ClosedPipeError."""
+    """Context that turns a BrokenPipeError into a ClosedPipeError."""
     try:
         yield
     except BrokenPipeError as error:
@@ -24,7 +24,7 @@ def pipe() -> Iterator[None]:
 
 
 def open_streams() -> None:
-    """Closed standard streams lead nowhere, and what a stream cannot encode becomes a question mark."""
+    """Connect closed standard streams to the null device; print characters without an encoding as `?`."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
@@ -40,6 +40,6 @@ def open_streams() -> None:
 
 
 def discard_stdout() -> None:
-    """Let the interpreter's last flush of stdout go nowhere."""
+    """Discard the interpreter's last flush of stdout."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

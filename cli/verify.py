@@ -26,7 +26,9 @@ Examples:
 @click.option("--cover", type=options.input_path(), help="The cover that an onboard map must contain.")
 @click.option("--voxels", type=options.input_path(), help="The voxels that the cover must contain.")
 @click.option("--scene", type=options.input_path(), help="The scene that the voxels must contain.")
-@click.option("-o", "--output", type=options.PATH, help="Certificate to write when all holds (.json).")
+@click.option(
+    "-o", "--output", type=options.PATH, help="Certificate to write when every check holds (.json)."
+)
 @click.option("-f", "--force", is_flag=True, help="Replace an output of other provenance.")
 @click.option("-n", "--dry-run", is_flag=True, help="Check everything, write nothing.")
 @click.option("--jobs", type=options.JOBS, default=0, help="Threads; 0 is all processors.", show_default=True)
@@ -46,12 +48,12 @@ def command(
     quiet: bool,
     verbose: int,
 ) -> None:
-    """Prove again that a cover contains every obstacle.
+    """Prove independently that a cover contains every obstacle.
 
-    Uses the files alone and other algorithms than those that made them: hulls and voxels in exact
-    integers, ellipsoids by separating planes. Exit code 4 and the first place when something is not
-    proven; then no certificate is written. An onboard map (.bin) is proven from its own bytes, against
-    voxels or a cover.
+    The proof uses the files alone and other algorithms than those that made them: exact integers for
+    hulls and voxels, separating planes for ellipsoids. When something is not proven, the exit code is 4,
+    the message names the first failure, and no certificate is written. An onboard map (.bin) is proven
+    from its own bytes, against voxels or a cover.
 
     Memory: the scene (56 bytes per Gaussian), at most 250 bytes per voxel, or per member of a hull where
     hulls share voxels, and 4,000 per hull. More than 67,108,864 voxels are refused.
@@ -111,7 +113,7 @@ def command(
         record = {"schema": SCHEMA, "version": VERSION, **msgspec.to_builtins(certificate)}
         record["provenance"] = provenance
         text = msgspec.json.format(msgspec.json.encode(record, order="sorted"), indent=2).decode() + "\n"
-        # What the file says is never taken for an answer: it is compared with a fresh one.
+        # An existing certificate is never trusted: it is compared with the new one.
         status = (
             "dry-run"
             if dry_run
@@ -127,7 +129,7 @@ def command(
 
 
 def _is_map(path: Path) -> bool:
-    """Whether a file begins as an onboard map; what cannot be read is refused by its reader."""
+    """Test whether a file begins like an onboard map; the reader reports a file that cannot be read."""
     from alula.stages.compression.onboard.image import is_map
 
     try:
@@ -138,7 +140,7 @@ def _is_map(path: Path) -> bool:
 
 
 def _show(common: options.Common, status: str, certificate: Certificate) -> None:
-    """Print the answer on stdout: one JSON object, or a line per check."""
+    """Print the result on stdout: one JSON object, or a line per check."""
     import msgspec
 
     if common.json:

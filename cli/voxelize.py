@@ -23,7 +23,7 @@ Examples:
     "--tile",
     "tile_m",
     type=options.FINITE_FLOAT,
-    help="Work tile by tile of this edge [m], each job on one, to need less memory at a time.",
+    help="Edge of a tile [m]: each job works on one tile at a time, which bounds the memory.",
 )
 @click.option(
     "--scheduler",
@@ -44,12 +44,12 @@ def command(
     """Mark every voxel that an obstacle touches.
 
     SCENE is a metric scene. A voxel is marked when the ellipsoid of a Gaussian at the chosen level,
-    grown by the inflation, touches its closed cube; rounding is outward, so nothing is missed.
+    grown by the inflation, touches its closed cube. Rounding is outward, so no touched voxel is missed.
 
     Memory: the scene (56 bytes per Gaussian), 16 bytes per marked voxel, and counters of 512 bytes per
-    brick of 4 x 4 x 8 voxels that is touched anywhere. More than 134,217,728 voxels or 4,194,304 bricks
-    are refused: 2 GiB each. --tile bounds the counters by those of one tile per job, and takes 32 bytes
-    per marked voxel. Tiles, jobs and scheduler never change the result.
+    brick of 4 x 4 x 8 voxels with a touched voxel. More than 134,217,728 voxels or 4,194,304 bricks are
+    refused: 2 GiB each. --tile limits the counters to those of one tile per job, but takes 32 bytes per
+    marked voxel. Tiles, jobs and scheduler never change the result.
     """
     from alula.cli.runner import run_stage
     from alula.schemas.artifact import Artifact, read_artifact
@@ -59,7 +59,7 @@ def command(
     from alula.stages.compression.voxelize import voxelize
 
     if config.confidence is not None and options.is_given(context, "sigma"):
-        raise UsageError("--confidence sets sigma: give one of the two, not both")
+        raise UsageError("--confidence sets sigma; give one of --confidence and --sigma")
 
     def build(progress: Progress) -> Artifact:
         metric = read_artifact(scene, SCENE)

@@ -1,6 +1,6 @@
-"""Reading and writing of array artifacts: a stored ZIP of a manifest and one NPY per array.
+"""Reading and writing of array artifacts: an uncompressed ZIP of a manifest and one NPY per array.
 
-Equal content is equal bytes: fixed order, fixed dates, sorted keys. Every array starts at a
+Equal content gives equal bytes: fixed order, fixed dates, sorted keys. Every array starts at a
 multiple of 64 bytes, so that it can be memory-mapped. No pickle is read or written.
 """
 
@@ -30,7 +30,7 @@ from alula.schemas.kinds import KINDS, Kind
 from alula.schemas.manifest import FEATURES, ArraySpec, Manifest, parse_version, producer
 
 ALIGNMENT = 64
-_WORTH_THREADS = 2**22  # bytes to hash
+_MIN_THREADED_BYTES = 2**22  # fewer bytes are hashed without threads
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _MANIFEST_LIMIT = 64 * 2**20
 _LARGEST_EXTENT = 2**48
@@ -51,7 +51,7 @@ class Artifact:
 
     @property
     def kind(self) -> Kind:
-        """The kind that the manifest names."""
+        """Kind that the manifest names."""
         return KINDS[self.manifest.schema]
 
     def __getitem__(self, name: str) -> NDArray[Any]:
@@ -59,13 +59,25 @@ class Artifact:
 
 
 def array_hash(array: NDArray[Any]) -> str:
-    """SHA-256 of an array's C-order bytes."""
+    """SHA-256 of an array's C-order bytes, in hexadecimal.
+
+    Args:
+        array: of any type and shape.
+    """
     return hashlib.sha256(_bytes_of(array)).hexdigest()
 
 
 def array_hashes(arrays: Arrays, meanwhile: Callable[[], None] = lambda: None) -> dict[str, str]:
-    """`array_hash` of each; large ones in threads beside `meanwhile`, whose exceptions are passed on."""
-    if sum(array.nbytes for array in arrays.values()) < _WORTH_THREADS:
+    """Hash all arrays, large ones in threads.
+
+    Args:
+        arrays: by name.
+        meanwhile: called beside the threads; its exceptions propagate.
+
+    Returns:
+        `array_hash` of each array, by name.
+    """
+    if sum(array.nbytes for array in arrays.values()) < _MIN_THREADED_BYTES:
         meanwhile()
         return {name: array_hash(array) for name, array in arrays.items()}
     from concurrent.futures import ThreadPoolExecutor
@@ -82,7 +94,10 @@ def _bytes_of(array: NDArray[Any]) -> memoryview:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file.
+    """SHA-256 of a file, in hexadecimal.
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: the file cannot be read.
@@ -97,7 +112,15 @@ def file_hash(path: Path) -> str:
 def describe_arrays(
     kind: Kind, frame: str, unit: str, arrays: Arrays, hashes: Mapping[str, str] | None = None
 ) -> dict[str, ArraySpec]:
-    """The manifest's description of arrays; `unit` replaces the unit "frame" of the kind."""
+    """Describe arrays for a manifest.
+
+    Args:
+        kind: kind of the artifact.
+        frame: name of the frame.
+        unit: unit of lengths; it replaces the unit "frame" of the kind's rules.
+        arrays: by name.
+        hashes: `array_hashes` of the arrays, when known.
+    """
     hashes = array_hashes(arrays) if hashes is None else hashes
     return {
         rule.name: ArraySpec(
@@ -113,9 +136,13 @@ def describe_arrays(
 
 
 def make_artifact(kind: Kind, arrays: Arrays, **fields: Any) -> Artifact:
-    """Build and check an artifact; `fields` are those of the kind's manifest.
+    """Build and check an artifact.
 
-    `producer` is this program and `inputs` are empty unless given; the command line fills them in.
+    Args:
+        kind: kind of the artifact.
+        arrays: by name; they are converted to the kind's types.
+        **fields: fields of the kind's manifest. `producer` defaults to this program and `inputs` to an empty
+            list, which the command line fills in.
 
     Raises:
         ArtifactError: an array is missing, of another type or shape, or has values out of range.
@@ -139,12 +166,20 @@ def make_artifact(kind: Kind, arrays: Arrays, **fields: Any) -> Artifact:
 
 
 def encode_manifest(manifest: Manifest) -> bytes:
-    """Canonical JSON of a manifest: sorted keys, two spaces, a final newline."""
+    """Encode a manifest as canonical JSON: sorted keys, two spaces, a final newline.
+
+    Args:
+        manifest: of any kind.
+    """
     return msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=2) + b"\n"
 
 
 def write_artifact(path: Path, artifact: Artifact) -> None:
     """Write an artifact atomically.
+
+    Args:
+        path: the file; it is replaced when it exists.
+        artifact: manifest and arrays.
 
     Raises:
         OutputError: the file cannot be written.
@@ -181,29 +216,33 @@ def _write_member(
 
 
 def read_manifest(path: Path) -> Manifest:
-    """The manifest of an artifact file, typed by its kind; the arrays are not looked at.
+    """Read the manifest of an artifact file, typed by its kind, without checking the arrays.
+
+    Args:
+        path: the file.
 
     Raises:
         ArtifactError: the file is not an artifact, or of a version that this program cannot read.
+        InputError: the file cannot be read at all.
     """
     with _open_archive(path) as archive:
         return _decode_manifest(path, archive)
 
 
 def read_artifact(path: Path, kind: Kind | None = None) -> Artifact:
-    """Map an artifact's arrays into memory, after checking all that its manifest says.
+    """Map an artifact's arrays into memory and check them against the manifest and the kind's rules.
 
     Args:
         path: the file.
-        kind: the kind that is needed; None for any.
+        kind: the required kind; None for any.
 
     Returns:
         The artifact; its arrays are read-only memory maps.
 
     Raises:
-        WrongKindError: it is of another kind.
-        VersionError: it is of a higher major version, or requires what this program lacks.
-        DamagedError: truncated, or a hash, type, shape or value does not hold.
+        WrongKindError: the artifact is of another kind.
+        VersionError: its major version is higher, or it requires a feature that this program lacks.
+        DamagedError: the file is truncated, or a hash, type, shape or value is wrong.
         InputError: the file cannot be read at all.
     """
     with _open_archive(path) as archive:
@@ -218,8 +257,8 @@ def read_artifact(path: Path, kind: Kind | None = None) -> Artifact:
             raise DamagedError(f"{path}: member {missing[0]} is missing")
         if extra := sorted(names - expected):
             raise DamagedError(f"{path}: unexpected member {extra[0]!r}")
-        if len(archive.infolist()) != len(expected):  # other programs would read the other one
-            raise DamagedError(f"{path}: a member is there twice")
+        if len(archive.infolist()) != len(expected):  # other programs would read the other copy
+            raise DamagedError(f"{path}: a member occurs twice")
         arrays = {rule.name: _map_member(path, archive, f"{rule.name}.npy") for rule in rules}
     hashes = array_hashes(arrays)
     for rule in rules:
@@ -298,7 +337,7 @@ class _Head(msgspec.Struct):
 
 
 def _npy_header(file: BinaryIO) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Shape and type of a C-order NPY 1.0 array; numpy's own reader raises and warns too variously."""
+    """Shape and type of a C-order NPY 1.0 array; NumPy's own reader raises and warns in too many ways."""
     if file.read(8) != b"\x93NUMPY\x01\x00":
         raise ValueError("not NPY 1.0")
     (length,) = struct.unpack("<H", file.read(2))
@@ -306,7 +345,7 @@ def _npy_header(file: BinaryIO) -> tuple[tuple[int, ...], np.dtype[Any]]:
     if header is None or (text := header[1].decode()) not in _DTYPES:
         raise ValueError("not a C-order array of a known type")
     shape = tuple(int(extent) for extent in header[2].split(b",") if extent.strip())
-    if max(shape, default=0) > _LARGEST_EXTENT:  # also beside a zero, where no size shows it
+    if max(shape, default=0) > _LARGEST_EXTENT:  # the size alone would not show it beside a zero
         raise ValueError("not a size that an array can have")
     return shape, np.dtype(text)
 

@@ -1,4 +1,4 @@
-"""Outputs that appear whole or not at all."""
+"""Atomic writing of outputs: a file appears completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,22 +12,25 @@ from typing import BinaryIO
 from alula.schemas.errors import OutputError
 from alula.schemas.files import is_special
 
-# Entered around the moment when an output appears; the command line holds interruptions back there.
+# Context of the moment when an output appears; the command line delays interruptions in it.
 appearing: Callable[[], AbstractContextManager[None]] = nullcontext
 
 
 @contextmanager
 def atomic_output(path: Path, *, is_final: bool = True) -> Iterator[BinaryIO]:
-    """A binary file that replaces `path`, which is no device, when the block ends without an exception.
+    """Context with a binary file that replaces `path` when the block ends without an exception.
 
-    Written under a temporary name in the same folder, flushed to the disk and renamed; on any
-    exception, Ctrl-C included, the temporary file is removed and `path` is as it was. With `is_final`
-    false it is no output, and interruptions count as before once it is there.
+    The file is written under a temporary name in the same folder, flushed to the disk and renamed. On any
+    exception, Ctrl-C included, the temporary file is removed and `path` does not change.
+
+    Args:
+        path: the file to write; not a folder or a device.
+        is_final: the file is the command's output, after which interruptions are ignored.
 
     Raises:
-        OutputError: the file cannot be made, written or renamed.
+        OutputError: the file cannot be created, written or renamed.
     """
-    # The name is known before the file exists, so that no interruption can come in between.
+    # The name is set before the file exists, so that an interruption always leaves it to be removed.
     temporary: Path | None = path.parent / f".{path.name}.{secrets.token_hex(6)}.tmp"
     try:
         if path.is_dir():
@@ -52,7 +55,15 @@ def atomic_output(path: Path, *, is_final: bool = True) -> Iterator[BinaryIO]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically, in UTF-8; names of files may hold other bytes, which stay as they are."""
+    """Write a text file atomically, in UTF-8.
+
+    Args:
+        path: the file to write.
+        text: the text; bytes of file names that are not UTF-8 (surrogate escapes) do not change.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
     with atomic_output(path) as file:
         file.write(text.encode(errors="surrogateescape"))
 

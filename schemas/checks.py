@@ -1,4 +1,4 @@
-"""What must hold for the values of each kind of array."""
+"""Checks of the shapes and values of each kind of array."""
 
 from __future__ import annotations
 
@@ -11,20 +11,29 @@ from numpy.typing import NDArray
 from alula.schemas.errors import ArtifactError
 from alula.schemas.kinds import ArrayRule, Kind
 
-_ROWS = 2**15  # that stay in the cache between the steps of a check
+_ROWS = 2**15  # per block, so that a block stays in the cache between the steps of a check
 _UNIT_NORM_TOLERANCE = 1e-3  # f32 quaternions normalised once are within 2e-7
 
 
 def present(kind: Kind, names: Container[str]) -> list[ArrayRule]:
-    """The arrays of a kind without the optional ones that are missing."""
+    """Rules of a kind's arrays, without the optional arrays that are missing.
+
+    Args:
+        kind: kind of the artifact.
+        names: names of the arrays that are there.
+    """
     return [rule for rule in kind.arrays if not rule.optional or rule.name in names]
 
 
 def check_shapes(kind: Kind, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Check that equal names in the shapes of a kind are equal lengths.
 
+    Args:
+        kind: kind of the artifact.
+        arrays: by name.
+
     Raises:
-        ArtifactError: naming the array and the length.
+        ArtifactError: a shape is wrong; the message names the array and the length.
     """
     lengths: dict[str, int] = {}
     for rule in present(kind, arrays):
@@ -45,8 +54,12 @@ def check_shapes(kind: Kind, arrays: Mapping[str, NDArray[Any]]) -> None:
 def check_arrays(kind: Kind, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Check the values of all arrays of a kind.
 
+    Args:
+        kind: kind of the artifact.
+        arrays: by name, with the shapes of the kind.
+
     Raises:
-        ArtifactError: naming the array, the rule and the first offending row.
+        ArtifactError: a value is wrong; the message names the array, the rule and the first row.
     """
     for rule in present(kind, arrays):
         bad = _first_offence(rule, arrays)
@@ -89,7 +102,7 @@ def _first_offence(rule: ArrayRule, arrays: Mapping[str, NDArray[Any]]) -> str |
 
 
 def _norm(rows: NDArray[Any]) -> NDArray[Any]:
-    """Lengths of short rows, column by column: several times faster than along the rows."""
+    """Lengths of short rows, computed column by column, which is several times faster than by rows."""
     with np.errstate(over="ignore"):
         square = rows[:, 0] * rows[:, 0]
         for column in rows.T[1:]:

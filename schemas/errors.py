@@ -1,4 +1,4 @@
-"""Everything that can go wrong for a user, each class with its exit code."""
+"""Errors for the user, each class with its exit code."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class ExitCode(IntEnum):
 
 
 class AlulaError(Exception):
-    """Base of all errors that a user can do something about; one line of text."""
+    """Base of all errors that a user can act on; the text is one line."""
 
     exit_code = ExitCode.INTERNAL
 
@@ -50,7 +50,7 @@ class VersionError(ArtifactError):
 
 
 class DamagedError(ArtifactError):
-    """An artifact's bytes are not what its manifest says."""
+    """An artifact's bytes contradict its manifest."""
 
 
 class OutputError(InputError):
@@ -64,12 +64,12 @@ class CheckError(AlulaError):
 
 
 class InfeasibleError(AlulaError):
-    """There is no answer within what was asked: no plan, no cover within the budget."""
+    """There is no solution within the limits: no plan, no cover within the budget."""
 
     exit_code = ExitCode.INFEASIBLE
 
 
 class LinkError(AlulaError):
-    """A link or a vehicle does not answer as it must."""
+    """A link or a vehicle does not respond as required."""
 
     exit_code = ExitCode.LINK

@@ -1,4 +1,4 @@
-"""What names of files stand for, asked without opening them: a pipe that is opened waits for a writer."""
+"""Tests of file names without opening the files, because opening a pipe waits for its writer."""
 
 from __future__ import annotations
 
@@ -9,15 +9,22 @@ from alula.schemas.errors import InputError
 
 
 def is_special(path: Path) -> bool:
-    """Whether there is a device, a pipe or a socket of that name: nothing to replace, nothing to map."""
+    """Test whether a path is a device, a pipe or a socket, which can be neither replaced nor mapped.
+
+    Args:
+        path: it need not exist.
+    """
     return path.exists() and not (path.is_file() or path.is_dir())
 
 
 def check_no_stream(path: Path) -> None:
-    """That an input, if it is there, is a file or a folder.
+    """Check that an input, if it exists, is a file or a folder.
+
+    Args:
+        path: the input.
 
     Raises:
-        InputError: it is a device or a pipe, such as `/dev/stdin` and what `<(...)` of a shell makes.
+        InputError: it is a device or a pipe, such as `/dev/stdin` or the `<(...)` of a shell.
     """
     if is_special(path):
         raise InputError(
@@ -26,5 +33,9 @@ def check_no_stream(path: Path) -> None:
 
 
 def printable(name: str) -> str:
-    """A file's name as text that can be written in UTF-8; other bytes become a backslash and their code."""
+    """Convert a file's name to text for UTF-8; other bytes become a backslash and their code.
+
+    Args:
+        name: the name, with surrogate escapes for bytes that are not UTF-8.
+    """
     return os.fsencode(name).decode("utf-8", "backslashreplace")

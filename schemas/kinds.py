@@ -1,4 +1,4 @@
-"""The artifact kinds that are stored as arrays: names, types, ranges and meanings of each."""
+"""Artifact kinds that are stored as arrays: names, types, ranges and meanings of their arrays."""
 
 from __future__ import annotations
 
@@ -23,8 +23,15 @@ Rule = Literal[
 class ArrayRule:
     """One array of a kind.
 
-    `shape` mixes numbers and names; equal names are equal lengths, "N+1" is one more than "N".
-    `indexes` names the array whose first axis the values index. An `optional` array may be missing.
+    Attributes:
+        name: name of the array.
+        dtype: NumPy type with byte order.
+        shape: numbers and names; equal names are equal lengths, "N+1" is one more than "N".
+        unit: unit of the values; "frame" is the unit of the manifest.
+        meaning: description, for the manifest.
+        rule: check of the values.
+        indexes: name of the array that the values index along its first axis.
+        optional: the array may be missing.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Manifests: what an artifact is, where it came from and what it guarantees."""
+"""Manifests: kind, origin, content and guarantee of an artifact."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from alula import __version__
 
 VERSION = "1.0"
 
-# What a manifest's `requires` may name and this program knows.
+# Features that a manifest's `requires` may name and that this program supports.
 OUTER_POLYTOPES = "outer-polytopes"
 SPLAT_LOSS = "splat-loss"
 FEATURES = frozenset({OUTER_POLYTOPES, SPLAT_LOSS})
 
-# What readers accept; wide enough for everything the commands write, narrow enough that lengths in
-# double precision neither overflow nor lose their sign.
+# Ranges that readers accept: wide enough for everything that the commands write, narrow enough that lengths
+# in double precision neither overflow nor lose their sign.
 Length = Annotated[float, msgspec.Meta(ge=1e-6, le=1e6)]
 Margin = Annotated[float, msgspec.Meta(ge=0, le=1e12)]
 Level = Annotated[float, msgspec.Meta(gt=0, le=1e4)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=2**32 - 1)]
-Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Fraction = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Box = Annotated[list[float], msgspec.Meta(min_length=6, max_length=6)]
 
 
@@ -40,8 +40,8 @@ class Producer(msgspec.Struct, frozen=True):
 class InputRef(msgspec.Struct, frozen=True, order=True):
     """A file that an artifact was made from.
 
-    `schema` and `version` are empty for files that are not artifacts; `name` is the file's name
-    without its folder, so that equal content stays equal bytes wherever it is made.
+    `schema` and `version` are empty for files that are not artifacts. `name` is the file's name without its
+    folder, so that equal content gives equal bytes in every folder.
     """
 
     role: str
@@ -63,14 +63,14 @@ class ArraySpec(msgspec.Struct, frozen=True):
 
 
 class Guarantee(msgspec.Struct, frozen=True):
-    """What the artifact promises: a sentence, and the same as machine-readable claims."""
+    """Guarantee of an artifact: a sentence, and the same as machine-readable claims."""
 
     statement: str
     claims: dict[str, Any] = {}
 
 
 class Similarity(msgspec.Struct, frozen=True):
-    """p_world = scale * rotation @ p_scene + translation_m; rotation row-major, det +1."""
+    """Similarity p_world = scale * rotation @ p_scene + translation_m; rotation row-major, det +1."""
 
     scale: Annotated[float, msgspec.Meta(gt=0)]
     rotation: list[list[float]]
@@ -97,10 +97,10 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
 class SceneManifest(Manifest, frozen=True, kw_only=True):
     """Manifest of `alula/scene`.
 
-    With the array `loss`, `requires` says so: who does not know it must not take the ellipsoids for those
-    of the original. `world_from_scene` is None until `scale-align` has run; `suggested_inflation_m` then
-    bounds the position error at the scene's bounds that the alignment leaves. `source` describes the splat
-    file: format, row counts, rows removed by each rule, bounds of the format's own loss.
+    An artifact with the array `loss` names it in `requires`: a reader that does not know `loss` must not use
+    the ellipsoids as those of the original. `world_from_scene` is None until `scale-align` has run.
+    `suggested_inflation_m` then bounds the alignment's position error within the scene's bounds. `source`
+    describes the splat file: format, row counts, rows removed by each rule, bounds of the format's own loss.
     """
 
     source: dict[str, Any]
@@ -109,17 +109,17 @@ class SceneManifest(Manifest, frozen=True, kw_only=True):
     suggested_inflation_m: Margin = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a loss that older readers would pass over."""
+        """Refuse a loss that older readers would ignore."""
         if ("loss" in self.arrays) != (SPLAT_LOSS in self.requires):
             raise ValueError("the array `loss` and `requires` do not agree")
 
 
 class LevelManifest(Manifest, frozen=True, kw_only=True):
-    """What counts as an obstacle on the lattice: shared by voxels and the cover made from them.
+    """Definition of an obstacle on the lattice, shared by voxels and the cover made from them.
 
-    Every voxel of edge `voxel_size_m` that touches `crop` and is touched by at least `min_overlap`
+    A voxel of edge `voxel_size_m` counts when it touches `crop` and is touched by at least `min_overlap`
     ellipsoids of level `sigma`, grown by `inflation_m`, of Gaussians of at least `min_opacity`. Each
-    is also grown by what the scene's `loss` says of it, unless `ignore_loss`.
+    ellipsoid is also grown by the scene's `loss`, unless `ignore_loss`.
     """
 
     unit: Literal["m"]
@@ -128,11 +128,11 @@ class LevelManifest(Manifest, frozen=True, kw_only=True):
     min_overlap: Count
     inflation_m: Margin = 0.0
     crop: Box | None = None
-    min_opacity: Share = 0.0
+    min_opacity: Fraction = 0.0
     ignore_loss: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse a crop that contains nothing."""
+        """Refuse an empty crop."""
         _check_crop(self.crop)
 
 
@@ -143,9 +143,9 @@ class VoxelsManifest(LevelManifest, frozen=True, kw_only=True):
 class CoverManifest(LevelManifest, frozen=True, kw_only=True):
     """Manifest of `alula/cover`: polytopes {x : normal . x <= offset} in units of voxel_size_m.
 
-    It carries the level of the voxels it covers, so that a scene can be checked against the cover alone.
-    With `polytopes` "hull" they are the convex hulls of their members. With "outer" they contain those:
-    planes that support the hull, with those of its bounding box among them; `requires` says so too.
+    It has the level of the covered voxels, so that a scene can be checked against the cover alone. With
+    `polytopes` "hull" the polytopes are the convex hulls of their members. With "outer" they contain these
+    hulls: their planes support the hull and include those of its bounding box; `requires` names this too.
     """
 
     conservativeness: float
@@ -153,7 +153,7 @@ class CoverManifest(LevelManifest, frozen=True, kw_only=True):
     polytopes: Literal["hull", "outer"] = "hull"
 
     def __post_init__(self) -> None:
-        """Refuse outer polytopes that older readers would take for hulls."""
+        """Refuse outer polytopes that older readers would use as hulls."""
         super().__post_init__()
         if (self.polytopes == "outer") != (OUTER_POLYTOPES in self.requires):
             raise ValueError(f"`polytopes` is {self.polytopes}, but `requires` says otherwise")
@@ -174,7 +174,7 @@ def _check_crop(crop: list[float] | None) -> None:
 
 
 def native_commit() -> str:
-    """The commit baked into the extension module; empty in an editable build."""
+    """Commit that the extension module was built from; empty in an editable build."""
     from alula._core import commit
 
     return commit()
@@ -184,11 +184,11 @@ def native_commit() -> str:
 def producer() -> Producer:
     """This program: its version, and the commit it was built from or runs from.
 
-    A wheel carries its commit. In a checkout git is asked; 'unknown' when neither can say.
+    A wheel contains its commit. In a checkout the commit comes from git; without either it is 'unknown'.
     """
     commit = native_commit()
     root = Path(__file__).resolve().parents[1]
-    if not commit and (root / ".git").exists():  # never that of a repository around an installation
+    if not commit and (root / ".git").exists():  # not the commit of a repository around an installation
         try:
             done = subprocess.run(
                 ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"],
@@ -204,7 +204,10 @@ def producer() -> Producer:
 
 
 def parse_version(text: str) -> tuple[int, int]:
-    """MAJOR, MINOR of a version string.
+    """Parse a version string into MAJOR and MINOR.
+
+    Args:
+        text: such as "1.0".
 
     Raises:
         ValueError: the text is not of the form MAJOR.MINOR.

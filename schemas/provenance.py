@@ -1,4 +1,4 @@
-"""Where an output came from, whatever its format, and whether it is still current."""
+"""Provenance of outputs in all formats, and the test whether an output is current."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ MARK = "alula-provenance: "
 RUN_METADATA = "alula/summary"
 _SEARCHED_BYTES = 2**20
 _MANIFEST_LIMIT = 2**26
-_NOT_JSON = (msgspec.MsgspecError, ValueError, RecursionError)  # what decoding raises, of any bytes
+_NOT_JSON = (msgspec.MsgspecError, ValueError, RecursionError)  # errors of decoding arbitrary bytes
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
-    """What an output was made of; equal provenance means an equal output.
+    """Program, parameters and inputs of an output; equal provenance means an equal output.
 
-    Text formats carry it as one line that holds `MARK` and this as JSON; JSON files under the key
-    `provenance`, GLB files under `asset.extras.provenance`; array artifacts in
-    their manifest; MCAP logs in their metadata; onboard maps in a line after the image.
+    Text formats hold it as JSON behind `MARK` in one line, JSON files under the key `provenance`, GLB files
+    under `asset.extras.provenance`, array artifacts in their manifest, MCAP logs in their metadata, and
+    onboard maps in a line after the image.
     """
 
     schema: str
@@ -47,7 +47,15 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
         seed: int | None,
         inputs: Sequence[InputRef],
     ) -> Provenance:
-        """The provenance of an output that this program makes now."""
+        """Provenance of an output that this program makes now.
+
+        Args:
+            schema: kind of the output.
+            version: version of that kind.
+            parameters: all parameters that the output depends on, as plain JSON values.
+            seed: the seed, when the output depends on one.
+            inputs: all files that the output depends on, in any order.
+        """
         return cls(
             schema=schema,
             version=version,
@@ -58,21 +66,33 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def line(self, summary: dict[str, Any] | None = None) -> str:
-        """One line of text that `read_provenance` finds again."""
+        """Encode as one line of text, which `read_provenance` can read.
+
+        Args:
+            summary: figures of the output to record too.
+        """
         record = msgspec.structs.replace(self, summary=summary or {})
         return MARK + msgspec.json.encode(record, order="sorted").decode()
 
 
 def parameters_of(config: Any) -> dict[str, Any]:
-    """A configuration dataclass as the plain JSON values that a manifest records."""
-    # By way of JSON, so that tuples are the lists that are read back and compared.
+    """Convert a configuration dataclass to the plain JSON values that a manifest records.
+
+    Args:
+        config: an instance of the dataclass.
+    """
+    # A round trip through JSON turns tuples into lists, as they are when read back and compared.
     return msgspec.json.decode(msgspec.json.encode(dataclasses.asdict(config)), type=dict[str, Any])
 
 
 def differences(recorded: Provenance, wanted: Provenance) -> list[str]:
-    """In a few words each, what differs; empty when the recorded output is current.
+    """Differences between two provenances, as short phrases; empty when the recorded output is current.
 
-    The producer's commit does not count, its version does. File names do not count, hashes do.
+    The producer's version counts, its commit does not. Hashes of inputs count, file names do not.
+
+    Args:
+        recorded: provenance of the existing output.
+        wanted: provenance of the output to be made.
     """
     found = []
     if recorded.schema != wanted.schema:
@@ -87,20 +107,22 @@ def differences(recorded: Provenance, wanted: Provenance) -> list[str]:
         found.append(f"seed was {recorded.seed}, now {wanted.seed}")
     old_inputs = [(ref.role, ref.sha256) for ref in recorded.inputs]
     if old_inputs != [(ref.role, ref.sha256) for ref in wanted.inputs]:
-        found.append("its inputs were others")
+        found.append("its inputs were different")
     return found
 
 
 class _Carrier(msgspec.Struct):
-    """What matters of a JSON file; of a long one, all else is skipped and not built."""
+    """The provenance of a JSON file; the decoder skips everything else."""
 
     provenance: Provenance | None = None
 
 
 def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
-    """The provenance that a file carries, or None when it carries none that can be read.
+    """Read the provenance of a file; None when it has none that can be read.
 
-    With `verify` the content of an array artifact is checked too, and a damaged one counts as none.
+    Args:
+        path: the file, of any format.
+        verify: also check the content of array artifacts and onboard maps; damaged ones give None.
     """
     try:
         with path.open("rb") as file:
@@ -167,7 +189,7 @@ def _of_glb(path: Path) -> Provenance | None:
 
 
 def _of_map(path: Path, verify: bool) -> Provenance | None:
-    """After the image of an onboard map; its length and the CRC-32 of its parts are in its header."""
+    """Read from behind the image of an onboard map; its header has its length and the CRC-32 of its parts."""
     raw = path.read_bytes()
     total = int.from_bytes(raw[16:20], "little")
     if len(raw) < total or total < 64:

@@ -1,24 +1,24 @@
-"""The microcontrollers that onboard maps are exported for: their room and their pace."""
+"""Microcontrollers that onboard maps are exported for: their memory and their speed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 CODE_BYTES = 48_000
-"""Kept free of maps for the filters' code; `make onboard` checks that all of them fit."""
+"""Flash that is reserved for the filters' code; `make onboard` checks that all filters fit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where a map goes.
+    """A microcontroller with its firmware.
 
     Attributes:
-        name: of `export --target`.
-        flash_bytes: beside its firmware, 0 for any number.
-        ram_bytes: beside its firmware, 0 for any number.
-        clock_hz: of its core, 0 where it is not known.
-        cycles_per_instruction: an upper bound; what a tick takes is instructions times this over the clock.
-        rates_hz: at which its control loop may call a filter.
+        name: value of `export --target`.
+        flash_bytes: flash that the firmware leaves free, 0 for no limit.
+        ram_bytes: RAM that the firmware leaves free, 0 for no limit.
+        clock_hz: clock of the core, 0 where it is not known.
+        cycles_per_instruction: upper bound; a tick takes its instructions times this over the clock.
+        rates_hz: rates at which the control loop may call a filter.
     """
 
     name: str
@@ -30,7 +30,7 @@ class Target:
 
     @property
     def map_room(self) -> int:
-        """Bytes of the largest map, 0 for any."""
+        """Maximum size of a map [bytes]; 0 also where there is no limit."""
         return max(self.flash_bytes - CODE_BYTES, 0)
 
 

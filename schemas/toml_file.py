@@ -1,4 +1,4 @@
-"""TOML files that people write: one clear line for whatever is wrong with them."""
+"""Reading of TOML files that users write, with one-line error messages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,12 @@ Table = TypeVar("Table", bound=msgspec.Struct)
 
 
 def has_key(path: Path, key: str) -> bool:
-    """Whether a file is a TOML file with a key at its top."""
+    """Test whether a file is a TOML file with a key at its top level.
+
+    Args:
+        path: the file; False when it cannot be read.
+        key: the key.
+    """
     try:
         return key in msgspec.toml.decode(path.read_bytes())
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, ValueError):
@@ -25,6 +30,11 @@ def has_key(path: Path, key: str) -> bool:
 
 def read_toml(path: Path, table: type[Table], schema: str) -> Table:
     """Read a file into a struct.
+
+    Args:
+        path: the file.
+        table: type of the struct.
+        schema: id of the file's schema, for messages.
 
     Raises:
         InputError: the file cannot be read, is empty or is not TOML.
@@ -38,7 +48,7 @@ def read_toml(path: Path, table: type[Table], schema: str) -> Table:
     if not raw.strip():
         raise InputError(f"{path}: is empty")
     try:
-        # The version alone first: later versions may have keys that this one calls unknown.
+        # The version is checked first, because later versions may have keys that are unknown here.
         version = str(msgspec.toml.decode(raw).get("version", VERSION))
     except (msgspec.DecodeError, UnicodeDecodeError, ValueError) as error:
         raise InputError(f"{path}: is not TOML ({error})") from error
@@ -55,10 +65,16 @@ def read_toml(path: Path, table: type[Table], schema: str) -> Table:
 
 
 def read_changed(path: Path, table: type[Table], schema: str, changes: Mapping[str, Any] | None) -> Table:
-    """As `read_toml`, with values replaced by their keys with dots between; all numbers are finite.
+    """Read a file as `read_toml` does, replace some values, and check that all numbers are finite.
+
+    Args:
+        path: the file.
+        table: type of the struct.
+        schema: id of the file's schema, for messages.
+        changes: new values by their keys, with dots between the levels.
 
     Raises:
-        InputError, VersionError, UsageError: as `read_toml`; the last for changes too.
+        InputError, VersionError, UsageError: as `read_toml`; UsageError also for a wrong change.
     """
     value = read_toml(path, table, schema)
     if changes:
@@ -90,7 +106,13 @@ def _set(tree: Any, key: str, value: Any) -> None:
 
 
 def first_beyond(value: Any, path: str, limit: float) -> str | None:
-    """The path of the first number whose size is not below a limit."""
+    """Path of the first number with an absolute value that is not below a limit; None without one.
+
+    Args:
+        value: plain values, as from TOML.
+        path: path of `value` itself.
+        limit: the limit; with infinity only numbers that are not finite are found.
+    """
     if isinstance(value, float):
         return None if abs(value) < limit else f"`{path}`"
     items: list[tuple[str, Any]] = []

@@ -14,22 +14,23 @@ class ImportSplatConfig:
 
     format: str = field(
         default="auto",
-        metadata={"help": "auto looks at the content; the name of a format forces it.", "metavar": "NAME"},
+        metadata={
+            "help": "Format of the file; auto recognises it by the content.",
+            "metavar": "NAME",
+        },
     )
     turn: Literal["none", "x", "y", "z"] = field(
         default="none",
         metadata={
-            "help": "Turn the file's frame by 180 degrees about an axis, before all else; "
-            "x undoes what most writers of SPZ do to a .ply, z what some writers of glTF do."
+            "help": "Turn the file's frame by 180 degrees about an axis, before all else. "
+            "Most writers of SPZ turn the data of a .ply about x, some writers of glTF about z."
         },
     )
     drop_nan: bool = field(
         default=False,
-        metadata={
-            "help": "Leave out Gaussians with a value that is not a finite number, instead of failing."
-        },
+        metadata={"help": "Leave out Gaussians with a value that is not finite, instead of failing."},
     )
-    min_opacity: float = field(default=0.1, metadata={"help": "Leave out Gaussians with a lower opacity."})
+    min_opacity: float = field(default=0.1, metadata={"help": "Minimum opacity of a Gaussian."})
     crop: tuple[float, float, float, float, float, float] | None = field(
         default=None,
         metadata={
@@ -46,14 +47,14 @@ class ImportSplatConfig:
         },
     )
     max_scale: float | None = field(
-        default=None, metadata={"help": "Leave out Gaussians with a longer one-sigma semi-axis [file units]."}
+        default=None, metadata={"help": "Maximum one-sigma semi-axis of a Gaussian [file units]."}
     )
     drop_floaters: bool = field(
         default=False, metadata={"help": "Leave out small groups that are far from everything else."}
     )
 
     def __post_init__(self) -> None:
-        """Refuse values that mean nothing."""
+        """Refuse values out of range."""
         if not (0 <= self.min_opacity <= 1):
             raise UsageError(f"--min-opacity must be between 0 and 1, not {self.min_opacity}")
         if self.crop is not None and not all(self.crop[i] < self.crop[i + 3] for i in range(3)):

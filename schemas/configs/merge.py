@@ -10,7 +10,7 @@ from alula.schemas.errors import UsageError
 
 DEFAULT_HULLS = 300
 KDOPS = (6, 14, 18, 26)
-_BOX_PLANES, _MOST_PLANES = 6, 10**6
+_BOX_PLANES, _MAX_PLANES = 6, 10**6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,27 +18,30 @@ class MergeConfig:
     """Parameters of `merge`; without any of the four limits, `hulls` is `DEFAULT_HULLS`.
 
     `hulls`, `max_planes` and `max_bytes` are budgets: merging stops as soon as they hold. `max_growth`
-    bounds the price; alone, it asks for as few hulls as it allows. `facet_cap` is a number, "auto" or
-    "none"; None chooses "auto" where there are planes or bytes to share out by the default method.
+    bounds the volume; alone, it gives the smallest number of hulls within that bound. `facet_cap` is a
+    number, "auto" or "none"; None chooses "auto" where the default method has a budget of planes or bytes
+    to distribute.
     """
 
     hulls: int | None = field(
         default=None,
-        metadata={"help": f"At most this many hulls; {DEFAULT_HULLS} when no limit is given."},
+        metadata={"help": f"Maximum number of hulls; {DEFAULT_HULLS} when no limit is given."},
     )
-    max_planes: int | None = field(default=None, metadata={"help": "At most this many half-planes in all."})
+    max_planes: int | None = field(
+        default=None, metadata={"help": "Maximum number of half-planes of all hulls together."}
+    )
     max_bytes: int | None = field(
-        default=None, metadata={"help": "At most this many bytes as an onboard map (see export)."}
+        default=None, metadata={"help": "Maximum size as an onboard map (see export) [bytes]."}
     )
     max_growth: float | None = field(
-        default=None, metadata={"help": "Volume of the cover over that of the voxels, at most (1.1: +10 %)."}
+        default=None, metadata={"help": "Maximum volume of the cover over that of the voxels (1.1: +10 %)."}
     )
     facet_cap: str | int | None = field(
         default=None,
         metadata={
             "metavar": "F|auto|none",
-            "help": "Replace hulls by outer polytopes of at most F planes; auto shares --max-planes or "
-            "--max-bytes out where planes remove most, and is the default with these.",
+            "help": "Replace hulls by outer polytopes of at most F planes; auto distributes --max-planes or "
+            "--max-bytes to where planes remove most volume, and is the default with these.",
         },
     )
     kdop: int | None = field(
@@ -54,13 +57,13 @@ class MergeConfig:
     method: Literal["default", "paper"] = field(
         default="default",
         metadata={
-            "help": "default: merge where the excess grows least, then tighten, mostly 10 to 30 % less excess"
-            " at equal hulls than paper: the published rule."
+            "help": "default: merge where the excess volume grows least, then tighten; paper: the published "
+            "rule. At equal hulls default mostly has 10 to 30 % less excess than paper."
         },
     )
 
     def __post_init__(self) -> None:
-        """Refuse values that mean nothing; choose the default limit."""
+        """Refuse values out of range and choose the default limit."""
         if all(limit is None for limit in (self.hulls, self.max_planes, self.max_bytes, self.max_growth)):
             object.__setattr__(self, "hulls", DEFAULT_HULLS)
         if self.hulls is not None and self.hulls < 1:
@@ -79,17 +82,17 @@ class MergeConfig:
 
     def _resolved_cap(self) -> str | int:
         """The cap as a number, "auto" or "none"."""
-        cap, shares = self.facet_cap, self.max_planes is not None or self.max_bytes is not None
+        cap, has_budget = self.facet_cap, self.max_planes is not None or self.max_bytes is not None
         if cap is None:
-            return "auto" if shares and self.kdop is None and self.method == "default" else "none"
+            return "auto" if has_budget and self.kdop is None and self.method == "default" else "none"
         if isinstance(cap, str) and cap.isdecimal():
             cap = int(cap)
         if isinstance(cap, str) and cap not in ("auto", "none"):
             raise UsageError(f"--facet-cap must be a number, auto or none, not {cap!r}")
-        if isinstance(cap, int) and not (_BOX_PLANES <= cap <= _MOST_PLANES):
-            raise UsageError(f"--facet-cap must be between {_BOX_PLANES} and {_MOST_PLANES}, not {cap}")
-        if cap == "auto" and not shares:
-            raise UsageError("--facet-cap auto shares out a budget; give --max-planes or --max-bytes")
+        if isinstance(cap, int) and not (_BOX_PLANES <= cap <= _MAX_PLANES):
+            raise UsageError(f"--facet-cap must be between {_BOX_PLANES} and {_MAX_PLANES}, not {cap}")
+        if cap == "auto" and not has_budget:
+            raise UsageError("--facet-cap auto distributes a budget; give --max-planes or --max-bytes")
         if cap == "auto" and self.method == "paper":
             raise UsageError("--facet-cap auto is not part of --method paper; give a number")
         if cap != "none" and self.kdop is not None:

@@ -14,38 +14,39 @@ class VoxelizeConfig:
     size_m: float = field(default=0.05, metadata={"help": "Edge of a voxel [m].", "option": "--size"})
     sigma: float = field(default=1.0, metadata={"help": "Level of the ellipsoids, in standard deviations."})
     confidence: float | None = field(
-        default=None, metadata={"help": "Probability inside the ellipsoid; sets sigma by the chi-square law."}
+        default=None,
+        metadata={"help": "Probability inside the ellipsoid; sets sigma by the chi-square distribution."},
     )
     min_overlap: int = field(
-        default=1, metadata={"help": "Keep voxels that at least this many ellipsoids touch."}
+        default=1, metadata={"help": "Minimum number of ellipsoids that touch a marked voxel."}
     )
     crop: tuple[float, float, float, float, float, float] | None = field(
         default=None,
         metadata={
-            "help": "Keep voxels that touch the box XMIN YMIN ZMIN XMAX YMAX ZMAX [m].",
+            "help": "Mark only voxels that touch the box XMIN YMIN ZMIN XMAX YMAX ZMAX [m].",
             "metavar": "BOX",
         },
     )
     min_opacity: float = field(
         default=0.0,
-        metadata={"help": "Leave out Gaussians with a lower opacity, beside those that the import left out."},
+        metadata={"help": "Minimum opacity of a Gaussian, in addition to the minimum of the import."},
     )
     inflation_m: float | None = field(
         default=None,
         metadata={
-            "help": "Grow ellipsoids by this [m]; default: what the alignment suggests.",
+            "help": "Radius of the ball added to each ellipsoid [m]; default: the alignment's suggestion.",
             "option": "--inflate",
         },
     )
     ignore_loss: bool = field(
         default=False,
         metadata={
-            "help": "Take the Gaussians as they are, not grown by what their file's format may have lost."
+            "help": "Do not grow the ellipsoids by the precision that the splat file's format may have lost."
         },
     )
 
     def __post_init__(self) -> None:
-        """Refuse values that mean nothing."""
+        """Refuse values out of range."""
         if not (1e-4 <= self.size_m <= 1e3):
             raise UsageError(f"--size must be between 0.0001 and 1000 m, not {self.size_m}")
         if not (0.01 <= self.sigma <= 100):

@@ -1,26 +1,35 @@
-"""Surveyed clouds from files."""
+"""Reading of surveyed clouds from files."""
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
-from alula.stages.alignment.quiet import quiet
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".xyzn", ".xyzrgb", ".pts", ".npz")
 _KEYS = ("points", "xyz", "positions")
 
 
 def read_cloud(path: Path) -> FloatArray:
-    """Points of a cloud, shape (n, 3), in the file's units.
+    """Read the points of a cloud.
 
-    PLY, PCD, XYZ and PTS are read by Open3D; of an .npz the array `points`, `xyz` or `positions`.
+    Open3D reads PLY, PCD, XYZ and PTS. In an .npz the points are the array `points`, `xyz` or `positions`.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Shape (n, 3), in the file's units.
 
     Raises:
-        InputError: it cannot be read, has no points, or one that is not finite.
+        InputError: the file cannot be read, has no points, or has one that is not finite.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -54,8 +63,28 @@ def _npz(path: Path) -> FloatArray:
         raise InputError(f"{path}: is no readable .npz file: {str(error)[:200]}") from error
 
 
+@contextmanager
+def _native_stdout_discarded() -> Iterator[None]:
+    """Discard what native code prints to standard output; flush Python's own output before and after."""
+    sys.stdout.flush()
+    try:
+        kept = os.dup(1)
+    except OSError:  # stdout is closed: nothing can be printed there
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
 def _open3d(path: Path) -> FloatArray:
-    with quiet():
+    with _native_stdout_discarded():
         try:
             import open3d
         except (ImportError, OSError) as error:

@@ -13,7 +13,13 @@ MODEL_PARTS = ("cameras", "frames", "images", "points3D", "rigs")
 
 
 def model_files(folder: Path) -> dict[str, Path]:
-    """The files of a COLMAP model by role; binary ones where both are there, as COLMAP reads them.
+    """Find the files of a COLMAP model; where both formats are there, the binary ones, as COLMAP does.
+
+    Args:
+        folder: the model's folder.
+
+    Returns:
+        The files by their role: `cameras`, `images`, `points3D`, and `frames` and `rigs` where they exist.
 
     Raises:
         InputError: there is no model.
@@ -30,7 +36,13 @@ def model_files(folder: Path) -> dict[str, Path]:
 
 
 def read_model(folder: Path) -> Positions:
-    """Poses of the registered cameras of a COLMAP model, binary or text, sorted by image name.
+    """Read the poses of the registered cameras of a COLMAP model, binary or text, sorted by image name.
+
+    Args:
+        folder: the model's folder.
+
+    Returns:
+        Positions and axes (x right, y down, z forward) in the model's frame and units.
 
     Raises:
         InputError: it cannot be read, no image is registered, or pycolmap is not installed.

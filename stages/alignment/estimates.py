@@ -1,4 +1,4 @@
-"""From each kind of evidence to a similarity and what is to be reported of it."""
+"""Estimates of a similarity from each kind of evidence, with their records."""
 
 from __future__ import annotations
 
@@ -25,7 +25,14 @@ _VISIBLE = 0.1  # opacity of Gaussians that are registered to a cloud
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """A similarity from elsewhere: the way it came, and what to say of it."""
+    """A similarity that was given, not estimated.
+
+    Attributes:
+        similarity: world from scene.
+        method: name of its origin, for the record.
+        warnings: for the record, one sentence each.
+        facts: further figures for the record.
+    """
 
     similarity: Similarity
     method: str = "given"
@@ -38,7 +45,14 @@ Evidence = Correspondences | Cloud | Sequence[Distance] | Similarity | Given
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A similarity, its record, and a bound of the error of positions in the scene's box [m]."""
+    """An estimated similarity.
+
+    Attributes:
+        similarity: world from scene.
+        record: the alignment's record, as the manifest holds it.
+        position_error: bound of the error of positions in the scene's box, with 95 % confidence [m]; None
+            where it is not known.
+    """
 
     similarity: Similarity
     record: dict[str, Any]
@@ -52,7 +66,20 @@ def estimate(
     seed: int,
     box: tuple[FloatArray, FloatArray],
 ) -> Estimate:
-    """The similarity that the evidence says, from the scene with that bounding box."""
+    """Estimate the similarity from any kind of evidence.
+
+    Args:
+        config: see `ScaleAlignConfig`.
+        scene: an `alula/scene`.
+        evidence: see `scale_align`.
+        seed: seed of the robust estimation.
+        box: smallest and largest coordinates of the scene, each of shape (3,), scene units.
+
+    Raises:
+        InputError: the evidence does not determine a similarity.
+        CheckError: a cloud does not overlap the scene.
+        UsageError: a gate needs figures that the evidence does not provide.
+    """
     match evidence:
         case Correspondences():
             return _by_correspondences(config, evidence, seed, box)
@@ -67,7 +94,11 @@ def estimate(
 
 
 def scale_only(scale: float) -> Similarity:
-    """A similarity that keeps the origin and the axes."""
+    """Similarity that changes the scale alone: the origin and the axes stay.
+
+    Args:
+        scale: target units per source unit.
+    """
     return Similarity(scale=scale, rotation=np.eye(3).tolist(), translation_m=[0.0, 0.0, 0.0])
 
 
@@ -96,7 +127,7 @@ def _by_correspondences(
         "unused": evidence.unused,
         "threshold_m": config.threshold_m,
         "seed": seed,
-        **_sizes(fit.residual[fit.inlier], "m"),
+        **_statistics(fit.residual[fit.inlier], "m"),
         "singular_values": fit.singular_values.tolist(),
         "items": items,
         **evidence.facts,
@@ -106,7 +137,7 @@ def _by_correspondences(
         angle = np.degrees(fit.angle)
         for item, each in zip(items, angle.tolist(), strict=True):
             item["residual_deg"] = each
-        record |= {"threshold_deg": config.max_angle_deg, **_sizes(angle[fit.inlier], "deg")}
+        record |= {"threshold_deg": config.max_angle_deg, **_statistics(angle[fit.inlier], "deg")}
     return Estimate(fit.similarity, record, _bound(fit.similarity, fit.uncertainty, box))
 
 
@@ -145,12 +176,12 @@ def _by_cloud(
         "scale_leave_one_out": list(fit.leave_one_out),
         "count": fit.count,
         "inliers": len(fit.residual),
-        "fitness": fit.scene_share,
-        "cloud_fitness": fit.cloud_share,
+        "fitness": fit.scene_fraction,
+        "cloud_fitness": fit.cloud_fraction,
         "thinning_m": fit.thinning_m,
         "threshold_m": config.threshold_m,
         "seed": seed,
-        **_sizes(fit.residual, "m"),
+        **_statistics(fit.residual, "m"),
         "singular_values": fit.singular_values.tolist(),
         "items": items,
         "warnings": [],
@@ -158,7 +189,7 @@ def _by_cloud(
     return Estimate(fit.similarity, record, _bound(fit.similarity, fit.uncertainty, box))
 
 
-def _sizes(residual: FloatArray, unit: str) -> dict[str, float]:
+def _statistics(residual: FloatArray, unit: str) -> dict[str, float]:
     return {
         f"rms_{unit}": float(np.sqrt((residual**2).mean())),
         f"median_{unit}": float(np.median(residual)),
@@ -171,7 +202,7 @@ def _bound(similarity: Similarity, uncertainty: Uncertainty, box: tuple[FloatArr
 
 
 def _by_distances(distances: Sequence[Distance], threshold: float, corners: FloatArray) -> Estimate:
-    """Least squares of metres = scale * length through the origin."""
+    """Scale by least squares of metres = scale * length."""
     from scipy.stats import t as student
 
     start, end = np.array([d[0] for d in distances]), np.array([d[1] for d in distances])
@@ -194,7 +225,7 @@ def _by_distances(distances: Sequence[Distance], threshold: float, corners: Floa
         ],
         "scale_sigma": None,
         "unmeasured": ["rotation", "translation"],
-        "warnings": ["one distance: how well the scale is known is unknown"],
+        "warnings": ["one distance: the error of the scale is unknown"],
     }
     freedom, error = len(metres) - 1, None
     if freedom:
@@ -215,7 +246,7 @@ def _by_distances(distances: Sequence[Distance], threshold: float, corners: Floa
 def _given(config: ScaleAlignConfig, given: Given) -> Estimate:
     if (config.max_rms_m, config.max_scale_sigma, config.min_inliers) != (None, None, None):
         raise UsageError(
-            "--max-rms, --max-scale-sigma and --min-inliers need something to be measured against"
+            "--max-rms, --max-scale-sigma and --min-inliers need measurements; a given similarity has none"
         )
     record = {
         "method": given.method,

@@ -1,4 +1,4 @@
-"""What a scene is aligned by: points or poses known in the scene and in the world."""
+"""Evidence for an alignment: points or poses that are known in the scene and in the world."""
 
 from __future__ import annotations
 
@@ -19,10 +19,16 @@ from alula.stages.alignment.similarity import inverse, transform_points
 class Correspondences:
     """Points or poses of the scene and of the world, row by row.
 
-    `rows` says where each pair comes from; `unused` counts cameras without a reference; `R_scene` and
-    `R_world`, shape (n, 3, 3), are the axes of cameras as columns where orientations are evidence too;
-    `facts` and `warnings` go into the record of the
-    alignment.
+    Attributes:
+        rows: file and row of each pair, for messages.
+        scene: positions, shape (n, 3), scene frame and units.
+        world: the same positions, shape (n, 3), world frame [m].
+        unused: number of cameras without a reference.
+        R_scene: axes of the cameras as columns, shape (n, 3, 3), scene frame; None when orientations are no
+            evidence.
+        R_world: axes of the same cameras, shape (n, 3, 3), world frame; None as above.
+        facts: further figures for the alignment's record.
+        warnings: for the record, one sentence each.
     """
 
     rows: tuple[str, ...]
@@ -37,10 +43,14 @@ class Correspondences:
 
 @dataclass(frozen=True, slots=True)
 class Positions:
-    """Named positions, shape (n, 3), and where each was read.
+    """Named camera positions of one frame.
 
-    `axes`, shape (n, 3, 3), holds the cameras' axes as columns: x right, y down, z forward; `facts` say
-    more about the frame.
+    Attributes:
+        names: names of the images.
+        position: shape (n, 3), units of the frame.
+        rows: file and row of each, for messages.
+        axes: the cameras' axes as columns (x right, y down, z forward), shape (n, 3, 3); None when unknown.
+        facts: figures about the frame, for the alignment's record.
     """
 
     names: tuple[str, ...]
@@ -52,6 +62,11 @@ class Positions:
 
 def match(cameras: Positions, reference: Positions, *, orientations: bool = False) -> Correspondences:
     """Pair positions, or with `orientations` poses, by the names of the images.
+
+    Args:
+        cameras: cameras in the scene's frame; those without a reference are counted as unused.
+        reference: cameras in the world frame [m].
+        orientations: pair the axes of the cameras too; both sides must have them.
 
     Raises:
         InputError: a reference names an unknown image, or two positions are equal.
@@ -75,11 +90,21 @@ def match(cameras: Positions, reference: Positions, *, orientations: bool = Fals
     return distinct(found)
 
 
-def before(
-    undo: Similarity, found: Correspondences, facts: Mapping[str, Any], warnings: tuple[str, ...] = ()
+def in_training_frame(
+    original_from_training: Similarity,
+    found: Correspondences,
+    facts: Mapping[str, Any],
+    warnings: tuple[str, ...] = (),
 ) -> Correspondences:
-    """The same evidence for a scene that `undo` maps into the frame where it was measured."""
-    back = inverse(undo)
+    """Map evidence from the frame of the source poses into the frame that the scene was trained in.
+
+    Args:
+        original_from_training: source poses' frame from the scene's frame.
+        found: correspondences whose scene side is in the frame of the source poses.
+        facts: further figures for the alignment's record.
+        warnings: further warnings for the record.
+    """
+    back = inverse(original_from_training)
     axes = None if found.R_scene is None else np.array(back.rotation) @ found.R_scene
     scene = transform_points(back, found.scene)
     return dataclasses.replace(
@@ -92,7 +117,14 @@ def before(
 
 
 def distinct(found: Correspondences) -> Correspondences:
-    """Refuse equal points: they count twice but say nothing new, and come from mistakes."""
+    """Refuse correspondences that hold a point twice: a repeated point is a mistake and adds no information.
+
+    Args:
+        found: the correspondences, which are returned unchanged.
+
+    Raises:
+        InputError: two points of one side are equal; names both rows.
+    """
     for name, points in (("scene", found.scene), ("world", found.world)):
         seen: dict[tuple[float, ...], str] = {}
         for row, point in zip(found.rows, points.tolist(), strict=True):

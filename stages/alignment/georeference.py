@@ -1,4 +1,4 @@
-"""Positions on the Earth to a local frame: x east, y north, z up [m]."""
+"""Conversion of geodetic positions to a local frame: x east, y north, z up [m]."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ Origin = tuple[float, float, float]
 def enu_from_geodetic(
     geodetic: FloatArray, rows: Sequence[str], origin: Origin | None = None
 ) -> tuple[FloatArray, dict[str, Any]]:
-    """East, north, up from latitude, longitude and height on the WGS84 ellipsoid.
+    """Convert latitude, longitude and height on the WGS84 ellipsoid to east, north, up.
 
     The frame is tangent at the origin and rigid: no projection distorts it. Heights above sea level
-    instead of the ellipsoid shift it as a whole and tilt it by less than the geoid does, about 1e-4.
+    instead of the ellipsoid shift it as a whole and tilt it by less than the slope of the geoid, about 1e-4.
 
     Args:
         geodetic: latitude, longitude [deg], height [m], shape (n, 3).
-        rows: where each was read.
-        origin: what becomes 0; default: the first row.
+        rows: file and row of each position, for messages.
+        origin: latitude, longitude [deg] and height [m] that become 0; default: the first row.
 
     Returns:
-        Positions, shape (n, 3) [m], and the origin as a fact for the record.
+        Positions, shape (n, 3) [m], and the origin for the alignment's record.
 
     Raises:
-        InputError: a latitude or longitude is out of range, or a row has the position of no fix.
+        InputError: a latitude or longitude is out of range, a row has the 0, 0 of a receiver without a fix,
+            or pycolmap is not installed.
     """
     for row, (latitude, longitude, height) in zip(rows, geodetic.tolist(), strict=True):
         _check(row, latitude, longitude, height)
         if latitude == 0 and longitude == 0:
-            raise InputError(f"{row}: lat 0, lon 0 is what receivers write without a fix")
+            raise InputError(f"{row}: lat 0, lon 0: receivers write this without a fix; remove the row")
     if origin is not None:
         _check("--origin", *origin)
     try:

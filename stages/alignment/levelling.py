@@ -1,4 +1,4 @@
-"""Which way is up: a rotation that makes it +z, from a given direction or from the floor."""
+"""Levelling of a frame: a rigid motion that makes up +z, from a given direction or from the floor."""
 
 from __future__ import annotations
 
@@ -15,24 +15,29 @@ from alula.schemas.manifest import Similarity
 from alula.stages.alignment.sampling import blocks, jackknife, thinned_to
 from alula.stages.alignment.uncertainty import Uncertainty
 
-_TRIALS = 3000
-_MOST = 20_000  # points after thinning
-_SCORED = 4000
+_SAMPLES = 3000
+_MAX_POINTS = 20_000  # after thinning
+_SCORED_POINTS = 4000  # that rank the proposals
 _REFITS = 30
-_TILT = radians(40.0)  # how far the floor may lean from the direction that was expected to be up
-_BELOW = 0.2  # share of points that may be under a floor
-_THIN = 0.02  # of the tolerance: no floor is taken for thinner
-_FILLED = 0.6  # thickness over tolerance: 0.74 when points fill the slab evenly, as of walls
-_HINT = "--up says where to look, and rough ground needs a larger --threshold"
-_SHARED = 0.1  # of the thickness: what stands on a floor pulls all of it alike
-_SUPPORT = 0.05  # least share of points that lie on it
+_MAX_TILT = radians(40.0)  # between the floor's normal and the expected up direction
+_MAX_BELOW = 0.2  # fraction of the points that may lie under a floor
+_MIN_THICKNESS = 0.02  # of the tolerance
+_MAX_THICKNESS = 0.6  # of the tolerance; 0.74 when points fill the slab evenly, as those of walls do
+_HINT = "--up sets the search direction, and rough ground needs a larger --threshold"
+_COMMON_ERROR = 0.1  # of the thickness: objects on the floor shift its height everywhere alike
+_MIN_SUPPORT = 0.05  # fraction of the points that must lie on the floor
 
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """A rigid motion that levels a frame, with what is known of it.
+    """A rigid motion that levels a frame, with its record.
 
-    `error` holds the errors of the floor's height and two tilts; None when up was simply given.
+    Attributes:
+        motion: levelled from present frame, scale 1.
+        facts: figures for the alignment's record.
+        error: uncertainty of the floor's height and of its two tilts; None when up was given, or when the
+            floor is too small for an estimate.
+        warnings: weaknesses of the result, one sentence each.
     """
 
     motion: Similarity
@@ -42,10 +47,16 @@ class Level:
 
 
 def turn_up(up: FloatArray) -> FloatArray:
-    """The smallest rotation that takes a direction to +z; about x when it is -z.
+    """Smallest rotation that takes a direction to +z; a half turn about x for -z.
 
-    With m half way between up and z, the product of two reflections, (I - 2 m m') (I - 2 up up'). Below the
-    horizon 1 + up_z is (up_x^2 + up_y^2) / (1 - up_z), which loses no digits.
+    It is the product of two reflections, (I - 2 m m') (I - 2 up up'), with m half way between up and z. Below
+    the horizon 1 + up_z is evaluated as (up_x^2 + up_y^2) / (1 - up_z), which loses no digits.
+
+    Args:
+        up: a direction of any length above zero, shape (3,).
+
+    Returns:
+        Shape (3, 3).
     """
     u = up / np.linalg.norm(up)
     sideways = u[0] ** 2 + u[1] ** 2
@@ -58,35 +69,41 @@ def turn_up(up: FloatArray) -> FloatArray:
 
 
 def level_by_direction(up: FloatArray) -> Level:
-    """Turn a direction of the present frame upwards; the origin stays."""
+    """Turn a direction of the present frame upwards; the origin stays.
+
+    Args:
+        up: the direction, of any length above zero, shape (3,), present frame.
+    """
     rotation = turn_up(up)
     facts = {"by": "direction", "up": (up / np.linalg.norm(up)).tolist(), "turned_deg": _turned(rotation)}
     return Level(Similarity(scale=1.0, rotation=rotation.tolist(), translation_m=[0.0] * 3), facts)
 
 
 def level_by_floor(points: FloatArray, up: FloatArray, tolerance: float, seed: int) -> Level:
-    """Find the floor, turn its normal upwards and make its height zero; x and y of the origin stay.
+    """Find the floor by RANSAC, turn its normal upwards and make its height zero; x and y of the origin stay.
 
-    Planes through three random points within 40 degrees of level are rated by how many points of the
-    scene, averaged in cubes, are within the tolerance, less those further below: a ceiling or a table
-    has much below it, a floor nothing but noise. The best is fitted by least squares to its points
-    until these no longer change. Blocks of space say how well it is known (see `jackknife`).
+    The points of the scene are averaged in cubes. Planes through three random points, tilted by at most 40
+    degrees, are proposals. The score of a plane is the number of points within the tolerance minus twice
+    the number of points more than two tolerances below it: a ceiling or a table has many points below it, a
+    floor has only noise. The plane with the highest score is fitted by least squares to its points until
+    these no longer change. The uncertainty comes from blocks of space (see `jackknife`).
 
     Args:
         points: shape (n, 3) [m].
-        up: roughly; shape (3,).
-        tolerance: how thick a floor is, to either side [m].
-        seed: of the random triples.
+        up: approximate up direction, shape (3,), frame of the points.
+        tolerance: half the thickness of a floor [m].
+        seed: seed of the random triples.
 
     Raises:
-        CheckError: no plane is a floor.
+        CheckError: no plane qualifies as a floor.
+        InputError: there are fewer than ten points after averaging.
     """
-    kept, edge = thinned_to(points, tolerance, _MOST)
+    kept, edge = thinned_to(points, tolerance, _MAX_POINTS)
     up = up / np.linalg.norm(up)
     if len(kept) < 10:
-        raise InputError(f"--floor: only {len(kept)} places of {edge:g} m hold Gaussians")
+        raise InputError(f"--floor: only {len(kept)} cubes of {edge:g} m hold Gaussians; 10 are needed")
     rng = np.random.default_rng(seed)
-    normal, offset = _best_plane(kept, up, tolerance, rng)
+    normal, offset = _ransac_plane(kept, up, tolerance, rng)
     inlier = np.abs(kept @ normal - offset) <= tolerance
     spread = tolerance
     for _ in range(_REFITS):
@@ -96,31 +113,31 @@ def level_by_floor(points: FloatArray, up: FloatArray, tolerance: float, seed: i
         _, _, vt = np.linalg.svd(kept[inlier] - centre, full_matrices=False)
         normal = vt[2] * np.sign(vt[2] @ up)
         height = kept @ normal
-        # Walls and furniture stand in the slab too: what lies flat is where the median is.
+        # Walls and furniture have points in the slab too; the median is the height of the flat part.
         near = np.abs(height - np.median(height[inlier])) <= tolerance
         offset = float(np.median(height[near]))
         spread = 1.4826 * float(np.median(np.abs(height[near] - offset)))
-        again = np.abs(height - offset) <= min(max(3 * spread, _THIN * tolerance), tolerance)
+        again = np.abs(height - offset) <= min(max(3 * spread, _MIN_THICKNESS * tolerance), tolerance)
         if (again == inlier).all():
             break
         inlier = again
     offset = float((kept[inlier] @ normal).mean()) if inlier.any() else offset
     height = kept @ normal - offset
-    share, below = float(inlier.mean()), float((height < -2 * tolerance).mean())
-    if spread > _FILLED * tolerance:
+    support, below = float(inlier.mean()), float((height < -2 * tolerance).mean())
+    if spread > _MAX_THICKNESS * tolerance:
         raise CheckError(
             f"alignment: no floor was found: the best plane is {spread:.2g} m thick, too much for "
             f"--threshold {tolerance:g} m; {_HINT}"
         )
-    if share < _SUPPORT or below > _BELOW or normal @ up < cos(_TILT):
+    if support < _MIN_SUPPORT or below > _MAX_BELOW or normal @ up < cos(_MAX_TILT):
         raise CheckError(
-            f"alignment: no floor was found: the best plane within {degrees(_TILT):.0f} deg of level holds "
-            f"{share:.1%} of the scene ({_SUPPORT:.0%} are needed) and has {below:.1%} below it (at most "
-            f"{_BELOW:.0%}); {_HINT}"
+            f"alignment: no floor was found: the best plane within {degrees(_MAX_TILT):.0f} deg of level "
+            f"holds {support:.1%} of the scene ({_MIN_SUPPORT:.0%} are needed) and has {below:.1%} below it "
+            f"(at most {_MAX_BELOW:.0%}); {_HINT}"
         )
     rotation = turn_up(normal)
     thickness = float(np.sqrt((height[inlier] ** 2).mean()))
-    error = _known(kept[inlier] @ rotation.T, offset, 4 * edge, thickness)
+    error = _floor_uncertainty(kept[inlier] @ rotation.T, offset, 4 * edge, thickness)
     motion = Similarity(scale=1.0, rotation=rotation.tolist(), translation_m=[0.0, 0.0, -offset])
     facts: dict[str, Any] = {
         "by": "floor",
@@ -129,13 +146,13 @@ def level_by_floor(points: FloatArray, up: FloatArray, tolerance: float, seed: i
         "sought_around": up.tolist(),
         "lean_deg": degrees(float(np.arccos(np.clip(normal @ up, -1, 1)))),
         "height_m": offset,
-        "share": share,
+        "share": support,
         "below": below,
         "tolerance_m": tolerance,
         "sigma_m": thickness,
     }
     if error is None:
-        return Level(motion, facts, None, ("the floor is too small to say how level it is",))
+        return Level(motion, facts, None, ("the floor is too small to estimate the error of its tilt",))
     sigma = np.sqrt(np.diag(error.covariance))
     facts |= {
         "tilt_sigma_deg": [float(sigma[4] * 180 / pi), float(sigma[5] * 180 / pi)],
@@ -148,39 +165,44 @@ def _turned(rotation: FloatArray) -> float:
     return degrees(float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))))
 
 
-def _best_plane(
+def _ransac_plane(
     points: FloatArray, up: FloatArray, tolerance: float, rng: np.random.Generator
 ) -> tuple[FloatArray, float]:
-    drawn = points[rng.integers(0, len(points), (_TRIALS, 3))]
+    """Normal and offset of the RANSAC plane with the highest score (see `level_by_floor`)."""
+    drawn = points[rng.integers(0, len(points), (_SAMPLES, 3))]
     normals = np.cross(drawn[:, 1] - drawn[:, 0], drawn[:, 2] - drawn[:, 0])
     length = np.linalg.norm(normals, axis=1)
-    sound = length > 1e-9 * max(float(np.ptp(points)), 1e-300) ** 2
-    normals, through = normals[sound] / length[sound, None], drawn[sound, 0]
+    usable = length > 1e-9 * max(float(np.ptp(points)), 1e-300) ** 2
+    normals, through = normals[usable] / length[usable, None], drawn[usable, 0]
     rise = normals @ up
     normals = normals * np.sign(rise)[:, None]
-    level = np.abs(rise) >= cos(_TILT)
+    level = np.abs(rise) >= cos(_MAX_TILT)
     normals, through = normals[level], through[level]
     if not len(normals):
         raise CheckError(
-            "alignment: no floor was found: the scene has nothing level; --up says where to look"
+            "alignment: no floor was found: the scene has no level plane; --up sets the search direction"
         )
     offsets = (normals * through).sum(axis=1)
-    some = points if len(points) <= _SCORED else points[np.sort(rng.permutation(len(points))[:_SCORED])]
-    best, most = 0, -np.inf
+    scored = points
+    if len(points) > _SCORED_POINTS:
+        scored = points[np.sort(rng.permutation(len(points))[:_SCORED_POINTS])]
+    best, best_score = 0, -np.inf
     for i, (normal, offset) in enumerate(zip(normals, offsets.tolist(), strict=True)):
-        height = some @ normal - offset
+        height = scored @ normal - offset
         score = float((np.abs(height) <= tolerance).sum() - 2 * (height < -2 * tolerance).sum())
-        if score > most:
-            best, most = i, score
+        if score > best_score:
+            best, best_score = i, score
     return normals[best], float(offsets[best])
 
 
-def _known(levelled: FloatArray, height: float, least: float, thickness: float) -> Uncertainty | None:
-    """Errors of the floor's height and tilts, from blocks of it; None when there are too few.
+def _floor_uncertainty(
+    levelled: FloatArray, height: float, min_edge: float, thickness: float
+) -> Uncertainty | None:
+    """Uncertainty of the floor's height and tilts, from blocks of it; None when there are fewer than six.
 
-    A tenth of the thickness is added to the height's: what stands on a floor pulls all blocks alike.
+    A tenth of the thickness is added to that of the height: objects on the floor shift all blocks alike.
     """
-    label, count, _ = blocks(levelled * np.array([1.0, 1.0, 0.0]), least)
+    label, count, _ = blocks(levelled * np.array([1.0, 1.0, 0.0]), min_edge)
     if count < 6:
         return None
     centre = levelled.mean(axis=0)
@@ -195,7 +217,7 @@ def _known(levelled: FloatArray, height: float, least: float, thickness: float) 
     if np.linalg.matrix_rank(information.sum(axis=0)) < 3:
         return None
     small = jackknife(information, score)
-    small[0, 0] += (_SHARED * thickness) ** 2
+    small[0, 0] += (_COMMON_ERROR * thickness) ** 2
     covariance = np.zeros((7, 7))
     index = np.array([2, 4, 5])
     covariance[np.ix_(index, index)] = small

@@ -1,4 +1,4 @@
-"""The frame that nerfstudio trains in, and the way back to that of the source poses."""
+"""The frame that nerfstudio trains in, and its transform to the frame of the source poses."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _ORTHONORMAL = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class TrainingFrame:
-    """How poses were moved before training: p_train = scale (A p_original + b).
+    """Similarity that nerfstudio applied to the poses before training: p_train = scale (A p_original + b).
 
     Attributes:
         original_from_training: p_original = A' (p_train / scale - b), the source poses' own frame.
-        facts: what was read.
-        warnings: what is doubtful about it.
+        facts: the values that were read, for the alignment's record.
+        warnings: doubts about them, one sentence each.
     """
 
     original_from_training: Similarity
@@ -35,10 +35,16 @@ class TrainingFrame:
 
 
 def transform_files(path: Path) -> dict[str, Path]:
-    """The JSON files by role, of a run's folder or of `dataparser_transforms.json` itself.
+    """Find the JSON files of a training run.
+
+    Args:
+        path: the run's folder, or `dataparser_transforms.json` itself.
+
+    Returns:
+        The files by their role: `nerfstudio`, and `nerfstudio data` when there is a `transforms.json`.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no `dataparser_transforms.json`.
     """
     found = path / TRANSFORMS if path.is_dir() else path
     if not found.is_file():
@@ -51,15 +57,16 @@ def transform_files(path: Path) -> dict[str, Path]:
 
 
 def parse_training_frame(text: str, name: str, data: str | None = None) -> TrainingFrame:
-    """Read `{"transform": 3x4 [A|b], "scale": s}`; `applied_transform` is in A and b already.
+    """Parse `{"transform": 3x4 [A|b], "scale": s}`; A and b include `applied_transform` already.
 
     Args:
-        text: of `dataparser_transforms.json`.
-        name: what to call it in messages.
-        data: text of the `transforms.json` beside it, where there is one.
+        text: text of `dataparser_transforms.json`.
+        name: the file's name, for messages.
+        data: text of the `transforms.json` in the same folder, where there is one.
 
     Raises:
-        InputError: not JSON, of another shape, not finite, A is no rotation, or the scale not positive.
+        InputError: it is not JSON, has another shape, is not finite, A is not a rotation, or the scale is not
+            between 1e-9 and 1e9.
     """
     found = _object(text, name)
     try:
@@ -88,7 +95,7 @@ def parse_training_frame(text: str, name: str, data: str | None = None) -> Train
 
 
 def _data_warnings(text: str) -> tuple[str, ...]:
-    """A scale applied when the data were made: not undone consistently."""
+    """Warning about a scale that was applied when the data were made, which is not undone consistently."""
     applied = _object(text, "transforms.json").get("applied_scale", 1.0)
     if isinstance(applied, int | float) and applied == 1.0:
         return ()

@@ -1,4 +1,4 @@
-"""The similarity between two sets of full camera poses: positions and orientations are evidence."""
+"""Robust estimation of a similarity from camera poses: MSAC, then a fit to positions and orientations."""
 
 from __future__ import annotations
 
@@ -13,14 +13,19 @@ from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.robust import Fit, fit_similarity, leave_one_out, threshold_warnings
 from alula.stages.alignment.similarity import is_collinear, transform_points
-from alula.stages.alignment.uncertainty import alike_warnings, of_points, shape_warnings, untruncated
+from alula.stages.alignment.uncertainty import (
+    correlation_warnings,
+    shape_warnings,
+    uncertainty_of_points,
+    untruncated,
+)
 
-_TRIALS = 2000
+_MAX_SAMPLES = 2000
 _REFITS = 30
-_MISS = 1e-9  # probability that no pair is free of outliers
-_CONSTANT = radians(5.0)  # a larger constant turn between camera axes is another convention
-_NOTED = radians(0.2)
-_SURE = 4.0  # standard errors
+_MISS_PROBABILITY = 1e-9  # that no sampled pair is free of outliers
+_REFUSED_TURN = radians(5.0)  # a larger constant turn between camera axes means another convention of axes
+_NOTED_TURN = radians(0.2)  # a smaller one is not worth a warning
+_SIGNIFICANT = 4.0  # standard errors
 _CONVENTIONS = {
     "OpenGL axes (x right, y up, z backward; negate the y and z axes of the cameras)": (1, -1, -1),
     "axes turned about y (x left, z backward)": (-1, 1, -1),
@@ -37,30 +42,35 @@ def fit_poses(
     angle: float,
     seed: int,
 ) -> Fit:
-    """Find the similarity that most pairs of poses agree on, then fit it to those.
+    """Estimate the similarity of the largest consistent set of poses by MSAC on pairs of poses.
 
     The model is target_i = s R source_i + t and R_target_i = R R_source_i, each with independent normal
-    errors. Pairs of poses propose s, R, t; those with the least sum of min(residual, threshold)^2 are
-    refitted. The fit minimises sum |target_i - s R source_i - t|^2 / sigma_p^2 + w |R - R_a|^2 / 2, where
-    R_a is the chordal mean of R_target_i R_source_i' (Hartley et al. 2013, section 5.3) and w [1/rad^2]
-    how well that mean is known: m / sigma_a^2, or less where orientations contradict the positions by a
-    constant turn. So two poses are enough, and positions may lie on a line.
+    errors. Pairs of poses propose s, R, t; the proposal with the smallest MSAC cost (see `robust`), where an
+    angle above `angle` counts as an outlier too, is refitted. The fit minimises
+    sum |target_i - s R source_i - t|^2 / sigma_p^2 + w |R - R_a|^2 / 2, where R_a is the chordal mean of
+    R_target_i R_source_i' (Hartley et al. 2013, section 5.3) and w [1/rad^2] is the information on that
+    mean: m / sigma_a^2, or less where orientations contradict the positions by a constant turn. So two poses
+    are enough, and positions may lie on a line.
 
     Args:
-        source: positions, shape (n, 3), any units.
-        R_source: axes of the cameras as columns, shape (n, 3, 3).
-        target: positions, shape (n, 3) [m].
-        R_target: axes of the same cameras, shape (n, 3, 3).
-        threshold: largest distance of an inlier [m].
-        angle: largest angle of an inlier [rad].
-        seed: of the random pairs.
+        source: positions of the cameras, shape (n, 3), source frame, any units.
+        R_source: axes of the cameras as columns, shape (n, 3, 3), source frame.
+        target: positions of the same cameras, shape (n, 3) [m], target frame.
+        R_target: axes of the same cameras as columns, shape (n, 3, 3), target frame.
+        threshold: maximum distance of an inlier [m].
+        angle: maximum angle of an inlier [rad].
+        seed: seed of the random pairs.
+
+    Returns:
+        The fit to the inliers, with the angles of all poses.
 
     Raises:
-        InputError: fewer than two poses, nothing agrees, or the axes of the cameras are others.
+        InputError: fewer than two poses, no two poses agree, or the axes of the cameras follow different
+            conventions.
     """
     if len(source) < 2:
         raise InputError(f"{len(source)} pose; two at different positions are needed")
-    inlier = _consensus(source, R_source, target, R_target, threshold, angle, seed)
+    inlier = _msac(source, R_source, target, R_target, threshold, angle, seed)
     by_positions = _by_positions(source, target, threshold, seed)
     if by_positions is not None:
         turned = angles(R_target, np.array(by_positions.similarity.rotation) @ R_source)
@@ -84,7 +94,14 @@ def fit_poses(
 
 
 def chordal_mean(rotations: FloatArray) -> FloatArray:
-    """The rotation with the least sum of squared matrix differences to (n, 3, 3)."""
+    """Chordal mean: the rotation that minimises the sum of squared Frobenius distances.
+
+    Args:
+        rotations: shape (n, 3, 3).
+
+    Returns:
+        Shape (3, 3).
+    """
     return _nearest(rotations.sum(axis=0))
 
 
@@ -96,7 +113,15 @@ def _nearest(matrix: FloatArray) -> FloatArray:
 
 
 def angles(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Angles between rotations (n, 3, 3), accurate near zero too [rad]."""
+    """Angles between rotations, accurate near zero too.
+
+    Args:
+        first: shape (n, 3, 3), or (1, 3, 3) to compare one with all.
+        second: as `first`.
+
+    Returns:
+        Shape (n,) [rad].
+    """
     chord = np.linalg.norm(first - second, axis=(1, 2))
     angle: FloatArray = 2 * np.arcsin(np.clip(chord / np.sqrt(8.0), 0, 1))
     return angle
@@ -105,7 +130,7 @@ def angles(first: FloatArray, second: FloatArray) -> FloatArray:
 def _solve(
     x: FloatArray, y: FloatArray, R_mean: FloatArray, w: float, sigma: float, turning: bool
 ) -> tuple[float, FloatArray, FloatArray]:
-    """Scale, rotation, translation; positions have a say in the rotation if `turning`."""
+    """Scale, rotation and translation; positions contribute to the rotation if `turning`."""
     x_mean, y_mean = x.mean(axis=0), y.mean(axis=0)
     x, y = x - x_mean, y - y_mean
     rotation = R_mean
@@ -121,7 +146,7 @@ def _solve(
     return scale, rotation, y_mean - scale * rotation @ x_mean
 
 
-def _consensus(
+def _msac(
     source: FloatArray,
     R_source: FloatArray,
     target: FloatArray,
@@ -130,19 +155,20 @@ def _consensus(
     angle: float,
     seed: int,
 ) -> NDArray[np.bool_]:
+    """Inliers of the MSAC proposal with the smallest cost after refitting, shape (n,)."""
     count = len(source)
     rng = np.random.default_rng(seed)
-    if comb(count, 2) <= _TRIALS:
+    if comb(count, 2) <= _MAX_SAMPLES:
         pairs = np.array(list(combinations(range(count), 2)))
     else:
-        drawn = rng.integers(0, count, (2 * _TRIALS, 2))
-        pairs = drawn[drawn[:, 0] != drawn[:, 1]][:_TRIALS]
+        drawn = rng.integers(0, count, (2 * _MAX_SAMPLES, 2))
+        pairs = drawn[drawn[:, 0] != drawn[:, 1]][:_MAX_SAMPLES]
     turn = R_target @ R_source.swapaxes(1, 2)
     best, best_cost = np.zeros(count, np.bool_), np.inf
     pairs = rng.permutation(pairs)
     for tried, (a, b) in enumerate(pairs.tolist()):
-        share = best.mean()
-        if tried * -log(max(1 - share * share, 1e-300)) > -log(_MISS):
+        inlier_fraction = best.mean()
+        if tried * -log(max(1 - inlier_fraction**2, 1e-300)) > -log(_MISS_PROBABILITY):
             break
         dx, dy = source[b] - source[a], target[b] - target[a]
         length = float(np.linalg.norm(dx))
@@ -150,10 +176,10 @@ def _consensus(
         if scale <= 0:
             continue
         mean = _nearest(turn[a] + turn[b])
-        # Far apart, the positions say better than orientations where their line points.
-        for rotation in (mean, _swing(mean @ dx / length, dy / (scale * length)) @ mean):
+        # For distant positions the direction of their line is more accurate than the orientations.
+        for rotation in (mean, _smallest_rotation(mean @ dx / length, dy / (scale * length)) @ mean):
             middle = 0.5 * (target[a] + target[b]) - 0.5 * scale * rotation @ (source[a] + source[b])
-            inlier, cost = _agreeing(source, target, turn, scale, rotation, middle, threshold, angle)
+            inlier, cost = _inliers_and_cost(source, target, turn, scale, rotation, middle, threshold, angle)
             if cost < best_cost:
                 best, best_cost = inlier, cost
     for _ in range(_REFITS):
@@ -161,24 +187,25 @@ def _consensus(
             break
         mean = chordal_mean(turn[best])
         scale, rotation, shift = _solve(source[best], target[best], mean, 0.0, 0.0, turning=False)
-        again, _ = _agreeing(source, target, turn, scale, rotation, shift, threshold, angle)
+        again, _ = _inliers_and_cost(source, target, turn, scale, rotation, shift, threshold, angle)
         if (again == best).all() or again.sum() < best.sum():
             break
         best = again
     return best
 
 
-def _swing(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The smallest rotation that takes one unit vector to another; none for opposite ones."""
+def _smallest_rotation(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Smallest rotation that takes one unit vector to another; the identity for nearly opposite ones."""
     x, y, z = np.cross(a, b)
     v, c = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), float(a @ b)
     return np.eye(3) + v + v @ v / (1 + c) if c > -0.99 else np.eye(3)
 
 
-def _agreeing(
+def _inliers_and_cost(
     source: FloatArray, target: FloatArray, turn: FloatArray, scale: float, rotation: FloatArray,
     shift: FloatArray, threshold: float, angle: float,
 ) -> tuple[NDArray[np.bool_], float]:  # fmt: skip
+    """Inliers of a similarity, and its MSAC cost."""
     squared = ((scale * source @ rotation.T + shift - target) ** 2).sum(axis=1)
     inlier = (squared <= threshold * threshold) & (angles(turn, rotation[None]) <= angle)
     return inlier, float(np.where(inlier, squared, threshold * threshold).sum())
@@ -197,7 +224,7 @@ def _evaluate(
         raise InputError("the poses that agree are all at one position; the scale is unknown")
     turn = R_target[inlier] @ R_source[inlier].swapaxes(1, 2)
     R_mean = chordal_mean(turn)
-    turning = count >= 4  # fewer positions say nothing of their own errors beside the rotation
+    turning = count >= 4  # fewer positions do not determine both their own errors and the rotation
     scale, rotation, shift = _solve(x, y, R_mean, 0.0, 0.0, turning=False)
     sigma_a = float(np.sqrt((angles(turn, R_mean[None]) ** 2).sum() / (3 * count - 3)))
     information = 1 / max(sigma_a**2 / count, 1e-24)
@@ -209,17 +236,20 @@ def _evaluate(
         mapped = transform_points(similarity, x)
         squared = float(((mapped - y) ** 2).sum())
         centred = mapped - mapped.mean(axis=0)
-        told = (centred * centred).sum() * np.eye(3) - centred.T @ centred
+        position_information = (centred * centred).sum() * np.eye(3) - centred.T @ centred
         if not turning:
             break
         if by_positions is not None:
             offset = float(angles(R_mean[None], by_positions[None])[0])
-            expected = sigma_a**2 / count + sigma**2 * float(np.trace(np.linalg.inv(told))) / 3
-            if sigma > 0 and offset**2 > 3 * _SURE**2 * expected:
+            expected = (
+                sigma_a**2 / count + sigma**2 * float(np.trace(np.linalg.inv(position_information))) / 3
+            )
+            if sigma > 0 and offset**2 > 3 * _SIGNIFICANT**2 * expected:
                 information = 3 / offset**2
-        # How many of the three angles the positions determine: those cost degrees of freedom.
-        share = float(np.trace(told @ np.linalg.pinv(told + sigma**2 * information * np.eye(3))))
-        freedom = 3.0 * count - 4 - min(share, 3.0)
+        # The number of angles, up to three, that the positions determine costs as many degrees of freedom.
+        total = position_information + sigma**2 * information * np.eye(3)
+        determined = float(np.trace(position_information @ np.linalg.pinv(total)))
+        freedom = 3.0 * count - 4 - min(determined, 3.0)
         before, sigma = sigma, float(np.sqrt(squared / freedom))
         if abs(sigma - before) <= 1e-9 * sigma:
             break
@@ -229,11 +259,11 @@ def _evaluate(
     spread = untruncated(sigma, freedom, limit)
     singular = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
     singular = np.pad(singular, (0, 3 - len(singular)))
-    warnings = [f"{text}, of which orientations take care" for text in shape_warnings(singular)[:1]
+    warnings = [f"{text}, but orientations determine it" for text in shape_warnings(singular)[:1]
                 if "collinear" in text]  # fmt: skip
     warnings += threshold_warnings(spread.error, limit)
     warnings += _constant_turn(x, R_source[inlier], y, R_target[inlier], sigma)
-    warnings += alike_warnings(x, mapped - y)
+    warnings += correlation_warnings(x, mapped - y)
     if turning and not is_collinear(x):
         without = leave_one_out(x, y, scale)
     else:
@@ -243,7 +273,9 @@ def _evaluate(
         inlier=inlier,
         residual=np.linalg.norm(transform_points(similarity, source) - target, axis=1),
         sigma=spread.error,
-        uncertainty=of_points(mapped, spread.fit, spread.freedom, information, positions_turn=turning),
+        uncertainty=uncertainty_of_points(
+            mapped, spread.fit, spread.freedom, information, positions_turn=turning
+        ),
         leave_one_out=without,
         singular_values=singular,
         angle=angles(R_target, np.array(similarity.rotation) @ R_source),
@@ -254,7 +286,7 @@ def _evaluate(
 def _leave_one_out_given(
     x: FloatArray, y: FloatArray, rotation: FloatArray, scale: float
 ) -> tuple[float, float]:
-    """Range of the scale with one pose left out and the rotation kept; itself with two."""
+    """Range of the scale with one pose left out and the rotation kept; `scale` itself for two poses."""
     if len(x) < 3:
         return scale, scale
     scales = []
@@ -267,21 +299,21 @@ def _leave_one_out_given(
 
 
 def _rotation_of(x: FloatArray, y: FloatArray) -> FloatArray:
-    """By positions alone."""
+    """Rotation that positions alone determine."""
     return _nearest((y - y.mean(axis=0)).T @ (x - x.mean(axis=0)))
 
 
 def _turn_of_axes(
     x: FloatArray, R_x: FloatArray, y: FloatArray, R_y: FloatArray, sigma: float
 ) -> tuple[FloatArray, float]:
-    """The constant turn of camera axes E in R_y = R R_x E, R from positions; and its standard error."""
+    """Constant turn E of the camera axes in R_y = R R_x E, with R from positions, and its standard error."""
     rotation = _rotation_of(x, y)
     y = y - y.mean(axis=0)
     each = R_x.swapaxes(1, 2) @ rotation.T @ R_y
     mean = chordal_mean(each)
     scatter = float((angles(each, mean[None]) ** 2).mean()) / len(x)
-    told = (y * y).sum() * np.eye(3) - y.T @ y
-    return mean, float(np.sqrt(scatter + sigma**2 * np.trace(np.linalg.inv(told)) / 3))
+    position_information = (y * y).sum() * np.eye(3) - y.T @ y
+    return mean, float(np.sqrt(scatter + sigma**2 * np.trace(np.linalg.inv(position_information)) / 3))
 
 
 def _constant_turn(x: FloatArray, R_x: FloatArray, y: FloatArray, R_y: FloatArray, sigma: float) -> list[str]:
@@ -290,16 +322,16 @@ def _constant_turn(x: FloatArray, R_x: FloatArray, y: FloatArray, R_y: FloatArra
         return []
     turn, error = _turn_of_axes(x, R_x, y, R_y, sigma)
     angle = float(angles(turn[None], np.eye(3)[None])[0])
-    if angle <= max(_NOTED, _SURE * error):
+    if angle <= max(_NOTED_TURN, _SIGNIFICANT * error):
         return []
-    text = f"the cameras' axes are turned by a constant {degrees(angle):.3g} deg against what positions say"
-    if angle > max(_CONSTANT, 2 * _SURE * error):
-        raise InputError(f"{text}{_named(turn)}; correct the axes, or use positions alone (--reference)")
-    return [f"{text}: orientations were given little weight"]
+    text = f"the cameras' axes are turned by a constant {degrees(angle):.3g} deg against the positions"
+    if angle > max(_REFUSED_TURN, 2 * _SIGNIFICANT * error):
+        raise InputError(f"{text}{_described(turn)}; correct the axes, or use positions alone (--reference)")
+    return [f"{text}: orientations got little weight"]
 
 
 def _by_positions(source: FloatArray, target: FloatArray, threshold: float, seed: int) -> Fit | None:
-    """The fit to positions alone, where they determine one."""
+    """Fit to positions alone; None where they do not determine a similarity."""
     try:
         return fit_similarity(source, target, threshold, seed) if len(source) >= 4 else None
     except InputError:
@@ -314,18 +346,18 @@ def _refuse_turned(
     fit: Fit,
     agreeing: int,
 ) -> None:
-    """Refuse poses whose positions agree much better than their orientations."""
+    """Refuse poses with positions that agree much better than their orientations."""
     x, y = source[fit.inlier], target[fit.inlier]
     turn, _ = _turn_of_axes(x, R_source[fit.inlier], y, R_target[fit.inlier], fit.sigma)
     angle = degrees(float(angles(turn[None], np.eye(3)[None])[0]))
     raise InputError(
         f"the positions of {fit.inlier.sum()} of {len(source)} poses agree, but with their orientations only "
-        f"{agreeing}: the axes are turned by {angle:.3g} deg{_named(turn)}; correct the axes, or use "
+        f"{agreeing}: the axes are turned by {angle:.3g} deg{_described(turn)}; correct the axes, or use "
         "positions alone (--reference)"
     )
 
 
-def _named(turn: FloatArray) -> str:
+def _described(turn: FloatArray) -> str:
     for name, signs in _CONVENTIONS.items():
         if angles(turn[None], np.diag(np.array(signs, np.float64))[None])[0] < radians(20):
             return f", like {name}"
@@ -337,7 +369,7 @@ def _named(turn: FloatArray) -> str:
 
 
 def _hint(source: FloatArray, R_source: FloatArray, target: FloatArray, R_target: FloatArray) -> str:
-    """What may be wrong with poses of which nothing agrees: another convention of the axes."""
+    """Hint at another convention of the axes that would explain why no poses agree; empty without one."""
     best, name = pi / 4, ""
     for title, signs in _CONVENTIONS.items():
         turn = R_target @ np.diag(np.array(signs, np.float64)) @ R_source.swapaxes(1, 2)

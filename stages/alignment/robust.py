@@ -20,34 +20,35 @@ from alula.schemas.manifest import Similarity
 from alula.stages.alignment.similarity import COLLINEAR, from_moments, is_collinear, transform_points, umeyama
 from alula.stages.alignment.uncertainty import (
     Uncertainty,
-    alike_warnings,
-    of_points,
+    correlation_warnings,
     shape_warnings,
+    uncertainty_of_points,
     untruncated,
 )
 
-_TRIALS = 2000
-_BATCH = 200
-_SCORED = 500  # points that rank proposals
-_REFINED = 4  # proposals that are fitted again
+_MAX_SAMPLES = 2000
+_BATCH_SAMPLES = 200
+_SCORED_POINTS = 500  # maximum number of points that rank the proposals
+_KEPT_PROPOSALS = 4  # the best proposals, which are refitted to their inliers
 _REFITS = 30
-_MISS = 1e-9  # probability that no proposal is free of outliers
+_MISS_PROBABILITY = 1e-9  # that no sample is free of outliers
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A similarity with the evidence for it.
+    """A fitted similarity with its residuals and its uncertainty.
 
     Attributes:
         similarity: target = scale R source + t.
-        inlier: shape (n,).
+        inlier: mask of the inliers, shape (n,).
         residual: distance of each target from its mapped source, shape (n,) [target units].
         sigma: standard deviation of one coordinate of an inlier's error, corrected for the threshold.
-        uncertainty: of the similarity.
+        uncertainty: covariance of the similarity's parameters.
         leave_one_out: smallest and largest scale with any one inlier left out.
         singular_values: of the centred inliers in the source, decreasing.
-        angle: between each target's orientation and its mapped source's [rad]; None without.
-        warnings: what is weak about it.
+        angle: angle between each target's orientation and its mapped source's [rad], shape (n,); None for
+            points without orientations.
+        warnings: weaknesses of the evidence, one sentence each.
     """
 
     similarity: Similarity
@@ -62,20 +63,24 @@ class Fit:
 
 
 def fit_similarity(source: FloatArray, target: FloatArray, threshold: float, seed: int) -> Fit:
-    """Find the similarity that most correspondences agree on, then fit it to those.
+    """Estimate the similarity of the largest consistent set of correspondences by MSAC and least squares.
 
-    Three correspondences at a time (all triples, or up to 2000 random ones) propose a similarity. Those
-    with the least sum of min(residual, threshold)^2 are fitted by least squares to their inliers until
-    these no longer change; the least sum wins. The result depends on the arguments only.
+    Minimal samples of three correspondences (all triples, or up to 2000 random ones) propose similarities.
+    The proposals with the smallest MSAC cost, sum min(residual, threshold)^2, are fitted by least squares to
+    their inliers until these no longer change; the smallest cost wins. The result depends on the arguments
+    only.
 
-    The covariance takes errors of the targets' coordinates as independent, normal and equal, and knows
-    that those beyond the threshold were cut off (see `untruncated`).
+    The covariance assumes that the errors of the targets' coordinates are independent, normal and of equal
+    variance. It is corrected for the truncation of errors at the threshold (see `untruncated`).
 
     Args:
-        source: shape (n, 3), any units.
-        target: shape (n, 3) [m].
-        threshold: largest residual of an inlier [m].
-        seed: of the random triples.
+        source: points in the source frame, shape (n, 3), any units.
+        target: the same points in the target frame, shape (n, 3) [m].
+        threshold: maximum residual of an inlier [m].
+        seed: seed of the random triples.
+
+    Returns:
+        The fit to the inliers.
 
     Raises:
         InputError: fewer than three points, collinear ones, or sets that are mirror images.
@@ -85,7 +90,7 @@ def fit_similarity(source: FloatArray, target: FloatArray, threshold: float, see
     for name, points in (("scene", source), ("world", target)):
         if is_collinear(points):
             raise InputError(f"all {len(points)} points are collinear in the {name}; the rotation is unknown")
-    inlier = _consensus(source, target, threshold, seed)
+    inlier = _msac(source, target, threshold, seed)
     _refuse_mirrored(source, target, inlier, threshold, seed)
     if inlier.sum() < 3:
         raise InputError(
@@ -98,57 +103,66 @@ def fit_similarity(source: FloatArray, target: FloatArray, threshold: float, see
     return _evaluate(source, target, inlier, threshold)
 
 
-def _squared(source: FloatArray, target: FloatArray, similarity: Similarity) -> FloatArray:
+def _squared_residuals(source: FloatArray, target: FloatArray, similarity: Similarity) -> FloatArray:
     squared: FloatArray = ((transform_points(similarity, source) - target) ** 2).sum(axis=1)
     return squared
 
 
-def _consensus(
-    source: FloatArray, target: FloatArray, threshold: float, seed: int, least: float = 0.0
+def _msac(
+    source: FloatArray, target: FloatArray, threshold: float, seed: int, min_fraction: float = 0.0
 ) -> NDArray[np.bool_]:
-    """Inliers of the best proposal after refitting; a share below `least` need not be found."""
+    """Inliers of the MSAC proposal with the smallest cost after refitting, shape (n,).
+
+    Sampling ends early when a better proposal with at least the best inlier fraction so far, or
+    `min_fraction` if that is larger, would have been missed with a probability below 1e-9.
+    """
     rng = np.random.default_rng(seed)
     limit = threshold * threshold
-    scored = slice(None) if len(source) <= _SCORED else np.sort(rng.permutation(len(source))[:_SCORED])
+    scored = (
+        slice(None)
+        if len(source) <= _SCORED_POINTS
+        else np.sort(rng.permutation(len(source))[:_SCORED_POINTS])
+    )
     x, y = source[scored], target[scored]
-    triples = _triples(len(source), rng)
+    triples = _minimal_samples(len(source), rng)
     found: list[tuple[float, int, Similarity]] = []
     tried = 0
-    for start in range(0, len(triples), _BATCH):
-        scale, rotation, translation = _proposals(source, target, triples[start : start + _BATCH])
+    for start in range(0, len(triples), _BATCH_SAMPLES):
+        scale, rotation, translation = _proposals(source, target, triples[start : start + _BATCH_SAMPLES])
         tried += len(scale)
         if not len(scale):
             continue
         moved = scale[:, None, None] * (x @ rotation.swapaxes(1, 2)) + translation[:, None]
         cost = np.minimum(((moved - y) ** 2).sum(axis=2), limit).sum(axis=1)
-        for i in np.argsort(cost, kind="stable")[:_REFINED].tolist():
+        for i in np.argsort(cost, kind="stable")[:_KEPT_PROPOSALS].tolist():
             proposal = Similarity(
                 scale=float(scale[i]), rotation=rotation[i].tolist(), translation_m=translation[i].tolist()
             )
             found.append((float(cost[i]), start + i, proposal))
-        found = sorted(found, key=lambda entry: entry[:2])[:_REFINED]
-        # At least this share agrees with the best: more triples than this miss an all-good one too rarely.
-        share = max(least, 1 - found[0][0] / (limit * len(x)))
-        if tried * -log(max(1 - share**3, 1e-300)) > -log(_MISS):
+        found = sorted(found, key=lambda entry: entry[:2])[:_KEPT_PROPOSALS]
+        # The cost bounds the best proposal's inlier fraction from below. After this many samples, all of
+        # them had an outlier with a probability of (1 - fraction^3)^tried only.
+        inlier_fraction = max(min_fraction, 1 - found[0][0] / (limit * len(x)))
+        if tried * -log(max(1 - inlier_fraction**3, 1e-300)) > -log(_MISS_PROBABILITY):
             break
     best, best_cost = np.zeros(len(source), np.bool_), np.inf
     for _, _, proposal in found:
-        inlier, cost_ = _refined(source, target, limit, proposal)
-        if cost_ < best_cost:
-            best, best_cost = inlier, cost_
+        inlier, refitted_cost = _refitted(source, target, limit, proposal)
+        if refitted_cost < best_cost:
+            best, best_cost = inlier, refitted_cost
     return best
 
 
-def _refined(
+def _refitted(
     source: FloatArray, target: FloatArray, limit: float, proposal: Similarity
 ) -> tuple[NDArray[np.bool_], float]:
-    """Inliers when refitting no longer changes them, and the truncated cost."""
-    squared = _squared(source, target, proposal)
+    """Inliers after refitting until they no longer change, and the MSAC cost."""
+    squared = _squared_residuals(source, target, proposal)
     inlier: NDArray[np.bool_] = squared <= limit
     for _ in range(_REFITS):
         if inlier.sum() < 3 or is_collinear(source[inlier]):
             break
-        squared = _squared(source, target, umeyama(source[inlier], target[inlier]))
+        squared = _squared_residuals(source, target, umeyama(source[inlier], target[inlier]))
         again = squared <= limit
         if (again == inlier).all():
             break
@@ -156,26 +170,26 @@ def _refined(
     return inlier, float(np.minimum(squared, limit).sum())
 
 
-def _triples(count: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    if comb(count, 3) <= _TRIALS:
+def _minimal_samples(count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    if comb(count, 3) <= _MAX_SAMPLES:
         every = np.array(list(combinations(range(count), 3)))
         return every[rng.permutation(len(every))]
-    drawn = rng.integers(0, count, (2 * _TRIALS, 3))
+    drawn = rng.integers(0, count, (2 * _MAX_SAMPLES, 3))
     a, b, c = drawn.T
-    distinct: NDArray[np.intp] = drawn[(a != b) & (b != c) & (a != c)][:_TRIALS]
+    distinct: NDArray[np.intp] = drawn[(a != b) & (b != c) & (a != c)][:_MAX_SAMPLES]
     return distinct
 
 
 def _proposals(
     source: FloatArray, target: FloatArray, triples: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Similarities of triples: scales, rotations, translations; degenerate triples are left out."""
+    """Similarities of minimal samples: scales, rotations, translations; degenerate triples are left out."""
     x, y = source[triples], target[triples]
     x_mean, y_mean = x.mean(axis=1), y.mean(axis=1)
     x, y = x - x_mean[:, None], y - y_mean[:, None]
-    singular = np.linalg.svd(x, compute_uv=False)
-    sound = singular[:, 1] > COLLINEAR * singular[:, 0]
-    x, y, x_mean, y_mean = x[sound], y[sound], x_mean[sound], y_mean[sound]
+    singular_values = np.linalg.svd(x, compute_uv=False)
+    usable = singular_values[:, 1] > COLLINEAR * singular_values[:, 0]
+    x, y, x_mean, y_mean = x[usable], y[usable], x_mean[usable], y_mean[usable]
     scale, rotation = from_moments(y.swapaxes(1, 2) @ x, (x * x).sum(axis=(1, 2)))
     positive = scale > 0
     scale, rotation, x_mean, y_mean = scale[positive], rotation[positive], x_mean[positive], y_mean[positive]
@@ -186,16 +200,18 @@ def _proposals(
 def _refuse_mirrored(
     source: FloatArray, target: FloatArray, inlier: NDArray[np.bool_], threshold: float, seed: int
 ) -> None:
-    """A reflection that clearly explains more than every proper similarity means a mirrored set."""
+    """Refuse sets for which a reflection clearly explains more points than every proper similarity."""
     mirror = source * np.array([-1.0, 1.0, 1.0])
-    singular = np.linalg.svd(source - source.mean(axis=0), compute_uv=False)
-    if singular[2] <= COLLINEAR * singular[0]:
+    singular_values = np.linalg.svd(source - source.mean(axis=0), compute_uv=False)
+    if singular_values[2] <= COLLINEAR * singular_values[0]:
         return  # a plane equals its mirror image
-    other = _consensus(mirror, target, threshold, seed, inlier.mean())
+    other = _msac(mirror, target, threshold, seed, inlier.mean())
     more = other.sum() - inlier.sum() >= max(1, len(source) // 10)
     if not more and other.sum() >= inlier.sum() >= 5:
         proper, reflected = (
-            float(_squared(points[which], target[which], umeyama(points[which], target[which])).mean())
+            float(
+                _squared_residuals(points[which], target[which], umeyama(points[which], target[which])).mean()
+            )
             for points, which in ((source, inlier), (mirror, other))
         )
         more = reflected < proper / 9
@@ -209,41 +225,55 @@ def _refuse_mirrored(
 def _evaluate(source: FloatArray, target: FloatArray, inlier: NDArray[np.bool_], threshold: float) -> Fit:
     x, y = source[inlier], target[inlier]
     similarity = umeyama(x, y)
-    residual = np.sqrt(_squared(source, target, similarity))
+    residual = np.sqrt(_squared_residuals(source, target, similarity))
     freedom = 3 * len(x) - 7
     observed = float(np.sqrt((residual[inlier] ** 2).sum() / freedom))
     spread = untruncated(observed, freedom, threshold)
-    singular = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
+    singular_values = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
     mapped = transform_points(similarity, x)
     return Fit(
         similarity=similarity,
         inlier=inlier,
         residual=residual,
         sigma=spread.error,
-        uncertainty=of_points(mapped, spread.fit, spread.freedom),
+        uncertainty=uncertainty_of_points(mapped, spread.fit, spread.freedom),
         leave_one_out=leave_one_out(x, y, similarity.scale),
-        singular_values=singular,
+        singular_values=singular_values,
         warnings=(
-            *shape_warnings(singular),
+            *shape_warnings(singular_values),
             *threshold_warnings(spread.error, threshold),
-            *alike_warnings(x, mapped - y),
+            *correlation_warnings(x, mapped - y),
         ),
     )
 
 
 def leave_one_out(x: FloatArray, y: FloatArray, scale: float) -> tuple[float, float]:
-    """Smallest and largest scale with one correspondence left out; `scale` itself with three."""
+    """Smallest and largest scale with one correspondence left out.
+
+    Args:
+        x: source points of the inliers, shape (m, 3).
+        y: target points of the inliers, shape (m, 3).
+        scale: the scale fitted to all of them, which is returned twice when there are only three.
+
+    Returns:
+        The smallest and the largest scale [target units per source unit].
+    """
     if len(x) <= 3:
         return scale, scale
     x, y = x - x.mean(axis=0), y - y.mean(axis=0)
-    weight = len(x) / (len(x) - 1)  # the mean moves too
+    weight = len(x) / (len(x) - 1)  # leaving out a point moves the mean too
     cross = y.T @ x - weight * y[:, :, None] * x[:, None, :]
     scales, _ = from_moments(cross, (x * x).sum() - weight * (x * x).sum(axis=1))
     return float(scales.min()), float(scales.max())
 
 
 def threshold_warnings(sigma: float, threshold: float) -> list[str]:
-    """What is weak when residuals fill the threshold."""
+    """Warning that the residuals reach the threshold, so that it cuts off good correspondences.
+
+    Args:
+        sigma: standard deviation of one coordinate of an inlier's error [m].
+        threshold: maximum residual of an inlier [m].
+    """
     if sigma <= threshold / 2.5:
         return []
     return [

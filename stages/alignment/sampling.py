@@ -1,4 +1,4 @@
-"""Points of a scene or a cloud, thinned and grouped in space."""
+"""Thinning of points and their grouping into blocks of space, for robust estimates and their uncertainty."""
 
 from __future__ import annotations
 
@@ -8,50 +8,69 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 
-BLOCKS = 30  # at least this many groups carry an estimate of uncertainty
+BLOCKS = 30  # minimum number of groups for an estimate of uncertainty
 
 
 def thinned(points: FloatArray, edge: float) -> FloatArray:
-    """The mean of the points in each occupied cube of an edge, sorted by cube."""
+    """Mean of the points in each occupied cube, sorted by cube.
+
+    Args:
+        points: shape (n, 3), any units.
+        edge: edge of the cubes, same units.
+
+    Returns:
+        Shape (m, 3), one row per occupied cube.
+    """
     _, label, count = np.unique(_cells(points, edge), return_inverse=True, return_counts=True)
     sums = [np.bincount(label, weights=points[:, axis]) for axis in range(3)]
     mean: FloatArray = np.stack(sums, axis=1) / count[:, None]
     return mean
 
 
-def thinned_to(points: FloatArray, edge: float, most: int) -> tuple[FloatArray, float]:
-    """`thinned` with the first of edge, 1.25 edge, ... that leaves no more points than wanted."""
+def thinned_to(points: FloatArray, edge: float, max_points: int) -> tuple[FloatArray, float]:
+    """Points thinned with the first of edge, 1.25 edge, ... that leaves at most `max_points`.
+
+    Args:
+        points: shape (n, 3), any units.
+        edge: smallest edge of the cubes, same units.
+        max_points: maximum number of points that remain.
+
+    Returns:
+        The thinned points, shape (m, 3), and the edge that was used.
+    """
     found = thinned(points, edge)
-    while len(found) > most:
+    while len(found) > max_points:
         edge *= 1.25
         found = thinned(points, edge)
     return found, edge
 
 
-def blocks(points: FloatArray, least: float, wanted: int = BLOCKS) -> tuple[NDArray[np.intp], int, float]:
-    """Group points by the largest cubes of which enough are occupied.
+def blocks(
+    points: FloatArray, min_edge: float, min_blocks: int = BLOCKS
+) -> tuple[NDArray[np.intp], int, float]:
+    """Group points into the largest cubes that leave at least `min_blocks` occupied cubes.
 
-    Errors of neighbours are alike; errors of large blocks are nearly independent, so uncertainty is
-    estimated from how much blocks, not points, disagree.
+    Errors of neighbouring points are correlated; errors of large blocks are nearly independent. So
+    uncertainty is estimated from the disagreement of blocks, not of points.
 
     Args:
-        points: shape (n, 3).
-        least: no cube is smaller.
-        wanted: how many occupied cubes are enough.
+        points: shape (n, 3), any units.
+        min_edge: minimum edge of a cube, same units; fewer cubes may be occupied at this edge.
+        min_blocks: number of occupied cubes that is enough.
 
     Returns:
-        The block of each point, how many there are, and the edge.
+        The block of each point, shape (n,), the number of blocks, and the edge of the cubes.
     """
-    edge = max(float(np.ptp(points, axis=0).max()) / 2, least)
+    edge = max(float(np.ptp(points, axis=0).max()) / 2, min_edge)
     while True:
         found, label = np.unique(_cells(points, edge), return_inverse=True)
-        if len(found) >= wanted or edge <= least:
+        if len(found) >= min_blocks or edge <= min_edge:
             return label, len(found), edge
-        edge = max(edge / 1.25, least)
+        edge = max(edge / 1.25, min_edge)
 
 
 def _cells(points: FloatArray, edge: float) -> NDArray[np.int64]:
-    """A number per point, equal for points in the same cube, increasing by x, y, z."""
+    """Number of the cube that each point lies in, increasing by x, y, z."""
     low = points.min(axis=0)
     size = np.floor((points.max(axis=0) - low) / edge) + 1
     if size.prod() >= 2.0**62:
@@ -63,15 +82,15 @@ def _cells(points: FloatArray, edge: float) -> NDArray[np.int64]:
 
 
 def jackknife(information: FloatArray, score: FloatArray) -> FloatArray:
-    """Covariance of the root of a sum of scores, from leaving out each block of them.
+    """Block-jackknife covariance of the root of a sum of scores.
 
-    Without block b the solution moves by inv(sum of all H - H_b) g_b; the sum of these moves' squares,
-    times (B - 1) / B, is the covariance, whatever the errors within a block have in common.
+    Without block b the solution moves by inv(sum of all H - H_b) g_b. The covariance is (B - 1) / B times
+    the sum of these moves' squares, whatever the correlation of the errors within a block.
     Source: Efron and Tibshirani 1993, eq. 11.5, with one Newton step.
 
     Args:
-        information: H_b, shape (B, k, k).
-        score: g_b, shape (B, k).
+        information: information matrix H_b of each block, shape (B, k, k).
+        score: gradient g_b of each block, shape (B, k).
 
     Returns:
         Shape (k, k).

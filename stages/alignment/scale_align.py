@@ -1,4 +1,4 @@
-"""`scale-align`: from the arbitrary frame of a splat to metres in a world frame."""
+"""The stage `scale-align`: map a scene from its arbitrary frame to metres in a world frame."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from alula.stages.rotation import multiply_quat_wxyz, quat_wxyz_from_matrix
 
 __all__ = ["Evidence", "Given", "scale_align", "scale_only"]
 
-_COARSE_M = 1e-3  # rounding of positions that is worth a warning
-_BOUNDED_SIGMA = 3.0  # level of the ellipsoids for whose points the error is bounded
+_COARSE_M = 1e-3  # a larger rounding of positions causes a warning
+_BOUNDED_SIGMA = 3.0  # the error bound holds for all points of the ellipsoids of this level
 _SINGLE = 1.2e-7  # just over 2^-23, twice the rounding to single precision
 
 
@@ -38,21 +38,21 @@ def scale_align(
     seed: int,
     report: Callable[[dict[str, Any]], None] | None = None,
 ) -> Artifact:
-    """Estimate the similarity, judge it, and map the scene with it.
+    """Estimate the similarity, check it against the gates, and map the scene with it.
 
     mean' = s R mean + t, scale' = s scale, q' = q_R q; opacity and colour stay. All are rounded to single
-    precision: `alignment["rounding_m"]` bounds the move of means and is part of the suggested inflation
-    where the error of positions is known, or where it exceeds a millimetre; a `loss` grows by all of it.
-    Otherwise the result, not the original, is what later stages are measured against. A scene that is
-    aligned already may be aligned again: `world_from_scene` is then the composition, and the suggested
-    inflations add up.
+    precision. `alignment["rounding_m"]` bounds the shift of the means by this rounding. It is part of the
+    suggested inflation where the error of positions is known, or where the shift exceeds a millimetre; a
+    `loss` grows by all of it. Otherwise later stages refer to the rounded result, not to the original. A
+    scene that is aligned already may be aligned again: `world_from_scene` is then the composition, and the
+    suggested inflations add up.
 
     Args:
         config: see `ScaleAlignConfig`.
         scene: an `alula/scene`.
         evidence: correspondences of points or poses; a cloud; distances, which fix the scale alone; or
             the similarity itself. None only levels a scene that is in metres.
-        seed: of the robust estimation.
+        seed: seed of the robust estimation.
         report: called with the record of the alignment before the gates are applied.
 
     Returns:
@@ -60,9 +60,10 @@ def scale_align(
 
     Raises:
         InputError: the evidence does not determine a similarity, or the result overflows.
-        CheckError: a gate does not hold, with the figure and the limit; a cloud does not overlap the
-            scene, or no floor is found.
-        UsageError: a gate that the evidence has no figure for, or levelling what is level already.
+        CheckError: a gate does not hold (the message has the figure and the limit), a cloud does not overlap
+            the scene, or no floor is found.
+        UsageError: a gate needs a figure that the evidence does not provide, or levelling is requested
+            although the evidence fixes the rotation.
     """
     manifest = scene.manifest
     assert isinstance(manifest, SceneManifest)
@@ -73,7 +74,7 @@ def scale_align(
     if evidence is None:
         if manifest.unit != "m":
             raise UsageError(
-                "--up and --floor alone are for scenes in metres; say how to align (--scale ...)"
+                "--up and --floor alone are for scenes in metres; give a way to align too (--scale ...)"
             )
         evidence = Given(scale_only(1.0), "level", ())
     found = estimate(config, scene, evidence, seed, box)
@@ -150,7 +151,7 @@ def scale_align(
 
 
 def _bounds(mean: FloatArray, scale: NDArray[np.float32]) -> tuple[FloatArray, FloatArray]:
-    """A box that holds the ellipsoids for whose points the error is bounded."""
+    """Bounding box of the ellipsoids that the error bound covers."""
     reach = _BOUNDED_SIGMA * scale.max(axis=1, keepdims=True).astype(np.float64)
     return (mean - reach).min(axis=0), (mean + reach).max(axis=0)
 
@@ -164,11 +165,11 @@ def _levelled(
     *,
     frame_is_known: bool,
 ) -> Estimate:
-    """The estimate followed by a motion that levels its frame; recorded as `level`."""
+    """Estimate followed by a motion that levels its frame; the record holds it as `level`."""
     up = np.array([0.0, 0.0, 1.0])
     if config.up is None and not frame_is_known:
         raise UsageError(
-            "--floor needs --up, roughly: the scene's own frame says nothing of it (nerfstudio trains with "
+            "--floor needs --up, roughly, because the scene's own frame is arbitrary (nerfstudio trains with "
             "0 0 1; models of COLMAP often have 0 -1 0)"
         )
     if config.up is not None:
@@ -187,14 +188,14 @@ def _levelled(
 
 
 def _guarantee(manifest: SceneManifest, known: float | None, inflation: float) -> Guarantee:
-    """What was promised before, and how far the alignment may be off."""
+    """Guarantee of the input scene, with the error bound of the alignment."""
     before = manifest.guarantee or Guarantee(statement="")
     if known is None:
-        error = "how far that is off is not known."
+        error = "its error is not known."
     else:
         error = (
-            f"with {CONFIDENCE:.0%} confidence no point of a {_BOUNDED_SIGMA:g}-sigma ellipsoid is off by "
-            f"more than {inflation:.3g} m, if the errors of the correspondences are independent."
+            f"with {CONFIDENCE:.0%} confidence no point of a {_BOUNDED_SIGMA:g}-sigma ellipsoid has an error "
+            f"above {inflation:.3g} m, if the errors of the correspondences are independent."
         )
     return Guarantee(
         statement=f"{before.statement} It was mapped by one similarity; {error}".strip(),
@@ -230,7 +231,7 @@ def _check_gates(config: ScaleAlignConfig, alignment: dict[str, Any]) -> None:
 def _mapped(
     scene: Artifact, similarity: Similarity, q_world_scene: FloatArray
 ) -> tuple[dict[str, Any], float]:
-    """The arrays in the new frame, and how far the rounding of means moves one."""
+    """Arrays in the new frame, and the largest shift of a mean by its rounding [m]."""
     exact = transform_points(similarity, scene["mean"])
     quat = multiply_quat_wxyz(q_world_scene, scene["quat_wxyz"])
     quat /= np.linalg.norm(quat, axis=1, keepdims=True)
@@ -249,9 +250,9 @@ def _mapped(
         "color": scene["color"],
     }
     moved = np.linalg.norm(mean - exact, axis=1)
-    if "loss" in scene.arrays:  # of the centre it is a length; each grows by what is rounded here
+    if "loss" in scene.arrays:  # column 0, of the centre, is a length; all columns grow by the rounding here
         before = np.asarray(scene["loss"], np.float64)
         now = np.stack([similarity.scale * before[:, 0] + moved, before[:, 1], before[:, 2]], axis=1)
-        now[:, 1:] += _SINGLE * (1 + now[:, 1:])  # a unit quaternion turns by twice what it is off
+        now[:, 1:] += _SINGLE * (1 + now[:, 1:])  # a unit quaternion turns by twice its own error
         arrays["loss"] = rounded_up(now)
     return arrays, float(moved.max())

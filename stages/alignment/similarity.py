@@ -1,4 +1,4 @@
-"""Similarities between two point sets: closed form, composition, inverse."""
+"""Similarities between two point sets: closed-form fit, composition, inverse."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ COLLINEAR = 1e-3  # second over first singular value below this: no rotation
 
 
 def umeyama(source: FloatArray, target: FloatArray) -> Similarity:
-    """The similarity with the least sum of |target_i - (s R source_i + t)|^2; det R = +1.
+    """Least-squares similarity: minimises sum |target_i - (s R source_i + t)|^2 with det R = +1.
 
     With the singular values U D V' of the cross-covariance sum y_i x_i' of centred points,
     R = U S V', s = trace(D S) / sum |x_i|^2, S = diag(1, 1, det U det V).
     Source: Umeyama 1991, eq. 40 to 42.
 
     Args:
-        source: shape (n, 3), at least three points that are not collinear.
-        target: shape (n, 3).
+        source: at least three points that are not collinear, shape (n, 3), source units.
+        target: the same points in the target frame, shape (n, 3), target units.
     """
     x, y = source - source.mean(axis=0), target - target.mean(axis=0)
     scale, rotation = from_moments(y.T @ x, (x * x).sum())
@@ -31,7 +31,15 @@ def umeyama(source: FloatArray, target: FloatArray) -> Similarity:
 
 
 def from_moments(cross: FloatArray, spread: Any) -> tuple[FloatArray, FloatArray]:
-    """Scale and rotation from cross-covariances (..., 3, 3) and sums of squares (...) of the source."""
+    """Scale and rotation of least-squares similarities from the moments of the points (see `umeyama`).
+
+    Args:
+        cross: cross-covariances sum y_i x_i' of the centred points, shape (..., 3, 3).
+        spread: sums of squares sum |x_i|^2 of the centred source points, shape (...).
+
+    Returns:
+        Scales, shape (...), and rotations, shape (..., 3, 3).
+    """
     u, d, vt = np.linalg.svd(cross)
     sign = np.where(np.linalg.det(u) * np.linalg.det(vt) < 0, -1.0, 1.0)
     d[..., 2] *= sign
@@ -41,14 +49,30 @@ def from_moments(cross: FloatArray, spread: Any) -> tuple[FloatArray, FloatArray
 
 
 def transform_points(similarity: Similarity, points: NDArray[Any]) -> FloatArray:
-    """Scale R p + t for points of shape (n, 3), in double precision."""
+    """Mapped points s R p + t, in double precision.
+
+    Args:
+        similarity: target from source.
+        points: shape (n, 3), source frame and units, any type.
+
+    Returns:
+        Shape (n, 3), target frame and units.
+    """
     moved: FloatArray = np.asarray(points, np.float64) @ np.array(similarity.rotation).T
     moved = similarity.scale * moved + np.array(similarity.translation_m)
     return moved
 
 
 def compose(second: Similarity, first: Similarity) -> Similarity:
-    """The similarity that applies `first`, then `second`."""
+    """Composition of two similarities.
+
+    Args:
+        second: applied last, c from b.
+        first: applied first, b from a.
+
+    Returns:
+        c from a.
+    """
     return Similarity(
         scale=second.scale * first.scale,
         rotation=(np.array(second.rotation) @ np.array(first.rotation)).tolist(),
@@ -57,7 +81,14 @@ def compose(second: Similarity, first: Similarity) -> Similarity:
 
 
 def inverse(similarity: Similarity) -> Similarity:
-    """The similarity that undoes another."""
+    """Inverse of a similarity.
+
+    Args:
+        similarity: b from a.
+
+    Returns:
+        a from b.
+    """
     rotation = np.array(similarity.rotation).T
     translation = -(rotation @ np.array(similarity.translation_m)) / similarity.scale
     return Similarity(
@@ -66,6 +97,10 @@ def inverse(similarity: Similarity) -> Similarity:
 
 
 def is_collinear(points: FloatArray) -> bool:
-    """Whether points of shape (n, 3) lie on a line, or nearly so."""
+    """Test whether points lie on a line, or nearly so.
+
+    Args:
+        points: shape (n, 3), any units.
+    """
     singular = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(singular[1] <= COLLINEAR * singular[0])

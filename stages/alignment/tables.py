@@ -1,4 +1,4 @@
-"""Tables that a scene is aligned by; every refusal names the row."""
+"""CSV tables of correspondences, positions and poses; every error message names the row."""
 
 from __future__ import annotations
 
@@ -16,17 +16,22 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 
 _XYZ = ("x", "y", "z")
 _QUATERNION = ("qw", "qx", "qy", "qz")
-_UNIT = 0.01  # how far the length of a quaternion may be from 1
+_UNIT = 0.01  # maximum difference of a quaternion's length from 1
 
 
 def parse_positions(text: str, name: str, *, orientations: bool = False) -> Positions:
-    """Rows `image,x,y,z`, with `orientations` also `qw,qx,qy,qz`; other columns are ignored.
+    """Parse rows `image,x,y,z`, with `orientations` also `qw,qx,qy,qz`; other columns are ignored.
 
     The quaternion turns the camera's axes (x right, y down, z forward, as in OpenCV and COLMAP) into
     the frame of the positions.
 
+    Args:
+        text: text of the table.
+        name: the file's name, for messages.
+        orientations: read the quaternions too.
+
     Raises:
-        InputError: naming the row that is wrong.
+        InputError: a row is wrong; the message names it.
     """
     columns = (*_XYZ, *_QUATERNION) if orientations else _XYZ
     names, rows, values = _named(_table(text, name, ("image", *columns)), columns)
@@ -41,20 +46,20 @@ def parse_positions(text: str, name: str, *, orientations: bool = False) -> Posi
 
 
 def parse_reference(text: str, name: str, origin: Origin | None = None) -> Positions:
-    """Rows `image,x,y,z` [m], or `image,lat,lon,alt` [deg, m] which become east, north, up [m].
+    """Parse rows `image,x,y,z` [m], or `image,lat,lon,alt` [deg, m] which become east, north, up [m].
 
     Args:
-        text: of the table.
-        name: what to call it in messages.
+        text: text of the table.
+        name: the file's name, for messages.
         origin: latitude, longitude [deg] and height [m] that become 0; default: the first row.
 
     Raises:
-        InputError: naming the row that is wrong.
+        InputError: a row is wrong; the message names it.
     """
     header = _header(text, name)
     geodetic = [column for column in GEODETIC if column in header]
     if geodetic and any(column in header for column in _XYZ):
-        raise InputError(f"{name}: has both x,y,z and lat,lon,alt; which of them is meant?")
+        raise InputError(f"{name}: has both x,y,z and lat,lon,alt; remove the columns of one of them")
     if not geodetic:
         if origin is not None:
             raise InputError(f"{name}: has x,y,z; --origin is for lat,lon,alt")
@@ -65,10 +70,14 @@ def parse_reference(text: str, name: str, origin: Origin | None = None) -> Posit
 
 
 def parse_pairs(text: str, name: str) -> Correspondences:
-    """Rows `sx,sy,sz,wx,wy,wz` with a header: a point in the scene and the same in the world [m].
+    """Parse rows `sx,sy,sz,wx,wy,wz` with a header: a point in the scene and the same in the world [m].
+
+    Args:
+        text: text of the table.
+        name: the file's name, for messages.
 
     Raises:
-        InputError: naming the row that is wrong.
+        InputError: a row is wrong; the message names it.
     """
     columns = ("sx", "sy", "sz", "wx", "wy", "wz")
     rows, values = [], []
@@ -82,7 +91,7 @@ def parse_pairs(text: str, name: str) -> Correspondences:
 def _named(
     table: list[tuple[str, list[str]]], columns: Sequence[str]
 ) -> tuple[tuple[str, ...], tuple[str, ...], np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
-    """Names of the images, where each row is, and its numbers."""
+    """Names of the images, file and row of each, and its numbers."""
     names, rows, values = [], [], []
     seen: set[str] = set()
     for where, (image, *words) in table:
@@ -112,7 +121,7 @@ def _header(text: str, name: str) -> list[str]:
 
 
 def _table(text: str, name: str, columns: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Where each row is, and its values of the wanted columns."""
+    """File and row of each line, and its values of the given columns."""
     lines = _lines(text, name)
     header = [word.strip().lower() for word in lines[0]]
     missing = [column for column in columns if column not in header]

@@ -1,4 +1,4 @@
-"""Similarities that are given as numbers."""
+"""Similarities given as numbers in JSON."""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ _ORTHONORMAL = 1e-4
 
 
 def parse_transform(text: str, name: str) -> Similarity:
-    """A similarity from JSON: a 4x4 matrix, alone or as `matrix`, or scale, rotation, translation_m.
+    """Parse a similarity from JSON: a 4x4 matrix, alone or as `matrix`, or scale, rotation, translation_m.
+
+    Args:
+        text: the JSON text.
+        name: the file's name, for messages.
 
     Raises:
         InputError: not JSON, of another shape, not finite, or not a proper similarity.
@@ -42,10 +46,15 @@ def parse_transform(text: str, name: str) -> Similarity:
 
 
 def checked_similarity(linear: FloatArray, translation: FloatArray, name: str) -> Similarity:
-    """The similarity of a 3x3 matrix, a rotation times a scale up to rounding, and a translation.
+    """Check and build a similarity from its linear part and its translation.
+
+    Args:
+        linear: a rotation times a scale, up to rounding, shape (3, 3).
+        translation: shape (3,) [target units].
+        name: the file's name, for messages.
 
     Raises:
-        InputError: it is none.
+        InputError: they are not a proper similarity, or the scale is not between 1e-9 and 1e9.
     """
     if linear.shape != (3, 3) or translation.shape != (3,):
         raise InputError(f"{name}: rotation must be 3x3 and translation_m of length 3")

@@ -1,4 +1,4 @@
-"""How well a similarity is known: intervals of its parameters, and of positions it maps."""
+"""Uncertainty of a similarity: confidence intervals of its parameters and of the positions that it maps."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from alula.schemas.manifest import Similarity
 from alula.stages.alignment.similarity import transform_points
 
 CONFIDENCE = 0.95
-_WIDEST = 2 / 3  # of the threshold: a larger sigma cannot be told from residuals below it
-_ALIKE = 0.3  # correlation of neighbours' residuals that is worth a warning, if 4 standard errors too
-_FLAT = 0.05  # least over largest singular value below this: nearly a plane, or a line
+_WIDEST = 2 / 3  # of the threshold: residuals below the threshold cannot distinguish larger sigmas
+_CORRELATED = 0.3  # correlation of neighbours' residuals that causes a warning, if above 4 standard errors
+_FLAT = 0.05  # smallest over largest singular value below this: nearly a plane, or a line
 
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """The errors of a similarity near one point, to first order.
+    """First-order error model of a similarity around one point.
 
-    A mapped point d away from `centre` is off by tau + d lambda + omega x d, with the errors tau of the
-    centre, lambda of the scale's logarithm, and omega of the rotation as a vector.
+    A mapped point at the offset d from `centre` has the error tau + d lambda + omega x d, where tau is the
+    error of the centre, lambda that of the scale's logarithm and omega that of the rotation, as a vector.
 
     Attributes:
         centre: shape (3,), target frame.
-        covariance: of (tau, lambda, omega), shape (7, 7); units of the target, 1 and rad.
-        freedom: degrees of freedom its size was estimated with.
+        covariance: covariance of (tau, lambda, omega), shape (7, 7); units of the target, 1 and rad.
+        freedom: degrees of freedom of the estimate of that covariance.
     """
 
     centre: FloatArray
@@ -42,7 +42,14 @@ class Uncertainty:
         return float(student.ppf((1 + CONFIDENCE) / 2, self.freedom))
 
     def at(self, points: FloatArray) -> FloatArray:
-        """Covariances of the positions of mapped points (n, 3), shape (n, 3, 3)."""
+        """Covariances of the positions of mapped points.
+
+        Args:
+            points: mapped points, shape (n, 3), target frame.
+
+        Returns:
+            Shape (n, 3, 3) [target units squared].
+        """
         d = points - self.centre
         zero = np.zeros(len(d))
         rows = [
@@ -56,14 +63,14 @@ class Uncertainty:
         return covariance
 
     def position_error(self, corners: FloatArray) -> float:
-        """How far any point of a box may be off, with 95 % confidence for all of the box at once.
+        """Bound of the position error of every point of a box, with 95 % confidence for all of them at once.
 
-        The largest eigenvalue of a point's covariance is convex in the point, so a corner has the
-        largest of the box; the root of that times 7 F (7 and `freedom` degrees) bounds the error.
-        Source: Scheffe 1959, simultaneous intervals for a linear model.
+        The largest eigenvalue of a point's covariance is convex in the point, so a corner of the box has
+        the maximum. The square root of that maximum times 7 F (7 and `freedom` degrees of freedom) bounds
+        the error. Source: Scheffe 1959, simultaneous intervals for a linear model.
 
         Args:
-            corners: of the box, mapped, shape (8, 3).
+            corners: mapped corners of the box, shape (8, 3), target frame.
 
         Returns:
             The bound [target units].
@@ -75,10 +82,13 @@ class Uncertainty:
         return float(np.sqrt(max(factor * largest, 0.0)))
 
     def record(self, similarity: Similarity) -> dict[str, Any]:
-        """Standard deviations and 95 % half widths as they are reported, one per component.
+        """Standard deviations and 95 % half widths for the alignment's record, one per component.
 
-        The rotation's components are about the axes of the target frame; the translation is where the
-        origin of the source lands.
+        The rotation's components are about the axes of the target frame; the translation is the mapped
+        position of the source's origin.
+
+        Args:
+            similarity: the similarity with this error.
         """
         student = self.student()
         scale_sigma = similarity.scale * float(np.sqrt(self.covariance[3, 3]))
@@ -98,7 +108,7 @@ class Uncertainty:
         }
 
 
-def of_points(
+def uncertainty_of_points(
     mapped: FloatArray,
     sigma: float,
     freedom: float,
@@ -108,15 +118,16 @@ def of_points(
 ) -> Uncertainty:
     """Uncertainty of the least-squares similarity onto points with independent errors.
 
-    With mapped, centred points y_i: sigma^2 I / m for the centre, sigma^2 / sum |y_i|^2 for the
-    logarithm of the scale, inv(sum (|y_i|^2 I - y_i y_i') / sigma^2 + more) for the rotation.
+    With mapped, centred points y_i the covariance is sigma^2 I / m for the centre, sigma^2 / sum |y_i|^2 for
+    the logarithm of the scale, and inv(sum (|y_i|^2 I - y_i y_i') / sigma^2 + i I) for the rotation, where i
+    is `rotation_information`.
 
     Args:
         mapped: the source points in the target frame, shape (m, 3).
         sigma: standard deviation of one coordinate [target units].
         freedom: degrees of freedom of `sigma`.
-        rotation_information: what else is known of each angle of the rotation [1/rad^2].
-        positions_turn: whether the points have a say in the rotation.
+        rotation_information: information on each angle of the rotation from other evidence [1/rad^2].
+        positions_turn: whether the points contribute to the rotation.
     """
     centre = mapped.mean(axis=0)
     y = mapped - centre
@@ -134,11 +145,11 @@ def of_points(
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Standard deviations of one coordinate of errors of which only short ones were kept.
+    """Standard deviations of one coordinate of errors that were truncated at a threshold.
 
     Attributes:
-        error: of the errors before any were left out, at most 2/3 of the threshold.
-        fit: of independent errors that would make least squares as uncertain as this fit is.
+        error: standard deviation before the truncation, at most 2/3 of the threshold.
+        fit: standard deviation of independent errors that would make least squares as uncertain as this fit.
         freedom: degrees of freedom of `fit`.
     """
 
@@ -148,47 +159,56 @@ class Spread:
 
 
 def untruncated(sigma: float, freedom: float, threshold: float) -> Spread:
-    """Undo what keeping only residuals below a threshold does to their standard deviation.
+    """Correct the standard deviation of residuals for their truncation at a threshold.
 
-    With F_k the distribution function of chi^2_k at (threshold / sigma)^2, normal errors in space that
-    are shorter than the threshold have the variance sigma^2 F_5 / F_3 per coordinate. A fit to them, the
-    inliers of itself, is an M-estimate: its variance is that of least squares on as many errors of
-    variance sigma^2 F_3 / F_5, because errors near the threshold leave instead of pulling back. How much
-    less surely that is known follows from the fourth moment, 15 F_7 / F_3, by the delta method.
+    Let F_k be the distribution function of chi^2_k at (threshold / sigma)^2. Normal errors in space that
+    are shorter than the threshold have the variance sigma^2 F_5 / F_3 per coordinate. A fit to its own
+    inliers is an M-estimate: its variance is that of least squares on as many errors of variance
+    sigma^2 F_3 / F_5, because errors near the threshold become outliers instead of pulling the fit back.
+    The degrees of freedom decrease according to the fourth moment, 15 F_7 / F_3, by the delta method.
     Source: Huber 1981, section 6.3 (asymptotic variance E psi^2 / (E psi')^2), with psi(r) = r inside.
 
     Args:
-        sigma: as found from residuals below the threshold.
-        freedom: degrees of freedom of that.
-        threshold: same unit.
+        sigma: standard deviation of one coordinate of the residuals below the threshold.
+        freedom: degrees of freedom of `sigma`.
+        threshold: maximum length of a residual, in the unit of `sigma`.
+
+    Returns:
+        The corrected standard deviations, in the unit of `sigma`.
     """
     if sigma < threshold / 20:
         return Spread(sigma, sigma, freedom)
     from scipy.optimize import brentq
     from scipy.special import gammainc
 
-    def share(k: int, true: float) -> float:
+    def F(k: int, true: float) -> float:
         return float(gammainc(k / 2, 0.5 * (threshold / true) ** 2))
 
-    def kept(true: float) -> float:
-        return share(5, true) / share(3, true)
+    def variance_ratio(true: float) -> float:
+        return F(5, true) / F(3, true)
 
-    def seen(true: float) -> float:
-        return true * float(np.sqrt(kept(true)))
+    def truncated(true: float) -> float:
+        return true * float(np.sqrt(variance_ratio(true)))
 
     true = widest = _WIDEST * threshold
-    if sigma < seen(widest):
-        true = float(brentq(lambda x: seen(x) - sigma, sigma / 2, widest, xtol=1e-12 * threshold))
-    bent = np.log(kept(1.001 * true) / kept(0.999 * true)) / np.log(1.001 / 0.999)
-    gain = (1 - bent / 2) / (1 + bent / 2)  # d log fit / d log seen
-    moment = 15 * share(7, true) * share(3, true) / (9 * share(5, true) ** 2) - 1  # of r^2; 2/3 if all
+    if sigma < truncated(widest):
+        true = float(brentq(lambda x: truncated(x) - sigma, sigma / 2, widest, xtol=1e-12 * threshold))
+    slope = np.log(variance_ratio(1.001 * true) / variance_ratio(0.999 * true)) / np.log(1.001 / 0.999)
+    gain = (1 - slope / 2) / (1 + slope / 2)  # d log fit / d log truncated
+    moment = 15 * F(7, true) * F(3, true) / (9 * F(5, true) ** 2) - 1  # of r^2; 2/3 without truncation
     return Spread(
-        true, true / float(np.sqrt(kept(true))), float(max(1.0, freedom * (2 / 3) / (moment * gain**2)))
+        true,
+        true / float(np.sqrt(variance_ratio(true))),
+        float(max(1.0, freedom * (2 / 3) / (moment * gain**2))),
     )
 
 
 def shape_warnings(singular_values: FloatArray) -> list[str]:
-    """What is weak about the arrangement of points with these singular values."""
+    """Warnings about an arrangement of points that is nearly a line or a plane.
+
+    Args:
+        singular_values: of the centred points, decreasing, shape (3,).
+    """
     first, second, third = singular_values
     ratio = "singular values " + ", ".join(f"{value:.3g}" for value in singular_values)
     if second < _FLAT * first:
@@ -198,14 +218,15 @@ def shape_warnings(singular_values: FloatArray) -> list[str]:
     return []
 
 
-def alike_warnings(where: FloatArray, error: FloatArray) -> list[str]:
-    """Whether errors are alike where points are near each other, as those of a drift are.
+def correlation_warnings(where: FloatArray, error: FloatArray) -> list[str]:
+    """Warning that the errors of neighbouring points are correlated, as those of a drift are.
 
-    Of independent errors e the mean of e_i . e_j over nearest neighbours j of i, relative to that of
-    e_i . e_i, has a standard deviation of about sqrt(2 / (3 n)) at most: when all pairs count twice.
+    The statistic is the mean of e_i . e_j over the nearest neighbours j of i, relative to the mean of
+    e_i . e_i. For independent errors e its standard deviation is at most about sqrt(2 / (3 n)), which is
+    reached when all pairs count twice.
 
     Args:
-        where: shape (n, 3).
+        where: positions, shape (n, 3).
         error: residuals as vectors, shape (n, 3).
     """
     from scipy.spatial import cKDTree
@@ -214,17 +235,26 @@ def alike_warnings(where: FloatArray, error: FloatArray) -> list[str]:
     if square <= 0 or len(where) < 3:
         return []
     near = cKDTree(where).query(where, k=2)[1][:, 1]
-    alike = float((error * error[near]).sum()) / square
-    if alike <= max(_ALIKE, 4 * np.sqrt(2 / (3 * len(where)))):
+    correlation = float((error * error[near]).sum()) / square
+    if correlation <= max(_CORRELATED, 4 * np.sqrt(2 / (3 * len(where)))):
         return []
     return [
-        f"residuals of neighbours are alike (correlation {alike:.2f}), as when one side drifts: errors are "
-        "not independent, and intervals and the position error are too small"
+        f"residuals of neighbours are alike (correlation {correlation:.2f}), as when one side drifts: errors "
+        "are not independent, and intervals and the position error are too small"
     ]
 
 
 def mapped_corners(similarity: Similarity, lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Where the corners of a box land, shape (8, 3)."""
+    """Mapped corners of an axis-aligned box.
+
+    Args:
+        similarity: target from source.
+        lower: smallest coordinates of the box, shape (3,), source frame and units.
+        upper: largest coordinates of the box, shape (3,), source frame and units.
+
+    Returns:
+        Shape (8, 3), target frame.
+    """
     from itertools import product
 
     return transform_points(similarity, np.array(list(product(*zip(lower, upper, strict=True)))))

@@ -1,4 +1,4 @@
-"""The ellipsoids of a scene against a set of voxels: proof that nothing is left out."""
+"""Proof that a set of voxels contains the ellipsoids of a scene."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from alula.schemas.progress import Progress
 
 @dataclass(frozen=True, slots=True)
 class UnprovenVoxels:
-    """Voxels that a set lacks, or that could not be proven unneeded.
+    """Voxels outside a set that are touched by an ellipsoid, or not proven to be untouched.
 
     Attributes:
-        total: how many there are; 0 means that the set is proven to contain the ellipsoids.
+        total: their number; 0 means that the set is proven to contain the ellipsoids.
         voxel: the first 100 of them in lexicographic order, shape (K, 3).
         ellipsoid: the first row of the scene that touches each, shape (K,).
     """
@@ -32,13 +32,25 @@ class UnprovenVoxels:
 
 
 def retained(scene: Artifact, min_opacity: float) -> NDArray[np.intp]:
-    """Rows of the Gaussians that count: those of at least this opacity."""
+    """Rows of the Gaussians with at least this opacity, in ascending order.
+
+    Args:
+        scene: an `alula/scene`.
+        min_opacity: minimum opacity, compared in single precision.
+    """
     return np.flatnonzero(scene["opacity"] >= np.float32(min_opacity))
 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """The Gaussians of a scene that count, as the native functions take them."""
+    """Some Gaussians of a scene, as the arrays that the native functions take.
+
+    Attributes:
+        mean: centres, shape (K, 3), frame and unit of the scene.
+        scale: one-sigma semi-axes, shape (K, 3), unit of the scene.
+        quat_wxyz: rotations from local axes to the frame, shape (K, 4).
+        loss: bounds of the splat format's error, shape (K, 3) (see `SCENE`); None when it is zero or ignored.
+    """
 
     mean: NDArray[np.float32]
     scale: NDArray[np.float32]
@@ -47,7 +59,13 @@ class Rows:
 
 
 def rows_of(scene: Artifact, rows: NDArray[np.intp], *, ignore_loss: bool = False) -> Rows:
-    """Those of rows that are given in ascending order; no copy when that is all."""
+    """Select rows of a scene; no copy is made when all rows are selected.
+
+    Args:
+        scene: an `alula/scene`.
+        rows: in ascending order, shape (K,).
+        ignore_loss: leave `loss` out.
+    """
     arrays: dict[str, Any] = {name: scene[name] for name in ("mean", "scale", "quat_wxyz")}
     arrays["loss"] = None if ignore_loss else scene.arrays.get("loss")
     if len(rows) < len(scene["mean"]):
@@ -55,8 +73,14 @@ def rows_of(scene: Artifact, rows: NDArray[np.intp], *, ignore_loss: bool = Fals
     return Rows(**arrays)
 
 
-def lost_before(scene: SceneManifest, inflation_m: float, *, ignore_loss: bool = False) -> list[str]:
-    """What separates the ellipsoids of a scene from the true ones and nothing makes up for, in words."""
+def excluded_errors(scene: SceneManifest, inflation_m: float, *, ignore_loss: bool = False) -> list[str]:
+    """Phrases that name the errors of a scene's ellipsoids that neither `loss` nor the inflation covers.
+
+    Args:
+        scene: manifest of an `alula/scene`.
+        inflation_m: radius of the ball added to each ellipsoid [m].
+        ignore_loss: the scene's `loss` is not used.
+    """
     source, parts = scene.source, []
     removed = source.get("removed")
     if isinstance(removed, dict):
@@ -67,7 +91,7 @@ def lost_before(scene: SceneManifest, inflation_m: float, *, ignore_loss: bool =
     losses: dict[str, Any] = loss if isinstance(loss, dict) else {}
     if (moved := losses.get("opacity")) and isinstance(removed, dict) and removed.get("min_opacity"):
         parts.append(f"what the format may have moved below that opacity, by up to {moved:.3g}")
-    if SPLAT_LOSS not in scene.requires or ignore_loss:  # nothing allows for it
+    if SPLAT_LOSS not in scene.requires or ignore_loss:  # the ellipsoids are not grown by it
         found = [
             f"{key} {value:.3g}"
             for key, value in sorted(losses.items())
@@ -107,10 +131,10 @@ def unproven_voxels(
     """Prove, by another method than `voxelize`, that voxels contain the ellipsoids of a scene.
 
     Each voxel i = [i g, (i + 1) g] that is not in `index` and touches the crop is proven to be touched
-    by fewer than `min_overlap` of the sets {c + R diag(k s) u + b : |u| <= 1, |b| <= r}, with k and r those
-    of `level_of` in `ellipsoid.hpp` where the scene has a `loss`, each time by
-    a plane n with n.c + |diag(k s) R' n| + r |n| < min n.x over the voxel, both sides evaluated with
-    rigorous rounding bounds. A voxel is never passed wrongly.
+    by fewer than `min_overlap` of the sets {c + R diag(k s) u + b : |u| <= 1, |b| <= r}. Where the scene has
+    a `loss`, k and r are those of `level_of` in `ellipsoid.hpp`. Each proof is a separating plane n with
+    n.c + |diag(k s) R' n| + r |n| < min n.x over the voxel, both sides evaluated with rigorous rounding
+    bounds. So no touched voxel passes as untouched.
 
     Args:
         scene: an `alula/scene`, in the frame and unit of the voxels.
@@ -121,9 +145,12 @@ def unproven_voxels(
         crop: XMIN YMIN ZMIN XMAX YMAX ZMAX [m]; voxels that do not touch it do not count.
         min_overlap: voxels touched by fewer ellipsoids may be missing.
         min_opacity: ellipsoids of Gaussians below it do not count.
-        ignore_loss: take the ellipsoids as they are, not grown by what the scene's `loss` says.
+        ignore_loss: do not grow the ellipsoids by the scene's `loss`.
         jobs: threads; the result does not depend on it.
         progress: called with (done, total) ellipsoids.
+
+    Returns:
+        The voxels without a proof.
 
     Raises:
         InputError: the touched voxels that are missing exceed the memory budget.

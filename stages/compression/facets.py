@@ -1,4 +1,4 @@
-"""The facets of a cover's polytopes as triangles, found with integers only."""
+"""Triangulation of the facets of a cover's polytopes, in integers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError
 from alula.stages.compression.hulls import is_outer, outer_solids
 
-_CHUNK = 2**20  # pairs looked at together
+_CHUNK = 2**20  # pairs processed together
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +25,8 @@ class Mesh:
         point_start: first point of each hull and the end, shape (n + 1,).
         triangles: rows of `points_voxel`, counter-clockwise from outside, shape (T, 3).
         triangle_start: first triangle of each hull and the end, shape (n + 1,).
-        exact: whether the mesh is the hull exactly; otherwise its corners are not lattice points
-            and were rounded, shape (n,).
+        exact: True where the mesh equals the hull; False where corners are not lattice points and were
+            rounded, shape (n,).
     """
 
     points_voxel: NDArray[np.float64]
@@ -40,11 +40,13 @@ class Mesh:
 
 
 def mesh(cover: Artifact) -> Mesh:
-    """The boundary of every polytope {x : normal . x <= offset} of an `alula/cover`.
+    """Triangulate the boundary of every polytope {x : normal . x <= offset} of an `alula/cover`.
 
-    A hull whose planes meet in its lattice vertices is triangulated over them by `triangles`. The
-    corners of one with other planes (an outer polytope) are found from the planes, exactly, and
-    rounded.
+    A hull has its lattice vertices as corners and is triangulated by `triangles`. The corners of an outer
+    polytope are computed exactly from its planes and then rounded.
+
+    Args:
+        cover: an `alula/cover`.
 
     Raises:
         ArtifactError: the planes of a hull bound no solid.
@@ -69,9 +71,13 @@ def mesh(cover: Artifact) -> Mesh:
 def triangles(cover: Artifact) -> tuple[IntArray, IntArray]:
     """Triangulate each hull of an `alula/cover` over its own vertices.
 
-    The corners of a facet are the vertices v with normal . v = offset. Seen along the axis of the
-    normal's largest component they are sorted by angle around the least of them; all comparisons
-    are signs of 2x2 determinants of differences, exact in 64 bits for hulls up to 2^30 voxels wide.
+    The corners of a facet are the vertices v with normal . v = offset. Projected along the axis of the
+    normal's largest component they are sorted by angle around the lexicographically smallest of them. All
+    comparisons are signs of 2x2 determinants of differences, exact in 64 bits for hulls up to 2^30 voxels
+    wide.
+
+    Args:
+        cover: an `alula/cover`.
 
     Returns:
         Rows of `vertex`, counter-clockwise from outside, shape (T, 3), and the first triangle of
@@ -133,8 +139,8 @@ def _incidences(
     first = vertex_start[hull_of_plane]
     planes, corners = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     for rows in _groups(candidates):
-        row, place = _expand(candidates[rows])
-        at = first[rows][row] + place
+        row, offset_in_row = _expand(candidates[rows])
+        at = first[rows][row] + offset_in_row
         slack = np.asarray(offset[rows], np.int64)[row]
         for axis in range(3):
             slack -= normal[rows, axis][row] * vertex[at, axis]
@@ -145,7 +151,7 @@ def _incidences(
 
 
 def _fans(vertex: IntArray, normal: IntArray, plane: IntArray, corner: IntArray) -> tuple[IntArray, IntArray]:
-    """Each facet as a fan of triangles around its least corner, and the plane of each triangle."""
+    """Triangles of each facet, as a fan around its smallest corner, and the plane of each triangle."""
     if len(plane) == 0:
         return np.empty((0, 3), np.int64), np.empty(0, np.int64)
     facet_plane, begin, size = np.unique(plane, return_index=True, return_counts=True)
@@ -161,23 +167,25 @@ def _fans(vertex: IntArray, normal: IntArray, plane: IntArray, corner: IntArray)
     rank = np.empty_like(corner)
     for rows in _groups(size * size):
         count = size[rows]
-        row, place = _expand(count * count)
-        a = begin[rows][row] + place // count[row]
-        b = begin[rows][row] + place % count[row]
+        row, offset_in_row = _expand(count * count)
+        a = begin[rows][row] + offset_in_row // count[row]
+        b = begin[rows][row] + offset_in_row % count[row]
         turn = u[b] * w[a] - w[b] * u[a]
         before = (turn > 0) | ((turn == 0) & (b < a))
         here = slice(begin[rows][0], begin[rows][-1] + count[-1])
         rank[here] = np.bincount(a - here.start, weights=before, minlength=here.stop - here.start)
     around = np.empty_like(corner)
     around[begin[facet] + rank] = corner
-    row, place = _expand(size - 2)
+    row, offset_in_row = _expand(size - 2)
     first = begin[row]
-    fans = np.stack([around[first], around[first + place + 1], around[first + place + 2]], axis=1)
+    fans = np.stack(
+        [around[first], around[first + offset_in_row + 1], around[first + offset_in_row + 2]], axis=1
+    )
     return fans, facet_plane[row]
 
 
 def _closed(fans: IntArray, hull: IntArray, n: int, vertices: int) -> NDArray[np.bool_]:
-    """Whether the triangles of each hull meet edge to edge, each edge once in each direction."""
+    """Mask of the hulls in which triangles meet edge to edge, each edge once in each direction."""
     ahead, back = (fans, np.roll(fans, -1, axis=1))
     forward = np.sort((ahead * vertices + back).reshape(-1))
     backward = np.sort((back * vertices + ahead).reshape(-1))

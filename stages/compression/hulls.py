@@ -1,4 +1,4 @@
-"""The polytopes of a cover in metres, as every later stage reads them."""
+"""Polytopes of a cover in metres, the form that all later stages use."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Hulls:
     """Convex polytopes {x : normal . x <= offset} in the world frame, row-compressed by hull.
 
     The planes are rounded outward: each double-precision half-space contains the exact one inside
-    a ball of radius `extent_m` around the origin. Vertices are rounded to the nearest: those of hulls
+    a ball around the origin that holds all vertices. Vertices are rounded to nearest: those of hulls
     once; those of outer polytopes, which are off the lattice, to within 4 units in the last place of
     the largest coordinate.
 
@@ -40,7 +40,10 @@ class Hulls:
 
     @classmethod
     def from_cover(cls, cover: Artifact) -> Self:
-        """The polytopes of an `alula/cover`, hulls or outer ones.
+        """Convert the polytopes of an `alula/cover`, hulls or outer ones, to metres.
+
+        Args:
+            cover: an `alula/cover`.
 
         Raises:
             ArtifactError: the planes of an outer polytope bound no solid.
@@ -77,8 +80,12 @@ class Hulls:
 def outer_solids(cover: Artifact, *, jobs: int = 0) -> dict[str, NDArray[Any]]:
     """Corners and triangles of the polytopes that the planes of a cover bound, in voxel edges.
 
-    Found exactly in 128-bit integers and rounded in the end; see
+    They are computed exactly in 128-bit integers and rounded at the end; see
     native/core/include/alula/cover/outer_solid.hpp.
+
+    Args:
+        cover: an `alula/cover`.
+        jobs: threads, 0 for all processors; the result does not depend on it.
 
     Returns:
         `point` (P, 3), `point_start` (n + 1,), `triangle` (T, 3), counter-clockwise from outside,
@@ -97,7 +104,11 @@ def outer_solids(cover: Artifact, *, jobs: int = 0) -> dict[str, NDArray[Any]]:
 
 
 def is_outer(cover: Artifact) -> bool:
-    """Whether the polytopes of a cover only contain the hulls of `vertex`."""
+    """Test whether a cover has outer polytopes, which contain the hulls of `vertex` but may be larger.
+
+    Args:
+        cover: an `alula/cover`.
+    """
     return bool(cover.manifest.polytopes == "outer")  # type: ignore[attr-defined]
 
 

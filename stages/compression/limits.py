@@ -1,12 +1,12 @@
-"""How many voxels a stage takes, so that it refuses at once what would not fit into memory."""
+"""Maximum numbers of voxels per stage: inputs that would not fit into memory are refused at the start."""
 
 from __future__ import annotations
 
 from alula.schemas.errors import InputError
 
-# Peak memory, measured; the help of the commands states it, and a test holds it.
+# Measured peak memory; the help of the commands states it, and a test checks it.
 BASE_BYTES = 2**26  # Python, NumPy and the libraries
-MERGE_BYTES = 2600  # per voxel; 600 of surfaces
+MERGE_BYTES = 2600  # per voxel; about 600 where the voxels form surfaces
 VERIFY_BYTES = 250  # per voxel, or member of a hull where hulls share voxels
 VERIFY_HULL_BYTES = 4000
 
@@ -14,14 +14,19 @@ MERGE_VOXELS = 2**24
 VERIFY_VOXELS = 2**26
 
 
-def require_at_most(most: int, voxels: int, what: str) -> None:
+def require_at_most(limit: int, voxels: int, what: str) -> None:
     """Refuse more voxels than a stage has memory for.
 
+    Args:
+        limit: maximum number of voxels.
+        voxels: number of voxels of the input.
+        what: subject and verb of the message, such as "alula/cover lists".
+
     Raises:
-        InputError: saying how many there are and what to do.
+        InputError: there are more; the message has both numbers and the remedy.
     """
-    if voxels > most:
+    if voxels > limit:
         raise InputError(
-            f"{what} {voxels:,} voxels, but more than {most:,} are refused for want of memory;"
+            f"{what} {voxels:,} voxels, but memory limits them to {limit:,};"
             " crop the scene or take larger voxels"
         )

@@ -1,4 +1,4 @@
-"""Volumes of unions of convex polytopes, exact up to rounding, and of voxels they leave open."""
+"""Volume of a union of convex polytopes, exact up to rounding, and the voxels that it does not fill."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.errors import InputError
 from alula.schemas.progress import Progress
 
-_SLIVER = 1e-9  # of a voxel's volume; roundings of planes stay far below
+_SLIVER = 1e-9  # of a voxel's volume; the rounding of planes causes far smaller errors
 
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A union of polytopes against occupied voxels; volumes in voxels.
+    """Volumes of a union of polytopes, compared with occupied voxels [voxels].
 
     Attributes:
-        voxels: how many are occupied.
+        voxels: number of occupied voxels.
         union: volume of the union.
         intersection: volume of the union inside occupied voxels.
-        open_voxels: occupied voxels that the union does not fill, but for the `sliver` allowed.
+        open_voxels: number of occupied voxels of which the union leaves out more than the allowed `sliver`.
         error: bound on the rounding error of each volume.
     """
 
@@ -43,7 +43,7 @@ class Measure:
 
     @property
     def filled(self) -> float:
-        """Share of the voxels' volume that the union fills."""
+        """Fraction of the voxels' volume that the union fills."""
         return self.intersection / self.voxels
 
 
@@ -54,13 +54,16 @@ def measure_cover(
     jobs: int = 0,
     progress: Progress | None = None,
 ) -> Measure:
-    """Measure the polytopes of an `alula/cover`, as their planes bound them, against voxels.
+    """Measure the polytopes that the planes of an `alula/cover` bound, and compare them with voxels.
 
     Args:
-        cover: the cover.
+        cover: an `alula/cover`.
         index: occupied voxels, shape (M, 3), in any order; None: the cover's members.
         jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) now and then.
+        progress: called with (done, total) from time to time.
+
+    Raises:
+        InputError: there is no voxel, or a polytope has no facets along its bounding box.
     """
     integer = np.asarray(cover["plane_normal"], np.float64)
     length = np.sqrt((integer * integer).sum(axis=1))
@@ -79,14 +82,14 @@ def measure_points(
     jobs: int = 0,
     progress: Progress | None = None,
 ) -> Measure:
-    """Measure the union of convex hulls of points, as other tools give them, against voxels.
+    """Measure the union of convex hulls of points, such as those of other tools, and compare it with voxels.
 
     Args:
         parts: the points of each hull, shape (k, 3) [voxel edges]; flat ones have no volume.
         index: occupied voxels, shape (M, 3), in any order.
-        sliver: a voxel with no more than this share of it missing counts as filled.
+        sliver: maximum fraction of a voxel that may be missing where it counts as filled.
         jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) now and then.
+        progress: called with (done, total) from time to time.
 
     Raises:
         InputError: a coordinate is not finite.
@@ -103,7 +106,13 @@ def measure_points(
 
 
 def half_spaces(points: FloatArray) -> FloatArray:
-    """The facets of the convex hull of points, (k, 3): rows (normal, -offset), (F, 4); none when it is flat.
+    """Half-spaces of the facets of a convex hull.
+
+    Args:
+        points: shape (k, 3), any units.
+
+    Returns:
+        Rows (normal, -offset), shape (F, 4); F is 0 when the points are flat.
 
     Raises:
         InputError: a coordinate is not finite.
@@ -119,7 +128,7 @@ def half_spaces(points: FloatArray) -> FloatArray:
 
 
 def _boxes(normal: FloatArray, offset: FloatArray, start: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-    """Bounding boxes from the planes that have them as facets."""
+    """Bounding boxes of polytopes, from their axis-aligned facets: lower and upper, each of shape (n, 3)."""
     hull = np.repeat(np.arange(len(start) - 1), np.diff(start))
     sides = np.full((2, len(start) - 1, 3), np.nan)
     for axis in range(3):

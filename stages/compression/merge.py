@@ -1,4 +1,4 @@
-"""Cover occupied voxels with convex polytopes, as few as asked."""
+"""The stage `merge`: cover occupied voxels with a limited number of convex polytopes."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ from alula.schemas.provenance import parameters_of
 from alula.stages.compression.limits import MERGE_VOXELS, require_at_most
 from alula.stages.progress import WHOLE, share
 
-LATTICE_LIMIT = 2**20  # voxel corners must lie within: integer predicates are exact in 64 bits
-_FEWEST_PLANES = 6  # the hull of voxels has a facet on each side of its bounding box
-_FEWEST_BYTES = 64 + 14  # see native/core/include/alula/cover/budget.hpp
+LATTICE_LIMIT = (
+    2**20
+)  # maximum coordinate of a voxel corner, for which integer predicates are exact in 64 bits
+_MIN_PLANES = 6  # the hull of voxels has a facet on each side of its bounding box
+_MIN_BYTES = 64 + 14  # see native/core/include/alula/cover/budget.hpp
 _CURVE_POINTS = 60
 _GROWTH_ATTEMPTS = 4
 _ARRAYS = tuple(rule.name for rule in COVER.arrays)
@@ -37,37 +39,37 @@ def merge(
     r"""Cover voxels by merging convex hulls of local clusters.
 
     Guarantee: every occupied voxel lies in a hull that lists it as a member; the hull is the convex
-    hull of its members' corners, in exact integer arithmetic. Volumes only decide what is merged.
+    hull of its members' corners, in exact integer arithmetic. Volumes only select the pairs to merge.
 
     With V+ the occupied voxels and W(C) = Vol(Hull(C) \ V+):
 
     - start: the greedy set cover of V+ by the clusters C_v = {v' in V+ : |v' - v|_inf <= block},
-      least W(C_v) per newly covered voxel first;
-    - method "paper": repeatedly join the pair of touching bounding boxes with least W(i u j), or the
+      smallest W(C_v) per newly covered voxel first;
+    - method "paper": repeatedly join the pair of touching bounding boxes with the smallest W(i u j), or the
       nearest boxes when none touch;
-    - method "default": join the pair with least W(i u j) - W(i) - W(j), where a hull that touches no
-      other is paired with its nearest, and pairs of a joined hull are measured no sooner than its
-      parts' pairs would have come; at the end rebuild each hull from the voxels that no other
-      holds and drop hulls without any, which never enlarges the cover.
+    - method "default": repeatedly join the pair with the smallest W(i u j) - W(i) - W(j), where a hull that
+      touches no other is paired with its nearest. Pairs of a joined hull are measured no earlier than the
+      pairs of its parts would have been due. At the end each hull is rebuilt from the voxels that no other
+      contains, and hulls without any are dropped, which never enlarges the cover.
 
     With `facet_cap` or `kdop` each hull becomes an outer polytope that contains it, with the planes of
-    its bounding box and few others, each supporting the hull exactly; then those planes come first that
-    remove most free volume, and polytopes are tightened to what no other one holds. With "auto" the
-    number of hulls is the one of least union among some of the same merge history, and all planes of
-    the budget are shared out. `max_planes` and `max_bytes` count what is written.
+    its bounding box and few others, each supporting the hull exactly. Planes that remove most free volume
+    come first, and polytopes are tightened to the voxels that no other contains. With "auto" several
+    numbers of hulls of the same merge history are tried, the one with the smallest union is taken, and all
+    planes of the budget are distributed. `max_planes` and `max_bytes` limit the written cover.
 
-    `max_growth` is held by the sum of W, which bounds the excess of the union from above, and checked
-    on the measured union.
+    `max_growth` is enforced by the sum of W, an upper bound of the excess of the union, and checked on the
+    measured union.
 
     Args:
         config: see `MergeConfig`.
         source: an `alula/voxels`, or an `alula/cover` whose hulls are merged further; V+ then is the
             union of its members.
         jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) now and then; the share of the time, roughly, and never less
-            than before.
-        journal: takes the volumes measured so far. That of an interrupted run, or a copy made of its
-            `snapshot()` in `progress`, brings the same run to the same result at a fraction of the time.
+        progress: called with (done, total) from time to time; done / total is roughly the fraction of the
+            time and never decreases.
+        journal: records the measured volumes. With the journal of an interrupted run, or with a copy made
+            from its `snapshot()` in `progress`, the same run gives the same result in a fraction of the time.
 
     Returns:
         An `alula/cover`. `conservativeness` is Vol(union of hulls) / Vol(V+).
@@ -79,12 +81,10 @@ def merge(
 
     Source: Hong et al. 2026, PolyMerge (arXiv 2606.16232), eqs. 10-15.
     """
-    if config.max_planes is not None and config.max_planes < _FEWEST_PLANES:
-        raise InfeasibleError(
-            f"no cover has {config.max_planes} half-planes: one hull needs {_FEWEST_PLANES}"
-        )
-    if config.max_bytes is not None and config.max_bytes < _FEWEST_BYTES:
-        raise InfeasibleError(f"no cover has {config.max_bytes} bytes: one hull needs {_FEWEST_BYTES}")
+    if config.max_planes is not None and config.max_planes < _MIN_PLANES:
+        raise InfeasibleError(f"no cover has {config.max_planes} half-planes: one hull needs {_MIN_PLANES}")
+    if config.max_bytes is not None and config.max_bytes < _MIN_BYTES:
+        raise InfeasibleError(f"no cover has {config.max_bytes} bytes: one hull needs {_MIN_BYTES}")
     is_fitted = config.facet_cap == "auto"
     cap = config.facet_cap if isinstance(config.facet_cap, int) else 0
     manifest = source.manifest
@@ -107,7 +107,7 @@ def merge(
             limit,
             jobs,
             journal,
-            # Each attempt takes half of what is left: most are the last one.
+            # Each attempt gets half of the remaining progress, as it is probably the last one.
             progress
             if config.max_growth is None
             else share(progress, 1 - 0.5**attempt, 1 - 0.5 ** (attempt + 1)),
@@ -115,7 +115,7 @@ def merge(
         growth = 1.0 + float(found["union_excess"]) / len(voxels)
         if config.max_growth is None or growth <= config.max_growth or limit <= 1.0 or is_fitted:
             break
-        limit = max(1.0, limit - 2 * (growth - config.max_growth))  # W of large hulls is a coarser measure
+        limit = max(1.0, limit - 2 * (growth - config.max_growth))  # W of large hulls is a coarser bound
     if progress is not None and config.max_growth is not None:
         progress(WHOLE, WHOLE)
     _check_feasible(config, found, growth)
@@ -175,7 +175,7 @@ def merge(
 def _voxels_and_sets(
     source: Artifact,
 ) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.int64]]:
-    """Sorted voxels, and the sets to start from as voxel numbers; no starts for plain voxels."""
+    """Sorted voxels, and the members of the hulls to start from as voxel numbers; none for plain voxels."""
     is_cover = source.manifest.schema == COVER.name
     index = np.ascontiguousarray(source["member_index" if is_cover else "index"], np.int32)
     if len(index) == 0:
@@ -219,7 +219,7 @@ def _check_feasible(config: MergeConfig, found: dict[str, Any], growth: float) -
 
 
 def _volume_method(found: dict[str, Any]) -> dict[str, Any]:
-    """How the volume of the union was found, and how far off it can be."""
+    """Method that measured the volume of the union, and its error."""
     if found["lines"] == 0:
         return {
             "method": "exact volume of the union, cut into convex pieces",
@@ -227,23 +227,24 @@ def _volume_method(found: dict[str, Any]) -> dict[str, Any]:
         }
     return {
         "method": "estimate: z-intervals of the union of hulls along a midpoint grid of vertical lines,"
-        " as cutting it into convex pieces would have taken too long",
+        " because cutting it into convex pieces would have taken too long",
         "lines_per_voxel_column": int(found["lines"]) ** 2,
         "every_nth_column": int(found["stride"]),
     }
 
 
 def _statement_of_voxels(guarantee: Guarantee) -> str:
-    """What the voxels promise, also when it comes through an earlier cover."""
+    """The guarantee of the voxels, also when the source is an earlier cover."""
     _, mark, rest = guarantee.statement.partition("exactly, in integers.")
     return rest.strip() if mark else guarantee.statement
 
 
 def _curve(rows: NDArray[np.float64], measured: NDArray[np.float64], voxels: int) -> dict[str, Any]:
-    """At most about sixty points of n against the sum of W, half-planes and bytes, evenly in log n.
+    """Merge curve: the sum of W, half-planes and bytes against the number of hulls n.
 
-    The estimate counts what several hulls enclose several times, and is before tightening. `measured`
-    beside them are the covers whose union was measured, after tightening and capping.
+    It has at most about sixty points, evenly in log n. The estimate counts a volume once for each hull that
+    encloses it, before tightening. `measured` holds the covers with a measured union, after tightening and
+    capping.
     """
     count = rows[:, 0]
     wanted = np.geomspace(count[0], count[-1], _CURVE_POINTS)

@@ -1,4 +1,4 @@
-"""Voxels of ellipsoids, tile by tile: less memory at a time, and more than one machine."""
+"""Voxelization of ellipsoids tile by tile, to bound the memory and to use several machines."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from alula.stages.progress import WHOLE, share
 Box = tuple[float, float, float, float, float, float]
 Floats = NDArray[np.float32]
 
-LONGEST_EDGE = 2**20  # of a tile, in voxels
-CHUNK = 1 << 16  # ellipsoids of the tiles that are sent together: 2.6 MB
+LONGEST_EDGE = 2**20  # of a tile [voxels]
+CHUNK = 1 << 16  # maximum number of ellipsoids of tiles that are sent together: 2.6 MB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ellipsoids:
-    """Which sets are marked on which lattice: all that a voxel's mark depends on.
+    """The sets to voxelize and the lattice: everything that the mark of a voxel depends on.
 
     Attributes:
         mean: shape (N, 3) [m].
         scale: one-sigma semi-axes, shape (N, 3) [m].
         quat_wxyz: shape (N, 4).
-        sigma: level k.
-        inflation_m: radius of the ball added to each.
-        voxel_size_m: edge of a voxel g.
-        crop: only voxels that touch this box [m].
-        min_overlap: only voxels that so many touch.
-        loss: how far each row may be from the one it stands for, shape (N, 3): of the centre [m], of
-            semi-axes relatively, of the rotation [rad]; None where rows stand for themselves.
+        sigma: level k of the ellipsoids.
+        inflation_m: radius of the ball added to each [m].
+        voxel_size_m: edge of a voxel g [m].
+        crop: box that a marked voxel must touch [m].
+        min_overlap: minimum number of ellipsoids that touch a marked voxel.
+        loss: bounds of the error of each row, shape (N, 3): of the centre [m], of the semi-axes (relative),
+            of the rotation [rad]; None where rows are exact.
     """
 
     mean: Floats
@@ -49,7 +49,7 @@ class Ellipsoids:
     loss: Floats | None = None
 
     def level(self) -> dict[str, Any]:
-        """The arguments that the native functions share."""
+        """Arguments that the native functions share."""
         return {
             "mean": self.mean,
             "scale": self.scale,
@@ -62,7 +62,11 @@ class Ellipsoids:
         }
 
     def part(self, rows: NDArray[np.uint32] | slice) -> Ellipsoids:
-        """Some of them."""
+        """Ellipsoids of some rows, on the same lattice.
+
+        Args:
+            rows: indices of the rows, shape (K,), or a slice.
+        """
         loss = None if self.loss is None else self.loss[rows]
         arrays = {name: getattr(self, name)[rows] for name in ("mean", "scale", "quat_wxyz")}
         return replace(self, **arrays, loss=loss)
@@ -70,26 +74,26 @@ class Ellipsoids:
 
 @dataclass(frozen=True, slots=True)
 class Marked:
-    """Voxels and what became of each ellipsoid.
+    """Marked voxels, and the effect of each ellipsoid.
 
     Attributes:
-        index: sorted, shape (M, 3).
-        overlap: ellipsoids that touch each, shape (M,).
+        index: marked voxels, sorted, shape (M, 3).
+        overlap: number of ellipsoids that touch each, shape (M,).
         reach: per ellipsoid 0 when it marks nothing, 2 when its box exceeds the crop, else 1; shape (N,).
-        below: touched voxels left out by `min_overlap`.
-        most: the highest overlap.
+        below: number of touched voxels left out because of `min_overlap`.
+        max_overlap: maximum overlap of all touched voxels.
     """
 
     index: NDArray[np.int32]
     overlap: NDArray[np.uint32]
     reach: NDArray[np.uint8]
     below: int
-    most: int
+    max_overlap: int
 
 
 @dataclass(frozen=True, slots=True)
 class _Chunk:
-    """Some tiles with the ellipsoids that may touch them: rows start[t] ... start[t + 1] - 1."""
+    """Some tiles with the ellipsoids that may touch them: tile t has rows start[t] ... start[t + 1] - 1."""
 
     ellipsoids: Ellipsoids
     start: NDArray[np.int64]
@@ -98,7 +102,16 @@ class _Chunk:
 
 
 def mark(ellipsoids: Ellipsoids, jobs: int, progress: Progress | None) -> Marked:
-    """All voxels at once."""
+    """Mark all voxels in one pass.
+
+    Args:
+        ellipsoids: the sets and the lattice.
+        jobs: threads; the result does not depend on it.
+        progress: called with (done, total).
+
+    Raises:
+        OverflowError: there are too many voxels or bricks.
+    """
     found = _core.voxelize(
         **ellipsoids.level(), min_overlap=ellipsoids.min_overlap, jobs=jobs, progress=progress
     )
@@ -108,14 +121,14 @@ def mark(ellipsoids: Ellipsoids, jobs: int, progress: Progress | None) -> Marked
 def mark_tiles(
     ellipsoids: Ellipsoids, edge: int, jobs: int, scheduler: str | None, progress: Progress | None
 ) -> Marked:
-    """The same voxels by cubes of edge^3, on threads or on the workers of a scheduler.
+    """Mark the voxels tile by tile, on threads or on the workers of a scheduler.
 
-    Whether an ellipsoid touches a voxel is decided alike in every tile, and tiles do not share voxels,
-    so the result is that of `mark`, to the bit, for every edge and number of workers.
+    The test of an ellipsoid against a voxel does not depend on the tile, and tiles do not share voxels. So
+    the result equals that of `mark` to the bit, for every edge and number of workers.
 
     Args:
-        ellipsoids: what to mark.
-        edge: of a tile, in voxels; tiles begin at multiples of it.
+        ellipsoids: the sets and the lattice.
+        edge: edge of a tile [voxels]; tiles begin at multiples of it.
         jobs: threads; each holds the counters of one tile at a time.
         scheduler: address of a `dask.distributed` scheduler, instead of threads.
         progress: called with (done, total): assigning ellipsoids to tiles, then marking them.
@@ -128,7 +141,7 @@ def mark_tiles(
     tile, start, row = _core.tiles_of(**ellipsoids.level(), edge=edge, progress=assigned)
     parts: list[tuple[NDArray[np.int32], NDArray[np.uint32]]] = []
     reach = np.zeros(len(ellipsoids.mean), np.uint8)
-    below = most = done = voxels = 0
+    below = max_overlap = done = voxels = 0
     work = distribute(
         _mark_chunk, _chunks(ellipsoids, edge, tile, start, row), jobs=jobs, scheduler=scheduler
     )
@@ -136,7 +149,7 @@ def mark_tiles(
         here = row[done : done + len(marked.reach)]
         np.maximum.at(reach, here, marked.reach)
         parts.append((marked.index, marked.overlap))
-        below, most = below + marked.below, max(most, marked.most)
+        below, max_overlap = below + marked.below, max(max_overlap, marked.max_overlap)
         done, voxels = done + len(here), voxels + len(marked.index)
         if voxels > _core.MAX_VOXELS:
             raise OverflowError(f"the scene would need more than {_core.MAX_VOXELS} voxels")
@@ -145,7 +158,7 @@ def mark_tiles(
     index, overlap = _joined(parts)
     if progress is not None:
         progress(WHOLE, WHOLE)
-    return Marked(index, overlap, reach, below, most)
+    return Marked(index, overlap, reach, below, max_overlap)
 
 
 def _chunks(
@@ -155,7 +168,7 @@ def _chunks(
     start: NDArray[np.int64],
     row: NDArray[np.uint32],
 ) -> Iterator[_Chunk]:
-    """Tiles in order, as many together as have at most CHUNK ellipsoids, at least one."""
+    """Group tiles in order: each group has one tile, or several with at most CHUNK ellipsoids together."""
     first = 0
     while first < len(tile):
         end = int(np.searchsorted(start, start[first] + CHUNK, side="right")) - 1
@@ -169,28 +182,28 @@ def _chunks(
 
 
 def _mark_chunk(chunk: _Chunk) -> Marked:
-    """The voxels of the tiles of one chunk; `reach` once per tile and ellipsoid."""
+    """Mark the voxels of the tiles of one chunk; `reach` has one entry per tile and ellipsoid."""
     all_of = chunk.ellipsoids
-    parts, reach, below, most = [], [], 0, 0
+    parts, reach, below, max_overlap = [], [], 0, 0
     lowest, highest = np.iinfo(np.int32).min, np.iinfo(np.int32).max
     for t, lower in enumerate(chunk.lower):
         rows = slice(int(chunk.start[t]), int(chunk.start[t + 1]))
         mine = all_of.part(rows)
         corners = np.clip([lower, lower + chunk.edge - 1], lowest, highest).tolist()
-        index, overlap, mine_reach, mine_below, mine_most = _core.voxelize(
+        index, overlap, tile_reach, tile_below, tile_max = _core.voxelize(
             **mine.level(), tile=corners, min_overlap=all_of.min_overlap, jobs=1
         )
         parts.append((index, overlap))
-        reach.append(mine_reach)
-        below, most = below + mine_below, max(most, mine_most)
+        reach.append(tile_reach)
+        below, max_overlap = below + tile_below, max(max_overlap, tile_max)
     index, overlap = _joined(parts)
-    return Marked(index, overlap, np.concatenate(reach), below, most)
+    return Marked(index, overlap, np.concatenate(reach), below, max_overlap)
 
 
 def _joined(
     parts: list[tuple[NDArray[np.int32], NDArray[np.uint32]]],
 ) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
-    """One sorted list of disjoint sorted lists."""
+    """Join disjoint sorted lists into one sorted list."""
     if len(parts) == 1:
         return parts[0]
     start = np.cumsum([0, *(len(overlap) for _, overlap in parts)], dtype=np.int64)

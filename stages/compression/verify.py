@@ -1,4 +1,8 @@
-"""Prove again, by other means than `merge` and `voxelize`, that a cover contains every obstacle."""
+"""The stage `verify`: prove that a cover contains every obstacle, independently of `merge` and `voxelize`.
+
+The checks share no code with those stages. The file is long because it is one proof: its checks and the
+certificate with their results belong together.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +18,15 @@ from alula.schemas.artifact import Artifact
 from alula.schemas.errors import ArtifactError
 from alula.schemas.manifest import CoverManifest, LevelManifest, SceneManifest, VoxelsManifest
 from alula.schemas.progress import Progress
-from alula.stages.compression.ellipsoids import lost_before, retained, unproven_voxels
+from alula.stages.compression.ellipsoids import excluded_errors, retained, unproven_voxels
 from alula.stages.compression.hulls import is_outer
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
 from alula.stages.progress import share
 
 SCHEMA, VERSION = "alula/certificate", "1.0"
-LISTED = 100  # offenders of one check
+LISTED = 100  # maximum number of offences that a check lists
 
-# What each fault of native/core/include/alula/cover/cover_check.hpp is about.
+# Groups of the faults of native/core/include/alula/cover/cover_check.hpp.
 _POLYTOPES = (0, 1, 2, 3, 4, 5, 6, 9, 12, 13, 14)
 _MEMBERS = (7, 8)
 _NOT_SOLID = (0, 3, 4, 5)
@@ -30,9 +34,9 @@ _NOT_BOUNDED = (0, 1, 3, 13, 14)  # of outer polytopes
 _VERTEX_FAULTS, _PLANE_FAULTS = (3, 6, 9), (1, 4, 5, 12, 13)
 _OTHER_IS_PLANE, _OTHER_IS_VERTEX = (3, 8), (12,)
 _NOT_COVERED, _NOT_OCCUPIED = 10, 11
-_LATTICE_LIMIT = 2**20  # volumes are measured within; nothing else here depends on it
-_VOLUME_TOLERANCE = 1e-6  # of the volume: roundings stay far below
-_VOLUME_SHARE, _SCENE_SHARE = 0.1, 0.5  # of the time, roughly, when these checks begin
+_LATTICE_LIMIT = 2**20  # maximum coordinate for the measurement of volumes; the other checks have no limit
+_VOLUME_TOLERANCE = 1e-6  # of the volume; rounding errors are far smaller
+_VOLUME_BEGINS, _SCENE_BEGINS = 0.1, 0.5  # approximate fractions of the time at which these checks begin
 LEVEL = ("voxel_size_m", "sigma", "min_overlap", "inflation_m", "crop", "min_opacity", "ignore_loss")
 _GEOMETRY = (
     *("vertex", "vertex_start", "plane_normal", "plane_offset", "plane_start"),
@@ -41,11 +45,17 @@ _GEOMETRY = (
 
 
 class Offence(msgspec.Struct, frozen=True, kw_only=True):
-    """One place where a check fails.
+    """One failure of a check.
 
-    `place_m` is the offending vertex, a vertex of the hull of an offending plane or the centre of an
-    offending voxel, in the cover's frame; None for what has no place. `plane` and `vertex` are rows of
-    the cover's arrays, `voxel` is a lower corner on the lattice, `gaussian` a row of the scene.
+    Attributes:
+        fault: description of the failure.
+        hull: number of the hull.
+        place_m: position of the offending vertex, of a vertex of the hull of an offending plane, or of the
+            centre of an offending voxel, in the cover's frame [m]; None for failures without a position.
+        gaussian: row of the scene.
+        plane: row of `plane_normal`.
+        vertex: row of `vertex`.
+        voxel: lower corner of the voxel on the lattice.
     """
 
     fault: str
@@ -57,7 +67,7 @@ class Offence(msgspec.Struct, frozen=True, kw_only=True):
     voxel: tuple[int, int, int] | None = None
 
     def text(self) -> str:
-        """One phrase: what, where."""
+        """One phrase: the fault and its location."""
         words = self.fault
         for name, row in (("hull", self.hull), ("plane", self.plane), ("Gaussian", self.gaussian)):
             if row is not None:
@@ -68,7 +78,7 @@ class Offence(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
-    """One fact: how many things were checked and how many failed; the first offenders."""
+    """Result of one check: numbers of items checked and failed, and the first offences."""
 
     name: str
     ok: bool
@@ -79,7 +89,14 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Certificate(msgspec.Struct, frozen=True, kw_only=True):
-    """What was proved about a cover, what lies outside the proof, and what else to know."""
+    """Result of all checks of a cover.
+
+    Attributes:
+        covered: every check holds.
+        checks: the results, in the order of the report.
+        left_out: obstacles and errors outside the proof, in words.
+        notes: observations that do not affect the proof, such as files that are not the recorded inputs.
+    """
 
     covered: bool
     checks: list[Check]
@@ -87,7 +104,7 @@ class Certificate(msgspec.Struct, frozen=True, kw_only=True):
     notes: list[str] = []
 
     def complaint(self) -> str:
-        """The first check that fails and its first offender; empty when covered."""
+        """Message with the first check that fails and its first offence; empty when covered."""
         for check in self.checks:
             if not check.ok:
                 place = check.first[0].text() if check.first else check.detail
@@ -105,25 +122,29 @@ def verify(
     jobs: int = 0,
     progress: Progress | None = None,
 ) -> Certificate:
-    """Check a cover from its arrays alone, against voxels and scene; `covered` when every check holds.
+    """Check a cover against voxels and scene, using its arrays alone.
 
-    Hulls are checked in integers without tolerance and without the code that built them: vertices and planes
-    describe the same bounded polytope, each member voxel v has normal . v + sum of positive normal
-    components <= offset for all planes, and each vertex is a corner of a member. Outer polytopes need not be
-    described by the vertices, but each of their planes must support them, offset = max normal . vertex, and
-    those of the bounding box must be there. Every occupied voxel must be a member. Merges recorded in
-    `history` must refer to earlier elements, and `conservativeness` must be the volume of the union, which
-    is measured again. With a scene, each ellipsoid {x : (x - mean)' inv(Sigma) (x - mean) <= sigma^2}, grown
-    by the inflation, must lie in the occupied voxels, except where the recorded crop, overlap and opacity
-    exclude it.
+    Hulls are checked in integers, without tolerance and without the code that built them: vertices and
+    planes must describe the same bounded polytope, each member voxel v must have normal . v + sum of positive
+    normal components <= offset for all planes, and each vertex must be a corner of a member. For outer
+    polytopes the vertices need not describe the polytope, but each plane must support them,
+    offset = max normal . vertex, and the planes of the bounding box must be there. Every occupied voxel must
+    be a member. Merges recorded in `history` must refer to earlier elements, and `conservativeness` must be
+    the volume of the union, which is measured again. With a scene, each ellipsoid
+    {x : (x - mean)' inv(Sigma) (x - mean) <= sigma^2}, grown by the inflation, must lie in the occupied
+    voxels, except where the recorded crop, overlap and opacity exclude it.
 
     Args:
         cover: an `alula/cover`.
-        voxels: the `alula/voxels` it must cover; without it, the union of its members.
+        voxels: the `alula/voxels` that the cover must contain; without it, the union of its members.
         scene: the `alula/scene` that the voxels must contain.
-        sha256: of the files "voxels" and "scene"; others than the manifests name as inputs are noted.
+        sha256: hashes of the files "voxels" and "scene"; a difference from the inputs that the manifests
+            record becomes a note.
         jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) now and then.
+        progress: called with (done, total) from time to time.
+
+    Returns:
+        The certificate; `covered` when every check holds.
 
     Raises:
         InputError: there are more than `VERIFY_VOXELS` voxels or members of hulls.
@@ -133,10 +154,10 @@ def verify(
     require_at_most(VERIFY_VOXELS, len(cover["member_index"]), "alula/cover lists")
     require_at_most(VERIFY_VOXELS, 0 if voxels is None else len(voxels["index"]), "alula/voxels lists")
     checks = [_files_agree(cover, voxels, scene), _history_check(cover)]
-    proof = [*_hull_checks(cover, jobs, share(progress, 0, _VOLUME_SHARE)), _occupied_check(cover, voxels)]
-    measured = 1.0 if scene is None else _SCENE_SHARE
+    proof = [*_hull_checks(cover, jobs, share(progress, 0, _VOLUME_BEGINS)), _occupied_check(cover, voxels)]
+    measured = 1.0 if scene is None else _SCENE_BEGINS
     if all(check.ok for check in proof) and np.abs(cover["vertex"]).max() <= _LATTICE_LIMIT:
-        checks.append(_volume_check(cover, jobs, share(progress, _VOLUME_SHARE, measured)))
+        checks.append(_volume_check(cover, jobs, share(progress, _VOLUME_BEGINS, measured)))
     checks += proof
     if scene is not None:
         index = cover["member_index"] if voxels is None else voxels["index"]
@@ -150,13 +171,18 @@ def verify(
 
 
 def require_solid_hulls(cover: Artifact, *, jobs: int = 0) -> None:
-    """Refuse a cover whose planes and vertices do not describe the same bounded polytopes.
+    """Refuse a cover with planes and vertices that do not describe the same bounded polytopes.
 
-    Filters read the planes, planners and judges the vertices, which for outer polytopes are found from
-    the planes; each relies on this, and no more: that the hulls hold all voxels is for `verify` to say.
+    Filters use the planes; planners and judges use the vertices, which for outer polytopes are computed from
+    the planes. All of them rely on this check. It does not prove that the hulls contain all voxels; `verify`
+    does.
+
+    Args:
+        cover: an `alula/cover`.
+        jobs: threads, 0 for all processors.
 
     Raises:
-        ArtifactError: naming the first hull and what is wrong with it.
+        ArtifactError: a hull is wrong; the message names the first one and its fault.
     """
     found = _check_hulls(cover, jobs, None)
     if len(wrong := found[np.isin(found[:, 0], _NOT_BOUNDED if is_outer(cover) else _NOT_SOLID)]):
@@ -165,7 +191,7 @@ def require_solid_hulls(cover: Artifact, *, jobs: int = 0) -> None:
 
 
 def _files_agree(cover: Artifact, voxels: Artifact | None, scene: Artifact | None) -> Check:
-    """Lattice, level, frame and unit of the cover are those of the other files, and of its own claims."""
+    """Check that lattice, level, frame and unit of the cover equal those of its claims and other files."""
     mine = cover.manifest
     assert isinstance(mine, CoverManifest)
     offences = _unclaimed(mine, "cover")
@@ -189,7 +215,7 @@ def _files_agree(cover: Artifact, voxels: Artifact | None, scene: Artifact | Non
 
 
 def _unclaimed(manifest: CoverManifest | VoxelsManifest, what: str) -> list[Offence]:
-    """Where a manifest's guarantee speaks of another level than its fields, by which all is checked."""
+    """Differences between the level that a manifest's guarantee claims and its fields, which checks use."""
     claims = manifest.guarantee.claims if manifest.guarantee is not None else {}
     return [
         Offence(fault=f"{name} of the {what} is {value}, but its guarantee claims {claims[name]}")
@@ -216,7 +242,7 @@ def _hull_checks(cover: Artifact, jobs: int, progress: Progress | None) -> list[
     hulls, members = len(cover["plane_start"]) - 1, len(cover["member_index"])
     detail = "planes support the vertices" if is_outer(cover) else "planes are the facets of vertices"
     exact = _fault_check(cover, "hulls are exact polytopes", hulls, found, _POLYTOPES, detail)
-    if hulls == 0:  # nothing is no proof: neither voxelize nor merge writes an empty file
+    if hulls == 0:  # an empty cover proves nothing: neither voxelize nor merge writes an empty file
         exact = _check(exact.name, 0, [Offence(fault="there is no hull")], 1, exact.detail)
     return [
         exact,
@@ -241,9 +267,9 @@ def _occupied_check(cover: Artifact, voxels: Artifact | None) -> Check:
 
 
 def _history_check(cover: Artifact) -> Check:
-    """Each merge joins two elements that are there and were not joined before.
+    """Check that each merge joins two elements that exist and were not joined before.
 
-    Start elements are 0 .. N - 1 and merge k makes N + k; N is `start_hulls` of the summary.
+    Start elements are 0 .. N - 1 and merge k makes element N + k; N is `start_hulls` of the summary.
     """
     history = np.asarray(cover["history"], np.float64)
     merges, hulls = len(history), len(cover["plane_start"]) - 1
@@ -268,7 +294,7 @@ def _history_check(cover: Artifact) -> Check:
 
 
 def _volume_check(cover: Artifact, jobs: int, progress: Progress | None) -> Check:
-    """The recorded conservativeness is that of the polytopes."""
+    """Check the recorded conservativeness against the measured one."""
     voxels = np.unique(np.asarray(cover["member_index"], np.int32), axis=0)
     vertex, vertex_start, normal, offset, plane_start = (
         np.ascontiguousarray(cover[name]) for name in _GEOMETRY[:5]
@@ -303,7 +329,7 @@ def _scene_check(
             fault="an ellipsoid may touch an unmarked voxel",
             gaussian=int(g),
             voxel=_voxel(np.asarray(v)),
-            place_m=_place(np.asarray(v) + 0.5, manifest.voxel_size_m),
+            place_m=_position_m(np.asarray(v) + 0.5, manifest.voxel_size_m),
         )
         for v, g in zip(missing.voxel[:LISTED], missing.ellipsoid[:LISTED], strict=True)
     ]
@@ -330,7 +356,7 @@ def _check(name: str, checked: int, first: list[Offence], failed: int, detail: s
 
 
 def _offence(cover: Artifact, row: list[int], occupied: NDArray[np.int32] | None) -> Offence:
-    """A row (fault, hull, row, other) of the native checker with its place."""
+    """Offence for a row (fault, hull, row, other) of the native checker, with its position."""
     fault, hull, at, other = row
     plane = at if fault in _PLANE_FAULTS else other if fault in _OTHER_IS_PLANE else None
     vertex = at if fault in _VERTEX_FAULTS else other if fault in _OTHER_IS_VERTEX else None
@@ -349,7 +375,7 @@ def _offence(cover: Artifact, row: list[int], occupied: NDArray[np.int32] | None
     return Offence(
         fault=_core.cover_fault(fault),
         hull=hull if hull >= 0 else None,
-        place_m=None if point is None else _place(point, size),
+        place_m=None if point is None else _position_m(point, size),
         plane=plane,
         vertex=vertex,
         voxel=None if voxel is None else _voxel(voxel),
@@ -361,13 +387,13 @@ def _voxel(index: NDArray[np.int32]) -> tuple[int, int, int]:
     return x, y, z
 
 
-def _place(lattice: NDArray[Any], size: float) -> tuple[float, float, float]:
+def _position_m(lattice: NDArray[Any], size: float) -> tuple[float, float, float]:
     x, y, z = (float(c) * size for c in lattice)
     return x, y, z
 
 
 def _left_out(manifest: LevelManifest, voxels: Artifact | None, scene: Artifact | None) -> str:
-    """What the files themselves do not promise to contain."""
+    """Obstacles and errors that the files themselves exclude, in words."""
     parts = [f"ellipsoids beyond {manifest.sigma:g} sigma"]
     if manifest.min_overlap > 1:
         parts.append(f"voxels that fewer than {manifest.min_overlap} ellipsoids touch")
@@ -380,7 +406,7 @@ def _left_out(manifest: LevelManifest, voxels: Artifact | None, scene: Artifact 
         parts.append("the scene itself, which was not given")
     else:
         assert isinstance(scene.manifest, SceneManifest)
-        parts += lost_before(scene.manifest, manifest.inflation_m, ignore_loss=manifest.ignore_loss)
+        parts += excluded_errors(scene.manifest, manifest.inflation_m, ignore_loss=manifest.ignore_loss)
     if voxels is None:
         parts.append("voxels that the cover does not list, as no voxels file was given")
     return "; ".join(parts)
@@ -389,7 +415,7 @@ def _left_out(manifest: LevelManifest, voxels: Artifact | None, scene: Artifact 
 def _notes(
     cover: Artifact, voxels: Artifact | None, scene: Artifact | None, sha256: Mapping[str, str]
 ) -> list[str]:
-    """Where the files are not those that the manifests name as inputs."""
+    """Notes about files that are not the inputs that the manifests record."""
     notes = []
     for what, maker, role, given in (("cover", cover, "voxels", voxels), ("voxels", voxels, "scene", scene)):
         if maker is None or given is None or role not in sha256:

@@ -1,4 +1,4 @@
-"""The surface of voxels as triangles, for tools that take meshes."""
+"""Surface of voxels as triangles, for programs that read meshes."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from alula.schemas.arrays import IntArray
 
 
 def voxel_mesh(index: NDArray[np.integer[Any]]) -> tuple[IntArray, IntArray]:
-    """The faces between occupied and free voxels, two triangles each.
+    """Triangulate the faces between occupied and free voxels, two triangles each.
 
-    Every edge is used as often in one direction as in the other, so the mesh bounds the voxels; where
-    voxels meet in an edge only, four faces share it.
+    Every edge occurs as often in one direction as in the other, so the mesh bounds the voxels. Where
+    voxels meet in an edge only, four faces share that edge.
 
     Args:
         index: occupied voxels, shape (M, 3); voxel v is the cube [v, v + 1].
 
     Returns:
-        Corners, shape (V, 3) [voxel edges], each once, and triangles as rows of them, counter-clockwise
-        from outside, shape (T, 3).
+        Corners without repetitions, shape (V, 3) [voxel edges], and triangles as rows of the corners,
+        counter-clockwise from outside, shape (T, 3).
     """
     cubes = np.unique(np.asarray(index, np.int64).reshape(-1, 3), axis=0)
     if len(cubes) == 0:

@@ -1,4 +1,4 @@
-"""`voxelize`: every voxel that an ellipsoid of a scene touches."""
+"""The stage `voxelize`: mark every voxel that an ellipsoid of a scene touches."""
 
 from __future__ import annotations
 
@@ -15,17 +15,23 @@ from alula.schemas.kinds import VOXELS
 from alula.schemas.manifest import SPLAT_LOSS, Guarantee, SceneManifest
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
-from alula.stages.compression.ellipsoids import lost_before, retained, rows_of
+from alula.stages.compression.ellipsoids import excluded_errors, retained, rows_of
 from alula.stages.compression.tiles import LONGEST_EDGE, Ellipsoids, Marked, mark, mark_tiles
 
-DEFAULT_TILE = 128  # voxels, where a scheduler is given but no tile
+DEFAULT_TILE = 128  # voxels; used when a scheduler is given but no tile
 
 
 def sigma_of_confidence(confidence: float) -> float:
-    """Level k at which an ellipsoid holds a normal variable with this probability.
+    """Level k at which an ellipsoid contains a normal variable with a given probability.
 
     P(x' inv(Sigma) x <= k^2) = confidence for x normal in three dimensions: k^2 is the quantile of
-    the chi-square law with three degrees of freedom.
+    the chi-square distribution with three degrees of freedom.
+
+    Args:
+        confidence: the probability, above 0 and below 1.
+
+    Returns:
+        k, in standard deviations.
     """
     from scipy.special import gammaincinv
 
@@ -48,24 +54,24 @@ def voxelize(
     ellipsoids {x : (x - mu)' inv(Sigma') (x - mu) <= 1}, Sigma' = (1 + 1/p) k^2 Sigma + (1 + p) r^2 I,
     which contain it for every p: here p = sqrt(k^2 tr Sigma / (3 r^2)) and, if that is above 1 and the
     ellipsoid goes a quarter of a voxel or more beyond the sum, p = 1/2.
-    Where the scene has a `loss`, k and r of each Gaussian grow by it as `level_of` in `ellipsoid.hpp` says,
-    so that the sets contain those of the Gaussians that the splat file was made from. Rounding is outward,
-    so with `min_overlap` 1 no point of these sets lies in a voxel that is not marked, as far as voxels
-    touch the crop. Gaussians of an opacity below `min_opacity` do not count.
+    Where the scene has a `loss`, k and r of each Gaussian grow by it (`level_of` in `ellipsoid.hpp`), so that
+    the sets contain those of the Gaussians that the splat file was made from. Rounding is outward: with
+    `min_overlap` 1, no point of these sets lies in an unmarked voxel that touches the crop. Gaussians of an
+    opacity below `min_opacity` do not count.
 
-    Memory: 512 bytes per brick of 4 x 4 x 8 voxels of which one is touched, until all are counted, at
-    most 2 GiB; 16 bytes per voxel of the result, of which there are at most 2^27; 1 byte per Gaussian.
-    With tiles the bricks are those of one tile per thread, but the result takes 32 bytes per voxel
-    while tiles are joined, and each Gaussian 8 bytes per tile that it may touch.
+    Memory: 512 bytes per brick of 4 x 4 x 8 voxels with a touched voxel, until all are counted, at most
+    2 GiB; 16 bytes per voxel of the result, at most 2^27 voxels; 1 byte per Gaussian. With tiles there are
+    bricks for one tile per thread only, but the result takes 32 bytes per voxel while tiles are joined, and
+    each Gaussian 8 bytes per tile that it may touch.
 
     Args:
-        config: see `VoxelizeConfig`; without `inflation_m` r is what the scene's alignment suggests.
+        config: see `VoxelizeConfig`; without `inflation_m`, r is the suggestion of the scene's alignment.
         scene: an `alula/scene` in metres.
         tile_m: mark the voxels tile by tile of this edge, rounded to whole voxels; the result does not
             depend on it.
-        scheduler: address of a `dask.distributed` scheduler whose workers do the tiles.
+        scheduler: address of a `dask.distributed` scheduler whose workers process the tiles.
         jobs: threads; the result does not depend on it.
-        progress: called with (done, total) now and then; the share of the time, roughly.
+        progress: called with (done, total) from time to time; done / total is roughly the fraction of time.
 
     Returns:
         An `alula/voxels` in the frame of the scene.
@@ -73,7 +79,7 @@ def voxelize(
     Raises:
         InputError: the scene is not metric or empty, or needs more voxels than memory allows.
         InfeasibleError: crop, min_overlap or min_opacity leave no voxel.
-        UsageError: the tile is no length; see also `distribute`.
+        UsageError: the tile's edge is out of range; see also `distribute`.
         LinkError: see `distribute`.
 
     Source: PolyMerge, sec. V-A (O(v) and V+), with exact instead of sampled overlap.
@@ -109,7 +115,7 @@ def voxelize(
         raise InfeasibleError("no Gaussian touches the crop, so there is no voxel to mark")
     if len(index) == 0:
         raise InfeasibleError(
-            f"no voxel is touched by {config.min_overlap} Gaussians; the most is {marked.most}"
+            f"no voxel is touched by {config.min_overlap} Gaussians; the maximum is {marked.max_overlap}"
         )
     left_out = {
         "removed_from_splat": dict(manifest.source.get("removed", {})),
@@ -131,7 +137,7 @@ def voxelize(
             inflation,
             left_out,
             _losses(manifest, config),
-            lost_before(manifest, inflation, ignore_loss=config.ignore_loss),
+            excluded_errors(manifest, inflation, ignore_loss=config.ignore_loss),
         ),
         voxel_size_m=config.size_m,
         sigma=sigma,
@@ -144,7 +150,7 @@ def voxelize(
 
 
 def _losses(scene: SceneManifest, config: VoxelizeConfig) -> dict[str, float]:
-    """The largest losses that the ellipsoids were grown by."""
+    """Maximum of each kind of loss that the ellipsoids were grown by."""
     loss = scene.source.get("loss")
     if config.ignore_loss or SPLAT_LOSS not in scene.requires or not isinstance(loss, dict):
         return {}
@@ -208,10 +214,10 @@ def _guarantee(
     if config.min_opacity > 0:
         below = left_out["gaussians_below_opacity"]
         what += f" with an opacity of at least {config.min_opacity:g} ({below} are below)"
-    if inflation > 0:
-        what += f", grown by {inflation:.6g} m,"
-    if losses:
-        what += " and by all that the splat file's format may have lost of it,"
+    growths = [f"{inflation:.6g} m"] * (inflation > 0)
+    growths += ["all that the splat file's format may have lost"] * bool(losses)
+    if growths:
+        what += f", grown by {' and by '.join(growths)},"
     if config.min_overlap == 1:
         statement = f"Every voxel that {what} touches is marked"
     else:

@@ -1,4 +1,4 @@
-"""Camera positions of the built-in scene: what COLMAP would say, and what a tracker measured."""
+"""Camera poses of the built-in scene: estimates as from COLMAP, and positions as from a tracker."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from alula.stages.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
 _WIDTH, _HEIGHT, _FOCAL = 1280, 720, 720.0
 _TRACKER_NOISE_M = 0.002
 _COLMAP_NOISE_M = 0.001
-_OUTLIERS = ((0.2, (0.9, -0.4, 0.3)), (0.7, (-0.5, 1.3, 0.2)))  # share of the walk, error [m]
+_OUTLIERS = ((0.2, (0.9, -0.4, 0.3)), (0.7, (-0.5, 1.3, 0.2)))  # fraction of the walk, error [m]
 _POINTS = 400
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemoCameras:
-    """A walk through the room.
+    """Cameras along a walk through the room.
 
     Attributes:
-        names: of the images.
+        names: names of the images.
         centre_scene: estimated camera centres, shape (n, 3), scene frame.
         quat_camera_scene_wxyz: rotation from the scene to the camera (x right, y down, z forward),
             shape (n, 4).
@@ -39,7 +39,14 @@ class DemoCameras:
 
 
 def demo_cameras(count: int, seed: int) -> DemoCameras:
-    """Positions along a lap of the room, looking inward; noise of 1 mm and 2 mm per coordinate."""
+    """Generate cameras along a lap of the room that look inward.
+
+    The estimated centres have a noise of 1 mm per coordinate, the measured ones of 2 mm and two outliers.
+
+    Args:
+        count: number of cameras.
+        seed: seed of the noise.
+    """
     rng = np.random.default_rng([seed, 1])
     angle = 2 * np.pi * np.arange(count) / count
     middle = np.array(SIZE) / 2
@@ -56,8 +63,8 @@ def demo_cameras(count: int, seed: int) -> DemoCameras:
     R_camera_scene = R_camera_world @ matrix_from_quat_wxyz(Q_SCENE_WORLD_WXYZ).T
 
     reference = centre + _TRACKER_NOISE_M * rng.standard_normal((count, 3))
-    for share, error in _OUTLIERS:
-        reference[int(share * count)] += np.array(error)
+    for fraction, error in _OUTLIERS:
+        reference[int(fraction * count)] += np.array(error)
     return DemoCameras(
         names=tuple(f"walk_{i:04d}.jpg" for i in range(count)),
         centre_scene=scene_from_world(centre + _COLMAP_NOISE_M * rng.standard_normal((count, 3))),
@@ -67,16 +74,29 @@ def demo_cameras(count: int, seed: int) -> DemoCameras:
 
 
 def positions_csv(names: Sequence[str], positions: FloatArray) -> str:
-    """Rows `image,x,y,z`, to a hundredth of a micrometre."""
+    """CSV text with rows `image,x,y,z`, rounded to 1e-8 units.
+
+    Args:
+        names: names of the images.
+        positions: shape (n, 3), any frame and units.
+    """
     rows = [f"{name},{x:.8f},{y:.8f},{z:.8f}" for name, (x, y, z) in zip(names, positions, strict=True)]
     return "\n".join(["image,x,y,z", *rows]) + "\n"
 
 
 def colmap_model(cameras: DemoCameras, splats: Splats, seed: int) -> dict[str, str]:
-    """A sparse COLMAP model in its text format: file name to content.
+    """Sparse COLMAP model in the text format.
 
-    Its 3D points are opaque Gaussians of the scene with the pixels where they project; what stands
-    in between is ignored.
+    Its 3D points are opaque Gaussians of the scene, with the pixels of their projections; occlusion is
+    ignored.
+
+    Args:
+        cameras: the cameras.
+        splats: the Gaussians, scene frame and units.
+        seed: seed of the choice of points.
+
+    Returns:
+        File name to content.
     """
     rng = np.random.default_rng([seed, 2])
     opaque = np.flatnonzero(splats.opacity > 0.9)
@@ -95,8 +115,8 @@ def colmap_model(cameras: DemoCameras, splats: Splats, seed: int) -> dict[str, s
     for i, name in enumerate(cameras.names):
         numbers = (*cameras.quat_camera_scene_wxyz[i], *translation[i])
         pixels = []
-        for place, point in enumerate(np.flatnonzero(seen[i])):
-            tracks[point].append(f"{i + 1} {place}")
+        for index, point in enumerate(np.flatnonzero(seen[i])):
+            tracks[point].append(f"{i + 1} {index}")
             pixels.append(f"{column[i, point]:.3f} {row[i, point]:.3f} {point + 1}")
         images += [f"{i + 1} {' '.join(f'{value:.12g}' for value in numbers)} 1 {name}", " ".join(pixels)]
     rows = ["# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"]

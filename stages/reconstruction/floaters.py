@@ -1,4 +1,4 @@
-"""Small groups of Gaussians that hang in the air, far from everything else."""
+"""Detection of floaters: small groups of Gaussians far from everything else."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ def floaters(
     """Mark the Gaussians of small, isolated groups.
 
     Space is divided into cubes with an edge of twice the median distance from a Gaussian to its
-    8th nearest neighbour. Two Gaussians belong together when a cube that one touches equals or
-    neighbours (26 of them) a cube that the other touches; a Gaussian touches the cubes of its centre
-    and of the six points 2 standard deviations along its axes. A group is what can be reached from
-    one to the next. Groups of fewer than 50 are floaters, except the largest group of all. So a
-    sparse but large surface stays, and so does whatever is in contact with it.
+    8th nearest neighbour. A Gaussian touches the cubes of its centre and of the six points 2 standard
+    deviations along its axes. Two Gaussians are connected when a cube that one touches equals or
+    neighbours (26-neighbourhood) a cube that the other touches. A group is a connected component. Groups of
+    fewer than 50 are floaters, except the largest group of all. So a sparse but large surface stays, and
+    so does everything in contact with it.
 
     Args:
         mean: centres, shape (N, 3).
         scale: one-sigma semi-axes, shape (N, 3).
-        axes: rotation matrices whose columns are the local axes, shape (N, 3, 3).
+        axes: rotation matrices with the local axes as columns, shape (N, 3, 3).
 
     Returns:
-        Whether each one is a floater, shape (N,), and the edge of the cubes.
+        A mask of the floaters, shape (N,), and the edge of the cubes.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -47,9 +47,9 @@ def floaters(
         arm = axes[:, :, axis] * (REACH * scale[:, axis, None].astype(np.float64))
         touched += [np.unique(_cells(centred + s * arm, edge), return_inverse=True) for s in (1, -1)]
     cells = _distinct(np.concatenate([keys for keys, _ in touched]))
-    home, *ends = (np.searchsorted(cells, keys)[place] for keys, place in touched)
+    home, *ends = (np.searchsorted(cells, keys)[number] for keys, number in touched)
     left, right = [], []
-    for end in ends:  # one edge per pair of cubes, however many Gaussians tie them
+    for end in ends:  # one edge per pair of cubes, independent of the number of Gaussians that connect them
         pair = _distinct(home * len(cells) + end)
         left.append(pair // len(cells))
         right.append(pair % len(cells))
@@ -69,7 +69,7 @@ def floaters(
 
 
 def _edge(mean: NDArray[np.float32]) -> float:
-    """Twice the median distance to the 8th neighbour, of at most 20,000 rows at equal steps."""
+    """Twice the median distance to the 8th neighbour, over at most 20,000 rows at equal steps."""
     from scipy.spatial import cKDTree
 
     if len(mean) <= NEIGHBOUR:
@@ -80,14 +80,14 @@ def _edge(mean: NDArray[np.float32]) -> float:
 
 
 def _cells(position: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
-    """One integer per cube; positions beyond a million cubes from the centre share the outermost ones."""
+    """One integer per cube; positions beyond a million cubes from the centre fall into the outermost ones."""
     cell = np.clip(np.floor(position / edge), 1 - _HALF, _HALF - 2).astype(np.int64) + _HALF
     key: NDArray[np.int64] = (cell[:, 0] << (2 * _BITS)) | (cell[:, 1] << _BITS) | cell[:, 2]
     return key
 
 
 def _distinct(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sorted, each once; np.unique hashes first and is ten times slower on keys like these."""
+    """Sorted keys without repetitions; np.unique hashes first and is ten times slower on these keys."""
     ordered = np.sort(keys)
     distinct: NDArray[np.int64] = ordered[np.concatenate([[True], ordered[1:] != ordered[:-1]])]
     return distinct

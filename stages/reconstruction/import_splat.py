@@ -1,4 +1,4 @@
-"""`import-splat`: from what a splat file holds to a checked scene."""
+"""The stage `import-splat`: turn the Gaussians of a splat file into a checked scene."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 _NOT_FINITE = ("not_a_number", "infinite_mean", "infinite_scale", "infinite_rotation")
 _ON_DEMAND = ("crop", "crop_sphere", "max_scale")
 _REASONS = (*_NOT_FINITE, "zero_rotation", "min_opacity", *_ON_DEMAND)  # 1, 2, ... of `_core.screen_rows`
-SCALE_FLOOR = 1e-9  # file units; a disc of no thickness must have some
+SCALE_FLOOR = 1e-9  # file units; minimum thickness of a flat disc
 
 
-@np.errstate(invalid="ignore")  # files may hold signalling NaNs, which are dropped and counted like any
+@np.errstate(invalid="ignore")  # files may hold signalling NaNs, which are dropped and counted like others
 def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
-    """Keep the Gaussians that are usable and wanted, and count the others by the reason.
+    """Keep the valid Gaussians that the configuration selects, and count the others by reason.
 
-    Unusable: a NaN, an infinite mean, scale or rotation, which is an error unless `drop_nan` is set;
-    a quaternion of no length, which nothing can draw. Unwanted: what the configuration says. A row
-    counts for the first reason that it meets, in the order of `summary["removed"]`. Scales below 1e-9
-    file units become that, quaternions are normalised, and the frame is turned by 180 degrees if that
-    is wanted, which changes signs alone; nothing else is changed, so the ellipsoids of the scene are
-    those of the file. What the file's format may have lost before is the scene's array `loss`.
+    Invalid are a NaN and an infinite mean, scale or rotation, which are an error unless `drop_nan` is set,
+    and a quaternion of length zero, which no viewer draws. The configuration removes further Gaussians. A
+    row counts for the first reason that applies, in the order of `summary["removed"]`. Scales below 1e-9
+    file units become 1e-9, quaternions are normalised, and with `turn` the frame is turned by 180 degrees,
+    which changes signs alone. Nothing else changes, so the ellipsoids of the scene are those of the file.
+    The scene's array `loss` bounds the precision that the file's format may have lost.
 
     Args:
         config: see `ImportSplatConfig`.
-        splats: a decoded file, file frame and units.
+        splats: the Gaussians of a decoded file, file frame and units.
 
     Returns:
         An `alula/scene`, frame `scene`, unit `arbitrary`, rows in the order of the file.
@@ -144,7 +144,7 @@ class _Columns(NamedTuple):
 def _kept(
     given: _Columns, removal: NDArray[np.uint8], kept: int
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """The arrays of the rows that stay, and what the summary says of them; copies only what changes."""
+    """Arrays of the kept rows, and figures for the summary; only arrays that change are copied."""
     arrays: dict[str, NDArray[Any]] = given._asdict()
     changed = {"quat_wxyz"}
     if kept < len(removal):
@@ -166,7 +166,7 @@ def _kept(
 
 
 def _drop_floaters(splats: Splats, removal: NDArray[np.uint8]) -> tuple[int, dict[str, Any]]:
-    """Mark the floaters among the kept rows; how many, and by which rule."""
+    """Mark the floaters among the kept rows; return their number and the rule."""
     rows = np.flatnonzero(removal == 0)
     quat = splats.quat_wxyz[rows].astype(np.float64)
     quat = (quat / np.linalg.norm(quat, axis=1, keepdims=True)).astype(np.float32)
@@ -177,15 +177,20 @@ def _drop_floaters(splats: Splats, removal: NDArray[np.uint8]) -> tuple[int, dic
 
 
 def turned(splats: Splats, axis: str) -> Splats:
-    """The Gaussians with their frame turned by 180 degrees about x, y or z; exact."""
+    """Turn the frame of Gaussians by 180 degrees, exactly.
+
+    Args:
+        splats: file frame and units.
+        axis: `x`, `y` or `z`; `none` returns the input.
+    """
     if axis == "none":
         return splats
-    place = "xyz".index(axis)
+    number = "xyz".index(axis)
     sign = -np.ones(3, np.float32)
-    sign[place] = 1
-    # The half turn's quaternion times w, x, y, z is -v_place, then w in that place and the other two of v
-    # with a change of sign before the second.
-    order, second, third = [1 + place, 0, 0, 0], 1 + (place + 1) % 3, 1 + (place + 2) % 3
+    sign[number] = 1
+    # For the axis z, the half turn's quaternion k times w + x i + y j + z k is -z - y i + x j + w k; the
+    # other axes follow by cyclic permutation.
+    order, second, third = [1 + number, 0, 0, 0], 1 + (number + 1) % 3, 1 + (number + 2) % 3
     order[second], order[third] = third, second
     quat = np.take(splats.quat_wxyz, order, axis=1)
     quat[:, [0, second]] *= -1
@@ -194,13 +199,13 @@ def turned(splats: Splats, axis: str) -> Splats:
 
 
 def _loss(splats: Splats, removal: NDArray[np.uint8], kept: int) -> dict[str, Any]:
-    """The bounds of the kept rows, None where all are zero, and the largest of each kind."""
+    """Loss bounds of the kept rows (None where all are zero), and the maximum of each kind."""
     figures: dict[str, Any] = dict.fromkeys((*LOSSES, "opacity"), 0.0) | {"unbounded": {}}
     if splats.loss is None:
         return {"bound": None, "figures": figures}
     bound = splats.loss.bound if kept == len(removal) else splats.loss.bound[removal == 0]
     if not np.isfinite(bound).all() or (bound < 0).any():
-        raise InputError("the bound of what the format lost is not a number of at least 0 everywhere")
+        raise InputError("a bound of the format's loss is negative or not finite")
     figures |= {name: float(column.max()) for name, column in zip(LOSSES, bound.T, strict=True)}
     figures |= {"opacity": splats.loss.opacity, "unbounded": dict(splats.loss.unbounded)}
     return {"bound": bound if bound.any() else None, "figures": figures}
@@ -208,18 +213,18 @@ def _loss(splats: Splats, removal: NDArray[np.uint8], kept: int) -> dict[str, An
 
 def _guarantee(config: ImportSplatConfig, removed: dict[str, int], loss: dict[str, Any]) -> Guarantee:
     left_out = {reason: count for reason, count in removed.items() if count}
-    what = ", ".join(f"{count} by {reason}" for reason, count in left_out.items()) or "none"
+    removals = ", ".join(f"{count} by {reason}" for reason, count in left_out.items()) or "none"
     figures = ", ".join(f"{name} {loss[name]:.3g}" for name in (*LOSSES, "opacity") if loss[name])
     lossy = (
-        f" The format loses precision; `loss` bounds it for each Gaussian, at most {figures}."
+        f" The format loses precision; `loss` bounds the loss of each Gaussian, at most {figures}."
         if figures
         else ""
     )
-    for what_of, why in loss["unbounded"].items():
-        lossy += f" Of {what_of} the bound does not hold for certain: {why}."
+    for quantity, why in loss["unbounded"].items():
+        lossy += f" The bound of {quantity} is not certain: {why}."
     return Guarantee(
         statement="Every Gaussian of the file is in the scene with its own ellipsoid, except those left "
-        f"out: {what}.{lossy}",
+        f"out: {removals}.{lossy}",
         claims={
             "left_out": left_out,
             "min_opacity": config.min_opacity,

@@ -40,7 +40,14 @@ STONE: Color = (0.62, 0.60, 0.57)
 
 @dataclass(frozen=True, slots=True)
 class Hoop:
-    """A ring on a stand: fly along `axis` through `centre`; `radius_m` is that of the tube's middle."""
+    """A ring on a stand.
+
+    Attributes:
+        centre: centre of the ring, world frame [m].
+        axis: horizontal unit vector in the direction of flight through the ring, world frame.
+        radius_m: distance from the centre to the middle of the tube [m].
+        color: red, green, blue in [0, 1].
+    """
 
     centre: Vector
     axis: Vector
@@ -111,7 +118,7 @@ def _table(x: float, y: float) -> list[Surface]:
 
 
 def _chair(x: float, y: float, turn: int) -> list[Surface]:
-    """A chair with its back away from the table; `turn` is 0 (back at low y) or 2 (at high y)."""
+    """A chair; `turn` is 0 (back at low y) or 2 (back at high y)."""
     side = 0.45
     fine = {"density": 2.0, "detail": 0.7}
     back = y if turn == 0 else y + side - 0.04

@@ -20,10 +20,10 @@ class Surface:
     """One patch.
 
     Attributes:
-        area: [m^2].
-        sample: from u, v in [0, 1), each of shape (n,), to points and outward unit normals, each of
-            shape (n, 3), evenly over the area.
-        paint: from u, v to red, green, blue in [0, 1], shape (n, 3).
+        area: area of the surface [m^2].
+        sample: function from u, v in [0, 1), each of shape (n,), to points [m] and outward unit normals in
+            the world frame, each of shape (n, 3), evenly over the area.
+        paint: function from u, v to red, green, blue in [0, 1], shape (n, 3).
         density: Gaussians per area, relative to a wall.
         detail: size of the Gaussians, relative to those of a wall.
     """
@@ -36,12 +36,23 @@ class Surface:
 
 
 def plain(color: Color) -> Paint:
-    """One colour all over."""
+    """Paint of one colour.
+
+    Args:
+        color: red, green, blue in [0, 1].
+    """
     return lambda u, v: np.broadcast_to(np.array(color), (len(u), 3))
 
 
 def striped(first: Color, second: Color, count: int, *, along_u: bool = True) -> Paint:
-    """Stripes in two colours that alternate irregularly, like planks or the spines of books."""
+    """Paint with stripes in irregular mixtures of two colours, like planks or the spines of books.
+
+    Args:
+        first: red, green, blue in [0, 1].
+        second: likewise.
+        count: number of stripes.
+        along_u: stripes run along u, otherwise along v.
+    """
 
     def paint(u: FloatArray, v: FloatArray) -> FloatArray:
         stripe = np.floor((v if along_u else u) * count)
@@ -52,7 +63,13 @@ def striped(first: Color, second: Color, count: int, *, along_u: bool = True) ->
 
 
 def framed(inner: Paint, outer: Color, border: float) -> Paint:
-    """A border around another paint; `border` is a share of each edge."""
+    """Paint with a border around another paint.
+
+    Args:
+        inner: paint inside the border.
+        outer: colour of the border, red, green, blue in [0, 1].
+        border: width of the border, as a fraction of each edge.
+    """
 
     def paint(u: FloatArray, v: FloatArray) -> FloatArray:
         inside = (np.minimum(u, 1 - u) > border) & (np.minimum(v, 1 - v) > border)
@@ -62,7 +79,15 @@ def framed(inner: Paint, outer: Color, border: float) -> Paint:
 
 
 def rectangle(corner: Vector, edge_u: Vector, edge_v: Vector, paint: Paint, **looks: float) -> Surface:
-    """A parallelogram; its normal is edge_u x edge_v."""
+    """Parallelogram with the normal edge_u x edge_v.
+
+    Args:
+        corner: where u = v = 0, world frame [m].
+        edge_u: edge along u, world frame [m].
+        edge_v: edge along v, world frame [m].
+        paint: colours.
+        **looks: `density` and `detail`, see `Surface`.
+    """
     start, a, b = np.array(corner), np.array(edge_u), np.array(edge_v)
     cross = np.cross(a, b)
     area = float(np.linalg.norm(cross))
@@ -75,7 +100,14 @@ def rectangle(corner: Vector, edge_u: Vector, edge_v: Vector, paint: Paint, **lo
 
 
 def box(lower: Vector, upper: Vector, paint: Paint, **looks: float) -> list[Surface]:
-    """The six faces of an axis-aligned box."""
+    """Six faces of an axis-aligned box.
+
+    Args:
+        lower: smallest coordinates, world frame [m].
+        upper: largest coordinates, world frame [m].
+        paint: colours of each face.
+        **looks: `density` and `detail`, see `Surface`.
+    """
     (x0, y0, z0), (x1, y1, z1) = lower, upper
     x, y, z = (x1 - x0, 0.0, 0.0), (0.0, y1 - y0, 0.0), (0.0, 0.0, z1 - z0)
     return [
@@ -91,7 +123,16 @@ def box(lower: Vector, upper: Vector, paint: Paint, **looks: float) -> list[Surf
 def tube(
     centre: Vector, radius: float, height: float, paint: Paint, *, top: float | None = None, **looks: float
 ) -> Surface:
-    """The side of an upright cylinder or, with another radius at the top, of a cone's frustum."""
+    """Side of an upright cylinder or, with another radius at the top, of a conical frustum.
+
+    Args:
+        centre: centre of the bottom, world frame [m].
+        radius: radius of the bottom [m].
+        height: height [m].
+        paint: colours.
+        top: radius of the top [m]; None: that of the bottom.
+        **looks: `density` and `detail`, see `Surface`.
+    """
     x0, y0, z0 = centre
     end = radius if top is None else top
     slope = (radius - end) / height
@@ -109,7 +150,14 @@ def tube(
 
 
 def disc(centre: Vector, radius: float, paint: Paint, **looks: float) -> Surface:
-    """A horizontal disc that looks up."""
+    """Horizontal disc with an upward normal.
+
+    Args:
+        centre: centre, world frame [m].
+        radius: radius [m].
+        paint: colours.
+        **looks: `density` and `detail`, see `Surface`.
+    """
 
     def sample(u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         angle, across = 2 * np.pi * u, radius * np.sqrt(v)
@@ -120,7 +168,14 @@ def disc(centre: Vector, radius: float, paint: Paint, **looks: float) -> Surface
 
 
 def sphere(centre: Vector, radius: float, paint: Paint, **looks: float) -> Surface:
-    """A ball's surface."""
+    """Sphere.
+
+    Args:
+        centre: centre, world frame [m].
+        radius: radius [m].
+        paint: colours.
+        **looks: `density` and `detail`, see `Surface`.
+    """
 
     def sample(u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         z, angle = 2 * v - 1, 2 * np.pi * u
@@ -134,7 +189,16 @@ def sphere(centre: Vector, radius: float, paint: Paint, **looks: float) -> Surfa
 def torus(
     centre: Vector, axis: Vector, radius: float, thickness: float, paint: Paint, **looks: float
 ) -> Surface:
-    """A ring around a horizontal axis; `radius` to the middle of the tube, `thickness` its radius."""
+    """Torus around a horizontal axis.
+
+    Args:
+        centre: centre, world frame [m].
+        axis: direction of the axis, horizontal, world frame.
+        radius: distance from the centre to the middle of the tube [m].
+        thickness: radius of the tube [m].
+        paint: colours.
+        **looks: `density` and `detail`, see `Surface`.
+    """
     forward = np.array(axis) / np.linalg.norm(axis)
     up = np.array([0.0, 0.0, 1.0])
     side = np.cross(up, forward)

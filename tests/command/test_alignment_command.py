@@ -1,4 +1,4 @@
-"""`scale-align` by GPS, poses, nerfstudio's frame, a cloud and the floor, as a user runs it."""
+"""The command `scale-align` with GPS, poses, nerfstudio's frame, a cloud and the floor."""
 
 import json
 import re
@@ -238,8 +238,12 @@ def test_json_has_the_whole_record_even_of_a_dry_run(demo, align, tmp_path, caps
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (["--colmap", "m", "--reference", "a", "--poses", "b"], 2, "only one of them is needed"),
-        (["--poses", "p.csv"], 2, "so does --poses"),
+        (
+            ["--colmap", "m", "--reference", "a", "--poses", "b"],
+            2,
+            "--reference and --poses exclude each other",
+        ),
+        (["--poses", "p.csv"], 2, "--reference and --poses need"),
         (["--cameras", "a", "--colmap", "b", "--reference", "c"], 2, "not --colmap and --cameras"),
         (["--initial", "i.json", "--scale", "2"], 2, "--initial is the first guess for --cloud"),
         (["--cloud", "c.ply", "--scale", "2"], 2, "--cloud takes one first guess"),

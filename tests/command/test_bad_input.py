@@ -1,4 +1,4 @@
-"""Every command x every bad input: one line on stderr, the documented code, nothing left behind."""
+"""All commands with all bad inputs: one line on stderr, the documented exit code, no file left."""
 
 import os
 import resource

@@ -1,4 +1,4 @@
-"""How the tool behaves as a program among others: streams, codes, names, Makefiles."""
+"""Behaviour of the program towards others: streams, exit codes, file names, Makefiles."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""`doctor` finds what is there, names what is not, and ends with the documented code."""
+"""The command `doctor` lists what is installed and what is missing, with the documented exit code."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Maps for a microcontroller: indexed, with a header, their cost told, and refused when too large."""
+"""Maps for a microcontroller: index, C header, cost, and refusal when too large."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`alula import-splat` as it is called: files, folders, streams, filters, and what is said of frames."""
+"""The command `alula import-splat`: files, folders, streams, filters, and notes about frames."""
 
 import json
 import subprocess

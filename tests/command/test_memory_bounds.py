@@ -1,4 +1,4 @@
-"""What the help of merge and verify says about memory is true, and more voxels are refused at once."""
+"""The memory bounds in the help of merge and verify hold, and more voxels are refused at the start."""
 
 import json
 import os
@@ -99,7 +99,7 @@ def test_more_voxels_are_refused_with_one_line(tmp_path, monkeypatch, capsys):
         (map_certificate, "VERIFY_VOXELS"),
     ):
         monkeypatch.setattr(module, name, 26)
-    rest = "27 voxels, but more than 26 are refused for want of memory; crop the scene or take larger voxels"
+    rest = "27 voxels, but memory limits them to 26; crop the scene or take larger voxels"
     for words, start in (
         (["merge", "v.voxels.npz", "-o", "d.cover.npz"], "alula/voxels lists"),
         (["verify", "c.cover.npz"], "alula/cover lists"),

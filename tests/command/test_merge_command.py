@@ -1,4 +1,4 @@
-"""`alula merge` and `alula verify` from the command line."""
+"""The commands `alula merge` and `alula verify`."""
 
 import json
 import os

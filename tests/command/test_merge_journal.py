@@ -1,4 +1,4 @@
-"""An interrupted `alula merge` continues when its command is repeated, and trusts no journal blindly."""
+"""An interrupted `alula merge` continues when its command is repeated, and checks its journal first."""
 
 import os
 import random
@@ -29,8 +29,8 @@ VOXEL_COUNT, SIDE = 8_000, 42
 EAGER = (
     "import sys; from alula.schemas import manifest; manifest.native_commit = lambda: sys.argv.pop(1);"
     " manifest.producer();"
-    " from alula.cli import journal; journal.PERIOD_S, journal.LEAST_S = 0.2, 0;"
-    " journal.MOST_SHARE = 1e9; from alula.cli.main import main; main(sys.argv[1:])"
+    " from alula.cli import journal; journal.PERIOD_S, journal.MIN_RUN_S = 0.2, 0;"
+    " journal.MAX_WRITING_FRACTION = 1e9; from alula.cli.main import main; main(sys.argv[1:])"
 )
 WORDS = ["merge", "v.voxels.npz", "-o", "c.cover.npz", "--hulls", "200"]
 JOURNAL = Path("c.cover.npz.journal")
@@ -64,7 +64,7 @@ def here(whole, tmp_path, monkeypatch) -> Path:
 @pytest.fixture
 def interrupted(here, monkeypatch, capsys) -> Path:
     """A journal of a merge that was interrupted, by an exception where Ctrl-C raises it."""
-    monkeypatch.setattr(file, "LEAST_S", 0.0)
+    monkeypatch.setattr(file, "MIN_RUN_S", 0.0)
     with monkeypatch.context() as patched:
         patched.setattr(stage, "merge", stopping_when(lambda journal: len(journal) > 3000))
         assert run(WORDS) == 130
@@ -210,7 +210,7 @@ def test_a_short_merge_and_a_dry_run_leave_nothing(here, monkeypatch, capsys):
     with monkeypatch.context() as patched:
         patched.setattr(stage, "merge", stopping_when(lambda journal: len(journal) > 0))
         assert run(WORDS) == 130
-        patched.setattr(file, "LEAST_S", 0.0)
+        patched.setattr(file, "MIN_RUN_S", 0.0)
         patched.setattr(file, "PERIOD_S", 0.0)
         assert run([*WORDS, "-n"]) == 130
     assert capsys.readouterr().err.split("\n")[1::2] == ["alula: interrupted"] * 2

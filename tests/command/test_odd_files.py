@@ -1,4 +1,4 @@
-"""Files that are none, have odd names, or change while they are read."""
+"""Devices and pipes instead of files, odd names, and files that change during reading."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Onboard maps from the command line: written, compiled in, checked again, explained; on real scenes too."""
+"""Onboard maps from the command line: written, compiled in, verified, explained; also of real scenes."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""`demo-scene`, `import-splat` and `scale-align` as a user runs them."""
+"""The commands `demo-scene`, `import-splat` and `scale-align`."""
 
 import json
 import os
@@ -88,9 +88,9 @@ def test_the_table_goes_to_stderr_and_json_to_stdout(demo, tmp_path, capsys):
     [
         ([], 2, "exactly one of .* is needed, none was given"),
         (["--scale", "2", "--distance", "0 0 0", "1 0 0", "2"], 2, "not --distance and --scale"),
-        (["--scale", "2", "--reference", "p.csv"], 2, "--reference goes with"),
-        (["--cameras", "c.csv"], 2, "--reference goes with"),
-        (["--scale", "2", "--max-rms", "1"], 2, "need something to be measured against"),
+        (["--scale", "2", "--reference", "p.csv"], 2, "--reference and --poses need"),
+        (["--cameras", "c.csv"], 2, "--reference and --poses need"),
+        (["--scale", "2", "--max-rms", "1"], 2, "need measurements; a given similarity has none"),
         (["--scale", "nan"], 2, "is not finite"),
         (["--distance", "0 0", "1 0 0", "2"], 2, "is not a point"),
         (["--correspondences", "none.csv"], 3, "cannot read"),

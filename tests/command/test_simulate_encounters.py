@@ -53,8 +53,8 @@ logged = 1
 EAGER = (
     "import sys; from alula.schemas import manifest; manifest.native_commit = lambda: sys.argv.pop(1);"
     " manifest.producer();"
-    " from alula.cli import journal; journal.PERIOD_S, journal.LEAST_S = 0.1, 0;"
-    " journal.MOST_SHARE = 1e9; from alula.cli.main import main; main(sys.argv[1:])"
+    " from alula.cli import journal; journal.PERIOD_S, journal.MIN_RUN_S = 0.1, 0;"
+    " journal.MAX_WRITING_FRACTION = 1e9; from alula.cli.main import main; main(sys.argv[1:])"
 )
 WORDS = ["simulate", "long.toml", "-o", "r.run.mcap", "--jobs", "1"]
 JOURNAL = Path("r.run.mcap.journal")
@@ -190,7 +190,7 @@ def bare(path) -> RunRecord:
 
 def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch, capsys):
     assert run([*WORDS[:3], "whole.run.mcap", "-q"]) == 0
-    monkeypatch.setattr(file, "LEAST_S", 0.0)
+    monkeypatch.setattr(file, "MIN_RUN_S", 0.0)
     chunks = stage.fly_chunk
 
     def stopping(chunk):

@@ -1,4 +1,4 @@
-"""Log and record of a flight among ellipsoids: messages, level, effects that the model leaves out."""
+"""Log and record of a flight among ellipsoids: messages, level, limits of the model."""
 
 import json
 from collections import Counter

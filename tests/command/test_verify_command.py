@@ -1,4 +1,4 @@
-"""`alula verify` answers from the files it is given, never from an answer that lies there."""
+"""The command `alula verify` checks the given files and never trusts an existing certificate."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""`alula voxelize` as a person runs it: exit codes, files, messages."""
+"""The command `alula voxelize`: exit codes, files, messages."""
 
 import json
 

@@ -1,1 +1,1 @@
-"""Covers as maps that a microcontroller reads in place."""
+"""Onboard maps: covers in a layout that a microcontroller reads in place."""

@@ -1,4 +1,4 @@
-"""What an onboard map costs on its target: bytes, and instructions of a tick of polytope-cbf."""
+"""Cost of an onboard map on its target: bytes, and instructions of a tick of polytope-cbf."""
 
 from __future__ import annotations
 
@@ -13,37 +13,45 @@ from alula.schemas.targets import Target
 from alula.stages.compression.onboard.image import HEADER_BYTES, HULL_BYTES, MapImage
 from alula.stages.compression.onboard.layout import LEAF_HULLS, index_bytes
 
-# Instructions of a tick at most: fitted to emulated ticks on a Cortex-M4 and rounded up; a test holds them
-# against every tick that `make onboard` replays. Per box, hull, plane, plane decoded, exponential of a plane.
+# Upper bounds of the instructions of a tick per box, hull, plane, decoded plane and exponential of a plane:
+# fitted to emulated ticks on a Cortex-M4 and rounded up. A test checks them against every tick that
+# `make onboard` replays.
 BASE_INSTRUCTIONS = 2400
 INSTRUCTIONS = np.array([136, 155, 30, 43, 135])
 SAMPLES, REFINED = 3000, 300
 ASSUMED: dict[str, Any] = {"radius_m": 0.1, "beta": 2.0, "kappa": 100.0, "v_max": 1.0, "dt_s": 0.002}
-_WALKS = (
-    7  # through all hulls that a tick makes at most: two guesses, psi, least, sum, two checks of the step
-)
+# Maximum number of passes over all hulls in a tick: two guesses, psi, minimum, sum, two checks of the step.
+_PASSES = 7
 
 
 def tick_instructions(work: NDArray[np.int64]) -> NDArray[np.int64]:
-    """An upper bound of the instructions of ticks, from what they looked at.
+    """Upper bound of the instructions of ticks, from their counts of work.
 
     Args:
-        work: boxes, hulls, planes, planes decoded, exponentials, as `PolytopeCbf.work`, shape (..., 5).
+        work: boxes, hulls, planes, decoded planes and exponentials that `PolytopeCbf.work` counts, shape
+            (..., 5).
+
+    Returns:
+        Instructions, shape (...).
     """
     total: NDArray[np.int64] = np.asarray(work, np.int64) @ INSTRUCTIONS
     return total + BASE_INSTRUCTIONS
 
 
 def worst_tick(raw: bytes, image: MapImage) -> dict[str, int]:
-    """Instructions of a tick of polytope-cbf on a map, with the parameters `ASSUMED`.
+    """Maximum instructions of a tick of polytope-cbf on a map, with the parameters `ASSUMED`.
 
-    `measured` is the most among `SAMPLES` positions in and around hulls' boxes, flying at them, and more
-    around the worst of these, one somewhere else than the last, so that little is decoded before. `bound`
-    holds for any position and any parameters: every walk of a tick visits every hull and decodes it.
+    `measured` is the maximum over `SAMPLES` positions in and around the boxes of hulls, with nominal
+    commands towards them, and over further positions around the worst of these. Consecutive positions are
+    far apart, so that few decoded hulls can be reused. `bound` holds for any position and any parameters: it
+    assumes that every pass of a tick visits and decodes every hull.
 
     Args:
         raw: the image.
-        image: the same, decoded.
+        image: the same image, decoded.
+
+    Returns:
+        `measured` and `bound` [instructions].
     """
     hulls = len(image)
     if hulls == 0:
@@ -69,22 +77,29 @@ def worst_tick(raw: bytes, image: MapImage) -> dict[str, int]:
         return tick_instructions(np.array(work))
 
     found = cost(points)
-    most = int(found.max())
+    measured = int(found.max())
     for reach_m in (0.2, 0.1, 0.05, 0.02):
         worst = rng.permutation(np.argsort(-found)[:REFINED])
         points, nominal = points[worst] + reach_m * rng.normal(size=(REFINED, 3)), nominal[worst]
         found = cost(points)
-        most = max(most, int(found.max()))
+        measured = max(measured, int(found.max()))
     nodes = -(-hulls // LEAF_HULLS) * 4 // 3 + 16
     every = np.array([hulls + nodes, hulls, image.half_planes, image.half_planes, image.half_planes])
-    return {"measured": most, "bound": int(tick_instructions(_WALKS * every))}
+    return {"measured": measured, "bound": int(tick_instructions(_PASSES * every))}
 
 
 def largest_budget(room: int, hulls: int) -> int:
-    """The largest `merge --max-bytes` of which every map with its index takes at most `room` bytes.
+    """Largest `merge --max-bytes` for which every map, with its index, takes at most `room` bytes.
 
-    Merging a cover of so many hulls further never makes more of them; and no cover of B bytes has more than
-    (B - 64) / 14. The better of both bounds the index.
+    Merging a cover further never increases the number of its hulls, and a cover of B bytes has at most
+    (B - 64) / 14 hulls. The better of both limits bounds the size of the index.
+
+    Args:
+        room: space for the map [bytes].
+        hulls: number of hulls of the cover to be merged further.
+
+    Returns:
+        The budget of the map without its index [bytes].
     """
     from_count = room - index_bytes(hulls)
     low, high = 0, room
@@ -96,10 +111,15 @@ def largest_budget(room: int, hulls: int) -> int:
 
 
 def require_fit(raw: bytes, image: MapImage, target: Target) -> None:
-    """Refuse a map that a target has no room for.
+    """Refuse a map that does not fit on a target.
+
+    Args:
+        raw: the image.
+        image: the same image, decoded.
+        target: the microcontroller.
 
     Raises:
-        InfeasibleError: it is too large; names what `merge` would have to be told.
+        InfeasibleError: it is too large; the message has the `merge --max-bytes` that fits.
     """
     if target.flash_bytes == 0 or len(raw) <= target.map_room:
         return
@@ -110,9 +130,15 @@ def require_fit(raw: bytes, image: MapImage, target: Target) -> None:
 
 
 def target_facts(raw: bytes, image: MapImage, target: Target) -> dict[str, Any]:
-    """What a person wants to know before flying a map on a target.
+    """Summary figures of a map on a target.
 
-    Of each control rate, the share of its tick that polytope-cbf takes at worst among the positions tried.
+    `share_at_R_hz` is the fraction of a control period at R Hz that polytope-cbf takes at the worst position
+    that was tried.
+
+    Args:
+        raw: the image.
+        image: the same image, decoded.
+        target: the microcontroller.
     """
     worst = worst_tick(raw, image)
     facts: dict[str, Any] = {

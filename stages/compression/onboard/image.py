@@ -1,4 +1,4 @@
-"""An onboard map as bytes: its header and records, decoded without the code that encodes them.
+"""Image of an onboard map: decodes its header and records, without the code that encodes them.
 
 The layout is that of native/onboard/include/alula_map.h.
 """
@@ -34,17 +34,17 @@ class MapImage:
     """A decoded map: hull h is {x : lower <= x <= upper, normal . x <= offset}, in units of g.
 
     Attributes:
-        voxel_size_m: g.
-        voxel_size_f32_m: g as the onboard reader has it.
-        margin_m: what that reader subtracts from its result within `extent_m`.
-        is_kdop: planes are numbers of directions.
+        voxel_size_m: edge of a voxel g [m].
+        voxel_size_f32_m: g in single precision, as the onboard reader uses it [m].
+        margin_m: distance that the reader subtracts from its result within `extent_m` [m].
+        is_kdop: planes are stored as numbers of directions.
         cover_hash: first 8 bytes of the SHA-256 of the cover's file; zeros when unknown.
-        image_bytes: length of the image; what follows in a file is not part of it.
+        image_bytes: length of the image; further bytes of a file are not part of it.
         index_bytes: length of the index after the records.
-        lower: shape (n, 3).
-        upper: shape (n, 3).
-        normal: of the oblique planes, shape (K, 3).
-        offset: shape (K,).
+        lower: lower corners of the boxes, shape (n, 3).
+        upper: upper corners of the boxes, shape (n, 3).
+        normal: normals of the oblique planes, shape (K, 3).
+        offset: offsets of the oblique planes, shape (K,).
         plane_start: first oblique plane of each hull and the end, shape (n + 1,).
     """
 
@@ -66,27 +66,34 @@ class MapImage:
 
     @property
     def extent_m(self) -> float:
-        """Bound of all coordinates that the margin allows for."""
+        """Maximum absolute coordinate for which the margin is sufficient [m]."""
         return self.margin_m / MARGIN_OF_EXTENT
 
     @property
     def half_planes(self) -> int:
-        """Six faces of each box, and the oblique planes."""
+        """Number of half-spaces: six faces of each box, and the oblique planes."""
         return 6 * len(self) + len(self.offset)
 
 
 def is_map(raw: bytes) -> bool:
-    """Whether these first bytes of a file are those of an onboard map."""
+    """Test whether a file begins like an onboard map.
+
+    Args:
+        raw: at least its first 4 bytes.
+    """
     return raw.startswith(MAGIC)
 
 
 def decode_map(raw: bytes) -> MapImage:
-    """Decode an image, which may be followed by other bytes.
+    """Decode an image.
+
+    Args:
+        raw: the image; other bytes may follow it.
 
     Raises:
         WrongKindError: these are not the bytes of an onboard map.
-        VersionError: it has a layout that this version does not know.
-        DamagedError: truncated, or a CRC-32, a length or a record does not hold.
+        VersionError: the layout is newer than this version.
+        DamagedError: the image is truncated, or a CRC-32, a length or a record is wrong.
     """
     if not is_map(raw):
         raise WrongKindError("is not an onboard map")
@@ -102,8 +109,8 @@ def decode_map(raw: bytes) -> MapImage:
         raise DamagedError("the header of the onboard map does not match its CRC-32")
     if flags & ~(KDOP | INDEXED):
         raise VersionError(f"the onboard map needs features {flags:#x} that this version lacks; update alula")
-    most = 1 if flags & KDOP else 127
-    if header_bytes != HEADER_BYTES or total < HEADER_BYTES or zero != 0 or not 1 <= largest <= most:
+    limit = 1 if flags & KDOP else 127
+    if header_bytes != HEADER_BYTES or total < HEADER_BYTES or zero != 0 or not 1 <= largest <= limit:
         raise DamagedError("the header of the onboard map contradicts itself")
     if total > len(raw):
         raise DamagedError(f"truncated: {len(raw)} bytes of an onboard map of {total}")
@@ -151,7 +158,7 @@ def decode_map(raw: bytes) -> MapImage:
 def _records(
     raw: bytes, hulls: int, total: int, is_kdop: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], int]:
-    """Boxes, counts of planes, shifts, where the planes start, and where the records end."""
+    """Boxes, counts of planes, shifts, first byte of the planes of each hull, and the end of the records."""
     per_plane = KDOP_PLANE_BYTES if is_kdop else PLANE_BYTES
     if hulls * HULL_BYTES > total - HEADER_BYTES:
         raise DamagedError(f"the onboard map is too short for {hulls} hulls")
@@ -172,7 +179,7 @@ def _records(
 
 
 def _check_index(raw: bytes, boxes: NDArray[np.int64], starts: NDArray[np.int64]) -> None:
-    """Each node is the union of what is below it, and each leaf knows where its records start."""
+    """Check that each node is the union of its children, and that each leaf has the offset of its records."""
     wrong = DamagedError("the index of the onboard map does not fit its records")
     if len(boxes) == 0 or len(raw) < 4 or raw[0] == 0 or raw[2:4] != b"\0\0":
         raise wrong
@@ -197,7 +204,7 @@ def _check_index(raw: bytes, boxes: NDArray[np.int64], starts: NDArray[np.int64]
 def _planes(
     raw: bytes, counts: NDArray[np.int64], starts: NDArray[np.int64], is_kdop: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Normals and depths as stored, of all planes in turn."""
+    """Stored normals and depths of all planes, in order."""
     per_plane = KDOP_PLANE_BYTES if is_kdop else PLANE_BYTES
     number = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     at = np.repeat(starts, counts) + per_plane * number
@@ -211,7 +218,15 @@ def _planes(
 
 
 def read_map(raw: bytes, name: object) -> MapImage:
-    """`decode_map`, with the file's name in front of every complaint."""
+    """Decode an image as `decode_map` does, with the file's name in front of every error message.
+
+    Args:
+        raw: the content of the file.
+        name: the file's name.
+
+    Raises:
+        ArtifactError: as `decode_map`.
+    """
     try:
         return decode_map(raw)
     except ArtifactError as error:

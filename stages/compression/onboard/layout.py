@@ -1,4 +1,4 @@
-"""A cover as an onboard map: a fixed layout that a microcontroller reads in place from flash."""
+"""Layout of an onboard map: encodes a cover as an image that a microcontroller reads in place from flash."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from alula.stages.compression.onboard.image import (
 
 LARGEST_NORMAL = 127
 _SMALLEST_M, _LARGEST_M = 1e-6, 1e5
-_MOST_BYTES, _MOST_HULLS = 2**32 - 1, 2**24
+_MAX_BYTES, _MAX_HULLS = 2**32 - 1, 2**24
 LEAF_HULLS = 4
 
 
@@ -43,20 +43,26 @@ def encode_map(
     jobs: int = 0,
     progress: Progress | None = None,
 ) -> bytes:
-    """The image of a cover, 64 + sum(14 + 5 k) bytes; k oblique planes take 2 k where all are of a k-DOP.
+    """Encode a cover as the image of an onboard map.
 
-    Guarantee: each hull of the map contains the vertices of its hull of the cover, exactly, in integers:
-    the boxes are equal, and a plane whose normal must change gets the integer support over the vertices,
+    The image has 64 + sum(14 + 5 k) bytes for hulls with k oblique planes; 2 k instead of 5 k where all
+    normals are of the 26-DOP family.
+
+    Guarantee: each hull of the map contains the vertices of its hull of the cover, exactly, in integers. The
+    boxes are equal, and a plane with a normal that must change gets the integer support over the vertices,
     rounded outward. Layout: native/onboard/include/alula_map.h.
 
     Args:
         cover: an `alula/cover`.
         largest_normal: bound of the components of normals; with 1 all planes are of the 26-DOP family.
-        cover_sha256: of the cover's file, in hexadecimal; its first 8 bytes go into the header.
-        indexed: with the tree of boxes that makes a search near a position cost no look at every hull; it
-            takes `index_bytes` more.
+        cover_sha256: hash of the cover's file, in hexadecimal; its first 8 bytes go into the header.
+        indexed: add the tree of boxes that lets a search near a position skip most hulls; it takes
+            `index_bytes` more.
         jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) now and then.
+        progress: called with (done, total) from time to time.
+
+    Returns:
+        The image.
 
     Raises:
         InfeasibleError: the cover is wider than 65,535 voxels, or too large for 32-bit lengths.
@@ -65,7 +71,7 @@ def encode_map(
     """
     size = float(cover.manifest.voxel_size_m)  # type: ignore[attr-defined]
     if not _SMALLEST_M <= size <= _LARGEST_M:
-        raise InputError(f"an onboard map takes voxels of 1e-6 m to 1e5 m, not {size:g} m")
+        raise InputError(f"an onboard map needs voxels of 1e-6 m to 1e5 m, not {size:g} m")
     vertex = np.ascontiguousarray(cover["vertex"], np.int32)
     low, high = (
         (vertex.min(axis=0).astype(np.int64), vertex.max(axis=0).astype(np.int64))
@@ -96,7 +102,7 @@ def encode_map(
         flags |= INDEXED
         records += _index(records, hulls, is_kdop=is_kdop)
     total = HEADER_BYTES + len(records)
-    if total > _MOST_BYTES or hulls > _MOST_HULLS:
+    if total > _MAX_BYTES or hulls > _MAX_HULLS:
         raise InfeasibleError(f"{hulls} hulls in {total} bytes are too many for an onboard map; merge more")
     extent = max(int(np.abs([low, high]).max()), 1) * size
     head = HEADER.pack(
@@ -110,7 +116,7 @@ def encode_map(
 
 
 def _index(records: bytes, hulls: int, *, is_kdop: bool) -> bytes:
-    """The tree of boxes over records in their order, as alula_map.h describes it."""
+    """Encode the tree of boxes over the records, in the layout of alula_map.h."""
     per_plane = KDOP_PLANE_BYTES if is_kdop else PLANE_BYTES
     start = np.empty(hulls, np.int64)
     at = 0
@@ -132,7 +138,11 @@ def _index(records: bytes, hulls: int, *, is_kdop: bool) -> bytes:
 
 
 def index_bytes(hulls: int) -> int:
-    """How many bytes an index takes; never less for more hulls."""
+    """Size of the index of a map [bytes]; it never decreases with more hulls.
+
+    Args:
+        hulls: number of hulls of the map.
+    """
     size, total = -(-hulls // LEAF_HULLS), 0
     if hulls == 0:
         return 0
@@ -144,7 +154,7 @@ def index_bytes(hulls: int) -> int:
 
 
 def _margin_m(extent_m: float) -> np.float32:
-    """The margin for an extent, at least; rounded up by more than the reader's own roundings."""
+    """Margin for an extent, rounded up by more than the reader's own rounding errors."""
     margin = np.float32(extent_m * MARGIN_OF_EXTENT)
     for _ in range(4):
         margin = np.nextafter(margin, np.float32(np.inf))
@@ -162,18 +172,33 @@ def _image(cover: Artifact, provenance: Provenance) -> bytes:
 
 
 def map_binary(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
-    """The image, then a line with the provenance, which need not go into flash."""
+    """Content of a .bin file: the image, then a line with the provenance, which flash does not need.
+
+    Args:
+        cover: an `alula/cover`.
+        provenance: of the file; its parameters set the encoding.
+    """
     yield _image(cover, provenance)
     yield f"\n{provenance.line()}\n".encode()
 
 
 def map_c_header(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
-    """The image as a constant array in C, aligned to 8 bytes, in a guarded header."""
+    """Content of a C header with the image of a cover (see `image_c_header`).
+
+    Args:
+        cover: an `alula/cover`.
+        provenance: of the file; its parameters set the encoding and the array's name.
+    """
     yield from image_c_header(_image(cover, provenance), provenance)
 
 
 def image_c_header(image: bytes, provenance: Provenance) -> Iterator[bytes]:
-    """The same for an image that is there."""
+    """Content of a guarded C header with an image as a constant array, aligned to 8 bytes.
+
+    Args:
+        image: an encoded map.
+        provenance: of the file; `name` of its parameters is the array's name.
+    """
     name = str(provenance.parameters.get("name", "map"))
     guard, (hulls,) = f"{name.upper()}_H", struct.unpack_from("<I", image, 12)
     yield (
@@ -189,7 +214,11 @@ def image_c_header(image: bytes, provenance: Provenance) -> Iterator[bytes]:
 
 
 def map_facts(image: MapImage) -> dict[str, Any]:
-    """The numbers of a map that a person wants."""
+    """Summary figures of a map.
+
+    Args:
+        image: a decoded map.
+    """
     return {
         "hulls": len(image),
         "half_planes": image.half_planes,

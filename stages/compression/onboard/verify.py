@@ -1,4 +1,4 @@
-"""Prove, of an onboard map itself and from its bytes, that it contains every obstacle."""
+"""Verification of an onboard map: proves from its bytes that it contains every obstacle."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from alula.stages.compression.verify import (
     Offence,
     _check,
     _left_out,
-    _place,
+    _position_m,
     _scene_check,
     _unclaimed,
 )
@@ -42,21 +42,24 @@ def verify_map(
 ) -> Certificate:
     """Check a decoded map against the cover, the voxels and the scene behind it.
 
-    In integers, without tolerance and without the code that quantised: each voxel v lies in one hull
-    with normal . v + sum of positive normal components <= offset for all its planes and faces; each
-    hull of the cover has one with the same box that holds all its vertices. A map lists no members, so
-    every hull is tried on every voxel in its box. With a scene, each ellipsoid must lie in the voxels,
-    as `verify` checks it of a cover.
+    The checks use integers, without tolerance and without the code that quantised. Each voxel v must lie in
+    one hull: normal . v + sum of positive normal components <= offset for all its planes and faces. For each
+    hull of the cover, a hull of the map with the same box must contain all its vertices. A map lists no
+    members, so every hull is tested against every voxel in its box. With a scene, each ellipsoid must lie in
+    the voxels, as in `verify` of a cover.
 
     Args:
-        image: see `decode_map`, which has checked lengths and CRC-32.
-        cover: the `alula/cover` it was made from.
-        voxels: the `alula/voxels` it must contain; without it, the members of the cover.
+        image: a decoded map; `decode_map` has checked lengths and CRC-32.
+        cover: the `alula/cover` that the map was made from.
+        voxels: the `alula/voxels` that the map must contain; without it, the members of the cover.
         scene: the `alula/scene` that the voxels must contain.
-        sha256: of the file "cover", to be compared with what the map records; another is noted, not
-            refused, as the proof rests on the content alone.
+        sha256: hash of the file "cover"; a difference from the hash in the map becomes a note, not an error,
+            because the proof uses the content alone.
         jobs: threads, 0 for all processors; the result does not depend on it.
-        progress: called with (done, total) now and then.
+        progress: called with (done, total) from time to time.
+
+    Returns:
+        The certificate; `covered` when every check holds.
 
     Raises:
         UsageError: neither cover nor voxels are given.
@@ -92,7 +95,7 @@ def _arrays(
 def _files_agree(
     image: MapImage, cover: Artifact | None, voxels: Artifact | None, scene: Artifact | None
 ) -> Check:
-    """Lattice, level, frame and unit of all files are equal, and are those that their guarantees claim."""
+    """Check that lattice, level, frame and unit of all files are equal and equal to their claims."""
     files = {"cover": cover, "voxels": voxels, "scene": scene}
     given = {name: file.manifest for name, file in files.items() if file is not None}
     offences = [
@@ -114,7 +117,7 @@ def _files_agree(
 
 
 def _margin_holds(image: MapImage) -> Check:
-    """The margin is at least 2^-18 of the largest coordinate, in exact arithmetic."""
+    """Check in exact arithmetic that the margin is at least 2^-18 of the largest coordinate."""
     largest = max(int(np.abs(edge.astype(np.int64)).max(initial=0)) for edge in (image.lower, image.upper))
     needed = Fraction(image.voxel_size_m) * largest * Fraction(MARGIN_OF_EXTENT)
     offences = []
@@ -129,11 +132,11 @@ def _margin_holds(image: MapImage) -> Check:
 def _voxels_held(image: MapImage, occupied: NDArray[np.int32], jobs: int, progress: Progress | None) -> Check:
     outside = _core.check_map_voxels(*_arrays(image), occupied, jobs, progress)
     first = [
-        Offence(fault="voxel is in no hull", place_m=_place(occupied[row] + 0.5, image.voxel_size_m))
+        Offence(fault="voxel is in no hull", place_m=_position_m(occupied[row] + 0.5, image.voxel_size_m))
         for row in outside[:LISTED].tolist()
     ]
     failed, name = len(outside), "every voxel lies in a hull"
-    if len(occupied) == 0:  # nothing is no proof: neither voxelize nor merge writes an empty file
+    if len(occupied) == 0:  # an empty set proves nothing: neither voxelize nor merge writes an empty file
         first, failed = [Offence(fault="there is no voxel")], 1
     return _check(name, len(occupied), first, failed, "integer containment, after quantisation")
 
@@ -145,7 +148,9 @@ def _hulls_held(image: MapImage, cover: Artifact) -> Check:
         Offence(
             fault="hull of the cover is in no hull of the map with its box",
             hull=hull,
-            place_m=_place(vertex[start[hull]], image.voxel_size_m) if start[hull] < len(vertex) else None,
+            place_m=_position_m(vertex[start[hull]], image.voxel_size_m)
+            if start[hull] < len(vertex)
+            else None,
         )
         for hull in outside[:LISTED].tolist()
     ]
@@ -153,7 +158,7 @@ def _hulls_held(image: MapImage, cover: Artifact) -> Check:
 
 
 def _notes(image: MapImage, cover_sha256: str | None) -> list[str]:
-    """Where the cover is not the file that the map names as its own."""
+    """Note about a cover that is not the file that the map records."""
     if cover_sha256 is None or not any(image.cover_hash):
         return []
     same = bytes.fromhex(cover_sha256)[: len(image.cover_hash)] == image.cover_hash

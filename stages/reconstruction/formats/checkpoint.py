@@ -1,4 +1,4 @@
-"""Tensors of a PyTorch checkpoint, read without PyTorch and without running what a pickle may ask for."""
+"""Tensors of a PyTorch checkpoint, read without PyTorch and without running any code of the pickle."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Checkpoint:
     """A checkpoint: its tree of plain values and tensors.
 
     Attributes:
-        tree: what was saved: dictionaries, lists, tuples, strings, numbers and `Tensor`s.
+        tree: the saved object, made of dictionaries, lists, tuples, strings, numbers and `Tensor`s.
     """
 
     def __init__(self, buffer: memoryview) -> None:
@@ -48,14 +48,14 @@ class Checkpoint:
         return self._buffer[start : start + size]
 
     def array(self, tensor: Tensor, what: str) -> NDArray[Any]:
-        """A view of the numbers of a tensor.
+        """View of the numbers of a tensor.
 
         Args:
             tensor: from `tree`.
-            what: for messages.
+            what: name of the tensor, for messages.
 
         Raises:
-            ArtifactError: it is not of floating-point numbers, or not within its storage.
+            ArtifactError: the numbers are not floating-point, or not within the tensor's storage.
         """
         storage = tensor.storage
         if storage.dtype not in ("f2", "f4"):
@@ -76,7 +76,7 @@ class Checkpoint:
         for size in sizes:
             count *= size
         last = tensor.offset + sum((n - 1) * s for n, s in zip(sizes, tensor.strides, strict=True))
-        # More numbers than are stored can only be the same ones again, and parameters never are.
+        # More numbers than are stored would have to repeat some, which parameters never do.
         if count and (tensor.offset < 0 or max(last + 1, count) > storage.count):
             raise ArtifactError(
                 f"checkpoint: {what}: shape {sizes} with strides {tensor.strides} from {tensor.offset} "
@@ -88,7 +88,7 @@ class Checkpoint:
 
 
 def is_checkpoint(head: bytes) -> bool:
-    """Whether bytes are the start of a file that PyTorch saved."""
+    """Test whether bytes are the start of a file that PyTorch saved."""
     if head.startswith(_LEGACY):
         return True
     if len(head) < 30 or not head.startswith(b"PK\x03\x04"):
@@ -98,7 +98,7 @@ def is_checkpoint(head: bytes) -> bool:
 
 
 class _Reader(io.RawIOBase):
-    """A file of the bytes of a buffer, without a copy."""
+    """File object over the bytes of a buffer, without a copy."""
 
     def __init__(self, buffer: memoryview) -> None:
         self._buffer = buffer
@@ -128,7 +128,7 @@ class _Reader(io.RawIOBase):
 
 
 def _stored_members(buffer: memoryview) -> dict[str, tuple[int, int]]:
-    """Where the members of a ZIP archive begin and how long they are; all of them stored as they are."""
+    """Offsets and lengths of the members of a ZIP archive, which must all be stored uncompressed."""
     if bytes(buffer[: len(_LEGACY)]) == _LEGACY:
         raise ArtifactError(
             "checkpoint: of the format of PyTorch before 1.6, which is not read; load and save it again"

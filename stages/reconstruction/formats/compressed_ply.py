@@ -32,20 +32,20 @@ _COLOR = ("r", "g", "b")
 _WORDS = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 _SH_COLUMNS = (9, 24, 45)
 _LEVELS = np.array([2047.0, 1023.0, 2047.0])  # 11, 10 and 11 bits
-_LARGEST_LOG_SCALE = 20.0  # writers clamp what is above
+_LARGEST_LOG_SCALE = 20.0  # writers clamp larger values
 
-# Writers round codes (PlayCanvas) or truncate them (early gsply), so a value is off by a whole step; those
-# that compute codes in single precision miss by 4e-4 of a step more. Values inside a range below 1e-5 are
-# written as its lower end.
+# Writers round codes (PlayCanvas) or truncate them (early gsply), so the error of a value is up to a whole
+# step; single precision of the codes adds up to 4e-4 of a step. Values inside a range below 1e-5 are written
+# as its lower end.
 _STEP = 1.001
 _NO_RANGE = 1e-5
 ROTATION_STEP = _STEP * math.sqrt(2.0) / 1023.0
 OPACITY_LOSS = 1.0 / 255.0
-_SINGLE = 2.0**-24  # half a unit in the last place: what decoding rounds
+_SINGLE = 2.0**-24  # half a unit in the last place: the rounding error of decoding
 
 
 def is_compressed_ply(source: Source) -> bool:
-    """Whether a file has the header of a compressed PLY."""
+    """Test whether a file has the header of a compressed PLY."""
     if not source.head.startswith(b"ply"):
         return False
     try:
@@ -57,19 +57,20 @@ def is_compressed_ply(source: Source) -> bool:
 
 
 def decode_compressed_ply(buffer: memoryview, progress: Progress | None = None) -> Splats:
-    """Decode a compressed PLY file: 11, 10 and 11 bits of position and log scale within the ranges of the
-    chunk, three components of the rotation of 10 bits, 8 bits for each colour and alpha.
+    """Decode a compressed PLY file.
 
-    With b bits in a range [l, h] a value is l (1 - t) + h t, t = code / (2^b - 1), so positions and log
-    scales are lost by d = (h - l) / (2^b - 1) per axis of the chunk: |d| of the centre, exp(max d) - 1 of
-    a semi-axis. Log scales above 20 cannot be written and are counted where they may be.
+    Positions and log scales have 11, 10 and 11 bits within the ranges of the chunk, rotations three
+    components of 10 bits, colours and alpha 8 bits each. With b bits in a range [l, h] a value is
+    l (1 - t) + h t, t = code / (2^b - 1). So the error per axis of the chunk is at most
+    d = (h - l) / (2^b - 1): |d| for the centre, exp(max d) - 1 for a semi-axis. The format clamps log scales
+    above 20; Gaussians that may be affected are counted.
 
     Args:
         buffer: the whole file.
         progress: called with the rows done and the rows in all.
 
     Raises:
-        ArtifactError: not a compressed PLY, truncated, or a range that is none.
+        ArtifactError: not a compressed PLY, truncated, or a range is invalid.
     """
     header = parse_header(bytes(buffer[:HEADER_LIMIT]))
     chunk, vertex = _elements(header)
@@ -130,7 +131,7 @@ def decode_compressed_ply(buffer: memoryview, progress: Progress | None = None) 
 
 
 class _Range:
-    """The ranges of three quantities, one row for each chunk."""
+    """Ranges of three quantities, one row per chunk."""
 
     def __init__(self, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> None:
         self.lower = lower
@@ -153,25 +154,25 @@ class _Range:
         return cls(lower, upper)
 
     def values(self, words: NDArray[np.uint32], owner: NDArray[np.intp]) -> NDArray[np.float64]:
-        """The quantities of packed words, shape (n, 3), whose chunks are `owner`."""
+        """Quantities of packed words, shape (n, 3); `owner` holds the chunk of each word."""
         t = _codes(words) / _LEVELS
         values: NDArray[np.float64] = self.lower[owner] * (1.0 - t) + self.upper[owner] * t
         return values
 
     def at_limit(self, words: NDArray[np.uint32], owner: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Whether a quantity has the largest code, and that stands for the largest log scale."""
+        """Mask of the quantities with the largest code where that code means the largest log scale."""
         found: NDArray[np.bool_] = (
             (_codes(words) == _LEVELS) & (self.upper[owner] >= _LARGEST_LOG_SCALE)
         ).any(axis=1)
         return found
 
     def step(self) -> NDArray[np.float64]:
-        """By how much quantities of each chunk may be off, shape (C, 3)."""
+        """Error bounds of the quantities of each chunk, shape (C, 3)."""
         extent = self.upper - self.lower
         return np.where(extent < _NO_RANGE, extent, extent / _LEVELS * _STEP)
 
     def distance(self) -> NDArray[np.float64]:
-        """By how far points of each chunk may be off, with what single precision rounds, shape (C,)."""
+        """Error bounds of the points of each chunk, with the rounding to single precision, shape (C,)."""
         largest = np.maximum(np.abs(self.lower), np.abs(self.upper))
         distance: NDArray[np.float64] = np.linalg.norm(self.step() + largest * _SINGLE, axis=1)
         return distance
@@ -183,13 +184,13 @@ def _codes(words: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 def _rotation(words: NDArray[np.uint32]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """The three stored components, and the place of the fourth in w, x, y, z."""
+    """Three stored components, and the index of the missing one in w, x, y, z."""
     fields = words[:, None] >> np.array([20, 10, 0], np.uint32) & np.uint32(1023)
     return (fields / 1023.0 - 0.5) * math.sqrt(2.0), (words >> 30).astype(np.intp)
 
 
 def _elements(header: Header) -> tuple[Element, Element]:
-    """Chunks and Gaussians, after checking that they have all they need."""
+    """Elements of the chunks and of the Gaussians, after a check of their properties."""
     chunk, vertex, sh = (header.element(name) for name in ("chunk", "vertex", "sh"))
     if chunk is None or vertex is None or vertex.column("packed_position") is None:
         raise ArtifactError("compressed PLY: needs elements chunk and vertex with packed_position")
@@ -233,7 +234,7 @@ def _check_columns(element: Element, names: tuple[str, ...] | list[str], type_: 
 
 
 def _tables(header: Header, buffer: memoryview) -> tuple[dict[str, NDArray[np.void]], int]:
-    """The rows of all elements by name, as views of the file, and the bytes after them."""
+    """Rows of all elements by name, as views of the file, and the number of bytes after them."""
     tables: dict[str, NDArray[np.void]] = {}
     at = header.data_start
     for element in header.elements:

@@ -66,7 +66,7 @@ class _Gaussians:
 
 
 def is_gltf(source: Source) -> bool:
-    """Whether a source is glTF, in JSON or binary."""
+    """Test whether a source is glTF, in JSON or binary."""
     if source.head[:4] == b"glTF":
         return True
     start = source.head.removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -76,7 +76,7 @@ def is_gltf(source: Source) -> bool:
 
 
 def members_of_gltf(source: Source) -> Sequence[str]:
-    """The file itself and those that hold its buffers."""
+    """Names of the file itself and of those that hold its buffers."""
     tables = Tables(source)
     document = tables.document
     names: dict[str, None] = {}
@@ -93,26 +93,26 @@ def members_of_gltf(source: Source) -> Sequence[str]:
 def decode_gltf(source: Source, progress: Progress | None = None) -> Splats:
     """Decode the Gaussians of the default scene, in its frame.
 
-    The nodes' matrices are applied: rotations, shifts and scales that are positive and the same along
-    all axes (to 1e-5); others are refused. Values are those of the specification's release
-    candidate: linear scale and opacity, quaternions x, y, z, w. Its review drafts, and writers that
-    followed them until mid-2026, stored natural logarithms of scales, and nothing in a file tells; but
-    logarithms of scales below one unit are negative, and scales never are. So signed integers or a
-    negative value anywhere mean logarithms in the whole file. As exp(v) > v, that never reads a
-    Gaussian as smaller.
+    The nodes' matrices are applied: rotations, shifts and scales that are positive and equal along all axes
+    (to 1e-5); others are refused. Values follow the specification's release candidate: linear scale and
+    opacity, quaternions x, y, z, w. Its review drafts, and writers that followed them until mid-2026, stored
+    natural logarithms of scales, and a file does not state which. But logarithms of scales below one unit
+    are negative, and scales never are. So signed integers or a negative value anywhere mean logarithms in
+    the whole file. Because exp(v) > v, this never reads a Gaussian as smaller.
 
-    Loss, of a step d between codes (1 / largest code if normalised, else 1), for any rounding or truncation:
-    a centre is off by d sqrt(3) times the scale of its node; a linear scale by d, which is recorded relative
-    to the longest semi-axis, the others being raised, by less than d, to what makes that enough;
-    a logarithm by d, so a scale by exp(d) - 1; a quaternion m by 2 d, which is an angle of
-    2 asin(2 d / |m|). A node that is not the identity adds the rounding of its products to single precision.
+    Error bounds, for any rounding or truncation, with d the step between codes (1 / largest code if
+    normalised, else 1): d sqrt(3) times the scale of its node for a centre; d for a linear scale; exp(d) - 1
+    for a scale stored as a logarithm; 2 d for a quaternion m, which is an angle of 2 asin(2 d / |m|). The
+    bound of linear scales is recorded relative to the longest semi-axis; the others are raised, by less than
+    d, so that this bound suffices for them. A node that is not the identity adds the rounding of its products
+    to single precision.
 
     Args:
         source: the `.gltf` or `.glb` file.
         progress: called with the rows done and the rows in all.
 
     Raises:
-        ArtifactError: damaged, not Gaussians, or not of a kind that is known.
+        ArtifactError: the file is damaged, has no Gaussians, or uses an unknown feature.
         InputError: a file cannot be read.
     """
     tables = Tables(source)
@@ -192,20 +192,20 @@ class _Output:
                 ratio = np.divide(2 * part.quat.step, length, out=np.ones_like(length), where=length > 0)
                 rotation = 2.0 * np.arcsin(np.minimum(ratio, 1.0)) * (1 + 1e-12)
             if not place.exact:
-                # Terms of the sum are rounded to 2^-53 of themselves, the sum to 2^-24 of itself.
+                # Relative rounding errors: 2^-53 for terms of the sum, 2^-24 for the sum.
                 terms = np.abs(part.mean.values(rows)).sum(axis=1) * place.scale + np.abs(place.shift).sum()
                 position += 2.0**-50 * terms + 2.0**-23 * np.linalg.norm(mean, axis=1)
-                # With the polar factors R (I + S) of the node, |S| <= s, the semi-axes' plane i, j is
-                # sheared by at most s: to first order a rotation by s and a stretch by 2 s, for each
-                # pair, and every axis is stretched by s.
+                # With the polar factors R (I + S) of the node, |S| <= s, each pair of semi-axes is sheared
+                # by at most s: to first order a rotation by s and a stretch by 2 s. In addition every axis
+                # is stretched by s.
                 scale_loss = scale_loss + (1 + scale_loss) * (6 * place.defect + _UNIT)
                 rotation += 2 * place.defect + _UNIT
-            position[~np.isfinite(position)] = 0.0  # of a centre that is not finite, which is no Gaussian
+            position[~np.isfinite(position)] = 0.0  # a row with a centre that is not finite is no Gaussian
             for column, values in enumerate((position, scale_loss, np.minimum(rotation, np.pi))):
                 self.bound[to, column] = rounded_up(values)
 
     def _scale(self, column: Column, rows: slice) -> tuple[NDArray[Any], NDArray[np.float64]]:
-        """Scales, and by how much of themselves the true ones may be larger."""
+        """Scales, and the relative bounds of their excess."""
         stored, step = column.values(rows), column.step
         if self.logarithms:
             return exp(stored), np.full(len(stored), growth(step))
@@ -217,7 +217,12 @@ class _Output:
         return scale, loss[:, 0]
 
     def splats(self, tags: dict[str, str], notes: tuple[str, ...]) -> Splats:
-        """What was read."""
+        """Gaussians that were read, with their loss.
+
+        Args:
+            tags: see `Splats.tags`.
+            notes: notes for the user.
+        """
         unbounded = {}
         if self.saturated:
             unbounded["scale"] = f"{self.saturated} rows hold the largest code there is"
@@ -287,7 +292,7 @@ def _gaussians(tables: Tables, place: tuple[int, int], notes: dict[str, None]) -
 
 
 def _check_sh(tables: Tables, primitive: Primitive, name: str, columns: dict[str, Column]) -> None:
-    """Put the harmonics among the columns; only whole degrees, each with those below, make sense."""
+    """Add the harmonics to the columns; each degree must be whole and have all lower ones."""
     degrees: dict[int, set[int]] = {}
     for attribute, index in primitive.attributes.items():
         if not attribute.startswith(f"{NAME}:SH_"):

@@ -1,4 +1,4 @@
-"""The tables of a glTF file: its JSON, buffers in the file, beside it or in data URIs, and accessors."""
+"""Tables of a glTF file: its JSON, its buffers (in the file, in other files or data URIs) and accessors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FLOAT = "f32"
 
 
 class Asset(Struct):
-    """What wrote the file."""
+    """Program that wrote the file."""
 
     generator: str = ""
     version: str = ""
@@ -51,7 +51,7 @@ class BufferView(Struct, rename="camel"):
 
 
 class SparseIndices(Struct, rename="camel"):
-    """Which rows a sparse accessor replaces."""
+    """Rows that a sparse accessor replaces."""
 
     buffer_view: Natural
     component_type: Natural
@@ -59,7 +59,7 @@ class SparseIndices(Struct, rename="camel"):
 
 
 class SparseValues(Struct, rename="camel"):
-    """What it puts there."""
+    """Values that a sparse accessor puts into these rows."""
 
     buffer_view: Natural
     byte_offset: Natural = 0
@@ -86,7 +86,7 @@ class Accessor(Struct, rename="camel"):
 
 
 class Primitive(Struct, rename="camel"):
-    """What is drawn at once; `extensions` are read only where they are known."""
+    """Unit of drawing; `extensions` are read only where they are known."""
 
     attributes: dict[str, Natural] = {}
     extensions: dict[str, Raw] = {}
@@ -102,7 +102,7 @@ class Mesh(Struct):
 
 
 class Node(Struct):
-    """A place in the scene: a matrix by columns, or translation, rotation x y z w and scale."""
+    """Transform in the scene: a matrix by columns, or translation, rotation x y z w and scale."""
 
     name: str = ""
     children: list[Natural] = []
@@ -116,13 +116,13 @@ class Node(Struct):
 
 
 class Scene(Struct):
-    """The roots of what is shown."""
+    """Root nodes of a scene."""
 
     nodes: list[Natural] = []
 
 
 class Document(Struct, rename="camel"):
-    """The parts of a glTF file that matter to a splat."""
+    """Parts of a glTF file that a splat uses."""
 
     asset: Asset = msgspec.field(default_factory=Asset)
     extensions_required: list[str] = []
@@ -152,9 +152,9 @@ class Column:
 
     @property
     def step(self) -> float:
-        """How far a value may be from what it was rounded or truncated from.
+        """Error bound of a value for rounding or truncation.
 
-        Normalised ones are at most 1, so single precision moves them by 2^-24 when they are written and
+        Normalised values are at most 1, so single precision adds an error of 2^-24 when they are written and
         again when they are read.
         """
         if self.kind == FLOAT:
@@ -162,7 +162,7 @@ class Column:
         return 1.0 / self.largest + 2.0**-23 if self.kind.endswith("n") else 1.0
 
     def values(self, rows: slice) -> NDArray[Any]:
-        """The numbers: single precision as stored, integers in double."""
+        """Numbers of some rows: single precision as stored, integers in double."""
         part = self.stored[rows]
         if self.kind == FLOAT:
             return part
@@ -170,7 +170,7 @@ class Column:
         return np.maximum(exact / self.largest, -1.0) if self.kind.endswith("n") else exact
 
     def saturated(self, rows: slice) -> NDArray[np.bool_]:
-        """Rows with the largest code, behind which the true value may be larger."""
+        """Mask of the rows with the largest code, for which the true value may be larger."""
         if self.kind == FLOAT:
             return np.zeros(len(self.stored[rows]), np.bool_)
         return (self.stored[rows] == self.largest).any(axis=1)  # type: ignore[no-any-return]
@@ -181,7 +181,7 @@ class Tables:
 
     Attributes:
         document: the JSON.
-        notes: what a person should know of the container.
+        notes: notes for the user about the container.
     """
 
     def __init__(self, source: Source) -> None:
@@ -203,7 +203,7 @@ class Tables:
             )
 
     def _container(self, data: memoryview) -> tuple[bytes, memoryview | None]:
-        """The JSON, and the binary chunk of a GLB."""
+        """Split the file into its JSON and the binary chunk of a GLB."""
         if bytes(data[:4]) != b"glTF":
             return bytes(data).removeprefix(b"\xef\xbb\xbf"), None
         if len(data) < 20:
@@ -233,14 +233,14 @@ class Tables:
 
     @property
     def size(self) -> int:
-        """Bytes of all buffers opened so far; no fewer than there are Gaussians in any honest file."""
+        """Bytes of all buffers opened so far; a valid file has at least one byte per Gaussian."""
         return sum(map(len, self._buffers.values()))
 
     def external(self, index: int) -> str | None:
-        """The name of the file that holds a buffer; None when the buffer is inside.
+        """Name of the file that holds a buffer; None when the buffer is inside this file.
 
         Raises:
-            ArtifactError: there is no such buffer, or its URI is no file beside this one.
+            ArtifactError: there is no such buffer, or its URI is not a file of the same folder.
         """
         uri = item(self.document.buffers, index, "buffer").uri
         if uri is None or uri[:5].lower() == "data:":
@@ -251,10 +251,10 @@ class Tables:
             raise ArtifactError(f"glTF: buffer {index}: {error}") from error
 
     def buffer(self, index: int) -> memoryview:
-        """The bytes of a buffer.
+        """Bytes of a buffer.
 
         Raises:
-            ArtifactError: there is none, or fewer bytes than it announces.
+            ArtifactError: the buffer is missing or shorter than announced.
         """
         if index not in self._buffers:
             announced = item(self.document.buffers, index, "buffer")
@@ -279,7 +279,7 @@ class Tables:
         return self._buffers[index]
 
     def views_of(self, index: int) -> list[int]:
-        """The buffer views that an accessor reads."""
+        """Buffer views that an accessor reads."""
         accessor = item(self.document.accessors, index, "accessor")
         views = [] if accessor.buffer_view is None else [accessor.buffer_view]
         if accessor.sparse is not None:
@@ -287,16 +287,16 @@ class Tables:
         return views
 
     def column(self, index: int, what: str, types: tuple[str, ...], kinds: tuple[str, ...]) -> Column:
-        """The table of an accessor.
+        """Table of an accessor.
 
         Args:
-            index: of the accessor.
-            what: for messages.
-            types: those allowed, such as `VEC3`.
-            kinds: those allowed, such as `f32` or `u8n`.
+            index: index of the accessor.
+            what: name of the table, for messages.
+            types: allowed types, such as `VEC3`.
+            kinds: allowed kinds of components, such as `f32` or `u8n`.
 
         Raises:
-            ArtifactError: it is of another type, out of range or damaged.
+            ArtifactError: the table is of another type, out of range or damaged.
         """
         accessor = item(self.document.accessors, index, f"{what}: accessor")
         if accessor.type not in types:
@@ -339,7 +339,7 @@ class Tables:
         return stored
 
     def _rows(self, place: tuple[int, int], count: int, dtype: str, width: int, what: str) -> NDArray[Any]:
-        """A strided view of `count` rows at an offset in a buffer view, checked to be there."""
+        """Strided view of `count` rows at an offset in a buffer view, after a check of the bounds."""
         view = item(self.document.buffer_views, place[0], f"{what}: buffer view")
         packed = [name for name in view.extensions if "compression" in name]
         if packed:
@@ -365,10 +365,10 @@ class Tables:
 
 
 def item(items: list[T], index: int, what: str) -> T:
-    """An element of the document.
+    """Element of a list of the document.
 
     Raises:
-        ArtifactError: there are fewer.
+        ArtifactError: the list has fewer elements.
     """
     if index >= len(items):
         raise ArtifactError(f"glTF: {what} {index} does not exist; there are {len(items)}")

@@ -1,4 +1,4 @@
-"""Where the Gaussians of a glTF scene are: its nodes and their global matrices."""
+"""Nodes of a glTF scene with Gaussians, and their global matrices."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from alula.stages.reconstruction.formats.gltf_accessors import Document, Node, i
 from alula.stages.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
 
 NAME = "KHR_gaussian_splatting"
-_NOT_RIGID = 1e-5  # by how much the three axes of a node may be scaled differently
+_NOT_RIGID = 1e-5  # maximum relative difference of the scales of a node's three axes
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,12 +20,12 @@ class Placed:
     """A primitive at a node.
 
     Attributes:
-        primitive: places of its mesh and of itself in that.
-        linear: 3 by 3 part of the global matrix: `scale` times the rotation `quat` (w, x, y, z), but for
+        primitive: index of its mesh, and its own index in that mesh.
+        linear: 3 by 3 part of the global matrix: `scale` times the rotation `quat` (w, x, y, z), up to
             `defect`.
-        shift: the last column.
-        defect: how much one direction is scaled more than another, relatively.
-        exact: whether the matrix is the identity.
+        shift: last column of the global matrix.
+        defect: relative difference of the scales of different directions.
+        exact: True when the matrix is the identity.
     """
 
     primitive: tuple[int, int]
@@ -38,14 +38,15 @@ class Placed:
 
 
 def placed_primitives(document: Document, notes: list[str]) -> list[Placed]:
-    """The primitives with Gaussians in the scene, in the order of its nodes.
+    """Primitives with Gaussians in the scene, in the order of its nodes.
 
     Args:
         document: a parsed file.
-        notes: what was left out is added here.
+        notes: list to which notes about skipped parts are added.
 
     Raises:
-        ArtifactError: there are none, nodes are no tree, or a global matrix is no rotation times a scale.
+        ArtifactError: there are none, the nodes do not form a tree, or a global matrix is not a rotation
+            times a scale.
     """
     splats = [
         [i for i, primitive in enumerate(mesh.primitives) if NAME in primitive.extensions]
@@ -101,7 +102,7 @@ def _roots(document: Document, notes: list[str]) -> list[int]:
 
 
 def _local(node: Node, index: int) -> tuple[NDArray[np.float64], bool]:
-    """The 4 by 4 matrix of a node, and whether it is exactly the identity."""
+    """4 by 4 matrix of a node, and True when it is exactly the identity."""
     parts = {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}
     for name, length in parts.items():
         values = getattr(node, name)

@@ -21,8 +21,8 @@ _CENTRE = np.dtype("<f4")
 _SH_VALUES = (0, 9, 24)
 _NUMBERS = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f4"), ("<u2", "<f2", "u1"))  # centre, others, SH
 
-# Half precision as the reference writer makes it: truncated, never above 65504. A normal number is so too
-# small by at most 2^-10 of itself, one below 2^-14 by at most 2^-24.
+# The reference writer truncates to half precision, never above 65504. So a normal number is too small by at
+# most 2^-10 of itself, and one below 2^-14 by at most 2^-24.
 SCALE_LOSS = 2.0**-10
 SUBNORMAL = 2.0**-14
 SUBNORMAL_STEP = 2.0**-24
@@ -32,26 +32,26 @@ _SINGLE = 2.0**-24
 
 
 def is_ksplat(source: Source) -> bool:
-    """Whether a file is named as one; there is no magic number."""
+    """Test the suffix of a file; the format has no magic number."""
     return source.suffix == ".ksplat"
 
 
 @dataclass(frozen=True, slots=True)
 class _Section:
-    """Where the records of a section are, and how their centres are to be read."""
+    """Layout of a section: offsets of its records, and the ranges of their centres."""
 
     count: int
     records: int  # offset
     centres: int  # offset of the buckets' centres
-    full: int  # buckets that are full
+    full: int  # number of full buckets
     bucket_size: int
-    partial: NDArray[np.int64]  # ends of those that are not, counted in records behind the full ones
+    partial: NDArray[np.int64]  # ends of the other buckets, counted in records behind the full ones
     block: float
     scale_range: int
     record: np.dtype[np.void]
 
     def owners(self, start: int, stop: int) -> NDArray[np.int64]:
-        """The buckets of records."""
+        """Buckets of records."""
         rows = np.arange(start, stop, dtype=np.int64)
         whole = self.full * self.bucket_size
         behind = self.full + np.searchsorted(self.partial, rows - whole, side="right")
@@ -61,11 +61,11 @@ class _Section:
 def decode_ksplat(buffer: memoryview, progress: Progress | None = None) -> Splats:
     """Decode a `.ksplat` file, version 0.1 and above, of compression level 0, 1 or 2.
 
-    Level 0 is exact but for alpha. At levels 1 and 2 a position is (code - r) b / (2 r) + centre of the
-    bucket, so it is lost by b / (4 r) per axis, b the edge of a bucket's block and r the range of codes;
-    linear scales and rotations are in half precision, truncated. A scale below 2^-14, where half precision
-    has steps of 2^-24, is read as one step more, so that not all of the ellipsoid has to grow for it.
-    A negative scale renders like its absolute value and is read as that.
+    Level 0 is exact except for alpha. At levels 1 and 2 a position is (code - r) b / (2 r) + centre of the
+    bucket, with b the edge of a bucket's block and r the range of codes, so its error is at most b / (4 r)
+    per axis. Linear scales and rotations are truncated to half precision. A scale below 2^-14, where half
+    precision has steps of 2^-24, is read one step larger, so that the whole ellipsoid need not grow for it.
+    A negative scale renders like its absolute value and is read as such.
 
     Args:
         buffer: the whole file.
@@ -138,22 +138,22 @@ def decode_ksplat(buffer: memoryview, progress: Progress | None = None) -> Splat
 def _positions(
     buffer: memoryview, section: _Section, codes: NDArray[np.uint16], start: int, stop: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centres of the records and how far off they may be."""
+    """Centres of the records and their error bounds."""
     buckets = section.full + len(section.partial)
     centres = np.frombuffer(buffer, _CENTRE, 3 * buckets, section.centres).reshape(buckets, 3)
     centre = centres[section.owners(start, stop)].astype(np.float64)
     half_step = section.block / (4.0 * section.scale_range)
     mean = (codes.astype(np.float64) - section.scale_range) * (2.0 * half_step) + centre
-    # besides the codes, the writer rounds the centre and the block to single precision, and we the sum
+    # besides the codes, the writer rounds the centre and the block to single precision, and this sum is too
     rounded = (np.abs(centre) + np.abs(mean) + section.block) * _SINGLE
     return mean, np.linalg.norm(half_step + rounded, axis=1)
 
 
 def _turns(quat: NDArray[np.float16]) -> NDArray[np.float64]:
-    """Rotation angles [rad] by which quaternions truncated to half precision may be off.
+    """Error bounds of rotations with quaternions truncated to half precision [rad].
 
-    Each component is off by less than one unit in its last place, the quaternion by at most the norm of
-    those, e, and its direction by asin(e / |q|), whatever its length was.
+    The error of each component is less than one unit in its last place. The error of the quaternion is at
+    most the norm e of these units, and that of its direction at most asin(e / |q|), for any length.
     """
     stored = quat.astype(np.float64)
     unit = np.spacing(np.abs(quat)).astype(np.float64)
@@ -163,7 +163,7 @@ def _turns(quat: NDArray[np.float16]) -> NDArray[np.float64]:
 
 
 def _sections(buffer: memoryview) -> tuple[int, list[_Section], int]:
-    """The compression level, the sections, and where the last one ends; every count is checked here."""
+    """Compression level, sections, and the end of the last one; every count is checked here."""
     if len(buffer) < HEADER:
         raise ArtifactError(f"KSPLAT: truncated: the header has {HEADER} bytes, there are {len(buffer)}")
     major, minor = buffer[0], buffer[1]

@@ -1,4 +1,4 @@
-"""The JSON of SAFER-Splat and Splat-Nav: lists of means, rotations, scalings, opacities and colours."""
+"""JSON files of SAFER-Splat and Splat-Nav: lists of means, rotations, scalings, opacities and colours."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from alula.stages.rotation import matrix_from_quat_wxyz, quat_wxyz_from_matrix
 _KEYS = ("means", "rotations", "scalings", "opacities", "colors")
 _CHUNK = 2**15
 _SCAN = 2**22
-_NOT_ORTHOGONAL = 1e-3  # rotation matrices farther from one than this are something else
-_COARSE = 1e-5  # angle beyond which they were rounded to fewer digits than single precision has
+_NOT_ORTHOGONAL = 1e-3  # matrices farther from a rotation than this are refused
+_COARSE = 1e-5  # larger angles mean that they were rounded to fewer digits than single precision has
 _SINGLE = 2.0**-24  # half a unit in the last place
 _ROW = list[float | None]
 _DECODERS: dict[int, Callable[[bytes], list[Any]]] = {  # by the brackets that a list of rows begins with
@@ -32,7 +32,7 @@ _DECODERS: dict[int, Callable[[bytes], list[Any]]] = {  # by the brackets that a
 
 
 def is_means_json(source: Source) -> bool:
-    """Whether a source is JSON with one of the lists within its first bytes, and means wherever they are."""
+    """Test whether a source is JSON with one of the lists within its first bytes and `means` anywhere."""
     start = source.head.removeprefix(b"\xef\xbb\xbf").lstrip()
     if start[:1] != b"{":
         return False
@@ -43,22 +43,22 @@ def is_means_json(source: Source) -> bool:
 
 
 def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> Splats:
-    """Decode the JSON of SAFER-Splat, of which there are two dialects.
+    """Decode a JSON file of SAFER-Splat, in either of its two dialects.
 
-    Its loader reads `rotations` as quaternions w, x, y, z of any length, `scalings` as natural
-    logarithms and `opacities` as logits. Its script `write_gaussians.py` writes rotation matrices
-    instead, and scales and opacities as they are. So quaternions mean logarithms and logits, and matrices
-    mean plain values, unless a scaling is negative or an opacity outside of [0, 1], which plain values never
-    are. Quaternions with plain values cannot be told from logarithms of large scales; they are read as the
-    loader does, and as exp(v) > v, no Gaussian becomes smaller by that. Such files are noted.
+    SAFER-Splat's loader reads `rotations` as quaternions w, x, y, z of any length, `scalings` as natural
+    logarithms and `opacities` as logits. Its script `write_gaussians.py` writes rotation matrices and plain
+    scales and opacities instead. So quaternions mean logarithms and logits. Matrices mean plain values,
+    unless a scaling is negative or an opacity outside of [0, 1], which plain values never are. Quaternions
+    with plain values cannot be distinguished from logarithms of large scales. They are read like the loader
+    does; because exp(v) > v, no Gaussian becomes smaller by that. A note names such files.
 
-    Colours are red, green, blue from 0 to 1, or, if one is above 2 and none above 255, to 255.
-    `null`, `NaN` and `Infinity` are read as what they say; import_splat decides on those rows.
+    Colours are red, green, blue from 0 to 1, or to 255 if one is above 2 and none above 255. `null`, `NaN`
+    and `Infinity` become non-finite numbers; import_splat handles those rows.
 
-    Numbers that single precision has to round are bounded by what that moves the farthest of them.
+    The error bound of numbers that single precision rounds is the largest rounding error among them.
 
-    A matrix M stands for the nearest rotation R; the angle is recorded that belongs to twice |M - R| and
-    1e-6, which is more than single precision rounds. Coarser matrices, by 1e-5, have no certain bound.
+    A matrix M means the nearest rotation R. The error bound is the angle of twice |M - R| plus 1e-6, which
+    exceeds the rounding to single precision. Matrices with errors above 1e-5 have no certain bound.
 
     Args:
         buffer: the whole file.
@@ -73,7 +73,7 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
     except ArtifactError:
         if not re.search(rb"NaN|Infinity", data):
             raise
-        # Not JSON, but what Python writes; 9e307 is infinite in single precision.
+        # Python writes these words, which are not JSON; 9e307 is infinite in single precision.
         found = _parts(re.sub(rb"\bNaN\b", b"null", re.sub(rb"\bInfinity\b", b"9e307", data)))
     for key in _KEYS[:4]:
         if key not in found:
@@ -145,7 +145,7 @@ def decode_means_json(buffer: memoryview, progress: Progress | None = None) -> S
 
 
 def _parts(data: bytes | memoryview) -> dict[str, msgspec.Raw]:
-    """The values of a JSON object, checked but not decoded."""
+    """Values of a JSON object, checked but not decoded."""
     try:
         return msgspec.json.decode(data, type=dict[str, msgspec.Raw])
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -155,9 +155,9 @@ def _parts(data: bytes | memoryview) -> dict[str, msgspec.Raw]:
 
 
 def _row_ends(text: NDArray[np.uint8], key: str) -> NDArray[np.int64]:
-    """Where the rows of a list end: at its own bracket if the first one has any, else at a comma.
+    """Ends of the rows of a list: at their closing brackets if the first row has any, else at commas.
 
-    Lists that mix both are cut in wrong places, and what is cut is then not of the type of a row.
+    Lists that mix both are cut at wrong positions; the pieces are then not of the type of a row.
     """
     if text[0] != ord("["):
         raise ArtifactError(f"JSON: {key!r} is not a list")
@@ -184,9 +184,9 @@ def _row_ends(text: NDArray[np.uint8], key: str) -> NDArray[np.int64]:
 def _table(
     text: NDArray[np.uint8], key: str, count: int, shapes: tuple[tuple[int, ...], ...]
 ) -> tuple[NDArray[np.float32], float]:
-    """The numbers of a list whose rows all have the first row's shape, which must be one of those given.
+    """Numbers of a list in single precision, and the maximum rounding error of one of them.
 
-    In single precision; the second result is how far that moves one of them, at most.
+    All rows must have the shape of the first one, which must be one of the given shapes.
     """
     ends = _row_ends(text, key)
     if len(ends) != count:
@@ -214,7 +214,7 @@ def _table(
 
 
 def _rows(piece: bytes, key: str, first: int) -> NDArray[np.float64]:
-    """The numbers of a list of rows of one shape; `first` is the number of the first one."""
+    """Numbers of a list of rows of one shape; `first` is the index of the first row."""
     depth = len(re.match(rb"(?:\[\s*){0,3}", piece)[0].split(b"[")) - 1  # type: ignore[index]  # always matches
     try:
         rows = _DECODERS[depth](piece)
@@ -241,7 +241,7 @@ def _lengths(values: Any) -> Iterator[int]:
 
 
 def _from_matrices(matrices: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Quaternions of rotation matrices, NaN for those that are not finite, and how far they may be off."""
+    """Quaternions of rotation matrices (NaN for matrices that are not finite), and their error bounds."""
     count = len(matrices)
     quat, angle = np.full((count, 4), np.nan, np.float32), np.zeros(count)
     for start in range(0, count, _CHUNK):

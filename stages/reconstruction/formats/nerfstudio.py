@@ -31,14 +31,14 @@ _SHAPES = {"means": (3,), "scales": (3,), "quats": (4,), "opacities": (1,), "fea
 
 
 def is_nerfstudio(source: Source) -> bool:
-    """Whether a source is a folder that nerfstudio wrote, the configuration in it, or a checkpoint."""
+    """Test whether a source is a folder that nerfstudio wrote, the configuration in it, or a checkpoint."""
     if source.is_folder or source.path.name == _CONFIG:
         return source.has(_CONFIG) and (source.has(_TRANSFORMS) or bool(_checkpoints(source)))
     return is_checkpoint(source.head)
 
 
 def members_of_nerfstudio(source: Source) -> Sequence[str]:
-    """The checkpoint, or what was exported from one, and what tells of its frame."""
+    """Names of the checkpoint or of its export, and of the files that describe its frame."""
     if not _is_run(source):
         return (source.path.name,)
     checkpoints = _checkpoints(source)
@@ -56,15 +56,15 @@ def decode_nerfstudio(source: Source, progress: Progress | None = None) -> Splat
     if there are no higher ones (`sh_degree` 0), 1 / (1 + exp(-features_dc)). The checkpoint is of the
     last step; without one, `splat.ply` is read, which `ns-export` makes.
 
-    The training frame is p = s (A p_original + b): never metric unless s is 1 and the poses were. It is
-    left as it is.
+    The training frame is p = s (A p_original + b), which is metric only if s is 1 and the poses were. It is
+    not changed.
 
     Args:
         source: the folder with `config.yml`, that file itself, or one checkpoint.
         progress: called with the rows done and the rows in all.
 
     Raises:
-        ArtifactError: damaged, of another method, or asking to run code.
+        ArtifactError: the files are damaged, of another method, or would need to run code.
         InputError: a file cannot be read.
     """
     if not _is_run(source):
@@ -172,7 +172,7 @@ def _parameters(tree: Any, method: str) -> dict[str, Tensor]:
 
 
 def _method(source: Source) -> str:
-    """The name of the method in `config.yml`, which must be one of Gaussians where its name tells."""
+    """Name of the method in `config.yml`; methods that are known not to be splats are refused."""
     config = _plain_yaml(source.member(_CONFIG)) if source.has(_CONFIG) else {}
     if not isinstance(config, dict):
         raise ArtifactError(f"nerfstudio: {_CONFIG} is not a mapping")
@@ -198,13 +198,13 @@ def _plain_yaml(data: memoryview) -> Any:
         raise ArtifactError(f"nerfstudio: {_CONFIG} has {len(data)} bytes; more than {_CONFIG_LIMIT}")
 
     class Plain(yaml.SafeLoader):  # type: ignore[misc]  # PyYAML has no types
-        """Makes nothing but containers and strings, whatever the tags say."""
+        """Loader that makes containers and strings only and ignores tags."""
 
         yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
         yaml_constructors: dict[str, Any] = {}  # noqa: RUF012
 
         def flatten_mapping(self, node: Any) -> None:
-            """Leave `<<` alone: merging grows without bound."""
+            """Do not merge `<<`: the result of merging has no size limit."""
 
         def plain(self, _tag: str, node: Any) -> Any:
             if isinstance(node, yaml.MappingNode):
@@ -228,7 +228,7 @@ def _plain_yaml(data: memoryview) -> Any:
                 )
                 raise ArtifactError(f"nerfstudio: {_CONFIG} {what}")
         return yaml.load(text, Loader=Plain)
-    # Beside its own errors PyYAML lets out those of bad escapes and numbers in directives.
+    # Besides its own errors PyYAML raises those of bad escapes and of numbers in directives.
     except (yaml.YAMLError, ValueError, OverflowError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ArtifactError(f"nerfstudio: {_CONFIG} is not YAML: {reason}") from error
@@ -240,7 +240,7 @@ class _Transforms(msgspec.Struct):
 
 
 def _frame_note(source: Source) -> str:
-    """What `dataparser_transforms.json` says of the frame."""
+    """Note about the frame, from `dataparser_transforms.json`."""
     if not source.has(_TRANSFORMS):
         return f"the frame is nerfstudio's of training, whose scale is not known without {_TRANSFORMS}"
     data = source.member(_TRANSFORMS)

@@ -18,7 +18,7 @@ from alula.stages.reconstruction.formats.source import let_go
 from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound, sh0_from_color
 
 _CHUNK = 2**13  # rows that are written at a time
-_BLOCK = 2**24  # bytes of rows that are decoded before they are let go
+_BLOCK = 2**24  # bytes of rows that are decoded before their memory is released
 _TEXT_ROWS = 2**17
 _POSITION = ("x", "y", "z")
 _SCALE = ("scale_0", "scale_1", "scale_2")
@@ -54,7 +54,7 @@ def decode_ply(buffer: memoryview, progress: Progress | None = None) -> Splats:
         progress: called with the rows done and the rows in all.
 
     Raises:
-        ArtifactError: not PLY, not Gaussians, truncated, or a column that is not what it must be.
+        ArtifactError: not PLY, not Gaussians, truncated, or a column is of a wrong type.
     """
     header = parse_header(bytes(buffer[:HEADER_LIMIT]))
     vertex = _gaussians(header)
@@ -99,7 +99,7 @@ def decode_ply(buffer: memoryview, progress: Progress | None = None) -> Splats:
 
 
 def _gaussians(header: Header) -> Element:
-    """The element with the Gaussians, after checking that it has all it needs."""
+    """Element with the Gaussians, after a check of its properties."""
     vertex = header.element("vertex")
     if vertex is None:
         raise ArtifactError("PLY: no element vertex, so no Gaussian splat")
@@ -125,7 +125,7 @@ def _gaussians(header: Header) -> Element:
 
 
 def check_harmonics(names: list[str]) -> None:
-    """Higher harmonics are not used, but a wrong set of them means a file that was written wrongly."""
+    """Check the set of higher harmonics: they are not used, but a wrong set means a faulty file."""
     indices: set[int] = set()
     for name in names:
         match = re.fullmatch(r"f_rest_([0-9]{1,6})", name)
@@ -156,7 +156,7 @@ def _color_columns(vertex: Element) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class _Decoder:
-    """Decodes slices of rows: `rows` at a time into arrays, after which their bytes are let go."""
+    """Decoder of slices of rows: `rows` at a time into arrays, after which their memory is released."""
 
     rows: int
     into: Callable[[slice, _Arrays], None]
@@ -197,7 +197,7 @@ def _binary(header: Header, vertex: Element, color_columns: tuple[str, ...], buf
 
 
 def _text(header: Header, vertex: Element, color_columns: tuple[str, ...], buffer: memoryview) -> _Decoder:
-    """One line per row; blank lines do not count."""
+    """Rows of an ascii file, one per line without the blank ones."""
     position = header.elements.index(vertex)
     width = len(vertex.properties)
     check_room(vertex, 2 * width - 1, len(buffer) - header.data_start)
@@ -226,14 +226,14 @@ def _text(header: Header, vertex: Element, color_columns: tuple[str, ...], buffe
 
 
 def _places(vertex: Element, color_columns: tuple[str, ...], at: Sequence[int]) -> list[_Place]:
-    """For each column that is read, where it is in a row and its type; None for one that is not there."""
+    """Offset in a row and type of each column to read; None for a missing one."""
     found = {item.name: (at[i], item.type) for i, item in enumerate(vertex.properties)}
     names = (*_POSITION, *_SCALE, *_ROTATION, "opacity", *(color_columns or ("",) * 3))
     return [found.get(name) for name in names]
 
 
 def check_room(element: Element, row_size: int, room: int) -> None:
-    """That `room` bytes hold all rows of an element."""
+    """Check that `room` bytes hold all rows of an element."""
     need = element.count * row_size
     if need > room:
         raise ArtifactError(
@@ -243,7 +243,7 @@ def check_room(element: Element, row_size: int, room: int) -> None:
 
 
 def tags_of(comments: Sequence[str]) -> dict[str, str]:
-    """What the comments say of the file, see `Splats.tags`."""
+    """Tags from the comments of the file, see `Splats.tags`."""
     tags = {}
     for comment in comments:
         for key, pattern in _TAGS.items():
@@ -254,14 +254,14 @@ def tags_of(comments: Sequence[str]) -> dict[str, str]:
 
 
 def encode_ply(splats: Splats, comments: Sequence[str] = ()) -> Iterator[bytes]:
-    """A binary little-endian INRIA PLY file without higher harmonics, in parts; inverse of `decode_ply`.
+    """Encode a binary little-endian INRIA PLY file without higher harmonics; inverse of `decode_ply`.
 
-    Scales become natural logarithms, opacities logits (0 and 1 are infinite), in single precision:
-    logarithms are rounded so that no scale that is read again is smaller. Quaternions are written as they
-    are.
+    Scales become natural logarithms and opacities logits (0 and 1 are infinite), in single precision.
+    Logarithms are rounded so that no scale becomes smaller when it is read again. Quaternions do not change.
+    The file comes in parts.
 
     Args:
-        splats: what to write.
+        splats: the Gaussians to write, file frame and units.
         comments: comment lines of the header.
     """
     names = (*_POSITION, "nx", "ny", "nz", *_SH0, "opacity", *_SCALE, *_ROTATION)
@@ -285,7 +285,7 @@ def encode_ply(splats: Splats, comments: Sequence[str] = ()) -> Iterator[bytes]:
 
 
 def _log_scale(scale: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Logarithms in single precision of which `decode_ply` makes no smaller scale."""
+    """Logarithms in single precision, rounded so that `decode_ply` gives no smaller scale."""
     with np.errstate(divide="ignore"):
         log = np.log(scale.astype(np.float64)).astype(np.float32)
     while True:

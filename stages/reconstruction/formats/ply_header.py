@@ -1,4 +1,4 @@
-"""Headers of PLY files: elements, their properties, and where the data begins."""
+"""Headers of PLY files: elements, their properties, and the start of the data."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Element:
 
     @property
     def has_lists(self) -> bool:
-        """Whether a row's size varies."""
+        """True when the size of a row varies."""
         return any(not p.type for p in self.properties)
 
     @property

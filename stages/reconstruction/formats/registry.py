@@ -1,4 +1,4 @@
-"""Which splat formats there are, how to tell them apart, and the one place that opens such a file."""
+"""Registry of the splat formats: their recognition, and the function that opens a splat."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ class SplatFormat:
 
     Attributes:
         name: the value of `--format`.
-        matches: whether a source is of this format, by its content; suffixes count where there is no
-            magic number.
-        decode: from a source to its Gaussians; raises ArtifactError.
-        members: names of all files that are read, relative to the source's folder, the main one first.
+        matches: test of a source by its content, or by its suffix where there is no magic number.
+        decode: function from a source to its Gaussians; raises ArtifactError.
+        members: function from a source to the names of all files to read, relative to its folder, the main
+            one first.
     """
 
     name: str
@@ -72,7 +72,7 @@ NERFSTUDIO = SplatFormat("nerfstudio", is_nerfstudio, decode_nerfstudio, members
 MEANS_JSON = SplatFormat("json", is_means_json, _of_file(decode_means_json))
 
 _WITH_MAGIC = (
-    COMPRESSED_PLY,  # before PLY, which it is too
+    COMPRESSED_PLY,  # before PLY, which matches these files too
     PLY,
     SPZ,
     SOG,
@@ -98,18 +98,22 @@ def formats() -> Iterator[SplatFormat]:
 
 
 def recognise(source: Source, name: str = "auto") -> SplatFormat:
-    """The format of a source: the named one, or by content first and suffix second.
+    """Recognise the format of a source by its content first and its suffix second.
+
+    Args:
+        source: the file or folder.
+        name: the name of a format, which is then taken without a test, or `auto`.
 
     Raises:
         UsageError: no format has that name.
-        ArtifactError: it is of no format that can be read.
+        ArtifactError: the source is of no format that can be read.
     """
     if name != "auto":
         known = {candidate.name: candidate for candidate in formats()}
         if name not in known:
             raise UsageError(f"--format must be auto, {', '.join(known)}, not {name!r}")
         return known[name]
-    for candidate in formats():  # other packages are not searched for where a magic number tells
+    for candidate in formats():  # entry points are loaded only if no magic number matches
         if candidate.matches(source):
             return candidate
     if source.is_folder:
@@ -119,7 +123,13 @@ def recognise(source: Source, name: str = "auto") -> SplatFormat:
 
 @dataclass(frozen=True, slots=True)
 class SplatFile:
-    """A splat that was found, not yet decoded."""
+    """A splat that was found but not decoded yet.
+
+    Attributes:
+        path: the path that the user gave.
+        source: the file or folder to read.
+        format: its format.
+    """
 
     path: Path
     source: Source
@@ -127,7 +137,7 @@ class SplatFile:
 
     @classmethod
     def find(cls, path: Path, name: str = "auto") -> SplatFile:
-        """Find what a user names, and tell its format.
+        """Find a splat and recognise its format.
 
         Args:
             path: a file, or the folder of a trainer or of a format of several files.
@@ -135,7 +145,7 @@ class SplatFile:
 
         Raises:
             UsageError: no format has that name.
-            ArtifactError: it is of no format that can be read.
+            ArtifactError: the splat is of no format that can be read.
             InputError: it cannot be opened.
         """
         source = find_source(path)
@@ -145,10 +155,10 @@ class SplatFile:
             raise ArtifactError(f"{path}: {error}") from error
 
     def files(self) -> dict[str, Path]:
-        """All files that are read, by role.
+        """All files to read, by role.
 
         Raises:
-            ArtifactError: the one that names the others is damaged.
+            ArtifactError: the file that names the others is damaged.
         """
         try:
             names = self.format.members(self.source)
@@ -164,7 +174,7 @@ class SplatFile:
             progress: called with the rows done and the rows in all.
 
         Raises:
-            ArtifactError: damaged, or not of that format.
+            ArtifactError: the splat is damaged, or not of that format.
             InputError: it cannot be read.
         """
         try:
@@ -175,5 +185,14 @@ class SplatFile:
 
 
 def read_splats(path: Path, name: str = "auto", progress: Progress | None = None) -> Splats:
-    """Find and decode a splat; raises what `SplatFile` does."""
+    """Find and decode a splat.
+
+    Args:
+        path: a file, or a folder (see `SplatFile.find`).
+        name: `auto`, or the name of a format.
+        progress: called with the rows done and the rows in all.
+
+    Raises:
+        UsageError, ArtifactError, InputError: as `SplatFile.find` and `SplatFile.decode`.
+    """
     return SplatFile.find(path, name).decode(progress)

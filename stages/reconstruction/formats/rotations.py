@@ -1,4 +1,4 @@
-"""Quaternions of which a format stores all but one component, or coarse ones, and what that loses."""
+"""Decoding of quantised quaternions, and error bounds of their rotations."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def smallest_three(stored: NDArray[np.float64], largest: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Unit quaternions of three components and the place of the fourth, which is not negative.
+    """Unit quaternions from three stored components; the missing one is not negative.
 
     Args:
-        stored: the other components in increasing place, shape (N, 3).
-        largest: place 0 to 3 of the missing one, shape (N,).
+        stored: the stored components, in order, shape (N, 3).
+        largest: index 0 to 3 of the missing component, shape (N,).
 
     Returns:
         Shape (N, 4): sqrt(max(0, 1 - |stored|^2)) at `largest`.
@@ -21,18 +21,18 @@ def smallest_three(stored: NDArray[np.float64], largest: NDArray[np.integer]) ->
     count = len(stored)
     quat = np.empty((count, 4))
     rows = np.arange(count)
-    for place in range(3):  # the stored component `place` moves up by one behind the missing one
-        quat[rows, place + (place >= largest)] = stored[:, place]
+    for i in range(3):  # the index of a stored component increases by one behind the missing one
+        quat[rows, i + (i >= largest)] = stored[:, i]
     quat[rows, largest] = np.sqrt(np.maximum(0.0, 1.0 - (stored * stored).sum(axis=1)))
     return quat
 
 
 def chart_rotation_error(stored: NDArray[np.float64], error: ArrayLike) -> NDArray[np.float64]:
-    """How far a rotation may be off whose quaternion is stored without one, non-negative component.
+    """Error bound of rotations with quaternions that are stored without one, non-negative component.
 
-    The true stored part m' is within `error` of m. With w = sqrt(1 - |m|^2), which changes by at most
-    what it does over |m'| in [|m| - error, min(1, |m| + error)], the chord of the unit quaternions is at most
-    sqrt(error^2 + max |w' - w|^2), and a chord c is a rotation by 4 asin(c / 2).
+    The true stored part m' is within `error` of m. The missing component is w = sqrt(1 - |m|^2); w' lies
+    between its values at |m'| = |m| - error and |m'| = min(1, |m| + error). So the chord of the unit
+    quaternions is at most sqrt(error^2 + max |w' - w|^2), and a chord c is a rotation by 4 asin(c / 2).
 
     Args:
         stored: m, shape (N, 3).
@@ -55,15 +55,15 @@ def chart_rotation_error(stored: NDArray[np.float64], error: ArrayLike) -> NDArr
 
 
 def whole_rotation_error(stored: NDArray[np.floating], error: float) -> NDArray[np.float64]:
-    """How far a rotation may be off all four components of whose quaternion are stored.
+    """Error bound of rotations with quaternions that are stored with all four components.
 
     The true quaternion is within `error` of the stored one and of length 1, or of any length if the writer
-    did not normalise it. So its direction is off by at most asin(error / |stored|), where a length above 1
-    counts as 1, and the rotation by twice that.
+    did not normalise it. So the error of its direction is at most asin(error / |stored|), where a length
+    above 1 counts as 1, and the error of the rotation is at most twice that.
 
     Args:
         stored: quaternions, shape (N, 4).
-        error: bound of the distance of the true ones.
+        error: bound of the distance of the true quaternions from the stored ones.
 
     Returns:
         Angles [rad], shape (N,), at most pi.

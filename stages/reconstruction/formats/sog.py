@@ -33,24 +33,25 @@ from alula.stages.reconstruction.formats.webp import decode_webp, webp_size
 META = "meta.json"
 LEVELS = "lod-meta.json"
 META_LIMIT = 2**22  # bytes
-_FREE_PIXELS = 2**22  # what any image may have, however few its bytes are
+_FREE_PIXELS = 2**22  # allowed for any image, however few its bytes are
 _PIXELS_PER_BYTE = 1024  # of all images; lossless WebP alone sets no limit
 _CHUNK = 2**17
 
-# Writers truncate codes (PlayCanvas) or round them (sogs), so a value is off by a whole step. Some compute
-# in single precision, where a code of 8 bits is off by 1e-4 of a step more, one of 16 bits by 0.02, and
-# ln(1 + |p|) by a unit in its last place and what 1 + |p| is rounded by: many steps far from the origin.
+# Writers truncate codes (PlayCanvas) or round them (sogs), so the error of a value is up to a whole step.
+# Some compute in single precision, which adds 1e-4 of a step to a code of 8 bits and 0.02 of a step to one of
+# 16 bits. The error of ln(1 + |p|) also has a unit in its last place and the rounding error of 1 + |p|, which
+# far from the origin is many steps.
 _STEP, _FINE_STEP = 1.0 + 1e-4, 1.02
 _LOGARITHM = 2.0**-22
 ROTATION_STEP = _STEP * math.sqrt(2.0) / 255.0
 OPACITY_LOSS = 1.0 / 255.0
-_SINGLE = 2.0**-24  # half a unit in the last place: what decoding rounds
+_SINGLE = 2.0**-24  # half a unit in the last place: the rounding error of decoding
 
 Read = Callable[[str], "bytes | memoryview"]
 
 
 def is_sog(source: Source) -> bool:
-    """Whether it is a folder with a `meta.json` of SOG, such a file, or an archive with one."""
+    """Test whether a source is a folder with a `meta.json` of SOG, such a file, or an archive with one."""
     if source.is_folder:
         if source.has(LEVELS) and not source.has(META):
             return True
@@ -78,7 +79,7 @@ def _says_sog(source: Source) -> bool:
 
 
 def sog_members(source: Source) -> Sequence[str]:
-    """Names of all files that are read: the archive alone, or `meta.json` and the images beside it.
+    """Names of all files to read: the archive alone, or `meta.json` and its images.
 
     Raises:
         ArtifactError: `meta.json` is damaged.
@@ -92,20 +93,20 @@ def sog_members(source: Source) -> Sequence[str]:
 def decode_sog(source: Source, progress: Progress | None = None) -> Splats:
     """Decode SOG version 1 or 2, bundled or not.
 
-    Positions are 16-bit codes of sign(p) ln(1 + |p|) between limits, so they are lost by
-    (1 + |p|) (exp(h) - 1) per axis, h a step of the codes and what single precision makes of the
-    logarithm. Rotations have three components of 8 bits.
-    Log scales of version 1 are 8-bit codes between limits, lost by a step. Those of version 2 are indices
-    of a table, which says nothing of the values that its entries stand for: the bound assumes that an
-    entry was the nearest one, so the value is below the middle to the next larger entry, and no farther
-    above the largest entry than below it. Higher harmonics are checked by their size, not read.
+    Positions are 16-bit codes of sign(p) ln(1 + |p|) between limits. Their error is at most
+    (1 + |p|) (exp(h) - 1) per axis, where h is a step of the codes plus the rounding error of the logarithm
+    in single precision. Rotations have three components of 8 bits.
+    Log scales of version 1 are 8-bit codes between limits, with an error of a step. Those of version 2 are
+    indices of a table, which has no bound of the values behind its entries. The bound assumes that the
+    writer took the nearest entry: the value is below the middle to the next larger entry, and the error above
+    the largest entry is no larger than that below it. Of higher harmonics only the size is checked.
 
     Args:
         source: a `.sog` archive, a `meta.json`, or the folder of one.
         progress: called with the rows done and the rows in all.
 
     Raises:
-        ArtifactError: a file is missing or damaged, or what `meta.json` says makes no sense.
+        ArtifactError: a file is missing or damaged, or `meta.json` is not valid.
     """
     try:
         if not source.is_folder and source.head.startswith(b"PK\x03\x04"):
@@ -118,7 +119,7 @@ def decode_sog(source: Source, progress: Progress | None = None) -> Splats:
 
 
 def _meta(source: Source) -> bytes:
-    """What `meta.json` holds, where it is a file of its own."""
+    """Contents of `meta.json`, where it is a file of its own."""
     if source.is_folder and not source.has(META) and source.has(LEVELS):
         raw = source.member(LEVELS)
     else:
@@ -180,7 +181,7 @@ def _means(
     mean: NDArray[np.float32],
     bound: NDArray[np.float32],
 ) -> None:
-    """Centres and the squares' root of what each axis may have lost, by tables of all 65536 codes."""
+    """Centres, and the norm of the error bounds of their axes, by tables of all 65536 codes."""
     places, squares = [], []
     for lower, upper in zip(meta.mins, meta.maxs, strict=True):
         extent = (upper - lower) or 1.0
@@ -203,7 +204,7 @@ def _means(
 def _scales(
     meta: SogMeta, codes: NDArray[np.uint8], scale: NDArray[np.float32], bound: NDArray[np.float32]
 ) -> dict[str, str]:
-    """Scales and their losses, by tables; returns what the bound does not hold for."""
+    """Scales and their error bounds, by tables; returns the quantities with an uncertain bound."""
     largest = np.zeros(meta.count, np.bool_)
     for axis, values in enumerate(meta.log_scales):
         scale[:, axis] = exp(values).astype(np.float32)[codes[:, axis]]
@@ -222,7 +223,7 @@ def _scales(
 
 
 def _half_gaps(entries: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Half the way from each entry to the next larger one; of the largest, to the next smaller one."""
+    """Half the distance of each entry to the next larger one; for the largest, to the next smaller one."""
     order = np.unique(entries)
     if len(order) == 1:
         return np.zeros(len(entries))
@@ -237,7 +238,7 @@ def _rotations(
     bound: NDArray[np.float32],
     progress: Progress | None,
 ) -> int:
-    """Rotations and their losses; returns how many rows have none."""
+    """Rotations and their error bounds; returns the number of rows without a rotation."""
     without = 0
     for start in range(0, len(codes), _CHUNK):
         part = slice(start, min(start + _CHUNK, len(codes)))
@@ -256,7 +257,7 @@ def _rotations(
 
 
 def _check_sizes(meta: SogMeta, raw: dict[str, bytes | memoryview]) -> None:
-    """That each image has as many pixels as it needs, and not so many that decoding would be a trap."""
+    """Check that each image has enough pixels, and not so many that decoding would exhaust the memory."""
     bytes_there = sum(len(data) for data in raw.values())
     for name, data in raw.items():
         try:
@@ -277,7 +278,7 @@ def _check_sizes(meta: SogMeta, raw: dict[str, bytes | memoryview]) -> None:
 
 
 class _View(io.RawIOBase):
-    """Bytes in memory as a file, without a copy of all of them."""
+    """File object over bytes in memory, without a copy of all of them."""
 
     def __init__(self, data: memoryview) -> None:
         self._data = data
@@ -322,7 +323,7 @@ _ZIP_ERRORS = (
 
 
 def _member(archive: zipfile.ZipFile, total: int, name: str) -> bytes:
-    """One file of an archive of `total` bytes, whole, and never more than it was said to have."""
+    """Content of one file of an archive of `total` bytes, never more than its directory entry states."""
     found = [info for info in archive.infolist() if info.filename == name]
     if len(found) != 1:
         raise ArtifactError(f"{name} is {'twice' if found else 'not'} in the archive")

@@ -1,4 +1,4 @@
-"""What the `meta.json` of SOG says, checked."""
+"""Parser of the `meta.json` of SOG, with checks of its values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _WIDTHS = {1: 64 * 3, 2: 64 * 8, 3: 64 * 15}  # of the texture of centroids, by 
 
 @dataclass(frozen=True, slots=True)
 class Harmonics:
-    """Higher harmonics: how many centroids of how many bands; version 1 says neither."""
+    """Higher harmonics: numbers of centroids and of bands; version 1 has neither."""
 
     centroids: str
     labels: str
@@ -25,7 +25,7 @@ class Harmonics:
     bands: int | None
 
     def check(self, what: str, width: int, height: int) -> None:
-        """That the texture of centroids has the size it must have."""
+        """Check the size of the texture of centroids."""
         expected = set(_WIDTHS.values()) if self.bands is None else {_WIDTHS[self.bands]}
         rows = 1 if self.count is None else -(-self.count // 64)
         if width not in expected or not rows <= height <= 1024:
@@ -51,7 +51,7 @@ class SogMeta:
         logits: of alpha; None where the code is alpha.
         harmonics: None without any.
         tags: see `Splats.tags`.
-        notes: what a person should know.
+        notes: notes for the user.
     """
 
     version: int
@@ -71,16 +71,19 @@ class SogMeta:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """All images."""
+        """Names of all images."""
         own = (*self.means, self.scales, self.quats, self.sh0)
         return own if self.harmonics is None else (*own, self.harmonics.centroids, self.harmonics.labels)
 
 
 def parse_json(raw: bytes) -> dict[str, Any]:
-    """An object of strict JSON.
+    """Parse an object of strict JSON.
+
+    Args:
+        raw: the text in UTF-8.
 
     Raises:
-        ArtifactError: it is none.
+        ArtifactError: the text is not JSON, or not an object.
     """
 
     def refuse(word: str) -> NoReturn:
@@ -96,7 +99,7 @@ def parse_json(raw: bytes) -> dict[str, Any]:
 
 
 def levels_of_detail(raw: bytes) -> list[str] | None:
-    """The files that an index of levels names, in order; None where it is no such index."""
+    """Files that an index of levels of detail names, in order; None where it is not such an index."""
     found = parse_json(raw)
     if "lodLevels" not in found or "means" in found:
         return None
@@ -117,7 +120,7 @@ def parse_meta(raw: bytes) -> SogMeta:
     """Check and read `meta.json`, version 1 (which has no `version`) or 2.
 
     Raises:
-        ArtifactError: naming what is wrong.
+        ArtifactError: a value is wrong; the message names it.
     """
     meta = parse_json(raw)
     version = meta.get("version", 1)

@@ -1,4 +1,4 @@
-"""Where a splat is read from: one file, or the files of a folder."""
+"""Source of a splat: one file, or the files of a folder."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ HEAD = 4096
 
 
 class Source:
-    """A file or a folder; its bytes are mapped when they are asked for.
+    """A file or a folder; its bytes are mapped into memory on first use.
 
     Attributes:
         path: the file, or the folder.
-        notes: what a person should know about how it was found.
+        notes: notes for the user about the choice of the file.
     """
 
     def __init__(self, path: Path, notes: tuple[str, ...] = ()) -> None:
@@ -29,17 +29,17 @@ class Source:
 
     @cached_property
     def is_folder(self) -> bool:
-        """Whether there is no file of its own, only members."""
+        """True when the source is a folder, which has members but no content of its own."""
         return self.path.is_dir()
 
     @property
     def folder(self) -> Path:
-        """What names of members are relative to."""
+        """Folder that the names of members are relative to."""
         return self.path if self.is_folder else self.path.parent
 
     @property
     def suffix(self) -> str:
-        """Lower-case, with the dot; empty for a folder."""
+        """Lower-case suffix with the dot; empty for a folder."""
         return "" if self.is_folder else self.path.suffix.lower()
 
     @property
@@ -56,15 +56,19 @@ class Source:
 
     @cached_property
     def head(self) -> bytes:
-        """The first 4096 bytes; nothing for a folder."""
+        """First 4096 bytes; empty for a folder."""
         return b"" if self.is_folder else bytes(self.data[:HEAD])
 
     def has(self, name: str) -> bool:
-        """Whether there is such a file beside the file or in the folder."""
+        """Test whether a file is in the folder.
+
+        Args:
+            name: name relative to the folder.
+        """
         return (self.folder / name).is_file()
 
     def member(self, name: str) -> memoryview:
-        """The bytes of another file, by its name relative to the folder.
+        """Bytes of another file, by its name relative to the folder.
 
         Raises:
             ArtifactError: the name leads out of the folder, or the file is missing or empty.
@@ -94,7 +98,13 @@ class Source:
 
 
 def let_go(buffer: memoryview, begin: int, end: int) -> None:
-    """Give back the memory of bytes that were read: those of a mapped file are read again when needed."""
+    """Release the memory of bytes of a mapped file that were read; they can still be read again.
+
+    Args:
+        buffer: the whole mapped file; others are left alone.
+        begin: first byte.
+        end: byte after the last one.
+    """
     if isinstance(buffer.obj, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
         begin -= begin % mmap.PAGESIZE
         end -= end % mmap.PAGESIZE
@@ -103,10 +113,10 @@ def let_go(buffer: memoryview, begin: int, end: int) -> None:
 
 
 def relative_name(name: str) -> PurePosixPath:
-    """A name inside a file that stands for another one beside it.
+    """Check a relative name that a file gives to another file.
 
     Raises:
-        ArtifactError: it is absolute, leads upwards, or is no name.
+        ArtifactError: the name is absolute, leads upwards, or is not valid.
     """
     path = PurePosixPath(name)
     if not name or path.is_absolute() or ".." in path.parts or "\0" in name or "\\" in name or ":" in name:
@@ -115,7 +125,7 @@ def relative_name(name: str) -> PurePosixPath:
 
 
 def find_source(path: Path) -> Source:
-    """The file or folder to read for what a user names.
+    """Find the file or folder to read for a path that the user gave.
 
     A folder of INRIA's trainer stands for its last `point_cloud/iteration_*/point_cloud.ply`.
 

@@ -14,8 +14,8 @@ from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound,
 RECORD = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _CHUNK = 2**18
 
-# Writers truncate or round, with 128 or 127.5 as the middle: a component read as b / 127.5 - 1 is off
-# by at most 2/255 whoever wrote it, and four of them by at most 4/255 as a vector.
+# Writers truncate or round, with 128 or 127.5 as the middle: a component read as b / 127.5 - 1 has an error
+# of at most 2/255 for every writer, and a vector of four components one of at most 4/255.
 QUATERNION_LOSS = 4.0 / 255.0
 OPACITY_LOSS = 1.0 / 255.0
 
@@ -23,16 +23,16 @@ OPACITY_LOSS = 1.0 / 255.0
 def decode_splat(buffer: memoryview, progress: Progress | None = None) -> Splats:
     """Decode a `.splat` file: position, linear scale, colour with alpha, quaternion bytes w, x, y, z.
 
-    Position and scale are exact; the loss of rotation and opacity is recorded. Quaternions that are shorter
-    than 1, which writers that do not normalise them leave, are known the worse the shorter they are. A
-    negative scale renders like its absolute value and is read as that.
+    Position and scale are exact; the loss of rotation and opacity is recorded. Some writers do not normalise
+    quaternions; the error bound of one shorter than 1 grows as its length decreases. A negative scale renders
+    like its absolute value and is read as such.
 
     Args:
         buffer: the whole file.
         progress: called with the rows done and the rows in all.
 
     Raises:
-        ArtifactError: empty, or not a whole number of records.
+        ArtifactError: the file is empty, or not a whole number of records.
     """
     if len(buffer) == 0:
         raise ArtifactError(".splat: is empty")
@@ -72,10 +72,13 @@ def decode_splat(buffer: memoryview, progress: Progress | None = None) -> Splats
 
 
 def encode_splat(splats: Splats) -> Iterator[bytes]:
-    """A `.splat` file, in parts; inverse of `decode_splat`, rounding to nearest.
+    """Encode a `.splat` file, in parts; inverse of `decode_splat`, rounding to nearest.
 
     Positions and scales are exact; quaternions are normalised and stored as (q + 1) 127.5, opacities as
-    255 alpha, both rounded. The format has no room for anything else.
+    255 alpha, both rounded. The format stores nothing else.
+
+    Args:
+        splats: the Gaussians to write, file frame and units.
     """
     for start in range(0, len(splats), _CHUNK):
         part = slice(start, min(start + _CHUNK, len(splats)))

@@ -1,4 +1,4 @@
-"""Gaussians as a file holds them, before any rule was applied."""
+"""Gaussians as decoded from a file, before any rule of the import applies."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ LOSSES = ("position", "scale_relative", "rotation_rad")  # columns of `Loss.boun
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """How far the decoded Gaussians may be from those that the file was made from.
+    """Bounds of the difference between the decoded Gaussians and those that the file was made from.
 
     Attributes:
-        bound: of each Gaussian, shape (N, 3): the distance of its centre [file units]; by how much of
-            itself a semi-axis may be longer; the angle of its rotation [rad]. Rounded up.
-        opacity: bound of alpha.
-        unbounded: what `bound` does not hold for in all files, and why, by the word `position`,
-            `scale` or `rotation`; empty when it always holds.
+        bound: per Gaussian, shape (N, 3), rounded up: the distance of the centre [file units], the relative
+            excess of the true semi-axes, the angle of the rotation [rad].
+        opacity: bound of the error of alpha.
+        unbounded: quantities (`position`, `scale` or `rotation`) for which `bound` is not certain, each with
+            the reason; empty when it is always certain.
     """
 
     bound: NDArray[np.float32]
@@ -33,9 +33,9 @@ class Loss:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Splats:
-    """What a decoder found: activated values, not yet checked row by row.
+    """Result of a decoder: activated values, not yet checked row by row.
 
-    Values may be NaN or infinite and quaternions have any length; `import_splat` decides on those.
+    Values may be NaN or infinite and quaternions may have any length; `import_splat` handles those.
 
     Attributes:
         format: name of the format.
@@ -46,9 +46,9 @@ class Splats:
         color: red, green, blue, shape (N, 3).
         loss: None when the format keeps single precision.
         comments: free text found in the file.
-        tags: what the file says of itself: `render_mode`, `antialiased`, `vertical_axis`, `generator`,
+        tags: properties that the file states: `render_mode`, `antialiased`, `vertical_axis`, `generator`,
             `frame`.
-        notes: what a person should know about how the file was read.
+        notes: notes for the user about the reading of the file.
     """
 
     format: str
@@ -74,8 +74,8 @@ def loss_bound(
     Args:
         count: N.
         position: distance of centres [file units].
-        scale: relative, of semi-axes; a true one is at most (1 + scale) of the decoded one.
-        rotation: angle [rad]; more than pi means the same as pi.
+        scale: relative excess of semi-axes: a true one is at most (1 + scale) times the decoded one.
+        rotation: angle [rad]; values above pi count as pi.
     """
     bound = np.empty((count, 3), np.float32)
     for column, values in enumerate((position, scale, np.minimum(rotation, np.pi))):
@@ -84,27 +84,42 @@ def loss_bound(
 
 
 def exp(values: ArrayLike) -> NDArray[np.float64]:
-    """e^x, the same bits on every machine, which NumPy's are not; for results kept in single precision.
+    """Exponential function with the same bits on every machine, unlike NumPy's.
 
-    Arguments beyond 200 count as 200.
+    It is accurate enough for results in single precision.
+
+    Args:
+        values: of any shape; values beyond 200 count as 200.
     """
     exact = np.asarray(values, np.float64)
     return _core.portable_exp(np.ascontiguousarray(exact.ravel())).reshape(exact.shape)
 
 
 def logistic(values: ArrayLike) -> NDArray[np.float64]:
-    """1 / (1 + e^-x), as `exp`."""
+    """Logistic function 1 / (1 + e^-x), with the properties of `exp`.
+
+    Args:
+        values: of any shape.
+    """
     exact = np.asarray(values, np.float64)
     return _core.portable_logistic(np.ascontiguousarray(exact.ravel())).reshape(exact.shape)
 
 
 def growth(values: ArrayLike) -> NDArray[np.float64]:
-    """e^x - 1, never below it: by how much of itself a scale grows with its logarithm."""
+    """Relative growth e^x - 1 of a scale when its logarithm grows by x, rounded up.
+
+    Args:
+        values: x, of any shape.
+    """
     return exp(values) * (1.0 + 2.0**-50) - 1.0
 
 
 def rounded_up(values: ArrayLike) -> NDArray[np.float32]:
-    """Single precision, never below the value; infinite beyond its range."""
+    """Round up to single precision; the result is infinite beyond its range.
+
+    Args:
+        values: of any shape.
+    """
     exact = np.asarray(values, np.float64)
     with np.errstate(over="ignore"):
         near = exact.astype(np.float32)
@@ -113,11 +128,22 @@ def rounded_up(values: ArrayLike) -> NDArray[np.float32]:
 
 
 def color_from_sh0(sh0: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Base colour of constant spherical-harmonic coefficients: 0.5 + SH_C0 sh0, clamped; NaN is black."""
+    """Base colour of constant spherical-harmonic coefficients: 0.5 + SH_C0 sh0, clamped.
+
+    Args:
+        sh0: coefficients of any shape; a NaN gives the base colour 0.
+
+    Returns:
+        Colours from 0 to 255, same shape.
+    """
     value = np.nan_to_num(0.5 + SH_C0 * np.asarray(sh0, np.float64), nan=0.0)
     return np.rint(np.clip(value, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
 def sh0_from_color(color: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """The coefficients whose base colour is `color`; inverse of `color_from_sh0`."""
+    """Constant spherical-harmonic coefficients of a base colour; inverse of `color_from_sh0`.
+
+    Args:
+        color: colours from 0 to 255, any shape.
+    """
     return ((np.asarray(color, np.float64) / 255.0 - 0.5) / SH_C0).astype(np.float32)

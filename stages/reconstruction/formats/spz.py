@@ -24,13 +24,13 @@ from alula.stages.reconstruction.formats.spz_container import Header, Packed, pa
 
 _CHUNK = 2**16
 COLOR_SCALE = 0.15  # of the constant harmonic, in place of SH_C0
-_BITS = 12  # of fractions: what other writers use
-_LEAST_STEPS = 2**15  # from the origin to the farthest coordinate
+_BITS = 12  # fractional bits, as of other writers
+_MIN_STEPS = 2**15  # from the origin to the farthest coordinate
 _ROOT_HALF = math.sqrt(0.5)  # no component but the largest of a unit quaternion exceeds it
 
-# All known writers (Niantic's own and its ports, Spark, gsply) round to nearest, so a code is off by half
-# of one. They do so in single precision, after sums of at most 256: that adds less than 2e-6 of a logarithm
-# and, in components of quaternions, less than 1e-6. Positions times a power of two are exact.
+# All known writers (Niantic's own and its ports, Spark, gsply) round to nearest, so the error of a code is at
+# most 0.5. They compute in single precision, with sums of at most 256, which adds less than 2e-6 to a
+# logarithm and less than 1e-6 to components of quaternions. Positions times a power of two are exact.
 SCALE_LOSS = math.expm1(1.0 / 32.0 + 2e-6)
 OPACITY_LOSS = 1.0 / 510.0 + 1e-6
 BYTE_LOSS = math.sqrt(3.0) * (1.0 / 255.0 + 1e-6)  # of the vector x, y, z, versions 1 and 2
@@ -44,12 +44,12 @@ _FRAME_NOTE = (
 
 
 def decode_spz(buffer: memoryview, progress: Progress | None = None) -> Splats:
-    """Decode an SPZ file of version 1 to 4; higher harmonics are skipped, the frame is left as it is.
+    """Decode an SPZ file of version 1 to 4; higher harmonics are skipped, and the frame does not change.
 
     centre = code / 2^fractionalBits (half precision in version 1), scale = exp(u / 16 - 10), opacity =
-    u / 255; the component of the quaternion that is not stored is not negative. What rounding may have
-    changed is recorded, of centres and scales as one number, of rotations for each Gaussian, because
-    the missing component is known the worse the smaller it is.
+    u / 255; the component of the quaternion that is not stored is not negative. The bounds of rounding errors
+    are recorded: one number each for centres and scales, and one per Gaussian for rotations, because the
+    error of the missing component grows as it becomes smaller.
 
     Args:
         buffer: the whole file.
@@ -115,10 +115,10 @@ def decode_spz(buffer: memoryview, progress: Progress | None = None) -> Splats:
 
 
 def _fixed_positions(packed: Packed, part: slice) -> tuple[NDArray[np.float32], int]:
-    """Centres, and how many lie beyond half of the range.
+    """Centres, and the number of those beyond half of the range.
 
-    Niantic's writer lets codes beyond 23 bits wrap round, others hold them at the end of the range. Neither
-    can be seen for certain; a scene whose centres all lie within half of it is far from both.
+    In Niantic's writer, codes beyond 23 bits wrap around; other writers clamp them to the range. Neither can
+    be detected with certainty, but a scene with all centres within half of the range is far from both.
     """
     low, middle, high = packed.rows("positions", part).reshape(-1, 3, 3).transpose(2, 0, 1)
     code = low.astype(np.int32) | middle.astype(np.int32) << 8 | high.view(np.int8).astype(np.int32) << 16
@@ -127,10 +127,9 @@ def _fixed_positions(packed: Packed, part: slice) -> tuple[NDArray[np.float32], 
 
 
 def _half_positions(packed: Packed, part: slice) -> tuple[NDArray[np.float32], NDArray[np.float32], int]:
-    """Centres, how far off each may be, and how many are as large as half precision goes.
+    """Centres, their error bounds, and the number of those at the limit of half precision.
 
-    Numbers of half precision are made by rounding or by cutting bits off: less than one unit in the last
-    place.
+    Writers round to half precision or truncate, so the error is less than one unit in the last place.
     """
     half = packed.rows("positions", part).view("<f2").reshape(-1, 3)
     with np.errstate(invalid="ignore"):
@@ -141,14 +140,14 @@ def _half_positions(packed: Packed, part: slice) -> tuple[NDArray[np.float32], N
 
 
 def _byte_rotations(packed: Packed, part: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Quaternions w, x, y, z and the bound of their angle: x, y, z are bytes, w is what is missing to 1."""
+    """Quaternions w, x, y, z and their error bounds: x, y, z are bytes, w completes the length to 1."""
     vector = packed.rows("rotations", part) / 127.5 - 1.0
     w = np.sqrt(np.maximum(0.0, 1.0 - (vector * vector).sum(axis=1)))
     return np.column_stack([w, vector]), chart_rotation_error(vector, BYTE_LOSS)
 
 
 def _three_rotations(packed: Packed, part: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """As `_byte_rotations`: the place of the largest component in 2 bits, the others in 10, x to w."""
+    """As `_byte_rotations`, for the index of the largest component in 2 bits and the others in 10, x to w."""
     word = packed.rows("rotations", part).view("<u4")[:, 0].astype(np.int64)
     field = word[:, None] >> np.array([20, 10, 0])
     stored = (field & 511) * (_ROOT_HALF / 511.0) * np.where(field & 512, -1.0, 1.0)
@@ -157,17 +156,17 @@ def _three_rotations(packed: Packed, part: slice) -> tuple[NDArray[np.float64], 
 
 
 def encode_spz(splats: Splats, version: int = 3, comment: str = "") -> Iterator[bytes]:
-    """An SPZ file without higher harmonics, in parts; inverse of `decode_spz`, rounding to nearest.
+    """Encode an SPZ file without higher harmonics, in parts; inverse of `decode_spz`, rounding to nearest.
 
-    Version 3 is the latest that nearly all readers know; 2 is older and loses more of rotations (up to
-    some 18 degrees), 4 is newer. Centres have 12 fractional bits; fewer where the scene extends beyond
-    1024 units, so that all lie within half of the range, and more where it ends before 8. Semi-axes
-    below exp(-10) become that.
+    Version 3 is the latest that nearly all readers support. Version 2 is older, with errors of rotations up
+    to about 18 degrees; version 4 is newer. Centres have 12 fractional bits; fewer where the scene extends
+    beyond 1024 units, so that all lie within half of the range, and more where it extends less than 8
+    units. Semi-axes below exp(-10) become exp(-10).
 
     Args:
-        splats: what to write; no value is NaN or infinite.
+        splats: the Gaussians to write, file frame and units; no value is NaN or infinite.
         version: 2, 3 or 4.
-        comment: a line of text that readers pass over.
+        comment: a line of text that readers ignore.
 
     Raises:
         InputError: a centre or a semi-axis is too large for the format.
@@ -201,10 +200,10 @@ def _parts(count: int) -> Iterator[slice]:
 
 
 def _fractional_bits(splats: Splats) -> int:
-    """As many as a scene of this extent needs, with all centres within half of the range of 24 bits."""
+    """Fractional bits for a scene, with all centres within half of the range of 24 bits."""
     farthest = float(np.abs(splats.mean).max(initial=0.0))
     extent = math.ceil(math.log2(max(farthest, 1e-9)))
-    bits = min(max(_BITS, _LEAST_STEPS.bit_length() - 1 - extent), 22 - max(extent, 0))
+    bits = min(max(_BITS, _MIN_STEPS.bit_length() - 1 - extent), 22 - max(extent, 0))
     if bits < 0:
         raise InputError(f"a centre is {farthest:.4g} units away from the origin; SPZ holds at most {2**22}")
     return bits

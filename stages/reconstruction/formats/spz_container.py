@@ -1,4 +1,4 @@
-"""How SPZ files hold their arrays: all in one gzip stream, or each in a zstd frame of its own."""
+"""Container of SPZ files: all arrays in one gzip stream, or each in a zstd frame of its own."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ HAS_EXTENSIONS = 2
 COMMENT_RECORD = 0x414C0001  # a line of text; "AL" is nobody's vendor number
 
 _PIECE = 2**20
-_READ = 2**16  # of a gzip stream at once; so much is copied at the end of each member
+_READ = 2**16  # bytes of a gzip stream at once; so many are copied at the end of each member
 _MEMBERS = 2**16
 _NAME_LIMIT = 2**20  # the header of a gzip stream may hold a name and comments of any length
 _EXPANSION = 1100  # deflate makes at most 1032 bytes of one
-_EXTRA = 2**20  # of extensions, what is kept
+_EXTRA = 2**20  # maximum bytes of extensions that are kept
 _GZIP_LEVEL, _ZSTD_LEVEL = 6, 12  # as Niantic's
-_WINDOW = 2**27  # the most that a zstd frame may make a reader hold
+_WINDOW = 2**27  # maximum memory that a zstd frame may require of a reader
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The fields that versions 1 to 4 share, checked."""
+    """Fields that versions 1 to 4 share, checked."""
 
     version: int
     count: int
@@ -60,13 +60,13 @@ class Header:
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """The arrays of a file but for the higher harmonics, inflated.
+    """Inflated arrays of a file, without the higher harmonics.
 
     Attributes:
-        header: what it says of them.
-        array: bytes of each.
-        frame: by its name, None where the file does not say.
-        notes: what a person should know.
+        header: header of the file.
+        array: bytes of each array.
+        frame: name of the frame; None where the file does not name it.
+        notes: notes for the user.
     """
 
     header: Header
@@ -83,7 +83,7 @@ class Packed:
 
 
 def is_spz(head: memoryview, suffix: str) -> bool:
-    """Whether a file is of this format; damage behind the magic number is left to the decoder."""
+    """Test whether a file has the magic number of this format; the decoder reports further damage."""
     if bytes(head[:2]) != GZIP_MAGIC:
         return bytes(head[:4]) == MAGIC
     try:
@@ -97,7 +97,7 @@ def unpack(buffer: memoryview) -> Packed:
     """Find and inflate the arrays of an SPZ file.
 
     Raises:
-        ArtifactError: not SPZ, of another version, truncated, damaged, or larger than such a file can be.
+        ArtifactError: the file is not SPZ, of another version, truncated, damaged, or implausibly large.
     """
     if bytes(buffer[:2]) == GZIP_MAGIC:
         return _stream(buffer, _inflated(buffer))
@@ -132,7 +132,7 @@ def _header(raw: bytes | bytearray | memoryview, size: int) -> Header:
 
 
 def _inflated(buffer: memoryview) -> Iterator[tuple[bytes, int | None]]:
-    """Pieces of what gzip members inflate to; at the end of each, the bytes that follow it, else None."""
+    """Inflated pieces of gzip members; with the last piece of each, the bytes that follow it, else None."""
     at = members = 0
     while bytes(buffer[at : at + 2]) == GZIP_MAGIC:
         members += 1
@@ -160,7 +160,7 @@ def _inflated(buffer: memoryview) -> Iterator[tuple[bytes, int | None]]:
 
 
 def _stream(buffer: memoryview, pieces: Iterator[tuple[bytes | memoryview, int | None]]) -> Packed:
-    """Versions 1 to 3: a header and the arrays behind each other, then extensions."""
+    """Unpack versions 1 to 3: a header and the arrays one after another, then extensions."""
     header: Header | None = None
     begun, kept, extra = bytearray(), bytearray(), bytearray()
     done = wanted = need = trailing = 0  # `wanted` ends before the harmonics, `need` behind them
@@ -210,7 +210,7 @@ def _stream(buffer: memoryview, pieces: Iterator[tuple[bytes | memoryview, int |
 
 
 def _frames(buffer: memoryview) -> Packed:
-    """Version 4: a header, extensions, a table of sizes, and a zstd frame for each array but empty ones."""
+    """Unpack version 4: a header, extensions, a table of sizes, and a zstd frame per non-empty array."""
     header = _header(buffer, len(buffer))
     if len(buffer) < LONG_HEADER_SIZE:
         raise ArtifactError(f"SPZ: truncated: {len(buffer)} bytes hold no header of version 4")
@@ -275,7 +275,7 @@ def _unzstd(raw: memoryview, name: str, size: int) -> memoryview:
 
 
 def _extensions(raw: bytes, size: int) -> tuple[str | None, list[str], int]:
-    """The frame that a record names, notes, and how many of `size` bytes, first `raw`, are no records."""
+    """Frame that a record names, notes, and the number of the `size` bytes from `raw` that are no records."""
     at, frame = 0, None
     notes: list[str] = []
     while at + 8 <= len(raw):
@@ -294,13 +294,13 @@ def _extensions(raw: bytes, size: int) -> tuple[str | None, list[str], int]:
 
 
 def pack(header: Header, arrays: Mapping[str, Iterator[bytes]], comment: str = "") -> Iterator[bytes]:
-    """An SPZ file, in parts; equal arguments give equal bytes.
+    """Pack an SPZ file, in parts; equal arguments give equal bytes.
 
     Args:
-        header: what it holds; without higher harmonics.
+        header: header of the file, without higher harmonics.
         arrays: parts of each array.
-        comment: text of one line that readers pass over, without a zero: the comment of the gzip header,
-            or from version 4 on an extension of a kind of our own.
+        comment: one line of text without a zero byte that readers ignore: the comment of the gzip header, or
+            from version 4 on an extension of alula's own kind.
     """
     text = comment.encode() + b"\n" if comment else b""
     record = struct.pack("<II", COMMENT_RECORD, len(text)) + text if text and header.version == 4 else b""

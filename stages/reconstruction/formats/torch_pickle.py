@@ -1,4 +1,4 @@
-"""Pickles of PyTorch's, read by a machine that can only make plain values and descriptions of tensors."""
+"""Reader of PyTorch's pickles that can only make plain values and descriptions of tensors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _STORAGES = {
     "BoolStorage": "?", "ComplexFloatStorage": "c8", "ComplexDoubleStorage": "c16", "UntypedStorage": "u1",
 }  # fmt: skip
 _DICT, _TENSOR, _PARAMETER, _INERT = "dict", "tensor", "parameter", "inert"
-# Names that a checkpoint may ask for. None of them is ever looked up: each stands for what is done here.
+# Names that a checkpoint may use. None of them is ever imported: this module implements each of them.
 # The inert ones make values that no Gaussian needs: optimizers' learning rates are NumPy scalars.
 _GLOBALS = {
     "collections OrderedDict": _DICT,
@@ -33,14 +33,14 @@ _GLOBALS = {
 
 @dataclass(frozen=True, slots=True)
 class _Global:
-    """A name that a pickle asked for, and what stands for it."""
+    """A name that a pickle uses, and its implementation here."""
 
     name: str
     does: str
 
 
 class _Opaque:
-    """A value that nothing looks into."""
+    """A value that is never read."""
 
 
 _MARK = _Opaque()
@@ -57,7 +57,7 @@ class Storage:
 
 @dataclass(frozen=True, slots=True)
 class Tensor:
-    """What the pickle says of a tensor; nothing of it is checked before `Checkpoint.array`."""
+    """Description of a tensor in a pickle; `Checkpoint.array` checks it."""
 
     storage: Storage
     offset: int
@@ -66,10 +66,10 @@ class Tensor:
 
 
 def unpickled(data: bytes) -> Any:
-    """What a pickle holds: dictionaries, lists, tuples, text, numbers and `Tensor`s.
+    """Read the object of a pickle: dictionaries, lists, tuples, text, numbers and `Tensor`s.
 
     Raises:
-        ArtifactError: damaged, or asking for anything else, which is named.
+        ArtifactError: the pickle is damaged, or uses anything else; the message names it.
     """
     machine = _Machine()
     try:
@@ -77,14 +77,14 @@ def unpickled(data: bytes) -> Any:
             if name == "STOP":
                 return machine.pop()
             machine.step(name, argument)
-    # What arguments raise that are cut off, and stacks that do not hold what an opcode needs.
+    # These come from truncated arguments, and from stacks that lack what an opcode needs.
     except (ValueError, IndexError, KeyError, TypeError, struct.error) as error:
         raise ArtifactError(f"checkpoint: data.pkl is damaged: {error}") from error
     raise AssertionError("unreachable: opcodes end with STOP or an error")
 
 
 def _opcodes(data: bytes) -> Iterator[tuple[str, Any]]:
-    """The opcodes of a pickle that are known, with their arguments."""
+    """Known opcodes of a pickle, with their arguments."""
     at = 0
     while True:
         code = data[at : at + 1]
@@ -131,13 +131,12 @@ _OPCODES = {
 
 
 class _Machine:
-    """The stack machine of pickles, without its powers.
+    """Restricted stack machine of pickles.
 
-    It knows the opcodes of protocol 2, which PyTorch writes, that make containers, strings and
-    numbers. Names become `_Global`s if they are listed, whatever else they could stand for; calling one
-    makes a value defined here. So no code can be named, let alone run. Work and memory are bounded by
-    the number of opcodes: keys are plain, so nothing is hashed deeply, and places of the memo are keys
-    of a dictionary.
+    It implements the opcodes of protocol 2, which PyTorch writes, that make containers, strings and
+    numbers. Only listed names are accepted; they become `_Global`s, and calling one makes a value defined
+    here. So a pickle cannot run code. The number of opcodes bounds work and memory: keys are plain values,
+    so nothing is hashed deeply, and the memo is a dictionary.
     """
 
     def __init__(self) -> None:
@@ -163,7 +162,7 @@ class _Machine:
         return values
 
     def step(self, name: str, argument: Any) -> None:
-        """One opcode."""
+        """Execute one opcode."""
         if name in _CONSTANTS:
             self.stack.append(_CONSTANTS[name]())
         elif name in _ARGUMENTS:
@@ -247,7 +246,7 @@ def _storage(pid: Any) -> Storage:
 
 
 def _called(function: Any, arguments: Any) -> Any:
-    """What a listed name makes of its arguments."""
+    """Result of calling a listed name with arguments."""
     match function, arguments:
         case _Global(does="dict"), ():
             return {}

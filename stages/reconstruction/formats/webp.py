@@ -1,4 +1,4 @@
-"""Lossless WebP images: their size before they are decoded, and their pixels as they were stored."""
+"""Lossless WebP images: reading of their size without decoding, and decoding of their stored pixels."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from alula.schemas.errors import ArtifactError
 
 
 def webp_size(raw: bytes | memoryview) -> tuple[int, int]:
-    """Width and height of a still, lossless image, from its header alone.
+    """Read width and height of a still, lossless image from its header alone.
 
     Raises:
-        ArtifactError: it is no such image.
+        ArtifactError: the bytes are not such an image.
     """
     if len(raw) < 12 or raw[:4] != b"RIFF" or raw[8:12] != b"WEBP":
         raise ArtifactError("is no WebP image")
@@ -36,10 +36,10 @@ def webp_size(raw: bytes | memoryview) -> tuple[int, int]:
 
 
 def decode_webp(raw: bytes | memoryview) -> NDArray[np.uint8]:
-    """The pixels of a still, lossless image: red, green, blue, alpha, rows from the top.
+    """Decode the pixels of a still, lossless image: red, green, blue, alpha, rows from the top.
 
-    Nothing is premultiplied or managed; without alpha that is 255. What the image needs is about 12
-    bytes for each pixel of `webp_size`, which the caller limits.
+    Alpha is not premultiplied and no colour management applies; a missing alpha becomes 255. Decoding takes
+    about 12 bytes per pixel of `webp_size`, which the caller limits.
 
     Returns:
         Shape (height * width, 4).

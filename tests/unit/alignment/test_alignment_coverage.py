@@ -1,4 +1,4 @@
-"""How often reported 95 % intervals hold the truth, over many seeds; and agreement with COLMAP's own fit."""
+"""Coverage of the reported 95 % intervals over many seeds, and agreement with COLMAP's own fit."""
 
 from itertools import product
 
@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.robust import fit_similarity
 from alula.stages.alignment.similarity import transform_points, umeyama
-from alula.stages.alignment.uncertainty import of_points, untruncated
+from alula.stages.alignment.uncertainty import uncertainty_of_points, untruncated
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -105,7 +105,7 @@ def test_covariances_are_those_of_repeated_fits(cameras):
     fits = [umeyama(few, few + sigma * rng.normal(size=few.shape)) for _ in range(3000)]
     point = np.array([[4.0, -3.0, 7.0]])
     moved = np.array([transform_points(fit, point)[0] for fit in fits])
-    expected = of_points(few, sigma, 38).at(point)[0]
+    expected = uncertainty_of_points(few, sigma, 38).at(point)[0]
     np.testing.assert_allclose(np.cov(moved.T), expected, atol=0.1 * np.trace(expected) / 3)
 
 

@@ -1,4 +1,4 @@
-"""Registration to a surveyed cloud: unbiased on partial overlap, honest about its uncertainty."""
+"""Registration to a surveyed cloud: unbiased on partial overlap, with a realistic uncertainty."""
 
 import os
 from pathlib import Path
@@ -104,8 +104,8 @@ def test_intervals_hold_the_truth_also_when_neighbours_err_alike(trials):
 
 def test_the_overlap_is_reported(trials):
     _, fit = trials[0]
-    assert 0.4 < fit.scene_share < 0.6
-    assert fit.cloud_share > 0.85
+    assert 0.4 < fit.scene_fraction < 0.6
+    assert fit.cloud_fraction > 0.85
     assert len(fit.block_centre) >= 10
     low, high = fit.leave_one_out
     assert low < fit.similarity.scale < high
@@ -243,4 +243,4 @@ def test_a_real_cloud_half_covered_by_its_noisy_copy():
     off = abs(fit.similarity.scale / truth.scale - 1)
     assert off < 1e-3
     assert off < 4 * np.sqrt(fit.uncertainty.covariance[3, 3])
-    assert fit.cloud_share > 0.98
+    assert fit.cloud_fraction > 0.98

@@ -1,4 +1,4 @@
-"""Tables, COLMAP models and matrices that a scene is aligned by; and what is wrong with them."""
+"""Tables, COLMAP models and matrices as evidence for an alignment, and the errors of wrong ones."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Latitude, longitude and height to a local frame in metres."""
+"""Conversion of latitude, longitude and height to a local frame in metres."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Which way is up: a given direction, or the floor."""
+"""Levelling by a given direction or by the floor."""
 
 import os
 from pathlib import Path
@@ -104,7 +104,7 @@ def test_what_has_no_floor_is_refused_with_figures():
         level_by_floor(3 * ball, UP, 0.02, 0)
     with pytest.raises(CheckError, match="no floor was found"):
         level_by_floor(room(0)[6000:18000], UP, 0.1, 0)
-    with pytest.raises(InputError, match="only 3 places"):
+    with pytest.raises(InputError, match="only 3 cubes"):
         level_by_floor(np.eye(3), UP, 0.1, 0)
 
 

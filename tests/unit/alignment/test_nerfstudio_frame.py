@@ -1,4 +1,4 @@
-"""Back from the frame that nerfstudio trains in."""
+"""Transform from the frame that nerfstudio trains in to that of the source poses."""
 
 import json
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from alula.schemas.errors import InputError
-from alula.stages.alignment.evidence import Correspondences, before
+from alula.stages.alignment.evidence import Correspondences, in_training_frame
 from alula.stages.alignment.nerfstudio import parse_training_frame, transform_files
 from alula.stages.alignment.robust import fit_similarity
 from alula.stages.alignment.similarity import transform_points
@@ -41,7 +41,7 @@ def test_evidence_of_the_source_frame_is_brought_to_the_scene_of_training():
     turned = Rotation.random(9, random_state=1).as_matrix()
     pairs = Correspondences(tuple(map(str, range(9))), original, 2 * original + 1, 0, turned, turned)
     undo = parse_training_frame(text, "d.json")
-    scene = before(undo.original_from_training, pairs, undo.facts, ("doubtful",))
+    scene = in_training_frame(undo.original_from_training, pairs, undo.facts, ("doubtful",))
     np.testing.assert_allclose(scene.scene, 0.2 * (original @ A.T + b), atol=1e-12)
     np.testing.assert_allclose(scene.R_scene, A @ turned, atol=1e-12)
     assert fit_similarity(scene.scene, scene.world, 0.01, 0).similarity.scale == pytest.approx(2 / 0.2)

@@ -1,4 +1,4 @@
-"""Full camera poses: positions and orientations are evidence."""
+"""Alignment by full camera poses, with positions and orientations as evidence."""
 
 import os
 from math import radians

@@ -1,4 +1,4 @@
-"""From a scene in its own frame to metres."""
+"""The stage `scale-align`: from a scene in its own frame to metres."""
 
 import json
 
@@ -158,7 +158,7 @@ def test_one_distance_has_no_uncertainty_to_report():
 
 @pytest.mark.parametrize("gate", [{"max_rms_m": 1.0}, {"max_scale_sigma": 1.0}, {"min_inliers": 3}])
 def test_a_given_similarity_has_nothing_to_check(gate):
-    with pytest.raises(UsageError, match="need something to be measured against"):
+    with pytest.raises(UsageError, match="need measurements; a given similarity has none"):
         scale_align(ScaleAlignConfig(**gate), scene(), scale_only(2.0), 0)
 
 

@@ -1,4 +1,4 @@
-"""Similarities: closed form, robust estimation and its honesty."""
+"""Similarities: closed form, robust estimation (MSAC) and its uncertainty."""
 
 import os
 from itertools import product

@@ -1,4 +1,4 @@
-"""The proof that voxels contain ellipsoids: it passes what voxelize makes and nothing less."""
+"""Proof that voxels contain ellipsoids: it accepts the result of voxelize and no smaller set."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Compression against rational arithmetic: hulls at every width, the cover after each merge, and W."""
+"""Compression compared with rational arithmetic: hulls of all widths, the cover after each merge, and W."""
 
 from fractions import Fraction
 from itertools import product

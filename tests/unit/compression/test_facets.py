@@ -1,4 +1,4 @@
-"""Triangles of covers against Qhull, trimesh and the definition of a closed surface."""
+"""Triangles of covers, compared with Qhull, trimesh and the definition of a closed surface."""
 
 from fractions import Fraction
 from itertools import pairwise, product

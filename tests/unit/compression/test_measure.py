@@ -1,4 +1,4 @@
-"""Volumes of unions of polytopes against rational arithmetic, sampling and each other."""
+"""Volumes of unions of polytopes, compared with rational arithmetic, sampling and each other."""
 
 from fractions import Fraction
 from itertools import pairwise, product

@@ -1,4 +1,4 @@
-"""`merge`: exact hulls, and covers that hold every voxel at every number of hulls."""
+"""The stage `merge`: exact hulls, and covers that contain every voxel at every number of hulls."""
 
 from itertools import product
 

@@ -1,4 +1,4 @@
-"""Outer polytopes: they contain their hulls exactly, keep to budgets, and readers know their true corners."""
+"""Outer polytopes contain their hulls exactly and keep to budgets; readers use their true corners."""
 
 import dataclasses
 from fractions import Fraction

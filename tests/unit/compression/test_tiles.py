@@ -1,4 +1,4 @@
-"""Tiles change nothing: the same bytes for every size, number of jobs and cut of the crop."""
+"""Tiles do not change the result: the same bytes for all sizes, numbers of jobs and crops."""
 
 import itertools
 
@@ -61,7 +61,7 @@ def scenes(draw):
 def assert_equal(one, other):
     for name in ("index", "overlap", "reach"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    assert (one.below, one.most) == (other.below, other.most)
+    assert (one.below, one.max_overlap) == (other.below, other.max_overlap)
 
 
 @settings(max_examples=80, deadline=None)

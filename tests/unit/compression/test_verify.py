@@ -1,4 +1,4 @@
-"""`verify`: what holds is certified, what does not is caught and placed."""
+"""The stage `verify`: valid covers are certified; faults are detected with their positions."""
 
 import dataclasses
 

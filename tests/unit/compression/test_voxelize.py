@@ -1,4 +1,4 @@
-"""Occupancy of ellipsoids against exact rational arithmetic, sampling and brute force."""
+"""Occupancy of ellipsoids, compared with exact rational arithmetic, sampling and brute force."""
 
 import itertools
 from fractions import Fraction
@@ -323,7 +323,7 @@ def test_scenes_that_cannot_be_voxelized_are_refused():
         voxelize(VoxelizeConfig(), scene_of(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4))))
     with pytest.raises(InfeasibleError, match="touches the crop"):
         voxelize(VoxelizeConfig(crop=(5, 5, 5, 6, 6, 6)), scene_of(*one))
-    with pytest.raises(InfeasibleError, match="touched by 2 Gaussians; the most is 1"):
+    with pytest.raises(InfeasibleError, match="touched by 2 Gaussians; the maximum is 1"):
         voxelize(VoxelizeConfig(min_overlap=2), scene_of(*one))
 
 

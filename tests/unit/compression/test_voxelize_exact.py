@@ -1,4 +1,4 @@
-"""Every single mark against rational arithmetic: never missing, never farther than the stated margin."""
+"""Each mark compared with rational arithmetic: none is missing, none is beyond the stated margin."""
 
 import itertools
 from fractions import Fraction

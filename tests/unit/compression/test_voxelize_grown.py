@@ -1,4 +1,4 @@
-"""Grown ellipsoids in rational arithmetic: what the true sum reaches is marked, and verify agrees."""
+"""Grown ellipsoids in rational arithmetic: all voxels that the true sum touches are marked; verify agrees."""
 
 import math
 from fractions import Fraction

@@ -1,4 +1,4 @@
-"""Checkpoints of PyTorch: views that stay in their storage, and that nothing in a pickle is ever run."""
+"""Checkpoints of PyTorch: views stay in their storage, and no code of a pickle is ever run."""
 
 import os
 import zipfile

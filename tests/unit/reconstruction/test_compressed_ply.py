@@ -1,4 +1,4 @@
-"""Compressed PLY: an encoder of our own with the roundings that writers have, and files that are wrong."""
+"""Compressed PLY: a test encoder with the rounding of known writers, and damaged files."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The built-in scene: what is in it, and that its frame can be recovered."""
+"""The built-in scene: its contents, and the recovery of its frame."""
 
 import hashlib
 

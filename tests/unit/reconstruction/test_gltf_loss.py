@@ -1,4 +1,4 @@
-"""What integers and nodes of glTF lose: never more than is recorded."""
+"""Errors of integers and nodes of glTF never exceed the recorded bounds."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""KSPLAT of all levels by an encoder of our own, which truncates like the reference or rounds."""
+"""KSPLAT of all levels, by a test encoder that truncates like the reference or rounds."""
 
 import struct
 

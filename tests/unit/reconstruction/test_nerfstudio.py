@@ -1,4 +1,4 @@
-"""nerfstudio's folders: what is read, and that no tag of the configuration is ever run."""
+"""nerfstudio's folders: the values that are read; no tag of the configuration is ever run."""
 
 import collections
 import json

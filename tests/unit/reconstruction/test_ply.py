@@ -1,4 +1,4 @@
-"""INRIA PLY: every variant that occurs, every way it can be wrong."""
+"""INRIA PLY: all known variants, and all kinds of damage."""
 
 import os
 import struct

@@ -1,4 +1,4 @@
-"""Headers of PLY that are long take time in proportion to their length."""
+"""Parsing a long PLY header takes time in proportion to its length."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Every real splat file: as many Gaussians, within the bounds, as whoever collected them found."""
+"""Real splat files: numbers and bounds of the Gaussians equal those recorded with the collection."""
 
 import json
 import re

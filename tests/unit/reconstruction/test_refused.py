@@ -1,4 +1,4 @@
-"""The corpus of `support/refused`: one line that says what is wrong, exit code 3, no output, no memory."""
+"""The corpus of `support/refused`: one line with the fault, exit code 3, no output, little memory."""
 
 import gzip
 import tracemalloc

@@ -1,4 +1,4 @@
-"""Which rows stay and what is said of them, against a row-by-row reference and numpy."""
+"""Selection and figures of rows, compared with a row-by-row reference and NumPy."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""SOG by an encoder of our own with the roundings of writers, and real scenes."""
+"""SOG: a test encoder with the rounding of known writers, and real scenes."""
 
 import io
 import json
@@ -219,7 +219,7 @@ def test_every_file_is_an_input_of_the_scene(tmp_path):
     scene = read_artifact(Path(out))
     assert len(scene.manifest.inputs) == 6
     assert scene.arrays["loss"][:, 1].max() > 0
-    assert "does not hold for certain" in scene.manifest.guarantee.statement
+    assert "is not certain" in scene.manifest.guarantee.statement
     assert main.run(["scale-align", out, "--scale", "1", "-o", world, "-q"]) == 0
     assert main.run(["voxelize", world, "-o", voxels, "-q"]) == 0
     assert len(read_artifact(Path(voxels)).arrays["index"]) > 0

@@ -1,4 +1,4 @@
-"""SOG that is wrong: each by its own message, mutated bytes by any."""
+"""Damaged SOG: each fault has its own message, mutated bytes have any."""
 
 import io
 import zipfile

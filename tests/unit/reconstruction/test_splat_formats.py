@@ -1,4 +1,4 @@
-"""`.splat` records, and telling formats apart."""
+"""Records of `.splat`, and recognition of formats."""
 
 import gzip
 import os

@@ -1,4 +1,4 @@
-"""What a splat format lost: ellipsoids grown by it contain those of the Gaussians before the loss."""
+"""Loss of splat formats: ellipsoids grown by it contain those of the Gaussians before the loss."""
 
 from fractions import Fraction
 
@@ -15,7 +15,7 @@ from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.errors import ArtifactError, DamagedError
 from alula.stages.alignment.scale_align import scale_align, scale_only
 from alula.stages.clearance import path_clearance
-from alula.stages.compression.ellipsoids import lost_before, unproven_voxels
+from alula.stages.compression.ellipsoids import excluded_errors, unproven_voxels
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.formats.splat import decode_splat
 from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound, rounded_up
@@ -200,10 +200,10 @@ def test_the_alignment_scales_the_loss_of_centres_and_adds_its_own_rounding(far)
 def test_a_loss_without_bound_stays_in_the_words():
     loss = Loss(loss_bound(4, scale=0.01), 0.004, {"scale": "a codebook that nothing bounds"})
     scene = a_scene(*gaussians(np.random.default_rng(1), 4), loss)
-    words = lost_before(scene.manifest, 0.0)
+    words = excluded_errors(scene.manifest, 0.0)
     assert any("a codebook that nothing bounds" in w for w in words)
     assert not any("scale_relative" in w for w in words)
-    assert any("scale_relative 0.01" in w for w in lost_before(scene.manifest, 0.0, ignore_loss=True))
+    assert any("scale_relative 0.01" in w for w in excluded_errors(scene.manifest, 0.0, ignore_loss=True))
 
 
 def test_a_scene_file_keeps_the_loss_and_says_so(tmp_path):

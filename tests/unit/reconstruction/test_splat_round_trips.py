@@ -1,4 +1,4 @@
-"""Every format: what is read is what was written, within the bounds given for each Gaussian."""
+"""All formats: Gaussians that are read equal the written ones within the bounds of each Gaussian."""
 
 import numpy as np
 import pytest

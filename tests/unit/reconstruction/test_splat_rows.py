@@ -1,4 +1,4 @@
-"""Rows of PLY files in native code, against structured arrays and Python's own numbers."""
+"""Rows of PLY files in native code, compared with structured arrays and Python's own numbers."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""SPZ: every version read by the letter of the specification, whoever wrote it."""
+"""SPZ: all versions are read according to the specification, for all writers."""
 
 import gzip
 import io

@@ -1,4 +1,4 @@
-"""SPZ: nothing that a file says of itself is trusted."""
+"""SPZ: no statement of a header is trusted without a check."""
 
 import gzip
 import struct

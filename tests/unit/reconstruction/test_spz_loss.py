@@ -1,4 +1,4 @@
-"""SPZ and `.splat`: no more is lost than recorded, by other writers and by ours."""
+"""SPZ and `.splat`: errors stay within the recorded bounds, for other writers and for alula."""
 
 import gzip
 

@@ -1,4 +1,4 @@
-"""Artifacts: round trips, identical bytes, alignment, and every way to be damaged."""
+"""Artifacts: round trips, identical bytes, alignment, and all kinds of damage."""
 
 import json
 import subprocess

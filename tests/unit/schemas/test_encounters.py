@@ -1,4 +1,4 @@
-"""Scenario files with moving obstacles: what they set, and errors that name the key."""
+"""Scenario files with moving obstacles: the values that they set, and errors that name the key."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Scenario files with a fence: what they set, and errors that name the key."""
+"""Scenario files with a fence: the values that they set, and errors that name the key."""
 
 import math
 

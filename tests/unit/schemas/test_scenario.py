@@ -1,4 +1,4 @@
-"""Scenario files: what they set, and errors that name the key."""
+"""Scenario files: the values that they set, and errors that name the key."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Vehicle files: the examples, what they build, and errors that name the key."""
+"""Vehicle files: the examples, the vehicles that they build, and errors that name the key."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""psi remembered from position to position has the bits of looking at every plane, and costs less."""
+"""psi with reuse between positions has the same bits as an evaluation of every plane, and costs less."""
 
 import ctypes
 import shutil

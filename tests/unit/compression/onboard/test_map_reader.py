@@ -1,4 +1,4 @@
-"""The onboard reader: what it refuses, and that its psi never exceeds the exact one."""
+"""The onboard reader: maps that it refuses, and its psi, which never exceeds the exact one."""
 
 import struct
 from fractions import Fraction

@@ -1,4 +1,4 @@
-"""`verify` of onboard maps: what holds is certified, what does not is caught and placed."""
+"""Verification of onboard maps: valid maps are certified; faults are detected with their positions."""
 
 import struct
 from itertools import pairwise
