@@ -49,21 +49,10 @@ void shape(const Occupancy& occupancy, std::vector<LatticePolytope>& hulls, cons
 
 // Shrinks outer polytopes to what no other one contains; afterwards `cover` has hulls again.
 void tighten_outer(const Occupancy& occupancy, Cover& cover, const Form& form, unsigned jobs, Control& control) {
-  const std::size_t count = cover.hull.size();
   InterruptOnly quiet(control);
-  std::vector<std::uint32_t> holders(occupancy.size(), 0), inside;
-  std::vector<double> excess(count);
-  std::vector<std::size_t> order(count);
+  auto [holders, excess, order] = containment(occupancy, cover.hull, quiet);
+  std::vector<std::uint32_t> inside;
   ExcessMeter meter(occupancy);
-  for (std::size_t h = 0; h < count; ++h) {
-    voxels_inside(occupancy, cover.hull[h], inside);
-    for (const std::uint32_t v : inside) ++holders[v];
-    excess[h] = meter(cover.hull[h]);
-    order[h] = h;
-    quiet.poll(0, 1);
-  }
-  std::sort(order.begin(), order.end(),
-            [&](std::size_t a, std::size_t b) { return excess[a] != excess[b] ? excess[a] > excess[b] : a < b; });
   HullBuilder builder;
   FacetRanker rank(occupancy);
   std::vector<Lattice> needed;

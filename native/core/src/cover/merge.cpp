@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <memory>
 #include <optional>
@@ -10,7 +11,7 @@
 
 #include "alula/base/parallel.hpp"
 #include "alula/cover/box_tree.hpp"
-#include "alula/cover/merge_queue.hpp"
+#include "alula/cover/lattice_hull.hpp"
 
 namespace alula {
 
@@ -18,6 +19,53 @@ namespace {
 
 constexpr std::size_t kAhead = 8;        // volumes measured at once, per thread, at most
 constexpr std::size_t kStartShare = 80;  // of the time, in Share::kWhole, before the first merge
+
+constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+
+struct Link {
+  std::uint32_t other;
+  double key;  // of the pair in the queue: what is expected, and exact once evaluated
+};
+
+// A union that is built before its turn.
+struct Ready {
+  std::uint32_t left, right;
+  LatticePolytope hull;
+  HullMesh mesh;
+};
+
+struct Element {
+  LatticePolytope hull;
+  HullMesh mesh;  // of the same hull
+  double weight = 0;
+  bool alive = true;
+  std::vector<Link> links;
+  std::vector<Link> waiting;     // those with lower numbers that were not in the queue yet, the best one last
+  std::unique_ptr<Ready> ready;  // of this element, as the lower number, and another
+};
+
+struct Candidate {
+  double key;
+  double weight;                                  // W of the union, kUnknown when it was not measured yet
+  std::uint32_t left, right;                      // left < right
+  bool evaluated;                                 // key is that of weight
+  bool is_nearest;                                // paired because `left` or `right` touches nothing
+  bool operator<(const Candidate& other) const {  // the best is the top of a heap
+    if (key != other.key) return key > other.key;
+    if (left != other.left) return left > other.left;
+    return right > other.right;
+  }
+};
+
+struct Gap {
+  std::int64_t squared_distance;
+  std::uint32_t item, nearest;
+  bool operator<(const Gap& other) const {
+    if (squared_distance != other.squared_distance) return squared_distance > other.squared_distance;
+    if (item != other.item) return item > other.item;
+    return nearest > other.nearest;
+  }
+};
 
 class Merger {
  public:
@@ -384,6 +432,53 @@ Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOption
             Control& control, EvaluationLog* log) {
   Share start(control, 0, kStartShare), loop(control, kStartShare, Share::kWhole);
   return Merger(occupancy, sets, options, jobs, start, log).run(loop);
+}
+
+VoxelSets merged_sets(const VoxelSets& sets, std::span<const Merge> history) {
+  const std::size_t leaves = sets.size();
+  std::vector<bool> is_merged(leaves + history.size(), false);
+  for (const Merge& m : history) is_merged[m.left] = is_merged[m.right] = true;
+  VoxelSets result;
+  std::vector<std::uint32_t> stack, members;
+  for (std::uint32_t e = 0; e < is_merged.size(); ++e) {
+    if (is_merged[e]) continue;
+    members.clear();
+    stack.assign(1, e);
+    while (!stack.empty()) {
+      const std::uint32_t id = stack.back();
+      stack.pop_back();
+      if (id < leaves) {
+        members.insert(members.end(), sets[id].begin(), sets[id].end());
+      } else {
+        stack.push_back(history[id - leaves].left), stack.push_back(history[id - leaves].right);
+      }
+    }
+    std::sort(members.begin(), members.end());
+    members.erase(std::unique(members.begin(), members.end()), members.end());
+    result.member.insert(result.member.end(), members.begin(), members.end());
+    result.close();
+  }
+  return result;
+}
+
+void sort_hulls(Cover& cover) {
+  std::vector<std::size_t> order(cover.hull.size());
+  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
+  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+    const auto left = cover.members[a], right = cover.members[b];
+    if (!std::equal(left.begin(), left.end(), right.begin(), right.end()))
+      return std::lexicographical_compare(left.begin(), left.end(), right.begin(), right.end());
+    return a < b;
+  });
+  std::vector<LatticePolytope> hull;
+  VoxelSets members;
+  for (const std::size_t i : order) {
+    hull.push_back(std::move(cover.hull[i]));
+    members.member.insert(members.member.end(), cover.members[i].begin(), cover.members[i].end());
+    members.close();
+  }
+  cover.hull = std::move(hull);
+  cover.members = std::move(members);
 }
 
 }  // namespace alula

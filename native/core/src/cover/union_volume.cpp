@@ -1,7 +1,8 @@
+#include "alula/cover/union_volume.hpp"
+
 #include <algorithm>
 
 #include "alula/base/parallel.hpp"
-#include "alula/cover/merge.hpp"
 #include "alula/cover/union_measure.hpp"
 
 namespace alula {

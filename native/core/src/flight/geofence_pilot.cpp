@@ -1,9 +1,9 @@
+#include "alula/flight/geofence_pilot.hpp"
+
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <stdexcept>
-
-#include "alula/flight/geofence_flight.hpp"
 
 namespace alula::flight {
 

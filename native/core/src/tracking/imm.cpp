@@ -3,7 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <stdexcept>
+
+#include "alula/base/require.hpp"
 
 namespace alula::flight {
 namespace {
@@ -53,10 +54,6 @@ void mix(const Belief* belief, const double* weight, int models, int target, dou
     for (int k = 0; k < kShared; ++k)
       for (int l = kShared; l < N; ++l) result.P[k][l] += weight[i] * (d[k] * d[l]);
   }
-}
-
-void require(bool holds, const char* what) {
-  if (!holds) throw std::invalid_argument(what);
 }
 
 bool is_variance(double value) { return value >= 0 && value <= 1e18; }

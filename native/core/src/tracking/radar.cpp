@@ -4,7 +4,8 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
-#include <stdexcept>
+
+#include "alula/base/require.hpp"
 
 namespace alula::flight {
 namespace {
@@ -15,12 +16,6 @@ using geometry::Vec3;
 constexpr double kLeastSigma = 1e-4;   // of a position, so that covariances are regular [m]
 constexpr double kLeastRange = 1e-3;   // that is measured [m]
 constexpr std::uint32_t kPerItem = 4;  // channels of an obstacle or of a ghost
-
-void require(bool good, const char* message) {
-  if (!good) throw std::invalid_argument(message);
-}
-
-bool is_size(double value) { return value >= 0 && std::isfinite(value); }
 
 // Levelled: forward, left, up.
 struct Frame {

@@ -4,6 +4,8 @@
 #include <vector>
 
 #include "alula/cover/merge.hpp"
+#include "alula/cover/retighten.hpp"
+#include "alula/cover/union_volume.hpp"
 
 namespace alula {
 

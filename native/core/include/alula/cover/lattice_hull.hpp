@@ -138,8 +138,4 @@ class HullBuilder {
   std::vector<Lattice> corner_;
 };
 
-// The corners of voxels sorted by x, y, z, without those that cannot be extreme: of each lattice
-// column the lowest and the highest, of each row of columns those on its 2-D hull.
-void extreme_corners(std::span<const Lattice> voxels, std::vector<Lattice>& corners);
-
 }  // namespace alula

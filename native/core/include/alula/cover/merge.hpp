@@ -59,34 +59,10 @@ struct Cover {
 Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
             Control& control, EvaluationLog* log = nullptr);
 
-// Replaces each hull, the one with most excess first, by the hull of the voxels that no other hull
-// contains, and drops hulls that have none; hulls only shrink and the union never grows. Afterwards
-// the members partition the voxels. A hull is kept when its replacement would take what is written
-// beyond the budget.
-void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, Control& control);
-
-// The numbers of the voxels inside a polytope, ascending, by integers alone:
-// normal . v + sum max(normal, 0) <= offset. The box of its vertices must be that of its planes.
-void voxels_inside(const Occupancy& occupancy, const LatticePolytope& hull, std::vector<std::uint32_t>& inside);
-
 // The voxels of the elements that no merge of the history took, by ascending number of the element.
 VoxelSets merged_sets(const VoxelSets& sets, std::span<const Merge> history);
 
 // Orders hulls by their members, lexicographically.
 void sort_hulls(Cover& cover);
-
-struct UnionVolume {
-  double excess;      // Vol(union of hulls \ occupied) [voxels]
-  double error;       // bound on its rounding error [voxels]; 0 when it was not exact
-  int lines, stride;  // lines x lines per sampled voxel column, every stride-th column per axis; 0: exact
-};
-
-// Volume of the union outside the voxels, exact up to rounding (see union_measure.hpp); every voxel
-// must be inside a hull. Space is divided into at most about a thousand parts; where one of them takes
-// more than `most_cuts`, at about a microsecond each, exact z-intervals over a regular grid of at most
-// `most_lines` lines, at about thirty half-planes each, are summed instead. A hull is what its planes
-// bound. Deterministic for any number of threads.
-UnionVolume union_excess(const Occupancy& occupancy, const std::vector<LatticePolytope>& hulls, unsigned jobs,
-                         Control& control, std::size_t most_cuts = 100'000, double most_lines = 2e7);
 
 }  // namespace alula
