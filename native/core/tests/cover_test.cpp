@@ -1,4 +1,4 @@
-// Covers built by merge() pass check_hulls(), at the ends of the exact range too.
+// Covers built by merge() pass check_hulls(), also at the limits of the exact range.
 #include <cmath>
 
 #include "alula/cover/cover_check.hpp"

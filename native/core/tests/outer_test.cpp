@@ -1,4 +1,4 @@
-// Outer polytopes contain their hulls, keep to their number of planes and have the corners they should.
+// Outer polytopes contain their hulls, respect their number of planes and have the right corners.
 #include <algorithm>
 #include <stdexcept>
 

@@ -101,8 +101,8 @@ void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, C
     control.poll(count + 2 * ++done, 3 * count);
   }
 
-  // A voxel that a tight hull needs is in no other hull, so each hull still is that of its members;
-  // one that was kept gets all its voxels back.
+  // A voxel that a tight hull needs is in no other hull, so each hull is still the hull of its members;
+  // a hull that was kept gets all its voxels as members.
   std::vector<bool> is_taken(occupancy.size(), false);
   std::vector<LatticePolytope> hulls;
   VoxelSets members;

@@ -10,7 +10,7 @@ namespace {
 
 using geometry::multiply;
 
-constexpr double kSameTime = 1e-9;  // of two sums of the same steps [s]
+constexpr double kSameTime = 1e-9;  // tolerance for two sums of the same steps [s]
 
 enum Channel : std::uint32_t { kPosition, kVelocity, kAttitude, kRate, kGust };
 

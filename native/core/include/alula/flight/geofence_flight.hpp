@@ -1,8 +1,8 @@
 // Flights of a racing drone inside a geofence with simulated pilots.
 //
-// Per tick of the filter: the pilot looks at the true state, the filter at the navigation's, and the plant takes
-// `plant_steps` steps with the filter's command. Distances are judged at every step of the plant, in double
-// precision, along the chord since the last. A flight is a function of (seed, trial).
+// Per tick of the filter: the pilot uses the true state, the filter the navigation's, and the plant takes
+// `plant_steps` steps with the filter's command. Distances are measured at every step of the plant, in double
+// precision, along the chord from the previous step. A flight is a function of (seed, trial).
 #pragma once
 
 #include <cstdint>
@@ -35,7 +35,7 @@ struct GeofenceSpec {
   RacerOptions options;
   Pilot pilot;
   GeofenceRules rules;
-  std::optional<RacerState> start;  // else a random one with h_I > 0, from:
+  std::optional<RacerState> start;  // if missing, a random one with h_I > 0 from:
   geometry::Box start_box;
   double start_speed_m_s = 10, start_tilt_rad = 1;
 };
@@ -45,12 +45,12 @@ struct GeofenceTrace {
   std::vector<double> pilot;     // (n, 4): throttle, rates; NaN when silent
   std::vector<double> command;   // (n, 4)
   std::vector<double> figure;    // (n, 5): lambda, h_i, distance, margin, v_towards
-  std::vector<double> distance;  // (n): the true one over the last step of the plant, less the radius
+  std::vector<double> distance;  // (n): the true one over the last step of the plant, minus the radius
   std::vector<std::uint8_t> status;
 };
 
 struct GeofenceLog {
-  double min_distance_m = std::numeric_limits<double>::infinity();  // less the radius; below 0 is a violation
+  double min_distance_m = std::numeric_limits<double>::infinity();  // minus the radius; below 0 is a violation
   double max_speed_m_s = 0;
   double min_lambda = 1;
   double min_h_i = std::numeric_limits<double>::infinity();
@@ -58,13 +58,13 @@ struct GeofenceLog {
                                                                        // slower than 0.5 m/s
   double brake_distance_m = std::numeric_limits<double>::quiet_NaN();  // distance when first lambda < 1/2
   std::int64_t ticks = 0, passed = 0, blended = 0, backup = 0, no_pilot = 0, hand_over = 0, refused = 0;
-  std::int64_t interventions = 0;                // times lambda fell below 1/2, after having been above 9/10
-  std::int64_t altered_passes = 0;               // commands of PASSED that are not the pilot's bits: 0
-  std::int64_t out_of_range = 0;                 // commands outside the model's limits, or lambda outside [0, 1]: 0
-  double longest_backup_s = 0;                   // of u_B alone
-  double path_length_m = 0;                      // over the steps of the plant
+  std::int64_t interventions = 0;   // times lambda fell below 1/2, after having been above 9/10
+  std::int64_t altered_passes = 0;  // commands of PASSED that differ from the pilot's bits; must be 0
+  std::int64_t out_of_range = 0;    // commands outside the model's limits or lambda outside [0, 1]; must be 0
+  double longest_backup_s = 0;      // longest time with u_B alone
+  double path_length_m = 0;         // over the steps of the plant
   double mean_jerk_m_s3 = 0, max_jerk_m_s3 = 0;  // second difference of the velocity over ticks
-  std::vector<float> tick_s;  // of the filter in each tick: measured, so no function of (seed, trial)
+  std::vector<float> tick_s;  // measured time of the filter in each tick; not a function of (seed, trial)
   RacerState start, end;
   GeofenceTrace trace;
 };

@@ -10,31 +10,31 @@
 namespace alula::flight {
 
 enum class PilotKind : std::uint8_t {
-  straight,    // pitched to a heading, height held, for good
+  straight,    // tilted towards a heading, height held, permanently
   diagonal,    // the same half way between two axes, and climbing or sinking: into an edge or a corner
   fall,        // no throttle, no rates
   sticks,      // random rates and throttle, held for 0.1 to 1 s
-  aggressive,  // random attitudes, tilted up to 85 degrees, and now and then random sticks
+  aggressive,  // random attitudes, tilted up to 85 degrees, and sometimes random sticks
   silent,      // aggressive, then no radio
   repeated     // to a wall, to the opposite one, to the floor, up again, and so on
 };
 
 struct Pilot {
   PilotKind kind = PilotKind::straight;
-  double heading_rad = 0;       // of straight, repeated; diagonal is 45 degrees to the left of it
+  double heading_rad = 0;       // of straight and repeated; diagonal is 45 degrees to the left of it
   double tilt_rad = 1.2566;     // 72 degrees
-  double climb_m_s2 = 0;        // of diagonal: vertical acceleration asked for
-  double silent_after_s = 1.5;  // of silent, at least; up to twice as long
+  double climb_m_s2 = 0;        // of diagonal: commanded vertical acceleration
+  double silent_after_s = 1.5;  // of silent: minimum time, at most twice as long
 };
 
-// Throws std::invalid_argument for a pilot or a time without meaning.
+// Throws std::invalid_argument for an angle or a time out of range.
 void check(const Pilot& pilot);
 
 class PilotHand {
  public:
   PilotHand(const Pilot& pilot, const RacerModel& model, RandomStream random, double start_height);
 
-  // Rounded to float, as a receiver's; nothing when the radio is silent.
+  // The command, rounded to float like a receiver's; nothing when the radio is silent.
   std::optional<RacerCommand> operator()(double time, const RacerState& x);
 
  private:
