@@ -138,7 +138,7 @@ void test_it_flies_the_commands_of_polytope_cbf_and_touches_nothing() {
     CHECK(least >= static_cast<double>(rig.config.radius_m) - 1e-5);
     CHECK(least < static_cast<double>(rig.config.radius_m) + 0.1);
     CHECK(rig.filter.late == 0 && rig.filter.corrections > 0);
-    if (std::getenv("ALULA_PRINT")) std::printf("period %2d ms: least distance %.4f m of 0.15\n", period, least);
+    if (std::getenv("ALULA_PRINT")) std::printf("period %2d ms: minimum distance %.4f m of 0.15\n", period, least);
   }
 }
 
@@ -159,7 +159,7 @@ void test_the_radius_covers_the_lag_of_a_vehicle() {
     }
     least = std::min(least, distance(rig.p));
   }
-  if (std::getenv("ALULA_PRINT")) std::printf("lag 0.1 s: least distance %.4f m of 0.15\n", least);
+  if (std::getenv("ALULA_PRINT")) std::printf("lag 0.1 s: minimum distance %.4f m of 0.15\n", least);
   CHECK(least > 0.1 && least < 0.25);
 }
 

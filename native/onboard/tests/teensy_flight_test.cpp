@@ -221,7 +221,7 @@ void test_it_stays_inside_and_loses_little_against_the_simulated_filter() {
         lost = std::max(lost, simulated - flown.min_distance);
       }
       if (talks()) {
-        std::printf("%-10s reserve %.2f m: least distance %6.3f m, at most %5.1f km/h, lost %6.3f m\n", names[kind],
+        std::printf("%-10s reserve %.2f m: minimum distance %6.3f m, at most %5.1f km/h, lost %6.3f m\n", names[kind],
                     static_cast<double>(reserve), least, 3.6 * fastest, lost);
       }
       if (reserve > 0) CHECK(least > 0);
@@ -247,7 +247,7 @@ void test_bad_lines_do_not_lead_outside() {
       }
     }
     if (talks()) {
-      std::printf("flipped %.3f a byte, frames lost %.1f, packets dropped %.1f: %d of %d outside, least %.3f m\n",
+      std::printf("flipped %.3f a byte, frames lost %.1f, packets dropped %.1f: %d of %d outside, minimum %.3f m\n",
                   line.flips, line.losses, line.drops, outside, flights, least);
     }
     CHECK(outside == 0 && mismatches == 0);

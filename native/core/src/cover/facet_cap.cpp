@@ -16,7 +16,7 @@ using Normal = std::array<std::int64_t, 3>;
 
 std::int64_t longest(const Normal& n) { return std::max({std::abs(n[0]), std::abs(n[1]), std::abs(n[2])}); }
 
-// The primitive normal, |n_i| <= kShortNormal, whose direction is nearest; ties to the shorter.
+// The primitive normal, |n_i| <= kShortNormal, with the nearest direction; ties go to the shorter one.
 Normal shortened(const Normal& n) {
   const std::int64_t length = longest(n);
   if (length <= kShortNormal) {

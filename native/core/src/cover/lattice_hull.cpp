@@ -5,6 +5,8 @@
 #include <numeric>
 #include <stdexcept>
 
+// The incremental convex hull, one algorithm from top to bottom: the choice and order of the points, the insertion of
+// points, and the conversion to polytopes and meshes.
 namespace alula {
 
 LatticeBox bounds(std::span<const Lattice> points) {

@@ -13,6 +13,8 @@
 #include "alula/cover/box_tree.hpp"
 #include "alula/cover/lattice_hull.hpp"
 
+// The greedy merging, one algorithm from top to bottom: elements, their links and the queue of candidate pairs, the
+// `Merger`, and the sets that a history of merges leaves.
 namespace alula {
 
 namespace {

@@ -72,7 +72,7 @@ class Bvh {
     return nodes_.empty() ? 0 : visit_near(0, Sight(a, d), reach, visit);
   }
 
-  // Calls visit(slot, item) for the obstacles of every leaf whose bound(node, box) is below `limit`, smallest bound
+  // Calls visit(slot, item) for the obstacles of every leaf with bound(node, box) below `limit`, smallest bound
   // first. A bound holds for everything in the box; NaN is no bound. `visit` may lower the limit; `heap` is scratch
   // memory.
   template <class Bound, class Visit>
