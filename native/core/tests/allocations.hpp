@@ -1,4 +1,5 @@
-// Counts what a test's program allocates; replaces operator new, so of one source file per program.
+// Counts the allocations of a test program. Replaces operator new, so only one source file per program may include
+// it.
 #pragma once
 
 #include <atomic>

@@ -1,4 +1,4 @@
-// The whole of the native test harness: a check that reports and counts.
+// The native test harness: a check that reports and counts failures.
 #pragma once
 
 #include <cstdio>

@@ -1,4 +1,4 @@
-// Closed forms of the distances, and that the tree and the threads change nothing.
+// Distances agree with closed forms and do not depend on the tree or the threads.
 #include "alula/geometry/clearance.hpp"
 
 #include <cmath>
@@ -76,11 +76,12 @@ void test_tree_and_threads_change_nothing() {
   const std::vector<double> one = segment_clearance(set, start, end, kNone, 1, control);
   CHECK(one == segment_clearance(set, start, end, kNone, 3, control));
   for (std::size_t i = 0; i < one.size(); ++i) {
-    double least = kNone;
+    double smallest = kNone;
     for (const PolytopeSet& box : alone) {
-      least = std::min(least, between(box, geometry::from_rows(&start[3 * i]), geometry::from_rows(&end[3 * i])));
+      smallest =
+          std::min(smallest, between(box, geometry::from_rows(&start[3 * i]), geometry::from_rows(&end[3 * i])));
     }
-    CHECK(std::abs(one[i] - least) < 1e-13);
+    CHECK(std::abs(one[i] - smallest) < 1e-13);
   }
 }
 

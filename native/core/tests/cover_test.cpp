@@ -1,34 +1,16 @@
-// Covers built by merge() pass check_hulls(), at the ends of the exact range too.
+// Covers built by merge() pass check_hulls(), also at the limits of the exact range.
 #include <cmath>
 
 #include "alula/cover/cover_check.hpp"
 #include "alula/cover/merge.hpp"
+#include "alula/cover/retighten.hpp"
+#include "alula/cover/union_volume.hpp"
 #include "check.hpp"
+#include "cover_arrays.hpp"
 
 namespace {
 
 using namespace alula;
-
-struct Arrays {
-  std::vector<std::int32_t> vertex, member;
-  std::vector<std::int64_t> normal, offset, vertex_start{0}, plane_start{0}, member_start{0};
-
-  Arrays(const Occupancy& occupancy, const Cover& cover) {
-    for (std::size_t h = 0; h < cover.hull.size(); ++h) {
-      for (const Lattice& v : cover.hull[h].vertex) vertex.insert(vertex.end(), v.begin(), v.end());
-      for (const LatticePlane& p : cover.hull[h].plane) {
-        normal.insert(normal.end(), p.normal.begin(), p.normal.end());
-        offset.push_back(p.offset);
-      }
-      for (const std::uint32_t m : cover.members[h])
-        member.insert(member.end(), occupancy.voxels()[m].begin(), occupancy.voxels()[m].end());
-      vertex_start.push_back(static_cast<std::int64_t>(vertex.size() / 3));
-      plane_start.push_back(static_cast<std::int64_t>(offset.size()));
-      member_start.push_back(static_cast<std::int64_t>(member.size() / 3));
-    }
-  }
-  CoverView view() const { return {vertex, vertex_start, normal, offset, plane_start, member, member_start}; }
-};
 
 void check_cover(const std::vector<Lattice>& voxels, std::size_t hulls, MergeRule rule) {
   Control control;
@@ -42,7 +24,7 @@ void check_cover(const std::vector<Lattice>& voxels, std::size_t hulls, MergeRul
   for (const bool tighten : {false, true}) {
     if (tighten) retighten(occupancy, cover, {}, control);
     sort_hulls(cover);
-    const Arrays arrays(occupancy, cover);
+    const CoverArrays arrays(occupancy, cover);
     CHECK(check_hulls(arrays.view(), 2, control).empty());
     const auto flat = std::span(reinterpret_cast<const std::int32_t*>(voxels.data()), 3 * voxels.size());
     CHECK(check_occupied(arrays.member, arrays.member_start, flat).empty());

@@ -1,4 +1,4 @@
-// Encounters fly what is asked within the vehicle's limits, and are judged from the truth between steps too.
+// Encounters fly the command within the vehicle's limits, and are judged on the true motion, also between steps.
 #include "alula/flight/encounter.hpp"
 
 #include <algorithm>
@@ -25,24 +25,24 @@ MovingReport flown(Vec3 a, std::uint8_t mode = ALULA_NOMINAL) {
   return report;
 }
 
-// Says what the test says, in each tick.
+// A filter that returns the test's report in each tick.
 class Scripted final : public MovingFilter {
  public:
-  explicit Scripted(Answer answer, std::vector<Vec3>* told = nullptr) : answer_(std::move(answer)), told_(told) {}
+  explicit Scripted(Answer answer, std::vector<Vec3>* flown = nullptr) : answer_(std::move(answer)), flown_(flown) {}
   MovingReport filter(const alula_vehicle_state&, std::span<const alula_track> tracks,
                       std::span<const alula_wall> walls, Vec3 nominal) override {
     return answer_(tick_++, tracks, walls, nominal);
   }
   void flown(Vec3 a) override {
-    if (told_ != nullptr) told_->push_back(a);
+    if (flown_ != nullptr) flown_->push_back(a);
   }
   void reset() override { tick_ = 0; }
-  std::unique_ptr<MovingFilter> clone() const override { return std::make_unique<Scripted>(answer_, told_); }
+  std::unique_ptr<MovingFilter> clone() const override { return std::make_unique<Scripted>(answer_, flown_); }
 
  private:
   Answer answer_;
   int tick_ = 0;
-  std::vector<Vec3>* told_;  // what was flown instead
+  std::vector<Vec3>* flown_;  // the commands flown instead
 };
 
 Scripted nominal() {
@@ -75,11 +75,11 @@ void test_the_closest_approach_is_that_of_the_parabola() {
     const Vec3 r0 = random.normals(i, 1), v = 3 * random.normals(i, 2), a = 5 * random.normals(i, 3);
     const double h = i % 2 ? 0.05 : 0.001;
     const auto at = [&](double t) { return r0 + t * v + t * t / 2 * a; };
-    double least = INFINITY;
-    for (int k = 0; k <= 2000; ++k) least = std::min(least, norm(at(h * k / 2000)));
+    double smallest = INFINITY;
+    for (int k = 0; k <= 2000; ++k) smallest = std::min(smallest, norm(at(h * k / 2000)));
     const double found = closest_approach(r0, at(h), a, h);
-    CHECK(found <= least + 1e-12 + norm(a) * h * h / 8);
-    CHECK(found >= least - 1e-4 * h * norm(v) - 1e-9);
+    CHECK(found <= smallest + 1e-12 + norm(a) * h * h / 8);
+    CHECK(found >= smallest - 1e-4 * h * norm(v) - 1e-9);
     CHECK(found <= std::min(norm(r0), norm(at(h))) + 1e-12);
   }
   CHECK(closest_approach({1, 0, 0}, {1, 0, 0}, {}, 0.01) == 1);
@@ -110,7 +110,7 @@ void test_the_plant_is_late_and_keeps_its_limits() {
   CHECK(begun == 25 && speed_reached > 0);
   plant.reset({});
   for (int k = 0; k < 30; ++k) plant.step();
-  CHECK(norm(plant.state().v) == 0);  // nothing is left of the commands before
+  CHECK(norm(plant.state().v) == 0);  // earlier commands have no effect after the reset
 }
 
 void test_an_obstacle_that_is_not_avoided_comes_as_near_as_geometry_says() {
@@ -157,18 +157,19 @@ void test_what_a_filter_refuses_is_braked_within_the_box() {
   CHECK(std::abs(last[3]) < 1e-3 && last[0] < 4.0 * 4 / 2);
 }
 
-void test_a_filter_is_told_what_is_flown_where_it_refused() {
+void test_a_filter_is_notified_of_the_command_flown_where_it_refused() {
   EncounterSpec spec = ideal();
   spec.rules.max_time_s = 0.1;
-  std::vector<Vec3> told;
+  std::vector<Vec3> replaced;
   const Scripted filter(
-      [](int tick, auto, auto, Vec3) { return tick == 3 || tick == 4 ? MovingReport{} : flown({0, 1, 0}); }, &told);
+      [](int tick, auto, auto, Vec3) { return tick == 3 || tick == 4 ? MovingReport{} : flown({0, 1, 0}); },
+      &replaced);
   const EncounterLog log = fly(spec, filter)[0];
-  CHECK(told.size() == 2 && log.refused_ticks == 2);
-  for (std::size_t i = 0; i < told.size(); ++i) {
-    for (int k = 0; k < 3; ++k) CHECK(told[i][k] == log.command[3 * (3 + i) + static_cast<std::size_t>(k)]);
+  CHECK(replaced.size() == 2 && log.refused_ticks == 2);
+  for (std::size_t i = 0; i < replaced.size(); ++i) {
+    for (int k = 0; k < 3; ++k) CHECK(replaced[i][k] == log.command[3 * (3 + i) + static_cast<std::size_t>(k)]);
   }
-  CHECK(told[0].x == -6);  // it brakes
+  CHECK(replaced[0].x == -6);  // it brakes
 }
 
 void test_trials_do_not_depend_on_their_order() {
@@ -183,7 +184,7 @@ void test_trials_do_not_depend_on_their_order() {
     CHECK(all[i].obstacle[1].closest_m == many[i].obstacle[1].closest_m && all[i].ticks == many[i].ticks);
   }
   CHECK(alone.obstacles == all[5].obstacles && alone.obstacles != all[4].obstacles);
-  // Tracks may be missing, so not all numbers compare.
+  // Tracks may be missing (NaN), so not all numbers compare equal.
   CHECK(alone.tracks.size() == all[5].tracks.size() &&
         std::memcmp(alone.tracks.data(), all[5].tracks.data(), alone.tracks.size() * sizeof(double)) == 0);
 }
@@ -205,7 +206,7 @@ PolytopeSet boxes(const std::vector<std::array<double, 6>>& bounds) {
 }
 
 void test_walls_are_shown_nearest_first_and_judged_exactly() {
-  std::vector<std::array<double, 6>> bounds{{3, 2, 9, 4, 5, 11}};  // 2 m to the left of the way
+  std::vector<std::array<double, 6>> bounds{{3, 2, 9, 4, 5, 11}};  // 2 m to the left of the path
   for (int i = 0; i < 40; ++i) bounds.push_back({3, 4.0 + i, 5, 4, 4.5 + i, 15});
   const PolytopeSet walls = boxes(bounds);
   EncounterSpec spec = ideal();
@@ -215,7 +216,7 @@ void test_walls_are_shown_nearest_first_and_judged_exactly() {
   const Scripted filter([&](int tick, auto, std::span<const alula_wall> seen, Vec3 a) {
     CHECK(seen.size() == ALULA_WALLS);
     for (std::size_t i = 1; i < seen.size(); ++i) CHECK(seen[i - 1].distance_m <= seen[i].distance_m);
-    if (tick == 0)  // ahead of it: 3 m to the front, of all of them
+    if (tick == 0)  // 3 m behind the front of all of them
       CHECK(std::abs(seen[0].distance_m - 3) < 1e-6 && seen[0].normal[0] == -1);
     if (tick == 85) CHECK(std::abs(seen[0].distance_m - 2) < 1e-6 && seen[0].normal[1] == -1);  // beside the first
     ++ticks;
@@ -230,7 +231,7 @@ void test_walls_are_shown_nearest_first_and_judged_exactly() {
   CHECK(std::abs(fly(spec, nominal())[0].wall_clearance_m - (-0.5 - 0.15)) < 2e-3);  // right through it
 }
 
-void test_specifications_without_meaning_are_refused() {
+void test_invalid_specifications_are_rejected() {
   const auto refused = [](const std::function<void(EncounterSpec&)>& change) {
     EncounterSpec spec;
     change(spec);
@@ -258,10 +259,10 @@ void test_all() {
   test_an_obstacle_that_is_not_avoided_comes_as_near_as_geometry_says();
   test_warnings_and_manoeuvres_are_timed();
   test_what_a_filter_refuses_is_braked_within_the_box();
-  test_a_filter_is_told_what_is_flown_where_it_refused();
+  test_a_filter_is_notified_of_the_command_flown_where_it_refused();
   test_trials_do_not_depend_on_their_order();
   test_walls_are_shown_nearest_first_and_judged_exactly();
-  test_specifications_without_meaning_are_refused();
+  test_invalid_specifications_are_rejected();
 }
 
 }  // namespace

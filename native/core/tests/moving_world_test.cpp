@@ -1,4 +1,5 @@
-// Numbers drawn for a place stay what they are; obstacles and scans are functions of them, whatever the vehicle does.
+// Random numbers depend only on their counters; obstacles and scans are functions of them, independent of the
+// vehicle.
 #include <cmath>
 #include <limits>
 #include <memory>
@@ -15,7 +16,7 @@ namespace {
 
 bool near(Vec3 a, Vec3 b) { return norm(a - b) < 1e-15 * norm(b); }
 
-// Up to what another mathematical library rounds differently.
+// Equal up to differences in rounding between mathematical libraries.
 void test_normals_stay_what_they_were() {
   const RandomStream random{0x0123456789abcdef, 42};
   CHECK(near(random.normals(7, 3), {0x1.4336fd0121958p+0, 0x1.c05711df11defp-1, 0x1.ed6a4a6da0bap-1}));

@@ -1,4 +1,4 @@
-// Outer polytopes contain their hulls, keep to their number of planes and have the corners they should.
+// Outer polytopes contain their hulls, respect their number of planes and have the right corners.
 #include <algorithm>
 #include <stdexcept>
 
@@ -9,6 +9,7 @@
 #include "alula/cover/onboard_map.hpp"
 #include "alula/cover/outer_solid.hpp"
 #include "check.hpp"
+#include "cover_arrays.hpp"
 
 namespace {
 
@@ -27,22 +28,8 @@ std::vector<Lattice> blobs() {
 }
 
 std::vector<Violation> violations(const Occupancy& occupancy, const Cover& cover) {
-  std::vector<std::int32_t> vertex, member;
-  std::vector<std::int64_t> normal, offset, vertex_start{0}, plane_start{0}, member_start{0};
-  for (std::size_t h = 0; h < cover.hull.size(); ++h) {
-    for (const Lattice& v : cover.hull[h].vertex) vertex.insert(vertex.end(), v.begin(), v.end());
-    for (const LatticePlane& p : cover.hull[h].plane) {
-      normal.insert(normal.end(), p.normal.begin(), p.normal.end());
-      offset.push_back(p.offset);
-    }
-    for (const std::uint32_t m : cover.members[h])
-      member.insert(member.end(), occupancy.voxels()[m].begin(), occupancy.voxels()[m].end());
-    vertex_start.push_back(static_cast<std::int64_t>(vertex.size() / 3));
-    plane_start.push_back(static_cast<std::int64_t>(offset.size()));
-    member_start.push_back(static_cast<std::int64_t>(member.size() / 3));
-  }
   Control control;
-  return check_hulls({vertex, vertex_start, normal, offset, plane_start, member, member_start, true}, 2, control);
+  return check_hulls(CoverArrays(occupancy, cover).view(true), 2, control);
 }
 
 std::size_t most_planes(const Cover& cover) {

@@ -1,4 +1,5 @@
-// Plants repeat, keep their rotors' limits and leave the bare body alone; the generator gives its published answers.
+// Plants are repeatable, respect the rotors' limits and equal the bare body without options; the random generator
+// gives its published test vectors.
 #include "alula/dynamics/plant.hpp"
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// Rows of any bytes are read within their bounds; to be run with sanitizers.
+// Rows of any bytes are read within their bounds; run it with sanitizers.
 #include "alula/formats/ply_rows.hpp"
 
 #include <cmath>
@@ -38,7 +38,7 @@ void any_bytes_become_a_scene_or_none() {
   for (const std::size_t count : {1u, 127u, 129u, 20'000u}) {
     for (const auto& [type, size] : {std::pair{NumberType::kFloat32, 4u}, {NumberType::kFloat64, 8u}}) {
       const std::size_t row = kPlyColumns * size;
-      std::vector<std::uint8_t> raw(count * row);  // as large as it must be and no larger
+      std::vector<std::uint8_t> raw(count * row);  // exactly the required size
       for (auto& byte : raw) byte = static_cast<std::uint8_t>(random());
       Arrays made(count);
       decode_ply_rows(raw, row, count % 2 == 0, places_every(size, type), PlyColor::kHarmonic, count, made.into(), 3,

@@ -1,4 +1,4 @@
-// The QP solver: no allocation, odd numbers, verdicts of any input, backends.
+// The QP solver: no allocation, extreme numbers, a verdict for every input, backends.
 #include "alula/qp/qp.hpp"
 
 #include <cmath>
@@ -48,7 +48,7 @@ void test_no_allocation() {
       for (const double shift : {0.0, 3.0}) problems.push_back(random_problem(random, n, m, shift));
     }
   }
-  // Two that only the wide run settles: out of the range of double precision.
+  // Two programs outside the range of double precision, which only the run in extended precision decides.
   for (const double size : {1e-300, 1e300}) {
     problems.push_back({2, {1, 0, 0, 1}, {1, 0}, {size, 0, 0, 1}, {size, -1}});
   }
@@ -75,7 +75,7 @@ void test_no_allocation() {
   CHECK(allocations == grown);
 }
 
-// Any bits at all: a verdict without a trap, finite when optimal.
+// Random bits: a verdict without a trap, finite when optimal.
 void test_any_numbers() {
   std::mt19937_64 random(2);
   const double odd[] = {0.0,         -0.0,   1.0,   -1.0,  1e-320,
@@ -139,9 +139,9 @@ void test_sizes() {
 
 void test_backend() {
   const Data data{1, {1}, {0}, {2}, {2}};
-  int asked = 0;
-  QpSolver solver = QpSolver::with_backend([&asked](const QpProblem& problem) {
-    ++asked;
+  int calls = 0;
+  QpSolver solver = QpSolver::with_backend([&calls](const QpProblem& problem) {
+    ++calls;
     QpResult result;
     result.status = QpStatus::optimal;
     result.x[0] = 0.5 * problem.bounds[0] / problem.rows[0];
@@ -150,7 +150,7 @@ void test_backend() {
   QpSolver copy = solver;
   CHECK(solver.solve(data.view()).violation == 0.5);
   CHECK(copy.solve(data.view()).x[0] == 0.5);
-  CHECK(asked == 2);
+  CHECK(calls == 2);
   CHECK(QpSolver().solve(data.view()).x[0] == 1);
 }
 

@@ -1,4 +1,4 @@
-// Rollouts do not depend on the number of threads, and the rounding helpers round as named.
+// Rollouts do not depend on the number of threads, and the rounding helpers round in the direction of their names.
 #include "alula/flight/rollout.hpp"
 
 #include <cmath>

@@ -81,11 +81,11 @@ bool is_same(const std::vector<Found>& a, const std::vector<Found>& b) {
   });
 }
 
-// A walk with jumps: what was found before must not show in what is found.
+// A walk with jumps: results of earlier queries must not affect later ones.
 void test_guesses_change_nothing(const EllipsoidIndex& index) {
   std::mt19937_64 random(11);
   const auto uniform = [&] { return 2 * static_cast<double>(random() >> 11) * 0x1p-53 - 1; };
-  std::vector<Found> kept, fresh;
+  std::vector<Found> kept, empty;
   Point p, v{1, 0, 0};
   std::size_t seen = 0;
   for (int i = 0; i < 2000; ++i) {
@@ -96,19 +96,19 @@ void test_guesses_change_nothing(const EllipsoidIndex& index) {
     const double reach = i % 11 == 0 ? 0.1 : 1.5;
     const std::size_t count = i % 13 == 0 ? 200 : 65;
     if (i % 17 == 0) kept.push_back({4'000'000'000U, 0}), kept.push_back({3, 0}), kept.push_back({3, 0});
-    fresh.clear();
+    empty.clear();
     if (i % 3 == 0) {
-      index.nearest(p, end, reach, count, kept), index.nearest(p, end, reach, count, fresh);
+      index.nearest(p, end, reach, count, kept), index.nearest(p, end, reach, count, empty);
     } else {
-      index.nearest_ahead(p, end, v, reach, count, kept), index.nearest_ahead(p, end, v, reach, count, fresh);
+      index.nearest_ahead(p, end, v, reach, count, kept), index.nearest_ahead(p, end, v, reach, count, empty);
     }
-    CHECK(is_same(kept, fresh));
-    seen += fresh.size();
+    CHECK(is_same(kept, empty));
+    seen += empty.size();
   }
   CHECK(seen > 50'000);
 }
 
-// Where single precision has 1 mm left, as with coordinates of a country.
+// At coordinates where single precision resolves 1 mm, as in national grids.
 void test_far_from_the_origin_nothing_is_missed() {
   Cloud cloud(3000);
   for (std::size_t i = 0; i < cloud.mean.size(); i += 3) cloud.mean[i] += 9000, cloud.mean[i + 1] -= 7000;
@@ -127,13 +127,13 @@ void test_far_from_the_origin_nothing_is_missed() {
     index->nearest_ahead(p, p, v, 1, expected.size() + 1, found);
     CHECK(found.size() == expected.size() && found.size() > 20);
     std::sort(found.begin(), found.end(), [](const Found& a, const Found& b) { return a.item < b.item; });
-    double least = 1;
+    double smallest = 1;
     for (std::size_t k = 0; k < std::min(found.size(), expected.size()); ++k) {
       CHECK(found[k].item == expected[k].item && std::abs(found[k].distance - expected[k].distance) < 1e-12);
-      least = std::min(least, expected[k].distance);
+      smallest = std::min(smallest, expected[k].distance);
     }
     std::uint32_t hint = 0;
-    CHECK(index->clearance(p, 5, hint) <= least + 1e-12);
+    CHECK(index->clearance(p, 5, hint) <= smallest + 1e-12);
   }
 }
 
@@ -159,7 +159,7 @@ void test_four_at_once_are_four_alone() {
   }
 }
 
-// What is left behind is told apart by single precision first, and segments are asked about without a nearest one.
+// Ellipsoids behind are rejected in single precision first, and queries of segments work without a nearest one.
 void test_shortcuts_change_nothing(const EllipsoidIndex& index) {
   std::vector<Found> every, ahead, nearest;
   for (int i = 0; i < 100; ++i) {

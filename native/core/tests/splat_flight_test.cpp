@@ -23,11 +23,11 @@ const Quadrotor kBody(0.461, {6.5e-4, 6.9e-4, 1.1e-3},
                        .f_min = {0, 0, 0, 0},
                        .f_max = {4.25, 4.25, 4.25, 4.25}});
 
-// From rest to rest along x in two seconds, at y: 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 of two metres.
+// Rest to rest along x in two seconds, at y: 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7, times two metres.
 ReferenceCurve reference(double y) {
   std::vector<double> coefficient(32, 0.0);
-  const double share[] = {35, -84, 70, -20};
-  for (std::size_t j = 0; j < 4; ++j) coefficient[4 + j] = 2 * share[j] / std::pow(2.0, 4.0 + static_cast<double>(j));
+  const double term[] = {35, -84, 70, -20};
+  for (std::size_t j = 0; j < 4; ++j) coefficient[4 + j] = 2 * term[j] / std::pow(2.0, 4.0 + static_cast<double>(j));
   coefficient[8] = y;
   coefficient[16] = 1;
   return ReferenceCurve(std::vector<double>{0, 2}, coefficient);
@@ -79,7 +79,8 @@ int main() {
   CHECK(least_gamma(*index, plain[0].position) < 0);  // straight through the first ellipsoid
   CHECK(!same(plain[0], one[0]));
 
-  // What is not finite hovers; what is far beyond the rotors is cut, and leaves the box in the end.
+  // A command that is not finite hovers; a command far beyond the rotors' limits is clipped and finally leaves the
+  // box.
   FlightRules rules;
   rules.max_time_s = 0.5;
   const Wrong nan(std::numeric_limits<double>::quiet_NaN());

@@ -1,4 +1,4 @@
-// The tracker's memory: none is asked for once it has been made.
+// The tracker allocates no memory after its construction.
 #include "alula/tracking/tracker.hpp"
 
 #include <cmath>
@@ -13,7 +13,7 @@ namespace {
 using namespace alula::flight;
 using alula::geometry::Vec3;
 
-// Things on a grid that drift; some are missed, and one detection is far from all.
+// Drifting objects on a grid; some are missed, and one detection is far from all.
 void detect(std::size_t things, int scan, std::vector<Detection>& out) {
   out.clear();
   for (std::size_t i = 0; i < things; ++i) {
@@ -57,7 +57,7 @@ int main() {
   all.with_turn = all.gates_models = all.heavy_tails = all.adapts_transition = all.winner_takes_all = true;
   nothing_is_allocated(all);
 
-  // A tracker moves with what it knows.
+  // Moving a tracker keeps its tracks.
   Tracker first;
   std::vector<Detection> detections;
   for (int scan = 0; scan < 9; ++scan) detect(3, scan, detections), first.update(0.05 * scan, detections);

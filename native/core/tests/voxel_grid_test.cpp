@@ -36,11 +36,11 @@ void test_counts_and_order() {
       for (std::size_t i = begin; i < end; ++i) writer.add(runs[i]);
       writer.finish();
     });
-    for (const std::uint32_t least : {0u, 1u, 3u}) {
-      const VoxelCounts found = grid.collect(least, jobs, control);
+    for (const std::uint32_t minimum : {0u, 1u, 3u}) {
+      const VoxelCounts found = grid.collect(minimum, jobs, control);
       std::size_t at = 0;
       for (const auto& [voxel, count] : expected) {
-        if (count < least) continue;
+        if (count < minimum) continue;
         CHECK(at < found.count.size() && found.count[at] == count);
         for (std::size_t a = 0; a < 3; ++a) CHECK(found.index[3 * at + a] == voxel[a]);
         ++at;

@@ -11,7 +11,7 @@ using namespace alula;
 namespace {
 
 constexpr double kEdge = 0.1;
-constexpr std::size_t kEllipsoids = 9000;  // more than the threads take at a time
+constexpr std::size_t kEllipsoids = 9000;  // more than one batch of the threads
 
 struct Scene {
   std::vector<float> mean, scale, quat;

@@ -47,7 +47,7 @@ Nominal nominal() {
   return n;
 }
 
-// Every state in an order that no tick could have left the filter in: commitments are of no use, nor may they harm.
+// States in an order that cannot occur in a flight: the filter's commitments do not apply and must not do harm.
 void test_ticks(SplatFilter& filter) {
   const Quadrotor body = vehicle();
   const auto other = filter.clone();
@@ -69,7 +69,7 @@ void test_ticks(SplatFilter& filter) {
   CHECK(allocations == before);
 }
 
-// A row that is not finite is never left out: nothing satisfies it, whatever its bound.
+// A row that is not finite is never left out: no input satisfies it, for any bound.
 void test_rows_that_are_no_numbers() {
   WrenchProgram program(vehicle(), 4);
   Vec4 u{};
@@ -129,7 +129,7 @@ int main() {
       ConeEcbfOptions ecbf;
       ConeBackupOptions backup;
       ecbf.tracking.weight = backup.tracking.weight = weight;
-      // With lag too; rotors that nobody tells of hover.
+      // With lag too; without rotor thrusts the filter assumes hovering.
       ecbf.shield.motor_time_constant_s = backup.shield.motor_time_constant_s = weight > 0 ? 0.03 : 0;
       ConeEcbf first(policy, index, ecbf);
       ConeBackup second(policy, index, backup);

@@ -1,4 +1,4 @@
-/* What fuzz targets share: values out of bytes, and what must hold. */
+/* Common code of the fuzz targets: values from bytes, and checks. */
 #ifndef ALULA_FUZZ_H
 #define ALULA_FUZZ_H
 
@@ -25,7 +25,7 @@ typedef struct {
   size_t left;
 } bytes;
 
-/* Zeros at the end. */
+/* The next bytes as a number; zeros after the end. */
 static inline uint32_t take(bytes* in, size_t count) {
   uint32_t value = 0;
   for (size_t i = 0; i < count; ++i) {
@@ -42,7 +42,7 @@ static inline float float_of(uint32_t bits) {
   return value;
 }
 
-/* Mostly a number up to `scale`, now and then what no sensor should give, or any bits. */
+/* Mostly a number up to `scale`; sometimes a value that no sensor should give, or any bits. */
 static inline float take_float(bytes* in, float scale) {
   static const uint32_t ODD[] = {0x7FC00000U, 0x7F800000U, 0xFF800000U, 0x7F7FFFFFU, 0xFF7FFFFFU, 0x00000001U,
                                  0x80000001U, 0x80000000U, 0x00800000U, 0x7149F2CAU, 0x4B800000U, 0xCB800000U};
@@ -83,8 +83,8 @@ static inline void put(uint8_t* at, uint32_t value) {
   for (int i = 0; i < 4; ++i) at[i] = (uint8_t)(value >> 8 * i);
 }
 
-/* An image: uint16 bytes of it, then these; a copy in memory of just that size, with matching sums unless the byte
- * before says so. Null when there is none. */
+/* An image: a uint16 size, then its bytes. Returns a copy in memory of exactly that size, with matching checksums
+ * unless the byte before requests otherwise; null when there is no image. */
 static inline uint8_t* take_image(bytes* in, uint32_t* size) {
   const uint32_t keeps_sums = take(in, 1) == 1U;
   const uint32_t wanted = take(in, 2);
@@ -102,7 +102,7 @@ static inline uint8_t* take_image(bytes* in, uint32_t* size) {
   return image;
 }
 
-/* Opens it; 0, and an empty map that nothing takes, when it is none. */
+/* Opens an image; if it is invalid, returns 0 and an empty map, which every function must refuse. */
 static inline int open_image(const uint8_t* image, uint32_t size, alula_map* map) {
   const alula_map_status status = alula_map_open(map, image, size);
   if (status == ALULA_MAP_READY) return 1;

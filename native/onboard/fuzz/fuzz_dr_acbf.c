@@ -6,7 +6,7 @@
 
 static alula_dr_acbf filter;
 
-/* The defaults, with a few numbers that are something else. */
+/* The defaults, with a few numbers replaced. */
 static alula_dr_acbf_config take_config(bytes* in) {
   alula_dr_acbf_config config = alula_dr_acbf_defaults();
   for (uint32_t changes = take(in, 1) % 4U; changes > 0U; --changes) {
@@ -16,7 +16,7 @@ static alula_dr_acbf_config take_config(bytes* in) {
     uint32_t whole = take(in, 1) % 20U;
     memcpy((uint8_t*)&config + 4U * word, kind % 2U ? (void*)&whole : (void*)&value, 4);
   }
-  config.solver = config.solver == ALULA_SOLVER_GAUSS_SOUTHWELL; /* the only words that C gives no other value */
+  config.solver = config.solver == ALULA_SOLVER_GAUSS_SOUTHWELL; /* an enum must hold one of its values */
   return config;
 }
 

@@ -1,4 +1,4 @@
-/* A receiver's and a navigation's line with any bytes on them, and pauses. */
+/* The lines of receiver and navigation with any bytes, and pauses. */
 #include "alula_navigation_link.h"
 #include "alula_sbus.h"
 #include "fuzz.h"
@@ -17,7 +17,7 @@ static void check_packet(const alula_navigation* packet) {
   for (int i = 0; i < 4; ++i) CHECK(fabsf(packet->state.attitude[i]) <= 1.0001F);
 }
 
-/* A packet whose checksum the bytes decide about: a mutation alone finds none. */
+/* Sends a packet; the input decides whether its checksum is right, because mutation alone finds no right one. */
 static void send_packet(bytes* in, alula_navigation_parser* parser) {
   alula_navigation sent = {.flags = (uint8_t)take(in, 1)}, found;
   uint8_t packet[ALULA_NAVIGATION_BYTES];
@@ -29,7 +29,7 @@ static void send_packet(bytes* in, alula_navigation_parser* parser) {
   CHECK(alula_navigation_decode(packet, &found));
   const uint32_t at = take(in, 1) % ALULA_NAVIGATION_BYTES, by = take(in, 1);
   packet[at] = (uint8_t)(packet[at] ^ by);
-  CHECK((alula_navigation_decode(packet, &found) != 0) == (by == 0U)); /* of one byte it finds any damage */
+  CHECK((alula_navigation_decode(packet, &found) != 0) == (by == 0U)); /* detects any damage of one byte */
   for (uint32_t i = 0; i < ALULA_NAVIGATION_BYTES; ++i) {
     if (alula_navigation_push(parser, packet[i], &found)) check_packet(&found);
   }

@@ -1,4 +1,4 @@
-/* An image, positions, and in the end a byte of it that changes while it is in use. */
+/* An image, positions, and finally a byte of the image that changes during use. */
 #include "fuzz.h"
 
 static void check_value(const alula_map* map, alula_map_status status, const float x[3], const alula_map_value* v) {
@@ -26,7 +26,7 @@ static void walk_records(const alula_map* map) {
   CHECK(at == map->records_end && planes == map->plane_count);
 }
 
-/* Nothing is read outside, and what comes out is a number. */
+/* Uses a damaged image: nothing is read outside it, and results are numbers. */
 static void use_damaged(const alula_map* map, alula_map_near* near, uint8_t* image, uint32_t size, bytes* in) {
   for (int k = 0; k < 4; ++k) {
     image[take(in, 4) % size] = (uint8_t)take(in, 1);

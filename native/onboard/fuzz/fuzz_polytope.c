@@ -1,4 +1,4 @@
-/* An image, parameters, and ticks of polytope-cbf, each beside the same that looks at every plane. */
+/* An image, parameters, and ticks of polytope-cbf, each compared with a run that evaluates every plane. */
 #include "fuzz.h"
 
 static alula_polytope_cbf cbf, brute;

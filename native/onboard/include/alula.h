@@ -1,4 +1,4 @@
-/* Alula on board: safety filters in freestanding C99, one header for all.
+/* Alula on board: safety filters in freestanding C99. This header includes all others.
  *
  *   map          alula_map_open             a cover in flash, written by `alula export COVER --target ...`
  *   polytope-cbf alula_polytope_cbf_open    velocity commands among the map's hulls
@@ -8,11 +8,12 @@
  *   geofence     alula_geofence_init        throttle and rates of a pilot, inside a box or polytope, outside the map
  *                alula_geofence_filter
  *
- * Every filter is a struct that the caller owns; set-up checks every parameter and gives an alula_status, a tick
- * takes the state and the nominal input and gives a status and what to fly. No heap, no recursion,
- * no library, no state but the struct: one struct per thread. What is not finite or out of range is refused.
+ * Every filter is a struct that the caller owns. Set-up checks every parameter and returns an alula_status; a tick
+ * takes the state and the nominal input and returns a status and the command to fly. No heap, no recursion,
+ * no library, no state outside the struct: one struct per thread. Inputs that are not finite or out of range are
+ * refused.
  *
- * Capacities, to be defined alike for all files: ALULA_PLANE_ROWS and ALULA_KEPT_HULLS (polytope-cbf),
+ * Capacity macros, with the same definition for all files: ALULA_PLANE_ROWS and ALULA_KEPT_HULLS (polytope-cbf),
  * ALULA_OBSTACLES and ALULA_WALLS (dr-acbf), ALULA_FENCE_FACES (geofence).
  */
 #ifndef ALULA_H

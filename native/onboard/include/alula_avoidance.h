@@ -1,12 +1,12 @@
-/* When and where to dodge moving obstacles: what DR-ACBF and the filters compared with it share.
+/* Avoidance of moving obstacles, common to DR-ACBF and the filters compared with it: early warning and manoeuvres.
  *
  * Per tick and obstacle i, with P = p_i - p, V = v_i - v, d = |P|, n = P / d and v_cl = max(0, -n . V):
  *
- *   envelope     ahat_i: a sliding-mode differentiator of v_i, and the largest of it lately
+ *   envelope     ahat_i: the recent maximum of a sliding-mode differentiator of v_i
  *   warning      CVaR of Z = R + v tau + v^2 / (2 (a_e + a_i)) - |P(t)| over samples of the tracker's Gaussian,
  *                plus eps L_Z, at five times up to H_max; or a chance constraint at one time (the ablation)
  *   manoeuvre    NOMINAL -> AVOID -> HOVER -> NOMINAL: to a bypass point in the best of twelve directions, a stop,
- *                and on
+ *                and onward
  *
  * Source: Mandaokar, Rinner 2025 (DR-ACBF, arXiv 2512.00462), sections III-B to III-D, IV-A.
  * One inertial frame, SI units, single precision; all memory in the structs; every loop bounded.
@@ -21,13 +21,13 @@ extern "C" {
 #endif
 
 #ifndef ALULA_OBSTACLES
-#define ALULA_OBSTACLES 128U /* at most, per tick; define it smaller for a microcontroller */
+#define ALULA_OBSTACLES 128U /* maximum per tick; define it smaller for a microcontroller */
 #endif
 #ifndef ALULA_WALLS
 #define ALULA_WALLS 32U
 #endif
 #define ALULA_SAMPLES 64U
-#define ALULA_LARGEST 1.0e6F /* number of an input; its square of a covariance */
+#define ALULA_LARGEST 1.0e6F /* largest number of an input; for a covariance, its square */
 #define ALULA_NO_OBSTACLE 0xFFFFFFFFU
 
 typedef struct {
@@ -37,14 +37,14 @@ typedef struct {
 
 /* A confirmed track. */
 typedef struct {
-  uint32_t id; /* of the same obstacle the same in every tick */
+  uint32_t id; /* identifies the obstacle in every tick */
   float position[3], velocity[3];
   float covariance[21]; /* of (position, velocity): the lower triangle, row by row */
   float radius_m;
-  float acceleration[3]; /* as estimated; 0 when it is not known */
+  float acceleration[3]; /* estimated; 0 when unknown */
 } alula_track;
 
-/* Static obstacles stay beyond a plane: n . (x - p) <= -distance_m would be inside one of them. */
+/* A plane with static obstacles behind it: points x with n . (x - p) <= -distance_m may be inside an obstacle. */
 typedef struct {
   float normal[3];  /* of length 1, from the obstacle to the vehicle */
   float distance_m; /* from the vehicle's centre */
@@ -61,24 +61,24 @@ typedef struct {
   float l1, l2, settle_s, envelope_start, envelope_cap, envelope_forget;
   /* warning */
   int distributional;     /* 0: the simple trigger */
-  float tail;             /* beta */
+  float tail;             /* beta of the CVaR */
   float wasserstein;      /* eps [m] */
   float obstacle_braking; /* a_i in D_dyn [m/s^2]; 0 is conservative */
   float simple_quantile;  /* of the simple trigger */
   /* manoeuvre */
   float clearance_m; /* d_cl */
   float hold_s;      /* t_hd */
-  float kp, kd;      /* of the way to the bypass point [1/s^2, 1/s] */
-  float reach_m;     /* to it: there */
+  float kp, kd;      /* gains towards the bypass point [1/s^2, 1/s] */
+  float reach_m;     /* distance at which it counts as reached */
   float longest_avoid_s;
-  float improvement;   /* share by which another direction must be better */
+  float improvement;   /* fraction by which another direction must be better */
   int accelerated;     /* the miss is predicted with the track's acceleration, cut at envelope_cap; 0: on a line */
   float stop_s, brake; /* t_s, k_s */
   float stopped_m_s;
-  float wall_room_m; /* kept by bypass points from walls beyond the vehicle's radius */
+  float wall_room_m; /* distance of bypass points from walls, beyond the vehicle's radius */
 } alula_avoidance_config;
 
-/* The defaults of the source, and of the specification where it says nothing. */
+/* The defaults of the source; where it states none, those of the specification. */
 alula_avoidance_config alula_avoidance_defaults(void);
 
 typedef enum { ALULA_NOMINAL = 0, ALULA_AVOID, ALULA_HOVER } alula_avoidance_mode;
@@ -93,12 +93,12 @@ typedef struct {
   float sigma2_p;    /* n . (Sigma_e + Sigma_i) n [m^2] */
   float sigma2_v;    /* n . Sigma_vv n [m^2/s^2] */
   uint32_t active;   /* closing and in range */
-  float miss[3];     /* relative position at the closest approach, were the vehicle to hover here, */
-  float miss_s;      /* in so long; of those that are active, in a manoeuvre */
+  float miss[3];     /* relative position at the closest approach, if the vehicle hovered here, */
+  float miss_s;      /* and the time until then; only for active obstacles in a manoeuvre */
 } alula_encounter;
 
 typedef struct {
-  uint32_t id, age; /* ticks since the first */
+  uint32_t id, age; /* age: ticks since the first */
   uint32_t seen;    /* in this tick */
   float z0[3], z1[3], bound;
 } alula_envelope;
@@ -109,55 +109,56 @@ typedef struct {
   uint32_t ticks_in_mode;
   float bypass[3], direction[3];
   uint32_t has_bypass;
-  uint32_t threat;  /* id of the obstacle that is avoided */
+  uint32_t threat;  /* id of the obstacle being avoided */
   float command[3]; /* flown in the last tick, for the prediction */
   uint32_t envelope_count;
   alula_envelope envelope[ALULA_OBSTACLES];
   uint32_t count;
   alula_encounter encounter[ALULA_OBSTACLES]; /* in the order of the tracks */
   float sample[ALULA_SAMPLES / 2U][6];        /* standard normal, each also with the other sign */
-  float worst_sample;                         /* the longest of them */
+  float worst_sample;                         /* norm of the longest of them */
 } alula_avoidance;
 
 typedef struct {
-  float wished[3]; /* what to fly if no barrier forbids: the nominal, or of the manoeuvre */
+  float wished[3]; /* the command before the barriers: the nominal one, or that of the manoeuvre */
   int warned;      /* in this tick */
   float risk_m;    /* the largest CVaR, -FLT_MAX without obstacles */
   uint32_t urgent; /* index of the track with the largest v_cl / d; ALULA_NO_OBSTACLE */
   alula_avoidance_mode mode;
 } alula_guidance;
 
-/* ALULA_BAD_PARAMETER unless all numbers mean something. */
+/* Returns ALULA_BAD_PARAMETER unless all numbers are in range. */
 ALULA_MUST_USE alula_status alula_avoidance_init(alula_avoidance* avoidance, const alula_avoidance_config* config);
 
 void alula_avoidance_reset(alula_avoidance* avoidance); /* to before the first tick */
 
-/* One tick. ALULA_BAD_INPUT for numbers that are not finite or larger than ALULA_LARGEST, negative variances or
- * radii, equal ids, or more obstacles or walls than there is room for; then nothing changes. */
+/* One tick. Returns ALULA_BAD_INPUT for numbers that are not finite or larger than ALULA_LARGEST, negative variances
+ * or radii, equal ids, or more obstacles or walls than the capacity; then nothing changes. */
 ALULA_MUST_USE alula_status alula_avoidance_step(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
                                                  const alula_track* track, uint32_t count, const alula_wall* wall,
                                                  uint32_t wall_count, const float nominal[3],
                                                  alula_guidance* guidance);
 
-/* What is flown after it: the next prediction counts with that. */
+/* Sets the command flown after this tick, for the next prediction. */
 void alula_avoidance_flown(alula_avoidance* avoidance, const float command[3]);
 
-/* Of a track, or null; and all of them a tick on: those that are gone are forgotten. */
+/* The first returns the envelope of a track, or null. The second advances all envelopes by a tick and drops those of
+ * tracks that are gone. */
 alula_envelope* alula_find_envelope(alula_avoidance* avoidance, uint32_t id);
 void alula_update_envelopes(alula_avoidance* avoidance, const alula_track* track, uint32_t count);
 
-/* The bypass point of this tick: of twelve directions, and the one held, that which takes the least acceleration past
- * all active obstacles, and not beyond a wall. After the encounters of the tick are known; `urgent` is one of them.
- */
+/* Chooses the bypass point of this tick: among twelve directions and the current one, the direction that needs the
+ * minimum acceleration to pass all active obstacles and is not behind a wall. Call it after the encounters of the
+ * tick are computed; `urgent` is one of them. */
 void alula_choose_bypass(alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track,
                          const alula_wall* wall, uint32_t wall_count, uint32_t urgent);
 
-/* The largest CVaR of Z plus eps L_Z of one track: at least 0 warns. `relative_acceleration` is
- * a_i - a_e [m/s^2]. Where a bound over all samples is negative already, that bound. */
+/* The largest CVaR of Z plus eps L_Z of one track; a value of at least 0 warns. `relative_acceleration` is
+ * a_i - a_e [m/s^2]. If a bound over all samples is already negative, returns that bound. */
 float alula_early_warning(const alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
                           const alula_track* track, const float relative_acceleration[3]);
 
-/* Standard normal points of low discrepancy for it. */
+/* Standard normal points of low discrepancy for the early warning. */
 void alula_early_warning_samples(float sample[ALULA_SAMPLES / 2U][6]);
 
 #ifdef __cplusplus

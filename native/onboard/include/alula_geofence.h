@@ -7,41 +7,42 @@
  *   u = lambda u_des + (1 - lambda) u_B(x),  lambda = 0 where h_I <= 0                                     (8, 9)
  *   lambda = 1 - exp(-beta min_c max(h_c, 0) / v_c),  v_c = cut(speed towards c, 1, 10)                 (10, 19)
  *
- * c counts the faces of the fence, the map and, with v_c = 1, h_B, and h_c is the least of c along the flow. With one
- * face that is (19); with several it has no jump where another face becomes the nearest. v_c = 1 for all gives (10).
- * When lambda rounds to 1 the pilot's command is returned bit by bit. Of h_B counts h_B min(1, beta h_B / 16): less
- * than (10) while lambda would not round to 1, and flat at 0. A tick can change h_B, with its factor of 40, by 1;
- * lambda would go to and fro between pilot and backup.
+ * lambda is the regulation function. c runs over the faces of the fence, the map and, with v_c = 1, h_B; h_c is the
+ * minimum of c along the flow. With one face this is (19); with several it does not jump where another face becomes
+ * the nearest. v_c = 1 for all gives (10). When lambda rounds to 1 the pilot's command is returned bit by bit. h_B
+ * enters as h_B min(1, beta h_B / 16): less than (10) while lambda would not round to 1, and flat at 0. With its
+ * factor of 40, h_B can change by 1 in a tick, and lambda would otherwise oscillate between pilot and backup.
  *
- * Hold. u_B steers to a height and a yaw frozen where the flow began; so they are state. They are frozen anew in
- * every tick with h_I > 0; as soon as h_I <= 0 the last ones are kept, so that what is flown with lambda = 0 is the
- * flow that was found safe, not another that begins again in every tick.
+ * Hold. u_B steers to a height and a yaw that are frozen at the start of the flow, so they are state. They are frozen
+ * again in every tick with h_I > 0. Once h_I <= 0 the last ones are kept, so the flight with lambda = 0 follows
+ * the flow that was found safe, not another one that starts in every tick.
  *
- * Margin. The flow is integrated with steps dt and, beside it, 2 dt. The command is extrapolated to the middle of the
- * step, so the method is of second order, and of first where a limit of u_B begins or ends to act. Then the error of
- * the fine flow is |fine - coarse| / 3 or / 1 to leading order. Taken off at every node is
+ * Margin. The flow is integrated with steps dt and, in parallel, 2 dt. The command is extrapolated to the middle of
+ * the step, so the method is of second order, and of first where a limit of u_B becomes active or inactive. Then the
+ * error of the fine flow is |fine - coarse| / 3 or / 1 to leading order. The margin subtracted at every node is
  *
  *   max over the nodes so far of |p_fine - p_coarse| + 2 dt |v_fine - v_coarse|
- *                     the full difference; with the velocities, and the maximum, as the two flows may cross. A flow
- *                     that was upside down is far from leading order (a turn of almost 180 degrees has no preferred
- *                     axis): there it counts up to five times, from 0.25 of the axis below the horizon on
- *   (T + g) dt^2 / 8  a node's chord may be left by that much
- *   |v| dt_s          u_B is held for a tick: at any time it is the one of at most a tick ago, as if the flow had
+ *                     the full difference, including velocities and the maximum because the two flows may cross. A
+ *                     flow that was upside down is far from leading order (a turn of almost 180 degrees has no
+ *                     preferred axis): there it counts up to five times, from 0.25 of the axis below the horizon on
+ *   (T + g) dt^2 / 8  maximum distance of the flow from the chord between nodes
+ *   |v| dt_s          u_B is held for a tick: at any time it is at most a tick old, as if the flow had
  *                     begun that much later
- *   (2 N + 64) u (E + 3 V)   each node is a sum of one with two roundings, u = 2^-24; E: coordinates, V: speed
+ *   (2 N + 64) u (E + 3 V)   each node adds a term with two roundings, u = 2^-24; E: coordinates, V: speed
  *
- * With these h_I is below that of the flow as flown, h_true. As h_true does not fall along u_B, and a command with
- * weight lambda <= beta h_I / v_c lowers it in a tick by at most lambda D, D = what the pilot alone could do in a
- * tick (some centimetres), h_true >= h_I (1 - beta D / v_c) > 0 in the tick in which u_B takes over. What the model
- * leaves out (mass, wind, delay) is for `reserve_m`. The bound is to leading order, not an enclosure.
+ * With this margin h_I is below the value of the true flow, h_true. h_true does not decrease along u_B. A command
+ * with weight lambda <= beta h_I / v_c lowers it in a tick by at most lambda D, where D is the decrease by the pilot
+ * alone in a tick (some centimetres). So h_true >= h_I (1 - beta D / v_c) > 0 in the tick in which u_B takes over.
+ * Effects that the model omits (mass, wind, delay) must be covered by `reserve_m`. The bound is to leading order, not
+ * an enclosure.
  *
- * Without a pilot (null, or a number that is not finite) u_B is flown, with the hold of when he fell silent. Without
- * navigation (null, or not plausible) the model takes the last state on, and what it may be off by,
- * e = s t + a t^2 / 2, is taken off the margin; after stale_limit_s the outcome is HAND_OVER: a level attitude and
- * slightly too little throttle to hover, no fence any more, until navigation comes back.
+ * Without a pilot (null, or a number that is not finite) u_B is flown, with the hold from the time of the loss.
+ * Without navigation (null, or not plausible) the model predicts from the last state, and the bound of the prediction
+ * error, e = s t + a t^2 / 2, is added to the margin. After stale_limit_s the outcome is HAND_OVER: a level attitude
+ * and slightly too little throttle to hover, without a fence, until navigation returns.
  *
- * Source: Singletary, Swann, Chen, Ames 2022 (arXiv 2201.04331). Cost: 3 N / 2 steps of the model per tick, and the
- * faces; with a map psi near it.
+ * Source: Singletary, Swann, Chen, Ames 2022 (arXiv 2201.04331). Cost: 3 N / 2 steps of the model per tick, the
+ * faces, and psi near a map.
  */
 #ifndef ALULA_GEOFENCE_H
 #define ALULA_GEOFENCE_H
@@ -53,8 +54,8 @@
 extern "C" {
 #endif
 
-#define ALULA_GEOFENCE_STEPS 400U  /* of a flow, at most */
-#define ALULA_GEOFENCE_LATENCY 32U /* ticks, at most */
+#define ALULA_GEOFENCE_STEPS 400U  /* maximum of a flow */
+#define ALULA_GEOFENCE_LATENCY 32U /* maximum, in ticks */
 #define ALULA_GEOFENCE_NONE 0xFFFFFFFFU
 #define ALULA_GEOFENCE_END 0xFFFFFFFEU /* h_B decides */
 
@@ -69,10 +70,10 @@ typedef struct {
   float slow_m_s, fast_m_s;      /* limits of v_c; both 1: (10) */
   float end_speed_m_s, end_gain; /* h_B */
   float radius_m;                /* of the vehicle */
-  float reserve_m;               /* kept beyond the margin: for what the model leaves out */
+  float reserve_m;               /* additional margin for effects that the model omits */
   float latency_s; /* from a command, or from the state, until it acts; the flow starts that much later */
   float stale_limit_s, stale_speed_m_s, stale_acceleration_m_s2;
-  float descent; /* throttle of HAND_OVER, in that of hovering */
+  float descent; /* throttle of HAND_OVER, as a fraction of hovering */
 } alula_geofence_config;
 
 /* The published numbers with the model of the published flight code, 400 Hz. */
@@ -82,12 +83,12 @@ typedef enum {
   ALULA_GEOFENCE_PASSED = 0, /* the pilot's command, bit by bit */
   ALULA_GEOFENCE_BLENDED,
   ALULA_GEOFENCE_BACKUP,    /* h_I <= 0: u_B alone */
-  ALULA_GEOFENCE_NO_PILOT,  /* u_B alone, with the hold of when he fell silent */
-  ALULA_GEOFENCE_HAND_OVER, /* navigation is too old: level, sinking slowly; the fence is not guarded */
-  ALULA_GEOFENCE_REFUSED    /* never any navigation, or no filter: the command is 0 and must not be flown */
+  ALULA_GEOFENCE_NO_PILOT,  /* u_B alone, with the hold from the time of the loss */
+  ALULA_GEOFENCE_HAND_OVER, /* navigation is too old: level, sinking slowly; the fence is not enforced */
+  ALULA_GEOFENCE_REFUSED    /* no navigation so far, or no filter: the command is 0 and must not be flown */
 } alula_geofence_status;
 
-/* Made by alula_geofence_init; the fields are not for the caller. */
+/* Initialised by alula_geofence_init; the fields are private. */
 typedef struct {
   alula_geofence_config config;
   const alula_fence* fence;
@@ -95,27 +96,27 @@ typedef struct {
   float extent; /* largest coordinate of the fence */
   alula_racer_step_size fine, coarse, tick;
   uint32_t latency;
-  alula_racer_command sent[ALULA_GEOFENCE_LATENCY + 1U]; /* the last ones, as a ring */
+  alula_racer_command sent[ALULA_GEOFENCE_LATENCY + 1U]; /* ring buffer of the last commands */
   uint32_t newest;
-  alula_racer_state state; /* as last known, or predicted */
+  alula_racer_state state; /* last received, or predicted */
   alula_backup_hold hold;
   int has_state, has_hold, silent;
   uint32_t stale;      /* ticks */
-  alula_map_near near; /* decides what a tick costs, never what it gives */
+  alula_map_near near; /* affects the cost of a tick, never its result */
 } alula_geofence;
 
 typedef struct {
   alula_racer_command command;
   float lambda;
-  float h_i;         /* [m] with all margins off; -FLT_MAX when it was not evaluated */
-  float distance_m;  /* h here, less the radius and the reserve */
-  float margin_m;    /* taken off at the last node */
-  uint32_t deciding; /* constraint with the least h_c / v_c, ALULA_GEOFENCE_END or ALULA_GEOFENCE_NONE */
+  float h_i;         /* [m] with all margins subtracted; -FLT_MAX when it was not evaluated */
+  float distance_m;  /* current h, minus the radius and the reserve */
+  float margin_m;    /* subtracted at the last node */
+  uint32_t deciding; /* constraint with the minimum h_c / v_c, ALULA_GEOFENCE_END or ALULA_GEOFENCE_NONE */
   float v_towards;   /* its v_c */
   float stale_s;
 } alula_geofence_result;
 
-/* What h_I is made of; `first` is u_B at the start of the flow, `push` its v_d. */
+/* The terms of h_I; `first` is u_B at the start of the flow, `push` its v_d. */
 typedef struct {
   float h_i, end, margin_m;
   float exponent; /* min_c h_c / v_c */
@@ -126,19 +127,19 @@ typedef struct {
   float push[3];
 } alula_geofence_value;
 
-/* ALULA_BAD_PARAMETER unless all numbers mean something; `fence` lives as long as the filter. */
+/* Returns ALULA_BAD_PARAMETER unless all numbers are in range; `fence` must live as long as the filter. */
 ALULA_MUST_USE alula_status alula_geofence_init(alula_geofence* filter, const alula_fence* fence,
                                                 const alula_geofence_config* config);
 void alula_geofence_reset(alula_geofence* filter); /* to before the first tick */
 
-/* h_I of a state with a hold; `extra` is taken off as well. Changes nothing but what is remembered of the map. */
+/* h_I of a state with a hold; `extra` is subtracted as well. Changes only the cached part of the map. */
 void alula_geofence_evaluate(alula_geofence* filter, const alula_racer_state* state, const alula_backup_hold* hold,
                              float extra, alula_geofence_value* value);
 
-/* The hold a flow from here begins with: this yaw, and this height moved by the push of (17). */
+/* The hold of a flow that starts here: this yaw, and this height moved by the push of (17). */
 alula_backup_hold alula_geofence_hold(alula_geofence* filter, const alula_racer_state* state);
 
-/* One tick. `navigation` and `pilot` may be null. A pilot's command outside the limits is cut to them first. */
+/* One tick. `navigation` and `pilot` may be null. A pilot's command outside the limits is clipped to them first. */
 ALULA_MUST_USE alula_geofence_status alula_geofence_filter(alula_geofence* filter,
                                                            const alula_racer_state* navigation,
                                                            const alula_racer_command* pilot,

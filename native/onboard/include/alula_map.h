@@ -1,4 +1,4 @@
-/* A cover as a map that a microcontroller reads in place from flash: layout version 1.
+/* A cover as a map that a microcontroller reads directly from flash: layout version 1.
  *
  * Little-endian, read byte by byte, so no alignment is needed. Hull h of the map is its box cut by
  * oblique planes; all numbers are integers on a lattice of edge g, in the frame of the cover.
@@ -22,18 +22,18 @@
  *          number the normal (those of {-1, 0, 1}^3 with two or three non-zero components, in
  *          lexicographic order) and the high 11 bits are the depth
  *
- * The hull is {x in [lower, upper] : normal . (x - corner) <= -depth 2^shift}, corner being the corner
- * of its box that lies farthest along the normal: depth says how far the plane cuts that corner off.
+ * The hull is {x in [lower, upper] : normal . (x - corner) <= -depth 2^shift}, where corner is the corner
+ * of its box that lies farthest along the normal; depth is the depth of the cut from that corner.
  *
- * Index: a tree of boxes over the records in their order, so that a search leaves out most of them.
+ * Index: a tree of boxes over the records in their order, with which a search skips most of them.
  *    0  1  records per leaf b, 1 to 255      1  1  levels      2  2  zero
  *    4  .  the nodes of level 0, the leaves, then of level 1 and so on up to the one root: int16 lower[3],
- *          upper[3], the exact union of what is below it. Leaf i holds the records b i to b i + b - 1, node i
+ *          upper[3], the exact union of the boxes below it. Leaf i holds the records b i to b i + b - 1, node i
  *          of a higher level the nodes 4 i to 4 i + 3 below; the last of a level may hold fewer.
  *    .  .  per leaf uint32, the byte at which its first record begins
  * So m = ceil(n / b) leaves and about m / 3 other nodes, of 12 bytes, and 4 m more bytes.
  *
- * Nothing here reads outside the given bytes, and alula_map_open refuses every image that is not whole.
+ * No function reads outside the given bytes, and alula_map_open refuses every image that is not complete and valid.
  */
 #ifndef ALULA_MAP_H
 #define ALULA_MAP_H
@@ -52,35 +52,35 @@ extern "C" {
 #define ALULA_MAP_INDEXED 2U /* flag: an index follows the records */
 #define ALULA_MAP_NODE_BYTES 12U
 #define ALULA_MAP_FANOUT 4U  /* nodes under one of a higher level */
-#define ALULA_MAP_LEVELS 13U /* of the most hulls, one per leaf */
+#define ALULA_MAP_LEVELS 13U /* for the maximum number of hulls, one per leaf */
 #define ALULA_MAP_MOST_HULLS (1U << 24)
 #define ALULA_MAP_NO_HULL UINT32_MAX
 
 typedef enum {
   ALULA_MAP_READY = 0,
   ALULA_MAP_BAD_POINTER,
-  ALULA_MAP_FOREIGN,     /* not such a map */
-  ALULA_MAP_NEWER,       /* of a layout that this reader does not know */
-  ALULA_MAP_TRUNCATED,   /* fewer bytes than the header says */
-  ALULA_MAP_DAMAGED,     /* a CRC-32 does not hold */
-  ALULA_MAP_MALFORMED,   /* whole, but no writer of this layout makes it */
+  ALULA_MAP_FOREIGN,     /* not an onboard map */
+  ALULA_MAP_NEWER,       /* of a layout that this reader does not support */
+  ALULA_MAP_TRUNCATED,   /* fewer bytes than the header states */
+  ALULA_MAP_DAMAGED,     /* a CRC-32 does not match */
+  ALULA_MAP_MALFORMED,   /* complete, but not valid in this layout */
   ALULA_MAP_BAD_POSITION /* not finite, or beyond 10^12 m */
 } alula_map_status;
 
 /* An open map; made by alula_map_open, valid as long as the bytes stay where they are. */
 typedef struct {
   const uint8_t* data;
-  uint32_t total_bytes; /* of the image; what follows it is not looked at */
+  uint32_t total_bytes; /* of the image; bytes after it are ignored */
   uint32_t records_end; /* first byte after the records */
   uint32_t hull_count;
   uint32_t plane_count; /* oblique planes of all hulls */
-  uint32_t most_planes; /* oblique planes of one hull, at most */
+  uint32_t most_planes; /* maximum number of oblique planes of one hull */
   uint32_t plane_bytes; /* of one plane */
   uint32_t leaf_hulls;  /* 0 without an index */
   uint32_t level_count;
   uint32_t level_at[ALULA_MAP_LEVELS]; /* byte where the nodes of a level begin; level 0 are the leaves */
   uint32_t level_size[ALULA_MAP_LEVELS];
-  uint32_t starts_at; /* byte where the leaves' first records are listed */
+  uint32_t starts_at; /* byte where the list of the leaves' first records begins */
   int32_t origin[3];
   float voxel_size_m;
   float margin_m;
@@ -101,15 +101,15 @@ typedef struct {
   uint32_t depth; /* in units of g: already multiplied by 2^shift */
 } alula_map_plane;
 
-/* psi at a position, and what decides it. */
+/* psi at a position, and the hull and plane that decide it. */
 typedef struct {
   float psi_m;     /* FLT_MAX for a map without hulls */
   uint32_t hull;   /* number of the record, or ALULA_MAP_NO_HULL */
   float normal[3]; /* unit outward normal of the deciding plane: psi grows along it */
 } alula_map_value;
 
-/* Check an image of at most `length` bytes: magic, version, lengths, both CRC-32, every record and every
- * node of the index. Anything but ALULA_MAP_READY leaves an empty map. Time O(length), no memory besides *map. */
+/* Checks an image of at most `length` bytes: magic, version, lengths, both CRC-32, every record and every
+ * node of the index. Any result but ALULA_MAP_READY leaves an empty map. Time O(length), no memory besides *map. */
 ALULA_MUST_USE alula_map_status alula_map_open(alula_map* map, const uint8_t* data, uint32_t length);
 
 /* The record that begins at byte `at`: ALULA_MAP_HEADER_BYTES, then hull->next; ALULA_MAP_MALFORMED
@@ -130,8 +130,8 @@ alula_map_plane alula_map_plane_at(const alula_map* map, const alula_map_hull* h
  * 19 u E S / |n|, then root, quotient and product 3 u 2 sqrt 3 E: together 43.4 u E, and 3.5 u E for
  * subtracting the margin. The margin is 64 u E = 2^-18 E: margin_m up to extent_m, and larger beyond.
  *
- * Hulls whose box is farther than the nearest hull so far are skipped, which changes no bit of the
- * result. Time O(hulls + planes) at most. */
+ * Hulls with a box farther than the nearest hull so far are skipped, which changes no bit of the
+ * result. Time at most O(hulls + planes). */
 ALULA_MUST_USE alula_map_status alula_map_evaluate(const alula_map* map, const float x[3], alula_map_value* value);
 
 #ifdef __cplusplus

@@ -7,9 +7,10 @@
  *    6  4  uint32 time of the state [us]             no reflection (CRC-16/CCITT-FALSE; of "123456789" 0x29B1)
  *   10 12  int32 position[3] [0.001 m], world
  *
- * Little-endian; world z up, body x forward, y left, z up. Rounded to nearest: a position is off by at most 0.5 mm an
- * axis, a velocity by 5 mm/s, an attitude by 6e-5 rad, rates by 0.001 rad/s. A packet that was damaged in a burst of
- * at most 16 bits, or in at most three bits, is always refused; of others one in 65,536 gets past the checksum.
+ * Little-endian; world z up, body x forward, y left, z up. Rounded to nearest: the error of a position is at most
+ * 0.5 mm per axis, of a velocity 5 mm/s, of an attitude 6e-5 rad, of rates 0.001 rad/s. A packet damaged in a burst
+ * of at most 16 bits, or in at most three bits, is always refused; of other damaged packets, one in 65,536 passes the
+ * checksum.
  */
 #ifndef ALULA_NAVIGATION_LINK_H
 #define ALULA_NAVIGATION_LINK_H
@@ -30,25 +31,26 @@ typedef struct {
   uint8_t flags;
 } alula_navigation;
 
-/* Zero, and nothing written, when a number is not finite or does not fit: positions of 2147 km, velocities of
- * 327.67 m/s, components of the attitude of 1, rates of 65.5 rad/s. */
+/* Returns zero and writes nothing when a number is not finite or does not fit: positions up to 2147 km, velocities up
+ * to 327.67 m/s, components of the attitude up to 1, rates up to 65.5 rad/s. */
 ALULA_MUST_USE int alula_navigation_encode(const alula_navigation* navigation, uint8_t bytes[ALULA_NAVIGATION_BYTES]);
 
-/* Nonzero, and *navigation written, when these are the bytes of a packet. */
+/* Returns nonzero and writes *navigation when these are the bytes of a packet. */
 ALULA_MUST_USE int alula_navigation_decode(const uint8_t bytes[ALULA_NAVIGATION_BYTES], alula_navigation* navigation);
 
-/* Finds packets in a stream of bytes. The fields are not for the caller, but for the counts. */
+/* Finds packets in a stream of bytes. The fields are private, except the counts. */
 typedef struct {
   uint8_t bytes[ALULA_NAVIGATION_BYTES];
   uint32_t count;
   uint32_t packets; /* found so far */
-  uint32_t skipped; /* bytes that belong to none */
+  uint32_t skipped; /* bytes outside packets */
 } alula_navigation_parser;
 
 void alula_navigation_begin(alula_navigation_parser* parser);
 
-/* The next byte; nonzero, and *navigation written, when it ends a packet. After bytes that are no packet it goes on
- * at the next one of them that may begin one. A checksum is computed at most once, else at most 44 steps. */
+/* Takes the next byte. Returns nonzero and writes *navigation when it ends a packet. After bytes that are not a
+ * packet it continues at the next of them that may begin one. Computes at most one checksum, otherwise at most 44
+ * steps. */
 ALULA_MUST_USE int alula_navigation_push(alula_navigation_parser* parser, uint8_t byte, alula_navigation* navigation);
 
 #ifdef __cplusplus

@@ -1,7 +1,7 @@
-/* What all of native/onboard shares: freestanding C99, single precision, no heap, no libm.
+/* Common definitions of native/onboard: freestanding C99, single precision, no heap, no libm.
  *
  * Build with -ffp-contract=off and -fno-math-errno: then a host and a microcontroller with an
- * IEEE 754 single-precision unit compute the same bits. State lies in structs that the caller owns.
+ * IEEE 754 single-precision unit compute the same bits. All state is in structs that the caller owns.
  */
 #ifndef ALULA_ONBOARD_H
 #define ALULA_ONBOARD_H
@@ -23,15 +23,15 @@
 extern "C" {
 #endif
 
-/* How a set-up call ended. */
+/* Result of a set-up call. */
 typedef enum { ALULA_READY = 0, ALULA_BAD_POINTER, ALULA_BAD_PARAMETER, ALULA_BAD_MAP, ALULA_BAD_INPUT } alula_status;
 
-/* What a filter did with the nominal input. In all cases but REFUSED the result may be flown. */
+/* Outcome of a filter's tick. In all cases but REFUSED the result may be flown. */
 typedef enum {
-  ALULA_FILTER_OK = 0,     /* the nominal input is safe and comes back bit by bit */
+  ALULA_FILTER_OK = 0,     /* the nominal input is safe and returned bit by bit */
   ALULA_FILTER_FILTERED,   /* changed by the barrier's row or the speed limit */
-  ALULA_FILTER_SHORTENED,  /* scaled down further, so that the held step stays clear */
-  ALULA_FILTER_RECOVERING, /* the state is too close already: drives out, the nominal input is ignored */
+  ALULA_FILTER_SHORTENED,  /* scaled down further, so the held step stays clear */
+  ALULA_FILTER_RECOVERING, /* the state is already too close: drives out, the nominal input is ignored */
   ALULA_FILTER_REFUSED     /* no safe input is known: zero */
 } alula_filter_status;
 

@@ -1,4 +1,4 @@
-/* A racing drone behind its rate loop, and the controller that stops it, in freestanding C99.
+/* Model of a racing drone with its rate loop, and the backup controller that stops it, in freestanding C99.
  *
  *   p' = v,  q' = q (0, omega) / 2,  v' = a(throttle) z(q) - g e3,  omega' = C (omega_des - omega)
  *   a(throttle) = a_0 + a_1 throttle + a_2 throttle^2
@@ -9,15 +9,15 @@
  *   R_d = Rz(yaw_0) exp(-t_y, t_x, 0),  omega_des = -10 e_R,  e_R = vee(R_d^T R - R^T R_d) / 2
  *   throttle = hover / zeta + cut(0.1 (z_0 - z), 0.3) + cut(0.05 (v_d,z - v_z), 0.3)
  *
- * Beyond 90 degrees of error e_R keeps growing like the sine of half the angle, up to sqrt 2; as printed it vanishes
- * at 180 degrees, where a drone that its pilot had flipped would fall on its back.
- * zeta is the third component of z(q), and 1 / zeta is 2 below zeta = 1/2 and falls to 1/3 from the horizon to a
- * quarter below it. The hold (z_0, yaw_0) is frozen when a flow starts, and is part of the state of whoever flies it.
+ * Above 90 degrees of error e_R keeps growing like the sine of half the angle, up to sqrt 2; as printed it vanishes
+ * at 180 degrees, where an inverted drone would fall.
+ * zeta is the third component of z(q); 1 / zeta is 2 below zeta = 1/2 and decreases to 1/3 from the horizon to a
+ * quarter below it. The hold (z_0, yaw_0) is frozen when a flow starts, and is part of the state of the caller.
  *
- * Other differences to the published controller, whose flow jumps where the thrust passes the horizon, and which at
- * high speed over a diagonal brakes one axis after the other: the tilt is one rotation instead of a pitch and then a
- * roll (the same along an axis), what jumped is a ramp of a quarter, yaw_0 also turns the error of the velocity (the
- * same while the yaw is held), and the height is steered as (17) steers x and y.
+ * Other differences to the published controller. Its flow jumps where the thrust passes the horizon; here the jump is
+ * a ramp of a quarter. At high speed along a diagonal it brakes one axis after the other; here the tilt is one
+ * rotation instead of a pitch and then a roll (the same along an axis). yaw_0 also turns the error of the velocity
+ * (the same while the yaw is held), and the height is controlled as (17) controls x and y.
  *
  * Source: Singletary, Swann, Chen, Ames 2022 (arXiv 2201.04331), eq. 15, 17, section IV-B.
  * Single precision; SI units. Every loop is bounded by a constant.
@@ -46,7 +46,7 @@ typedef struct {
   float gravity;
   float thrust[3];   /* a_0, a_1, a_2 [m/s^2]; a_1, a_2 >= 0 */
   float rate_gain;   /* C [1/s] */
-  float max_rate[3]; /* of a command [rad/s] */
+  float max_rate[3]; /* limit of a command [rad/s] */
 } alula_racer_model;
 
 typedef struct {
@@ -55,7 +55,7 @@ typedef struct {
   float attitude_gain; /* [1/s] */
   float height_gain;   /* [1/m] */
   float climb_gain;    /* [s/m] */
-  float most_throttle; /* of either correction */
+  float most_throttle; /* limit of either correction */
 } alula_backup_gains;
 
 /* The published gains. */
@@ -67,7 +67,7 @@ typedef struct {
   float half_c, half_s; /* of yaw_0 / 2 */
 } alula_backup_hold;
 
-/* What a fixed step needs of the model: 1 - exp(-C dt), and the mean of exp(-C t) over it. */
+/* Constants of a fixed step: 1 - exp(-C dt), and the mean of exp(-C t) over the step. */
 typedef struct {
   float dt, gain, mean;
 } alula_racer_step_size;
@@ -75,24 +75,25 @@ typedef struct {
 alula_racer_step_size alula_racer_step_of(const alula_racer_model* model, float dt);
 
 float alula_racer_thrust(const alula_racer_model* model, float throttle); /* [m/s^2] */
-float alula_racer_hover_throttle(const alula_racer_model* model);         /* a(throttle) = g; above 1: it cannot */
+float alula_racer_hover_throttle(const alula_racer_model* model);         /* a(throttle) = g; above 1: cannot hover */
 void alula_racer_axis(const float attitude[4], float axis[3]);            /* z(q) */
 void alula_racer_limit(const alula_racer_model* model, alula_racer_command* command); /* into its box */
 
-/* Finite and a plausible state: |v_i| <= 200 m/s, |omega_i| <= 100 rad/s, |p_i| <= 10^5 m, | |q| - 1 | <= 0.05. */
+/* Nonzero for a finite, plausible state: |v_i| <= 200 m/s, |omega_i| <= 100 rad/s, |p_i| <= 10^5 m,
+ * | |q| - 1 | <= 0.05. */
 ALULA_MUST_USE int alula_racer_state_is_valid(const alula_racer_state* state);
 void alula_racer_normalise(alula_racer_state* state); /* to |q| = 1, of a valid state */
 ALULA_MUST_USE int alula_racer_command_is_finite(const alula_racer_command* command);
 
-/* The hold of a flow that starts here; `climb` is how much higher than here it wants to end. */
+/* The hold of a flow that starts here; `climb` is the target height relative to the current one. */
 alula_backup_hold alula_backup_hold_at(const alula_racer_state* state, float climb);
 
-/* u_B; in the box of commands. `hover` is the throttle that hovers. */
+/* u_B, limited to the box of commands. `hover` is the throttle that hovers. */
 void alula_backup_command(const alula_racer_model* model, const alula_backup_gains* gains,
                           const alula_backup_hold* hold, float hover, const alula_racer_state* state,
                           const float v_d[3], alula_racer_command* command);
 
-/* A step with the command held. Rates are exact; the turn is that by their integral, velocity and position are of
+/* A step with the command held. Rates are exact; the attitude turns by their integral; velocity and position are of
  * second order in dt. Returns the thrust. */
 float alula_racer_step(const alula_racer_model* model, const alula_racer_step_size* step,
                        const alula_racer_command* command, alula_racer_state* state);

@@ -1,17 +1,17 @@
-/* A command as the sticks of a radio that a flight controller's rate profile turns back into it, in freestanding C99.
+/* Converts commands to radio sticks by the inverse of a flight controller's rate profile, in freestanding C99.
  *
  * Betaflight's rates (rates_type BETAFLIGHT) of an axis give a deflection x in [-1, 1] the rate
  *
  *   omega(x) = 200 deg/s  r  x (e |x|^3 + 1 - e) / cut(1 - s |x|, 0.01, 1)
  *
- * with r = rc_rate, r + 14.54 (r - 2) above 2, s = super_rate, e = expo. Without expo its inverse is closed,
- * x = omega / (200 deg/s r + s |omega|); with expo it is bisected, as omega(x) grows with x. Both are odd, and cut at
- * full deflection: what no stick commands becomes the largest rate that one does.
+ * with r = rc_rate, r + 14.54 (r - 2) above 2, s = super_rate, e = expo. Without expo its inverse has a closed form,
+ * x = omega / (200 deg/s r + s |omega|); with expo it is found by bisection, as omega(x) increases with x. Both are
+ * odd, and clipped at full deflection: a rate beyond the sticks becomes the largest rate of the sticks.
  *
  * Pulses are whole microseconds, middle + 500 x and low + (high - low) throttle, rounded to the nearest, for a
- * controller without a deadband. So a rate is met to half a microsecond of stick: omega'(x) / 1000, 0.2 deg/s in the
- * middle and 2.2 deg/s at the end of rc_rate 1, super_rate 0.7. A pulse that becomes a command and a pulse again is
- * the same pulse: a filter that passes the pilot's command bit by bit passes his sticks.
+ * controller without a deadband. So the error of a rate is half a microsecond of stick: omega'(x) / 1000, 0.2 deg/s
+ * in the middle and 2.2 deg/s at the end for rc_rate 1, super_rate 0.7. A pulse converted to a command and back is
+ * the same pulse: a filter that passes the pilot's command bit by bit passes the pilot's sticks.
  *
  * Body x forward, y left, z up: rolling right, pitching down and turning left are positive. Sticks: right, forward
  * and right; so yaw changes its sign. Single precision, SI units; every loop is bounded by a constant.
@@ -25,7 +25,7 @@
 extern "C" {
 #endif
 
-/* [us] What is shorter or longer is no pulse: Betaflight's rx_min_usec and rx_max_usec. */
+/* [us] Limits of a valid pulse: Betaflight's rx_min_usec and rx_max_usec. */
 #define ALULA_RATES_SHORTEST 885U
 #define ALULA_RATES_LONGEST 2115U
 
@@ -49,18 +49,18 @@ alula_rates alula_rates_defaults(void);
 
 ALULA_MUST_USE alula_status alula_rates_check(const alula_rates* rates);
 
-/* omega(x) [rad/s]; x is cut to [-1, 1]. NaN for NaN. */
+/* omega(x) [rad/s]; x is clipped to [-1, 1]. NaN for NaN. */
 ALULA_MUST_USE float alula_rates_at(const alula_rates_axis* axis, float deflection);
 
 /* The deflection in [-1, 1] of a rate [rad/s]. NaN for NaN. */
 ALULA_MUST_USE float alula_rates_deflection(const alula_rates_axis* axis, float rate);
 
-/* Pulses [us] of a command, cut to what sticks reach. ALULA_BAD_INPUT when a number is not finite: then all pulses
- * are 0, which a receiver counts as none. */
+/* Pulses [us] of a command, clipped to the range of the sticks. ALULA_BAD_INPUT when a number is not finite: then all
+ * pulses are 0, which a receiver counts as no pulse. */
 ALULA_MUST_USE alula_status alula_rates_channels(const alula_rates* rates, const alula_racer_command* command,
                                                  uint16_t channels[ALULA_CHANNELS]);
 
-/* The command of a pilot's pulses. ALULA_BAD_INPUT when one is no pulse: then the command is 0. */
+/* The command of a pilot's pulses. ALULA_BAD_INPUT when one is not a valid pulse: then the command is 0. */
 ALULA_MUST_USE alula_status alula_rates_command(const alula_rates* rates, const uint16_t channels[ALULA_CHANNELS],
                                                 alula_racer_command* command);
 

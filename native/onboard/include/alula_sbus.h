@@ -6,8 +6,8 @@
  *   24  1  0x00, or 0x04, 0x14, 0x24, 0x34 (SBUS2)
  *
  * The line is a UART of 100,000 baud with even parity and two stop bits, inverted: a byte takes 120 us, a frame
- * 3 ms. A frame has no checksum. That a byte is at its place, the flags and the last byte are all there is to check
- * it by: a reader must take any channels for possible.
+ * 3 ms. A frame has no checksum. Only its position, the flags and the last byte can be checked, so a reader must
+ * expect any channel values.
  */
 #ifndef ALULA_SBUS_H
 #define ALULA_SBUS_H
@@ -20,7 +20,7 @@ extern "C" {
 
 #define ALULA_SBUS_BYTES 25U
 #define ALULA_SBUS_CHANNELS 16U
-#define ALULA_SBUS_MOST 2047U /* of a channel */
+#define ALULA_SBUS_MOST 2047U /* maximum of a channel */
 #define ALULA_SBUS_SWITCH_17 1U
 #define ALULA_SBUS_SWITCH_18 2U
 #define ALULA_SBUS_LOST 4U
@@ -31,28 +31,29 @@ typedef struct {
   uint8_t flags;
 } alula_sbus_frame;
 
-/* Channels above ALULA_SBUS_MOST become that, unknown flags nothing. */
+/* Channels above ALULA_SBUS_MOST are clipped to it; unknown flags are dropped. */
 void alula_sbus_encode(const alula_sbus_frame* frame, uint8_t bytes[ALULA_SBUS_BYTES]);
 
-/* Nonzero, and *frame written, when these are the bytes of a frame. */
+/* Returns nonzero and writes *frame when these are the bytes of a frame. */
 ALULA_MUST_USE int alula_sbus_decode(const uint8_t bytes[ALULA_SBUS_BYTES], alula_sbus_frame* frame);
 
-/* Finds frames in a stream of bytes. The fields are not for the caller, but for the counts. */
+/* Finds frames in a stream of bytes. The fields are private, except the counts. */
 typedef struct {
   uint8_t bytes[ALULA_SBUS_BYTES];
-  uint32_t count;   /* of bytes */
+  uint32_t count;   /* of buffered bytes */
   uint32_t frames;  /* found so far */
-  uint32_t skipped; /* bytes that belong to none */
+  uint32_t skipped; /* bytes outside frames */
 } alula_sbus_parser;
 
 void alula_sbus_begin(alula_sbus_parser* parser);
 
-/* The line was idle for longer than a byte: a frame that had begun is over. Between the frames of a receiver it is
- * idle for 4 ms or more, and a reader that is told so cannot stay on bytes that only look like a frame. */
+/* Reports that the line was idle for longer than a byte: an unfinished frame is dropped. Between the frames of a
+ * receiver the line is idle for 4 ms or more; with this call a reader cannot stay synchronised to bytes that only
+ * look like a frame. */
 void alula_sbus_idle(alula_sbus_parser* parser);
 
-/* The next byte; nonzero, and *frame written, when it ends a frame. After bytes that are no frame it goes on at the
- * next one of them that may begin a frame. At most 25 steps. */
+/* Takes the next byte. Returns nonzero and writes *frame when it ends a frame. After bytes that are not a frame it
+ * continues at the next of them that may begin one. At most 25 steps. */
 ALULA_MUST_USE int alula_sbus_push(alula_sbus_parser* parser, uint8_t byte, alula_sbus_frame* frame);
 
 #ifdef __cplusplus

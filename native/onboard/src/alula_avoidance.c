@@ -2,9 +2,9 @@
 
 #include "vector.h"
 
-#define NEAREST 1.0e-3F /* m: nearer than this there is no direction */
+#define NEAREST 1.0e-3F /* [m] at smaller distances the direction is undefined */
 
-/* False for NaN too. */
+/* True if all |x_i| are at most the limit; false for NaN. */
 static int are_within(const float* x, uint32_t n, float limit) {
   for (uint32_t i = 0; i < n; ++i)
     if (!(absolute(x[i]) <= limit)) return 0;
@@ -154,7 +154,7 @@ static void meet(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
   }
 }
 
-/* The estimate of the differentiator, in its direction but not longer than the bound, less the vehicle's own. */
+/* The estimate of the differentiator, shortened to the bound, minus the vehicle's own acceleration. */
 static void relative_acceleration(const alula_avoidance* avoidance, const alula_envelope* e, float a[3]) {
   const float size = norm(e->z1);
   float scale = size > e->bound ? e->bound / size : 1.0F;
@@ -206,7 +206,7 @@ static int recedes(const alula_avoidance* avoidance, const alula_track* track) {
   return 1;
 }
 
-/* At the end of a manoeuvre's part? */
+/* Changes the mode when the current part of a manoeuvre ends. */
 static void leave(alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track) {
   const alula_avoidance_config* c = &avoidance->config;
   const float time = (float)avoidance->ticks_in_mode * c->dt_s;

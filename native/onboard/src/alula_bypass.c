@@ -1,11 +1,11 @@
-/* Where to dodge: the point to which a manoeuvre of alula_avoidance.h flies. */
+/* Choice of the bypass point to which a manoeuvre of alula_avoidance.h flies. */
 #include "alula_avoidance.h"
 #include "vector.h"
 
 #define CANDIDATES 12U
-#define SHORTEST_S 0.05F /* of the time to the closest approach, */
-#define LONGEST_S 3.0F   /* and the longest that is looked at */
-#define LOOKS 24U        /* at the distance in between, and then thirds of it */
+#define SHORTEST_S 0.05F /* shortest time to the closest approach, */
+#define LONGEST_S 3.0F   /* and the longest that is considered */
+#define LOOKS 24U        /* evaluations of the distance in between, before the ternary search */
 #define THIRDS 12U
 
 static float offset_at(const float p[3], const float v[3], const float a[3], float t, float at[3]) {
@@ -13,9 +13,9 @@ static float offset_at(const float p[3], const float v[3], const float a[3], flo
   return dot(at, at);
 }
 
-/* When |p + v t + a t^2 / 2| is least, SHORTEST_S to LONGEST_S from now: of evenly spaced times the best, then by
- * thirds between its neighbours, where the distance has one minimum but for accelerations that turn an obstacle
- * round within a step. */
+/* The time at which |p + v t + a t^2 / 2| is smallest, SHORTEST_S to LONGEST_S from now: the best of evenly spaced
+ * times, then a ternary search between its neighbours. There the distance has one minimum, unless the acceleration
+ * reverses an obstacle within a step. */
 static float closest_time(const float p[3], const float v[3], const float a[3]) {
   const float step = (LONGEST_S - SHORTEST_S) / (float)(LOOKS - 1U);
   float at[3], least = FLT_MAX, from = SHORTEST_S;
@@ -37,8 +37,8 @@ static float closest_time(const float p[3], const float v[3], const float a[3]) 
   return t < SHORTEST_S ? SHORTEST_S : (t > LONGEST_S ? LONGEST_S : t);
 }
 
-/* Where each active obstacle comes closest to a vehicle that hovers here, as it is to do at the bypass point: what
- * is left to shift then is what is left of the way, however fast the vehicle is on it. */
+/* The closest approach of each active obstacle to a vehicle that hovers here, as it will at the bypass point. So the
+ * remaining shift is the remaining distance, at any speed of the vehicle. */
 static void predict_misses(alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track) {
   for (uint32_t i = 0; i < avoidance->count; ++i) {
     alula_encounter* m = avoidance->encounter + i;
@@ -61,8 +61,8 @@ static void predict_misses(alula_avoidance* avoidance, const alula_vehicle_state
   }
 }
 
-/* How far along c the closest approach to an obstacle has to move to keep `clearance`, and the acceleration that
- * this takes. */
+/* The shift along c of the closest approach to an obstacle that keeps `clearance`, and the acceleration that it
+ * needs. */
 static float needed_shift(const alula_avoidance_config* config, const alula_encounter* m, const float c[3],
                           float* acceleration) {
   const float clearance = m->radius_m + config->clearance_m, *miss = m->miss;
@@ -76,8 +76,8 @@ static float needed_shift(const alula_avoidance_config* config, const alula_enco
   return shift;
 }
 
-/* Score of a direction: the acceleration it takes past all active obstacles; `shift` is how far. Behind a wall:
- * large.*/
+/* Score of a direction: the acceleration needed to pass all active obstacles; `shift` is the distance. Large behind a
+ * wall. */
 static float score_of(const alula_avoidance* avoidance, const alula_wall* wall, uint32_t wall_count, const float c[3],
                       float* shift) {
   float score = 0.0F;
@@ -93,7 +93,7 @@ static float score_of(const alula_avoidance* avoidance, const alula_wall* wall, 
   const float room = avoidance->config.radius_m + avoidance->config.wall_room_m;
   for (uint32_t i = 0; i < wall_count; ++i) {
     const float left = wall[i].distance_m + *shift * dot(wall[i].normal, c) - room;
-    if (left < 0.0F) score += 1.0e6F * (1.0F - left); /* the least deep when all are behind one */
+    if (left < 0.0F) score += 1.0e6F * (1.0F - left); /* selects the smallest depth when all are behind a wall */
   }
   return score;
 }
@@ -129,7 +129,7 @@ void alula_choose_bypass(alula_avoidance* avoidance, const alula_vehicle_state* 
     float shift;
     const float held = score_of(avoidance, wall, wall_count, avoidance->direction, &shift);
     if (!(best < (1.0F - avoidance->config.improvement) * held)) {
-      best_shift = shift; /* the direction stays; how far is estimated better now than when it was chosen */
+      best_shift = shift; /* the direction stays; the distance is estimated better than when it was chosen */
       for (int k = 0; k < 3; ++k) best_direction[k] = avoidance->direction[k];
     }
   }

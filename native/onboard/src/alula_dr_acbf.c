@@ -2,7 +2,7 @@
 
 #include "vector.h"
 
-#define PEAK 0.64479396F /* sqrt(2) e^(-pi / 4): deceleration over v_0 / H on the way along an active row */
+#define PEAK 0.64479396F /* sqrt(2) e^(-pi / 4): peak deceleration over v_0 / H along an active row */
 #define NEAREST 1.0e-3F
 
 alula_dr_acbf_config alula_dr_acbf_defaults(void) {
@@ -118,7 +118,7 @@ void alula_dr_acbf_flown(alula_dr_acbf* filter, const float command[3]) {
   alula_execute(&filter->config, command, filter->executed);
 }
 
-/* The rows of the obstacles at one horizon, before those of the walls; the least bound. */
+/* Sets the rows of the obstacles at one horizon, before those of the walls; returns the minimum bound. */
 static float set_bounds(alula_dr_acbf* filter, float horizon) {
   float least = FLT_MAX;
   uint32_t row = 0U;
@@ -132,7 +132,7 @@ static float set_bounds(alula_dr_acbf* filter, float horizon) {
   return least;
 }
 
-/* Whether the rows and the box have a common point; `found` is then the nearest to `wished`. */
+/* Nonzero if the rows and the box have a common point; `found` is then the nearest to `wished`. */
 static int is_feasible(const alula_dr_acbf* filter, const float wished[3], alula_projection* found) {
   const float limit = filter->config.avoidance.a_max;
   for (uint32_t i = 0; i < filter->row_count; ++i) {
@@ -149,7 +149,7 @@ static int is_feasible(const alula_dr_acbf* filter, const float wished[3], alula
   return found->feasible;
 }
 
-/* The horizon with the largest least bound of those that are feasible, looked at in that order. */
+/* Finds the feasible horizon with the largest minimum bound, testing horizons in that order. */
 static int search(alula_dr_acbf* filter, int longest_only, const float wished[3], float* horizon,
                   alula_projection* found) {
   const alula_dr_acbf_config* c = &filter->config;
@@ -177,7 +177,7 @@ static int search(alula_dr_acbf* filter, int longest_only, const float wished[3]
   return 0;
 }
 
-/* Brake, and then sink slowly: what is left when no command has held the rows for some time. */
+/* Brakes, and then sinks slowly: the fallback when no command has satisfied the rows for some time. */
 static void brake_and_descend(const alula_dr_acbf_config* c, const alula_vehicle_state* vehicle, float wished[3]) {
   const float* v = vehicle->velocity;
   const float error[3] = {-v[0], -v[1], -c->descent_m_s - v[2]};
@@ -186,12 +186,12 @@ static void brake_and_descend(const alula_dr_acbf_config* c, const alula_vehicle
     const float size = error[k] < 0.0F ? -error[k] : error[k];
     if (size > largest) largest = size;
   }
-  const float reached = c->avoidance.a_max * c->avoidance.dt_s; /* of speed, in a tick */
+  const float reached = c->avoidance.a_max * c->avoidance.dt_s; /* change of speed in a tick */
   const float scale = largest > reached ? c->avoidance.a_max / largest : 1.0F / c->avoidance.dt_s;
   for (int k = 0; k < 3; ++k) wished[k] = clipped(scale * error[k], c->avoidance.a_max);
 }
 
-/* Of the rows from the first on. */
+/* Largest violation of the rows from `first` on. */
 static float violation_of(const alula_dr_acbf* filter, uint32_t first, const float a[3]) {
   float most = -FLT_MAX;
   for (uint32_t i = first; i < filter->row_count; ++i) {
@@ -216,7 +216,7 @@ alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehi
     *result = nothing;
     return ALULA_FILTER_REFUSED;
   }
-  /* Also when a manoeuvre follows on the one that this tick ended. */
+  /* Also when a manoeuvre follows the one that ended in this tick. */
   const int enters = guidance->mode == ALULA_AVOID && filter->avoidance.ticks_in_mode == 1U;
   const int binds = c->rows_before_warning || guidance->mode != ALULA_NOMINAL;
 

@@ -1,4 +1,4 @@
-/* The conditional value at risk of coming too close, from samples of a track's Gaussian. */
+/* The conditional value at risk (CVaR) of coming too close, from samples of a track's Gaussian. */
 #include "alula_avoidance.h"
 #include "vector.h"
 
@@ -25,7 +25,7 @@ void alula_early_warning_samples(float sample[HALF][6]) {
       sample[n][j] = normal_quantile(((float)(at >> 8) + 0.5F) * 5.9604644775390625e-8F);
       square += sample[n][j] * sample[n][j];
     }
-    const float scale = __builtin_sqrtf((float)HALF / square); /* variance 1; the other signs make the mean 0 */
+    const float scale = __builtin_sqrtf((float)HALF / square); /* variance 1; the mirrored samples make the mean 0 */
     for (uint32_t n = 0; n < HALF; ++n) sample[n][j] *= scale;
   }
 }
@@ -83,14 +83,14 @@ static float bound_of(const alula_avoidance* avoidance, float radius, const floa
          (norm(p) - off - speed * c->h_max_s);
 }
 
-/* The mean of the `tail` largest of Z at time t, plus eps L_Z. */
+/* CVaR: the mean of the largest fraction `tail` of Z at time t, plus eps L_Z. */
 static float risk_at(const alula_avoidance* avoidance, float radius, const float p[3], const float v[3],
                      const float a[3], float t, float offset[HALF][6]) {
   const alula_avoidance_config* c = &avoidance->config;
   const float share = c->tail * (float)ALULA_SAMPLES;
   uint32_t kept = 1U;
   while (kept < ALULA_SAMPLES && (float)kept < share) ++kept;
-  float largest[ALULA_SAMPLES], fastest = 0.0F; /* in falling order */
+  float largest[ALULA_SAMPLES], fastest = 0.0F; /* `largest` in descending order */
   for (uint32_t i = 0; i < kept; ++i) largest[i] = -FLT_MAX;
   for (uint32_t n = 0; n < ALULA_SAMPLES; ++n) {
     const float* d = offset[n % HALF];

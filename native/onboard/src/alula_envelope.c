@@ -1,4 +1,4 @@
-/* Bounds of the accelerations of what is tracked. */
+/* Bounds on the accelerations of tracked obstacles. */
 #include "alula_avoidance.h"
 #include "vector.h"
 
@@ -8,7 +8,7 @@ alula_envelope* alula_find_envelope(alula_avoidance* avoidance, uint32_t id) {
   return 0;
 }
 
-/* One Euler step of the differentiator, and the bound: a running maximum that forgets. */
+/* One Euler step of the differentiator, and of the bound: a running maximum with forgetting. */
 static void differentiate(const alula_avoidance_config* c, alula_envelope* e, const float velocity[3]) {
   for (int k = 0; k < 3; ++k) {
     const float error = e->z0[k] - velocity[k];

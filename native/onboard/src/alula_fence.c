@@ -3,7 +3,7 @@
 #include "vector.h"
 
 #define PIECE 0.25F /* [m] of a chord near the map */
-#define PIECES 64U  /* at most: of a chord longer than PIECES * PIECE they are longer */
+#define PIECES 64U  /* maximum; the pieces of a chord longer than PIECES * PIECE are longer */
 #define UNIT_ERROR 1.0e-5F
 
 static int is_near(float x) { return absolute(x) <= ALULA_FENCE_FAR; } /* also refuses NaN */
@@ -26,7 +26,7 @@ alula_status alula_fence_check(const alula_fence* fence) {
 
 static const alula_fence_look* newest(const alula_fence_tracker* tracker) { return &tracker->look[tracker->newest]; }
 
-/* Look at the map, unless that was done lately; what cannot be evaluated is as near as can be. */
+/* Evaluates the map, unless a recent evaluation is at this position; a failure counts as the smallest psi. */
 static const alula_fence_look* look(alula_fence_tracker* tracker, const float at[3]) {
   for (uint32_t k = 0; k < ALULA_FENCE_LOOKS; ++k) {
     const alula_fence_look* old = &tracker->look[k];
@@ -50,7 +50,7 @@ static const alula_fence_look* look(alula_fence_tracker* tracker, const float at
   return place;
 }
 
-/* A lower bound of psi here from the last look. The factor is for the rounding of the distance. */
+/* A lower bound of psi here from the stored evaluations. The factor covers the rounding of the distance. */
 static float remembered(const alula_fence_tracker* tracker, const float at[3]) {
   const alula_fence_look* last = newest(tracker);
   const float way[3] = {at[0] - last->at[0], at[1] - last->at[1], at[2] - last->at[2]};
@@ -95,7 +95,7 @@ static inline float push_of(const alula_fence_tracker* tracker, float distance) 
   return wanted < tracker->push_speed ? wanted : tracker->push_speed;
 }
 
-/* The strongest push so far to either side of each axis. */
+/* Updates the strongest push to either side of each axis. */
 static void add_push(float size, const float along[3], float up[3], float down[3]) {
   for (int i = 0; i < 3; ++i) {
     const float push = size * along[i];
@@ -106,7 +106,7 @@ static void add_push(float size, const float along[3], float up[3], float down[3
 
 void alula_fence_push(alula_fence_tracker* tracker, const float at[3], float v_d[3]) {
   const alula_fence* fence = tracker->fence;
-  const float near = tracker->push_distance, here[3] = {at[0], at[1], at[2]}; /* what no store can change */
+  const float near = tracker->push_distance, here[3] = {at[0], at[1], at[2]}; /* copies that no store can alias */
   float up[3] = {0.0F, 0.0F, 0.0F}, down[3] = {0.0F, 0.0F, 0.0F};
   if (fence->has_box) {
     ALULA_UNROLL
@@ -131,7 +131,7 @@ void alula_fence_push(alula_fence_tracker* tracker, const float at[3], float v_d
   for (int i = 0; i < 3; ++i) v_d[i] = up[i] + down[i];
 }
 
-/* Between two looks at psi_0 and psi_1, l apart, psi >= (psi_0 + psi_1 - l) / 2. */
+/* Between two evaluations psi_0 and psi_1, l apart, psi >= (psi_0 + psi_1 - l) / 2. */
 static void follow_map(alula_fence_tracker* tracker, const float from[3], const float to[3], float allowance) {
   float* least = &tracker->least[ALULA_FENCE_MAP];
   const float kept = tracker->clearance + allowance;

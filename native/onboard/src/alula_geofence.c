@@ -3,8 +3,8 @@
 #include "racer_steps.h"
 
 #define UNIT 5.9604645e-8F  /* 2^-24 */
-#define INVERTED_MORE 4.0F  /* times the difference are added for a flow that was upside down, */
-#define INVERTED_FROM 0.25F /* all of them from so far below the horizon */
+#define INVERTED_MORE 4.0F  /* multiple of the difference that is added for a flow that was upside down, */
+#define INVERTED_FROM 0.25F /* in full from this far below the horizon */
 #define SOFT 16.0F          /* beta h_B; below 25 log 2, where lambda rounds to 1 */
 #define MOST_TICK 0.1F
 #define MOST_RATE_GAIN 1000.0F
@@ -167,14 +167,15 @@ static float speed_towards(const alula_geofence* filter, const alula_fence_track
   return speed > fast ? fast : (speed > slow ? speed : slow);
 }
 
-/* What stands for h_B in lambda: where that is small its square, never more. With its gain of 40 a tick can change
- * h_B by 1; lambda = 1 - exp(-beta h_B) would then change between pilot and backup in every tick. */
+/* The value that replaces h_B in the regulation function lambda: never above h_B, and quadratic where h_B is small.
+ * With its gain of 40 a tick can change h_B by 1; lambda = 1 - exp(-beta h_B) would then alternate between pilot and
+ * backup in every tick. */
 static float softened(float end, float beta) {
   const float z = beta * end;
   return z > 0.0F && z < SOFT ? end * (z / SOFT) : end;
 }
 
-/* h_I, and the constraint that decides lambda. */
+/* Computes h_I, and the constraint that decides lambda. */
 static void conclude(const alula_geofence* filter, const alula_fence_tracker* tracker, const float v[3],
                      alula_geofence_value* value) {
   const alula_fence* fence = filter->fence;
@@ -195,7 +196,7 @@ static void conclude(const alula_geofence* filter, const alula_fence_tracker* tr
       value->v_towards = speed;
     }
   }
-  /* a flow that is no number stays so to its end, but not every least value tells */
+  /* a flow that becomes NaN stays NaN to its end, but not every minimum shows it */
   if (tracker->damaged || !alula_is_finite(value->h_i) || !alula_is_finite(value->end)) value->h_i = -FLT_MAX;
 }
 
@@ -284,7 +285,7 @@ static const alula_racer_command* sent_ago(const alula_geofence* filter, uint32_
   return &filter->sent[(filter->newest + size - ago) % size];
 }
 
-/* The state now: measured, or the last one taken on by a tick with the command that acted in it. */
+/* Updates the state: measured, or predicted from the last one by a tick with the command that acted in it. */
 static void update_state(alula_geofence* filter, const alula_racer_state* navigation) {
   if (navigation && alula_racer_state_is_valid(navigation)) {
     filter->state = *navigation;
@@ -299,7 +300,7 @@ static void update_state(alula_geofence* filter, const alula_racer_state* naviga
   if (!alula_racer_state_is_valid(&filter->state)) filter->has_state = 0;
 }
 
-/* Level, whatever the yaw, and sinking. */
+/* Level at the current yaw, and sinking. */
 static void hand_over(alula_geofence* filter, alula_geofence_result* result) {
   alula_racer_command command;
   alula_racer_state level = filter->state;
@@ -328,7 +329,7 @@ static alula_geofence_status blend(alula_geofence* filter, const alula_racer_com
     for (int i = 0; i < 3; ++i) {
       command.rates[i] = lambda * wished.rates[i] + (1.0F - lambda) * command.rates[i];
     }
-    alula_racer_limit(&filter->config.model, &command); /* a rounding beyond */
+    alula_racer_limit(&filter->config.model, &command); /* rounding may exceed the limits */
   }
   send(filter, &command, result);
   return lambda > 0.0F ? ALULA_GEOFENCE_BLENDED : ALULA_GEOFENCE_BACKUP;
@@ -371,7 +372,7 @@ alula_geofence_status alula_geofence_filter(alula_geofence* filter, const alula_
   if (value.h_i > 0.0F || !filter->has_hold) {
     filter->hold = hold;
     filter->has_hold = 1;
-  } else if (!keeps) { /* go on with the flow that was found safe */
+  } else if (!keeps) { /* continue the flow that was found safe */
     alula_backup_command(&config->model, &config->backup, &filter->hold, filter->hover, &ahead, value.push,
                          &value.first);
   }

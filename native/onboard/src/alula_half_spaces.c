@@ -3,19 +3,19 @@
 #include "vector.h"
 
 #define PARALLEL 1.0e-12F /* squared sine below which constraints count as parallel */
-#define FARTHEST 16.0F    /* limits; a_0 is looked for no farther out */
+#define FARTHEST 16.0F    /* in limits: a_0 is clipped to this */
 #define REFINEMENTS 2
-#define RELAXATIONS 24 /* of the least violation */
+#define RELAXATIONS 24 /* iterations for the minimum violation */
 
 typedef struct {
   const alula_half_space* row;
   uint32_t count, soft; /* the first `soft` rows are relaxed */
   float limit;
-  float tolerance; /* a quarter of what rows are narrowed by: then they hold after rounding and cutting off */
+  float tolerance; /* a quarter of the tightening of rows: then they hold after rounding and clipping */
   float relaxed;
 } constraints;
 
-/* a x b. Of nearly parallel unit vectors with the difference instead, which is exact: a x b = a x (b -+ a). */
+/* a x b. For nearly parallel unit vectors it uses the difference, which is exact: a x b = a x (b -+ a). */
 static void cross(const float a[3], const float b[3], float c[3]) {
   const float along = dot(a, b), sign = along > 0.5F ? -1.0F : (along < -0.5F ? 1.0F : 0.0F);
   const float d[3] = {b[0] + sign * a[0], b[1] + sign * a[1], b[2] + sign * a[2]};
@@ -42,7 +42,7 @@ static alula_half_space constraint(const constraints* c, uint32_t i) {
   return h;
 }
 
-/* The most violated constraint at a, or when there is none the number of all. */
+/* The most violated constraint at a; if there is none, the number of constraints. */
 static uint32_t worst(const constraints* c, const float a[3]) {
   uint32_t found = c->count + 6U;
   float most = c->tolerance;
@@ -77,7 +77,7 @@ static int dual_vectors(const float* const n[3], uint32_t size, float d[3][3]) {
     cross(n[1], n[2], d[0]);
     cross(n[2], n[0], d[1]);
     cross(n[0], n[1], d[2]);
-    uint32_t narrow = 0U, wide = 0U; /* the pair with the least angle gives the volume best */
+    uint32_t narrow = 0U, wide = 0U; /* the pair with the smallest angle gives the most accurate volume */
     for (uint32_t i = 1; i < 3U; ++i) {
       if (dot(d[i], d[i]) < dot(d[narrow], d[narrow])) narrow = i;
       if (dot(d[i], d[i]) > dot(d[wide], d[wide])) wide = i;
@@ -90,8 +90,9 @@ static int dual_vectors(const float* const n[3], uint32_t size, float d[3][3]) {
   return 1;
 }
 
-/* Projects a_0 on the planes of up to three constraints; 0 when they are parallel or one of them pushes the wrong
- * way by more than rounding of x in units of the tolerance: without it that one would be missed by so little. */
+/* Projects a_0 on the planes of up to three constraints; 0 when they are parallel or a multiplier has the wrong
+ * sign by more than the rounding of x in units of the tolerance. A smaller error means that dropping the constraint
+ * would violate it by only that much. */
 static int touch(const alula_half_space* h, uint32_t size, const float a0[3], float tolerance, float x[3]) {
   const float* const n[3] = {h[0].normal, h[size > 1U ? 1 : 0].normal, h[size > 2U ? 2 : 0].normal};
   float d[3][3];
@@ -111,8 +112,8 @@ static int touch(const alula_half_space* h, uint32_t size, const float a0[3], fl
   return 1;
 }
 
-/* Projects a_0 on what `basis` and `added` allow, `added` being active there. The subset that is then active
- * replaces the basis; 0 when nothing is allowed. */
+/* Projects a_0 on the set that `basis` and `added` allow, with `added` active. The active subset replaces the basis;
+ * 0 when the set is empty. */
 static int exchange(const constraints* c, uint32_t added, const float a0[3], float a[3], uint32_t basis[4],
                     uint32_t* size) {
   /* subsets of a basis of up to three beside the added one, small ones first */
@@ -135,7 +136,7 @@ static int exchange(const constraints* c, uint32_t added, const float a0[3], flo
     }
     float x[3] = {0.0F, 0.0F, 0.0F};
     int good = touch(active, n, a0, c->tolerance, x);
-    /* Edges of narrow wedges may lie far out, where rounding is larger, before a face of the box is added. */
+    /* Edges of narrow wedges may be far away, where rounding is larger, before a face of the box is added. */
     const float bears = c->tolerance + 4.0F * FLT_EPSILON * (absolute(x[0]) + absolute(x[1]) + absolute(x[2]));
     for (uint32_t i = 0; i <= old && good; ++i) good = dot(h[i].normal, x) - h[i].bound <= bears;
     if (!good) continue;
@@ -184,7 +185,7 @@ static constraints all_of(const alula_half_space* row, uint32_t count, uint32_t 
   return c;
 }
 
-/* Whether a_0 needs no change; then it comes back bit by bit. */
+/* Nonzero if a_0 needs no change; then it is returned bit by bit. */
 static int stays(const constraints* c, const float a0[3], alula_projection* result) {
   result->iterations = result->basis_count = 0U;
   close_result(c, a0, 0.0F, result);
@@ -219,8 +220,8 @@ void alula_project_gauss_southwell(const alula_half_space* row, uint32_t count, 
   close_result(&c, a, ALULA_HALF_SPACE_MARGIN * limit, result);
 }
 
-/* What the constraints of a basis of four, which no point satisfies together, must at least be relaxed by: with
- * y >= 0 and sum y_i n_i = 0, r >= -y . b / (sum of y_i of the soft ones). -FLT_MAX when they do not say. */
+/* Lower bound on the relaxation of a basis of four constraints that no point satisfies together: with
+ * y >= 0 and sum y_i n_i = 0, r >= -y . b / (sum of y_i of the soft ones). -FLT_MAX when there is no bound. */
 static float least_relaxation(const constraints* c, const alula_projection* tried) {
   static const uint8_t others[4][3] = {{1U, 2U, 3U}, {0U, 3U, 2U}, {0U, 1U, 3U}, {0U, 2U, 1U}};
   if (tried->basis_count != 4U) return -FLT_MAX;
@@ -242,18 +243,18 @@ static float least_relaxation(const constraints* c, const alula_projection* trie
   return weight > 1.0e-6F ? c->relaxed + product / weight : -FLT_MAX;
 }
 
-/* 0 when the rows that are not soft contradict each other in the box. */
+/* Finds the minimum relaxation of the soft rows; 0 when the other rows contradict each other in the box. */
 static int relax(constraints c, const float a0[3], alula_projection* result) {
   float cut[3], most = 0.0F;
   for (int k = 0; k < 3; ++k) cut[k] = clipped(a0[k], c.limit);
   for (uint32_t i = 0; i < c.soft; ++i)
     if (-c.row[i].bound > most) most = -c.row[i].bound;
-  const float enough = most + 2.0F * c.limit + 8.0F * c.tolerance; /* with that no soft row cuts the box */
+  const float enough = most + 2.0F * c.limit + 8.0F * c.tolerance; /* with it, no soft row cuts the box */
   alula_projection tried;
   int found = project(&c, a0, result);
   uint32_t steps = result->iterations;
   if (found && result->feasible) return 1;
-  float low = 0.0F, high = FLT_MAX, next = least_relaxation(&c, result); /* too little, enough */
+  float low = 0.0F, high = FLT_MAX, next = least_relaxation(&c, result); /* low: too little, high: enough */
   close_result(&c, cut, 0.0F, result);
   result->basis_count = 0U;
   found = 0;

@@ -9,7 +9,7 @@
 #define LARGEST_POSITION 1.0e12F
 #define SMALLEST_VOXEL 1.0e-6F
 #define LARGEST_VOXEL 1.0e5F
-#define LARGEST_ORIGIN (1 << 22) /* so that floats hold all coordinates exactly */
+#define LARGEST_ORIGIN (1 << 22) /* floats represent all coordinates exactly */
 
 const int8_t alula_map_direction[ALULA_MAP_DIRECTIONS][3] = {
     {-1, -1, -1}, {-1, -1, 0}, {-1, -1, 1}, {-1, 0, -1}, {-1, 0, 1}, {-1, 1, -1}, {-1, 1, 0},
@@ -30,8 +30,8 @@ static uint32_t crc32_of(const uint8_t* data, uint32_t length) {
   return ~crc;
 }
 
-/* Whether a record is one that a writer makes: a box with volume within the extent, and planes that
- * cut it but leave something. */
+/* Nonzero for a valid record: a box with volume within the extent, and planes that cut it without removing all of
+ * it. */
 static int hull_is_valid(const alula_map* map, const alula_map_hull* hull, int32_t largest) {
   for (int i = 0; i < 3; ++i) {
     if (hull->lower[i] >= hull->upper[i]) return 0;
@@ -138,7 +138,7 @@ alula_map_plane alula_map_plane_at(const alula_map* map, const alula_map_hull* h
   return alula_map_plane_in(hull->planes + l * map->plane_bytes, map->plane_bytes, hull->shift);
 }
 
-/* Replace *value by psi_h when that is less. */
+/* Replaces *value by psi_h when that is smaller. */
 static void evaluate_hull(const alula_map* map, const alula_map_hull* hull, uint32_t number, const float x[3],
                           alula_map_value* value) {
   const float g = map->voxel_size_m;
@@ -168,7 +168,7 @@ static void evaluate_hull(const alula_map* map, const alula_map_hull* hull, uint
 
 alula_map_status alula_map_begin(const alula_map* map, const float x[3], alula_map_value* value, float* margin) {
   if (!map || !map->data || !x || !value) return ALULA_MAP_BAD_POINTER;
-  value->psi_m = -FLT_MAX; /* what a caller sees that does not look at the status */
+  value->psi_m = -FLT_MAX; /* for a caller that ignores the status */
   value->hull = ALULA_MAP_NO_HULL;
   value->normal[0] = value->normal[1] = value->normal[2] = 0.0F;
   float largest = map->extent_m;

@@ -31,7 +31,7 @@ static int same(const alula_map_box* a, const alula_map_box* b) {
   return 1;
 }
 
-/* Where the parts of the index are; 0 unless they fill the image exactly. */
+/* Finds the parts of the index; 0 unless they fill the image exactly. */
 static int find_levels(alula_map* map) {
   const uint8_t* head = map->data + map->records_end;
   const uint32_t room = map->total_bytes - map->records_end;
@@ -42,7 +42,7 @@ static int find_levels(alula_map* map) {
   for (; levels < ALULA_MAP_LEVELS; ++levels) {
     map->level_at[levels] = map->records_end + used;
     map->level_size[levels] = size;
-    used += ALULA_MAP_NODE_BYTES * size; /* at most 2^24 leaves: no overflow */
+    used += ALULA_MAP_NODE_BYTES * size; /* no overflow: at most 2^24 leaves */
     if (used > room) return 0;
     if (size == 1U) break;
     size = (size - 1U) / ALULA_MAP_FANOUT + 1U;

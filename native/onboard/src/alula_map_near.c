@@ -2,12 +2,12 @@
 
 #include "map_index.h"
 
-#define SLACK 4.0F     /* margins that comparisons leave for rounding */
-#define SHRUNK 0.9999F /* more than distances round by, and the margin grows by */
-#define WIDE 1.0F      /* [m] listed are hulls up to psi + WIDE + WIDER psi */
+#define SLACK 4.0F     /* slack of comparisons for rounding, in margins */
+#define SHRUNK 0.9999F /* covers the rounding of distances and the growth of the margin */
+#define WIDE 1.0F      /* [m] hulls up to psi + WIDE + WIDER psi are listed */
 #define WIDER 0.5F
 #define NARROW 0.01F /* [m] */
-#define THICK 8.0F   /* [m] kept are planes down to psi_h less this, or less */
+#define THICK 8.0F   /* [m] planes down to psi_h minus at most this are cached */
 #define THIN 1.0e-2F /* [m] */
 #define THINNER 0.7F
 
@@ -18,9 +18,9 @@ typedef struct {
   alula_map_status status;
 } query;
 
-/* Hulls in their order, from the index or record by record. */
+/* A walk through the hulls in their order, by the index or record by record. */
 typedef struct {
-  uint32_t level, node;   /* of the index, where to go on */
+  uint32_t level, node;   /* next node of the index */
   uint32_t next, end, at; /* hulls of the leaf, and the byte of the next one's record */
 } walk;
 
@@ -39,7 +39,7 @@ static float square_between(const float a[3], const float b[3]) {
   return dot(way, way);
 }
 
-/* Whether a hull of at least this value changes nothing. */
+/* Nonzero if a hull of at least this value does not change the result. */
 static inline int is_beyond(const alula_map_value* found, float psi, uint32_t hull) {
   return psi > found->psi_m || (psi == found->psi_m && hull > found->hull);
 }
@@ -51,7 +51,7 @@ static void accept(query* q, uint32_t hull, float psi, int face, const float* ro
   if (!row) q->found.normal[face % 3] = face < 3 ? -1.0F : 1.0F;
 }
 
-/* Keep only the planes of at least this value; how many. */
+/* Keeps only the planes of at least this value; returns their number. */
 static uint32_t drop(alula_kept_planes* kept, float* value, uint32_t count, float least) {
   uint32_t left = 0U;
   for (uint32_t l = 0; l < count; ++l) {
@@ -63,14 +63,14 @@ static uint32_t drop(alula_kept_planes* kept, float* value, uint32_t count, floa
   return left;
 }
 
-/* Decode a hull's planes up to the one that shows it to be beyond, and keep those that decide around x. `psi` is the
- * box's value, of `face`. */
+/* Decodes a hull's planes up to the one that shows it to be beyond, and caches those that decide around x. `psi` is
+ * the box's value, of `face`. */
 static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, float psi, int face, query* q) {
   const alula_map* map = near->map;
   alula_kept_planes* const kept = &near->tried;
   alula_map_hull record;
   if (alula_map_read(map, hull->record, &record) != ALULA_MAP_READY) {
-    q->status = ALULA_MAP_MALFORMED; /* it was whole when it was opened */
+    q->status = ALULA_MAP_MALFORMED; /* it was valid when it was opened */
     return;
   }
   float value[ALULA_NEAR_PLANES], row[4], deciding[3] = {0.0F, 0.0F, 0.0F}, thickness = near->thickness;
@@ -101,7 +101,7 @@ static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, flo
     }
     if (a < psi - thickness) continue;
     if (count == ALULA_NEAR_PLANES) {
-      thickness = 0.0F; /* too many alike: they are not all of it */
+      thickness = 0.0F; /* too many planes of equal value: the cache is incomplete */
       continue;
     }
     value[count] = a;
@@ -111,7 +111,7 @@ static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, flo
   kept->hull = hull->hull;
   kept->count = drop(kept, value, count, psi - thickness);
   for (int i = 0; i < 3; ++i) kept->at[i] = q->x[i];
-  const float next = thickness * (2.0F * THINNER); /* almost half as much again as there was room for */
+  const float next = thickness * (2.0F * THINNER); /* almost half more than fitted */
   near->thickness = next < THIN ? THIN : (next < THICK ? next : THICK);
   const float reach = 0.5F * SHRUNK * (thickness - q->slack);
   if (reach > 0.0F) kept->reach_square = reach * reach;
@@ -119,13 +119,13 @@ static void look_at_all(alula_map_near* near, const alula_listed_hull* hull, flo
   accept(q, hull->hull, psi, face, is_face ? 0 : deciding);
 }
 
-/* alula_plane_value of a position in registers. */
+/* alula_plane_value for a position in registers. */
 static inline float row_value(const float* row, float x, float y, float z) {
   const float at[3] = {x, y, z};
   return alula_plane_value(row, at);
 }
 
-/* Replace what was found by psi_h when that is less, or the same and h earlier. */
+/* Replaces the result by psi_h when that is smaller, or equal with an earlier h. */
 static void consider(alula_map_near* near, const alula_listed_hull* hull, query* q) {
   int face;
   const float box = alula_map_box_value(hull->lower, hull->upper, q->x, &face);
@@ -179,7 +179,7 @@ static float node_bound(const alula_map* map, uint32_t level, uint32_t node, con
   return alula_map_box_value(lower, upper, x, &face);
 }
 
-/* The hull whose turn it is. */
+/* Reads the current hull of the walk and advances. */
 static int step(const alula_map* map, walk* w, query* q, alula_listed_hull* hull) {
   alula_map_hull record;
   int face;
@@ -199,7 +199,7 @@ static int step(const alula_map* map, walk* w, query* q, alula_listed_hull* hull
   return 1;
 }
 
-/* On to the next hull whose box comes within `cut`; 0 at the end, or when the map is no longer one. */
+/* Advances to the next hull with a box within `cut`; 0 at the end, or when the map has become invalid. */
 static int next_hull(const alula_map* map, walk* w, query* q, float cut, alula_listed_hull* hull) {
   for (;;) {
     while (w->next < w->end) {
@@ -223,7 +223,7 @@ static int next_hull(const alula_map* map, walk* w, query* q, float cut, alula_l
   }
 }
 
-/* Hulls that are probably near: of the leaf that the nearest of each node's children lead to. */
+/* Evaluates hulls that are probably near: those of the leaf reached by the nearest child of each node. */
 static void guess(alula_map_near* near, query* q) {
   const alula_map* map = near->map;
   walk w = begin(map);
@@ -248,7 +248,7 @@ static void guess(alula_map_near* near, query* q) {
   while (w.next < w.end && step(map, &w, q, &hull)) consider(near, &hull, q);
 }
 
-/* Raise a bound to psi_h, or to a plane's value beyond the limit: seen from far away over a corner, boxes alone would
+/* Raises a bound to psi_h, or to a plane's value beyond the limit: from far away over a corner, boxes alone would
  * list most hulls. */
 static void refine(const alula_map* map, alula_listed_hull* hull, float limit, query* q) {
   alula_map_hull record;
@@ -268,7 +268,7 @@ static void refine(const alula_map* map, alula_listed_hull* hull, float limit, q
   }
 }
 
-/* Of the list, what may be within the limit. */
+/* Keeps only the listed hulls that may be within the limit. */
 static void drop_listed(alula_map_near* near, float limit) {
   uint32_t left = 0U;
   for (uint32_t k = 0; k < near->count; ++k) {
@@ -277,7 +277,7 @@ static void drop_listed(alula_map_near* near, float limit) {
   near->count = left;
 }
 
-/* A new list around x, and the nearest, given some hull's psi_h or none. */
+/* Makes a new list around x and finds the nearest hull, given some hull's psi_h or none. */
 static void gather(alula_map_near* near, query* q) {
   const alula_map* map = near->map;
   near->count = near->last = 0U;
@@ -307,7 +307,7 @@ static void gather(alula_map_near* near, query* q) {
       left_out = hull.bound;
     }
   }
-  near->wide = 1.5F * wide; /* there may be room for more the next time */
+  near->wide = 1.5F * wide; /* more may fit the next time */
   for (int i = 0; i < 3; ++i) near->centre[i] = q->x[i];
   near->limit = limit < left_out ? limit : left_out;
   for (uint32_t k = 0; k < near->count; ++k) consider(near, &near->listed[k], q);
@@ -320,7 +320,7 @@ static void gather(alula_map_near* near, query* q) {
   }
 }
 
-/* The nearest of the list; whether no other hull can be. */
+/* Finds the nearest hull of the list; nonzero if no other hull can be nearer. */
 static int search_list(alula_map_near* near, query* q) {
   if (near->count == 0U) return 0;
   const float travelled = __builtin_sqrtf(square_between(q->x, near->centre)) * (2.0F - SHRUNK) + q->slack;

@@ -1,4 +1,4 @@
-/* Exponential and logarithm from their series, so that no library decides the last bit. */
+/* Exponential and logarithm from their series, so the last bit does not depend on a library. */
 #include "alula_onboard.h"
 
 #define LOG2_E 1.44269504F
@@ -29,7 +29,7 @@ float alula_expf(float x) {
       0.5F +
       r * (1.0F / 6.0F + r * (1.0F / 24.0F + r * (1.0F / 120.0F + r * (1.0F / 720.0F + r * (1.0F / 5040.0F)))));
   const float y = (r * r * tail + r) + 1.0F;
-  const int32_t half = k / 2; /* 2^128 is no float, its square root is */
+  const int32_t half = k / 2; /* a float cannot hold 2^128, but its square root */
   return y * power_of_two(half) * power_of_two(k - half);
 }
 

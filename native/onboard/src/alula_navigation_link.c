@@ -28,7 +28,7 @@ static void put(uint8_t* at, uint32_t value, uint32_t size) {
   for (uint32_t i = 0; i < size; ++i) at[i] = (uint8_t)(value >> 8U * i & 0xFFU);
 }
 
-/* Numbers in units of 1 / scale, to nearest; zero when one does not fit. */
+/* Writes numbers in units of 1 / scale, rounded to nearest; zero when one does not fit. */
 static int put_numbers(uint8_t* at, const float* x, uint32_t count, float scale, float most, uint32_t size) {
   for (uint32_t i = 0; i < count; ++i) {
     const float scaled = x[i] * scale;

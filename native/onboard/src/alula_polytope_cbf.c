@@ -1,10 +1,10 @@
 #include "polytope_walk.h"
 #include "vector.h"
 
-#define FLAT 1.0e-6F           /* squared gradient below which there is no direction to leave in */
+#define FLAT 1.0e-6F           /* squared gradient below which the escape direction is undefined */
 #define DIVISION_ERROR 2.4e-7F /* 4 units in the last place: two subtractions and a division */
 #define SPEED_TOLERANCE 1.0001F
-#define ROUNDING 1.0e-5F /* of sums of a few numbers, with room */
+#define ROUNDING 1.0e-5F /* upper bound on the relative rounding of sums of a few numbers */
 
 /* s_k, given psi_k and the planes; its gradient too unless that is null. */
 static float smooth_value(alula_polytope_cbf* cbf, const alula_walk* walk, const float x[3], float hard,
@@ -36,8 +36,9 @@ static int inside_extent(const alula_polytope_map* map, const float x[3]) {
   return 1;
 }
 
-/* Lists the hulls that matter where psi and the least s_k are at most `base`: those whose s_k may be near it, and
- * those in reach of a step. More than rounding of what is compared is added; u differs from v_max by less. */
+/* Lists the hulls that matter where psi and the minimum s_k are at most `base`: hulls with an s_k that may be near
+ * it, and hulls within reach of a step. Adds more than the rounding of the compared values; u exceeds v_max by less.
+ */
 static void gather(alula_polytope_cbf* cbf, const float x[3], float base) {
   const alula_polytope_cbf_config* c = &cbf->config;
   const float kept = c->radius_m + cbf->map.slack_m;
@@ -54,12 +55,12 @@ static float smooth_bound(const alula_polytope_cbf* cbf, float hard) {
   return (hard - cbf->max_lowering_m) - cbf->crowd_m;
 }
 
-/* Whether the row could bind: it does not while beta (s - r) >= v_max, as no gradient is longer than 1. */
+/* Nonzero if the row could bind: it does not while beta (s - r) >= v_max, because no gradient is longer than 1. */
 static int could_bind(const alula_polytope_cbf* cbf, float smooth) {
   return cbf->config.beta * (smooth - cbf->config.radius_m) < cbf->config.v_max * ALULA_SPEED_ROUNDING;
 }
 
-/* psi and the nearest hull. */
+/* Finds psi and the nearest hull. */
 static void find_hard(alula_polytope_cbf* cbf, const float x[3], alula_polytope_value* value) {
   alula_walk walk;
   alula_walk_rule rule = {FLT_MAX, ALULA_NO_HULL, 0.0F, 0.0F, -FLT_MAX};
@@ -69,7 +70,7 @@ static void find_hard(alula_polytope_cbf* cbf, const float x[3], alula_polytope_
   if (alula_walk_planes(cbf, &rule, x, &walk, &hard)) {
     rule.nearer = hard;
     rule.nearest = guess;
-    if (could_bind(cbf, smooth_bound(cbf, hard))) gather(cbf, x, hard); /* one walk for all that follows */
+    if (could_bind(cbf, smooth_bound(cbf, hard))) gather(cbf, x, hard); /* one walk for all later steps */
   }
   alula_walk_begin(cbf, &walk);
   while (alula_walk_next(cbf, &rule, x, &walk)) {
@@ -83,7 +84,7 @@ static void find_hard(alula_polytope_cbf* cbf, const float x[3], alula_polytope_
   value->nearest = rule.nearest;
 }
 
-/* The least s_k. */
+/* The minimum s_k. */
 static float find_least(alula_polytope_cbf* cbf, const float x[3], const alula_polytope_value* value) {
   alula_walk walk;
   alula_walk_rule rule = {-FLT_MAX, ALULA_NO_HULL, cbf->max_lowering_m, FLT_MAX, 0.0F};
@@ -101,7 +102,7 @@ static float find_least(alula_polytope_cbf* cbf, const float x[3], const alula_p
   return rule.least;
 }
 
-/* s and its gradient, from all hulls whose terms count, in their order. */
+/* s and its gradient, from all hulls with terms that count, in their order. */
 static void find_smooth(alula_polytope_cbf* cbf, const float x[3], alula_polytope_value* value) {
   const float least = find_least(cbf, x, value);
   const alula_walk_rule rule = {-FLT_MAX, ALULA_NO_HULL, cbf->max_lowering_m, least, cbf->cutoff_m};
@@ -121,7 +122,7 @@ static void find_smooth(alula_polytope_cbf* cbf, const float x[3], alula_polytop
   value->smooth = least - alula_logf(sum) * cbf->inverse_kappa;
 }
 
-/* psi; 0 for a position that is refused. */
+/* Starts a call: computes psi, or returns a status for a position that is refused. */
 static alula_status begin(alula_polytope_cbf* cbf, const float x[3], alula_polytope_value* value) {
   static const alula_polytope_work NONE = {0U, 0U, 0U, 0U, 0U};
   value->hard = value->smooth = FLT_MAX;
@@ -144,7 +145,7 @@ alula_status alula_polytope_cbf_evaluate(alula_polytope_cbf* cbf, const float x[
   return cbf->is_damaged ? ALULA_BAD_MAP : ALULA_READY;
 }
 
-/* The part of the step from x to end that provably keeps psi_k >= least for all k, in [0, 1].
+/* The fraction of the step from x to end that provably keeps psi_k >= least for all k, in [0, 1].
  *
  * Along the step each plane's value is linear, so hull k is entered between the last plane that
  * goes below the threshold and the first that comes back above it: the step is clear when that
@@ -156,7 +157,7 @@ static float clear_fraction(alula_polytope_cbf* cbf, const float x[3], const flo
   alula_walk_begin(cbf, &walk);
   while (alula_walk_next(cbf, &rule, x, &walk)) {
     if (!alula_walk_planes(cbf, &rule, x, &walk, &hard)) continue;
-    const float threshold = hard < least ? hard : least; /* already closer: at least no closer */
+    const float threshold = hard < least ? hard : least; /* if already closer, do not come closer */
     const float* const after = walk.plane + 4U * walk.plane_count;
     float enter = 0.0F, leave = 2.0F;
     int separated = 0;
@@ -180,7 +181,7 @@ static float clear_fraction(alula_polytope_cbf* cbf, const float x[3], const flo
   return fraction;
 }
 
-/* Scale u down to the speed limit; nonzero when that changed it. */
+/* Scales u down to the speed limit; nonzero when that changed it. */
 static int limit_speed(float u[3], float v_max) {
   const float speed_squared = dot(u, u);
   if (speed_squared <= v_max * v_max * ALULA_SPEED_ROUNDING) return 0;
@@ -195,7 +196,7 @@ static int limit_speed(float u[3], float v_max) {
   return 1;
 }
 
-/* Drive out along the gradient, as fast as the row asks but within the speed limit. */
+/* Drives out along the gradient, as fast as the row requires but within the speed limit. */
 static alula_filter_status recover(const alula_polytope_cbf* cbf, const alula_polytope_value* value, float row,
                                    float u[3]) {
   const float square = dot(value->gradient, value->gradient);
@@ -238,7 +239,7 @@ static alula_filter_status project(const alula_polytope_cbf* cbf, const alula_po
   return ALULA_FILTER_FILTERED;
 }
 
-/* The part of the command u, held for dt from x, that keeps psi_k >= least for all k. */
+/* The fraction of the command u, held for dt from x, that keeps psi_k >= least for all k. */
 static float checked(alula_polytope_cbf* cbf, const float x[3], const float u[3], float least) {
   float end[3];
   for (int i = 0; i < 3; ++i) end[i] = x[i] + u[i] * cbf->config.dt_s;
@@ -254,9 +255,9 @@ static alula_filter_status check_step(alula_polytope_cbf* cbf, const float x[3],
   return status == ALULA_FILTER_RECOVERING ? status : ALULA_FILTER_SHORTENED;
 }
 
-/* A step out must not lead deeper, into this hull or another. The gradient of s may: it is a mean of
- * normals, near edges and for a small kappa of many. Then the normal of the plane that decides psi,
- * along which psi_k grows, may allow more. */
+/* A step out must not lead deeper, into this hull or another. The gradient of s may lead deeper: it is a mean of
+ * normals, of many near edges and for a small kappa. Then the normal of the plane that decides psi,
+ * along which psi_k grows, may allow a longer step. */
 static void check_recovery(alula_polytope_cbf* cbf, const float x[3], const alula_polytope_value* value,
                            alula_polytope_result* result) {
   result->fraction = checked(cbf, x, result->u, value->hard);
@@ -287,7 +288,7 @@ static alula_filter_status filter(alula_polytope_cbf* cbf, const float x[3], con
   alula_polytope_value value;
   if (begin(cbf, x, &value) != ALULA_READY) return ALULA_FILTER_REFUSED;
   if (cbf->map.hull_count > 0U) {
-    value.smooth = smooth_bound(cbf, value.hard); /* stands for s when the row cannot bind */
+    value.smooth = smooth_bound(cbf, value.hard); /* replaces s when the row cannot bind */
     if (could_bind(cbf, value.smooth)) find_smooth(cbf, x, &value);
   }
   result->margin_m = value.smooth - cbf->config.radius_m;
@@ -326,7 +327,7 @@ alula_filter_status alula_polytope_cbf_filter(alula_polytope_cbf* cbf, const flo
     return ALULA_FILTER_REFUSED;
   }
   const alula_filter_status status = filter(cbf, x, u_nom, result);
-  /* the latter only ever fails on a map that is no longer what it was */
+  /* the speed exceeds the limit only on a map that has changed since it was opened */
   if (!cbf->is_damaged && dot(result->u, result->u) <= SPEED_TOLERANCE * cbf->config.v_max * cbf->config.v_max) {
     return status;
   }

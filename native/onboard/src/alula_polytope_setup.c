@@ -1,4 +1,4 @@
-/* What is checked before a filter among polytopes is used. */
+/* Set-up of a filter among polytopes: checks of the map and the parameters. */
 #include "polytope_walk.h"
 
 #define OUTWARD_OF_EXTENT (1.0F / 262144.0F) /* 2^-18, see alula_polytope_cbf_open */

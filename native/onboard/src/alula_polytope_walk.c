@@ -1,4 +1,4 @@
-/* The hulls near a position, from arrays one by one, from an image by its tree of boxes. */
+/* Walks through the hulls near a position: one by one for arrays, by the tree of boxes for an image. */
 #include "polytope_walk.h"
 
 static int leaves_out(const alula_polytope_cbf* cbf, const alula_walk_rule* rule, float bound, uint32_t number) {
@@ -8,14 +8,14 @@ static int leaves_out(const alula_polytope_cbf* cbf, const alula_walk_rule* rule
 }
 
 /* The largest of lower - x and x - upper, for the offsets of six planes parallel to the axes. The arithmetic is
- * that of alula_plane_value for such a plane, so that no plane of a hull in the box has a smaller rounded value. */
+ * that of alula_plane_value for such a plane, so no hull in the box has a smaller rounded value. */
 static float beside(float found, float lower, float upper, float x) {
   const float below = lower - x, above = x - upper;
   if (below > found) found = below;
   return above > found ? above : found;
 }
 
-/* Of a box of the image: int16 lower[3], upper[3] at `at`, of a node or a record. */
+/* The same for a box of the image: int16 lower[3], upper[3] at `at`, of a node or a record. */
 static inline float lattice_axis(const alula_polytope_cbf* cbf, const uint8_t* at, int i, float x, float found) {
   const float g = cbf->image.voxel_size_m, outward = cbf->outward_m;
   const float lower = (float)(cbf->image.origin[i] + i16_at(at + 2 * i)) * g - outward;
@@ -45,7 +45,7 @@ static void enter(const alula_map* map, uint32_t leaf, alula_walk* walk) {
   walk->at = alula_map_leaf_start(map, leaf);
 }
 
-/* Into the next leaf that matters; 0 when there is none. Each node is looked at once at most. */
+/* Advances to the next leaf that matters; 0 when there is none. Each node is tested at most once. */
 static int next_leaf(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const float x[3], alula_walk* walk) {
   const alula_map* map = &cbf->image;
   if (map->leaf_hulls == 0U) return 0;
@@ -78,7 +78,7 @@ void alula_walk_begin(const alula_polytope_cbf* cbf, alula_walk* walk) {
   walk->at = ALULA_MAP_HEADER_BYTES;
 }
 
-/* The next hull of the leaf, which has one. */
+/* Advances to the next hull of the leaf, which must have one. */
 static void step(alula_polytope_cbf* cbf, const float x[3], alula_walk* walk) {
   const alula_map* map = &cbf->image;
   walk->hull = walk->next++;
@@ -89,7 +89,7 @@ static void step(alula_polytope_cbf* cbf, const float x[3], alula_walk* walk) {
     return;
   }
   if (walk->at > map->records_end - ALULA_MAP_HULL_BYTES) {
-    cbf->is_damaged = 1; /* the image was whole when it was opened */
+    cbf->is_damaged = 1; /* the image was valid when it was opened */
     walk->bound = FLT_MAX;
     return;
   }
@@ -183,9 +183,9 @@ uint32_t alula_walk_guess(alula_polytope_cbf* cbf, const float x[3]) {
 
 enum { THERE, TO_KEEP, PASSING };
 
-/* The first row of a hull whose planes are there, else of room for them. What is kept goes when there is no room
- * for more and some of it was of no use in this tick and the last; else the hull passes through rows at the end,
- * which hold any. */
+/* The first row of a hull's cached planes, or of space for them. When the space is exhausted, hulls that were not
+ * used in this tick and the last are evicted; if there are none, the hull uses rows at the end, which hold any hull.
+ */
 static uint32_t room_for(alula_polytope_cbf* cbf, uint32_t hull, uint32_t count, int* how) {
   const uint32_t passing = cbf->image.most_planes + 6U;
   for (uint32_t i = 0; i < cbf->kept_count; ++i) {
@@ -214,7 +214,7 @@ static void keep(alula_polytope_cbf* cbf, uint32_t hull, uint32_t count) {
   cbf->row_count += count;
 }
 
-/* Rows of the six faces of a record; their values are those that walk->bound is the largest of. */
+/* Rows of the six faces of a record; walk->bound is the largest of their values. */
 static void face_rows(float g, float outward, const alula_map_hull* record, float row[6][4]) {
   for (int i = 0; i < 6; ++i) {
     const int axis = i % 3;
@@ -224,7 +224,7 @@ static void face_rows(float g, float outward, const alula_map_hull* record, floa
   }
 }
 
-/* The largest value of the rows and *hard; 0 as soon as the rule leaves the hull out. */
+/* Raises *hard to the largest value of the rows; 0 as soon as the rule excludes the hull. */
 static int largest(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const float x[3], const alula_walk* walk,
                    float* hard) {
   const float at[3] = {x[0], x[1], x[2]};
@@ -244,7 +244,7 @@ static int largest(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const f
   return 1;
 }
 
-/* The same for a record whose rows are made on the way. */
+/* The same for a record with rows that are decoded during the loop. */
 static int largest_made(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const float x[3],
                         const alula_walk* walk, float (*row)[4], float* hard) {
   const float at[3] = {x[0], x[1], x[2]}, g = cbf->image.voxel_size_m, outward = cbf->outward_m;
@@ -280,7 +280,7 @@ static int decode(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const fl
   int how;
   walk->plane_count = 6U + cbf->image.data[walk->record + 12U];
   if (walk->plane_count > cbf->image.most_planes + 6U) {
-    cbf->is_damaged = 1; /* no longer the image that was opened: the rows would not hold it */
+    cbf->is_damaged = 1; /* the image has changed since it was opened: the hull does not fit the rows */
     return 0;
   }
   float (*row)[4] = cbf->row + room_for(cbf, walk->hull, walk->plane_count, &how);
@@ -295,7 +295,7 @@ static int decode(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const fl
 int alula_walk_planes(alula_polytope_cbf* cbf, const alula_walk_rule* rule, const float x[3], alula_walk* walk,
                       float* hard) {
   ++cbf->work.hulls;
-  if (cbf->is_damaged) return 0; /* where the record begins is not known */
+  if (cbf->is_damaged) return 0; /* the start of the record is unknown */
   if (cbf->image.data) return decode(cbf, rule, x, walk, hard);
   const uint32_t begin = cbf->map.plane_start[walk->hull];
   walk->plane = cbf->map.plane + 4U * begin;

@@ -5,7 +5,7 @@
 #define LARGEST_POSITION 1.0e5F
 #define LARGEST_SPEED 200.0F
 #define LARGEST_RATE 100.0F
-#define SHORT 1.0e-6F /* of a squared length: no direction */
+#define SHORT 1.0e-6F /* squared length below which a direction is undefined */
 
 alula_backup_gains alula_backup_defaults(void) {
   alula_backup_gains gains;
@@ -26,7 +26,7 @@ alula_racer_step_size alula_racer_step_of(const alula_racer_model* model, float 
   return step;
 }
 
-/* 2 c / (b + sqrt(b^2 + 4 a c)) has no cancellation, and no division by a small a. */
+/* 2 c / (b + sqrt(b^2 + 4 a c)) avoids cancellation and the division by a small a. */
 float alula_racer_hover_throttle(const alula_racer_model* model) {
   const float c = model->gravity - model->thrust[0], b = model->thrust[1];
   const float root = __builtin_sqrtf(b * b + 4.0F * model->thrust[2] * c);
@@ -55,8 +55,8 @@ int alula_racer_command_is_finite(const alula_racer_command* command) {
          alula_is_finite(command->rates[1]) && alula_is_finite(command->rates[2]);
 }
 
-/* yaw_0 is the turn about z of q = (turn about z) (turn about a horizontal axis): it has no singularity but upside
- * down, where any yaw is as good. */
+/* yaw_0 is the turn about z of q = (turn about z) (turn about a horizontal axis). Its only singularity is upside
+ * down, where any yaw is equally good. */
 alula_backup_hold alula_backup_hold_at(const alula_racer_state* state, float climb) {
   alula_backup_hold hold;
   const float* q = state->attitude;

@@ -3,11 +3,11 @@
 #include "vector.h"
 
 #define CENTER 3.49065850F /* [rad/s] 200 deg/s */
-#define BOOST_FROM 2.0F    /* of rc_rate */
+#define BOOST_FROM 2.0F    /* rc_rate above which the boost applies */
 #define BOOST 14.54F
 #define LEAST_DIVISOR 0.01F
 #define SPAN_US 500.0F
-#define HALVINGS 26 /* of [0, 1]: below the spacing of floats around 1/2 */
+#define HALVINGS 26 /* bisections of [0, 1]: below the spacing of floats around 1/2 */
 
 static const int channel_of[3] = {ALULA_CHANNEL_ROLL, ALULA_CHANNEL_PITCH, ALULA_CHANNEL_YAW};
 static const float sign_of[3] = {1.0F, 1.0F, -1.0F};
@@ -47,7 +47,7 @@ static float slope(const alula_rates_axis* axis) {
   return CENTER * (r > BOOST_FROM ? r + BOOST * (r - BOOST_FROM) : r);
 }
 
-/* Of x in [0, 1]. */
+/* omega(x) of x in [0, 1]. */
 static float rate_of(const alula_rates_axis* axis, float x) {
   const float shaped = x * (axis->expo * x * x * x + (1.0F - axis->expo));
   return slope(axis) * shaped / within(1.0F - axis->super_rate * x, LEAST_DIVISOR, 1.0F);
@@ -58,7 +58,7 @@ float alula_rates_at(const alula_rates_axis* axis, float deflection) {
   return x < 0.0F ? -rate_of(axis, -x) : rate_of(axis, x);
 }
 
-/* Without expo: on the curve's steep end, where the divisor is cut, it is a line again. */
+/* The inverse without expo: at the curve's steep end, where the divisor is clipped, it is linear again. */
 static float closed_inverse(const alula_rates_axis* axis, float rate) {
   const float full = slope(axis), x = rate / (full + axis->super_rate * rate);
   return 1.0F - axis->super_rate * x < LEAST_DIVISOR ? LEAST_DIVISOR * rate / full : x;

@@ -1,4 +1,4 @@
-/* Little-endian numbers at any address; not for callers. */
+/* Little-endian numbers at any address. Private. */
 #ifndef ALULA_ONBOARD_BYTES_H
 #define ALULA_ONBOARD_BYTES_H
 

@@ -1,4 +1,4 @@
-/* The index of a map, and coordinates on its lattice; not for callers. */
+/* The index of a map, and coordinates on its lattice. Private. */
 #ifndef ALULA_ONBOARD_MAP_INDEX_H
 #define ALULA_ONBOARD_MAP_INDEX_H
 
@@ -12,7 +12,7 @@
 
 extern const int8_t alula_map_direction[ALULA_MAP_DIRECTIONS][3];
 
-/* A plane as it is stored. */
+/* Decodes a stored plane. */
 static inline alula_map_plane alula_map_plane_in(const uint8_t* at, uint32_t plane_bytes, uint32_t shift) {
   alula_map_plane plane;
   if (plane_bytes == ALULA_MAP_KDOP_PLANE_BYTES) {
@@ -31,9 +31,9 @@ static inline alula_map_plane alula_map_plane_in(const uint8_t* at, uint32_t pla
   return plane;
 }
 
-/* A plane as a row n, d: unit normal, and offset moved outward; alula_polytope_cbf_open has what rounding costs. All
- * sums of integers are below 2^31: normals are at most 127, coordinates 2^22 + 2^15, and a plane cuts its box, so
- * that its depth is below 2^25. */
+/* A plane as a row n, d: unit normal, and offset moved outward; see alula_polytope_cbf_open for the rounding error.
+ * All sums of integers are below 2^31: normals are at most 127, coordinates 2^22 + 2^15, and a plane cuts its box, so
+ * its depth is below 2^25. */
 static inline void alula_map_plane_row(const alula_map_plane* plane, const alula_map_hull* record, float g,
                                        float outward, float row[4]) {
   const int32_t i = plane->normal[0], j = plane->normal[1], k = plane->normal[2];
@@ -57,8 +57,8 @@ typedef struct {
   int32_t lower[3], upper[3];
 } alula_map_box;
 
-/* Finds and checks the index behind the records: every node is exactly the union of what is below it, and
- * every leaf knows where its records begin. Nonzero when it is so. O(hulls). */
+/* Finds and checks the index after the records; nonzero when it is valid: every node is exactly the union of the
+ * boxes below it, and every leaf stores the start of its records. O(hulls). */
 int alula_map_index_open(alula_map* map);
 
 /* Node `i` of a level, with i < level_size[level]. */
@@ -67,8 +67,8 @@ alula_map_box alula_map_node(const alula_map* map, uint32_t level, uint32_t i);
 /* Byte at which the first record of leaf i begins. */
 uint32_t alula_map_leaf_start(const alula_map* map, uint32_t i);
 
-/* The largest distance from the faces of a box, and which it is: i for lower, 3 + i for upper. A box in another has
- * no smaller one, also after rounding. */
+/* The largest distance from the faces of a box, and the face: i for lower, 3 + i for upper. For a box inside another
+ * the value is at least as large, also after rounding. */
 static inline float alula_map_box_value(const float lower[3], const float upper[3], const float x[3], int* face) {
   float largest = -FLT_MAX;
   *face = 0;
@@ -87,11 +87,11 @@ static inline float alula_map_box_value(const float lower[3], const float upper[
   return largest;
 }
 
-/* What evaluations begin with: a value of nothing, and what is taken off psi. */
+/* Starts an evaluation: the value for no hulls, and the margin to subtract from psi. */
 ALULA_MUST_USE alula_map_status alula_map_begin(const alula_map* map, const float x[3], alula_map_value* value,
                                                 float* margin);
 
-/* On to the next node that is not below this one, in the order of the records. */
+/* Advances to the next node that is not below this one, in the order of the records. */
 static inline void alula_map_pass(const alula_map* map, uint32_t* level, uint32_t* node) {
   ++*node;
   while (*level + 1U < map->level_count && *node % ALULA_MAP_FANOUT == 0U) {

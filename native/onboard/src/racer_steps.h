@@ -1,16 +1,16 @@
-/* The model and the backup controller, inline for the loop of alula_geofence.c; not for callers. */
+/* The model and the backup controller, inline for the loop of alula_geofence.c. Private. */
 #ifndef ALULA_ONBOARD_RACER_STEPS_H
 #define ALULA_ONBOARD_RACER_STEPS_H
 
 #include "alula_racer.h"
 #include "vector.h"
 
-#define FADE 4.0F              /* one over the zeta below the horizon at which what jumped has faded */
+#define FADE 4.0F              /* one over the zeta below the horizon at which the ramps end */
 #define STEEPEST 2.0F          /* 1 / zeta of a body on its side, */
 #define INVERTED (1.0F / 3.0F) /* and of one upside down */
 #define QUARTER 0.707106781F   /* w of a turn of 90 degrees */
 
-/* cos and sin(x) / x from x^2; below 1e-7 off up to x = 1. */
+/* cos and sin(x) / x from x^2, with an error below 1e-7 up to x = 1. */
 static inline float cosine_of_square(float z) {
   return 1.0F - z * (0.5F - z * (1.0F / 24.0F - z * (1.0F / 720.0F - z * (1.0F / 40320.0F))));
 }

@@ -1,8 +1,8 @@
-/* What the sources of native/onboard compute with; not for callers. */
+/* Vector operations for the sources of native/onboard. Private. */
 #ifndef ALULA_ONBOARD_VECTOR_H
 #define ALULA_ONBOARD_VECTOR_H
 
-/* Before loops over the components of vectors: -O2 keeps them loops, at three times the instructions. */
+/* Unrolls loops over the components of vectors: with -O2 they would stay loops, at three times the instructions. */
 #if defined(__GNUC__) && !defined(__clang__)
 #define ALULA_UNROLL _Pragma("GCC unroll 6")
 #else
@@ -13,7 +13,7 @@ static inline float dot(const float a[3], const float b[3]) { return a[0] * b[0]
 static inline float norm(const float a[3]) { return __builtin_sqrtf(dot(a, a)); }
 static inline float absolute(float x) { return __builtin_fabsf(x); }
 
-/* Into [-limit, limit], also NaN. */
+/* Clips to [-limit, limit], also NaN. */
 static inline float clipped(float x, float limit) {
   if (absolute(x) <= limit) return x;
   return x < 0.0F ? -limit : limit;

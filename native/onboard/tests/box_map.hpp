@@ -1,4 +1,4 @@
-// An onboard map of boxes, for tests: no index, voxels of 0.25 m. And a field of them.
+// An onboard map of boxes, for tests: no index, voxels of 0.25 m; and a field of obstacles.
 #pragma once
 
 #include <algorithm>
@@ -59,14 +59,14 @@ inline std::vector<LatticeBox> obstacles() {
 }
 
 inline double distance(const std::array<double, 3>& p) {
-  double least = 1e9;
+  double smallest = 1e9;
   for (const LatticeBox& box : obstacles()) {
     double square = 0;
     for (std::size_t i = 0; i < 3; ++i) {
       const double away = std::max({kBoxMapVoxel * box[i] - p[i], p[i] - kBoxMapVoxel * box[i + 3], 0.0});
       square += away * away;
     }
-    least = std::min(least, std::sqrt(square));
+    smallest = std::min(smallest, std::sqrt(square));
   }
-  return least;
+  return smallest;
 }

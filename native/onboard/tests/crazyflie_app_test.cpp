@@ -1,4 +1,4 @@
-// The Crazyflie's app with what stands for its firmware: set-points in, set-points out.
+// The Crazyflie's app with a stand-in for its firmware: set-points in, set-points out.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -49,7 +49,7 @@ void test_the_app_flies_the_filtered_set_point() {
   alula_test_map_bytes = static_cast<std::uint32_t>(image.size());
   controllerOutOfTreeInit();
   CHECK(controllerOutOfTreeTest());
-  controllerOutOfTreeInit();  // switched to again: as it was
+  controllerOutOfTreeInit();  // selected again: unchanged
   CHECK(controllerOutOfTreeTest());
   std::thread(appMain).detach();
   turn_of_loop.acquire();
@@ -92,7 +92,7 @@ void test_the_app_flies_the_filtered_set_point() {
   const double least = run(8000);
   CHECK(least >= 0.15 - 1e-5 && least < 0.3);
 
-  wish.mode.roll = wish.mode.pitch = modeVelocity;  // rates as well: they do not win over the velocity
+  wish.mode.roll = wish.mode.pitch = modeVelocity;  // rates as well: they do not override the velocity
   run(1);
   CHECK(flown_setpoint.mode.roll == modeDisable && flown_setpoint.mode.pitch == modeDisable);
   wish.mode.roll = wish.mode.pitch = modeDisable;

@@ -1,4 +1,4 @@
-// The Crazyflie's filter: closed loop at 1 kHz with a worker beside it, and every outcome.
+// The Crazyflie's filter: closed loop at 1 kHz with a worker task, and every outcome.
 #include <algorithm>
 #include <array>
 #include <atomic>
@@ -50,7 +50,7 @@ struct Rig {
     CHECK(alula_crazyflie_open(&filter, image.data(), static_cast<std::uint32_t>(image.size()), &config));
   }
   bool is_due() const { return step % period == 0; }
-  // A millisecond of the loop and of a vehicle that flies what it is told; the worker has its turn after it.
+  // A millisecond of the loop and of a vehicle that follows its command; the worker runs after it.
   void run(const alula_crazyflie_wish& wish, const alula_crazyflie_state& state, bool works = true) {
     alula_crazyflie_step(&filter, &wish, &state, is_due(), 0.001F, &out);
     for (std::size_t i = 0; i < 3 && out.is_replaced; ++i) p[i] += kStep * static_cast<double>(out.velocity[i]);
@@ -63,8 +63,9 @@ struct Rig {
   }
 };
 
-// Wishes of all kinds for a minute: no closer than the radius, and in each period exactly what polytope-cbf says.
-void test_it_flies_what_polytope_cbf_says_and_touches_nothing() {
+// Nominal commands of all kinds for a minute: never closer than the radius, and in each period exactly the command of
+// polytope-cbf.
+void test_it_flies_the_commands_of_polytope_cbf_and_touches_nothing() {
   for (const int period : {2, 10, 20}) {
     Rig rig(period);
     alula_map map;
@@ -107,7 +108,7 @@ void test_it_flies_what_polytope_cbf_says_and_touches_nothing() {
           ++compared;
           for (int i = 0; i < 3; ++i) CHECK(rig.out.velocity[i] == expected.u[i]);
         }
-        // the wish, worked out anew
+        // the nominal command, computed independently
         float v[3];
         const double c = std::cos(yaw), s = std::sin(yaw);
         for (std::size_t i = 0; i < 3; ++i) {
@@ -137,12 +138,12 @@ void test_it_flies_what_polytope_cbf_says_and_touches_nothing() {
     CHECK(least >= static_cast<double>(rig.config.radius_m) - 1e-5);
     CHECK(least < static_cast<double>(rig.config.radius_m) + 0.1);
     CHECK(rig.filter.late == 0 && rig.filter.corrections > 0);
-    if (std::getenv("ALULA_PRINT")) std::printf("period %2d ms: least distance %.4f m of 0.15\n", period, least);
+    if (std::getenv("ALULA_PRINT")) std::printf("period %2d ms: minimum distance %.4f m of 0.15\n", period, least);
   }
 }
 
-// Straight at the wall behind a velocity loop that lags by 0.1 s: what the lag costs is for the radius.
-void test_what_a_lagging_vehicle_needs_of_the_radius() {
+// Straight at the wall with a velocity loop that lags by 0.1 s: the radius must cover the effect of the lag.
+void test_the_radius_covers_the_lag_of_a_vehicle() {
   Rig rig;
   Vector v{0, 0, 0};
   rig.p = {3.2, 2.6, 1};
@@ -158,7 +159,7 @@ void test_what_a_lagging_vehicle_needs_of_the_radius() {
     }
     least = std::min(least, distance(rig.p));
   }
-  if (std::getenv("ALULA_PRINT")) std::printf("lag 0.1 s: least distance %.4f m of 0.15\n", least);
+  if (std::getenv("ALULA_PRINT")) std::printf("lag 0.1 s: minimum distance %.4f m of 0.15\n", least);
   CHECK(least > 0.1 && least < 0.25);
 }
 
@@ -204,7 +205,7 @@ void test_set_points_that_ask_for_nothing_or_for_attitude() {
   rig.run(off);
   CHECK(rig.out.status == ALULA_CRAZYFLIE_UNGUARDED && !rig.out.is_replaced && !rig.out.is_off);
   rig.step = 1;
-  rig.run(fast);  // guarded again, and not yet worked out
+  rig.run(fast);  // guarded again, with no result yet
   CHECK(rig.out.status == ALULA_CRAZYFLIE_STARTING && rig.is_still());
   by_hand.enabled = 0;
   CHECK(alula_crazyflie_configure(&rig.filter, &by_hand));
@@ -223,7 +224,7 @@ void test_a_state_or_a_wish_that_cannot_be_used_stops_at_once() {
     spoil(wish, state);
     rig.run(wish, state);
     if (rig.out.status != status || !rig.is_still()) return false;
-    for (int k = 0; k < 40; ++k) rig.run(good);  // and goes on when it is good again
+    for (int k = 0; k < 40; ++k) rig.run(good);  // and continues when it is good again
     return rig.out.status == ALULA_CRAZYFLIE_OK;
   };
   for (const int phase : {0, 3}) {  // where a period begins, and between
@@ -271,7 +272,7 @@ void test_work_that_is_not_done_in_time_is_not_flown() {
   CHECK(rig.out.status == ALULA_CRAZYFLIE_LATE && rig.is_still() && rig.filter.late == 1);
   for (int k = 0; k < 9; ++k) rig.run(up);
   rig.run(up);
-  CHECK(rig.out.status == ALULA_CRAZYFLIE_STARTING && rig.is_still());  // worked out, but for a place left since
+  CHECK(rig.out.status == ALULA_CRAZYFLIE_STARTING && rig.is_still());  // computed, but for an old position
   for (int k = 0; k < 10; ++k) rig.run(up);
   CHECK(rig.out.status == ALULA_CRAZYFLIE_OK && rig.out.velocity[2] == 0.5F);
 }
@@ -318,7 +319,7 @@ void test_parameters_that_mean_nothing_leave_the_last_ones() {
   CHECK(rig.out.status == ALULA_CRAZYFLIE_STARTING && rig.is_still());
 }
 
-// The loop and the worker on two cores, which take no turns: what they share is handed over.
+// The loop and the worker run on two cores at the same time: shared data are handed over without a race.
 void test_the_hand_over_has_no_race() {
   Rig rig;
   std::atomic<bool> ends{false};
@@ -344,8 +345,8 @@ void test_the_hand_over_has_no_race() {
 }  // namespace
 
 int main() {
-  test_it_flies_what_polytope_cbf_says_and_touches_nothing();
-  test_what_a_lagging_vehicle_needs_of_the_radius();
+  test_it_flies_the_commands_of_polytope_cbf_and_touches_nothing();
+  test_the_radius_covers_the_lag_of_a_vehicle();
   test_without_a_map_or_with_a_damaged_one_nothing_turns();
   test_set_points_that_ask_for_nothing_or_for_attitude();
   test_a_state_or_a_wish_that_cannot_be_used_stops_at_once();

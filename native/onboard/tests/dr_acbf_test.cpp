@@ -1,5 +1,5 @@
-// The onboard filter among moving obstacles as firmware calls it: what it refuses, and that every answer to inputs of
-// all kinds is finite, in the box and honest about its rows. Inputs are pseudo-random and the same in every run.
+// The onboard filter among moving obstacles as firmware calls it: refused inputs, and for inputs of all kinds a
+// result that is finite, in the box and consistent with its rows. Inputs are pseudo-random and the same in every run.
 #include <algorithm>
 #include <array>
 #include <cfloat>
@@ -109,7 +109,7 @@ void test_projections_are_finite_in_the_box_and_honest() {
     CHECK(found[0].iterations <= ALULA_PROJECTION_STEPS && found[1].iterations <= 15);
     CHECK(found[0].feasible == 0 || found[0].violation <= 0);
     CHECK(found[1].feasible == 0 || static_cast<double>(found[1].violation) <= margin);
-    // Whoever finds a point with room proves that the set is not empty; the nearest is then no farther.
+    // A point with room proves that the set is not empty; the nearest point is then no farther.
     feasible += found[0].feasible;
     if (found[0].feasible != 0 && is_in_box(a0, 16 * limit)) {
       double near = 0, other = 0;
@@ -226,7 +226,7 @@ void test_every_tick_is_finite_in_the_box_and_honest_about_its_rows() {
     draw_scene(random, s, n % 3000 == 0);
     const float limit = filter.config.avoidance.a_max;
     alula_dr_acbf_result result;
-    if (n % 16 == 0) {  // one number is broken
+    if (n % 16 == 0) {  // one number is corrupted
       static Scene broken;
       broken = s;
       const float bad = random.one_of({kNan, kInfinity, -kInfinity, 1e30F});
@@ -316,7 +316,7 @@ void test_parameters_without_meaning_are_refused() {
   CHECK(init([](Config& c) { c.j_max = 1e-30F; }) == ALULA_BAD_PARAMETER);  // a lag without end
 }
 
-// In front of an obstacle that comes closer in every tick, but is where it was.
+// In front of an obstacle with a velocity towards the vehicle but a constant position.
 void test_each_manoeuvre_begins_with_less_risk_and_the_longest_horizon() {
   static alula_dr_acbf filter;
   static Scene s;
@@ -338,36 +338,37 @@ void test_each_manoeuvre_begins_with_less_risk_and_the_longest_horizon() {
   CHECK(begun == 3);  // after 1.2 s the next begins
 }
 
-// Full speed at a wall was commanded when the input breaks, and the caller brakes meanwhile.
-void test_what_is_flown_while_input_is_refused_counts() {
-  static alula_dr_acbf told, untold;
+// Full speed at a wall was commanded when the input becomes invalid, and the caller brakes meanwhile.
+void test_the_command_flown_while_input_is_refused_counts() {
+  static alula_dr_acbf notified, unnotified;
   static Scene s;
   const alula_dr_acbf_config config = alula_dr_acbf_defaults();
-  CHECK(alula_dr_acbf_init(&told, &config) == ALULA_READY);
+  CHECK(alula_dr_acbf_init(&notified, &config) == ALULA_READY);
   s = {};
   s.walls = 1;
   s.wall[0] = {{-1, 0, 0}, 50};
   s.nominal[0] = -6;
   alula_dr_acbf_result result;
-  for (int tick = 0; tick < 20; ++tick) CHECK(run(told, s, result) != ALULA_FILTER_REFUSED);
-  CHECK(told.executed[0] == -6);
-  std::memcpy(&untold, &told, sizeof told);
+  for (int tick = 0; tick < 20; ++tick) CHECK(run(notified, s, result) != ALULA_FILTER_REFUSED);
+  CHECK(notified.executed[0] == -6);
+  std::memcpy(&unnotified, &notified, sizeof notified);
   Scene broken = s;
   broken.nominal[1] = kNan;
   const float towards[3] = {6, 0, 0}, none[3] = {kNan, 0, 0};
   for (int tick = 0; tick < 20; ++tick) {
-    CHECK(run(told, broken, result) == ALULA_FILTER_REFUSED && run(untold, broken, result) == ALULA_FILTER_REFUSED);
-    alula_dr_acbf_flown(&told, towards);
-    alula_dr_acbf_flown(&told, none);
+    CHECK(run(notified, broken, result) == ALULA_FILTER_REFUSED &&
+          run(unnotified, broken, result) == ALULA_FILTER_REFUSED);
+    alula_dr_acbf_flown(&notified, towards);
+    alula_dr_acbf_flown(&notified, none);
   }
-  CHECK(told.avoidance.command[0] == 6 && std::abs(told.executed[0] - 6) < 1e-5F);
+  CHECK(notified.avoidance.command[0] == 6 && std::abs(notified.executed[0] - 6) < 1e-5F);
   s.wall[0].distance_m = 2;
   s.vehicle.velocity[0] = 3;
   s.nominal[0] = 6;
-  CHECK(run(told, s, result) != ALULA_FILTER_REFUSED);
-  const float knows = told.row[0].bound;
-  CHECK(run(untold, s, result) != ALULA_FILTER_REFUSED);
-  CHECK(knows < untold.row[0].bound - 1);  // it still accelerates towards the wall: brake harder
+  CHECK(run(notified, s, result) != ALULA_FILTER_REFUSED);
+  const float bound = notified.row[0].bound;
+  CHECK(run(unnotified, s, result) != ALULA_FILTER_REFUSED);
+  CHECK(bound < unnotified.row[0].bound - 1);  // the vehicle still accelerates towards the wall: brake harder
 }
 
 }  // namespace
@@ -378,6 +379,6 @@ int main() {
   test_there_is_room_for_so_many_and_no_more();
   test_parameters_without_meaning_are_refused();
   test_each_manoeuvre_begins_with_less_risk_and_the_longest_horizon();
-  test_what_is_flown_while_input_is_refused_counts();
+  test_the_command_flown_while_input_is_refused_counts();
   return alula_failures == 0 ? 0 : 1;
 }

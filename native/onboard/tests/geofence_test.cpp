@@ -1,4 +1,4 @@
-// The geofence as firmware calls it: whatever comes in, what goes out is in the limits or refused.
+// The geofence as firmware calls it: for every input, the command is within the limits or refused.
 #include <cfloat>
 #include <cmath>
 #include <cstdint>
@@ -72,8 +72,8 @@ void test_every_number_of_the_parameters_is_checked() {
   }
 }
 
-// Random bits, and random bits in one place of something sensible.
-void test_whatever_comes_in_the_command_stays_in_its_limits() {
+// Random bits, and valid inputs with random bits in one position.
+void test_for_every_input_the_command_stays_in_its_limits() {
   const alula_fence fence = box();
   const alula_geofence_config config = alula_geofence_defaults();
   alula_geofence filter;
@@ -107,7 +107,7 @@ void test_whatever_comes_in_the_command_stays_in_its_limits() {
   CHECK(flown > 10000);
 }
 
-// Long steps of a fast turn leave the numbers: what is not known to end inside is not safe.
+// Long steps of a fast turn overflow: a flow without a known end is not safe.
 void test_a_flow_that_is_no_number_is_not_safe() {
   std::mt19937 random(1);
   const auto between = [&](float low, float high) {
@@ -158,7 +158,7 @@ void test_reset_forgets() {
 int main() {
   test_without_a_filter_or_a_fence_nothing_is_flown();
   test_every_number_of_the_parameters_is_checked();
-  test_whatever_comes_in_the_command_stays_in_its_limits();
+  test_for_every_input_the_command_stays_in_its_limits();
   test_a_flow_that_is_no_number_is_not_safe();
   test_reset_forgets();
   return alula_failures == 0 ? 0 : 1;

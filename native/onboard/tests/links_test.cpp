@@ -1,4 +1,4 @@
-// SBUS and the navigation link: bits against a reference that shifts them one by one, and whatever a line delivers.
+// SBUS and the navigation link: bits against a reference that shifts them one by one, and arbitrary bytes on a line.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -100,8 +100,8 @@ void test_a_stream_is_found_again_after_anything() {
   }
 }
 
-// Equal frames whose channels look like a beginning and an end: without pauses they can be read askew for good, with
-// them only once.
+// Equal frames with channels that look like a start and an end: without pauses a reader can stay misaligned
+// permanently, with pauses for one frame only.
 void test_a_pause_ends_what_only_looks_like_a_frame() {
   alula_sbus_frame frame{};
   Bytes one;
@@ -220,7 +220,7 @@ void test_a_damaged_packet_is_refused() {
   }
 }
 
-// Bits flipped, bytes lost and noise between packets: what is found was sent, and after the noise all is found.
+// Flipped bits, lost bytes and noise between packets: every packet found was sent, and after the noise all are found.
 void test_packets_are_found_in_a_bad_stream() {
   std::mt19937 random(7);
   int found = 0, foreign = 0, total = 0;

@@ -1,4 +1,4 @@
-// The onboard map as firmware reads it: by hand-made images, each in memory of exactly its size.
+// The onboard map as firmware reads it: hand-made images, each in memory of exactly its size.
 #include <cmath>
 #include <cstdint>
 #include <cstring>
@@ -132,10 +132,10 @@ void test_no_byte_leads_outside_even_with_matching_sums(bool is_kdop) {
       taken += open_copy(bad, bad.size()) == ALULA_MAP_READY;
     }
   }
-  CHECK(taken > 0);  // another coordinate or hash is a map too
+  CHECK(taken > 0);  // a map with another coordinate or hash is valid too
 }
 
-// A map whose bytes change after it was opened: nothing is computed from what no writer makes, nothing read outside.
+// The bytes of a map change after it was opened: invalid records are refused, and nothing is read outside.
 void test_flash_that_fails_is_refused_or_read_as_another_map(bool is_kdop) {
   const Bytes good = image(is_kdop);
   for (std::size_t at = 64; at < good.size(); ++at) {
@@ -155,7 +155,7 @@ void test_flash_that_fails_is_refused_or_read_as_another_map(bool is_kdop) {
         CHECK(alone == ALULA_MAP_READY ? std::isfinite(value.psi_m) : value.psi_m == -FLT_MAX);
         CHECK(along == ALULA_MAP_READY ? std::isfinite(other.psi_m) : other.psi_m == -FLT_MAX);
       }
-      if (at == 77 && bad[at] > 16) {  // a shift that shifts everything out
+      if (at == 77 && bad[at] > 16) {  // a shift that removes all bits
         CHECK(alula_map_evaluate(&map, x, &value) == ALULA_MAP_MALFORMED);
         alula_map_near_open(&near, &map);
         CHECK(alula_map_near_evaluate(&near, x, &value) == ALULA_MAP_MALFORMED);

@@ -1,4 +1,4 @@
-// The onboard filter as firmware calls it: what it refuses, and that a flight past a block stays clear.
+// The onboard filter as firmware calls it: refused inputs, and a flight past a block that stays clear.
 #include <array>
 #include <cmath>
 #include <cstdint>
@@ -12,7 +12,7 @@ namespace {
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
-// The unit cube, its planes a little outward, as a map in flash would be.
+// The unit cube with planes slightly outward, like a map in flash.
 constexpr std::array<float, 24> kPlane{1, 0,  0, 1.0001F, -1, 0, 0, 0.0001F, 0, 1, 0,  1.0001F,
                                        0, -1, 0, 0.0001F, 0,  0, 1, 1.0001F, 0, 0, -1, 0.0001F};
 constexpr std::array<std::uint32_t, 2> kStart{0, 6};

@@ -1,4 +1,4 @@
-// polytope-cbf on images in memory of exactly their size: mutated before they are opened, and after.
+// polytope-cbf on images in memory of exactly their size: mutated before and after they are opened.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -105,7 +105,7 @@ constexpr alula_polytope_cbf_config kConfig{.radius_m = 0.1F,
                                             .smoothing = ALULA_SMOOTHING_SOUND,
                                             .brute_force = 0};
 
-// Some ticks; every command is finite and within the limit, and zero when it is refused.
+// Flies some ticks; every command is finite and within the limit, and zero when it is refused.
 int fly(alula_polytope_cbf& cbf, Random& random) {
   int refused = 0;
   for (int tick = 0; tick < 4; ++tick) {
@@ -162,7 +162,7 @@ void test_mutated_before_it_is_opened() {
   CHECK(taken > 100);
 }
 
-// Flash that changes under the filter: wrong answers cannot be told, but nothing is read or written outside.
+// The flash changes while the filter runs: wrong results cannot be detected, but nothing is read or written outside.
 void test_mutated_after_it_is_opened() {
   const Bytes good = image();
   Random random{2};

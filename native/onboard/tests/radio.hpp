@@ -1,4 +1,4 @@
-// What is at both ends of the Teensy's lines: a radio and a flight controller, and the yard they fly in.
+// The devices at both ends of the Teensy's lines: a radio and a flight controller; and the yard of the flights.
 #pragma once
 
 #include <algorithm>
@@ -18,7 +18,7 @@ inline alula_fence onboard_yard() {
 
 inline std::uint16_t channel_of(float us) { return static_cast<std::uint16_t>(std::lround((us - 880) * 1.6F)); }
 
-// What a flight controller makes of a frame.
+// The command that a flight controller decodes from a frame.
 inline alula::flight::RacerCommand heard_by_controller(const alula_teensy_config& c, const alula_sbus_frame& frame,
                                                        bool truncates = false) {
   const auto us = [&](std::uint8_t channel) {

@@ -1,4 +1,4 @@
-// Sticks and commands as firmware maps them: whatever comes in, what goes out is a pulse or refused.
+// Sticks and commands as firmware maps them: every input gives a valid pulse or is refused.
 #include <bit>
 #include <cmath>
 #include <cstdint>
@@ -39,10 +39,10 @@ float any_float(std::mt19937& random) { return std::bit_cast<float>(static_cast<
 
 void test_any_bits_are_pulses_or_refused() {
   std::mt19937 random(1);
-  std::uniform_real_distribution<float> share(0.0F, 1.0F);
+  std::uniform_real_distribution<float> unit(0.0F, 1.0F);
   for (int n = 0; n < 20000; ++n) {
     alula_rates rates = alula_rates_defaults();
-    for (alula_rates_axis& a : rates.axis) a = {0.01F + 2.54F * share(random), share(random), share(random)};
+    for (alula_rates_axis& a : rates.axis) a = {0.01F + 2.54F * unit(random), unit(random), unit(random)};
     CHECK(alula_rates_check(&rates) == ALULA_READY);
     const alula_racer_command command{any_float(random), {any_float(random), any_float(random), any_float(random)}};
     std::uint16_t channels[ALULA_CHANNELS];

@@ -32,8 +32,8 @@ Fence yard() {
 
 struct Line {
   double flips = 0;        // probability of a flipped bit, per byte
-  double losses = 0;       // of a frame of the receiver that says it lost one
-  double drops = 0;        // of a packet of navigation that does not come
+  double losses = 0;       // probability that a receiver's frame has the lost flag
+  double drops = 0;        // probability that a packet of navigation is missing
   bool truncates = false;  // the flight controller reads whole microseconds
 };
 
@@ -41,7 +41,7 @@ struct Flown {
   double min_distance = 1e9, max_speed = 0;
   std::array<int, 10> count{};  // of alula_teensy_status
   std::uint32_t skipped = 0;
-  int mismatches = 0;  // frames that are not what the geofence said
+  int mismatches = 0;  // frames that differ from the geofence's command
 };
 
 void spoil(std::uint8_t* bytes, std::size_t size, double probability, std::mt19937& random) {
@@ -50,7 +50,7 @@ void spoil(std::uint8_t* bytes, std::size_t size, double probability, std::mt199
     if (unit(random) < probability) bytes[i] = static_cast<std::uint8_t>(bytes[i] ^ 1U << random() % 8);
 }
 
-// Looks at every frame: passed bit by bit, or the command of a second geofence that is asked the same.
+// Checks every frame: passed bit by bit, or equal to the command of a second geofence with the same inputs.
 class Witness {
  public:
   Witness(const alula_teensy_config& config, const alula_fence* fence) : config_(config) {
@@ -117,7 +117,7 @@ Flown fly(const alula_teensy_config& config, const Journey& journey) {
   alula_sbus_parser controller;
   alula_sbus_begin(&controller);
   RacerCommand command{0.3, {0, 0, 0}};
-  std::uint32_t now = 0xFFFF0000U;  // the clock comes round in flight
+  std::uint32_t now = 0xFFFF0000U;  // the clock wraps in flight
   std::uint16_t sequence = 65500;
   const auto steps = static_cast<std::uint32_t>(journey.duration_s * 1e6 / kStepUs);
   const auto tick_steps = static_cast<std::uint32_t>(std::lround(config.geofence.tick_s * 1e6F / kStepUs));
@@ -173,7 +173,7 @@ Flown fly(const alula_teensy_config& config, const Journey& journey) {
   return flown;
 }
 
-// The same flight as the simulator flies it: commands as floats, held for a tick, after the same delay.
+// The same flight in the simulator: commands as floats, held for a tick, with the same delay.
 double simulated_distance(const alula_teensy_config& config, const Journey& journey) {
   const Geofence filter(yard(), config.geofence);
   GeofenceSpec spec;
@@ -221,7 +221,7 @@ void test_it_stays_inside_and_loses_little_against_the_simulated_filter() {
         lost = std::max(lost, simulated - flown.min_distance);
       }
       if (talks()) {
-        std::printf("%-10s reserve %.2f m: least distance %6.3f m, at most %5.1f km/h, lost %6.3f m\n", names[kind],
+        std::printf("%-10s reserve %.2f m: minimum distance %6.3f m, at most %5.1f km/h, lost %6.3f m\n", names[kind],
                     static_cast<double>(reserve), least, 3.6 * fastest, lost);
       }
       if (reserve > 0) CHECK(least > 0);
@@ -247,15 +247,15 @@ void test_bad_lines_do_not_lead_outside() {
       }
     }
     if (talks()) {
-      std::printf("flipped %.3f a byte, frames lost %.1f, packets dropped %.1f: %d of %d outside, least %.3f m\n",
+      std::printf("flipped %.3f a byte, frames lost %.1f, packets dropped %.1f: %d of %d outside, minimum %.3f m\n",
                   line.flips, line.losses, line.drops, outside, flights, least);
     }
     CHECK(outside == 0 && mismatches == 0);
   }
 }
 
-// Frames at 200,000 baud are heard and sent 400 times a second; some firmware reads pulses as whole microseconds.
-void test_other_lines_do_as_well() {
+// Frames at 200,000 baud are received and sent 400 times a second; some firmware reads pulses as whole microseconds.
+void test_other_lines_work_as_well() {
   alula_teensy_config fast = alula_teensy_defaults();
   fast.geofence.tick_s = 0.0025F;
   for (int kind = 0; kind < 4; ++kind) {
@@ -291,7 +291,7 @@ void test_silence_and_blindness_have_their_outcomes() {
 int main() {
   test_it_stays_inside_and_loses_little_against_the_simulated_filter();
   test_bad_lines_do_not_lead_outside();
-  test_other_lines_do_as_well();
+  test_other_lines_work_as_well();
   test_silence_and_blindness_have_their_outcomes();
   return alula_failures == 0 ? 0 : 1;
 }

@@ -1,4 +1,4 @@
-// The Teensy's loop on the bench: every outcome, and whatever two lines may deliver.
+// The Teensy's loop on the bench: every outcome, and arbitrary bytes on both lines.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -66,7 +66,7 @@ void test_nothing_flies_before_receiver_and_navigation_are_there() {
   alula_sbus_frame frame = radio_frame(c.config, {0.8, {1, 1, 1}});
   c.radio(frame);
   CHECK(c.tick() == ALULA_TEENSY_LOCKED && c.is_idle() && c.out.flags == 0);
-  CHECK(c.out.channel[9] == frame.channel[9]);  // arming and all else as the pilot has it
+  CHECK(c.out.channel[9] == frame.channel[9]);  // arming and all other channels are the pilot's
   c.navigation(0);                              // not valid
   c.radio(frame);
   CHECK(c.tick() == ALULA_TEENSY_LOCKED && c.loop.replayed == 1);
@@ -79,7 +79,7 @@ void test_the_override_switch_wins_and_only_when_it_is_meant() {
   Bench b;
   alula_sbus_frame at_wall = radio_frame(b.config, {1.0, {0, 8, 0}}), on = at_wall;
   on.channel[b.config.override_channel] = 1811;
-  b.state.position[0] = 39.9F, b.state.velocity[0] = 25;  // beyond saving
+  b.state.position[0] = 39.9F, b.state.velocity[0] = 25;  // too late to stop inside
   const auto next = [&](const alula_sbus_frame& frame) {
     b.radio(frame), b.navigation();
     return b.tick();
@@ -119,7 +119,7 @@ void test_the_receiver_is_silent_by_its_flag_or_by_time_and_for_good_by_more() {
   for (int i = 0; i < 195; ++i) CHECK(next(nullptr) == ALULA_TEENSY_NO_PILOT && b.out.flags == 0);
   for (int i = 0; i < 8; ++i) next(nullptr);
   CHECK(next(nullptr) == ALULA_TEENSY_NO_PILOT && b.out.flags == ALULA_SBUS_FAILSAFE);
-  b.now += 0xFFFFFF00U;  // the clock comes round: still silent
+  b.now += 0xFFFFFF00U;  // the clock wraps: still silent
   CHECK(next(nullptr) == ALULA_TEENSY_NO_PILOT && b.out.flags == ALULA_SBUS_FAILSAFE);
   CHECK(next(&frame) == ALULA_TEENSY_PASSED && b.is_verbatim(frame));
 }
@@ -194,7 +194,7 @@ void test_parameters_that_mean_nothing_are_refused() {
   CHECK(alula_teensy_init(&loop, nullptr, &good) == ALULA_BAD_POINTER);
 }
 
-// A tick of the geofence may take longer than a pause between frames; a frame that came meanwhile is whole.
+// A tick of the geofence may take longer than a pause between frames; a frame received meanwhile is complete.
 void test_a_frame_that_came_during_a_slow_tick_counts() {
   Bench b;
   const alula_sbus_frame frame = radio_frame(b.config, {0.36, {0, 0, 0}});
@@ -203,7 +203,7 @@ void test_a_frame_that_came_during_a_slow_tick_counts() {
   alula_teensy_receive(&b.loop, b.now, bytes, 10);
   alula_teensy_receive(&b.loop, b.now + 15 * 120, bytes + 10, 15);
   CHECK(b.loop.receiver.frames == 1 && b.loop.receiver.skipped == 0);
-  alula_teensy_receive(&b.loop, b.now + 10000, bytes, 10);  // and one that was broken off does not
+  alula_teensy_receive(&b.loop, b.now + 10000, bytes, 10);  // an incomplete frame does not count
   alula_teensy_receive(&b.loop, b.now + 17000, bytes, 2);
   alula_teensy_receive(&b.loop, b.now + 19760, bytes + 2, 23);
   CHECK(b.loop.receiver.frames == 2 && b.loop.receiver.skipped == 10);
@@ -228,8 +228,8 @@ void test_who_took_off_by_the_override_does_not_fall_without_navigation() {
   CHECK(heard_by_controller(b.config, b.out).throttle > 0.8 * static_cast<double>(b.loop.geofence.hover));
 }
 
-// Sticks that end beyond 1000 or 2000 us are sent as far as they go.
-void test_sticks_reach_what_the_rates_say() {
+// Sticks with an end beyond 1000 or 2000 us are sent up to that end.
+void test_sticks_reach_the_ends_of_the_rates() {
   for (const float middle : {1400.0F, 1500.0F, 1600.0F}) {
     alula_teensy_config config = alula_teensy_defaults();
     config.rates.middle_us = middle;
@@ -255,7 +255,7 @@ void test_sticks_reach_what_the_rates_say() {
   }
 }
 
-// Whatever comes in on both lines, a frame goes out whose sticks a radio could have sent.
+// For arbitrary bytes on both lines, the loop sends a frame with sticks that a radio could have sent.
 void test_noise_gives_frames() {
   Bench b;
   std::mt19937 random(1);
@@ -285,7 +285,7 @@ int main() {
   test_a_sender_that_begins_anew_is_heard_after_a_second();
   test_a_frame_that_came_during_a_slow_tick_counts();
   test_who_took_off_by_the_override_does_not_fall_without_navigation();
-  test_sticks_reach_what_the_rates_say();
+  test_sticks_reach_the_ends_of_the_rates();
   test_noise_gives_frames();
   return alula_failures == 0 ? 0 : 1;
 }

@@ -103,7 +103,7 @@ def test_misuse_is_refused():
         _core.decode_ply_rows(raw[:-1], size, False, places, "harmonic", *outputs(5))
     with pytest.raises(ValueError, match="outside the row"):
         decode(rows, [(size - 3, "f4"), *places[1:]])
-    with pytest.raises(ValueError, match="has no place"):
+    with pytest.raises(ValueError, match="column is missing"):
         decode(rows, [None, *places[1:]])
     with pytest.raises(ValueError, match="no PLY file has"):
         decode(rows, [(0, "c8"), *places[1:]])

@@ -50,7 +50,7 @@ void BoxTree::insert(std::uint32_t item, const LatticeBox& box) {
     root_ = leaf;
     return;
   }
-  std::int32_t sibling = root_;  // descend where the surface grows least
+  std::int32_t sibling = root_;  // descends where the surface area grows by the minimum
   while (node_[sibling].left >= 0) {
     const Node& node = node_[sibling];
     const double whole = half_area(joined(node.box, box));

@@ -16,7 +16,7 @@ namespace {
 __extension__ using Wide = __int128;
 using Position = std::array<std::int32_t, 3>;
 
-constexpr std::uint64_t kLongest = (1 << 15) - 1;  // entry of a normal of an outer polytope
+constexpr std::uint64_t kLongest = (1 << 15) - 1;  // largest |n_i| of an outer polytope
 
 Position row(std::span<const std::int32_t> rows, std::size_t i) {
   return {rows[3 * i], rows[3 * i + 1], rows[3 * i + 2]};
@@ -30,7 +30,7 @@ struct HalfSpace {
   std::int64_t x, y, z, offset;
 
   Wide excess(const Position& p) const { return Wide{x} * p[0] + Wide{y} * p[1] + Wide{z} * p[2] - offset; }
-  // Of the farthest corner of the voxel [p, p + 1].
+  // Excess of the farthest corner of the voxel [p, p + 1].
   Wide voxel_excess(const Position& p) const {
     return excess(p) + std::max<Wide>(x, 0) + std::max<Wide>(y, 0) + std::max<Wide>(z, 0);
   }
@@ -115,7 +115,7 @@ class HullCheck {
   }
 
   void check_facets() {
-    std::map<std::pair<std::size_t, std::size_t>, std::vector<std::size_t>> edges;  // to their planes
+    std::map<std::pair<std::size_t, std::size_t>, std::vector<std::size_t>> edges;  // edge to its planes
     std::vector<bool> is_corner(vertex_.size(), false);
     std::vector<std::size_t> on;
     for (std::size_t p = 0; p < plane_.size(); ++p) {
@@ -147,7 +147,7 @@ class HullCheck {
       if (!is_corner[v]) report(Fault::kIdleVertex, first_vertex_ + static_cast<std::int64_t>(v));
   }
 
-  // The extreme points, in order around, of vertices in a common plane: their convex hull after
+  // The extreme points, in cyclic order, of vertices in a common plane: their convex hull after
   // dropping the axis along which the normal is longest, which keeps the plane one to one.
   std::vector<std::size_t> polygon(const HalfSpace& plane, std::vector<std::size_t> on) const {
     const std::array<std::uint64_t, 3> length{magnitude(plane.x), magnitude(plane.y), magnitude(plane.z)};

@@ -16,7 +16,7 @@ using Normal = std::array<std::int64_t, 3>;
 
 std::int64_t longest(const Normal& n) { return std::max({std::abs(n[0]), std::abs(n[1]), std::abs(n[2])}); }
 
-// The primitive normal, |n_i| <= kShortNormal, whose direction is nearest; ties to the shorter.
+// The primitive normal, |n_i| <= kShortNormal, with the nearest direction; ties go to the shorter one.
 Normal shortened(const Normal& n) {
   const std::int64_t length = longest(n);
   if (length <= kShortNormal) {
@@ -27,16 +27,16 @@ Normal shortened(const Normal& n) {
                                    static_cast<double>(n[1]) / static_cast<double>(length),
                                    static_cast<double>(n[2]) / static_cast<double>(length)};
   Normal best{};
-  double least = 1;
+  double smallest = 1;
   for (std::int64_t scale = 1; scale <= kShortNormal; ++scale) {
     Normal candidate;
     double error = 0;
     for (std::size_t i = 0; i < 3; ++i) {
-      const double wanted = unit[i] * static_cast<double>(scale);
-      candidate[i] = static_cast<std::int64_t>(std::round(wanted));
-      error = std::max(error, std::abs(wanted - static_cast<double>(candidate[i])) / static_cast<double>(scale));
+      const double exact = unit[i] * static_cast<double>(scale);
+      candidate[i] = static_cast<std::int64_t>(std::round(exact));
+      error = std::max(error, std::abs(exact - static_cast<double>(candidate[i])) / static_cast<double>(scale));
     }
-    if (error < least) least = error, best = candidate;
+    if (error < smallest) smallest = error, best = candidate;
   }
   const std::int64_t divisor = std::gcd(std::gcd(best[0], best[1]), best[2]);
   return {best[0] / divisor, best[1] / divisor, best[2] / divisor};
@@ -56,7 +56,7 @@ std::vector<LatticePlane> box_planes(const LatticeBox& box) {
   return planes;
 }
 
-// Whether a hull may stay as it is when it has no more than `cap` planes.
+// True if a hull may stay unchanged: it has at most `cap` planes and its normals are short enough.
 bool fits(const LatticePolytope& hull, std::size_t cap) {
   return hull.plane.size() <= cap && std::all_of(hull.plane.begin(), hull.plane.end(), [](const LatticePlane& p) {
            return longest(p.normal) <= kOuterNormal;
@@ -225,7 +225,7 @@ void cap_facets(const Occupancy& occupancy, std::vector<LatticePolytope>& hulls,
   offers.resize(std::min(offers.size(), planes - kBoxPlanes * hulls.size()));
   std::vector<std::size_t> count(hulls.size(), 0);
   for (const Offer& offer : offers) ++count[offer.hull];
-  // What the lines cannot see leaves planes over; they keep whole hulls that have no more than the cap.
+  // Planes may remain because the sampling lines miss small volumes; they go to whole hulls within the cap.
   std::size_t left = planes - kBoxPlanes * hulls.size() - offers.size();
   for (std::size_t h = 0; h < hulls.size(); ++h) {
     const std::size_t given = kBoxPlanes + count[h], facets = hulls[h].plane.size();

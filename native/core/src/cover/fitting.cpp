@@ -13,7 +13,7 @@ namespace {
 
 constexpr std::size_t kNoLimit = std::numeric_limits<std::size_t>::max() / 2;
 
-// Planes per hull to try, in tenths: numbers of hulls a sixth apart.
+// Planes per hull to try, in tenths: the numbers of hulls differ by about a sixth.
 constexpr std::array<std::size_t, 11> kTenths{63, 67, 72, 80, 90, 100, 115, 135, 160, 190, 240};
 constexpr std::size_t kFirst = 3;
 constexpr std::size_t kMergingShare = 700;  // of the time, in Share::kWhole, before covers are measured
@@ -47,23 +47,12 @@ void shape(const Occupancy& occupancy, std::vector<LatticePolytope>& hulls, cons
   }
 }
 
-// Shrinks outer polytopes to what no other one contains; afterwards `cover` has hulls again.
+// Shrinks outer polytopes to the voxels that no other one contains; afterwards `cover` has hulls again.
 void tighten_outer(const Occupancy& occupancy, Cover& cover, const Form& form, unsigned jobs, Control& control) {
-  const std::size_t count = cover.hull.size();
   InterruptOnly quiet(control);
-  std::vector<std::uint32_t> holders(occupancy.size(), 0), inside;
-  std::vector<double> excess(count);
-  std::vector<std::size_t> order(count);
+  auto [holders, excess, order] = containment(occupancy, cover.hull, quiet);
+  std::vector<std::uint32_t> inside;
   ExcessMeter meter(occupancy);
-  for (std::size_t h = 0; h < count; ++h) {
-    voxels_inside(occupancy, cover.hull[h], inside);
-    for (const std::uint32_t v : inside) ++holders[v];
-    excess[h] = meter(cover.hull[h]);
-    order[h] = h;
-    quiet.poll(0, 1);
-  }
-  std::sort(order.begin(), order.end(),
-            [&](std::size_t a, std::size_t b) { return excess[a] != excess[b] ? excess[a] > excess[b] : a < b; });
   HullBuilder builder;
   FacetRanker rank(occupancy);
   std::vector<Lattice> needed;
@@ -168,8 +157,8 @@ Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions option
 
   Cover best;
   std::size_t merges = 0;
-  double least = std::numeric_limits<double>::infinity();
-  std::size_t begun = 0;  // of the trials' time, in Share::kWhole: how many come is not known, so each takes a part
+  double smallest = std::numeric_limits<double>::infinity();
+  std::size_t begun = 0;  // of the trials' time, in Share::kWhole; their number is unknown, so each takes a part
   const auto improves = [&](std::size_t i) {
     const std::size_t end = begun + (Share::kWhole - begun) * 2 / 5;
     Share trying(all_trials, begun, end), tightening(trying, 0, kTighteningShare),
@@ -180,8 +169,8 @@ Cover fit(const Occupancy& occupancy, const VoxelSets& sets, MergeOptions option
     make_outer(occupancy, one, budget, options.rule != MergeRule::kPaper, jobs, outlining);
     const UnionVolume volume = union_excess(occupancy, one.hull, jobs, measuring);
     measured.push_back({one.hull.size(), planes_of(one.hull), volume});
-    if (!(volume.excess < least)) return false;
-    least = volume.excess;
+    if (!(volume.excess < smallest)) return false;
+    smallest = volume.excess;
     best = std::move(one);
     merges = sets.size() - trial[i];
     return true;

@@ -5,6 +5,8 @@
 #include <numeric>
 #include <stdexcept>
 
+// The incremental convex hull, one algorithm from top to bottom: the choice and order of the points, the insertion of
+// points, and the conversion to polytopes and meshes.
 namespace alula {
 
 LatticeBox bounds(std::span<const Lattice> points) {
@@ -25,10 +27,10 @@ Point cross(const Point& a, const Point& b) {
 
 std::int64_t dot(const Point& a, const Point& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-constexpr std::size_t kOrderFrom = 48;  // fewer points are inserted in the order they come
+constexpr std::size_t kOrderFrom = 48;  // fewer points are inserted in the given order
 
-// Brings points that are extreme in the 26 directions of a cube to the front: a large first hull
-// leaves most of the others inside.
+// Moves points that are extreme in the 26 directions of a cube to the front: most other points are inside a large
+// first hull.
 void extremes_first(std::vector<Point>& points) {
   std::vector<std::size_t> chosen;
   for (int d = 0; d < 27; ++d) {
@@ -41,6 +43,66 @@ void extremes_first(std::vector<Point>& points) {
   std::sort(chosen.begin(), chosen.end());
   chosen.erase(std::unique(chosen.begin(), chosen.end()), chosen.end());
   for (std::size_t i = 0; i < chosen.size(); ++i) std::swap(points[i], points[chosen[i]]);
+}
+
+// The corners of voxels sorted by x, y, z, without those that cannot be extreme: only the lowest and the highest
+// corner of each lattice column, and only the corners on the 2-D hull of each row of columns.
+void extreme_corners(std::span<const Lattice> voxels, std::vector<Lattice>& corners) {
+  struct Span {
+    std::int32_t y, low, high;
+  };
+  corners.clear();
+  std::vector<Span> row, previous, merged;
+  std::vector<std::array<std::int32_t, 2>> chain;
+
+  // Emits the corners with x = plane that the columns of two neighbouring rows of voxels have.
+  auto emit = [&](std::int32_t plane) {
+    merged.clear();
+    for (const auto* rows : {&previous, &row})
+      for (const Span& s : *rows) merged.push_back(s), merged.push_back({s.y + 1, s.low, s.high});
+    std::sort(merged.begin(), merged.end(), [](const Span& a, const Span& b) { return a.y < b.y; });
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < merged.size(); ++i) {
+      if (kept > 0 && merged[kept - 1].y == merged[i].y) {
+        merged[kept - 1].low = std::min(merged[kept - 1].low, merged[i].low);
+        merged[kept - 1].high = std::max(merged[kept - 1].high, merged[i].high);
+      } else {
+        merged[kept++] = merged[i];
+      }
+    }
+    for (const int side : {-1, 1}) {
+      chain.clear();
+      for (std::size_t i = 0; i < kept; ++i) {
+        const std::array<std::int32_t, 2> p{merged[i].y, side > 0 ? merged[i].high : merged[i].low};
+        while (chain.size() >= 2) {
+          const auto &a = chain[chain.size() - 2], &b = chain.back();
+          const std::int64_t turn =
+              std::int64_t{b[0] - a[0]} * (p[1] - a[1]) - std::int64_t{b[1] - a[1]} * (p[0] - a[0]);
+          if (side * turn < 0) break;
+          chain.pop_back();
+        }
+        chain.push_back(p);
+      }
+      for (const auto& p : chain) corners.push_back({plane, p[0], p[1]});
+    }
+  };
+
+  for (std::size_t i = 0; i < voxels.size();) {
+    const std::int32_t x = voxels[i][0];
+    row.clear();
+    for (; i < voxels.size() && voxels[i][0] == x; ++i) {
+      const std::int32_t y = voxels[i][1], z = voxels[i][2];
+      if (row.empty() || row.back().y != y) row.push_back({y, z, z + 1});
+      row.back().high = z + 1;
+    }
+    emit(x);
+    previous.swap(row);
+    if (i == voxels.size() || voxels[i][0] != x + 1) {
+      row.clear();
+      emit(x + 1);
+      previous.clear();
+    }
+  }
 }
 
 }  // namespace
@@ -58,7 +120,7 @@ void HullBuilder::with_planes(Run&& run) {
   }
 }
 
-// Room for all facets there may be at once: at most 2 n - 4, and n new ones beside the visible ones.
+// Reserves memory for the maximum number of facets: 2 n - 4, and n new ones beside the visible ones.
 template <class T>
 void HullBuilder::reserve(Planes<T>& planes) {
   const std::size_t points = point_.size(), slots = 3 * points + 8;
@@ -84,7 +146,7 @@ void HullBuilder::put_plane(Planes<T>& planes, std::int32_t f) {
   planes.offset[f] = x * static_cast<T>(p[0]) + y * static_cast<T>(p[1]) + z * static_cast<T>(p[2]);
 }
 
-// A large first tetrahedron; its points are moved to slots 0 to 3.
+// Builds a large first tetrahedron; its points are moved to slots 0 to 3.
 template <class T>
 void HullBuilder::start(Planes<T>& planes) {
   const auto [low, high] = std::minmax_element(point_.begin(), point_.end());
@@ -146,7 +208,7 @@ void HullBuilder::insert(Planes<T>& planes, std::int32_t p) {
       std::int32_t made = facets_;
       if (free_.empty()) {
         ++facets_;
-      } else {  // free slots are never visible ones
+      } else {  // free slots are never visible facets
         made = free_.back();
         free_.pop_back();
       }
@@ -174,7 +236,7 @@ void HullBuilder::insert(Planes<T>& planes, std::int32_t p) {
   }
 }
 
-// One plane per facet, without those of an earlier neighbour in the same plane.
+// Lists one plane per facet, except facets in the same plane as an earlier neighbour.
 template <class T>
 void HullBuilder::list_planes(const Planes<T>& planes) {
   local_.clear();
@@ -189,7 +251,7 @@ void HullBuilder::list_planes(const Planes<T>& planes) {
       if (g > f) continue;
       const auto& corner = facet_[g].vertex;
       const std::int32_t a = facet_[f].vertex[e], b = facet_[f].vertex[e == 2 ? 0 : e + 1];
-      const std::int32_t far = corner[0] ^ corner[1] ^ corner[2] ^ a ^ b;  // the one that is not on the common edge
+      const std::int32_t far = corner[0] ^ corner[1] ^ corner[2] ^ a ^ b;  // the vertex off the common edge
       const Point& q = point_[far];
       is_new = is_new && x * static_cast<T>(q[0]) + y * static_cast<T>(q[1]) + z * static_cast<T>(q[2]) != offset;
     }
@@ -228,7 +290,7 @@ void HullBuilder::build(std::span<const Lattice> points) {
 void HullBuilder::build_union(const HullMesh& mesh, std::span<const Lattice> points) {
   set_points(mesh.point, points);
   const std::int32_t known = static_cast<std::int32_t>(mesh.point.size());
-  // The farthest point in the direction of the others goes first: it hides most of them.
+  // The farthest point in the direction of the new points goes first: most of the others are then inside.
   Point sum{0, 0, 0}, other{0, 0, 0};
   for (std::size_t p = 0; p < point_.size(); ++p)
     for (int i = 0; i < 3; ++i) (p < mesh.point.size() ? sum : other)[i] += point_[p][i];
@@ -288,8 +350,8 @@ LatticePolytope HullBuilder::polytope() {
   return result;
 }
 
-// Facets whose triangles share a plane and an edge become one; a plane touches a convex polytope
-// in one connected face, so groups and planes are the same.
+// Groups triangles that share a plane and an edge into one facet. A plane touches a convex polytope
+// in one connected face, so groups and planes correspond one to one.
 template <class T>
 LatticePolytope HullBuilder::grouped(const Planes<T>& planes) {
   group_.assign(static_cast<std::size_t>(facets_), -1);

@@ -84,7 +84,7 @@ std::vector<std::int64_t> voxels_outside(const MapView& map, std::span<const std
   for (std::size_t i = 0; i < sorted.size(); ++i)
     sorted[i] = {voxel[3 * i], voxel[3 * i + 1], voxel[3 * i + 2], static_cast<std::int64_t>(i)};
   if (!std::is_sorted(sorted.begin(), sorted.end())) std::sort(sorted.begin(), sorted.end());
-  std::vector<std::size_t> slab{0};  // where x changes
+  std::vector<std::size_t> slab{0};  // indices at which x changes
   for (std::size_t i = 1; i <= sorted.size(); ++i)
     if (i == sorted.size() || sorted[i].x != sorted[i - 1].x) slab.push_back(i);
   if (sorted.empty()) return {};

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <memory>
 #include <optional>
@@ -10,14 +11,63 @@
 
 #include "alula/base/parallel.hpp"
 #include "alula/cover/box_tree.hpp"
-#include "alula/cover/merge_queue.hpp"
+#include "alula/cover/lattice_hull.hpp"
 
+// The greedy merging, one algorithm from top to bottom: elements, their links and the queue of candidate pairs, the
+// `Merger`, and the sets that a history of merges leaves.
 namespace alula {
 
 namespace {
 
-constexpr std::size_t kAhead = 8;        // volumes measured at once, per thread, at most
+constexpr std::size_t kAhead = 8;        // maximum number of volumes measured at once, per thread
 constexpr std::size_t kStartShare = 80;  // of the time, in Share::kWhole, before the first merge
+
+constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+
+struct Link {
+  std::uint32_t other;
+  double key;  // of the pair in the queue: the expected key, exact once evaluated
+};
+
+// A union that is built ahead of its merge.
+struct Ready {
+  std::uint32_t left, right;
+  LatticePolytope hull;
+  HullMesh mesh;
+};
+
+struct Element {
+  LatticePolytope hull;
+  HullMesh mesh;  // of the same hull
+  double weight = 0;
+  bool alive = true;
+  std::vector<Link> links;
+  std::vector<Link> waiting;     // links to lower numbers that were not in the queue yet, the best one last
+  std::unique_ptr<Ready> ready;  // union of this element, as the lower number, and another
+};
+
+struct Candidate {
+  double key;
+  double weight;                                  // W of the union, kUnknown when it was not measured yet
+  std::uint32_t left, right;                      // left < right
+  bool evaluated;                                 // `key` is computed from `weight`
+  bool is_nearest;                                // paired because `left` or `right` touches nothing
+  bool operator<(const Candidate& other) const {  // the best is the top of a heap
+    if (key != other.key) return key > other.key;
+    if (left != other.left) return left > other.left;
+    return right > other.right;
+  }
+};
+
+struct Gap {
+  std::int64_t squared_distance;
+  std::uint32_t item, nearest;
+  bool operator<(const Gap& other) const {
+    if (squared_distance != other.squared_distance) return squared_distance > other.squared_distance;
+    if (item != other.item) return item > other.item;
+    return nearest > other.nearest;
+  }
+};
 
 class Merger {
  public:
@@ -84,7 +134,7 @@ class Merger {
     return 1 + total / static_cast<double>(occupancy_.size()) <= options_.max_growth;
   }
 
-  // Hull and meter of one thread.
+  // Hull builder and excess meter of one thread.
   struct Bench {
     HullBuilder hull;
     ExcessMeter excess;
@@ -97,11 +147,11 @@ class Merger {
     hull.build_union(base.mesh, more.hull.vertex);
   }
 
-  // The union that was built last.
+  // Stores the union that was built last.
   static std::unique_ptr<Ready> make_ready(HullBuilder& hull, std::uint32_t left, std::uint32_t right) {
     auto ready = std::make_unique<Ready>(Ready{left, right, hull.polytope(), hull.mesh()});
     if (ready->mesh.point.size() > ready->hull.vertex.size() + ready->hull.vertex.size() / 4) {
-      hull.build(ready->hull.vertex);  // too many points that are not extreme
+      hull.build(ready->hull.vertex);  // the mesh has too many points that are not extreme
       ready->mesh = hull.mesh();
     }
     return ready;
@@ -111,20 +161,20 @@ class Merger {
     return element_[left].ready != nullptr && element_[element_[left].ready->right].alive;
   }
 
-  // How many to measure at once: the fewer, the more of them were measured in vain lately.
+  // Number of candidates to measure at once; it falls with the fraction of recent measurements that were not used.
   std::size_t reach() {
     if (guessed_ > 1024) guessed_ /= 2, right_guesses_ /= 2;
-    const std::size_t share = kAhead * std::min(right_guesses_ + 8, guessed_ + 8) / (guessed_ + 8);
-    return team_.size() * (2 * share > kAhead ? 2 * share - kAhead : 1);
+    const std::size_t useful = kAhead * std::min(right_guesses_ + 8, guessed_ + 8) / (guessed_ + 8);
+    return team_.size() * (2 * useful > kAhead ? 2 * useful - kAhead : 1);
   }
 
-  // Measures a candidate and, for the other threads, those that will probably be next. What is known
-  // ahead changes nothing until its turn comes, so results do not depend on the number of threads.
+  // Measures a candidate and, on the other threads, those that will probably be next. A weight measured
+  // ahead has no effect until its candidate is at the top, so results do not depend on the number of threads.
   void measure_ahead(Candidate& first) {
     ahead_.assign(1, first);
     passed_.clear();
-    const std::size_t wanted = team_.size() > 1 ? reach() : 1;
-    while (ahead_.size() < wanted && passed_.size() < wanted && !queue_.empty()) {
+    const std::size_t limit = team_.size() > 1 ? reach() : 1;
+    while (ahead_.size() < limit && passed_.size() < limit && !queue_.empty()) {
       const Candidate c = queue_.top();
       const bool is_alive = element_[c.left].alive && element_[c.right].alive;
       if (!is_alive && c.is_nearest) break;
@@ -136,7 +186,7 @@ class Merger {
       const bool is_known = !std::isnan(c.weight) || (log_ != nullptr && log_->find(c.left, c.right) != nullptr);
       (is_known ? passed_ : ahead_).push_back(c);
     }
-    // Unions that come out better than all that was not looked at will merge soon.
+    // Unions with a better key than all unexamined candidates will merge soon.
     const double soon = queue_.empty() ? std::numeric_limits<double>::infinity() : queue_.top().key;
     const std::size_t guesses = ahead_.size() - 1;
     for (const Candidate& c : passed_)
@@ -159,7 +209,7 @@ class Merger {
       if (ready != nullptr && !is_ready(ready->left)) element_[ready->left].ready = std::move(ready);
   }
 
-  // W of a candidate's union and its key by that.
+  // Computes W of a candidate's union and the key from it.
   void evaluate(Candidate& c) {
     const double* known = log_ == nullptr ? nullptr : log_->find(c.left, c.right);
     if (known != nullptr) {
@@ -170,7 +220,7 @@ class Merger {
       ++right_guesses_;
     }
     c.weight = std::max({c.weight, element_[c.left].weight, element_[c.right].weight});
-    if (options_.rule == MergeRule::kPaper) c.weight = std::max(c.weight, c.key);  // a lower bound until now
+    if (options_.rule == MergeRule::kPaper) c.weight = std::max(c.weight, c.key);  // so far the key was a lower bound
     c.key = key(c.left, c.right, c.weight);
     c.evaluated = true;
     if (known != nullptr) {
@@ -194,7 +244,7 @@ class Merger {
     return weight - element_[left].weight - element_[right].weight;
   }
 
-  // The least key that two elements with these boxes can have: free volume is shared in both boxes only.
+  // Lower bound on the key of two elements with these boxes: they share free volume only where the boxes overlap.
   double least_key(std::uint32_t a, std::uint32_t b, const LatticeBox& box_a, const LatticeBox& box_b) const {
     const double u = element_[a].weight, v = element_[b].weight;
     if (options_.rule == MergeRule::kPaper) return std::max(u, v);
@@ -209,8 +259,8 @@ class Merger {
     element_[b].links.push_back({a, key});
   }
 
-  // Links an element to those with lower numbers. Only the best of these pairs goes to the queue; each
-  // makes room for the next one when it leaves.
+  // Links an element to elements with lower numbers. Only the best of these pairs goes to the queue; when it leaves
+  // the queue, the next one enters.
   void link_lower(std::uint32_t made, std::vector<Link>& lower) {
     for (const Link& l : lower) link(made, l.other, l.key);
     std::sort(lower.begin(), lower.end(),
@@ -230,7 +280,7 @@ class Merger {
     }
   }
 
-  // A candidate that cannot merge any more.
+  // Drops a candidate that can no longer merge.
   void drop(const Candidate& c) {
     if (!c.evaluated && !c.is_nearest) put_next(c.right);
   }
@@ -253,7 +303,7 @@ class Merger {
     }
   }
 
-  // Pairs an element that touches none with the nearest one.
+  // Pairs an element that touches no other with the nearest one.
   void pair_with_nearest(std::uint32_t i) {
     const BoxTree::Neighbour near = tree_.nearest(i);
     if (near.item == BoxTree::kNone) return;
@@ -272,7 +322,7 @@ class Merger {
     return false;
   }
 
-  // The best pair, evaluated; nothing when one element is left.
+  // The best pair, evaluated; nothing when one element remains.
   std::optional<Merge> next() {
     while (!queue_.empty()) {
       Candidate top = queue_.top();
@@ -306,7 +356,7 @@ class Merger {
     return std::nullopt;
   }
 
-  // An element whose nearest one was merged away: unless something touches it now, look again.
+  // Finds a new nearest element after the old one was merged, unless another element touches this one now.
   void repair(std::uint32_t i) {
     tree_.touching(tree_.box(i), touching_);
     if (touching_.size() == 1) pair_with_nearest(i);
@@ -373,7 +423,7 @@ class Merger {
   WorkerTeam team_;
   std::vector<Bench> bench_;  // one per thread of the team
   std::vector<Candidate> ahead_, passed_;
-  std::vector<std::unique_ptr<Ready>> ready_;  // of those in ahead_
+  std::vector<std::unique_ptr<Ready>> ready_;  // unions of the candidates in ahead_
   std::vector<std::uint32_t> touching_;
   std::vector<Link> merged_links_;
 };
@@ -384,6 +434,53 @@ Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOption
             Control& control, EvaluationLog* log) {
   Share start(control, 0, kStartShare), loop(control, kStartShare, Share::kWhole);
   return Merger(occupancy, sets, options, jobs, start, log).run(loop);
+}
+
+VoxelSets merged_sets(const VoxelSets& sets, std::span<const Merge> history) {
+  const std::size_t leaves = sets.size();
+  std::vector<bool> is_merged(leaves + history.size(), false);
+  for (const Merge& m : history) is_merged[m.left] = is_merged[m.right] = true;
+  VoxelSets result;
+  std::vector<std::uint32_t> stack, members;
+  for (std::uint32_t e = 0; e < is_merged.size(); ++e) {
+    if (is_merged[e]) continue;
+    members.clear();
+    stack.assign(1, e);
+    while (!stack.empty()) {
+      const std::uint32_t id = stack.back();
+      stack.pop_back();
+      if (id < leaves) {
+        members.insert(members.end(), sets[id].begin(), sets[id].end());
+      } else {
+        stack.push_back(history[id - leaves].left), stack.push_back(history[id - leaves].right);
+      }
+    }
+    std::sort(members.begin(), members.end());
+    members.erase(std::unique(members.begin(), members.end()), members.end());
+    result.member.insert(result.member.end(), members.begin(), members.end());
+    result.close();
+  }
+  return result;
+}
+
+void sort_hulls(Cover& cover) {
+  std::vector<std::size_t> order(cover.hull.size());
+  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
+  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+    const auto left = cover.members[a], right = cover.members[b];
+    if (!std::equal(left.begin(), left.end(), right.begin(), right.end()))
+      return std::lexicographical_compare(left.begin(), left.end(), right.begin(), right.end());
+    return a < b;
+  });
+  std::vector<LatticePolytope> hull;
+  VoxelSets members;
+  for (const std::size_t i : order) {
+    hull.push_back(std::move(cover.hull[i]));
+    members.member.insert(members.member.end(), cover.members[i].begin(), cover.members[i].end());
+    members.close();
+  }
+  cover.hull = std::move(hull);
+  cover.members = std::move(members);
 }
 
 }  // namespace alula

@@ -18,11 +18,11 @@ using Normal = std::array<std::int32_t, 3>;
 
 constexpr std::size_t kMostPlanes = 255;  // a byte counts them
 constexpr std::uint32_t kMostDepth = 0xFFFF, kMostKdopDepth = 0x7FF;
-constexpr double kLeastFacet = 1e-6;  // [voxel faces]; a plane with less of one cuts nothing worth its bytes
+constexpr double kLeastFacet = 1e-6;  // [voxel faces]; a plane with a smaller facet is not worth its bytes
 
 struct CutPlane {
   Normal normal;
-  std::int64_t depth;  // how far it cuts off the corner of the box that lies farthest along the normal
+  std::int64_t depth;  // depth of the cut from the box corner that is farthest along the normal
 };
 
 struct QuantisedHull {
@@ -44,7 +44,7 @@ std::int32_t largest_component(const Normal& n) { return std::max({std::abs(n[0]
 
 bool is_oblique(const Normal& n) { return (n[0] != 0) + (n[1] != 0) + (n[2] != 0) >= 2; }
 
-// The normal with |n_i| <= largest nearest to `exact` in angle; of equally near ones the shortest.
+// The normal with |n_i| <= largest that is nearest to `exact` in angle; among equally near ones the shortest.
 Normal nearest_normal(const std::int64_t* exact, std::int32_t largest) {
   const std::array<double, 3> n{static_cast<double>(exact[0]), static_cast<double>(exact[1]),
                                 static_cast<double>(exact[2])};
@@ -54,7 +54,7 @@ Normal nearest_normal(const std::int64_t* exact, std::int32_t largest) {
     for (std::size_t i = 0; i < 3; ++i) best[i] = static_cast<std::int32_t>(exact[i]);
     return best;
   }
-  double least = 2;  // sin^2 of the angle, times |exact|^2 / longest^2
+  double smallest = 2;  // sin^2 of the angle, times |exact|^2 / longest^2
   for (std::int32_t m = 1; m <= largest; ++m) {
     const double scale = m / longest;
     std::array<double, 3> r{};
@@ -67,8 +67,8 @@ Normal nearest_normal(const std::int64_t* exact, std::int32_t largest) {
       sine += c * c;
     }
     sine /= square;
-    if (sine >= least) continue;
-    least = sine;
+    if (sine >= smallest) continue;
+    smallest = sine;
     for (std::size_t i = 0; i < 3; ++i) best[i] = static_cast<std::int32_t>(r[i]);
   }
   return best;
@@ -84,7 +84,7 @@ std::int64_t depth_of(const Normal& n, const QuantisedHull& hull, std::span<cons
   return corner - support;
 }
 
-// Leaves out planes without a facet of their own, then the smallest facets beyond kMostPlanes.
+// Removes planes without a facet of their own, then the planes with the smallest facets beyond kMostPlanes.
 void drop_idle_planes(QuantisedHull& hull) {
   std::vector<CutPlane>& plane = hull.plane;
   geometry::FacetArea facet({static_cast<double>(hull.upper[0]) - hull.lower[0],
@@ -159,10 +159,10 @@ class RecordWriter {
   RecordWriter(const Lattice& origin, bool is_kdop, std::int32_t largest, const std::vector<Normal>& directions)
       : origin_(origin), is_kdop_(is_kdop), largest_(largest), directions_(directions) {}
 
-  // Counts what it writes into `records`.
+  // Writes the record of a hull and counts it in `records`.
   std::vector<std::uint8_t> operator()(QuantisedHull& hull, MapRecords& records) const {
     int shift = shift_of(hull, is_kdop_ ? kMostKdopDepth : kMostDepth);
-    if (shift > 0 && !is_kdop_) {  // longer normals make the unit 2^shift a smaller distance
+    if (shift > 0 && !is_kdop_) {  // with longer normals the unit 2^shift is a smaller distance
       for (CutPlane& p : hull.plane) {
         const std::int32_t factor = largest_ / largest_component(p.normal);
         for (std::int32_t& n : p.normal) n *= factor;
@@ -177,7 +177,7 @@ class RecordWriter {
     bytes.push_back(static_cast<std::uint8_t>(hull.plane.size()));
     bytes.push_back(static_cast<std::uint8_t>(shift));
     for (const CutPlane& p : hull.plane) {
-      const std::uint32_t depth = static_cast<std::uint32_t>(p.depth >> shift);  // down: outward
+      const std::uint32_t depth = static_cast<std::uint32_t>(p.depth >> shift);  // rounds down, which is outward
       if (is_kdop_) {
         const auto number = std::lower_bound(directions_.begin(), directions_.end(), p.normal) - directions_.begin();
         put16(bytes, static_cast<std::uint32_t>(number) | depth << 5);

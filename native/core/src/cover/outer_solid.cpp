@@ -96,7 +96,7 @@ class Enumerator {
     }
   }
 
-  // Where three planes meet; their normals span the space.
+  // The intersection of three planes with linearly independent normals.
   Corner meet(std::size_t p, std::size_t q, std::size_t r) const {
     const Normal &a = plane_[p].normal, &b = plane_[q].normal, &c = plane_[r].normal;
     const Normal bc = cross(b, c), ca = cross(c, a), ab = cross(a, b);
@@ -111,7 +111,7 @@ class Enumerator {
     return result;
   }
 
-  // Positive: outside plane r.
+  // Positive if the corner is outside plane r.
   Wide side(const Corner& c, std::size_t r) const {
     const LatticePlane& plane = plane_[r];
     return plane.normal[0] * c.n[0] + plane.normal[1] * c.n[1] + plane.normal[2] * c.n[2] - plane.offset * c.d;
@@ -124,7 +124,7 @@ class Enumerator {
     return &corner_.try_emplace(c, -1).first->first;
   }
 
-  // The segment that the other planes leave of the line of two.
+  // Adds the segment that the other planes leave of the line of planes p and q.
   void add_edge(std::size_t p, std::size_t q) {
     const Normal along = cross(plane_[p].normal, plane_[q].normal);
     if (along == Normal{0, 0, 0}) return;
@@ -145,7 +145,7 @@ class Enumerator {
     edge_[q].push_back({to, from});
   }
 
-  // Fans the facet of a plane, whose edges run counter-clockwise.
+  // Adds the facet of a plane as a fan of triangles; its edges run counter-clockwise.
   void add_facet(std::size_t p, OuterSolid& result) {
     std::map<const Corner*, const Corner*> next;
     for (const auto& [from, to] : edge_[p]) next[from] = to;
@@ -153,7 +153,7 @@ class Enumerator {
     const Corner* const first = next.begin()->first;
     std::vector<const Corner*> loop;
     for (const Corner* at = first; loop.empty() || at != first; at = next.at(at)) loop.push_back(at);
-    // Start from the least corner, so that the result does not depend on addresses.
+    // Start from the smallest corner, so the result does not depend on addresses.
     std::rotate(loop.begin(),
                 std::min_element(loop.begin(), loop.end(), [](const Corner* a, const Corner* b) { return *a < *b; }),
                 loop.end());
@@ -167,7 +167,7 @@ class Enumerator {
 
   Normal lower_{};
   std::vector<LatticePlane> plane_;
-  std::map<Corner, std::int64_t> corner_;  // and its row, once it has one
+  std::map<Corner, std::int64_t> corner_;  // with its row, once assigned
   std::vector<const Corner*> order_;
   std::vector<std::vector<std::pair<const Corner*, const Corner*>>> edge_;
 };

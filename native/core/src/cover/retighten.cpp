@@ -1,6 +1,6 @@
-#include <algorithm>
+#include "alula/cover/retighten.hpp"
 
-#include "alula/cover/merge.hpp"
+#include <algorithm>
 
 namespace alula {
 
@@ -46,23 +46,31 @@ void voxels_inside(const Occupancy& occupancy, const LatticePolytope& hull, std:
   }
 }
 
-void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, Control& control) {
-  const std::size_t count = cover.hull.size();
-  std::vector<std::uint32_t> holders(occupancy.size(), 0), inside, shrunk;
-  std::vector<double> excess(count);
-  std::vector<std::size_t> order(count);
-  std::size_t planes = 0, kept = count;
+Containment containment(const Occupancy& occupancy, std::span<const LatticePolytope> hulls, Control& control) {
+  const std::size_t count = hulls.size();
+  Containment found{std::vector<std::uint32_t>(occupancy.size(), 0), std::vector<double>(count),
+                    std::vector<std::size_t>(count)};
+  std::vector<std::uint32_t> inside;
   ExcessMeter meter(occupancy);
   for (std::size_t h = 0; h < count; ++h) {
-    voxels_inside(occupancy, cover.hull[h], inside);
-    for (const std::uint32_t v : inside) ++holders[v];
-    excess[h] = meter(cover.hull[h]);
-    order[h] = h;
-    planes += cover.hull[h].plane.size();
+    voxels_inside(occupancy, hulls[h], inside);
+    for (const std::uint32_t v : inside) ++found.holders[v];
+    found.excess[h] = meter(hulls[h]);
+    found.order[h] = h;
     control.poll(h, 3 * count);
   }
-  std::sort(order.begin(), order.end(),
+  const std::vector<double>& excess = found.excess;
+  std::sort(found.order.begin(), found.order.end(),
             [&](std::size_t a, std::size_t b) { return excess[a] != excess[b] ? excess[a] > excess[b] : a < b; });
+  return found;
+}
+
+void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, Control& control) {
+  const std::size_t count = cover.hull.size();
+  auto [holders, excess, order] = containment(occupancy, cover.hull, control);
+  std::vector<std::uint32_t> inside, shrunk;
+  std::size_t planes = 0, kept = count;
+  for (const LatticePolytope& hull : cover.hull) planes += hull.plane.size();
 
   HullBuilder builder;
   std::vector<Lattice> needed;
@@ -93,8 +101,8 @@ void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, C
     control.poll(count + 2 * ++done, 3 * count);
   }
 
-  // A voxel that a tight hull needs is in no other hull, so each hull still is that of its members;
-  // one that was kept gets all its voxels back.
+  // A voxel that a tight hull needs is in no other hull, so each hull is still the hull of its members;
+  // a hull that was kept gets all its voxels as members.
   std::vector<bool> is_taken(occupancy.size(), false);
   std::vector<LatticePolytope> hulls;
   VoxelSets members;

@@ -34,7 +34,7 @@ Vec3 rotated_axis(const float* q, std::size_t axis) {
   return out;
 }
 
-// The rigorous part: what is proven here is all that a caller may rely on.
+// The rigorous part: the result relies only on the proofs of this class.
 class Prover {
  public:
   Prover(const Splats& splats, std::size_t i, const Level& all, double g) : g_(g) {
@@ -55,7 +55,7 @@ class Prover {
   Vec3 lower() const { return bound(-1); }
   Vec3 upper() const { return bound(1); }
 
-  // Whether n separates the set from the block; n need not have any particular length.
+  // True if n separates the set from the block; n may have any length.
   bool separates(Vec3 n, const Block& block) const {
     const double largest = std::max({std::abs(n[0]), std::abs(n[1]), std::abs(n[2])});
     if (!(largest > 0) || !std::isfinite(largest)) return false;
@@ -93,7 +93,7 @@ class Prover {
   std::array<Vec3, 3> axis_;  // columns of R
 };
 
-// The heuristic part: directions worth trying, those of one ellipsoid around the set.
+// The heuristic part: candidate directions, from one ellipsoid around the set.
 class Directions {
  public:
   Directions(const Prover& prover, const Ellipsoid& outer, double g)
@@ -107,7 +107,7 @@ class Directions {
     }
   }
 
-  // Whether the set is proven clear of the block, which is lower ... upper from the centre.
+  // True if the set is proven clear of the block, which is lower ... upper relative to the centre.
   bool separate(const Block& block, const Vec3& lower, const Vec3& upper, bool single) {
     const Verdict verdict = descend(block, lower, upper);
     if (verdict != Verdict::kUnknown || !single) return verdict == Verdict::kSeparated;
@@ -123,7 +123,7 @@ class Directions {
     for (std::size_t a = 0; a < 3; ++a) x[a] = std::clamp(0.0, lower[a], upper[a]);
     for (int sweep = 0; sweep < 3; ++sweep) {
       Vec3 n;
-      double scale = 0;  // of the terms of n.x, for its rounding
+      double scale = 0;  // sum of the magnitudes of the terms of n.x, for its rounding error
       for (std::size_t a = 0; a < 3; ++a) n[a] = dot(metric_[a], x), scale += metric_[a][a] * x[a] * x[a];
       if (dot(n, x) + 16 * kEps * scale <= 1) return Verdict::kTouching;
       Vec3 pushed = n;
@@ -188,7 +188,7 @@ class Directions {
   std::array<Factor, 3> pair_{};
 };
 
-// One set: whether blocks are proven clear of it.
+// Decides for one set whether blocks are proven clear of it.
 class Search {
  public:
   Search(const Splats& splats, std::size_t i, const Level& level, double g)
@@ -198,7 +198,7 @@ class Search {
   Search(const Search&) = delete;
   Search& operator=(const Search&) = delete;
 
-  // The voxels of a range beyond which none is touched.
+  // The voxels of a range that may be touched; none beyond them is.
   Block bounds(const CropRange& range) const {
     Vec3 lower = prover_.lower(), upper = prover_.upper();
     for (std::size_t a = 0; a < 3; ++a) lower[a] = std::floor(lower[a] / g_), upper[a] = std::floor(upper[a] / g_);
@@ -269,7 +269,7 @@ class Visitor {
       visit_brick(bits == nullptr ? kNothing : *bits, block);
       return;
     }
-    // A block of few bricks is cut before it is tried: its bricks may all be in the set.
+    // A block of few bricks is cut before it is tested: its bricks may all be in the set.
     if (count(block) > 4096 && search_.separated(block, false)) return;
     Block upper = block;
     block.upper[axis] = cut - 1;
@@ -320,9 +320,9 @@ class Visitor {
   Touched touched_;
 };
 
-constexpr std::size_t kSearchedShare = 980;  // of the progress; few voxels are left to name
+constexpr std::size_t kSearchedShare = 980;  // of the progress; few voxels remain to be assigned an ellipsoid
 
-// For each of a few voxels the first ellipsoid that is not proven clear of it.
+// Finds for each of a few voxels the first ellipsoid that is not proven clear of it.
 std::vector<std::int64_t> first_touching(const Splats& splats, const Level& level, double g,
                                          std::span<const std::int32_t> voxel, unsigned jobs, Control& control) {
   std::vector<std::atomic<std::int64_t>> first(voxel.size() / 3);

@@ -83,18 +83,18 @@ std::vector<double> cluster_weights(const Occupancy& occupancy, int block, unsig
 }
 
 struct Candidate {
-  double price;  // weight per newly covered voxel
-  std::uint32_t fresh, voxel;
+  double price;                    // weight per newly covered voxel
+  std::uint32_t uncovered, voxel;  // number of newly covered voxels; centre of the cluster
   // The best candidate is the top of a heap.
   bool operator<(const Candidate& other) const {
     if (price != other.price) return price > other.price;
-    if (fresh != other.fresh) return fresh < other.fresh;
+    if (uncovered != other.uncovered) return uncovered < other.uncovered;
     return voxel > other.voxel;
   }
 };
 
-// The runs of voxel numbers in each voxel's neighbourhood; stored for the common block of 1, where
-// they are at most nine, because the greedy cover asks for each many times.
+// The runs of voxel numbers in each voxel's neighbourhood. They are stored for the common block of 1, where
+// there are at most nine, because the greedy cover needs each many times.
 class Neighbourhoods {
  public:
   Neighbourhoods(const Occupancy& occupancy, int block, unsigned jobs, Control& control)
@@ -112,7 +112,7 @@ class Neighbourhoods {
     });
   }
 
-  // Calls visit(number) for the voxels around one, itself among them.
+  // Calls visit(number) for the voxels around one, including itself.
   template <class Visit>
   void each(std::uint32_t voxel, Visit&& visit) const {
     if (block_ == 1) {
@@ -146,9 +146,9 @@ VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control
   InterruptOnly quiet(control);
   const Neighbourhoods around(occupancy, block, jobs, quiet);
   auto candidate = [&](std::uint32_t v) {
-    std::uint32_t fresh = 0;
-    around.each(v, [&](std::uint32_t u) { fresh += covered[u] == 0; });
-    return Candidate{fresh == 0 ? 0 : weight[v] / fresh, fresh, v};
+    std::uint32_t uncovered = 0;
+    around.each(v, [&](std::uint32_t u) { uncovered += covered[u] == 0; });
+    return Candidate{uncovered == 0 ? 0 : weight[v] / uncovered, uncovered, v};
   };
   std::vector<Candidate> all(occupancy.size());
   parallel_chunks(all.size(), 4096, jobs, quiet, [&](std::size_t begin, std::size_t end) {
@@ -156,14 +156,14 @@ VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control
   });
   std::priority_queue<Candidate> queue(std::less<Candidate>{}, std::move(all));
 
-  // Candidates only get worse as voxels are covered, so one that is still on top when brought up
-  // to date is the best of all.
+  // Candidates only get worse as voxels are covered, so a candidate that is still on top after its update
+  // is the best of all (lazy greedy).
   VoxelSets result;
   std::size_t left = occupancy.size();
   while (left > 0) {
     const Candidate now = candidate(queue.top().voxel);
     queue.pop();
-    if (now.fresh == 0) continue;
+    if (now.uncovered == 0) continue;
     if (!queue.empty() && now < queue.top()) {
       queue.push(now);
       continue;
@@ -173,7 +173,7 @@ VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control
       covered[u] = 1;
     });
     result.close();
-    left -= now.fresh;
+    left -= now.uncovered;
     if (result.size() % 256 == 0) choosing.poll(occupancy.size() - left, occupancy.size());
   }
   return result;

@@ -16,7 +16,7 @@ using geometry::Solid;
 using geometry::Vec3;
 
 constexpr double kUnit = 0x1p-53;
-constexpr std::size_t kParts = 512;  // boxes that are handed to threads
+constexpr std::size_t kParts = 512;  // target number of boxes that threads process
 
 // A polytope that reaches into a box, with the planes that cut the box: plane[begin .. end).
 struct Reach {
@@ -52,7 +52,7 @@ class Measurer {
 
   enum class Kind { kEmpty, kFull, kMixed };
 
-  // Shrinks a box to what is in it, drops what does not matter there, and says what is left.
+  // Shrinks a box to its content, drops the polytopes and planes that do not matter there, and returns what remains.
   Kind reduce(Part& part) {
     Box hull;
     for (const Reach& reach : part.reach) {
@@ -101,7 +101,7 @@ class Measurer {
     return reaches == 0 ? Kind::kEmpty : Kind::kMixed;
   }
 
-  // Whether a reduced box is better halved than measured as it is.
+  // True if halving a reduced box is better than measuring it as it is.
   bool is_large(const Part& part) const {
     const double edge = longest(part.box);
     if (edge <= 1) return part.reach.size() > 4 && edge > 0.1;
@@ -124,7 +124,7 @@ class Measurer {
     low.plane = high.plane = part.plane;
   }
 
-  // Adds what a box that holds no more than these polytopes contributes.
+  // Adds the contribution of a box that only these polytopes reach into.
   void measure(Part& part, std::size_t depth = 0) {
     if (!result.is_complete) return;
     const Kind kind = reduce(part);
@@ -154,19 +154,19 @@ class Measurer {
     ++terms_;
     if (voxels_ == nullptr) return;
     const Vec3 e = box.upper - box.lower;
-    if (std::min({e.x, e.y, e.z}) < 1) return voxel(box, volume(box));  // a part of one
+    if (std::min({e.x, e.y, e.z}) < 1) return voxel(box, volume(box));  // a part of one voxel
     const std::size_t held = count(box);
     result.intersection += static_cast<double>(held);
     result.whole += held;
   }
 
-  // Of the sums in a part; none is larger than the box that it is in.
+  // Rounding error of the sums in a part; no summand exceeds the volume of its box.
   double summation_error(const Box& box) const { return terms_ * kUnit * volume(box); }
 
   UnionMeasure result;
 
  private:
-  // Adds what is filled of the voxel that a box is or is a part of.
+  // Adds the filled volume of the voxel that a box is, or is a part of.
   void voxel(const Box& box, double filled) {
     LatticeBox cell;
     for (int i = 0; i < 3; ++i) {
@@ -226,7 +226,7 @@ class Measurer {
     return sum;
   }
 
-  // Cuts solid_[s] by the planes of a polytope; the number of the solid left, s when there is none.
+  // Cuts solid_[s] by the planes of a polytope; returns the number of the remaining solid, or s when none remains.
   std::size_t cut(std::size_t s, const Reach& reach) {
     while (solid_.size() < s + 3) solid_.emplace_back();
     std::size_t from = s, to = s + 1;
@@ -247,7 +247,7 @@ class Measurer {
   }
 
   double add_solid(const Solid& solid) {
-    terms_ += 2;  // in united() and in the total
+    terms_ += 2;  // one in united() and one in the total
     result.error += (48 + 8.0 * solid.cuts()) * kUnit * extent_ * box_area_;
     result.is_complete = result.is_complete && result.cuts <= options_.cuts_per_part;
     return solid.volume();

@@ -1,15 +1,16 @@
+#include "alula/cover/union_volume.hpp"
+
 #include <algorithm>
 
 #include "alula/base/parallel.hpp"
-#include "alula/cover/merge.hpp"
 #include "alula/cover/union_measure.hpp"
 
 namespace alula {
 
 namespace {
 
-constexpr std::size_t kCuttingShare = 900;  // of the progress; lines only follow where cutting gave up
-// Lines through the very middle would run in diagonal planes of the lattice, and count as inside.
+constexpr std::size_t kCuttingShare = 900;  // of the progress; lines follow only where cutting exceeds its budget
+// Lines exactly through the middle would lie in diagonal planes of the lattice, and count as inside.
 constexpr double kOffMiddleX = 0.53, kOffMiddleY = 0.48;
 
 struct Interval {
@@ -19,7 +20,7 @@ struct Interval {
 
 std::int32_t ceil_div(std::int32_t a, std::int32_t b) { return a / b + (a % b != 0 && (a < 0) == (b < 0)); }
 
-// The box of a polytope by its planes, which may lie beyond its vertices; by those where a side has none.
+// The box of a polytope from its planes, which may lie beyond its vertices; a side without plane uses the vertices.
 LatticeBox box_of(const LatticePolytope& hull) {
   LatticeBox box = bounds(hull.vertex);
   for (const LatticePlane& plane : hull.plane) {
@@ -31,7 +32,7 @@ LatticeBox box_of(const LatticePolytope& hull) {
   return box;
 }
 
-// The same polytopes relative to the middle of all, so that coordinates are as small as can be.
+// The same polytopes relative to the middle of all, which keeps coordinates small.
 ConvexSets convex_sets(const std::vector<LatticePolytope>& hulls, const std::vector<LatticeBox>& box) {
   LatticeBox all = LatticeBox::empty();
   for (const LatticeBox& b : box) all.add(b);

@@ -14,7 +14,7 @@ namespace alula {
 
 namespace {
 
-constexpr double kLargestIndex = 2147483646.0;  // one less than 2^31 - 1, so that i + 1 fits too
+constexpr double kLargestIndex = 2147483646.0;  // one less than 2^31 - 1, because i + 1 must fit too
 
 // The high bits depend on all bits of the three coordinates.
 std::uint64_t hash_of(const Index3& b) {
@@ -62,7 +62,7 @@ Block clipped_block(const std::array<double, 3>& lower, const std::array<double,
     empty |= !(low[a] <= high[a]);
     fits &= low[a] >= -kLargestIndex && high[a] <= kLargestIndex;
   }
-  // What has no bounds would compare as lying nowhere.
+  // Infinite or NaN bounds would compare as an empty block.
   if (!finite) throw std::overflow_error("an ellipsoid has no finite bounds in double precision");
   if (empty) return block;
   if (!fits)
@@ -163,7 +163,7 @@ struct OverlapGrid::Shard {
     return brick(number);
   }
 
-  // Memory is asked for well before it is used: first all places in the map, then all rows.
+  // Memory is prefetched well before its use: first all slots of the map, then all rows.
   void apply(std::span<const Run> runs) {
     const std::lock_guard lock(mutex);
     pieces.clear(), touched.clear();
@@ -191,14 +191,14 @@ struct OverlapGrid::Shard {
     }
   }
 
-  // Without branches, so that it takes a few wide instructions.
+  // Without branches, so it compiles to a few wide instructions.
   static void count(Row& row, const Piece& piece) {
     const Row &from = kFrom[static_cast<std::size_t>(piece.first)],
               &to = kFrom[static_cast<std::size_t>(piece.last + 1)];
     for (std::size_t i = 0; i < from.size(); ++i) row[i] += from[i] - to[i];
   }
 
-  // Row i: 1 from place i on.
+  // Row i: 1 from position i on.
   static constexpr auto kFrom = [] {
     std::array<Row, kZ + 1> rows{};
     for (std::size_t i = 0; i < rows.size(); ++i)
@@ -206,7 +206,7 @@ struct OverlapGrid::Shard {
     return rows;
   }();
 
-  std::array<std::uint32_t, 16> recent{};  // positions in `touched`, to find neighbours without the map
+  std::array<std::uint32_t, 16> recent{};  // positions in `touched`, for finding neighbours without the map
 };
 
 OverlapGrid::OverlapGrid(std::size_t max_voxels, std::size_t max_bricks) : budget_(std::make_unique<Budget>()) {
@@ -235,7 +235,7 @@ void OverlapGrid::Writer::finish() {
 }
 
 VoxelCounts OverlapGrid::collect(std::uint32_t min_count, unsigned jobs, Control& control) const {
-  const std::uint32_t least = std::max(min_count, 1u);
+  const std::uint32_t minimum = std::max(min_count, 1u);
   struct Entry {
     Index3 key;
     const Shard::Brick* brick;
@@ -243,7 +243,7 @@ VoxelCounts OverlapGrid::collect(std::uint32_t min_count, unsigned jobs, Control
   std::vector<Entry> entries;
   for (const auto& shard : shards_)
     shard->map.each([&](const Index3& key, std::uint32_t number) {
-      // A brick that the budget refused has a number, but no counters.
+      // A brick refused by the budget has a number, but no counters.
       if (number < shard->pages.size() * Shard::kPage) entries.push_back({key, &shard->brick(number)});
     });
   std::sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) { return a.key < b.key; });
@@ -263,7 +263,7 @@ VoxelCounts OverlapGrid::collect(std::uint32_t min_count, unsigned jobs, Control
       std::uint32_t any = 0, enough = 0;
       for (const Shard::Row& row : *entries[i].brick)
         for (const std::uint32_t count : row)
-          any += count > 0, enough += count >= least, highest = std::max(highest, count);
+          any += count > 0, enough += count >= minimum, highest = std::max(highest, count);
       all += any, kept += enough;
     }
     start[s + 1] = kept, below[s] = all - kept, most[s] = highest;
@@ -287,7 +287,7 @@ VoxelCounts OverlapGrid::collect(std::uint32_t min_count, unsigned jobs, Control
             const Shard::Row& counts = (*brick)[static_cast<std::size_t>(x * Shard::kX + y)];
             for (std::int32_t z = 0; z < Shard::kZ; ++z) {
               const std::uint32_t count = counts[static_cast<std::size_t>(z)];
-              if (count < least) continue;
+              if (count < minimum) continue;
               out.index[3 * to] = key[0] * Shard::kX + x;
               out.index[3 * to + 1] = key[1] * Shard::kX + y;
               out.index[3 * to + 2] = key[2] * Shard::kZ + z;

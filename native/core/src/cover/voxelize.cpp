@@ -17,7 +17,7 @@ namespace {
 
 using namespace surfaces;
 
-constexpr double kWorth = 0.25;  // voxels that an ellipsoid may go beyond the sum before a second is asked
+constexpr double kWorth = 0.25;  // excess of the first ellipsoid beyond the sum that justifies the second [voxels]
 constexpr double kNear = 1e9;    // an index well within 32 bits
 
 // A set with its outward box in whole voxels, before any clipping.
@@ -34,7 +34,7 @@ struct Boxed {
     }
   }
 
-  // The part of the box within a range; of most boxes all, without more ado.
+  // The part of the box within a range, with a fast path for the common case of the whole box.
   Block clipped(const CropRange& range) const {
     bool all = true;
     for (std::size_t a = 0; a < 3; ++a)
@@ -54,7 +54,7 @@ struct Boxed {
 
   double voxels() const { return (upper[0] - lower[0] + 1) * (upper[1] - lower[1] + 1) * (upper[2] - lower[2] + 1); }
 
-  // Along how many axes it is one voxel thick; two: the set touches every voxel of it.
+  // Number of axes along which the box is one voxel thick. If two, the set touches every voxel of the box.
   int thin() const { return (lower[0] == upper[0]) + (lower[1] == upper[1]) + (lower[2] == upper[2]); }
 };
 
@@ -109,7 +109,7 @@ class Marker {
     for (at[i] = block.lower[i]; at[i] <= block.upper[i]; ++at[i]) {
       const Span along = span(at[i], centre[i]);
       const Shadow::Chord chord = shadow.first(along), other = second ? second->first(along) : Shadow::Chord{};
-      std::int32_t first = 0, last = -1;  // what is reached of a row is one run
+      std::int32_t first = 0, last = -1;  // the touched voxels of a row are one run
       for (at[j] = block.lower[j]; at[j] <= block.upper[j]; ++at[j]) {
         const auto& [mine, others] = chords_[static_cast<std::size_t>(at[j] - block.lower[j])];
         if (!shadow.reaches(chord, mine) || (second && !second->reaches(other, others))) continue;
@@ -138,7 +138,7 @@ class Marker {
 
     void at(std::int32_t x) { x_edge_ = surfaces_.x_edge(marker_.span(x, e_.centre[0])); }
 
-    // Cuts the run of column y of the block; false when nothing is left.
+    // Clips the run of column y of the block; false when it is empty.
     bool cut(std::size_t y, double& first, double& last) const {
       const double top = surfaces_.top(x_edge_, y_[y]);
       if (top == kMiss) return false;
@@ -207,8 +207,9 @@ void mark_all(const Splats& splats, const Level& level, double g, const CropRang
   });
 }
 
-// Refuses what would not fit after a look at voxels of four times the edge: a brick holds two of them, and each
-// that is touched holds a touched voxel. Only where the boxes are large enough for that to be in question.
+// Throws early if the bricks would not fit in memory, from a coarse pass with voxels of four times the edge: a brick
+// holds two coarse voxels, and every touched one holds a touched voxel. The pass runs only if the boxes are so large
+// that the limit may be exceeded.
 void refuse_early(const Splats& splats, const Level& level, double g, const CropRange& range, unsigned jobs,
                   Control& control) {
   double boxes = 0;
@@ -217,7 +218,7 @@ void refuse_early(const Splats& splats, const Level& level, double g, const Crop
     const float* s = &splats.scale[3 * i];
     boxes += (per_scale * s[0] + rest) * (per_scale * s[1] + rest) * (per_scale * s[2] + rest);
   }
-  // Nor where a coarser look would be no cheaper; what is not finite is refused later.
+  // Skipped where the coarse pass would cost as much; values that are not finite are rejected later.
   const double worth = std::max(double(OverlapGrid::kMaxVoxels), 8 * double(splats.size()));
   if (!std::isfinite(boxes) || boxes < worth) return;
   CropRange coarse = range;
@@ -228,7 +229,7 @@ void refuse_early(const Splats& splats, const Level& level, double g, const Crop
   InterruptOnly quiet(control);
   try {
     mark_all(splats, level, 4 * g, coarse, coarse, grid, jobs, quiet, [](std::size_t, Reach) {});
-  } catch (const std::overflow_error&) {  // what was counted so far counts
+  } catch (const std::overflow_error&) {  // the count so far is a lower bound
   }
   check_brick_budget(grid.collect(std::numeric_limits<std::uint32_t>::max(), jobs, quiet).below / 2);
 }

@@ -25,7 +25,7 @@ Swing<S> operator*(double s, const Swing<S>& a) {
   return {S(s) * a.angle, S(s) * a.rate};
 }
 
-// k (r - theta'): what u_B leaves of the acceleration, sin theta being cancelled.
+// k (r - theta'): the acceleration under u_B, which cancels sin theta.
 template <class S>
 S backup_acceleration(const PendulumOptions& o, const Swing<S>& x) {
   const bool left = x.angle < S(0.0);

@@ -2,22 +2,19 @@
 
 #include <algorithm>
 #include <cmath>
-#include <stdexcept>
+
+#include "alula/base/require.hpp"
 
 namespace alula::flight {
 namespace {
 
 using geometry::multiply;
 
-constexpr double kSameTime = 1e-9;  // of two sums of the same steps [s]
+constexpr double kSameTime = 1e-9;  // tolerance for two sums of the same steps [s]
 
 enum Channel : std::uint32_t { kPosition, kVelocity, kAttitude, kRate, kGust };
 
-void require(bool good, const char* message) {
-  if (!good) throw std::invalid_argument(message);
-}
-
-bool is_size(double value) { return value >= 0 && std::isfinite(value); }
+using alula::is_size;
 bool is_size(Vec3 v) { return is_size(v.x) && is_size(v.y) && is_size(v.z); }
 bool is_zero(Vec3 v) { return v.x == 0 && v.y == 0 && v.z == 0; }
 

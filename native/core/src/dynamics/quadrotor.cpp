@@ -16,7 +16,7 @@ using geometry::multiply;
 
 constexpr double kTogether = 1e-10;
 
-// Gauss-Jordan with partial pivoting; throws when a pivot vanishes beside its column.
+// Gauss-Jordan with partial pivoting; throws when a pivot is negligible relative to its column.
 Mat4 inverse(Mat4 a) {
   Mat4 b{};
   for (std::size_t i = 0; i < 4; ++i) b[i][i] = 1;
@@ -65,7 +65,7 @@ Quadrotor::Quadrotor(double mass, Vec3 inertia, const RotorLayout& rotors, doubl
       throw std::invalid_argument("limits of a rotor's thrust need 0 <= f_min < f_max");
     if (rotors.spin[i] != 1 && rotors.spin[i] != -1) throw std::invalid_argument("a rotor's spin is -1 or 1");
     if (!std::isfinite(rotors.x[i]) || !std::isfinite(rotors.y[i]))
-      throw std::invalid_argument("the place of a rotor must be finite");
+      throw std::invalid_argument("the position of a rotor must be finite");
     allocation_[0][i] = 1;
     allocation_[1][i] = rotors.y[i];
     allocation_[2][i] = -rotors.x[i];
@@ -123,15 +123,15 @@ Wrench Quadrotor::limited(const Wrench& u) const {
   const auto low = [&](std::size_t i) { return (rotors_.f_min[i] - taken[i]) / pure_thrust_[i]; };
   const auto high = [&](std::size_t i) { return (rotors_.f_max[i] - taken[i]) / pure_thrust_[i]; };
   for (const Vec4& part : {tilting, turning}) {
-    double share = 1;  // the largest for which all low_i <= all high_j; 0 is one
+    double fraction = 1;  // the largest for which all low_i <= all high_j; 0 satisfies this
     for (std::size_t i = 0; i < 4; ++i)
       for (std::size_t j = 0; j < 4; ++j) {
-        // Rotors that move together but for rounding do not close the gap between them.
+        // Two rotors with equal rates up to rounding keep the gap between them.
         const double of_i = part[i] / pure_thrust_[i], of_j = part[j] / pure_thrust_[j];
         if (of_j - of_i > kTogether * (std::abs(of_i) + std::abs(of_j)))
-          share = std::min(share, std::max(0.0, high(j) - low(i)) / (of_j - of_i));
+          fraction = std::min(fraction, std::max(0.0, high(j) - low(i)) / (of_j - of_i));
       }
-    for (std::size_t i = 0; i < 4; ++i) taken[i] += share * part[i];
+    for (std::size_t i = 0; i < 4; ++i) taken[i] += fraction * part[i];
   }
   const double lowest = std::max(std::max(low(0), low(1)), std::max(low(2), low(3)));
   const double highest = std::min(std::min(high(0), high(1)), std::min(high(2), high(3)));
@@ -152,8 +152,8 @@ State Quadrotor::derivative(const State& x, const Wrench& u, Vec3 external_accel
           angular_acceleration(x.omega, u.torque)};
 }
 
-// `rk4_step` of `derivative`, but part by part: the same operations in the same order, so the same bits, without
-// moving states through memory. Rates do not depend on the attitude nor this on the velocity.
+// `rk4_step` of `derivative`, evaluated part by part: the same operations in the same order, so the same bits,
+// without moving states through memory. Rates do not depend on the attitude, and the attitude not on the velocity.
 State Quadrotor::step(const State& x, const Wrench& u, double dt) const {
   const double thrust = u.thrust / mass_, half = dt / 2;
   const auto spun_up = [&](Vec3 omega) {

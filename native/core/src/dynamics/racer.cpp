@@ -8,9 +8,9 @@ namespace alula::flight {
 
 namespace {
 
-constexpr std::uint32_t kGust = 0x10;  // a channel of the plant's
+constexpr std::uint32_t kGust = 0x10;  // one of the plant's channels
 
-// What RK4 integrates.
+// The states that RK4 integrates.
 struct Motion {
   Vec3 p, v;
   Vec4 q;
@@ -30,7 +30,7 @@ Vec4 attitude_rate(const Vec4& q, Vec3 w) {
 
 Vec3 times(Vec3 a, Vec3 b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
 
-// Between body and world, by q v q* and its inverse.
+// Rotates between body and world, by q v q* and its inverse.
 Vec3 rotated(const Vec4& q, Vec3 a, double sign) {
   const Vec3 axis{sign * q[1], sign * q[2], sign * q[3]};
   const Vec3 t = 2.0 * geometry::cross(axis, a);
@@ -122,7 +122,7 @@ void Racer::step(double dt, const RacerCommand& command) {
   for (int i = 0; i < 3; ++i) u.rates[i] = std::clamp(u.rates[i], -model_.max_rate[i], model_.max_rate[i]);
   pending_[next_] = u;
   next_ = (next_ + 1) % pending_.size();
-  u = pending_[next_];  // the oldest; with one place the newest
+  u = pending_[next_];  // the oldest; with one entry the newest
 
   const double scale = options_.thrust_scale / options_.mass_scale * (1 - options_.sag_share * sag_);
   const double thrust = scale * model_.acceleration(u.throttle);

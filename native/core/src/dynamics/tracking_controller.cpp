@@ -11,14 +11,14 @@ using geometry::e3;
 using geometry::hat;
 using geometry::multiply;
 
-constexpr double kLeastForce = 0.05;   // of the weight
-constexpr double kLeastSine = 0.05;    // of the angle between thrust and heading
-constexpr double kHeightShare = 0.95;  // of the largest force, so that something is left to move sideways
+constexpr double kLeastForce = 0.05;      // of the weight
+constexpr double kLeastSine = 0.05;       // of the angle between thrust and heading
+constexpr double kHeightFraction = 0.95;  // of the largest force; the rest is reserved for horizontal motion
 
-// The error whose length is at most `most`.
-VectorJet shortened(const VectorJet& error, double most) {
-  if (!(geometry::norm(error.value) > most)) return error;
-  return most * unit(error);
+// The error, shortened to a length of at most `limit`.
+VectorJet shortened(const VectorJet& error, double limit) {
+  if (!(geometry::norm(error.value) > limit)) return error;
+  return limit * unit(error);
 }
 
 bool has_limits(const TrackingGains& gains) {
@@ -30,7 +30,7 @@ VectorJet limited(const Quadrotor& quadrotor, const TrackingGains& gains, const 
   const double most = gains.max_thrust_share * quadrotor.max_thrust();
   const double least_height = kLeastForce * quadrotor.hover_thrust();
   Jet height{force.value.z, force.rate.z, force.acceleration.z};
-  if (height.value > kHeightShare * most) height = {kHeightShare * most};
+  if (height.value > kHeightFraction * most) height = {kHeightFraction * most};
   if (height.value < least_height) height = {least_height};
   VectorJet sideways = force;
   sideways.value.z = sideways.rate.z = sideways.acceleration.z = 0;
@@ -47,7 +47,7 @@ VectorJet limited(const Quadrotor& quadrotor, const TrackingGains& gains, const 
   return sideways;
 }
 
-// b = C e3 of a body that turns: b' = C (omega x e3), b'' = C (omega x (omega x e3) + omega' x e3).
+// b = C e3 of a rotating body: b' = C (omega x e3), b'' = C (omega x (omega x e3) + omega' x e3).
 VectorJet thrust_axis(const Mat3& body_to_inertial, Vec3 omega, Vec3 omega_rate = {}) {
   const Vec3 turn = cross(omega, e3);
   return {body_to_inertial * e3, body_to_inertial * turn,
@@ -78,14 +78,14 @@ Frame frame_along(const VectorJet& b3, const ReferencePoint& reference) {
 
 double longest_error(const TrackingGains& gains) { return gains.catch_up_m_s * gains.kv / gains.kp; }
 
-// f_c before its limits, given the acceleration that is asked for.
+// f_c before its limits, for the nominal acceleration.
 VectorJet demand_of(const Quadrotor& quadrotor, const TrackingGains& gains, const ReferencePoint& r,
                     const Nominal& nominal, const VectorJet& b, double applied_thrust) {
   const double m = quadrotor.mass(), longest = longest_error(gains);
   VectorJet error{nominal.position_error, nominal.velocity_error, {}};
   VectorJet demand{m * (nominal.acceleration + quadrotor.gravity() * e3), {}, {}};
 
-  // The limits belong to the thrust that follows, as to all that is computed from it.
+  // The limits apply to the thrust computed from the force, and to all that follows from it.
   const auto thrust_of = [&](const VectorJet& force) { return dot(limited(quadrotor, gains, force), b); };
   Vec3 e_a{}, e_j{};
   const bool is_own = !std::isfinite(applied_thrust);
@@ -110,7 +110,7 @@ Tracking attitude_loop(const Quadrotor& quadrotor, const TrackingGains& gains, c
   Tracking result;
   result.force = limited(quadrotor, gains, force);
   const bool has_direction =
-      !(geometry::norm(result.force.value) < kLeastForce * quadrotor.hover_thrust());  // NaN has, and stays
+      !(geometry::norm(result.force.value) < kLeastForce * quadrotor.hover_thrust());  // true for NaN, which persists
   Frame desired;
   if (has_direction)
     desired = frame_along(unit(result.force), reference);
@@ -170,8 +170,8 @@ Tracking track_in_detail(const Quadrotor& quadrotor, const TrackingGains& gains,
 
 Wrench realise(const Quadrotor& quadrotor, const TrackingGains& gains, const State& x,
                const ReferencePoint& reference, const Nominal& nominal, Vec3 acceleration, double applied_thrust) {
-  const Vec3 asked = nominal.acceleration;
-  if (acceleration.x == asked.x && acceleration.y == asked.y && acceleration.z == asked.z) return nominal.wrench;
+  const Vec3 a = nominal.acceleration;
+  if (acceleration.x == a.x && acceleration.y == a.y && acceleration.z == a.z) return nominal.wrench;
   const Mat3 C = geometry::transpose(body_from_inertial(x.sigma));
   VectorJet force = limited(quadrotor, gains,
                             demand_of(quadrotor, gains, reference, track_point(gains, x, reference),

@@ -16,7 +16,7 @@ namespace {
 
 constexpr std::uint32_t kStart = 0x6000'0000;
 constexpr std::uint64_t kDraws = 2000;
-constexpr double kFastest = 1e5;  // [m/s] faster is no flight, but an integration that diverges
+constexpr double kFastest = 1e5;  // [m/s] a higher speed means that the integration diverges
 
 bool same_bits(const alula_racer_command& a, const alula_racer_command& b) {
   return std::memcmp(&a, &b, sizeof a) == 0;
@@ -46,7 +46,7 @@ RacerState drawn(const GeofenceSpec& spec, RandomStream random, std::uint64_t dr
   return x;
 }
 
-// The first of the draws from which the backup controller stays inside.
+// The first random draw from which the backup controller stays inside.
 RacerState start_of(const GeofenceSpec& spec, const Geofence& filter, RandomStream random) {
   if (spec.start) return *spec.start;
   for (std::uint64_t draw = 0; draw < kDraws; ++draw) {
@@ -114,8 +114,8 @@ class Log {
     t.state.insert(t.state.end(), x.q.begin(), x.q.end());
     t.state.insert(t.state.end(), {x.omega.x, x.omega.y, x.omega.z});
     const double nan = std::numeric_limits<double>::quiet_NaN();
-    const RacerCommand wished = pilot.value_or(RacerCommand{nan, {nan, nan, nan}});
-    for (auto [to, u] : {std::pair{&t.pilot, &wished}, std::pair{&t.command, &report.command}}) {
+    const RacerCommand nominal = pilot.value_or(RacerCommand{nan, {nan, nan, nan}});
+    for (auto [to, u] : {std::pair{&t.pilot, &nominal}, std::pair{&t.command, &report.command}}) {
       to->insert(to->end(), {u->throttle, u->rates.x, u->rates.y, u->rates.z});
     }
     const alula_geofence_result& r = report.detail;
@@ -144,8 +144,8 @@ void check(const GeofenceRules& rules) {
 
 namespace {
 
-// What is flown in a tick. Of backup_qp lambda is 1 or, when it changed the pilot's command, 0; without a pilot it
-// flies the geofence's backup.
+// The command of a tick. For backup_qp, lambda is 1, or 0 when it changed the pilot's command; without a pilot
+// it flies the geofence's backup.
 GeofenceReport decide(const RacerState* navigation, const std::optional<RacerCommand>& pilot, FenceRule rule,
                       Geofence& filter, std::optional<BackupQp>& program) {
   if (rule == FenceRule::geofence || (program && !pilot)) return filter.filter(navigation, pilot ? &*pilot : nullptr);
@@ -183,7 +183,7 @@ GeofenceLog fly_in_fence(const GeofenceSpec& spec, const Geofence& original, Ran
   Log notes(log, keeps_trace);
   std::optional<BackupQp> program;
   if (spec.rules.rule == FenceRule::backup_qp) program.emplace(filter, spec.rules.alpha);
-  // the tick is a float: what it is off by is no tick more
+  // the tick is a float: its rounding must not add a tick
   const auto ticks = static_cast<std::int64_t>(std::ceil(spec.rules.duration_s / tick * (1 - 1e-7)));
   double distance = filter.fence().clearance(log.start.p, log.start.p) - radius;
   log.min_distance_m = distance;
@@ -193,10 +193,10 @@ GeofenceLog fly_in_fence(const GeofenceSpec& spec, const Geofence& original, Ran
     std::optional<RacerCommand> pilot = hand(time, plant.state());
     if (is_out(spec.rules.radio_from_s, spec.rules.radio_for_s)) pilot.reset();
     const bool is_stale = is_out(spec.rules.stale_from_s, spec.rules.stale_for_s);
-    const auto asked = std::chrono::steady_clock::now();
+    const auto started = std::chrono::steady_clock::now();
     const GeofenceReport report =
         decide(is_stale ? nullptr : &plant.state(), pilot, spec.rules.rule, filter, program);
-    log.tick_s.push_back(std::chrono::duration<float>(std::chrono::steady_clock::now() - asked).count());
+    log.tick_s.push_back(std::chrono::duration<float>(std::chrono::steady_clock::now() - started).count());
     notes.note(plant.state(), pilot, report, config, distance);
     for (int j = 0; j < spec.rules.plant_steps; ++j) {
       const Vec3 before = plant.state().p;
@@ -206,7 +206,7 @@ GeofenceLog fly_in_fence(const GeofenceSpec& spec, const Geofence& original, Ran
       log.path_length_m += geometry::norm(plant.state().p - before);
     }
     const double speed = geometry::norm(plant.state().v);
-    if (!(speed < kFastest)) {  // also NaN, of which no distance would tell
+    if (!(speed < kFastest)) {  // also NaN, which distances would not reveal
       throw std::overflow_error("the simulated motion diverges: too much drag or wind for so few plant_steps");
     }
     log.max_speed_m_s = std::max(log.max_speed_m_s, speed);

@@ -1,9 +1,9 @@
+#include "alula/flight/geofence_pilot.hpp"
+
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <stdexcept>
-
-#include "alula/flight/geofence_flight.hpp"
 
 namespace alula::flight {
 
@@ -37,10 +37,10 @@ double PilotHand::hold(const RacerState& x) const {
   return std::clamp(2 * (start_height_ - x.p.z) - 2 * x.v.z, -8.0, 8.0);
 }
 
-// Turns the thrust to where it is tilted to a heading; the throttle is that of the vertical acceleration wanted.
+// Turns the thrust axis to a tilt towards a heading; the throttle gives the commanded vertical acceleration.
 RacerCommand PilotHand::attitude_command(const RacerState& x, double heading, double tilt, double climb) const {
-  const Vec3 wanted{std::sin(tilt) * std::cos(heading), std::sin(tilt) * std::sin(heading), std::cos(tilt)};
-  const Vec3 axis = racer_axis(x.q), turn = geometry::cross(axis, wanted);
+  const Vec3 target{std::sin(tilt) * std::cos(heading), std::sin(tilt) * std::sin(heading), std::cos(tilt)};
+  const Vec3 axis = racer_axis(x.q), turn = geometry::cross(axis, target);
   // into the body: q* turn q
   const Vec3 u{-x.q[1], -x.q[2], -x.q[3]}, t = 2.0 * geometry::cross(u, turn);
   const Vec3 body = turn + x.q[0] * t + geometry::cross(u, t);

@@ -55,7 +55,7 @@ Outcome Trial::advance(const Vec3& u, bool refused) {
   for (std::size_t i = 0; i < 3; ++i) x_[i] += u[i] * rules_.dt_s;
   ++step_;
   const auto rows = static_cast<std::int64_t>(reference_.size());
-  // On a reference that rests, resting is right: only a vehicle that is left behind is stuck.
+  // A vehicle may rest where the reference rests; it is stuck only if it is away from the reference.
   const bool behind =
       rows == 0 ||
       distance(x_, row(reference_.position, static_cast<std::size_t>(std::min(step_, rows - 1)))) > stop_distance_;

@@ -29,7 +29,7 @@ void append(std::vector<double>& rows, const State& x) {
   for (const Vec3& part : {x.p, x.sigma, x.v, x.omega}) append(rows, part);
 }
 
-bool within(Vec3 p, Vec3 lower, Vec3 upper) {  // false for what is not a number
+bool within(Vec3 p, Vec3 lower, Vec3 upper) {  // false for NaN
   for (int i = 0; i < 3; ++i)
     if (!(p[i] >= lower[i] && p[i] <= upper[i])) return false;
   return true;
@@ -84,10 +84,10 @@ FlightTrial::FlightTrial(const FlightVehicle& vehicle, const FlightRules& rules,
 void FlightTrial::observe() {
   const auto before = Clock::now();
   seen_.x = is_rigid() ? body_.measured() : point_.measured();
-  seen_.x.sigma = shadowed(seen_.x.sigma);  // sensors know nothing of the switch at the end of the tick
+  seen_.x.sigma = shadowed(seen_.x.sigma);  // delayed measurements precede the switch at the end of the tick
   if (is_rigid()) seen_.x = predictor_.now(seen_.x, time_s()), seen_.rotors = predictor_.rotors();
   target_ = reference_.at(reference_.start() + time_s());
-  // The controller counts with its own thrust, unless another one is flown.
+  // The controller uses its own thrust, unless another one is applied.
   nominal_ = track(vehicle_.body, vehicle_.gains, seen_.x, target_, is_other_ ? seen_.thrust : own_thrust);
   guide_s_ = 0;
   if (guide_) {
@@ -131,13 +131,13 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
     x_ = point_.state();
   } else {
     const auto before = Clock::now();
-    const Wrench asked = kind == InputKind::wrench ? answer.wrench
-                                                   : realise(vehicle_.body, vehicle_.gains, seen_.x, target_,
-                                                             nominal_, answer.acceleration);
-    flown = vehicle_.body.limited(asked);
+    const Wrench unlimited = kind == InputKind::wrench ? answer.wrench
+                                                       : realise(vehicle_.body, vehicle_.gains, seen_.x, target_,
+                                                                 nominal_, answer.acceleration);
+    flown = vehicle_.body.limited(unlimited);
     led = predictor_.lead(flown);
     realise_s = seconds_since(before);
-    is_limited = !is_same(asked, flown);
+    is_limited = !is_same(unlimited, flown);
     if (kind == InputKind::wrench) command = acceleration_of(vehicle_.body, x_, answer.wrench.thrust);
     error = fly(answer, kind, flown, led);
     predictor_.fly(led);
@@ -170,9 +170,8 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
   return log_.outcome;
 }
 
-// Flies the command of a wrench, held, or the body rates that the wrench means, for a tick; returns the largest
-// realisation error at the ends of the plant's steps, where the acceleration that a wrench means has turned with the
-// vehicle.
+// Flies a commanded wrench, held, or the body rates for it, for a tick. Returns the largest realisation error at the
+// ends of the plant's steps; the acceleration of a wrench turns with the vehicle.
 double FlightTrial::fly(const FilterReport& answer, InputKind kind, const Wrench& flown, const Wrench& led) {
   const double dt = rules_.dt_s / static_cast<double>(rules_.plant_steps);
   const bool by_rates = vehicle_.interface == CommandInterface::body_rates;
@@ -189,9 +188,9 @@ double FlightTrial::fly(const FilterReport& answer, InputKind kind, const Wrench
     body_.step(dt, u);
     x_ = body_.state();
     append(log_.position, x_.p);
-    const Vec3 asked = kind == InputKind::acceleration ? answer.acceleration
-                                                       : acceleration_of(vehicle_.body, x_, answer.wrench.thrust);
-    worst = std::max(worst, norm(body_.acceleration() - asked));
+    const Vec3 command = kind == InputKind::acceleration ? answer.acceleration
+                                                         : acceleration_of(vehicle_.body, x_, answer.wrench.thrust);
+    worst = std::max(worst, norm(body_.acceleration() - command));
   }
   body_.switch_shadow();
   x_ = body_.state();
@@ -204,7 +203,7 @@ Outcome FlightTrial::judged(SplatFilterStatus status) {
   const double speed = norm(x_.v);
   const bool over = time_s() >= reference_.duration() - 1e-9;
   if (over && norm(x_.p - goal_) <= stop_distance_ && speed <= rules_.stop_speed) return Outcome::reached;
-  // On a reference that rests, resting is right: only a vehicle that is left behind is stuck.
+  // A vehicle may rest where the reference rests; it is stuck only if it is away from the reference.
   const bool behind = norm(x_.p - reference_.at(reference_.start() + time_s()).p) > stop_distance_;
   still_ = speed < rules_.stuck_speed && behind ? still_ + 1 : 0;
   if (still_ >= rules_.stuck_ticks) return Outcome::stuck;
@@ -250,7 +249,7 @@ double least_gamma(const EllipsoidIndex& index, std::span<const double> points) 
     const Vec3 minors{dot(cross(y, z), {1, 0, 0}), dot(cross(z, x), {0, 1, 0}), dot(cross(x, y), {0, 0, 1})};
     axis[k] = std::sqrt((minors.x + minors.y + minors.z) / dot(x, cross(y, z))) * (1 + 1e-6);
   }
-  double least = std::numeric_limits<double>::infinity();  // of r^T A r
+  double smallest = std::numeric_limits<double>::infinity();  // of r^T A r
   for (std::size_t begin = 0; begin < count; begin += kTogether) {
     const std::size_t end = std::min(count, begin + kTogether);
     const Vec3 middle = point((begin + end) / 2);
@@ -259,14 +258,14 @@ double least_gamma(const EllipsoidIndex& index, std::span<const double> points) 
     for (std::size_t k = 0; k < axis.size(); ++k) {
       const GrownEllipsoid& item = index.grown(static_cast<std::uint32_t>(k));
       const double away = norm(item.centre - middle) - around;  // r^T A r >= (|r| / longest semi-axis)^2
-      if (away > 0 && away * away >= least * axis[k] * axis[k]) continue;
+      if (away > 0 && away * away >= smallest * axis[k] * axis[k]) continue;
       for (std::size_t i = begin; i < end; ++i) {
         const Vec3 r = item.centre - point(i);
-        least = std::min(least, dot(r, item.a * r));
+        smallest = std::min(smallest, dot(r, item.a * r));
       }
     }
   }
-  return least - 1;
+  return smallest - 1;
 }
 
 }  // namespace alula::flight

@@ -22,7 +22,7 @@ bool equal_lower(std::string_view word, std::string_view lower) {
                     [](char a, char b) { return (a | 0x20) == b; });
 }
 
-// Of a valid number without sign; `leading` is the power of ten of its first digit that is not 0.
+// Converts a valid number without sign; `leading` is the power of ten of its first digit that is not 0.
 double convert(const char* begin, const char* end, std::int64_t leading) {
   double value = 0.0;
 #ifdef __cpp_lib_to_chars
@@ -42,7 +42,7 @@ bool parse_decimal(const char* begin, const char* end, double* value) {
   const bool negative = at < end && *at == '-';
   if (at < end && (*at == '-' || *at == '+')) ++at;
   const char* const first = at;
-  std::int64_t digits = 0, leading = 0;  // leading: digits from the first that is not 0 to the point
+  std::int64_t digits = 0, leading = 0;  // leading: number of digits from the first non-zero one to the point
   bool found = false;
   for (; at < end && is_digit(*at); ++at, ++digits) {
     found = found || *at != '0';

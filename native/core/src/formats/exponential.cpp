@@ -4,8 +4,8 @@
 
 namespace alula {
 
-// Each element on its own without contraction, so wider vectors give the same bits. One loop limits and the
-// next computes: in one, compilers make a branch of it and use no vectors.
+// Elements are independent and nothing is contracted, so wider vectors give the same bits. One loop clamps and the
+// next computes: a single loop compiles to branches and is not vectorised.
 ALULA_WIDE void portable_exp(const double* x, double* out, std::size_t count) {
   for (std::size_t i = 0; i < count; ++i) {
     const double above = x[i] < -kExpRange ? -kExpRange : x[i];

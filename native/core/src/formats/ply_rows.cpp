@@ -15,8 +15,8 @@
 namespace alula {
 namespace {
 
-constexpr std::size_t kBlock = 128;   // rows: 32 KiB of the widest usual ones, so that columns find them in L1
-constexpr std::size_t kChunk = 8192;  // rows of one call of a thread
+constexpr std::size_t kBlock = 128;            // rows: 32 KiB of the widest common rows, which fit into L1
+constexpr std::size_t kChunk = 8192;           // rows of one call of a thread
 constexpr double kShC0 = 0.28209479177387814;  // 1 / (2 sqrt(pi))
 
 using Block = std::array<std::array<double, kBlock>, kPlyColumns>;
@@ -66,7 +66,7 @@ std::size_t size_of(NumberType type) {
   return kSizes[static_cast<std::size_t>(type)];
 }
 
-// Bytes of constant harmonics; NaN is black. In one loop the limits would be branches, and no vectors used.
+// Bytes of constant harmonics; NaN is black. With the limits in the same loop it would not be vectorised.
 ALULA_WIDE void shade(double* value, std::size_t count) {
   for (std::size_t i = 0; i < count; ++i) {
     const double v = 0.5 + kShC0 * value[i];
@@ -81,7 +81,7 @@ void clamp_bytes(double* value, std::size_t count) {
   for (std::size_t i = 0; i < count; ++i) value[i] = value[i] > 0.0 ? std::min(value[i], 255.0) : 0.0;
 }
 
-// Columns of single values to rows of `width`.
+// Interleaves columns of single values into rows of `Width`.
 template <std::size_t Width, class T>
 void interleave(const std::array<double, kBlock>* column, std::size_t count, T* out) {
   for (std::size_t i = 0; i < count; ++i) {
@@ -111,7 +111,7 @@ void store(Block& value, bool flat, PlyColor color, std::size_t begin, std::size
 void check_places(const PlyPlaces& places, PlyColor color) {
   for (std::size_t c = 0; c < kPlyColumns; ++c) {
     const bool optional = c == kScale + 2 || (c >= kColor && color == PlyColor::kGrey);
-    if (!places[c] && !optional) throw std::invalid_argument("a column has no place");
+    if (!places[c] && !optional) throw std::invalid_argument("a required column is missing");
   }
 }
 
@@ -167,7 +167,7 @@ std::optional<PlyTextError> decode_ply_text(std::span<const std::uint8_t> text, 
                                             std::size_t width, const PlyPlaces& places, PlyColor color,
                                             const PlyOutput& out, unsigned jobs, Control& control) {
   check_places(places, color);
-  std::vector<std::size_t> column(width, kPlyColumns);  // of each word; kPlyColumns is none
+  std::vector<std::size_t> column(width, kPlyColumns);  // of each word; kPlyColumns: no column
   for (std::size_t c = 0; c < kPlyColumns; ++c) {
     if (!places[c]) continue;
     if (places[c]->at >= width) throw std::invalid_argument("a place outside the row");
@@ -177,7 +177,7 @@ std::optional<PlyTextError> decode_ply_text(std::span<const std::uint8_t> text, 
     if (at > text.size()) throw std::invalid_argument("a row starts outside the text");
   }
   std::mutex mutex;
-  std::optional<PlyTextError> first;  // of all rows, whichever thread finds one when
+  std::optional<PlyTextError> first;  // the first of all rows, independent of the threads
 
   auto parse = [&](std::size_t row, std::size_t slot, Block& block) -> std::optional<PlyTextError> {
     std::optional<PlyTextError> wrong;

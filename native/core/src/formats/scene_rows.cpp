@@ -84,8 +84,8 @@ Removal removal_of(const float* mean, const float* scale, const float* quat, flo
   return Removal::kNone;
 }
 
-// The middle value, or the mean of the two in the middle. A sample says between which values that must be,
-// but for bad luck, so that only a few per cent of the values have to be put in order.
+// The median: the middle value, or the mean of the two in the middle. A sample gives an interval that contains it
+// with high probability, so only a few per cent of the values must be ordered.
 double median(std::span<const float> values) {
   const std::size_t ranks[] = {(values.size() - 1) / 2, values.size() / 2};
   const auto place = [](std::vector<float>& of, std::size_t rank) {
@@ -107,7 +107,7 @@ double median(std::span<const float> values) {
     std::size_t found = 0;
     for (const float v : values.subspan(begin, std::min(some.size(), values.size() - begin))) {
       below += v < low;
-      some[found] = v;  // without a branch that goes either way half of the time
+      some[found] = v;  // avoids a branch that is mispredicted half of the time
       found += static_cast<std::size_t>(v >= low) & static_cast<std::size_t>(v <= high);
     }
     near.insert(near.end(), some.begin(), some.begin() + static_cast<std::ptrdiff_t>(found));
@@ -120,7 +120,7 @@ double median(std::span<const float> values) {
   return ranks[0] == ranks[1] ? first : (first + static_cast<double>(place(near, ranks[1] - below))) / 2.0;
 }
 
-// What a chunk of rows adds to the figures.
+// Contribution of a chunk of rows to the figures.
 struct Extremes {
   std::array<float, 3> lower, upper;
   float scale_max = 0;
@@ -194,12 +194,12 @@ KeptFigures keep_rows(const SplatArrays& rows, std::span<const std::uint8_t> col
       const float* mean = &rows.mean[3 * i];
       const float* scale = &rows.scale[3 * i];
       bool floored = false;
-      float most = scale_floor;
+      float largest = scale_floor;
       for (std::size_t j = 0; j < 3; ++j) {
         found.lower[j] = mean[j] < found.lower[j] ? mean[j] : found.lower[j];
         found.upper[j] = mean[j] > found.upper[j] ? mean[j] : found.upper[j];
         floored |= scale[j] < scale_floor;
-        most = scale[j] > most ? scale[j] : most;
+        largest = scale[j] > largest ? scale[j] : largest;
         if (!out.mean.empty()) out.mean[3 * to + j] = mean[j];
         if (!out.scale.empty()) out.scale[3 * to + j] = scale[j] < scale_floor ? scale_floor : scale[j];
         if (!out.color.empty()) out.color[3 * to + j] = color[3 * i + j];
@@ -208,8 +208,8 @@ KeptFigures keep_rows(const SplatArrays& rows, std::span<const std::uint8_t> col
         for (std::size_t j = 0; j < 4; ++j) out.quat[4 * to + j] = rows.quat[4 * i + j];
       }
       if (copies_opacity) opacity_out[to] = rows.opacity[i];
-      longest[to] = most;
-      found.scale_max = most > found.scale_max ? most : found.scale_max;
+      longest[to] = largest;
+      found.scale_max = largest > found.scale_max ? largest : found.scale_max;
       found.floored += floored;
       ++to;
     }

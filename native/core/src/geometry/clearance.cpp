@@ -23,7 +23,7 @@ void check_starts(std::span<const std::int64_t> start, std::size_t rows, std::in
   if (!good) throw std::invalid_argument(std::string(what) + " does not partition the rows");
 }
 
-// No point of a polytope or ellipsoid is deeper inside than half the least width of its box.
+// Bound on the depth of a point inside a polytope or ellipsoid: half the smallest width of its box.
 double half_width(const Box& box) {
   const geometry::Vec3 size = box.upper - box.lower;
   return 0.5 * (1 + 1e-12) * std::min({size.x, size.y, size.z});
@@ -49,7 +49,7 @@ std::vector<double> clearance_of_all(const Set& obstacles, std::span<const doubl
     }
   };
   if (result.size() <= kChunk) {
-    chunk(0, result.size());  // not worth a thread
+    chunk(0, result.size());  // too little work for a thread
   } else {
     parallel_chunks(result.size(), kChunk, jobs, control, chunk);
   }

@@ -8,7 +8,7 @@ namespace {
 
 constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
 
-// The point of smallest norm in the hull of up to four points, kept with the points that span it.
+// The point of smallest norm in the hull of up to four points, with the points that span it.
 class Simplex {
  public:
   explicit Simplex(Vec3 first) : points_{first}, closest_(first) {}
@@ -81,10 +81,10 @@ class Simplex {
 // The point of a set that lies farthest along -direction.
 Vec3 lowest(std::span<const Vec3> points, Vec3 direction, double sign) {
   Vec3 best = points[0];
-  double least = sign * dot(best, direction);
+  double lowest = sign * dot(best, direction);
   for (const Vec3 p : points.subspan(1)) {
     const double at = sign * dot(p, direction);
-    if (at < least) least = at, best = p;
+    if (at < lowest) lowest = at, best = p;
   }
   return best;
 }

@@ -54,7 +54,7 @@ double Ellipsoid::least_voxels(double g) const {
 
 namespace {
 
-// a + b - c - d of four exact squares, to one rounding: what the sums lose is added at the end.
+// a + b - c - d of four exact squares, to one rounding: the rounding errors of the sums are added at the end.
 double balance(double a, double b, double c, double d) {
   const auto lost = [](double x, double y, double sum) {
     const double other = sum - x;
@@ -69,10 +69,10 @@ double balance(double a, double b, double c, double d) {
 Level level_of(const Splats& splats, std::size_t i, const Level& level) {
   if (splats.loss.empty()) return level;
   const float* loss = &splats.loss[3 * i];
-  const auto [least, most] = std::minmax_element(&splats.scale[3 * i], &splats.scale[3 * i] + 3);
+  const auto [shortest, longest] = std::minmax_element(&splats.scale[3 * i], &splats.scale[3 * i] + 3);
   constexpr double kUp = 1 + 4 * kEps;
   const double sigma = level.sigma * (1 + double(loss[1])) * kUp;
-  const double turned = double(loss[2]) * sigma * (double(*most) - double(*least));
+  const double turned = double(loss[2]) * sigma * (double(*longest) - double(*shortest));
   return {sigma, (level.inflation + loss[0] + turned) * kUp};
 }
 
@@ -80,8 +80,8 @@ namespace {
 
 // The set with the same centre and rotation and other semi-axes.
 void shape(Ellipsoid& e, const Vec3& axis) {
-  const double least = kEps * (axis[0] + axis[1] + axis[2]);
-  for (std::size_t j = 0; j < 3; ++j) e.axis[j] = std::max(axis[j], least);
+  const double floor = kEps * (axis[0] + axis[1] + axis[2]);
+  for (std::size_t j = 0; j < 3; ++j) e.axis[j] = std::max(axis[j], floor);
   for (std::size_t a = 0; a < 3; ++a) {
     for (std::size_t j = 0; j < 3; ++j) e.row[a][j] = e.rotation[a][j] * e.axis[j];
     e.half[a] = std::sqrt(e.row[a][0] * e.row[a][0] + e.row[a][1] * e.row[a][1] + e.row[a][2] * e.row[a][2]);

@@ -141,14 +141,14 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 using std::abs, std::sqrt;
 
-// Of one ellipsoid with Real = double, or of four at once.
+// The dual function of one ellipsoid (Real = double), or of four at once.
 //
-// g = sum (semi_i n_i)^2 at a multiplier mu >= 0, n_i = z_i / (mu + semi_i^2): it falls to 1 at the closest point.
-// For a segment z is that of the t that is best for mu, and slides along with mu.
+// g = sum (semi_i n_i)^2 at a multiplier mu >= 0, n_i = z_i / (mu + semi_i^2): it decreases to 1 at the closest
+// point. For a segment z is that of the optimal t for mu, and changes with mu.
 template <class Real>
 struct Dual {
   Real g{0.0}, fall{0.0};  // fall = -g' / 2
-  Real bound{0.0};         // mu (sum z_i n_i - 1): the squared distance is no less
+  Real bound{0.0};         // mu (sum z_i n_i - 1), a lower bound on the squared distance
 };
 
 template <class Real>
@@ -192,10 +192,10 @@ struct SegmentDual {
   }
 };
 
-// From a multiplier where g > 1 is known at 0. Newton's iteration on 1 / sqrt(g), which is concave but where the
-// closest point of a segment leaves an end; a step too far is caught by the bracket. Nothing is done for those that
-// are `done`.
-constexpr double kClose = 1e-8;  // of sqrt(g) to 1: the bound, which is flat there, is off by the square of it
+// Maximises the dual from a start multiplier, with g > 1 at 0. Newton's iteration on 1 / sqrt(g), which is concave
+// except where the closest point of a segment leaves an end; the bracket catches a step that is too long. Lanes that
+// are `done` are skipped.
+constexpr double kClose = 1e-8;  // of sqrt(g) to 1: the bound is flat there, so its error is the square of this
 
 template <class Real, class Function, class Is>
 Real maximise(const Function& dual, Real mu, Dual<Real> at, Real size, Real enough, Is done) {
@@ -219,7 +219,7 @@ Real maximise(const Function& dual, Real mu, Dual<Real> at, Real size, Real enou
   return select(beyond, Real{kInfinity}, sqrt(larger(at.bound, Real{0.0})));
 }
 
-// The distance but for what is `special` or `done`.
+// The distance, except of lanes that are `special` or `done`.
 template <class Real, class Is>
 Real point_below(const Real (&semi)[3], const Real (&point)[3], Real enough, Is done, Is& special) {
   PointDual<Real> dual;
@@ -232,7 +232,7 @@ Real point_below(const Real (&semi)[3], const Real (&point)[3], Real enough, Is 
     size += z2 + squared;
     beyond = larger(beyond, semi[i] * abs(point[i]) - squared);
   }
-  // Both are below the multiplier, and the second is close for what is small beside its distance.
+  // Both are lower bounds of the multiplier; the second is tight for an ellipsoid that is small beside its distance.
   const Real mu = larger(beyond, sqrt(reach2) - most) * (1 - 4 * kEpsilon), start = larger(mu, Real{0.0});
   const Dual<Real> at = dual(start);
   special = (mu <= 0.0) & (at.g <= 1.0);
@@ -254,7 +254,7 @@ Real segment_below(const Real (&semi)[3], const Real (&start)[3], const Real (&a
     reach2 += squared * middle * middle;
     size += start[i] * start[i] + along[i] * along[i] + squared;
   }
-  // Close when the ellipsoid is small beside its distance.
+  // Tight for an ellipsoid that is small beside its distance.
   Real mu = larger(Real{0.0}, sqrt(reach2) - most);
   Dual<Real> at = dual(mu);
   const Is beyond = (at.g <= 1.0) & (mu > 0.0);
@@ -341,7 +341,7 @@ double signed_distance(const Ellipsoid& ellipsoid, Vec3 a, Vec3 b, double enough
     const double upper = std::min(left.value, right.value);
     if (lower >= enough) return lower;
     if (upper - lower <= 4 * kEpsilon * (std::abs(upper) + length) || width <= kEpsilon) return upper;
-    // Alternately where the tangents meet (good at kinks) and the secant of the slopes (fast where smooth).
+    // Alternates the intersection of the tangents (good at kinks) and the secant of the slopes (fast where smooth).
     double t = step % 2 == 0 ? left.t - left.slope * width / (right.slope - left.slope) : meet;
     t = std::clamp(t, left.t + 1e-3 * width, right.t - 1e-3 * width);
     const Tangent middle = tangent(t);

@@ -21,8 +21,8 @@ constexpr auto nearer = [](const Found& a, const Found& b) {
   return a.distance != b.distance ? a.distance < b.distance : a.item < b.item;
 };
 
-// A = R diag(1 / a_j^2) R^T, both halves the same bits; a little smaller than that, so that rounding leaves no
-// point of the sum outside.
+// A = R diag(1 / a_j^2) R^T, symmetric to the bit and slightly smaller, so rounding leaves no point of the Minkowski
+// sum outside.
 Mat3 shape_matrix(const Ellipsoid& e) {
   Mat3 a;
   double weight[3];
@@ -42,7 +42,7 @@ std::array<float, 6> upper_half(const Mat3& m) {
   return {f(0, 0), f(0, 1), f(0, 2), f(1, 1), f(1, 2), f(2, 2)};
 }
 
-// The slots of what was found before, as many as there is room for.
+// The slots found by the last query, up to a fixed capacity.
 class Guesses {
  public:
   Guesses(const std::vector<Found>& found, const std::vector<std::uint32_t>& slot) {
@@ -59,7 +59,7 @@ class Guesses {
 
  private:
   static constexpr std::uint32_t kNone = ~std::uint32_t{0};
-  std::uint32_t& place_of(std::uint32_t slot) {  // or the free one where it would be
+  std::uint32_t& place_of(std::uint32_t slot) {  // its entry, or the free entry for it
     std::size_t at = slot % table_.size();
     while (table_[at] != kNone && table_[at] != slot) at = (at + 1) % table_.size();
     return table_[at];
@@ -119,11 +119,11 @@ EllipsoidIndex::EllipsoidIndex(const Splats& splats, double sigma, double radius
                     level.inflation,
                     upper_half(spread),
                     upper_half(grown_[slot].a)};
-      // With the ratio k of the extreme eigenvalues of A the angle between x and A x is at most asin((k - 1)/(k +
+      // With k, the ratio of the extreme eigenvalues of A, the angle between x and A x is at most asin((k - 1)/(k +
       // 1)).
-      const auto [least, most] = std::minmax_element(outer.axis.begin(), outer.axis.end());
-      const double ratio = (*most / *least) * (*most / *least);
-      shape[slot] = {static_cast<float>(*most * 1.00001), static_cast<float>((ratio - 1) / (ratio + 1) + 1e-5),
+      const auto [shortest, longest] = std::minmax_element(outer.axis.begin(), outer.axis.end());
+      const double ratio = (*longest / *shortest) * (*longest / *shortest);
+      shape[slot] = {static_cast<float>(*longest * 1.00001), static_cast<float>((ratio - 1) / (ratio + 1) + 1e-5),
                      static_cast<float>(level.inflation * 1.00001)};
     }
   });
@@ -145,13 +145,13 @@ QueryCost EllipsoidIndex::search(const geometry::EllipsoidTree::Sight& sight, st
   QueryCost cost;
   if (count == 0 || !(reach > -kInfinity)) return cost;
   const bool is_point = d.x == 0 && d.y == 0 && d.z == 0;
-  double within = reach;  // what is farther than that cannot be among them
+  double within = reach;  // bound on the distance of the results
   const auto judge = [&](std::uint32_t slot, double distance) {
     if (distance > within) return;
     if (!is_point && (distance <= 0 || !centre_is_nearer(slot, a, reach))) {
       const double of_a = distance_of(slot, a, reach);
       if (!(of_a < reach)) return;
-      if (distance <= 0) distance = of_a - reach;  // before all others, and still in order
+      if (distance <= 0) distance = of_a - reach;  // sorts before all others, ordered by the distance to a
     }
     const std::uint32_t item = item_[slot];
     const bool is_full = found.size() == count;
@@ -167,7 +167,7 @@ QueryCost EllipsoidIndex::search(const geometry::EllipsoidTree::Sight& sight, st
     }
     within = is_point ? found.front().distance : std::max(0.0, found.front().distance);
   };
-  // Measured several at a time, so a little later than found.
+  // Candidates are measured several at a time, after a short wait.
   std::array<std::uint32_t, kTogether> waiting;
   std::size_t waits = 0;
   const auto measure = [&] {
@@ -236,7 +236,7 @@ double EllipsoidIndex::distance_of(std::uint32_t slot, geometry::Vec3 a, double 
 }
 
 bool EllipsoidIndex::is_near(geometry::Vec3 a, geometry::Vec3 b, double reach) const {
-  double within = reach;  // nothing, once one is found
+  double within = reach;  // ends the search once one is found
   std::array<geometry::Sighted, kTogether> each;
   std::array<std::uint32_t, kTogether> of;
   std::array<double, kTogether> distance;

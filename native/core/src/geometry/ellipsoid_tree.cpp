@@ -25,7 +25,7 @@ EllipsoidTree::EllipsoidTree(const Bvh& binary, const std::vector<Ball>& balls, 
   first_.push_back(static_cast<std::uint32_t>(balls.size()));
 }
 
-// The node of `at`, or for a leaf one with that alone.
+// Builds the node of `at`; a leaf gets a node with that leaf alone.
 std::uint32_t EllipsoidTree::build(const Bvh& binary, std::uint32_t at, const std::vector<Ball>& balls,
                                    const std::vector<Shape>& shapes) {
   const std::vector<Bvh::Node>& nodes = binary.nodes();
@@ -67,7 +67,7 @@ std::uint32_t EllipsoidTree::build(const Bvh& binary, std::uint32_t at, const st
       for (std::uint32_t k = 0; k < 8; ++k) {
         const bool is_there = k < half.count;
         const Ball ball = is_there ? balls[half.first + k] : Ball{{kFar, kFar, kFar}, 0, 0, {}, {}};
-        // What rounding moves the centre by is added to the radius.
+        // The rounding error of the centre is added to the radius.
         const auto x = static_cast<float>(ball.centre.x), y = static_cast<float>(ball.centre.y),
                    z = static_cast<float>(ball.centre.z);
         const Vec3 moved = Vec3{x, y, z} - ball.centre;

@@ -21,15 +21,15 @@ void FacetArea::add(Vec3 normal, double offset) {
 
 double FacetArea::operator()(std::size_t plane) {
   const Plane& own = plane_[plane + kFaces];
-  // Two directions along the plane, from the axis that is least along its normal.
-  int least = 0;
+  // Two directions along the plane, from the axis that is most perpendicular to its normal.
+  int across = 0;
   for (int i = 1; i < 3; ++i)
-    if (std::abs(own.normal[i]) < std::abs(own.normal[least])) least = i;
+    if (std::abs(own.normal[i]) < std::abs(own.normal[across])) across = i;
   const auto cross = [](Vec3 a, Vec3 b) {
     return Vec3{a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
   };
   Vec3 axis;
-  axis[least] = 1;
+  axis[across] = 1;
   Vec3 u = cross(own.normal, axis);
   u = (1 / norm(u)) * u;
   const Vec3 v = cross(own.normal, u);

@@ -60,7 +60,7 @@ void Solid::assign_cut(const Solid& whole) {
     const std::int32_t* face = whole.loop_.data() + begin;
     const std::size_t size = end - begin;
     begin = end;
-    // A face that rounding made crooked may come in several times: each stretch inside is a face.
+    // A face that rounding made non-planar may enter several times: each stretch inside becomes a face.
     std::size_t entry = size, inside = 0;
     for (std::size_t i = 0; i < size; ++i) {
       if (number_[static_cast<std::size_t>(face[i])] < 0) continue;
@@ -90,7 +90,7 @@ void Solid::assign_cut(const Solid& whole) {
   close_cut();
 }
 
-// Each face that was cut runs from its exit to its entry along the plane; the new faces run back.
+// Adds the faces on the plane: each cut face runs from its exit to its entry along the plane; the new faces run back.
 void Solid::close_cut() {
   for (std::int32_t& start : next_) {
     const std::size_t size = loop_.size();
@@ -101,7 +101,7 @@ void Solid::close_cut() {
     if (loop_.size() - size > 2) {
       end_.push_back(static_cast<std::uint32_t>(loop_.size()));
     } else {
-      loop_.resize(size);  // its two edges meet each other
+      loop_.resize(size);  // a degenerate face with two edges that coincide
     }
   }
 }

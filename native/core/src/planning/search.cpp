@@ -79,7 +79,7 @@ class Search {
   struct Entry {
     double estimate, cost;
     std::uint32_t node;
-    bool operator<(const Entry& other) const {  // the heap's top is the greatest
+    bool operator<(const Entry& other) const {  // the top of the heap is the greatest
       if (estimate != other.estimate) return estimate > other.estimate;
       if (cost != other.cost) return cost < other.cost;
       return node > other.node;
@@ -92,7 +92,7 @@ class Search {
            lattice_.spacing * Vec3{double(node / nz / ny), double(node / nz % ny), double(node % nz)};
   }
 
-  // Rounded down to single precision, so that it stays a lower bound.
+  // Clearance of a node, rounded down to single precision, which keeps it a lower bound.
   double clearance(std::uint32_t node) {
     float& known = clearance_[node];
     if (std::isnan(known)) {
@@ -103,7 +103,7 @@ class Search {
     return known;
   }
 
-  // Cost of a straight way, infinite when it is not free.
+  // Cost of a straight segment, infinite when it is not free.
   double straight_cost(Vec3 a, Vec3 b, double length, double bound) {
     if (bound < radius_ + comfort_) {
       const double exact = obstacles_.clearance(a, b, cap_, nearest_, scratch_);
@@ -202,7 +202,7 @@ std::vector<Vec3> subdivide(const std::vector<Vec3>& path, double spacing) {
   return result;
 }
 
-// Drops corners that do not turn; cutting a free line into parts makes it cheaper, never different.
+// Drops corners that do not turn. Cutting a free line into parts again lowers its cost and does not change it.
 std::vector<Vec3> without_straight_corners(const PolytopeSet& obstacles, const std::vector<Vec3>& path,
                                            double radius) {
   std::uint32_t nearest = 0xffffffffu;
@@ -240,7 +240,7 @@ std::vector<Vec3> tighten_path(const PolytopeSet& obstacles, const std::vector<V
         for (std::size_t k = 0; k < kReach && i + 1 + k < points.size(); ++k) {
           const Vec3 a = points[i], b = points[i + 1 + k];
           const double clearance = obstacles.clearance(a, b, radius + comfort, nearest, scratch);
-          // A part of a free segment is free, whatever the rounding of the points on it.
+          // A part of a free segment is free, despite the rounding of the points on it.
           if (!(clearance >= radius) && k > 0) continue;
           cost[i * kReach + k] = travel_cost(norm(b - a), clearance, radius, comfort);
         }

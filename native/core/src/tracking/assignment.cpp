@@ -10,11 +10,11 @@ namespace alula::flight {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kLargest = 1e100;  // of a cost; sums of prices must stay finite
+constexpr double kLargest = 1e100;  // largest cost; sums of prices must stay finite
 
 bool is_cost(double c) { return std::abs(c) <= kLargest; }
 
-// What a row without a column costs: with no gate, more than any exchange of assignments can save.
+// Cost of a row without a column; without a gate, more than any exchange of assignments can save.
 double idle_cost(std::span<const double> cost, double gate) {
   if (is_cost(gate)) return gate;
   double sum = 1;
@@ -31,8 +31,8 @@ void Assignment::reserve(std::size_t rows, std::size_t columns) {
   owner_.reserve(all), from_.reserve(all), is_reached_.reserve(all), column_.reserve(rows);
 }
 
-// Every row also has a column of its own, which stands for none. Rows and columns count from 1; column 0 holds the
-// row that is being placed. Prices keep all reduced costs at least 0 and those of assigned pairs 0.
+// Every row also has a column of its own, which means no assignment. Rows and columns count from 1; column 0 holds
+// the row being assigned. Prices keep all reduced costs at least 0 and those of assigned pairs 0.
 std::span<const int> Assignment::solve(std::span<const double> cost, std::size_t rows, std::size_t columns,
                                        double gate) {
   const double idle = idle_cost(cost, gate);
@@ -52,21 +52,21 @@ std::span<const int> Assignment::solve(std::span<const double> cost, std::size_t
       is_reached_[at] = 1;
       const auto i = static_cast<std::size_t>(owner_[at]);
       std::size_t next = 0;
-      double least = kInfinity;
+      double smallest = kInfinity;
       for (std::size_t j = 1; j <= all; ++j) {
         if (is_reached_[j]) continue;
         const double reduced = cost_of(i, j) - row_price_[i] - column_price_[j];
         if (reduced < slack_[j]) slack_[j] = reduced, from_[j] = static_cast<int>(at);
-        if (slack_[j] < least) least = slack_[j], next = j;
+        if (slack_[j] < smallest) smallest = slack_[j], next = j;
       }
       for (std::size_t j = 0; j <= all; ++j) {
         if (is_reached_[j]) {
-          row_price_[static_cast<std::size_t>(owner_[j])] += least, column_price_[j] -= least;
+          row_price_[static_cast<std::size_t>(owner_[j])] += smallest, column_price_[j] -= smallest;
         } else {
-          slack_[j] -= least;
+          slack_[j] -= smallest;
         }
       }
-      at = next;  // not 0: the row's own column is free or its owner's is within reach
+      at = next;  // not 0: the row's own column is free, or that of its owner is reachable
     } while (owner_[at] != 0);
     for (; at != 0; at = static_cast<std::size_t>(from_[at]))
       owner_[at] = owner_[static_cast<std::size_t>(from_[at])];

@@ -3,7 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <stdexcept>
+
+#include "alula/base/require.hpp"
 
 namespace alula::flight {
 namespace {
@@ -26,9 +27,10 @@ void add_spread(double w, const Belief& belief, const double* d, Belief& sum) {
     for (int l = 0; l < K; ++l) sum.P[k][l] += w * (belief.P[k][l] + d[k] * d[l]);
 }
 
-// Sums beliefs with weights into one with N states, `target` being the model that has them all.
+// Sums beliefs with weights into one with N states; `target` is the model that has all of them.
 template <int N>
-void mix(const Belief* belief, const double* weight, int models, int target, double lent, Belief& result) {
+void mix(const Belief* belief, const double* weight, int models, int target, double missing_variance,
+         Belief& result) {
   double mean[N] = {};
   for (int i = 0; i < models; ++i) {
     const int known = i == target ? N : kShared;
@@ -46,17 +48,13 @@ void mix(const Belief* belief, const double* weight, int models, int target, dou
     }
     for (int k = 0; k < kShared; ++k) d[k] = belief[i].x[k] - mean[k];
     add_spread<kShared>(weight[i], belief[i], d, result);
-    // The states that this model lacks are 0, with the variance that it lends.
-    for (int k = kShared; k < N; ++k) d[k] = -mean[k], result.P[k][k] += weight[i] * lent;
+    // The states that this model lacks count as 0, with the variance of a missing state.
+    for (int k = kShared; k < N; ++k) d[k] = -mean[k], result.P[k][k] += weight[i] * missing_variance;
     for (int k = kShared; k < N; ++k)
       for (int l = 0; l < N; ++l) result.P[k][l] += weight[i] * (d[k] * d[l]);
     for (int k = 0; k < kShared; ++k)
       for (int l = kShared; l < N; ++l) result.P[k][l] += weight[i] * (d[k] * d[l]);
   }
-}
-
-void require(bool holds, const char* what) {
-  if (!holds) throw std::invalid_argument(what);
 }
 
 bool is_variance(double value) { return value >= 0 && value <= 1e18; }
@@ -134,15 +132,15 @@ void Imm::adapt(const ImmRules& rules, double (&transition)[kMostModels][kMostMo
   for (int i = 0; i < models_; ++i)
     if (probability_[i] > 0) entropy -= probability_[i] * std::log(probability_[i]);
   const double alpha = std::min(kMostAlpha, 0.1 * evidence_ + 0.5 * entropy / std::log(models_));
-  const auto give = [&](int from, int to, double share) {
-    share = std::min(share, transition[from][from]);
-    transition[from][from] -= share;
-    transition[from][to] += share;
+  const auto move = [&](int from, int to, double probability) {
+    probability = std::min(probability, transition[from][from]);
+    transition[from][from] -= probability;
+    transition[from][to] += probability;
   };
-  give(0, 1, 0.15 * alpha);
-  give(1, 0, 0.05 * (kMostAlpha - alpha));
+  move(0, 1, 0.15 * alpha);
+  move(1, 0, 0.05 * (kMostAlpha - alpha));
   for (int to = 0; to < models_; ++to)
-    if (to != winner_) give(winner_, to, 0.1 * alpha / (models_ - 1));
+    if (to != winner_) move(winner_, to, 0.1 * alpha / (models_ - 1));
   for (int i = 0; i < models_; ++i) {
     double sum = 0;
     for (int j = 0; j < models_; ++j)
@@ -189,14 +187,14 @@ void Imm::correct(const ImmRules& rules, const Measurement& m) {
 void Imm::weigh(const ImmRules& rules, const Innovation (&innovation)[kMostModels], int size) {
   double distance[kMostModels] = {};
   for (int j = 0; j < models_; ++j) {
-    if (!innovation[j].is_valid) return;  // nothing to compare
+    if (!innovation[j].is_valid) return;  // the likelihoods cannot be compared
     distance[j] = innovation[j].distance;
   }
   const double mean = weighted(probability_, distance, models_);
   surprise_ = std::clamp(surprise_ + mean / size - 1 - kDrift, 0.0, kMostSurprise);  // CUSUM of the NIS
   const bool is_heavy = rules.options.heavy_tails && surprise_ > kAlarm;
   const double freedom = rules.options.jamming ? 1 : 5;
-  double likelihood[kMostModels];  // logarithms, without what the models have in common
+  double likelihood[kMostModels];  // logarithms, without the terms common to all models
   for (int j = 0; j < models_; ++j) {
     const double tail = is_heavy ? (freedom + size) * std::log1p(distance[j] / freedom) : distance[j];
     likelihood[j] = -0.5 * (innovation[j].log_determinant + tail);
@@ -217,7 +215,7 @@ bool Imm::may_read_winner() const {
   const double rivals = 1 - probability_[winner_];
   if (probability_[winner_] < kReadProbability && evidence_ < kEvidence) return false;
   if (!(rivals > 0)) return true;
-  // The position alone, as a belief that is measured by each rival without noise.
+  // The position alone, as a belief that each rival measures without noise.
   Belief mean;
   for (int j = 0; j < models_; ++j) {
     const double weight = j == winner_ ? 0.5 : 0.5 * probability_[j] / rivals;

@@ -7,8 +7,8 @@ namespace alula::flight {
 namespace {
 
 constexpr double kFloor = 1e-8;    // variance added to a measurement [m^2, m^2/s^2]
-constexpr double kPivot = 1e-14;   // least share of a variance that the other states may leave
-constexpr double kFarthest = 1e9;  // measurement and standard deviation [m, m/s]
+constexpr double kPivot = 1e-14;   // minimum fraction of a variance that remains given the other states
+constexpr double kFarthest = 1e9;  // limit of measurements and standard deviations [m, m/s]
 
 using Rows = double[kMostStates][kMostStates];
 
@@ -42,7 +42,7 @@ void shift(double dt, Rows& P) {
     }
 }
 
-// Of white acceleration.
+// Adds the process noise of white acceleration.
 void add_noise(double q, double dt, Rows& P) {
   const double pp = q * dt * dt * dt / 3, pv = q * dt * dt / 2, vv = q * dt;
   for (int i = 0; i < 3; ++i) {
@@ -123,7 +123,7 @@ void predict_turn(const MotionNoise& noise, double dt, Belief& b) {
   symmetrize<N>(b.P);
 }
 
-// Whether P = L D L' with pivots that rounding cannot have made.
+// True if P = L D L' with pivots above the level of rounding.
 template <int N>
 bool is_positive(const Rows& P) {
   double L[N][N], D[N];
@@ -141,8 +141,8 @@ bool is_positive(const Rows& P) {
   return true;
 }
 
-// Weakens correlations until P is positive definite, which costs something only where variances differ by so many
-// orders of magnitude that an update has no digits left for the small ones.
+// Weakens correlations until P is positive definite. It is needed only where variances differ by so many orders of
+// magnitude that an update loses all digits of the small ones.
 template <int N>
 void keep_positive(Rows& P) {
   for (double weaken = 1e-14; weaken <= 100 && !is_positive<N>(P); weaken *= 10) {
@@ -170,7 +170,7 @@ void add_product(const double (&a)[4][N], const double (&b)[4][N], Rows& P) {
 }
 
 // P <- (I - K H) P (I - K H)' + K R K', grouped as P1 + (K R - P1 H') K' with P1 = P - K H P. Matrices of gains and
-// projections are kept transposed, so that all inner loops run along the states.
+// projections are stored transposed, so all inner loops run along the states.
 template <int N, int M>
 void correct(const Measurement& m, const Innovation& y, Belief& b) {
   double HP[4][N], gain[4][N];  // K' = inv(L') inv(L) H P

@@ -4,7 +4,8 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
-#include <stdexcept>
+
+#include "alula/base/require.hpp"
 
 namespace alula::flight {
 namespace {
@@ -12,17 +13,11 @@ namespace {
 using geometry::Mat3;
 using geometry::Vec3;
 
-constexpr double kLeastSigma = 1e-4;   // of a position, so that covariances are regular [m]
-constexpr double kLeastRange = 1e-3;   // that is measured [m]
-constexpr std::uint32_t kPerItem = 4;  // channels of an obstacle or of a ghost
+constexpr double kLeastSigma = 1e-4;   // of a position, which keeps covariances regular [m]
+constexpr double kLeastRange = 1e-3;   // smallest measured range [m]
+constexpr std::uint32_t kPerItem = 4;  // channels per obstacle or false detection
 
-void require(bool good, const char* message) {
-  if (!good) throw std::invalid_argument(message);
-}
-
-bool is_size(double value) { return value >= 0 && std::isfinite(value); }
-
-// Levelled: forward, left, up.
+// A level frame: forward, left, up.
 struct Frame {
   explicit Frame(double yaw) : forward{std::cos(yaw), std::sin(yaw), 0}, left{-std::sin(yaw), std::cos(yaw), 0} {}
   Vec3 forward, left;
@@ -150,7 +145,7 @@ void scan(const RadarOptions& o, const Kinematics& vehicle, double yaw, std::spa
     if (!(at.range > 0 && std::abs(at.azimuth) <= o.half_azimuth_rad &&
           std::abs(at.elevation) <= o.half_elevation_rad))
       continue;
-    const double cosine = std::max(std::cos(at.elevation), kLeastRange);  // straight up there is no azimuth
+    const double cosine = std::max(std::cos(at.elevation), kLeastRange);  // the azimuth is undefined straight up
     const Polar measured{std::max(kLeastRange, at.range + sigma.range * noise.x),
                          at.azimuth + sigma.azimuth / cosine * noise.y, at.elevation + sigma.elevation * noise.z};
     const double rate =

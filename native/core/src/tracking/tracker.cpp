@@ -13,10 +13,10 @@
 namespace alula::flight {
 namespace {
 
-constexpr std::size_t kUsualDetections = 64;  // in a scan; more make the memory grow
-constexpr double kLongest = 1e6;              // without a scan [s]; covariances must stay finite
+constexpr std::size_t kUsualDetections = 64;  // in a scan; more enlarge the memory
+constexpr double kLongest = 1e6;              // longest time without a scan [s]; covariances must stay finite
 
-// A track and what it has been given so far.
+// A track with its history of hits and misses.
 struct Kept {
   std::uint32_t id = 0;
   bool is_confirmed = false;
@@ -97,7 +97,7 @@ bool Tracker::State::is_out_of_sight(const Kept& track, const Belief& mixture) c
   return !field->holds({mixture.x[0], mixture.x[1], mixture.x[2]}, covariance, o.field_margin);
 }
 
-// GNN: assigns the detections that are left to the tracks that are confirmed, or to those that are not.
+// GNN: assigns the remaining detections to the confirmed tracks, or to the others.
 void Tracker::State::associate(bool confirmed) {
   rows.clear();
   for (std::size_t i = 0; i < tracks.size(); ++i)
@@ -112,7 +112,7 @@ void Tracker::State::associate(bool confirmed) {
       const Measurement& m = measured[j];
       double squared = 0;
       for (int k = 0; k < 3; ++k) squared += (m.z[k] - mixture.x[k]) * (m.z[k] - mixture.x[k]);
-      // No distance is less than the one with all variance along the difference.
+      // Lower bound of the distance: all variance along the difference.
       if (squared > rules.options.gate * (spread + m.R[0][0] + m.R[1][1] + m.R[2][2])) continue;
       const Innovation innovation = innovate(mixture, m);
       if (innovation.is_valid) cost[i * columns + j] = innovation.distance;

@@ -1,14 +1,14 @@
-/* A clock for a program that thinks it flies in real time: loaded before the C library, it answers for
- * CLOCK_MONOTONIC, and whoever holds the other end of a socket says how far time may go.
+/* A simulated clock for a program written for real time: loaded before the C library, it replaces
+ * CLOCK_MONOTONIC, and the process at the other end of a socket grants the time that may pass.
  *
- * The time of the program passes in its main thread alone: `nanosleep` adds what was asked for and does not sleep,
- * and each look at the clock adds READING_NS, so that waiting for a time by looking at the clock ends. At the end of
- * the granted time the main thread reports on the socket and waits for more. Other threads see that time and do not
- * move it; real time goes on for what is not asked of this clock (select, gettimeofday).
+ * The time of the program advances only in its main thread: `nanosleep` adds the requested time and does not sleep,
+ * and each reading of the clock adds READING_NS, so a loop that polls the clock ends. At the end of
+ * the granted time the main thread reports on the socket and waits for more. Other threads read that time and do not
+ * advance it; calls that do not use this clock (select, gettimeofday) keep real time.
  *
- * A datagram that some thread received counts as dealt with when that thread calls `select` again: then a byte goes
- * to the second socket. So the holder sends state, waits for the byte, and grants the next step; what the program
- * does is a function of the datagrams, not of the machine's load.
+ * A datagram that a thread received counts as handled when that thread calls `select` again: then a byte is sent
+ * to the second socket. So the controlling process sends state, waits for the byte, and grants the next step; the
+ * program's behaviour is a function of the datagrams, not of the machine's load.
  *
  * Sockets: the environment's ALULA_CLOCK_FD and ALULA_HANDLED_FD. Messages are 64-bit nanoseconds, native order.
  */
@@ -53,7 +53,7 @@ static int in_main(void) {
 static void pass(uint64_t ns) {
   const uint64_t now = atomic_fetch_add(&now_ns, ns) + ns;
   while (now >= granted_ns) {
-    if (send(clock_fd, &now, sizeof now, MSG_NOSIGNAL) != (ssize_t)sizeof now) _exit(3); /* nobody is there */
+    if (send(clock_fd, &now, sizeof now, MSG_NOSIGNAL) != (ssize_t)sizeof now) _exit(3); /* the peer is gone */
     if (recv(clock_fd, &granted_ns, sizeof granted_ns, MSG_WAITALL) != (ssize_t)sizeof granted_ns) _exit(3);
   }
 }

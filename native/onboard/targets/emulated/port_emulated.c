@@ -23,7 +23,7 @@ extern const uint8_t map_begin[], map_end[];
 void stop(int code);
 void count_round(void);
 
-static volatile uint32_t rounds; /* of the counter, which has 24 bits */
+static volatile uint32_t rounds; /* overflows of the counter, which has 24 bits */
 static uint32_t inputs, outputs;
 
 static uint32_t call(uint32_t operation, const uint32_t* arguments) {
@@ -80,7 +80,7 @@ void port_start(void) {
   SYSTICK_RELOAD = SYSTICK_MOST;
   SYSTICK_VALUE = 0U; /* any write clears it and the flag */
   SYSTICK_CONTROL = SYSTICK_ON_CORE_CLOCK | SYSTICK_INTERRUPTS;
-  while (SYSTICK_VALUE == 0U) { /* it reloads with the first tick */
+  while (SYSTICK_VALUE == 0U) { /* the counter reloads with the first tick */
   }
 }
 

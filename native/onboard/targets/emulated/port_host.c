@@ -1,4 +1,4 @@
-/* The same replay as a program of the host, which reads the map from map.bin and counts nanoseconds. */
+/* The platform interface on a host: reads the map from map.bin and counts nanoseconds. */
 #define _POSIX_C_SOURCE 200809L
 #include <stdio.h>
 #include <time.h>

@@ -17,7 +17,7 @@ __attribute__((section(".vectors"), used)) static const struct {
   void (*handler[15])(void);
 } VECTORS = {stack_top, {reset, fault, fault, fault, fault, fault, [14] = count_round}};
 
-/* No float instruction may come before the coprocessor is on, so nothing is inlined here. */
+/* No float instruction may run before the coprocessor is enabled, so nothing is inlined here. */
 __attribute__((noinline)) static void run(void) { stop(main()); }
 
 void reset(void) {

@@ -1,12 +1,12 @@
 // Teensy 4.1 between a receiver and a flight controller: SBUS in, SBUS out, navigation on a serial line.
 //
-//   receiver's SBUS          -> pin 0 (RX1), not inverted again: the port does that
+//   receiver's SBUS          -> pin 0 (RX1), without an external inverter: the port inverts
 //   pin 8 (TX2)              -> SBUS of the flight controller
 //   navigation, 921,600 baud -> pin 15 (RX3)
 //   ground of all three      -> GND
 //
-// teensy_config.h has the fence and the vehicle. What goes out when is in teensy_loop.h, how to build and what to try
-// on the bench in docs/guide/firmware.md.
+// teensy_config.h has the fence and the vehicle, teensy_loop.h the rules for the sent frames. docs/guide/firmware.md
+// explains the build and the bench tests.
 #include "teensy_config.h"
 #include "teensy_loop.h"
 
@@ -78,7 +78,7 @@ void loop() {
       const uint32_t took = micros() - now;
       if (took > slowest_us) slowest_us = took;
       next_us += period_us;
-      if (static_cast<int32_t>(now - next_us) >= 0) {  // a period behind: go on from here
+      if (static_cast<int32_t>(now - next_us) >= 0) {  // a period late: continue from now
         ++late_frames;
         next_us = now + period_us;
       }

@@ -6,7 +6,7 @@
 // SBUS carries 200 frames a second at 100,000 baud, and 400 at 200,000: Betaflight's `set sbus_baud_fast = ON`.
 constexpr uint32_t kControllerBaud = 100000;
 
-// A box of 80 x 80 x 40 m around where the navigation's frame begins; the ground, 2 m below it, is no fence.
+// A box of 80 x 80 x 40 m around the origin of the navigation's frame; the ground, 2 m below it, is not a fence.
 inline const alula_fence* vehicle_fence() {
   static alula_fence fence;
   fence.has_box = 1;
@@ -18,7 +18,7 @@ inline const alula_fence* vehicle_fence() {
   return &fence;
 }
 
-// The 7-inch racer of examples/vehicles/racer7.toml behind a Betaflight with the rates of alula_rates_defaults().
+// The 7-inch racer of examples/vehicles/racer7.toml with Betaflight and the rates of alula_rates_defaults().
 inline alula_teensy_config vehicle_config() {
   alula_teensy_config config = alula_teensy_defaults();
   config.geofence.tick_s = kControllerBaud == 200000 ? 0.0025F : 0.005F;

@@ -5,10 +5,10 @@
 #define SPAN_US 500.0F
 #define ON 1811U
 #define BAD_FLAGS (ALULA_SBUS_LOST | ALULA_SBUS_FAILSAFE)
-#define IDLE_US 1000U       /* longer than any pause within a frame, shorter than that between two */
-#define BYTE_US 120U        /* of a byte on the line */
-#define RESTART_US 1000000U /* without navigation, after which its sender may have begun anew */
-#define OVER_FULL 1.0001F   /* of a limit that full sticks may come to */
+#define IDLE_US 1000U       /* longer than any pause within a frame, shorter than a pause between two */
+#define BYTE_US 120U        /* duration of a byte on the line */
+#define RESTART_US 1000000U /* time without navigation after which its sender may have restarted */
+#define OVER_FULL 1.0001F   /* tolerance of full sticks, relative to a limit */
 
 static const float SIGN[3] = {1.0F, 1.0F, -1.0F}; /* sticks to the right are right; yaw is positive to the left */
 
@@ -19,7 +19,7 @@ alula_teensy_config alula_teensy_defaults(void) {
   config.geofence.tick_s = 0.005F;
   config.geofence.latency_s = 0.01F;
   config.geofence.reserve_m = 0.5F;
-  config.geofence.model.max_rate[2] = 12.0F; /* full sticks of the default rates are 11.6 */
+  config.geofence.model.max_rate[2] = 12.0F; /* full sticks give 11.6 with the default rates */
   config.roll = 0U;
   config.pitch = 1U;
   config.throttle = 2U;
@@ -70,7 +70,7 @@ static float microseconds(uint32_t channel) { return FIRST_US + STEP_US * (float
 
 static uint16_t channel_at(float us) {
   const float low = (float)ALULA_RATES_SHORTEST, high = (float)ALULA_RATES_LONGEST;
-  const float cut = us > low ? (us < high ? us : high) : low; /* also of NaN */
+  const float cut = us > low ? (us < high ? us : high) : low; /* low for NaN */
   return (uint16_t)((cut - FIRST_US) / STEP_US + 0.5F);
 }
 
@@ -104,13 +104,13 @@ static void forget_carry(alula_teensy_loop* loop) {
   for (int i = 0; i < 4; ++i) loop->carry[i] = 0.0F;
 }
 
-/* The command into the sticks; what they are off by goes into the next one. */
+/* Writes the command to the sticks; the rounding error is carried into the next command. */
 static void put_command(alula_teensy_loop* loop, const alula_racer_command* command) {
   const alula_teensy_config* c = &loop->config;
   for (int i = 0; i < 4; ++i) {
     const float wanted = number_of(command, i) + loop->carry[i];
     const uint16_t channel = to_channel(c, i, wanted);
-    /* more cannot be had; less than no throttle is never asked for */
+    /* the sticks cannot give more; less than zero throttle is never commanded */
     const int is_at_end = channel == to_channel(c, i, FLT_MAX) || (i > 0 && channel == to_channel(c, i, -FLT_MAX));
     loop->carry[i] = is_at_end ? 0.0F : wanted - from_channel(c, i, channel);
     loop->sent.channel[stick(c, i)] = channel;
@@ -124,7 +124,7 @@ static void put_centred(alula_teensy_loop* loop, float throttle) {
   forget_carry(loop);
 }
 
-/* A switch counts once it has stood the same way in some frames in a row. */
+/* Debounces a switch: it counts when it was the same in several consecutive frames. */
 static void read_switch(alula_teensy_loop* loop) {
   const int is_on = loop->heard.channel[loop->config.override_channel] > loop->config.switch_above;
   loop->switch_frames = is_on == loop->override_on ? 0U : loop->switch_frames + 1U;
@@ -135,7 +135,7 @@ static void read_switch(alula_teensy_loop* loop) {
 
 void alula_teensy_receive(alula_teensy_loop* loop, uint32_t now_us, const uint8_t* bytes, uint32_t count) {
   alula_sbus_frame frame;
-  /* whoever was elsewhere finds bytes that came meanwhile: the line was busy for as long as these take */
+  /* bytes that arrived during a slow tick are read together: the line was busy for their duration */
   const uint32_t busy_us = IDLE_US + BYTE_US * (count < ALULA_SBUS_BYTES ? count : ALULA_SBUS_BYTES);
   if (count > 0U && now_us - loop->byte_us > busy_us) alula_sbus_idle(&loop->receiver);
   for (uint32_t i = 0; i < count; ++i) {
@@ -182,7 +182,7 @@ static void put_hand_over(alula_teensy_loop* loop) {
   loop->sent.channel[c->level_channel] = ON;
 }
 
-/* The geofence's outcome as a frame that began as a copy of the last good one. */
+/* Writes the geofence's outcome into a frame that starts as a copy of the last good one. */
 static alula_teensy_status put_outcome(alula_teensy_loop* loop, alula_geofence_status outcome) {
   if (!alula_racer_command_is_finite(&loop->result.command)) outcome = ALULA_GEOFENCE_REFUSED;
   if (outcome != ALULA_GEOFENCE_REFUSED) loop->has_flown = 1;
@@ -216,7 +216,7 @@ static alula_teensy_status put_outcome(alula_teensy_loop* loop, alula_geofence_s
   return ALULA_TEENSY_LOST;
 }
 
-/* The clock comes round after 71 minutes, silence must not. */
+/* Counts the time without frames. The clock wraps after 71 minutes; this count must not. */
 static void count_silence(alula_teensy_loop* loop, uint32_t now_us) {
   const uint32_t more = now_us - loop->counted_us;
   loop->silence_us = loop->silence_us > UINT32_MAX - more ? UINT32_MAX : loop->silence_us + more;
@@ -237,7 +237,7 @@ alula_teensy_status alula_teensy_tick(alula_teensy_loop* loop, uint32_t now_us, 
       pilot.rates[i - 1] = number;
     }
   }
-  /* always, so that it knows how old its navigation is */
+  /* in every tick, because it counts the age of its navigation */
   const alula_geofence_status outcome = alula_geofence_filter(
       &loop->geofence, loop->is_new ? &loop->navigation.state : 0, has_pilot ? &pilot : 0, &loop->result);
   loop->is_new = 0;

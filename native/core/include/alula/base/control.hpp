@@ -7,7 +7,7 @@
 
 namespace alula {
 
-// Asked from the calling thread now and then; throws to stop the loop.
+// Receives progress. Loops call `poll` regularly from the calling thread; `poll` throws to stop the loop.
 // `done` never decreases and never exceeds `total`.
 class Control {
  public:
@@ -15,8 +15,8 @@ class Control {
   virtual void poll(std::size_t done, std::size_t total) { (void)done, (void)total; }
 };
 
-// Reports a loop as one part of a longer whole: from `begin` to `end` of kWhole steps. What it
-// reports never decreases, whatever the loops inside it report.
+// Reports the progress of a loop as one part of a longer task: from `begin` to `end` of kWhole steps. The reported
+// progress never decreases, whatever the loops inside report.
 class Share final : public Control {
  public:
   static constexpr std::size_t kWhole = 1000;
@@ -33,7 +33,7 @@ class Share final : public Control {
   std::size_t at_, begin_, end_;
 };
 
-// Lets a preparatory loop be stopped without reporting its own progress.
+// Allows a preparatory loop to be stopped without reporting its progress.
 class InterruptOnly final : public Control {
  public:
   explicit InterruptOnly(Control& outer) : outer_(outer) {}

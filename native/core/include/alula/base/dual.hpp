@@ -1,5 +1,5 @@
-// Numbers with their derivatives along N directions: what a flow becomes when its sensitivity is carried along, the
-// variational equation of exactly the steps that are taken.
+// Dual numbers: values with their derivatives along N directions (forward-mode differentiation). A flow integrated
+// with them carries its sensitivity: the variational equation of exactly the integration steps taken.
 #pragma once
 
 #include <array>
@@ -14,7 +14,7 @@ struct Dual {
   std::array<double, N> d{};
 
   Dual() = default;
-  Dual(double v) : value(v) {}  // a constant; implicit, so that formulas read as with doubles
+  Dual(double v) : value(v) {}  // a constant; implicit, so that formulas look the same as with doubles
   Dual(double v, const std::array<double, N>& along) : value(v), d(along) {}
 
   template <class F>
@@ -44,7 +44,7 @@ struct Dual {
   friend bool operator>(const Dual& a, const Dual& b) { return a.value > b.value; }
 };
 
-// f(a) with the slope there.
+// f(a), given the slope of f at a.
 template <std::size_t N>
 Dual<N> chained(const Dual<N>& a, double value, double slope) {
   return Dual<N>::made(value, [&](std::size_t i) { return slope * a.d[i]; });
@@ -63,7 +63,7 @@ Dual<N> cosine(const Dual<N>& a) {
   return chained(a, std::cos(a.value), -std::sin(a.value));
 }
 template <std::size_t N>
-Dual<N> root(const Dual<N>& a) {  // of a positive value
+Dual<N> root(const Dual<N>& a) {  // square root of a positive value
   const double r = std::sqrt(a.value);
   return chained(a, r, 0.5 / r);
 }

@@ -26,7 +26,7 @@ inline Jet operator*(const Jet& a, const Jet& b) {
           a.acceleration * b.value + 2 * a.rate * b.rate + a.value * b.acceleration};
 }
 
-// Of a positive value.
+// Square root of a positive value.
 inline Jet sqrt(const Jet& a) {
   const double root = std::sqrt(a.value), rate = a.rate / (2 * root);
   return {root, rate, (a.acceleration - 2 * rate * rate) / (2 * root)};

@@ -1,6 +1,6 @@
-// Four doubles side by side, and the same words for one: formulas that are written once for both.
+// Four doubles in one vector, with operations that also exist for one double: formulas are written once for both.
 //
-// Each lane is computed as a double alone would be, to the bit.
+// Each lane gives the same bits as the same computation with one double.
 #pragma once
 
 #include <cmath>
@@ -65,12 +65,12 @@ inline Lanes select(Mask which, Lanes yes, Lanes no) {
 inline Lanes sqrt(Lanes a) { return {std::sqrt(a[0]), std::sqrt(a[1]), std::sqrt(a[2]), std::sqrt(a[3])}; }
 inline Lanes abs(Lanes a) { return select(a < 0, -a, a); }
 
-// Of one number.
+// The same for one number.
 inline bool any(bool a) { return a; }
 inline bool all(bool a) { return a; }
 inline double select(bool which, double yes, double no) { return which ? yes : no; }
 
-// The larger and the smaller as std::max and std::min choose.
+// The larger and the smaller, chosen as std::max and std::min do.
 template <class Real>
 Real larger(Real a, Real b) {
   return select(a < b, b, a);

@@ -1,4 +1,4 @@
-// A loop over independent items on several threads whose result cannot depend on their number.
+// Parallel loops over independent items, with results that do not depend on the number of threads.
 #pragma once
 
 #include <algorithm>
@@ -17,7 +17,7 @@
 
 namespace alula {
 
-// Number of worker threads for a request; 0 means one per available processor.
+// Number of worker threads for a requested number; 0 means one per available processor.
 inline unsigned resolve_jobs(unsigned jobs) {
   const unsigned available = std::max(1u, std::thread::hardware_concurrency());
   return jobs == 0 ? available : std::min(jobs, 256u);
@@ -76,7 +76,7 @@ void parallel_chunks(std::size_t count, std::size_t chunk, unsigned jobs, Contro
   control.poll(count, count);
 }
 
-// Threads that wait for many small batches of work; for loops whose steps depend on each other.
+// A pool of threads for many small batches of work, as in loops with steps that depend on each other.
 class WorkerTeam {
  public:
   explicit WorkerTeam(unsigned jobs) {
@@ -118,7 +118,7 @@ class WorkerTeam {
     work(0);
     {
       const std::lock_guard lock(mutex_);
-      is_open_ = false;  // who is not here by now need not come
+      is_open_ = false;  // threads that have not joined this batch by now stay out of it
     }
     while (busy_ != 0) std::this_thread::yield();
     if (failure_) std::rethrow_exception(failure_);
@@ -126,7 +126,7 @@ class WorkerTeam {
 
  private:
   static constexpr unsigned kMost = 16;  // batches are small
-  static constexpr int kPatience = 400;  // looks for work before going to sleep
+  static constexpr int kPatience = 400;  // polls for work before a thread sleeps
   static constexpr std::uint64_t kStop = UINT64_MAX;
 
   void work(std::size_t worker) {

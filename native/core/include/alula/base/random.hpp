@@ -1,4 +1,4 @@
-// Random numbers that are a function of where they are used, not of how many were drawn before.
+// Counter-based random numbers: a function of where they are used, not of how many were drawn before.
 //
 // Philox 4x32-10: ten rounds on the counter (step low, step high, trial, channel) with the seed as key.
 // The same (seed, trial, step, channel) gives the same numbers on any thread and in any order.
@@ -26,8 +26,8 @@ inline Counter philox(Counter counter, std::array<std::uint32_t, 2> key) {
   return counter;
 }
 
-// Where the channels of those who draw begin; each has all up to the next. Those before are a plant's and its
-// sensor's.
+// First channel of each user of random numbers; each user has all channels up to the next. The channels before the
+// first belong to the plant and its sensor.
 namespace channel {
 inline constexpr std::uint32_t kObstacle = 0x1000'0000, kDetection = 0x2000'0000, kClutter = 0x3000'0000,
                                kOwnState = 0x4000'0000;
@@ -56,8 +56,8 @@ struct RandomStream {
   }
 };
 
-// The Poisson number of this mean, at most 500, that a uniform number in (0, 1) stands for: the least k with
-// P(X <= k) >= u. Twenty deviations above the mean the sum has reached 1 up to rounding, and the search ends.
+// Poisson quantile for a mean of at most 500 and a uniform number u in (0, 1): the smallest k with P(X <= k) >= u.
+// The search ends twenty standard deviations above the mean, where the sum has reached 1 up to rounding.
 inline int poisson(double mean, double u) {
   double term = std::exp(-mean), sum = term;
   const int last = static_cast<int>(mean + 20 * std::sqrt(mean) + 20);

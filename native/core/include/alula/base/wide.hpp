@@ -1,5 +1,5 @@
-// Functions that take wider vectors where the processor has them; results are the same to the bit,
-// because nothing is contracted and no sum is reordered.
+// Marks functions that use wider vectors where the processor has them. Results are the same to the bit, because
+// nothing is contracted and no sum is reordered.
 #pragma once
 
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__) && \

@@ -1,4 +1,4 @@
-// A dynamic tree of axis-aligned lattice boxes: which boxes touch one, which is nearest.
+// A dynamic tree of axis-aligned lattice boxes, for queries of touching and nearest boxes.
 #pragma once
 
 #include <cstdint>
@@ -8,8 +8,8 @@
 
 namespace alula {
 
-// Items are numbered by the caller, each at most once in the tree. Answers depend on the set of
-// boxes only, never on the order of insertions.
+// Items are numbered by the caller, each at most once in the tree. Results depend on the set of
+// boxes only, not on the order of insertions.
 class BoxTree {
  public:
   void insert(std::uint32_t item, const LatticeBox& box);

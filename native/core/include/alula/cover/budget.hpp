@@ -1,6 +1,6 @@
-// What a written cover costs, told by its hulls and half-planes alone.
+// Size of a written cover, computed from its numbers of hulls and half-planes alone.
 //
-// Every polytope here has the six planes of its bounding box, so the oblique planes are the others.
+// Every polytope here has the six planes of its bounding box; all other planes are oblique.
 #pragma once
 
 #include <algorithm>
@@ -11,7 +11,7 @@ namespace alula {
 
 inline constexpr std::size_t kBoxPlanes = 6;
 
-// The form for microcontrollers: header, then per hull a box of int16 and a count, then per oblique
+// Layout for microcontrollers: header, then per hull a box of int16 and a count, then per oblique
 // plane int8 x 3 and int16, or the offset alone where the normals are fixed.
 inline constexpr std::size_t kHeaderBytes = 64;
 inline constexpr std::size_t kHullBytes = 14;
@@ -39,7 +39,7 @@ struct Form {
   std::size_t oblique_bytes() const { return kdop > 0 ? kFixedObliqueBytes : kObliqueBytes; }
 };
 
-// Limits of what is written; 0 is none.
+// Limits of the written cover; 0: no limit.
 struct Budget {
   std::size_t max_planes = 0, max_bytes = 0;
   Form form;
@@ -48,7 +48,7 @@ struct Budget {
   bool holds(std::size_t hulls, std::size_t planes) const {
     return (max_planes == 0 || planes <= max_planes) && (max_bytes == 0 || form.bytes(hulls, planes) <= max_bytes);
   }
-  // The most half-planes that so many hulls may have in all; fewer than six per hull: too many hulls.
+  // Maximum total number of half-planes for a number of hulls; fewer than six per hull: too many hulls.
   std::size_t planes_for(std::size_t hulls) const {
     std::size_t most = max_planes > 0 ? max_planes : SIZE_MAX;
     if (max_bytes == 0) return most;

@@ -18,7 +18,7 @@
 //   4. the six planes of the bounding box are there, so P is bounded;
 //   5. |n_i| <= 2^15 - 1, so that readers find the corners of P in 128 bits.
 //
-// All integers of the arrays are taken as they come: 64-bit normals and offsets, 32-bit positions.
+// Any integers are allowed in the arrays: 64-bit normals and offsets, 32-bit positions.
 // Products are formed in 128 bits, where |n . x + ...| < 2^98; nothing can overflow.
 #pragma once
 
@@ -66,13 +66,13 @@ struct CoverView {
   bool is_outer = false;
 };
 
-// Faults ordered by hull; of a plane only the first vertex outside, of a member only the first plane
+// Returns the faults ordered by hull: for a plane only the first vertex outside, for a member only the first plane
 // that cuts it. Throws std::invalid_argument when the starts are no partition.
 // Time O(sum over hulls of (vertices + members) * planes).
 std::vector<Violation> check_hulls(const CoverView& cover, unsigned jobs, Control& control);
 
-// Faults kNotCovered and kNotOccupied of members (W, 3) against occupied voxels (M, 3); neither
-// need be sorted. Throws std::invalid_argument when the starts are no partition.
+// Returns the faults kNotCovered and kNotOccupied of members (W, 3) against occupied voxels (M, 3), both in any
+// order. Throws std::invalid_argument when the starts are no partition.
 std::vector<Violation> check_occupied(std::span<const std::int32_t> member_index,
                                       std::span<const std::int64_t> member_start,
                                       std::span<const std::int32_t> occupied);

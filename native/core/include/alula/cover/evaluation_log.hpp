@@ -1,4 +1,4 @@
-// The weights that a merge has evaluated, so that the same merge can be run again at less cost.
+// The weights that a merge has evaluated, for running the same merge again at lower cost.
 #pragma once
 
 #include <cstdint>
@@ -10,9 +10,9 @@
 
 namespace alula {
 
-// W of pairs of elements, by their numbers. Numbers mean the same only in a merge of the same start
+// W of pairs of elements, by their numbers. The numbers are valid only for a merge of the same start sets
 // by the same rule; a fingerprint of both is kept with the entries. A merge that finds a pair here
-// takes its weight instead of computing it, and so does the same merges in the same order.
+// uses its weight instead of computing it, and does the same merges in the same order.
 class EvaluationLog {
  public:
   struct Entry {
@@ -21,21 +21,21 @@ class EvaluationLog {
   };
 
   EvaluationLog() = default;
-  // Of an earlier snapshot; throws std::invalid_argument when it is damaged.
+  // Restores an earlier snapshot; throws std::invalid_argument when it is damaged.
   explicit EvaluationLog(std::string_view snapshot);
 
-  // Keeps the entries if they are of this fingerprint, and drops them otherwise.
+  // Keeps the entries if they have this fingerprint, and drops them otherwise.
   void open(std::uint64_t fingerprint);
-  // The weight of a pair, or nullptr. Not while another thread adds.
+  // The weight of a pair, or nullptr. Must not be called while another thread adds.
   const double* find(std::uint32_t left, std::uint32_t right) const;
-  // Adds pairs that are not there yet.
+  // Adds pairs that are not in the log yet.
   void add(std::span<const Entry> entries);
   void count_reuse(std::size_t entries);
 
   // These may be called while another thread merges.
   std::string snapshot() const;
   std::size_t size() const;
-  std::size_t reused() const;  // weights that were found since the log was made
+  std::size_t reused() const;  // weights found since the log was made
 
  private:
   void insert(const Entry& entry);

@@ -1,8 +1,8 @@
-// Outer polytopes: hulls of voxels replaced by fewer half-spaces that hold them.
+// Outer polytopes: hulls of voxels replaced by fewer half-spaces that contain them.
 //
 // An outer polytope has the six planes of the hull's bounding box, which bound it, and further
 // planes of short integer normals, each with the exact support of the hull as its offset. So it
-// contains the hull, whatever was chosen; volumes only rank.
+// contains the hull for every choice of planes; volumes only rank the planes.
 #pragma once
 
 #include <array>
@@ -15,26 +15,25 @@
 
 namespace alula {
 
-inline constexpr std::int64_t kOuterNormal = (1 << 15) - 1;  // |n_i| at most, in any outer polytope
-inline constexpr std::int64_t kShortNormal = 127;            // |n_i| at most, of the oblique planes chosen here
+inline constexpr std::int64_t kOuterNormal = (1 << 15) - 1;  // maximum |n_i| in any outer polytope
+inline constexpr std::int64_t kShortNormal = 127;            // maximum |n_i| of the oblique planes chosen here
 
 // The plane of the given outward normal that supports points.
 LatticePlane supporting_plane(const std::array<std::int64_t, 3>& normal, std::span<const Lattice> points);
 
-// The k-DOP of a hull: k = 6, 14, 18 or 26: the axes, with the corners, the edges or both of a cube
-// as further normals. All k planes are there; vertices stay those of the hull. Throws std::invalid_argument for
-// another k.
+// The k-DOP of a hull for k = 6, 14, 18 or 26: the normals are the axes, with the corners, the edges or both of a
+// cube. All k planes are present; vertices stay those of the hull. Throws std::invalid_argument for another k.
 LatticePolytope kdop(const LatticePolytope& hull, std::size_t k);
 
-// Oblique planes of a hull, the most useful first: each next one removes the most free volume,
-// measured along vertical lines as ExcessMeter does, from what the box and those before it leave.
-// What they remove only falls (it is submodular), so stale values bound it: lazy evaluation is exact.
+// Oblique planes of a hull, the most useful first: each plane removes the maximum free volume,
+// measured along vertical lines as in ExcessMeter, from what the box and the planes before it leave.
+// The removed volume is submodular, so stale values are upper bounds and lazy greedy evaluation is exact.
 struct RankedPlane {
   LatticePlane plane;
   double gain;  // [voxels], not increasing
 };
 
-// Ranks until `most` planes are chosen or nothing is left to remove. One per thread.
+// Ranks planes until `most` are chosen or no volume is left to remove. One per thread.
 class FacetRanker {
  public:
   explicit FacetRanker(const Occupancy& occupancy) : occupancy_(&occupancy) {}
@@ -49,7 +48,7 @@ class FacetRanker {
     LatticePlane plane;
     double x, y, z, offset;  // local to the box
     double gain;
-    std::size_t round;  // that gain is of
+    std::size_t round;  // round in which `gain` was computed
   };
 
   void set_lines(const LatticeBox& box);
@@ -62,15 +61,15 @@ class FacetRanker {
 
   const Occupancy* occupancy_;
   std::int32_t base_z_ = 0;
-  double area_ = 1;  // of a line [voxels^2]
+  double area_ = 1;  // area that one line represents [voxels^2]
   std::vector<Line> line_;
   std::vector<Candidate> candidate_;
 };
 
 // Replaces each hull of more than `cap` facets, or with normals beyond kOuterNormal, by an outer
-// polytope of at most `cap` planes, cap >= 6; vertices stay those of the hull. There are at most
-// `planes` planes in all, at least six per hull, given to those hulls where they remove most: gains
-// fall along each hull's ranking, so taking the largest is best.
+// polytope of at most `cap` planes, cap >= 6; vertices stay those of the hull. The total is at most
+// `planes` planes, at least six per hull. The planes go to the hulls where they remove the most volume: gains
+// decrease along each hull's ranking, so choosing the largest gains is optimal.
 void cap_facets(const Occupancy& occupancy, std::vector<LatticePolytope>& hulls, std::size_t cap, std::size_t planes,
                 unsigned jobs, Control& control);
 

@@ -6,7 +6,7 @@
 // With L <= 2^20 that is below 2^62: every predicate is exact in 64 bits. Offsets in the points'
 // own coordinates stay below 3 L^2 2^20 < 2^62 because coordinates are limited to +-2^20 too.
 //
-// Points are inserted one by one; a facet is visible only when the point is strictly outside it.
+// Points are inserted one by one (incremental hull); a facet is visible only when the point is strictly outside it.
 // The strictly visible facets of a convex polytope project injectively onto a convex shadow, so
 // their boundary is one simple cycle, and a point on the line of a boundary edge would lie in the
 // plane of the visible facet next to it: no new facet is ever degenerate, and nothing is perturbed.
@@ -23,7 +23,7 @@ namespace alula {
 
 using Lattice = std::array<std::int32_t, 3>;
 
-inline constexpr std::int32_t kLatticeLimit = 1 << 20;  // of coordinates and of extents
+inline constexpr std::int32_t kLatticeLimit = 1 << 20;  // limit of coordinates and extents
 
 // {x : normal . x <= offset}; the normal points outward.
 struct LatticePlane {
@@ -73,13 +73,13 @@ struct HullMesh {
 
 // Builds hulls; keeps its memory between them. One per thread.
 //
-// Arithmetic is exact in all of float up to L = 177 (3 L^3 < 2^24), double up to 2^17 (3 L^3 < 2^53)
-// and int64; the narrowest is taken, and hulls are the same in each. A difference n . x - d of two
+// Arithmetic is exact in float up to L = 177 (3 L^3 < 2^24), in double up to 2^17 (3 L^3 < 2^53)
+// and in int64; the narrowest type is used, and all give the same hulls. A difference n . x - d of two
 // exact numbers may be rounded, which keeps its sign.
 class HullBuilder {
  public:
   // A facet's plane in coordinates local to box().lower, not reduced; values are exact integers
-  // up to L = 2^17 and rounded to 53 bits beyond. Some planes may come twice.
+  // up to L = 2^17 and rounded to 53 bits beyond. Planes may repeat.
   struct LocalPlane {
     double x, y, z, offset;
   };
@@ -87,7 +87,7 @@ class HullBuilder {
   // Throws std::invalid_argument when the points span no volume or exceed kLatticeLimit.
   void build(std::span<const Lattice> points);
 
-  // Hull of a hull and further points, for the price of those that lie outside it.
+  // Hull of a hull and further points; the cost depends on the points outside the hull.
   void build_union(const HullMesh& mesh, std::span<const Lattice> points);
 
   // Hull of the closed unit cubes [v, v + 1] of voxels sorted by x, y, z; never degenerate.
@@ -103,7 +103,7 @@ class HullBuilder {
   using Point = std::array<std::int64_t, 3>;
   template <class T>
   struct Planes {
-    std::vector<T> x, y, z, offset, height;  // all zero for a free slot: never visible
+    std::vector<T> x, y, z, offset, height;  // all zero for a free slot, which is never visible
   };
 
   template <class Run>
@@ -137,9 +137,5 @@ class HullBuilder {
   std::vector<LocalPlane> local_;
   std::vector<Lattice> corner_;
 };
-
-// The corners of voxels sorted by x, y, z, without those that cannot be extreme: of each lattice
-// column the lowest and the highest, of each row of columns those on its 2-D hull.
-void extreme_corners(std::span<const Lattice> voxels, std::vector<Lattice>& corners);
 
 }  // namespace alula

@@ -22,7 +22,7 @@ struct MapView {
 
 // Rows of `voxel` (M, 3), in any order, that no single hull contains; increasing.
 //
-// Over each occupied column a hull is an interval of z, found by rounded integer divisions. Time
+// Over each occupied column a hull is an interval of z, computed by rounded integer divisions. Time
 // O(M log M + sum over hulls of occupied columns in its box * (planes + log column) + marked voxels).
 std::vector<std::int64_t> voxels_outside(const MapView& map, std::span<const std::int32_t> voxel, unsigned jobs,
                                          Control& control);

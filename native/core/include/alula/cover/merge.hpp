@@ -12,16 +12,16 @@
 
 namespace alula {
 
-// Which pair merges next. With W(C) = Vol(Hull(C) \ occupied):
+// Rule that selects the next pair. With W(C) = Vol(Hull(C) \ occupied):
 enum class MergeRule {
-  kPaper,     // least W(i u j) among pairs whose boxes touch; the nearest boxes when none do
-  kIncrease,  // least W(i u j) - W(i) - W(j); a polytope that touches none is paired with its nearest
+  kPaper,     // minimum W(i u j) among pairs with boxes that touch; the nearest boxes when none do
+  kIncrease,  // minimum W(i u j) - W(i) - W(j); a polytope that touches none is paired with its nearest
 };
 
 struct MergeOptions {
   MergeRule rule = MergeRule::kIncrease;
   std::size_t max_hulls = 0;  // 0: no limit
-  Budget budget;              // of what is written in the end
+  Budget budget;              // of the written cover
   double max_growth = 0;      // limit of 1 + sum W / voxels; 0: no limit
 };
 
@@ -33,7 +33,7 @@ struct Merge {
 struct CurvePoint {
   std::size_t hulls;
   double excess;       // sum of W [voxels], at least the excess of the union
-  std::size_t planes;  // as they are written
+  std::size_t planes;  // of the written cover
 };
 
 struct Cover {
@@ -41,52 +41,28 @@ struct Cover {
   VoxelSets members;  // Hull(members) has the vertices of the hull, and its planes unless those are outer ones
   std::vector<Merge> history;
   std::vector<CurvePoint> curve;  // after each merge, the start first
-  bool within_budget = true;      // false: max_growth, or n = 1, was reached before the others held
+  bool within_budget = true;      // false: max_growth, or n = 1, was reached before the other limits held
 };
 
-// Merges pairs of sets until at most max_hulls polytopes remain and what is written of them is
+// Merges pairs of sets until at most max_hulls polytopes remain and the written cover is
 // within the budget. Without either limit, merges as long as max_growth allows.
 //
 // Guarantee: every voxel of `sets` stays a member of a hull that contains it; weights only rank.
 // Deterministic: results depend neither on the number of threads nor on `log`, if given, which supplies
-// weights known from an earlier run and takes the others. Pairs wait under what their key is expected to
-// be and are evaluated only when that is the best of the heap. By kPaper it is exact: a merged hull
+// weights known from an earlier run and records the others. Pairs wait in a heap under their expected key and are
+// evaluated only when they are at its top. For kPaper this lazy evaluation is exact: a merged hull
 // contains the hulls of all pairs it came from, so W(i u j u k) is at least W(i u j), W(i u k) and
-// W(j u k). By kIncrease it is that no pair of a merged element has a lower key than those of its parts:
-// where that fails, the pair merges later than by the rule, and a quarter of the evaluations are spared.
+// W(j u k). For kIncrease it assumes that no pair of a merged element has a lower key than the pairs of its parts.
+// Where that fails, the pair merges later than by the rule; the assumption saves a quarter of the evaluations.
 // Time O(n log n) queue operations for n sets with a bounded number of neighbours.
 // Source: Hong et al. 2026 (arXiv 2606.16232), eqs. 11-15.
 Cover merge(const Occupancy& occupancy, const VoxelSets& sets, const MergeOptions& options, unsigned jobs,
             Control& control, EvaluationLog* log = nullptr);
 
-// Replaces each hull, the one with most excess first, by the hull of the voxels that no other hull
-// contains, and drops hulls that have none; hulls only shrink and the union never grows. Afterwards
-// the members partition the voxels. A hull is kept when its replacement would take what is written
-// beyond the budget.
-void retighten(const Occupancy& occupancy, Cover& cover, const Budget& budget, Control& control);
-
-// The numbers of the voxels inside a polytope, ascending, by integers alone:
-// normal . v + sum max(normal, 0) <= offset. The box of its vertices must be that of its planes.
-void voxels_inside(const Occupancy& occupancy, const LatticePolytope& hull, std::vector<std::uint32_t>& inside);
-
-// The voxels of the elements that no merge of the history took, by ascending number of the element.
+// The voxels of the elements that remain after the merges of the history, by ascending number of the element.
 VoxelSets merged_sets(const VoxelSets& sets, std::span<const Merge> history);
 
 // Orders hulls by their members, lexicographically.
 void sort_hulls(Cover& cover);
-
-struct UnionVolume {
-  double excess;      // Vol(union of hulls \ occupied) [voxels]
-  double error;       // bound on its rounding error [voxels]; 0 when it was not exact
-  int lines, stride;  // lines x lines per sampled voxel column, every stride-th column per axis; 0: exact
-};
-
-// Volume of the union outside the voxels, exact up to rounding (see union_measure.hpp); every voxel
-// must be inside a hull. Space is divided into at most about a thousand parts; where one of them takes
-// more than `most_cuts`, at about a microsecond each, exact z-intervals over a regular grid of at most
-// `most_lines` lines, at about thirty half-planes each, are summed instead. A hull is what its planes
-// bound. Deterministic for any number of threads.
-UnionVolume union_excess(const Occupancy& occupancy, const std::vector<LatticePolytope>& hulls, unsigned jobs,
-                         Control& control, std::size_t most_cuts = 100'000, double most_lines = 2e7);
 
 }  // namespace alula

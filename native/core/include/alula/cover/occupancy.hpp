@@ -12,7 +12,7 @@
 namespace alula {
 
 // A sorted, unique set of voxels; voxel v is the closed cube [v, v + 1]. Memory is linear in the
-// number of voxels, wherever they lie. Voxels of one column have consecutive numbers.
+// number of voxels, independent of their extent. Voxels of one column have consecutive numbers.
 class Occupancy {
  public:
   struct Column {
@@ -74,7 +74,7 @@ class Occupancy {
 // then one, at most 24.
 int sample_lines(std::int32_t extent);
 
-// A polytope as bounds on z over (x, y), in coordinates local to the lower corner of its box.
+// A polytope as lower and upper bounds on z over (x, y), in coordinates local to the lower corner of its box.
 class ZBounds {
  public:
   void assign(std::span<const HullBuilder::LocalPlane> planes, const LatticeBox& box);
@@ -95,9 +95,8 @@ class ZBounds {
 
 // Measures W = Vol(polytope \ occupied) [voxels], by exact z-intervals over a midpoint grid of the
 // bounding box with sample_lines() per axis.
-// Boxes are counted exactly; any other polytope measures zero only when its bounding box is full, and
-// at least kLeast otherwise, so that W = 0 always means no excess. It ranks merges and decides
-// nothing else. One per thread.
+// Boxes are counted exactly. Any other polytope measures zero only when its bounding box is full, and
+// at least kLeast otherwise, so W = 0 always means no excess. W only ranks merges. One per thread.
 class ExcessMeter {
  public:
   explicit ExcessMeter(const Occupancy& occupancy) : occupancy_(&occupancy) {}

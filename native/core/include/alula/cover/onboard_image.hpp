@@ -1,4 +1,4 @@
-// An image of an onboard map, in memory of its own.
+// An image of an onboard map that owns its memory.
 #pragma once
 
 #include <cstdint>
@@ -8,8 +8,8 @@
 
 namespace alula {
 
-// Of exactly its size, so that a sanitizer sees any step outside. Throws std::invalid_argument with the
-// reader's complaint.
+// Allocates exactly the image's size, so a sanitizer detects every access outside. Throws std::invalid_argument with
+// the reader's status text.
 class OnboardImage {
  public:
   explicit OnboardImage(std::vector<std::uint8_t> bytes);

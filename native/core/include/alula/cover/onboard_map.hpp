@@ -30,9 +30,9 @@ struct MapRecords {
 //
 // Guarantee: each quantised hull contains all vertices of its hull. A plane's depth is the exact
 // integer support over the vertices, rounded outward where it needs a shift; its normal, the nearest
-// in angle among those allowed, only decides how tight it is. Planes that cut nothing off, next to the
-// others, are left out; so are those with the smallest facets beyond 255. With largest_normal = 1 a
-// hull whose normals do not all fit gets all 20 oblique directions to choose from.
+// in angle among those allowed, only affects tightness. Planes that cut nothing off beside the
+// others are left out; beyond 255 planes, those with the smallest facets are left out too. With largest_normal = 1,
+// a hull with normals that do not all fit chooses from all 20 oblique directions.
 //
 // Records are sorted by the Morton code of the centres of their boxes, then by their bytes.
 // Deterministic for any number of threads. Time O(sum over hulls of planes^2 + planes * vertices).

@@ -1,4 +1,4 @@
-// The exact corners and facets of polytopes given by integer planes alone.
+// Exact corners and facets of polytopes that are given by integer planes alone.
 #pragma once
 
 #include <cstdint>
@@ -17,11 +17,11 @@ struct OuterSolid {
   bool is_lattice = true;              // every corner is integer
 };
 
-// Enumerates by integers: along the line of each pair of planes the others leave a segment, whose
-// ends are corners p = N / D by Cramer's rule. Which planes cut an end is a sign of n . N - d D.
-// With |n_i| < 2^15, and offsets below 2^37 relative to the box that the six axis planes give,
-// |N| < 2^70 and |D| < 2^48, so that every sign is exact in 128 bits. Corners are rounded only in
-// the end: to within 2^-51 of the box's largest coordinate or extent; integer ones not at all.
+// Enumerates in integers: along the line of each pair of planes, the other planes leave a segment. Its
+// ends are corners p = N / D by Cramer's rule. The sign of n . N - d D says whether a plane cuts an end.
+// With |n_i| < 2^15, and offsets below 2^37 relative to the box of the six axis planes,
+// |N| < 2^70 and |D| < 2^48, so every sign is exact in 128 bits. Corners are rounded only at
+// the end, to within 2^-51 of the box's largest coordinate or extent; integer corners are exact.
 // Planes that only touch the solid in an edge or a corner have no triangles.
 //
 // Throws std::invalid_argument when the axis planes do not bound a box within kLatticeLimit, a normal

@@ -1,4 +1,4 @@
-// Local clusters of occupied voxels and a cheap sub-family that covers all of them.
+// Local clusters of occupied voxels, and a subset of the clusters with small weight that covers all voxels.
 #pragma once
 
 #include <cstdint>
@@ -25,9 +25,9 @@ struct VoxelSets {
 // Greedy weighted set cover of all voxels by clusters.
 //
 // The cluster of voxel v is C_v = {occupied v' : |v' - v|_inf <= block}; its weight is
-// W(C_v) = Vol(Hull(C_v) \ occupied). Repeatedly takes the cluster of least weight per newly
-// covered voxel; ties go to the one that covers more, then to the lower voxel. With block 1 the
-// weight depends on the 26 neighbours alone and is found once per pattern of them.
+// W(C_v) = Vol(Hull(C_v) \ occupied). Repeatedly chooses the cluster of minimum weight per newly
+// covered voxel; ties go to the cluster that covers more, then to the lower voxel. With block 1 the
+// weight depends only on the 26 neighbours and is computed once per pattern of neighbours.
 // Time O(M (2 block + 1)^3) and a few hull evaluations per distinct pattern.
 // Source: Hong et al. 2026 (arXiv 2606.16232), eqs. 10-11; Chvatal 1979.
 VoxelSets subcover(const Occupancy& occupancy, int block, unsigned jobs, Control& control);

@@ -23,15 +23,15 @@ struct Block {
   bool empty() const { return lower[0] > upper[0] || lower[1] > upper[1] || lower[2] > upper[2]; }
 };
 
-// Indices of the voxels whose closed cube touches a box, as doubles because they may exceed 32 bits;
-// exact where they do not. Without a box: everything.
+// Index range of the voxels with closed cubes that touch a box, as doubles because indices may exceed 32 bits;
+// exact where they do not. Without a box the range is unlimited.
 struct CropRange {
   std::array<double, 3> lower, upper;
 };
 CropRange crop_range(const std::optional<Box6>& crop, double voxel_size);
 
-// The part within the range of the voxels lower ... upper, whole numbers. Throws std::overflow_error when
-// that does not fit 32-bit indices, or when a bound is infinite or NaN.
+// The part of the voxels lower ... upper (whole numbers) within the range. Throws std::overflow_error when
+// it does not fit 32-bit indices, or when a bound is infinite or NaN.
 Block clipped_block(const std::array<double, 3>& lower, const std::array<double, 3>& upper, const CropRange& range);
 
 // Open-addressing map from brick coordinates to consecutive numbers 0, 1, 2, ...
@@ -39,9 +39,9 @@ class BrickMap {
  public:
   static constexpr std::uint32_t kNone = 0xffffffffu;
   std::uint32_t find(const Index3& brick) const;
-  // The number of a brick, the next unused one when it is new.
+  // The number of a brick; a new brick gets the next unused one.
   std::uint32_t insert(const Index3& brick);
-  // Asks for the memory that a search for the brick will read.
+  // Prefetches the memory that a search for the brick will read.
   void prefetch(const Index3& brick) const;
   std::size_t size() const { return size_; }
   // Calls visit(brick, number) for all bricks, in no particular order.
@@ -62,7 +62,7 @@ class BrickMap {
   std::size_t size_ = 0;
 };
 
-// Voxels in lexicographic order with a count each, of all that were counted those with a least count.
+// Voxels in lexicographic order with their counts: those of all counted voxels that reach a minimum count.
 struct VoxelCounts {
   std::vector<std::int32_t> index;  // (M, 3)
   std::vector<std::uint32_t> count;
@@ -70,11 +70,11 @@ struct VoxelCounts {
   std::uint32_t most = 0;  // highest count of all
 };
 
-// One list of the given lists of voxels, (M_i, 3), each in lexicographic order and disjoint from the others.
+// Merges lists of voxels, (M_i, 3), each in lexicographic order and disjoint from the others, into one.
 VoxelCounts joined(std::span<const std::int32_t> index, std::span<const std::uint32_t> count,
                    std::span<const std::int64_t> start);
 
-// How often each voxel was added; sparse bricks of 4 x 4 x 8 counters. Runs may be added from
+// Counts how often each voxel was added, in sparse bricks of 4 x 4 x 8 counters. Runs may be added from
 // several threads; sums, and so the result, do not depend on their order.
 class OverlapGrid {
  public:
@@ -83,7 +83,7 @@ class OverlapGrid {
   static constexpr std::size_t kMaxBricks = std::size_t{1} << 22;
   static constexpr int kShiftXY = 2, kShiftZ = 3;  // of a brick
 
-  // A column of bricks; all of it is in one shard, so that threads seldom wait for each other.
+  // A column of bricks. It lies in one shard, so threads rarely wait for each other.
   struct Column {
     std::int32_t x = 0, y = 0;
     bool operator==(const Column&) const = default;
@@ -140,7 +140,7 @@ void check_voxel_budget(double least_voxels);
 // Throws std::overflow_error when there would be more than OverlapGrid::kMaxBricks.
 void check_brick_budget(std::size_t least_bricks);
 
-// A set of voxels as bricks of 8 x 8 x 8 bits.
+// A set of voxels, stored as bricks of 8 x 8 x 8 bits.
 class VoxelSet {
  public:
   static constexpr int kEdge = 8;

@@ -3,21 +3,21 @@
 // An ellipsoid meets a column of voxels in a convex set, so the voxels of the column that it touches
 // are one run in z. With the triangular factor of the ellipsoid, x = l11 u1, y = l21 u1 + l22 u2,
 // z = l31 u1 + l32 u2 + l33 u3 over the unit ball, the upper surface over the (x, y) plane is concave.
-// Its maximum over the column's rectangle is the apex if that is inside, else it lies on one of the
-// at most two edges that face the apex; on x = const u1 is fixed and what is left is
+// Its maximum over the column's rectangle is the apex if that is inside; otherwise it lies on one of the
+// at most two edges that face the apex. On x = const u1 is fixed, and the remaining problem is
 //   max l32 u2 + l33 sqrt(w^2 - u2^2),  w^2 = 1 - u1^2,  u2 in an interval,
-// a clamped closed form; edges y = const use the factor with x and y exchanged, the lower surface is
+// which has a clamped closed form. Edges y = const use the factor with x and y exchanged; the lower surface is
 // the mirror image.
 //
-// The factor is never made from the covariance. With v_x, v_y, v_z the rows of R diag(a) and
+// The factor is not computed from the covariance. With v_x, v_y, v_z the rows of R diag(a) and
 // c_x = v_y x v_z = (R_x1 a2 a3, R_x2 a1 a3, R_x3 a1 a2), c_y, c_z likewise,
 //   l11 = |v_x|       l21 = v_x.v_y / |v_x|     l31 = v_x.v_z / |v_x|    apex x = v_x.v_z / |v_z|
 //   l22 = |c_z|/|v_x|  l33 = a1 a2 a3 / |c_z|    l32 = -c_y.c_z / (|v_x| |c_z|)
-// and |(l32, l33)| = |c_y| / |v_x|. Lengths are sums of squares of entries that are right relative to
-// themselves (ellipsoid.hpp), so all l_ii are; dot products are right relative to the two lengths.
+// and |(l32, l33)| = |c_y| / |v_x|. Lengths are sums of squares of entries with a small relative error
+// (ellipsoid.hpp), so all l_ii have one; the error of dot products is small relative to the two lengths.
 //
 // Rounding, u = 2^-53, E = Ellipsoid::extent (a bound of all coordinates, inflation included):
-//   |v| 16 u, |c| 23 u, l22 41 u, l33 44 u of themselves; v.v 29 u |v||v|, c.c 43 u |c||c|
+//   relative: |v| 16 u, |c| 23 u, l22 41 u, l33 44 u; absolute: v.v 29 u |v||v|, c.c 43 u |c||c|
 //   x: edges 18 u |v_x| + 3 u E; ball radius 1 + 8 u, upward           26 u |v_x| +  3 u E
 //   y: shift l21 u1 47 u, width l22 u2 41 u, u1 and u2 each 8 u        76 u |v_y| +  3 u E
 //   z: l31 u1 47 u; l32 u2 85 u and l33 u3 44 u of |c_y|/|v_x|        115 u |v_z| +  6 u E
@@ -25,10 +25,10 @@
 // outward by q = 512 u E, interval ends and the choice of edges by up to 4 q, which covers the
 // inconsistency of separately rounded edges. Hence
 //   touched(ellipsoid + cube of half-width 380 u E) <= marked <= touched(ellipsoid + cube of 5 q),
-// where + is the Minkowski sum; q is 1.2e-12 m at 20 m. Of a grown ellipsoid what touches both ellipsoids
-// and the box of `bounds_of` is marked, the second only where the first goes a quarter of a voxel or more
-// beyond the sum; the above holds for each of these. The room between 125 u E and 380 u E lets
-// `separation.hpp` prove in double precision every voxel that is not marked. Whether a voxel is
+// where + is the Minkowski sum; q is 1.2e-12 m at 20 m. For a grown ellipsoid, a voxel is marked if it touches both
+// ellipsoids and the box of `bounds_of`; the second ellipsoid is used only where the first exceeds the sum by a
+// quarter of a voxel or more. The bounds above hold for each of these sets. The margin between 125 u E and 380 u E
+// lets `separation.hpp` prove in double precision every voxel that is not marked. Whether a voxel is
 // marked does not depend on the crop or the tile.
 //
 // Cost: O(columns) per ellipsoid, plus O(voxels / 8) to count; most ellipsoids of a scene have a box
@@ -43,23 +43,23 @@
 
 namespace alula {
 
-// Of an ellipsoid and the crop: nothing of it is marked, all of it is, or a part.
+// The part of an ellipsoid that is marked within the crop: nothing, all, or a part.
 enum class Reach : std::uint8_t { kOutside = 0, kWithin = 1, kCut = 2 };
 
 struct Voxelized {
-  VoxelCounts voxels;               // how many ellipsoids touch each voxel, at least min_overlap
+  VoxelCounts voxels;               // number of ellipsoids that touch each voxel, at least min_overlap
   std::vector<std::uint8_t> reach;  // (N): Reach of each ellipsoid
 };
 
 // All voxels that at least `min_overlap` ellipsoids touch, and that touch the crop box, in
-// lexicographic order; the same for every number of jobs. With a tile: those of them that lie in it.
+// lexicographic order; the same for every number of jobs. With a tile: the subset that lies in it.
 // The ellipsoids are clipped before anything is stored. Throws std::invalid_argument for malformed
-// input, std::overflow_error when the voxels exceed the memory budget or 32-bit indices.
+// input, and std::overflow_error when the voxels exceed the memory budget or 32-bit indices.
 Voxelized voxelize(const Splats& splats, const Level& level, double voxel_size, const std::optional<Box6>& crop,
                    const std::optional<Block>& tile, std::uint32_t min_overlap, unsigned jobs, Control& control);
 
-// Which ellipsoids may touch each tile {edge t ... edge t + edge - 1}^3 of voxels, by their boxes
-// within the crop. Tiles that none may touch are left out.
+// Ellipsoids that may touch each tile {edge t ... edge t + edge - 1}^3 of voxels, by their boxes
+// within the crop. Tiles that no ellipsoid may touch are left out.
 struct Tiles {
   static constexpr std::size_t kMaxTiles = std::size_t{1} << 20;
   static constexpr std::size_t kMaxEntries = std::size_t{1} << 27;
@@ -69,7 +69,7 @@ struct Tiles {
   std::vector<std::uint32_t> row;   // ellipsoids, ascending within a tile
 };
 
-// Throws as `voxelize` does; std::overflow_error too when there would be more than kMaxTiles tiles or
+// Throws as `voxelize` does, and std::overflow_error when there would be more than kMaxTiles tiles or
 // kMaxEntries rows.
 Tiles tiles_of(const Splats& splats, const Level& level, double voxel_size, const std::optional<Box6>& crop,
                std::int32_t edge, Control& control);

@@ -1,4 +1,5 @@
-// What lies between a command and the wrench that a quadrotor flies, and between its state and what is known of it.
+// Actuator and measurement lag of a quadrotor: between the command and the wrench, and between the state and its
+// measurement.
 #pragma once
 
 #include <algorithm>
@@ -10,13 +11,13 @@
 
 namespace alula::flight {
 
-// As filters believe it; all off: the wrench is flown at once, and the state is known now.
+// The model that filters assume. Defaults: no lag, so the wrench acts at once and the measured state is current.
 struct ActuatorModel {
   double motor_time_constant_s = 0;  // of each rotor's thrust, f' = (f_command - f) / time constant
-  double delay_s = 0;                // age of what is measured
+  double delay_s = 0;                // age of the measured state
 };
 
-// Throws std::invalid_argument for a number without meaning.
+// Throws std::invalid_argument for a number out of range.
 inline void check(const ActuatorModel& model) {
   const auto require = [](double value, double most, const char* what) {
     if (!(value >= 0 && value <= most)) throw std::invalid_argument(what);
@@ -25,8 +26,8 @@ inline void check(const ActuatorModel& model) {
   require(model.delay_s, 10, "a delay must be in 0..10 s");
 }
 
-// The rotors' thrusts after t of following `goal` with the time constant `lag` > 0, within their limits:
-// f(t) = goal + (f(0) - goal) e^(-t / lag). Each goes one way only, as thrust and torques do.
+// The rotors' thrusts after they follow `goal` for a time t with the time constant `lag` > 0, within their limits:
+// f(t) = goal + (f(0) - goal) e^(-t / lag). Each is monotonic in t, and so are thrust and torques.
 inline Vec4 followed(const RotorLayout& limits, const Vec4& from, const Vec4& goal, double lag, double t) {
   const double left = std::exp(-t / lag);
   Vec4 f{};
@@ -35,8 +36,8 @@ inline Vec4 followed(const RotorLayout& limits, const Vec4& from, const Vec4& go
   return f;
 }
 
-// One RK4 step of dt with rotors that follow a command; `rotors` become those at its end. derivative(x, u) is that of
-// the body for a wrench.
+// One RK4 step of dt with rotors that follow a command; `rotors` become those at the end of the step.
+// derivative(x, u) is the derivative of the body's state for a wrench.
 template <class F>
 State following_step(const Quadrotor& body, double lag, const State& x, Vec4& rotors, const Wrench& command,
                      double dt, F&& derivative) {
@@ -49,10 +50,10 @@ State following_step(const Quadrotor& body, double lag, const State& x, Vec4& ro
   });
 }
 
-// The command after which the rotors make `wished` when a tick has passed, within their limits.
-inline Wrench leading(const Quadrotor& body, double lag, const Vec4& rotors, const Wrench& wished, double tick_s) {
+// The command with which the rotors produce `target` at the end of a tick, within their limits.
+inline Wrench leading(const Quadrotor& body, double lag, const Vec4& rotors, const Wrench& target, double tick_s) {
   const double gain = 1 / -std::expm1(-tick_s / lag);
-  Vec4 f = body.rotor_thrust(wished);
+  Vec4 f = body.rotor_thrust(target);
   for (std::size_t i = 0; i < 4; ++i) f[i] = rotors[i] + gain * (f[i] - rotors[i]);
   return body.limited(body.wrench(f));
 }

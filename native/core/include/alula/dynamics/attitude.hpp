@@ -26,21 +26,21 @@ inline Mat3 rate_matrix(Vec3 sigma) {
   return 0.25 * ((1 - n) * geometry::identity() + 2.0 * geometry::hat(sigma) + 2.0 * geometry::outer(sigma, sigma));
 }
 
-// The third row of R, b = R^T e3, without the others.
+// The third row of R, b = R^T e3, without computing the others.
 inline Vec3 thrust_axis(Vec3 sigma) {
   const double n = geometry::dot(sigma, sigma), scale = 4 / ((1 + n) * (1 + n)), m = 1 - n;
   return {scale * (2 * sigma.z * sigma.x + m * sigma.y), scale * (2 * sigma.z * sigma.y - m * sigma.x),
           1 + scale * 2 * (sigma.z * sigma.z - n)};
 }
 
-// R y without R: y + (8 sigma x (sigma x y) - 4 (1 - n) sigma x y) / (1 + n)^2.
+// R y without forming R: y + (8 sigma x (sigma x y) - 4 (1 - n) sigma x y) / (1 + n)^2.
 inline Vec3 to_body(Vec3 sigma, Vec3 y) {
   const double n = geometry::dot(sigma, sigma), scale = 4 / ((1 + n) * (1 + n));
   const Vec3 once = geometry::cross(sigma, y);
   return y + scale * (2.0 * geometry::cross(sigma, once) - (1 - n) * once);
 }
 
-// Z omega without Z.
+// Z omega without forming Z.
 inline Vec3 attitude_rate(Vec3 sigma, Vec3 omega) {
   const double n = geometry::dot(sigma, sigma), along = 2 * geometry::dot(sigma, omega);
   return 0.25 * ((1 - n) * omega + 2.0 * geometry::cross(sigma, omega) + along * sigma);

@@ -1,6 +1,6 @@
-// What flies in a simulation: the bodies of the filters' models, with disturbances that are off unless set.
+// The simulated plants: the bodies of the filters' models with disturbances, which are off by default.
 //
-// All of one call is a function of the state, the command, the seed, the trial and the number of the step;
+// The result of a call is a function of the state, the command, the seed, the trial and the number of the step,
 // never of the clock. Not thread-safe: one plant per flight.
 #pragma once
 
@@ -15,25 +15,25 @@
 
 namespace alula::flight {
 
-// How a state is measured: late, and with white noise of these standard deviations per axis.
+// Measurement of a state: a delay, and white noise with these standard deviations per axis.
 struct SensorOptions {
   double position_noise_m = 0, velocity_noise_m_s = 0;
-  double attitude_noise_rad = 0;  // a turn about the body's axes, drawn as a rotation vector
+  double attitude_noise_rad = 0;  // of a random rotation vector about the body's axes
   double rate_noise_rad_s = 0;
-  double delay_s = 0;  // the newest state at least this old is measured; the first one before there is any
+  double delay_s = 0;  // the newest state at least this old is measured; the first state until there is one
 };
 
 // Throws std::invalid_argument for a number that is negative or not finite.
 void check(const SensorOptions& options);
 
-// The past of a flight as a sensor sees it. The ring grows until it holds the delay, then no more.
+// The past states of a flight, for the sensor's delay. The ring buffer grows until it spans the delay.
 class Sensor {
  public:
   Sensor(const SensorOptions& options, RandomStream random);
 
   void reset(const State& x);
   void record(double time, const State& x);  // after each step
-  State measured(std::uint64_t step) const;  // the same for the same step
+  State measured(std::uint64_t step) const;  // repeatable: equal for equal steps
 
  private:
   struct Sample {
@@ -61,12 +61,12 @@ struct PlantOptions {
   SensorOptions sensor;
 };
 
-// Throws std::invalid_argument for a number without meaning.
+// Throws std::invalid_argument for a number out of range.
 void check(const PlantOptions& options);
 
-// A quadrotor. The rotors' limits always hold: a command beyond them is cut off rotor by rotor. Without
+// A quadrotor. The rotors' limits always hold: a command beyond them is clipped rotor by rotor. Without
 // options and within the limits a step is `Quadrotor::step`, bit by bit. A command that is not finite is
-// ignored: the rotors stay with the last one, at first with hovering.
+// ignored: the rotors keep the last command, initially hovering.
 class Plant {
  public:
   Plant(const Quadrotor& quadrotor, const PlantOptions& options = {}, RandomStream random = {});
@@ -76,8 +76,8 @@ class Plant {
   void switch_shadow();  // to |sigma| <= 1; between control ticks only
 
   const State& state() const { return x_; }
-  State measured() const { return sensor_.measured(steps_); }  // called twice: the same
-  const Wrench& wrench() const { return wrench_; }             // that the rotors make now
+  State measured() const { return sensor_.measured(steps_); }  // repeated calls give the same value
+  const Wrench& wrench() const { return wrench_; }             // current wrench of the rotors
   double thrust() const { return wrench_.thrust; }
   Vec3 acceleration() const { return derivative(x_, wrench_).v; }
   Vec3 wind() const { return options_.wind_m_s + gust_; }  // [m/s]
@@ -100,8 +100,8 @@ class Plant {
   std::uint64_t steps_ = 0;
 };
 
-// p' = v, v' = a with a held: exact in a step. An acceleration beyond the limit is scaled down to it; one that
-// is not finite is ignored for the last one, at first 0. Attitude and rates of the state stay 0.
+// p' = v, v' = a with a held: exact in a step. An acceleration beyond the limit is scaled down to it. One that
+// is not finite is replaced by the last one, initially 0. Attitude and rates of the state stay 0.
 class DoubleIntegrator {
  public:
   explicit DoubleIntegrator(double max_acceleration = std::numeric_limits<double>::infinity(),

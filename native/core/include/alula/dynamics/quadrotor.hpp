@@ -52,8 +52,8 @@ struct RotorLayout {
   Vec4 f_min{}, f_max{};    // thrust limits of a rotor [N]
 };
 
-// A body with its allocation. Throws std::invalid_argument when the rotors cannot make every wrench, cannot
-// push without a torque within their limits, or mass, inertia or limits mean nothing.
+// A body with its allocation. Throws std::invalid_argument when the rotors cannot produce every wrench, cannot
+// produce thrust without torque within their limits, or mass, inertia or limits are out of range.
 class Quadrotor {
  public:
   Quadrotor(double mass, Vec3 inertia, const RotorLayout& rotors, double gravity = 9.81);
@@ -71,13 +71,13 @@ class Quadrotor {
   Vec4 rotor_thrust(const Wrench& u) const;                        // G^-1 u
   bool admissible(const Wrench& u, double tolerance_n = 0) const;  // f_min <= G^-1 u <= f_max
 
-  // The wrench that flies when u is asked for: u itself, bit by bit, when it is admissible. Else the largest
-  // share of the torque about x and y for which some thrust is admissible, beside it the largest share of the
-  // torque about z, and of the thrusts that are left the nearest to the one asked for. A wrench that is not
+  // The admissible wrench for a commanded u: u itself, bit by bit, when it is admissible. Otherwise, in this order:
+  // the largest fraction of the torque about x and y for which some thrust is admissible, the largest fraction of
+  // the torque about z beside it, and the admissible thrust nearest to the commanded one. A wrench that is not
   // finite counts as hovering. The result is admissible up to rounding.
   Wrench limited(const Wrench& u) const;
 
-  // What the rotors make of u when each is cut off at its own limits; u itself when it is admissible.
+  // The wrench when each rotor is clipped at its own limits; u itself when it is admissible.
   Wrench saturated(const Wrench& u) const;
 
   // x' = f(x) + g(x) u:  p' = v, sigma' = Z omega, v' = -g e3 + (T/m) R^T e3 + a_ext,
@@ -93,7 +93,7 @@ class Quadrotor {
   Vec3 inertia_;
   RotorLayout rotors_;
   Mat4 allocation_{}, inverse_allocation_{};
-  Vec4 pure_thrust_{};  // rotor thrusts of a unit of thrust without torque
+  Vec4 pure_thrust_{};  // rotor thrusts for a unit of thrust without torque
 };
 
 }  // namespace alula::flight

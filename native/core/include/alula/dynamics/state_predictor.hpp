@@ -1,8 +1,8 @@
-// The state now from one measured a while ago, and the rotors' thrusts, by the model of the vehicle.
+// Predicts the current state and rotor thrusts from a delayed measurement with the model of the vehicle.
 //
-// Only commands are needed: rotors follow what they are told, and from the measured state on the body's model is
-// integrated with the wrenches that they made meanwhile. Without disturbances, and with the lag and delay that the
-// vehicle has, what comes out is the true state, up to rounding and the error of RK4 with steps of a millisecond.
+// Only the past commands are needed: the modelled rotors follow them, and the body's model is integrated from the
+// measured state with the resulting wrenches. Without disturbances, and with the vehicle's true lag and delay, the
+// prediction is the true state up to rounding and the error of RK4 with steps of a millisecond.
 #pragma once
 
 #include <vector>
@@ -11,36 +11,37 @@
 
 namespace alula::flight {
 
-// Of one flight. A tick: `now` gives the state for controller and filter, `lead` makes what they decided a command,
-// and `fly` takes that. Allocates in the constructor only.
+// The predictor of one flight. In each tick, `now` gives the state for controller and filter, `lead` converts their
+// wrench to a command, and `fly` records that command. Allocates in the constructor only.
 class StatePredictor {
  public:
-  // Throws std::invalid_argument for a model or a tick without meaning.
+  // Throws std::invalid_argument for a model or a tick out of range.
   StatePredictor(const Quadrotor& body, const ActuatorModel& model, double tick_s);
 
   const ActuatorModel& model() const { return model_; }
-  void reset();  // it has hovered for as long as matters
+  void reset();  // assumes hovering for at least the delay
 
-  // The state now, |sigma| <= 1, from the one `age_s` ago: at most the model's delay, less when there was none yet.
+  // The current state, |sigma| <= 1, from the state `age_s` ago. The age is at most the model's delay, and smaller
+  // at the start of a flight.
   State now(const State& measured, double age_s) const;
   State now(const State& measured) const { return now(measured, model_.delay_s); }
 
-  // What the rotors give now [N].
+  // Current thrusts of the rotors [N].
   const Vec4& rotors() const { return rotors_; }
 
-  // The command that leads the rotors to `wished` by the end of a tick that begins now; `wished` itself without lag.
-  Wrench lead(const Wrench& wished) const {
+  // The command that brings the rotors to `target` by the end of a tick that begins now; `target` itself without lag.
+  Wrench lead(const Wrench& target) const {
     const double lag = model_.motor_time_constant_s;
-    return lag > 0 ? leading(body_, lag, rotors_, wished, tick_s_) : wished;
+    return lag > 0 ? leading(body_, lag, rotors_, target, tick_s_) : target;
   }
 
-  // `command` is flown from now on for a tick; one that is not finite leaves the rotors with the last one.
+  // Records that `command` acts from now on for a tick; if it is not finite, the rotors keep the last one.
   void fly(const Wrench& command);
 
  private:
   struct Tick {
     Wrench command;
-    Vec4 rotors;  // when it began
+    Vec4 rotors;  // at the start of the tick
   };
   const Tick& ago(std::size_t ticks) const { return past_[(next_ + past_.size() - ticks) % past_.size()]; }
 
@@ -48,7 +49,7 @@ class StatePredictor {
   ActuatorModel model_;
   double tick_s_;
   Vec4 rotors_{};
-  std::vector<Tick> past_;  // a ring
+  std::vector<Tick> past_;  // ring buffer
   std::size_t next_ = 0;
 };
 

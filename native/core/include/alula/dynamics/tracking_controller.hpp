@@ -7,8 +7,8 @@
 //   e_R = vee(C_d^T C - C^T C_d) / 2,  E = C^T C_d,  e_omega = omega - E omega_d
 //   tau = -K_R e_R - K_omega e_omega + omega x J omega - J (hat(omega) E omega_d - E omega_d')
 //
-// Where |f_c| is below a twentieth of the weight its direction means nothing and the thrust axis is held as
-// it is; where f_c is along the heading, b2 points to the left of the heading as far as f_c allows.
+// Where |f_c| is below a twentieth of the weight its direction is undefined, and the thrust axis is held;
+// where f_c is along the heading, b2 points to the left of the heading as far as f_c allows.
 // Source: Lee, Leok and McClamroch 2010; Mellinger and Kumar 2011.
 #pragma once
 
@@ -26,22 +26,22 @@ struct TrackingGains {
   Vec3 k_r{0.35, 0.35, 0.12};         // K_R [N m]
   Vec3 k_omega{0.025, 0.025, 0.012};  // K_omega [N m s]
 
-  // What a large error may ask for; without limits unless set. e_p is shortened so that
-  // kp |e_p| / kv <= catch_up_m_s: who is held up by an obstacle does not ask for ever more speed.
-  // f_c is at most this share of the rotors' thrust and at most this far from the vertical; height goes
-  // first, with up to 0.95 of that share. The derivatives of f_c are those of the limited one.
+  // Limits of the response to large errors; unlimited by default. e_p is shortened so that
+  // kp |e_p| / kv <= catch_up_m_s: a vehicle held up by an obstacle does not command an ever higher speed.
+  // f_c is at most this fraction of the rotors' thrust and at most this angle from the vertical. Height has
+  // priority, with up to 0.95 of that fraction. The derivatives of f_c are those of the limited f_c.
   double catch_up_m_s = std::numeric_limits<double>::infinity();
   double max_tilt_rad = std::numeric_limits<double>::infinity();
   double max_thrust_share = std::numeric_limits<double>::infinity();
 
-  // Whether e_a and e_j, computed from the thrust, enter f_c' and f_c''.
+  // True if e_a and e_j, computed from the thrust, enter f_c' and f_c''.
   bool uses_acceleration = true;
 };
 
 // Throws std::invalid_argument for gains or limits that are not positive.
 void check(const TrackingGains& gains);
 
-// For the thrust that is applied: the controller's own.
+// Value of `applied_thrust` for the controller's own thrust.
 inline constexpr double own_thrust = std::numeric_limits<double>::quiet_NaN();
 
 struct Tracking {
@@ -50,8 +50,8 @@ struct Tracking {
   Vec3 omega_d, omega_d_rate, e_r, e_omega;
 };
 
-// The controller with what it computes on the way. `applied_thrust` is the thrust that the vehicle flies
-// when it is another one than the controller's [N]; e_a and e_j follow from it.
+// The controller with its intermediate results. `applied_thrust` is the thrust that the vehicle applies
+// if it differs from the controller's [N]; e_a and e_j are computed from it.
 Tracking track_in_detail(const Quadrotor& quadrotor, const TrackingGains& gains, const State& x,
                          const ReferencePoint& reference, double applied_thrust = own_thrust);
 
@@ -60,19 +60,19 @@ inline Nominal track(const Quadrotor& quadrotor, const TrackingGains& gains, con
   return track_in_detail(quadrotor, gains, x, reference, applied_thrust).nominal;
 }
 
-// The same for a point whose input is its acceleration, a_r - kp e_p - kv e_v: only that and the errors.
+// The same for a point with its acceleration as input, a_r - kp e_p - kv e_v: only that and the errors.
 Nominal track_point(const TrackingGains& gains, const State& x, const ReferencePoint& reference);
 
-// The wrench that makes the acceleration that a filter returned: f_c = m (a_cmd + g e3) through the same
-// attitude loop, with the nominal f_c' and f_c'' (the correction counts as held).
+// The wrench for an acceleration that a filter returned: f_c = m (a_cmd + g e3) through the same
+// attitude loop, with the nominal f_c' and f_c'' (the filter's correction counts as constant).
 // `nominal.acceleration` gives `nominal.wrench`, bit by bit.
 Wrench realise(const Quadrotor& quadrotor, const TrackingGains& gains, const State& x,
                const ReferencePoint& reference, const Nominal& nominal, Vec3 acceleration,
                double applied_thrust = own_thrust);
 
-// The body rates to ask a rate loop for: omega' = J^-1 (tau - omega x J omega) over one period dt of that loop
+// The body rates to command to a rate loop: omega' = J^-1 (tau - omega x J omega) over one period dt of that loop
 // by one RK4 step with tau held, each component clipped to +-max_rate [rad/s].
-// None where a number is not finite: {0, 0, 0}.
+// Zero where a number is not finite.
 Vec3 body_rates(const Quadrotor& quadrotor, const State& x, const Wrench& u, double dt, Vec3 max_rate);
 
 }  // namespace alula::flight

@@ -1,8 +1,8 @@
 // Flights of a racing drone inside a geofence with simulated pilots.
 //
-// Per tick of the filter: the pilot looks at the true state, the filter at the navigation's, and the plant takes
-// `plant_steps` steps with the filter's command. Distances are judged at every step of the plant, in double
-// precision, along the chord since the last. A flight is a function of (seed, trial).
+// Per tick of the filter: the pilot uses the true state, the filter the navigation's, and the plant takes
+// `plant_steps` steps with the filter's command. Distances are measured at every step of the plant, in double
+// precision, along the chord from the previous step. A flight is a function of (seed, trial).
 #pragma once
 
 #include <cstdint>
@@ -12,52 +12,9 @@
 
 #include "alula/base/control.hpp"
 #include "alula/filters/backup_qp.hpp"
+#include "alula/flight/geofence_pilot.hpp"
 
 namespace alula::flight {
-
-enum class PilotKind : std::uint8_t {
-  straight,    // pitched to a heading, height held, for good
-  diagonal,    // the same half way between two axes, and climbing or sinking: into an edge or a corner
-  fall,        // no throttle, no rates
-  sticks,      // random rates and throttle, held for 0.1 to 1 s
-  aggressive,  // random attitudes, tilted up to 85 degrees, and now and then random sticks
-  silent,      // aggressive, then no radio
-  repeated     // to a wall, to the opposite one, to the floor, up again, and so on
-};
-
-struct Pilot {
-  PilotKind kind = PilotKind::straight;
-  double heading_rad = 0;       // of straight, repeated; diagonal is 45 degrees to the left of it
-  double tilt_rad = 1.2566;     // 72 degrees
-  double climb_m_s2 = 0;        // of diagonal: vertical acceleration asked for
-  double silent_after_s = 1.5;  // of silent, at least; up to twice as long
-};
-
-// Throws std::invalid_argument for a pilot or a time without meaning.
-void check(const Pilot& pilot);
-
-class PilotHand {
- public:
-  PilotHand(const Pilot& pilot, const RacerModel& model, RandomStream random, double start_height);
-
-  // Rounded to float, as a receiver's; nothing when the radio is silent.
-  std::optional<RacerCommand> operator()(double time, const RacerState& x);
-
- private:
-  RacerCommand attitude_command(const RacerState& x, double heading, double tilt, double climb) const;
-  RacerCommand random_command(double time, const RacerState& x, bool only_sticks);
-  double hold(const RacerState& x) const;
-
-  Pilot pilot_;
-  RacerModel model_;
-  RandomStream random_;
-  double start_height_, silent_at_ = std::numeric_limits<double>::infinity();
-  double segment_end_ = 0;
-  std::uint64_t segment_ = 0;
-  bool has_sticks_ = false;
-  RacerCommand stick_;
-  double heading_ = 0, tilt_ = 0, climb_ = 0;
-};
 
 enum class FenceRule : std::uint8_t { none, geofence, backup_qp };
 
@@ -78,7 +35,7 @@ struct GeofenceSpec {
   RacerOptions options;
   Pilot pilot;
   GeofenceRules rules;
-  std::optional<RacerState> start;  // else a random one with h_I > 0, from:
+  std::optional<RacerState> start;  // if missing, a random one with h_I > 0 from:
   geometry::Box start_box;
   double start_speed_m_s = 10, start_tilt_rad = 1;
 };
@@ -88,12 +45,12 @@ struct GeofenceTrace {
   std::vector<double> pilot;     // (n, 4): throttle, rates; NaN when silent
   std::vector<double> command;   // (n, 4)
   std::vector<double> figure;    // (n, 5): lambda, h_i, distance, margin, v_towards
-  std::vector<double> distance;  // (n): the true one over the last step of the plant, less the radius
+  std::vector<double> distance;  // (n): the true one over the last step of the plant, minus the radius
   std::vector<std::uint8_t> status;
 };
 
 struct GeofenceLog {
-  double min_distance_m = std::numeric_limits<double>::infinity();  // less the radius; below 0 is a violation
+  double min_distance_m = std::numeric_limits<double>::infinity();  // minus the radius; below 0 is a violation
   double max_speed_m_s = 0;
   double min_lambda = 1;
   double min_h_i = std::numeric_limits<double>::infinity();
@@ -101,13 +58,13 @@ struct GeofenceLog {
                                                                        // slower than 0.5 m/s
   double brake_distance_m = std::numeric_limits<double>::quiet_NaN();  // distance when first lambda < 1/2
   std::int64_t ticks = 0, passed = 0, blended = 0, backup = 0, no_pilot = 0, hand_over = 0, refused = 0;
-  std::int64_t interventions = 0;                // times lambda fell below 1/2, after having been above 9/10
-  std::int64_t altered_passes = 0;               // commands of PASSED that are not the pilot's bits: 0
-  std::int64_t out_of_range = 0;                 // commands outside the model's limits, or lambda outside [0, 1]: 0
-  double longest_backup_s = 0;                   // of u_B alone
-  double path_length_m = 0;                      // over the steps of the plant
+  std::int64_t interventions = 0;   // times lambda fell below 1/2, after having been above 9/10
+  std::int64_t altered_passes = 0;  // commands of PASSED that differ from the pilot's bits; must be 0
+  std::int64_t out_of_range = 0;    // commands outside the model's limits or lambda outside [0, 1]; must be 0
+  double longest_backup_s = 0;      // longest time with u_B alone
+  double path_length_m = 0;         // over the steps of the plant
   double mean_jerk_m_s3 = 0, max_jerk_m_s3 = 0;  // second difference of the velocity over ticks
-  std::vector<float> tick_s;  // of the filter in each tick: measured, so no function of (seed, trial)
+  std::vector<float> tick_s;  // measured time of the filter in each tick; not a function of (seed, trial)
   RacerState start, end;
   GeofenceTrace trace;
 };

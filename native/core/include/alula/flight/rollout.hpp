@@ -16,22 +16,22 @@ struct TrialRules {
   double dt_s = 0.01;
   double gain = 2;              // c of the control Lyapunov function [1/s]
   double v_max = 1;             // the nominal input is scaled down to this [m/s]
-  double stop_fraction = 0.01;  // reached within this part of the start-goal distance, or a millimetre
+  double stop_fraction = 0.01;  // goal reached within this fraction of the start-goal distance, or a millimetre
   double stuck_speed = 1e-3;    // [m/s]
   std::int64_t stuck_steps = 100;
   std::int64_t max_steps = 0;
 };
 
-// A reference to track, sampled every dt from the start; at rest in its last row after the end.
+// A reference to track, sampled every dt from the start; after the end it rests in its last row.
 struct Reference {
   std::span<const double> position;  // (K, 3) [m]
   std::span<const double> velocity;  // (K, 3) [m/s]
   std::size_t size() const { return position.size() / 3; }
 };
 
-// One flight, a step at a time: ask for nominal(), filter it, advance() with the result.
+// One flight, a step at a time: take nominal(), filter it, advance() with the result.
 //
-// To a goal, u_nom is the u of least norm with (x - x_goal) . u <= -c/2 |x - x_goal|^2, which is
+// To a goal, u_nom is the u of minimum norm with (x - x_goal) . u <= -c/2 |x - x_goal|^2, which is
 // -(c/2)(x - x_goal); along a reference it is v_ref + (c/2)(x_ref - x). Both are scaled to v_max.
 // Source: PolyMerge (arXiv 2606.16232), eq. 16.
 class Trial {
@@ -54,14 +54,14 @@ class Trial {
   Outcome outcome_ = Outcome::flying;
 };
 
-// A step's rows: position before the step, inputs, what the filter said.
+// Rows per step: the position before the step, the inputs and the filter's results.
 struct TrialLog {
   std::vector<double> position;      // (steps + 1, 3): the last row is where the flight ended
   std::vector<double> u_nom;         // (steps, 3)
   std::vector<double> u;             // (steps, 3)
   std::vector<float> margin;         // (steps): smooth psi - r
   std::vector<std::uint8_t> status;  // (steps): alula_filter_status
-  std::vector<float> filter_s;       // (steps): measured, the only part that differs from run to run
+  std::vector<float> filter_s;       // (steps): measured time, the only field that differs from run to run
   Outcome outcome = Outcome::flying;
 };
 

@@ -2,13 +2,13 @@
 //
 // exp(x) = 2^k exp(r), k = rint(x / ln 2), r = x - k ln 2 by two parts of ln 2, |r| <= 0.3466. The first
 // part has 32 bits and |k| < 2^9, so its product with k is exact, and so is the difference from x
-// (Sterbenz). What the two parts lack of ln 2 is below 2^-86. With u = 2^-53 and Taylor's polynomial,
+// (Sterbenz). The two parts differ from ln 2 by less than 2^-86. With u = 2^-53 and Taylor's polynomial,
 //   exp(r) = 1 + (r + r^2 q(r)),
-// the bracket is off by less than 0.8 u: truncation |r|^14 / 14! < 0.06 u, the rounding of r 0.25 u, of
-// r^2 q 3.3 u times 0.067, of the sum 0.25 u; and the last addition by 0.5 u below 1 and u from 1 on:
+// the error of the bracket is below 0.8 u: truncation |r|^14 / 14! < 0.06 u, the rounding of r 0.25 u, of
+// r^2 q 3.3 u times 0.067, of the sum 0.25 u. The last addition adds 0.5 u below 1 and u from 1 on:
 // together less than 2 u of the result and less than 1.3 units in the last place.
-// Arguments beyond +-200 count as +-200: e^200 and e^-200 are infinite and zero in single precision, and so
-// are those of all larger ones, so nothing that is rounded to single precision changes. NaN stays NaN.
+// Arguments beyond +-200 count as +-200: e^200 and e^-200 are infinite and zero in single precision, as are the
+// results for larger arguments, so no result rounded to single precision changes. NaN stays NaN.
 #pragma once
 
 #include <bit>
@@ -19,7 +19,7 @@ namespace alula {
 
 constexpr double kExpRange = 200.0;
 
-// Of an argument within +-kExpRange, or NaN.
+// exp(x) for an argument within +-kExpRange, or NaN.
 inline double exp_in_range(double x) {
   constexpr double kPerLn2 = 0x1.71547652b82fep+0;
   constexpr double kLn2High = 0x1.62e42feep-1, kLn2Low = 0x1.a39ef35793c76p-33;

@@ -1,6 +1,6 @@
-// Which Gaussians of a file enter a scene, and their arrays; two passes over the rows.
+// Selection of the Gaussians of a file that enter a scene, and their arrays; two passes over the rows.
 //
-// Each row is on its own and sums run over fixed chunks, so results do not depend on the threads.
+// Rows are independent and sums run over fixed chunks, so results do not depend on the number of threads.
 #pragma once
 
 #include <array>
@@ -14,7 +14,7 @@
 
 namespace alula {
 
-// Why a row is left out: the first of these that it meets, in this order.
+// Reason why a row is left out: the first that applies, in this order.
 enum class Removal : std::uint8_t {
   kNone,
   kNotANumber,    // a NaN anywhere
@@ -22,10 +22,10 @@ enum class Removal : std::uint8_t {
   kInfiniteScale,
   kInfiniteRotation,
   kZeroRotation,  // a quaternion of length 0 in double precision
-  kMinOpacity,    // opacity below it
+  kMinOpacity,    // opacity below the minimum
   kCrop,          // a centre outside the box
-  kCropSphere,    // or farther from the centre than the radius, by squares in double precision
-  kMaxScale,      // a semi-axis above it
+  kCropSphere,    // a centre farther than the radius from the sphere's centre, by squares in double precision
+  kMaxScale,      // a semi-axis above the maximum
 };
 constexpr std::size_t kRemovals = 10;
 
@@ -45,14 +45,14 @@ struct RemovalRules {
 
 struct Screened {
   std::array<std::size_t, kRemovals> count{};  // by `Removal`
-  std::size_t first_not_finite = 0;            // row, where one is; else N
+  std::size_t first_not_finite = 0;            // first row that is not finite; N if there is none
 };
 
-// Writes the `Removal` of each row. std::invalid_argument when lengths do not agree.
+// Writes the `Removal` of each row. Throws std::invalid_argument when lengths do not agree.
 Screened screen_rows(const SplatArrays& rows, const RemovalRules& rules, std::span<std::uint8_t> removal,
                      unsigned jobs, Control& control);
 
-// Where the kept rows go, in order; an empty span is not written.
+// Destination of the kept rows, in order; an empty span is not written.
 struct KeptArrays {
   std::span<float> mean, scale, quat, opacity;
   std::span<std::uint8_t> color;
@@ -61,13 +61,13 @@ struct KeptArrays {
 struct KeptFigures {
   std::array<float, 3> lower, upper;  // of the centres; -0 counts as 0
   float scale_max;
-  double scale_median, opacity_median;  // of the longest semi-axes; the middle of two where rows are even
+  double scale_median, opacity_median;  // of the longest semi-axes; mean of the middle two if rows are even
   std::size_t floored;                  // rows with a semi-axis below the floor
 };
 
-// Copies the rows whose removal is 0: quaternions divided by their length in double precision, semi-axes
-// no smaller than the floor, the rest unchanged. At least one row must be kept, all of them finite and no
-// semi-axis or opacity negative. std::invalid_argument when lengths do not agree or none is kept.
+// Copies the rows with removal 0: quaternions divided by their length in double precision, semi-axes
+// raised to the floor, the rest unchanged. At least one row must be kept; kept rows must be finite, with no
+// negative semi-axis or opacity. Throws std::invalid_argument when lengths do not agree or none is kept.
 KeptFigures keep_rows(const SplatArrays& rows, std::span<const std::uint8_t> color,
                       std::span<const std::uint8_t> removal, float scale_floor, const KeptArrays& out, unsigned jobs,
                       Control& control);

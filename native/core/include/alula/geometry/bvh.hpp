@@ -27,8 +27,8 @@ class Bvh {
 
   Bvh() = default;
 
-  // depth[i] bounds how far inside obstacle i a point can be (0 when that does not matter); a leaf has at most
-  // `leaf` obstacles, more where they are cheap to look at.
+  // depth[i] bounds the depth of a point inside obstacle i (0 when that does not matter). A leaf has at most `leaf`
+  // obstacles; larger leaves suit obstacles that are cheap to evaluate.
   Bvh(const std::vector<Box>& boxes, const std::vector<double>& depth, std::uint32_t leaf = 4)
       : order_(boxes.size()), leaf_(leaf) {
     std::iota(order_.begin(), order_.end(), 0u);
@@ -37,7 +37,7 @@ class Bvh {
     build(boxes, depth, 0, static_cast<std::uint32_t>(boxes.size()));
   }
 
-  // A node that a search by bounds has yet to look into.
+  // A node that a search by bounds has not visited yet.
   struct Pending {
     double bound;
     std::uint32_t node;
@@ -50,8 +50,8 @@ class Bvh {
   const Box* bounds() const { return nodes_.empty() ? nullptr : &nodes_[0].box; }
 
   // Minimum of `best` and value(i, best) over all obstacles i, for a signed distance of the
-  // segment a + t d, 0 <= t <= 1. value(i, best) may return anything >= best once it knows that
-  // the exact value is not below `best`. `nearest` is tried first and becomes the minimiser.
+  // segment a + t d, 0 <= t <= 1. value(i, best) may return any value >= best if the exact value is not below
+  // `best`. `nearest` is evaluated first and becomes the minimiser.
   template <class Value>
   double minimum(Vec3 a, Vec3 d, double best, std::uint32_t& nearest, Value&& value) const {
     if (nodes_.empty()) return best;
@@ -66,22 +66,22 @@ class Bvh {
 
   // Calls visit(slot, item) for the obstacles of every leaf whose distance to the segment a + t d, 0 <= t <= 1,
   // may be below `reach`, nearer halves first. `visit` may lower the reach. Slots number the obstacles as
-  // `order` does, so that those of a leaf are neighbours. Returns how many boxes were measured.
+  // `order` does, so obstacles of one leaf have consecutive slots. Returns the number of boxes measured.
   template <class Visit>
   std::uint32_t visit_near(Vec3 a, Vec3 d, const double& reach, Visit&& visit) const {
     return nodes_.empty() ? 0 : visit_near(0, Sight(a, d), reach, visit);
   }
 
-  // Calls visit(slot, item) for the obstacles of every leaf whose bound(node, box) is below `limit`, least first; a
-  // bound holds for whatever is in the box, and one that is not a number says nothing. `visit` may lower the limit,
-  // `heap` is room to work in.
+  // Calls visit(slot, item) for the obstacles of every leaf with bound(node, box) below `limit`, smallest bound
+  // first. A bound holds for everything in the box; NaN is no bound. `visit` may lower the limit; `heap` is scratch
+  // memory.
   template <class Bound, class Visit>
   void visit_least(std::vector<Pending>& heap, const double& limit, Bound&& bound, Visit&& visit) const {
     heap.clear();
     const auto push = [&](std::uint32_t node) {
-      const double least = bound(node, nodes_[node].box);
-      if (least >= limit) return;
-      heap.push_back({least == least ? least : -std::numeric_limits<double>::infinity(), node});
+      const double lowest = bound(node, nodes_[node].box);
+      if (lowest >= limit) return;
+      heap.push_back({lowest == lowest ? lowest : -std::numeric_limits<double>::infinity(), node});
       std::push_heap(heap.begin(), heap.end(), std::greater<>());
     };
     if (!nodes_.empty()) push(0);
@@ -99,7 +99,7 @@ class Bvh {
     }
   }
 
-  // What all obstacles of a node have in common, for every node: combine(x, y) of the values of their slots.
+  // Combines the values of the obstacles of every node: combine(x, y) over the slots below the node.
   template <class T, class Value, class Combine>
   std::vector<T> summary(Value&& value, Combine&& combine) const {
     std::vector<T> result(nodes_.size());
@@ -136,9 +136,9 @@ class Bvh {
   }
 
  private:
-  static constexpr double kSlack = 1e-12;  // more than the roundings of a bound
+  static constexpr double kSlack = 1e-12;  // more than the rounding error of a bound
 
-  // What is measured from.
+  // The segment that distances are measured from.
   struct Sight {
     Vec3 a, d;
     Box box;

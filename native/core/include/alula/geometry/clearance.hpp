@@ -14,14 +14,14 @@ namespace alula {
 
 // The signed distance of a segment to a convex obstacle is the minimum over its points of the
 // signed distance of a point: the Euclidean distance outside, minus the distance to the boundary
-// inside. For a polytope the latter is max_l (n_l . p - d_l), so a segment that enters it has
-// minus the deepest such depth. The clearance is the minimum over all obstacles; `cap` stands for
-// everything at least that far away (infinity when there are no obstacles and no cap).
+// inside. For a polytope the signed distance inside is max_l (n_l . p - d_l), so a segment that enters it has
+// minus the deepest such depth. The clearance is the minimum over all obstacles and `cap`: distances of at least
+// `cap` are returned as `cap` (infinity when there are no obstacles and no cap).
 //
 // Signs are exact for polytopes (decided by their planes). Errors are a few roundings of the
-// coordinates, except for polytopes closer than 1e-6 times their size: there the result is a gap
-// between separating planes that may be below the true distance, by less than 1e-7 times that size,
-// and is still not above it. All lengths in one unit and frame.
+// coordinates, except for polytopes closer than 1e-6 times their size: there the result is the gap
+// between separating planes, which is never above the true distance and below it by less than 1e-7 times that
+// size. All lengths in one unit and frame.
 
 // Convex polytopes, row-compressed: the planes n . x <= d with unit outward normals, and the vertices.
 class PolytopeSet {
@@ -36,7 +36,8 @@ class PolytopeSet {
   geometry::PolytopeView polytope(std::size_t k) const;
   const geometry::Box& box(std::size_t k) const { return boxes_[k]; }
 
-  // Clearance of one segment. `nearest` is a guess that is updated; it cannot change the result.
+  // Clearance of one segment. `nearest` is a guess of the nearest obstacle, updated by the call; it does not change
+  // the result.
   double clearance(geometry::Vec3 a, geometry::Vec3 b, double cap, std::uint32_t& nearest,
                    std::vector<double>& scratch) const;
 
@@ -50,9 +51,9 @@ class PolytopeSet {
 
 struct Level;  // ellipsoid.hpp
 
-// The k-sigma ellipsoids {x : (x - mu)' inv(Sigma) (x - mu) <= k^2} of Gaussians, each grown by what it may
-// have lost, as `level_of` in ellipsoid.hpp says: the signed distance of the grown set is that of the
-// ellipsoid less the radius of the ball.
+// The k-sigma ellipsoids {x : (x - mu)' inv(Sigma) (x - mu) <= k^2} of Gaussians, each grown by its loss as in
+// `level_of` of ellipsoid.hpp: the signed distance of the grown set (the Minkowski sum of the ellipsoid and a ball)
+// is that of the ellipsoid minus the radius of the ball.
 class EllipsoidSet {
  public:
   // Copies the arrays: mean (3 per Gaussian), scale (3, one-sigma semi-axes > 0), quat_wxyz (4), loss (3) or nothing.
@@ -72,9 +73,8 @@ class EllipsoidSet {
   geometry::Bvh tree_;
 };
 
-// Clearance of each segment from start[i] to end[i] (3 numbers each), in parallel. Branch and
-// bound: about log n for obstacles that are small against their distances. The result does not
-// depend on `jobs`.
+// Clearance of each segment from start[i] to end[i] (3 numbers each), in parallel, by branch and bound. Time about
+// log n for obstacles that are small compared with their distances. The result does not depend on `jobs`.
 std::vector<double> segment_clearance(const PolytopeSet& obstacles, std::span<const double> start,
                                       std::span<const double> end, double cap, unsigned jobs, Control& control);
 std::vector<double> segment_clearance(const EllipsoidSet& obstacles, std::span<const double> start,

@@ -1,4 +1,4 @@
-// Exact distances of a segment, or of any few points' hull, to one convex polytope.
+// Exact distances of a segment, or of the convex hull of a few points, to one convex polytope.
 #pragma once
 
 #include <span>
@@ -8,8 +8,8 @@
 
 namespace alula::geometry {
 
-// Result of `hull_distance`: lower <= distance <= upper. `upper` is the distance of two points of
-// the hulls; `lower` is the gap between the parallel planes that separate them, or 0. The search
+// Result of `hull_distance`: lower <= distance <= upper. `upper` is the distance between a point of each
+// hull; `lower` is the gap between parallel planes that separate the hulls, or 0. The search
 // ends when the two agree to rounding; close to contact they agree to about 1e-15 size^2 / upper.
 struct Bracket {
   double lower, upper;
@@ -34,8 +34,8 @@ struct PolytopeView {
 
 // Signed distance of the segment from a to b: the minimum over its points p of
 //   max_l (n_l . p - d_l)   when that is <= 0 for some p: the deepest penetration, negative;
-//   the Euclidean distance  otherwise, as the lower end of its bracket: never too much.
-// Once the exact value is known to be >= enough, some value >= enough is returned.
+//   the Euclidean distance  otherwise, as the lower end of its bracket: never too large.
+// If the exact value is >= enough, any value >= enough may be returned.
 // `scratch` only saves allocations.
 double signed_distance(const PolytopeView& polytope, Vec3 a, Vec3 b, double enough, std::vector<double>& scratch);
 

@@ -1,4 +1,5 @@
-// Ellipsoids of a splat, found by distance: a tick costs by what is near, not by what exists.
+// Spatial index of the ellipsoids of a splat: the cost of a query depends on the number of near ellipsoids, not on
+// the size of the map.
 #pragma once
 
 #include <algorithm>
@@ -15,19 +16,19 @@
 
 namespace alula {
 
-// {y : (y - centre)^T A (y - centre) <= 1}: the obstacle of a barrier, grown by the vehicle.
+// {y : (y - centre)^T A (y - centre) <= 1}: the obstacle of a barrier, grown by the vehicle's radius.
 struct GrownEllipsoid {
   geometry::Vec3 centre;
   geometry::Mat3 a;  // symmetric positive definite [1/m^2]
 };
 
-// An ellipsoid that was found, and how far its ungrown set is from what was asked about [m].
+// An ellipsoid found by a query, and the distance of its ungrown set from the queried point or segment [m].
 struct Found {
   std::uint32_t item;
   double distance;
 };
 
-// What a query looked at.
+// Work of a query: what it visited.
 struct QueryCost {
   std::uint32_t nodes = 0, items = 0;
 };
@@ -35,8 +36,8 @@ struct QueryCost {
 // Built once per map, shared by threads; queries are const and allocate only in `found`.
 class EllipsoidIndex {
  public:
-  // The ellipsoids of `splats` at the level `sigma`, each with its losses (`level_of`), and as obstacle the
-  // ellipsoid that contains its Minkowski sum with a ball of `radius` [m]:
+  // Builds the ellipsoids of `splats` at the level `sigma`, each with its losses (`level_of`). The obstacle of each
+  // is the ellipsoid that contains its Minkowski sum with a ball of `radius` [m]:
   //   Sigma' = (1 + 1/p) Sigma + (1 + p) r^2 I,   p = sqrt(tr Sigma / (3 r^2)),   Sigma with sigma^2 in it.
   // Throws std::invalid_argument as `check_splats` does, or for a radius that is not finite and positive.
   EllipsoidIndex(const Splats& splats, double sigma, double radius);
@@ -49,22 +50,22 @@ class EllipsoidIndex {
   geometry::Ellipsoid ellipsoid(std::uint32_t item) const { return at_slot(slot_[item]); }
   double ball(std::uint32_t item) const { return level(slot_[item]).inflation; }
 
-  // The at most `count` ellipsoids nearest to the segment a..b of those nearer than `reach` to it, by distance, ties
+  // Finds the at most `count` ellipsoids nearest to the segment a..b and nearer to it than `reach`, by distance, ties
   // by number. The distance is that of the ungrown set: of a point (a == b) exact and negative inside, of a segment
-  // exact to 1e-9 of the reach. Those that a segment meets are at distance 0 and ordered by that of a, those not
-  // nearer than `reach` to a are left out. `found` is replaced; what it holds before is looked at first, which makes
-  // a query fast that is much like the last one and cannot change its result.
+  // exact to 1e-9 of the reach. Ellipsoids that a segment meets are at distance 0 and ordered by their distance to a;
+  // those not nearer than `reach` to a are left out. `found` is replaced; its previous entries are evaluated first,
+  // which speeds up a query similar to the last one and does not change its result.
   QueryCost nearest(geometry::Vec3 a, geometry::Vec3 b, double reach, std::size_t count,
                     std::vector<Found>& found) const;
 
-  // The same among those that a vehicle at `a` with the velocity v approaches, r^T A v >= 0, or is in, r^T A r < 1,
-  // with r from a to the centre and A of the grown ellipsoid.
+  // The same among ellipsoids that a vehicle at `a` with velocity v approaches, r^T A v >= 0, or is inside of,
+  // r^T A r < 1, with r from a to the centre and A of the grown ellipsoid.
   QueryCost nearest_ahead(geometry::Vec3 a, geometry::Vec3 b, geometry::Vec3 v, double reach, std::size_t count,
                           std::vector<Found>& found) const;
 
-  // Calls visit(item) for every ungrown set that may have bound(box, ball) below `limit`, roughly the least first:
-  // `bound` holds for all sets in the box with losses of at most `ball`, and does not fall as either shrinks. `visit`
-  // may lower the limit, `heap` is room to work in.
+  // Calls visit(item) for every ungrown set that may have bound(box, ball) below `limit`, roughly the smallest first.
+  // `bound` must hold for all sets in the box with losses of at most `ball`, and must not decrease as either shrinks.
+  // `visit` may lower the limit; `heap` is scratch memory.
   template <class Bound, class Visit>
   void visit_least(std::vector<geometry::Bvh::Pending>& heap, const double& limit, Bound&& bound,
                    Visit&& visit) const {
@@ -76,17 +77,17 @@ class EllipsoidIndex {
         });
   }
 
-  // Whether some ungrown set is nearer than `reach` to the segment a..b; exact to 1e-9 of the reach.
+  // True if some ungrown set is nearer than `reach` to the segment a..b; exact to 1e-9 of the reach.
   bool is_near(geometry::Vec3 a, geometry::Vec3 b, double reach) const;
 
-  // Signed distance of a point to the nearest ungrown set, at most `cap`. `hint` is a guess that is updated; it
-  // cannot change the result.
+  // Signed distance of a point to the nearest ungrown set, at most `cap`. `hint` is a guess of that set, updated by
+  // the call; it does not change the result.
   double clearance(geometry::Vec3 point, double cap, std::uint32_t& hint) const;
 
  private:
   static constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
-  // What a search reads of an ellipsoid, in the order of the tree's leaves.
+  // The data of an ellipsoid that a search reads, in the order of the tree's leaves.
   struct Row {
     float mean[3], scale[3], quat_wxyz[4];
   };
@@ -118,7 +119,7 @@ class EllipsoidIndex {
     return reach > 0 && geometry::dot(to, to) < reach * reach * (1 - 1e-12);
   }
 
-  // Of the ungrown set to a; anything above `enough` stands for one above it.
+  // Distance of the ungrown set to a; if it is above `enough`, any value above `enough` may be returned.
   double distance_of(std::uint32_t slot, geometry::Vec3 a, double enough) const;
 
   geometry::Bvh halves_;

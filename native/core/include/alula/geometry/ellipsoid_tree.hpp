@@ -1,7 +1,7 @@
-// The tree of `EllipsoidIndex`: four boxes or eight balls are looked at together, in single precision.
+// The tree of `EllipsoidIndex`: it tests four boxes or eight balls together, in single precision.
 //
-// Boxes and balls are rounded outward and every comparison is given more room than its roundings take, so nothing
-// that is near is passed over; a little that is not may be looked at.
+// Boxes and balls are rounded outward, and the margin of every comparison exceeds its rounding error. So no near
+// ellipsoid is missed; a few that are not near may be visited.
 #pragma once
 
 #include <algorithm>
@@ -22,26 +22,26 @@ class EllipsoidTree {
  public:
   struct Ball {
     Vec3 centre;
-    double radius;           // no point of the ellipsoid is farther from the centre
-    double loss;             // of the radius, the part that is a ball of losses
+    double radius;           // bound on the distance of the ellipsoid's points from the centre
+    double loss;             // the part of the radius that is the ball of its losses
     std::array<float, 6> s;  // xx, xy, xz, yy, yz, zz of Sigma: without losses it reaches sqrt(n^T Sigma n) along n
-    std::array<float, 6> a;  // the same of A, of the obstacle about the same centre
+    std::array<float, 6> a;  // the same for A of the obstacle with the same centre
   };
 
-  // Of the obstacles of a node: the longest semi-axis, the sine of the largest angle between x and A x, and the
-  // largest ball of their losses.
+  // Extremes over the obstacles of a node: the longest semi-axis, the sine of the largest angle between x and A x,
+  // and the largest ball of their losses.
   struct Shape {
     float longest, skew, ball;
   };
 
   EllipsoidTree() = default;
 
-  // The same tree as `binary` with two levels in one; balls of slots, shapes of the nodes of `binary`. Leaves of at
-  // most 8.
+  // Builds the same tree as `binary` with two levels in one, from the balls of slots and the shapes of the nodes of
+  // `binary`. Leaves have at most 8 slots.
   EllipsoidTree(const Bvh& binary, const std::vector<Ball>& balls, const std::vector<Shape>& shapes);
 
-  // Where something is looked for: from a segment a + t d, 0 <= t <= 1, within some reach of it and `around` of a;
-  // when `ahead` only what one flying at a with the velocity v approaches or is in.
+  // A query region: within some reach of a segment a + t d, 0 <= t <= 1, and within `around` of a. If `ahead`, only
+  // ellipsoids that a vehicle at a with velocity v approaches or is inside of.
   struct Sight {
     Vec3 a, d;
     double around;
@@ -50,11 +50,11 @@ class EllipsoidTree {
   };
 
   struct Cost {
-    std::uint32_t nodes = 0, items = 0;  // boxes and balls looked at
+    std::uint32_t nodes = 0, items = 0;  // boxes and balls tested
   };
 
-  // Calls visit(slot) for all whose balls, in boxes that, may be nearer than `reach`; nearer boxes first. `visit`
-  // may lower the reach.
+  // Calls visit(slot) for all slots with a box and a ball that may be nearer than `reach`; nearer boxes first.
+  // `visit` may lower the reach.
   template <class Visit>
   Cost visit(const Sight& sight, const double& reach, Visit&& visit) const {
     return nodes_.empty() ? Cost{} : search(Look(sight), reach, visit);
@@ -64,9 +64,9 @@ class EllipsoidTree {
   using Floats = float __attribute__((vector_size(16)));
   using Bits = std::int32_t __attribute__((vector_size(16)));
   static constexpr std::uint32_t kNone = ~std::uint32_t{0}, kLeaf = std::uint32_t{1} << 31;
-  static constexpr float kFar = 1e18F;          // of what is not there
-  static constexpr float kRelative = 0x1p-16F;  // more than the roundings of a squared distance,
-  static constexpr float kOfForms = 0x1p-18F;   // and of a form r^T A v beside tr A |r|_1 |v|_1
+  static constexpr float kFar = 1e18F;          // coordinate of an empty lane
+  static constexpr float kRelative = 0x1p-16F;  // exceeds the rounding error of a squared distance,
+  static constexpr float kOfForms = 0x1p-18F;   // and that of a form r^T A v relative to tr A |r|_1 |v|_1
 
   struct Node {
     std::array<Floats, 3> lower, upper;
@@ -82,7 +82,7 @@ class EllipsoidTree {
     Form s, a;
     std::array<Floats, 2> loss;
   };
-  // A child behind the square of a bound, not below 0, as an integer of the same order.
+  // A child with the square of its bound in the high bits: non-negative floats order like their bits.
   using Entry = std::uint64_t;
   static Entry entry_of(float squared, std::uint32_t child) {
     return Entry{std::bit_cast<std::uint32_t>(std::max(0.0F, squared))} << 32 | child;
@@ -105,7 +105,7 @@ class EllipsoidTree {
   }
   static Floats clamped(Floats x, Floats low, Floats high) { return smaller(larger(x, low), high); }
 
-  // Bit i for lane i.
+  // The mask with bit i for lane i.
   static unsigned bits(Bits mask) {
 #if defined(__SSE2__)
     return static_cast<unsigned>(_mm_movemask_ps(std::bit_cast<__m128>(mask)));
@@ -118,7 +118,7 @@ class EllipsoidTree {
 
   struct Look {
     std::array<Floats, 3> a, d, v;
-    std::array<Floats, 3> ahead_least, ahead_most;  // of d and 0
+    std::array<Floats, 3> ahead_least, ahead_most;  // minimum and maximum of d and 0
     Floats per_length2, room, length1, drift, speed1, speed2, cut;
     double around, room_;
     bool is_point, ahead;
@@ -130,7 +130,7 @@ class EllipsoidTree {
         v[static_cast<std::size_t>(i)] = all(s.v[i]);
         size += std::abs(s.a[i]) + std::abs(s.d[i]);
       }
-      room_ = 0x1p-20 * size;  // of a distance, for the roundings of a and d and of differences of coordinates
+      room_ = 0x1p-20 * size;  // margin of a distance: rounding of a and d and of differences of coordinates
       room = all(room_), drift = all(room_ * norm(s.v));
       length1 = all((std::abs(s.d.x) + std::abs(s.d.y) + std::abs(s.d.z)) * (1 + 1e-6));
       speed1 = all((std::abs(s.v.x) + std::abs(s.v.y) + std::abs(s.v.z)) * (1 + 1e-6)),
@@ -158,11 +158,11 @@ class EllipsoidTree {
       return result;
     }
 
-    // Lower bounds on the squared distances of four boxes to the segment; what cannot hold anything, or is beyond
-    // `most2`, is marked, and of the marked there is no bound.
+    // Lower bounds on the squared distances of four boxes to the segment. Boxes that cannot hold a match, or are
+    // beyond `most2`, are marked; a marked box has no bound.
     Floats bounds(const Node& node, float most2, unsigned& marked) const {
       std::array<Floats, 3> low, high;
-      Floats apart = all(0);  // of a box to that of the segment
+      Floats apart = all(0);  // squared distance of a box to the box of the segment
       for (std::size_t i = 0; i < 3; ++i) {
         low[i] = node.lower[i] - a[i], high[i] = node.upper[i] - a[i];
         const Floats gap = larger(larger(low[i] - ahead_most[i], ahead_least[i] - high[i]), all(0));
@@ -174,8 +174,8 @@ class EllipsoidTree {
       const Tangent first = tangent(all(0), low, high);
       without |= first.value > cut;
       if (ahead) {
-        // All centres are farther than any semi-axis, so none is around a; and so far behind that A x, which is
-        // within the skew's angle of x, points backward for all of them.
+        // All centres are farther than any semi-axis, so no ellipsoid contains a. They are also so far behind that
+        // A x, which is within the skew's angle of x, points backward for all of them.
         Floats far2 = all(0), onward = drift;
         for (std::size_t i = 0; i < 3; ++i) {
           const Floats far = larger(high[i], -low[i]);
@@ -191,8 +191,8 @@ class EllipsoidTree {
         return first.value;
       }
       if ((marked = bits(without)) == 15) return apart;
-      // A convex function: tangents bound it from below where they meet. Touched at the ends and where the segment
-      // passes the middle of the box; a secant step more costs more than the nodes that it saves.
+      // A convex function: tangents bound it from below where they meet. Tangents are taken at the ends and where the
+      // segment passes the middle of the box; one more secant step costs more than the nodes that it saves.
       const Tangent last = tangent(all(1), low, high);
       Floats t = all(0);
       for (std::size_t i = 0; i < 3; ++i) t += (low[i] + high[i]) * d[i];
@@ -204,7 +204,7 @@ class EllipsoidTree {
       const Tangent right{falls ? last.value : middle.value, falls ? last.slope : middle.slope};
       const Floats meet =
           (right.value - left.value + left.slope * at_left - right.slope * at_right) / (left.slope - right.slope);
-      // Whichever way `meet` is off, one of them is below where they do.
+      // For either sign of the error of `meet`, one of them is below the point where they meet.
       const Floats between =
           smaller(left.value + left.slope * (meet - at_left), right.value + right.slope * (meet - at_right)) -
           all(kRelative) * (first.value + last.value);
@@ -214,7 +214,7 @@ class EllipsoidTree {
       return bound;
     }
 
-    // Balls that may be within `reach`.
+    // Mask of the balls that may be within `reach`.
     Bits near(const Leaf& leaf, std::size_t half, Floats reach) const {
       const Floats x = leaf.x[half] - a[0], y = leaf.y[half] - a[1], z = leaf.z[half] - a[2];
       const Floats t = is_point ? all(0) : clamped((x * d[0] + y * d[1] + z * d[2]) * per_length2, all(0), all(1));
@@ -223,8 +223,8 @@ class EllipsoidTree {
       return ~(gx * gx + gy * gy + gz * gz > within * within);
     }
 
-    // Ellipsoids that a plane across the way from the segment to the centre keeps from within `reach`, whatever the
-    // roundings; whichever way g is off, the bound holds for it.
+    // Mask of the ellipsoids that a plane across the line from the segment to the centre separates from the segment
+    // by `reach`, rounding included. The bound holds for every direction g, so errors of g are harmless.
     Bits apart(const Leaf& leaf, const Forms& forms, std::size_t half, Floats reach) const {
       const Floats x = leaf.x[half] - a[0], y = leaf.y[half] - a[1], z = leaf.z[half] - a[2];
       const Floats t = is_point ? all(0) : clamped((x * d[0] + y * d[1] + z * d[2]) * per_length2, all(0), all(1));
@@ -241,7 +241,7 @@ class EllipsoidTree {
       return (left > all(0)) & (left * left > wide + trace * square);
     }
 
-    // Obstacles that are left behind, r^T A v < 0, and not around a, r^T A r > 1, whatever the roundings.
+    // Mask of the obstacles that are behind, r^T A v < 0, and do not contain a, r^T A r > 1, rounding included.
     Bits behind(const Leaf& leaf, const Forms& forms, std::size_t half) const {
       const Floats x = leaf.x[half] - a[0], y = leaf.y[half] - a[1], z = leaf.z[half] - a[2];
       const Form& f = forms.a;
@@ -249,13 +249,13 @@ class EllipsoidTree {
                    zz = f[5][half];
       const Floats ax = xx * x + xy * y + xz * z, ay = xy * x + yy * y + yz * z, az = xz * x + yz * y + zz * z;
       const Floats length = larger(x, -x) + larger(y, -y) + larger(z, -z);
-      const Floats slack = (xx + yy + zz) * (all(kOfForms) * length + room);  // |A r - its roundings| is below
+      const Floats slack = (xx + yy + zz) * (all(kOfForms) * length + room);  // bounds the rounding error of A r
       return (ax * v[0] + ay * v[1] + az * v[2] < -slack * speed1) &
              (ax * x + ay * y + az * z > all(1) + all(2) * slack * (length + room));
     }
   };
 
-  // What is still to be looked into, roughly by distance: a list for every 2^(1/8) of it. Order saves time only.
+  // Pending nodes, roughly ordered by distance: one list for every factor of 2^(1/8). The order only saves time.
   class Queue {
    public:
     explicit Queue(float limit) : top_(std::min(key(limit), key(16.0F))) { list_.fill(kEnd); }
@@ -377,8 +377,8 @@ class EllipsoidTree {
 
   std::vector<Node> nodes_;
   std::vector<Leaf> leaves_;
-  std::vector<Forms> forms_;          // of a leaf
-  std::vector<std::uint32_t> first_;  // slot of a leaf, and one past the last
+  std::vector<Forms> forms_;          // per leaf
+  std::vector<std::uint32_t> first_;  // first slot of each leaf, and one past the last
 };
 
 }  // namespace alula::geometry

@@ -1,4 +1,4 @@
-// Areas of the facets of a box that half-spaces cut pieces off.
+// Areas of the facets that half-spaces cut into a box.
 #pragma once
 
 #include <array>
@@ -9,7 +9,7 @@
 
 namespace alula::geometry {
 
-// The solid {0 <= x <= extent, n_l . x <= d_l for all l}. Areas are rounded: they rank planes and prove
+// The solid {0 <= x <= extent, n_l . x <= d_l for all l}. Areas are rounded: they only rank planes and prove
 // nothing.
 class FacetArea {
  public:
@@ -18,7 +18,7 @@ class FacetArea {
   void add(Vec3 normal, double offset);
   void remove(std::size_t plane) { plane_[plane + kFaces].is_there = false; }
 
-  // Area of what the solid leaves of the plane with this number, in the order of add. O(planes).
+  // Area of the facet on the plane with this number, in the order of `add`. O(planes).
   double operator()(std::size_t plane);
 
  private:

@@ -1,4 +1,4 @@
-// Three by three matrices beside vec3.hpp.
+// Three by three matrices for the vectors of vec3.hpp.
 #pragma once
 
 #include "alula/geometry/vec3.hpp"

@@ -1,4 +1,4 @@
-// Where an ellipsoid reaches columns and rows of voxels, in closed form (see voxelize.hpp).
+// Columns and rows of voxels that an ellipsoid reaches, in closed form (see voxelize.hpp).
 #pragma once
 
 #include <algorithm>
@@ -10,7 +10,7 @@
 namespace alula::surfaces {
 
 inline constexpr double kPad = 256 * kEps;       // q / E
-inline constexpr double kRadius = 1 + 4 * kEps;  // of the ball, so that w is never rounded below the true one
+inline constexpr double kRadius = 1 + 4 * kEps;  // of the ball: w is never rounded below the true one
 inline constexpr double kMiss = -std::numeric_limits<double>::infinity();
 
 inline double dot(const Vec3& a, const Vec3& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
@@ -19,8 +19,8 @@ struct Span {
   double lower, upper;  // extent of voxels along an axis, relative to the centre
 };
 
-// The shadow of an ellipsoid along axis k on the plane of two others: it reaches a rectangle that does
-// not hold the centre across one of the at most two edges that face it.
+// The shadow of an ellipsoid along axis k on the plane of the other two axes. It reaches a rectangle that does
+// not hold the centre across one of the at most two edges that face the centre.
 class Shadow {
  public:
   Shadow(const Ellipsoid& e, double pad, std::size_t i, std::size_t j, std::size_t k) : pad_(pad) {
@@ -38,7 +38,7 @@ class Shadow {
   // The chord of the shadow on the edge of a row of voxels that faces the centre.
   struct Chord {
     Span span;
-    bool inside;  // no edge: the row holds the centre
+    bool inside;  // the row holds the centre, so it has no such edge
     double middle, w;
   };
   Chord first(const Span& span) const { return chord(first_, span); }
@@ -72,7 +72,7 @@ class Shadow {
 
 // The plane over one edge of a column, first coordinate fixed: an arc of the upper surface.
 struct Cut {
-  bool inside;   // the apex is above this column as far as this axis is concerned: there is no edge
+  bool inside;   // along this axis the apex is above the column: there is no edge
   double shift;  // second coordinate at u2 = 0
   double lift;   // height at u2 = 0, without the arc
   double w;      // radius of the arc in u; negative when the edge misses the ellipsoid

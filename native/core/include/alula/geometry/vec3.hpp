@@ -1,4 +1,4 @@
-// Three doubles, and boxes of them.
+// Three-dimensional vectors and axis-aligned boxes.
 #pragma once
 
 #include <algorithm>
@@ -43,9 +43,9 @@ inline double squared_distance(const Box& a, const Box& b) {
   return sum;
 }
 
-// A lower bound on the squared distance of the segment a + t d, 0 <= t <= 1, and a box: the
-// function is convex in t, so two tangents bound it from below where they meet; each secant step
-// tightens them, and a step that lands in the right one of its quadratic pieces makes it exact.
+// A lower bound on the squared distance of the segment a + t d, 0 <= t <= 1, and a box. The
+// function is convex in t, so two tangents bound it from below where they meet. Each secant step
+// tightens the bound, and a step that lands in the right quadratic piece makes it exact.
 inline double squared_distance_bound(const Box& box, Vec3 a, Vec3 d) {
   struct Tangent {
     double t, value, slope;

@@ -1,4 +1,4 @@
-// Proof that polynomial curves keep a distance from polytopes, over the continuous parameter.
+// Proof that polynomial curves keep a distance from polytopes, for the continuous parameter.
 #pragma once
 
 #include <cstddef>
@@ -11,7 +11,7 @@
 
 namespace alula {
 
-// What is known about one piece of a curve.
+// Result for one piece of a curve.
 struct CurveProof {
   bool proven = false;
   double clearance = 0;     // proven lower bound, at most twice the radius; when not proven, the

@@ -1,4 +1,4 @@
-// A reference to fly: position and yaw as piecewise polynomials of degree 7, as in `alula/plan`.
+// Reference trajectory: position and yaw as piecewise polynomials of degree 7, as in `alula/plan`.
 #pragma once
 
 #include <span>
@@ -15,7 +15,7 @@ struct ReferencePoint {
 };
 
 // On piece k component d of (x, y, z, yaw) is sum_j coefficient[k][d][j] (t - time[k])^j.
-// Before its first knot and from its last knot on it rests there: no derivative but the place.
+// Before the first knot and from the last knot on it rests there: all derivatives are zero.
 class ReferenceCurve {
  public:
   // time (K + 1), strictly increasing [s]; coefficient (K, 4, 8). Throws std::invalid_argument

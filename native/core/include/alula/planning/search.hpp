@@ -1,4 +1,4 @@
-// Paths among polytopes for a ball: a lattice search whose every edge is proven collision-free.
+// Path search for a ball among polytopes, on a lattice with edges that are proven collision-free.
 #pragma once
 
 #include <cstddef>
@@ -38,15 +38,15 @@ struct SearchResult {
 // when it is proven free: clearance is 1-Lipschitz, so on the edge it is at least
 // (clearance(p) + clearance(q) - |p - q|) / 2; when that is < radius the exact clearance of the
 // segment decides. Start and goal are joined to the lattice points around them by proven segments.
-// An edge costs its length times 1 + (share of `comfort` that its clearance lacks above radius),
-// so paths keep radius + comfort where the detour is worth it; the straight distance to the goal
+// An edge costs its length times 1 + (the fraction of `comfort` that its clearance lacks above radius),
+// so paths keep radius + comfort where the detour is worth it. The straight distance to the goal
 // is then a consistent heuristic. Ties are broken by depth, then by index: the result is unique.
 // Memory is 14 bytes per lattice point plus the queue.
 SearchResult find_path(const PolytopeSet& obstacles, const Lattice& lattice, geometry::Vec3 start,
                        geometry::Vec3 goal, double radius, double comfort, Control& control);
 
-// A path from the first to the last point of `path` along straight, proven segments, least in the
-// cost of `find_path` among those whose corners are a subsequence of points taken from `path` at
+// Shortens a path: returns the path of straight, proven segments from the first to the last point of `path` with
+// the minimum cost of `find_path`, among paths with corners that are a subsequence of points taken from `path` at
 // most `spacing` apart and that skip at most 128 of them; repeated `rounds` times. Each segment of
 // `path` must itself be free.
 std::vector<geometry::Vec3> tighten_path(const PolytopeSet& obstacles, const std::vector<geometry::Vec3>& path,

@@ -4,8 +4,8 @@
 //
 // H symmetric positive definite, n <= kQpMaxVariables. A dual active-set method (Goldfarb, Idnani 1983):
 // it starts at the unconstrained minimiser, so needs no feasible point, and ends after finitely many
-// exchanges either at the minimiser, with multipliers, or with a Farkas certificate that there is none.
-// Every verdict is proved from the input itself before it is given, see `QpStatus`.
+// exchanges either at the minimiser, with multipliers, or with a Farkas certificate that no x is feasible.
+// Every verdict is proved from the input itself before it is returned, see `QpStatus`.
 #pragma once
 
 #include <array>
@@ -19,17 +19,18 @@ namespace alula {
 
 inline constexpr std::size_t kQpMaxVariables = 10;
 
-// u = 2^-53, absolute values and comparisons are componentwise.
+// u = 2^-53; absolute values and comparisons are componentwise.
 enum class QpStatus : std::uint8_t {
   // b - A x <= 32 u (|A| |x| + |b|), with equality up to the same in rows with a multiplier y > 0, and
-  // |H x + g - A^T y| <= 256 u (|H| |x| + |g| + |A|^T y): x solves a program that differs by rounding. Rows that
-  // contradict each other by too little for a certificate may take 128 times that, 5e-13; `violation` tells.
+  // |H x + g - A^T y| <= 256 u (|H| |x| + |g| + |A|^T y): x solves a program that differs by rounding. If rows
+  // contradict each other by too little for a certificate, the bounds are 128 times as large, 5e-13; see
+  // `violation`.
   optimal,
-  // `multiplier` y >= 0 has |y^T A| <= 32 u y^T |A| and y^T b > 32 u y^T |b|: no x obeys all rows, but for
-  // some beyond the reach of double precision, |y^T A| |x| >= y^T b.
+  // `multiplier` y >= 0 has |y^T A| <= 32 u y^T |A| and y^T b > 32 u y^T |b|: no x satisfies all rows, except
+  // possibly some x beyond the range of double precision, |y^T A| |x| >= y^T b.
   infeasible,
-  // A number is not finite, H is not positive definite to rounding, or neither of these can be proved: rows
-  // that contradict each other but for tilts of 1e-15 or so. Treat it as infeasible without a proof.
+  // A number is not finite, H is not positive definite to rounding, or neither of the above can be proved, as for
+  // rows that contradict each other up to tilts of about 1e-15. Treat it as infeasible without a proof.
   failed
 };
 
@@ -46,11 +47,11 @@ struct QpResult {
   std::array<double, kQpMaxVariables> x{};  // the minimiser when optimal, else zero
   std::size_t active_count = 0;
   std::array<std::uint32_t, kQpMaxVariables + 1> active{};  // rows with a multiplier, ascending
-  // Of those rows, above 0: H x + g = A^T y; or the certificate, scaled so that sum_i y_i |a_i| = 1 (a row of
-  // zeros that asks for b > 0 stands alone, with y = 1).
+  // y of those rows, above 0: H x + g = A^T y; or the certificate, scaled so that sum_i y_i |a_i| = 1 (a row of
+  // zeros with b > 0 stands alone, with y = 1).
   std::array<double, kQpMaxVariables + 1> multiplier{};
   // optimal: max_i (b_i - a_i . x) / |a_i|, never below 0, recomputed from the input.
-  // infeasible: y^T b; no x violates all rows by less. failed: infinite.
+  // infeasible: y^T b; every x violates some row by at least that. failed: infinite.
   double violation = 0;
   int iterations = 0;  // exchanges of the active set
 };
@@ -58,28 +59,28 @@ struct QpResult {
 // Another solver of the same programs, for instance Clarabel called through Python.
 using QpBackend = std::function<QpResult(const QpProblem&)>;
 
-// Holds the workspace: `solve` allocates nothing once it has seen as many rows. Deterministic: equal
-// problems give equal bits, whatever was solved before unless `warm` names rows to start from. One per thread.
+// Holds the workspace: `solve` allocates nothing once it has solved a program with as many rows. Deterministic:
+// without `warm`, equal problems give equal bits, whatever was solved before. One per thread.
 class QpSolver {
  public:
   QpSolver() = default;
   explicit QpSolver(std::size_t rows) { reserve(rows); }
-  // A solver that asks `backend` instead. What it answers is taken as it is, except that x must be finite and
-  // the violation is recomputed from the input: the caller decides how much it bears.
+  // A solver that calls `backend` instead. Its result is returned without a proof, but x must be finite and the
+  // violation is recomputed from the input: the caller decides how much violation it tolerates.
   static QpSolver with_backend(QpBackend backend);
   void reserve(std::size_t rows);
   bool has_backend() const { return static_cast<bool>(backend_); }
 
-  // `warm`: rows believed active, for instance those of the last tick; wrong ones cost time, not correctness,
-  // and names of rows that are not there are passed over. Numbers that are not finite give `failed`.
-  // Throws std::invalid_argument when a size does not fit, and what the backend throws.
+  // `warm`: rows expected to be active, for instance those of the last tick. Wrong ones cost time, not
+  // correctness; row numbers out of range are ignored. Numbers that are not finite give `failed`.
+  // Throws std::invalid_argument when a size does not fit, and whatever the backend throws.
   QpResult solve(const QpProblem& problem, std::span<const std::uint32_t> warm = {});
 
  private:
   template <int N>
   QpResult solve_with(const QpProblem& problem, std::span<const std::uint32_t> warm);
 
-  std::vector<double> columns_;  // the scaled rows transposed, see qp_dual.hpp
+  std::vector<double> columns_;  // the scaled rows, transposed; see qp.cpp
   QpBackend backend_;
 };
 

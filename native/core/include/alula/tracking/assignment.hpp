@@ -1,4 +1,4 @@
-// The method behind `assign` of tracker.hpp, with memory that is kept between calls.
+// The Hungarian method of `assign` in tracker.hpp, with memory that is kept between calls.
 #pragma once
 
 #include <cstddef>
@@ -9,9 +9,9 @@ namespace alula::flight {
 
 class Assignment {
  public:
-  // Room for this many rows and columns, so that nothing is allocated up to there.
+  // Reserves memory for this many rows and columns; smaller problems allocate nothing.
   void reserve(std::size_t rows, std::size_t columns);
-  // For each row its column or -1; valid until the next call. As `assign`, without its checks.
+  // The column of each row, or -1; valid until the next call. As `assign`, without its checks.
   std::span<const int> solve(std::span<const double> cost, std::size_t rows, std::size_t columns, double gate);
 
  private:

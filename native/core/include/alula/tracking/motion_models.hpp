@@ -1,4 +1,4 @@
-// Kalman filters of one moving point: how it moves, and what a radar sees of it.
+// Kalman filters of one moving point: motion models and radar measurements.
 //
 // States: position [m], velocity [m/s], then an acceleration [m/s^2] or a rate of turn about z [rad/s]:
 //   velocity      (p, v)         white acceleration of spectral density q
@@ -42,9 +42,9 @@ struct Measurement {
   double los[3] = {};
 };
 
-// False for a detection that is not finite, is beyond 1e9 (m, m/s), or has no covariance. `los` becomes a unit
-// vector. A tenth of a millimetre (per second) is added to R in quadrature: a perfect sensor must not make the
-// covariance of two things at once singular.
+// Converts a detection; false if it is not finite, is beyond 1e9 (m, m/s), or has no covariance. `los` becomes a unit
+// vector. A tenth of a millimetre (per second) is added to R in quadrature, so the covariance of a perfect sensor is
+// not singular.
 bool measure(const Detection& detection, Measurement& result);
 
 // y = z - H x, with the Cholesky factor L of its covariance H P H' + R.
@@ -58,7 +58,7 @@ struct Innovation {
 
 Innovation innovate(const Belief& belief, const Measurement& measurement);
 
-// The update; nothing happens if the innovation is not valid.
+// The measurement update; does nothing if the innovation is not valid.
 void correct(MotionModel model, const Measurement& measurement, const Innovation& innovation, Belief& belief);
 
 }  // namespace alula::flight

@@ -1,10 +1,10 @@
 // Tracks of moving obstacles: global nearest neighbours and interacting multiple models.
 //
 // Models: constant velocity (6 states), constant acceleration (9), optionally a coordinated turn. Association: the
-// Hungarian method on squared Mahalanobis distances of innovations within a gate, confirmed tracks first, so that one
-// that has just begun, and fits anything, takes nothing from them. Every detection left over begins a track. A track
-// is confirmed after `confirm_hits` of the last `confirm_scans` scans and deleted after `delete_misses` misses in a
-// row, or, out of sight of the sensor, after `coast_s`.
+// Hungarian method on squared Mahalanobis distances of innovations within a gate, confirmed tracks first, because a
+// new track has a large covariance, fits any detection and would take theirs. Every unassigned detection starts a
+// track. A track is confirmed after `confirm_hits` hits in the last `confirm_scans` scans. It is deleted after
+// `delete_misses` misses in a row, or, outside the sensor's field of view, after `coast_s`.
 //
 // Source: Bar-Shalom, Li, Kirubarajan 2001, ch. 11.6 (IMM); the SAFE options: Mandaokar, Rinner 2025 (SAFE-IMM).
 #pragma once
@@ -22,10 +22,10 @@ namespace alula::flight {
 struct TrackerOptions {
   double gate = 30;  // squared Mahalanobis distance
   int confirm_hits = 5, confirm_scans = 6, delete_misses = 5;
-  // A scan that could not see a confirmed track, as the sensor's field of view does not hold its position with
-  // `field_margin` standard deviations, is no miss: there the probability of a detection is 0, or not known. The
-  // track is predicted on, with a growing covariance, and deleted after `coast_s` without a detection. 0: every
-  // scan counts. 3 s is the longest time to the closest approach that a manoeuvre looks at.
+  // A scan is no miss for a confirmed track if the sensor's field of view does not contain the track's position with
+  // `field_margin` standard deviations: there the detection probability is 0 or unknown. The
+  // track is predicted further, with a growing covariance, and deleted after `coast_s` without a detection. 0: every
+  // scan counts. 3 s is the longest time to the closest approach that a manoeuvre considers.
   double coast_s = 3, field_margin = 2;
   double acceleration_noise = 0.5, jerk_noise = 0.2;  // spectral densities of the white acceleration and jerk
   bool with_turn = false;                             // third model
@@ -38,10 +38,10 @@ struct TrackerOptions {
   std::array<double, 3> start_variance{4, 25, 25};
   double cross_range_variance = 100;  // of the velocity across the line of sight, at the start [m^2/s^2]
   double turn_variance = 0.1;         // of the turn rate, at the start and for a model that has none [rad^2/s^2]
-  // Of the acceleration of a model that has none, where models mix [m^2/s^4]: about the square of the manoeuvres to
-  // expect. With 0 the model of constant acceleration would be told at every scan that there is none.
+  // Variance of the acceleration of a model that has none, where models mix [m^2/s^4]: about the square of the
+  // expected manoeuvres. With 0 every scan would pull the acceleration of the other model towards zero.
   double mixing_variance = 3;
-  bool mixes = true;  // initial conditions, as in the textbook; false: at read-out only
+  bool mixes = true;  // mixes initial conditions, as in the textbook; false: mixes at read-out only
   // SAFE-IMM, each on its own: see imm.hpp.
   bool gates_models = false, heavy_tails = false, adapts_transition = false, winner_takes_all = false;
   bool jamming = false;
@@ -52,26 +52,26 @@ struct Track {
   bool is_confirmed = false;
   geometry::Vec3 p, v, a;
   std::array<double, 21> covariance{};  // of (p, v): lower triangle, row by row
-  double turning = 0;                   // probability of the models that turn or accelerate
+  double turning = 0;                   // total probability of the models that turn or accelerate
 };
 
 // One per flight. No allocation after the first scans.
 class Tracker {
  public:
-  // At most `most` tracks at a time. Throws std::invalid_argument for options that mean nothing.
+  // At most `most` tracks at a time. Throws std::invalid_argument for options out of range.
   explicit Tracker(const TrackerOptions& options = {}, std::size_t most = 128);
   ~Tracker();
   Tracker(Tracker&&) noexcept;
   Tracker& operator=(Tracker&&) noexcept;
 
   void reset();
-  // To time t [s]; `detections` were all made then, by one sensor that sees a thing once, within `field`, or anywhere
-  // without one. A detection that is not
-  // finite, or beyond 1e9 (m, m/s), or whose covariance is not positive semidefinite, is dropped and counted, and so
-  // is one for whose track there is no room. Throws std::invalid_argument, and changes nothing, unless t is within
-  // 1e6 s after the last scan.
+  // Updates to time t [s]. All `detections` were made at t by one sensor, at most one per object, within `field`, or
+  // anywhere if there is no field. A detection is dropped and counted if it is not finite, is beyond 1e9 (m, m/s),
+  // has a covariance that is not positive semidefinite, or would start a track beyond the maximum number.
+  // Throws std::invalid_argument, and changes nothing, unless t is within 1e6 s after the last scan.
   void update(double t, std::span<const Detection> detections, const FieldOfView* field = nullptr);
-  // All tracks predicted to `t`, oldest first; as of the last scan for a t before it. Valid until the next call.
+  // All tracks predicted to `t`, oldest first; for a t before the last scan, as of that scan. Valid until the next
+  // call.
   // Throws std::invalid_argument if t is not finite or more than 1e6 s after the last scan.
   std::span<const Track> tracks(double t) const;
   std::uint64_t dropped() const;
@@ -81,10 +81,10 @@ class Tracker {
   std::unique_ptr<State> state_;
 };
 
-// Assignment of least cost: for each row its column or -1. A row without a column costs `gate`, costs above it, above
-// 1e100 or not finite are forbidden; an infinite gate asks for as many assignments as there can be. Hungarian method,
-// by shortest augmenting paths: O(rows^2 (rows + columns)), far less when few costs are within the gate. Throws
-// std::invalid_argument unless there are rows x columns costs and the gate is at least 0.
+// Assignment of minimum cost: for each row its column or -1. A row without a column costs `gate`; costs above the
+// gate, above 1e100 or not finite are forbidden. An infinite gate gives the maximum number of assignments. Hungarian
+// method, by shortest augmenting paths: O(rows^2 (rows + columns)), far less when few costs are within the gate.
+// Throws std::invalid_argument unless there are rows x columns costs and the gate is at least 0.
 void assign(std::span<const double> cost, std::size_t rows, std::size_t columns, double gate,
             std::vector<int>& column);
 

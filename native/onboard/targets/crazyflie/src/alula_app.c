@@ -43,7 +43,7 @@ static uint8_t status;
 static uint32_t work_us, refusedParameters;
 static float velocity[3];
 
-/* NaN is like itself: what was refused once is not tried again every millisecond. */
+/* NaN equals NaN here: refused parameters are not tried again every millisecond. */
 static bool is_same(const alula_crazyflie_config* a, const alula_crazyflie_config* b) {
   const float one[] = {a->radius_m, a->beta, a->kappa, a->v_max, a->period_s, a->gain, a->variance};
   const float other[] = {b->radius_m, b->beta, b->kappa, b->v_max, b->period_s, b->gain, b->variance};
@@ -79,7 +79,7 @@ void appMain() {
 
 void controllerOutOfTreeInit(void) {
   controllerPidInit();
-  if (isOpened) { /* switched to again, with the app's task perhaps at work */
+  if (isOpened) { /* selected again; the app's task may be running */
     alula_crazyflie_restart(&filter);
     return;
   }
@@ -89,10 +89,10 @@ void controllerOutOfTreeInit(void) {
   isReady = alula_crazyflie_open(&filter, cover_map, COVER_MAP_BYTES, &config) != 0;
 }
 
-/* Without a map the self-test fails, and the firmware does not let the motors run. */
+/* Without a map the self-test fails, and the firmware blocks the motors. */
 bool controllerOutOfTreeTest(void) { return controllerPidTest() && isReady; }
 
-/* The largest variance of the Kalman filter's position; another estimator has none, and no position either. */
+/* The largest variance of the Kalman filter's position; other estimators have neither variance nor position. */
 static float variance_now(void) {
   static char group[] = "kalman", x[] = "varX", y[] = "varY", z[] = "varZ";
   static bool isKnown;
@@ -106,7 +106,7 @@ static float variance_now(void) {
   for (int i = 0; i < 3; ++i) {
     if (!LOG_VARID_IS_VALID(variances[i])) return UNKNOWN;
     const float now = logGetFloat(variances[i]);
-    if (!(now <= largest)) largest = now; /* NaN stays */
+    if (!(now <= largest)) largest = now; /* NaN is kept */
     if (largest != largest) return UNKNOWN;
   }
   return largest;
@@ -137,7 +137,7 @@ void controllerOutOfTree(control_t* control, const setpoint_t* setpoint, const s
     flown = NOTHING; /* all axes off, no thrust */
   } else if (output.is_replaced) {
     flown.mode.x = flown.mode.y = flown.mode.z = modeVelocity;
-    flown.mode.roll = flown.mode.pitch = flown.mode.quat = modeDisable; /* rates would win over the velocity */
+    flown.mode.roll = flown.mode.pitch = flown.mode.quat = modeDisable; /* rates would override the velocity */
     flown.velocity.x = output.velocity[0];
     flown.velocity.y = output.velocity[1];
     flown.velocity.z = output.velocity[2];

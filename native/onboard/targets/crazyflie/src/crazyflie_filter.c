@@ -3,7 +3,7 @@
 #define LARGEST_GAIN 20.0F
 #define LARGEST_SPEED 20.0F
 #define LARGEST_WISH 1.0e6F
-#define FLAT 1.0e-3F /* squared length of the heading's projection below which there is no yaw */
+#define FLAT 1.0e-3F /* squared length of the heading's projection below which the yaw is undefined */
 
 alula_crazyflie_config alula_crazyflie_defaults(void) {
   alula_crazyflie_config config;
@@ -26,7 +26,7 @@ static int all_finite(const float* x, int count) {
   return 1;
 }
 
-/* Bounds of the glue; polytope-cbf checks the rest. */
+/* Checks the parameters of this file; polytope-cbf checks the rest. */
 static int config_is_good(const alula_crazyflie_config* c) {
   return c->gain > 0.0F && c->gain <= LARGEST_GAIN && c->v_max <= LARGEST_SPEED && c->variance > 0.0F &&
          c->variance <= 1.0F && c->period_s >= 0.001F && c->period_s <= 0.1F;
@@ -36,7 +36,7 @@ int alula_crazyflie_configure(alula_crazyflie_filter* filter, const alula_crazyf
   const alula_polytope_cbf_config wanted = {
       config->radius_m, config->beta, config->kappa, config->period_s, config->v_max, ALULA_SMOOTHING_SOUND, 0};
   if (!filter->map.data || !config_is_good(config)) return 0;
-  /* refused parameters leave the filter as it was */
+  /* refused parameters leave the filter unchanged */
   if (alula_polytope_cbf_open(&filter->cbf, &filter->map, ALULA_CRAZYFLIE_EXTENT, &wanted) != ALULA_READY) return 0;
   filter->config = *config;
   return 1;
@@ -72,7 +72,7 @@ int alula_crazyflie_open(alula_crazyflie_filter* filter, const uint8_t* image, u
   return filter->is_open;
 }
 
-/* cos and sin of yaw: where the body's x axis points, seen from above. */
+/* cos and sin of yaw: the direction of the body's x axis, seen from above. */
 static int heading(const float q[4], float* cosine, float* sine) {
   const float x = 1.0F - 2.0F * (q[2] * q[2] + q[3] * q[3]), y = 2.0F * (q[1] * q[2] + q[0] * q[3]);
   const float square = x * x + y * y;
@@ -83,7 +83,7 @@ static int heading(const float q[4], float* cosine, float* sine) {
   return 1;
 }
 
-/* The state as it is now, or why it cannot be flown with. */
+/* Checks the current state; returns the reason why it cannot be used. */
 static alula_crazyflie_status judge(alula_crazyflie_filter* filter, const alula_crazyflie_state* state,
                                     float step_s) {
   const float* u = filter->output.velocity;
@@ -93,7 +93,7 @@ static alula_crazyflie_status judge(alula_crazyflie_filter* filter, const alula_
     if (now != filter->seen[i]) is_same = 0;
     filter->seen[i] = now;
   }
-  /* An estimator that lives changes with every measurement; a vehicle that is told to move does so in any case. */
+  /* A working estimator changes with every measurement; the state of a commanded vehicle changes in any case. */
   if (!is_same) {
     filter->still = 0;
     filter->still_way = 0.0F;
@@ -113,7 +113,7 @@ static alula_crazyflie_status judge(alula_crazyflie_filter* filter, const alula_
   return ALULA_CRAZYFLIE_OK;
 }
 
-/* The velocity wished for, in the world. */
+/* Computes the nominal velocity, in the world frame. */
 static alula_crazyflie_status read_wish(const alula_crazyflie_config* config, const alula_crazyflie_wish* wish,
                                         const alula_crazyflie_state* state, float v[3]) {
   float given[3] = {wish->velocity[0], wish->velocity[1], wish->velocity[2]};
@@ -121,7 +121,7 @@ static alula_crazyflie_status read_wish(const alula_crazyflie_config* config, co
   if (wish->is_body && has_velocity) {
     float cosine, sine;
     if (!heading(state->attitude, &cosine, &sine)) return ALULA_CRAZYFLIE_BAD_STATE;
-    /* an axis that is no velocity adds nothing, as in the firmware's own controller along the other one */
+    /* an axis in another mode adds nothing to the other axis, as in the firmware's own controller */
     const float x = wish->mode[0] == ALULA_AXIS_VELOCITY ? given[0] : 0.0F;
     const float y = wish->mode[1] == ALULA_AXIS_VELOCITY ? given[1] : 0.0F;
     given[0] = cosine * x - sine * y;
@@ -145,7 +145,7 @@ static alula_crazyflie_status read_wish(const alula_crazyflie_config* config, co
   return ALULA_CRAZYFLIE_OK;
 }
 
-/* The answer to what was handed over when the last period began. */
+/* Takes the result of the request from the start of the last period. */
 static void collect(alula_crazyflie_filter* filter) {
   static const alula_crazyflie_status MEANING[] = {ALULA_CRAZYFLIE_OK, ALULA_CRAZYFLIE_FILTERED,
                                                    ALULA_CRAZYFLIE_SHORTENED, ALULA_CRAZYFLIE_RECOVERING,
@@ -160,7 +160,7 @@ static void collect(alula_crazyflie_filter* filter) {
   filter->margin_m = filter->result.margin_m;
   const int is_known = (uint32_t)filter->answer <= ALULA_FILTER_REFUSED;
   const alula_crazyflie_status status = is_known ? MEANING[filter->answer] : ALULA_CRAZYFLIE_REFUSED;
-  if (!had_request) { /* of before an interruption: for another position */
+  if (!had_request) { /* from before an interruption: for another position */
     set_velocity(&filter->output, ALULA_CRAZYFLIE_STARTING, 0);
   } else if (status == ALULA_CRAZYFLIE_REFUSED || !all_finite(filter->result.u, 3)) {
     set_velocity(&filter->output, ALULA_CRAZYFLIE_REFUSED, 0);
@@ -171,7 +171,7 @@ static void collect(alula_crazyflie_filter* filter) {
   __atomic_store_n(&filter->turn, ALULA_CRAZYFLIE_FREE, __ATOMIC_RELEASE);
 }
 
-/* Nothing is worked out from here on: the set-point itself, or zero velocity. */
+/* Discards the request: flies the set-point itself, or zero velocity. */
 static void interrupt(alula_crazyflie_filter* filter, alula_crazyflie_status status, int is_through) {
   filter->has_request = 0;
   if (is_through) {
@@ -193,7 +193,7 @@ void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_
   }
   const alula_crazyflie_status now = judge(filter, state, step_s);
   const float period_s = config->period_s;
-  const int is_as_long = period_s == filter->period_s; /* else what is flown, or worked out, is for another period */
+  const int is_as_long = period_s == filter->period_s; /* otherwise command and request are for another period */
   filter->period_s = period_s;
   if (!filter->is_open) {
     interrupt(filter, ALULA_CRAZYFLIE_NOT_READY, 1);
@@ -221,7 +221,7 @@ void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_
       filter->has_request = 1;
       __atomic_store_n(&filter->turn, ALULA_CRAZYFLIE_POSTED, __ATOMIC_RELEASE);
     }
-  } else if (!filter->output.is_replaced) { /* guarded from here on, but no period has begun */
+  } else if (!filter->output.is_replaced) { /* guarded from now on, but no period has begun */
     interrupt(filter, ALULA_CRAZYFLIE_STARTING, 0);
   }
   *output = filter->output;

@@ -1,4 +1,4 @@
-/* The part of native/onboard that the app needs, as one file of this folder. */
+/* The part of native/onboard that the app needs, as one file in this folder. */
 #if defined(__FAST_MATH__)
 #error "build without -ffast-math: the margins of rounding do not hold with it"
 #endif

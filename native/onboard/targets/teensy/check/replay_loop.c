@@ -1,4 +1,4 @@
-/* The loop in flight on an emulated Cortex-M7 and on a host: the frames that go out, with the model as the plant.
+/* The loop in flight on an emulated Cortex-M7 and on a host: records the sent frames, with the model as the plant.
  *
  * outputs.bin: per tick a `tick`; then uint32 bytes of the stack. A flight at a wall, then a silent radio, then a
  * pilot again, then no navigation, then both.
@@ -32,7 +32,7 @@ static float rate_of_stick(const alula_teensy_config* c, int axis, uint32_t chan
 
 static uint16_t channel_of(float us) { return (uint16_t)((us - 880.0F) / 0.625F + 0.5F); }
 
-/* Leans ahead with the yaw held, and holds the height roughly. */
+/* Tilts forward with constant yaw, and holds the height roughly. */
 static void fly_by_hand(const alula_teensy_config* c, const alula_racer_state* x, alula_sbus_frame* frame) {
   float axis[3];
   alula_racer_axis(x->attitude, axis);

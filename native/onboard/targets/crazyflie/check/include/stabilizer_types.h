@@ -1,5 +1,5 @@
-/* Declarations of the firmware that the app uses, for a compiler's check without it. Not the firmware's headers:
- * written from its documentation, with the names and types that the app relies on and no others. */
+/* Declarations of the firmware that the app uses, for compiling without the firmware. Not the firmware's headers:
+ * written from its documentation, with only the names and types that the app needs. */
 #ifndef CHECK_STABILIZER_TYPES_H
 #define CHECK_STABILIZER_TYPES_H
 

@@ -1,4 +1,4 @@
-/* The map of tests on a host: whoever links the app brings one, as alula_test_map. */
+/* The map of tests on a host: a program that links the app must define alula_test_map. */
 #ifndef CHECK_TEST_MAP_H
 #define CHECK_TEST_MAP_H
 #include <stdint.h>

@@ -1,5 +1,5 @@
-// Declarations of Teensy's core that the sketch uses, for a compiler's check without it. Not Teensy's headers:
-// written from its documentation, with the names and types that the sketch relies on and no others.
+// Declarations of Teensy's core that the sketch uses, for compiling without it. Not Teensy's headers:
+// written from its documentation, with only the names and types that the sketch needs.
 #pragma once
 
 #include <stddef.h>
