@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from alula.stages.reporting.figures import Figure
-    from alula.stages.reporting.tables import Table
+    from alula.stages.reporting.table import Table
 
 
 def comparison_words(description: str) -> argparse.Namespace:

@@ -54,7 +54,8 @@ def command(
     from alula.stages.reporting.figures import all_figures
     from alula.stages.reporting.headline import headline
     from alula.stages.reporting.page import comment, page
-    from alula.stages.reporting.tables import all_tables, to_csv, to_markdown
+    from alula.stages.reporting.table import to_markdown
+    from alula.stages.reporting.tables import all_tables, to_csv
     from alula.stages.reporting.view3d import view
 
     named = {"cover": cover, "scene": scene, "plan": plan, "certificate": certificate}

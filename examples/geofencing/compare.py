@@ -11,14 +11,9 @@ import json
 from alula.cli.comparison import comparison_words, this_machine, write_comparison
 from alula.schemas.fence_ticks import read_ticks
 from alula.schemas.run import read_run
-from alula.stages.reporting.papers import (
-    geofencing,
-    geofencing_figures,
-    geofencing_robustness,
-    geofencing_short,
-)
+from alula.stages.reporting.papers import geofencing, geofencing_figures, pendulum
 from alula.stages.reporting.papers.pendulum import PROGRAM, REGULATION, sweep
-from alula.stages.reporting.shares import folded
+from alula.stages.reporting.table import folded
 
 TITLE = "Geofencing: racing drones in a fence"
 WRITTEN = "Written by `make -C examples/geofencing page`"
@@ -40,8 +35,8 @@ runs = [
 measured = json.loads((folder / "pendulum.json").read_text(encoding="utf-8"))
 swings = sweep(GAINS, TICKS_S)
 found = [
-    geofencing_short.time_table(measured),
-    geofencing_short.gains_table(swings),
+    pendulum.time_table(measured),
+    pendulum.gains_table(swings),
     geofencing.approach_table(runs, "wall", "Figures 5a and 7a: straight at a wall", geofencing.WALL_NOTE),
     geofencing.approach_table(runs, "fall", "Figures 5b and 7b: a fall from 70 m", geofencing.FALL_NOTE),
     geofencing.flights_table(
@@ -51,8 +46,8 @@ found = [
         runs, "fences", "Pilots of all kinds, fences of all kinds", ("box", "faces", "cover", "combined")
     ),
     geofencing.filters_table(runs, "filters", ("geofence", "backup-qp", "none")),
-    geofencing_robustness.robustness_table(runs),
-    geofencing_robustness.pilots_table(runs),
+    geofencing.robustness_table(runs),
+    geofencing.pilots_table(runs),
     geofencing.passes_table(runs),
 ]
 tables = [table for table in found if table is not None]
@@ -74,7 +69,7 @@ drawn = [
     geofencing_figures.distances_figure(runs),
 ]
 figures = [figure for figure in drawn if figure is not None]
-facts = geofencing_short.in_short(runs, swings, measured)
+facts = geofencing.in_short(runs, swings, measured)
 write_comparison(
     folder / "geofencing",
     TITLE,

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
+from alula.schemas.flights import Course
 from alula.schemas.run import TrialResult
 from alula.stages.compression.hulls import Hulls
-from alula.stages.reporting.course import Spell, spells
 from alula.stages.reporting.fenced import fence_shape
 from alula.stages.reporting.material import (
     NOT_JUDGED,
@@ -73,6 +73,18 @@ class Compression:
     hulls: FloatArray
     growth: FloatArray
     planes: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Spell:
+    """A state of the supervisor, from a time to another [s]."""
+
+    state: str
+    begin_s: float
+    end_s: float
+
+    def __str__(self) -> str:
+        return f"{self.state} {self.begin_s:.2f} to {self.end_s:.2f} s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,6 +241,20 @@ def broken(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArr
         return time_s, values
     gaps = np.flatnonzero(step > max(10 * float(np.median(step)), _GAP_S)) + 1
     return np.insert(time_s, gaps, time_s[gaps - 1]), np.insert(values, gaps, np.nan)
+
+
+def spells(course: Course | None) -> tuple[Spell, ...]:
+    """The states one after another; steps that stay in a state do not end it, the last one takes no time."""
+    found: list[Spell] = []
+    for step in course.steps if course is not None else ():
+        if found and found[-1].state == step.state:
+            continue
+        if found:
+            found[-1] = Spell(found[-1].state, found[-1].begin_s, step.time_s)
+        found.append(Spell(step.state, step.time_s, step.time_s))
+    if course is not None and found:
+        found[-1] = Spell(found[-1].state, found[-1].begin_s, max(found[-1].begin_s, course.end_s))
+    return tuple(spell for spell in found if spell.end_s > spell.begin_s)
 
 
 def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:

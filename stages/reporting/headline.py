@@ -17,11 +17,11 @@ from alula.stages.reporting.material import (
     outcome_of,
     proof,
 )
+from alula.stages.reporting.table import text
 from alula.stages.reporting.tables import (
     BYTES_PER_HALF_PLANE,
     gaussian_count,
     success_interval,
-    text,
     voxel_count,
 )
 

@@ -12,7 +12,7 @@ import numpy as np
 from alula.stages.reporting.figures import Figure
 from alula.stages.reporting.headline import Card, cards, chain
 from alula.stages.reporting.material import Material
-from alula.stages.reporting.tables import Table, text
+from alula.stages.reporting.table import Table, text
 from alula.stages.reporting.view3d import View
 
 _FOLDED_ROWS = 15  # longer tables are folded

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
 from alula.stages.clearance import wilson_interval
-from alula.stages.reporting.tables import text
+from alula.stages.reporting.table import text
 
 _RESAMPLES = 4000
 _TAIL = 0.025  # on each side of an interval

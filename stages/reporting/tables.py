@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -15,44 +14,17 @@ import numpy as np
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.run import FenceResult, TrialResult
-from alula.stages.reporting.course import course_rows, course_tables
 from alula.stages.reporting.fenced import FENCE_NOTE, fence_columns, fence_rows, is_fenced
 from alula.stages.reporting.material import OUTCOMES, Material, Run, flew_through, is_covered, outcome_of
 from alula.stages.reporting.papers.published import paper_tables
+from alula.stages.reporting.table import Table, csv_cell, flat, text
 
 BYTES_PER_GAUSSIAN = 40  # centre, semi-axes, quaternion in single precision
 BYTES_PER_VOXEL = 12  # three 32-bit integers
 BYTES_PER_HALF_PLANE = 16  # normal and offset in single precision
 _ENDS = {"collision": "collided"}
+_LEVELS = {3: "warning", 4: "error", 5: "fatal"}  # of `foxglove.Log`  # of `foxglove.Log`
 _LISTED_TRIALS = 500  # per run; the CSV has them all
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table of raw values; `text` says how they read."""
-
-    name: str
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[Any, ...], ...]
-    note: str = ""
-
-
-def text(value: Any) -> str:
-    """A value as a person reads it: four digits of a float, thousands of an integer apart."""
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return "–"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, int):
-        return f"{value:,}"
-    if isinstance(value, float):
-        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:,.0f}"
-    if isinstance(value, list | tuple):
-        return ", ".join(text(item) for item in value)
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {text(item)}" for key, item in value.items())
-    return str(value)
 
 
 def all_tables(material: Material, names: Sequence[str] = (), paper: str | None = None) -> list[Table]:
@@ -67,7 +39,7 @@ def all_tables(material: Material, names: Sequence[str] = (), paper: str | None 
     if material.cover is not None or material.scene is not None:
         tables += [compression_table(material), cover_table(material)]
     if paper is not None:
-        tables += [Table(*parts) for parts in paper_tables(paper, material)]
+        tables += paper_tables(paper, material)
     timed = [run for run in material.runs if run.record.timing]
     if timed:
         tables.append(_beside("timing", "Measured times", timed, lambda run: flat(run.record.timing)))
@@ -78,21 +50,11 @@ def all_tables(material: Material, names: Sequence[str] = (), paper: str | None 
     many = len(material.runs) > 1
     for n, run in enumerate(material.runs, 1):
         tables.append(trials_table(run, f"trials-{n}" if many else "trials"))
-    tables += [*(Table(*parts) for parts in course_tables(material.runs)), inputs_table(material)]
+    tables += [*course_tables(material.runs), inputs_table(material)]
     known = [table.name for table in tables]
     if missing := [name for name in names if name not in known]:
         raise UsageError(f"--table {missing[0]}: this report has {', '.join(known)}")
     return [table for table in tables if not names or table.name in names]
-
-
-def flat(record: Any, prefix: str = "") -> dict[str, Any]:
-    """A nested record as one level of dotted keys."""
-    if not isinstance(record, dict):
-        return {prefix: record}
-    result: dict[str, Any] = {}
-    for key in sorted(record):
-        result |= flat(record[key], f"{prefix}.{key}" if prefix else str(key))
-    return result
 
 
 def _beside(
@@ -199,6 +161,36 @@ def runs_table(material: Material) -> Table:
     table = _beside("runs", "Flights", material.runs, values, note)
     known = tuple(row for row in table.rows if any(value is not None for value in row[1:]))
     return replace(table, rows=known)
+
+
+def course_rows(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """What only a real flight's summary has; empty for others."""
+    if "ended_by" not in summary:
+        return {}
+    return {
+        "ended by": summary["ended_by"],
+        "holds": summary.get("holds"),
+        "largest distance from the plan [m]": summary.get("max_tracking_error_m"),
+    }
+
+
+def course_tables(runs: Sequence[Run]) -> list[Table]:
+    """Two tables of each real flight: the supervisor's steps and the log messages."""
+    found: list[Table] = []
+    for number, run in enumerate(runs, 1):
+        if (course := run.course) is None:
+            continue
+        end = f"-{number}" if len(runs) > 1 else ""
+        steps = tuple((round(step.time_s, 3), step.event, step.state, step.action) for step in course.steps)
+        lines = tuple(
+            (round(line.time_s, 3), _LEVELS.get(line.level, ""), line.words) for line in course.lines
+        )
+        note = f"Last record of the supervisor at {course.end_s:.2f} s."
+        title, columns = f"Course of {run.label}", ("time [s]", "event", "state after it", "order")
+        found.append(Table(f"course{end}", title, columns, steps, note))
+        title = f"Messages of {run.label}"
+        found.append(Table(f"messages{end}", title, ("time [s]", "level", "message"), lines))
+    return found
 
 
 def trials_table(run: Run, name: str) -> Table:
@@ -340,15 +332,6 @@ def inputs_table(material: Material) -> Table:
     return Table("inputs", "Made from", ("role", "file", "kind", "SHA-256 begins"), rows)
 
 
-def table_csv(table: Table) -> str:
-    """A table with all digits; an unknown value is empty."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(table.columns)
-    writer.writerows([_csv_cell(value) for value in row] for row in table.rows)
-    return out.getvalue()
-
-
 _FENCE_FIELDS = tuple(field.name for field in msgspec.structs.fields(FenceResult))
 _TRIAL_FIELDS = tuple(f.name for f in msgspec.structs.fields(TrialResult) if f.name != "fence")
 CSV_COLUMNS = ("run", "filter", "vehicle", *_TRIAL_FIELDS, *(f"fence_{name}" for name in _FENCE_FIELDS))
@@ -363,38 +346,5 @@ def to_csv(material: Material) -> str:
         for trial in run.record.trials:
             values = [getattr(trial, name) for name in _TRIAL_FIELDS]
             values += [getattr(trial.fence, name, None) for name in _FENCE_FIELDS]
-            writer.writerow([run.label, run.record.filter, run.record.vehicle, *map(_csv_cell, values)])
+            writer.writerow([run.label, run.record.filter, run.record.vehicle, *map(csv_cell, values)])
     return out.getvalue()
-
-
-def _csv_cell(value: Any) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, list):
-        return " ".join(repr(item) for item in value)
-    return value if isinstance(value, str) else repr(value)
-
-
-def to_markdown(title: str, facts: Mapping[str, Any], tables: Sequence[Table], first_line: str) -> str:
-    """The facts in short, then the tables, as Markdown; `first_line` is put into a comment at the top."""
-    parts = [f"<!-- {first_line} -->" if first_line else "", f"# {_cell(title)}"]
-    if facts:
-        items = [f"- {key.replace('_', ' ')}: {_cell(text(value))}" for key, value in facts.items()]
-        parts.append("\n".join(["## In short", "", *items]))
-    for table in tables:
-        head = "| " + " | ".join(_cell(name) for name in table.columns) + " |"
-        rule = "|" + " --- |" * len(table.columns)
-        rows = ["| " + " | ".join(_cell(text(value)) for value in row) + " |" for row in table.rows]
-        parts.append("\n".join([f"## {_cell(table.title)}", "", head, rule, *rows]))
-        if table.note:
-            parts.append(table.note)
-    return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def _cell(word: str) -> str:
-    """Text that stays one cell: no line breaks, no markup of Markdown or HTML."""
-    for mark in "\\|`*_<>[]":
-        word = word.replace(mark, f"\\{mark}" if mark not in "<>" else {"<": "&lt;", ">": "&gt;"}[mark])
-    return " ".join(word.split())

@@ -2,7 +2,7 @@
 
 from alula.cli.comparison import this_machine, write_comparison
 from alula.stages.reporting.figures import Figure
-from alula.stages.reporting.tables import Table
+from alula.stages.reporting.table import Table
 
 TABLE = Table("t", "A table", ("who", "what"), (("x", 1 / 3),))
 READ = Table("t", "As read", ("who",), (("x",),))

@@ -13,7 +13,7 @@ from alula.cli.main import run
 from alula.cli.runner import input_ref
 from alula.schemas.artifact import write_artifact
 from alula.schemas.provenance import Provenance, read_provenance
-from alula.stages.reporting.tables import text
+from alula.stages.reporting.table import text
 from support.fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial, write_run
 
 EVIL = 'x"><script>alert(1)</script><img src=http://evil.example/a.png>'

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from alula.stages.reporting.figures import Figure
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.page import page
-from alula.stages.reporting.tables import Table, inputs_table, table_csv, to_markdown
+from alula.stages.reporting.table import Table, table_csv, to_markdown
+from alula.stages.reporting.tables import inputs_table
 
 
 def comparison_files(

@@ -10,9 +10,9 @@ import numpy as np
 from alula import _core
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.papers.dracbf import BASE, METHODS, Flown, find, select, success
-from alula.stages.reporting.papers.dracbf_beyond import collapse_cells, risk_bins, stop
+from alula.stages.reporting.papers.dracbf_analysis import collapse_cells, risk_bins, stop
 from alula.stages.reporting.statistics import Rate
-from alula.stages.reporting.tables import text
+from alula.stages.reporting.table import text
 
 OURS, OTHER, BAD, SOFT = "#0072b2", "#e69f00", "#d7301f", "#8a9099"
 _LEAST_RISK = 1e-4  # of the axis

@@ -23,7 +23,7 @@ from alula.stages.reporting.papers.sweeps import (
     succeeded,
 )
 from alula.stages.reporting.statistics import Estimate, mean_estimate
-from alula.stages.reporting.tables import Table
+from alula.stages.reporting.table import Table
 
 GAP_VARIANTS = ("ideal-di", "cone-di", "cone-ecbf")
 BASELINE, OURS = "safer-splat", "cone-ecbf"

@@ -18,7 +18,7 @@ from alula.stages.reporting.papers.fastbridge import (
 )
 from alula.stages.reporting.papers.sweeps import Sweep, find, realisation_error, speeds_of, succeeded
 from alula.stages.reporting.statistics import mean_estimate
-from alula.stages.reporting.tables import text
+from alula.stages.reporting.table import text
 
 COLORS = {
     "ideal-di": "#8a9099",

@@ -6,7 +6,7 @@ Runs of one folder fly the same trials, as far as their starts are safe for each
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,12 +14,14 @@ import numpy as np
 
 from alula.schemas.fence_ticks import Ticks
 from alula.schemas.run import FenceResult, RunRecord
+from alula.stages.reporting.papers.pendulum import Swing, gains_in_short, times_in_short
 from alula.stages.reporting.papers.published import GEOFENCING
 from alula.stages.reporting.statistics import Rate, rate
-from alula.stages.reporting.tables import Table, flat, text
+from alula.stages.reporting.table import Table, flat, text
 
 KM_H = 3.6  # of 1 m/s
 FREE, BASE, PROGRAM = "none", "geofence", "backup-qp"
+ROBUSTNESS, PILOTS = "robustness", "pilots"  # folders
 _ASKED = ("passed", "blended", "backup")  # statuses with a share of the pilot
 _SHARES = ("passed", "blended", "backup", "no_pilot", "hand_over")
 
@@ -313,3 +315,171 @@ def _passes(runs: Sequence[Fenced]) -> tuple[int, int, int, int, int]:
         total(lambda r: r.altered_passes),
         total(lambda r: r.out_of_range),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbed:
+    """Runs of one disturbance, by growing reserve.
+
+    `enough` is the first from which on no flight of any run left its fence, None when some always did.
+    """
+
+    name: str
+    runs: tuple[Fenced, ...]
+    enough: Fenced | None
+
+
+def disturbed(runs: Sequence[Fenced]) -> list[Disturbed]:
+    """Runs of the folder by disturbance; a variant is called DISTURBANCE_RESERVE."""
+    groups: dict[str, list[Fenced]] = {}
+    for run in select(runs, ROBUSTNESS):
+        groups.setdefault(run.variant.rpartition("_")[0], []).append(run)
+    found = []
+    for name, members in groups.items():
+        ordered = sorted(members, key=lambda run: run.reserve_m)
+        enough = None
+        for run in reversed(ordered):
+            if run.left.value:
+                break
+            enough = run
+        found.append(Disturbed(name, tuple(ordered), enough))
+    return found
+
+
+def robustness_table(runs: Sequence[Fenced]) -> Table | None:
+    """Each disturbance without a reserve, and the least reserve that no flight left; None without runs."""
+    rows: list[tuple[Any, ...]] = []
+    for group in disturbed(runs):
+        bare, enough = group.runs[0], group.enough
+        words = [w for w in changed(bare).split(", ") if not w.startswith("reserve_m")]
+        row: list[Any] = [group.name, ", ".join(words), bare.left.n, *bare.left.cells, bare.least_m]
+        row += [None] * 5 if enough is None else [enough.reserve_m, *enough.left.cells, enough.least_m]
+        rows.append(tuple(row))
+    if not rows:
+        return None
+    columns = (
+        *("disturbance", "what flies, and the filter does not know", "flights", "without reserve left [%]"),
+        *("95 % low", "95 % high", "least distance [m]", "least reserve of the grid with none [m]"),
+        *("then left [%]", "95 % low", "95 % high", "least distance then [m]"),
+    )
+    grid = sorted({run.reserve_m for run in select(runs, ROBUSTNESS)})
+    note = (
+        f"Aggressive pilots in the box, each with reserves of {text(grid)} m; the least is that from which "
+        "on no flight with any larger one left either. None of n is no proof of none: the interval says what "
+        "n flights cannot exclude. Starts are safe for the filter with its reserve, so they differ a little. "
+        "`delay-known`: the filter knows of the delay (latency_s)."
+    )
+    return Table(ROBUSTNESS, "Robustness, and the reserve that makes up for it", columns, tuple(rows), note)
+
+
+def pilots_rate(runs: Sequence[Fenced], name: str) -> Rate | None:
+    """Of the flights of all pilots behind a filter, the share that left; None without."""
+    here = [run for run in select(runs, PILOTS) if run.record.filter == name]
+    return rate(t.collision for run in here for t in run.record.trials) if here else None
+
+
+def pilots_table(runs: Sequence[Fenced]) -> Table | None:
+    """All pilots together, filter by filter; None without runs."""
+    rows = []
+    for name in (BASE, PROGRAM, FREE):
+        here = [run for run in select(runs, PILOTS) if run.record.filter == name]
+        found = pilots_rate(runs, name)
+        if not here or found is None:
+            continue
+        kinds = dict.fromkeys(run.variant.removesuffix(f"-{name}") for run in here)
+        rows.append(
+            (
+                *(name, len(kinds), found.n, sum(t.collision for run in here for t in run.record.trials)),
+                *(*found.cells, min(run.least_m for run in here)),
+                sum(result.interventions for run in here for result in run.results),
+                sum(result.altered_passes for run in here for result in run.results),
+            )
+        )
+    if not rows:
+        return None
+    columns = (
+        *("filter", "kinds of pilots", "flights", "left the fence", "that is [%]", "95 % low", "95 % high"),
+        *("least distance [m]", "engagements", "altered passes"),
+    )
+    note = "Vehicle as modelled, random starts in the safe set; without a filter and with the program fewer."
+    return Table(PILOTS, "Random pilots from random safe starts", columns, tuple(rows), note)
+
+
+def in_short(runs: Sequence[Fenced], swings: Sequence[Swing], measured: Mapping[str, Any]) -> dict[str, str]:
+    """What the experiments say."""
+    facts = {
+        "flown": f"{sum(len(run.record.trials) for run in runs):,} flights in {len(runs)} runs",
+        "pendulum, time": times_in_short(measured),
+        "pendulum, gains": gains_in_short(swings),
+    }
+    for scenario, variant, what in (("wall", "from-40", "wall, 40 m"), ("fall", "fall", "fall, 70 m")):
+        run = find(runs, scenario, variant)
+        if run is not None and run.ticks is not None:
+            facts[what] = _approached(run, approach(run.ticks), GEOFENCING[scenario])
+    facts |= _fastest(runs)
+    for run in select(runs, "engaged"):
+        if run.record.filter == BASE:
+            facts[f"again and again, {run.variant}"] = _engaged(run)
+    for scenario in ("box", "faces", "cover", "combined"):
+        whole = [run for run in select(runs, scenario) if run.steps("hand_over") == 0]
+        if whole:
+            n = sum(run.left.n for run in whole)
+            out = sum(t.collision for run in whole for t in run.record.trials)
+            least = text(min(run.least_m for run in whole))
+            facts[f"fence of {scenario}"] = f"{out} of {n:,} flights left it, least distance {least} m"
+    for group in disturbed(runs):
+        enough = "no reserve of the grid" if group.enough is None else f"{text(group.enough.reserve_m)} m"
+        facts[f"unknown {group.name}"] = f"without reserve left {group.runs[0].left}; enough: {enough}"
+    for name in (BASE, "backup-qp", "none"):
+        found_rate = pilots_rate(runs, name)
+        if found_rate is not None:
+            facts[f"random pilots, {name}"] = f"of {found_rate.n:,} left {found_rate}"
+    guarded = [run for run in runs if run.record.filter == BASE]
+    passed = sum(run.steps("passed") for run in guarded)
+    altered = sum(result.altered_passes for run in guarded for result in run.results)
+    facts["passed commands"] = f"{altered} of {passed:,} are not the pilot's, bit by bit"
+    return facts
+
+
+def _approached(run: Fenced, a: Approach, published: Mapping[str, Mapping[str, float]]) -> str:
+    """A flight against a barrier beside the published ones."""
+    names = {"peak_km_h": "km/h", "braking_m": "m of braking", "least_m": "m left", "rest_m": "m at rest"}
+    said = "; ".join(
+        f"{who} {', '.join(f'{text(value[key])} {unit}' for key, unit in names.items() if key in value)}"
+        for who, value in published.items()
+    )
+    return (
+        f"{text(a.peak_km_h)} km/h, brakes from {text(a.braking_m + run.radius_m)} m, tilt "
+        f"{text(a.tilt_deg)}°, least distance {text(a.least_m)} m of the sphere and "
+        f"{text(a.least_m + run.radius_m)} m of its centre, at rest {text(a.rest_m + run.radius_m)} m; "
+        f"least λ {text(a.least_share)}, λ = 0 for {text(1e3 * a.helpless_s)} ms (published: {said})"
+    )
+
+
+def _engaged(run: Fenced) -> str:
+    """Many engagements: whether the pilot ever lost all of his share."""
+    found = run.results
+    lost = sum(r.backup_steps > 0 for r in found)
+    speed = KM_H * max(t.max_speed_m_s for t in run.record.trials)
+    longest = max(r.longest_backup_s for r in found)
+    return (
+        f"{sum(r.interventions for r in found):,} engagements in {len(found)} flights at up to {text(speed)} "
+        f"km/h, {sum(t.collision for t in run.record.trials)} left the fence; λ falls to 0 in {lost} of them"
+        f"{f', for {text(longest)} s at a time at most' if lost else ''} (published: never)"
+    )
+
+
+def _fastest(runs: Sequence[Fenced]) -> dict[str, str]:
+    held = [
+        (KM_H * max(t.max_speed_m_s for t in run.record.trials), run)
+        for run in select(runs, "wall")
+        if run.record.filter == BASE and not run.left.value
+    ]
+    if not held:
+        return {}
+    speed, run = max(held, key=lambda pair: pair[0])
+    free = [peak for peak, one in held if not one.steps("backup")]
+    asked = sum(one.record.filter == BASE for one in select(runs, "wall"))
+    words = f"{text(speed)} km/h ({run.variant}), held with {text(run.least_m)} m; {len(held)} of {asked} "
+    words += "approaches held" + (f"; λ never 0 up to {text(max(free))} km/h" if free else "")
+    return {"wall, fastest": words}

@@ -8,11 +8,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from alula.stages.reporting.figures import Figure, drawing
-from alula.stages.reporting.papers.geofencing import BASE, FREE, KM_H, PROGRAM, Fenced, approach, find, select
-from alula.stages.reporting.papers.geofencing_robustness import PILOTS, disturbed
+from alula.stages.reporting.papers.geofencing import (
+    BASE,
+    FREE,
+    KM_H,
+    PILOTS,
+    PROGRAM,
+    Fenced,
+    approach,
+    disturbed,
+    find,
+    select,
+)
 from alula.stages.reporting.papers.pendulum import GAIN, REGULATION, Pendulum, Swing
 from alula.stages.reporting.papers.pendulum import PROGRAM as PROGRAM_RULE
-from alula.stages.reporting.tables import text
+from alula.stages.reporting.table import text
 
 OURS, OTHER, GOOD, BAD, SOFT = "#0072b2", "#e69f00", "#009e73", "#d7301f", "#8a9099"
 _COLORS = (OURS, OTHER, GOOD, "#cc79a7", "#56b4e9", "#d55e00", "#222222", "#8c6bb1", SOFT)

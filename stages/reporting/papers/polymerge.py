@@ -10,7 +10,8 @@ from typing import Any
 from alula.stages.compression.measure import Measure
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.papers.published import POLYMERGE_SCENES, POLYMERGE_SIZES
-from alula.stages.reporting.tables import BYTES_PER_GAUSSIAN, BYTES_PER_HALF_PLANE, Table, text
+from alula.stages.reporting.table import Table, text
+from alula.stages.reporting.tables import BYTES_PER_GAUSSIAN, BYTES_PER_HALF_PLANE
 
 _METHODS = {"default": "ours", "paper": "paper's rule", "coacd": "CoACD"}
 _COLORS = {"default": "#0072b2", "paper": "#e69f00", "coacd": "#8a9099"}

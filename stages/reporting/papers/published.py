@@ -6,8 +6,7 @@ from typing import Any
 
 from alula.schemas.errors import UsageError
 from alula.stages.reporting.material import Material, Run, flew_through
-
-Parts = tuple[str, str, tuple[str, ...], tuple[tuple[Any, ...], ...], str]
+from alula.stages.reporting.table import Table
 
 # PolyMerge, Table I: scene, hulls and half-planes (in thousands as printed).
 POLYMERGE_SCENES = (
@@ -145,8 +144,8 @@ GEOFENCING: dict[str, dict[str, dict[str, float]]] = {
 }
 
 
-def paper_tables(paper: str, material: Material) -> list[Parts]:
-    """Name, title, columns, rows and note of the tables that a paper adds.
+def paper_tables(paper: str, material: Material) -> list[Table]:
+    """Tables that a paper adds to a report.
 
     Raises:
         UsageError: there is nothing of ours to set beside the published values.
@@ -163,7 +162,7 @@ def paper_tables(paper: str, material: Material) -> list[Parts]:
     return tables
 
 
-def _polymerge_sizes(material: Material) -> Parts:
+def _polymerge_sizes(material: Material) -> Table:
     cover = material.cover
     assert cover is not None
     hulls, planes = len(cover["plane_start"]) - 1, len(cover["plane_offset"])
@@ -199,14 +198,14 @@ def _polymerge_sizes(material: Material) -> Parts:
         "vertices, members and provenance too; the table above has the geometry. Scenes differ, so only "
         "ratios compare."
     )
-    return "polymerge-1", "PolyMerge, Table I: size of the map", columns, tuple(rows), note
+    return Table("polymerge-1", "PolyMerge, Table I: size of the map", columns, tuple(rows), note)
 
 
 def _ratio(value: float | None, by: float) -> float | None:
     return value / by if value is not None and by else None
 
 
-def _polymerge_flights(material: Material) -> Parts:
+def _polymerge_flights(material: Material) -> Table:
     published = {row[0]: row[1:] for row in POLYMERGE_FLIGHTS}
     ours: dict[int | None, list[Run]] = {}
     for run in material.runs:
@@ -237,7 +236,8 @@ def _polymerge_flights(material: Material) -> Parts:
         "The published flights are of another scene. Ours: distance of the vehicle's sphere to the hulls; a "
         "map made with a limit of n hulls may have a few less."
     )
-    return "polymerge-2", "PolyMerge, Table II: success over the number of hulls", columns, tuple(rows), note
+    title = "PolyMerge, Table II: success over the number of hulls"
+    return Table("polymerge-2", title, columns, tuple(rows), note)
 
 
 def _flown(run: Run | None) -> tuple[Any, ...]:

@@ -12,7 +12,7 @@ from alula.schemas.errors import InputError
 from alula.schemas.run import TrialResult
 from alula.stages.reporting.material import Run
 from alula.stages.reporting.statistics import Estimate, difference_estimate, ratio_estimate
-from alula.stages.reporting.tables import flat, text
+from alula.stages.reporting.table import flat, text
 
 _ROUNDING_M_S2 = 1e-9  # of an acceleration; what flies is off by 1e-15
 

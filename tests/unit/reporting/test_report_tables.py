@@ -14,15 +14,14 @@ from alula.schemas.manifest import InputRef
 from alula.stages.reporting import curves
 from alula.stages.reporting.headline import cards, chain, headline
 from alula.stages.reporting.material import Material, Run, is_covered, proof
+from alula.stages.reporting.table import text, to_markdown
 from alula.stages.reporting.tables import (
     CSV_COLUMNS,
     all_tables,
     compression_table,
     cover_table,
     runs_table,
-    text,
     to_csv,
-    to_markdown,
 )
 from support.fabricate import box, exact_hull, make_cover, make_plan, make_record, make_scene, make_trial
 

@@ -9,9 +9,8 @@ from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import ObstacleResult, RunRecord, TrialResult
 from alula.stages.clearance import wilson_interval
-from alula.stages.reporting.papers import dracbf, dracbf_beyond, dracbf_figures, dracbf_small
-from alula.stages.reporting.shares import folded
-from alula.stages.reporting.tables import Table, text
+from alula.stages.reporting.papers import dracbf, dracbf_analysis, dracbf_figures
+from alula.stages.reporting.table import Table, folded, text
 
 
 def met(hit=False, closest=2.0, separation=1.5, warned=3.0, reaction=0.0):
@@ -148,9 +147,9 @@ def test_separation_is_over_those_that_were_warned_of_and_over_all():
 
 def test_a_table_without_two_runs_is_left_out():
     assert dracbf.group_tables([OURS]) == []
-    assert dracbf_small.hardware_tables([OURS]) == []
-    assert dracbf_small.wall_table([OURS]) is None
-    assert dracbf_beyond.collapse_table([OURS]) is None
+    assert dracbf.hardware_tables([OURS]) == []
+    assert dracbf.wall_table([OURS]) is None
+    assert dracbf_analysis.collapse_table([OURS]) is None
     assert dracbf.sensitivity_table([OURS], "sensitivity-1") is None
 
 
@@ -171,7 +170,7 @@ def test_a_choice_is_named_by_what_it_changes():
 
 def test_the_times_of_a_small_vehicle_are_from_detection_and_to_the_end_of_hovering():
     run = flown("thrown", "as-printed", [trial(0, [met(warned=3.0, reaction=0.02)])])
-    (table,) = dracbf_small.hardware_tables([run])
+    (table,) = dracbf.hardware_tables([run])
     assert table.name == "table-4"
     row = row_of(table, "thrown")
     assert row["t_d [ms]"] == pytest.approx(2020)
@@ -182,7 +181,7 @@ def test_the_times_of_a_small_vehicle_are_from_detection_and_to_the_end_of_hover
 
 def test_walls_that_are_touched_count():
     run = flown("wall", "dr-acbf", [trial(i, [met()], clearance=c) for i, c in enumerate((0.5, -0.1, 0.2))])
-    row = row_of(dracbf_small.wall_table([run]), "dr-acbf")
+    row = row_of(dracbf.wall_table([run]), "dr-acbf")
     assert (row["trials that touch a wall"], row["least clearance of walls [m]"]) == (1, -0.1)
     assert row["obstacle [%]"] == 100
     assert row["runs [%]"] == pytest.approx(200 / 3)
@@ -211,13 +210,13 @@ def test_a_trigger_collapses_where_it_fails_most_runs_and_the_other_does_not():
         condition("simple", 0.4, 2, always=True),
         condition("cvar", 1.6, 0),  # without the other
     ]
-    cells = dracbf_beyond.collapse_cells(runs)
+    cells = dracbf_analysis.collapse_cells(runs)
     assert [cell.delay_s for cell in cells] == [0.8, 0.4, 0.0]
-    assert [dracbf_beyond.has_collapsed(cell) for cell in cells] == [False, True, False]
-    table = dracbf_beyond.collapse_table(runs)
+    assert [dracbf_analysis.has_collapsed(cell) for cell in cells] == [False, True, False]
+    table = dracbf_analysis.collapse_table(runs)
     assert [row[-1] for row in table.rows] == ["", "collapses", ""]
     assert [row[11] for row in table.rows] == [None, 80, None]
-    said = dracbf_beyond.in_short(runs)["simple trigger"]
+    said = dracbf_analysis.in_short(runs)["simple trigger"]
     assert "collapses in 1 of 3 conditions: 1 with a late command, 0 on time" in said
     assert "0.4 + 0.3 s, ×2, 20 Hz, 0.95" in dracbf_figures.collapse_figure(runs).svg
 
@@ -225,7 +224,7 @@ def test_a_trigger_collapses_where_it_fails_most_runs_and_the_other_does_not():
 @pytest.mark.parametrize("speed", [0.5, 3.0, 8.0])
 @pytest.mark.parametrize("horizon", [0.15, 0.4])
 def test_a_row_followed_exactly_undershoots_as_the_closed_form_says(speed, horizon):
-    found = dracbf_beyond.stop(speed, horizon)
+    found = dracbf_analysis.stop(speed, horizon)
     scale = speed * horizon
     assert found.undershoot_m == pytest.approx(math.sqrt(0.5) * math.exp(-0.75 * math.pi) * scale, rel=0.01)
     assert -found.command_m_s2.min() == pytest.approx(
@@ -238,16 +237,16 @@ def test_the_box_binds_only_above_the_recursive_speed():
     limit = _core.recursive_speed(6.0, 0.4)
     assert limit == pytest.approx(6 * 0.4 / 0.64479, rel=1e-4)
     for speed in (0.5 * limit, 0.999 * limit):
-        free, boxed = dracbf_beyond.stop(speed, 0.4), dracbf_beyond.stop(speed, 0.4, 6.0)
+        free, boxed = dracbf_analysis.stop(speed, 0.4), dracbf_analysis.stop(speed, 0.4, 6.0)
         assert boxed.undershoot_m == free.undershoot_m
-    fast = dracbf_beyond.stop(1.5 * limit, 0.4, 6.0)
-    assert fast.undershoot_m > 1.2 * dracbf_beyond.stop(1.5 * limit, 0.4).undershoot_m
+    fast = dracbf_analysis.stop(1.5 * limit, 0.4, 6.0)
+    assert fast.undershoot_m > 1.2 * dracbf_analysis.stop(1.5 * limit, 0.4).undershoot_m
     with pytest.raises(ValueError, match="positive"):
-        dracbf_beyond.stop(0.0, 0.4)
+        dracbf_analysis.stop(0.0, 0.4)
 
 
 def test_the_recursion_table_says_how_many_warnings_the_rows_alone_could_answer():
-    table = dracbf_beyond.recursion_table([OURS])
+    table = dracbf_analysis.recursion_table([OURS])
     share = [row[-1] for row in table.rows]
     assert share[0] == 0  # all warnings came at 10 m/s
     assert [row[1] for row in table.rows] == sorted(row[1] for row in table.rows)
@@ -255,22 +254,22 @@ def test_the_recursion_table_says_how_many_warnings_the_rows_alone_could_answer(
 
 def test_the_bound_of_a_run_is_capped_and_held_against_collisions():
     trials = OURS.record.trials
-    one = dracbf_beyond.risk_bins(trials, 1)[0]
+    one = dracbf_analysis.risk_bins(trials, 1)[0]
     assert one.figure == pytest.approx((0.5 + 0.1 + 1.0 + 0.0) / 4)
     assert one.bound == 0.75
     assert one.observed.value == 50
-    least = dracbf_beyond.risk_bins(trials, 4)[0]
+    least = dracbf_analysis.risk_bins(trials, 4)[0]
     assert (least.figure, least.observed.value) == (0, 0)
-    assert len(dracbf_beyond.risk_table([OURS]).rows) == 4 + 1
+    assert len(dracbf_analysis.risk_table([OURS]).rows) == 4 + 1
     bare = flown("scenario-1", "mpc", [trial(0, [met()], risk=0.2, spent=None)])
-    table = dracbf_beyond.risk_table([OURS, bare])
+    table = dracbf_analysis.risk_table([OURS, bare])
     mpc = dict(zip(table.columns, table.rows[-1], strict=True))
     assert (mpc["variant"], mpc["mean figure [%]"], mpc["mean bound of rows [%]"]) == ("mpc", 20, None)
     assert text(mpc["mean bound of rows [%]"]) == "–"
     optimist = flown(
         "scenario-1", "dr-acbf", [trial(i, [met(hit=True), met()], risk=0.01) for i in range(50)]
     )
-    assert {row[-1] for row in dracbf_beyond.risk_table([optimist]).rows} == {"TOO SMALL"}
+    assert {row[-1] for row in dracbf_analysis.risk_table([optimist]).rows} == {"TOO SMALL"}
     assert "risk" in dracbf_figures.risk_figure([OURS]).name
 
 
@@ -285,11 +284,11 @@ def test_figures_say_what_they_show():
 
 
 def test_it_is_said_whether_what_was_asked_for_is_met():
-    facts = dracbf_beyond.in_short([FREE, OURS, QP])
+    facts = dracbf_analysis.in_short([FREE, OURS, QP])
     assert "BELOW 99.6 %" in facts["dr-acbf, scenario-1"]
     assert "obstacle 2 0 %" in facts["without a filter, scenario-1"]
     good = flown("scenario-2", "dr-acbf", [trial(i, [met(), met()]) for i in range(5)])
-    assert "at least 82.5 %" in dracbf_beyond.in_short([good])["dr-acbf, scenario-2"]
+    assert "at least 82.5 %" in dracbf_analysis.in_short([good])["dr-acbf, scenario-2"]
 
 
 def test_what_was_infeasible_or_missed_is_of_all_ticks_and_of_filters_with_rows():

@@ -8,12 +8,7 @@ from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import FenceResult, RunRecord, TrialResult
 from alula.stages.clearance import wilson_interval
-from alula.stages.reporting.papers import (
-    geofencing,
-    geofencing_figures,
-    geofencing_robustness,
-    geofencing_short,
-)
+from alula.stages.reporting.papers import geofencing, geofencing_figures, pendulum
 from alula.stages.reporting.papers.pendulum import PROGRAM, REGULATION, sweep
 
 
@@ -184,11 +179,11 @@ def test_the_least_reserve_is_that_above_which_no_flight_left():
         *reserves("mass", (0.0, 1.0), vehicle__mass_scale=1.2),  # 0.5 m was lucky
         *reserves("gale", (2.0,), vehicle__wind_m_s=[20.0, 0.0, 0.0]),
     ]
-    enough = {group.name: group.enough for group in geofencing_robustness.disturbed(runs)}
+    enough = {group.name: group.enough for group in geofencing.disturbed(runs)}
     assert enough["nominal"].reserve_m == 0
     assert enough["mass"].reserve_m == 2
     assert enough["gale"] is None
-    table = geofencing_robustness.robustness_table(runs)
+    table = geofencing.robustness_table(runs)
     row = row_of(table, "mass")
     assert row["what flies, and the filter does not know"] == "mass_scale 1.2"
     assert row["without reserve left [%]"] == 20
@@ -205,7 +200,7 @@ def test_pilots_are_taken_together_by_filter():
         *(flown("pilots", f"{kind}-geofence", [trial(i) for i in range(50)]) for kind in ("a", "b")),
         flown("pilots", "a-none", [trial(i, -1.0) for i in range(4)], name="none"),
     ]
-    table = geofencing_robustness.pilots_table(runs)
+    table = geofencing.pilots_table(runs)
     row = row_of(table, "geofence")
     assert (row["kinds of pilots"], row["flights"], row["left the fence"]) == (2, 100, 0)
     assert row["95 % high"] == pytest.approx(100 * wilson_interval(0, 100)[1])
@@ -227,7 +222,7 @@ def test_what_is_said_in_short_is_what_the_tables_say():
         flown("box", "stale", [trial(0, -5.0, hand_over=100)]),
         *reserves("mass", (0.0,)),
     ]
-    facts = geofencing_short.in_short(runs, swings, measured)
+    facts = geofencing.in_short(runs, swings, measured)
     assert "takes 3 times as long" in facts["pendulum, time"]
     assert "15 times through quadprog" in facts["pendulum, time"]
     assert facts["wall, 40 m"].startswith("36 km/h, brakes from 5.25 m, tilt 75°")
@@ -240,9 +235,9 @@ def test_what_is_said_in_short_is_what_the_tables_say():
     assert facts["fence of box"].startswith("0 of 1 flights")  # a fence that was handed over is not guarded
     assert facts["unknown mass"].endswith("enough: 0.5 m")
     assert facts["passed commands"] == "0 of 250 are not the pilot's, bit by bit"
-    row = row_of(geofencing_short.time_table(measured), "program through quadprog")
+    row = row_of(pendulum.time_table(measured), "program through quadprog")
     assert (row["in all [µs]"], row["over the regulation"]) == (15, 15)
-    assert len(geofencing_short.gains_table(swings).rows) == 2
+    assert len(pendulum.gains_table(swings).rows) == 2
 
 
 def test_nothing_is_drawn_or_listed_without_runs():
@@ -250,8 +245,8 @@ def test_nothing_is_drawn_or_listed_without_runs():
     assert geofencing.flights_table([], "fences", "", ("box",)) is None
     assert geofencing.filters_table([], "filters", ("geofence",)) is None
     assert geofencing.passes_table([]) is None
-    assert geofencing_robustness.robustness_table([]) is None
-    assert geofencing_robustness.pilots_table([]) is None
+    assert geofencing.robustness_table([]) is None
+    assert geofencing.pilots_table([]) is None
     assert geofencing_figures.approach_figure([], "wall", ("from-40",), "", 8.0) is None
     assert geofencing_figures.engaged_figure(None) is None
     assert geofencing_figures.robustness_figure([]) is None

@@ -18,7 +18,7 @@ from alula.stages.reporting.papers.polymerge import (
     volumes_figure,
     volumes_table,
 )
-from alula.stages.reporting.tables import table_csv
+from alula.stages.reporting.table import table_csv
 
 OURS = Polytopes(30, 400, 1.2, 50_000, Measure(1000, 1200.0, 1000.0, 0, 1e-9), 1600)
 RULE = Polytopes(30, 420, 1.25, 51_000, Measure(1000, 1250.0, 1000.0, 0, 1e-9))

@@ -23,9 +23,8 @@ from alula.stages.reporting.papers.dracbf import (
     success,
 )
 from alula.stages.reporting.papers.published import DRACBF
-from alula.stages.reporting.shares import HIGH, LOW
 from alula.stages.reporting.statistics import Rate, mean_of, rate
-from alula.stages.reporting.tables import Table, flat
+from alula.stages.reporting.table import HIGH, LOW, Table, flat
 
 _STEP = 5e-4  # of a stop, in horizons: the undershoot is off by less than 1 %
 _SPAN = 12.0  # horizons after which a stop is over
