@@ -1,4 +1,8 @@
-"""The figures of a report: each drawn from the arrays of `curves`, as SVG text."""
+"""The figures of a report, drawn as SVG text from the arrays of `curves` and `fenced`.
+
+Maps from above, flights in a geofence (from the side, and the closest one), distributions over trials, the
+closest flight of the others, and the curve of compression.
+"""
 
 from __future__ import annotations
 
@@ -47,19 +51,19 @@ _STYLE = {
     "axes.axisbelow": True,
     "legend.frameon": False,
 }
-_VECTOR_FOOTPRINTS = 1500  # more are drawn as an image inside the figure
+_VECTOR_FOOTPRINTS = 1500  # more footprints are drawn as an image inside the figure
 _MAX_FENCED_RUNS = 4
 _SHADES = {"backup": "#e69f00", "no-pilot": "#8c6bb1", "hand-over": "#d7301f", "refused": "#7f7f7f"}
 _MODES = {"backup": "backup alone", "no-pilot": "no pilot", "hand-over": "handed over", "refused": "refused"}
 _MAX_MAPS = 4
-_FEW_PATHS = 40  # more are drawn thinner
-_NAMED_SHARE = 0.08  # of a flight's time; shorter states have no room for their names
-_DOTTED = 40  # distributions of more values are drawn without their dots
+_FEW_PATHS = 40  # more paths are drawn thinner
+_NAMED_FRACTION = 0.08  # of a flight's time; shorter states have no room for their names
+_DOTTED = 40  # distributions of more values are drawn without dots
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One figure: SVG text, a caption, and what it shows in words for who cannot see it."""
+    """A figure: SVG text, title, and a description in words (`alt`) that is also its caption."""
 
     name: str
     title: str
@@ -69,7 +73,7 @@ class Figure:
 
 
 def all_figures(material: Material) -> list[Figure]:
-    """The figures that the material has data for, in reading order."""
+    """Draw the figures that the material has data for, in reading order."""
     found = []
     for number, shown in enumerate(curves.flight_maps(material)[:_MAX_MAPS], 1):
         found.append(_map_figure(shown, f"map-{number}"))
@@ -90,13 +94,13 @@ def all_figures(material: Material) -> list[Figure]:
 def drawing(
     width: float, height: float, rows: int = 1, columns: int = 1
 ) -> Iterator[tuple[Any, Callable[[], str]]]:
-    """Axes of a new figure, and a function that renders it; equal data gives equal text."""
+    """Yield the axes of a new figure and a function that renders it; equal data gives equal text."""
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure as Canvas
 
     with mpl.rc_context():
-        mpl.rcdefaults()  # whatever style the user has
+        mpl.rcdefaults()  # ignore the user's style
         mpl.rcParams.update(_STYLE)
         figure = Canvas(figsize=(width, height), layout="constrained")
         FigureCanvasSVG(figure)
@@ -111,7 +115,10 @@ def drawing(
 
 
 def window(lines: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Corners of what is shown around points in the plane; nearer than where `fence_shell` cuts open ones."""
+    """Lower and upper corner of the view around points in the plane, shape (2,) each [m].
+
+    The view is smaller than the region to which `fence_shell` cuts an open fence.
+    """
     low = np.min([line.min(axis=0) for line in lines], axis=0)
     high = np.max([line.max(axis=0) for line in lines], axis=0)
     size = high - low
@@ -120,7 +127,7 @@ def window(lines: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
 
 
 def outline(axes: Any, corners: FloatArray) -> None:
-    """The outline of a fence, of the corners that are seen from a side, shape (V, 2)."""
+    """Draw the outline of a fence from its projected corners, shape (V, 2) [m]."""
     if len(corners):
         line = curves.footprint(corners)
         axes.plot(*np.vstack([line, line[:1]]).T, color="#1c2430", linewidth=1.8, zorder=2)
@@ -201,18 +208,18 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
 def _steps(axes: Any, shown: Sequence[curves.Distribution]) -> None:
     for number, one in enumerate(shown):
         color = _RUN_COLORS[number % len(_RUN_COLORS)]
-        axes.step(one.value, one.share, where="post", color=color, linewidth=2, label=one.label)
+        axes.step(one.value, one.fraction, where="post", color=color, linewidth=2, label=one.label)
         if len(one.value) <= _DOTTED:
-            axes.plot(one.value, one.share, ".", color=color, markersize=5)
-    axes.set(ylim=(0, 1.03), ylabel="share of trials")
+            axes.plot(one.value, one.fraction, ".", color=color, markersize=5)
+    axes.set(ylim=(0, 1.03), ylabel="fraction of trials")
     if len(shown) > 1:
         axes.legend(fontsize=10)
 
 
 def _spread(shown: Sequence[curves.Distribution], unit: str) -> str:
     return "; ".join(
-        f"{one.label}: least {text(float(one.value[0]))}{unit}, "
-        f"median {text(float(np.median(one.value)))}{unit}, most {text(float(one.value[-1]))}{unit}"
+        f"{one.label}: minimum {text(float(one.value[0]))}{unit}, "
+        f"median {text(float(np.median(one.value)))}{unit}, maximum {text(float(one.value[-1]))}{unit}"
         for one in shown
     )
 
@@ -225,11 +232,11 @@ def _clearance_figure(shown: Sequence[curves.Distribution], is_to_fence: bool) -
         if least < 0:
             axes.axvspan(least, 0, color=COLORS["collision"], alpha=0.08, linewidth=0)
         _steps(axes, shown)
-        axes.set(xlabel=f"least {what} of a trial [m]")
+        axes.set(xlabel=f"minimum {what} of a trial [m]")
         svg = render()
     spread = _spread(shown, " m")
-    alt = f"Share of trials whose least {what} is at most a value. {spread}. Below 0 is {below}."
-    return Figure("clearance", f"Least {what} of each trial", alt, svg)
+    alt = f"Cumulative distribution of the minimum {what} of the trials. {spread}. Below 0 is {below}."
+    return Figure("clearance", f"Minimum {what} of each trial", alt, svg)
 
 
 def _ratio_figure(shown: Sequence[curves.Distribution]) -> Figure:
@@ -237,8 +244,11 @@ def _ratio_figure(shown: Sequence[curves.Distribution]) -> Figure:
         _steps(axes, shown)
         axes.set(xlabel="path flown / straight line")
         svg = render()
-    alt = f"Share of successful trials whose path is at most so many straight lines. {_spread(shown, '')}."
-    return Figure("path-ratio", "How much longer than a straight line", alt, svg)
+    alt = (
+        "Cumulative distribution of path length over straight-line length, successful trials. "
+        f"{_spread(shown, '')}."
+    )
+    return Figure("path-ratio", "Path length over straight line", alt, svg)
 
 
 def _worst_figure(worst: curves.WorstFlight) -> Figure:
@@ -262,17 +272,17 @@ def _worst_figure(worst: curves.WorstFlight) -> Figure:
     unit = "" if worst.margin_unit == "m" else f", {worst.margin_unit},"
     alt = (
         f"Margin that the filter reported{unit} and speed over time, {worst.label}, trial {worst.trial}, "
-        f"whose least clearance was {text(worst.clearance_m)} m; in {int(worst.trouble.sum())} of "
+        f"minimum clearance {text(worst.clearance_m)} m. In {int(worst.trouble.sum())} of "
         f"{len(worst.trouble)} logged steps the filter had to do more than change the input"
         f"{' (' + ', '.join(worst.statuses) + ')' if worst.statuses else ''}."
     )
     if worst.spells:
-        alt += f" The supervisor's states: {', '.join(map(str, worst.spells))}."
+        alt += f" States of the supervisor: {', '.join(map(str, worst.spells))}."
     return Figure("worst", f"The closest flight: {worst.label}, trial {worst.trial}", alt, svg)
 
 
 def _shade_states(top: Any, bottom: Any, spells: Sequence[Spell]) -> None:
-    """The states of a real flight behind its curves; the names of those that last are above."""
+    """Shade the supervisor's states behind the curves of a real flight; name the longer ones above."""
     if not spells:
         return
     begin, end = spells[0].begin_s, spells[-1].end_s
@@ -282,7 +292,7 @@ def _shade_states(top: Any, bottom: Any, spells: Sequence[Spell]) -> None:
             axes.axvline(spell.begin_s, color="#c3cad2", linewidth=0.8, zorder=0)
             if color is not None:
                 axes.axvspan(spell.begin_s, spell.end_s, color=color, alpha=0.1, linewidth=0, zorder=0)
-        if spell.end_s - spell.begin_s > _NAMED_SHARE * (end - begin) or spell.state in _SPELLS:
+        if spell.end_s - spell.begin_s > _NAMED_FRACTION * (end - begin) or spell.state in _SPELLS:
             middle = 0.5 * (spell.begin_s + spell.end_s)
             where = top.get_xaxis_transform()
             top.text(middle, 1.02, spell.state, transform=where, ha="center", fontsize=9, color="#5b6673")
@@ -308,11 +318,11 @@ def _compression_figure(curve: curves.Compression) -> Figure:
         f"From {text(int(curve.hulls[0]))} to {text(int(curve.hulls[-1]))} hulls while merging: {ends}. "
         "Volumes are summed over hulls, before they were tightened."
     )
-    return Figure("compression", "What fewer hulls cost", alt, svg)
+    return Figure("compression", "Volume and half-planes by number of hulls", alt, svg)
 
 
 def fence_figures(material: Material) -> list[Figure]:
-    """For each run in a fence a view from the side and its closest flight."""
+    """Draw a view from the side and the closest flight for each run in a fence."""
     found = []
     fenced = [run for run in material.runs if is_fenced(run) and run.flights][:_MAX_FENCED_RUNS]
     for number, (run, closest) in enumerate(zip(fenced, closest_flights(fenced), strict=True), 1):
@@ -321,7 +331,7 @@ def fence_figures(material: Material) -> list[Figure]:
 
 
 def _side_figure(run: Run, name: str) -> Figure:
-    """The horizontal axis along which more was flown, and the height."""
+    """Plot height over the horizontal axis with the longer extent of the paths."""
     paths = paths_of(run)
     points = np.concatenate([path.position_world for path in paths])
     across = int(np.argmax(np.ptp(points[:, :2], axis=0)))
@@ -357,8 +367,8 @@ def _closest_figure(closest: ClosestFlight, name: str) -> Figure:
         top.axhline(0, color=COLORS["collision"], linewidth=1.2)
         top.plot(closest.time_s, closest.distance_m, color="#0072b2", linewidth=1.6)
         top.set(ylabel="distance to\nthe fence [m]")
-        middle.plot(closest.time_s, closest.share, color="#222222", linewidth=1.4)
-        middle.set(ylabel="λ, the\npilot's share", ylim=(-0.04, 1.04))
+        middle.plot(closest.time_s, closest.regulation, color="#222222", linewidth=1.4)
+        middle.set(ylabel="regulation\nfunction λ", ylim=(-0.04, 1.04))
         bottom.plot(closest.speed_time_s, 3.6 * closest.speed_m_s, color="#009e73", linewidth=1.6)
         bottom.set(xlabel="time [s]", ylabel="speed [km/h]", ylim=(0, None))
         shaded = _shade_modes((top, middle, bottom), closest)
@@ -371,9 +381,9 @@ def _closest_figure(closest: ClosestFlight, name: str) -> Figure:
         for word in dict.fromkeys(closest.status)
     )
     alt = (
-        f"True distance to the fence, the pilot's share of the command and the speed over time of trial "
-        f"{closest.trial.index} of {closest.label}, whose least distance was {text(least)} m and top speed "
-        f"{text(3.6 * closest.trial.max_speed_m_s)} km/h. Of the logged ticks: {spent}."
+        f"True distance to the fence, regulation function λ and speed over time, {closest.label}, trial "
+        f"{closest.trial.index}: minimum distance {text(least)} m, top speed "
+        f"{text(3.6 * closest.trial.max_speed_m_s)} km/h. Logged ticks by status: {spent}."
     )
     return Figure(
         name, f"The closest flight: {closest.label}, trial {closest.trial.index}", alt, svg, wide=True
@@ -381,7 +391,7 @@ def _closest_figure(closest: ClosestFlight, name: str) -> Figure:
 
 
 def _shade_modes(axes: tuple[Any, ...], closest: ClosestFlight) -> list[str]:
-    """Colour the times in which the filter was in another mode than passing or blending; which ones."""
+    """Shade the times in which the filter did not pass or blend the command; return these statuses."""
     status = np.array(closest.status)
     edges = np.append(closest.time_s, closest.time_s[-1:])
     begins = np.flatnonzero(np.append(True, status[1:] != status[:-1])) if len(status) else np.empty(0, int)

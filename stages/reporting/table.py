@@ -1,4 +1,4 @@
-"""A table of a report: its values, and how they read as text, CSV and Markdown."""
+"""A table of a report: its values and their form as text, CSV and Markdown."""
 
 from __future__ import annotations
 
@@ -14,7 +14,15 @@ LOW, HIGH = "95 % low", "95 % high"  # the two columns after that of a value wit
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of raw values; `text` says how they read."""
+    """A table of raw values; `text` formats them for reading.
+
+    Attributes:
+        name: identifier, for `--table` and file names.
+        title: heading.
+        columns: column headings.
+        rows: one tuple per row, as long as `columns`.
+        note: paragraph below the table.
+    """
 
     name: str
     title: str
@@ -24,7 +32,7 @@ class Table:
 
 
 def text(value: Any) -> str:
-    """A value as a person reads it: four digits of a float, thousands of an integer apart."""
+    """Format a value for reading: four significant digits of a float, thousands separators in an integer."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "–"
     if isinstance(value, bool):
@@ -41,7 +49,7 @@ def text(value: Any) -> str:
 
 
 def flat(record: Any, prefix: str = "") -> dict[str, Any]:
-    """A nested record as one level of dotted keys."""
+    """Flatten a nested record to one level of dotted keys."""
     if not isinstance(record, dict):
         return {prefix: record}
     result: dict[str, Any] = {}
@@ -51,8 +59,10 @@ def flat(record: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def folded(table: Table) -> Table:
-    """As read: each share with its interval in one cell that does not break, such as 99.5 (99.1 to 99.7);
-    without columns of published values where nothing is.
+    """Shorten a table for reading.
+
+    Each value with an interval becomes one cell without line breaks, such as 99.5 (99.1 to 99.7). Columns of
+    published values are dropped where they are empty.
     """
     at = [i for i, name in enumerate(table.columns) if name == LOW]
     empty = [
@@ -75,7 +85,7 @@ def folded(table: Table) -> Table:
 
 
 def table_csv(table: Table) -> str:
-    """A table with all digits; an unknown value is empty."""
+    """Write a table as CSV with all digits; an unknown value is empty."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(table.columns)
@@ -84,7 +94,7 @@ def table_csv(table: Table) -> str:
 
 
 def csv_cell(value: Any) -> str:
-    """A value of a CSV file with all digits; a list is joined by spaces, None is empty."""
+    """Format a value for CSV with all digits; a list is joined by spaces, None is empty."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -95,7 +105,7 @@ def csv_cell(value: Any) -> str:
 
 
 def to_markdown(title: str, facts: Mapping[str, Any], tables: Sequence[Table], first_line: str) -> str:
-    """The facts in short, then the tables, as Markdown; `first_line` is put into a comment at the top."""
+    """Write the facts, then the tables, as Markdown; `first_line` goes into a comment at the top."""
     parts = [f"<!-- {first_line} -->" if first_line else "", f"# {_cell(title)}"]
     if facts:
         items = [f"- {key.replace('_', ' ')}: {_cell(text(value))}" for key, value in facts.items()]
@@ -111,7 +121,7 @@ def to_markdown(title: str, facts: Mapping[str, Any], tables: Sequence[Table], f
 
 
 def _cell(word: str) -> str:
-    """Text that stays one cell: no line breaks, no markup of Markdown or HTML."""
+    """Escape text so that it stays one cell: no line breaks, no markup of Markdown or HTML."""
     for mark in "\\|`*_<>[]":
         word = word.replace(mark, f"\\{mark}" if mark not in "<>" else {"<": "&lt;", ">": "&gt;"}[mark])
     return " ".join(word.split())

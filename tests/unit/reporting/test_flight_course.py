@@ -87,14 +87,14 @@ def test_a_real_flight_is_reported_with_states_end_and_verdict(flown):
     assert any("check clearance: holds" in row[2] for row in tables["messages"].rows)
     rows = dict(row[:2] for row in tables["runs"].rows)
     assert (rows["ended by"], rows["holds"]) == ("plan finished", 0)
-    assert rows["least clearance to the hulls [m]"] > 0
+    assert rows["minimum clearance to the hulls [m]"] > 0
     assert headline(material)["ended_by"] == "plan finished"
     ((_, group),) = cards(material)
     assert (group[0].label, group[0].value, group[0].good) == ("ended by", "plan finished", True)
     figures = {figure.name: figure for figure in all_figures(material)}
     assert figures.keys() == {"map-1", "worst"}  # a single flight is no distribution
     assert "take-off" in figures["worst"].svg
-    assert "The supervisor's states: checks 0.00 to" in figures["worst"].alt
+    assert "States of the supervisor: checks 0.00 to" in figures["worst"].alt
 
 
 def test_a_flight_that_was_cut_is_drawn_without_a_verdict(flown, tmp_path):
