@@ -48,5 +48,5 @@ write_comparison(
     figures,
     read=[folded(table) for table in tables],
     markdown=options.markdown,
-    head=f"{WRITTEN} on {this_machine()}. Times are measured while the trials flew.",
+    head=f"{WRITTEN} on {this_machine()}. Times were measured during the trials.",
 )

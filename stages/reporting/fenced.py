@@ -17,8 +17,8 @@ from alula.stages.simulation.geofence.world import fence_faces
 
 FENCE_NOTE = (
     "Distances are those of the vehicle's sphere to the nearest face or hull, computed from the true path "
-    "and not by the filter; below zero is outside. lambda is the regulation function: at 1 the pilot's command "
-    "passes bit for bit, at 0 the backup controller flies alone."
+    "and not by the filter; below zero is outside. lambda is the regulation function: at 1 the pilot's "
+    "command passes bit for bit, at 0 the backup controller flies alone."
 )
 _COUNTS = ("passed", "blended", "backup", "no_pilot", "hand_over", "refused")
 

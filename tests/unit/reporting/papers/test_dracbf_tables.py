@@ -119,16 +119,16 @@ def test_success_is_counted_per_obstacle_and_per_run_beside_what_is_published():
     assert (row["published: 1 [%]"], row["published: 2 [%]"]) == (99.48, 99.80)
     # Obstacle 1 hits in trials 0 and 1 without a filter, of which the second was avoided; obstacle 2 in all
     # four.
-    assert row["of hits without filter avoided, 1 [%]"] == 50
-    assert row["of hits without filter avoided, 2 [%]"] == 75
-    assert row_of(tables["table-1"], "none")["of hits without filter avoided, 1 [%]"] == 0
+    assert row["unfiltered hits avoided, 1 [%]"] == 50
+    assert row["unfiltered hits avoided, 2 [%]"] == 75
+    assert row_of(tables["table-1"], "none")["unfiltered hits avoided, 1 [%]"] == 0
 
 
 def test_times_are_in_milliseconds_and_over_the_first():
     tables = {t.name: t for t in dracbf.group_tables([FREE, OURS, QP])}
     row = row_of(tables["table-1-times"], "dr-acbf-qp")
     assert row["t_cp mean [ms]"] == pytest.approx(0.02)
-    assert row["p50 over the first"] == pytest.approx(2)
+    assert row["p50 / first row"] == pytest.approx(2)
     assert row["t_cm [ms]"] == pytest.approx(0.02)
     # Seven warnings react in the same tick, so by its end; one two ticks later.
     assert row["t_r in whole ticks [ms]"] == pytest.approx((6 * 10 + 30) / 7)
@@ -139,7 +139,7 @@ def test_separation_is_over_those_that_were_warned_of_and_over_all():
     tables = {t.name: t for t in dracbf.group_tables([FREE, OURS, QP])}
     rows = [line for line in tables["table-1-separation"].rows if line[0] == "dr-acbf"]
     second = dict(zip(tables["table-1-separation"].columns, rows[1], strict=True))
-    assert second["warned of"] == 3
+    assert second["warnings"] == 3
     assert second["d_s, avoidance window [m]"] == pytest.approx((1.5 + 1.5 + 2.5) / 3)
     assert second["d_cpa, whole run [m]"] == pytest.approx((3 * 2.0 + 0.1) / 4)
     assert second["published: d_s"] == 6.64
@@ -164,7 +164,7 @@ def test_a_choice_is_named_by_what_it_changes():
     table = dracbf.sensitivity_table([base, worse], "sensitivity-1")
     row = row_of(table, "jerk-20")
     assert row["changed"] == "vehicle.j_max_m_s3 20"
-    assert (row["runs [%]"], row["against the first"]) == (0, "apart")
+    assert (row["runs [%]"], row["against the first row"]) == (0, "apart")
     assert row_of(table, "dr-acbf")["changed"] == "as specified"
 
 
@@ -182,7 +182,7 @@ def test_the_times_of_a_small_vehicle_are_from_detection_and_to_the_end_of_hover
 def test_walls_that_are_touched_count():
     run = flown("wall", "dr-acbf", [trial(i, [met()], clearance=c) for i, c in enumerate((0.5, -0.1, 0.2))])
     row = row_of(dracbf.wall_table([run]), "dr-acbf")
-    assert (row["trials that touch a wall"], row["least clearance of walls [m]"]) == (1, -0.1)
+    assert (row["trials that touch a wall"], row["minimum clearance to walls [m]"]) == (1, -0.1)
     assert row["obstacle [%]"] == 100
     assert row["runs [%]"] == pytest.approx(200 / 3)
 
@@ -217,7 +217,7 @@ def test_a_trigger_collapses_where_it_fails_most_runs_and_the_other_does_not():
     assert [row[-1] for row in table.rows] == ["", "collapses", ""]
     assert [row[11] for row in table.rows] == [None, 80, None]
     said = dracbf_analysis.in_short(runs)["simple trigger"]
-    assert "collapses in 1 of 3 conditions: 1 with a late command, 0 on time" in said
+    assert "collapses in 1 of 3 conditions: 1 with an actuation delay, 0 without it" in said
     assert "0.4 + 0.3 s, ×2, 20 Hz, 0.95" in dracbf_figures.collapse_figure(runs).svg
 
 
@@ -255,16 +255,16 @@ def test_the_recursion_table_says_how_many_warnings_the_rows_alone_could_answer(
 def test_the_bound_of_a_run_is_capped_and_held_against_collisions():
     trials = OURS.record.trials
     one = dracbf_analysis.risk_bins(trials, 1)[0]
-    assert one.figure == pytest.approx((0.5 + 0.1 + 1.0 + 0.0) / 4)
+    assert one.estimate == pytest.approx((0.5 + 0.1 + 1.0 + 0.0) / 4)
     assert one.bound == 0.75
     assert one.observed.value == 50
     least = dracbf_analysis.risk_bins(trials, 4)[0]
-    assert (least.figure, least.observed.value) == (0, 0)
+    assert (least.estimate, least.observed.value) == (0, 0)
     assert len(dracbf_analysis.risk_table([OURS]).rows) == 4 + 1
     bare = flown("scenario-1", "mpc", [trial(0, [met()], risk=0.2, spent=None)])
     table = dracbf_analysis.risk_table([OURS, bare])
     mpc = dict(zip(table.columns, table.rows[-1], strict=True))
-    assert (mpc["variant"], mpc["mean figure [%]"], mpc["mean bound of rows [%]"]) == ("mpc", 20, None)
+    assert (mpc["variant"], mpc["mean estimate [%]"], mpc["mean bound of rows [%]"]) == ("mpc", 20, None)
     assert text(mpc["mean bound of rows [%]"]) == "–"
     optimist = flown(
         "scenario-1", "dr-acbf", [trial(i, [met(hit=True), met()], risk=0.01) for i in range(50)]
@@ -295,7 +295,7 @@ def test_what_was_infeasible_or_missed_is_of_all_ticks_and_of_filters_with_rows(
     tables = {t.name: t for t in dracbf.group_tables([FREE, OURS, QP])}
     table = tables["table-1-separation"]
     found = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.rows}
-    share, worst = "ticks without a common point [%]", "worst violation [m/s²]"
+    share, worst = "ticks with infeasible rows [%]", "worst violation [m/s²]"
     assert (found["dr-acbf"][share], found["dr-acbf"][worst]) == (2, 0.25)  # 2 of 100 ticks
     assert (found["none"][share], found["none"][worst]) == (None, None)
 
