@@ -40,10 +40,10 @@ found = [
     geofencing.approach_table(runs, "wall", "Figures 5a and 7a: straight at a wall", geofencing.WALL_NOTE),
     geofencing.approach_table(runs, "fall", "Figures 5b and 7b: a fall from 70 m", geofencing.FALL_NOTE),
     geofencing.flights_table(
-        runs, "engaged", "Figure 8: engaged again and again, edges and corners", ("engaged", "corner")
+        runs, "engaged", "Figure 8: repeated engagements, edges and corners", ("engaged", "corner")
     ),
     geofencing.flights_table(
-        runs, "fences", "Pilots of all kinds, fences of all kinds", ("box", "faces", "cover", "combined")
+        runs, "fences", "All kinds of pilots and fences", ("box", "faces", "cover", "combined")
     ),
     geofencing.filters_table(runs, "filters", ("geofence", "backup-qp", "none")),
     geofencing.robustness_table(runs),
@@ -79,6 +79,6 @@ write_comparison(
     figures,
     read=[folded(table) for table in tables],
     markdown=options.markdown,
-    head=f"{WRITTEN} on {this_machine()}. What the filter is and promises: "
+    head=f"{WRITTEN} on {this_machine()}. The filter and its guarantee: "
     "[geofence.md](../theory/geofence.md).",
 )

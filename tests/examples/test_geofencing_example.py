@@ -38,17 +38,17 @@ def test_every_table_is_made_of_runs_and_only_once(tmp_path):
     folder = tmp_path / "geofencing"
     said = make(folder, *FEW, "-j2")
     assert "- passed commands: 0 of " in said
-    assert "- unknown mass: without reserve left " in said
+    assert "- disturbance mass: without reserve " in said
     out = folder / "out"
     tables = {"pendulum-time", "pendulum-gains", "wall", "engaged", "fences", "robustness"}
     assert {path.stem for path in out.glob("*.csv")} == tables | {"passes"}
     figures = {"pendulum", "chatter", "wall", "engaged", "robustness"}
     assert {path.stem for path in out.glob("*.svg")} == figures
-    assert "Figure 8: walls and floor, again and again" in (out / "geofencing.html").read_text()
+    assert "Figure 8: repeated engagement of walls and floor" in (out / "geofencing.html").read_text()
     wall = {row["variant"]: row for row in rows_of(out / "wall.csv")}
-    assert 104 < float(wall["from-40"]["fastest [km/h]"]) < 115
+    assert 104 < float(wall["from-40"]["peak speed [km/h]"]) < 115
     assert (wall["from-40"]["fence"], wall["from-40-none"]["fence"]) == ("held", "left")
-    assert wall["published, flight"]["fastest [km/h]"] == "104.0"
+    assert wall["published, flight"]["peak speed [km/h]"] == "104.0"
     left = {(row["fence"], row["variant"]): row["left the fence [%]"] for row in rows_of(out / "fences.csv")}
     assert {left.pop(("box", "stale-2s"))} <= {"0.0", "50.0", "100.0"}  # handed over: no fence is guarded
     assert set(left.values()) == {"0.0"}

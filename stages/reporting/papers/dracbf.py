@@ -348,9 +348,10 @@ def _hardware_table(flown: Sequence[Flown], name: str, title: str, scenarios: Se
     )
     note = (
         "Simulated: 0.8 m/s², radii of 0.1 m, motion capture at 120 Hz. t_a: from the first avoidance "
-        "command to the end of hovering; t_d: from the first detection to that command. Published: means of five "
-        "flights each, all without collision (100 %, Wilson interval 57 to 100 %), thrown by hand and with a "
-        "radio link, so only orders of magnitude compare; the delays of the scenario include any radio."
+        "command to the end of hovering; t_d: from the first detection to that command. Published: means of "
+        "five flights each, all without collision (100 %, Wilson interval 57 to 100 %), thrown by hand and "
+        "with a radio link, so only orders of magnitude compare; the delays of the scenario include any "
+        "radio."
     )
     return Table(name, title, columns, tuple(rows), note)
 

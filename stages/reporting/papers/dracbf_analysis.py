@@ -193,14 +193,15 @@ def risk_table(flown: Sequence[Flown]) -> Table | None:
     )
     note = (
         "A budget of alpha per tick says little about a mission: over K ticks the union bound is K alpha. "
-        "The bound of rows adds up the risk that the flown commands leave, var / (var + slack²), over all ticks "
-        "and obstacles with a row (Boole, Cantelli). It bounds the probability that any row of the flight "
-        "fails, not that of a collision, and counts neighbouring ticks, which fail together, each time. The "
-        "risk estimate of a run takes, for each 0.4 s and track, only the largest bound of the probability "
-        "that the object comes within the radii while command and velocity are kept, for errors with one "
-        "mode. It is no bound, because other ticks of the 0.4 s might fail too. Both are capped at 1, assume "
-        "that the covariance of the tracks is right, and omit obstacles without a track. First all trials, "
-        "then bins of equal numbers. Collapse: all conditions together; the filters do not know the delays."
+        "The bound of rows adds up the risk that the flown commands leave, var / (var + slack²), over all "
+        "ticks and obstacles with a row (Boole, Cantelli). It bounds the probability that any row of the "
+        "flight fails, not that of a collision, and counts neighbouring ticks, which fail together, each "
+        "time. The risk estimate of a run takes, for each 0.4 s and track, only the largest bound of the "
+        "probability that the object comes within the radii while command and velocity are kept, for errors "
+        "with one mode. It is no bound, because other ticks of the 0.4 s might fail too. Both are capped at "
+        "1, assume that the covariance of the tracks is right, and omit obstacles without a track. First all "
+        "trials, then bins of equal numbers. Collapse: all conditions together; the filters do not know the "
+        "delays."
     )
     return Table("risk", "Risk of a whole run: estimate, bound and observed", columns, tuple(rows), note)
 
