@@ -1,4 +1,4 @@
-"""Published values of the papers, and tables that set ours beside them."""
+"""Published values of the papers, and the tables of `alula report --paper` that compare runs with them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ POLYMERGE_SCENES = (
     ("Kitchen", 901, 69_000),
     ("Bonsai", 2080, 172_000),
 )
-# The rest of it, in the same order: ellipsoids, their file [MB], half-planes of SuGaR + CoACD, its
+# Further columns, in the same order: ellipsoids, their file [MB], half-planes of SuGaR + CoACD, its
 # file [MB], the hulls' file [MB].
 POLYMERGE_SIZES = (
     (1_500_000, 671.1, 189_000, 13.5, 60.7),
@@ -63,8 +63,8 @@ FASTBRIDGE: dict[str, dict[str, float]] = {
         "max_speed_m_s": 1.481,
     },
 }
-# DR-ACBF (arXiv 2512.00462), Tables I to V. Of two obstacles the first and the second, or "mean"; success
-# [%], closing speed [m/s], reaction, command and processing [ms], separation [m].
+# DR-ACBF (arXiv 2512.00462), Tables I to V: values of the first and second obstacle, or their mean; success
+# [%], closing speed [m/s], reaction, command and processing times [ms], separation [m].
 DRACBF: dict[str, dict[str, dict[str, float]]] = {
     "scenario-1": {
         name: {
@@ -148,7 +148,7 @@ def paper_tables(paper: str, material: Material) -> list[Table]:
     """Tables that a paper adds to a report.
 
     Raises:
-        UsageError: there is nothing of ours to set beside the published values.
+        UsageError: the paper is not known, or the material has nothing to compare with it.
     """
     if paper != "polymerge":
         raise UsageError(f"--paper {paper}: no published values are known")
@@ -194,8 +194,8 @@ def _polymerge_sizes(material: Material) -> Table:
     )
     note = (
         "Published half-planes are printed in thousands; their bytes are computed from the 235 per "
-        f"half-plane that the paper states, beside {POLYMERGE_BYTES_PER_SPLAT} per splat. Our file holds "
-        "vertices, members and provenance too; the table above has the geometry. Scenes differ, so only "
+        f"half-plane that the paper states, and {POLYMERGE_BYTES_PER_SPLAT} per splat. Our file also holds "
+        "vertices, members and provenance; the table above counts the geometry alone. Scenes differ, so only "
         "ratios compare."
     )
     return Table("polymerge-1", "PolyMerge, Table I: size of the map", columns, tuple(rows), note)
@@ -233,8 +233,8 @@ def _polymerge_flights(material: Material) -> Table:
         "ours: minimum distance [m]",
     )
     note = (
-        "The published flights are of another scene. Ours: distance of the vehicle's sphere to the hulls; a "
-        "map made with a limit of n hulls may have a few less."
+        "The published flights are in another scene. Ours: distance of the vehicle's sphere to the hulls; a "
+        "map made with a limit of n hulls may have a few fewer."
     )
     title = "PolyMerge, Table II: success over the number of hulls"
     return Table("polymerge-2", title, columns, tuple(rows), note)
@@ -250,7 +250,7 @@ def _flown(run: Run | None) -> tuple[Any, ...]:
 
 
 def hulls_of(run: Run, material: Material) -> int | None:
-    """Hulls of the map that a run flew through, as its log says; else of the cover, if it was its input."""
+    """Number of hulls of a run's map, from its log, or else from the cover if that was its input."""
     if run.hulls is not None:
         return run.hulls
     if material.cover is not None and flew_through(run, material):
