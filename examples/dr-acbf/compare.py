@@ -1,9 +1,9 @@
-"""The tables of DR-ACBF, the sensitivity of what it leaves open, and more, from the runs in a folder.
+"""Make the tables and figures of DR-ACBF, with the effect of its free choices, from the runs in a folder.
 
 Usage: python compare.py [--markdown FILE] FOLDER RUN [RUN ...]
 
-A run is SCENARIO/VARIANT.run.mcap with its record beside it; tables and figures are written into FOLDER, the
-same tables as one page of Markdown into FILE.
+A run is SCENARIO/VARIANT.run.mcap with its record beside it. Tables and figures are written into FOLDER, and
+the same tables as one Markdown page into FILE.
 """
 
 from alula.cli.comparison import comparison_words, this_machine, write_comparison

@@ -1,9 +1,9 @@
-"""Figures 2 to 4 of FastBridge, and the ablations, from the runs in a folder.
+"""Make Figures 2 to 4 of FastBridge, and the ablations, from the runs in a folder.
 
 Usage: python compare.py [--markdown FILE] FOLDER RUN [RUN ...]
 
-A run is SCENE/VARIANT@SPEED.run.mcap with its record beside it; tables and figures are written into
-FOLDER, the same tables as one page of Markdown into FILE.
+A run is SCENE/VARIANT@SPEED.run.mcap with its record beside it. Tables and figures are written into
+FOLDER, and the same tables as one Markdown page into FILE.
 """
 
 from pathlib import Path

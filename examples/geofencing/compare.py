@@ -1,9 +1,10 @@
-"""The experiments of the geofencing paper, and what goes beyond them, from the runs in a folder.
+"""Make the tables and figures of the geofencing paper, and further ones, from the runs in a folder.
 
 Usage: python compare.py [--markdown FILE] FOLDER RUN [RUN ...]
 
-A run is SCENARIO/VARIANT.run.mcap with its record beside it, FOLDER/pendulum.json the times that pendulum.py
-measured. Tables and figures are written into FOLDER, the same tables as one page of Markdown into FILE.
+A run is SCENARIO/VARIANT.run.mcap with its record beside it; FOLDER/pendulum.json holds the times that
+pendulum.py measured. Tables and figures are written into FOLDER, and the same tables as one Markdown page
+into FILE.
 """
 
 import json
@@ -17,7 +18,7 @@ from alula.stages.reporting.table import folded
 
 TITLE = "Geofencing: racing drones in a fence"
 WRITTEN = "Written by `make -C examples/geofencing page`"
-DRAWN = ("wall", "fall", "engaged", "corner")  # folders whose first flights are read tick by tick
+DRAWN = ("wall", "fall", "engaged", "corner")  # the first flights of these folders are read tick by tick
 GAINS = {REGULATION: (1.5, 5.0, 15.0, 60.0, 200.0, 1000.0), PROGRAM: (1.0, 5.0, 10.0, 50.0, 200.0, 1000.0)}
 TICKS_S = (0.01, 0.0025)
 GENTLE, HIGH = {REGULATION: 5.0, PROGRAM: 1.0}, {REGULATION: 60.0, PROGRAM: 50.0}
