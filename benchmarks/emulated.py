@@ -102,7 +102,7 @@ def build(folder: Path, *targets: str) -> None:
     """Build the firmware, and other named targets, under `folder`.
 
     Raises:
-        RuntimeError: it does not compile; with what the compiler says.
+        RuntimeError: it does not compile; with the message of the compiler.
     """
     words = ["make", "-s", "-C", str(FIRMWARE), f"BUILD={folder}", *(targets or ("all",))]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
@@ -115,7 +115,7 @@ class Replay:
     """Outputs of a replay.
 
     Attributes:
-        set_up: statuses of opening the map and of the filter's set-up, 0 for good.
+        set_up: statuses of opening the map and of the filter's set-up, 0 means success.
         ticks: one row per tick, as in TICKS.
         instructions: of each tick, shape (ticks,); nanoseconds on the host.
         stack_bytes: that were ever used.

@@ -182,7 +182,7 @@ def judge(folder: Path, plan: Path, name: str, seed: int, speed_m_s: float) -> d
     timing, (trial,) = record["timing"], record["trials"]
     flown = [row["time_s"] for row in ticks if row["state_name"] in _FLYING]
     path = seen[(seen[:, 0] >= begin + flown[0] - 0.05) & (seen[:, 0] <= begin + flown[-1] + 0.05), 1:]
-    least = float(path_clearance(np.ascontiguousarray(path), obstacles_of(folder, name)).min())
+    minimum = float(path_clearance(np.ascontiguousarray(path), obstacles_of(folder, name)).min())
     end_m = float(np.linalg.norm(path[-1] - GOAL))
     tick = np.array([row["tick_s"] for row in ticks[1:]])  # of the tick before
     return {
@@ -192,7 +192,7 @@ def judge(folder: Path, plan: Path, name: str, seed: int, speed_m_s: float) -> d
         "reached": bool(trial["outcome"] == "reached" and end_m < _ARRIVED_M),
         "ended_by": record["summary"]["ended_by"],
         "end_m": end_m,
-        "min_clearance_m": least - FASTBRIDGE.body.radius_m,
+        "min_clearance_m": minimum - FASTBRIDGE.body.radius_m,
         "margin_m": record["provenance"]["parameters"]["margin_m"],
         "max_speed_m_s": trial["max_speed_m_s"],
         "flight_s": flown[-1] - flown[0],

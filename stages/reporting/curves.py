@@ -264,23 +264,23 @@ def spells(course: Course | None) -> tuple[Spell, ...]:
 def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:
     """Find the logged flight with the minimum clearance, or with the minimum margin where none is known."""
     candidates: list[tuple[float, int, int, Run, TrialResult]] = []
-    for place, run in enumerate(runs):
+    for position, run in enumerate(runs):
         for trial in run.record.trials:
             flight = run.flights.get(trial.index)
             if flight is None or not np.isfinite(flight.margin).any():
                 continue
             clearance = clearance_of(trial)
-            least = float(np.nanmin(flight.margin)) if clearance is None else clearance
-            candidates.append((least, place, trial.index, run, trial))
+            minimum = float(np.nanmin(flight.margin)) if clearance is None else clearance
+            candidates.append((minimum, position, trial.index, run, trial))
     if not candidates:
         return None
-    least, _, index, run, _ = min(candidates, key=lambda c: c[:3])
+    minimum, _, index, run, _ = min(candidates, key=lambda c: c[:3])
     flight = run.flights[index]
     trouble = [status.lower() not in _ROUTINE for status in flight.status]
     return WorstFlight(
         run.label,
         index,
-        least,
+        minimum,
         flight.margin_time_s,
         flight.margin,
         flight.margin_unit,

@@ -228,9 +228,9 @@ def _clearance_figure(shown: Sequence[curves.Distribution], is_to_fence: bool) -
     what, below = ("distance to the fence", "outside") if is_to_fence else ("clearance", "a collision")
     with drawing(6.2, 3.6) as (axes, render):
         axes.axvline(0, color=COLORS["collision"], linewidth=1.2)
-        least = min(float(one.value[0]) for one in shown)
-        if least < 0:
-            axes.axvspan(least, 0, color=COLORS["collision"], alpha=0.08, linewidth=0)
+        minimum = min(float(one.value[0]) for one in shown)
+        if minimum < 0:
+            axes.axvspan(minimum, 0, color=COLORS["collision"], alpha=0.08, linewidth=0)
         _steps(axes, shown)
         axes.set(xlabel=f"minimum {what} of a trial [m]")
         svg = render()
@@ -375,14 +375,14 @@ def _closest_figure(closest: ClosestFlight, name: str) -> Figure:
         if shaded:
             top.legend(fontsize=10, ncols=len(shaded), loc="upper right")
         svg = render()
-    least = closest.trial.map_clearance_m
+    minimum = closest.trial.map_clearance_m
     spent = ", ".join(
         f"{_MODES.get(word, word)} in {100 * closest.status.count(word) / len(closest.status):.0f} %"
         for word in dict.fromkeys(closest.status)
     )
     alt = (
         f"True distance to the fence, regulation function λ and speed over time, {closest.label}, trial "
-        f"{closest.trial.index}: minimum distance {text(least)} m, top speed "
+        f"{closest.trial.index}: minimum distance {text(minimum)} m, top speed "
         f"{text(3.6 * closest.trial.max_speed_m_s)} km/h. Logged ticks by status: {spent}."
     )
     return Figure(

@@ -130,9 +130,9 @@ def _run_cards(run: Run) -> list[Card]:
         ),
     ]
     for key, what in (("map", "hulls"), ("scene", "splats")):
-        least = summary.get(f"min_{key}_clearance_m")
-        if least is not None:
-            found.append(Card(f"minimum clearance to {what}", f"{text(least)} m", "", least >= 0))
+        minimum = summary.get(f"min_{key}_clearance_m")
+        if minimum is not None:
+            found.append(Card(f"minimum clearance to {what}", f"{text(minimum)} m", "", minimum >= 0))
     found.append(
         Card("path length", text(summary.get("mean_path_ratio")), "× straight line, mean of successes")
     )
@@ -141,12 +141,12 @@ def _run_cards(run: Run) -> list[Card]:
 
 def _fence_cards(run: Run) -> list[Card]:
     summary = run.record.summary
-    least, left = float(summary["min_distance_m"]), int(summary["violations"])
+    minimum, left = float(summary["min_distance_m"]), int(summary["violations"])
     passed = summary["passed"] / summary["ticks"] if summary["ticks"] else None
     worst = f"trial {summary['worst_trial']}"
     return [
         Card("left the fence", text(left), _verdict_and_interval(run), left == 0),
-        Card("minimum distance to the fence", f"{text(least)} m", worst, least >= 0),
+        Card("minimum distance to the fence", f"{text(minimum)} m", worst, minimum >= 0),
         Card("top speed", f"{text(summary['max_speed_km_h'])} km/h"),
         Card(
             "interventions", text(summary["interventions"]), f"in {text(summary['engaged_trials'])} flights"

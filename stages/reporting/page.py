@@ -18,7 +18,7 @@ from alula.stages.reporting.view3d import View
 _FOLDED_ROWS = 15  # longer tables are collapsed
 _DENSE_COLUMNS = 10  # wider tables get narrower cells
 
-# The page fetches nothing, whatever k3d's page tries; its code and workers are inside the page.
+# The policy blocks every fetch, also those of k3d's page; its code and workers are inside the page.
 _POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
     "script-src 'unsafe-inline' 'unsafe-eval' blob:; worker-src blob:; connect-src data: blob:"

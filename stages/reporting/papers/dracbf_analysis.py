@@ -200,7 +200,7 @@ def risk_table(flown: Sequence[Flown]) -> Table | None:
         "probability that the object comes within the radii while command and velocity are kept, for errors "
         "with one mode. It is no bound, because other ticks of the 0.4 s might fail too. Both are capped at "
         "1, assume that the covariance of the tracks is right, and omit obstacles without a track. First all "
-        "trials, then bins of equal numbers. Collapse: all conditions together; the filters do not know the "
+        "trials, then bins of equal numbers. Collapse: all conditions together; the filters do not model the "
         "delays."
     )
     return Table("risk", "Risk of a whole run: estimate, bound and observed", columns, tuple(rows), note)
@@ -270,7 +270,7 @@ def collapse_table(flown: Sequence[Flown]) -> Table | None:
         f"{(off['success_1'] + off['success_2']) / 2:.1f} % off, by obstacle. Collapses: at most "
         f"{_COLLAPSED:g} % of runs succeed with the simple trigger where DR-CVaR keeps {_HOLDS:g} %. Simple "
         "trigger as printed: rows are active only in a manoeuvre; with DR-CVaR, and in the columns of rows "
-        "always, they are active in every tick. The filters do not know the delays."
+        "always, they are active in every tick. The filters do not model the delays."
     )
     return Table("collapse", "Where the simple trigger collapses", columns, rows, note)
 
@@ -316,9 +316,9 @@ def in_short(flown: Sequence[Flown]) -> dict[str, str]:
         if worst_cell.always is not None:
             facts["simple trigger"] += f", {worst_cell.always} with rows in every tick"
         if fine:
-            least = min(fine, key=lambda r: r.value or 0.0)
+            minimum = min(fine, key=lambda r: r.value or 0.0)
             facts["simple trigger without actuation delay"] = (
-                f"detection probability of at least {_SEES:g}: at least {least}"
+                f"detection probability of at least {_SEES:g}: at least {minimum}"
             )
     whole = find(flown, "scenario-1", BASE)
     if whole is not None:

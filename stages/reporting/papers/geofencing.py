@@ -431,8 +431,8 @@ def in_short(runs: Sequence[Fenced], swings: Sequence[Swing], measured: Mapping[
         if whole:
             n = sum(run.left.n for run in whole)
             out = sum(t.collision for run in whole for t in run.record.trials)
-            least = text(min(run.least_m for run in whole))
-            facts[f"fence {scenario}"] = f"{out} of {n:,} flights left it, minimum distance {least} m"
+            minimum = text(min(run.least_m for run in whole))
+            facts[f"fence {scenario}"] = f"{out} of {n:,} flights left it, minimum distance {minimum} m"
     for group in disturbed(runs):
         enough = "none of the grid" if group.enough is None else f"{text(group.enough.reserve_m)} m"
         facts[f"disturbance {group.name}"] = (

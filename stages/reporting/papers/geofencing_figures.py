@@ -213,18 +213,24 @@ def distances_figure(runs: Sequence[Fenced]) -> Figure | None:
     values = []
     with drawing(7.4, 4.4) as (axes, render):
         for name, color in ((BASE, OURS), (PROGRAM, OTHER), (FREE, BAD)):
-            least = sorted(
+            distances = sorted(
                 t.map_clearance_m if t.map_clearance_m is not None else math.inf
                 for run in select(runs, folder)
                 if run.record.filter == name
                 for t in run.record.trials
             )
-            if not least:
+            if not distances:
                 continue
-            axes.step(least, np.arange(1, len(least) + 1) / len(least), where="post", color=color, label=name)
-            median = least[len(least) // 2]
+            axes.step(
+                distances,
+                np.arange(1, len(distances) + 1) / len(distances),
+                where="post",
+                color=color,
+                label=name,
+            )
+            median = distances[len(distances) // 2]
             values.append(
-                f"{name}: {len(least):,} flights, minimum {text(least[0])} m, median {text(median)} m"
+                f"{name}: {len(distances):,} flights, minimum {text(distances[0])} m, median {text(median)} m"
             )
         if not values:
             return None

@@ -181,12 +181,13 @@ def gains_in_short(swings: Sequence[Swing]) -> str:
     for rule in (REGULATION, PROGRAM):
         here = [s for s in swings if s.rule == rule and s.tick_s == tick and s.arrival_s is not None]
         calm = [s for s in here if s.chatter < _CALM]
-        least = min(here, key=lambda s: s.chatter, default=None)
-        if least is None:
+        calmest = min(here, key=lambda s: s.chatter, default=None)
+        if calmest is None:
             continue
         words.append(
             f"{rule}: chatter below {_CALM:g} rad/s² per s at {len(calm)} of {len(here)} gains, minimum "
-            f"{text(least.chatter)} at {GAIN[rule]} {least.gain:g}, settled at {text(least.settled_rad)} rad"
+            f"{text(calmest.chatter)} at {GAIN[rule]} {calmest.gain:g}, settled at "
+            f"{text(calmest.settled_rad)} rad"
         )
     return "; ".join(words)
 

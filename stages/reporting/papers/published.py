@@ -245,8 +245,8 @@ def _flown(run: Run | None) -> tuple[Any, ...]:
         return (None,) * 6
     summary = run.record.summary
     low, high = summary.get("success_interval") or (None, None)
-    rate, least = summary.get("success_rate"), summary.get("min_map_clearance_m")
-    return run.label, len(run.record.trials), rate, low, high, least
+    rate, minimum = summary.get("success_rate"), summary.get("min_map_clearance_m")
+    return run.label, len(run.record.trials), rate, low, high, minimum
 
 
 def hulls_of(run: Run, material: Material) -> int | None:
