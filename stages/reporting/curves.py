@@ -145,7 +145,7 @@ def plan_positions(plan: Artifact) -> FloatArray:
 
 
 def thin(points: FloatArray, maximum: int = _DRAWN_POINTS) -> FloatArray:
-    """Keep at most `maximum` of the points, evenly spaced, including the first and the last."""
+    """Keep at most `maximum` of the points, shape (n, 3) [m], evenly spaced, with the first and the last."""
     if len(points) <= maximum:
         return points
     return points[np.linspace(0, len(points) - 1, maximum).round().astype(np.int64)]
@@ -239,7 +239,12 @@ def compression(cover: Artifact | None) -> Compression | None:
 
 
 def broken(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Insert a NaN into a curve at each gap much longer than its usual step, so that no line bridges it."""
+    """Insert a NaN into a curve at each gap much longer than its usual step, so that no line bridges it.
+
+    Args:
+        time_s: shape (n,), ascending.
+        values: shape (n,).
+    """
     step = np.diff(time_s)
     if len(step) == 0:
         return time_s, values

@@ -94,7 +94,14 @@ def all_figures(material: Material) -> list[Figure]:
 def drawing(
     width: float, height: float, rows: int = 1, columns: int = 1
 ) -> Iterator[tuple[Any, Callable[[], str]]]:
-    """Yield the axes of a new figure and a function that renders it; equal data gives equal text."""
+    """Yield the axes of a new figure and a function that renders it as SVG; equal data gives equal text.
+
+    Args:
+        width: of the figure [inch].
+        height: of the figure [inch].
+        rows: number of axes below each other, with a common x axis.
+        columns: number of axes side by side, with a common y axis.
+    """
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure as Canvas
@@ -118,6 +125,9 @@ def window(lines: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Lower and upper corner of the view around points in the plane, shape (2,) each [m].
 
     The view is smaller than the region to which `fence_shell` cuts an open fence.
+
+    Args:
+        lines: points in the plane, shape (n, 2) each [m].
     """
     low = np.min([line.min(axis=0) for line in lines], axis=0)
     high = np.max([line.max(axis=0) for line in lines], axis=0)

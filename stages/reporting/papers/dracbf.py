@@ -13,7 +13,7 @@ from typing import Any
 from alula.schemas.run import ObstacleResult, RunRecord, TrialResult
 from alula.stages.reporting.papers.published import DRACBF
 from alula.stages.reporting.statistics import Rate, mean_of, rate
-from alula.stages.reporting.table import Table, flat, text
+from alula.stages.reporting.table import HIGH, LOW, Table, flat, text
 
 FREE, BASE = "none", "dr-acbf"  # variants: without a filter, and as specified
 METHODS = (FREE, BASE, "dr-acbf-gs", "dr-acbf-qp", "mpc", "cbf-qp", "rp-cbf")
@@ -62,14 +62,25 @@ class Flown:
 
 
 def success(flown: Flown, obstacle: int | None = None) -> Rate:
-    """Percentage of trials without a collision, or without one with that obstacle."""
+    """Percentage of trials without a collision.
+
+    Args:
+        flown: the run.
+        obstacle: index from 0; only collisions with it count. None: with any obstacle.
+    """
     if obstacle is None:
         return rate(not trial.collision for trial in flown.record.trials)
     return rate(not met.collision for met in flown.met(obstacle))
 
 
 def avoided(flown: Flown, free: Flown | None, obstacle: int) -> Rate | None:
-    """Percentage without a collision among the trials that hit the obstacle without a filter."""
+    """Percentage without a collision among the trials that hit the obstacle without a filter.
+
+    Args:
+        flown: the run with a filter.
+        free: the same trials without a filter; None where they were not flown.
+        obstacle: index from 0.
+    """
     if free is None:
         return None
     pairs = zip(flown.met(obstacle), free.met(obstacle), strict=False)
@@ -108,7 +119,15 @@ def success_table(
     free: Flown | None = None,
     published: Mapping[str, Mapping[str, float]] | None = None,
 ) -> Table:
-    """Compare the success of each run by obstacle and by trial [%] with the published values."""
+    """Compare the success of each run by obstacle and by trial [%] with the published values.
+
+    Args:
+        runs: one row each.
+        name: of the table.
+        title: of the table.
+        free: the run without a filter; with it, columns for the hits that a filter avoids.
+        published: values by variant and key, as in `DRACBF`.
+    """
     count = max((f.obstacles for f in runs), default=0)
     keys = [f"success_{i + 1}" for i in range(count)] + ["success_mean"]
     printed = {} if published is None else published
@@ -127,9 +146,9 @@ def success_table(
         rows.append(tuple(row))
     columns = ["variant", "trials"]
     for i in range(count):
-        columns += [f"obstacle {i + 1} [%]", "95 % low", "95 % high"]
+        columns += [f"obstacle {i + 1} [%]", LOW, HIGH]
         columns += [f"unfiltered hits avoided, {i + 1} [%]"] if free is not None else []
-    columns += ["mean of obstacles [%]", "runs [%]", "95 % low", "95 % high"]
+    columns += ["mean of obstacles [%]", "runs [%]", LOW, HIGH]
     columns += [f"published: {key.removeprefix('success_')} [%]" for key in shown]
     note = (
         "Success for an obstacle: the true path never touches it, also between ticks. Success of a run: no "
@@ -144,7 +163,16 @@ def time_table(
     title: str,
     published: Mapping[str, Mapping[str, float]] | None = None,
 ) -> Table:
-    """Compare processing, command and reaction times with the published ones; ratios are to the first run."""
+    """Compare processing, command and reaction times [ms] with the published ones.
+
+    Ratios are those to the first run.
+
+    Args:
+        runs: one row each.
+        name: of the table.
+        title: of the table.
+        published: values by variant and key, as in `DRACBF`.
+    """
     printed = {} if published is None else published
     first = milli(runs[0].timing("filter_p50_s")) if runs else None
     paper = printed.get(runs[0].variant, {}).get("tick") if runs else None
@@ -190,7 +218,14 @@ def separation_table(
     title: str,
     published: Mapping[str, Mapping[str, float]] | None = None,
 ) -> Table:
-    """Compare closing speed and separation per obstacle, over the avoidance window and over the run."""
+    """Compare closing speed and separation per obstacle, over the avoidance window and over the run.
+
+    Args:
+        runs: one row per run and obstacle.
+        name: of the table.
+        title: of the table.
+        published: values by variant and key, as in `DRACBF`.
+    """
     printed = {} if published is None else published
     rows = []
     for f in runs:
@@ -298,7 +333,7 @@ def sensitivity_table(flown: Sequence[Flown], scenario: str) -> Table | None:
         )
     columns = (
         *("variant", "changed", "trials", *(f"obstacle {i + 1} [%]" for i in range(base.obstacles))),
-        *("runs [%]", "95 % low", "95 % high", "against the first row", "mean d_s [m]", "warnings per run"),
+        *("runs [%]", LOW, HIGH, "against the first row", "mean d_s [m]", "warnings per run"),
     )
     note = "One choice changed at a time. Apart: the interval does not overlap that of the specified choice."
     return Table(scenario, f"Free choices one at a time, {scenario[-1:]}", columns, tuple(rows), note)
@@ -334,7 +369,7 @@ def _hardware_table(flown: Sequence[Flown], name: str, title: str, scenarios: Se
                     )
                 )
     columns = (
-        *("scenario", "variant", "obstacle", "success [%]", "95 % low", "95 % high", "v_cl [m/s]"),
+        *("scenario", "variant", "obstacle", "success [%]", LOW, HIGH, "v_cl [m/s]"),
         *(
             "t_r, to the next tick [ms]",
             "t_cm [ms]",
@@ -378,9 +413,9 @@ def wall_table(flown: Sequence[Flown]) -> Table | None:
             )
         )
     columns = (
-        *("variant", "trials", "obstacle [%]", "95 % low", "95 % high", "trials that touch a wall"),
+        *("variant", "trials", "obstacle [%]", LOW, HIGH, "trials that touch a wall"),
         *("minimum clearance to walls [m]", "mean clearance to walls [m]"),
-        *("runs [%]", "95 % low", "95 % high"),
+        *("runs [%]", LOW, HIGH),
     )
     note = "Walls are rows of the same projection; clearance is that of the vehicle's sphere."
     return Table("wall", "A corridor: avoidance without touching a wall", columns, tuple(rows), note)

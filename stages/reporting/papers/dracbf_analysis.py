@@ -103,7 +103,12 @@ def _row(distance: float, closing: float, horizon: float, options: dict[str, flo
 
 
 def recursion_table(flown: Sequence[Flown], a_max: float = 6.0) -> Table:
-    """Tabulate by horizon the closing speed up to which rows alone suffice, and the slower warnings."""
+    """Tabulate by horizon the closing speed up to which rows alone suffice, and the slower warnings.
+
+    Args:
+        flown: runs whose warnings are counted.
+        a_max: half-width of the box of accelerations [m/s^2].
+    """
     fastest = [
         m.closing_m_s
         for f in flown
@@ -145,7 +150,7 @@ class RiskBin:
 
 
 def risk_bins(trials: Sequence[TrialResult], count: int = 6) -> list[RiskBin]:
-    """Sort trials by min(1, `mission_risk`) into bins of equal numbers.
+    """Sort trials by min(1, `mission_risk`) into `count` bins of equal numbers.
 
     The estimate takes, for each window of 0.4 s and each track, the largest bound of the probability that the
     object comes within the radii while command and velocity are kept, and adds these up. The bound of rows

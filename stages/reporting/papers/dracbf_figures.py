@@ -49,7 +49,11 @@ def success_figure(flown: Sequence[Flown], scenario: str) -> Figure | None:
 
 
 def recursion_figure(a_max: float = 6.0) -> Figure:
-    """Plot the closing speed up to which the rows alone suffice over the horizon."""
+    """Plot the closing speed up to which the rows alone suffice over the horizon.
+
+    Args:
+        a_max: half-width of the box of accelerations [m/s^2].
+    """
     horizons = np.linspace(0.15, 0.8, 60)
     limit = np.array([_core.recursive_speed(a_max, float(h)) for h in horizons])
     with drawing(5.6, 4.2) as (axes, render):
@@ -68,7 +72,12 @@ def recursion_figure(a_max: float = 6.0) -> Figure:
 
 
 def stop_figure(a_max: float = 6.0, horizon_s: float = 0.4) -> Figure:
-    """Plot the range less all clearance while only a row and the box act."""
+    """Plot the range less all clearance while only a row and the box act.
+
+    Args:
+        a_max: half-width of the box of accelerations [m/s^2].
+        horizon_s: horizon of the row.
+    """
     speeds = (2.0, _core.recursive_speed(a_max, horizon_s), 5.0, 8.0)
     values = []
     with drawing(5.6, 4.2) as (axes, render):

@@ -23,7 +23,7 @@ from alula.stages.reporting.papers.sweeps import (
     succeeded,
 )
 from alula.stages.reporting.statistics import Estimate, mean_estimate
-from alula.stages.reporting.table import Table
+from alula.stages.reporting.table import HIGH, LOW, Table
 
 GAP_VARIANTS = ("ideal-di", "cone-di", "cone-ecbf")
 BASELINE, OURS = "safer-splat", "cone-ecbf"
@@ -54,7 +54,7 @@ def gap_table(sweeps: Sequence[Sweep]) -> Table:
                 )
     columns = (
         *("scene", "filter", "reference speed [m/s]", *_ENDS),
-        *("peak |e_a|, mean [m/s²]", "95 % low", "95 % high", "maximum"),
+        *("peak |e_a|, mean [m/s²]", LOW, HIGH, "maximum"),
         *("minimum γ, median", "minimum γ of all"),
     )
     note = (
@@ -84,7 +84,7 @@ def comparison_table(sweeps: Sequence[Sweep]) -> Table:
     ]
     columns = (
         *("scene", "filter", "reference speed [m/s]", *_ENDS),
-        *("goal rate", "95 % low", "95 % high", "mean jerk [m/s³]", "95 % low", "95 % high"),
+        *("goal rate", LOW, HIGH, "mean jerk [m/s³]", LOW, HIGH),
         *("max jerk [m/s³]", "top speed [m/s]", "filter, mean [µs]"),
     )
     note = (
@@ -125,11 +125,11 @@ def ratio_table(sweeps: Sequence[Sweep]) -> Table:
             "flights",
             "pairs",
             "mean jerk, ratio",
-            "95 % low",
-            "95 % high",
+            LOW,
+            HIGH,
         ),
-        *("max jerk, ratio", "filter time, ratio", "top speed, difference [m/s]", "95 % low", "95 % high"),
-        *("goal rate, difference", "95 % low", "95 % high"),
+        *("max jerk, ratio", "filter time, ratio", "top speed, difference [m/s]", LOW, HIGH),
+        *("goal rate, difference", LOW, HIGH),
     )
     note = (
         "Ratio or difference of the first filter to the second, at all reference speeds together and at "
@@ -260,7 +260,7 @@ def flight_tables(
             )
         )
     columns = (
-        *("scene", "filter", "reference speed [m/s]", *_ENDS, "goal rate", "95 % low", "95 % high"),
+        *("scene", "filter", "reference speed [m/s]", *_ENDS, "goal rate", LOW, HIGH),
         *("minimum clearance [m]", "mean speed [m/s]", "top speed [m/s]", "mean jerk [m/s³]"),
         *(["changed"] if bases else []),
     )

@@ -94,7 +94,13 @@ def comparison_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
 
 
 def paths_figure(sweeps: Sequence[Sweep], scene: str, trial: int) -> Figure | None:
-    """Plot Figure 3, left: paths of one pair from above, one line per reference speed; None without logs."""
+    """Plot Figure 3, left: paths of one pair from above, one line per reference speed; None without logs.
+
+    Args:
+        sweeps: all runs.
+        scene: name of the scene.
+        trial: index of the pair.
+    """
     from matplotlib import colormaps
 
     shown = tuple(v for v in (BASELINE, GATED, OURS) if v == OURS or _by_speed(sweeps, scene, v))

@@ -19,7 +19,7 @@ from alula.schemas.run import FenceResult, RunRecord
 from alula.stages.reporting.papers.pendulum import Swing, gains_in_short, times_in_short
 from alula.stages.reporting.papers.published import GEOFENCING
 from alula.stages.reporting.statistics import Rate, rate
-from alula.stages.reporting.table import Table, flat, text
+from alula.stages.reporting.table import HIGH, LOW, Table, flat, text
 
 KM_H = 3.6  # of 1 m/s
 FREE, BASE, PROGRAM = "none", "geofence", "backup-qp"
@@ -152,7 +152,14 @@ def engagements(regulation: Sequence[float] | np.ndarray[Any, Any]) -> int:
 
 
 def approach_table(runs: Sequence[Fenced], scenario: str, title: str, note: str) -> Table | None:
-    """Compare flights against one barrier with the published ones; None without runs."""
+    """Compare flights against one barrier with the published ones; None without runs.
+
+    Args:
+        runs: all runs; those of the scenario with logged ticks count.
+        scenario: a key of `GEOFENCING`, `wall` or `fall`.
+        title: of the table.
+        note: of the table.
+    """
     rows: list[tuple[Any, ...]] = []
     for run in select(runs, scenario):
         if run.ticks is None:
@@ -229,7 +236,14 @@ def _listed(value: Any) -> str:
 
 
 def flights_table(runs: Sequence[Fenced], name: str, title: str, scenarios: Sequence[str]) -> Table | None:
-    """Tabulate many flights of each run: how many left the fence, and ticks by status; None without runs."""
+    """Tabulate many flights of each run: how many left the fence, and ticks by status; None without runs.
+
+    Args:
+        runs: all runs.
+        name: of the table.
+        title: of the table.
+        scenarios: scenarios to include, in their order.
+    """
     here = [run for scenario in scenarios for run in select(runs, scenario)]
     rows = []
     for run in here:
@@ -245,7 +259,7 @@ def flights_table(runs: Sequence[Fenced], name: str, title: str, scenarios: Sequ
             )
         )
     columns = (
-        *("fence", "variant", "changed", "flights", "left the fence [%]", "95 % low", "95 % high"),
+        *("fence", "variant", "changed", "flights", "left the fence [%]", LOW, HIGH),
         *("minimum distance [m]", "peak speed [km/h]", "engagements per flight", "passed [%]", "blended [%]"),
         *("u_B alone [%]", "no pilot [%]", "handed over [%]", "longest u_B alone [s]"),
     )
@@ -258,7 +272,13 @@ def flights_table(runs: Sequence[Fenced], name: str, title: str, scenarios: Sequ
 
 
 def filters_table(runs: Sequence[Fenced], scenario: str, names: Sequence[str]) -> Table | None:
-    """Compare filters on the same flights; None without runs."""
+    """Compare filters on the same flights; None without runs.
+
+    Args:
+        runs: all runs.
+        scenario: scenario with one run per filter.
+        names: its variants, in the order of the rows.
+    """
     rows = []
     for run in select(runs, scenario, names):
         total = sum(trial.steps for trial in run.record.trials)
@@ -271,7 +291,7 @@ def filters_table(runs: Sequence[Fenced], scenario: str, names: Sequence[str]) -
             )
         )
     columns = (
-        *("filter", "flights", "left the fence [%]", "95 % low", "95 % high", "minimum distance [m]"),
+        *("filter", "flights", "left the fence [%]", LOW, HIGH, "minimum distance [m]"),
         *("passed [%]", "changed [%]", "u_B alone [%]", "tick p50 [µs]", "tick p99 [µs]"),
     )
     note = (
@@ -361,8 +381,8 @@ def robustness_table(runs: Sequence[Fenced]) -> Table | None:
         return None
     columns = (
         *("disturbance", "changed parameters", "flights", "no reserve: left [%]"),
-        *("95 % low", "95 % high", "no reserve: minimum distance [m]", "sufficient reserve [m]"),
-        *("with it: left [%]", "95 % low", "95 % high", "with it: minimum distance [m]"),
+        *(LOW, HIGH, "no reserve: minimum distance [m]", "sufficient reserve [m]"),
+        *("with it: left [%]", LOW, HIGH, "with it: minimum distance [m]"),
     )
     grid = sorted({run.reserve_m for run in select(runs, ROBUSTNESS)})
     note = (
@@ -401,7 +421,7 @@ def pilots_table(runs: Sequence[Fenced]) -> Table | None:
     if not rows:
         return None
     columns = (
-        *("filter", "kinds of pilots", "flights", "left the fence", "left [%]", "95 % low", "95 % high"),
+        *("filter", "kinds of pilots", "flights", "left the fence", "left [%]", LOW, HIGH),
         *("minimum distance [m]", "engagements", "altered passed commands"),
     )
     note = (
@@ -412,7 +432,13 @@ def pilots_table(runs: Sequence[Fenced]) -> Table | None:
 
 
 def in_short(runs: Sequence[Fenced], swings: Sequence[Swing], measured: Mapping[str, Any]) -> dict[str, str]:
-    """Summarise the experiments, one line per subject."""
+    """Summarise the experiments, one line per subject.
+
+    Args:
+        runs: all runs.
+        swings: pendulum flights.
+        measured: times measured by examples/geofencing/pendulum.py.
+    """
     facts = {
         "flown": f"{sum(len(run.record.trials) for run in runs):,} flights in {len(runs)} runs",
         "pendulum, time": times_in_short(measured),

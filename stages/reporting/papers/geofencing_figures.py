@@ -34,7 +34,13 @@ _SHOWN_S = 4.0  # of a pendulum flight
 def pendulum_figure(
     swings: Sequence[Swing], gentle: dict[str, float], high: dict[str, float]
 ) -> Figure | None:
-    """Plot Figure 4: angle, rate and input of both rules at a gentle and a high gain; None without them."""
+    """Plot Figure 4: angle, rate and input of both rules at a gentle and a high gain; None without them.
+
+    Args:
+        swings: pendulum flights.
+        gentle: by rule, the gain that is dotted.
+        high: by rule, the other gain.
+    """
     shown = [
         (s, style, gains)
         for gains, style in ((gentle, ":"), (high, "-"))
@@ -112,7 +118,15 @@ def chatter_figure(swings: Sequence[Swing]) -> Figure | None:
 def approach_figure(
     runs: Sequence[Fenced], scenario: str, variants: Sequence[str], title: str, seconds: float
 ) -> Figure | None:
-    """Plot Figures 5 and 7: distance, speed, tilt or throttle and lambda over time; None without runs."""
+    """Plot Figures 5 and 7: distance, speed, tilt or throttle and lambda over time; None without runs.
+
+    Args:
+        runs: all runs.
+        scenario: `wall` or `fall`; a fall shows the throttle instead of the tilt.
+        variants: variants to draw.
+        title: of the figure.
+        seconds: length of the time axis.
+    """
     shown = [run for run in select(runs, scenario, variants) if run.ticks is not None]
     if not shown:
         return None

@@ -98,12 +98,21 @@ def swing(rule: str, gain: float, tick_s: float, duration_s: float = 15.0) -> Sw
 
 
 def sweep(gains: dict[str, Sequence[float]], ticks_s: Sequence[float]) -> list[Swing]:
-    """Simulate each rule at each gain and tick length."""
+    """Simulate each rule at each gain and tick length.
+
+    Args:
+        gains: by rule, see `GAIN`.
+        ticks_s: tick lengths.
+    """
     return [swing(rule, gain, dt) for dt in ticks_s for rule in gains for gain in gains[rule]]
 
 
 def time_table(measured: Mapping[str, Any]) -> Table:
-    """Tabulate the time of an evaluation: both rules in native code, and the program in general solvers."""
+    """Tabulate the time of an evaluation: both rules in native code, and the program in general solvers.
+
+    Args:
+        measured: times [us], numbers of rows and states, as examples/geofencing/pendulum.py writes them.
+    """
     times = {name.removesuffix(_MICRO): float(value) for name, value in measured["times"].items()}
     base, program = times[REGULATION], times[PROGRAM]
     published = GEOFENCING["pendulum"][PROGRAM]["time_ratio"]

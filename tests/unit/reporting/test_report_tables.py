@@ -105,7 +105,9 @@ def test_only_a_certificate_says_that_a_map_is_covered():
     assert is_covered({"covered": "yes"}) is None
     ellipsoids = {"covered": True, "checks": [{"name": "every ellipsoid lies in the voxels", "ok": True}]}
     assert proof(ellipsoids).startswith("ellipsoids in voxels")
-    assert "ellipsoids not checked" in proof({"covered": True, "checks": [{"name": "every voxel is a member"}]})
+    assert "ellipsoids not checked" in proof(
+        {"covered": True, "checks": [{"name": "every voxel is a member"}]}
+    )
     rows = dict(cover_table(Material("t", cover=COVER, certificate=ellipsoids)).rows)
     assert rows["verified: covered"] is True
     assert rows["verified: every ellipsoid lies in the voxels"].startswith("holds")
