@@ -1,4 +1,4 @@
-"""The files that an example's comparison ends in."""
+"""The output files of an example's comparison."""
 
 from alula.cli.comparison import this_machine, write_comparison
 from alula.stages.reporting.figures import Figure

@@ -1,4 +1,4 @@
-"""What a report says of the course of a real flight: its states, its end, and its path without a verdict."""
+"""Reports on the course of a real flight: its states, its end, and its path without a verdict."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""The tables of DR-ACBF against figures counted by hand, and what goes beyond them against closed forms."""
+"""The tables of DR-ACBF against numbers counted by hand, and its analysis against closed forms."""
 
 import math
 
@@ -216,8 +216,8 @@ def test_a_trigger_collapses_where_it_fails_most_runs_and_the_other_does_not():
     table = dracbf_analysis.collapse_table(runs)
     assert [row[-1] for row in table.rows] == ["", "collapses", ""]
     assert [row[11] for row in table.rows] == [None, 80, None]
-    said = dracbf_analysis.in_short(runs)["simple trigger"]
-    assert "collapses in 1 of 3 conditions: 1 with an actuation delay, 0 without it" in said
+    line = dracbf_analysis.in_short(runs)["simple trigger"]
+    assert "collapses in 1 of 3 conditions: 1 with an actuation delay, 0 without it" in line
     assert "0.4 + 0.3 s, ×2, 20 Hz, 0.95" in dracbf_figures.collapse_figure(runs).svg
 
 
@@ -247,8 +247,8 @@ def test_the_box_binds_only_above_the_recursive_speed():
 
 def test_the_recursion_table_says_how_many_warnings_the_rows_alone_could_answer():
     table = dracbf_analysis.recursion_table([OURS])
-    share = [row[-1] for row in table.rows]
-    assert share[0] == 0  # all warnings came at 10 m/s
+    fraction = [row[-1] for row in table.rows]
+    assert fraction[0] == 0  # all warnings came at 10 m/s
     assert [row[1] for row in table.rows] == sorted(row[1] for row in table.rows)
 
 
@@ -295,9 +295,9 @@ def test_what_was_infeasible_or_missed_is_of_all_ticks_and_of_filters_with_rows(
     tables = {t.name: t for t in dracbf.group_tables([FREE, OURS, QP])}
     table = tables["table-1-separation"]
     found = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.rows}
-    share, worst = "ticks with infeasible rows [%]", "worst violation [m/s²]"
-    assert (found["dr-acbf"][share], found["dr-acbf"][worst]) == (2, 0.25)  # 2 of 100 ticks
-    assert (found["none"][share], found["none"][worst]) == (None, None)
+    fraction, worst = "ticks with infeasible rows [%]", "worst violation [m/s²]"
+    assert (found["dr-acbf"][fraction], found["dr-acbf"][worst]) == (2, 0.25)  # 2 of 100 ticks
+    assert (found["none"][fraction], found["none"][worst]) == (None, None)
 
 
 def test_shares_are_read_with_their_intervals_in_one_cell():

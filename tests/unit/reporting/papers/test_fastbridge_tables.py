@@ -1,4 +1,4 @@
-"""The tables of FastBridge against figures counted by hand."""
+"""The tables of FastBridge against numbers counted by hand."""
 
 import math
 
@@ -115,7 +115,7 @@ def test_a_pair_counts_only_where_both_flights_qualify(pair):
 
 
 def records_of(table):
-    """Rows by column; of columns of the same name the first."""
+    """Rows as records by column; the first of columns with the same name."""
     assert all(len(row) == len(table.columns) for row in table.rows)
     columns = list(reversed(table.columns))
     return [dict(zip(columns, reversed(row), strict=True)) for row in table.rows]

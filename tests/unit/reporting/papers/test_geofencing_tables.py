@@ -1,4 +1,4 @@
-"""The tables of the geofencing experiments against figures counted by hand."""
+"""The tables of the geofencing experiments against numbers counted by hand."""
 
 import numpy as np
 import pytest
@@ -76,7 +76,7 @@ def flown(scenario, variant, trials, ticks=None, name="geofence", **changed):
 
 
 def braking():
-    """Faster by 10 m/s for a second, slower for another, in ticks of 0.25 s; lambda as listed."""
+    """Ticks of 0.25 s that accelerate to 10 m/s in a second and brake in another; lambda as listed."""
     speed = np.array([0, 2.5, 5, 7.5, 10, 7.5, 5, 2.5, 0])
     return Ticks(
         time_s=0.25 * np.arange(9),
@@ -133,8 +133,12 @@ def test_distances_of_a_wall_are_of_the_centre_and_stand_beside_what_is_publishe
     without = row_of(table, "from-40-none")
     assert (without["minimum λ"], without["λ = 0 [ms]"], without["fence"]) == (None, None, "left")
     assert without["changed"] == "filter none"
-    said = row_of(table, "published, flight")
-    assert (said["peak speed [km/h]"], said["brakes at [m]"], said["minimum, centre [m]"]) == (104, 15, 1.7)
+    published = row_of(table, "published, flight")
+    assert (published["peak speed [km/h]"], published["brakes at [m]"], published["minimum, centre [m]"]) == (
+        104,
+        15,
+        1.7,
+    )
 
 
 def test_flights_are_counted_with_their_interval_and_shares_of_ticks():

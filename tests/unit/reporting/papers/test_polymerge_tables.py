@@ -73,9 +73,9 @@ def test_the_figures_show_the_numbers_of_their_tables():
 
 def test_in_short_says_what_was_saved():
     assert excess_saved(ROOM) == pytest.approx(0.2)
-    said = in_short([ROOM])["room"]
-    assert "20 % below the paper's rule" in said
-    assert said.endswith("CoACD 1.3, leaves out parts of 25 % of the voxels, 12.5 % of their volume")
+    line = in_short([ROOM])["room"]
+    assert "20 % below the paper's rule" in line
+    assert line.endswith("CoACD 1.3, leaves out parts of 25 % of the voxels, 12.5 % of their volume")
 
 
 @pytest.mark.parametrize("seed", range(4))
