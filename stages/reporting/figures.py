@@ -1,7 +1,8 @@
 """The figures of a report, drawn as SVG text from the arrays of `curves` and `fenced`.
 
 Maps from above, flights in a geofence (from the side, and the closest one), distributions over trials, the
-closest flight of the others, and the curve of compression.
+closest flight of the others, and the curve of compression. One function draws one figure; together they are
+long, but nothing else is in here.
 """
 
 from __future__ import annotations

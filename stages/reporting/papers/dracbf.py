@@ -1,6 +1,7 @@
 """Tables I to V of DR-ACBF from runs of encounters, and tables of solvers, corridor and free choices.
 
 Runs of one scenario fly the same trials: obstacles, sensor noise and clutter are functions of (seed, trial).
+The module is long because it is one page: each table is one function and its note.
 """
 
 from __future__ import annotations
