@@ -1,8 +1,8 @@
-"""A quadrotor whose motors a flight controller drives, and the cockpit in which both are stepped together.
+"""Quadrotor body driven by the motor signals of a flight controller, and a cockpit that steps both together.
 
-The body is the vehicle's: mass, inertia, places and senses of the rotors. A motor's signal m in [0, 1] asks
-its rotor for a quarter of the vehicle's thrust map at m, and thrust follows with a first-order lag. Sensors
-are ideal.
+The body has the vehicle's mass, inertia, rotor positions and rotor directions. A motor signal m in [0, 1]
+commands a quarter of the vehicle's thrust map at m, and thrust follows with a first-order lag. Sensors are
+ideal.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from alula.stages.vehicles.bodies import quadrotor
 
 FloatArray = NDArray[np.float64]
 STEP_S = 0.00025  # of body and firmware: its PID loop runs at 4 kHz
-LOOKS = 10  # steps between two commands: 400 Hz
+LOOKS = 10  # steps per command: 400 Hz
 TICK_S = STEP_S * LOOKS
 IDLE = 0.055  # motor_idle: the signal at no throttle
 ARM_AT_S, ARMED_S, TRIES = 6.0, 2.0, 5  # the firmware refuses for some seconds after power on
@@ -47,7 +47,7 @@ SETTINGS = (
 
 
 class Airframe:
-    """The body in flight; states are rows (13) of p, v, q wxyz, omega as the geofence has them."""
+    """The body in flight; a state is a row (13) of p, v, q wxyz, omega, as in the geofence."""
 
     def __init__(self, vehicle: Vehicle, motor_lag_s: float) -> None:
         assert vehicle.throttle is not None
@@ -58,18 +58,18 @@ class Airframe:
         self._mass = vehicle.body.mass_kg
 
     def reset(self, x: FloatArray) -> None:
-        """To a state, with hovering rotors."""
+        """Set the state, with rotors at hover thrust."""
         sigma = x[7:10] / (1 + x[6])
         self._plant.reset(np.concatenate([x[:3], sigma, x[3:6], x[10:]]))
 
     def step(self, motors: FloatArray) -> None:
-        """A step of `STEP_S` with motor signals in the order of the vehicle's rotors."""
+        """Advance by `STEP_S` with motor signals in the order of the vehicle's rotors."""
         m = np.clip(motors, 0, 1)
         thrust = self._thrust[0] + m * (self._thrust[1] + m * self._thrust[2])
         self._plant.step(STEP_S, self._body.wrench(thrust[None])[0])
 
     def settle_attitude(self) -> None:
-        """Between ticks: keep the attitude's parameters away from their singularity."""
+        """Keep the attitude parameters away from their singularity; call it between ticks."""
         self._plant.switch_shadow()
 
     @property
@@ -86,7 +86,7 @@ class Airframe:
 
 
 def throttle_model(vehicle: Vehicle, rates: _core.Rates, rate_gain: float) -> _core.RacerModel:
-    """The vehicle as its pilot sees it through the firmware: thrust by the stick, rates that sticks reach.
+    """Model of the vehicle behind the firmware: thrust by throttle stick, and rates that full sticks reach.
 
     The throttle t is the signal IDLE + (1 - IDLE) t of every motor, put into the vehicle's map a(m).
     """
@@ -131,7 +131,7 @@ class Cockpit:
         raise FirmwareError(f"the firmware did not arm in {TRIES} tries; the motors are at {f.motors}")
 
     def _switch(self, position: int, until_s: float) -> bool:
-        """Hold the switch with the throttle down until all motors turn, or until then."""
+        """Hold the switch with the throttle down until all motors turn, or until a time."""
         f = self._firmware
         f.send_sticks([1500, 1500, 1000, 1500, position])
         while f.now_s < until_s:
@@ -141,7 +141,7 @@ class Cockpit:
         return False
 
     def start(self, x: FloatArray, command: FloatArray) -> None:
-        """Hold the body at a state while the motors settle at a command; let it go with hovering rotors."""
+        """Hold the body at a state while the motors settle at a command; release it with rotors at hover."""
         f = self._firmware
         self.give(command)
         end = f.now_s + SETTLE_S
@@ -152,7 +152,7 @@ class Cockpit:
         self.packets = f.sent
 
     def give(self, command: FloatArray) -> FloatArray:
-        """Put the sticks where a command (throttle, rates) needs them; returns the command that they are."""
+        """Set the sticks for a command (throttle, rates); return the command after rounding."""
         channels, refused = self._rates.channels(command[None])
         if refused[0]:
             raise FirmwareError(f"no sticks for {command}")
@@ -160,7 +160,7 @@ class Cockpit:
         return self._rates.commands(channels)[0][0]
 
     def steps(self) -> Iterator[FloatArray]:
-        """The states after each step of a tick."""
+        """Step through a tick and yield the state after each step."""
         f, a = self._firmware, self._airframe
         for _ in range(LOOKS):
             self._steps += 1
@@ -175,22 +175,20 @@ class Cockpit:
         return self._firmware.motors
 
     def motor_packets(self) -> int:
-        """Since the start."""
+        """Number of motor packets since the start."""
         return self._firmware.sent - self.packets
 
 
 @contextmanager
 def configured() -> Iterator[Path]:
-    """A folder with the firmware's saved settings, for as many runs as wanted.
+    """Yield a folder with the firmware's saved settings, for any number of runs.
 
     Raises:
-        FirmwareError: it took no settings, however often asked.
+        FirmwareError: the firmware did not accept its settings in any try.
     """
     with tempfile.TemporaryDirectory(prefix="alula-firmware-") as name:
         folder = Path(name)
-        for left in reversed(
-            range(TRIES)
-        ):  # its command line runs in another thread than it, and words get lost
+        for left in reversed(range(TRIES)):  # its command line runs in another thread and may lose input
             try:
                 with Firmware(folder) as firmware:
                     firmware.configure(SETTINGS)

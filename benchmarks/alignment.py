@@ -1,8 +1,8 @@
-"""How often the intervals of `scale-align` hold the truth, in many regimes; and how long a fit takes.
+"""Coverage of the intervals of `scale-align` in many regimes, and the time of a fit.
 
-Cameras stand like those of a synthetic COLMAP model, 40 % of their surveyed positions are gross errors
-and the others have normal noise. A share of 95 % is claimed for each interval, and at least that for
-the bound of the box. Nothing is asserted about time.
+Cameras stand like those of a synthetic COLMAP model; 40 % of their surveyed positions are gross errors
+and the others have normal noise. The nominal coverage is 95 % for each interval, and at least 95 % for
+the bound of the box. Times are not tested.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def surveyed(world: Array, sigma: float, outliers: float, rng: np.random.Generat
 
 
 def held(fit: Fit, truth: Similarity, source: Array) -> Array:
-    """Whether the intervals hold the scale, three angles, three shifts, and the bound all of the box."""
+    """Return whether the intervals contain scale, three angles and three shifts, and the bound the box."""
     record = fit.uncertainty.record(fit.similarity)
     low, high = record["scale_interval"]
     turn = np.array(truth.rotation) @ np.array(fit.similarity.rotation).T
@@ -89,9 +89,9 @@ def held(fit: Fit, truth: Similarity, source: Array) -> Array:
 
 
 def regime(way: str, count: int, sigma: float, outliers: float, seeds: int) -> Figures:
-    """Shares of seeds in which each interval holds."""
+    """Fractions of seeds in which each interval contains the truth."""
     source = centres(count, np.random.default_rng(count))
-    shares, sizes, spent = np.zeros(8), 0.0, 0.0
+    coverage, sizes, spent = np.zeros(8), 0.0, 0.0
     for seed in range(seeds):
         rng = np.random.default_rng([seed, count])
         truth = truth_of(rng)
@@ -106,26 +106,26 @@ def regime(way: str, count: int, sigma: float, outliers: float, seeds: int) -> F
             seen = np.array(truth.rotation) @ axes @ noise
             fit = fit_poses(source, axes, measured, seen, THRESHOLD_M, ANGLE_RAD, 0)
         spent += time.perf_counter() - begin
-        shares += held(fit, truth, source)
+        coverage += held(fit, truth, source)
         sizes += fit.sigma / sigma
-    shares /= seeds
+    coverage /= seeds
     return {
         "way": way,
         "count": count,
         "sigma_m": sigma,
         "outliers": outliers,
         "seeds": seeds,
-        "scale": shares[0],
-        "rotation": shares[1:4].tolist(),
-        "translation": shares[4:7].tolist(),
-        "box": shares[7],
+        "scale": coverage[0],
+        "rotation": coverage[1:4].tolist(),
+        "translation": coverage[4:7].tolist(),
+        "box": coverage[7],
         "sigma_ratio": sizes / seeds,
         "milliseconds": 1e3 * spent / seeds,
     }
 
 
 def regimes(seeds: int) -> Iterator[Figures]:
-    """All of them."""
+    """Measure all regimes."""
     for count, sigma in product(COUNTS, NOISE_M):
         yield regime("positions", count, sigma, 0.4, seeds)
     for count, sigma in product((12, 60), (0.001, 0.01)):
@@ -133,7 +133,7 @@ def regimes(seeds: int) -> Iterator[Figures]:
 
 
 def speed() -> list[Figures]:
-    """One fit of many correspondences, 40 % of them wrong."""
+    """Time one fit of many correspondences, 40 % of them wrong."""
     found = []
     for count in (1_000, 10_000, 100_000):
         rng = np.random.default_rng(count)
@@ -166,9 +166,7 @@ def main() -> None:
     rows = []
     if not arguments.json:
         error = sqrt(0.95 * 0.05 / arguments.seeds)
-        print(
-            f"Shares of {arguments.seeds} seeds that 95 % intervals hold; one standard error is {error:.3f}"
-        )
+        print(f"Coverage of 95 % intervals over {arguments.seeds} seeds; one standard error is {error:.3f}")
         print("way        n  noise mm    scale  rotation x y z     translation x y z    box  sigma^      ms")
     for row in regimes(arguments.seeds):
         rows.append(row)

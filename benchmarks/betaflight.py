@@ -1,10 +1,10 @@
-"""The geofence flies a racer through Betaflight's own firmware: step responses, flights beside the ideal.
+"""Geofence flights of a racer with Betaflight's firmware in the loop: step responses, flights, ideal plant.
 
-The filter is the onboard one at 400 Hz. Its command becomes sticks, the firmware's PID loop turns those into
-four motor signals, and a rigid body with lagging motors flies. The filter counts with the first-order rate
-loop and the latency that fit the measured step responses; beside each flight stands the same filter, pilot
-and fence with that fitted model as the plant. Simulated time is ours (firmware.py): the figures are the same
-in every run.
+The filter is the onboard one at 400 Hz. Its command becomes sticks, the firmware's PID loop converts them
+into four motor signals, and a rigid body with lagging motors flies. The filter's model has the first-order
+rate loop and the latency that fit the measured step responses. Each flight is repeated with the same filter,
+pilot and fence and that fitted model as the plant. The benchmark controls simulated time (firmware.py), so
+the figures are the same in every run.
 
     python benchmarks/betaflight.py --json
     python benchmarks/betaflight.py --markdown docs/results/betaflight.md
@@ -49,7 +49,7 @@ BEGIN, END = "<!-- measured: benchmarks/betaflight.py --markdown -->\n", "<!-- e
 
 @dataclass(frozen=True, kw_only=True)
 class Flight:
-    """What is flown, from rest and level."""
+    """A flight: fence, pilot and start, from rest and level."""
 
     name: str
     box: tuple[Point, Point]
@@ -62,7 +62,7 @@ class Flight:
 
     @property
     def state(self) -> FloatArray:
-        """The first one (13)."""
+        """Initial state, shape (13,)."""
         return np.r_[np.array(self.start), 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]
 
 
@@ -72,7 +72,7 @@ ROOM = ((-25.0, -25.0, 0.0), (25.0, 25.0, 30.0))
 
 
 def flights(quick: bool) -> list[Flight]:
-    """The scenarios; quick: without those that have no reserve, and with one aggressive pilot."""
+    """List the flights; quick: only those with a reserve, and one aggressive pilot."""
 
     def wall(reserve_m: float) -> Flight:
         return Flight(name="wall", box=BEFORE_A_WALL, reserve_m=reserve_m)
@@ -105,14 +105,14 @@ class Bench:
         self.attempts = 0
 
     def cockpit(self, program: firmware.Firmware) -> Cockpit:
-        """Armed."""
+        """Yield an armed cockpit."""
         cockpit = Cockpit(program, Airframe(self.vehicle, MOTOR_LAG_S), self.rates)
         cockpit.arm()
         self.attempts = max(self.attempts, cockpit.attempts)
         return cockpit
 
     def step_response(self, axis: int, rate: float) -> tuple[float, FloatArray]:
-        """The rate that the sticks command and that of the body at every step after them [rad/s]."""
+        """Commanded rate, and the rate of the body at every step after it [rad/s]."""
         with firmware.Firmware(self._folder) as program:
             cockpit = self.cockpit(program)
             cockpit.start(Flight(name="step", box=ROOM).state, self.hover)
@@ -124,7 +124,7 @@ class Bench:
         return commanded, np.array(response)
 
     def fly(self, flight: Flight, model: _core.RacerModel, latency_s: float) -> Figures:
-        """A flight through the firmware, and beside it with the filter's own model as the plant."""
+        """Fly with the firmware, and again with the filter's own model as the plant."""
         fence = _core.Fence(box=flight.box)
         radius_m = self.vehicle.body.radius_m
         parameters = {
@@ -137,7 +137,7 @@ class Bench:
         ideal = fly_ideally(flight, model, guard, latency_s)
         guard.reset()
         hand = _core.PilotHand(_core.Pilot(flight.pilot), model, flight.start[2], seed=flight.seed)
-        x, distance, speed, least_lambda, braking = flight.state, math.inf, 0.0, 1.0, math.nan
+        x, distance, speed, min_lambda, braking = flight.state, math.inf, 0.0, 1.0, math.nan
         outcomes: dict[str, int] = {}
         commands, rates, motors = [], [], []
         with firmware.Firmware(self._folder) as program:
@@ -150,7 +150,7 @@ class Bench:
                 outcomes[outcome] = outcomes.get(outcome, 0) + 1
                 commands.append(cockpit.give(command)[1:])
                 if pilot is not None:
-                    least_lambda = min(least_lambda, detail["lambda"])
+                    min_lambda = min(min_lambda, detail["lambda"])
                     if detail["lambda"] < 0.5 and math.isnan(braking):
                         braking = fence.clearance(tuple(x[:3]), tuple(x[:3])) - radius_m
                 for after in cockpit.steps():
@@ -160,7 +160,7 @@ class Bench:
                 rates.append(x[10:])
                 motors.append(cockpit.motors)
             packets = cockpit.motor_packets() / (len(rates) * LOOKS)
-        flown = summary(distance, speed, least_lambda, braking) | {
+        flown = summary(distance, speed, min_lambda, braking) | {
             "ticks": outcomes,
             "motor_packets_per_step": packets,
             **rate_errors(np.array(commands), np.array(rates), np.array(motors), model, latency_s),
@@ -174,18 +174,18 @@ class Bench:
         }
 
 
-def summary(distance_m: float, speed_m_s: float, least_lambda: float, braking_m: float) -> Figures:
-    """What both kinds of flights have."""
+def summary(distance_m: float, speed_m_s: float, min_lambda: float, braking_m: float) -> Figures:
+    """Figures that both kinds of flights have."""
     return {
         "min_distance_m": distance_m,
         "peak_km_h": 3.6 * speed_m_s,
-        "min_lambda": least_lambda,
+        "min_lambda": min_lambda,
         "brake_distance_m": None if math.isnan(braking_m) else braking_m,
     }
 
 
 def fly_ideally(flight: Flight, model: _core.RacerModel, guard: _core.Geofence, latency_s: float) -> Figures:
-    """The flight with the filter's model as the plant: first-order rates, commands late by the latency."""
+    """Fly with the filter's model as the plant: first-order rates, commands delayed by the latency."""
     spec = _core.GeofenceSpec(
         model=model,
         options=_core.RacerOptions(delay_s=latency_s),
@@ -205,7 +205,7 @@ def fly_ideally(flight: Flight, model: _core.RacerModel, guard: _core.Geofence, 
 def rate_errors(
     commands: FloatArray, rates: FloatArray, motors: FloatArray, model: _core.RacerModel, latency_s: float
 ) -> Figures:
-    """How far roll and pitch rates are from those the filter's model has for the same commands.
+    """Error of the roll and pitch rates against the filter's model under the same commands.
 
     Apart also where no motor is at a limit, at the end of a tick.
     """
@@ -226,7 +226,7 @@ def rate_errors(
 
 
 def fit(responses: list[tuple[float, FloatArray]]) -> tuple[float, float]:
-    """C and L of 1 - exp(-C (t - L)) nearest to step responses in the least squares."""
+    """Least-squares fit of C and L in 1 - exp(-C (t - L)) to step responses."""
     from scipy.optimize import least_squares
 
     shapes = np.array([response / commanded for commanded, response in responses])
@@ -240,7 +240,7 @@ def fit(responses: list[tuple[float, FloatArray]]) -> tuple[float, float]:
 
 
 def measure(quick: bool = False) -> Figures:
-    """All figures."""
+    """Measure all figures."""
     vehicle = read_vehicle(VEHICLE)
     made = firmware.program()
     assert made is not None
@@ -294,10 +294,10 @@ def tables(figures: Figures) -> str:
         "",
         f"Fitted to roll and pitch: C = {figures['rate_gain_per_s']:.1f} 1/s after "
         f"{1e3 * figures['latency_s']:.1f} ms; "
-        f"the filter counts with {1e3 * figures['filter_latency_s']:.1f} ms.",
+        f"the filter's latency is {1e3 * figures['filter_latency_s']:.1f} ms.",
         "",
-        "| flight | reserve | least distance, firmware | ideal | peak, firmware | ideal "
-        "| braking from, firmware | ideal | least λ | rates off by, RMS | with free motors | at most |",
+        "| flight | reserve | minimum distance, firmware | ideal | peak speed, firmware | ideal "
+        "| braking from, firmware | ideal | minimum λ | rate error, RMS | with free motors | maximum |",
         "| --- |" + " ---: |" * 11,
     ]
     for flight in figures["flights"]:
@@ -318,7 +318,7 @@ def tables(figures: Figures) -> str:
 
 
 def main() -> int:
-    """Measure; 4 when a flight with a reserve left its fence."""
+    """Measure; return 4 when a flight with a reserve left its fence."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     parser.add_argument("--quick", action="store_true", help="fewer flights")

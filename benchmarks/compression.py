@@ -1,7 +1,7 @@
 """Covers of the same voxels by this library, the paper's rule, CoACD and V-HACD, side by side in one run.
 
-CPU and wall seconds are of the tool's call alone and count all threads; peak memory is of the whole
-process. Nothing is asserted about time; an obstacle voxel that our cover leaves out fails the run.
+CPU and wall seconds are those of the tool's call alone and count all threads; peak memory is that of the
+whole process. Times are not tested; an obstacle voxel that our cover leaves out fails the run.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Figures = dict[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sizes:
-    """How much is measured; `fallback` is the number of hulls where CoACD finds none in time."""
+    """Extent of the measurement; `fallback` is the number of hulls where CoACD finds none in time."""
 
     hoops: tuple[int, int, float]  # hoops, Gaussians, voxel edge [m]
     room: int = 0  # Gaussians; 0 is none
@@ -48,8 +48,8 @@ class Sizes:
     ladder: tuple[int, ...] = ()
     growth: tuple[int, ...] = ()
     fallback: int = 30
-    limit_s: float = 36.0  # of one tool
-    budget_s: float = math.inf  # of the whole; growth is cut short by it
+    limit_s: float = 36.0  # for one tool
+    budget_s: float = math.inf  # for the whole run; it limits the growth table
 
 
 FULL = Sizes(
@@ -88,7 +88,7 @@ def inputs(sizes: Sizes) -> Iterator[tuple[str, float, Callable[[], Artifact]]]:
 
 
 def compare(sizes: Sizes, voxels: Path) -> dict[str, Figures]:
-    """All tools on the voxels of one file; ours and the paper's with as many hulls as CoACD found."""
+    """Run all tools on the voxels of a file; ours and the paper's rule with the number of hulls of CoACD."""
     rows: dict[str, Figures] = {}
 
     def run(key: str, title: str, tool: str, options: Figures) -> Figures:
@@ -114,7 +114,7 @@ def compare(sizes: Sizes, voxels: Path) -> dict[str, Figures]:
 
 
 def variants(paper: Figures) -> Iterator[tuple[str, Figures]]:
-    """Further ways to spend what the paper's rule spends, as far as this version's `merge` has the option."""
+    """List further options with the half-planes or bytes of the paper's rule, where `merge` has them."""
     planes = {"max_planes": paper["half_planes"]}
     known = {field.name for field in fields(MergeConfig)}
     for title, options in (
@@ -128,27 +128,27 @@ def variants(paper: Figures) -> Iterator[tuple[str, Figures]]:
 
 
 def ours_with(sizes: Sizes, voxels: Path, hulls: int) -> Figures:
-    """Our default with exactly so many hulls, or the nearest number below.
+    """Run our default with exactly this number of hulls, or the nearest number below.
 
-    Tightening can leave fewer hulls than asked for, and then a few more are asked for.
+    Tightening can leave fewer hulls than requested; then a few more are requested.
     """
     best: Figures = {}
-    asked = hulls
+    requested = hulls
     for _ in range(6):
-        outcome = run_tool("merge", voxels, sizes.limit_s, hulls=asked)
-        row = {"title": "ours", "note": outcome.note, "hulls_asked": asked, **outcome.figures}
+        outcome = run_tool("merge", voxels, sizes.limit_s, hulls=requested)
+        row = {"title": "ours", "note": outcome.note, "hulls_asked": requested, **outcome.figures}
         if outcome.note:
             return best or row
         if row["hulls"] <= hulls and row["hulls"] > best.get("hulls", 0):
             best = row
         if row["hulls"] == hulls:
             break
-        asked += hulls - row["hulls"]
+        requested += hulls - row["hulls"]
     return best
 
 
 def ladder(sizes: Sizes, voxels: Path) -> Iterator[Figures]:
-    """Ours against the paper's rule for several numbers of hulls."""
+    """Compare ours with the paper's rule for several numbers of hulls."""
     for hulls in sizes.ladder:
         paper = run_tool("merge", voxels, sizes.limit_s, hulls=hulls, method="paper")
         if paper.note or paper.figures["hulls"] < hulls:
@@ -164,7 +164,7 @@ def ladder(sizes: Sizes, voxels: Path) -> Iterator[Figures]:
 
 
 def contract(rows: dict[str, Figures]) -> Figures:
-    """The figures of the first scene that others rely on."""
+    """Figures of the first scene under the keys that scripts read."""
     ours, paper, coacd = (rows.get(name, {}) for name in ("ours", "paper", "coacd"))
     both = ours.get("cpu_s") and coacd.get("cpu_s")
     return {
@@ -186,7 +186,7 @@ def contract(rows: dict[str, Figures]) -> Figures:
 
 
 def is_covered(result: Figures) -> bool:
-    """Whether none of our covers leaves out a voxel."""
+    """Return whether none of our covers leaves out a voxel."""
     ours = [row for scene in result["scenes"] for key, row in scene["tools"].items() if key not in PEERS]
     ours += [step[key] for scene in result["scenes"] for step in scene["ladder"] for key in tables.LADDER]
     return all(row["voxels_outside_every_hull"] == 0 for row in ours if not row["note"]) and all(
@@ -195,12 +195,12 @@ def is_covered(result: Figures) -> bool:
 
 
 def main() -> int:
-    """Measure everything; 1 when a cover of ours leaves out a voxel."""
+    """Measure everything; return 1 when one of our covers leaves out a voxel."""
     start = time.monotonic()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--quick", action="store_true", help="one scene and CoACD alone, half a minute")
-    size.add_argument("--tiny", action="store_true", help="inputs too small to tell anything, for tests")
+    size.add_argument("--tiny", action="store_true", help="inputs too small for a comparison, for tests")
     parser.add_argument("--only", metavar="TEXT", help="only scenes with this in their name, or growth")
     parser.add_argument("--limit", type=float, metavar="S", help="wall seconds that each tool may take")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")

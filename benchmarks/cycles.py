@@ -1,8 +1,8 @@
-"""Cycles of a Cortex-M4 at most, from the instructions that an emulated one executed.
+"""Upper bound of the cycles of a Cortex-M4, from the instructions that an emulated core executed.
 
-ARM's table (Cortex-M4 technical reference manual, 3.3 and 7.2.3) with the longest it gives: a taken branch
-four cycles, loads and stores two and no pipelining of neighbours, one more where a float result is used by
-the next instruction. Wait states of memory are not in it.
+Cycles are the maxima of ARM's table (Cortex-M4 technical reference manual, 3.3 and 7.2.3): four for a taken
+branch, two for loads and stores without pipelining of neighbours, one more where the next instruction uses a
+float result. Wait states of memory are not included.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Step:
     operands: str
 
     def registers(self) -> int:
-        """How many words a list of registers moves."""
+        """Number of words that a list of registers moves."""
         count = 0
         for part in self.operands[self.operands.index("{") + 1 : self.operands.index("}")].split(","):
             first, _, last = part.strip().partition("-")
@@ -41,7 +41,7 @@ class Step:
         return count
 
     def cycles(self, following: Step | None, *, is_taken: bool) -> int:
-        """At most, given the next instruction and whether the program went elsewhere after this one."""
+        """Maximum cycles, given the next instruction and whether this one branched."""
         name = self.name.split(".")[0]
         if _BRANCH.match(self.name):
             return _TAKEN if is_taken else 1
@@ -75,7 +75,7 @@ class Step:
 
 
 def trace(build_folder: Path, work: Path, name: str) -> Path:
-    """Replay what `work` holds on the M4 and list what was executed."""
+    """Replay the inputs in `work` on the M4 and list the executed instructions."""
     board, log = CORES["m4"], work / "trace.txt"
     words = ["qemu-system-arm", "-M", board.machine, "-kernel", str(build_folder / "m4" / f"{name}.elf")]
     words += ["-nographic", "-monitor", "none", "-serial", "null", "-icount", "shift=6"]
@@ -86,7 +86,7 @@ def trace(build_folder: Path, work: Path, name: str) -> Path:
 
 
 def count(log: Path, first: str, after: str) -> list[tuple[int, int]]:
-    """Instructions and cycles from each entry of the function `first` to the next block of `after`."""
+    """Count instructions and cycles from each entry of the function `first` to the next block of `after`."""
     block: dict[int, list[Step]] = {}
     current: list[Step] = []
     path: list[list[Step]] = []
@@ -115,10 +115,10 @@ def count(log: Path, first: str, after: str) -> list[tuple[int, int]]:
 
 
 def cycles_per_instruction(build_folder: Path, work: Path, name: str, inputs: bytes, image: bytes) -> float:
-    """Of the last tick of a replay's inputs, at most; of `polytope` or `geofence`.
+    """Maximum cycles per instruction in the last tick of a replay of `polytope` or `geofence`.
 
     Raises:
-        RuntimeError: the instructions that were traced are not those that were counted.
+        RuntimeError: the traced instructions are not the counted ones.
     """
     counted = int(replay(build_folder, work, "m4", name, inputs, image).instructions[-1])
     log = trace(build_folder, work, name)
@@ -130,7 +130,7 @@ def cycles_per_instruction(build_folder: Path, work: Path, name: str, inputs: by
 
 
 def _sum(path: list[list[Step]]) -> tuple[int, int]:
-    """Instructions and cycles of blocks that followed one another; the last returns."""
+    """Sum instructions and cycles of consecutive blocks; the last one returns."""
     instructions = cycles = 0
     for i, steps in enumerate(path):
         follower = path[i + 1][0] if i + 1 < len(path) else None

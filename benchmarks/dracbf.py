@@ -1,13 +1,12 @@
-"""The filters among moving obstacles tick by tick, their projections and programs, and trials of scenario 1.
+"""Times of the filters among moving obstacles, their projections and programs, and trials of scenario 1.
 
 Trials of scenario 1 (examples/dr-acbf) are flown with DR-ACBF, and their active ticks recorded: the state,
-every track, the nominal command. Each filter is then led through the same ticks of the same trials, in
-turns, so all answer the same questions in the same run; every active tick is timed on copies of the filter,
-and their median counts.
+every track, the nominal command. Each filter then replays the same ticks of the same trials, in turns and in
+one run; every active tick is timed on copies of the filter, and their median counts.
 
-`general_qp` figures are of the rows of `dr-acbf` through a general QP solver: ours, and where they are
-installed Clarabel and quadprog, called as Python calls them, set-up included. `exact_projection` and
-`gs_projection` are the projections alone on rows like those of these ticks.
+`general_qp` figures are those of the rows of `dr-acbf` in a general QP solver: ours, and Clarabel and
+quadprog where they are installed, called from Python, set-up included. `exact_projection` and `gs_projection`
+are the projections alone on rows like those of these ticks.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ _NO_WALLS = np.empty((0, 4))
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """What a filter is asked in a tick; `tracks` as `MovingFilter.filter` takes them."""
+    """Inputs of a filter in a tick; `tracks` as in `MovingFilter.filter`."""
 
     position: list[float]
     velocity: list[float]
@@ -77,10 +76,10 @@ class Tick:
 
 
 def record(scenario: Encounters, count: int, seed: int) -> list[list[Tick]]:
-    """All ticks of some trials, flown with DR-ACBF.
+    """Record all ticks of some trials, flown with DR-ACBF.
 
-    Positions of tracks are those of the flight. What it does not record are their velocities, here the truth
-    over ten ticks, and covariances, here about what the sensor's noise leaves at that distance.
+    Positions of tracks are those of the flight. Velocities and covariances are not recorded: velocities are
+    the true ones over ten ticks, covariances follow roughly from the sensor's noise at that distance.
     """
     spec, native = native_encounter(scenario, None), native_filter(scenario)
     logs = _core.fly_encounters(spec, native, seed=seed, first=0, count=count, keeps_path=True, jobs=0)
@@ -110,15 +109,15 @@ def _ticks(log: dict[str, Any], scenario: Encounters) -> Iterator[Tick]:
 
 
 def through(native: Any, ticks: list[Tick], repeats: int) -> list[float]:
-    """Times of a filter in a trial's active ticks [s], medians of copies; the others it just flies."""
+    """Times of a filter in a trial's active ticks [s], medians over copies; other ticks are not timed."""
     native.reset()
     found = []
     for tick in ticks:
-        asked = repeats if tick.is_active and len(tick.tracks) else 0
+        timed = repeats if tick.is_active and len(tick.tracks) else 0
         _, took = native.filter(
-            tick.position, tick.velocity, tick.tracks, _NO_WALLS, tick.nominal, repeats=asked
+            tick.position, tick.velocity, tick.tracks, _NO_WALLS, tick.nominal, repeats=timed
         )
-        if asked:
+        if timed:
             found.append(took)
     return found
 
@@ -126,7 +125,7 @@ def through(native: Any, ticks: list[Tick], repeats: int) -> list[float]:
 def quadprog_backend(
     hessian: FloatArray, gradient: FloatArray, rows: FloatArray, bounds: FloatArray
 ) -> tuple[int, list[float], list[int], list[float]]:
-    """Let quadprog solve the program; a backend of `_core.QpSolver`."""
+    """Solve the program with quadprog, as a backend of `_core.QpSolver`."""
     import quadprog
 
     try:
@@ -138,7 +137,7 @@ def quadprog_backend(
 
 
 def backends() -> dict[str, Any]:
-    """Other solvers for the rows of `dr-acbf`, where they are installed."""
+    """Find the other installed solvers for the rows of `dr-acbf`."""
     found: dict[str, Any] = {}
     if importlib.util.find_spec("quadprog") is not None:
         found["quadprog"] = quadprog_backend
@@ -150,7 +149,7 @@ def backends() -> dict[str, Any]:
 def ticks_side_by_side(
     scenario: Encounters, trials: list[list[Tick]], repeats: int, seconds: float
 ) -> Figures:
-    """Percentiles of every filter over the same active ticks, trial by trial in turns."""
+    """Measure percentiles of every filter over the same active ticks, trial by trial in turns."""
     options = filter_options(scenario)
     filters = {_KEYS[name]: _core.moving_filter(name, options) for name in METHODS}
     filters |= {
@@ -176,7 +175,7 @@ def ticks_side_by_side(
 
 
 def crowd(scenario: Encounters, obstacles: int, repeats: int, seed: int) -> float:
-    """Median time of a warned tick among many obstacles that all close in [us]."""
+    """Median time of a tick with a warning among many approaching obstacles [us]."""
     rng = np.random.default_rng(seed)
     native = _core.moving_filter("dr_acbf", filter_options(scenario))
     variance = np.diag([0.02] * 3 + [0.25] * 3)[np.tril_indices(6)]
@@ -198,7 +197,7 @@ def crowd(scenario: Encounters, obstacles: int, repeats: int, seed: int) -> floa
 
 
 def projections(count: int, seed: int) -> Figures:
-    """Median times of both projections alone, on `_ROWS` rows of which about one is violated, and on two."""
+    """Median times of both projections alone, on `_ROWS` rows (about one violated), and on two."""
     rng = np.random.default_rng(seed)
     figures: Figures = {}
     for size, suffix in ((_ROWS, ""), (2, "_2_rows")):
@@ -224,17 +223,17 @@ def _by_qp(programs: list[tuple[FloatArray, list[float]]], runs: int = 15) -> fl
     normals = np.array([np.vstack([rows[:, :3], box]) for rows, _ in programs])
     bounds = np.array([np.append(rows[:, 3], np.full(6, _LIMIT)) for rows, _ in programs])
     hessian = np.repeat(np.eye(3)[None], len(programs), axis=0)
-    wishes = np.array([start for _, start in programs])
+    nominal = np.array([start for _, start in programs])
     solver, took = _core.QpSolver(), []
     for _ in range(runs):
         start = time.perf_counter()
-        solver.solve_many(hessian, -wishes, -normals, -bounds)
+        solver.solve_many(hessian, -nominal, -normals, -bounds)
         took.append((time.perf_counter() - start) / len(programs))
     return float(np.median(took))
 
 
 def flights(scenario: Encounters, size: int, rounds: int, seconds: float) -> Figures:
-    """Trials per second with one and with two workers in turns, and the success of all that were flown."""
+    """Measure trials per second with one and with two workers in turns, and the success of all trials."""
     wall = {1: 0.0, 2: 0.0}
     flown = 0
     hits = np.zeros(len(scenario.obstacles), np.int64)
@@ -270,7 +269,7 @@ def flights(scenario: Encounters, size: int, rounds: int, seconds: float) -> Fig
 
 
 def run(options: argparse.Namespace) -> Figures:
-    """All figures."""
+    """Measure all figures."""
     start = time.perf_counter()
     scenario = read_encounters(SCENARIO, {"trials.seed": options.seed})
     recorded = record(scenario, options.recorded, options.seed)
@@ -293,7 +292,7 @@ def run(options: argparse.Namespace) -> Figures:
 
 
 def table(found: Figures) -> str:
-    """The figures as Markdown."""
+    """Format the figures as Markdown."""
 
     def cell(name: str) -> str:
         value = found.get(name)
@@ -321,9 +320,9 @@ def table(found: Figures) -> str:
         f"{cell('gs_projection_2_rows_us')} and {cell('general_qp_projection_2_rows_us')} µs.",
         "",
         f"Scenario 1: {cell('trials_per_s_1_worker')} trials a second with one worker, "
-        f"{cell('trials_per_s_2_workers')} with two. Of {found['trials']:,} trials obstacles were missed in "
-        f"{found['success_pct']:.2f} % ({found['success_obstacle_1_pct']:.2f} and "
-        f"{found['success_obstacle_2_pct']:.2f} %), both in {found['success_run_pct']:.2f} % "
+        f"{cell('trials_per_s_2_workers')} with two. Success over {found['trials']:,} trials: "
+        f"{found['success_pct']:.2f} % by obstacle ({found['success_obstacle_1_pct']:.2f} and "
+        f"{found['success_obstacle_2_pct']:.2f} %), {found['success_run_pct']:.2f} % with both avoided "
         f"({found['success_run_low_pct']:.2f} to {found['success_run_high_pct']:.2f}).",
     ]
     return "\n".join(lines) + "\n"
@@ -344,13 +343,13 @@ def main() -> int:
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
     parser.add_argument("--seed", type=int, default=0)
     sizes = {
-        "recorded": (30, 200, "trials whose ticks are asked again"),
+        "recorded": (30, 200, "trials whose ticks are replayed"),
         "repeats": (5, 9, "copies of a tick, of which the median counts"),
         "projections": (200, 2000, "problems for each projection"),
         "trials": (200, 500, "trials of a round"),
         "rounds": (5, 6, "rounds with either number of workers"),
-        "tick-seconds": (12, 120, "for the ticks of all filters, at most"),
-        "flight-seconds": (12, 600, "for the trials, at most"),
+        "tick-seconds": (12, 120, "maximum time for the ticks of all filters"),
+        "flight-seconds": (12, 600, "maximum time for the trials"),
     }
     for name, (quick, full, text) in sizes.items():
         parser.add_argument(f"--{name}", type=int, metavar="N", help=f"{text}: {full:,}, quick {quick:,}")

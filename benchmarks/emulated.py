@@ -61,7 +61,7 @@ GEOFENCE_TICK = np.dtype(
     ]
 )
 TICKS = {"polytope": (2, POLYTOPE_TICK), "dr_acbf": (1, DR_ACBF_TICK), "geofence": (2, GEOFENCE_TICK)}
-"""Of each replay: statuses of its set-up, and the row of a tick."""
+"""By replay: number of statuses of its set-up, and the record of a tick."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ class Core:
 
     @property
     def ticks_per_instruction(self) -> float:
-        """With `-icount shift=6` an instruction takes 64 ns."""
+        """Counter ticks per instruction; with `-icount shift=6` an instruction takes 64 ns."""
         return 64e-9 * self.clock_hz
 
 
@@ -93,16 +93,16 @@ CORES = {
 
 
 def missing_tools() -> str:
-    """Why nothing can be emulated here, and what to do; empty when it can."""
+    """Name the missing tools that emulation needs, and how to install them; empty when none is missing."""
     missing = [name for name in (*TOOLS, "make") if shutil.which(name) is None]
     return f"{', '.join(missing)} not found; {INSTALL}" if missing else ""
 
 
 def build(folder: Path, *targets: str) -> None:
-    """Make the firmware, and what else is named, under `folder`.
+    """Build the firmware, and other named targets, under `folder`.
 
     Raises:
-        RuntimeError: it does not compile; with what the compiler says.
+        RuntimeError: it does not compile; with the message of the compiler.
     """
     words = ["make", "-s", "-C", str(FIRMWARE), f"BUILD={folder}", *(targets or ("all",))]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
@@ -112,10 +112,10 @@ def build(folder: Path, *targets: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """What came out.
+    """Outputs of a replay.
 
     Attributes:
-        set_up: statuses of opening the map and of the filter's set-up, 0 for good.
+        set_up: statuses of opening the map and of the filter's set-up, 0 means success.
         ticks: one row per tick, as in TICKS.
         instructions: of each tick, shape (ticks,); nanoseconds on the host.
         stack_bytes: that were ever used.
@@ -172,9 +172,9 @@ def replay(build_folder: Path, work: Path, core: str, name: str, inputs: bytes, 
 
 
 def same_bits(one: NDArray[np.void], other: NDArray[np.void]) -> NDArray[np.bool_]:
-    """Whether ticks agree in every bit of every field but the counter, shape (ticks,)."""
+    """Return whether ticks agree in every bit of every field except the counter, shape (ticks,)."""
     if len(one) != len(other):
-        raise ValueError("not as many ticks")
+        raise ValueError("the numbers of ticks differ")
     equal = np.ones(len(one), bool)
     for name in one.dtype.names or ():
         if name != "counted":
@@ -184,7 +184,7 @@ def same_bits(one: NDArray[np.void], other: NDArray[np.void]) -> NDArray[np.bool
 
 
 def single(v: Any) -> list[float]:
-    """The nearest floats."""
+    """Round to single precision."""
     return np.asarray(v, np.float32).astype(float).tolist()  # type: ignore[no-any-return]
 
 
@@ -239,7 +239,7 @@ def geofence_inputs(flights: Sequence[Flight], *, has_map: bool) -> bytes:
 
 
 def sizes(build_folder: Path, core: str, name: str) -> dict[str, int]:
-    """Bytes of text (code and constants), data and bss of one replay with its share of the library."""
+    """Bytes of text (code and constants), data and bss of one replay with its part of the library."""
     elf = build_folder / core / f"{name}.elf"
     out = subprocess.run(["arm-none-eabi-size", str(elf)], capture_output=True, text=True, check=True).stdout
     text, data, bss = (int(word) for word in out.splitlines()[1].split()[:3])
@@ -257,7 +257,7 @@ def library_sizes(build_folder: Path, core: str) -> dict[str, int]:
 
 
 def symbol_bytes(build_folder: Path, core: str, name: str, symbol: str) -> int:
-    """The size of a variable of a replay: of a filter with all its state."""
+    """Bytes of a variable of a replay: a filter with all its state."""
     elf = build_folder / core / f"{name}.elf"
     out = subprocess.run(
         ["arm-none-eabi-nm", "-S", str(elf)], capture_output=True, text=True, check=True
@@ -274,7 +274,7 @@ _EDGE = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
 
 
 def stack_bound(build_folder: Path, core: str, function: str) -> int:
-    """Bytes of the stack that a function of the library needs at most: the longest path of its call graph.
+    """Maximum stack of a function of the library [bytes]: the longest path of its call graph.
 
     Library routines that the compiler adds (copies of memory) count 64 bytes; calls through pointers, which
     are only there for comparisons on a host, count nothing.

@@ -20,7 +20,7 @@ Asked = tuple[list[float], list[float], FloatArray, list[float]]
 
 
 def crowd(rng: np.random.Generator, tracks: int) -> Asked:
-    """A tick with so many obstacles close and coming closer."""
+    """Make a tick with many obstacles that are close and approach."""
     at = rng.normal(size=(tracks, 3))
     at *= rng.uniform(1.5, 8.0, (tracks, 1)) / np.linalg.norm(at, axis=1)[:, None]
     velocity = -at * rng.uniform(0.3, 1.5, (tracks, 1)) + rng.normal(scale=0.5, size=(tracks, 3))
@@ -32,7 +32,7 @@ def crowd(rng: np.random.Generator, tracks: int) -> Asked:
 
 
 def measure(firmware: Path, work: Path) -> dict[str, Any]:
-    """Figures of recorded encounters and of crowds, by name."""
+    """Measure recorded encounters and crowds; figures by name."""
     recorded: list[Asked] = [
         (single(t.position), single(t.velocity), t.tracks.astype(np.float32).astype(float), single(t.nominal))
         for trial in record(read_encounters(SCENARIO), 3, 1)
@@ -40,13 +40,13 @@ def measure(firmware: Path, work: Path) -> dict[str, Any]:
     ][:ENCOUNTER_TICKS]
     rng = np.random.default_rng(3)
     found: dict[str, Any] = {"host_target_mismatches": 0, "ticks": 0}
-    for suffix, asked in (("", recorded), (f"_{CROWD}_tracks", [crowd(rng, CROWD) for _ in range(150)])):
+    for suffix, ticks in (("", recorded), (f"_{CROWD}_tracks", [crowd(rng, CROWD) for _ in range(150)])):
         native = _core.moving_filter("dr_acbf")
-        reports = [native.filter(p, v, tracks, np.empty((0, 4)), u)[0] for p, v, tracks, u in asked]
+        reports = [native.filter(p, v, tracks, np.empty((0, 4)), u)[0] for p, v, tracks, u in ticks]
         want = np.array([report.acceleration for report in reports], np.float32)
         status = np.array([report.status for report in reports])
         for core in ("m4", "m7"):
-            out = replay(firmware, work, core, "dr_acbf", dr_acbf_inputs(asked))
+            out = replay(firmware, work, core, "dr_acbf", dr_acbf_inputs(ticks))
             same = (want.view(np.uint32) == np.ascontiguousarray(out.ticks["a"]).view(np.uint32)).all(axis=1)
             found["host_target_mismatches"] += int((~(same & (status == out.ticks["status"]))).sum())
             found["ticks"] += len(out.ticks)

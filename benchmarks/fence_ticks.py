@@ -1,8 +1,8 @@
 """Ticks of the geofence: recorded in simulated flights, replayed on emulated cores, compared with the host's.
 
-A wall at 100 km/h, a fall from 70 m, random sticks, a radio and a navigation that fall silent, a polytope
-with latency, and the hulls of a map; and states anywhere, one somewhere else than the last, which is the
-worst case for what a tick remembers of a map.
+A wall at 100 km/h, a fall from 70 m, random sticks, loss of radio and of navigation, a polytope with latency,
+and the hulls of a map. In addition unrelated states anywhere in the fence, one after the other: the worst
+case for the map data that a tick caches.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class Scene:
     """A flight to be recorded.
 
     Attributes:
-        start: a place to start from at rest, or a box of random safe states.
-        stale: when navigation is missing, from and for how long [s].
+        start: a position to start from at rest, or a box of random safe states.
+        stale: start and duration of a loss of navigation [s].
     """
 
     fence: _core.Fence
@@ -54,7 +54,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class Answered:
-    """What goes into a replay, and what the host answered, over all ticks.
+    """Inputs of a replay, and the host's results, over all ticks.
 
     Attributes:
         status: shape (ticks,).
@@ -67,7 +67,7 @@ class Answered:
 
 
 def scenes() -> list[Scene]:
-    """Flights in boxes, as the paper's."""
+    """Flights in boxes like the paper's."""
     plain, room = _core.Pilot("straight"), _core.Fence(box=ROOM)
     return [
         Scene(_core.Fence(box=WALL), plain, (0.0, 0.0, 50.0), 3.5),
@@ -80,7 +80,7 @@ def scenes() -> list[Scene]:
 
 
 def polytope() -> list[Scene]:
-    """A flight in a box that slanted faces cut, with latency."""
+    """A flight in a box cut by slanted faces, with latency."""
     return [
         Scene(
             _core.Fence(box=ROOM, faces=SLANTS),
@@ -93,7 +93,7 @@ def polytope() -> list[Scene]:
 
 
 def scenes_in(cover: Artifact, image: bytes, half_m: FloatArray) -> list[Scene]:
-    """Flights outside the hulls of a cover that reaches so far to either side of 0."""
+    """Flights outside the hulls of a cover that extends by `half_m` to either side of 0."""
     box = (tuple((-half_m - 4.0).tolist()), tuple((half_m + 4.0).tolist()))
     fence = _core.Fence(box=box, image=image, keep_out=hull_obstacles(Hulls.from_cover(cover)))
     starts = (tuple((-half_m).tolist()), tuple(half_m.tolist()))
@@ -104,7 +104,7 @@ def scenes_in(cover: Artifact, image: bytes, half_m: FloatArray) -> list[Scene]:
 
 
 def record(scene: Scene, seed: int) -> tuple[Flight, NDArray[np.int64], NDArray[np.float32]]:
-    """Fly it on the host."""
+    """Fly a scene on the host and record its ticks."""
     geofence = _core.Geofence(scene.fence, parameters=scene.parameters)
     is_place = np.ndim(scene.start) == 1
     start = np.r_[scene.start, 0, 0, 0, 1, np.zeros(6)].astype(float) if is_place else None
@@ -128,7 +128,7 @@ def record(scene: Scene, seed: int) -> tuple[Flight, NDArray[np.int64], NDArray[
 
 
 def anywhere(scene: Scene, seed: int) -> tuple[Flight, NDArray[np.int64], NDArray[np.float32]]:
-    """The same geofence, with states and sticks that have nothing to do with the last, inside the fence."""
+    """Record unrelated states and sticks inside the fence, with the same geofence."""
     rng, (low, high) = np.random.default_rng(seed), np.array(scene.start)
     geofence = _core.Geofence(scene.fence, parameters=scene.parameters)
     places = rng.uniform(low, high, (20 * ANYWHERE, 3)).astype(np.float32).astype(float)
@@ -161,7 +161,7 @@ def answered(flown: list[Scene], jumping: Scene) -> Answered:
 
 
 def mismatches(host: Answered, found: Replay) -> int:
-    """Ticks that differ from the host's in a bit."""
+    """Count the ticks that differ from the host's in a bit."""
     ticks = found.ticks
     values = np.column_stack([ticks["command"], *(ticks[name] for name in DETAILS)]).astype(np.float32)
     same = (host.values.view(np.uint32) == np.ascontiguousarray(values).view(np.uint32)).all(axis=1)
@@ -169,7 +169,7 @@ def mismatches(host: Answered, found: Replay) -> int:
 
 
 def traced(firmware: Path, work: Path, host: Answered, tick: int, image: bytes) -> float:
-    """Cycles per instruction, at most, of one tick, alone after the one before."""
+    """Maximum cycles per instruction of one tick, replayed after the tick before it."""
     starts = np.cumsum([0, *(len(flight.states) for flight in host.flights)])
     which = int(np.searchsorted(starts, tick, side="right")) - 1
     flight, at = host.flights[which], max(tick - int(starts[which]), 1)
@@ -179,7 +179,7 @@ def traced(firmware: Path, work: Path, host: Answered, tick: int, image: bytes) 
 
 
 def measure(firmware: Path, work: Path, cover: Artifact, half_m: FloatArray) -> dict[str, Any]:
-    """Figures of all ticks on the M4, the M7 and the host, by name."""
+    """Measure all ticks on the M4, the M7 and the host; figures by name."""
     found: dict[str, Any] = {"host_target_mismatches": 0, "ticks": 0}
     image = encode_map(cover, indexed=True)
     plain, cut, among = scenes(), polytope(), scenes_in(cover, image, half_m)

@@ -1,20 +1,20 @@
-"""The filters among ellipsoids at every tick of closed-loop flights, and the QP solver beside others.
+"""Times of the filters among ellipsoids at every tick of closed-loop flights, and of QP solvers.
 
-Straight septic references at 3.1 m/s between random pairs of points are flown through a room of some
-395,000 Gaussians at confidence 0.99 by the FastBridge quadrotor (radius 0.12 m, ticks of 10 ms), on one
-thread, with each filter. A figure of a filter is of all ticks of these flights, so of states that the
-filter itself led to, and is the whole tick: asking the index, rows, program, for cone-backup the flow and
-its sensitivities, and the shield. The `tick` figures add the controller.
+With each filter the FastBridge quadrotor (radius 0.12 m, ticks of 10 ms) flies straight septic references at
+3.1 m/s between random pairs of points through a room of some 395,000 Gaussians at confidence 0.99, on one
+thread. The figures of a filter cover all ticks of its own flights, and the whole tick: query of the index,
+rows, program, for cone-backup the flow and its sensitivities, and the shield. The `tick` figures add the
+controller.
 
-The flights are deterministic, so they are flown several times and every tick is timed once in each:
-`p50`, `p99` and `max` are of all these times as the wall clock showed them, with whatever else the machine
-did; `best` figures are of the least time of each tick, which leaves out what comes from outside but not
-what makes a tick long. A repetition that is not the same flight bit by bit fails the run.
+The flights are deterministic, so they are flown several times and every tick is timed once in each.
+`p50`, `p99` and `max` are taken over all these wall-clock times, including delays by other programs; `best`
+figures use the minimum time of each tick, which excludes delays from outside but keeps ticks that are long
+themselves. A repetition that is not the same flight bit for bit fails the run.
 
-safer-splat is also replayed on some of its own ticks by measuring every ellipsoid instead of asking the
-index: `brute` makes rows of those that can matter and must give the same answer; `published` makes rows
-of all ellipsoids for the program, as the public implementation does. These ticks are so long that their
-CPU time is taken.
+safer-splat is also replayed on some of its own ticks by measuring every ellipsoid instead of querying the
+index: `brute` makes rows of those that can become active and must give the same answer; `published` makes
+rows of all ellipsoids for the program, as the public implementation does. These ticks are so long that their
+CPU time is measured.
 """
 
 from __future__ import annotations
@@ -35,12 +35,11 @@ sys.path.sort(key=sys.path[-1].__eq__)  # last: a module of the same name elsewh
 import jax_peer
 import numpy as np
 import qp_problems
-
-from support.flights import FLOWN, Arena, Replay, arena, fly_all
+from flights import FLOWN, Arena, Replay, arena, fly_all
 
 Figures = dict[str, float | None]
 
-_LEAST_BRUTE = 20
+_MIN_BRUTE = 20
 _RATIOS = {
     "safer_brute_over_ecbf": ("safer_splat_brute_p50_us", "cone_ecbf_p50_us"),
     "safer_brute_over_safer": ("safer_splat_brute_p50_us", "safer_splat_p50_us"),
@@ -58,11 +57,11 @@ _OTHERS = ("daqp", "quadprog")  # solvers that may be missing
 
 
 def brute(room: Arena, ticks: Replay, seconds: float) -> Figures:
-    """safer-splat without the index, on as many ticks as fit the time, a quarter of it for all rows."""
+    """Time safer-splat without the index on as many ticks as fit the time, a quarter of it for all rows."""
     found: Figures = {}
     indexed = room.filter("safer-splat", {}).native
     same = room.filter("safer-splat", {"brute": True}).native
-    reports, took = ticks.through(same, seconds=0.75 * seconds, least=_LEAST_BRUTE)
+    reports, took = ticks.through(same, seconds=0.75 * seconds, minimum=_MIN_BRUTE)
     expected, _ = Replay(ticks.state[: len(took)], ticks.acceleration[: len(took)]).through(indexed)
     found["safer_splat_brute_ticks"] = len(took)
     found["safer_splat_brute_p50_us"] = 1e6 * float(np.median(took))
@@ -72,14 +71,14 @@ def brute(room: Arena, ticks: Replay, seconds: float) -> Figures:
     )
     all_rows = room.filter("safer-splat", {"rows": "nearest", "brute": True, "gate": False}).native
     all_rows.filter(ticks.state[0].tolist(), ticks.acceleration[0].tolist())
-    _, took = ticks.through(all_rows, seconds=0.25 * seconds, least=5)
+    _, took = ticks.through(all_rows, seconds=0.25 * seconds, minimum=5)
     found["safer_splat_published_ticks"] = len(took)
     found["safer_splat_published_p50_us"] = 1e6 * float(np.median(took))
     return found
 
 
 def run(options: argparse.Namespace) -> tuple[dict[str, Any], bool]:
-    """All figures, and whether nothing is wrong."""
+    """Measure all figures; also return whether all checks passed."""
     start = time.perf_counter()
     laps: dict[str, float] = {}
 
@@ -130,7 +129,7 @@ def _ratio(a: float | None, b: float | None) -> float | None:
 
 
 def table(found: dict[str, Any]) -> str:
-    """The figures as Markdown."""
+    """Format the figures as Markdown."""
 
     def cell(name: str) -> str:
         value = found.get(name)
@@ -143,10 +142,10 @@ def table(found: dict[str, Any]) -> str:
     columns = ("p50", "p99", "max", "p50_best", "p99_best", "max_best")
     rows = []
     for name, kind, parameters in FLOWN:
-        told = ", ".join([kind, *(f"{key}={value}" for key, value in parameters.items())])
+        label = ", ".join([kind, *(f"{key}={value}" for key, value in parameters.items())])
         reached = f"{cell(f'{name}_reached')} of {cell(f'{name}_flights')}"
         times = [cell(f"{name}_{column}_us") for column in columns]
-        rows.append([told, reached, cell(f"{name}_ticks"), *times, cell(f"{name}_tick_p99_best_us")])
+        rows.append([label, reached, cell(f"{name}_ticks"), *times, cell(f"{name}_tick_p99_best_us")])
     heads = ["filter, µs", "reached", "ticks", "p50", "p99", "max", "best p50", "best p99", "best max"]
     lines = table_of([*heads, "with controller, best p99"], rows)
     rows = [
@@ -155,10 +154,10 @@ def table(found: dict[str, Any]) -> str:
             ("safer-splat, index", "safer_splat_ticks", "safer_splat_p50_us"),
             ("every ellipsoid measured", "safer_splat_brute_ticks", "safer_splat_brute_p50_us"),
             ("every ellipsoid a row", "safer_splat_published_ticks", "safer_splat_published_p50_us"),
-            ("cbfpy, 64 ellipsoids given", "cbfpy_ticks", "cbfpy_tick_p50_us"),
-            ("cone-di, found, Python call", "cbfpy_ticks", "cbfpy_cone_di_p50_us"),
-            ("cbfpy where a row is broken", "cbfpy_filtered_ticks", "cbfpy_filtered_p50_us"),
-            ("cone-di on these", "cbfpy_filtered_ticks", "cbfpy_cone_di_filtered_p50_us"),
+            ("cbfpy, 64 given ellipsoids", "cbfpy_ticks", "cbfpy_tick_p50_us"),
+            ("cone-di, with its query, Python call", "cbfpy_ticks", "cbfpy_cone_di_p50_us"),
+            ("cbfpy where a row is violated", "cbfpy_filtered_ticks", "cbfpy_filtered_p50_us"),
+            ("cone-di on these ticks", "cbfpy_filtered_ticks", "cbfpy_cone_di_filtered_p50_us"),
         )
     ]
     lines += table_of(["filter", "ticks", "p50, µs"], rows)
@@ -183,8 +182,8 @@ def table(found: dict[str, Any]) -> str:
     )
     lines.append(
         f"{cell('qp_problems')} random and adversarial programs against Clarabel and certificates: "
-        f"{cell('qp_wrong')} wrong, {cell('qp_infeasible')} infeasible, of these "
-        f"{cell('qp_infeasible_missed')} missed."
+        f"{cell('qp_wrong')} wrong, {cell('qp_infeasible')} infeasible, {cell('qp_infeasible_missed')} of "
+        "these missed."
     )
     return "\n".join(lines) + "\n"
 
@@ -193,15 +192,15 @@ _PREFACE = """# Filters among ellipsoids, measured
 
 Written by `python benchmarks/filters.py --markdown FILE` on {machine}, Python {python}: {splats:,} Gaussians
 at confidence 0.99 (index built in {index_build_s:.2f} s), straight references at 3.1 m/s flown by the
-FastBridge quadrotor, ticks of 10 ms, one thread. Times are of the whole filter at every tick of its own
-flights, flown {repeats} times: as the wall clock showed them, and *best*, with the least of the repetitions
-of each tick.
+FastBridge quadrotor, ticks of 10 ms, one thread. Times are those of the whole filter at every tick of its own
+flights, flown {repeats} times: wall-clock times, and *best*, with the minimum over the repetitions of each
+tick.
 
 """
 
 
 def main() -> int:
-    """Run everything; 1 when something is wrong, whatever the times."""
+    """Run everything; return 1 when a check fails, regardless of times."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer flights and programs, half a minute")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
@@ -210,14 +209,16 @@ def main() -> int:
     sizes = {
         "splats": (415_300, 415_300, "Gaussians of the room, before floaters are dropped"),
         "pairs": (8, 40, "flights with each filter"),
-        "repeats": (3, 5, "times that each is flown"),
-        "qp-problems": (100_000, 100_000, "programs for the QP solver, at most"),
+        "repeats": (3, 5, "repetitions of each flight"),
+        "qp-problems": (100_000, 100_000, "maximum number of programs for the QP solver"),
         "cbfpy-ticks": (100, 500, "ticks through cbfpy"),
     }
     for name, (quick, full, text) in sizes.items():
         parser.add_argument(f"--{name}", type=int, metavar="N", help=f"{text}: {full:,}, quick {quick:,}")
-    parser.add_argument("--qp-seconds", type=float, metavar="S", help="of that, at most; quick 8")
-    parser.add_argument("--brute-seconds", type=float, metavar="S", help="of safer-splat without index")
+    parser.add_argument(
+        "--qp-seconds", type=float, metavar="S", help="maximum time for these programs; quick 8"
+    )
+    parser.add_argument("--brute-seconds", type=float, metavar="S", help="time for safer-splat without index")
     options = parser.parse_args()
     for name, (quick, full, _) in sizes.items():
         key = name.replace("-", "_")

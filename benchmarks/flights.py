@@ -1,4 +1,4 @@
-"""Closed-loop flights among the ellipsoids of a room, and what a filter costs at every tick of them."""
+"""Closed-loop flights among the ellipsoids of a room, and the time of a filter at each of their ticks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from alula.stages.simulation.pairs import central_box, sample_pairs
 from alula.stages.vehicles.bodies import plant_options, quadrotor, tracking_gains
 
 CONFIDENCE, RADIUS_M, SPEED_M_S, DT_S = 0.99, 0.12, 3.1, 0.01
-_MARGIN_M, _SEPARATION = 0.05, 0.3  # of starts and goals, as `simulate` draws them
+_MARGIN_M, _SEPARATION = 0.05, 0.3  # of starts and goals, as in `simulate`
 _ROOM_M = 20.0
 
 # Name of the figures, filter, parameters that are not the default.
@@ -45,7 +45,7 @@ class Arena:
 
     Attributes:
         splats: number of Gaussians.
-        scene_s, index_s: what making them and the index took [s].
+        scene_s, index_s: time to make the Gaussians and the index [s].
     """
 
     splats: int
@@ -57,18 +57,18 @@ class Arena:
     references: list[_core.ReferenceCurve]
 
     def filter(self, name: str, parameters: Mapping[str, Any]) -> NativeSplatFilter:
-        """A filter for this room."""
+        """Make a filter for this room."""
         made = make_splat_filter(name, self.world, parameters)
         assert isinstance(made, NativeSplatFilter)
         return made
 
     def fly(self, safety_filter: NativeSplatFilter, pairs: int | None = None) -> list[SplatFlown]:
-        """All pairs, or the first so many, on one thread."""
+        """Fly all pairs, or the first `pairs`, on one thread."""
         return fly(safety_filter, self.vehicle, self.references[:pairs], self.rules, jobs=1)
 
 
 def arena(gaussians: int, pairs: int, seed: int) -> Arena:
-    """The built-in room of about so many Gaussians at confidence 0.99, and straight septics through it."""
+    """Make the built-in room with about `gaussians` Gaussians at confidence 0.99, and straight septics."""
     start = time.perf_counter()
     scene = room(gaussians)
     made = time.perf_counter()
@@ -117,15 +117,15 @@ def arena(gaussians: int, pairs: int, seed: int) -> Arena:
 
 @dataclass(slots=True)
 class Timed:
-    """The flights of one filter, flown again and again; times of every one, (repeats, ticks) [s]."""
+    """The repeated flights of one filter, and the times of all ticks, shape (repeats, ticks) [s]."""
 
     flights: list[SplatFlown]
     filter_s: FloatArray
     tick_s: FloatArray
-    differs: bool = False  # whether a repetition was another flight: it must not be
+    differs: bool = False  # whether a repetition differed, which must not happen
 
     def figures(self, name: str) -> dict[str, float]:
-        """Microseconds: of all repetitions as they are, and `best`: of the least of each tick."""
+        """Percentiles [us] over all repetitions, and `best`: over the minimum of each tick."""
         found: dict[str, float] = {
             f"{name}_flights": len(self.flights),
             f"{name}_reached": sum(flown.outcome == "reached" for flown in self.flights),
@@ -133,14 +133,14 @@ class Timed:
         }
         for kind, seconds in ((name, self.filter_s), (f"{name}_tick", self.tick_s)):
             for suffix, values in (("", seconds.ravel()), ("_best", seconds.min(axis=0))):
-                p50, p99, most = 1e6 * np.percentile(values, [50, 99, 100])
+                p50, p99, maximum = 1e6 * np.percentile(values, [50, 99, 100])
                 found |= {f"{kind}_p50{suffix}_us": p50, f"{kind}_p99{suffix}_us": p99}
-                found[f"{kind}_max{suffix}_us"] = most
+                found[f"{kind}_max{suffix}_us"] = maximum
         return found
 
 
 def fly_all(room: Arena, repeats: int) -> dict[str, Timed]:
-    """All filters in turns, so that what else the machine does hits them alike, after one flight each."""
+    """Fly all filters in turns, so that other programs affect them alike, after one warm-up flight each."""
     filters = {name: room.filter(kind, parameters) for name, kind, parameters in FLOWN}
     for safety_filter in filters.values():
         room.fly(safety_filter, 1)
@@ -176,14 +176,14 @@ class Replay:
 
     @classmethod
     def of(cls, flights: Sequence[SplatFlown]) -> Replay:
-        """All ticks of them."""
+        """Collect all ticks of some flights."""
         return cls(
             np.concatenate([flown.state[:-1] for flown in flights]),
             np.concatenate([flown.a_nominal for flown in flights]),
         )
 
     def spread(self, count: int, seed: int) -> Replay:
-        """So many of them at random, without repetition."""
+        """Draw `count` ticks at random, without repetition."""
         rng = np.random.default_rng([seed, 2])
         rows = rng.permutation(len(self.state))[:count]
         return Replay(self.state[rows], self.acceleration[rows])
@@ -192,16 +192,16 @@ class Replay:
         return len(self.state)
 
     def through(
-        self, native: _core.SplatFilter, *, seconds: float = math.inf, least: int = 0
+        self, native: _core.SplatFilter, *, seconds: float = math.inf, minimum: int = 0
     ) -> tuple[list[dict[str, Any]], FloatArray]:
-        """Reports and CPU seconds of its ticks, of at least `least` and then of as many as fit the time.
+        """Reports and CPU seconds of at least `minimum` ticks, and of as many more as fit the time.
 
-        CPU time of the thread: what takes longer than a time slice is always interrupted on a busy machine.
+        CPU time of the thread, because a busy machine interrupts any tick longer than a time slice.
         """
         reports, took = [], []
         end = time.perf_counter() + seconds
         for state, acceleration in zip(self.state.tolist(), self.acceleration.tolist(), strict=True):
-            if time.perf_counter() > end and len(took) >= least:
+            if time.perf_counter() > end and len(took) >= minimum:
                 break
             before = time.thread_time()
             reports.append(native.filter(state, acceleration))

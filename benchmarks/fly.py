@@ -1,11 +1,11 @@
-"""Real flights of the simulated autopilot, and what the loop that flies it takes.
+"""Real-time flights of the simulated autopilot, and the times of the control loop.
 
-`alula sim-vehicle` lives in a process of its own in real time, as ArduPilot's simulation does, and
-`alula fly` flies it in another along a plan through the built-in room: arming, take-off, flight, landing.
-The vehicle also sends its true pose as motion capture does; nobody flies by it, it is for the judge.
-Clearances are those of the true path, joined at 100 Hz, while set-points were sent, from what the filter
-keeps from, hulls or ellipsoids: no figure of `fly` itself is in them. Times are those of every tick from the
-checks to the end; a tick overruns when it ends after the next one should have begun.
+`alula sim-vehicle` runs in a process of its own in real time, like ArduPilot's simulation. In another process
+`alula fly` flies it along a plan through the built-in room: arming, take-off, flight, landing. The vehicle
+also sends its true pose in the format of motion capture; only the judge uses it. Clearances are those of the
+true path (100 Hz samples joined by segments) while set-points were sent, to the filter's obstacles (hulls or
+ellipsoids); they use nothing that `fly` measured. Times are those of every tick from the checks to the end; a
+tick overruns when it ends after the scheduled start of the next one.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ START, GOAL = (0.8, 0.8, 0.9), (4.7, 3.6, 1.1)  # behind a hoop and a pillar
 _ALULA = [sys.executable, "-P", "-m", "alula.cli"]
 _BRISK = ("--boot-time", "1", "--param", "LAND_SPEED=120", "--param", "WPNAV_ACCEL_Z=250")
 _PLAN_RADIUS_M = 0.25  # radius and margin of the filters
-_ARRIVED_M = 0.4  # what `fly` calls there, 0.2 m and the filter's margin, and what the estimate is off
+_ARRIVED_M = 0.4  # arrival radius of `fly` (0.2 m), the filter's margin, and the error of the estimate
 _TIMEOUT_S = 120.0
 _FLYING = ("fly", "hold")
 # Tscholl, Nakka and Gunter 2026, on their own computer and vehicle.
@@ -67,7 +67,7 @@ _PUBLISHED = [
 
 
 class Witness(threading.Thread):
-    """Where the vehicle truly is, as it sends it to a port of this machine."""
+    """Receiver of the vehicle's true position on a port of this machine."""
 
     def __init__(self) -> None:
         super().__init__(daemon=True)
@@ -79,14 +79,14 @@ class Witness(threading.Thread):
         self._ends = threading.Event()
 
     def run(self) -> None:
-        """Listen until `end`."""
+        """Receive until `end`."""
         while not self._ends.is_set():
             with contextlib.suppress(TimeoutError):
                 sample = json.loads(self._socket.recv(2048))
                 self._rows.append((time.monotonic(), *sample["position_m"]))
 
     def end(self) -> FloatArray:
-        """Times of arrival and positions from where it stood, shape (n, 4)."""
+        """Stop; return times of arrival [s] and positions relative to the start [m], shape (n, 4)."""
         self._ends.set()
         self.join()
         self._socket.close()
@@ -94,7 +94,7 @@ class Witness(threading.Thread):
 
 
 def make_world(folder: Path, gaussians: int, voxel_m: float, hulls: int) -> None:
-    """The room's scene and cover in a folder."""
+    """Write the room's scene and cover to a folder."""
     write_artifact(folder / "scene.npz", room(gaussians))
     steps = (
         f"voxelize {folder}/scene.npz -o {folder}/voxels.npz --size {voxel_m} -q",
@@ -106,7 +106,7 @@ def make_world(folder: Path, gaussians: int, voxel_m: float, hulls: int) -> None
 
 
 def make_plan(folder: Path, speed_m_s: float) -> Path:
-    """The plan at a speed."""
+    """Write the plan at a speed."""
     path = folder / f"{speed_m_s:g}.plan.npz"
     words = ["plan", str(folder / "cover.npz"), "-o", str(path), "--speed", str(speed_m_s), "-q"]
     words += ["--start", "{} {} {}".format(*START), "--goal", "{} {} {}".format(*GOAL)]
@@ -117,7 +117,7 @@ def make_plan(folder: Path, speed_m_s: float) -> Path:
 
 @contextlib.contextmanager
 def vehicle(witness: Witness, seed: int) -> Iterator[str]:
-    """`alula sim-vehicle`, still starting; the address to fly it by."""
+    """Start `alula sim-vehicle`; yield its address while it still boots."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         place = f"127.0.0.1:{probe.getsockname()[1]}"
@@ -132,7 +132,7 @@ def vehicle(witness: Witness, seed: int) -> Iterator[str]:
 
 
 def fly(folder: Path, plan: Path, name: str, seed: int) -> tuple[Path, float, FloatArray]:
-    """One flight: its log, the monotonic time it began at, and the true path in the map's frame, (n, 4)."""
+    """Fly once; return the log, its start in monotonic time [s], and the true path, map frame, (n, 4)."""
     log = folder / f"{plan.stem}.{name}.{seed}.run.mcap"
     witness = Witness()
     witness.start()
@@ -144,7 +144,9 @@ def fly(folder: Path, plan: Path, name: str, seed: int) -> tuple[Path, float, Fl
             timer.start()
             assert process.stderr is not None
             lines, begin = [], np.inf
-            for line in process.stderr:  # "   3.21 s  words"; the line that came the fastest tells the clock
+            for (
+                line
+            ) in process.stderr:  # "   3.21 s  words"; the line with the smallest delay gives the clock
                 lines.append(line)
                 seconds, _, words_ = line.strip().partition(" s  ")
                 if words_ and seconds.replace(".", "", 1).isdigit():
@@ -157,30 +159,30 @@ def fly(folder: Path, plan: Path, name: str, seed: int) -> tuple[Path, float, Fl
 
 
 def ticks_of(log: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """What a log says of each tick, and of each step of the supervisor."""
+    """Read the records of each tick and of each step of the supervisor from a log."""
     from mcap.reader import make_reader
 
     with open_log(log) as stream:
-        said = [json.loads(m.data) for _, _, m in make_reader(stream).iter_messages(["/supervisor"])]
-    return [row for row in said if "tick_s" in row], [row for row in said if "event_name" in row]
+        records = [json.loads(m.data) for _, _, m in make_reader(stream).iter_messages(["/supervisor"])]
+    return [row for row in records if "tick_s" in row], [row for row in records if "event_name" in row]
 
 
 def obstacles_of(folder: Path, name: str) -> PolytopeSet | EllipsoidSet:
-    """What a filter keeps from: hulls, or the ellipsoids within them."""
+    """Obstacles of a filter: hulls, or the ellipsoids within them."""
     if FILTERS[name] == "cover":
         return hull_obstacles(Hulls.from_cover(read_artifact(folder / "cover.npz", COVER)))
     return scene_obstacles(read_artifact(folder / "scene.npz", SCENE), 1.0)
 
 
 def judge(folder: Path, plan: Path, name: str, seed: int, speed_m_s: float) -> dict[str, Any]:
-    """A flight and its figures."""
+    """Fly once and return its figures."""
     log, begin, seen = fly(folder, plan, name, seed)
     ticks, steps = ticks_of(log)
     record = json.loads(record_path(log).read_text())
     timing, (trial,) = record["timing"], record["trials"]
     flown = [row["time_s"] for row in ticks if row["state_name"] in _FLYING]
     path = seen[(seen[:, 0] >= begin + flown[0] - 0.05) & (seen[:, 0] <= begin + flown[-1] + 0.05), 1:]
-    least = float(path_clearance(np.ascontiguousarray(path), obstacles_of(folder, name)).min())
+    minimum = float(path_clearance(np.ascontiguousarray(path), obstacles_of(folder, name)).min())
     end_m = float(np.linalg.norm(path[-1] - GOAL))
     tick = np.array([row["tick_s"] for row in ticks[1:]])  # of the tick before
     return {
@@ -190,7 +192,7 @@ def judge(folder: Path, plan: Path, name: str, seed: int, speed_m_s: float) -> d
         "reached": bool(trial["outcome"] == "reached" and end_m < _ARRIVED_M),
         "ended_by": record["summary"]["ended_by"],
         "end_m": end_m,
-        "min_clearance_m": least - FASTBRIDGE.body.radius_m,
+        "min_clearance_m": minimum - FASTBRIDGE.body.radius_m,
         "margin_m": record["provenance"]["parameters"]["margin_m"],
         "max_speed_m_s": trial["max_speed_m_s"],
         "flight_s": flown[-1] - flown[0],
@@ -211,7 +213,7 @@ def judge(folder: Path, plan: Path, name: str, seed: int, speed_m_s: float) -> d
 
 
 def run(options: argparse.Namespace) -> dict[str, Any]:
-    """All flights and their figures."""
+    """Fly all flights and return their figures."""
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -223,13 +225,13 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
             for seed in range(options.flights)
             for kind in FILTERS
         ]
-    most = ("tick_p50_ms", "tick_p99_ms", "tick_max_ms", "lateness_p99_ms", "lateness_max_ms")
+    maxima = ("tick_p50_ms", "tick_p99_ms", "tick_max_ms", "lateness_p99_ms", "lateness_max_ms")
     return {
         "quick": options.quick,
         "machine": f"{platform.machine()}, {os.cpu_count()} processors",
         "python": platform.python_version(),
         "rate_hz": min(flight["rate_hz"] for flight in flights),
-        **{key: max(flight[key] for flight in flights) for key in most},
+        **{key: max(flight[key] for flight in flights) for key in maxima},
         **{key: sum(flight[key] for flight in flights) for key in ("ticks", "overruns", "skipped")},
         "dropped_samples": sum(flight["dropped_samples"] for flight in flights),
         "min_clearance_m": min(flight["min_clearance_m"] for flight in flights),
@@ -241,9 +243,9 @@ def run(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def table(found: dict[str, Any]) -> str:
-    """Overruns and clearances as Markdown, one line for each flight."""
+    """Format times, overruns and clearances as Markdown, one line per flight."""
     heads = ["filter", "plan, m/s", "tick, ms: mean", "p99", "max", "late, ms: p99", "max"]
-    heads += ["overruns", "feasible ticks", "margin asked, m", "least clearance, m", "reached"]
+    heads += ["overruns", "feasible ticks", "margin, m", "minimum clearance, m", "reached"]
     rows = [
         [
             flight["filter"],
@@ -267,16 +269,16 @@ _PREFACE = """# Flights in real time, measured
 Written by `python benchmarks/fly.py --markdown FILE` on {machine}, Python {python}: `alula fly` at 100 Hz
 over MAVLink on loopback against `alula sim-vehicle` in another process, in real time, along a plan through
 the built-in room. Ticks are all of a flight, from the checks until the motors stop. A tick overruns when it
-ends after the next one should have begun; feasible ticks are those at which the filter's program had a
-solution. Clearances are those of the vehicle's true path, as its simulation tells the judge alone, while
-set-points were sent, from hulls (polytope-cbf) or ellipsoids (cone-backup), less the vehicle's radius of
-{radius:g} m; the margin asked is what the filter was told to keep beyond it (`--margin`).
+ends after the scheduled start of the next one; feasible ticks are those in which the filter's program had a
+solution. Clearances are those of the vehicle's true path while set-points were sent, which its simulation
+sends only to the judge, to hulls (polytope-cbf) or ellipsoids (cone-backup), less the vehicle's radius of
+{radius:g} m; the filter keeps the margin (`--margin`) in addition to the radius.
 
 """
 
 
 def main() -> int:
-    """Fly everything; 1 when a flight did not arrive or touched the map, whatever the times."""
+    """Fly everything; return 1 when a flight did not arrive or touched the map, regardless of times."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one flight with each filter, under a minute")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")

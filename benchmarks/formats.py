@@ -1,8 +1,8 @@
-"""Readers of splat formats against those of others, and against reading the same bytes, in one run.
+"""Readers of splat formats compared with other readers, and with reading the same bytes, in one run.
 
 Every real file under ALULA_DATA is read by ours and by the oracles of its format, and compared row by
-row. Large files are timed in turns: wall seconds, the least of the runs, and ratios of these. Nothing is
-asserted about time; a file on which a reader and its oracle differ by more than rounding fails the run.
+row. Large files are timed in turns: minimum wall seconds over the runs, and ratios of these. Times are not
+tested; a file on which a reader and its oracle differ by more than rounding fails the run.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ FULL_ROWS, QUICK_ROWS = 1_500_000, 20_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Agreement:
-    """All real files of one format against one oracle; differences are those of `oracles.differences`."""
+    """Comparison of all real files of one format with one oracle; see `oracles.differences`."""
 
     format: str
     files: int = 0
@@ -59,7 +59,7 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Speed:
-    """One file timed; seconds are the least of the runs."""
+    """Times of one file; seconds are minima over the runs."""
 
     format: str
     label: str
@@ -75,7 +75,7 @@ class Speed:
 
     @property
     def figures(self) -> dict[str, float | None]:
-        """Gaussians a second, and ratios of times."""
+        """Gaussians per second, and ratios of times."""
         whole = self.read_s + self.import_s
         return {
             "gaussians_per_s": self.gaussians / self.read_s,
@@ -87,7 +87,7 @@ class Speed:
 
 
 def real_files(root: Path | None, quick: bool) -> dict[str, list[SplatFile]]:
-    """What is recognised under a folder, by format."""
+    """Find the recognised files under a folder, by format."""
     found: dict[str, list[SplatFile]] = {candidate.name: [] for candidate in formats()}
     for path in sorted(root.rglob("*")) if root is not None else ():
         if path.suffix not in _SUFFIXES or not path.is_file() or (quick and path.stat().st_size > 2**20):
@@ -101,7 +101,7 @@ def real_files(root: Path | None, quick: bool) -> dict[str, list[SplatFile]]:
 
 
 def agreements(name: str, files: list[SplatFile]) -> Iterator[Agreement]:
-    """One for each oracle of the format, or one without."""
+    """Compare with each oracle of the format; yield one result without an oracle when there is none."""
     decoded: list[tuple[Path, Splats]] = []
     for file in files:
         try:
@@ -127,7 +127,7 @@ def _compared(oracle: Oracle, decoded: list[tuple[Path, Splats]], counts: dict[s
     for path, ours in decoded:
         try:
             found, turn = differences(ours, oracle.values(oracle.load(path)))
-        except Exception as error:  # noqa: BLE001  other readers raise anything
+        except Exception as error:  # noqa: BLE001  other readers raise any exception
             unread.append(
                 f"{path.name}: {str(error).splitlines()[0] if str(error) else type(error).__name__}"
             )
@@ -150,7 +150,7 @@ def _compared(oracle: Oracle, decoded: list[tuple[Path, Splats]], counts: dict[s
 def speeds(
     known: Sequence[str], files: dict[str, list[SplatFile]], rows: int, runs: int, folder: Path
 ) -> Iterator[Speed]:
-    """Made files, and the largest real one of each format of which none can be made."""
+    """Time generated files, and the largest real file of each format that cannot be generated."""
     made = set()
     for large in LARGE:
         if large.format not in known:
@@ -225,8 +225,8 @@ print((peak() - before) / len(made["mean"]))
 
 
 def _peak(path: Path) -> float:
-    """Largest memory beyond that of the imports, in units of what is kept of the Gaussians."""
-    # By way of a small process: a child's figure begins with the memory of the process that made it.
+    """Peak memory beyond that of the imports, relative to the memory of the kept Gaussians."""
+    # Started by a small process: a child's figure begins with the memory of its parent.
     start = "import subprocess, sys; subprocess.run(sys.argv[1:], check=True)"
     command = [sys.executable, "-P", "-c"]
     done = subprocess.run(
@@ -240,13 +240,13 @@ def _cell(value: float | None, form: str = ".3g") -> str:
 
 
 def page(found: Sequence[Agreement], timed: Sequence[Speed]) -> str:
-    """Both tables as Markdown."""
+    """Format both tables as Markdown."""
     heads = ["format", "files read", "refused", "Gaussians", "oracle", "files it reads"]
     heads += ["mean / largest", "scale, relative", "rotation, rad", "opacity", "agrees"]
     lines = [_line(heads), "|" + " --- |" * len(heads)]
     for row in found:
         differ = [_cell(row.differences.get(kind), ".2g") for kind in KINDS]
-        oracle = row.oracle + (f", turned by {', '.join(row.turns)}" if row.turns else "")
+        oracle = row.oracle + (f", rotated about {', '.join(row.turns)}" if row.turns else "")
         start = [row.format, str(row.files), str(row.refused), f"{row.gaussians:,}", oracle or "none"]
         verdict = "" if not row.compared else "yes" if row.agrees else "NO"
         lines.append(_line([*start, str(row.compared) if row.oracle else "", *differ, verdict]))
@@ -279,19 +279,19 @@ def _line(cells: Sequence[str]) -> str:
 _PREFACE = """# Splat formats, measured
 
 Written by `python benchmarks/formats.py --markdown FILE` on {machine}, Python {python}. Differences are
-the largest over all rows of all files, against the oracle. *Bytes* is `numpy.fromfile` of the same
-files; ratios are of the least wall seconds of {runs} runs in turns, so below 1 is in our favour. *Import*
-is reading, checking and hashing the scene. *Peak* is the memory beyond that of an idle process, over
-59 bytes for each Gaussian that is kept.
+maxima over all rows of all files, against the oracle. *Bytes* is `numpy.fromfile` of the same
+files; ratios are those of the minimum wall seconds of {runs} runs in turns, so below 1 is in our favour.
+*Import* is reading, checking and hashing the scene. *Peak* is the memory beyond that of an idle process,
+divided by 59 bytes for each kept Gaussian.
 
 """
 
 
 def main() -> int:
-    """Run everything; 1 when a reader and its oracle disagree."""
+    """Run everything; return 1 when a reader and its oracle disagree."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small files, a few seconds")
-    parser.add_argument("--rows", type=int, metavar="N", help=f"Gaussians of made files, {FULL_ROWS:,}")
+    parser.add_argument("--rows", type=int, metavar="N", help=f"Gaussians of generated files, {FULL_ROWS:,}")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write all figures to FILE")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
     options = parser.parse_args()

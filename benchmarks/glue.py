@@ -1,11 +1,11 @@
-"""The firmware glue, compiled for its boards as far as that goes without their firmware, and measured.
+"""The firmware glue, compiled for its boards without their firmware, and measured.
 
 The Crazyflie's app and the Teensy's sketch (native/onboard/targets) are compiled with the cross-compiler, all
-warnings as errors, against declarations that stand for the firmware's headers (their folders `check`). Maps
-of 150 and 1,000 hulls go in as `alula export --target crazyflie` writes them. Of the objects, flash, RAM and
-the deepest stack are held to what the Crazyflie's firmware leaves; what they need from outside must be
-functions of the firmware or of a C library; and no instruction may be a fused product and sum. The Teensy's
-loop flies on an emulated Cortex-M7 and on the host: every frame must be the same.
+warnings as errors, against declarations that replace the firmware's headers (their folders `check`). The app
+includes maps of 150 and 1,000 hulls as `alula export --target crazyflie` writes them. Flash, RAM and the
+deepest stack of the objects must fit beside the Crazyflie's firmware; their undefined symbols must be
+functions of the firmware or of a C library; and no instruction may be a fused multiply-add. The Teensy's loop
+flies on an emulated Cortex-M7 and on the host: every frame must be the same.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ CRAZYFLIE = [*COMMON, *["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-std=gnu11", "-
 TEENSY = [*COMMON, *["-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-O2", "-ffreestanding"], *EXACT, *WARNINGS]
 APP_STACK_BYTES = 4 * 350  # CONFIG_APP_STACKSIZE counts words
 TICK_S = 0.5e-3  # a fifth of the shortest period of the Teensy's loop
-CONTEXT_BYTES = 4 * (9 + 16 + 26)  # that FreeRTOS keeps of a task which uses floats, on its stack
+CONTEXT_BYTES = 4 * (9 + 16 + 26)  # context of a task that uses floats, which FreeRTOS keeps on its stack
 FIRMWARE = {
-    "check_print",  # stands for what DEBUG_PRINT calls
+    "check_print",  # replaces the function that DEBUG_PRINT calls
     *("controllerPid", "controllerPidInit", "controllerPidTest"),
     *("logGetFloat", "logGetVarId", "usecTimestamp", "vTaskDelay"),
 }
@@ -60,10 +60,10 @@ LIBRARY = {"memcpy", "memset", "memmove", "__aeabi_"}
 
 
 def run(words: Sequence[str | Path]) -> str:
-    """A tool's output.
+    """Run a tool and return its output.
 
     Raises:
-        RuntimeError: it failed; with what it says.
+        RuntimeError: the tool failed; with its output.
     """
     done = subprocess.run([str(w) for w in words], capture_output=True, text=True, check=False)
     if done.returncode != 0:
@@ -72,7 +72,7 @@ def run(words: Sequence[str | Path]) -> str:
 
 
 def map_header(folder: Path, hulls: int) -> int:
-    """Write `cover_map.h` as the export does; the bytes of the image."""
+    """Write `cover_map.h` as the export does; return the number of bytes of the image."""
     image = encode_map(field(hulls), indexed=True)
     made_by = Provenance.now("alula/export", "1.0", {"name": "cover_map"}, None, [])
     folder.mkdir(parents=True, exist_ok=True)
@@ -81,7 +81,7 @@ def map_header(folder: Path, hulls: int) -> int:
 
 
 def compile_crazyflie(folder: Path, header: Path | None) -> list[Path]:
-    """The app's three objects, with the map of a folder or without any."""
+    """Compile the app's three objects, with the map of a folder or without one."""
     board, objects = BOARDS / "crazyflie", []
     folder.mkdir(parents=True, exist_ok=True)
     includes = [board / "check/include", INCLUDE, INCLUDE.parent / "src", *([header] if header else [])]
@@ -98,7 +98,7 @@ def compile_crazyflie(folder: Path, header: Path | None) -> list[Path]:
 
 
 def compile_teensy(folder: Path) -> list[Path]:
-    """The objects of the sketch's folder, made as its Makefile makes it, one file at a time."""
+    """Compile the sketch's folder, made by its Makefile, one file at a time."""
     sketch = folder / "sketch"
     run(["make", "-s", "-C", BOARDS / "teensy", "sketch", f"SKETCH={sketch}"])
     objects = []
@@ -115,14 +115,14 @@ def compile_teensy(folder: Path) -> list[Path]:
 
 
 def sizes(objects: Sequence[Path]) -> dict[str, int]:
-    """Bytes of flash (code, constants, first values) and RAM (variables) of objects together."""
+    """Total bytes of flash (code, constants, initial values) and RAM (variables) of objects."""
     rows = run(["arm-none-eabi-size", *objects]).splitlines()[1:]
     text, data, bss = (sum(int(row.split()[i]) for row in rows) for i in range(3))
     return {"flash": text + data, "ram": data + bss}
 
 
 def foreign(objects: Sequence[Path], known: set[str]) -> set[str]:
-    """What objects need that neither they, nor a C library, nor `known` have."""
+    """Undefined symbols of objects that are neither in a C library nor in `known`."""
     names = {"U": set[str](), "T": set[str]()}
     for line in run(["arm-none-eabi-nm", "-C", *objects]).splitlines():
         found = re.match(r"(?:[0-9a-f]{8})? +([A-Za-z]) (.+)$", line)
@@ -137,7 +137,7 @@ def foreign(objects: Sequence[Path], known: set[str]) -> set[str]:
 
 
 def fused(objects: Sequence[Path]) -> int:
-    """Instructions that round a product and a sum once."""
+    """Count fused multiply-add instructions."""
     code = "\n".join(run(["arm-none-eabi-objdump", "-d", "--no-show-raw-insn", o]) for o in objects)
     return len(re.findall(r"\tvfn?m[as]\.f", code))
 
@@ -154,10 +154,10 @@ LOOP_TICK = np.dtype(
 
 
 def fly_loop(folder: Path, core: str) -> NDArray[np.void]:
-    """The Teensy's loop in flight on an emulated Cortex-M7 (`m7`) or the host: its ticks.
+    """Fly the Teensy's loop on an emulated Cortex-M7 (`m7`) or the host; return its ticks.
 
     Raises:
-        RuntimeError: it does not compile or does not end as it must.
+        RuntimeError: the loop does not compile or ends with an error.
     """
     folder.mkdir(parents=True, exist_ok=True)
     board = BOARDS / "teensy"
@@ -215,23 +215,23 @@ def fly_loop(folder: Path, core: str) -> NDArray[np.void]:
 
 
 def loop_figures(folder: Path) -> dict[str, Any]:
-    """The loop on the emulated core beside the host: differences, instructions of a tick, how it flew."""
+    """Compare the loop on the emulated core with the host: differences, instructions of a tick, outcomes."""
     host, target = (fly_loop(folder / core, core) for core in ("host", "m7"))
     same = [
         (host[name].view("u1") == target[name].view("u1")).all() for name in ("frame", "status", "position")
     ]
-    most = int(np.ceil(target["counted"].max() / CORES["m7"].ticks_per_instruction))
+    maximum = int(np.ceil(target["counted"].max() / CORES["m7"].ticks_per_instruction))
     return {
         "teensy_flight_ticks": len(target),
         "teensy_flight_differs": int(len(host) != len(target) or not all(same)),
         "teensy_flight_outcomes": len(np.unique(target["status"])),
         "teensy_wall_cm": int(np.floor(100 * (40 - target["position"][:, 0].max()))),
-        "m7_teensy_tick_instructions": most,
+        "m7_teensy_tick_instructions": maximum,
     }
 
 
 def measure(folder: Path) -> dict[str, Any]:
-    """All figures of what is compiled into a folder."""
+    """Compile into a folder and measure all figures."""
     found: dict[str, Any] = {}
     app: list[Path] = []
     for hulls in FIELDS:
@@ -253,12 +253,12 @@ def measure(folder: Path) -> dict[str, Any]:
 
 
 def complaints(figures: dict[str, Any]) -> list[str]:
-    """What does not fit its board, or is not as it must be."""
+    """List figures that exceed the limits of their board or violate a requirement."""
     crazyflie, teensy = TARGETS["crazyflie"], TARGETS["teensy"]
-    said = [f"{name} is not in the firmware" for name in figures["unknown_symbols"]]
+    found = [f"{name} is not in the firmware" for name in figures["unknown_symbols"]]
     if count := figures["fused_instructions"]:
-        said.append(f"{count} instructions round a product and a sum once")
-    most = {f"crazyflie_{hulls}_flash_bytes": crazyflie.flash_bytes for hulls in FIELDS} | {
+        found.append(f"{count} instructions are fused multiply-adds")
+    limits = {f"crazyflie_{hulls}_flash_bytes": crazyflie.flash_bytes for hulls in FIELDS} | {
         "crazyflie_ram_bytes": crazyflie.ram_bytes - APP_STACK_BYTES,
         "crazyflie_app_stack_bytes": APP_STACK_BYTES,
         "teensy_flash_bytes": teensy.flash_bytes,
@@ -266,31 +266,31 @@ def complaints(figures: dict[str, Any]) -> list[str]:
         "teensy_flight_differs": 0,
         "m7_teensy_tick_instructions": int(teensy.clock_hz / teensy.cycles_per_instruction * TICK_S),
     }
-    said += [
-        f"{name} is {figures[name]}, above {limit}" for name, limit in most.items() if figures[name] > limit
+    found += [
+        f"{name} is {figures[name]}, above {limit}" for name, limit in limits.items() if figures[name] > limit
     ]
-    return said
+    return found
 
 
 def main() -> int:
-    """Print the figures; 1 when something does not hold."""
+    """Print the figures; return 1 when a requirement is violated."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     if missing := missing_tools():
         print(missing, file=sys.stderr)
         return 1
     with tempfile.TemporaryDirectory() as folder:
         found = measure(Path(folder))
-    said = complaints(found)
-    if asked.json:
+    violations = complaints(found)
+    if options.json:
         print(json.dumps(found))
     else:
         for name, value in found.items():
             print(f"{name:30} {value:>10,}" if isinstance(value, int) else f"{name:30} {value!s:>10}")
-    for line in said:
+    for line in violations:
         print(line, file=sys.stderr)
-    return 1 if said else 0
+    return 1 if violations else 0
 
 
 if __name__ == "__main__":

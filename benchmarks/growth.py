@@ -1,4 +1,4 @@
-"""How time and memory grow from `.ply` to a verified cover, each size in a process of its own."""
+"""Growth of time and memory from `.ply` to a verified cover, each size in a process of its own."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from alula.stages.compression.verify import verify
 from alula.stages.reconstruction.formats.registry import read_splats
 
 VOXEL_M = 0.05
-GAUSSIANS_PER_HULL = 500  # 1.5 million end as 3,000 hulls, others in proportion
+GAUSSIANS_PER_HULL = 500  # 1.5 million Gaussians get 3,000 hulls, others in proportion
 STEPS = ("read", "voxelize", "merge", "verify")
-TARGET_S, TARGET_MB = 8.0, 2000.0  # for 1.5 million Gaussians until the cover is there
+TARGET_S, TARGET_MB = 8.0, 2000.0  # from 1.5 million Gaussians to the cover
 
 
 def child(paths: list[str]) -> None:
-    """In the new process: make a garden's file, or take one all the way to a verified cover."""
-    asked, answer = (Path(path) for path in paths)
-    given = json.loads(asked.read_text())
+    """Run in the new process: write a garden's file, or process one up to a verified cover."""
+    request, answer = (Path(path) for path in paths)
+    given = json.loads(request.read_text())
     figures = _make(given) if given["make"] else _pipeline(given)
     answer.write_text(json.dumps(figures))
 
@@ -74,9 +74,9 @@ def _pipeline(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def rows(gaussians: Sequence[int], limit_s: float, deadline: float) -> Iterator[dict[str, Any]]:
-    """One row per size; `paper_*` are the published rule on the same voxels.
+    """Measure one row per size; `paper_*` figures are those of the published rule on the same voxels.
 
-    No process takes longer than the limit or beyond the deadline, a time of the monotonic clock.
+    No process runs longer than `limit_s` or beyond `deadline`, a time of the monotonic clock [s].
     """
 
     def left_s() -> float:
@@ -100,9 +100,9 @@ def rows(gaussians: Sequence[int], limit_s: float, deadline: float) -> Iterator[
 
 
 def exponents(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """Slopes of log time and log memory over log voxels, beside that of N log N.
+    """Slopes of log time and log memory over log voxels, and that of N log N.
 
-    Memory is what the process takes beyond its start, when libraries are loaded and nothing is read.
+    Memory is that of the process beyond its start, when libraries are loaded and nothing is read.
     """
     done = [row for row in rows if "voxels" in row]
     if len(done) < 2:

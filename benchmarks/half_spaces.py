@@ -1,7 +1,7 @@
-"""The onboard projection on half-spaces in a box against the proved QP solver, in all families of its tests.
+"""Comparison of the onboard projection on half-spaces in a box with the proved QP solver.
 
-Ends with 1 unless no set that is empty is called feasible, no point called feasible misses a row, and every
-set called infeasible is empty or has no ball of the margin.
+The exit code is 1 if an empty set is reported feasible, a point reported feasible violates a row, or a set
+reported infeasible contains a ball of the margin.
 
     python benchmarks/half_spaces.py --problems 100000
 """
@@ -23,13 +23,21 @@ _BATCH = 500
 
 
 def main() -> int:
-    """Compare, print, and tell whether all holds."""
+    """Compare and print; return 1 when a requirement is violated."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--problems", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     box = np.vstack([np.eye(3), -np.eye(3)])
-    solver, wrong, missed, disputed, thickest, feasible_count, most = _core.QpSolver(), 0, 0.0, 0, 0.0, 0, 0
+    solver, wrong, missed, disputed, thickest, feasible_count, maximum = (
+        _core.QpSolver(),
+        0,
+        0.0,
+        0,
+        0.0,
+        0,
+        0,
+    )
     done = batch = 0
     while done < options.problems:
         rng = np.random.default_rng([options.seed, batch])
@@ -50,12 +58,12 @@ def main() -> int:
             disputed += 1
             thickest = max(thickest, roomiest(rows[index]))
         feasible_count += int(held.sum())
-        most = max(most, int(iterations.max()))
+        maximum = max(maximum, int(iterations.max()))
         done += size
         batch += 1
-    print(f"{done} problems, {feasible_count} called feasible, {wrong} of them wrongly")
-    print(f"{disputed} sets called infeasible are not empty; the roomiest has a ball of {thickest:.2e}")
-    print(f"rows are missed by {missed:.1e}; the margin is {MARGIN:.2e}; at most {most} steps")
+    print(f"{done} problems, {feasible_count} reported feasible, {wrong} of them wrongly")
+    print(f"{disputed} sets reported infeasible are not empty; the largest contains a ball of {thickest:.2e}")
+    print(f"maximum violation of a row {missed:.1e}; margin {MARGIN:.2e}; at most {maximum} steps")
     return 0 if wrong == 0 and missed < 3e-6 and thickest <= 1.05 * MARGIN else 1
 
 

@@ -1,9 +1,9 @@
-"""cbfpy, a CBF library on JAX, where it is installed: the cone filter of a double integrator.
+"""The cone filter of a double integrator in cbfpy, a CBF library on JAX, where it is installed.
 
-It is set up in the fastest way found in which its solver converges: hard rows, each barrier divided by the
-length of its row, tolerance 1e-5. With barriers as they come, or a tolerance of 1e-8, the solver runs to its
+It uses the fastest configuration found in which its solver converges: hard rows, each barrier divided by the
+length of its row, tolerance 1e-5. With unscaled barriers, or a tolerance of 1e-8, the solver runs to its
 limit of 30 iterations on most ticks, which takes two to three times as long; its defaults (relaxed, 1e-3)
-take twice as long and are less exact. `unconverged` says on how many ticks it gave up.
+take twice as long and are less exact. `unconverged` counts the ticks on which it did not converge.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from contextlib import redirect_stdout
 from typing import Any
 
 import numpy as np
+from flights import Arena, Replay
 
 from alula import _core
-from support.flights import Arena, Replay
 
 _COUNT = 64
 _ALPHA = 5.0
 _TOLERANCE = 1e-5
-_FAR_M = 1e3  # beyond everything
-_LEAST_SPEED = 0.2  # m/s, of the ticks that are compared: below, cone-di has other rows
+_FAR_M = 1e3  # beyond all obstacles
+_MIN_SPEED = 0.2  # m/s, of the compared ticks: below it, cone-di has other rows
 
 
 def is_there() -> bool:
-    """Whether cbfpy can be imported."""
+    """Return whether cbfpy can be imported."""
     return importlib.util.find_spec("cbfpy") is not None
 
 
 def _filter() -> tuple[Any, Any]:
-    """Compiled, in double precision, of (state, nominal, centres, matrices): a tick, whether it converges."""
+    """Compile functions of (state, nominal, centres, matrices), in doubles: a tick, and its convergence."""
     os.environ |= {
         "JAX_PLATFORMS": "cpu",
         "JAX_ENABLE_X64": "1",
@@ -88,7 +88,7 @@ _NAMES += (
 
 
 def figures(room: Arena, ticks: Replay, count: int, repeats: int = 3) -> dict[str, float | None]:
-    """Microseconds of a tick after compilation, the least of a few of each, and of cone-di on the same ticks.
+    """Time ticks after compilation [us], the minimum of a few runs each, and cone-di on the same ticks.
 
     Both get the 64 ellipsoids nearest to the vehicle and the same rows; the time of cbfpy is without finding
     them, ours is that of the whole Python call. `filtered` figures are of the ticks whose nominal input
@@ -121,7 +121,7 @@ def _measured(room: Arena, ticks: Replay, count: int, repeats: int) -> dict[str,
         r = centres[near] - p
         inside = np.einsum("ki,kij,kj->k", r, matrices[near], r) < 1
         report = ours.filter(state.tolist(), nominal.tolist())
-        slow = np.linalg.norm(v) < _LEAST_SPEED
+        slow = np.linalg.norm(v) < _MIN_SPEED
         if len(near) < _COUNT or slow or inside.any() or report["infeasible"]:
             continue
         given = (np.concatenate([p, v]), nominal, centres[near], matrices[near])

@@ -1,4 +1,4 @@
-"""Costs side by side: each pair is run in turns, so that what else the machine does hits both."""
+"""Costs measured side by side: each pair is run in turns, so that other programs affect both alike."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Row:
     """One comparison. Every figure is a cost: a ratio below 1 is in our favour.
 
     Attributes:
-        subject: what is compared.
+        subject: the compared operation.
         unit: of `ours` and `reference`.
-        against: what the reference is.
+        against: the reference.
         ratio: ours / reference, the median over the runs.
-        spread: least and greatest ratio of the runs.
-        runs: how often both were run in turns; 1 where the figure is not a measurement.
+        spread: minimum and maximum ratio of the runs.
+        runs: number of runs in turns; 1 where the figure is not a measurement.
         agrees: whether both gave the same answer, in the sense of `check`.
         detail: further figures of this row.
     """
@@ -47,7 +47,7 @@ class Row:
 def in_turns(actions: Sequence[Callable[[], Any]], runs: int) -> tuple[list[Any], FloatArray]:
     """Results of the last round and the CPU seconds of each run, shape (runs, len(actions)).
 
-    CPU seconds of the process, not elapsed time: other programs then matter little. Everything is
+    CPU seconds of the process, not elapsed time, so that other programs have little effect. Everything is
     run once before, to fill caches, and the order alternates.
     """
     results = [action() for action in actions]
@@ -77,7 +77,7 @@ def timed(
     per: float = 1e-3,
     **detail: float,
 ) -> Row:
-    """The row of two columns of `in_turns`; `per` seconds are one unit."""
+    """Make the row of two columns of `in_turns`; `per` seconds are one unit."""
     ratio = ours / np.maximum(reference, 1e-9)
     return Row(
         subject=subject,
@@ -105,7 +105,7 @@ def counted(
     check: str,
     **detail: float,
 ) -> Row:
-    """The row of two figures that do not vary."""
+    """Make the row of two figures that do not vary."""
     ratio = ours / reference
     return Row(
         subject=subject,
@@ -130,9 +130,9 @@ print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * (1 if sys.platfor
 
 
 def peak_memory(arguments: Sequence[str]) -> int:
-    """Largest resident memory of `python ARGUMENTS` [bytes].
+    """Maximum resident memory of `python ARGUMENTS` [bytes].
 
-    A small process starts it: a child's figure begins with the memory of the process that made it.
+    A small process starts it, because a child's figure begins with the memory of its parent.
     """
     command = [sys.executable, "-P"]
     found = subprocess.run(

@@ -1,12 +1,12 @@
-"""The filters on emulated microcontrollers: instructions of a tick, bytes, and whether they match the host.
+"""The filters on emulated microcontrollers: instructions per tick, bytes, and comparison with the host.
 
-Flights among 150 and 1,000 hulls of 83 half-planes or more (as many as PolyMerge's have) are simulated with
-polytope-cbf on an onboard map, 500 ticks a second, and every fiftieth tick is recorded; so are ticks at
-positions anywhere, also inside hulls, one somewhere else than the last, which is the worst case for what a
-tick keeps. Encounters of examples/dr-acbf are recorded with dr-acbf, and flights inside fences with the
-geofence. All of it is replayed under QEMU on a Cortex-M4 and a Cortex-M7, and compared bit by bit with the
-library that the simulator calls. Nothing here is a time but host_*_us: instructions are counted, and are the
-same in every run with the same compiler.
+Flights among 150 and 1,000 hulls of at least 83 half-planes (the average of PolyMerge's) are simulated with
+polytope-cbf on an onboard map, 500 ticks a second, and every fiftieth tick is recorded. Ticks at unrelated
+positions anywhere, also inside hulls, are added: the worst case for the data that a tick caches. Encounters
+of examples/dr-acbf are recorded with dr-acbf, and flights inside fences with the geofence. All ticks are
+replayed under QEMU on a Cortex-M4 and a Cortex-M7, and compared bit for bit with the library that the
+simulator calls. Only host_*_us are times; instructions are counted, and are the same in every run with the
+same compiler.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map
 
 BUDGET = FIRMWARE / "budget.toml"
-HALF_PLANES = 83  # a hull of PolyMerge's has on average
+HALF_PLANES = 83  # average of a hull of PolyMerge
 G = 0.05
 HALVES = {
     150: (100, 80, 30),
@@ -65,7 +65,7 @@ FIELDS = (150, 1000)  # flown with polytope-cbf
 KEEP_OUT, KEEP_OUT_G = 290, 0.1  # hulls outside of which the geofence stays
 PARAMETERS = {"radius_m": 0.1, "beta": 2.0, "kappa": 100.0, "dt_s": 0.002, "v_max": 1.0}
 RATES = {150: 500, 1000: 125}
-GEOFENCE_US = 350  # what a tick takes on the paper's M7
+GEOFENCE_US = 350  # time of a tick on the paper's M7
 EVERY, FLIGHTS, TICKS, ANYWHERE = 50, 10, 80, 300
 FloatArray = NDArray[np.float64]
 ENTRIES = (
@@ -93,14 +93,16 @@ def lattice_hull(points: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[
 
 
 def field(hulls: int, seed: int = 1, g: float = G) -> Artifact:
-    """A cover of round hulls, 10 to 28 voxels across, that overlap, in a room for them."""
+    """Make a cover of overlapping round hulls, 10 to 28 voxels across."""
     rng, half = np.random.default_rng(seed), np.array(HALVES[hulls])
     parts = []
     for _ in range(hulls):
-        way = rng.normal(size=(60, 3))
-        way /= np.linalg.norm(way, axis=1)[:, None]
+        direction = rng.normal(size=(60, 3))
+        direction /= np.linalg.norm(direction, axis=1)[:, None]
         parts.append(
-            lattice_hull(np.rint(rng.uniform(-half, half) + way * rng.uniform(5, 14, 3)).astype(np.int64))
+            lattice_hull(
+                np.rint(rng.uniform(-half, half) + direction * rng.uniform(5, 14, 3)).astype(np.int64)
+            )
         )
     vertices, planes = [v for v, _ in parts], [p for _, p in parts]
 
@@ -136,15 +138,15 @@ def field(hulls: int, seed: int = 1, g: float = G) -> Artifact:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """Ticks of polytope-cbf and the host's answers.
+    """Ticks of polytope-cbf and the host's results.
 
     Attributes:
         image: the map.
         inputs: of the replay.
-        u: shape (ticks, 3).
+        u: filtered velocity, shape (ticks, 3) [m/s].
         status: shape (ticks,).
         margin_m: shape (ticks,).
-        in_flight: which are of flights, not anywhere.
+        in_flight: true for ticks of flights, false for those anywhere, shape (ticks,).
     """
 
     image: bytes
@@ -155,14 +157,14 @@ class Recorded:
     in_flight: NDArray[np.bool_]
 
     def ticks(self, begin: int, end: int) -> bytes:
-        """Inputs of some ticks alone."""
+        """Inputs of the ticks from `begin` to `end`."""
         head, row = 4 + 4 * 6, 4 * 6
         chosen = self.inputs[head + row * begin : head + row * end]
         return (end - begin).to_bytes(4, "little") + self.inputs[4:head] + chosen
 
 
 def fly(hulls: int) -> Recorded:
-    """Simulate flights through a field of so many hulls on its onboard map."""
+    """Simulate flights through a field of `hulls` hulls on its onboard map."""
     image = encode_map(field(hulls), indexed=True)
     rng, half = np.random.default_rng(2), np.array(HALVES[hulls]) * G
     extent = float(half.max()) + 2.0
@@ -175,8 +177,8 @@ def fly(hulls: int) -> Recorded:
             x = rng.uniform(-half, half)
         goal = rng.uniform(-half, half)
         for tick in range(EVERY * TICKS):
-            wished = goal - x
-            at, nominal = single(x), single(wished / max(float(np.linalg.norm(wished)), 1.0))
+            to_goal = goal - x
+            at, nominal = single(x), single(to_goal / max(float(np.linalg.norm(to_goal)), 1.0))
             u, status, margin, _, _ = native.filter(at, nominal)
             if tick % EVERY == 0:
                 rows.append((at, nominal, u, status, margin, True))
@@ -196,9 +198,11 @@ def fly(hulls: int) -> Recorded:
 
 
 def polytope_mismatches(recorded: Recorded, found: Replay) -> int:
-    """Ticks whose command, status or margin differ from the host's in a bit."""
+    """Count the ticks whose command, status or margin differ from the host's in a bit."""
     ticks = found.ticks
-    u = np.where((recorded.status == 0)[:, None], ticks["u"], recorded.u)  # the host gives back doubles then
+    u = np.where(
+        (recorded.status == 0)[:, None], ticks["u"], recorded.u
+    )  # otherwise the host returns doubles
     same = (u.view(np.uint32) == np.ascontiguousarray(ticks["u"]).view(np.uint32)).all(axis=1)
     same &= (recorded.status == ticks["status"]) & (recorded.margin_m == ticks["margin_m"])
     return int((~same).sum())
@@ -206,11 +210,11 @@ def polytope_mismatches(recorded: Recorded, found: Replay) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What was found.
+    """Results of the measurement.
 
     Attributes:
         figures: numbers by name, as printed.
-        tight: of each core and field, the model's instructions over those counted, shape (ticks,).
+        tight: by core and field, ratio of the model's instructions to the counted ones, shape (ticks,).
     """
 
     figures: dict[str, Any]
@@ -269,7 +273,7 @@ def measure(folder: Path, say: Callable[[str], None]) -> Measured:
 
 
 def room(firmware: Path, measured: dict[str, Any]) -> dict[str, Any]:
-    """Bytes on the M4: of the library, all filters' state, the larger map and the deepest stack."""
+    """Bytes on the M4: library, state of all filters, the larger map and the deepest stack."""
     sizes = library_sizes(firmware, "m4")
     state = sum(
         symbol_bytes(firmware, "m4", name, symbol)
@@ -298,38 +302,38 @@ def room(firmware: Path, measured: dict[str, Any]) -> dict[str, Any]:
 
 
 def complaints(figures: dict[str, Any]) -> list[str]:
-    """What is over the checked-in budget, does not fit the Crazyflie, or differs from the host."""
+    """List figures that exceed the checked-in budget or the Crazyflie, and differences from the host."""
     with BUDGET.open("rb") as file:
         budget = tomllib.load(file)
-    crazyflie, said = TARGETS["crazyflie"], []
-    for name, most in budget["most"].items():
-        if figures[name] > most * (1 + budget["slack"]):
-            said.append(f"{name} is {figures[name]}, budgeted are {most} and {budget['slack']:.0%} of slack")
+    crazyflie, found = TARGETS["crazyflie"], []
+    for name, limit in budget["most"].items():
+        if figures[name] > limit * (1 + budget["slack"]):
+            found.append(f"{name} is {figures[name]}; the budget is {limit} with {budget['slack']:.0%} slack")
     if figures["host_target_mismatches"]:
-        said.append(f"{figures['host_target_mismatches']} ticks differ from the host")
+        found.append(f"{figures['host_target_mismatches']} ticks differ from the host")
     if figures["code_bytes"] > CODE_BYTES:
-        said.append(f"the code takes {figures['code_bytes']} bytes, maps leave it {CODE_BYTES}")
+        found.append(f"the code takes {figures['code_bytes']} bytes; maps leave {CODE_BYTES} for it")
     if figures["flash_bytes"] > crazyflie.flash_bytes:
-        said.append(f"{figures['flash_bytes']} bytes do not fit into {crazyflie.flash_bytes} of flash")
+        found.append(f"{figures['flash_bytes']} bytes do not fit into {crazyflie.flash_bytes} of flash")
     if figures["ram_bytes"] > crazyflie.ram_bytes:
-        said.append(f"{figures['ram_bytes']} bytes do not fit into {crazyflie.ram_bytes} of RAM")
+        found.append(f"{figures['ram_bytes']} bytes do not fit into {crazyflie.ram_bytes} of RAM")
     for name in ("m4", "m4_geofence", "m4_geofence_faces", "m4_geofence_map"):
         if figures[f"{name}_cycles_per_instruction"] > crazyflie.cycles_per_instruction:
-            said.append(
-                f"{name}_cycles_per_instruction is {figures[f'{name}_cycles_per_instruction']}, not 2 at most"
+            found.append(
+                f"{name}_cycles_per_instruction is {figures[f'{name}_cycles_per_instruction']}, above 2"
             )
     if figures["m7_geofence_us"] > GEOFENCE_US:
-        said.append(
-            f"a tick of the geofence takes {figures['m7_geofence_us']:.0f} µs, the paper's {GEOFENCE_US}"
+        found.append(
+            f"a tick of the geofence takes {figures['m7_geofence_us']:.0f} µs, the paper's {GEOFENCE_US} µs"
         )
     for hulls, rate in RATES.items():
         if figures[f"m4_polytope_{hulls}_hz"] < rate:
-            said.append(f"{hulls} hulls reach {figures[f'm4_polytope_{hulls}_hz']} Hz, not {rate}")
-    return said
+            found.append(f"{hulls} hulls reach {figures[f'm4_polytope_{hulls}_hz']} Hz, not {rate}")
+    return found
 
 
 def main() -> int:
-    """Measure, print, and fail when something is over its budget."""
+    """Measure and print; return 4 when a figure exceeds its budget."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--keep", type=Path, help="folder for the firmware and the last replay")
@@ -351,14 +355,14 @@ def main() -> int:
             print(f"{name:<40} {value:,.6g}" if isinstance(value, float) else f"{name:<40} {value:,}")
     if chosen.markdown is not None:
         write_table(chosen.markdown, figures)
-    said = complaints(figures)
-    for line in said:
+    violations = complaints(figures)
+    for line in violations:
         print(line, file=sys.stderr)
-    return 4 if said else 0
+    return 4 if violations else 0
 
 
 def write_table(page: Path, figures: dict[str, Any]) -> None:
-    """Put the figures between the page's two marks."""
+    """Write the figures between the page's two marks."""
     begin, end = "<!-- measured: benchmarks/onboard.py --markdown -->\n", "<!-- end -->\n"
     rows = ["| figure | value |", "| --- | ---: |"]
     rows += [

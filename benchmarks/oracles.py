@@ -1,4 +1,4 @@
-"""Other readers of splat formats, how far ours is from them, and large files to time both with."""
+"""Other readers of splat formats, differences of ours from them, and large files to time both."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ class Oracle:
     """Another reader.
 
     Attributes:
-        name: of the package that must be there.
-        load: what is timed; what it stores is its own affair.
-        values: linear scales and opacities of what was loaded.
-        tolerance: how far ours may be, by kind of value; see `differences`.
+        name: of the package that must be installed.
+        load: the timed function; its result has the reader's own form.
+        values: converts that result to means, linear scales, quaternions and opacities.
+        tolerance: maximum difference by kind of value; see `differences`.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Oracle:
 
     @property
     def is_there(self) -> bool:
-        """Whether its package can be imported."""
+        """Return whether its package can be imported."""
         try:
             with Silence():
                 import_module(self.name)
@@ -61,7 +61,7 @@ class Oracle:
 
 def _gsply(function: str) -> Callable[[Path], Any]:
     def load(path: Path) -> Any:
-        with Silence():  # what it compiles warns
+        with Silence():  # its compiler warns
             return getattr(import_module("gsply"), function)(str(path))
 
     return load
@@ -89,7 +89,7 @@ def _of_open3d(point: Any) -> Values:
         return mean, scale, quat, 1 / (1 + np.exp(-logit.ravel()))
 
 
-# By the name of the format; a format without one is timed against nothing but its own bytes.
+# By format; a format without an oracle is compared only with reading its bytes.
 ORACLES: dict[str, tuple[Oracle, ...]] = {
     "ply": (
         Oracle("gsply", _gsply("plyread"), _of_gsply, EXACT),
@@ -102,13 +102,13 @@ ORACLES: dict[str, tuple[Oracle, ...]] = {
 
 
 def differences(ours: Splats, theirs: Values) -> tuple[dict[str, float], str]:
-    """The largest difference of each kind, and the half turn by which the frames differ, or `none`.
+    """Maximum difference of each kind, and the axis of the half turn between the frames, or `none`.
 
-    Means are compared in the unit of the largest one, scales relatively, rotations by the angle
-    [rad], opacities as they are. Rows that are not finite on both sides are left out.
+    Means are compared relative to the largest one, scales relatively, rotations by the angle
+    [rad], opacities absolutely. Rows that are not finite on both sides are left out.
 
     Raises:
-        ValueError: another number of rows.
+        ValueError: the numbers of rows differ.
     """
     mean, scale, quat, opacity = (np.asarray(values, np.float64) for values in theirs)
     if len(mean) != len(ours):
@@ -133,7 +133,7 @@ def _largest(ours: Splats, theirs: Splats) -> dict[str, float]:
 
 
 def _angle(a: NDArray[Any], b: NDArray[Any]) -> FloatArray:
-    """Of the rotation between two; exact where it is small."""
+    """Angle of the rotation between two quaternions [rad]; exact where it is small."""
     a, b = (
         q.astype(np.float64) / np.linalg.norm(q.astype(np.float64), axis=1, keepdims=True) for q in (a, b)
     )
@@ -169,7 +169,7 @@ def _by_gsply(function: str, **options: Any) -> Callable[[Path, Splats], None]:
 
 
 def _by_tests(encoder: str) -> Callable[[Path, Splats], None]:
-    """As the tests write it; a format of several files becomes the folder of that name."""
+    """Write a file with the tests' encoder; a format of several files becomes a folder of that name."""
 
     def make(path: Path, splats: Splats) -> None:
         files = import_module("support.splat_files")
@@ -190,7 +190,7 @@ def _by_tests(encoder: str) -> Callable[[Path, Splats], None]:
 
 @dataclass(frozen=True, slots=True)
 class Large:
-    """A made file or folder to be timed, of that many Gaussians out of the hundred that are asked for."""
+    """A generated file or folder to be timed, with `percent` of the requested number of Gaussians."""
 
     format: str
     label: str
@@ -216,7 +216,7 @@ LARGE = (
 
 @contextmanager
 def large_file(large: Large, folder: Path, splats: Splats) -> Iterator[Path | None]:
-    """The file for as long as it is needed; None when what makes it is not there or cannot."""
+    """Yield the file and delete it afterwards; None when its writer is missing or cannot write it."""
     path = folder / large.name
     try:
         large.make(path, splats)

@@ -1,4 +1,4 @@
-"""The same results by plain numpy, as a careful user would write them."""
+"""Reference implementations of the same results in plain numpy, as a careful user would write them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _COLUMNS = (
 
 
 def write_inria_ply(path: Path, splats: Splats) -> None:
-    """A `.ply` as a training run writes it: normals, spherical harmonics of degree 3, 248 bytes a row."""
+    """Write a `.ply` as a training run does: normals, spherical harmonics of degree 3, 248 bytes a row."""
     rows = np.zeros(len(splats), [(name, "<f4") for name in _COLUMNS])
     alpha = splats.opacity.astype(np.float64)
     groups: dict[tuple[str, ...], NDArray[Any]] = {
@@ -43,7 +43,7 @@ def write_inria_ply(path: Path, splats: Splats) -> None:
 
 
 def ply_arrays(path: Path, min_opacity: float) -> dict[str, NDArray[Any]]:
-    """The arrays of a scene from a file of `write_inria_ply`."""
+    """Read the arrays of a scene from a file of `write_inria_ply`."""
     data = path.read_bytes()
     rows = np.frombuffer(data, [(name, "<f4") for name in _COLUMNS], offset=data.index(b"end_header\n") + 11)
 
@@ -90,7 +90,7 @@ def voxel_keys(index: NDArray[Any]) -> NDArray[np.int64]:
 class NumpyFilter:
     """The filter `polytope-cbf`, sound smoothing, in double precision; see native/onboard.
 
-    On board the obstacles are larger by the rounding to single precision, so answers differ by about that.
+    The onboard code enlarges obstacles by the rounding to single precision, so results differ by about that.
     """
 
     def __init__(
@@ -101,17 +101,17 @@ class NumpyFilter:
         self.radius, self.beta, self.kappa, self.dt, self.v_max = radius_m, beta, kappa, dt_s, v_max
 
     def __call__(self, x: FloatArray, u_nom: FloatArray) -> tuple[FloatArray, float]:
-        """The input and the margin of the smooth barrier."""
+        """Filtered velocity [m/s] and margin of the smooth barrier [m]."""
         value = self.normal @ x - self.offset
         hard = np.maximum.reduceat(value, self.start)
         weight = np.exp(self.kappa * (value - np.repeat(hard, self.planes)))
         total = np.add.reduceat(weight, self.start)
         smooth = hard + np.log(total / self.planes) / self.kappa
-        least = smooth.min()
-        share = np.exp(-self.kappa * (smooth - least))
-        weight *= np.repeat(share / total, self.planes)
-        gradient: FloatArray = weight @ self.normal / share.sum()
-        margin = float(least - np.log(share.sum()) / self.kappa) - self.radius
+        nearest = smooth.min()
+        hull_weight = np.exp(-self.kappa * (smooth - nearest))
+        weight *= np.repeat(hull_weight / total, self.planes)
+        gradient: FloatArray = weight @ self.normal / hull_weight.sum()
+        margin = float(nearest - np.log(hull_weight.sum()) / self.kappa) - self.radius
         row = -self.beta * margin
         if hard.min() < self.radius:
             return self._recover(gradient, row), margin

@@ -1,8 +1,8 @@
 """The stages of the pipeline and plain references, side by side in one run.
 
 Every figure is a cost and every ratio is ours / reference, so below 1 is in our favour. Times are CPU
-seconds of one thread, measured in turns; the ratio is the median over the runs, with the least and
-the greatest. Nothing is asserted about time; a pair that does not give the same answer fails the run.
+seconds of one thread, measured in turns; the ratio is the median over the runs, with minimum and
+maximum. Times are not tested; a pair that does not give the same answer fails the run.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _HEADINGS = ("what", "ours", "reference", "", "ratio", "spread", "same answer")
 
 
 def cells(row: Row) -> tuple[str, ...]:
-    """A row of the table."""
+    """Format a row of the table."""
     low, high = row.spread
     return (
         row.subject,
@@ -40,7 +40,7 @@ def cells(row: Row) -> tuple[str, ...]:
 
 
 def main() -> int:
-    """Run all comparisons; 1 when a pair disagrees."""
+    """Run all comparisons; return 1 when a pair disagrees."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small inputs, a few seconds")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write all figures to FILE")

@@ -1,8 +1,8 @@
-"""The QP solver on random and adversarial programs against Clarabel, its time beside that of others.
+"""The QP solver on random and adversarial programs: comparison with Clarabel, and times of several solvers.
 
-Every verdict is proved from its own numbers (`qp_families.proved`) and held against what is known of the
-program and what Clarabel says; since Clarabel is accurate to about 1e-8 only, it is taken by inequalities
-that hold for any point and any multipliers, so nothing rests on a tolerance of its own.
+Every result is proved from its own numbers (`qp_families.proved`) and compared with what is known about the
+program and with Clarabel's result. Clarabel is accurate only to about 1e-8, so the comparison uses
+inequalities that hold for any point and any multipliers and depends on no tolerance of Clarabel's.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ from support.qp_families import (
 _BATCH = 20
 _SIZES = (0, 1, 2, 3, 5, 9, 20, 40, 70, 120)
 _TIMED_VARIABLES, _TIMED_ROWS = 4, 70
-_EXACT = 1e-11  # of the sums that an inequality below compares; extended precision is far below
+_EXACT = 1e-11  # relative tolerance of the inequalities below; extended precision is far more exact
 
 
 def programs(problems: int, seed: int) -> Any:
-    """Batches of all families in turn, plain and scaled, 1 to 8 variables; one in 200 has 3000 rows."""
+    """Generate batches of all families, plain and scaled, 1 to 8 variables; one in 200 has 3000 rows."""
     done = index = 0
     names = list(FAMILIES)
     while done < problems:
@@ -67,7 +67,7 @@ def _columns(matrix: np.ndarray) -> Any:
 
 
 def clarabel_call(stack: Stack, i: int) -> Callable[[], Any]:
-    """Clarabel's set-up and solution of one program; the conversion to its format is done before."""
+    """Prepare Clarabel's set-up and solution of one program; conversion to its format is done beforehand."""
     import clarabel
 
     hessian, gradient, rows, bounds = (part[i] for part in stack.problem)
@@ -79,14 +79,14 @@ def clarabel_call(stack: Stack, i: int) -> Callable[[], Any]:
 
 
 def through_clarabel(stack: Stack, i: int) -> tuple[int, np.ndarray, np.ndarray]:
-    """Clarabel's verdict, x and multipliers."""
+    """Clarabel's status, x and multipliers."""
     answer = clarabel_call(stack, i)()
     status = {"Solved": OPTIMAL, "PrimalInfeasible": INFEASIBLE}.get(str(answer.status), FAILED)
     return status, np.array(answer.x), np.maximum(np.array(answer.z), 0)
 
 
 def through_cvxpy(stack: Stack, i: int) -> tuple[int, np.ndarray, np.ndarray]:
-    """The same through cvxpy."""
+    """Status, x and multipliers of Clarabel through cvxpy."""
     import cvxpy as cp
 
     hessian, gradient, rows, bounds = (part[i] for part in stack.problem)
@@ -96,7 +96,7 @@ def through_cvxpy(stack: Stack, i: int) -> tuple[int, np.ndarray, np.ndarray]:
     nothing = FAILED, np.zeros_like(gradient), np.zeros_like(bounds)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that a solution may be inaccurate
+            warnings.simplefilter("ignore")  # warning that a solution may be inaccurate
             problem.solve(solver=cp.CLARABEL)
     except cp.SolverError:
         return nothing
@@ -111,10 +111,10 @@ def through_cvxpy(stack: Stack, i: int) -> tuple[int, np.ndarray, np.ndarray]:
 def contradicts(
     stack: Stack, ours: dict[str, np.ndarray], i: int, other: tuple[int, np.ndarray, np.ndarray]
 ) -> bool:
-    """Whether another's point or multipliers show that our verdict is false.
+    """Return whether another solver's point or multipliers show that our result is false.
 
     Ours is infeasible: y^T b - |y^T A| |x| bounds y^T (b - A x) of any x from below. Ours is optimal: a
-    certificate z asks z^T (b - A x) > 0 of any x, and by convexity no x' has
+    certificate z requires z^T (b - A x) > 0 for any x, and by convexity no x' has
     f(x') < f(x) + y^T (A x' - b), with our multipliers y.
     """
     wide = np.longdouble
@@ -144,7 +144,7 @@ def contradicts(
 
 
 def verdicts(problems: int, seed: int, seconds: float | None, cvxpy: int = 300) -> Counter[str]:
-    """Count programs, verdicts and mistakes; a subsample of `cvxpy` also goes through cvxpy."""
+    """Count programs, results and mistakes; a subsample of `cvxpy` programs is also solved through cvxpy."""
     solver, count, start = _core.QpSolver(), Counter[str](), time.monotonic()
     every = max(1, problems // max(1, cvxpy))
     for _, stack in programs(problems, seed):
@@ -180,7 +180,7 @@ def verdicts(problems: int, seed: int, seconds: float | None, cvxpy: int = 300) 
 
 
 def calls(stack: Stack, i: int, solver: Any) -> dict[str, Callable[[], Any]]:
-    """One Python call per solver that is installed; arrays are in its own form already."""
+    """Prepare one Python call per installed solver; arrays are already in its own form."""
     hessian, gradient, rows, bounds = (part[i] for part in stack.problem)
     made: dict[str, Callable[[], Any]] = {
         "qp_call": lambda: solver.solve(hessian, gradient, rows, bounds),
@@ -198,15 +198,15 @@ def calls(stack: Stack, i: int, solver: Any) -> dict[str, Callable[[], Any]]:
     except ImportError:
         pass
     else:
-        columns = np.asfortranarray(rows.T)  # it wants the rows as columns
+        columns = np.asfortranarray(rows.T)  # it takes the rows as columns
         made["quadprog"] = lambda: quadprog.solve_qp(hessian, -gradient, columns, bounds)
     return made
 
 
 def times(seed: int, problems: int = 2000) -> dict[str, float]:
-    """Microseconds for one program of 4 variables and 70 rows, cold, all solvers in turns on each program.
+    """Time one program of 4 variables and 70 rows [us], cold, all solvers in turns on each program.
 
-    `qp_` is the native call alone, as a filter pays it; `qp_call_` and the others are Python calls.
+    `qp_` is the native call alone, as in a filter; `qp_call_` and the others are Python calls.
     """
     rng = np.random.default_rng([seed, 1])
     stack = generic(rng, problems, _TIMED_VARIABLES, _TIMED_ROWS)
@@ -230,7 +230,7 @@ def times(seed: int, problems: int = 2000) -> dict[str, float]:
 
 
 def run(problems: int = 100_000, seed: int = 0, seconds: float | None = None) -> dict[str, float]:
-    """Count mistakes on `problems` programs, at most for `seconds`, and time 2000 others.
+    """Count mistakes on `problems` programs for at most `seconds`, and time 2000 others.
 
     Keys: qp_problems, qp_wrong, qp_infeasible, qp_infeasible_missed, qp_failed, qp_loose, qp_cvxpy,
     qp_clarabel_undecided, qp_clarabel_differs, and of `times` qp_, qp_call_, clarabel_, and where
@@ -245,12 +245,12 @@ def run(problems: int = 100_000, seed: int = 0, seconds: float | None = None) ->
 
 
 def main() -> int:
-    """Print the figures; 1 if any verdict is wrong."""
+    """Print the figures; return 1 if any result is wrong."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--problems", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--seconds", type=float, default=None, help="stop counting after so long")
-    parser.add_argument("--json", type=Path, default=None, help="write the figures here, too")
+    parser.add_argument("--seconds", type=float, default=None, help="maximum time of counting")
+    parser.add_argument("--json", type=Path, default=None, help="also write the figures to this file")
     options = parser.parse_args()
     figures = run(options.problems, options.seed, options.seconds)
     for name, value in figures.items():

@@ -35,7 +35,7 @@ MIN_OPACITY = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sizes:
-    """How much is measured."""
+    """Extent of the measurement."""
 
     runs: int
     import_rows: tuple[int, ...]
@@ -67,14 +67,14 @@ QUICK = Sizes(
 
 
 def room(gaussians: int) -> Artifact:
-    """The built-in scene in metres."""
+    """Make the built-in scene in metres."""
     config = ImportSplatConfig(min_opacity=MIN_OPACITY, drop_floaters=True)
     scene = import_splat(config, demo_scene(DemoSceneConfig(gaussians=gaussians), 0))
     return scale_align(ScaleAlignConfig(), scene, world_from_scene(), 0)
 
 
 def importing(sizes: Sizes, folder: Path) -> Iterator[Row]:
-    """Decoding and checking a splat file against reading its bytes."""
+    """Compare decoding and checking a splat file with reading its bytes."""
     path = folder / "splat.ply"
     for count in sizes.import_rows:
         write_inria_ply(path, demo_scene(DemoSceneConfig(gaussians=count), 0))
@@ -82,13 +82,13 @@ def importing(sizes: Sizes, folder: Path) -> Iterator[Row]:
             [partial(_import, path), partial(np.fromfile, path, np.uint8)],
             sizes.runs,
         )
-        wanted = ply_arrays(path, MIN_OPACITY)
+        expected = ply_arrays(path, MIN_OPACITY)
         yield timed(
             f"import-splat, {count:,} rows",
             "numpy.fromfile of the same bytes",
             *seconds.T,
-            agrees=all(np.array_equal(scene[name], values) for name, values in wanted.items()),
-            check="arrays equal to the bit to those of a structured numpy read",
+            agrees=all(np.array_equal(scene[name], values) for name, values in expected.items()),
+            check="arrays equal bit for bit to those of a structured numpy read",
             rows=count,
             megabytes=path.stat().st_size / 1e6,
         )
@@ -100,7 +100,7 @@ def _import(path: Path) -> Artifact:
 
 
 def voxelizing(sizes: Sizes, scene: Artifact) -> Iterator[Row]:
-    """Exact voxels against those of bounding boxes."""
+    """Compare exact voxels with those of bounding boxes."""
     size = sizes.voxel_m
     (voxels, boxes), seconds = in_turns(
         [
@@ -131,7 +131,7 @@ def voxelizing(sizes: Sizes, scene: Artifact) -> Iterator[Row]:
 
 
 def merging(sizes: Sizes, scene: Artifact, voxels: Artifact) -> Iterator[Row]:
-    """The default rule against the paper's at equal n, and verifying against merging."""
+    """Compare the default rule with the paper's at equal n, and verifying with merging."""
     ours = MergeConfig(hulls=sizes.hulls)
     cover = merge(ours, voxels, jobs=1)
     (cover, paper, certificate), seconds = in_turns(
@@ -176,7 +176,7 @@ def merging(sizes: Sizes, scene: Artifact, voxels: Artifact) -> Iterator[Row]:
 
 
 def growth(sizes: Sizes, scene: Artifact, voxels: Artifact) -> Row:
-    """How the cost of merge grows with the number of voxels, against N log N."""
+    """Compare the growth of merge's cost with the number of voxels with N log N."""
     counts: list[int] = []
     inputs: list[Artifact] = []
     for wanted in sizes.growth_voxels:
@@ -204,7 +204,7 @@ def growth(sizes: Sizes, scene: Artifact, voxels: Artifact) -> Row:
 
 
 def filtering(sizes: Sizes, hulls: Hulls) -> Iterator[Row]:
-    """A filter step with boxes skipped, against all planes in the same C code and against numpy."""
+    """Compare a filter step that skips boxes with all planes in the same C code, and with numpy."""
     rng = np.random.default_rng(0)
     x = rng.uniform(0.05, 0.95, (sizes.queries, 3)) * ROOM_M
     u_nom = rng.normal(size=(sizes.queries, 3))
@@ -234,11 +234,11 @@ def filtering(sizes: Sizes, hulls: Hulls) -> Iterator[Row]:
         "all planes, same C code",
         *seconds.T[:2],
         agrees=ours == brute,
-        check="equal to the bit",
+        check="equal bit for bit",
         **figures,
     )
     margin, reference = np.array([o[2] for o in ours]), np.array([n[1] for n in numpy])
-    binds = options["beta"] * margin < options["v_max"]  # beyond that ours is a bound below the margin
+    binds = options["beta"] * margin < options["v_max"]  # beyond that, ours is a lower bound of the margin
     off = float(np.where(binds, np.abs(margin - reference), margin - reference).max())
     input_off = float(np.abs(np.array([o[0] for o in ours]) - np.array([n[0] for n in numpy])).max())
     yield timed(
@@ -247,7 +247,7 @@ def filtering(sizes: Sizes, hulls: Hulls) -> Iterator[Row]:
         seconds[:, 0],
         seconds[:, 2],
         agrees=off < 1e-4 and bool(binds.any()) and input_off < 1e-2,
-        check="margin within 0.1 mm where the row can bind, else not above; input within 1 cm/s",
+        check="margin within 0.1 mm where the row can become active, else not above; input within 1 cm/s",
         largest_margin_difference_m=off,
         largest_input_difference_m_s=input_off,
         **figures,
@@ -255,7 +255,7 @@ def filtering(sizes: Sizes, hulls: Hulls) -> Iterator[Row]:
 
 
 def clearance(sizes: Sizes, hulls: Hulls) -> Row:
-    """Exact clearance of a path by the tree, against asking every hull."""
+    """Compare the exact clearance of a path by the tree with measuring every hull."""
     t = np.linspace(0, 1, sizes.queries + 1)[:, None]
     path = ROOM_M * (0.5 + 0.45 * np.sin(2 * np.pi * t * np.array([3.0, 5.0, 7.0])))
     tree = hull_obstacles(hulls)
@@ -297,7 +297,7 @@ held = [{name: array.copy() for name, array in read_artifact(Path(p)).arrays.ite
 
 
 def memory(sizes: Sizes, folder: Path, scene: Artifact, voxels: Artifact) -> Iterator[Row]:
-    """Peak memory of the commands against holding their input and output."""
+    """Compare the peak memory of the commands with holding their input and output."""
     source, marked, cover = (folder / f"room.{kind}.npz" for kind in ("scene", "voxels", "cover"))
     write_artifact(source, scene)
     write_artifact(marked, voxels)
@@ -319,7 +319,7 @@ def memory(sizes: Sizes, folder: Path, scene: Artifact, voxels: Artifact) -> Ite
 
 
 def all_rows(sizes: Sizes, folder: Path) -> Iterator[Row]:
-    """Every comparison, in the order of the pipeline."""
+    """Run every comparison, in the order of the pipeline."""
     yield from importing(sizes, folder)
     scene = room(sizes.gaussians)
     yield from voxelizing(sizes, scene)

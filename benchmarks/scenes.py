@@ -1,4 +1,4 @@
-"""Scenes to compress: hoops, the built-in room and a garden of any size, all made from a seed."""
+"""Scenes to compress: hoops, the built-in room and a garden of any size, all generated from a seed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ METRIC = Similarity(scale=1.0, rotation=np.eye(3).tolist(), translation_m=[0.0, 
 _GARDEN_PER_M2 = 5200.0  # Gaussians over ground: 1.5 million are a garden of 17 m x 17 m
 _TREE_M2 = 12.0
 _CLUMPS = 40  # of leaves in a crown
-_SHARES = {"terrain": 0.5, "trunk": 0.05, "leaf": 0.44, "haze": 0.01}
+_FRACTIONS = {"terrain": 0.5, "trunk": 0.05, "leaf": 0.44, "haze": 0.01}
 
 # Real scenes under ALULA_DATA: metres per unit and voxel edge [m] that give some ten thousand voxels.
 REAL = {
@@ -40,30 +40,30 @@ REAL = {
 
 
 def metric(splats: Splats, similarity: Similarity = METRIC, *, drop_floaters: bool = False) -> Artifact:
-    """The scene of a splat in metres."""
+    """Convert a splat to a scene in metres."""
     config = ImportSplatConfig(min_opacity=MIN_OPACITY, drop_floaters=drop_floaters)
     return scale_align(ScaleAlignConfig(), import_splat(config, splats), similarity, 0)
 
 
 def voxels_of(scene: Artifact, size_m: float, min_overlap: int = MIN_OVERLAP) -> Artifact:
-    """Occupied voxels as the whole benchmark marks them."""
+    """Mark occupied voxels with the benchmark's parameters."""
     return voxelize(VoxelizeConfig(size_m=size_m, min_overlap=min_overlap, ignore_loss=True), scene)
 
 
 def room(gaussians: int) -> Artifact:
-    """The built-in scene, floaters dropped."""
+    """Make the built-in scene without floaters."""
     splats = demo_scene(DemoSceneConfig(gaussians=gaussians), 0)
     return metric(splats, world_from_scene(), drop_floaters=True)
 
 
 def real(path: Path, scale: float) -> Artifact:
-    """A scene of somebody's camera, in its own frame."""
+    """Read a scene of a real camera, in its own frame."""
     similarity = Similarity(scale=scale, rotation=METRIC.rotation, translation_m=METRIC.translation_m)
     return metric(read_splats(path), similarity)
 
 
 def hoops(count: int, gaussians: int) -> Artifact:
-    """The first so many hoops of the built-in scene on their stands."""
+    """Make the first `count` hoops of the built-in scene on their stands."""
     surfaces = []
     for hoop in HOOPS[:count]:
         (x, y, z), paint = hoop.centre, plain(hoop.color)
@@ -81,13 +81,13 @@ def hoops(count: int, gaussians: int) -> Artifact:
 
 
 def garden(gaussians: int) -> Splats:
-    """Rolling ground with trees, as dense everywhere whatever the size: voxels grow like Gaussians.
+    """Make rolling ground with trees, of the same density at any size: voxels grow like Gaussians.
 
     Half of the Gaussians are flat on the ground, 44 % leaves in clumps, 5 % bark and 1 % faint haze,
-    which an import with the usual least opacity leaves out. Metres, z up.
+    which an import with the default minimum opacity leaves out. Metres, z up.
     """
     rng = np.random.default_rng(0)
-    ends = np.rint(np.cumsum([0.0, *_SHARES.values()]) * gaussians).astype(int)
+    ends = np.rint(np.cumsum([0.0, *_FRACTIONS.values()]) * gaussians).astype(int)
     terrain, trunk, leaf, haze = np.diff(ends)
     side = float(np.sqrt(gaussians / _GARDEN_PER_M2))
     trees = max(1, round(side * side / _TREE_M2))
@@ -132,7 +132,7 @@ def _height(place: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _flat(normal: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Rotations whose third axis is the normal and whose others are turned at random, (n, 3, 3)."""
+    """Rotations with the normal as third axis and random other axes, shape (n, 3, 3)."""
     third = normal / np.linalg.norm(normal, axis=1, keepdims=True)
     first = np.cross(third, rng.normal(size=third.shape))
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -146,7 +146,7 @@ def _splats(
     rng: np.random.Generator,
     opacity: FloatArray | None = None,
 ) -> Splats:
-    """Flat Gaussians, 1 to 3 mm across, in random order as a training run leaves them."""
+    """Make flat Gaussians, 1 to 3 mm thick, in random order as after a training run."""
     order = rng.permutation(len(mean))
     scale = np.column_stack([along, rng.uniform(0.001, 0.003, len(mean))])
     return Splats(

@@ -1,4 +1,4 @@
-"""Convex polytopes of any tool and what is measured of them, in units of one voxel."""
+"""Convex polytopes of any tool and their measures, in units of one voxel."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from alula.schemas.artifact import Artifact
 
 _MESH_TOLERANCE = 1e-6  # [voxels]; meshes come with rounding, covers of this library without
 _GAP = 1e-3  # of an edge: the shortest uncovered piece of a line that counts
-_SLIVER = 1e-6  # of a voxel: the least volume outside the union that counts
+_SLIVER = 1e-6  # of a voxel: the minimum volume outside the union that counts
 _TILE = 64  # columns after which the random lines repeat
-_MOST_LINES = 5e5  # of all hulls together
+_MAX_LINES = 5e5  # of all hulls together
 _DRAWS = 4
 
 
@@ -43,13 +43,13 @@ class Solids:
 
     @classmethod
     def from_cover(cls, cover: Artifact) -> Self:
-        """The exact polytopes of an `alula/cover`."""
+        """Read the exact polytopes of an `alula/cover`."""
         names = ("plane_normal", "plane_offset", "plane_start", "vertex", "vertex_start")
         return cls(*(np.asarray(cover[name], np.int64) for name in names))
 
     @classmethod
     def from_points(cls, parts: Sequence[FloatArray]) -> Self:
-        """Convex hulls of points; coplanar facets are one half-plane."""
+        """Make the convex hulls of points; coplanar facets are one half-plane."""
         from scipy.spatial import ConvexHull, QhullError
 
         planes, corners = [], []
@@ -82,18 +82,18 @@ class Solids:
 
     @property
     def is_exact(self) -> bool:
-        """Whether planes are integers."""
+        """Return whether the planes are integers."""
         return bool(np.issubdtype(self.normal.dtype, np.integer))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measured:
-    """Volumes of a union of polytopes against that of voxels, V+.
+    """Volumes of a union of polytopes relative to that of voxels, V+.
 
     Attributes:
         union_ratio: union / V+.
-        uncovered_volume: share of V+ outside the union.
-        voxels_with_gap: voxels of which more is outside the union than rounding explains.
+        uncovered_volume: fraction of V+ outside the union.
+        voxels_with_gap: number of voxels with more volume outside the union than rounding explains.
         error: of `union_ratio`.
     """
 
@@ -104,7 +104,7 @@ class Measured:
 
 
 def measure(solids: Solids, voxels: NDArray[np.int32]) -> Measured:
-    """Exact volumes, up to a bound on rounding; a gap is more than a millionth of a voxel."""
+    """Measure exact volumes, up to a bound on rounding; a gap is more than a millionth of a voxel."""
     length = np.linalg.norm(solids.normal, axis=1)
     ends = [(vertex.min(axis=0), vertex.max(axis=0)) for _, _, vertex in solids]
     lower, upper = (np.array(column, np.float64).reshape(-1, 3) for column in zip(*ends, strict=True))
@@ -128,14 +128,14 @@ def measure(solids: Solids, voxels: NDArray[np.int32]) -> Measured:
 
 
 def measure_along_lines(solids: Solids, voxels: NDArray[np.int32]) -> Measured:
-    """The same by other means: exact along some million vertical lines at random places within a grid.
+    """Measure the same independently, exactly along about a million vertical lines at jittered positions.
 
-    `error` is the standard error by repeated draws. A gap is uncovered length of more than a thousandth
-    of an edge on a line; gaps narrower than the distance of lines can be missed in the count of voxels,
+    `error` is the standard error of repeated draws. A gap is uncovered length of more than a thousandth
+    of an edge on a line. Gaps narrower than the distance of lines can be missed in the count of voxels,
     but not systematically in the volume.
     """
     area = sum(float(np.prod(np.ptp(vertex[:, :2], axis=0) + 1)) for _, _, vertex in solids)
-    side = next((m for m in (4, 3, 2) if area * m * m <= _MOST_LINES), 1)
+    side = next((m for m in (4, 3, 2) if area * m * m <= _MAX_LINES), 1)
     draws = [_draw(solids, voxels.astype(np.int64), side, seed) for seed in range(_DRAWS)]
     ratio, uncovered, gaps = (np.array(column) for column in zip(*draws, strict=True))
     return Measured(
@@ -147,7 +147,7 @@ def measure_along_lines(solids: Solids, voxels: NDArray[np.int32]) -> Measured:
 
 
 def _draw(solids: Solids, voxels: NDArray[np.int64], side: int, seed: int) -> tuple[float, float, int]:
-    """Union / V+, uncovered share of V+ and voxels with a gap along one draw of lines."""
+    """Union / V+, uncovered fraction of V+ and number of voxels with a gap along one draw of lines."""
     jitter = np.random.default_rng(seed).random((_TILE, _TILE, side * side, 2))
     cell = np.stack(np.divmod(np.arange(side * side), side), axis=1)
     within = (jitter + cell) / side
@@ -158,7 +158,7 @@ def _draw(solids: Solids, voxels: NDArray[np.int64], side: int, seed: int) -> tu
     width, period = upper[1] - lower[1], float(upper[2] - lower[2] + 1)
 
     def line(x: NDArray[Any], y: NDArray[Any]) -> FloatArray:
-        """Start of the lines of columns on one long axis on which intervals of all lines lie in turn."""
+        """Start of the lines of columns on one long axis that holds the intervals of all lines in turn."""
         column = (x - lower[0]) * width + (y - lower[1])
         return ((column[:, None] * side * side + np.arange(side * side)) * period).astype(np.float64)
 
@@ -175,12 +175,12 @@ def _draw(solids: Solids, voxels: NDArray[np.int64], side: int, seed: int) -> tu
     start, end = _disjoint(np.vstack(pieces))
     before = np.concatenate([[0.0], np.cumsum(end - start)])
 
-    def covered(place: FloatArray) -> FloatArray:
-        """Covered length before a place on the long axis."""
+    def covered(position: FloatArray) -> FloatArray:
+        """Covered length before a position on the long axis."""
         if not len(start):
-            return np.zeros_like(place)
-        last = np.searchsorted(start, place, side="right") - 1
-        inside = np.minimum(place, end[last]) - start[last]
+            return np.zeros_like(position)
+        last = np.searchsorted(start, position, side="right") - 1
+        inside = np.minimum(position, end[last]) - start[last]
         return np.where(last < 0, 0.0, before[last] + inside)
 
     foot = line(voxels[:, 0], voxels[:, 1]) + (voxels[:, 2:] - lower[2])
@@ -191,7 +191,7 @@ def _draw(solids: Solids, voxels: NDArray[np.int64], side: int, seed: int) -> tu
 
 
 def _z_interval(normal: NDArray[Any], offset: NDArray[Any], at: FloatArray) -> FloatArray:
-    """Where vertical lines through (x, y) are inside one polytope, shape (n, 2); empty when low >= high."""
+    """Intervals of vertical lines at (x, y) inside one polytope, shape (n, 2); empty when low >= high."""
     bounds = np.empty((len(at), 2))
     bounds[:] = -np.inf, np.inf
     rest = offset - at @ normal[:, :2].T
@@ -204,7 +204,7 @@ def _z_interval(normal: NDArray[Any], offset: NDArray[Any], at: FloatArray) -> F
 
 
 def _disjoint(pieces: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The union of intervals as sorted disjoint ones: starts and ends."""
+    """Union of intervals as sorted disjoint intervals: starts and ends."""
     if not len(pieces):
         return np.empty(0), np.empty(0)
     low, high = pieces[np.argsort(pieces[:, 0])].T
@@ -214,11 +214,11 @@ def _disjoint(pieces: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def outside_every_hull(solids: Solids, voxels: NDArray[np.int32]) -> int:
-    """Voxels that no single polytope contains as a whole.
+    """Count voxels that no single polytope contains as a whole.
 
     Voxel v is inside when normal . v + sum of positive normal components <= offset for all planes: in
-    integers without tolerance for a cover, within a millionth of an edge for a mesh. Reads the planes
-    only, not what a cover says of its members.
+    integers without tolerance for a cover, within a millionth of an edge for a mesh. Only the planes are
+    used, not the members recorded in a cover.
     """
     cubes = voxels[np.lexsort(voxels.T[::-1])].astype(np.int64)
     found = np.zeros(len(cubes), np.bool_)
@@ -234,9 +234,9 @@ def outside_every_hull(solids: Solids, voxels: NDArray[np.int32]) -> int:
 
 
 def mesh_bytes(solids: Solids) -> int:
-    """Bytes of an onboard map if planes were quantised like those of covers, whether or not they can be.
+    """Bytes of an onboard map if the planes were quantised like those of covers.
 
-    A header of 64, 14 per hull with its box, 5 per oblique plane; planes along the axes come with the box.
+    A header of 64 bytes, 14 per hull with its box, 5 per oblique plane; planes along the axes are in the box.
     """
     unit = np.abs(solids.normal / np.linalg.norm(solids.normal, axis=1, keepdims=True)).max(axis=1)
     return 64 + 14 * len(solids) + 5 * int((unit < 1 - 1e-9).sum())

@@ -29,16 +29,16 @@ _PREFACE = """# Compression, measured
 
 Written by `python benchmarks/compression.py --markdown docs/results/benchmarks.md` on {machine},
 Python {python}. All tools got the same voxels in one run, each in a process of its own. CPU and wall
-seconds are of the tool's call alone, all threads together; peak memory is of the whole process with Python
-and numpy.
+seconds are those of the tool's call alone, all threads together; peak memory is that of the whole process
+with Python and numpy.
 
-V+ is the volume of the occupied voxels, the excess that of the union outside them, *not covered* the share
-of V+ outside the union. *Voxels in no hull* are those that no single hull contains as a whole: the check by
-which our covers are exact, and stricter than need be for tools that cut voxels between two hulls; *voxels
-with a gap* are those of which the union leaves out more than a millionth. Coplanar triangles of a mesh
-count as one half-plane. Bytes of meshes are what their planes would take if quantised like ours. Volumes
-are exact up to rounding; the largest error of union / V+ below is {error:.1e}. Measured again along random
-vertical lines, {agree} of {all} agree within what chance explains.
+V+ is the volume of the occupied voxels, the excess the volume of the union outside them, *not covered* the
+fraction of V+ outside the union. *Voxels in no hull* are those that no single hull contains as a whole. Our
+covers are checked by this count; it is stricter than necessary for tools that divide voxels between two
+hulls. *Voxels with a gap* are those of which the union leaves out more than a millionth. Coplanar triangles
+of a mesh count as one half-plane. Bytes of meshes are those of their planes if quantised like ours. Volumes
+are exact up to rounding; the maximum error of union / V+ below is {error:.1e}. Measured again along random
+vertical lines, {agree} of {all} agree within the sampling error.
 """
 
 
@@ -49,7 +49,7 @@ def _table(headings: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def scene(figures: Figures) -> str:
-    """The table of one scene, and that against the paper's rule where there is one."""
+    """Format the table of one scene, and the comparison with the paper's rule where there is one."""
     text = f"\n## {figures['name']}: {figures['voxels']:,} voxels of {figures['voxel_size_m']:g} m\n\n"
     rows = []
     for row in figures["tools"].values():
@@ -82,7 +82,7 @@ def _ladder_cells(step: Figures) -> list[str]:
 
 
 def growth(result: Figures) -> str:
-    """Seconds and memory per size, and the exponents."""
+    """Format seconds and memory per size, and the exponents."""
     if not result["growth"]:
         return ""
     heads = ["Gaussians", ".ply MB", "voxels", "hulls", *(f"{step}, CPU s" for step in STEPS)]
@@ -118,7 +118,7 @@ def growth(result: Figures) -> str:
 
 
 def targets(result: Figures) -> list[Figures]:
-    """What was aimed at and what was found: `text`, `found`, `is_met`."""
+    """List targets and results: `text`, `found`, `is_met`."""
     found: list[Figures] = []
 
     def add(text: str, value: float, is_met: bool) -> None:
@@ -152,8 +152,8 @@ def targets(result: Figures) -> list[Figures]:
         if row["note"]:
             continue
         what = f"garden of {row['gaussians']:,}"
-        share = row["verify_wall_s"] / row["merge_wall_s"]
-        add(f"{what}: time of verify over merge, at most 1", share, share <= 1)
+        ratio = row["verify_wall_s"] / row["merge_wall_s"]
+        add(f"{what}: time of verify over merge, at most 1", ratio, ratio <= 1)
         if row["gaussians"] == _TARGET_GAUSSIANS:
             add(
                 f"{what}: .ply to cover, at most {TARGET_S:g} s",
@@ -173,13 +173,13 @@ def _none_outside(row: Figures) -> bool:
 
 
 def verdicts(result: Figures) -> str:
-    """The table of targets."""
+    """Format the table of targets."""
     rows = [[t["text"], f"{t['found']:.4g}", "yes" if t["is_met"] else "NO"] for t in result["targets"]]
-    return "\n## Targets\n\n" + _table(["what", "found", "met"], rows)
+    return "\n## Targets\n\n" + _table(["target", "found", "met"], rows)
 
 
 def document(result: Figures) -> str:
-    """Everything as one page."""
+    """Format everything as one page."""
     rows = [row for place in result["scenes"] for row in place["tools"].values()]
     done = [row for row in rows if not row["note"]]
     text = _PREFACE.format(

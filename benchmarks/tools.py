@@ -1,7 +1,7 @@
-"""Tools that cover voxels by convex parts, each run in a process of its own and judged alike.
+"""Tools that cover voxels by convex parts, each run in a process of its own and evaluated alike.
 
-CPU and wall time are of the tool's call alone, without starting Python or reading the input; CPU time
-counts all threads. Peak memory is of the whole process.
+CPU and wall time are those of the tool's call alone, without starting Python or reading the input; CPU time
+counts all threads. Peak memory is that of the whole process.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from alula.stages.compression.merge import merge
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.compression.voxel_mesh import voxel_mesh
 
-_ERRORS = 8  # standard errors of four draws: chance exceeds it once in some hundred
+_ERRORS = 8  # tolerance in standard errors of four draws: chance exceeds it about once in some hundred
 HERE = str(Path(__file__).resolve().parent)
 _START = "import sys; sys.path.append(sys.argv[1]); import {module}; {module}.child(sys.argv[2:])"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What one process came to: `note` is empty when it is done, else says why not.
+    """Result of one process: `note` is empty when it is done, else it gives the reason.
 
-    When it took too long, `cpu_s` is what it had used by then.
+    When the process took too long, `cpu_s` is the CPU time that it had used by then.
     """
 
     note: str = ""
@@ -51,7 +51,7 @@ def _cpu_s(who: int) -> float:
 
 
 class Clock:
-    """Wall and CPU seconds of this process since it was made."""
+    """Wall and CPU seconds of this process since the clock was made."""
 
     def __init__(self) -> None:
         self._wall, self._cpu = time.perf_counter(), _cpu_s(resource.RUSAGE_SELF)
@@ -63,7 +63,7 @@ class Clock:
 
 
 def peak_mb() -> float:
-    """Largest resident memory of this process so far [MB], without what its parent had before it."""
+    """Maximum resident memory of this process so far [MB], without that of its parent."""
     try:
         status = Path("/proc/self/status").read_text()
         return int(status.split("VmHWM:")[1].split()[0]) * 1024 / 1e6
@@ -73,12 +73,12 @@ def peak_mb() -> float:
 
 
 def run_child(module: str, arguments: dict[str, Any], limit_s: float) -> Outcome:
-    """Call `module.child` in a new process and read the figures that it leaves."""
+    """Call `module.child` in a new process and read its figures."""
     with tempfile.TemporaryDirectory(prefix="alula-bench-") as folder:
-        asked, answer = Path(folder, "asked.json"), Path(folder, "figures.json")
-        asked.write_text(json.dumps(arguments))
+        request, answer = Path(folder, "request.json"), Path(folder, "figures.json")
+        request.write_text(json.dumps(arguments))
         code = _START.format(module=module)
-        command = [sys.executable, "-P", "-c", code, HERE, str(asked), str(answer)]
+        command = [sys.executable, "-P", "-c", code, HERE, str(request), str(answer)]
         before = _cpu_s(resource.RUSAGE_CHILDREN)
         try:
             done = subprocess.run(
@@ -100,9 +100,9 @@ def run_child(module: str, arguments: dict[str, Any], limit_s: float) -> Outcome
 
 
 def child(paths: list[str]) -> None:
-    """In the new process: run one tool on the voxels of a file, write its polytopes and figures."""
-    asked, answer = (Path(path) for path in paths)
-    given = json.loads(asked.read_text())
+    """Run in the new process: one tool on the voxels of a file; write its polytopes and figures."""
+    request, answer = (Path(path) for path in paths)
+    given = json.loads(request.read_text())
     voxels = read_artifact(Path(given["voxels"]), VOXELS)
     try:
         solids, figures = TOOLS[given["tool"]](voxels, given["options"])
@@ -122,7 +122,7 @@ def run_tool(
     judged: bool = True,
     **options: Any,
 ) -> Outcome:
-    """Run one tool on an `alula/voxels` file; figures are those of `judge` besides times and memory."""
+    """Run one tool on an `alula/voxels` file; figures are times, memory and those of `judge`."""
     with tempfile.TemporaryDirectory(prefix="alula-bench-") as folder:
         output = Path(folder) / "solids.npz"
         outcome = run_child(
@@ -138,7 +138,7 @@ def run_tool(
 
 
 def judge(solids: Solids, voxels: np.ndarray) -> dict[str, Any]:
-    """What is said of a cover from its planes and vertices alone."""
+    """Evaluate a cover from its planes and vertices alone."""
     found, lines = measure(solids, voxels), measure_along_lines(solids, voxels)
     return {
         "hulls": len(solids),
@@ -168,7 +168,7 @@ def _merge(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str,
 
 
 def _coacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
-    """CoACD with its defaults and a fixed seed on the surface of the voxels."""
+    """Run CoACD with its defaults and a fixed seed on the surface of the voxels."""
     coacd = importlib.import_module("coacd")
     corner, triangles = voxel_mesh(voxels["index"])
     origin = corner.min(axis=0)
@@ -183,7 +183,7 @@ def _coacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str,
 
 
 def _vhacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
-    """V-HACD 4 with its defaults on the surface of the voxels."""
+    """Run V-HACD 4 with its defaults on the surface of the voxels."""
     vhacdx = importlib.import_module("vhacdx")
     corner, triangles = voxel_mesh(voxels["index"])
     origin = corner.min(axis=0)
@@ -204,7 +204,7 @@ TOOLS: dict[str, Callable[[Artifact, dict[str, Any]], tuple[Solids, dict[str, An
 
 
 class Silence:
-    """Nothing on stdout and stderr, also not from C, which writes past `sys.stdout`."""
+    """Suppress stdout and stderr, also of C code, which bypasses `sys.stdout`."""
 
     def __enter__(self) -> None:
         sys.stdout.flush()

@@ -1,4 +1,4 @@
-"""Words and files of the examples that compare runs or maps; no command of its own."""
+"""Command line and output files of the examples that compare runs or maps; this is no command of alula."""
 
 from __future__ import annotations
 
@@ -11,11 +11,18 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from alula.stages.reporting.figures import Figure
-    from alula.stages.reporting.tables import Table
+    from alula.stages.reporting.table import Table
 
 
 def comparison_words(description: str) -> argparse.Namespace:
-    """The words of a command line: `folder`, `runs`, and `markdown`, which may be None."""
+    """Parse the command line of a comparison.
+
+    Args:
+        description: first line of its help.
+
+    Returns:
+        `folder`, `runs`, and `markdown`, which may be None.
+    """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
     parser.add_argument("folder", type=Path)
@@ -24,7 +31,7 @@ def comparison_words(description: str) -> argparse.Namespace:
 
 
 def this_machine() -> str:
-    """Where a page was written, in words."""
+    """Describe in words the machine that writes a page."""
     return f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}"
 
 
@@ -45,12 +52,12 @@ def write_comparison(
     Args:
         output: OUTPUT.md and OUTPUT.html are written, and tables and figures beside them.
         title: of the pages.
-        inputs: roles and files that it was made from.
-        facts: what is found in short, by subject.
-        tables: in reading order.
+        inputs: roles and files that the comparison was made from.
+        facts: summary lines by subject.
+        tables: in reading order, with all digits.
         figures: in reading order.
-        read: tables as the pages show them; the same without.
-        markdown: another file for the page of Markdown, with `head` below its title.
+        read: tables as the pages show them; by default `tables`.
+        markdown: second file for the Markdown page, with `head` below its title.
         head: a paragraph.
 
     Raises:

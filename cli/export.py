@@ -31,14 +31,15 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
     """Convert a cover or a scene for other programs.
 
     A cover becomes GLB, OBJ, STL (one mesh per hull), JSON (the exact integers), or an onboard map that
-    a microcontroller reads in place (.bin; the same as a C array in .h); a scene becomes PLY, SPLAT or SPZ
-    (Gaussians), GLB or OBJ (points). Of Gaussians, it is measured and told what the format lost. Coordinates
-    are not turned. A .splat has no room to say where it came from, so that only -f replaces one.
+    a microcontroller reads in place (.bin; .h holds the same bytes as a C array). A scene becomes PLY, SPLAT
+    or SPZ (Gaussians), GLB or OBJ (points). For Gaussians, export measures and prints the loss of the format.
+    Coordinates are not rotated. A .splat has no room for provenance, so only -f replaces one.
 
-    With --target the map gets an index, and the C header is written beside it. Printed are its bytes, and
-    the instructions and time of a tick of polytope-cbf (0.1 m radius, 1 m/s, other parameters as by default):
-    the most at positions all over the map, its share of each control rate's tick, and a bound for any
-    position (every hull counts). What does not fit ends with exit code 5 and the bytes that would.
+    With --target the map gets an index, and the C header is written beside it. Export prints the bytes of the
+    map, and the instructions and time of a tick of polytope-cbf (0.1 m radius, 1 m/s, otherwise default
+    parameters): the maximum over positions all over the map, its fraction of the period of each control rate,
+    and a bound for any position (every hull counts). A map that does not fit ends with exit code 5 and the
+    number of bytes that would fit.
     """
     from alula.cli.runner import check_output, current, run
     from alula.schemas.artifact import read_artifact
@@ -85,7 +86,7 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
         if name in SCENE_ENCODERS:
             counts |= written_losses(found, name, b"".join(parts))
             if "loss" in found.arrays:
-                counts["notes"] = ["what the scene's own source may have lost is not recorded in this file"]
+                counts["notes"] = ["this file does not record the loss of the scene's own source"]
         return write, {"format": name, **counts, "bytes": sum(map(len, parts))}
 
     run(common, "alula/export", "1.0", parameters, {"input": artifact}, make)
@@ -94,7 +95,7 @@ def command(artifact: Path, config: ExportConfig, common: Common) -> None:
 
 
 def _write_header(output: Path, header: Path, *, force: bool) -> None:
-    """The C header of a map that is there, unless it is there too."""
+    """Write the C header of an existing map, unless the header is up to date."""
     from alula.cli.runner import current
     from alula.schemas.atomic import atomic_output
     from alula.schemas.provenance import read_provenance

@@ -27,7 +27,7 @@ Explained = tuple[dict[str, Any], "AlulaError | None"]
 def command(file: Path, json: bool, quiet: bool, verbose: int) -> None:
     """Explain an artifact or a splat file.
 
-    FILE may be the folder of a splat, too. Of a damaged file it prints what can still be read, and ends
+    FILE may also be the folder of a splat. For a damaged file, info prints what it can still read and ends
     with exit code 3.
     """
     from alula.cli.present import print_json, print_sections
@@ -50,10 +50,10 @@ def _size(path: Path) -> int:
 
 
 def _explain(path: Path) -> Explained:
-    """The facts of a file, and the error that reading all of it ends with.
+    """Read the facts of a file, and the error of reading all of it; None without an error.
 
     Raises:
-        InputError: the file cannot be opened, or is nothing that alula knows.
+        InputError: the file cannot be opened, or its kind is unknown.
     """
     from alula.schemas.errors import ArtifactError, InputError
     from alula.schemas.files import check_no_stream
@@ -141,7 +141,7 @@ def _map(path: Path) -> Explained:
 
 
 def _toml(path: Path) -> Explained:
-    """A vehicle has a model; whatever else is taken for a scenario."""
+    """Read a vehicle, recognised by its `model`, or else a scenario."""
     import msgspec
 
     from alula.schemas.encounters import is_encounters, read_encounters
@@ -186,7 +186,7 @@ def _splat(path: Path) -> Explained:
 
 
 def _foreign(words: str) -> dict[str, Any] | None:
-    """The facts of a file that the readers recognise, but do not read."""
+    """Facts about a file that the readers recognise but cannot read."""
     for mark in ("recognised as ", "PLY: an ordinary "):
         if words.startswith(mark):
             name = words.removeprefix("recognised as ").removeprefix("PLY: ")

@@ -1,4 +1,4 @@
-"""Facts on a screen: tables on a terminal, plain lines elsewhere."""
+"""Output of facts: tables on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 
 import click
 
-LONGEST = 12  # numbers of a sequence that are printed one by one
+LONGEST = 12  # longer sequences of numbers are summarised
 _HASH_DIGITS = 12
 
 
 def print_json(facts: Mapping[str, Any]) -> None:
-    """One JSON object on stdout: the answer of this command, whatever happens afterwards."""
+    """Print one JSON object on stdout; it remains the command's answer if an error follows."""
     context = click.get_current_context(silent=True)
     if context is not None and isinstance(context.obj, dict):
         context.obj["answered"] = True
@@ -22,7 +22,7 @@ def print_json(facts: Mapping[str, Any]) -> None:
 
 
 def plain(value: Any) -> str:
-    """A value as a person reads it: short floats, sequences without brackets, long ones in brief."""
+    """Format a value for reading: short floats, sequences without brackets, long ones summarised."""
     if value is None:
         return "none"
     if isinstance(value, bool):
@@ -46,7 +46,7 @@ def plain(value: Any) -> str:
 
 
 def print_sections(facts: Mapping[str, Any]) -> None:
-    """Plain facts first, then a section per nested one; what is deeper is named by its path."""
+    """Print plain facts first, then a section per nested fact; deeper values are named by their path."""
     simple = {key: value for key, value in facts.items() if not _nested(value) and not _blank(value)}
     _pairs("", simple)
     for title, value in facts.items():
@@ -72,7 +72,7 @@ def _flat(facts: Mapping[str, Any], path: str = "") -> dict[str, Any]:
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table with a title; its columns are aligned."""
+    """Print a table with a title and aligned columns."""
     if sys.stdout.isatty():
         from rich.console import Console
         from rich.markup import escape
@@ -109,7 +109,7 @@ def _pairs(title: str, facts: Mapping[str, Any]) -> None:
 
 
 def _words(value: Any) -> str:
-    """A value on one line, without characters that steer a terminal."""
+    """Format a value on one line, without control characters."""
     text = " ".join(plain(value).split())
     return "".join(c if c.isprintable() else "?" for c in text)
 
@@ -123,7 +123,7 @@ def _blank(value: Any) -> bool:
 
 
 def _table(value: Any) -> tuple[list[str], list[list[str]]] | None:
-    """Header and rows when all entries are records with the same keys."""
+    """Header and rows when all entries are records with the same keys; else None."""
     if isinstance(value, Mapping):
         items: list[Any] = [
             {"name": k} | dict(v) if isinstance(v, Mapping) else None for k, v in value.items()
@@ -140,8 +140,6 @@ def _table(value: Any) -> tuple[list[str], list[list[str]]] | None:
 def _cell(key: str, value: Any) -> str:
     if key == "shape" and isinstance(value, list):
         return " x ".join(map(str, value))
-    if (
-        key == "dtype" and isinstance(value, str) and value[2:].isdigit()
-    ):  # "<f4" as the documentation says it: f32
+    if key == "dtype" and isinstance(value, str) and value[2:].isdigit():  # "<f4" is f32 in the documentation
         return f"{value[1]}{8 * int(value[2:])}"
     return _words(value)[:_HASH_DIGITS] if key == "sha256" else _words(value)

@@ -28,10 +28,10 @@ Examples:
 
 @click.command(epilog=EXAMPLES)
 @click.argument("runs", nargs=-1, type=options.input_path())
-@click.option("--cover", type=options.input_path(), help="Cover that was flown through (.cover.npz).")
+@click.option("--cover", type=options.input_path(), help="Cover that the runs flew through (.cover.npz).")
 @click.option("--scene", type=options.input_path(), help="Scene that the cover was made from (.scene.npz).")
 @click.option("--plan", type=options.input_path(), help="Plan that was flown (.plan.npz).")
-@click.option("--certificate", type=options.input_path(), help="What `verify` wrote (.json).")
+@click.option("--certificate", type=options.input_path(), help="Certificate that `verify` wrote (.json).")
 @options.from_config(ReportConfig)
 @options.output(".html")
 def command(
@@ -45,7 +45,8 @@ def command(
 ) -> None:
     """Turn runs into tables, figures and one HTML page.
 
-    Beside the page, report.md holds the same tables and report.csv one row per trial.
+    Two more files are written beside the page: a .md file with the same tables and a .csv file with one row
+    per trial.
     """
     from alula.cli.runner import run
     from alula.schemas.errors import UsageError
@@ -54,7 +55,8 @@ def command(
     from alula.stages.reporting.figures import all_figures
     from alula.stages.reporting.headline import headline
     from alula.stages.reporting.page import comment, page
-    from alula.stages.reporting.tables import all_tables, to_csv, to_markdown
+    from alula.stages.reporting.table import to_markdown
+    from alula.stages.reporting.tables import all_tables, to_csv
     from alula.stages.reporting.view3d import view
 
     named = {"cover": cover, "scene": scene, "plan": plan, "certificate": certificate}
@@ -95,7 +97,7 @@ def command(
 
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns when it cannot cache its fonts
     run(common, "alula/report", "1.0", parameters_of(config), inputs, make)
-    if not common.dry_run and not (markdown.exists() and table.exists()):  # lost beside an unchanged page
+    if not common.dry_run and not (markdown.exists() and table.exists()):  # deleted beside an unchanged page
         recorded = read_provenance(common.output)
         assert recorded is not None
         texts, _ = build(recorded, lambda done, total: None)
@@ -134,7 +136,7 @@ def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenanc
             raise ArtifactError(f"{inputs['certificate']}: is not a certificate ({error})") from error
         made = read_provenance(inputs["certificate"])
         if made is None or not isinstance(certificate.get("covered"), bool):
-            raise ArtifactError(f"{inputs['certificate']}: is not a certificate that alula verify wrote")
+            raise ArtifactError(f"{inputs['certificate']}: is not a certificate of alula verify")
         if "cover" in artifacts and cover_hash(made.inputs) != cover_hash(provenance.inputs):
             raise InputError(f"{inputs['certificate']}: is the certificate of another cover")
     return Material(
@@ -148,7 +150,7 @@ def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenanc
 
 
 def _write_all(texts: dict[Path, str]) -> None:
-    """Write files so that all appear or none; the first appears last, for it is the Make target."""
+    """Write files so that all or none appear; the first appears last because it is the Make target."""
     from alula.schemas.atomic import atomic_output
 
     with ExitStack() as stack:
@@ -159,7 +161,7 @@ def _write_all(texts: dict[Path, str]) -> None:
 
 
 def _check_beside(markdown: Path, table: Path, inputs: dict[str, Path], common: Common) -> None:
-    """Refuse to replace a file of someone else's beside the page."""
+    """Refuse to replace a file beside the page that alula did not write."""
     from alula.cli.runner import check_output
     from alula.schemas.errors import UsageError
     from alula.schemas.provenance import read_provenance

@@ -1,15 +1,15 @@
-"""The tables of DR-ACBF, the sensitivity of what it leaves open, and more, from the runs in a folder.
+"""Make the tables and figures of DR-ACBF, with the effect of its free choices, from the runs in a folder.
 
 Usage: python compare.py [--markdown FILE] FOLDER RUN [RUN ...]
 
-A run is SCENARIO/VARIANT.run.mcap with its record beside it; tables and figures are written into FOLDER, the
-same tables as one page of Markdown into FILE.
+A run is SCENARIO/VARIANT.run.mcap with its record beside it. Tables and figures are written into FOLDER, and
+the same tables as one Markdown page into FILE.
 """
 
 from alula.cli.comparison import comparison_words, this_machine, write_comparison
 from alula.schemas.run import read_run
-from alula.stages.reporting.papers import dracbf, dracbf_beyond, dracbf_figures, dracbf_small
-from alula.stages.reporting.shares import folded
+from alula.stages.reporting.papers import dracbf, dracbf_analysis, dracbf_figures
+from alula.stages.reporting.table import folded
 
 TITLE = "DR-ACBF: moving obstacles, uncertain and late"
 WRITTEN = "Written by `make -C examples/dr-acbf page`"
@@ -20,11 +20,11 @@ flown = [
 ]
 found = [
     *dracbf.group_tables(flown),
-    dracbf_beyond.collapse_table(flown),
-    *dracbf_small.hardware_tables(flown),
-    dracbf_small.wall_table(flown),
-    dracbf_beyond.recursion_table(flown),
-    dracbf_beyond.risk_table(flown),
+    dracbf_analysis.collapse_table(flown),
+    *dracbf.hardware_tables(flown),
+    dracbf.wall_table(flown),
+    dracbf_analysis.recursion_table(flown),
+    dracbf_analysis.risk_table(flown),
     dracbf.sensitivity_table(flown, "sensitivity-1"),
     dracbf.sensitivity_table(flown, "sensitivity-2"),
 ]
@@ -38,7 +38,7 @@ drawn = [
     dracbf_figures.stop_figure(),
 ]
 figures = [figure for figure in drawn if figure is not None]
-facts = {"flown": dracbf.effort(flown)} | dracbf_beyond.in_short(flown)
+facts = {"flown": dracbf.effort(flown)} | dracbf_analysis.in_short(flown)
 write_comparison(
     folder / "dr-acbf",
     TITLE,
@@ -48,5 +48,5 @@ write_comparison(
     figures,
     read=[folded(table) for table in tables],
     markdown=options.markdown,
-    head=f"{WRITTEN} on {this_machine()}. Times are measured while the trials flew.",
+    head=f"{WRITTEN} on {this_machine()}. Times were measured during the trials.",
 )

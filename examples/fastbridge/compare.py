@@ -1,9 +1,9 @@
-"""Figures 2 to 4 of FastBridge, and the ablations, from the runs in a folder.
+"""Make Figures 2 to 4 of FastBridge, and the ablations, from the runs in a folder.
 
 Usage: python compare.py [--markdown FILE] FOLDER RUN [RUN ...]
 
-A run is SCENE/VARIANT@SPEED.run.mcap with its record beside it; tables and figures are written into
-FOLDER, the same tables as one page of Markdown into FILE.
+A run is SCENE/VARIANT@SPEED.run.mcap with its record beside it. Tables and figures are written into
+FOLDER, and the same tables as one Markdown page into FILE.
 """
 
 from pathlib import Path
@@ -21,21 +21,21 @@ names = list(dict.fromkeys(path.parent.name for path in runs))
 TITLE = "FastBridge: collision cones through the quadrotor"
 HEAD = """Written by `make -C examples/fastbridge page` with `ALULA_DATA` set. All filters fly the same
 pairs, references, gains, rate (100 Hz) and plant (rigid body, 1 kHz): in the built-in room pairs whose
-straight line meets an obstacle, in the outdoor tile pairs drawn at random. A collision is what the exact
-clearance of the flown path says, never a filter's own barrier; e_a is the body's acceleration less the
-commanded one, gamma is r'Ar - 1 of the ellipsoids as grown for the filter. Times are in
-[benchmarks-filters.md](benchmarks-filters.md), measured on an idle machine.
+straight line meets an obstacle, in the outdoor tile pairs drawn at random. Collisions are computed from the
+exact clearance of the flown path, not from a filter's own barrier; e_a is the body's acceleration minus the
+commanded one, gamma is r'Ar - 1 of the ellipsoids as grown for the filter. Times on an idle machine are in
+[benchmarks-filters.md](benchmarks-filters.md).
 
-How to read the jerk: the filter `none` shows that of the reference itself. Where that is most of what a
-filter has, as in the room from 3 m/s on, none that follows the reference can be far below another that
-does. `safer-splat` with a row for every ellipsoid is smooth because its barrier caps the speed: see how
-many flights arrive, and how fast. The gated form is the one that the paper compares with; its mean is also
-over flights that collide, so the ratios are given for pairs that both filters fly to the goal, too."""
+How to read the jerk: the filter `none` shows the jerk of the reference itself. Where the reference causes
+most of a filter's jerk, as in the room from 3 m/s on, no filter that follows the reference can be far below
+another that does. `safer-splat` with a row for every ellipsoid is smooth because its barrier caps the
+speed: compare how many flights arrive, and how fast. The paper compares with the gated form; its mean
+includes flights that collide, so the ratios are also given for pairs that both filters fly to the goal."""
 PATHS = (fastbridge.BASELINE, fastbridge.GATED, fastbridge.OURS)
 
 
 def sweep_of(path: Path) -> Sweep:
-    """A run; its paths are read only where they are drawn."""
+    """Read a run; its paths are read only where they are drawn."""
     variant, speed = path.name.removesuffix(".run.mcap").rsplit("@", 1)
     record = read_run(path)
     flights = read_flights(path).by_trial if variant in PATHS else {}
@@ -43,7 +43,9 @@ def sweep_of(path: Path) -> Sweep:
     return Sweep(path.parent.name, variant, float(speed), Run(label, record, flights))
 
 
-files = sorted(dict.fromkeys(runs), key=lambda path: names.index(path.parent.name))  # else as they are given
+files = sorted(
+    dict.fromkeys(runs), key=lambda path: names.index(path.parent.name)
+)  # stable: otherwise in the given order
 sweeps = [sweep_of(path) for path in files]
 is_ablation = [s.variant.startswith(("ecbf-", "backup-")) for s in sweeps]
 ablated = {(s.scene, s.speed_m_s) for s, yes in zip(sweeps, is_ablation, strict=True) if yes}

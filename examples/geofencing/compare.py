@@ -1,9 +1,10 @@
-"""The experiments of the geofencing paper, and what goes beyond them, from the runs in a folder.
+"""Make the tables and figures of the geofencing paper, and further ones, from the runs in a folder.
 
 Usage: python compare.py [--markdown FILE] FOLDER RUN [RUN ...]
 
-A run is SCENARIO/VARIANT.run.mcap with its record beside it, FOLDER/pendulum.json the times that pendulum.py
-measured. Tables and figures are written into FOLDER, the same tables as one page of Markdown into FILE.
+A run is SCENARIO/VARIANT.run.mcap with its record beside it; FOLDER/pendulum.json holds the times that
+pendulum.py measured. Tables and figures are written into FOLDER, and the same tables as one Markdown page
+into FILE.
 """
 
 import json
@@ -11,18 +12,13 @@ import json
 from alula.cli.comparison import comparison_words, this_machine, write_comparison
 from alula.schemas.fence_ticks import read_ticks
 from alula.schemas.run import read_run
-from alula.stages.reporting.papers import (
-    geofencing,
-    geofencing_figures,
-    geofencing_robustness,
-    geofencing_short,
-)
+from alula.stages.reporting.papers import geofencing, geofencing_figures, pendulum
 from alula.stages.reporting.papers.pendulum import PROGRAM, REGULATION, sweep
-from alula.stages.reporting.shares import folded
+from alula.stages.reporting.table import folded
 
 TITLE = "Geofencing: racing drones in a fence"
 WRITTEN = "Written by `make -C examples/geofencing page`"
-DRAWN = ("wall", "fall", "engaged", "corner")  # folders whose first flights are read tick by tick
+DRAWN = ("wall", "fall", "engaged", "corner")  # the first flights of these folders are read tick by tick
 GAINS = {REGULATION: (1.5, 5.0, 15.0, 60.0, 200.0, 1000.0), PROGRAM: (1.0, 5.0, 10.0, 50.0, 200.0, 1000.0)}
 TICKS_S = (0.01, 0.0025)
 GENTLE, HIGH = {REGULATION: 5.0, PROGRAM: 1.0}, {REGULATION: 60.0, PROGRAM: 50.0}
@@ -40,19 +36,19 @@ runs = [
 measured = json.loads((folder / "pendulum.json").read_text(encoding="utf-8"))
 swings = sweep(GAINS, TICKS_S)
 found = [
-    geofencing_short.time_table(measured),
-    geofencing_short.gains_table(swings),
+    pendulum.time_table(measured),
+    pendulum.gains_table(swings),
     geofencing.approach_table(runs, "wall", "Figures 5a and 7a: straight at a wall", geofencing.WALL_NOTE),
     geofencing.approach_table(runs, "fall", "Figures 5b and 7b: a fall from 70 m", geofencing.FALL_NOTE),
     geofencing.flights_table(
-        runs, "engaged", "Figure 8: engaged again and again, edges and corners", ("engaged", "corner")
+        runs, "engaged", "Figure 8: repeated engagements, edges and corners", ("engaged", "corner")
     ),
     geofencing.flights_table(
-        runs, "fences", "Pilots of all kinds, fences of all kinds", ("box", "faces", "cover", "combined")
+        runs, "fences", "All kinds of pilots and fences", ("box", "faces", "cover", "combined")
     ),
     geofencing.filters_table(runs, "filters", ("geofence", "backup-qp", "none")),
-    geofencing_robustness.robustness_table(runs),
-    geofencing_robustness.pilots_table(runs),
+    geofencing.robustness_table(runs),
+    geofencing.pilots_table(runs),
     geofencing.passes_table(runs),
 ]
 tables = [table for table in found if table is not None]
@@ -74,7 +70,7 @@ drawn = [
     geofencing_figures.distances_figure(runs),
 ]
 figures = [figure for figure in drawn if figure is not None]
-facts = geofencing_short.in_short(runs, swings, measured)
+facts = geofencing.in_short(runs, swings, measured)
 write_comparison(
     folder / "geofencing",
     TITLE,
@@ -84,6 +80,6 @@ write_comparison(
     figures,
     read=[folded(table) for table in tables],
     markdown=options.markdown,
-    head=f"{WRITTEN} on {this_machine()}. What the filter is and promises: "
+    head=f"{WRITTEN} on {this_machine()}. The filter and its guarantee: "
     "[geofence.md](../theory/geofence.md).",
 )

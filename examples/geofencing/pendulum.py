@@ -1,10 +1,10 @@
-"""Times of the pendulum's two filters, and of general solvers on the same programs.
+"""Measure the times of the pendulum's two filters, and of general solvers on the same programs.
 
 Usage: python pendulum.py [--quick] FILE
 
-Both native filters answer the states of one flight against the boundary, in turns; a solver gets every row
-of the program at these states, as Python calls it, set-up included: what it adds to building the rows, which
-is in the time of the native program. FILE is JSON.
+Both native filters run on the states of one flight against the boundary, in turns. A solver gets every row of
+the program at these states, called from Python with its set-up. Its time is in addition to building the rows,
+which the time of the native program includes. FILE is JSON.
 """
 
 import argparse
@@ -32,23 +32,23 @@ ONE = np.ones((1, 1))
 
 
 def micro(action: Callable[[], Any]) -> float:
-    """How long it takes [us]."""
+    """Time an action [us]."""
     began = time.perf_counter()
     action()
     return 1e6 * (time.perf_counter() - began)
 
 
 def quadprog_backend(hessian: Any, gradient: Any, rows: Any, bounds: Any) -> Any:
-    """Goldfarb and Idnani's method, as its package has it."""
+    """Solve with quadprog, the method of Goldfarb and Idnani."""
     import quadprog
 
     return quadprog.solve_qp(hessian, -gradient, rows.T, bounds)
 
 
-def answers(solver: Callable[..., Any], wish: Any, a: Any, b: Any) -> float | None:
-    """How long a solver takes for one program [us]; None without a solution."""
+def answers(solver: Callable[..., Any], gradient: Any, a: Any, b: Any) -> float | None:
+    """Time a solver on one program [us]; None without a solution."""
     try:
-        return micro(lambda: solver(ONE, wish, np.ascontiguousarray(a[:, None]), b))
+        return micro(lambda: solver(ONE, gradient, np.ascontiguousarray(a[:, None]), b))
     except ValueError:
         return None
 
@@ -64,7 +64,7 @@ found = {f"{name} [us]": statistics.median(each) for name, each in times.items()
 
 picked = states[:: max(1, len(states) // SOLVED)]
 a, b = program_rows(picked)
-wish = np.array([-PUSH])
+gradient = np.array([-PUSH])
 solvers: dict[str, Callable[..., Any]] = {
     "active-set": lambda *program: _core.QpSolver(None).solve(*program, np.empty(0, np.uint32)),
     "clarabel": clarabel_backend,
@@ -72,7 +72,7 @@ solvers: dict[str, Callable[..., Any]] = {
 if importlib.util.find_spec("quadprog") is not None:
     solvers["quadprog"] = quadprog_backend
 for name, solver in solvers.items():
-    took = [answers(solver, wish, a[i], b[i]) for i in range(len(picked))]
+    took = [answers(solver, gradient, a[i], b[i]) for i in range(len(picked))]
     solved = [value for value in took if value is not None]
     if solved:
         found[f"solver {name} [us]"] = statistics.median(solved)

@@ -1,4 +1,4 @@
-"""The pipeline as a library: from a splat file to judged flights.
+"""Run the pipeline as a library: from a splat file to judged flights.
 
 Usage: python fly_a_scene.py point_cloud.ply METRES_PER_UNIT VOXEL_SIZE_M
 """

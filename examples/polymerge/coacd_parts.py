@@ -1,10 +1,11 @@
-"""CoACD on the surface of voxels, for comparison.
+"""Run CoACD on the surface of voxels, for comparison.
 
 Usage: python coacd_parts.py room.voxels.npz room.coacd.npz [none]
        python coacd_parts.py --count room.coacd.npz OTHERWISE
 
-Writes the points of all parts [voxel edges] and where each part starts; no parts with `none` or without
-the package coacd. The second form prints how many parts there are, or OTHERWISE when there are none.
+The first form writes the points of all parts [voxel edges] and the start of each part; with `none` or without
+the package coacd it writes no parts. The second form prints the number of parts, or OTHERWISE when there are
+none.
 """
 
 import sys
@@ -18,7 +19,7 @@ from alula.stages.compression.voxel_mesh import voxel_mesh
 
 
 def decompose(source: Path) -> list[np.ndarray]:
-    """The points of each part, by CoACD's defaults but for its remeshing, which fills closed rooms."""
+    """Points of each part, with CoACD's defaults except its remeshing, which fills closed rooms."""
     try:
         import coacd
     except ImportError:

@@ -1,4 +1,4 @@
-"""Table I and Figure 4 of PolyMerge from the maps in a folder.
+"""Make Table I and Figure 4 of PolyMerge from the maps in a folder.
 
 Usage: python compare.py FOLDER SCENE [SCENE ...]
 
@@ -25,7 +25,7 @@ TITLE = "PolyMerge: size and conservativeness of maps"
 
 
 def of_cover(path: Path, index: np.ndarray | None = None) -> Polytopes:
-    """A cover; measured against voxels when they are given."""
+    """Read a cover; measure it against voxels when they are given."""
     cover = read_artifact(path)
     planes, count = len(cover["plane_offset"]), len(cover["plane_start"]) - 1
     found = measure_cover(cover, index) if index is not None else None
@@ -34,7 +34,7 @@ def of_cover(path: Path, index: np.ndarray | None = None) -> Polytopes:
 
 
 def of_coacd(path: Path, index: np.ndarray) -> Polytopes | None:
-    """What coacd_parts.py wrote; None when it had no CoACD."""
+    """Read the output of coacd_parts.py; None when it had no CoACD."""
     with np.load(path) as arrays:
         points, start = arrays["points"], arrays["start"]
     parts = [points[a:b] for a, b in pairwise(start)]
@@ -46,7 +46,7 @@ def of_coacd(path: Path, index: np.ndarray) -> Polytopes | None:
 
 
 def maps_of(name: str) -> SceneMaps:
-    """All maps of a scene."""
+    """Read all maps of a scene."""
     source = folder / f"{name}.metric.scene.npz"
     voxels = read_artifact(folder / f"{name}.voxels.npz")
     index = voxels["index"]

@@ -1,9 +1,10 @@
-"""Let a simulation's true pose stand for motion capture: SIM_STATE becomes what `alula fly --mocap` hears.
+"""Use a simulation's true pose as motion capture: convert SIM_STATE for `alula fly --mocap`.
 
     python truth_to_mocap.py tcp:127.0.0.1:5762 127.0.0.1:9870 0.8 0.8 0
 
-The first argument is a second port of ArduPilot's simulation, as pymavlink names ports; the second where
-`alula fly --mocap udp:127.0.0.1:9870` listens; the rest where it stands now in the map, whose x is east.
+The first argument is a second port of ArduPilot's simulation, in pymavlink's notation; the second is the
+address on which `alula fly --mocap udp:127.0.0.1:9870` listens; the rest is the present position in the map,
+with x to the east.
 """
 
 import json
@@ -18,7 +19,7 @@ EARTH_M = 6_378_137.0
 
 
 def main() -> None:
-    """Pass poses on until the simulation ends."""
+    """Forward poses until the simulation ends."""
     host, _, port = sys.argv[2].rpartition(":")
     out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     at = tuple(map(float, sys.argv[3:6])) or (0.0, 0.0, 0.0)

@@ -28,21 +28,21 @@ class ExportConfig:
     """Parameters of `export`."""
 
     format: Literal["auto", "glb", "obj", "json", "ply", "splat", "spz", "stl", "onboard", "c-header"] = (
-        field(default="auto", metadata={"help": "Format to write; auto goes by the output's suffix."})
+        field(default="auto", metadata={"help": "Format to write; auto follows the output's suffix."})
     )
     target: Literal["none", "crazyflie", "teensy", "c"] = field(
         default="none",
         metadata={
-            "help": "Onboard map for a microcontroller: with an index, and a C header beside the image; says"
-            " what a tick takes at worst. What does not fit is refused; c fits anything."
+            "help": "Onboard map for a microcontroller: with an index, and a C header beside the image;"
+            " prints the worst time of a tick. A map that does not fit is refused; c has no limits."
         },
     )
     largest_normal: int = field(
         default=127,
         metadata={
             "metavar": "Q",
-            "help": "Onboard map: bound of the components of normals, 1 to 127. Only 1 makes it smaller: 2"
-            " bytes per oblique plane, all of 26 directions.",
+            "help": "Onboard map: maximum component of a plane's integer normal, 1 to 127. Only 1 makes the"
+            " map smaller: 2 bytes per oblique plane, all in 26 directions.",
         },
     )
 
@@ -50,38 +50,39 @@ class ExportConfig:
         default=3,
         metadata={
             "metavar": "V",
-            "help": "SPZ: version 2, 3 or 4. Nearly all programs read 3; 2 loses more of rotations, 4 is"
-            " newer.",
+            "help": "SPZ: version 2, 3 or 4. Nearly all programs read 3; 2 stores rotations less accurately;"
+            " 4 is newer.",
         },
     )
 
     def __post_init__(self) -> None:
-        """Refuse a bound that a signed byte does not hold, and versions that are not written."""
+        """Refuse a bound that does not fit a signed byte, and unsupported versions."""
         if not 1 <= self.largest_normal <= 127:
-            raise UsageError(f"--largest-normal is 1 to 127, not {self.largest_normal}")
+            raise UsageError(f"--largest-normal must be 1 to 127, not {self.largest_normal}")
         if self.spz_version not in (2, 3, 4):
-            raise UsageError(f"--spz-version is 2, 3 or 4, not {self.spz_version}")
+            raise UsageError(f"--spz-version must be 2, 3 or 4, not {self.spz_version}")
 
     def resolved(self, output: Path) -> str:
-        """The format for an output file.
+        """Determine the format for an output file.
 
         Raises:
-            UsageError: `auto`, and the suffix is not that of a format; or a target, and it is not .bin.
+            UsageError: the format is `auto` and the suffix belongs to no format; or there is a target and the
+                output is not .bin.
         """
         if self.target != "none" and (
             self.format not in ("auto", "onboard") or output.suffix.lower() != ".bin"
         ):
-            raise UsageError(f"{output}: with --target the output is an image, .bin; its header gets .h")
+            raise UsageError(f"{output}: with --target the output must end in .bin; the header gets .h")
         if self.format != "auto":
             return self.format
         if (name := SUFFIXES.get(output.suffix.lower())) is None:
             raise UsageError(
-                f"{output}: the output must end in one of {', '.join(SUFFIXES)}, or give --format"
+                f"{output}: the output must end in one of {', '.join(SUFFIXES)}; or give --format"
             )
         return name
 
     def parameters(self, output: Path) -> dict[str, Any]:
-        """Everything that shapes the output, apart from the input."""
+        """All parameters that determine the output, apart from the input."""
         name = self.resolved(output)
         shaping: dict[str, Any] = {"format": name}
         if name in ONBOARD:
@@ -96,7 +97,7 @@ class ExportConfig:
 
 
 def c_name(output: Path) -> str:
-    """The C identifier for a file: its name without the last suffix, ending in map: no keyword does."""
+    """C identifier for a file: its name without the last suffix, ending in map, as no keyword does."""
     name = re.sub(r"\W", "_", output.name.removesuffix(output.suffix), flags=re.ASCII)
     name = name if re.match(r"[A-Za-z]", name) else f"map_{name}"
     return name if name.lower().endswith("map") else f"{name}_map"

@@ -17,10 +17,10 @@ class ReportConfig:
         default=(), metadata={"help": "Keep only this table (repeatable).", "metavar": "NAME"}
     )
     paper: Literal["polymerge"] | None = field(
-        default=None, metadata={"help": "Add the published values of a paper beside ours."}
+        default=None, metadata={"help": "Add tables with the published values of a paper."}
     )
 
     def __post_init__(self) -> None:
-        """Refuse values that mean nothing."""
+        """Refuse an empty title."""
         if not self.title.strip():
             raise UsageError("--title must not be empty")

@@ -1,1 +1,1 @@
-"""Metrics, tables, figures and the report page."""
+"""Tables, figures and pages of reports; facts about files; export to other programs."""

@@ -1,4 +1,4 @@
-"""The data of a report's figures, as plain arrays."""
+"""Data of a report's figures, as plain arrays."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
+from alula.schemas.flights import Course
 from alula.schemas.run import TrialResult
 from alula.stages.compression.hulls import Hulls
-from alula.stages.reporting.course import Spell, spells
 from alula.stages.reporting.fenced import fence_shape
 from alula.stages.reporting.material import (
     NOT_JUDGED,
@@ -26,25 +26,25 @@ from alula.stages.reporting.material import (
 )
 from alula.stages.reporting.tables import path_ratio, voxel_count
 
-_QUIET = ("", "ok", "filtered", "passed", "blended")  # what a filter does all the time
+_ROUTINE = ("", "ok", "filtered", "passed", "blended")  # statuses of a filter in normal operation
 _GAP_S = 0.2
 _PLAN_SAMPLES = 400
-_DRAWN_PATHS = 300  # per run; those that ended badly first
-_DRAWN_POINTS = 600  # per path; more are not told apart on a page
+_DRAWN_PATHS = 300  # per run; failures first
+_DRAWN_POINTS = 600  # per path; more cannot be distinguished on a page
 
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """Sorted values of one run; `share[i]` of them are at most `value[i]`."""
+    """Empirical distribution of one run: the fraction `fraction[i]` of the values is at most `value[i]`."""
 
     label: str
     value: FloatArray
-    share: FloatArray
+    fraction: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """One flown or planned path."""
+    """A flown or planned path; `position_world` has shape (n, 3) [m]."""
 
     label: str
     outcome: str
@@ -53,9 +53,10 @@ class Path:
 
 @dataclass(frozen=True, slots=True)
 class FlightMap:
-    """A map from above: footprints (counter-clockwise polygons) and paths.
+    """A map seen from above: footprints (counter-clockwise polygons, shape (n, 2) [m]) and paths.
 
-    `band_m` is the range of heights that was flown; footprints of hulls outside it are left out.
+    `band_m` is the range of heights that was flown; footprints of hulls outside it are left out. `hulls`
+    counts all hulls of the map.
     """
 
     label: str
@@ -68,7 +69,7 @@ class FlightMap:
 
 @dataclass(frozen=True, slots=True)
 class Compression:
-    """Growth, the sum of all hulls' volumes over that of the voxels, and half-planes, over hulls."""
+    """Growth and half-planes by number of hulls; growth is the sum of the hulls' volumes over the voxels'."""
 
     hulls: FloatArray
     growth: FloatArray
@@ -76,11 +77,23 @@ class Compression:
 
 
 @dataclass(frozen=True, slots=True)
-class WorstFlight:
-    """The margin over time of the flight that came closest.
+class Spell:
+    """Time interval in one state of the supervisor [s]."""
 
-    `margin_unit` is "m", or says what else the margin measures. `trouble` marks the margins where the filter
-    had to do more than change the input; `statuses` are the words for it. `spells` are the states of a real
+    state: str
+    begin_s: float
+    end_s: float
+
+    def __str__(self) -> str:
+        return f"{self.state} {self.begin_s:.2f} to {self.end_s:.2f} s"
+
+
+@dataclass(frozen=True, slots=True)
+class WorstFlight:
+    """Margin over time of the flight with the minimum clearance.
+
+    `margin_unit` is "m", or names what else the margin measures. `trouble` marks the margins where the filter
+    had to do more than change the input; `statuses` are its statuses there. `spells` are the states of a real
     flight's supervisor.
     """
 
@@ -98,19 +111,19 @@ class WorstFlight:
 
 
 def distribution(label: str, values: Iterable[float | None]) -> Distribution:
-    """The empirical distribution of the values that are known."""
+    """Make the empirical distribution of the known values."""
     known = np.sort(np.array([v for v in values if v is not None], np.float64))
     return Distribution(label, known, np.arange(1, len(known) + 1) / max(len(known), 1))
 
 
 def clearances(runs: Sequence[Run]) -> list[Distribution]:
-    """Least clearance of each trial, by run; runs without any are left out."""
+    """Minimum clearance of each trial, by run; runs without any are left out."""
     found = [distribution(run.label, map(clearance_of, run.record.trials)) for run in runs]
     return [one for one in found if len(one.value)]
 
 
 def path_ratios(runs: Sequence[Run]) -> list[Distribution]:
-    """Path over straight line of the trials that reached their goal without a collision, by run."""
+    """Path length over straight line of the trials that reached their goal without a collision, by run."""
     found = [
         distribution(run.label, [path_ratio(t) for t in run.record.trials if outcome_of(t) == "reached"])
         for run in runs
@@ -119,7 +132,7 @@ def path_ratios(runs: Sequence[Run]) -> list[Distribution]:
 
 
 def plan_positions(plan: Artifact) -> FloatArray:
-    """Points along a plan, evenly spaced in time over each piece, shape (n, 3) [m]."""
+    """Sample points along a plan, evenly spaced in time over each piece, shape (n, 3) [m]."""
     time, coefficient = np.asarray(plan["time"]), np.asarray(plan["coefficient"])
     pieces = len(coefficient)
     if pieces == 0:
@@ -131,24 +144,24 @@ def plan_positions(plan: Artifact) -> FloatArray:
     return points
 
 
-def thin(points: FloatArray, most: int = _DRAWN_POINTS) -> FloatArray:
-    """At most `most` of the points, evenly spaced, the first and the last among them."""
-    if len(points) <= most:
+def thin(points: FloatArray, maximum: int = _DRAWN_POINTS) -> FloatArray:
+    """Keep at most `maximum` of the points, shape (n, 3) [m], evenly spaced, with the first and the last."""
+    if len(points) <= maximum:
         return points
-    return points[np.linspace(0, len(points) - 1, most).round().astype(np.int64)]
+    return points[np.linspace(0, len(points) - 1, maximum).round().astype(np.int64)]
 
 
 def paths_of(run: Run) -> list[Path]:
-    """What was flown in a run; a straight line to the goal is never drawn for what was not logged."""
+    """Flown paths of a run; a flight that was not logged has no path, not a straight line to its goal."""
     ends = {trial.index: outcome_of(trial) for trial in run.record.trials if trial.index in run.flights}
-    if not ends and run.course is not None:  # whose log was cut: no trial, but what was flown
+    if not ends and run.course is not None:  # the log was cut: no trial, but a path
         return [Path(run.label, NOT_JUDGED, thin(flown.position_world)) for flown in run.flights.values()]
     order = sorted(ends, key=lambda index: (-OUTCOMES.index(ends[index]), index))[:_DRAWN_PATHS]
     return [Path(run.label, ends[index], thin(run.flights[index].position_world)) for index in sorted(order)]
 
 
 def flight_maps(material: Material) -> list[FlightMap]:
-    """One map per run that has logged flights; of the cover and plan alone when there are none."""
+    """Make one map per run with logged flights, or one of the cover and plan alone when there are none."""
     planned = []
     if material.plan is not None:
         planned = [Path("plan", "planned", thin(plan_positions(material.plan)))]
@@ -184,7 +197,10 @@ def _flight_map(cover: Artifact | None, label: str, paths: list[Path]) -> Flight
 
 
 def footprint(points: FloatArray) -> FloatArray:
-    """Convex hull of points in the plane, counter-clockwise from the least; exact for small integers.
+    """Convex hull of points in the plane, counter-clockwise from the smallest; exact for small integers.
+
+    Args:
+        points: shape (n, 2) [m].
 
     Source: Andrew 1979, monotone chain.
     """
@@ -207,10 +223,10 @@ def _chain(ordered: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def compression(cover: Artifact | None) -> Compression | None:
-    """The curve that merging left in the cover's certificate; None without one.
+    """Read the curve that merging recorded in the cover's certificate; None without one.
 
     Growth is 1 + (sum over hulls of the volume without voxels) / voxels, before hulls were
-    tightened; where hulls overlap it is more than the growth of their union.
+    tightened. Where hulls overlap it exceeds the growth of their union.
     """
     curve: Any = cover.manifest.certificate.get("curve") if cover is not None else None  # type: ignore[attr-defined]
     if cover is None or not isinstance(curve, dict):
@@ -223,7 +239,12 @@ def compression(cover: Artifact | None) -> Compression | None:
 
 
 def broken(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A curve with a NaN wherever nothing was said for much longer than usual: no line bridges a gap."""
+    """Insert a NaN into a curve at each gap much longer than its usual step, so that no line bridges it.
+
+    Args:
+        time_s: shape (n,), ascending.
+        values: shape (n,).
+    """
     step = np.diff(time_s)
     if len(step) == 0:
         return time_s, values
@@ -231,26 +252,40 @@ def broken(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArr
     return np.insert(time_s, gaps, time_s[gaps - 1]), np.insert(values, gaps, np.nan)
 
 
+def spells(course: Course | None) -> tuple[Spell, ...]:
+    """Supervisor states in order of time; steps that stay in a state extend it, the last has no duration."""
+    found: list[Spell] = []
+    for step in course.steps if course is not None else ():
+        if found and found[-1].state == step.state:
+            continue
+        if found:
+            found[-1] = Spell(found[-1].state, found[-1].begin_s, step.time_s)
+        found.append(Spell(step.state, step.time_s, step.time_s))
+    if course is not None and found:
+        found[-1] = Spell(found[-1].state, found[-1].begin_s, max(found[-1].begin_s, course.end_s))
+    return tuple(spell for spell in found if spell.end_s > spell.begin_s)
+
+
 def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:
-    """The logged flight with the least clearance; of those without any, the least margin."""
+    """Find the logged flight with the minimum clearance, or with the minimum margin where none is known."""
     candidates: list[tuple[float, int, int, Run, TrialResult]] = []
-    for place, run in enumerate(runs):
+    for position, run in enumerate(runs):
         for trial in run.record.trials:
             flight = run.flights.get(trial.index)
             if flight is None or not np.isfinite(flight.margin).any():
                 continue
             clearance = clearance_of(trial)
-            least = float(np.nanmin(flight.margin)) if clearance is None else clearance
-            candidates.append((least, place, trial.index, run, trial))
+            minimum = float(np.nanmin(flight.margin)) if clearance is None else clearance
+            candidates.append((minimum, position, trial.index, run, trial))
     if not candidates:
         return None
-    least, _, index, run, _ = min(candidates, key=lambda c: c[:3])
+    minimum, _, index, run, _ = min(candidates, key=lambda c: c[:3])
     flight = run.flights[index]
-    trouble = [status.lower() not in _QUIET for status in flight.status]
+    trouble = [status.lower() not in _ROUTINE for status in flight.status]
     return WorstFlight(
         run.label,
         index,
-        least,
+        minimum,
         flight.margin_time_s,
         flight.margin,
         flight.margin_unit,

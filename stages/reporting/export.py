@@ -1,4 +1,4 @@
-"""Covers and scenes in the formats of other programs."""
+"""Export of covers and scenes to the formats of other programs."""
 
 from __future__ import annotations
 
@@ -25,34 +25,36 @@ _COLORS = np.array(
     [[143, 166, 191], [169, 184, 160], [194, 174, 148], [167, 155, 189], [147, 181, 181], [191, 156, 156]],
     np.uint8,
 )
-_UP_IN_GLTF = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # ours is z, theirs y
+_UP_IN_GLTF = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # alula: z up; glTF: y up
 
 Encoder = Callable[[Artifact, Provenance], Iterator[bytes]]
 
 
 def export(artifact: Artifact, format_name: str, provenance: Provenance) -> Iterator[bytes]:
-    """A cover or a scene in another format, in parts.
+    """Write a cover or a scene in another format, in parts.
 
-    JSON holds the exact integers of a cover, an onboard map (also as a C header) integers rounded
-    outward, which contain the cover. All other formats hold rounded numbers, and say so where they have
-    room for it. But in onboard maps, hulls keep their order and are named hull-00000, hull-00001, ...
-    wherever a format has names.
+    JSON holds the exact integers of a cover. An onboard map (also as a C header) holds integers rounded
+    outward, so its hulls contain the cover. All other formats hold rounded numbers, and a note says so where
+    the format has room for one. Except in onboard maps, hulls keep their order and are named hull-00000,
+    hull-00001, ... where the format has names.
 
     Args:
         artifact: an `alula/cover` or `alula/scene`.
         format_name: `glb`, `obj`, `json`, `stl`, `onboard` or `c-header` for a cover; `ply`, `splat`,
             `spz`, `glb` or `obj` for a scene.
-        provenance: recorded in the file, but in `.splat`, which has no room for it; its parameters
-            `largest_normal` and `name` shape an onboard map, `spz_version` an SPZ file.
+        provenance: recorded in the file, except in `.splat`, which has no room for it. Its parameters
+            `largest_normal` and `name` apply to an onboard map, `spz_version` to an SPZ file.
 
     Raises:
         WrongKindError: the artifact is of another kind.
         UsageError: the kind cannot be written in that format.
-        InputError: a value of it is too large for that format.
+        InputError: a value is too large for that format.
     """
     encoders = ENCODERS.get(artifact.manifest.schema)
     if encoders is None:
-        raise WrongKindError(f"is {artifact.manifest.schema}; only alula/cover and alula/scene are exported")
+        raise WrongKindError(
+            f"is {artifact.manifest.schema}; only alula/cover and alula/scene can be exported"
+        )
     if format_name not in encoders:
         what = artifact.manifest.schema.removeprefix("alula/")
         raise UsageError(f"a {what} is exported as {', '.join(encoders)}, not as {format_name}")
@@ -60,7 +62,7 @@ def export(artifact: Artifact, format_name: str, provenance: Provenance) -> Iter
 
 
 def hull_name(number: int) -> str:
-    """The name of a hull, the same in every format."""
+    """Name of a hull, the same in every format."""
     return f"hull-{number:05d}"
 
 
@@ -139,9 +141,9 @@ def _comment(provenance: Provenance, *notes: str) -> bytes:
 
 
 def _cover_stl(cover: Artifact, provenance: Provenance) -> Iterator[bytes]:
-    """Text, one solid per hull; the name of the first carries the provenance."""
+    """Write ASCII STL, one solid per hull; the name of the first solid carries the provenance."""
     note = provenance.line({"note": ROUNDED})
-    for word in ("solid", "facet"):  # words that readers split the text at
+    for word in ("solid", "facet"):  # readers split the text at these words
         note = note.replace(word, f"\\u{ord(word[0]):04x}{word[1:]}")
     if len(cover["plane_start"]) == 1:
         yield f"solid empty {note}\nendsolid empty\n".encode()

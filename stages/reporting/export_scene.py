@@ -1,4 +1,4 @@
-"""Gaussians in the splat formats of other programs, and what each of these loses."""
+"""Export of Gaussians to the splat formats of other programs, and the loss of each format."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.formats.spz import decode_spz, encode_spz
 
 COPIED = "A copy for other programs; sizes computed from it are not certified."
-_LOGIT_ROOM = 2.0**-24  # an opacity of exactly 0 or 1 has no finite logit
+_LOGIT_MARGIN = 2.0**-24  # an opacity of exactly 0 or 1 has no finite logit
 _CHUNK = 2**16
 
 Encoder = Callable[[Artifact, Provenance], Iterator[bytes]]
 
 
 def written_losses(scene: Artifact, format_name: str, written: bytes) -> dict[str, float]:
-    """What the Gaussians of a file differ by from the scene that it was made from, at most.
+    """Measure the maximum difference between the Gaussians of a file and the scene it was written from.
 
-    Measured, not estimated: the file is decoded again, as a reader does, in the order of the scene.
+    The file is decoded again, as a reader does, in the order of the scene.
 
     Args:
         scene: an `alula/scene`.
@@ -33,9 +33,9 @@ def written_losses(scene: Artifact, format_name: str, written: bytes) -> dict[st
         written: the whole file.
 
     Returns:
-        `position_error` [unit of the scene], the distance of two centres; `scale_shorter`, `scale_longer`,
-        by how much of itself a semi-axis became shorter or longer; `rotation_error_rad`;
-        `opacity_error`; `color_error`, of 255.
+        `position_error` [unit of the scene], the distance between centres; `scale_shorter` and
+        `scale_longer`, the relative shortening and lengthening of a semi-axis; `rotation_error_rad`;
+        `opacity_error`; `color_error`, on a scale of 255.
     """
     found = _DECODERS[format_name](memoryview(written), None)
     worst = dict.fromkeys(
@@ -80,7 +80,7 @@ def _gaussians(scene: Artifact) -> Splats:
 
 def _ply(scene: Artifact, provenance: Provenance) -> Iterator[bytes]:
     splats = _gaussians(scene)
-    opacity = np.clip(splats.opacity, _LOGIT_ROOM, 1 - _LOGIT_ROOM).astype(np.float32)
+    opacity = np.clip(splats.opacity, _LOGIT_MARGIN, 1 - _LOGIT_MARGIN).astype(np.float32)
     finite = dataclasses.replace(splats, opacity=opacity)
     return encode_ply(finite, [provenance.line(), COPIED])
 

@@ -1,4 +1,4 @@
-"""What a report says of flights in a geofence: numbers, rows and columns, and the data of figures."""
+"""Flights in a geofence: rows and columns of the report's tables, and the data of its figures."""
 
 from __future__ import annotations
 
@@ -16,43 +16,44 @@ from alula.stages.runlog.maps import fence_shell
 from alula.stages.vehicles.fence import fence_faces
 
 FENCE_NOTE = (
-    "Distances are of the vehicle's sphere to the nearest face or hull, judged by the true path and not "
-    "by the filter; below zero is outside. lambda is the pilot's share of the command: 1 is his, bit by bit."
+    "Distances are those of the vehicle's sphere to the nearest face or hull, computed from the true path "
+    "and not by the filter; below zero is outside. lambda is the regulation function: at 1 the pilot's "
+    "command passes bit for bit, at 0 the backup controller flies alone."
 )
 _COUNTS = ("passed", "blended", "backup", "no_pilot", "hand_over", "refused")
 
 
 def is_fenced(run: Run) -> bool:
-    """Whether a run was flown in a geofence."""
+    """Return whether a run was flown in a geofence."""
     return any(trial.fence is not None for trial in run.record.trials)
 
 
 def fence_rows(run: Run) -> dict[str, Any]:
-    """What the table of runs says of one in a geofence, after filter, vehicle and trials."""
+    """Rows of the table of runs for a run in a geofence, after filter, vehicle and trials."""
     summary, trials = run.record.summary, run.record.trials
     ticks = sum(trial.steps for trial in trials)
-    shares = {f"share of ticks: {name.replace('_', ' ')}": summary.get(name) for name in _COUNTS}
+    counts = {f"fraction of ticks: {name.replace('_', ' ')}": summary.get(name) for name in _COUNTS}
     return {
         "left the fence": summary.get("violations"),
-        "least distance to the fence [m]": summary.get("min_distance_m"),
+        "minimum distance to the fence [m]": summary.get("min_distance_m"),
         "in trial": summary.get("worst_trial"),
         "distance at the first intervention, median [m]": summary.get("brake_distance_m"),
         "distance when stopped after it, median [m]": summary.get("stop_distance_m"),
         "top speed [km/h]": summary.get("max_speed_km_h"),
         "interventions": summary.get("interventions"),
-        "trials with one": summary.get("engaged_trials"),
-        "least lambda": summary.get("min_lambda"),
-        "least h_I [m]": summary.get("min_h_i_m"),
+        "trials with interventions": summary.get("engaged_trials"),
+        "minimum lambda": summary.get("min_lambda"),
+        "minimum h_I [m]": summary.get("min_h_i_m"),
         "longest time of the backup controller alone [s]": summary.get("longest_backup_s"),
         "ticks": ticks,
-        **{key: count / ticks if count is not None and ticks else None for key, count in shares.items()},
-        "passed commands that are not the pilot's bits": summary.get("altered_passes"),
+        **{key: count / ticks if count is not None and ticks else None for key, count in counts.items()},
+        "passed commands that differ from the pilot's": summary.get("altered_passes"),
         "commands beyond the limits": summary.get("out_of_range"),
     }
 
 
 def fence_columns() -> dict[str, Callable[[TrialResult], Any]]:
-    """The columns of the table of trials."""
+    """Columns of the table of trials."""
 
     def of(get: Callable[[FenceResult], Any]) -> Callable[[TrialResult], Any]:
         return lambda trial: None if trial.fence is None else get(trial.fence)
@@ -60,14 +61,14 @@ def fence_columns() -> dict[str, Callable[[TrialResult], Any]]:
     return {
         "trial": lambda t: t.index,
         "outcome": lambda t: t.outcome,
-        "least distance [m]": lambda t: t.map_clearance_m,
+        "minimum distance [m]": lambda t: t.map_clearance_m,
         "top speed [km/h]": lambda t: 3.6 * t.max_speed_m_s,
         "path [m]": lambda t: t.path_length_m,
         "interventions": of(lambda f: f.interventions),
         "braked at [m]": of(lambda f: f.brake_distance_m),
         "stopped at [m]": of(lambda f: f.stop_distance_m),
-        "least λ": of(lambda f: f.min_lambda),
-        "least h_I [m]": of(lambda f: f.min_h_i_m),
+        "minimum λ": of(lambda f: f.min_lambda),
+        "minimum h_I [m]": of(lambda f: f.min_h_i_m),
         "passed": of(lambda f: f.passed_steps),
         "blended": of(lambda f: f.blended_steps),
         "backup": of(lambda f: f.backup_steps),
@@ -78,14 +79,14 @@ def fence_columns() -> dict[str, Callable[[TrialResult], Any]]:
 
 @dataclass(frozen=True, slots=True)
 class FenceShape:
-    """The fence as far as it is shown: corners (V, 3) and triangles (T, 3)."""
+    """The visible part of the fence: corners, shape (V, 3) [m], and triangles, shape (T, 3)."""
 
     corners_world: FloatArray
     triangles: NDArray[np.int64]
 
 
 def fence_shape(run: Run) -> FenceShape | None:
-    """The box and the faces that a run was flown in; None where it says nothing of a fence."""
+    """Box and faces in which a run was flown; None where its parameters have no fence."""
     table = run.record.provenance.parameters.get("fence")
     if not isinstance(table, Mapping) or not is_fenced(run):
         return None
@@ -96,23 +97,24 @@ def fence_shape(run: Run) -> FenceShape | None:
 
 @dataclass(frozen=True, slots=True)
 class ClosestFlight:
-    """The logged flight of a run that came closest to its fence, or went farthest beyond it.
+    """The logged flight of a run with the minimum distance to its fence.
 
-    `distance_m` is the true one, `share` the filter's lambda, NaN where there was none; `status` its words.
+    `distance_m` is the true distance, negative outside; `regulation` is the filter's lambda, NaN where it had
+    none; `status` is the filter's status.
     """
 
     label: str
     trial: TrialResult
     time_s: FloatArray
     distance_m: FloatArray
-    share: FloatArray
+    regulation: FloatArray
     status: tuple[str, ...]
     speed_time_s: FloatArray
     speed_m_s: FloatArray
 
 
 def closest_flights(runs: Sequence[Run]) -> list[ClosestFlight]:
-    """One for each run in a fence that has logged flights."""
+    """Closest flight of each run in a fence that has logged flights."""
     found = []
     for run in filter(is_fenced, runs):
         shown = [trial for trial in run.record.trials if trial.index in run.flights]
@@ -120,11 +122,11 @@ def closest_flights(runs: Sequence[Run]) -> list[ClosestFlight]:
             continue
         trial = min(shown, key=lambda t: (t.map_clearance_m or 0.0, t.index))
         flight = run.flights[trial.index]
-        share = np.full(len(flight.margin), np.nan) if flight.regulation is None else flight.regulation
+        regulation = np.full(len(flight.margin), np.nan) if flight.regulation is None else flight.regulation
         found.append(
             ClosestFlight(
-                run.label, trial, flight.margin_time_s, flight.margin, share, flight.status, flight.time_s,
-                flight.speed_m_s,
+                run.label, trial, flight.margin_time_s, flight.margin, regulation, flight.status,
+                flight.time_s, flight.speed_m_s,
             )
         )  # fmt: skip
     return found

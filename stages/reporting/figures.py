@@ -1,4 +1,9 @@
-"""The figures of a report: each drawn from the arrays of `curves`, as SVG text."""
+"""The figures of a report, drawn as SVG text from the arrays of `curves` and `fenced`.
+
+Maps from above, flights in a geofence (from the side, and the closest one), distributions over trials, the
+closest flight of the others, and the curve of compression. One function draws one figure; together they are
+long, but nothing else is in here.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +17,10 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.stages.reporting import curves
-from alula.stages.reporting.course import Spell
-from alula.stages.reporting.fenced import is_fenced
-from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material
-from alula.stages.reporting.tables import text
+from alula.stages.reporting.curves import Spell, paths_of
+from alula.stages.reporting.fenced import ClosestFlight, closest_flights, fence_shape, is_fenced
+from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material, Run
+from alula.stages.reporting.table import text
 from alula.stages.runlog.maps import SHOWN_BEYOND_M
 
 COLORS = {
@@ -47,16 +52,19 @@ _STYLE = {
     "axes.axisbelow": True,
     "legend.frameon": False,
 }
-_VECTOR_FOOTPRINTS = 1500  # more are drawn as an image inside the figure
-_MOST_MAPS = 4
-_FEW_PATHS = 40  # more are drawn thinner
-_NAMED_SHARE = 0.08  # of a flight's time; shorter states have no room for their names
-_DOTTED = 40  # distributions of more values are drawn without their dots
+_VECTOR_FOOTPRINTS = 1500  # more footprints are drawn as an image inside the figure
+_MAX_FENCED_RUNS = 4
+_SHADES = {"backup": "#e69f00", "no-pilot": "#8c6bb1", "hand-over": "#d7301f", "refused": "#7f7f7f"}
+_MODES = {"backup": "backup alone", "no-pilot": "no pilot", "hand-over": "handed over", "refused": "refused"}
+_MAX_MAPS = 4
+_FEW_PATHS = 40  # more paths are drawn thinner
+_NAMED_FRACTION = 0.08  # of a flight's time; shorter states have no room for their names
+_DOTTED = 40  # distributions of more values are drawn without dots
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One figure: SVG text, a caption, and what it shows in words for who cannot see it."""
+    """A figure: SVG text, title, and a description in words (`alt`) that is also its caption."""
 
     name: str
     title: str
@@ -66,11 +74,9 @@ class Figure:
 
 
 def all_figures(material: Material) -> list[Figure]:
-    """The figures that the material has data for, in reading order."""
-    from alula.stages.reporting.fenced_figures import fence_figures  # which draws with what is here
-
+    """Draw the figures that the material has data for, in reading order."""
     found = []
-    for number, shown in enumerate(curves.flight_maps(material)[:_MOST_MAPS], 1):
+    for number, shown in enumerate(curves.flight_maps(material)[:_MAX_MAPS], 1):
         found.append(_map_figure(shown, f"map-{number}"))
     found += fence_figures(material)
     many = () if [run.course is None for run in material.runs] == [False] else material.runs
@@ -89,13 +95,20 @@ def all_figures(material: Material) -> list[Figure]:
 def drawing(
     width: float, height: float, rows: int = 1, columns: int = 1
 ) -> Iterator[tuple[Any, Callable[[], str]]]:
-    """Axes of a new figure, and a function that renders it; equal data gives equal text."""
+    """Yield the axes of a new figure and a function that renders it as SVG; equal data gives equal text.
+
+    Args:
+        width: of the figure [inch].
+        height: of the figure [inch].
+        rows: number of axes below each other, with a common x axis.
+        columns: number of axes side by side, with a common y axis.
+    """
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure as Canvas
 
     with mpl.rc_context():
-        mpl.rcdefaults()  # whatever style the user has
+        mpl.rcdefaults()  # ignore the user's style
         mpl.rcParams.update(_STYLE)
         figure = Canvas(figsize=(width, height), layout="constrained")
         FigureCanvasSVG(figure)
@@ -110,7 +123,13 @@ def drawing(
 
 
 def window(lines: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Corners of what is shown around points in the plane; nearer than where `fence_shell` cuts open ones."""
+    """Lower and upper corner of the view around points in the plane, shape (2,) each [m].
+
+    The view is smaller than the region to which `fence_shell` cuts an open fence.
+
+    Args:
+        lines: points in the plane, shape (n, 2) each [m].
+    """
     low = np.min([line.min(axis=0) for line in lines], axis=0)
     high = np.max([line.max(axis=0) for line in lines], axis=0)
     size = high - low
@@ -119,7 +138,7 @@ def window(lines: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
 
 
 def outline(axes: Any, corners: FloatArray) -> None:
-    """The outline of a fence, of the corners that are seen from a side, shape (V, 2)."""
+    """Draw the outline of a fence from its projected corners, shape (V, 2) [m]."""
     if len(corners):
         line = curves.footprint(corners)
         axes.plot(*np.vstack([line, line[:1]]).T, color="#1c2430", linewidth=1.8, zorder=2)
@@ -200,18 +219,18 @@ def _map_figure(shown: curves.FlightMap, name: str) -> Figure:
 def _steps(axes: Any, shown: Sequence[curves.Distribution]) -> None:
     for number, one in enumerate(shown):
         color = _RUN_COLORS[number % len(_RUN_COLORS)]
-        axes.step(one.value, one.share, where="post", color=color, linewidth=2, label=one.label)
+        axes.step(one.value, one.fraction, where="post", color=color, linewidth=2, label=one.label)
         if len(one.value) <= _DOTTED:
-            axes.plot(one.value, one.share, ".", color=color, markersize=5)
-    axes.set(ylim=(0, 1.03), ylabel="share of trials")
+            axes.plot(one.value, one.fraction, ".", color=color, markersize=5)
+    axes.set(ylim=(0, 1.03), ylabel="fraction of trials")
     if len(shown) > 1:
         axes.legend(fontsize=10)
 
 
 def _spread(shown: Sequence[curves.Distribution], unit: str) -> str:
     return "; ".join(
-        f"{one.label}: least {text(float(one.value[0]))}{unit}, "
-        f"median {text(float(np.median(one.value)))}{unit}, most {text(float(one.value[-1]))}{unit}"
+        f"{one.label}: minimum {text(float(one.value[0]))}{unit}, "
+        f"median {text(float(np.median(one.value)))}{unit}, maximum {text(float(one.value[-1]))}{unit}"
         for one in shown
     )
 
@@ -220,15 +239,15 @@ def _clearance_figure(shown: Sequence[curves.Distribution], is_to_fence: bool) -
     what, below = ("distance to the fence", "outside") if is_to_fence else ("clearance", "a collision")
     with drawing(6.2, 3.6) as (axes, render):
         axes.axvline(0, color=COLORS["collision"], linewidth=1.2)
-        least = min(float(one.value[0]) for one in shown)
-        if least < 0:
-            axes.axvspan(least, 0, color=COLORS["collision"], alpha=0.08, linewidth=0)
+        minimum = min(float(one.value[0]) for one in shown)
+        if minimum < 0:
+            axes.axvspan(minimum, 0, color=COLORS["collision"], alpha=0.08, linewidth=0)
         _steps(axes, shown)
-        axes.set(xlabel=f"least {what} of a trial [m]")
+        axes.set(xlabel=f"minimum {what} of a trial [m]")
         svg = render()
     spread = _spread(shown, " m")
-    alt = f"Share of trials whose least {what} is at most a value. {spread}. Below 0 is {below}."
-    return Figure("clearance", f"Least {what} of each trial", alt, svg)
+    alt = f"Cumulative distribution of the minimum {what} of the trials. {spread}. Below 0 is {below}."
+    return Figure("clearance", f"Minimum {what} of each trial", alt, svg)
 
 
 def _ratio_figure(shown: Sequence[curves.Distribution]) -> Figure:
@@ -236,8 +255,11 @@ def _ratio_figure(shown: Sequence[curves.Distribution]) -> Figure:
         _steps(axes, shown)
         axes.set(xlabel="path flown / straight line")
         svg = render()
-    alt = f"Share of successful trials whose path is at most so many straight lines. {_spread(shown, '')}."
-    return Figure("path-ratio", "How much longer than a straight line", alt, svg)
+    alt = (
+        "Cumulative distribution of path length over straight-line length, successful trials. "
+        f"{_spread(shown, '')}."
+    )
+    return Figure("path-ratio", "Path length over straight line", alt, svg)
 
 
 def _worst_figure(worst: curves.WorstFlight) -> Figure:
@@ -256,22 +278,22 @@ def _worst_figure(worst: curves.WorstFlight) -> Figure:
         top.set(ylabel="margin [m]" if worst.margin_unit == "m" else f"margin\n{worst.margin_unit}")
         bottom.plot(worst.speed_time_s, worst.speed_m_s, color=_RUN_COLORS[2], linewidth=1.6)
         bottom.set(xlabel="time [s]", ylabel="speed [m/s]")
-        _shade(top, bottom, worst.spells)
+        _shade_states(top, bottom, worst.spells)
         svg = render()
     unit = "" if worst.margin_unit == "m" else f", {worst.margin_unit},"
     alt = (
         f"Margin that the filter reported{unit} and speed over time, {worst.label}, trial {worst.trial}, "
-        f"whose least clearance was {text(worst.clearance_m)} m; in {int(worst.trouble.sum())} of "
+        f"minimum clearance {text(worst.clearance_m)} m. In {int(worst.trouble.sum())} of "
         f"{len(worst.trouble)} logged steps the filter had to do more than change the input"
         f"{' (' + ', '.join(worst.statuses) + ')' if worst.statuses else ''}."
     )
     if worst.spells:
-        alt += f" The supervisor's states: {', '.join(map(str, worst.spells))}."
+        alt += f" States of the supervisor: {', '.join(map(str, worst.spells))}."
     return Figure("worst", f"The closest flight: {worst.label}, trial {worst.trial}", alt, svg)
 
 
-def _shade(top: Any, bottom: Any, spells: Sequence[Spell]) -> None:
-    """The states of a real flight behind its curves; the names of those that last are above."""
+def _shade_states(top: Any, bottom: Any, spells: Sequence[Spell]) -> None:
+    """Shade the supervisor's states behind the curves of a real flight; name the longer ones above."""
     if not spells:
         return
     begin, end = spells[0].begin_s, spells[-1].end_s
@@ -281,7 +303,7 @@ def _shade(top: Any, bottom: Any, spells: Sequence[Spell]) -> None:
             axes.axvline(spell.begin_s, color="#c3cad2", linewidth=0.8, zorder=0)
             if color is not None:
                 axes.axvspan(spell.begin_s, spell.end_s, color=color, alpha=0.1, linewidth=0, zorder=0)
-        if spell.end_s - spell.begin_s > _NAMED_SHARE * (end - begin) or spell.state in _SPELLS:
+        if spell.end_s - spell.begin_s > _NAMED_FRACTION * (end - begin) or spell.state in _SPELLS:
             middle = 0.5 * (spell.begin_s + spell.end_s)
             where = top.get_xaxis_transform()
             top.text(middle, 1.02, spell.state, transform=where, ha="center", fontsize=9, color="#5b6673")
@@ -307,4 +329,92 @@ def _compression_figure(curve: curves.Compression) -> Figure:
         f"From {text(int(curve.hulls[0]))} to {text(int(curve.hulls[-1]))} hulls while merging: {ends}. "
         "Volumes are summed over hulls, before they were tightened."
     )
-    return Figure("compression", "What fewer hulls cost", alt, svg)
+    return Figure("compression", "Volume and half-planes by number of hulls", alt, svg)
+
+
+def fence_figures(material: Material) -> list[Figure]:
+    """Draw a view from the side and the closest flight for each run in a fence."""
+    found = []
+    fenced = [run for run in material.runs if is_fenced(run) and run.flights][:_MAX_FENCED_RUNS]
+    for number, (run, closest) in enumerate(zip(fenced, closest_flights(fenced), strict=True), 1):
+        found += [_side_figure(run, f"side-{number}"), _closest_figure(closest, f"fence-{number}")]
+    return found
+
+
+def _side_figure(run: Run, name: str) -> Figure:
+    """Plot height over the horizontal axis with the longer extent of the paths."""
+    paths = paths_of(run)
+    points = np.concatenate([path.position_world for path in paths])
+    across = int(np.argmax(np.ptp(points[:, :2], axis=0)))
+    axes_shown = (across, 2)
+    low, high = window([path.position_world[:, axes_shown] for path in paths])
+    shape = fence_shape(run)
+    width, tall = high - low
+    with drawing(9.5, float(np.clip(9.5 * tall / width + 0.9, 2.6, 7.0))) as (axes, render):
+        if shape is not None:
+            outline(axes, shape.corners_world[:, axes_shown])
+        for result in OUTCOMES:
+            for path in (p for p in paths if p.outcome == result):
+                line = path.position_world[:, axes_shown]
+                axes.plot(*line.T, color=COLORS[result], linewidth=1.2, zorder=3)
+                axes.plot(
+                    *line[0], "o", color=COLORS[result], markersize=5, markerfacecolor="white", zorder=4
+                )
+                axes.plot(*line[-1], "X", color=COLORS[result], markersize=5, zorder=4)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        axes.set(xlabel=f"{'xy'[across]} [m]", ylabel="z [m]")
+        svg = render()
+    alt = (
+        f"The {len(paths)} logged flights of {run.label} from the side, heights from "
+        f"{text(float(points[:, 2].min()))} m to {text(float(points[:, 2].max()))} m"
+        f"{'; dark lines are the outline of the fence' if shape is not None else ''}. Circles are starts, "
+        "crosses ends."
+    )
+    return Figure(name, f"From the side: {run.label}", alt, svg, wide=True)
+
+
+def _closest_figure(closest: ClosestFlight, name: str) -> Figure:
+    with drawing(9.5, 6.0, rows=3) as ((top, middle, bottom), render):
+        top.axhline(0, color=COLORS["collision"], linewidth=1.2)
+        top.plot(closest.time_s, closest.distance_m, color="#0072b2", linewidth=1.6)
+        top.set(ylabel="distance to\nthe fence [m]")
+        middle.plot(closest.time_s, closest.regulation, color="#222222", linewidth=1.4)
+        middle.set(ylabel="regulation\nfunction λ", ylim=(-0.04, 1.04))
+        bottom.plot(closest.speed_time_s, 3.6 * closest.speed_m_s, color="#009e73", linewidth=1.6)
+        bottom.set(xlabel="time [s]", ylabel="speed [km/h]", ylim=(0, None))
+        shaded = _shade_modes((top, middle, bottom), closest)
+        if shaded:
+            top.legend(fontsize=10, ncols=len(shaded), loc="upper right")
+        svg = render()
+    minimum = closest.trial.map_clearance_m
+    spent = ", ".join(
+        f"{_MODES.get(word, word)} in {100 * closest.status.count(word) / len(closest.status):.0f} %"
+        for word in dict.fromkeys(closest.status)
+    )
+    alt = (
+        f"True distance to the fence, regulation function λ and speed over time, {closest.label}, trial "
+        f"{closest.trial.index}: minimum distance {text(minimum)} m, top speed "
+        f"{text(3.6 * closest.trial.max_speed_m_s)} km/h. Logged ticks by status: {spent}."
+    )
+    return Figure(
+        name, f"The closest flight: {closest.label}, trial {closest.trial.index}", alt, svg, wide=True
+    )
+
+
+def _shade_modes(axes: tuple[Any, ...], closest: ClosestFlight) -> list[str]:
+    """Shade the times in which the filter did not pass or blend the command; return these statuses."""
+    status = np.array(closest.status)
+    edges = np.append(closest.time_s, closest.time_s[-1:])
+    begins = np.flatnonzero(np.append(True, status[1:] != status[:-1])) if len(status) else np.empty(0, int)
+    ends = np.append(begins[1:], len(status))
+    named: list[str] = []
+    for begin, end in zip(begins, ends, strict=True):
+        word = str(status[begin])
+        if word not in _SHADES:
+            continue
+        for at, one in enumerate(axes):
+            label = _MODES[word] if at == 0 and word not in named else None
+            one.axvspan(edges[begin], edges[end], color=_SHADES[word], alpha=0.25, linewidth=0, label=label)
+        if word not in named:
+            named.append(word)
+    return named

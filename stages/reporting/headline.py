@@ -1,4 +1,7 @@
-"""The numbers that matter: the head of the report, and what the command prints."""
+"""The headline of a report: the cards at the top of the page and the facts that the command prints.
+
+All verdicts on a run that the report states in words are written here.
+"""
 
 from __future__ import annotations
 
@@ -17,18 +20,18 @@ from alula.stages.reporting.material import (
     outcome_of,
     proof,
 )
+from alula.stages.reporting.table import text
 from alula.stages.reporting.tables import (
     BYTES_PER_HALF_PLANE,
     gaussian_count,
     success_interval,
-    text,
     voxel_count,
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """A number that matters: `good` is None when it is neither good nor bad."""
+    """A headline number; `good` is None when it is neither good nor bad."""
 
     label: str
     value: str
@@ -37,7 +40,7 @@ class Card:
 
 
 def headline(material: Material) -> dict[str, Any]:
-    """Five facts as plain values: compression, conservativeness, coverage, success, least clearance."""
+    """State compression, conservativeness, coverage, success and minimum clearance as plain values."""
     found: dict[str, Any] = {}
     if counted := chain(material):
         found["compression"] = " → ".join(f"{count} {what}" for count, what in counted)
@@ -51,12 +54,12 @@ def headline(material: Material) -> dict[str, Any]:
         static = [trial for _, trial in trials if trial.obstacles is None and trial.fence is None]
         moving = [trial for _, trial in trials if trial.obstacles is not None]
         fenced = [trial for _, trial in trials if trial.fence is not None]
-        said = [_said(part) for part in (static, moving, fenced) if part]
+        verdicts = [_verdict(part) for part in (static, moving, fenced) if part]
         collisions = sum(trial.collision for _, trial in trials if trial.fence is None)
-        found["flights"] = "; ".join(said) + (f", {collisions} collided" if static or moving else "")
+        found["flights"] = "; ".join(verdicts) + (f", {collisions} collided" if static or moving else "")
     ends = [(r.label, r.record.summary["ended_by"]) for r in material.runs if "ended_by" in r.record.summary]
     if ends:
-        found["ended_by"] = "; ".join(words if len(ends) == 1 else f"{who}: {words}" for who, words in ends)
+        found["ended_by"] = "; ".join(end if len(ends) == 1 else f"{label}: {end}" for label, end in ends)
     if known := [c for _, trial in trials if (c := clearance_of(trial)) is not None]:
         found["least_clearance_m"] = min(known)
     if notes := [
@@ -66,8 +69,8 @@ def headline(material: Material) -> dict[str, Any]:
     return found
 
 
-def _said(trials: Sequence[TrialResult]) -> str:
-    """How many flights were good, all of one kind: past moving obstacles nobody waits for the goal."""
+def _verdict(trials: Sequence[TrialResult]) -> str:
+    """Count the successful flights, all of one kind; past moving obstacles, success is no collision."""
     if any(trial.fence is not None for trial in trials):
         good, word = sum(not trial.collision for trial in trials), "stayed in the fence"
     elif any(trial.obstacles is not None for trial in trials):
@@ -77,8 +80,16 @@ def _said(trials: Sequence[TrialResult]) -> str:
     return f"{text(good)} of {text(len(trials))} {word}"
 
 
+def _verdict_and_interval(run: Run) -> str:
+    """The verdict on a run with the 95 % interval of its success rate."""
+    verdict, interval = _verdict(run.record.trials), success_interval(run)
+    if verdict.endswith("goal"):
+        verdict += " without a collision"
+    return verdict + (f"; 95 %: {text(interval[0])} to {text(interval[1])}" if interval else "")
+
+
 def cards(material: Material) -> list[tuple[str, list[Card]]]:
-    """The numbers that matter, in groups: the map, then each run."""
+    """Make the headline cards in groups: the map, then each run."""
     groups: list[tuple[str, list[Card]]] = []
     if material.cover is not None or material.certificate is not None:
         groups.append(("Map", _map_cards(material)))
@@ -101,28 +112,27 @@ def _run_cards(run: Run) -> list[Card]:
     if is_fenced(run):
         return _fence_cards(run)
     summary, trials = run.record.summary, run.record.trials
-    if run.course is not None and not trials:  # nothing that could be counted
+    if run.course is not None and not trials:  # nothing to count
         return [Card("verdict", NOT_JUDGED, "; ".join(summary.get("notes", ())), False)]
-    interval = success_interval(run)
     rate, collisions = summary.get("success_rate"), summary.get("collisions")
-    detail = _said(trials)
-    if detail.endswith("goal"):
-        detail += " unharmed"
-    if interval:
-        detail += f"; 95 %: {text(interval[0])} to {text(interval[1])}"
     found = []
     if (ended := summary.get("ended_by")) is not None:  # a real flight
         holds = summary.get("holds", 0)
-        said = "never held on the way" if holds == 0 else f"held {text(holds)} times on the way"
-        found.append(Card("ended by", str(ended), said, ended == "plan finished"))
+        detail = "no holds" if holds == 0 else f"{text(holds)} hold{'s' if holds != 1 else ''}"
+        found.append(Card("ended by", str(ended), detail, ended == "plan finished"))
     found += [
-        Card("success rate", text(rate), detail),
-        Card("collisions", text(collisions), "after the flight, continuous path", collisions == 0),
+        Card("success rate", text(rate), _verdict_and_interval(run)),
+        Card(
+            "collisions",
+            text(collisions),
+            "computed after the flight from the continuous path",
+            collisions == 0,
+        ),
     ]
     for key, what in (("map", "hulls"), ("scene", "splats")):
-        least = summary.get(f"min_{key}_clearance_m")
-        if least is not None:
-            found.append(Card(f"least clearance to {what}", f"{text(least)} m", "", least >= 0))
+        minimum = summary.get(f"min_{key}_clearance_m")
+        if minimum is not None:
+            found.append(Card(f"minimum clearance to {what}", f"{text(minimum)} m", "", minimum >= 0))
     found.append(
         Card("path length", text(summary.get("mean_path_ratio")), "× straight line, mean of successes")
     )
@@ -130,27 +140,23 @@ def _run_cards(run: Run) -> list[Card]:
 
 
 def _fence_cards(run: Run) -> list[Card]:
-    summary, interval = run.record.summary, success_interval(run)
-    least, left = float(summary["min_distance_m"]), int(summary["violations"])
-    share = summary["passed"] / summary["ticks"] if summary["ticks"] else None
-    detail = f"{_said(run.record.trials)}"
-    if interval:
-        detail += f"; 95 %: {text(interval[0])} to {text(interval[1])}"
+    summary = run.record.summary
+    minimum, left = float(summary["min_distance_m"]), int(summary["violations"])
+    passed = summary["passed"] / summary["ticks"] if summary["ticks"] else None
+    worst = f"trial {summary['worst_trial']}"
     return [
-        Card("left the fence", text(left), detail, left == 0),
-        Card(
-            "least distance to the fence", f"{text(least)} m", f"trial {summary['worst_trial']}", least >= 0
-        ),
+        Card("left the fence", text(left), _verdict_and_interval(run), left == 0),
+        Card("minimum distance to the fence", f"{text(minimum)} m", worst, minimum >= 0),
         Card("top speed", f"{text(summary['max_speed_km_h'])} km/h"),
         Card(
             "interventions", text(summary["interventions"]), f"in {text(summary['engaged_trials'])} flights"
         ),
-        Card("pilot alone", text(share), "share of ticks in which his command passed bit by bit"),
+        Card("passed unchanged", text(passed), "fraction of ticks with the pilot's command bit for bit"),
     ]
 
 
 def chain(material: Material) -> list[tuple[str, str]]:
-    """The compression as a chain: count and what is counted."""
+    """State the compression as a chain of pairs: a count and what is counted."""
     found = []
     if (gaussians := gaussian_count(material)) is not None:
         found.append((text(gaussians), "Gaussians"))

@@ -1,4 +1,4 @@
-"""What a file is, as plain facts that a person or a program can read."""
+"""Facts about a file for `alula info`: its kind, contents and origin as plain values."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ WHAT = {
     "alula/cover": "Convex polytopes with integer planes, which together contain the voxels.",
     "alula/plan": "A trajectory: polynomials of degree 7 in time for x, y, z and yaw, piece by piece.",
     "alula/run": "Flights behind a safety filter: states, margins and how each flight ended.",
-    "alula/scenario": "A simulation to be: map, vehicle, filter and trials.",
-    "alula/vehicle": "What flies: body, rotors, limits, controller and what disturbs it.",
-    "alula/report": "A report on runs, to be opened in a browser.",
+    "alula/scenario": "Definition of a simulation: map, vehicle, filter and trials.",
+    "alula/vehicle": "A vehicle: body, rotors, limits, controller and disturbances.",
+    "alula/report": "A report on runs; open it in a browser.",
     "alula/export": "A copy of a cover or a scene for another program.",
     "alula/onboard-map": "A cover as a microcontroller reads it in place from flash.",
     "alula/certificate": "The result of checking again that a cover contains every obstacle.",
@@ -37,16 +37,16 @@ _LAST = ("parameters", "seed", "inputs", "requires")
 
 
 def about(kind: str, version: str) -> Facts:
-    """Kind, version and one sentence."""
+    """Kind, version and a one-sentence description."""
     return {
         "kind": kind,
         "version": version,
-        "what": WHAT.get(kind, "A kind that this version does not know."),
+        "what": WHAT.get(kind, "A kind that this version of alula does not support."),
     }
 
 
 def manifest_facts(raw: Mapping[str, Any]) -> Facts:
-    """The facts in a manifest as stored, whatever its version; the kind's own fields before the rest."""
+    """Facts in a manifest as stored, for any version; fields of the kind come before common ones."""
     own = {key: value for key, value in raw.items() if key not in (*_COMMON, *_LAST)}
     arrays = {
         str(name): {key: spec.get(key) for key in ("dtype", "shape", "unit", "meaning")}
@@ -67,7 +67,7 @@ def manifest_facts(raw: Mapping[str, Any]) -> Facts:
 
 
 def artifact_facts(artifact: Artifact) -> Facts:
-    """The facts in an artifact's manifest, and a few that its arrays say themselves."""
+    """Facts in an artifact's manifest, and a few computed from its arrays."""
     facts = manifest_facts(msgspec.to_builtins(artifact.manifest))
     measured = _MEASURES[artifact.manifest.schema](artifact)
     return _after(facts, "summary", {"measured": measured})
@@ -82,7 +82,7 @@ def _after(facts: Facts, key: str, more: Facts) -> Facts:
 def _bounds(points: Any, factor: float = 1.0) -> Facts:
     if len(points) == 0:
         return {"lower": None, "upper": None}
-    # Single-precision values as they read, without the digits that doubles would add.
+    # Print single-precision values without the digits that doubles would add.
     low, high = (np.asarray(edge * factor) for edge in (points.min(axis=0), points.max(axis=0)))
     return {name: [float(str(value)) for value in edge] for name, edge in (("lower", low), ("upper", high))}
 
@@ -131,7 +131,7 @@ _MEASURES = {"alula/scene": _scene, "alula/voxels": _voxels, "alula/cover": _cov
 
 
 def provenance_facts(found: Provenance) -> Facts:
-    """The facts of a file that carries provenance and is no array artifact."""
+    """Facts about a file that carries provenance and is no array artifact."""
     facts: Facts = {**about(found.schema, found.version), "summary": found.summary}
     facts |= {"producer": msgspec.to_builtins(found.producer), "parameters": found.parameters}
     facts |= {"seed": found.seed, "inputs": msgspec.to_builtins(found.inputs)}
@@ -139,7 +139,7 @@ def provenance_facts(found: Provenance) -> Facts:
 
 
 def map_image_facts(image: MapImage) -> Facts:
-    """The facts of an onboard map."""
+    """Facts about an onboard map."""
     edges = np.vstack([image.lower, image.upper])
     return {
         **about(SCHEMA, VERSION),
@@ -151,12 +151,12 @@ def map_image_facts(image: MapImage) -> Facts:
             "cover sha256 begins with": image.cover_hash.hex(),
         },
         "unit": "m",
-        "guarantee": "Each hull contains one of the cover; verify proves it of these bytes.",
+        "guarantee": "Each hull contains a hull of the cover; `alula verify` proves this for these bytes.",
     }
 
 
 def run_facts(record: RunRecord, messages: Mapping[str, int]) -> Facts:
-    """The facts of a run, from its summary and the number of messages per channel."""
+    """Facts about a run, from its summary and the number of messages per channel."""
     facts: Facts = {**about(record.schema, record.version), "summary": record.summary}
     facts |= {"properties": {"name": record.name, "filter": record.filter, "vehicle": record.vehicle}}
     facts |= {"timing": record.timing} if record.timing else {}
@@ -167,14 +167,14 @@ def run_facts(record: RunRecord, messages: Mapping[str, int]) -> Facts:
 
 
 def splat_facts(splats: Splats) -> Facts:
-    """The facts of a splat file."""
+    """Facts about a splat file."""
     finite = np.isfinite(splats.mean).all(axis=1) & np.isfinite(splats.scale).all(axis=1)
     finite &= np.isfinite(splats.quat_wxyz).all(axis=1) & np.isfinite(splats.opacity)
     opacity = splats.opacity[finite].astype(np.float64)
     return {
         "kind": f"splat file: {splats.format}",
         "version": "",
-        "what": "Gaussians as a training or an editor left them; import-splat makes a scene of it.",
+        "what": "Gaussians from a training run or an editor; import-splat converts them to a scene.",
         "summary": {
             "gaussians": len(splats),
             "not finite": int(len(splats) - finite.sum()),
@@ -191,7 +191,7 @@ def splat_facts(splats: Splats) -> Facts:
 
 
 def _loss_facts(loss: Loss | None) -> Facts | None:
-    """The largest of each bound."""
+    """Maximum of each bound on the loss."""
     if loss is None:
         return None
     largest = {name: float(column.max()) for name, column in zip(LOSSES, loss.bound.T, strict=True)}

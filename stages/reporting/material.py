@@ -1,4 +1,4 @@
-"""What a report is made of."""
+"""Inputs of a report: runs, map, plan and certificate, and what can be read off them directly."""
 
 from __future__ import annotations
 
@@ -19,8 +19,14 @@ NOT_JUDGED = "not judged"  # of a flight whose log was cut
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One log: its label (unique in the report), its summary, its flights by trial, hulls of its map, and
-    the course of a real flight.
+    """One log.
+
+    Attributes:
+        label: unique in the report.
+        record: summary and trials.
+        flights: logged flights by trial.
+        hulls: number of hulls of its map; None where the log does not state it.
+        course: supervisor steps and messages of a real flight; None for a simulation.
     """
 
     label: str
@@ -32,9 +38,9 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """Everything that a report shows; all numbers in it come from here.
+    """All inputs of a report; every number in the report comes from here.
 
-    `inputs` describes the files that were read, `file_bytes` maps their roles to their sizes.
+    `inputs` describes the files that were read; `file_bytes` maps their roles to their sizes.
     """
 
     title: str
@@ -48,34 +54,34 @@ class Material:
 
 
 def outcome_of(trial: TrialResult) -> str:
-    """The outcome that colours a trial: a collision counts before how the flight ended; not so of a fence."""
+    """Outcome of a trial as the report counts it: outside a fence, a collision overrides the flight's end."""
     return "collision" if trial.collision and trial.fence is None else trial.outcome
 
 
 def clearance_of(trial: TrialResult) -> float | None:
-    """The least clearance that was computed for a trial, of map and scene; None when none was."""
+    """Minimum clearance of a trial to map and scene [m]; None when none was computed."""
     known = [c for c in (trial.map_clearance_m, trial.scene_clearance_m) if c is not None]
     return min(known, default=None)
 
 
 def is_covered(certificate: Mapping[str, Any] | None) -> bool | None:
-    """What a certificate of `verify` says; None without one."""
+    """Result of a certificate of `verify`; None without a certificate."""
     found = certificate.get("covered") if certificate is not None else None
     return found if isinstance(found, bool) else None
 
 
 def proof(certificate: Mapping[str, Any] | None) -> str:
-    """What a certificate proves, in words: coverage of the ellipsoids only when they were checked."""
+    """State in words what a certificate proves; it covers the ellipsoids only when they were checked."""
     if certificate is None:
-        return "alula verify has not checked this map"
+        return "this map was not checked by alula verify"
     checks = [check for check in certificate.get("checks", []) if isinstance(check, dict)]
     if any("ellipsoid" in str(check.get("name")) for check in checks):
-        return "ellipsoids in voxels, voxels in hulls: checked again"
-    return "voxels in hulls: checked again; ellipsoids were not"
+        return "ellipsoids in voxels and voxels in hulls, checked again"
+    return "voxels in hulls, checked again; ellipsoids not checked"
 
 
 def flew_through(run: Run, material: Material) -> bool | None:
-    """Whether a run flew through the cover that is shown; None when one of them is not known."""
+    """Return whether a run flew through the cover that is shown; None when one of them is not known."""
     flown = cover_hash(run.record.provenance.inputs)
     shown = cover_hash(material.inputs)
     return None if flown is None or shown is None else flown == shown

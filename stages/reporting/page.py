@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -12,13 +12,13 @@ import numpy as np
 from alula.stages.reporting.figures import Figure
 from alula.stages.reporting.headline import Card, cards, chain
 from alula.stages.reporting.material import Material
-from alula.stages.reporting.tables import Table, text
+from alula.stages.reporting.table import Table, text
 from alula.stages.reporting.view3d import View
 
-_FOLDED_ROWS = 15  # longer tables are folded
-_DENSE_COLUMNS = 10  # more of them are set closer
+_FOLDED_ROWS = 15  # longer tables are collapsed
+_DENSE_COLUMNS = 10  # wider tables get narrower cells
 
-# Nothing may be fetched, whatever a page of k3d tries; its code and workers are inside the page.
+# The policy blocks every fetch, also those of k3d's page; its code and workers are inside the page.
 _POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
     "script-src 'unsafe-inline' 'unsafe-eval' blob:; worker-src blob:; connect-src data: blob:"
@@ -98,7 +98,7 @@ def page(
     provenance_line: str = "",
     facts: Mapping[str, str] | None = None,
 ) -> str:
-    """The page: no part of it comes from anywhere else, and every name in it is escaped.
+    """Write the page; it loads nothing from elsewhere, and every name in it is escaped.
 
     Args:
         material: what the report is about.
@@ -106,7 +106,10 @@ def page(
         figures: in reading order.
         view: the 3D view, shown in a sandboxed frame.
         provenance_line: put into the head, where `read_provenance` finds it.
-        facts: what the report says in short, by subject.
+        facts: summary lines by subject.
+
+    Returns:
+        The HTML text.
     """
     head = [
         "<!doctype html>",
@@ -121,7 +124,7 @@ def page(
         _chain(material),
     ]
     body = [_cards(title, group) for title, group in cards(material)]
-    body += [_in_short(facts or {}), _promise(material)]
+    body += [_in_short(facts or {}), _guarantees(material)]
     if figures:
         body += ["<h2>Figures</h2>", '<div class="figures">', *map(_figure, figures), "</div>"]
     if view is not None:
@@ -134,7 +137,7 @@ def page(
 
 
 def comment(line: str) -> str:
-    """Text that may stand in an HTML comment: JSON's own escape hides what would end it."""
+    """Escape JSON text for an HTML comment: JSON's own escapes hide the characters that would end it."""
     return line.replace("--", "-\\u002d").replace(">", "\\u003e").replace("<", "\\u003c")
 
 
@@ -170,21 +173,25 @@ def _cards(title: str, group: Sequence[Card]) -> str:
     return f'<h3>{escape(title)}</h3><div class="cards">{items}</div>'
 
 
-def _promise(material: Material) -> str:
-    said = []
+def _guarantees(material: Material) -> str:
+    statements = []
     if material.cover is not None and material.cover.manifest.guarantee is not None:
-        said.append(("The map", material.cover.manifest.guarantee.statement))
+        statements.append(("The map", material.cover.manifest.guarantee.statement))
     if material.certificate is not None and (left_out := material.certificate.get("left_out")):
-        said.append(("Outside the proof", f"{left_out}."))
+        statements.append(("Outside the proof", f"{left_out}."))
     for run in material.runs:
-        said.append((run.label, run.record.guarantee.statement))
-    lines = "".join(f"<p><b>{escape(who)}:</b> {escape(what)}</p>" for who, what in said if what)
-    return f"<h2>What is guaranteed</h2>{lines}" if lines else ""
+        statements.append((run.label, run.record.guarantee.statement))
+    lines = _lines((subject, statement) for subject, statement in statements if statement)
+    return f"<h2>Guarantees</h2>{lines}" if lines else ""
 
 
 def _in_short(facts: Mapping[str, str]) -> str:
-    lines = "".join(f"<p><b>{escape(who)}:</b> {escape(what)}</p>" for who, what in facts.items())
+    lines = _lines(facts.items())
     return f"<h2>In short</h2>{lines}" if lines else ""
+
+
+def _lines(statements: Iterable[tuple[str, str]]) -> str:
+    return "".join(f"<p><b>{escape(subject)}:</b> {escape(line)}</p>" for subject, line in statements)
 
 
 def _figure(figure: Figure) -> str:
@@ -198,8 +205,8 @@ def _figure(figure: Figure) -> str:
 
 def _view(view: View) -> str:
     note = (
-        f"{view.note} Drag turns, the wheel zooms, the panel on the right hides parts. "
-        "It needs WebGL; the maps above show the same from above."
+        f"{view.note} Drag to turn, scroll to zoom; the panel on the right hides parts. "
+        "The view needs WebGL; the maps show the same from above."
     )
     return (
         '<h2>In three dimensions</h2><iframe title="3D view of hulls, Gaussians and paths" '

@@ -1,13 +1,13 @@
-"""Shares, means and intervals of figures of trials, also of those that are compared over the same ones.
+"""Rates, means and ratios of trials with their intervals, also of paired trials.
 
-A percentile bootstrap only knows the values that it was given. Where they are all equal, or there is one, its
-interval has no width, although the next value may differ. Two ways out:
+A percentile bootstrap resamples only the values that it is given. When all of them are equal, or there is
+only one, its interval has no width, although the next value may differ. Two remedies:
 
-- Of values with known bounds, as a share of goals reached, n draws all miss a part u of what may be drawn
-  with a probability of (1 - u)^n. At 2.5 % that is u = 1 - 0.025^(1/n), 0.07 of n = 50: the bound of Clopper
-  and Pearson for 0 of n. Were that part at a bound, the mean would be off by u times the distance to it, so
-  the interval reaches at least so far. That matters where failures are few, or n is.
-- Without bounds nothing can be said, and the ends are None.
+- Values with known bounds, such as the fraction of goals reached: n draws all miss a part u of the
+  distribution with probability (1 - u)^n. At 2.5 % that is u = 1 - 0.025^(1/n), 0.07 for n = 50: the
+  Clopper-Pearson bound for 0 of n. If that part lay at a bound, the mean would change by u times the distance
+  to the bound, so the interval extends at least that far. This matters where failures are few or n is small.
+- Values without bounds: the interval is unknown and its ends are None.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import InputError
-from alula.stages.reporting.tables import text
+from alula.stages.reporting.table import text
 from alula.stages.verdict import wilson_interval
 
 _RESAMPLES = 4000
 _TAIL = 0.025  # on each side of an interval
-_ROUNDING = 1e-12  # relative; means of equal values differ by less
+_ROUNDING = 1e-12  # relative; rounding error between means of equal values
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A figure with its 95 % interval, from `n` trials; the ends are None where those say nothing of it."""
+    """A value with its 95 % interval, from `n` trials; the ends are None where the interval is unknown."""
 
     value: float
     low: float | None
@@ -41,7 +41,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A share of trials in percent, with its 95 % Wilson interval; the value is None without trials."""
+    """A percentage of trials with its 95 % Wilson interval; the value is None without trials."""
 
     value: float | None
     low: float
@@ -50,7 +50,7 @@ class Rate:
 
     @property
     def cells(self) -> tuple[float | None, float, float]:
-        """Of a table."""
+        """Value, low and high end, as cells of a table."""
         return self.value, self.low, self.high
 
     def __str__(self) -> str:
@@ -58,7 +58,7 @@ class Rate:
 
 
 def rate(values: Iterable[bool]) -> Rate:
-    """The share that is true."""
+    """Percentage of true values."""
     each = list(values)
     good, n = sum(each), len(each)
     low, high = wilson_interval(good, n)
@@ -66,7 +66,7 @@ def rate(values: Iterable[bool]) -> Rate:
 
 
 def mean_of(values: Iterable[float | None]) -> float | None:
-    """The mean of those that are known."""
+    """Mean of the known, finite values; None when there are none."""
     known = [value for value in values if value is not None and math.isfinite(value)]
     return math.fsum(known) / len(known) if known else None
 
@@ -74,9 +74,16 @@ def mean_of(values: Iterable[float | None]) -> float | None:
 def mean_estimate(
     values: ArrayLike, *, bounds: tuple[float, float] | None = None, seed: int = 0
 ) -> Estimate | None:
-    """The mean of independent values, shape (n,), and its percentile bootstrap interval; None for none.
+    """Mean of independent values with its percentile bootstrap interval; None without values.
 
-    With `bounds`, between which all values lie, the interval also holds what n values cannot exclude.
+    Args:
+        values: shape (n,).
+        bounds: limits of all possible values; with them the interval also covers what n values cannot
+            exclude.
+        seed: of the resampling.
+
+    Raises:
+        InputError: a value is not finite.
     """
     x = _finite(values)
     if len(x) == 0:
@@ -86,7 +93,12 @@ def mean_estimate(
 
 
 def ratio_estimate(ours: ArrayLike, theirs: ArrayLike, *, seed: int = 0) -> Estimate | None:
-    """Ratio of the means of paired values, shapes (n,), resampled by pairs; None for none.
+    """Ratio of the means of paired values, resampled by pairs; None without values.
+
+    Args:
+        ours: numerator, shape (n,).
+        theirs: denominator, shape (n,).
+        seed: of the resampling.
 
     Source: Efron and Tibshirani 1993, chapter 13 (percentile intervals).
 
@@ -107,9 +119,16 @@ def ratio_estimate(ours: ArrayLike, theirs: ArrayLike, *, seed: int = 0) -> Esti
 def difference_estimate(
     ours: ArrayLike, theirs: ArrayLike, *, bounds: tuple[float, float] | None = None, seed: int = 0
 ) -> Estimate | None:
-    """Mean of the differences of paired values, shapes (n,), with its interval; None for none.
+    """Mean of the differences of paired values with its interval; None without values.
 
-    `bounds` are those of the differences, as of `mean_estimate`.
+    Args:
+        ours: shape (n,).
+        theirs: subtracted from `ours`, shape (n,).
+        bounds: limits of the differences, as in `mean_estimate`.
+        seed: of the resampling.
+
+    Raises:
+        InputError: the lengths differ, or a value is not finite.
     """
     a, b = _finite(ours), _finite(theirs)
     if len(a) != len(b):
@@ -138,5 +157,5 @@ def _resampled(count: int, seed: int) -> NDArray[np.int64]:
 def _finite(values: ArrayLike) -> FloatArray:
     x = np.asarray(values, np.float64)
     if x.ndim != 1 or not np.isfinite(x).all():
-        raise InputError(f"values of trials are finite and in one row, not of shape {x.shape}")
+        raise InputError(f"values of trials must be finite and one-dimensional; their shape is {x.shape}")
     return x

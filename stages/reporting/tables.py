@@ -1,12 +1,15 @@
-"""Every number of a report, as tables; the page, the Markdown and the CSV only arrange them."""
+"""The tables of a report. They hold all of its numbers; the page, the Markdown and the CSV only lay them out.
+
+One table compares the runs, one lists the trials of each run. Others describe the map, the measured times,
+the parameters, the input files and the course of a real flight.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -15,51 +18,29 @@ import numpy as np
 from alula.schemas.artifact import Artifact
 from alula.schemas.errors import UsageError
 from alula.schemas.run import FenceResult, TrialResult
-from alula.stages.reporting.course import course_rows, course_tables
 from alula.stages.reporting.fenced import FENCE_NOTE, fence_columns, fence_rows, is_fenced
 from alula.stages.reporting.material import OUTCOMES, Material, Run, flew_through, is_covered, outcome_of
 from alula.stages.reporting.papers.published import paper_tables
+from alula.stages.reporting.table import Table, csv_cell, flat, text
 
 BYTES_PER_GAUSSIAN = 40  # centre, semi-axes, quaternion in single precision
 BYTES_PER_VOXEL = 12  # three 32-bit integers
 BYTES_PER_HALF_PLANE = 16  # normal and offset in single precision
 _ENDS = {"collision": "collided"}
-_LISTED_TRIALS = 500  # per run; the CSV has them all
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table of raw values; `text` says how they read."""
-
-    name: str
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[Any, ...], ...]
-    note: str = ""
-
-
-def text(value: Any) -> str:
-    """A value as a person reads it: four digits of a float, thousands of an integer apart."""
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return "–"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, int):
-        return f"{value:,}"
-    if isinstance(value, float):
-        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:,.0f}"
-    if isinstance(value, list | tuple):
-        return ", ".join(text(item) for item in value)
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {text(item)}" for key, item in value.items())
-    return str(value)
+_LEVELS = {3: "warning", 4: "error", 5: "fatal"}  # of `foxglove.Log`  # of `foxglove.Log`
+_LISTED_TRIALS = 500  # per run; the CSV lists all
 
 
 def all_tables(material: Material, names: Sequence[str] = (), paper: str | None = None) -> list[Table]:
-    """The tables of a report, in reading order; only those named when any are.
+    """Make the tables of a report, in reading order.
+
+    Args:
+        material: what the report is about.
+        names: tables to keep; all when empty.
+        paper: paper whose published values are added.
 
     Raises:
-        UsageError: a name is not that of a table.
+        UsageError: no table has one of the names.
     """
     tables = []
     if material.runs:
@@ -67,7 +48,7 @@ def all_tables(material: Material, names: Sequence[str] = (), paper: str | None 
     if material.cover is not None or material.scene is not None:
         tables += [compression_table(material), cover_table(material)]
     if paper is not None:
-        tables += [Table(*parts) for parts in paper_tables(paper, material)]
+        tables += paper_tables(paper, material)
     timed = [run for run in material.runs if run.record.timing]
     if timed:
         tables.append(_beside("timing", "Measured times", timed, lambda run: flat(run.record.timing)))
@@ -78,21 +59,11 @@ def all_tables(material: Material, names: Sequence[str] = (), paper: str | None 
     many = len(material.runs) > 1
     for n, run in enumerate(material.runs, 1):
         tables.append(trials_table(run, f"trials-{n}" if many else "trials"))
-    tables += [*(Table(*parts) for parts in course_tables(material.runs)), inputs_table(material)]
+    tables += [*course_tables(material.runs), inputs_table(material)]
     known = [table.name for table in tables]
     if missing := [name for name in names if name not in known]:
         raise UsageError(f"--table {missing[0]}: this report has {', '.join(known)}")
     return [table for table in tables if not names or table.name in names]
-
-
-def flat(record: Any, prefix: str = "") -> dict[str, Any]:
-    """A nested record as one level of dotted keys."""
-    if not isinstance(record, dict):
-        return {prefix: record}
-    result: dict[str, Any] = {}
-    for key in sorted(record):
-        result |= flat(record[key], f"{prefix}.{key}" if prefix else str(key))
-    return result
 
 
 def _beside(
@@ -106,7 +77,7 @@ def _beside(
 
 
 def success_interval(run: Run) -> tuple[float, float] | None:
-    """The 95 % interval of the success rate that the run states."""
+    """95 % interval of the success rate in the run's summary."""
     match run.record.summary.get("success_interval"):
         case [float() | int() as low, float() | int() as high]:
             return float(low), float(high)
@@ -119,11 +90,11 @@ def _summary_of(run: Run) -> dict[str, Any]:
     trials = record.trials
     steps = sum(trial.steps for trial in trials)
     ends = {end: sum(outcome_of(trial) == end for trial in trials) for end in OUTCOMES}
-    shares = {
-        "share of steps the filter changed": sum(trial.filtered_steps for trial in trials),
-        "share of steps shortened": sum(trial.shortened_steps for trial in trials),
-        "share of steps infeasible": sum(trial.infeasible_steps for trial in trials),
-        "share of steps on the fallback": sum(trial.fallback_steps for trial in trials),
+    counts = {
+        "fraction of steps changed by the filter": sum(trial.filtered_steps for trial in trials),
+        "fraction of steps shortened": sum(trial.shortened_steps for trial in trials),
+        "fraction of steps infeasible": sum(trial.infeasible_steps for trial in trials),
+        "fraction of steps on the fallback": sum(trial.fallback_steps for trial in trials),
     }
     head: dict[str, Any] = {"filter": record.filter, "vehicle": record.vehicle}
     head |= {"hulls of the map": run.hulls, "trials": len(trials)}
@@ -135,36 +106,36 @@ def _summary_of(run: Run) -> dict[str, Any]:
         "success rate, 95 % low": interval[0] if interval else None,
         "success rate, 95 % high": interval[1] if interval else None,
         **{_ENDS.get(end, end): count for end, count in ends.items() if count or end != "stopped"},
-        "least clearance to the hulls [m]": summary.get("min_map_clearance_m"),
-        "least clearance to the splats [m]": summary.get("min_scene_clearance_m"),
+        "minimum clearance to the hulls [m]": summary.get("min_map_clearance_m"),
+        "minimum clearance to the splats [m]": summary.get("min_scene_clearance_m"),
         **course_rows(summary),
         "path / straight line, mean of successes": summary.get("mean_path_ratio"),
         "top speed [m/s]": max((trial.max_speed_m_s for trial in trials), default=None),
-        "largest jerk [m/s³]": max((trial.max_jerk_m_s3 for trial in trials), default=None),
+        "maximum jerk [m/s³]": max((trial.max_jerk_m_s3 for trial in trials), default=None),
         "mean jerk [m/s³]": float(np.mean([t.mean_jerk_m_s3 for t in trials])) if trials else None,
         "steps": steps,
-        **{key: count / steps if steps else None for key, count in shares.items()},
+        **{key: count / steps if steps else None for key, count in counts.items()},
         **_among_ellipsoids(run, steps),
     }
 
 
 def _among_ellipsoids(run: Run, steps: int) -> dict[str, Any]:
-    """What only flights among ellipsoids have; empty for others."""
+    """Rows that only flights among ellipsoids have; empty for others."""
     trials, summary = run.record.trials, run.record.summary
     if all(trial.peak_realisation_error_m_s2 is None for trial in trials):
         return {}
     counts = {
-        "share of steps on the backup policy": "backup_steps",
-        "share of steps with a safe backup proven": "certified_steps",
-        "share of steps with ellipsoids cut off": "capped_steps",
-        "share of steps beyond the rotors": "saturated_steps",
+        "fraction of steps on the backup policy": "backup_steps",
+        "fraction of steps with a safe backup proven": "certified_steps",
+        "fraction of steps with ellipsoids cut off": "capped_steps",
+        "fraction of steps beyond the rotors' limits": "saturated_steps",
     }
-    most = {
-        "speed of the references, most [m/s]": "reference_speed_m_s",
-        "mean speed of a trial, most [m/s]": "mean_speed_m_s",
-        "largest acceleration [m/s²]": "max_acceleration_m_s2",
-        "largest distance from the reference [m]": "max_tracking_error_m",
-        "largest realisation error [m/s²]": "peak_realisation_error_m_s2",
+    maxima = {
+        "maximum speed of the references [m/s]": "reference_speed_m_s",
+        "maximum mean speed of a trial [m/s]": "mean_speed_m_s",
+        "maximum acceleration [m/s²]": "max_acceleration_m_s2",
+        "maximum distance from the reference [m]": "max_tracking_error_m",
+        "maximum realisation error [m/s²]": "peak_realisation_error_m_s2",
     }
     found: dict[str, Any] = {
         "guide": run.record.provenance.parameters.get("guide"),
@@ -172,8 +143,8 @@ def _among_ellipsoids(run: Run, steps: int) -> dict[str, Any]:
         "pairs with a blocked line": summary.get("blocked_pairs"),
         "steps with qp infeasible": sum(trial.infeasible_steps for trial in trials),
     }
-    found |= {title: max(_known(trials, key), default=None) for title, key in most.items()}
-    found["least γ = rᵀAr - 1"] = min(_known(trials, "min_gamma"), default=None)
+    found |= {title: max(_known(trials, key), default=None) for title, key in maxima.items()}
+    found["minimum γ = rᵀAr - 1"] = min(_known(trials, "min_gamma"), default=None)
     return found | {
         title: sum(_known(trials, key)) / steps if steps else None for title, key in counts.items()
     }
@@ -184,15 +155,15 @@ def _known(trials: Sequence[TrialResult], key: str) -> list[Any]:
 
 
 def runs_table(material: Material) -> Table:
-    """The runs side by side; what none of them has, as clearance to hulls without a cover, is left out."""
+    """Compare the runs side by side; rows without any value are left out."""
 
     def values(run: Run) -> dict[str, Any]:
         known = flew_through(run, material)
         return _summary_of(run) | ({} if known is None else {"flew through the cover shown": known})
 
     note = (
-        "Clearances are of the vehicle's sphere, computed after the flight; below zero is a collision. Each "
-        "trial ends in one way: one that collided counts as nothing else."
+        "Clearances are those of the vehicle's sphere, computed after the flight; below zero is a collision. "
+        "Each trial has one outcome; a trial that collided counts only as a collision."
     )
     if all(map(is_fenced, material.runs)):
         note = FENCE_NOTE
@@ -201,8 +172,38 @@ def runs_table(material: Material) -> Table:
     return replace(table, rows=known)
 
 
+def course_rows(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Rows that only a real flight's summary has; empty for others."""
+    if "ended_by" not in summary:
+        return {}
+    return {
+        "ended by": summary["ended_by"],
+        "holds": summary.get("holds"),
+        "maximum distance from the plan [m]": summary.get("max_tracking_error_m"),
+    }
+
+
+def course_tables(runs: Sequence[Run]) -> list[Table]:
+    """Two tables of each real flight: the supervisor's steps and the log messages."""
+    found: list[Table] = []
+    for number, run in enumerate(runs, 1):
+        if (course := run.course) is None:
+            continue
+        end = f"-{number}" if len(runs) > 1 else ""
+        steps = tuple((round(step.time_s, 3), step.event, step.state, step.action) for step in course.steps)
+        lines = tuple(
+            (round(line.time_s, 3), _LEVELS.get(line.level, ""), line.words) for line in course.lines
+        )
+        note = f"Last record of the supervisor at {course.end_s:.2f} s."
+        title, columns = f"Course of {run.label}", ("time [s]", "event", "state after it", "action")
+        found.append(Table(f"course{end}", title, columns, steps, note))
+        title = f"Messages of {run.label}"
+        found.append(Table(f"messages{end}", title, ("time [s]", "level", "message"), lines))
+    return found
+
+
 def trials_table(run: Run, name: str) -> Table:
-    """One row per trial of a run."""
+    """List the trials of a run, one row per trial."""
     columns: dict[str, Callable[[TrialResult], Any]] = {
         "trial": lambda t: t.index,
         "outcome": lambda t: t.outcome,
@@ -229,12 +230,12 @@ def trials_table(run: Run, name: str) -> Table:
             "backup": lambda t: t.backup_steps,
             "proven": lambda t: t.certified_steps,
             "realisation error [m/s²]": lambda t: t.peak_realisation_error_m_s2,
-            "largest jerk [m/s³]": lambda t: t.max_jerk_m_s3,
-            "least γ": lambda t: t.min_gamma,
+            "maximum jerk [m/s³]": lambda t: t.max_jerk_m_s3,
+            "minimum γ": lambda t: t.min_gamma,
         }
     rows = tuple(tuple(get(trial) for get in columns.values()) for trial in trials[:_LISTED_TRIALS])
     note = (
-        f"The first {len(rows)} of {len(trials)}; the CSV beside has them all."
+        f"The first {len(rows)} of {len(trials)} trials; the CSV file next to the report lists all."
         if len(rows) < len(trials)
         else ""
     )
@@ -242,7 +243,7 @@ def trials_table(run: Run, name: str) -> Table:
 
 
 def _is_blocked(trial: TrialResult, run: Run) -> bool | None:
-    """Whether the straight line comes nearer to an ellipsoid than filters allow."""
+    """Return whether the straight line comes nearer to an ellipsoid than filters allow."""
     added = run.record.summary.get("inflation_m")
     if trial.line_clearance_m is None or not isinstance(added, int | float):
         return None
@@ -250,12 +251,12 @@ def _is_blocked(trial: TrialResult, run: Run) -> bool | None:
 
 
 def path_ratio(trial: TrialResult) -> float | None:
-    """Length flown over the straight line from start to goal."""
+    """Ratio of the length flown to the straight line from start to goal."""
     return trial.path_length_m / trial.straight_length_m if trial.straight_length_m > 0 else None
 
 
 def compression_table(material: Material) -> Table:
-    """Gaussians, voxels and hulls: how many, and what they weigh."""
+    """Count the Gaussians, voxels and hulls, and their bytes."""
     cover, scene = material.cover, material.scene
     rows: list[tuple[Any, ...]] = []
     gaussians = gaussian_count(material)
@@ -271,13 +272,13 @@ def compression_table(material: Material) -> Table:
     columns = ("representation", "primitives", "half-planes", "geometry [bytes]", "file [bytes]")
     note = (
         f"Geometry counts {BYTES_PER_GAUSSIAN} bytes per Gaussian, {BYTES_PER_VOXEL} per voxel and "
-        f"{BYTES_PER_HALF_PLANE} per half-plane; the file also holds vertices, members and provenance."
+        f"{BYTES_PER_HALF_PLANE} per half-plane. The file also holds vertices, members and provenance."
     )
     return Table("compression", "From Gaussians to half-planes", columns, tuple(rows), note)
 
 
 def gaussian_count(material: Material) -> int | None:
-    """Gaussians of the scene, or as many as the cover's summary says it was made of."""
+    """Number of Gaussians of the scene, or else the number in the cover's summary."""
     if material.scene is not None:
         return len(material.scene["mean"])
     found = material.cover.manifest.summary.get("gaussians") if material.cover is not None else None
@@ -285,13 +286,13 @@ def gaussian_count(material: Material) -> int | None:
 
 
 def voxel_count(cover: Artifact) -> int:
-    """Voxels that a cover was built from, each counted once."""
+    """Number of voxels that a cover was built from, each counted once."""
     found = cover.manifest.summary.get("voxels")
     return found if isinstance(found, int) else len(np.unique(np.asarray(cover["member_index"]), axis=0))
 
 
 def cover_table(material: Material) -> Table:
-    """What the cover's manifest and the certificate say."""
+    """List the values of the cover's manifest and of the certificate."""
     rows: list[tuple[Any, ...]] = []
     cover = material.cover
     if cover is not None:
@@ -300,11 +301,11 @@ def cover_table(material: Material) -> Table:
         rows += [
             ("voxel edge [m]", manifest.voxel_size_m),
             ("level of the ellipsoids [σ]", manifest.sigma),
-            ("ellipsoids that make a voxel", manifest.min_overlap),
+            ("ellipsoids that occupy a voxel, minimum", manifest.min_overlap),
             ("inflation [m]", manifest.inflation_m),
             ("conservativeness (volume of hulls / voxels)", manifest.conservativeness),
             ("half-planes per hull, mean", float(planes.mean()) if len(planes) else None),
-            ("half-planes per hull, most", int(planes.max()) if len(planes) else None),
+            ("half-planes per hull, maximum", int(planes.max()) if len(planes) else None),
         ]
         rows += [(f"summary: {key}", value) for key, value in _plain(flat(manifest.summary))]
         rows += [(f"construction: {key}", value) for key, value in _plain(flat(manifest.certificate))]
@@ -313,10 +314,10 @@ def cover_table(material: Material) -> Table:
     if material.certificate is not None:
         own = {k: v for k, v in material.certificate.items() if k not in ("provenance", "checks", "covered")}
         for check in material.certificate.get("checks", []):
-            words = (
-                f"{'holds' if check.get('ok') else 'DOES NOT HOLD'} ({text(check.get('checked'))} checked)"
+            verdict = "holds" if check.get("ok") else "DOES NOT HOLD"
+            rows.append(
+                (f"verified: {check.get('name')}", f"{verdict} ({text(check.get('checked'))} checked)")
             )
-            rows.append((f"verified: {check.get('name')}", words))
         rows += [(f"verified: {key}", value) for key, value in _plain(flat(own))]
     if material.scene is not None:
         rows += [(f"scene: {key}", value) for key, value in _plain(flat(material.scene.manifest.summary))]
@@ -325,28 +326,19 @@ def cover_table(material: Material) -> Table:
 
 
 def _plain(record: dict[str, Any]) -> Iterable[tuple[str, Any]]:
-    """Entries that fit into a cell."""
+    """Entries of a record that fit into a cell."""
     for key, value in record.items():
         if not isinstance(value, list) or (len(value) <= 6 and not any(isinstance(v, dict) for v in value)):
             yield key, value
 
 
 def inputs_table(material: Material) -> Table:
-    """The files that the report was made from."""
+    """List the files that the report was made from."""
     rows = tuple(
         (ref.role, ref.name, f"{ref.schema} {ref.version}".strip() or None, ref.sha256[:16])
         for ref in material.inputs
     )
-    return Table("inputs", "Made from", ("role", "file", "kind", "SHA-256 begins"), rows)
-
-
-def table_csv(table: Table) -> str:
-    """A table with all digits; an unknown value is empty."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(table.columns)
-    writer.writerows([_csv_cell(value) for value in row] for row in table.rows)
-    return out.getvalue()
+    return Table("inputs", "Made from", ("role", "file", "kind", "SHA-256 begins with"), rows)
 
 
 _FENCE_FIELDS = tuple(field.name for field in msgspec.structs.fields(FenceResult))
@@ -355,7 +347,10 @@ CSV_COLUMNS = ("run", "filter", "vehicle", *_TRIAL_FIELDS, *(f"fence_{name}" for
 
 
 def to_csv(material: Material) -> str:
-    """One row per trial of every run, with all digits; points are x y z, an unknown value is empty."""
+    """Write one row per trial of every run as CSV, with all digits.
+
+    Points are x y z; an unknown value is empty.
+    """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
@@ -363,38 +358,5 @@ def to_csv(material: Material) -> str:
         for trial in run.record.trials:
             values = [getattr(trial, name) for name in _TRIAL_FIELDS]
             values += [getattr(trial.fence, name, None) for name in _FENCE_FIELDS]
-            writer.writerow([run.label, run.record.filter, run.record.vehicle, *map(_csv_cell, values)])
+            writer.writerow([run.label, run.record.filter, run.record.vehicle, *map(csv_cell, values)])
     return out.getvalue()
-
-
-def _csv_cell(value: Any) -> str:
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, list):
-        return " ".join(repr(item) for item in value)
-    return value if isinstance(value, str) else repr(value)
-
-
-def to_markdown(title: str, facts: Mapping[str, Any], tables: Sequence[Table], first_line: str) -> str:
-    """The facts in short, then the tables, as Markdown; `first_line` is put into a comment at the top."""
-    parts = [f"<!-- {first_line} -->" if first_line else "", f"# {_cell(title)}"]
-    if facts:
-        items = [f"- {key.replace('_', ' ')}: {_cell(text(value))}" for key, value in facts.items()]
-        parts.append("\n".join(["## In short", "", *items]))
-    for table in tables:
-        head = "| " + " | ".join(_cell(name) for name in table.columns) + " |"
-        rule = "|" + " --- |" * len(table.columns)
-        rows = ["| " + " | ".join(_cell(text(value)) for value in row) + " |" for row in table.rows]
-        parts.append("\n".join([f"## {_cell(table.title)}", "", head, rule, *rows]))
-        if table.note:
-            parts.append(table.note)
-    return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def _cell(word: str) -> str:
-    """Text that stays one cell: no line breaks, no markup of Markdown or HTML."""
-    for mark in "\\|`*_<>[]":
-        word = word.replace(mark, f"\\{mark}" if mark not in "<>" else {"<": "&lt;", ">": "&gt;"}[mark])
-    return " ".join(word.split())

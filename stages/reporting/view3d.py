@@ -17,23 +17,23 @@ from alula.stages.reporting.fenced import FenceShape, fence_shape
 from alula.stages.reporting.figures import COLORS
 from alula.stages.reporting.material import NOT_JUDGED, OUTCOMES, Material
 
-_MOST_POINTS = 100_000
-_MOST_TRIANGLES = 300_000
+_MAX_POINTS = 100_000
+_MAX_TRIANGLES = 300_000
 _HULL_COLORS = np.array([0x8FA6BF, 0xA9B8A0, 0xC2AE94, 0xA79BBD, 0x93B5B5, 0xBF9C9C], np.uint32)
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A page that shows the scene in 3D, and what it had to leave out, in words."""
+    """A page that shows the scene in 3D, and a note on what it leaves out."""
 
     html: str
     note: str
 
 
 def view(material: Material) -> View | None:
-    """The 3D view; None when there is nothing to show.
+    """Make the 3D view; None when there is nothing to show.
 
-    The same material gives the same text: object numbers and the title, which k3d takes from
+    The same material gives the same text: object numbers and the title, which k3d derives from
     memory addresses and the clock, are replaced.
     """
     paths = [path for run in material.runs for path in paths_of(run)]
@@ -61,13 +61,13 @@ def view(material: Material) -> View | None:
     objects += _path_objects(paths)
     note = f"Shown: {' and '.join(notes)}." if notes else ""
     if any(not item.visible for item in objects):
-        note += " What lies above the flights is there, but hidden at first: see Objects in the panel."
+        note += " Parts above the flights are hidden at first; show them under Objects in the panel."
     return View(_page(objects), note.strip())
 
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """Meshes of many hulls as one: points in voxels, triangles, and per point a colour and a height."""
+    """Meshes of many hulls as one: points [voxels], triangles, and a colour and a height per point."""
 
     points_voxel: NDArray[np.float64]
     triangles: NDArray[np.int64]
@@ -75,18 +75,22 @@ class Solid:
     bottom_voxel: NDArray[np.float64]  # lowest z of the hull that each point belongs to
 
 
-def merged(meshes: Mesh, most: int = _MOST_TRIANGLES) -> tuple[Solid, int]:
-    """All hulls as one mesh, and how many of them fit into `most` triangles, the largest first."""
+def merged(meshes: Mesh, maximum: int = _MAX_TRIANGLES) -> tuple[Solid, int]:
+    """Merge hulls into one mesh of at most `maximum` triangles, the largest hulls first.
+
+    Returns:
+        The mesh and the number of hulls in it.
+    """
     counts = np.diff(meshes.triangle_start)
     hull = np.repeat(np.arange(len(counts)), counts)
     owner = np.repeat(np.arange(len(meshes)), np.diff(meshes.point_start))
     keep = np.ones(len(counts), np.bool_)
     starts = meshes.point_start[:-1]
     low = np.minimum.reduceat(meshes.points_voxel, starts, axis=0) if len(counts) else np.empty((0, 3))
-    if counts.sum() > most:
+    if counts.sum() > maximum:
         high = np.maximum.reduceat(meshes.points_voxel, starts, axis=0)
         order = np.argsort(-np.prod(high - low, axis=1), kind="stable")
-        keep[order] = np.cumsum(counts[order]) <= most
+        keep[order] = np.cumsum(counts[order]) <= maximum
     kept_points = keep[owner]
     renumber = np.cumsum(kept_points) - 1
     return (
@@ -100,12 +104,12 @@ def merged(meshes: Mesh, most: int = _MOST_TRIANGLES) -> tuple[Solid, int]:
     )
 
 
-def sample(scene: Artifact, most: int = _MOST_POINTS) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Centres and colours (0xRRGGBB) of at most `most` Gaussians, evenly over the rows."""
+def sample(scene: Artifact, maximum: int = _MAX_POINTS) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Centres (n, 3) and colours (n,) (0xRRGGBB) of at most `maximum` Gaussians, evenly over the rows."""
     mean, color = np.asarray(scene["mean"]), np.asarray(scene["color"]).astype(np.uint32)
     rows = np.arange(len(mean))
-    if len(mean) > most:
-        rows = np.linspace(0, len(mean) - 1, most).round().astype(np.int64)
+    if len(mean) > maximum:
+        rows = np.linspace(0, len(mean) - 1, maximum).round().astype(np.int64)
     packed = (color[rows, 0] << 16) | (color[rows, 1] << 8) | color[rows, 2]
     return mean[rows], packed
 
@@ -171,7 +175,7 @@ def _path_objects(paths: Sequence[Path]) -> list[Any]:
 
     objects = []
     spans = [np.ptp(path.position_world, axis=0).max() for path in paths]
-    width = max(0.02, float(max(spans, default=0.0)) / 300)  # seen of flights over hundreds of metres too
+    width = max(0.02, float(max(spans, default=0.0)) / 300)  # visible in flights over hundreds of metres too
     for outcome in (*OUTCOMES, NOT_JUDGED, "planned"):
         own = [path.position_world.astype(np.float32) for path in paths if path.outcome == outcome]
         if not own:
@@ -217,6 +221,6 @@ def _page(objects: Sequence[Any]) -> str:
         plot += item
     plot.camera = plot.get_auto_camera(yaw=-60, pitch=50, factor=1.1)
     page: str = plot.get_snapshot()
-    # k3d's style sheet names fallback fonts beside the page; browsers look for them, in vain.
+    # k3d's style sheet names fallback fonts beside the page, which do not exist; browsers would request them.
     page = page.replace("eval(k3dSource);", "eval(k3dSource.split('url(fonts/').join('url(data:,'));")
     return re.sub(r"<title>.*?</title>", "<title>3D view</title>", page, count=1, flags=re.DOTALL)

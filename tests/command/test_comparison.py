@@ -1,8 +1,8 @@
-"""The files that an example's comparison ends in."""
+"""The output files of an example's comparison."""
 
 from alula.cli.comparison import this_machine, write_comparison
 from alula.stages.reporting.figures import Figure
-from alula.stages.reporting.tables import Table
+from alula.stages.reporting.table import Table
 
 TABLE = Table("t", "A table", ("who", "what"), (("x", 1 / 3),))
 READ = Table("t", "As read", ("who",), (("x",),))

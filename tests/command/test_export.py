@@ -1,4 +1,4 @@
-"""Exports, read back by other readers: the same solids, the same integers, and where they came from."""
+"""Exports, read back by other readers: the same solids, the same integers, and their provenance."""
 
 import io
 import json
@@ -135,7 +135,7 @@ def scene_again(source: Path, out: Path) -> Path:
 
 
 def check_losses(source: Path, out: Path, told) -> None:
-    """What is told of an export is what it did, and what its import allows for."""
+    """The printed loss of an export is the true one, and its import allows for it."""
     first, second = read_artifact(source), read_artifact(scene_again(source, out))
     away = np.linalg.norm(first["mean"].astype(float) - second["mean"], axis=1)
     ratio = second["scale"] / first["scale"].astype(float)
@@ -213,7 +213,7 @@ def test_what_the_format_cannot_hold_is_refused(tmp_path, capsys):
     assert not (tmp_path / "a.spz").exists()
     export(tmp_path / "a.scene.npz", tmp_path / "a.splat")
     export(tmp_path / "a.scene.npz", tmp_path / "b.spz", "--spz-version", "1", code=2)
-    assert "--spz-version is 2, 3 or 4, not 1" in capsys.readouterr().err
+    assert "--spz-version must be 2, 3 or 4, not 1" in capsys.readouterr().err
 
 
 def test_a_dry_run_tells_and_writes_nothing(folder, tmp_path, capsys):
@@ -314,7 +314,7 @@ def test_a_format_can_be_forced(cover, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("source", "out", "code", "said"),
+    ("source", "out", "code", "message"),
     [
         ("solid facet.cover.npz", "c.ply", 2, "a cover is exported as glb, obj, json, stl"),
         ("m.scene.npz", "s.stl", 2, "a scene is exported as ply, splat, spz, glb, obj"),
@@ -323,9 +323,9 @@ def test_a_format_can_be_forced(cover, tmp_path):
         ("p.plan.npz", "p.json", 3, "is alula/plan"),
     ],
 )
-def test_what_cannot_be_exported_is_refused(folder, tmp_path, capsys, source, out, code, said):
+def test_what_cannot_be_exported_is_refused(folder, tmp_path, capsys, source, out, code, message):
     export(folder / source, tmp_path / out, code=code)
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert len(error.splitlines()) == 1
     assert not list(tmp_path.iterdir())

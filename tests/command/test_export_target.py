@@ -1,4 +1,4 @@
-"""Maps for a microcontroller: index, C header, cost, and refusal when too large."""
+"""Maps for a microcontroller: indexed, with a header and their cost, and refused when too large."""
 
 import json
 from pathlib import Path
@@ -91,11 +91,11 @@ def test_what_does_not_fit_is_refused_and_what_is_named_fits(here, capsys, monke
     for room in (whole - 1, whole // 2, 400):
         with_room(room)
         assert run(["export", "tiny.cover.npz", "-o", "a.map.bin", "--target", "crazyflie"]) == 5
-        said = capsys.readouterr().err
-        assert f"12 hulls take {whole} bytes, crazyflie has room for {room}" in said
+        message = capsys.readouterr().err
+        assert f"12 hulls take {whole} bytes, crazyflie has room for {room}" in message
         assert not Path("a.map.bin").exists()
         assert not Path("a.map.h").exists()
-        budget = said.split("--max-bytes ")[1].split()[0]
+        budget = message.split("--max-bytes ")[1].split()[0]
         assert (
             run(["merge", "tiny.cover.npz", "-o", "less.cover.npz", "--max-bytes", budget, "-f", "-q"]) == 0
         )

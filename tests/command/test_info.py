@@ -1,4 +1,4 @@
-"""`info` explains whole files, and says of damaged ones what is damaged and what is left."""
+"""`info` explains complete files, and for damaged ones states the damage and the readable rest."""
 
 import json
 from pathlib import Path
@@ -228,18 +228,18 @@ def test_a_newer_artifact_is_refused_but_its_manifest_is_shown(folder, capsys):
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         (b"", "is empty"),
         (b"hello", "is not an artifact, a run"),
         (b"\x00" * 5000, "is not an artifact, a run"),
     ],
 )
-def test_nothing_known_is_refused(tmp_path, capsys, content, said):
+def test_nothing_known_is_refused(tmp_path, capsys, content, message):
     path = tmp_path / "thing.bin"
     path.write_bytes(content)
     _, error = info(path, capsys, code=3)
-    assert said in error
+    assert message in error
 
 
 def test_folders_and_missing_files_are_refused(tmp_path, capsys):

@@ -13,14 +13,14 @@ from alula.cli.main import run
 from alula.cli.runner import input_ref
 from alula.schemas.artifact import write_artifact
 from alula.schemas.provenance import Provenance, read_provenance
-from alula.stages.reporting.tables import text
+from alula.stages.reporting.table import text
 from support.fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial, write_run
 
 EVIL = 'x"><script>alert(1)</script><img src=http://evil.example/a.png>'
 
 
 class Links(HTMLParser):
-    """Everything that a page, and the pages in its frames, would load; and all texts."""
+    """All resources that a page and its frames would load, and all texts."""
 
     def __init__(self):
         super().__init__()
@@ -180,7 +180,7 @@ def test_a_report_without_runs_shows_the_map(report):
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "message"),
     [
         ([], 2, "needs a run"),
         (["a.run.mcap", "--table", "nothing"], 2, "this report has"),
@@ -192,10 +192,10 @@ def test_a_report_without_runs_shows_the_map(report):
         (["a.run.mcap", "--title", " "], 2, "must not be empty"),
     ],
 )
-def test_wrong_words_are_refused_in_one_line(report, tmp_path, capsys, words, code, said):
+def test_wrong_words_are_refused_in_one_line(report, tmp_path, capsys, words, code, message):
     report(*words, code=code)
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert len(error.strip().splitlines()) == 1
     assert not list(tmp_path.iterdir())
 

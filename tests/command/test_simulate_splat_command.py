@@ -157,8 +157,8 @@ def test_a_plan_flies_in_a_scene_and_a_report_is_made_of_it(scene, tmp_path):
     report = tmp_path / "report.html"
     assert run(["report", str(out), "-o", str(report), "-q"]) == 0
     tables = report.with_suffix(".md").read_text()
-    assert "largest realisation error" in tables
-    assert "least γ" in tables
+    assert "maximum realisation error" in tables
+    assert "minimum γ" in tables
     assert run(["info", str(out), "-q"]) == 0
 
 

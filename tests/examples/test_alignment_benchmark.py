@@ -1,4 +1,4 @@
-"""The study of coverage runs, and its figures are those of a working estimator."""
+"""The coverage benchmark runs, and its figures are those of a working estimator."""
 
 import json
 import subprocess

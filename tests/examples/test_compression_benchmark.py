@@ -1,4 +1,4 @@
-"""The compression benchmark runs, covers all voxels and measures alike by two methods; no time is tested."""
+"""The compression benchmark runs, covers all voxels, and two measures agree; times are not tested."""
 
 import json
 import math

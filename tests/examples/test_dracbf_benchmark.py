@@ -1,4 +1,4 @@
-"""The benchmark of the filters among moving obstacles measures what it says, in little."""
+"""A short run of the benchmark of the filters among moving obstacles has all figures."""
 
 import json
 import subprocess

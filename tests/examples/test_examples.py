@@ -36,7 +36,7 @@ def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def commands_in(done: subprocess.CompletedProcess[str]) -> list[str]:
-    """Which alula commands make ran."""
+    """The alula commands that make ran."""
     assert done.returncode == 0, done.stderr + done.stdout
     lines = [line for line in done.stdout.splitlines() if " -m alula.cli " in line]
     return [line.split(" -m alula.cli ")[1].split()[0] for line in lines]
@@ -44,7 +44,7 @@ def commands_in(done: subprocess.CompletedProcess[str]) -> list[str]:
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory) -> Path:
-    """The room example, built once in a copy of its folder, by two jobs."""
+    """The room example, built once in a copy of its folder with two jobs."""
     folder = tmp_path_factory.mktemp("example") / "room"
     shutil.copytree(EXAMPLES / "room", folder, ignore=shutil.ignore_patterns("out"))
     done = make(folder, "-j2")
@@ -55,7 +55,7 @@ def built(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def room(built, tmp_path) -> Path:
-    """A private copy of the built example, times kept."""
+    """A private copy of the built example with its file times."""
     return Path(shutil.copytree(built, tmp_path / "room"))
 
 
@@ -148,7 +148,7 @@ def test_a_rehearsal_flies_in_the_map_that_the_room_example_makes(tmp_path):
 
 
 ALULA_OF_ONES_OWN = """#!/bin/sh
-# Makes what it is asked for; a flight is logged and ends as $ENDS says: with a code, or by Ctrl-C to all.
+# Writes the requested output; a flight is logged and ends as $ENDS gives: with a code, or by Ctrl-C to all.
 command=$1
 while [ $# -gt 0 ]; do
   [ "$1" = -o ] && out=$2

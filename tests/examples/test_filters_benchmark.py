@@ -1,4 +1,4 @@
-"""The benchmark of the filters runs, every figure is a number, and nothing is wrong; no time is tested."""
+"""The benchmark of the filters runs, every figure is a number, and all checks pass; times are not tested."""
 
 import json
 import math

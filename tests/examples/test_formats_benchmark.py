@@ -1,4 +1,4 @@
-"""The benchmark of the formats runs, and readers agree with those of others; no time is tested."""
+"""The benchmark of the formats runs, and our readers agree with others; times are not tested."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""The example of the geofencing paper runs, in little."""
+"""The example of the geofencing paper runs at a small size."""
 
 import csv
 import json
@@ -36,19 +36,19 @@ def test_every_table_is_made_of_runs_and_only_once(tmp_path):
     for name in ("geofencing", "vehicles"):
         shutil.copytree(EXAMPLES / name, tmp_path / name, ignore=shutil.ignore_patterns("out"))
     folder = tmp_path / "geofencing"
-    said = make(folder, *FEW, "-j2")
-    assert "- passed commands: 0 of " in said
-    assert "- unknown mass: without reserve left " in said
+    printed = make(folder, *FEW, "-j2")
+    assert "- passed commands: 0 of " in printed
+    assert "- disturbance mass: without reserve " in printed
     out = folder / "out"
     tables = {"pendulum-time", "pendulum-gains", "wall", "engaged", "fences", "robustness"}
     assert {path.stem for path in out.glob("*.csv")} == tables | {"passes"}
     figures = {"pendulum", "chatter", "wall", "engaged", "robustness"}
     assert {path.stem for path in out.glob("*.svg")} == figures
-    assert "Figure 8: walls and floor, again and again" in (out / "geofencing.html").read_text()
+    assert "Figure 8: repeated engagement of walls and floor" in (out / "geofencing.html").read_text()
     wall = {row["variant"]: row for row in rows_of(out / "wall.csv")}
-    assert 104 < float(wall["from-40"]["fastest [km/h]"]) < 115
+    assert 104 < float(wall["from-40"]["peak speed [km/h]"]) < 115
     assert (wall["from-40"]["fence"], wall["from-40-none"]["fence"]) == ("held", "left")
-    assert wall["published, flight"]["fastest [km/h]"] == "104.0"
+    assert wall["published, flight"]["peak speed [km/h]"] == "104.0"
     left = {(row["fence"], row["variant"]): row["left the fence [%]"] for row in rows_of(out / "fences.csv")}
     assert {left.pop(("box", "stale-2s"))} <= {"0.0", "50.0", "100.0"}  # handed over: no fence is guarded
     assert set(left.values()) == {"0.0"}
@@ -57,7 +57,7 @@ def test_every_table_is_made_of_runs_and_only_once(tmp_path):
     assert " compare.py" not in again
     changed = make(folder, *FEW, "VARIANT.mass_3=--set vehicle.mass_scale=1.1 --set reserve_m=3")
     assert changed.count(" simulate ") == 1
-    # Pilots are flown beforehand, and then the page tells of them.
+    # Pilots are flown beforehand; then the page includes them.
     make(folder, *FEW, "pilots", "PAGE_OUT=out", "-j2")
     records = [json.loads(path.read_text()) for path in out.glob("pilots/*.run.json")]
     assert len(records) == 3
@@ -71,7 +71,7 @@ def test_every_table_is_made_of_runs_and_only_once(tmp_path):
 
 
 def test_the_page_is_one_of_the_page_sizes():
-    """What `page` flies is more than the quick look, in a folder of its own."""
+    """`page` flies more than the quick run, in a folder of its own."""
     done = subprocess.run(
         [
             "make",

@@ -1,4 +1,4 @@
-"""The example of moving obstacles runs, in little."""
+"""The example of moving obstacles runs at a small size."""
 
 import csv
 import json
@@ -37,9 +37,9 @@ def make(folder: Path, *words: str) -> str:
 def test_every_table_is_made_from_runs_of_the_same_trials_and_only_once(tmp_path):
     folder = tmp_path / "dr-acbf"
     shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("out"))
-    said = make(folder, *FEW, "-j2")
-    assert "- without a filter, scenario-1: " in said
-    assert "- simple trigger: collapses in " in said
+    printed = make(folder, *FEW, "-j2")
+    assert "- without a filter, scenario-1: " in printed
+    assert "- simple trigger: collapses in " in printed
     out = folder / "out"
     names = {"table-1", "table-2", "table-3", "collapse", "table-4", "wall", "recursion", "risk"}
     assert {path.stem for path in out.glob("*.csv")} > names | {"sensitivity-1"}

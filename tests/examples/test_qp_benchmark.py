@@ -1,4 +1,4 @@
-"""The benchmark of the QP solver runs, finds nothing wrong, and would; no time is tested."""
+"""The benchmark of the QP solver runs, finds no errors, and would find them; times are not tested."""
 
 import json
 import math

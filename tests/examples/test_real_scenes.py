@@ -1,4 +1,4 @@
-"""Every real scene that the readers take, from the splat to judged flights."""
+"""Every readable real scene, from the splat to judged flights."""
 
 import json
 from pathlib import Path

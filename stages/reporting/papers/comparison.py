@@ -1,4 +1,4 @@
-"""What an example that compares runs or maps ends in: tables, figures, and pages of both."""
+"""Output files of the examples that compare runs or maps: tables, figures, and pages of both."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from alula.stages.reporting.figures import Figure
 from alula.stages.reporting.material import Material
 from alula.stages.reporting.page import page
-from alula.stages.reporting.tables import Table, inputs_table, table_csv, to_markdown
+from alula.stages.reporting.table import Table, table_csv, to_markdown
+from alula.stages.reporting.tables import inputs_table
 
 
 def comparison_files(
@@ -19,15 +20,18 @@ def comparison_files(
     *,
     read: Sequence[Table] | None = None,
 ) -> dict[str, str]:
-    """The files of a comparison: a CSV per table, an SVG per figure, NAME.md and NAME.html with all of them.
+    """Write the files of a comparison: a CSV per table, an SVG per figure, NAME.md and NAME.html with all.
 
     Args:
         name: of the pages.
         material: title and inputs.
-        facts: what is found in short, by subject.
+        facts: summary lines by subject.
         tables: in reading order, with all digits.
         figures: in reading order.
-        read: tables as the pages show them; the same without.
+        read: tables as the pages show them; by default `tables`.
+
+    Returns:
+        The text of each file by its name.
     """
     shown = tables if read is None else read
     return {
@@ -39,5 +43,5 @@ def comparison_files(
 
 
 def headed(text: str, head: str) -> str:
-    """A page of Markdown with a paragraph below its title."""
+    """Insert a paragraph below the title of a Markdown page."""
     return text.replace("\n\n", f"\n\n{head}\n\n", 1)

@@ -1,4 +1,4 @@
-"""Figures of DR-ACBF: success by filter, the regime of its rows, calibration of its risk, the triggers."""
+"""Figures of DR-ACBF: success by filter, feasible closing speeds, calibration of its risk, the triggers."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from alula import _core
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.papers.dracbf import BASE, METHODS, Flown, find, select, success
-from alula.stages.reporting.papers.dracbf_beyond import collapse_cells, risk_bins, stop
+from alula.stages.reporting.papers.dracbf_analysis import collapse_cells, risk_bins, stop
 from alula.stages.reporting.statistics import Rate
-from alula.stages.reporting.tables import text
+from alula.stages.reporting.table import text
 
 OURS, OTHER, BAD, SOFT = "#0072b2", "#e69f00", "#d7301f", "#8a9099"
-_LEAST_RISK = 1e-4  # of the axis
+_LOWEST_RISK = 1e-4  # start of the axis
 
 
 def success_figure(flown: Sequence[Flown], scenario: str) -> Figure | None:
-    """Failures of each filter by obstacle, with intervals; None without runs."""
+    """Plot the failures of each filter by obstacle, with intervals; None without runs."""
     runs = [f for f in select(flown, scenario, METHODS) if f.variant != "none"]
     if not runs:
         return None
@@ -41,13 +41,19 @@ def success_figure(flown: Sequence[Flown], scenario: str) -> Figure | None:
         axes.set_ylim(0, 1.25 * axes.get_ylim()[1])  # room for the legend
         axes.legend(loc="upper right", ncols=2)
         svg = render()
-    said = "; ".join(f"{f.variant} {', '.join(str(success(f, i)) for i in range(f.obstacles))}" for f in runs)
-    alt = f"Collisions by filter and obstacle with 95 % intervals. Success: {said}."
+    rates_in_words = "; ".join(
+        f"{f.variant} {', '.join(str(success(f, i)) for i in range(f.obstacles))}" for f in runs
+    )
+    alt = f"Collisions by filter and obstacle with 95 % intervals. Success: {rates_in_words}."
     return Figure(f"success-{scenario}", f"Collisions by filter, {scenario}", alt, svg, wide=True)
 
 
 def recursion_figure(a_max: float = 6.0) -> Figure:
-    """Closing speeds up to which the rows alone suffice, over the horizon."""
+    """Plot the closing speed up to which the rows alone suffice over the horizon.
+
+    Args:
+        a_max: half-width of the box of accelerations [m/s^2].
+    """
     horizons = np.linspace(0.15, 0.8, 60)
     limit = np.array([_core.recursive_speed(a_max, float(h)) for h in horizons])
     with drawing(5.6, 4.2) as (axes, render):
@@ -58,8 +64,7 @@ def recursion_figure(a_max: float = 6.0) -> Figure:
         axes.legend(fontsize=9)
         svg = render()
     alt = (
-        f"The closing speed up to which a row asks for no more than {a_max:g} m/s² grows with the horizon, "
-        f"from "
+        f"The closing speed up to which a row requires at most {a_max:g} m/s² grows with the horizon, from "
         f"{text(float(limit[0]))} m/s at {horizons[0]:g} s to {text(float(limit[-1]))} m/s at "
         f"{horizons[-1]:g} s."
     )
@@ -67,9 +72,14 @@ def recursion_figure(a_max: float = 6.0) -> Figure:
 
 
 def stop_figure(a_max: float = 6.0, horizon_s: float = 0.4) -> Figure:
-    """The range less all clearance while only a row and the box act."""
+    """Plot the range less all clearance while only a row and the box act.
+
+    Args:
+        a_max: half-width of the box of accelerations [m/s^2].
+        horizon_s: horizon of the row.
+    """
     speeds = (2.0, _core.recursive_speed(a_max, horizon_s), 5.0, 8.0)
-    said = []
+    values = []
     with drawing(5.6, 4.2) as (axes, render):
         for speed, color in zip(speeds, (OURS, "#009e73", OTHER, BAD), strict=True):
             flown = stop(speed, horizon_s, a_max)
@@ -77,7 +87,7 @@ def stop_figure(a_max: float = 6.0, horizon_s: float = 0.4) -> Figure:
             label = f"{speed:.3g} m/s: {100 * flown.undershoot_m:.3g} cm"
             scaled = flown.range_m[shown] / (speed * horizon_s)
             axes.plot(flown.time_s[shown] / horizon_s, scaled, color=color, label=label)
-            said.append(f"from {speed:.3g} m/s by {flown.undershoot_m:.3g} m")
+            values.append(f"from {speed:.3g} m/s by {flown.undershoot_m:.3g} m")
         t = np.linspace(0, 3 * math.pi / 4, 100)
         axes.plot(t, np.exp(-t) * np.cos(t), ":", color="#222222", linewidth=1.4, label="exp(-t/H) cos(t/H)")
         axes.axhline(0, color=SOFT, linewidth=1)
@@ -86,43 +96,42 @@ def stop_figure(a_max: float = 6.0, horizon_s: float = 0.4) -> Figure:
         svg = render()
     alt = (
         f"With only a row of H = {horizon_s:g} s and the box of {a_max:g} m/s² acting along one axis, the "
-        f"range less "
-        f"all clearance falls below zero {', '.join(said)}."
+        f"range less all clearance falls below zero {', '.join(values)}."
     )
     return Figure("undershoot", "Undershoot of a row that is followed exactly", alt, svg)
 
 
 def risk_figure(flown: Sequence[Flown]) -> Figure | None:
-    """The figure of a run's risk against the share that collided; None without runs."""
+    """Plot the observed collision rate over the estimated risk of a run; None without runs."""
     runs = [f for s in ("scenario-1", "scenario-2") if (f := find(flown, s, BASE)) is not None]
     if not runs:
         return None
-    said = []
+    values = []
     with drawing(6.4, 4.6) as (axes, render):
         for f, color in zip(runs, (OURS, OTHER), strict=False):
             bins = risk_bins(f.record.trials)
-            bound = [max(_LEAST_RISK, b.figure) for b in bins]
-            shown = [max(_LEAST_RISK, (b.observed.value or 0.0) / 100) for b in bins]
-            low = [max(_LEAST_RISK, b.observed.low / 100) for b in bins]
+            estimate = [max(_LOWEST_RISK, b.estimate) for b in bins]
+            shown = [max(_LOWEST_RISK, (b.observed.value or 0.0) / 100) for b in bins]
+            low = [max(_LOWEST_RISK, b.observed.low / 100) for b in bins]
             high = [b.observed.high / 100 for b in bins]
             spread = [np.subtract(shown, low), np.subtract(high, shown)]
-            axes.errorbar(bound, shown, yerr=spread, fmt="o", color=color, capsize=3, label=f.scenario)
-            said += [f"{b.figure:.3g}: {text(b.observed.value)} %" for b in bins]
-        line = [_LEAST_RISK, 1.0]
-        axes.plot(line, line, color=SOFT, linewidth=1, label="observed = figure")
-        axes.set(xscale="log", yscale="log", xlabel="mean figure of a run", ylabel="runs that collided")
+            axes.errorbar(estimate, shown, yerr=spread, fmt="o", color=color, capsize=3, label=f.scenario)
+            values += [f"{b.estimate:.3g}: {text(b.observed.value)} %" for b in bins]
+        line = [_LOWEST_RISK, 1.0]
+        axes.plot(line, line, color=SOFT, linewidth=1, label="observed = estimate")
+        axes.set(xscale="log", yscale="log", xlabel="mean risk estimate of a run", ylabel="collision rate")
         axes.legend(fontsize=9)
         svg = render()
     alt = (
-        "Figure of the risk of a whole run against the observed share of collisions, with 95 % intervals, in "
-        "six bins of equal numbers of trials; above the line the figure is too small. Figure: observed, "
-        f"{'; '.join(said)}."
+        "Observed collision rate over the estimated risk of a whole run, with 95 % intervals, in six bins of "
+        "equal numbers of trials; above the line the estimate is too small. Estimate: observed, "
+        f"{'; '.join(values)}."
     )
-    return Figure("risk", "Risk of a whole run: figure and observed", alt, svg)
+    return Figure("risk", "Risk of a whole run: estimate and observed", alt, svg)
 
 
 def collapse_figure(flown: Sequence[Flown]) -> Figure | None:
-    """Success with either trigger in every sensing condition; None without runs."""
+    """Plot the success with either trigger in every sensing condition; None without runs."""
     cells = collapse_cells(flown)
     if not cells:
         return None
@@ -143,9 +152,9 @@ def collapse_figure(flown: Sequence[Flown]) -> Figure | None:
         axes.legend()
         svg = render()
     alt = (
-        f"Success of runs in {len(cells)} conditions of delays, noise, rate and detection probability, "
-        f"worst for the "
-        f"simple trigger first: {cells[0].simple} against {cells[0].distributional} with DR-CVaR."
+        f"Success of runs in {len(cells)} conditions of delays, noise, rate and detection probability, the "
+        f"worst for the simple trigger first: {cells[0].simple} against {cells[0].distributional} with "
+        "DR-CVaR."
     )
     return Figure("collapse", "Either trigger under worse sensing", alt, svg, wide=True)
 

@@ -1,4 +1,4 @@
-"""FastBridge's figures 2 to 4 as tables, from runs of many filters over the same start-goal pairs."""
+"""Figures 2 to 4 of FastBridge as tables, from runs of many filters over the same start-goal pairs."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ from alula.stages.reporting.papers.sweeps import (
     succeeded,
 )
 from alula.stages.reporting.statistics import Estimate, mean_estimate
-from alula.stages.reporting.tables import Table
-from alula.stages.verdict import wilson_interval
+from alula.stages.reporting.table import HIGH, LOW, Table
 
 GAP_VARIANTS = ("ideal-di", "cone-di", "cone-ecbf")
 BASELINE, OURS = "safer-splat", "cone-ecbf"
@@ -34,7 +33,7 @@ COMPARED = (BASELINE, GATED, OURS, "cone-backup")
 
 
 def gap_table(sweeps: Sequence[Sweep]) -> Table:
-    """Figure 2 as numbers: realisation error and least gamma by reference speed."""
+    """Tabulate Figure 2: realisation error and minimum gamma by reference speed."""
     rows: list[tuple[Any, ...]] = []
     for scene in scenes_of(sweeps):
         for variant in GAP_VARIANTS:
@@ -54,21 +53,21 @@ def gap_table(sweeps: Sequence[Sweep]) -> Table:
                 )
     columns = (
         *("scene", "filter", "reference speed [m/s]", *_ENDS),
-        *("peak |e_a|, mean [m/s²]", "95 % low", "95 % high", "largest"),
-        *("least γ, median", "least γ of all"),
+        *("peak |e_a|, mean [m/s²]", LOW, HIGH, "maximum"),
+        *("minimum γ, median", "minimum γ of all"),
     )
     note = (
-        "e_a is the acceleration of the body less the one that was commanded, its peak over a flight; of a "
-        "filter of wrenches the commanded one is that of its thrust along the true axis, so that only rotors "
-        "and air leave a gap; γ is r'Ar - 1 of the ellipsoids as grown for the filter, below 0 inside one: "
-        "there the vehicle's sphere may still be clear. ideal-di flies a double integrator, the others the "
+        "e_a is the acceleration of the body minus the commanded one, its peak over a flight. For a filter "
+        "of wrenches the commanded acceleration is that of its thrust along the true axis, so only rotors "
+        "and air leave a gap. γ is r'Ar - 1 of the ellipsoids as grown for the filter, below 0 inside one; "
+        "the vehicle's sphere may still be clear there. ideal-di flies a double integrator, the others the "
         f"rigid body. {_ENDS_NOTE}"
     )
     return Table("figure-2", "Figure 2: the realisation gap", columns, tuple(rows), note)
 
 
 def comparison_table(sweeps: Sequence[Sweep]) -> Table:
-    """Figure 3 as numbers: the filters by reference speed, and the published speeds."""
+    """Tabulate Figure 3: the filters by reference speed, and the published speeds."""
     rows: list[tuple[Any, ...]] = []
     for scene in scenes_of(sweeps):
         flown = _compared_in(sweeps, scene)
@@ -84,19 +83,19 @@ def comparison_table(sweeps: Sequence[Sweep]) -> Table:
     ]
     columns = (
         *("scene", "filter", "reference speed [m/s]", *_ENDS),
-        *("goal rate", "95 % low", "95 % high", "mean jerk [m/s³]", "95 % low", "95 % high"),
+        *("goal rate", LOW, HIGH, "mean jerk [m/s³]", LOW, HIGH),
         *("max jerk [m/s³]", "top speed [m/s]", "filter, mean [µs]"),
     )
     note = (
-        "Same pairs, references, gains, rate and plant. Max jerk is the mean over the flights of each one's "
-        f"largest, top speed the largest of all. {BASELINE} has a row for every ellipsoid, as published; "
-        f"{GATED} for the nearest within the gate of the cones, as in the paper's comparison. {_ENDS_NOTE}"
+        "Same pairs, references, gains, rate and plant. Max jerk is the mean of the flights' maxima, top "
+        f"speed the maximum of all flights. {BASELINE} has a row for every ellipsoid, as published; {GATED} "
+        f"for the nearest within the gate of the cones, as in the paper's comparison. {_ENDS_NOTE}"
     )
     return Table("figure-3", "Figure 3: cone and distance, by reference speed", columns, tuple(rows), note)
 
 
 def ratio_table(sweeps: Sequence[Sweep]) -> Table:
-    """Figure 3's filters against each other over the same pairs, and the published ratios."""
+    """Compare the filters of Figure 3 pairwise over the same pairs, and add the published ratios."""
     rows: list[tuple[Any, ...]] = []
     for scene in scenes_of(sweeps):
         flown = _compared_in(sweeps, scene)
@@ -125,17 +124,18 @@ def ratio_table(sweeps: Sequence[Sweep]) -> Table:
             "flights",
             "pairs",
             "mean jerk, ratio",
-            "95 % low",
-            "95 % high",
+            LOW,
+            HIGH,
         ),
-        *("max jerk, ratio", "filter time, ratio", "top speed, difference [m/s]", "95 % low", "95 % high"),
-        *("goal rate, difference", "95 % low", "95 % high"),
+        *("max jerk, ratio", "filter time, ratio", "top speed, difference [m/s]", LOW, HIGH),
+        *("goal rate, difference", LOW, HIGH),
     )
     note = (
-        "The first filter over, or less, the second, at all reference speeds together and at each: a ratio "
-        "below 1 is smoother, or faster to compute. A pair of start and goal with all its speeds is one draw "
-        "of the bootstrap; an interval of equal values is unknown (–), and that of a goal rate holds what so "
-        "many pairs cannot exclude. Both reached: only flights in which both filters reached the goal."
+        "Ratio or difference of the first filter to the second, at all reference speeds together and at "
+        "each: a ratio below 1 is smoother, or faster to compute. A pair of start and goal with all its "
+        "speeds is one draw of the bootstrap. The interval of equal values is unknown (–); that of a goal "
+        "rate includes what this number of pairs cannot exclude. Both reached: only flights in which both "
+        "filters reached the goal."
     )
     return Table("figure-3-ratios", "Figure 3: cone against distance", columns, tuple(rows), note)
 
@@ -180,13 +180,13 @@ def _of(found: Estimate | None) -> tuple[float | None, ...]:
 
 _ENDS = ("trials", "reached", "collided", "neither")
 _ENDS_NOTE = (
-    "Reached: the goal, without a collision on the way; collided: came closer to an ellipsoid than its "
+    "Reached: reached the goal without a collision; collided: came closer to an ellipsoid than the vehicle's "
     "radius, wherever the flight ended; neither: stuck, out of time, or refused."
 )
 
 
 def _ends(trials: Sequence[TrialResult]) -> tuple[int, int, int, int]:
-    """How many flights there are, and how they ended: each in one way only."""
+    """Count the flights and how they ended; each flight counts once."""
     reached, collided = sum(succeeded(t) for t in trials), sum(t.collision for t in trials)
     return len(trials), reached, collided, len(trials) - reached - collided
 
@@ -199,9 +199,15 @@ def flight_tables(
     published: bool = False,
     bases: Sequence[Sweep] = (),
 ) -> tuple[Table, Table]:
-    """Figure 4's table, one row per run and the published one: the flights, then the loop that flew them.
+    """Tabulate Figure 4, one row per run and the published row: first the flights, then the control loop.
 
-    With `bases`, what each run changed against that of the same filter, scene and speed among them.
+    Args:
+        sweeps: runs, in the order of the rows.
+        name: of the first table; the second is NAME-loop.
+        title: start of both titles.
+        published: add the published row.
+        bases: runs to compare with; a column lists the parameters that differ from those of the run with the
+            same filter, scene and speed.
     """
     flights: list[tuple[Any, ...]] = []
     loops: list[tuple[Any, ...]] = []
@@ -213,7 +219,7 @@ def flight_tables(
         clearance = _finite(sweep.values(lambda t: t.scene_clearance_m))
         seconds = sum(t.duration_s for t in trials)
         which = (sweep.scene, sweep.variant, sweep.speed_m_s)
-        told = sweep.run.record.provenance.parameters.get("filter_parameters", {})
+        parameters = sweep.run.record.provenance.parameters.get("filter_parameters", {})
         backup, certified = (
             sum(t.backup_steps or 0 for t in trials),
             sum(t.certified_steps or 0 for t in trials),
@@ -230,9 +236,9 @@ def flight_tables(
         )
         loops.append(
             (
-                *(*which, ticks, infeasible, _share(ticks - infeasible, ticks)),
-                _share(backup, ticks) if "policy" in told else None,
-                _share(certified, ticks) if told.get("shield") else None,
+                *(*which, ticks, infeasible, _fraction(ticks - infeasible, ticks)),
+                _fraction(backup, ticks) if "policy" in parameters else None,
+                _fraction(certified, ticks) if parameters.get("shield") else None,
                 *(_micro(sweep.timing(f"tick_{key}_s")) for key in ("mean", "p99", "max")),
                 sweep.timing("overruns"),
                 _micro(sweep.timing("filter_p99_s")),
@@ -253,21 +259,21 @@ def flight_tables(
             )
         )
     columns = (
-        *("scene", "filter", "reference speed [m/s]", *_ENDS, "goal rate", "95 % low", "95 % high"),
-        *("least clearance [m]", "mean speed [m/s]", "top speed [m/s]", "mean jerk [m/s³]"),
+        *("scene", "filter", "reference speed [m/s]", *_ENDS, "goal rate", LOW, HIGH),
+        *("minimum clearance [m]", "mean speed [m/s]", "top speed [m/s]", "mean jerk [m/s³]"),
         *(["changed"] if bases else []),
     )
     loop_columns = (
-        *("scene", "filter", "reference speed [m/s]", "ticks", "infeasible", "feasible, share"),
-        *("on the backup, share", "certified, share"),
+        *("scene", "filter", "reference speed [m/s]", "ticks", "infeasible", "feasible, fraction"),
+        *("on the backup, fraction", "certified, fraction"),
         *("loop mean [µs]", "loop p99 [µs]", "loop max [µs]", "overruns", "filter p99 [µs]"),
     )
     note = f"Clearance is that of the vehicle's sphere over all flights, below 0 in a collision. {_ENDS_NOTE}"
     loop_note = (
         "The loop is controller and filter together, measured on this machine; an overrun took longer than a "
-        "tick. Feasible: the program of the tick has a solution; certified: a safe backup manoeuvre was "
-        "proven to remain after it; on the backup: the backup policy's input was flown, or one between it "
-        "and the nominal; neither is known (–) of a filter that has no policy, or flies without a shield."
+        "tick. Feasible: the program of the tick has a solution. Certified: a safe backup manoeuvre was "
+        "proven to remain after the tick. On the backup: the input of the backup policy was flown, or a "
+        "blend of it with the nominal input. Both are unknown (–) for a filter without a policy or a shield."
     )
     return (
         Table(name, f"{title}: flights", columns, tuple(flights), note),
@@ -285,7 +291,7 @@ def _micro(seconds: float | None) -> float | None:
     return None if seconds is None else 1e6 * seconds
 
 
-def _share(count: int, of: int) -> float | None:
+def _fraction(count: int, of: int) -> float | None:
     return count / of if of else None
 
 
@@ -294,7 +300,7 @@ def _finite(values: FloatArray) -> FloatArray:
 
 
 def in_short(sweeps: Sequence[Sweep]) -> dict[str, str]:
-    """A line for each scene and baseline: what the comparison says."""
+    """Summarise the comparison, one line per scene and baseline."""
     lines = {}
     for scene in scenes_of(sweeps):
         for theirs in (BASELINE, GATED):
@@ -304,9 +310,9 @@ def in_short(sweeps: Sequence[Sweep]) -> dict[str, str]:
             found = compare(_at_all(sweeps, scene, OURS, speeds), _at_all(sweeps, scene, theirs, speeds))
             parts = []
             if (jerk := found.mean_jerk) is not None:
-                parts.append(f"mean jerk {jerk.value:.2f} times its{_interval(jerk, '.2f')}")
+                parts.append(f"mean jerk × {jerk.value:.2f}{_interval(jerk, '.2f')}")
             if found.filter_time:
-                parts.append(f"filter time {found.filter_time:.2f} times its")
+                parts.append(f"filter time × {found.filter_time:.2f}")
             if (goals := found.goals) is not None:
                 parts.append(f"goal rate {100 * goals.value:+.1f} points{_interval(goals, '+.1f', 100)}")
             if (speed := found.top_speed) is not None:
@@ -316,7 +322,7 @@ def in_short(sweeps: Sequence[Sweep]) -> dict[str, str]:
 
 
 def _interval(found: Estimate, digits: str, factor: float = 1.0) -> str:
-    """The interval in brackets, or why there is none."""
+    """The interval in brackets, or the reason why there is none."""
     if found.low is None or found.high is None:
-        return f" (in all {found.n} pairs)" if found.n > 1 else " (one pair)"
+        return f" (equal in all {found.n} pairs)" if found.n > 1 else " (one pair)"
     return f" ({factor * found.low:{digits}} to {factor * found.high:{digits}})"

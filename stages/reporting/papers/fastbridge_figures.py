@@ -1,4 +1,4 @@
-"""FastBridge's figures 2 and 3, drawn from sweeps of runs."""
+"""Figures 2 and 3 of FastBridge, drawn from sweeps of runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from alula.stages.reporting.papers.fastbridge import (
 )
 from alula.stages.reporting.papers.sweeps import Sweep, find, realisation_error, speeds_of, succeeded
 from alula.stages.reporting.statistics import mean_estimate
-from alula.stages.reporting.tables import text
+from alula.stages.reporting.table import text
 
 COLORS = {
     "ideal-di": "#8a9099",
@@ -32,17 +32,17 @@ _SPEEDS = "peak speed of the reference [m/s]"
 
 
 def gap_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
-    """Figure 2: peak realisation error and least gamma over the reference speed."""
+    """Plot Figure 2: peak realisation error and minimum gamma over the reference speed."""
     from matplotlib.ticker import MaxNLocator
 
-    said = []
+    values = []
     with drawing(7.4, 5.6, rows=2) as ((top, bottom), render):
         for variant in GAP_VARIANTS:
             runs = _by_speed(sweeps, scene, variant)
             if not runs:
                 continue
             color = COLORS[variant]
-            said.append(f"{variant}: {_line(top, runs, realisation_error, color, variant)}")
+            values.append(f"{variant}: {_line(top, runs, realisation_error, color, variant)}")
             speeds = [run.speed_m_s for run in runs]
             gamma = [np.sort(run.values(lambda t: t.min_gamma)) for run in runs]
             bottom.plot(speeds, [np.median(g) for g in gamma], ".-", color=color, linewidth=1.6)
@@ -51,19 +51,19 @@ def gap_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
         bottom.set_yscale("symlog", linthresh=0.1)
         top.set(ylabel="peak |e_a| [m/s²]")
         top.legend(fontsize=10)
-        bottom.set(ylabel="least γ (median, least)", xlabel=_SPEEDS)
+        bottom.set(ylabel="minimum γ (median, of all)", xlabel=_SPEEDS)
         bottom.xaxis.set_major_locator(MaxNLocator(8))
         svg = render()
     alt = (
         f"Peak realisation error by reference speed in {scene}, mean of the trials with its 95 % interval: "
-        f"{'; '.join(said)}. Below, the least γ of each trial: median, and dotted the least of all."
+        f"{'; '.join(values)}. Below, the minimum γ of each trial: median, and dotted the minimum of all."
     )
     return Figure(f"figure-2-{scene}", f"Figure 2: the realisation gap, {scene}", alt, svg, wide=True)
 
 
 def comparison_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
-    """Figure 3, right: jerk, time and speed over the reference speed."""
-    said = []
+    """Plot Figure 3, right: jerk, time and speed over the reference speed."""
+    values = []
     with drawing(7.4, 8.4, rows=4) as (axes, render):
         for variant in COMPARED:
             runs = _by_speed(sweeps, scene, variant)
@@ -76,7 +76,7 @@ def comparison_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
             axes[1].plot(*np.array(micro).T if micro else ([], []), ".-", color=color, linewidth=1.6)
             reached = _line(axes[2], runs, lambda t: t.max_speed_m_s, color, variant)
             _line(axes[3], runs, lambda t: float(succeeded(t)), color, variant, (0.0, 1.0))
-            said.append(f"{variant}: mean jerk {jerk}; top speed {reached}")
+            values.append(f"{variant}: mean jerk {jerk}; top speed {reached}")
         speeds = speeds_of(sweeps, scene, (BASELINE, OURS))
         axes[2].plot(speeds, speeds, color="#b8bec5", linewidth=1)
         axes[1].set_yscale("log")
@@ -88,13 +88,19 @@ def comparison_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
         svg = render()
     alt = (
         f"By reference speed in {scene}, means over the trials with 95 % intervals: mean jerk, time of a "
-        f"filter call, top speed (the reference's as a line), share of goals reached. {'; '.join(said)}."
+        f"filter call, top speed (the reference's as a line), goal rate. {'; '.join(values)}."
     )
     return Figure(f"figure-3-{scene}", f"Figure 3: jerk, time, speed, {scene}", alt, svg, wide=True)
 
 
 def paths_figure(sweeps: Sequence[Sweep], scene: str, trial: int) -> Figure | None:
-    """Figure 3, left: the paths of one pair from above, one line per reference speed; None without logs."""
+    """Plot Figure 3, left: paths of one pair from above, one line per reference speed; None without logs.
+
+    Args:
+        sweeps: all runs.
+        scene: name of the scene.
+        trial: index of the pair.
+    """
     from matplotlib import colormaps
 
     shown = tuple(v for v in (BASELINE, GATED, OURS) if v == OURS or _by_speed(sweeps, scene, v))
@@ -125,7 +131,7 @@ def paths_figure(sweeps: Sequence[Sweep], scene: str, trial: int) -> Figure | No
 
 
 def telling_trial(sweeps: Sequence[Sweep], scene: str) -> int:
-    """The trial whose paths are drawn: of those that `OURS` always flew home, the most bent one."""
+    """Choose the trial to draw: the longest detour among those in which `OURS` always succeeds."""
     runs = _by_speed(sweeps, scene, OURS)
     count = min(len(run.run.record.trials) for run in runs)
     best, bend = 0, 0.0
@@ -151,7 +157,7 @@ def _line(
     label: str,
     bounds: tuple[float, float] | None = None,
 ) -> str:
-    """Mean and interval by speed; says the ends in words."""
+    """Plot mean and interval by speed; return the first and last value in words."""
     points = []
     for run in runs:
         values = run.values(get)
@@ -160,7 +166,7 @@ def _line(
             points.append((run.speed_m_s, found.value, found.low, found.high))
     if not points:
         return "nothing"
-    speed, value, low, high = np.array(points, np.float64).T  # no interval is NaN, which is not drawn
+    speed, value, low, high = np.array(points, np.float64).T  # None becomes NaN, which is not drawn
     axes.fill_between(speed, low, high, color=color, alpha=0.18, linewidth=0)
     axes.plot(speed, value, ".-", color=color, linewidth=1.6, label=label)
     ends = [f"{text(float(value[i]))} at {text(float(speed[i]))} m/s" for i in (0, -1)]

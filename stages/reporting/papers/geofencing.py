@@ -1,12 +1,14 @@
-"""The tables of the geofencing paper from runs of flights in a fence, and what goes beyond them.
+"""Tables of the geofencing paper from runs of flights in a fence, further tables, and a summary of all.
 
-Runs of one folder fly the same trials, as far as their starts are safe for each filter.
+Approaches to a barrier, many flights in all fences, filters side by side, passed commands, the reserve
+against disturbances, and random pilots. Runs of one folder fly the same trials, as far as their starts are
+safe for each filter. The module is long because it is one page: each table is one function and its note.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,19 +16,21 @@ import numpy as np
 
 from alula.schemas.fence_ticks import Ticks
 from alula.schemas.run import FenceResult, RunRecord
+from alula.stages.reporting.papers.pendulum import Swing, gains_in_short, times_in_short
 from alula.stages.reporting.papers.published import GEOFENCING
 from alula.stages.reporting.statistics import Rate, rate
-from alula.stages.reporting.tables import Table, flat, text
+from alula.stages.reporting.table import HIGH, LOW, Table, flat, text
 
 KM_H = 3.6  # of 1 m/s
 FREE, BASE, PROGRAM = "none", "geofence", "backup-qp"
-_ASKED = ("passed", "blended", "backup")  # statuses with a share of the pilot
-_SHARES = ("passed", "blended", "backup", "no_pilot", "hand_over")
+ROBUSTNESS, PILOTS = "robustness", "pilots"  # folders
+_REGULATED = ("passed", "blended", "backup")  # statuses with a regulation function lambda
+_STATUSES = ("passed", "blended", "backup", "no_pilot", "hand_over")
 
 
 @dataclass(frozen=True, slots=True)
 class Fenced:
-    """One run: flights of one variant in one scenario, which is its folder's name; and its first's ticks."""
+    """One run: flights of one variant in one scenario (its folder's name); ticks of the first flight."""
 
     scenario: str
     variant: str
@@ -35,64 +39,70 @@ class Fenced:
 
     @property
     def results(self) -> list[FenceResult]:
-        """What each flight says of its fence."""
+        """Results of all flights for their fence."""
         return [trial.fence for trial in self.record.trials if trial.fence is not None]
 
     @property
     def left(self) -> Rate:
-        """The share of flights that left the fence."""
+        """Percentage of flights that left the fence."""
         return rate(trial.collision for trial in self.record.trials)
 
     @property
     def least_m(self) -> float:
-        """Least distance to the fence of all flights."""
+        """Minimum distance to the fence over all flights [m]."""
         return min(math.inf if t.map_clearance_m is None else t.map_clearance_m for t in self.record.trials)
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What was flown, one level of dotted keys."""
+        """Parameters of the run, one level of dotted keys."""
         return flat(self.record.provenance.parameters)
 
     @property
     def radius_m(self) -> float:
-        """Of the vehicle."""
+        """Radius of the vehicle's sphere [m]."""
         changed = self.parameters.get("vehicle.radius_m")
         return float(self.parameters["vehicle_file.body.radius_m"] if changed is None else changed)
 
     @property
     def reserve_m(self) -> float:
-        """What the filter keeps beyond its margin."""
+        """Distance that the filter keeps in addition to its margin [m]."""
         return float(self.parameters.get("filter.parameters.reserve_m") or 0.0)
 
     def steps(self, *names: str) -> int:
-        """Ticks of some status, of all flights."""
+        """Number of ticks with one of some statuses, over all flights."""
         return sum(getattr(result, f"{name}_steps") for result in self.results for name in names)
 
     def timing(self, key: str) -> float | None:
-        """A measured time [s], or count."""
+        """A measured time [s] or count; None where it was not measured."""
         found = (self.record.timing or {}).get(key)
         return None if found is None else float(found)
 
 
 def select(runs: Iterable[Fenced], scenario: str, variants: Sequence[str] | None = None) -> list[Fenced]:
-    """Runs of a scenario: those of the variants, in their order, or all."""
+    """Select the runs of a scenario: those of the variants, in their order, or all."""
     here = [run for run in runs if run.scenario == scenario]
     return here if variants is None else [run for name in variants for run in here if run.variant == name]
 
 
 def find(runs: Iterable[Fenced], scenario: str, variant: str) -> Fenced | None:
-    """The run of a variant, if there is one."""
+    """Find the run of a variant; None when there is none."""
     return next(iter(select(runs, scenario, [variant])), None)
 
 
 @dataclass(frozen=True, slots=True)
 class Approach:
-    """One flight against a barrier, from its ticks.
+    """One flight against a barrier, from its ticks; distances are those of the sphere to the nearest face.
 
-    Distances are those of the sphere to the nearest face; `braking_m` is that when it was fastest, `halved_m`
-    when the pilot's share first fell below 1/2, `rest_m` at the end. `tilt_deg` is the largest after it was
-    fastest; `helpless_s` how long u_B flew alone in all, outages of radio and navigation aside;
-    `engagements` how often it fell below 1/2 from above 9/10.
+    Attributes:
+        peak_km_h: maximum speed.
+        braking_m: distance at the maximum speed, where braking begins.
+        halved_m: distance where lambda first falls below 1/2; None where it does not.
+        tilt_deg: maximum tilt after the maximum speed.
+        least_m: minimum distance.
+        rest_m: distance at the end.
+        min_lambda: minimum of the regulation function.
+        backup_s: total time of the backup controller u_B alone, without outages of radio and navigation.
+        engagements: number of times that lambda falls below 1/2 from above 9/10.
     """
 
     peak_km_h: float
@@ -101,18 +111,18 @@ class Approach:
     tilt_deg: float
     least_m: float
     rest_m: float
-    least_share: float
-    helpless_s: float
+    min_lambda: float
+    backup_s: float
     engagements: int
 
 
 def approach(ticks: Ticks) -> Approach:
-    """What a flight was like; its samples are the filter's ticks, at equal times."""
+    """Summarise a flight against a barrier; its samples are the filter's ticks, at equal intervals."""
     speed = np.linalg.norm(ticks.velocity, axis=1)
     fastest = int(np.argmax(speed))
-    asked = np.array([word in _ASKED for word in ticks.status])
-    share = np.where(asked & np.isfinite(ticks.regulation), ticks.regulation, 1.0)
-    low = np.flatnonzero(share < 0.5)
+    is_regulated = np.array([status in _REGULATED for status in ticks.status])
+    regulation = np.where(is_regulated & np.isfinite(ticks.regulation), ticks.regulation, 1.0)
+    low = np.flatnonzero(regulation < 0.5)
     tick_s = float(ticks.time_s[1] - ticks.time_s[0]) if len(ticks.time_s) > 1 else 0.0
     return Approach(
         peak_km_h=KM_H * float(speed[fastest]),
@@ -121,16 +131,20 @@ def approach(ticks: Ticks) -> Approach:
         tilt_deg=math.degrees(float(ticks.tilt_rad[fastest:].max())),
         least_m=float(ticks.distance_m.min()),
         rest_m=float(ticks.distance_m[-1]),
-        least_share=float(share.min()),
-        helpless_s=tick_s * ticks.status.count("backup"),
-        engagements=engagements(share),
+        min_lambda=float(regulation.min()),
+        backup_s=tick_s * ticks.status.count("backup"),
+        engagements=engagements(regulation),
     )
 
 
-def engagements(share: Sequence[float] | np.ndarray[Any, Any]) -> int:
-    """How often a pilot's share falls below 1/2 after it was above 9/10; it begins above."""
+def engagements(regulation: Sequence[float] | np.ndarray[Any, Any]) -> int:
+    """Count how often lambda falls below 1/2 after it was above 9/10; it counts as above at the start.
+
+    Args:
+        regulation: lambda by tick, shape (n,).
+    """
     count, free = 0, True
-    for value in share:
+    for value in regulation:
         if value < 0.5 and free:
             count, free = count + 1, False
         free = free or value > 0.9
@@ -138,61 +152,62 @@ def engagements(share: Sequence[float] | np.ndarray[Any, Any]) -> int:
 
 
 def approach_table(runs: Sequence[Fenced], scenario: str, title: str, note: str) -> Table | None:
-    """Flights against one barrier beside the published ones; None without runs."""
+    """Compare flights against one barrier with the published ones; None without runs.
+
+    Args:
+        runs: all runs; those of the scenario with logged ticks count.
+        scenario: a key of `GEOFENCING`, `wall` or `fall`.
+        title: of the table.
+        note: of the table.
+    """
     rows: list[tuple[Any, ...]] = []
     for run in select(runs, scenario):
         if run.ticks is None:
             continue
         a = approach(run.ticks)
-        shares = (a.halved_m, a.least_share, 1e3 * a.helpless_s)  # of the other filters there is no lambda
-        halved, least_share, helpless = shares if run.record.filter == BASE else (None, None, None)
+        values = (a.halved_m, a.min_lambda, 1e3 * a.backup_s)  # other filters have no lambda
+        halved, min_lambda, backup_ms = values if run.record.filter == BASE else (None, None, None)
         rows.append(
             (
                 *(run.variant, changed(run), a.peak_km_h, a.braking_m + run.radius_m),
                 *(None if halved is None else halved + run.radius_m, a.tilt_deg, run.least_m),
-                *(run.least_m + run.radius_m, a.rest_m + run.radius_m, least_share, helpless),
+                *(run.least_m + run.radius_m, a.rest_m + run.radius_m, min_lambda, backup_ms),
                 "left" if run.left.value else "held",
             )
         )
     if not rows:
         return None
-    for name, said in GEOFENCING[scenario].items():
-        keys = ("peak_km_h", "braking_m", None, "tilt_deg", None, "least_m", "rest_m", "least_share")
+    for name, published in GEOFENCING[scenario].items():
+        keys = ("peak_km_h", "braking_m", None, "tilt_deg", None, "least_m", "rest_m", None)
         rows.append(
-            (f"published, {name}", "", *(said.get(key) if key else None for key in keys), None, "held")
+            (f"published, {name}", "", *(published.get(key) if key else None for key in keys), None, "held")
         )
     columns = (
-        *("variant", "changed", "fastest [km/h]", "brakes from [m]", "λ below 1/2 from [m]", "tilt [°]"),
-        *(
-            "least distance [m]",
-            "of the centre [m]",
-            "centre at the end [m]",
-            "least λ",
-            "λ = 0 [ms]",
-            "fence",
-        ),
+        *("variant", "changed", "peak speed [km/h]", "brakes at [m]", "λ below 1/2 at [m]", "tilt [°]"),
+        *("minimum distance [m]", "minimum, centre [m]", "at the end, centre [m]", "minimum λ"),
+        *("λ = 0 [ms]", "fence"),
     )
     return Table(scenario, title, columns, tuple(rows), note)
 
 
 WALL_NOTE = (
-    "Distances are those of the centre, as the published ones are taken to be, but for the least distance, "
-    "which is that of the sphere. Brakes from: where it was fastest; tilt: the largest after that. The model "
-    "has no drag, like the paper's; `drag` flies with some that the filter does not know of. `rule-10`: the "
-    "regulation (10) without the scaling by the speed (19)."
+    "Distances are those of the centre, as the published ones are assumed to be; only the column of the "
+    "minimum distance is that of the sphere. Brakes at: distance at the peak speed; tilt: maximum after the "
+    "peak. The model has no drag, like the paper's; `drag` flies with drag that the filter does not model. "
+    "`rule-10`: regulation (10) without the scaling by the speed (19)."
 )
 _PLUNGE_M_S = GEOFENCING["fall"]["simulation"]["peak_km_h"] / KM_H
 FALL_NOTE = (
-    f"As above. A fall without drag that is at its fastest with {KM_H * _PLUNGE_M_S:.0f} km/h is one of "
+    f"As above. A fall without drag that peaks at {KM_H * _PLUNGE_M_S:.0f} km/h is one of "
     f"{_PLUNGE_M_S**2 / (2 * 9.81):.1f} m, so the published filter brakes far above its barrier. Ours, with "
-    "the published gains, brakes where braking still suffices, and so later; `gentle` has a slower "
-    "regulation, `drag` some drag. `radio`: not even a silent throttle comes in, which the filter takes for "
-    "a lost link, and hovers."
+    "the published gains, brakes later, where braking still suffices; `gentle` has a slower regulation, "
+    "`drag` some drag. `radio`: not even a command of no throttle arrives; the filter treats this as a lost "
+    "link and hovers."
 )
 
 
 def changed(run: Fenced) -> str:
-    """What a variant says of vehicle, filter and start that is not so by default, in words."""
+    """List in words the parameters of vehicle, filter and start that differ from their defaults."""
     words = []
     for key, value in run.parameters.items():
         table, _, name = key.partition(".")
@@ -221,7 +236,14 @@ def _listed(value: Any) -> str:
 
 
 def flights_table(runs: Sequence[Fenced], name: str, title: str, scenarios: Sequence[str]) -> Table | None:
-    """Many flights of each run: how many left the fence, and who flew; None without runs."""
+    """Tabulate many flights of each run: how many left the fence, and ticks by status; None without runs.
+
+    Args:
+        runs: all runs.
+        name: of the table.
+        title: of the table.
+        scenarios: scenarios to include, in their order.
+    """
     here = [run for scenario in scenarios for run in select(runs, scenario)]
     rows = []
     for run in here:
@@ -232,30 +254,31 @@ def flights_table(runs: Sequence[Fenced], name: str, title: str, scenarios: Sequ
                 *(run.scenario, run.variant, changed(run), run.left.n, *run.left.cells, run.least_m),
                 KM_H * max(trial.max_speed_m_s for trial in run.record.trials),
                 sum(result.interventions for result in found) / max(1, len(found)),
-                *(100 * run.steps(status) / total for status in _SHARES),
+                *(100 * run.steps(status) / total for status in _STATUSES),
                 max((result.longest_backup_s for result in found), default=None),
             )
         )
     columns = (
-        *("fence", "variant", "changed", "flights", "left the fence [%]", "95 % low", "95 % high"),
-        *(
-            "least distance [m]",
-            "fastest [km/h]",
-            "engagements per flight",
-            "pilot's bits [%]",
-            "blended [%]",
-        ),
+        *("fence", "variant", "changed", "flights", "left the fence [%]", LOW, HIGH),
+        *("minimum distance [m]", "peak speed [km/h]", "engagements per flight", "passed [%]", "blended [%]"),
         *("u_B alone [%]", "no pilot [%]", "handed over [%]", "longest u_B alone [s]"),
     )
     note = (
-        "Judged at every step of the plant, in double precision, along the chord since the last. An "
-        "engagement begins where λ falls below 1/2 after it was above 9/10. Intervals are Wilson's."
+        "Distances are computed at every step of the plant, in double precision, along the chord from the "
+        "step before. An engagement begins where λ falls below 1/2 after it was above 9/10. Passed: the "
+        "pilot's command, bit for bit. Intervals are Wilson intervals."
     )
     return Table(name, title, columns, tuple(rows), note) if rows else None
 
 
 def filters_table(runs: Sequence[Fenced], scenario: str, names: Sequence[str]) -> Table | None:
-    """Filters on the same flights; None without runs."""
+    """Compare filters on the same flights; None without runs.
+
+    Args:
+        runs: all runs.
+        scenario: scenario with one run per filter.
+        names: its variants, in the order of the rows.
+    """
     rows = []
     for run in select(runs, scenario, names):
         total = sum(trial.steps for trial in run.record.trials)
@@ -268,15 +291,15 @@ def filters_table(runs: Sequence[Fenced], scenario: str, names: Sequence[str]) -
             )
         )
     columns = (
-        *("filter", "flights", "left the fence [%]", "95 % low", "95 % high", "least distance [m]"),
-        *("pilot's bits [%]", "changed [%]", "u_B alone [%]", "tick p50 [µs]", "tick p99 [µs]"),
+        *("filter", "flights", "left the fence [%]", LOW, HIGH, "minimum distance [m]"),
+        *("passed [%]", "changed [%]", "u_B alone [%]", "tick p50 [µs]", "tick p99 [µs]"),
     )
     note = (
         "The same pilots from the same starts. u_B alone: h_I is not positive, or the program has no "
-        "solution. Times are measured while the flights were flown, with whatever else the machine did; "
-        "the program's rows are ours, pruned of those that cannot bind."
+        "solution. Times were measured during the flights, on a machine that also ran other programs; the "
+        "program has our rows, without those that cannot become active."
     )
-    return Table("filters", "Filters beside each other", columns, tuple(rows), note) if rows else None
+    return Table("filters", "Filters side by side", columns, tuple(rows), note) if rows else None
 
 
 def _scaled(value: float | None, by: float) -> float | None:
@@ -284,7 +307,7 @@ def _scaled(value: float | None, by: float) -> float | None:
 
 
 def passes_table(runs: Sequence[Fenced]) -> Table | None:
-    """Whether passed commands are the pilot's, bit by bit, per fence; None without runs."""
+    """Count by fence the passed commands that differ from the pilot's in a bit; None without runs."""
     guarded = [run for run in runs if run.record.filter == BASE]
     rows: list[tuple[Any, ...]] = []
     for scenario in dict.fromkeys(run.scenario for run in guarded):
@@ -292,14 +315,14 @@ def passes_table(runs: Sequence[Fenced]) -> Table | None:
     if not rows:
         return None
     rows.append(("all", *_passes(guarded)))
-    columns = ("fence", "flights", "ticks", "passed: λ rounds to 1", "of these altered", "beyond the limits")
+    columns = ("fence", "flights", "ticks", "passed: λ rounds to 1", "altered", "outside the limits")
     note = (
-        "Passed only where 1 - exp(-x) rounds to 1 in single precision, so far from the fence; closer, where "
-        "the pilot's share is almost 1, his command is rounded. Altered: a passed command of which a bit is "
-        "not his, counted in the flight. Beyond the limits: commands outside of the throttle's or the rates' "
-        "range, or λ outside of 0 to 1."
+        "A command passes only where 1 - exp(-x) rounds to 1 in single precision, far from the fence. "
+        "Closer, where λ is almost 1, the command is rounded. Altered: passed commands that differ from the "
+        "pilot's in a bit, counted during the flight. Outside the limits: commands outside the range of the "
+        "throttle or the rates, or λ outside 0 to 1."
     )
-    return Table("passes", "Passed commands, bit by bit", columns, tuple(rows), note)
+    return Table("passes", "Passed commands, bit for bit", columns, tuple(rows), note)
 
 
 def _passes(runs: Sequence[Fenced]) -> tuple[int, int, int, int, int]:
@@ -313,3 +336,189 @@ def _passes(runs: Sequence[Fenced]) -> tuple[int, int, int, int, int]:
         total(lambda r: r.altered_passes),
         total(lambda r: r.out_of_range),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbed:
+    """Runs of one disturbance, by increasing reserve.
+
+    `enough` is the run with the smallest reserve at which, and at all larger ones, no flight left the fence;
+    None when there is none.
+    """
+
+    name: str
+    runs: tuple[Fenced, ...]
+    enough: Fenced | None
+
+
+def disturbed(runs: Sequence[Fenced]) -> list[Disturbed]:
+    """Group the runs of the folder by disturbance; a variant is named DISTURBANCE_RESERVE."""
+    groups: dict[str, list[Fenced]] = {}
+    for run in select(runs, ROBUSTNESS):
+        groups.setdefault(run.variant.rpartition("_")[0], []).append(run)
+    found = []
+    for name, members in groups.items():
+        ordered = sorted(members, key=lambda run: run.reserve_m)
+        enough = None
+        for run in reversed(ordered):
+            if run.left.value:
+                break
+            enough = run
+        found.append(Disturbed(name, tuple(ordered), enough))
+    return found
+
+
+def robustness_table(runs: Sequence[Fenced]) -> Table | None:
+    """Tabulate each disturbance without a reserve and with the smallest sufficient one; None without runs."""
+    rows: list[tuple[Any, ...]] = []
+    for group in disturbed(runs):
+        bare, enough = group.runs[0], group.enough
+        words = [w for w in changed(bare).split(", ") if not w.startswith("reserve_m")]
+        row: list[Any] = [group.name, ", ".join(words), bare.left.n, *bare.left.cells, bare.least_m]
+        row += [None] * 5 if enough is None else [enough.reserve_m, *enough.left.cells, enough.least_m]
+        rows.append(tuple(row))
+    if not rows:
+        return None
+    columns = (
+        *("disturbance", "changed parameters", "flights", "no reserve: left [%]"),
+        *(LOW, HIGH, "no reserve: minimum distance [m]", "sufficient reserve [m]"),
+        *("with it: left [%]", LOW, HIGH, "with it: minimum distance [m]"),
+    )
+    grid = sorted({run.reserve_m for run in select(runs, ROBUSTNESS)})
+    note = (
+        f"Aggressive pilots in the box, each with reserves of {text(grid)} m. Sufficient is the smallest of "
+        "these at which, and at all larger ones, no flight left the fence. None of n flights is no proof: "
+        "the interval gives the rates that n flights cannot exclude. Starts are safe for the filter with "
+        "its reserve, so they differ slightly. `delay-known`: the filter models the delay (latency_s)."
+    )
+    title = "Robustness: the reserve that compensates each disturbance"
+    return Table(ROBUSTNESS, title, columns, tuple(rows), note)
+
+
+def pilots_rate(runs: Sequence[Fenced], name: str) -> Rate | None:
+    """Percentage of the flights of all pilots with a filter that left the fence; None without flights."""
+    here = [run for run in select(runs, PILOTS) if run.record.filter == name]
+    return rate(t.collision for run in here for t in run.record.trials) if here else None
+
+
+def pilots_table(runs: Sequence[Fenced]) -> Table | None:
+    """Tabulate all pilots together by filter; None without runs."""
+    rows = []
+    for name in (BASE, PROGRAM, FREE):
+        here = [run for run in select(runs, PILOTS) if run.record.filter == name]
+        found = pilots_rate(runs, name)
+        if not here or found is None:
+            continue
+        kinds = dict.fromkeys(run.variant.removesuffix(f"-{name}") for run in here)
+        rows.append(
+            (
+                *(name, len(kinds), found.n, sum(t.collision for run in here for t in run.record.trials)),
+                *(*found.cells, min(run.least_m for run in here)),
+                sum(result.interventions for run in here for result in run.results),
+                sum(result.altered_passes for run in here for result in run.results),
+            )
+        )
+    if not rows:
+        return None
+    columns = (
+        *("filter", "kinds of pilots", "flights", "left the fence", "left [%]", LOW, HIGH),
+        *("minimum distance [m]", "engagements", "altered passed commands"),
+    )
+    note = (
+        "Vehicle as modelled, random starts in the safe set; fewer flights without a filter and with the "
+        "program."
+    )
+    return Table(PILOTS, "Random pilots from random safe starts", columns, tuple(rows), note)
+
+
+def in_short(runs: Sequence[Fenced], swings: Sequence[Swing], measured: Mapping[str, Any]) -> dict[str, str]:
+    """Summarise the experiments, one line per subject.
+
+    Args:
+        runs: all runs.
+        swings: pendulum flights.
+        measured: times measured by examples/geofencing/pendulum.py.
+    """
+    facts = {
+        "flown": f"{sum(len(run.record.trials) for run in runs):,} flights in {len(runs)} runs",
+        "pendulum, time": times_in_short(measured),
+        "pendulum, gains": gains_in_short(swings),
+    }
+    for scenario, variant, what in (("wall", "from-40", "wall, 40 m"), ("fall", "fall", "fall, 70 m")):
+        run = find(runs, scenario, variant)
+        if run is not None and run.ticks is not None:
+            facts[what] = _approached(run, approach(run.ticks), GEOFENCING[scenario])
+    facts |= _fastest(runs)
+    for run in select(runs, "engaged"):
+        if run.record.filter == BASE:
+            facts[f"repeated engagement, {run.variant}"] = _engaged(run)
+    for scenario in ("box", "faces", "cover", "combined"):
+        whole = [run for run in select(runs, scenario) if run.steps("hand_over") == 0]
+        if whole:
+            n = sum(run.left.n for run in whole)
+            out = sum(t.collision for run in whole for t in run.record.trials)
+            minimum = text(min(run.least_m for run in whole))
+            facts[f"fence {scenario}"] = f"{out} of {n:,} flights left it, minimum distance {minimum} m"
+    for group in disturbed(runs):
+        enough = "none of the grid" if group.enough is None else f"{text(group.enough.reserve_m)} m"
+        facts[f"disturbance {group.name}"] = (
+            f"without reserve {group.runs[0].left} left; sufficient reserve: {enough}"
+        )
+    for name in (BASE, "backup-qp", "none"):
+        found_rate = pilots_rate(runs, name)
+        if found_rate is not None:
+            facts[f"random pilots, {name}"] = f"{found_rate} of {found_rate.n:,} flights left"
+    guarded = [run for run in runs if run.record.filter == BASE]
+    passed = sum(run.steps("passed") for run in guarded)
+    altered = sum(result.altered_passes for run in guarded for result in run.results)
+    facts["passed commands"] = f"{altered} of {passed:,} differ from the pilot's in a bit"
+    return facts
+
+
+def _approached(run: Fenced, a: Approach, published: Mapping[str, Mapping[str, float]]) -> str:
+    """Compare a flight against a barrier with the published ones, in words."""
+    names = {
+        "peak_km_h": "peak speed {} km/h",
+        "braking_m": "brakes at {} m",
+        "least_m": "minimum distance {} m",
+        "rest_m": "at rest {} m",
+    }
+    theirs = "; ".join(
+        f"{kind} {', '.join(form.format(text(value[key])) for key, form in names.items() if key in value)}"
+        for kind, value in published.items()
+    )
+    return (
+        f"peak speed {text(a.peak_km_h)} km/h, brakes at {text(a.braking_m + run.radius_m)} m, tilt "
+        f"{text(a.tilt_deg)}°, minimum distance {text(a.least_m)} m of the sphere and "
+        f"{text(a.least_m + run.radius_m)} m of its centre, at rest {text(a.rest_m + run.radius_m)} m; "
+        f"minimum λ {text(a.min_lambda)}, λ = 0 for {text(1e3 * a.backup_s)} ms (published: {theirs})"
+    )
+
+
+def _engaged(run: Fenced) -> str:
+    """Summarise many engagements, and whether lambda ever fell to 0."""
+    found = run.results
+    lost = sum(r.backup_steps > 0 for r in found)
+    speed = KM_H * max(t.max_speed_m_s for t in run.record.trials)
+    longest = max(r.longest_backup_s for r in found)
+    return (
+        f"{sum(r.interventions for r in found):,} engagements in {len(found)} flights at up to {text(speed)} "
+        f"km/h, {sum(t.collision for t in run.record.trials)} left the fence; λ falls to 0 in {lost} of them"
+        f"{f', for at most {text(longest)} s at a time' if lost else ''} (published: never)"
+    )
+
+
+def _fastest(runs: Sequence[Fenced]) -> dict[str, str]:
+    held = [
+        (KM_H * max(t.max_speed_m_s for t in run.record.trials), run)
+        for run in select(runs, "wall")
+        if run.record.filter == BASE and not run.left.value
+    ]
+    if not held:
+        return {}
+    speed, run = max(held, key=lambda pair: pair[0])
+    free = [peak for peak, one in held if not one.steps("backup")]
+    count = sum(one.record.filter == BASE for one in select(runs, "wall"))
+    words = f"{text(speed)} km/h ({run.variant}), minimum distance {text(run.least_m)} m; {len(held)} of "
+    words += f"{count} approaches held" + (f"; λ above 0 up to {text(max(free))} km/h" if free else "")
+    return {"wall, fastest": words}

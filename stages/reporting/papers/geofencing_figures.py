@@ -1,4 +1,4 @@
-"""Figures of the geofencing paper, drawn from pendulums and from runs of flights in a fence."""
+"""Figures of the geofencing paper, drawn from pendulum flights and from runs of flights in a fence."""
 
 from __future__ import annotations
 
@@ -8,23 +8,39 @@ from collections.abc import Sequence
 import numpy as np
 
 from alula.stages.reporting.figures import Figure, drawing
-from alula.stages.reporting.papers.geofencing import BASE, FREE, KM_H, PROGRAM, Fenced, approach, find, select
-from alula.stages.reporting.papers.geofencing_robustness import PILOTS, disturbed
+from alula.stages.reporting.papers.geofencing import (
+    BASE,
+    FREE,
+    KM_H,
+    PILOTS,
+    PROGRAM,
+    Fenced,
+    approach,
+    disturbed,
+    find,
+    select,
+)
 from alula.stages.reporting.papers.pendulum import GAIN, REGULATION, Pendulum, Swing
 from alula.stages.reporting.papers.pendulum import PROGRAM as PROGRAM_RULE
-from alula.stages.reporting.tables import text
+from alula.stages.reporting.table import text
 
 OURS, OTHER, GOOD, BAD, SOFT = "#0072b2", "#e69f00", "#009e73", "#d7301f", "#8a9099"
 _COLORS = (OURS, OTHER, GOOD, "#cc79a7", "#56b4e9", "#d55e00", "#222222", "#8c6bb1", SOFT)
 _RULES = {REGULATION: OURS, PROGRAM_RULE: OTHER}
-_LEAST_CHATTER = 1e-6  # of the axis
-_SHOWN_S = 4.0  # of the pendulum
+_LOWEST_CHATTER = 1e-6  # start of the axis
+_SHOWN_S = 4.0  # of a pendulum flight
 
 
 def pendulum_figure(
     swings: Sequence[Swing], gentle: dict[str, float], high: dict[str, float]
 ) -> Figure | None:
-    """Figure 4: angle, rate and input of both rules at a gentle and a high gain; None without them."""
+    """Plot Figure 4: angle, rate and input of both rules at a gentle and a high gain; None without them.
+
+    Args:
+        swings: pendulum flights.
+        gentle: by rule, the gain that is dotted.
+        high: by rule, the other gain.
+    """
     shown = [
         (s, style, gains)
         for gains, style in ((gentle, ":"), (high, "-"))
@@ -33,17 +49,17 @@ def pendulum_figure(
     ]
     if not shown:
         return None
-    said = []
+    values = []
     with drawing(9.4, 6.4, rows=3) as (axes, render):
         for s, style, _ in shown:
             label = f"{s.rule}, {GAIN[s.rule]} {s.gain:g}"
-            front = s.rule == REGULATION  # what chatters would cover it
+            front = s.rule == REGULATION  # the chattering curve would cover it
             line = {"color": _RULES[s.rule], "linestyle": style, "zorder": 3 if front else 2}
             part = s.time_s <= _SHOWN_S
             axes[0].plot(s.time_s[part], s.angle[part], label=label, linewidth=1.6, **line)
             axes[1].plot(s.time_s[part], s.rate[part], linewidth=1.6, **line)
             axes[2].plot(s.time_s[part], s.input[part], linewidth=1.6 if front else 0.7, **line)
-            said.append(f"{label}: chatter {text(s.chatter)} per second")
+            values.append(f"{label}: chatter {text(s.chatter)} per second")
         axes[0].axhline(Pendulum().largest_angle, color=BAD, linewidth=1)
         axes[0].set(ylabel="θ [rad]")
         axes[0].legend(fontsize=9, loc="lower right")
@@ -52,15 +68,15 @@ def pendulum_figure(
         svg = render()
     alt = (
         "Angle, rate and filtered input of the pendulum that is pushed against its largest angle, with a "
-        f"gentle gain (dotted) and a high one. {'; '.join(said)}."
+        f"gentle gain (dotted) and a high one. {'; '.join(values)}."
     )
     return Figure("pendulum", "Figure 4: the pendulum at its largest angle", alt, svg, wide=True)
 
 
 def chatter_figure(swings: Sequence[Swing]) -> Figure | None:
-    """How much the input chatters at the boundary over how soon a rule gets there; None without arrivals."""
+    """Plot the chatter of the input at the boundary over the arrival time there; None without arrivals."""
     ticks = sorted({s.tick_s for s in swings})
-    said = []
+    values = []
     with drawing(7.4, 4.6) as (axes, render):
         for rule, color in _RULES.items():
             for tick, style in zip(ticks, ("-", "--", ":"), strict=False):
@@ -70,21 +86,21 @@ def chatter_figure(swings: Sequence[Swing]) -> Figure | None:
                     continue
                 axes.plot(
                     [s.arrival_s for s in here],
-                    [max(_LEAST_CHATTER, s.chatter) for s in here],
+                    [max(_LOWEST_CHATTER, s.chatter) for s in here],
                     style + "o",
                     color=color,
                     label=f"{rule}, tick {1e3 * tick:g} ms",
                     markersize=4,
                 )
                 if tick == ticks[0]:
-                    for s in (here[0], *here[1::2]):  # of all, some would lie on others
-                        at = (s.arrival_s or 0.0, max(_LEAST_CHATTER, s.chatter))
+                    for s in (here[0], *here[1::2]):  # labels of all would overlap
+                        at = (s.arrival_s or 0.0, max(_LOWEST_CHATTER, s.chatter))
                         words = {"fontsize": 8, "xytext": (5, 3), "textcoords": "offset points"}
                         axes.annotate(f"{s.gain:g}", at, **words)
-                said.append(
+                values.append(
                     f"{rule} at {1e3 * tick:g} ms from {text(here[0].chatter)} to {text(here[-1].chatter)}"
                 )
-        if not said:
+        if not values:
             return None
         axes.set(xscale="log", yscale="log", xlabel="time to 95 % of the largest angle [s]")
         axes.set_xticks([1.25, 1.5, 2, 3, 5, 8], ["1.25", "1.5", "2", "3", "5", "8"])
@@ -93,23 +109,29 @@ def chatter_figure(swings: Sequence[Swing]) -> Figure | None:
         axes.legend(fontsize=9, loc="center right")
         svg = render()
     alt = (
-        "Total variation of the input per second while the pendulum stands at its boundary, over the time it "
-        f"took to get there, one point for each gain (numbers: beta, alpha): {'; '.join(said)}."
+        "Total variation of the input per second while the pendulum stands at its boundary, over the time to "
+        f"get there, one point for each gain (numbers: beta, alpha): {'; '.join(values)}."
     )
-    return Figure(
-        "chatter", "Oscillation at the boundary over the speed of the approach", alt, svg, wide=True
-    )
+    return Figure("chatter", "Chatter at the boundary over the time of arrival", alt, svg, wide=True)
 
 
 def approach_figure(
     runs: Sequence[Fenced], scenario: str, variants: Sequence[str], title: str, seconds: float
 ) -> Figure | None:
-    """Figures 5 and 7: distance, speed, tilt or throttle, the pilot's share over time; None without runs."""
+    """Plot Figures 5 and 7: distance, speed, tilt or throttle and lambda over time; None without runs.
+
+    Args:
+        runs: all runs.
+        scenario: `wall` or `fall`; a fall shows the throttle instead of the tilt.
+        variants: variants to draw.
+        title: of the figure.
+        seconds: length of the time axis.
+    """
     shown = [run for run in select(runs, scenario, variants) if run.ticks is not None]
     if not shown:
         return None
     falls = scenario == "fall"
-    said = []
+    values = []
     with drawing(9.4, 8.4, rows=4) as (axes, render):
         for run, color in zip(shown, _COLORS, strict=False):
             t = run.ticks
@@ -123,9 +145,9 @@ def approach_figure(
             if run.record.filter == BASE:
                 axes[3].plot(t.time_s[part], t.regulation[part], **line)
             a = approach(t)
-            said.append(
-                f"{run.variant}: {text(a.peak_km_h)} km/h, least distance {text(a.least_m)} m, least λ "
-                f"{text(a.least_share) if run.record.filter == BASE else '–'}"
+            values.append(
+                f"{run.variant}: {text(a.peak_km_h)} km/h, minimum distance {text(a.least_m)} m, minimum λ "
+                f"{text(a.min_lambda) if run.record.filter == BASE else '–'}"
             )
         axes[0].axhline(0, color=BAD, linewidth=1)
         low, high = axes[0].get_ylim()
@@ -137,13 +159,14 @@ def approach_figure(
         svg = render()
     third_name = "throttle" if falls else "tilt"
     alt = (
-        f"Distance to the barrier, speed, {third_name} and the pilot's share λ over time. {'; '.join(said)}."
+        f"Distance to the barrier, speed, {third_name} and regulation function λ over time. "
+        f"{'; '.join(values)}."
     )
     return Figure(scenario, title, alt, svg, wide=True)
 
 
 def engaged_figure(run: Fenced | None) -> Figure | None:
-    """Figure 8: distance and the pilot's share through repeated engagements; None without a run."""
+    """Plot Figure 8: distance and lambda through repeated engagements; None without a run."""
     if run is None or run.ticks is None:
         return None
     t, a = run.ticks, approach(run.ticks)
@@ -159,19 +182,19 @@ def engaged_figure(run: Fenced | None) -> Figure | None:
         axes[2].set(ylabel="λ", xlabel="time [s]", ylim=(-0.03, 1.05))
         svg = render()
     alt = (
-        f"One flight that engages its fence {a.engagements} times: distance to the nearest face, at least "
-        f"{text(a.least_m)} m, position, and the pilot's share λ, at least {text(a.least_share)} and 0 for "
-        f"{text(1e3 * a.helpless_s)} ms in all."
+        f"One flight that engages its fence {a.engagements} times: distance to the nearest face, minimum "
+        f"{text(a.least_m)} m; position; regulation function λ, minimum {text(a.min_lambda)}, 0 for "
+        f"{text(1e3 * a.backup_s)} ms in total."
     )
-    return Figure("engaged", "Figure 8: walls and floor, again and again", alt, svg, wide=True)
+    return Figure("engaged", "Figure 8: repeated engagement of walls and floor", alt, svg, wide=True)
 
 
 def robustness_figure(runs: Sequence[Fenced]) -> Figure | None:
-    """The share of flights that left over the reserve, by disturbance; None without runs."""
+    """Plot the percentage of flights that left over the reserve, by disturbance; None without runs."""
     groups = disturbed(runs)
     if not groups:
         return None
-    said = []
+    values_in_words = []
     with drawing(9.4, 6.4, rows=2) as ((top, bottom), render):
         for place, (group, color) in enumerate(zip(groups, _COLORS, strict=False)):
             reserve = np.array([run.reserve_m for run in group.runs])
@@ -185,47 +208,55 @@ def robustness_figure(runs: Sequence[Fenced]) -> Figure | None:
             )
             bottom.plot(reserve, [run.least_m for run in group.runs], "o-", **line)
             enough = "none of the grid" if group.enough is None else f"{text(group.enough.reserve_m)} m"
-            said.append(f"{group.name} {text(rates[0].value)} % without, enough: {enough}")
+            values_in_words.append(f"{group.name} {text(rates[0].value)} % without, sufficient: {enough}")
         bottom.axhline(0, color=BAD, linewidth=1)
         top.set(ylabel="left the fence [%]")
         top.legend(fontsize=9, ncols=2)
-        bottom.set(xlabel="reserve [m]", ylabel="least distance [m]")
+        bottom.set(xlabel="reserve [m]", ylabel="minimum distance [m]")
         svg = render()
     alt = (
-        "Share of flights that left the fence, with 95 % intervals, and the least distance of all, over the "
-        f"reserve of the filter. {'; '.join(said)}."
+        "Percentage of flights that left the fence, with 95 % intervals, and the minimum distance of all, "
+        f"over the reserve of the filter. {'; '.join(values_in_words)}."
     )
-    return Figure("robustness", "What the reserve makes up for", alt, svg, wide=True)
+    return Figure("robustness", "Disturbances that the reserve compensates", alt, svg, wide=True)
 
 
 def distances_figure(runs: Sequence[Fenced]) -> Figure | None:
-    """The least distance of every flight, filter by filter, of all pilots or of the compared ones."""
+    """Plot the distribution of the minimum distance by filter, of all pilots or of the compared ones."""
     folder = PILOTS if select(runs, PILOTS) else "filters"
-    said = []
+    values = []
     with drawing(7.4, 4.4) as (axes, render):
         for name, color in ((BASE, OURS), (PROGRAM, OTHER), (FREE, BAD)):
-            least = sorted(
+            distances = sorted(
                 t.map_clearance_m if t.map_clearance_m is not None else math.inf
                 for run in select(runs, folder)
                 if run.record.filter == name
                 for t in run.record.trials
             )
-            if not least:
+            if not distances:
                 continue
-            axes.step(least, np.arange(1, len(least) + 1) / len(least), where="post", color=color, label=name)
-            median = least[len(least) // 2]
-            said.append(f"{name}: {len(least):,} flights, least {text(least[0])} m, median {text(median)} m")
-        if not said:
+            axes.step(
+                distances,
+                np.arange(1, len(distances) + 1) / len(distances),
+                where="post",
+                color=color,
+                label=name,
+            )
+            median = distances[len(distances) // 2]
+            values.append(
+                f"{name}: {len(distances):,} flights, minimum {text(distances[0])} m, median {text(median)} m"
+            )
+        if not values:
             return None
         axes.axvline(0, color=SOFT, linewidth=1)
         axes.set_xscale("symlog", linthresh=0.01)
-        axes.set(xlabel="least distance of a flight [m]", ylabel="share of flights")
+        axes.set(xlabel="minimum distance of a flight [m]", ylabel="fraction of flights")
         axes.legend(fontsize=9)
         svg = render()
-    alt = f"Share of flights whose least distance to the fence is at most a value. {'; '.join(said)}."
-    return Figure("distances", "Least distance of each flight", alt, svg, wide=True)
+    alt = f"Cumulative distribution of the minimum distance to the fence of a flight. {'; '.join(values)}."
+    return Figure("distances", "Minimum distance of each flight", alt, svg, wide=True)
 
 
 def engaged_run(runs: Sequence[Fenced]) -> Fenced | None:
-    """The one that is drawn."""
+    """The run that `engaged_figure` draws."""
     return find(runs, "engaged", BASE)

@@ -1,25 +1,31 @@
-"""The geofencing paper's pendulum: both filters over a sweep of gains, and the rows of the program."""
+"""The geofencing paper's pendulum: both filters over a sweep of gains, their tables, the program's rows."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
+from alula.stages.reporting.papers.published import GEOFENCING
+from alula.stages.reporting.table import Table, text
 
 REGULATION, PROGRAM = "regulation", "backup-qp"
-GAIN = {REGULATION: "beta", PROGRAM: "alpha"}  # the option that makes a rule approach faster
+GAIN = {REGULATION: "beta", PROGRAM: "alpha"}  # the gain of each rule; a larger one approaches faster
 PUSH = 2.0  # the constant command of the paper [rad/s^2]
+_MICRO = " [us]"
+_SOLVER = "solver "
+_CALM = 1.0  # maximum chatter of a calm flight [rad/s^2 per s]
 _ARRIVED = 0.95  # of the largest angle
-_TAIL = 1 / 3  # of a flight: there it stands at the boundary
+_TAIL = 1 / 3  # last part of a flight, at the boundary
 
 
 @dataclass(frozen=True, slots=True)
 class Pendulum:
-    """Numbers of the filters, as of `alula/dynamics/pendulum.hpp`; the paper gives `end_rate` alone."""
+    """Parameters of the filters, as in `alula/dynamics/pendulum.hpp`; the paper prints only `end_rate`."""
 
     largest_angle: float = 1.0
     end_rate: float = 0.1
@@ -38,9 +44,9 @@ class Pendulum:
 class Swing:
     """A flight from rest against the boundary.
 
-    `settled_rad`, `ripple_rad` (largest less least angle) and `chatter` (total variation of the input per
-    second) are of its last third; `arrival_s` is when it first passed 95 % of the largest angle, None if it
-    did not; `unsolved` counts ticks in which the program had no solution.
+    `settled_rad`, `ripple_rad` (maximum less minimum angle) and `chatter` (total variation of the input per
+    second) are those of its last third. `arrival_s` is the time when it first passed 95 % of the largest
+    angle, None if it did not. `unsolved` counts ticks in which the program had no solution.
     """
 
     rule: str
@@ -59,7 +65,14 @@ class Swing:
 
 
 def swing(rule: str, gain: float, tick_s: float, duration_s: float = 15.0) -> Swing:
-    """Fly a rule with a gain for the paper's command, the input held for a tick."""
+    """Simulate a rule with a gain under the paper's command; the input is held for a tick.
+
+    Args:
+        rule: `REGULATION` or `PROGRAM`.
+        gain: beta or alpha, see `GAIN`.
+        tick_s: length of a tick.
+        duration_s: length of the flight.
+    """
     is_program = rule == PROGRAM
     made = _core.PendulumFilter(rule, alpha=gain) if is_program else _core.PendulumFilter(rule, beta=gain)
     rows = made.fly(0.0, 0.0, PUSH, tick_s, round(duration_s / tick_s))
@@ -85,20 +98,119 @@ def swing(rule: str, gain: float, tick_s: float, duration_s: float = 15.0) -> Sw
 
 
 def sweep(gains: dict[str, Sequence[float]], ticks_s: Sequence[float]) -> list[Swing]:
-    """Flights of each rule at each gain and tick."""
+    """Simulate each rule at each gain and tick length.
+
+    Args:
+        gains: by rule, see `GAIN`.
+        ticks_s: tick lengths.
+    """
     return [swing(rule, gain, dt) for dt in ticks_s for rule in gains for gain in gains[rule]]
 
 
-def program_rows(states: FloatArray, options: Pendulum | None = None) -> tuple[FloatArray, FloatArray]:
-    """All rows a u >= b of the backup-set program, as a general solver is given them.
+def time_table(measured: Mapping[str, Any]) -> Table:
+    """Tabulate the time of an evaluation: both rules in native code, and the program in general solvers.
 
-    With the flow phi under the backup controller, by the explicit midpoint rule, and its tangents along the
-    drift f and the input g = (0, 1): for h = theta_max -+ theta at every node, and h_B = eps -+ theta' at the
-    last, d/dt h + alpha h >= 0; then the limits of the input.
+    Args:
+        measured: times [us], numbers of rows and states, as examples/geofencing/pendulum.py writes them.
+    """
+    times = {name.removesuffix(_MICRO): float(value) for name, value in measured["times"].items()}
+    base, program = times[REGULATION], times[PROGRAM]
+    published = GEOFENCING["pendulum"][PROGRAM]["time_ratio"]
+    rows: list[tuple[Any, ...]] = [
+        ("regulation, no gradient", base, None, base, 1.0, 1.0),
+        ("program, ours", program, None, program, program / base, published),
+    ]
+    for name, value in times.items():
+        if name.startswith(_SOLVER):
+            whole = program + value
+            solver = name.removeprefix(_SOLVER)
+            rows.append((f"program through {solver}", program, value, whole, whole / base, None))
+    columns = (
+        *("filter", "our flow and rows [µs]", "solver call [µs]", "total [µs]", "ratio to the regulation"),
+        "published ratio, about",
+    )
+    note = (
+        f"Native code, over the {measured['states']:,} states of one flight. Our program costs little more "
+        "than its flow with sensitivities: rows that no input within its limits can violate are dropped "
+        f"before the active-set solver. A general solver gets all {measured['rows']} rows, is called from "
+        "Python and is set up anew in every tick; its total is an upper estimate, because it includes our "
+        "own solution, too."
+    )
+    return Table("pendulum-time", "Figure 4: time of an evaluation", columns, tuple(rows), note)
+
+
+def gains_table(swings: Sequence[Swing]) -> Table:
+    """Tabulate the behaviour of each rule at the boundary by its gain."""
+    rows = [
+        (
+            *(
+                s.rule,
+                1e3 * s.tick_s,
+                f"{GAIN[s.rule]} {s.gain:g}",
+                s.arrival_s,
+                s.settled_rad,
+                s.greatest_rad,
+            ),
+            *(1e3 * s.ripple_rad, s.chatter, 100 * s.unsolved / len(s.time_s)),
+        )
+        for s in swings
+    ]
+    columns = (
+        *("rule", "tick [ms]", "gain", "95 % after [s]", "settles at [rad]", "maximum angle [rad]"),
+        *("ripple [mrad]", "chatter [rad/s² per s]", "ticks without a solution [%]"),
+    )
+    note = (
+        f"Pushed by {PUSH:g} rad/s² from rest against the largest angle, {Pendulum().largest_angle:g} rad. "
+        "Ripple and chatter (total variation of the input per second) are those of the last third of a "
+        "flight. In a tick without a solution the backup controller acts. The regulation has a limit, too: "
+        "with a gain far above the useful ones it switches between pilot and backup."
+    )
+    return Table("pendulum-gains", "Figure 4: at the boundary, by gain", columns, tuple(rows), note)
+
+
+def times_in_short(measured: Mapping[str, Any]) -> str:
+    """Summarise the times of `time_table` in one line."""
+    times = {name.removesuffix(_MICRO): float(value) for name, value in measured["times"].items()}
+    base, program = times[REGULATION], times[PROGRAM]
+    others = ", ".join(
+        f"{(program + value) / base:.3g} times with {name.removeprefix(_SOLVER)}"
+        for name, value in times.items()
+        if name.startswith(_SOLVER)
+    )
+    return (
+        f"{base:.3g} µs without gradients; our program takes {program / base:.3g} times as long, all rows in "
+        f"a general solver up to {others}"
+    )
+
+
+def gains_in_short(swings: Sequence[Swing]) -> str:
+    """Summarise the chatter of each rule over its gains at the shorter tick."""
+    words = []
+    tick = min((s.tick_s for s in swings), default=0.0)
+    for rule in (REGULATION, PROGRAM):
+        here = [s for s in swings if s.rule == rule and s.tick_s == tick and s.arrival_s is not None]
+        calm = [s for s in here if s.chatter < _CALM]
+        calmest = min(here, key=lambda s: s.chatter, default=None)
+        if calmest is None:
+            continue
+        words.append(
+            f"{rule}: chatter below {_CALM:g} rad/s² per s at {len(calm)} of {len(here)} gains, minimum "
+            f"{text(calmest.chatter)} at {GAIN[rule]} {calmest.gain:g}, settled at "
+            f"{text(calmest.settled_rad)} rad"
+        )
+    return "; ".join(words)
+
+
+def program_rows(states: FloatArray, options: Pendulum | None = None) -> tuple[FloatArray, FloatArray]:
+    """Build all rows a u >= b of the backup-set program for a general solver.
+
+    The flow phi under the backup controller and its tangents along the drift f and the input g = (0, 1) are
+    integrated by the explicit midpoint rule. The rows are d/dt h + alpha h >= 0 for h = theta_max -+ theta at
+    every node and h_B = eps -+ theta' at the last node, then the limits of the input.
 
     Args:
         states: angle and rate, shape (S, 2) [rad, rad/s].
-        options: of the filter.
+        options: parameters of the filter.
 
     Returns:
         a and b, shapes (S, 2 (N + 1) + 4).
@@ -134,10 +246,10 @@ def program_rows(states: FloatArray, options: Pendulum | None = None) -> tuple[F
 
 
 def _pull(o: Pendulum, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The rate that the backup controller wishes for, and its slope."""
+    """Target rate of the backup controller and its slope."""
     raw = o.push_gain * (o.largest_angle - o.push_distance - np.abs(angle))
-    wish = np.sign(angle) * np.clip(raw, -o.push_rate, 0.0)
-    return wish, np.where((raw > -o.push_rate) & (raw < 0), -o.push_gain, 0.0)
+    target = np.sign(angle) * np.clip(raw, -o.push_rate, 0.0)
+    return target, np.where((raw > -o.push_rate) & (raw < 0), -o.push_gain, 0.0)
 
 
 def _field(o: Pendulum, x: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""PolyMerge's Table I and Figure 4 on our scenes: sizes of maps, and what fewer hulls cost."""
+"""Table I and Figure 4 of PolyMerge on our scenes: sizes of maps, and volume by number of hulls."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from typing import Any
 from alula.stages.compression.measure import Measure
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.papers.published import POLYMERGE_SCENES, POLYMERGE_SIZES
-from alula.stages.reporting.tables import BYTES_PER_GAUSSIAN, BYTES_PER_HALF_PLANE, Table, text
+from alula.stages.reporting.table import Table, text
+from alula.stages.reporting.tables import BYTES_PER_GAUSSIAN, BYTES_PER_HALF_PLANE
 
 _METHODS = {"default": "ours", "paper": "paper's rule", "coacd": "CoACD"}
 _COLORS = {"default": "#0072b2", "paper": "#e69f00", "coacd": "#8a9099"}
 _SCENE_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#222222")
 _MB = 1e6
-_HIGHEST_BAR = 4.0  # higher ones run out of the figure, so that the others can be told apart
+_HIGHEST_BAR = 4.0  # higher bars are cut off, so that the others can be compared
 
 
 @dataclass(frozen=True, slots=True)
 class Polytopes:
-    """A map of convex polytopes: how many, of how many half-planes, its file, and its volume.
+    """A map of convex polytopes: number of hulls and half-planes, sizes, and volume.
 
-    `measure` is None where only the manifest's `conservativeness` is known, `onboard_bytes` where the
+    `measure` is None where only the manifest's `conservativeness` is known; `onboard_bytes` is None where the
     map has no form for a microcontroller.
     """
 
@@ -41,12 +42,12 @@ class SceneMaps:
 
     Attributes:
         name: of the scene.
-        ellipsoids: how many it has.
+        ellipsoids: their number.
         scene_bytes: size of its file.
-        voxels: how many are occupied.
+        voxels: number of occupied voxels.
         voxel_size_m: their edge [m].
-        same_count: by method "default", "paper" or "coacd", maps of about equally many polytopes.
-        curves: by method, maps of ever fewer polytopes.
+        same_count: by method "default", "paper" or "coacd", maps with about the same number of polytopes.
+        curves: by method, maps with decreasing numbers of polytopes.
     """
 
     name: str
@@ -59,7 +60,7 @@ class SceneMaps:
 
 
 def sizes_table(scenes: Sequence[SceneMaps]) -> Table:
-    """Table I: ellipsoids, CoACD and ours, with the published rows below."""
+    """Make Table I: ellipsoids, CoACD and ours, with the published rows below."""
     rows: list[tuple[Any, ...]] = []
     for scene in scenes:
         ours, theirs = scene.same_count["default"], scene.same_count.get("coacd")
@@ -83,11 +84,11 @@ def sizes_table(scenes: Sequence[SceneMaps]) -> Table:
         ]
     columns.append("hulls: onboard map [MB]")
     note = (
-        f"Geometry counts {BYTES_PER_GAUSSIAN} bytes per ellipsoid and {BYTES_PER_HALF_PLANE} per half-plane,"
-        " in the published rows too. Our files also hold vertices, members and provenance; the onboard map is"
-        " what a microcontroller reads. "
-        "Published: CoACD of SuGaR's mesh, half-planes and ellipsoids rounded as printed; in our rows CoACD "
-        "is of the surface of the voxels. Scenes differ, so only ratios compare."
+        f"Geometry counts {BYTES_PER_GAUSSIAN} bytes per ellipsoid and {BYTES_PER_HALF_PLANE} per "
+        "half-plane, in the published rows too. Our files also hold vertices, members and provenance; a "
+        "microcontroller reads the onboard map. Published: CoACD on SuGaR's mesh, half-planes and "
+        "ellipsoids rounded as printed; in our rows CoACD runs on the surface of the voxels. Scenes differ, "
+        "so only ratios compare."
     )
     return Table("table-1", "Table I: size of the map", tuple(columns), tuple(rows), note)
 
@@ -98,7 +99,7 @@ def _planes(found: Polytopes) -> tuple[Any, ...]:
 
 
 def volumes_table(scenes: Sequence[SceneMaps]) -> Table:
-    """Figure 4a as numbers: volume of the union over that of the voxels, and how much of them it fills."""
+    """Tabulate Figure 4a: volume of the union over that of the voxels, and the part inside the voxels."""
     rows = [
         (
             scene.name,
@@ -115,18 +116,18 @@ def volumes_table(scenes: Sequence[SceneMaps]) -> Table:
         for method, found in scene.same_count.items()
     ]
     columns = (
-        *("scene", "method", "primitives", "half-planes", "volume / voxels", "of it inside voxels"),
+        *("scene", "method", "primitives", "half-planes", "volume / voxels", "inside voxels"),
         *("voxels not filled", "voxels", "voxel edge [m]"),
     )
     note = (
-        "Volumes of unions, each cut into convex pieces: exact up to rounding. A voxel is not filled when "
-        "more than 1e-9 of it is left out."
+        "Volumes of unions, computed from convex pieces, are exact up to rounding. A voxel is not filled "
+        "when more than 1e-9 of it is left out."
     )
     return Table("figure-4a", "Figure 4a: conservativeness", columns, tuple(rows), note)
 
 
 def curve_table(scenes: Sequence[SceneMaps]) -> Table:
-    """Figure 4b as numbers."""
+    """Tabulate Figure 4b: volume of the union over that of the voxels by number of hulls."""
     rows = [
         (scene.name, _METHODS[method], found.hulls, found.half_planes, found.conservativeness)
         for scene in scenes
@@ -134,19 +135,19 @@ def curve_table(scenes: Sequence[SceneMaps]) -> Table:
         for found in curve
     ]
     columns = ("scene", "method", "hulls", "half-planes", "volume / voxels")
-    return Table("figure-4b", "Figure 4b: what fewer hulls cost", columns, tuple(rows))
+    return Table("figure-4b", "Figure 4b: volume by number of hulls", columns, tuple(rows))
 
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A figure, and the same as an image."""
+    """A figure as SVG and as PNG."""
 
     figure: Figure
     png: bytes
 
 
 def volumes_figure(scenes: Sequence[SceneMaps]) -> Drawn:
-    """Figure 4a: a bar per map, hatched as far as it is inside the voxels."""
+    """Plot Figure 4a: a bar per map; the hatched part is inside the voxels."""
     from matplotlib.patches import Patch
 
     methods = [m for m in _METHODS if any(m in scene.same_count for scene in scenes)]
@@ -189,7 +190,7 @@ def volumes_figure(scenes: Sequence[SceneMaps]) -> Drawn:
         keys.append(Patch(fill=False, hatch="////", edgecolor="#33404d", lw=0, label="inside voxels"))
         axes.figure.legend(handles=keys, loc="outside upper center", ncols=len(keys), fontsize=10)
         image, svg = _png(axes), render()
-    said = "; ".join(
+    values = "; ".join(
         f"{scene.name}: "
         + ", ".join(
             f"{_METHODS[m]} {text(found.conservativeness)}"
@@ -198,12 +199,12 @@ def volumes_figure(scenes: Sequence[SceneMaps]) -> Drawn:
         )
         for scene in scenes
     )
-    alt = f"Volume of the union of hulls over that of the voxels, hatched where it is inside them. {said}."
+    alt = f"Volume of the union of hulls over that of the voxels; hatched: inside the voxels. {values}."
     return Drawn(Figure("figure-4a", "Figure 4a: conservativeness", alt, svg, wide=True), image)
 
 
 def curve_figure(scenes: Sequence[SceneMaps]) -> Drawn:
-    """Figure 4b: volume of the union over the number of hulls."""
+    """Plot Figure 4b: volume of the union over the number of hulls."""
     from matplotlib.lines import Line2D
 
     with drawing(7.4, 4.6) as (axes, render):
@@ -245,7 +246,7 @@ def curve_figure(scenes: Sequence[SceneMaps]) -> Drawn:
         if curve
     )
     alt = f"Volume of the union of hulls over that of the voxels, by the number of hulls. {ends}."
-    return Drawn(Figure("figure-4b", "Figure 4b: what fewer hulls cost", alt, svg, wide=True), image)
+    return Drawn(Figure("figure-4b", "Figure 4b: volume by number of hulls", alt, svg, wide=True), image)
 
 
 def _png(axes: Any) -> bytes:
@@ -261,7 +262,7 @@ def _png(axes: Any) -> bytes:
 
 
 def excess_saved(scene: SceneMaps) -> float | None:
-    """How much less free space ours encloses than the paper's rule at the same number of hulls."""
+    """Relative reduction of enclosed free space against the paper's rule at the same number of hulls."""
     ours, theirs = scene.same_count.get("default"), scene.same_count.get("paper")
     if ours is None or theirs is None or not theirs.conservativeness > 1:
         return None
@@ -269,7 +270,7 @@ def excess_saved(scene: SceneMaps) -> float | None:
 
 
 def in_short(scenes: Sequence[SceneMaps]) -> dict[str, str]:
-    """A line for each scene."""
+    """Summarise the maps, one line per scene."""
     lines = {}
     for scene in scenes:
         ours = scene.same_count["default"]
@@ -279,9 +280,10 @@ def in_short(scenes: Sequence[SceneMaps]) -> dict[str, str]:
             words += f", free space enclosed {text(100 * saved)} % below the paper's rule"
         theirs = scene.same_count.get("coacd")
         if theirs is not None and theirs.measure is not None:
-            share = 100 * theirs.measure.open_voxels / theirs.measure.voxels
+            percent = 100 * theirs.measure.open_voxels / theirs.measure.voxels
             words += (
-                f"; CoACD {text(theirs.conservativeness)}, leaving out parts of {text(share)} % of the voxels"
+                f"; CoACD {text(theirs.conservativeness)}, leaves out parts of {text(percent)} % of the "
+                "voxels"
             )
             words += f", {text(100 * (1 - theirs.measure.filled))} % of their volume"
         lines[scene.name] = words

@@ -1,4 +1,4 @@
-"""Published values of the papers, and tables that set ours beside them."""
+"""Published values of the papers, and the tables of `alula report --paper` that compare runs with them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from typing import Any
 
 from alula.schemas.errors import UsageError
 from alula.stages.reporting.material import Material, Run, flew_through
-
-Parts = tuple[str, str, tuple[str, ...], tuple[tuple[Any, ...], ...], str]
+from alula.stages.reporting.table import Table
 
 # PolyMerge, Table I: scene, hulls and half-planes (in thousands as printed).
 POLYMERGE_SCENES = (
@@ -21,7 +20,7 @@ POLYMERGE_SCENES = (
     ("Kitchen", 901, 69_000),
     ("Bonsai", 2080, 172_000),
 )
-# The rest of it, in the same order: ellipsoids, their file [MB], half-planes of SuGaR + CoACD, its
+# Further columns, in the same order: ellipsoids, their file [MB], half-planes of SuGaR + CoACD, its
 # file [MB], the hulls' file [MB].
 POLYMERGE_SIZES = (
     (1_500_000, 671.1, 189_000, 13.5, 60.7),
@@ -64,8 +63,8 @@ FASTBRIDGE: dict[str, dict[str, float]] = {
         "max_speed_m_s": 1.481,
     },
 }
-# DR-ACBF (arXiv 2512.00462), Tables I to V. Of two obstacles the first and the second, or "mean"; success
-# [%], closing speed [m/s], reaction, command and processing [ms], separation [m].
+# DR-ACBF (arXiv 2512.00462), Tables I to V: values of the first and second obstacle, or their mean; success
+# [%], closing speed [m/s], reaction, command and processing times [ms], separation [m].
 DRACBF: dict[str, dict[str, dict[str, float]]] = {
     "scenario-1": {
         name: {
@@ -145,11 +144,11 @@ GEOFENCING: dict[str, dict[str, dict[str, float]]] = {
 }
 
 
-def paper_tables(paper: str, material: Material) -> list[Parts]:
-    """Name, title, columns, rows and note of the tables that a paper adds.
+def paper_tables(paper: str, material: Material) -> list[Table]:
+    """Tables that a paper adds to a report.
 
     Raises:
-        UsageError: there is nothing of ours to set beside the published values.
+        UsageError: the paper is not known, or the material has nothing to compare with it.
     """
     if paper != "polymerge":
         raise UsageError(f"--paper {paper}: no published values are known")
@@ -163,7 +162,7 @@ def paper_tables(paper: str, material: Material) -> list[Parts]:
     return tables
 
 
-def _polymerge_sizes(material: Material) -> Parts:
+def _polymerge_sizes(material: Material) -> Table:
     cover = material.cover
     assert cover is not None
     hulls, planes = len(cover["plane_start"]) - 1, len(cover["plane_offset"])
@@ -195,18 +194,18 @@ def _polymerge_sizes(material: Material) -> Parts:
     )
     note = (
         "Published half-planes are printed in thousands; their bytes are computed from the 235 per "
-        f"half-plane that the paper states, beside {POLYMERGE_BYTES_PER_SPLAT} per splat. Our file holds "
-        "vertices, members and provenance too; the table above has the geometry. Scenes differ, so only "
+        f"half-plane that the paper states, and {POLYMERGE_BYTES_PER_SPLAT} per splat. Our file also holds "
+        "vertices, members and provenance; the table above counts the geometry alone. Scenes differ, so only "
         "ratios compare."
     )
-    return "polymerge-1", "PolyMerge, Table I: size of the map", columns, tuple(rows), note
+    return Table("polymerge-1", "PolyMerge, Table I: size of the map", columns, tuple(rows), note)
 
 
 def _ratio(value: float | None, by: float) -> float | None:
     return value / by if value is not None and by else None
 
 
-def _polymerge_flights(material: Material) -> Parts:
+def _polymerge_flights(material: Material) -> Table:
     published = {row[0]: row[1:] for row in POLYMERGE_FLIGHTS}
     ours: dict[int | None, list[Run]] = {}
     for run in material.runs:
@@ -234,10 +233,11 @@ def _polymerge_flights(material: Material) -> Parts:
         "ours: minimum distance [m]",
     )
     note = (
-        "The published flights are of another scene. Ours: distance of the vehicle's sphere to the hulls; a "
-        "map made with a limit of n hulls may have a few less."
+        "The published flights are in another scene. Ours: distance of the vehicle's sphere to the hulls; a "
+        "map made with a limit of n hulls may have a few fewer."
     )
-    return "polymerge-2", "PolyMerge, Table II: success over the number of hulls", columns, tuple(rows), note
+    title = "PolyMerge, Table II: success over the number of hulls"
+    return Table("polymerge-2", title, columns, tuple(rows), note)
 
 
 def _flown(run: Run | None) -> tuple[Any, ...]:
@@ -245,12 +245,12 @@ def _flown(run: Run | None) -> tuple[Any, ...]:
         return (None,) * 6
     summary = run.record.summary
     low, high = summary.get("success_interval") or (None, None)
-    rate, least = summary.get("success_rate"), summary.get("min_map_clearance_m")
-    return run.label, len(run.record.trials), rate, low, high, least
+    rate, minimum = summary.get("success_rate"), summary.get("min_map_clearance_m")
+    return run.label, len(run.record.trials), rate, low, high, minimum
 
 
 def hulls_of(run: Run, material: Material) -> int | None:
-    """Hulls of the map that a run flew through, as its log says; else of the cover, if it was its input."""
+    """Number of hulls of a run's map, from its log, or else from the cover if that was its input."""
     if run.hulls is not None:
         return run.hulls
     if material.cover is not None and flew_through(run, material):

@@ -1,4 +1,4 @@
-"""Runs of many filters over the same start-goal pairs, and how two of them compare."""
+"""Runs of many filters over the same start-goal pairs, and paired comparison of two of them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from alula.schemas.errors import InputError
 from alula.schemas.run import TrialResult
 from alula.stages.reporting.material import Run
 from alula.stages.reporting.statistics import Estimate, difference_estimate, ratio_estimate
-from alula.stages.reporting.tables import flat, text
+from alula.stages.reporting.table import flat, text
 
-_ROUNDING_M_S2 = 1e-9  # of an acceleration; what flies is off by 1e-15
+_ROUNDING_M_S2 = 1e-9  # of an acceleration; the rounding error in flight is about 1e-15
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,23 +34,23 @@ class Sweep:
     run: Run
 
     def values(self, get: Callable[[TrialResult], float | None]) -> FloatArray:
-        """A figure of each trial, shape (trials,), NaN where there is none."""
+        """One value per trial, shape (trials,), NaN where there is none."""
         return np.array([get(trial) for trial in self.run.record.trials], np.float64)
 
     def timing(self, key: str) -> float | None:
-        """A measured time of the run [s], or count."""
+        """A measured time of the run [s] or count; None where it was not measured."""
         found = (self.run.record.timing or {}).get(key)
         return float(found) if found is not None else None
 
 
 def realisation_error(trial: TrialResult) -> float | None:
-    """The peak realisation error of a flight [m/s^2]; what is only rounding is 0."""
+    """Peak realisation error of a flight [m/s^2]; rounding errors count as 0."""
     error = trial.peak_realisation_error_m_s2
     return 0.0 if error is not None and error < _ROUNDING_M_S2 else error
 
 
 def changed_parameters(sweep: Sweep, base: Sweep) -> str:
-    """What was flown with another value than in `base`, in words; the name apart."""
+    """List in words the parameters that differ from those of `base`, except the name."""
     ours, theirs = (flat(s.run.record.provenance.parameters) for s in (sweep, base))
     keys = sorted(key for key in ours.keys() | theirs.keys() if ours.get(key) != theirs.get(key))
     names = {key: key.removeprefix("filter_parameters.") for key in keys if key != "name"}
@@ -58,7 +58,7 @@ def changed_parameters(sweep: Sweep, base: Sweep) -> str:
 
 
 def find(sweeps: Iterable[Sweep], scene: str, variant: str, speed_m_s: float) -> Sweep | None:
-    """The run of a variant, if there is one."""
+    """Find the run of a variant; None when there is none."""
     for sweep in sweeps:
         if (sweep.scene, sweep.variant, sweep.speed_m_s) == (scene, variant, speed_m_s):
             return sweep
@@ -78,15 +78,15 @@ def speeds_of(sweeps: Sequence[Sweep], scene: str, variants: Sequence[str]) -> l
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """One filter against another over the same pairs; ratios are ours / baseline.
+    """Comparison of two filters over the same pairs; ratios are ours / baseline.
 
     Attributes:
         mean_jerk: ratio of the flights' mean jerk, by pairs.
-        max_jerk: the same of their largest jerk.
-        filter_time: ratio of the mean time of a filter's call; None where not measured.
-        top_speed: difference of the largest speeds of the flights [m/s].
-        goals: difference of the shares that reached the goal without collision, over all flights; None where
-            only some of them are compared.
+        max_jerk: ratio of the flights' maximum jerk, by pairs.
+        filter_time: ratio of the mean time of a filter call; None where not measured.
+        top_speed: difference of the flights' maximum speeds [m/s].
+        goals: difference of the rates of flights that reached the goal without a collision; None where only
+            some of the flights are compared.
     """
 
     mean_jerk: Estimate | None
@@ -99,12 +99,17 @@ class Comparison:
 def compare(
     ours: Sequence[Sweep], theirs: Sequence[Sweep], only: Callable[[TrialResult], bool] | None = None
 ) -> Comparison:
-    """Compare runs one by one, by pairs of trials of which both are `only`, or by all.
+    """Compare runs by pairs of trials.
 
     A pair of start and goal is one draw of the bootstrap with all of its speeds.
 
+    Args:
+        ours: runs of one filter, by speed.
+        theirs: runs of the other filter, at the same speeds.
+        only: condition that both trials of a pair must meet; by default all pairs count.
+
     Raises:
-        InputError: trials of the same number do not have the same start and goal.
+        InputError: trials of the same index do not have the same start and goal.
     """
     count = min(len(s.run.record.trials) for s in (*ours, *theirs))
     pairs = [[(t.start_m, t.goal_m) for t in s.run.record.trials[:count]] for s in (*ours, *theirs)]
@@ -144,7 +149,7 @@ def compare(
 
 
 def succeeded(trial: TrialResult) -> bool:
-    """Whether a flight reached its goal without a collision."""
+    """Return whether a flight reached its goal without a collision."""
     return trial.outcome == "reached" and not trial.collision
 
 

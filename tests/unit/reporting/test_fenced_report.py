@@ -1,4 +1,4 @@
-"""What a report says of flights in a fence: rows, columns, windows, the closest flight."""
+"""Reports on flights in a fence: rows, columns, windows, the closest flight."""
 
 import msgspec
 import numpy as np
@@ -79,9 +79,9 @@ def test_tables_have_the_rows_of_a_fence_and_no_others():
     run = run_of([1.0, -1.0, 2.0])
     rows = dict(row for row in runs_table(Material("t", runs=(run,))).rows)
     assert rows["left the fence"] == 1
-    assert rows["share of ticks: passed"] == pytest.approx(0.6)
+    assert rows["fraction of ticks: passed"] == pytest.approx(0.6)
     assert "success rate" not in rows
-    assert fence_rows(run)["share of ticks: no pilot"] is None  # not told
+    assert fence_rows(run)["fraction of ticks: no pilot"] is None  # not reported
     table = trials_table(run, "trials")
     assert table.rows[1][:4] == (1, "outside", -1.0, 36.0)
     assert len(table.columns) == len(table.rows[0])

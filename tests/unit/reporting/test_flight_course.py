@@ -1,4 +1,4 @@
-"""What a report says of the course of a real flight: its states, its end, and its path without a verdict."""
+"""Reports on the course of a real flight: its states, its end, and its path without a verdict."""
 
 import json
 
@@ -9,12 +9,11 @@ from alula.cli.main import run
 from alula.schemas.cut_run import read_logged
 from alula.schemas.flights import Course, Line, Step, flights_of
 from alula.stages.flight.recorder.log import FlightRecorder
-from alula.stages.reporting.course import course_rows, course_tables, spells
-from alula.stages.reporting.curves import broken, paths_of
+from alula.stages.reporting.curves import broken, paths_of, spells
 from alula.stages.reporting.figures import all_figures
 from alula.stages.reporting.headline import cards, headline
 from alula.stages.reporting.material import NOT_JUDGED, Material, Run
-from alula.stages.reporting.tables import all_tables
+from alula.stages.reporting.tables import all_tables, course_rows, course_tables
 from support.fabricate import make_record, make_trial
 from support.flight_logs import head_of, record_of
 from support.flights import fly, mission
@@ -64,11 +63,11 @@ def test_tables_have_every_step_and_every_line():
         Run("s", make_record([make_trial(0)])),
         Run("r", make_record([make_trial(0)]), course=COURSE),
     )
-    steps, said = course_tables([simulated, real])
-    assert (steps[0], said[0]) == ("course-2", "said-2")
-    assert steps[3][2] == (3.0, "state too old", "hold", "hold")
-    assert len(steps[3]) == 6
-    assert [row[1:] for row in said[3]] == [
+    steps, messages = course_tables([simulated, real])
+    assert (steps.name, messages.name) == ("course-2", "messages-2")
+    assert steps.rows[2] == (3.0, "state too old", "hold", "hold")
+    assert len(steps.rows) == 6
+    assert [row[1:] for row in messages.rows] == [
         ("", "check level: holds"),
         ("warning", "state too old: holding"),
     ]
@@ -85,17 +84,17 @@ def test_a_real_flight_is_reported_with_states_end_and_verdict(flown):
     assert {"checks", "take-off", "fly", "land"} <= {spell.state for spell in spells(course)}
     tables = {table.name: table for table in all_tables(material)}
     assert tables["course"].rows[-1][1:3] == ("disarmed", "done")
-    assert any("check clearance: holds" in row[2] for row in tables["said"].rows)
+    assert any("check clearance: holds" in row[2] for row in tables["messages"].rows)
     rows = dict(row[:2] for row in tables["runs"].rows)
     assert (rows["ended by"], rows["holds"]) == ("plan finished", 0)
-    assert rows["least clearance to the hulls [m]"] > 0
+    assert rows["minimum clearance to the hulls [m]"] > 0
     assert headline(material)["ended_by"] == "plan finished"
     ((_, group),) = cards(material)
     assert (group[0].label, group[0].value, group[0].good) == ("ended by", "plan finished", True)
     figures = {figure.name: figure for figure in all_figures(material)}
     assert figures.keys() == {"map-1", "worst"}  # a single flight is no distribution
     assert "take-off" in figures["worst"].svg
-    assert "The supervisor's states: checks 0.00 to" in figures["worst"].alt
+    assert "States of the supervisor: checks 0.00 to" in figures["worst"].alt
 
 
 def test_a_flight_that_was_cut_is_drawn_without_a_verdict(flown, tmp_path):

@@ -14,15 +14,14 @@ from alula.schemas.manifest import InputRef
 from alula.stages.reporting import curves
 from alula.stages.reporting.headline import cards, chain, headline
 from alula.stages.reporting.material import Material, Run, is_covered, proof
+from alula.stages.reporting.table import text, to_markdown
 from alula.stages.reporting.tables import (
     CSV_COLUMNS,
     all_tables,
     compression_table,
     cover_table,
     runs_table,
-    text,
     to_csv,
-    to_markdown,
 )
 from support.fabricate import box, exact_hull, make_cover, make_plan, make_record, make_scene, make_trial
 
@@ -58,21 +57,21 @@ def test_the_table_of_runs_repeats_the_summaries():
         ("success_rate", "success rate"),
         ("collisions", "collided"),
         ("stuck", "stuck"),
-        ("min_map_clearance_m", "least clearance to the hulls [m]"),
+        ("min_map_clearance_m", "minimum clearance to the hulls [m]"),
         ("mean_path_ratio", "path / straight line, mean of successes"),
     ]:
         assert row_of(table, name) == tuple(run.record.summary[key] for run in runs)
     assert row_of(table, "success rate, 95 % low") == (0.3125, 0.3125)
     assert row_of(table, "hulls of the map") == (12, None)
-    assert row_of(table, "share of steps the filter changed") == (0.4, 0.4)
-    assert "least clearance to the splats [m]" not in [row[0] for row in table.rows]  # there are none
+    assert row_of(table, "fraction of steps changed by the filter") == (0.4, 0.4)
+    assert "minimum clearance to the splats [m]" not in [row[0] for row in table.rows]  # there are none
 
 
 def test_a_collision_is_shown_as_bad_and_none_as_good():
     groups = dict(cards(Material("t", runs=(run_of(),))))
     tone = {card.label: (card.value, card.good) for card in groups["Flights"]}
     assert tone["collisions"] == ("1", False)
-    assert tone["least clearance to hulls"] == ("-0.03125 m", False)
+    assert tone["minimum clearance to hulls"] == ("-0.03125 m", False)
     groups = dict(cards(Material("t", runs=(run_of(trials=TRIALS[:1]),))))
     assert {c.label: c.good for c in groups["Flights"]}["collisions"] is True
 
@@ -106,7 +105,9 @@ def test_only_a_certificate_says_that_a_map_is_covered():
     assert is_covered({"covered": "yes"}) is None
     ellipsoids = {"covered": True, "checks": [{"name": "every ellipsoid lies in the voxels", "ok": True}]}
     assert proof(ellipsoids).startswith("ellipsoids in voxels")
-    assert "ellipsoids were not" in proof({"covered": True, "checks": [{"name": "every voxel is a member"}]})
+    assert "ellipsoids not checked" in proof(
+        {"covered": True, "checks": [{"name": "every voxel is a member"}]}
+    )
     rows = dict(cover_table(Material("t", cover=COVER, certificate=ellipsoids)).rows)
     assert rows["verified: covered"] is True
     assert rows["verified: every ellipsoid lies in the voxels"].startswith("holds")
@@ -233,7 +234,7 @@ def test_a_run_is_matched_to_the_cover_that_it_flew_through():
 def test_distributions_are_sorted_and_end_at_one():
     (shown,) = curves.clearances([run_of()])
     assert shown.value.tolist() == [-0.03125, 0.125, 0.25, 0.5]
-    assert shown.share.tolist() == [0.25, 0.5, 0.75, 1.0]
+    assert shown.fraction.tolist() == [0.25, 0.5, 0.75, 1.0]
     (ratios,) = curves.path_ratios([run_of()])
     assert ratios.value.tolist() == [4.4 / 4.0]  # the only one that reached its goal unharmed
 
@@ -322,12 +323,12 @@ def test_the_merged_mesh_leaves_out_the_smallest_hulls_when_there_are_too_many()
     meshes = mesh(make_cover([small, box((0, 0, 0), (10, 10, 10))]))
     solid, shown = merged(meshes)
     assert (shown, len(solid.triangles), len(solid.points_voxel)) == (2, 16, 12)
-    solid, shown = merged(meshes, most=12)
+    solid, shown = merged(meshes, maximum=12)
     assert (shown, len(solid.triangles), len(solid.points_voxel)) == (1, 12, 8)
     assert solid.points_voxel.max() == 10
     assert solid.triangles.max() == 7
     scene = make_scene(50)
-    points, colors = sample(scene, most=7)
+    points, colors = sample(scene, maximum=7)
     assert len(points) == len(colors) == 7
     assert colors[0] == int.from_bytes(bytes(scene["color"][0]), "big")
 

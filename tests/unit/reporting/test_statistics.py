@@ -25,7 +25,7 @@ def test_a_ratio_that_all_pairs_share_is_found_exactly() -> None:
 
 @pytest.mark.parametrize("n", [1, 5, 50])
 def test_successes_without_a_failure_have_the_exact_interval(n) -> None:
-    """Clopper and Pearson: failures are at most as likely as n successes in a row are at 2.5 %."""
+    """Bound of Clopper and Pearson: the failure rate at which n successes in a row have a chance of 2.5 %."""
     found = mean_estimate([1.0] * n, bounds=(0.0, 1.0))
     assert found is not None
     assert (found.value, found.high) == (1.0, 1.0)
@@ -55,7 +55,7 @@ def test_bounded_intervals_cover_rare_failures() -> None:
 
 
 def test_pairs_are_resampled_together() -> None:
-    """The pairs differ by a factor of 100 from one another, but hardly within a pair."""
+    """Pairs that differ by a factor of 100 from one another, but little within a pair."""
     rng = np.random.default_rng(0)
     theirs = 10 ** rng.uniform(-1, 1, 60)
     found = ratio_estimate(theirs * rng.uniform(0.49, 0.51, 60), theirs)

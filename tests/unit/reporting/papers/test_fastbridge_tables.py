@@ -1,4 +1,4 @@
-"""The tables of FastBridge against figures counted by hand."""
+"""The tables of FastBridge against numbers counted by hand."""
 
 import math
 
@@ -115,7 +115,7 @@ def test_a_pair_counts_only_where_both_flights_qualify(pair):
 
 
 def records_of(table):
-    """Rows by column; of columns of the same name the first."""
+    """Rows as records by column; the first of columns with the same name."""
     assert all(len(row) == len(table.columns) for row in table.rows)
     columns = list(reversed(table.columns))
     return [dict(zip(columns, reversed(row), strict=True)) for row in table.rows]
@@ -169,8 +169,8 @@ def test_the_gap_names_its_extremes():
     assert [row[2] for row in table.rows] == [0.5, 1.1]
     row = dict(zip(table.columns, table.rows[0], strict=False))
     assert row["peak |e_a|, mean [m/s²]"] == pytest.approx(1.25)
-    assert row["largest"] == 2.0
-    assert row["least γ of all"] == pytest.approx(0.2)
+    assert row["maximum"] == 2.0
+    assert row["minimum γ of all"] == pytest.approx(0.2)
     assert all(len(row) == len(table.columns) for row in table.rows)
 
 
@@ -180,16 +180,16 @@ def test_the_flight_table_counts_ticks_and_keeps_the_published_row_apart(pair):
     ours, published = records_of(loops)[0], records_of(loops)[-1]
     assert ours["ticks"] == 300
     assert ours["infeasible"] == 9
-    assert ours["feasible, share"] == pytest.approx(0.97)
-    assert ours["on the backup, share"] == pytest.approx(15 / 300)
-    assert ours["certified, share"] == 1
+    assert ours["feasible, fraction"] == pytest.approx(0.97)
+    assert ours["on the backup, fraction"] == pytest.approx(15 / 300)
+    assert ours["certified, fraction"] == 1
     assert ours["loop p99 [µs]"] == pytest.approx(300)
     assert published["ticks"] == 822
     assert published["loop p99 [µs]"] == 21043
     ours, theirs, published = records_of(flights)
     assert ours["mean speed [m/s]"] == pytest.approx(7.5 / 3)
-    assert (theirs["collided"], theirs["least clearance [m]"]) == (1, -0.01)
-    assert published["least clearance [m]"] == 0.154
+    assert (theirs["collided"], theirs["minimum clearance [m]"]) == (1, -0.01)
+    assert published["minimum clearance [m]"] == 0.154
 
 
 def test_an_ablation_says_what_it_changed_and_who_has_no_shield():
@@ -199,14 +199,14 @@ def test_an_ablation_says_what_it_changed_and_who_has_no_shield():
     foreign = sweep("cone-di", 1.0, [trial(0)], parameters={"filter_parameters": {"alpha": 3.0}})
     flights, loops = flight_tables([base, other, foreign], "a", "A", bases=[base])
     assert [row["changed"] for row in records_of(flights)] == ["–", "count 16, shield no", None]
-    shares = [(row["on the backup, share"], row["certified, share"]) for row in records_of(loops)]
-    assert shares == [(0.05, 1.0), (0.05, None), (None, None)]
+    fractions = [(row["on the backup, fraction"], row["certified, fraction"]) for row in records_of(loops)]
+    assert fractions == [(0.05, 1.0), (0.05, None), (None, None)]
 
 
 def test_rounding_is_no_realisation_error():
     exact = sweep("cone-ecbf", 1.0, [trial(i, peak_realisation_error_m_s2=3e-15) for i in range(3)])
     (row,) = records_of(gap_table([exact]))
-    assert (row["peak |e_a|, mean [m/s²]"], row["largest"]) == (0, 0)
+    assert (row["peak |e_a|, mean [m/s²]"], row["maximum"]) == (0, 0)
 
 
 def test_a_run_without_times_has_none(pair):
@@ -237,9 +237,9 @@ def test_figures_say_what_they_show(pair):
 
 def test_the_line_in_short_gives_percent_below_the_baseline(pair):
     words = fastbridge.in_short(pair)["room, cone-ecbf against safer-splat"]
-    assert words.startswith("mean jerk 0.42 times its (")
-    assert "filter time 0.10 times its" in words
-    assert words.endswith("top speed +1.00 m/s (in all 3 pairs)")
+    assert words.startswith("mean jerk × 0.42 (")
+    assert "filter time × 0.10" in words
+    assert words.endswith("top speed +1.00 m/s (equal in all 3 pairs)")
 
 
 def test_values_that_are_missing_become_nan():

@@ -18,7 +18,7 @@ from alula.stages.reporting.papers.polymerge import (
     volumes_figure,
     volumes_table,
 )
-from alula.stages.reporting.tables import table_csv
+from alula.stages.reporting.table import table_csv
 
 OURS = Polytopes(30, 400, 1.2, 50_000, Measure(1000, 1200.0, 1000.0, 0, 1e-9), 1600)
 RULE = Polytopes(30, 420, 1.25, 51_000, Measure(1000, 1250.0, 1000.0, 0, 1e-9))
@@ -73,9 +73,9 @@ def test_the_figures_show_the_numbers_of_their_tables():
 
 def test_in_short_says_what_was_saved():
     assert excess_saved(ROOM) == pytest.approx(0.2)
-    said = in_short([ROOM])["room"]
-    assert "20 % below the paper's rule" in said
-    assert said.endswith("CoACD 1.3, leaving out parts of 25 % of the voxels, 12.5 % of their volume")
+    line = in_short([ROOM])["room"]
+    assert "20 % below the paper's rule" in line
+    assert line.endswith("CoACD 1.3, leaves out parts of 25 % of the voxels, 12.5 % of their volume")
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -1,5 +1,7 @@
-"""What goes beyond the tables of DR-ACBF: where its rows suffice, what its risk is worth, where a trigger
-fails.
+"""Analysis of DR-ACBF beyond its published tables.
+
+Closing speeds up to which its rows alone are recursively feasible, calibration of its risk over a whole run,
+conditions in which the simple trigger fails, and a summary of all runs.
 """
 
 from __future__ import annotations
@@ -23,15 +25,14 @@ from alula.stages.reporting.papers.dracbf import (
     success,
 )
 from alula.stages.reporting.papers.published import DRACBF
-from alula.stages.reporting.shares import HIGH, LOW
 from alula.stages.reporting.statistics import Rate, mean_of, rate
-from alula.stages.reporting.tables import Table, flat
+from alula.stages.reporting.table import HIGH, LOW, Table, flat
 
-_STEP = 5e-4  # of a stop, in horizons: the undershoot is off by less than 1 %
-_SPAN = 12.0  # horizons after which a stop is over
-_COLLAPSED = 50.0  # runs that succeed [%]: at most with one trigger, while
-_HOLDS = 82.5  # at least with the other, as published
-_SEES = 0.9  # detection probability with which most are seen
+_STEP = 5e-4  # integration step of a stop, in horizons: the error of the undershoot is below 1 %
+_SPAN = 12.0  # duration of a stop, in horizons
+_COLLAPSED = 50.0  # runs that succeed [%]: maximum with the simple trigger, while
+_HOLDS = 82.5  # minimum with the other trigger, as published
+_SEES = 0.9  # detection probability at which most obstacles are seen
 _AXES = (
     *("sensor.delay_s", "vehicle.actuation_delay_s", "sensor.noise_scale", "sensor.rate_hz"),
     "sensor.detection_probability",
@@ -40,12 +41,12 @@ _AXES = (
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """The range less all clearance, D, while an obstacle closes in along one axis and only its row acts.
+    """Range less all clearance, D, while an obstacle closes in along one axis and only its row acts.
 
     Attributes:
-        time_s: shape (n,), from where the row first asks for something, D = v0 H [s].
+        time_s: shape (n,), from the first tick in which the row is active, D = v0 H [s].
         range_m: D, shape (n,) [m].
-        command_m_s2: what is flown, towards the obstacle, shape (n,) [m/s^2].
+        command_m_s2: flown acceleration, positive towards the obstacle, shape (n,) [m/s^2].
     """
 
     time_s: FloatArray
@@ -54,16 +55,21 @@ class Stop:
 
     @property
     def undershoot_m(self) -> float:
-        """How far D falls below 0 [m]."""
+        """Depth by which D falls below 0 [m]."""
         return max(0.0, -float(self.range_m.min()))
 
 
 def stop(speed_m_s: float, horizon_s: float, a_max: float = math.inf) -> Stop:
-    """Follow the row of the native filter along one axis from D = v0 H, no faster than the box allows.
+    """Follow the row of the native filter along one axis from D = v0 H, within the box of accelerations.
 
-    D'' = -a with a = max(-a_max, b(H)) while D closes in: without a box D(t) = v0 H exp(-t/H) cos(t/H), which
+    D'' = -a with a = max(-a_max, b(H)) while D decreases. Without a box D(t) = v0 H exp(-t/H) cos(t/H), which
     falls to -exp(-3 pi/4) sqrt(1/2) v0 H = -0.067 v0 H. Integrated with constant accelerations over steps of
     `_STEP` horizons.
+
+    Args:
+        speed_m_s: closing speed v0 at the start.
+        horizon_s: H.
+        a_max: half-width of the box [m/s^2].
 
     Raises:
         ValueError: a speed or horizon is not positive.
@@ -72,7 +78,7 @@ def stop(speed_m_s: float, horizon_s: float, a_max: float = math.inf) -> Stop:
         raise ValueError("speed and horizon must be positive")
     bare = {"latency_s": 0.0, "j_max": 0.0}
     steps, h = round(_SPAN / _STEP), _STEP * horizon_s
-    # b is linear in D and v: two values of the native function give it, in double precision from then on.
+    # b is linear in D and v: values of the native function give its coefficients.
     of_range = _row(1.0, 0.0, horizon_s, bare) - _row(0.0, 0.0, horizon_s, bare)
     of_speed = _row(1.0, 1.0, horizon_s, bare) - _row(1.0, 0.0, horizon_s, bare)
     d, v = speed_m_s * horizon_s, speed_m_s
@@ -82,7 +88,7 @@ def stop(speed_m_s: float, horizon_s: float, a_max: float = math.inf) -> Stop:
         a = max(-a_max, min(0.0, of_range * d + of_speed * v))
         found[i] = d, a
         d, v = d - v * h - 0.5 * a * h * h, v + a * h
-        if v <= 0:  # it recedes: no row any more
+        if v <= 0:  # the obstacle recedes: no row any more
             used = i + 1
             break
     time = np.arange(used, dtype=np.float64) * h
@@ -97,7 +103,12 @@ def _row(distance: float, closing: float, horizon: float, options: dict[str, flo
 
 
 def recursion_table(flown: Sequence[Flown], a_max: float = 6.0) -> Table:
-    """Closing speeds up to which rows alone suffice, by horizon, and how many warnings were faster."""
+    """Tabulate by horizon the closing speed up to which rows alone suffice, and the slower warnings.
+
+    Args:
+        flown: runs whose warnings are counted.
+        a_max: half-width of the box of accelerations [m/s^2].
+    """
     fastest = [
         m.closing_m_s
         for f in flown
@@ -115,37 +126,35 @@ def recursion_table(flown: Sequence[Flown], a_max: float = 6.0) -> Table:
         slow = sum(speed <= limit for speed in fastest)
         rows.append((*row, 100.0 * slow / len(fastest) if fastest else None))
     columns = (
-        *("H [s]", "v_0, at most [m/s]", "deceleration asked for there [m/s²]", "undershoot there [m]"),
-        *(f"undershoot in the box from {speed} m/s [m]" for speed in (5, 8, 11)),
-        "warnings in scenarios 1 and 2 as slow [%]",
+        *("H [s]", "maximum v_0 [m/s]", "deceleration at v_0 [m/s²]", "undershoot at v_0 [m]"),
+        *(f"undershoot within the limit from {speed} m/s [m]" for speed in (5, 8, 11)),
+        "warnings in scenarios 1 and 2 up to v_0 [%]",
     )
     note = (
-        f"Along one axis, |a| at most {a_max:g} m/s², from D = v_0 H. A row followed exactly asks for "
-        "0.645 v_0/H and still lets D fall to -0.067 v_0 H, so what it keeps is the range less that much; "
-        "faster than v_0 it asks for more than there is. There the manoeuvre is what avoids."
+        f"Along one axis, |a| at most {a_max:g} m/s², from D = v_0 H. A row that is followed exactly "
+        "requires 0.645 v_0/H and still lets D fall to -0.067 v_0 H, so it keeps the range less that amount. "
+        "Above the maximum v_0 it requires more than the limit; there only the manoeuvre avoids the obstacle."
     )
     return Table("recursion", "Where the rows alone are recursively feasible", columns, tuple(rows), note)
 
 
 @dataclass(frozen=True, slots=True)
 class RiskBin:
-    """Trials of similar risk of a collision: its least, largest and mean figure, the mean bound, the share
-    that collided.
-    """
+    """Trials of similar risk: minimum, maximum and mean estimate, mean bound of rows, and collision rate."""
 
     low: float
     high: float
-    figure: float
+    estimate: float
     bound: float | None
     observed: Rate
 
 
 def risk_bins(trials: Sequence[TrialResult], count: int = 6) -> list[RiskBin]:
-    """Trials by min(1, `mission_risk`) in bins of equal numbers.
+    """Sort trials by min(1, `mission_risk`) into `count` bins of equal numbers.
 
-    The figure takes from each window of 0.4 s and each track the largest bound of the probability that it
-    comes within the radii while command and velocity are kept, and adds these up; the bound of rows
-    (`risk_spent`) adds up all ticks (Boole). Neither knows of what no track shows.
+    The estimate takes, for each window of 0.4 s and each track, the largest bound of the probability that the
+    object comes within the radii while command and velocity are kept, and adds these up. The bound of rows
+    (`risk_spent`) adds up all ticks (Boole). Neither includes obstacles without a track.
     """
     risks = np.array([trial.mission_risk or 0.0 for trial in trials])
     hits = np.array([trial.collision for trial in trials])
@@ -161,7 +170,7 @@ def risk_bins(trials: Sequence[TrialResult], count: int = 6) -> list[RiskBin]:
 
 
 def risk_table(flown: Sequence[Flown]) -> Table | None:
-    """Both figures of the risk of a whole run beside what was observed; None without runs."""
+    """Compare the estimated risk of a whole run and its bound with the observed rate; None without runs."""
     groups: dict[tuple[str, str], list[TrialResult]] = {}
     for scenario in ("scenario-1", "scenario-2"):
         for f in select(flown, scenario, METHODS):
@@ -176,34 +185,35 @@ def risk_table(flown: Sequence[Flown]) -> Table | None:
             rows.append(
                 (
                     *(scenario, variant, f"{each.low:.3g} to {each.high:.3g}", each.observed.n),
-                    *(100 * each.figure, None if each.bound is None else 100 * each.bound),
+                    *(100 * each.estimate, None if each.bound is None else 100 * each.bound),
                     *each.observed.cells,
-                    "holds" if 100 * each.figure >= each.observed.low else "TOO SMALL",
+                    "holds" if 100 * each.estimate >= each.observed.low else "TOO SMALL",
                 )
             )
     if not rows:
         return None
     columns = (
-        *("scenario", "variant", "figure of the run", "trials", "mean figure [%]", "mean bound of rows [%]"),
-        *("collided [%]", LOW, HIGH, "the figure"),
+        *("scenario", "variant", "risk estimate of a run", "trials", "mean estimate [%]"),
+        *("mean bound of rows [%]", "collided [%]", LOW, HIGH, "estimate"),
     )
     note = (
-        "A budget of alpha per tick says little of a mission: over K ticks the union bound is K alpha. The "
-        "bound of rows adds up what the flown commands left, var / (var + slack²) over all ticks and "
-        "obstacles with a row (Boole, Cantelli): the probability that any row of the flight fails, not that "
-        "of a collision, and neighbouring ticks, which fail together, count each time. The figure of the run "
-        "takes of each 0.4 s and track only the largest bound of coming within the radii while command and "
-        "velocity are kept, for errors with one mode. It is no bound, as other ticks of the 0.4 s might fail "
-        "too. Both are capped at 1, trust the covariance of the tracks, and know of no obstacle without a "
-        "track. First all trials, then bins of equal numbers. Collapse: all "
-        "conditions together, of whose delays nobody is told."
+        "A budget of alpha per tick says little about a mission: over K ticks the union bound is K alpha. "
+        "The bound of rows adds up the risk that the flown commands leave, var / (var + slack²), over all "
+        "ticks and obstacles with a row (Boole, Cantelli). It bounds the probability that any row of the "
+        "flight fails, not that of a collision, and counts neighbouring ticks, which fail together, each "
+        "time. The risk estimate of a run takes, for each 0.4 s and track, only the largest bound of the "
+        "probability that the object comes within the radii while command and velocity are kept, for errors "
+        "with one mode. It is no bound, because other ticks of the 0.4 s might fail too. Both are capped at "
+        "1, assume that the covariance of the tracks is right, and omit obstacles without a track. First all "
+        "trials, then bins of equal numbers. Collapse: all conditions together; the filters do not model the "
+        "delays."
     )
-    return Table("risk", "Risk of a whole run: figure, bound and observed", columns, tuple(rows), note)
+    return Table("risk", "Risk of a whole run: estimate, bound and observed", columns, tuple(rows), note)
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One condition of sensing and latency: success of runs with either trigger."""
+    """Success of runs with either trigger in one condition of sensing and latency."""
 
     delay_s: float
     lag_s: float
@@ -216,7 +226,7 @@ class Cell:
 
 
 def collapse_cells(flown: Sequence[Flown]) -> list[Cell]:
-    """Conditions that were flown with both triggers, by their sensing; worst simple trigger first."""
+    """Conditions that were flown with both triggers, the worst for the simple trigger first."""
     found: dict[tuple[float, float, float, float, float], dict[str, Rate]] = {}
     for f in select(flown, "collapse"):
         values = flat(f.record.provenance.parameters)
@@ -234,12 +244,12 @@ def collapse_cells(flown: Sequence[Flown]) -> list[Cell]:
 
 
 def has_collapsed(cell: Cell) -> bool:
-    """Whether the simple trigger fails most runs where the other still keeps the published share."""
+    """Return whether the simple trigger fails in most runs where the other keeps the published success."""
     return (cell.simple.value or 0.0) <= _COLLAPSED and (cell.distributional.value or 0.0) >= _HOLDS
 
 
 def collapse_table(flown: Sequence[Flown]) -> Table | None:
-    """Success with either trigger over both delays, noise, rate and detection; None without runs."""
+    """Compare the triggers over both delays, noise, rate and detection probability; None without runs."""
     cells = collapse_cells(flown)
     if not cells:
         return None
@@ -263,18 +273,17 @@ def collapse_table(flown: Sequence[Flown]) -> Table | None:
     note = (
         f"Scenario 2. Published: {(on['success_1'] + on['success_2']) / 2:.1f} % on, "
         f"{(off['success_1'] + off['success_2']) / 2:.1f} % off, by obstacle. Collapses: at most "
-        f"{_COLLAPSED:g} % of "
-        f"runs with the simple trigger where DR-CVaR keeps {_HOLDS:g} %. The simple trigger as printed: "
-        f"rows bind only in a manoeuvre; with DR-CVaR, and beside, in every tick. Neither filter is told of "
-        "the delays."
+        f"{_COLLAPSED:g} % of runs succeed with the simple trigger where DR-CVaR keeps {_HOLDS:g} %. Simple "
+        "trigger as printed: rows are active only in a manoeuvre; with DR-CVaR, and in the columns of rows "
+        "always, they are active in every tick. The filters do not model the delays."
     )
     return Table("collapse", "Where the simple trigger collapses", columns, rows, note)
 
 
 def in_short(flown: Sequence[Flown]) -> dict[str, str]:
-    """What the runs say, one line per subject."""
+    """Summarise the runs, one line per subject."""
     facts = {}
-    for scenario, asked in (("scenario-1", 99.6), ("scenario-2", _HOLDS)):
+    for scenario, target in (("scenario-1", 99.6), ("scenario-2", _HOLDS)):
         base = find(flown, scenario, BASE)
         if base is None:
             continue
@@ -283,7 +292,7 @@ def in_short(flown: Sequence[Flown]) -> dict[str, str]:
         worst = min(r.value or 0.0 for r in per)
         facts[f"{BASE}, {scenario}"] = (
             f"{', '.join(words)}, runs {success(base)}; the worse obstacle is "
-            f"{'at least' if worst >= asked else 'BELOW'} {asked:g} %"
+            f"{'at least' if worst >= target else 'BELOW'} {target:g} %"
         )
         free = find(flown, scenario, FREE)
         if free is not None:
@@ -300,27 +309,28 @@ def in_short(flown: Sequence[Flown]) -> dict[str, str]:
         fine = [c.simple for c in cells if c.lag_s == 0 and c.detection >= _SEES]
         worst_cell = cells[0]
         where = (
-            f"sensed {worst_cell.delay_s:g} s and executed {worst_cell.lag_s:g} s late, noise times "
-            f"{worst_cell.noise_scale:g}, "
-            f"{worst_cell.rate_hz:g} Hz, "
-            f"detected with {worst_cell.detection:g}"
+            f"sensor delay {worst_cell.delay_s:g} s, actuation delay {worst_cell.lag_s:g} s, noise × "
+            f"{worst_cell.noise_scale:g}, {worst_cell.rate_hz:g} Hz, detection probability "
+            f"{worst_cell.detection:g}"
         )
         facts["simple trigger"] = (
-            f"collapses in {len(gone)} of {len(cells)} conditions: {late} with a late command, {blind} on "
-            f"time where half of all detections are missed, {len(gone) - late - blind} else; worst, {where}: "
-            f"{worst_cell.simple} against {worst_cell.distributional}"
+            f"collapses in {len(gone)} of {len(cells)} conditions: {late} with an actuation delay, {blind} "
+            f"without it but with half of all detections missed, {len(gone) - late - blind} others; worst "
+            f"({where}): {worst_cell.simple} against {worst_cell.distributional}"
         )
         if worst_cell.always is not None:
             facts["simple trigger"] += f", {worst_cell.always} with rows in every tick"
         if fine:
-            least = min(fine, key=lambda r: r.value or 0.0)
-            facts["simple trigger on time"] = f"commands on time, most objects seen: at least {least}"
+            minimum = min(fine, key=lambda r: r.value or 0.0)
+            facts["simple trigger without actuation delay"] = (
+                f"detection probability of at least {_SEES:g}: at least {minimum}"
+            )
     whole = find(flown, "scenario-1", BASE)
     if whole is not None:
         bins = risk_bins(whole.record.trials, 1)[0]
         rows_bound = "–" if bins.bound is None else f"{100 * bins.bound:.3g} %"
         facts["risk of a run, scenario-1"] = (
-            f"figure {100 * bins.figure:.3g} % on average, bound of rows {rows_bound}, "
+            f"mean estimate {100 * bins.estimate:.3g} %, mean bound of rows {rows_bound}, "
             f"collided {bins.observed}"
         )
     walls = [f for f in select(flown, "wall") if f.variant == BASE]
