@@ -23,6 +23,7 @@ from alula.stages.reporting.papers.sweeps import (
 )
 from alula.stages.reporting.statistics import Estimate, mean_estimate
 from alula.stages.reporting.table import HIGH, LOW, Table
+from alula.stages.verdict import wilson_interval
 
 GAP_VARIANTS = ("ideal-di", "cone-di", "cone-ecbf")
 BASELINE, OURS = "safer-splat", "cone-ecbf"
