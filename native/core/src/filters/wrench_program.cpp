@@ -111,7 +111,7 @@ bool WrenchProgram::tracks(const Vec4& u) const {
   return true;
 }
 
-bool WrenchProgram::solve(const Vec4& wished, Vec4& u, FilterReport& report) {
+bool WrenchProgram::solve(const Vec4& target, Vec4& u, FilterReport& report) {
   const bool is_soft = bound_.size() > item_.size();
   const std::size_t n = is_soft ? 5 : 4;
   std::span<const double> rows = row_;
@@ -126,7 +126,7 @@ bool WrenchProgram::solve(const Vec4& wished, Vec4& u, FilterReport& report) {
   }
   std::array<double, 25> hessian{};
   std::array<double, 5> gradient{};
-  for (std::size_t j = 0; j < 4; ++j) hessian[(n + 1) * j] = 1, gradient[j] = -wished[j] / range_[j];
+  for (std::size_t j = 0; j < 4; ++j) hessian[(n + 1) * j] = 1, gradient[j] = -target[j] / range_[j];
   if (is_soft) hessian[24] = weight_;
   QpResult result;
   if (!impossible_) result = solver_.solve({n, {hessian.data(), n * n}, {gradient.data(), n}, rows, bound_});

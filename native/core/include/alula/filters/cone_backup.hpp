@@ -18,34 +18,12 @@
 // Source: Tscholl, Nakka, Gunter 2026 (FastBridge), eq. 21-23.
 #pragma once
 
+#include "alula/filters/options.hpp"
 #include "alula/filters/pruning.hpp"
 #include "alula/filters/shielded.hpp"
 #include "alula/filters/wrench_program.hpp"
 
 namespace alula::flight {
-
-enum class BackupSolver : std::uint8_t {
-  active_set,    // the nearest input, by the program
-  interpolation  // the largest share between pi_b and the nominal input that holds all rows, in closed form
-};
-
-struct ConeBackupOptions {
-  double horizon_s = 1.5;
-  int nodes = 20;
-  int first_node = 1;  // of the running rows; 0 as printed
-  int steps = 0;       // RK4 steps between nodes; 0: as few as keep them shorter than the time constant of the rates
-  double alpha_running = 10, alpha_terminal = 5;  // alpha_R, alpha_T [1/s]
-  double min_speed_m_s = 0.1;
-  double far = std::numeric_limits<double>::infinity();  // of h / beta: how far above 0 gamma stays along the ray
-  BackupSolver solver = BackupSolver::active_set;
-  double lateral_bias = 0.1;  // torque of a head-on nominal, as a share of the largest
-  TrackingRow tracking;
-  bool shielded = true;
-  double room_m = 0.08;     // kept by the rows beyond the radius when shielded: they steer before the shield stops
-  bool try_nominal = true;  // without a solution, let the shield look between backup and nominal
-  ShieldOptions shield;     // its tick_s is that of the filter
-  Pruning pruning;
-};
 
 class ConeBackup final : public SplatFilter {
  public:

@@ -5,24 +5,10 @@
 #include <vector>
 
 #include "alula/filters/acceleration_program.hpp"
+#include "alula/filters/options.hpp"
 #include "alula/filters/pruning.hpp"
 
 namespace alula::flight {
-
-struct ConeDiOptions {
-  double alpha = 5;         // of h' >= -alpha h [1/s]
-  double recovery = 3;      // alpha is at least that over the time to contact where h < 0; 0: never
-  double swell = 0.01;      // rows are of ellipsoids with semi-axes longer by this part
-  double escape_rate = 5;   // k of gamma'' + 2 k gamma' + k^2 gamma >= 0 [1/s]
-  double min_speed = 0.05;  // below it h says nothing: rows on gamma instead [m/s]
-  double max_acceleration = std::numeric_limits<double>::infinity();  // of each axis [m/s^2]
-  double max_braking = 6;                                             // of the fallback [m/s^2]
-  double lateral_bias = 0.5;      // added to a nominal input that a head-on cone only lets brake [m/s^2]
-  double clf_weight = 0;          // of the square of the slack of the tracking row; 0: no such row
-  double clf_rate = 0.5;          // c of V' <= -c V + xi [1/s]
-  double clf_kp = 3, clf_kv = 2;  // gains of the closed loop that V decides [1/s^2, 1/s]
-  Pruning pruning{.count = 48};   // as safe as 64; with 32 not, from 4 m/s on
-};
 
 // The acceleration nearest to the nominal one with, for every candidate ellipsoid,
 //   outside, |v| >= min_speed:  w . a >= -alpha h           status as usual

@@ -6,6 +6,7 @@
 #include <memory>
 #include <span>
 
+#include "alula/filters/options.hpp"
 #include "alula/geometry/vec3.hpp"
 #include "alula/qp/qp.hpp"
 #include "alula_dr_acbf.h"
@@ -49,24 +50,6 @@ enum class MovingMethod : std::uint8_t {
   mpc,         // p = 20, m = 3 on a double integrator
   cbf_qp,      // of the velocity
   rp_cbf       // robust policy CBF: rollouts of the avoidance policy
-};
-
-// In AVOID, towards the bypass point; elsewhere it flies what the manoeuvre wishes.
-struct MpcOptions {
-  double step_s = 0.02;  // 20 of them are the horizon; the first two moves last one each, the third the rest
-  double velocity_weight = 0.01, input_weight = 0.001;
-  double slack_weight = 1e5;  // of the squared slack of the distances
-};
-
-struct CbfQpOptions {
-  double horizon_s = 0.4, velocity_time_s = 0.1;
-};
-
-struct RpCbfOptions {
-  double horizon_s = 3, step_s = 0.1;  // of the rollouts, 64 steps at most
-  double hold_s = 0.5;                 // how long a sample keeps an acceleration
-  double alpha = 1;                    // [1/s]
-  int samples = 32;                    // half uniform, half bang-bang
 };
 
 struct MovingFilterOptions {

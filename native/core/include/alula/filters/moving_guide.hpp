@@ -19,7 +19,7 @@ inline std::array<float, 3> to_float(geometry::Vec3 v) {
 // The report of a tick that ended with `status`.
 MovingReport moving_report(MovingStatus status, geometry::Vec3 acceleration, const alula_guidance& guidance);
 
-// Rows n . x <= b of three variables, and the point nearest to a wish.
+// Rows n . x <= b of three variables, and the point nearest to a target.
 class NearestPoint {
  public:
   explicit NearestPoint(QpBackend backend = {});
@@ -30,14 +30,14 @@ class NearestPoint {
   std::size_t size() const { return bounds_.size(); }
 
   // False when there is none, or the solver fails.
-  bool solve(geometry::Vec3 wish, geometry::Vec3& x, int& iterations);
+  bool solve(geometry::Vec3 target, geometry::Vec3& x, int& iterations);
 
   // Of the rows by x, each taken at unit length: at most 0 where all hold, minus infinity without rows that are
   // longer than `shortest`.
   double violation(geometry::Vec3 x, double shortest = 1e-9) const;
 
   // The point of the box that misses the rows, whatever their length, by the least.
-  geometry::Vec3 least_violation(geometry::Vec3 wish, double limit);
+  geometry::Vec3 least_violation(geometry::Vec3 target, double limit);
 
  private:
   QpSolver solver_;

@@ -5,24 +5,10 @@
 
 #include "alula/filters/acceleration_program.hpp"
 #include "alula/filters/distance_rows.hpp"
+#include "alula/filters/options.hpp"
 #include "alula/filters/pruning.hpp"
 
 namespace alula::flight {
-
-enum class SaferRows : std::uint8_t {
-  all,     // of every ellipsoid of the map, as published
-  nearest  // of the nearest within a gate, which keeps no distance from the others
-};
-
-struct SaferSplatOptions {
-  double alpha = 5, beta = 1;  // of `DistanceLaw`
-  SaferHessian hessian = SaferHessian::correct;
-  SaferRows rows = SaferRows::all;
-  bool brute = false;      // measure every ellipsoid instead of asking the index
-  double max_braking = 6;  // of the fallback [m/s^2]
-  double max_acceleration = std::numeric_limits<double>::infinity();  // of each axis [m/s^2]
-  Pruning pruning;                                                    // for SaferRows::nearest
-};
 
 // The acceleration nearest to the nominal one that holds the rows of `distance_barrier`; `margin` is the least h of
 // those [m^2], and the status is `recovering` where that is negative. As h bends with d, the vehicle

@@ -32,21 +32,9 @@
 
 #include "alula/filters/backup_policy.hpp"
 #include "alula/filters/cone_escape.hpp"
+#include "alula/filters/options.hpp"
 
 namespace alula::flight {
-
-struct ShieldOptions {
-  double tick_s = 0.01;        // for which an input is held
-  int substeps = 1;            // RK4 steps of a tick, at least; none is above 10 ms or turns by much
-  double margin_m = 0.02;      // kept beyond the radius by a manoeuvre that is accepted
-  double max_time_s = 8.0;     // a manoeuvre not at rest by then is not safe; an eighth less for a new one
-  double escape_time_s = 0.6;  // for which `cone_escape` holds a velocity
-  int escape_tries = 3;        // of its velocities, by angle
-  int line_search = 2;         // bisections between the backup's input and one that is refused
-  // At rest: all of these, and the linear loop would sway by at most rest_drift_m.
-  double rest_speed_m_s = 0.1, rest_rate_rad_s = 0.2, rest_tilt_rad = 0.05, rest_drift_m = 0.008;
-  double motor_time_constant_s = 0;  // of rotors that are led; 0: they obey at once
-};
 
 struct Certificate {
   bool safe = false;

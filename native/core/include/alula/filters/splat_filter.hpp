@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "alula/dynamics/quadrotor.hpp"
+#include "alula/filters/options.hpp"
 #include "alula/geometry/ellipsoid_index.hpp"
 
 namespace alula::flight {
@@ -64,17 +65,6 @@ class SplatFilter {
   virtual FilterReport filter(const FlightState& state, const Nominal& nominal) = 0;
   virtual void reset() {}  // before another flight: forget warm starts and commitments
   virtual std::unique_ptr<SplatFilter> clone() const = 0;
-};
-
-// Which ellipsoids become rows.
-struct Pruning {
-  double reaction_time_s = 0.3;   // t of the distance gate  v^2 / (2 a_max) + v t + r
-  double max_deceleration = 6.0;  // a_max of it [m/s^2]
-  double floor_m = 0.5;           // the gate is never below this
-  std::uint32_t count = 64;       // nearest k; 0: all within the gate
-  bool gate = true;               // false: every ellipsoid of the map, for the ablation
-  bool approach = true;           // only ellipsoids with r^T A v >= 0
-  bool sweep = true;              // nearest to the segment that the gate's time sweeps, not to the position alone
 };
 
 }  // namespace alula::flight
