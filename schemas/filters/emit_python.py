@@ -81,8 +81,8 @@ def _all(struct: Struct) -> list[Parameter]:
 
 
 def _numbers(p: Parameter) -> dict[str, int]:
-    numbers = p.c_names if p.c_type == "int" else range(len(p.c_names))
-    return {name: int(number) for name, number in zip(p.native_choices, numbers, strict=True)}
+    numbers = map(int, p.c_names) if p.c_type == "int" else range(len(p.c_names))
+    return dict(zip(p.native_choices, numbers, strict=True))
 
 
 def _class(struct: Struct) -> str:

@@ -841,7 +841,7 @@ class EllipsoidIndex:
 
     def __init__(self, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, sigma: float, radius: float, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> None:
         """
-        Copy the Gaussians; the ellipsoids are at level sigma, each grown by what `loss` (N, 3) says.
+        Copy the Gaussians; the ellipsoids are at level sigma, each grown by `loss` (N, 3).
         """
 
     def __len__(self) -> int: ...
@@ -1091,7 +1091,7 @@ class SaferSplat(SplatFilter):
 
     def unsure(self, p: Sequence[float], v: Sequence[float], acceleration: Sequence[float]) -> NDArray[numpy.int64]:
         """
-        Numbers of the ellipsoids that the index says may have a row that `acceleration` violates.
+        Numbers of the ellipsoids that may have a row that `acceleration` violates, according to the index.
         """
 
 def collision_cone(centre: Sequence[float], a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='C', device='cpu', writable=False)], p: Sequence[float], v: Sequence[float], *, acceleration: Sequence[float], jerk: Sequence[float]) -> dict[str, Any]:
@@ -1370,18 +1370,18 @@ class Shield:
 
     def certify(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], *, first: Sequence[float] | None = None, hold: Sequence[float] = [0.0, 0.0, 0.0], hold_ticks: int = 0, margin_m: float | None = None, thorough: bool = False) -> dict[str, Any]:
         """
-        Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a dict of safe, rests, clearance_m (least seen, less the radius) and time_s.
+        Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a dict of safe, rests, clearance_m (minimum distance less the radius) and time_s.
         """
 
     def after(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], wrench: Sequence[float]) -> NDArray[numpy.float64]:
         """The state a tick later."""
 
     def see(self, rotors: Sequence[float] | None) -> None:
-        """What each rotor gives in the states that are asked about next [N]."""
+        """Set the thrust of each rotor for the next states [N]."""
 
 def escape_velocities(index: EllipsoidIndex, p: Sequence[float], v: Sequence[float], *, reach: float, count: int = 64, slack_rad: float = 0.05) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]:
     """
-    Velocities (N, 3) of the same speed that meet no cone of the ellipsoids within reach, and the angles [rad] they are turned by, least first.
+    Velocities (N, 3) of the same speed that meet no cone of the ellipsoids within reach, and the angles [rad] they are turned by, smallest first.
     """
 
 class SmoothNominalOptions:
@@ -2226,7 +2226,7 @@ def cantelli(alpha: float) -> float:
     """sqrt((1 - alpha) / alpha)."""
 
 def recursive_speed(a_max: float, horizon_s: float) -> float:
-    """Closing speed below which rows alone never ask for more than a_max."""
+    """Closing speed below which rows alone never demand more than a_max."""
 
 class EncounterVehicle:
     """

@@ -325,7 +325,7 @@ def flown_through_a_cloud(**options):
     return np.mean(jerk), sum(flight.outcome == "reached" for flight in flights)
 
 
-def test_the_wish_makes_flights_smoother_and_loses_no_goal():
+def test_the_smooth_nominal_makes_flights_smoother_and_loses_no_goal():
     gate = _core.Pruning(reaction_time_s=0.6)
     stiff, reached = flown_through_a_cloud(
         pruning=gate, smooth_nominal=_core.SmoothNominalOptions(release_rad_s=0)
@@ -364,7 +364,7 @@ def test_the_smooth_nominal_fades_into_the_nominal_input_which_then_comes_back_b
 
 @pytest.mark.parametrize("broken", [1e2, 1e6, 1e200, 1.7e308])
 def test_one_broken_error_does_not_stiffen_the_smooth_nominal_permanently(broken):
-    """The speed of the reference follows from it, and with that the poles of the smooth nominal, while it is held."""
+    """The reference speed, and with it the poles of the smooth nominal, follow from the error while held."""
     answers = []
     for error in (0.5, broken):
         flown, ticks, held, _ = held_then_free()

@@ -383,5 +383,5 @@ void bind_moving_filters(nb::module_& m) {
         return static_cast<double>(
             alula_dr_acbf_recursive_speed(static_cast<float>(a_max), static_cast<float>(horizon)));
       },
-      "a_max"_a, "horizon_s"_a, "Closing speed below which rows alone never ask for more than a_max.");
+      "a_max"_a, "horizon_s"_a, "Closing speed below which rows alone never demand more than a_max.");
 }

@@ -236,7 +236,7 @@ void bind_splat_filters(nb::module_& m) {
                 EllipsoidIndex({as_span(mean), as_span(scale), as_span(quat_wxyz), as_span(loss)}, sigma, radius);
           },
           "mean"_a, "scale"_a, "quat_wxyz"_a, nb::kw_only(), "sigma"_a, "radius"_a, "loss"_a = nb::none(),
-          "Copy the Gaussians; the ellipsoids are at level sigma, each grown by what `loss` (N, 3) says.")
+          "Copy the Gaussians; the ellipsoids are at level sigma, each grown by `loss` (N, 3).")
       .def("__len__", &EllipsoidIndex::size)
       .def_prop_ro("radius", &EllipsoidIndex::radius)
       .def("nearest", &nearest, "a"_a, "b"_a, nb::kw_only(), "reach"_a, "count"_a,
@@ -296,7 +296,7 @@ void bind_splat_filters(nb::module_& m) {
           },
           "item"_a, "p"_a, "v"_a, "h, row and bound of one ellipsoid: row . a >= bound.")
       .def("unsure", &unsure, "p"_a, "v"_a, "acceleration"_a,
-           "Numbers of the ellipsoids that the index says may have a row that `acceleration` violates.");
+           "Numbers of the ellipsoids that may have a row that `acceleration` violates, according to the index.");
 
   m.def("collision_cone", &cone, "centre"_a, "a"_a, "p"_a, "v"_a, nb::kw_only(), "acceleration"_a, "jerk"_a,
         "The collision cone of {y : (y - centre)^T a (y - centre) <= 1} and its derivatives along a flight.");

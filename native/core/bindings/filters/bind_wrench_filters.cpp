@@ -72,19 +72,19 @@ void bind_shield(nb::module_& m) {
            "hold_ticks"_a = 0, "margin_m"_a = nb::none(), "thorough"_a = false,
            "Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a "
            "dict "
-           "of safe, rests, clearance_m (least seen, less the radius) and time_s.")
+           "of safe, rests, clearance_m (minimum distance less the radius) and time_s.")
       .def(
           "after",
           [](const Shield& self, const InState& x, const Vec4& u) {
             return to_array(self.after(state_at(x.data()), wrench_at(u.data())));
           },
           "state"_a, "wrench"_a, "The state a tick later.")
-      .def("see", &Shield::see, "rotors"_a, "What each rotor gives in the states that are asked about next [N].");
+      .def("see", &Shield::see, "rotors"_a, "Set the thrust of each rotor for the next states [N].");
 
   m.def("escape_velocities", &escapes, "index"_a, "p"_a, "v"_a, nb::kw_only(), "reach"_a, "count"_a = 64,
         "slack_rad"_a = EscapeOptions{}.slack_rad,
         "Velocities (N, 3) of the same speed that meet no cone of the ellipsoids within reach, and the angles [rad] "
-        "they are turned by, least first.");
+        "they are turned by, smallest first.");
 }
 
 template <class Filter, class Options>

@@ -38,7 +38,7 @@ ConeBackup::ConeBackup(const BackupPolicy& policy, std::shared_ptr<const Ellipso
   require(o.alpha_running > 0 && o.alpha_terminal > 0 && std::isfinite(o.alpha_running + o.alpha_terminal),
           "alpha_running and alpha_terminal must be positive");
   require(o.first_node >= 0 && o.first_node <= o.nodes, "the first node must be one of the nodes");
-  require(o.min_speed_m_s >= 0 && o.far > 0, "the least speed must not be negative, and what is far positive");
+  require(o.min_speed_m_s >= 0 && o.far > 0, "min_speed_m_s must not be negative, and far must be positive");
   require(o.room_m >= 0 && std::isfinite(o.room_m), "the room of rows must not be negative");
   require(o.lateral_bias >= 0 && o.lateral_bias < 1 && o.tracking.weight >= 0 && o.tracking.rate > 0 &&
               o.tracking.kp > 0 && o.tracking.kv > 0,

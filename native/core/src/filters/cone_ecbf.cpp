@@ -36,14 +36,15 @@ ConeEcbf::ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIn
   const auto require = [](bool holds, const char* what) {
     if (!holds) throw std::invalid_argument(what);
   };
-  require(o.lambda > 0 && o.lambda_max >= o.lambda && std::isfinite(o.lambda_max) && o.escape_rate > 0 &&
-              o.return_time >= 0 && o.min_speed_m_s >= 0 && std::isfinite(o.min_speed_m_s),
-          "poles of the cone filter need 0 < lambda <= lambda_max, a positive escape rate, a return time and a least "
-          "speed");
+  require(
+      o.lambda > 0 && o.lambda_max >= o.lambda && std::isfinite(o.lambda_max) && o.escape_rate > 0 &&
+          o.return_time >= 0 && o.min_speed_m_s >= 0 && std::isfinite(o.min_speed_m_s),
+      "poles of the cone filter need 0 < lambda <= lambda_max, a positive escape rate, a return time and a minimum "
+      "speed");
   require(o.thrust_bandwidth_rad_s > 0 && o.thrust_bandwidth_rad_s * o.shield_options.tick_s < 1,
           "the bandwidth of the thrust times the tick must lie between 0 and 1");
   require(o.thrust_damping > 0 && o.max_thrust_rate_n_s > 0 && o.min_thrust >= 0 && o.min_thrust < 1,
-          "damping and rate of the thrust must be positive, and its least share of hover below 1");
+          "damping and rate of the thrust must be positive, and its minimum below that of hover");
   require(o.room_m >= 0 && std::isfinite(o.room_m), "the room of rows must not be negative");
   require(o.lateral_bias >= 0 && o.lateral_bias < 1 && o.tracking.weight >= 0 && o.tracking.rate > 0 &&
               o.tracking.kp > 0 && o.tracking.kv > 0,

@@ -132,7 +132,7 @@ class RpCbf final : public MovingFilter {
       if (!any) roll_out(guidance, vehicle);
       any = true;
       const double clearance = alula_effective_clearance(&guide_.config(), &m, guide_.config().avoidance.h_max_s);
-      // Squared distances first: the square root of the least is enough.
+      // Squared distances first: the square root of the minimum is enough.
       double least = std::numeric_limits<double>::infinity();
       std::size_t least_sample = 0, least_at = 0;
       for (std::size_t k = 0; k < way_.size(); ++k) {

@@ -35,7 +35,7 @@ struct PolicyJacobian {
 
 class BackupPolicy {
  public:
-  // Throws std::invalid_argument when a gain means nothing, hover is not inside the rotors' limits, or the linear
+  // Throws std::invalid_argument when a gain is invalid, hover is not inside the rotors' limits, or the linear
   // loop of braking J s^3 + K_omega s^2 + K_R s + g k_vh = 0 is not Hurwitz, i.e. unless K_omega K_R > J g k_vh
   // for roll and pitch (with K_R = K_sigma / 4, gains times kappa; K_R tan(tilt) / v_0 for k_vh in `brake`).
   BackupPolicy(const Quadrotor& vehicle, BackupKind kind, const BackupGains& gains = {});
@@ -63,8 +63,8 @@ class BackupPolicy {
   Wrench operator()(const State& x, Vec3 hold = {}) const;
 
   // The policy with all that the rotors have, torque before thrust, for where no gentle manoeuvre is left. Of `brake`
-  // the thrust is the share of the wished force along the axis, least while the axis points ahead: it never speeds
-  // the vehicle up to hold its height. The same feedback near hover.
+  // the thrust is the component of the commanded force along the axis, minimal while the axis points ahead: it never
+  // speeds the vehicle up to hold its height. The same feedback near hover.
   Wrench urgent(const State& x, Vec3 hold = {}) const;
   Wrench linearised(const State& x, Vec3 hold, PolicyJacobian& jacobian) const;  // the same bits, and its Jacobian
 

@@ -27,7 +27,7 @@ class BarrierRows {
   }
 
   // d/dt h + alpha h >= 0, where h changes with `drift` without an input and `along[j]` for each unit of input j.
-  // Left out when the least of its left side over the limits meets it: then it cannot bind.
+  // Left out when the minimum of its left side over the limits satisfies it: then it cannot bind.
   void add(double h, double drift, const Input& along, double alpha) {
     const double bound = -(drift + alpha * h);
     double least = 0;

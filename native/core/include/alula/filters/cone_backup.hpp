@@ -9,7 +9,7 @@
 //   f_min <= G^-1 u <= f_max
 //
 // nearest to the nominal wrench, or on the line from pi_b to it. Rows at Phi_0 see the thrust alone, as torque does
-// not move v at once: close to an obstacle they ask for thrusts that the rotors do not have, where rows of later
+// not move v at once: close to an obstacle they demand thrusts beyond the limits of the rotors, where rows of later
 // nodes turn the vehicle instead. They are left out unless `first_node` is 0, as printed. As the flow comes to rest
 // h' / h tends to -2 |slowest pole|, so late rows refuse pi_b itself unless alpha_R is well above that; neither does
 // a solution imply h_b = min(h_i(Phi_k), gamma_i(Phi_N)) >= 0 nor the reverse. Both are reported: `margin` is h_b.
@@ -27,7 +27,7 @@ namespace alula::flight {
 
 class ConeBackup final : public SplatFilter {
  public:
-  // `solver` solves the program. Throws std::invalid_argument for options that mean nothing.
+  // `solver` solves the program. Throws std::invalid_argument for invalid options.
   ConeBackup(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
              const ConeBackupOptions& options = {}, QpSolver solver = {});
 

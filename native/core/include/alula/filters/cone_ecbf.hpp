@@ -17,9 +17,10 @@
 // delta / beta to the ellipsoid: it ends near the surface, so the index should be grown by more than the shield's
 // radius.
 //
-// Slowly h says little: it is of second degree in v, so beside an obstacle its rows brake to a stop, and what holds
-// them changes from tick to tick. Below `min_speed_m_s` all rows are those on gamma, (d/dt + k)^4 gamma >= 0 with the
-// `escape_rate` k, of every ellipsoid near and not only of those ahead: the vehicle slides along what is in its way.
+// At low speed h is of little use: it is of second degree in v, so beside an obstacle its rows brake to a stop, and
+// what holds them changes from tick to tick. Below `min_speed_m_s` all rows are those on gamma, (d/dt + k)^4 gamma >=
+// 0 with the `escape_rate` k, of every ellipsoid near and not only of those ahead: the vehicle slides along what is
+// in its way.
 //
 // Source: Tscholl, Nakka, Gunter 2026 (FastBridge), section III-D; `difference` is its finite-difference cascade.
 #pragma once
@@ -32,6 +33,9 @@
 
 namespace alula::flight {
 
+// About lambda: a pole slower than the time to contact (at most a second within the gate) demands the turn too early,
+// and braking holds such a row, so flights end short of their goals. A pole that is much faster turns later than the
+// rotors can at speed, head-on, and the shield stops the vehicle.
 class ConeEcbf final : public SplatFilter {
  public:
   // `solver` solves the program. Throws std::invalid_argument for invalid options, in particular w dt >= 1.

@@ -1,5 +1,5 @@
-// One protocol of the filters among moving obstacles: own state, tracks, walls and what the controller wishes in, an
-// acceleration out. The state and the tracks are what sensors and tracker say, never the truth.
+// Protocol of the filters among moving obstacles: own state, tracks, walls and the nominal acceleration in, an
+// acceleration out. The state is measured and the tracks are estimated; filters never see the truth.
 #pragma once
 
 #include <cstdint>
@@ -37,7 +37,7 @@ class MovingFilter {
   virtual ~MovingFilter() = default;
   virtual MovingReport filter(const alula_vehicle_state& vehicle, std::span<const alula_track> tracks,
                               std::span<const alula_wall> walls, geometry::Vec3 nominal) = 0;
-  // What is flown in this tick instead, after a refusal: the next one counts with it.
+  // Reports the acceleration that is flown after a refusal; the next tick uses it.
   virtual void flown(geometry::Vec3 acceleration) = 0;
   virtual void reset() = 0;
   virtual std::unique_ptr<MovingFilter> clone() const = 0;
@@ -60,7 +60,7 @@ struct MovingFilterOptions {
   QpBackend backend;  // solves the programs of dr_acbf_qp, mpc, cbf_qp and rp_cbf, if there is one
 };
 
-// Throws std::invalid_argument for options that mean nothing.
+// Throws std::invalid_argument for invalid options.
 std::unique_ptr<MovingFilter> make_moving_filter(MovingMethod method, const MovingFilterOptions& options);
 
 }  // namespace alula::flight

@@ -1,4 +1,4 @@
-// What the filters compared with DR-ACBF share with it: warning, manoeuvre, walls and how they report.
+// Warning, manoeuvre, walls and reports, which DR-ACBF and the filters compared with it share.
 #pragma once
 
 #include <algorithm>
@@ -36,7 +36,7 @@ class NearestPoint {
   // longer than `shortest`.
   double violation(geometry::Vec3 x, double shortest = 1e-9) const;
 
-  // The point of the box that misses the rows, whatever their length, by the least.
+  // The point of the box with the smallest violation of the rows, each at unit length.
   geometry::Vec3 least_violation(geometry::Vec3 target, double limit);
 
  private:
@@ -53,7 +53,7 @@ class Guide {
     if (violation > config_.tolerance) report.status = MovingStatus::recovering;
   }
 
-  // Throws std::invalid_argument for a configuration that means nothing.
+  // Throws std::invalid_argument for an invalid configuration.
   explicit Guide(const alula_dr_acbf_config& config);
 
   void reset();

@@ -10,7 +10,7 @@
 
 namespace alula::flight {
 
-// The acceleration nearest to the nominal one that holds the rows of `distance_barrier`; `margin` is the least h of
+// The acceleration nearest to the nominal one that holds the rows of `distance_barrier`; `margin` is the minimum h of
 // those [m^2], and the status is `recovering` where that is negative. As h bends with d, the vehicle
 // brakes from |v| <= alpha beta / (2 (alpha + beta)) d or so whatever it could do: without the rows of what is far
 // away that is too late, and from rest a double integrator keeps its distance only with those of all ellipsoids.
@@ -30,7 +30,7 @@ namespace alula::flight {
 // the nominal input there. What is not finite is refused, with a = 0.
 class SaferSplat final : public SplatFilter {
  public:
-  // Throws std::invalid_argument for options that mean nothing.
+  // Throws std::invalid_argument for invalid options.
   SaferSplat(std::shared_ptr<const EllipsoidIndex> index, const SaferSplatOptions& options);
 
   InputKind kind() const override { return InputKind::acceleration; }

@@ -1,4 +1,4 @@
-// One protocol of the filters that fly among ellipsoids: state and nominal input in, checked input out.
+// Protocol of the filters among ellipsoids: state and nominal input in, checked input out.
 #pragma once
 
 #include <cstdint>
@@ -20,16 +20,16 @@ enum class SplatFilterStatus : std::uint8_t {
   backup = 5       // the backup policy is flown
 };
 
-// What the filters need beyond x: thrust and its rate are what the vehicle applied last.
+// Vehicle state of a filter; thrust and its rate are those applied last.
 struct FlightState {
   State x;
   double thrust = 0;       // T [N]
   double thrust_rate = 0;  // T' [N/s]
-  // Thrust of each rotor now [N], for a shield that knows their lag; when it is not said they hover.
+  // Thrust of each rotor now [N], for a shield with a motor time constant; without a value the rotors hover.
   std::optional<Vec4> rotors;
 };
 
-// What the tracking controller asks for, and the errors it saw.
+// Nominal input of the tracking controller, and its tracking errors.
 struct Nominal {
   Vec3 acceleration;                                // of the translation: a_r - (K_p e_p + K_v e_v) / m [m/s^2]
   Wrench wrench;                                    // T and tau of the geometric controller
@@ -45,9 +45,9 @@ struct FilterReport {
   Wrench wrench;           // for InputKind::wrench
   double thrust_rate = 0;  // T' at the end of the tick, for InputKind::wrench
   double margin =
-      0;  // the filter's own barrier: least h over the rows, or h_b for cone-backup; infinite without rows
+      0;  // the filter's own barrier: minimum of h over the rows, or h_b for cone-backup; infinite without rows
   std::int64_t active = -1;  // ellipsoid of the row with the largest multiplier
-  // What was done, for the log.
+  // Figures for the log.
   double gate_m = 0;             // distance gate of this tick
   std::uint32_t candidates = 0;  // ellipsoids within the gate, at most k
   std::uint32_t rows = 0;        // barrier rows of the program
