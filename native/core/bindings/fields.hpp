@@ -147,16 +147,16 @@ std::string code_of(const M& value) {
   }
 }
 
-// `def NAME(PREFIX, *, field: type = default, ...) -> RESULT`, with the defaults of `object`.
+// `def NAME(PREFIX, *, field: type = default, ..., OTHERS) -> RESULT`, with the defaults of `object`.
 template <class T>
 std::string signature(const T& object, const std::string& prefix = "self", const std::string& name = "__init__",
-                      const std::string& result = "None") {
+                      const std::string& result = "None", const std::string& others = {}) {
   std::string text = "def " + name + "(" + prefix + ", *";
   each_field<T>(object, [&](const std::string& field_name, const auto& field, const auto& value) {
     text += ", " + field_name + ": " + Python<std::remove_cvref_t<decltype(value)>>::type();
     if (!field.is_required) text += " = " + code_of(value);
   });
-  return text + ") -> " + result;
+  return text + (others.empty() ? "" : ", ") + others + ") -> " + result;
 }
 
 // "Args:" and a line for each field that has documentation.

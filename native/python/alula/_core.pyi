@@ -74,13 +74,13 @@ def cover_excess(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), o
     Volume [voxels] of the union of polytopes outside sorted voxels (M, 3), all of which they contain.
     """
 
-def merge_cover(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], block: int, is_paper: bool, max_hulls: int, max_planes: int, max_bytes: int, facet_cap: int, kdop: int, is_fitted: bool, max_growth: float, jobs: int, journal: MergeJournal | None, progress: object | None) -> dict[str, Any]:
+def merge_cover(voxels: NDArray[numpy.int32], member: NDArray[numpy.uint32], member_start: NDArray[numpy.int64], *, block: int, is_paper: bool, max_hulls: int, max_planes: int, max_bytes: int, facet_cap: int, kdop: int, is_fitted: bool, max_growth: float, jobs: int, journal: MergeJournal | None, progress: object | None) -> dict[str, Any]:
     """
-    Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets, or an
-    empty `member_start` asks for the set cover by clusters. A limit of 0 is none. `facet_cap` and `kdop`
-    ask for outer polytopes; `is_fitted` for as many hulls as make the least of the budget. Returns the
-    arrays of an alula/cover, the curve (hulls, sum of W, planes, bytes), what was measured (hulls, planes,
-    bytes, excess [voxels]), the excess of the union [voxels] and its grid.
+    Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets; with an
+    empty `member_start` the set cover by clusters is computed. A limit of 0 is none. `facet_cap` and `kdop`
+    give outer polytopes; with `is_fitted` the number of hulls minimises the excess within the budget.
+    Returns the arrays of an alula/cover, the curve (hulls, sum of W, planes, bytes), the measurements
+    (hulls, planes, bytes, excess [voxels]), the excess of the union [voxels] and its grid.
     """
 
 def union_measure(normal: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], lower: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], sliver: float, jobs: int, progress: object | None) -> dict[str, Any]:
@@ -97,11 +97,11 @@ def check_cover_hulls(vertex: Annotated[NDArray[numpy.int32], dict(shape=(None, 
 
 def check_cover_occupied(member_index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], occupied: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> NDArray[numpy.int64]:
     """
-    Whether the members of a cover are exactly the occupied voxels. Returns rows as check_cover_hulls.
+    Check that the members of a cover are exactly the occupied voxels. Returns rows as check_cover_hulls.
     """
 
 def cover_fault(fault: int) -> str:
-    """What a fault number of the checks above means."""
+    """Meaning of a fault number of the checks above."""
 
 class PolytopeCbfConfig:
     """Parameters of the onboard safety filter among polytopes."""
@@ -187,7 +187,7 @@ class PolytopeCbf:
 
     def work(self) -> tuple[int, int, int, int, int]:
         """
-        What the last call of `filter` looked at: boxes, hulls, planes of these, how many of them were
+        Counts of the last call of `filter`: boxes, hulls, planes of these, how many of them were
         decoded, exponentials of planes.
         """
 
@@ -345,7 +345,7 @@ class EllipsoidSet:
 
     def __init__(self, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], k: float, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> None:
         """
-        Copy the Gaussians; the ellipsoids are at level k, each grown by what `loss` (N, 3) says.
+        Copy the Gaussians; the ellipsoids are at level k, each grown by `loss` (N, 3).
         """
 
     def __len__(self) -> int: ...
@@ -395,7 +395,7 @@ def decode_ply_rows(rows: Annotated[NDArray[numpy.uint8], dict(shape=(None,), or
 
 def find_lines(text: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], most: int) -> tuple[NDArray[numpy.uint64], int]:
     """
-    Where the first `most` lines that are not blank start, and the bytes of all further ones.
+    Starts of the first `most` lines that are not blank, and the bytes of all further ones.
     """
 
 def decode_ply_text(text: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], start: Annotated[NDArray[numpy.uint64], dict(shape=(None,), order='C', device='cpu', writable=False)], width: int, places: Sequence[tuple[int, str] | None], color: str, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], quat: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu')], opacity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu')], out_color: Annotated[NDArray[numpy.uint8], dict(shape=(None, 3), order='C', device='cpu')], jobs: int = 0, progress: object | None = None) -> tuple[int, int, int, int] | None:
@@ -511,7 +511,7 @@ class Quadrotor:
         """
 
     def saturated(self, u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
-        """What the rotors make of wrenches when each is cut off at its limits."""
+        """Wrenches after each rotor is cut off at its limits."""
 
     def derivative(self, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
         """x' (N, 12)."""
@@ -704,7 +704,7 @@ class StatePredictor:
 
     @property
     def rotors(self) -> list[float]:
-        """What each rotor gives now [N]."""
+        """Thrust of each rotor now [N]."""
 
 class ReferenceCurve:
     """
@@ -783,7 +783,7 @@ def realise(quadrotor: Quadrotor, gains: TrackingGains, x: Annotated[NDArray[num
     """
 
 def body_rates(quadrotor: Quadrotor, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, dt_s: float, max_rate_rad_s: Sequence[float]) -> NDArray[numpy.float64]:
-    """Rates (N, 3) to ask a rate loop for [rad/s]."""
+    """Commanded rates (N, 3) for a rate loop [rad/s]."""
 
 class QpResult:
     """Answer of `QpSolver.solve`."""
@@ -1248,7 +1248,7 @@ class BackupPolicy:
 
     def excursion(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)]) -> float:
         """
-        About how far it moves at most before it rests, whatever cancels in `drift` [m].
+        Approximate maximum distance before it rests, without the cancellation in `drift` [m].
         """
 
 class BackupFlow:
@@ -1365,7 +1365,7 @@ class Shield:
     @property
     def ends_early(self) -> bool:
         """
-        Whether rollouts for a verdict end where the policy's excursion is free all around.
+        True when rollouts for a verdict end where the policy's excursion is free all around.
         """
 
     def certify(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], *, first: Sequence[float] | None = None, hold: Sequence[float] = [0.0, 0.0, 0.0], hold_ticks: int = 0, margin_m: float | None = None, thorough: bool = False) -> dict[str, Any]:
@@ -1710,7 +1710,7 @@ def ecbf_pole(h: float, h1: float, h2: float, lambda_: float, most: float) -> fl
     """
 
 class FlightVehicle:
-    """What flies among ellipsoids: body, controller, plant and interface."""
+    """Vehicle among ellipsoids: body, controller, plant and interface."""
 
     def __init__(self, body: Quadrotor, gains: TrackingGains = ..., options: PlantOptions = ..., *, plant: str = 'quadrotor', interface: str = 'wrench', max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: float = 0.02, max_acceleration_m_s2: float = float('inf'), assumed: ActuatorModel = ...) -> None:
         """
@@ -1776,7 +1776,7 @@ def fly(vehicle: FlightVehicle, rules: FlightRules, references: Sequence[Referen
 
 def least_gamma(index: EllipsoidIndex, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> float:
     """
-    Least r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.
+    Minimum r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.
     """
 
 class TrackerOptions:
@@ -1916,7 +1916,7 @@ class Tracker:
 
     def __init__(self, options: TrackerOptions = ..., most: int = 128) -> None:
         """
-        Of at most `most` tracks at a time. ValueError for options that mean nothing.
+        A tracker of at most `most` tracks at a time. ValueError for invalid options.
         """
 
     def reset(self) -> None:
@@ -1986,12 +1986,12 @@ class ObstacleSpec:
 
 def obstacle_paths(spec: ObstacleSpec, vehicle: Annotated[NDArray[numpy.float64], dict(shape=(None, 9), order='C', device='cpu', writable=False)], *, dt_s: float, seed: int = 0, first_trial: int = 0, trials: int = 1, obstacle: int = 0) -> NDArray[numpy.float64]:
     """
-    What an obstacle does beside a vehicle whose states at k dt are rows (p, v, a) (N, 9), of each trial, shape (trials, N, 9).
+    States of an obstacle beside a vehicle with states (p, v, a) (N, 9) at k dt, for each trial, shape (trials, N, 9).
     """
 
 def meeting_time(r: Sequence[float], v: Sequence[float], s: float) -> float:
     """
-    The least t with |r + v t| = s t; where there is none, that of the nearest approach.
+    The smallest t with |r + v t| = s t; without one, the time of the nearest approach.
     """
 
 class RadarOptions:
@@ -2102,19 +2102,19 @@ class FieldOfView:
 
     def holds(self, mean: Sequence[float], covariance: Sequence[Sequence[float]], margin: float) -> bool:
         """
-        Whether it has all within `margin` standard deviations of the range and of both angles.
+        True when it contains all within `margin` standard deviations of the range and of both angles.
         """
 
 def radar_scans(options: RadarOptions, vehicle: Annotated[NDArray[numpy.float64], dict(shape=(None, 9), order='C', device='cpu', writable=False)], yaw: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], truth: Annotated[NDArray[numpy.float64], dict(shape=(None, None, 9), order='C', device='cpu', writable=False)], *, seed: int = 0, trial: int = 0, first_step: int = 0) -> dict[str, Any]:
     """
-    Detections of scans at states (N, 9), headings (N,) and truths (N, obstacles, 9); `scan` says of which one.
+    Detections of scans at states (N, 9), headings (N,) and truths (N, obstacles, 9); `scan` is the number of the scan.
     """
 
 def own_states(options: RadarOptions, vehicle: Annotated[NDArray[numpy.float64], dict(shape=(None, 9), order='C', device='cpu', writable=False)], *, seed: int = 0, trial: int = 0, first_step: int = 0) -> NDArray[numpy.float64]:
     """The own states that a vehicle at states (N, 9) measures."""
 
 class MovingReport:
-    """What a filter among moving obstacles did in a tick."""
+    """Report of a filter among moving obstacles for one tick."""
 
     @property
     def status(self) -> int:
@@ -2132,7 +2132,7 @@ class MovingReport:
 
     @property
     def warned(self) -> bool:
-        """Whether an obstacle warns in this tick."""
+        """True when an obstacle triggers the warning in this tick."""
 
     @property
     def risk_m(self) -> float:
@@ -2144,7 +2144,7 @@ class MovingReport:
 
     @property
     def horizon_s(self) -> float:
-        """Of the rows."""
+        """Horizon of the rows [s]."""
 
     @property
     def feasible(self) -> bool:
@@ -2152,15 +2152,15 @@ class MovingReport:
 
     @property
     def rows(self) -> int:
-        """How many there were."""
+        """Number of rows."""
 
     @property
     def iterations(self) -> int:
-        """Of the solver."""
+        """Iterations of the solver."""
 
     @property
     def violation(self) -> float:
-        """Of the rows, minus infinity without."""
+        """Violation of the rows, minus infinity without rows."""
 
     @property
     def risk_left(self) -> float:
@@ -2177,7 +2177,7 @@ class MovingFilter:
         """
 
     def flown(self, acceleration: Sequence[float]) -> None:
-        """What is flown in a tick that was refused."""
+        """Report the acceleration that is flown in a refused tick."""
 
     def reset(self) -> None:
         """To before the first tick."""
@@ -2188,7 +2188,7 @@ class MovingFilter:
 def moving_filter(method: str, options: Mapping[str, float] = {}, backend: object | None = None) -> MovingFilter:
     """
     none, dr_acbf, dr_acbf_qp, mpc, cbf_qp or rp_cbf; `options` over those of `moving_filter_defaults`; `backend`
-    solves its quadratic programs, as in QpSolver. ValueError for what means nothing.
+    solves its quadratic programs, as in QpSolver. ValueError for invalid options.
     """
 
 def moving_filter_defaults() -> dict[str, float]:
@@ -2337,7 +2337,7 @@ class EncounterSpec:
     """All of an encounter but the filter."""
 
     def __init__(self, *, vehicle: EncounterVehicle = ..., rules: EncounterRules = ..., obstacles: Sequence[ObstacleSpec] = [], radar: RadarOptions = ..., tracker: TrackerOptions = ..., walls: PolytopeSet | None = None) -> None:
-        """ValueError for a specification that means nothing."""
+        """ValueError for an invalid specification."""
 
 def fly_encounters(spec: EncounterSpec, filter: MovingFilter, *, seed: int = 0, first: int = 0, count: int = 1, keeps_path: bool = False, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
     """
@@ -2346,12 +2346,12 @@ def fly_encounters(spec: EncounterSpec, filter: MovingFilter, *, seed: int = 0, 
 
 def collision_risk(position: Sequence[float], velocity: Sequence[float], covariance: Sequence[float], command: Sequence[float], radius: float, window_s: float) -> float:
     """
-    Of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: bound of the probability that it is within the radius when it comes closest in the window.
+    Collision risk of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: bound of the probability that it is within the radius when it comes closest in the window.
     """
 
 def closest_approach(r0: Sequence[float], r1: Sequence[float], a: Sequence[float], h: float) -> float:
     """
-    Least |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.
+    Minimum |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.
     """
 
 class RacerModel:
@@ -2485,7 +2485,9 @@ class Fence:
         """
 
     def clearance(self, a: Sequence[float], b: Sequence[float]) -> float:
-        """Least distance of a segment from what is forbidden; negative there."""
+        """
+        Minimum distance of a segment from the forbidden region; negative inside it.
+        """
 
 class Geofence:
     """
@@ -2506,7 +2508,7 @@ class Geofence:
     @property
     def fence_words(self) -> bytes:
         """
-        Of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).
+        The bytes of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).
         """
 
     @property
@@ -2523,7 +2525,7 @@ class Geofence:
 
     def evaluate(self, states: NDArray[numpy.float64]) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]:
         """
-        Of flows that begin at states (N, 13): (h_I, min h_c / v_c, margin, distance, h_B) (N, 5), and u_B (N, 4).
+        Flows that begin at states (N, 13): (h_I, min h_c / v_c, margin, distance, h_B) (N, 5), and u_B (N, 4).
         """
 
 class BackupQp:

@@ -148,5 +148,5 @@ void bind_tracking(nb::module_& m) {
         return rows.array({x.shape(0), 3});
       },
       "quadrotor"_a, "x"_a, "u"_a, nb::kw_only(), "dt_s"_a, "max_rate_rad_s"_a,
-      "Rates (N, 3) to ask a rate loop for [rad/s].");
+      "Commanded rates (N, 3) for a rate loop [rad/s].");
 }

@@ -220,7 +220,7 @@ void bind_quadrotor(nb::module_& m) {
           [](const Quadrotor& self, const InWrenches& u) {
             return for_rows(u, {u.shape(0), 4}, [&](const double* row) { return self.saturated(wrench_at(row)); });
           },
-          "u"_a, "What the rotors make of wrenches when each is cut off at its limits.")
+          "u"_a, "Wrenches after each rotor is cut off at its limits.")
       .def(
           "derivative",
           [](const Quadrotor& self, const InStates& x, const InWrenches& u) {
@@ -327,7 +327,7 @@ void bind_predictor(nb::module_& m) {
             return flight::to_array(self.lead(wrench_at(u.data())));
           },
           "wrench"_a, "The command that leads the rotors to a wrench by the end of a tick that begins now [N, N m].")
-      .def_prop_ro("rotors", &StatePredictor::rotors, "What each rotor gives now [N].");
+      .def_prop_ro("rotors", &StatePredictor::rotors, "Thrust of each rotor now [N].");
 }
 
 }  // namespace

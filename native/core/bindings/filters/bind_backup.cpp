@@ -112,7 +112,7 @@ void bind_policy(nb::module_& m) {
           "state"_a, "How far the linear loop about hover would still move before it rests [m].")
       .def(
           "excursion", [](const BackupPolicy& self, const InState& x) { return self.excursion(state_at(x.data())); },
-          "state"_a, "About how far it moves at most before it rests, whatever cancels in `drift` [m].");
+          "state"_a, "Approximate maximum distance before it rests, without the cancellation in `drift` [m].");
 }
 
 void bind_flow(nb::module_& m) {

@@ -145,7 +145,7 @@ void bind_fence(nb::module_& m) {
           [](const Fence& self, const Triple& a, const Triple& b) {
             return self.clearance(vector_of(a), vector_of(b));
           },
-          "a"_a, "b"_a, "Least distance of a segment from what is forbidden; negative there.");
+          "a"_a, "b"_a, "Minimum distance of a segment from the forbidden region; negative inside it.");
 }
 
 void bind_filter(nb::module_& m) {
@@ -172,7 +172,7 @@ void bind_filter(nb::module_& m) {
             return to_bytes(&fence, offsetof(alula_fence, face) + fence.face_count * sizeof fence.face[0]);
           },
           nb::sig("def fence_words(self) -> bytes"),
-          "Of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).")
+          "The bytes of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).")
       .def_prop_ro(
           "parameters",
           [](const Geofence& self) {
@@ -218,14 +218,14 @@ void bind_filter(nb::module_& m) {
           "states"_a,
           nb::sig("def evaluate(self, states: NDArray[numpy.float64]) -> "
                   "tuple[NDArray[numpy.float64], NDArray[numpy.float64]]"),
-          "Of flows that begin at states (N, 13): (h_I, min h_c / v_c, margin, distance, h_B) (N, 5), and u_B (N, "
+          "Flows that begin at states (N, 13): (h_I, min h_c / v_c, margin, distance, h_B) (N, 5), and u_B (N, "
           "4).");
 }
 
 void bind_backup_qp(nb::module_& m) {
   nb::class_<BackupQp>(m, "BackupQp",
                        "The backup-set barrier with gradients, by a quadratic program, with the flow of a Geofence.")
-      .def(nb::init<const Geofence&, double>(), "geofence"_a, "alpha"_a = 2.0)
+      .def(nb::init<const Geofence&, double>(), "geofence"_a, "alpha"_a = BackupQpOptions{}.alpha)
       .def("reset", &BackupQp::reset, "To before the first tick.")
       .def(
           "filter",

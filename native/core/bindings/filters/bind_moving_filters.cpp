@@ -244,7 +244,7 @@ alula_encounter encounter_of(double distance, double closing, double radius, dou
 
 void bind_moving_filters(nb::module_& m) {
   using namespace alula;
-  nb::class_<MovingReport>(m, "MovingReport", "What a filter among moving obstacles did in a tick.")
+  nb::class_<MovingReport>(m, "MovingReport", "Report of a filter among moving obstacles for one tick.")
       .def_prop_ro(
           "status", [](const MovingReport& r) { return static_cast<int>(r.status); },
           "0 the nominal, 1 another command, all rows hold, 3 rows are missed by as little as possible, 4 refused.")
@@ -253,14 +253,14 @@ void bind_moving_filters(nb::module_& m) {
           [](const MovingReport& r) { return Triple{r.acceleration.x, r.acceleration.y, r.acceleration.z}; },
           "To be flown [m/s^2]; zero when refused, and then not to be flown.")
       .def_ro("mode", &MovingReport::mode, "0 nominal, 1 avoid, 2 hover.")
-      .def_ro("warned", &MovingReport::warned, "Whether an obstacle warns in this tick.")
+      .def_ro("warned", &MovingReport::warned, "True when an obstacle triggers the warning in this tick.")
       .def_ro("risk_m", &MovingReport::risk_m, "The largest CVaR; 0 or more warns.")
       .def_ro("urgent", &MovingReport::urgent, "Index of the most urgent track or -1.")
-      .def_ro("horizon_s", &MovingReport::horizon_s, "Of the rows.")
+      .def_ro("horizon_s", &MovingReport::horizon_s, "Horizon of the rows [s].")
       .def_ro("feasible", &MovingReport::feasible, "Rows and box have a common point.")
-      .def_ro("rows", &MovingReport::rows, "How many there were.")
-      .def_ro("iterations", &MovingReport::iterations, "Of the solver.")
-      .def_ro("violation", &MovingReport::violation, "Of the rows, minus infinity without.")
+      .def_ro("rows", &MovingReport::rows, "Number of rows.")
+      .def_ro("iterations", &MovingReport::iterations, "Iterations of the solver.")
+      .def_ro("violation", &MovingReport::violation, "Violation of the rows, minus infinity without rows.")
       .def_ro("risk_left", &MovingReport::risk_left, "Sum over obstacles of Cantelli's bound at the command.");
   nb::class_<MovingFilter>(m, "MovingFilter", "A filter among moving obstacles; make one with `moving_filter`.")
       .def(
@@ -271,13 +271,13 @@ void bind_moving_filters(nb::module_& m) {
           "vehicle, distance. `covariance` xx, xy, xz, yy, yz, zz of the vehicle's position.")
       .def(
           "flown", [](MovingFilter& self, std::array<double, 3> a) { self.flown({a[0], a[1], a[2]}); },
-          "acceleration"_a, "What is flown in a tick that was refused.")
+          "acceleration"_a, "Report the acceleration that is flown in a refused tick.")
       .def("reset", &MovingFilter::reset, "To before the first tick.")
       .def("clone", &MovingFilter::clone, "A copy with the same state.");
   m.def("moving_filter", &make, "method"_a, "options"_a = Numbers{}, "backend"_a = nb::none(),
         "none, dr_acbf, dr_acbf_qp, mpc, cbf_qp or rp_cbf; `options` over those of `moving_filter_defaults`; "
         "`backend`\n"
-        "solves its quadratic programs, as in QpSolver. ValueError for what means nothing.");
+        "solves its quadratic programs, as in QpSolver. ValueError for invalid options.");
   m.def(
       "moving_filter_defaults",
       [] {

@@ -136,7 +136,7 @@ void bind_polytope_cbf(nb::module_& m) {
                   "The filter on an image of an onboard map, as a microcontroller runs it. Raises ValueError with\n"
                   "the reader's complaint for an image that it refuses.")
       .def("work", &work,
-           "What the last call of `filter` looked at: boxes, hulls, planes of these, how many of them were\n"
+           "Counts of the last call of `filter`: boxes, hulls, planes of these, how many of them were\n"
            "decoded, exponentials of planes.")
       .def("psi", &psi, "points"_a, nb::kw_only(), "jobs"_a = 0,
            "Smooth psi (N), hard psi (N) and the gradient of the smooth one (N, 3) at points (N, 3) [m].")

@@ -67,7 +67,7 @@ void bind_shield(nb::module_& m) {
           },
           "policy"_a, "index"_a, "options"_a = ShieldOptions{})
       .def_prop_ro("ends_early", &Shield::ends_early,
-                   "Whether rollouts for a verdict end where the policy's excursion is free all around.")
+                   "True when rollouts for a verdict end where the policy's excursion is free all around.")
       .def("certify", &certify, "state"_a, nb::kw_only(), "first"_a = nb::none(), "hold"_a = Triple{},
            "hold_ticks"_a = 0, "margin_m"_a = nb::none(), "thorough"_a = false,
            "Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a "

@@ -130,8 +130,7 @@ void bind_encounter(nb::module_& m) {
           },
           nb::kw_only(), "vehicle"_a = EncounterVehicle{}, "rules"_a = EncounterRules{},
           "obstacles"_a = std::vector<ObstacleSpec>{}, "radar"_a = RadarOptions{}, "tracker"_a = TrackerOptions{},
-          "walls"_a.none() = nb::none(), nb::keep_alive<1, 7>(),
-          "ValueError for a specification that means nothing.");
+          "walls"_a.none() = nb::none(), nb::keep_alive<1, 7>(), "ValueError for an invalid specification.");
   m.def(
       "fly_encounters",
       [](const EncounterSpec& spec, const MovingFilter& filter, std::uint64_t seed, std::uint32_t first,
@@ -169,12 +168,14 @@ void bind_encounter(nb::module_& m) {
         return risk_of(track, vehicle, vector_of(command), radius, window);
       },
       "position"_a, "velocity"_a, "covariance"_a, "command"_a, "radius"_a, "window_s"_a,
-      "Of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: bound of the "
+      "Collision risk of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: "
+      "bound of the "
       "probability that it is within the radius when it comes closest in the window.");
   m.def(
       "closest_approach",
       [](const Triple& r0, const Triple& r1, const Triple& a, double h) {
         return closest_approach(vector_of(r0), vector_of(r1), vector_of(a), h);
       },
-      "r0"_a, "r1"_a, "a"_a, "h"_a, "Least |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.");
+      "r0"_a, "r1"_a, "a"_a, "h"_a,
+      "Minimum |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.");
 }

@@ -190,7 +190,7 @@ std::int64_t fine_steps(double dt_s) {
 
 void bind_splat_flight(nb::module_& m) {
   using namespace alula;
-  nb::class_<FlightVehicle>(m, "FlightVehicle", "What flies among ellipsoids: body, controller, plant and interface.")
+  nb::class_<FlightVehicle>(m, "FlightVehicle", "Vehicle among ellipsoids: body, controller, plant and interface.")
       .def(
           "__init__",
           [](FlightVehicle* self, const Quadrotor& body, const TrackingGains& gains, const PlantOptions& options,
@@ -259,5 +259,6 @@ void bind_splat_flight(nb::module_& m) {
         const nb::gil_scoped_release release;
         return least_gamma(index, as_span(points));
       },
-      "index"_a, "points"_a, "Least r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.");
+      "index"_a, "points"_a,
+      "Minimum r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.");
 }

@@ -171,12 +171,12 @@ void bind_spec(nb::module_& m) {
       },
       "spec"_a, "vehicle"_a, nb::kw_only(), "dt_s"_a, "seed"_a = 0, "first_trial"_a = 0, "trials"_a = 1,
       "obstacle"_a = 0,
-      "What an obstacle does beside a vehicle whose states at k dt are rows (p, v, a) (N, 9), of each trial, shape "
+      "States of an obstacle beside a vehicle with states (p, v, a) (N, 9) at k dt, for each trial, shape "
       "(trials, N, 9).");
   m.def(
       "meeting_time",
       [](const Triple& r, const Triple& v, double s) { return meeting_time(vector_of(r), vector_of(v), s); }, "r"_a,
-      "v"_a, "s"_a, "The least t with |r + v t| = s t; where there is none, that of the nearest approach.");
+      "v"_a, "s"_a, "The smallest t with |r + v t| = s t; without one, the time of the nearest approach.");
 }
 
 void bind_radar(nb::module_& m) {
@@ -193,7 +193,7 @@ void bind_radar(nb::module_& m) {
             return self.holds(vector_of(mean), m, margin);
           },
           "mean"_a, "covariance"_a, "margin"_a,
-          "Whether it has all within `margin` standard deviations of the range and of both angles.");
+          "True when it contains all within `margin` standard deviations of the range and of both angles.");
 
   m.def(
       "radar_scans",
@@ -234,7 +234,8 @@ void bind_radar(nb::module_& m) {
         return result;
       },
       "options"_a, "vehicle"_a, "yaw"_a, "truth"_a, nb::kw_only(), "seed"_a = 0, "trial"_a = 0, "first_step"_a = 0,
-      "Detections of scans at states (N, 9), headings (N,) and truths (N, obstacles, 9); `scan` says of which one.");
+      "Detections of scans at states (N, 9), headings (N,) and truths (N, obstacles, 9); `scan` is the number of the "
+      "scan.");
   m.def(
       "own_states",
       [](const RadarOptions& options, const InKinematics& vehicle, std::uint64_t seed, std::uint32_t trial,

@@ -138,7 +138,7 @@ void bind_tracker(nb::module_& m) {
   fields::bind<TrackerOptions>(m, "TrackerOptions", "How moving obstacles are tracked; fixed once made.");
   nb::class_<Tracker>(m, "Tracker", "Tracks of moving obstacles: nearest neighbours and interacting multiple models.")
       .def(nb::init<const TrackerOptions&, std::size_t>(), "options"_a = TrackerOptions{}, "most"_a = 128,
-           "Of at most `most` tracks at a time. ValueError for options that mean nothing.")
+           "A tracker of at most `most` tracks at a time. ValueError for invalid options.")
       .def("reset", &Tracker::reset, "Forget everything.")
       .def(
           "update", &update, "t"_a, "position"_a, "covariance"_a, "los"_a = nb::none(), "range_rate"_a = nb::none(),

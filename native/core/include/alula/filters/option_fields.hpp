@@ -82,6 +82,12 @@ struct Fields<flight::BackupGains> {
 };
 
 template <>
+struct Fields<flight::BackupQpOptions> {
+  static constexpr std::tuple all{
+      Field{"alpha", &flight::BackupQpOptions::alpha, "gain of the rows of backup-qp; no other filter uses it [1/s]", Limits{.above = 0.0}}};
+};
+
+template <>
 struct Fields<flight::CbfQpOptions> {
   static constexpr std::tuple all{
       Field{"horizon_s", &flight::CbfQpOptions::horizon_s, "horizon of the barrier [s]", Limits{.above = 0.0}},

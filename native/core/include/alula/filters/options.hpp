@@ -79,6 +79,12 @@ struct BackupGains {
   Vec3 torque_weight{0.3, 0.3, 0.03};
 };
 
+// The parameter of backup-qp alone.
+struct BackupQpOptions {
+  // gain of the rows of backup-qp; no other filter uses it [1/s]
+  double alpha = 2.0;
+};
+
 // Parameters of cbf-qp alone, whose variable is a velocity.
 struct CbfQpOptions {
   // horizon of the barrier [s]
