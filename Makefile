@@ -155,8 +155,8 @@ bench-fly: setup ## fly the simulated autopilot in real time, some minutes, into
 docs: setup ## regenerate the command reference
 	$(BIN)/python -P -m alula.cli.reference docs/guide/commands.md
 
-schemas: setup ## regenerate the JSON Schemas and the type stub of the native module
-	$(BIN)/python -P -m alula.schemas.generate schemas/json
+schemas: setup ## regenerate what follows from the schemas, and the type stub of the native module
+	$(BIN)/python -P -m alula.schemas.generate .
 	$(BIN)/python -P -m nanobind.stubgen -q -m alula._core -o native/python/alula/_core.pyi
 
 clean: ## remove everything that was made

@@ -109,7 +109,7 @@ def _measured(room: Arena, ticks: Replay, count: int, repeats: int) -> dict[str,
     tick, converges = _filter()
     index = room.world.index
     pruning = _core.Pruning(count=_COUNT, floor_m=_FAR_M, approach=False, sweep=False)
-    ours = _core.ConeDi(index, alpha=_ALPHA, lateral_bias=0.0, pruning=pruning)
+    ours = _core.ConeDi(index, _core.ConeDiOptions(alpha=_ALPHA, lateral_bias=0.0, pruning=pruning))
     centres, matrices = index.grown()
     took, own, differences, filtered = [], [], [], []
     unconverged = 0

@@ -43,10 +43,9 @@
     [run]
     max_time_s = 14.0
 
-Every key has a default; what each stands for is said where the native code takes it, in
-native/core/include/alula/{flight/encounter,flight/obstacle_motion,tracking/radar,tracking/tracker}.hpp and
-filters/moving_filter.hpp beside them, and, of the filter,
-native/onboard/include/alula_{avoidance,dr_acbf}.h. Source: Mandaokar, Rinner 2025 (arXiv 2512.00462).
+Every key has a default. The headers native/core/include/alula/{flight/encounter,flight/obstacle_motion,
+tracking/radar,tracking/tracker}.hpp explain the keys; schemas/filters explains the filter's parameters.
+Source: Mandaokar, Rinner 2025 (arXiv 2512.00462).
 """
 
 from __future__ import annotations
@@ -68,10 +67,10 @@ NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
 Vector = tuple[float, float, float]
-Interval = float | tuple[float, float]  # a number, or one drawn between two
+Interval = float | tuple[float, float]  # a number, or the ends of a uniform distribution
 
 MOST_TRIALS = 1_000_000
-LARGEST = 1e6  # of a number that says where something is or how it moves: ALULA_LARGEST of native/onboard
+LARGEST = 1e6  # bound of positions, velocities and accelerations: ALULA_LARGEST of native/onboard
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -79,7 +78,7 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class EncounterTable(_Table, frozen=True, kw_only=True):
-    """The way of the vehicle, and when a trial ends."""
+    """Path of the vehicle, and the end of a trial."""
 
     start_m: Vector = (0.0, 0.0, 10.0)
     goal_m: Vector = (200.0, 0.0, 10.0)
@@ -91,7 +90,7 @@ class EncounterTable(_Table, frozen=True, kw_only=True):
 
 
 class VehicleTable(_Table, frozen=True, kw_only=True):
-    """The sphere that flies: a double integrator with limits."""
+    """The vehicle: a sphere that moves as a double integrator with limits."""
 
     radius_m: NotNegative = 0.15
     v_max_m_s: Positive = 12.0
@@ -130,7 +129,7 @@ class ObstacleTable(_Table, frozen=True, kw_only=True):
 
 
 class SensorTable(_Table, frozen=True, kw_only=True):
-    """What sees the obstacles."""
+    """The sensor that detects the obstacles."""
 
     kind: Literal["radar", "ideal", "mocap"] = "radar"
     rate_hz: Positive = 20.0
@@ -152,7 +151,7 @@ class SensorTable(_Table, frozen=True, kw_only=True):
 
 
 class TrackerTable(_Table, frozen=True, kw_only=True):
-    """What makes tracks of detections."""
+    """The tracker that makes tracks of detections."""
 
     gate: Positive = 30.0
     confirm_hits: Annotated[int, msgspec.Meta(ge=1)] = 5
@@ -198,7 +197,7 @@ class WallTable(_Table, frozen=True, kw_only=True):
 
 
 class TrialsTable(_Table, frozen=True, kw_only=True):
-    """How many, from which seed, and how many of them the log shows."""
+    """Number of trials, their seed, and the number of trials in the log."""
 
     count: Annotated[int, msgspec.Meta(ge=1, le=MOST_TRIALS)] = 100
     seed: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)] = 0
@@ -206,7 +205,7 @@ class TrialsTable(_Table, frozen=True, kw_only=True):
 
 
 class RunTable(_Table, frozen=True, kw_only=True):
-    """Time."""
+    """Time steps and limits."""
 
     dt_s: Positive = 0.01
     plant_steps: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 10
@@ -233,7 +232,7 @@ class Encounters(_Table, frozen=True, kw_only=True):
 
 
 def is_encounters(path: Path) -> bool:
-    """Whether a scenario file has moving obstacles."""
+    """Return whether a scenario file has moving obstacles."""
     return has_key(path, "encounter") or has_key(path, "obstacles")
 
 
@@ -260,7 +259,7 @@ def read_encounters(path: Path, changes: Mapping[str, Any] | None = None) -> Enc
 
 
 def _check(path: Path, scenario: Encounters) -> None:
-    """What no single key says."""
+    """Refuse keys that contradict each other."""
 
     def require(good: bool, where: str, words: str) -> None:
         if not good:
@@ -297,5 +296,9 @@ def _check(path: Path, scenario: Encounters) -> None:
 
 
 def interval(value: Interval) -> tuple[float, float]:
-    """Both ends of what is drawn between them."""
+    """Both ends of an interval; a number is an interval of length zero.
+
+    Args:
+        value: a number or the two ends.
+    """
     return value if isinstance(value, tuple) else (float(value), float(value))

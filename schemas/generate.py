@@ -1,4 +1,9 @@
-"""`python -m alula.schemas.generate FOLDER` writes the JSON Schema of every artifact kind."""
+"""`python -m alula.schemas.generate ROOT` writes all files of a checkout that follow from the schemas.
+
+The filter parameters in `schemas/filters/*.toml` become the C++ and C option structs, the field lists of
+the bindings, the Python module `alula.schemas.filter_options` and the tables in the documentation. The JSON
+Schema of every artifact kind follows from the Python structs.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +13,42 @@ from typing import Any
 
 import msgspec
 
-from alula.schemas.encounters import Encounters
-from alula.schemas.geofence import FenceScenario
-from alula.schemas.kinds import KINDS
-from alula.schemas.manifest import VERSION
-from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
-from alula.schemas.scenario import SCENARIO_SCHEMA, Scenario
-from alula.schemas.vehicle import VEHICLE_SCHEMA, Vehicle
+from alula.schemas.filters import emit_docs, emit_native, emit_python, source
+
+PAGES = ("docs/theory/filters.md", "docs/theory/moving.md", "docs/theory/geofence.md")
+
+
+def filter_files(root: Path) -> dict[str, str]:
+    """What follows from the filter parameters.
+
+    Args:
+        root: a checkout, with the parameter source and the pages that have tables.
+
+    Returns:
+        File contents by path in the checkout.
+    """
+    structs = source.load(root / "schemas/filters")
+    native = structs.values()
+    files = {
+        "native/core/include/alula/filters/options.hpp": emit_native.cpp_header(native),
+        "native/core/include/alula/filters/option_fields.hpp": emit_native.field_lists(native),
+        "native/onboard/include/alula_options.h": emit_native.c_header(native),
+        "schemas/filter_options.py": emit_python.module(structs),
+    }
+    return files | {page: emit_docs.with_tables((root / page).read_text(), structs) for page in PAGES}
 
 
 def documents() -> dict[str, bytes]:
-    """File name to content, for each kind: the schema of its manifest or record."""
+    """The JSON Schema of the manifest or record of each kind, by file name."""
+    # These modules depend on files that `main` writes first.
+    from alula.schemas.encounters import Encounters
+    from alula.schemas.geofence import FenceScenario
+    from alula.schemas.kinds import KINDS
+    from alula.schemas.manifest import VERSION
+    from alula.schemas.run import RUN_SCHEMA, RUN_VERSION, RunRecord
+    from alula.schemas.scenario import SCENARIO_SCHEMA, Scenario
+    from alula.schemas.vehicle import VEHICLE_SCHEMA, Vehicle
+
     types: dict[str, tuple[str, type[Any]]] = {
         kind.name: (kind.version, kind.manifest) for kind in KINDS.values()
     }
@@ -30,17 +60,42 @@ def documents() -> dict[str, bytes]:
     result = {}
     for name, (version, struct) in types.items():
         schema = msgspec.json.schema(struct)
+        if struct is Scenario:
+            _add_filter_parameters(schema)
         schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": name, **schema}
         text = msgspec.json.format(msgspec.json.encode(schema, order="sorted"), indent=2) + b"\n"
         result[f"{name.replace('/', '-')}-{version}.schema.json"] = text
     return result
 
 
+def _add_filter_parameters(schema: dict[str, Any]) -> None:
+    """Say which parameters each filter has that a scenario with a cover or a scene can name."""
+    from alula.schemas.filter_options import FILTERS
+    from alula.schemas.scenario import DEFAULT_FILTER, SCENARIO_FILTERS
+
+    definitions = schema["$defs"]
+    for name in SCENARIO_FILTERS:
+        (reference,), components = msgspec.json.schema_components(
+            [FILTERS[name]], ref_template="#/$defs/{name}"
+        )
+        definitions |= components
+        for key, value in components[FILTERS[name].__name__]["properties"].items():
+            if value.get("default", 0.0) in (float("inf"), None):
+                del components[FILTERS[name].__name__]["properties"][key]["default"]  # JSON has no infinity
+        named: dict[str, Any] = {"properties": {"name": {"const": name}}}
+        if name != DEFAULT_FILTER:
+            named["required"] = ["name"]
+        then = {"properties": {"parameters": reference}}
+        definitions["FilterTable"].setdefault("allOf", []).append({"if": named, "then": then})
+
+
 def main() -> None:
-    """Write all documents."""
-    folder = Path(sys.argv[1])
-    for name, text in documents().items():
-        (folder / name).write_bytes(text)
+    """Write all files."""
+    root = Path(sys.argv[1])
+    for name, text in filter_files(root).items():
+        (root / name).write_text(text)
+    for name, document in documents().items():
+        (root / "schemas/json" / name).write_bytes(document)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@
 
     [vehicle]
     file = "../vehicles/racer7.toml"             # relative to this file
-    mass_scale = 1.2                             # what really flies; the filter does not know
+    mass_scale = 1.2                             # true over assumed mass; the filter uses the file's
 
     [filter]
     name = "geofence"                            # or "backup-qp", "none"
@@ -26,11 +26,9 @@
     [run]
     duration_s = 8.0
 
-Every key but the fence, the vehicle's file and the start has a default. What each stands for is said in
-docs/theory/geofence.md, and where the native code takes it:
-native/core/include/alula/{flight/geofence_flight,dynamics/racer}.hpp and, of the filter,
-native/onboard/include/alula_{geofence,racer}.h. Source: Singletary et al. 2022
-(arXiv 2201.04331).
+Every key but the fence, the vehicle's file and the start has a default. docs/theory/geofence.md explains the
+keys, schemas/filters the filter's parameters, and native/core/include/alula/{flight/geofence_flight,
+dynamics/racer}.hpp the native side. Source: Singletary et al. 2022 (arXiv 2201.04331).
 """
 
 from __future__ import annotations
@@ -44,15 +42,13 @@ import msgspec
 from msgspec import Meta
 
 from alula.schemas.errors import UsageError
+from alula.schemas.filter_options import GeofenceParameters
 from alula.schemas.manifest import VERSION
 from alula.schemas.scenario import SCENARIO_SCHEMA
 from alula.schemas.toml_file import first_beyond, has_key, read_changed
 
 NotNegative = Annotated[float, Meta(ge=0)]
 Positive = Annotated[float, Meta(gt=0)]
-Hundred = Annotated[float, Meta(ge=0, le=100)]
-Ten = Annotated[float, Meta(ge=0, le=10)]
-Step = Annotated[float, Meta(ge=1e-4, le=0.1)]
 Scale = Annotated[float, Meta(ge=0.01, le=100)]
 Vector = tuple[float, float, float]
 Sizes = tuple[NotNegative, NotNegative, NotNegative]
@@ -70,7 +66,7 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class FenceTable(_Table, frozen=True, kw_only=True):
-    """Where to fly: inside the box and the faces, outside the hulls of the cover."""
+    """The permitted region: inside the box and the faces, outside the hulls of the cover."""
 
     box_m: Box | None = None
     faces: Annotated[tuple[Face, ...], Meta(max_length=MOST_FACES)] = ()
@@ -78,9 +74,9 @@ class FenceTable(_Table, frozen=True, kw_only=True):
 
 
 class RacerTable(_Table, frozen=True, kw_only=True):
-    """What flies: the vehicle's file, and what is otherwise in truth; the filter knows the file's model.
+    """The vehicle's file, and deviations of the true plant from it; the filter uses the file's model.
 
-    None stands for what the file says.
+    None stands for the value of the file.
     """
 
     file: str = ""
@@ -98,44 +94,15 @@ class RacerTable(_Table, frozen=True, kw_only=True):
     sag_time_s: Positive | None = None
 
 
-class GeofenceParameters(_Table, frozen=True, kw_only=True):
-    """Of the filter, by the names of `alula_geofence_config`; `alpha` is of `backup-qp` alone."""
-
-    reserve_m: Hundred = 0.0
-    latency_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
-    tick_s: Step = 0.0025
-    steps: Annotated[int, Meta(ge=2, le=400, multiple_of=2)] = 100
-    step_s: Step = 0.03
-    beta: Annotated[float, Meta(ge=1e-3, le=1000)] = 1.5
-    slow_m_s: Annotated[float, Meta(ge=0.01, le=100)] = 1.0
-    fast_m_s: Annotated[float, Meta(ge=0.01, le=100)] = 10.0
-    end_speed_m_s: Ten = 1.0
-    end_gain: Annotated[float, Meta(ge=0.1, le=1000)] = 40.0
-    push_distance_m: Hundred = 1.0
-    push_gain: Ten = 1.0
-    push_speed_m_s: Ten = 1.0
-    tilt_gain: Ten = 0.15
-    max_tilt_rad: Annotated[float, Meta(ge=0.01, le=1.57)] = math.pi / 2.1
-    attitude_gain: Annotated[float, Meta(ge=0.01, le=1000)] = 10.0
-    height_gain: Ten = 0.1
-    climb_gain: Ten = 0.05
-    most_throttle: Annotated[float, Meta(ge=0, le=1)] = 0.3
-    stale_limit_s: Ten = 0.3
-    stale_speed_m_s: Hundred = 0.5
-    stale_acceleration_m_s2: Hundred = 5.0
-    descent: Annotated[float, Meta(ge=0, le=1)] = 0.9
-    alpha: Positive = 2.0
-
-
 class GeofenceFilterTable(_Table, frozen=True, kw_only=True):
-    """The filter; `none` flies the pilot's commands and is judged all the same."""
+    """The filter; `none` flies the pilot's commands, and its flights are judged like all others."""
 
     name: Literal["geofence", "backup-qp", "none"] = "geofence"
     parameters: GeofenceParameters = GeofenceParameters()
 
 
 class PilotTable(_Table, frozen=True, kw_only=True):
-    """Who flies."""
+    """The simulated pilot."""
 
     kind: Literal["straight", "diagonal", "fall", "sticks", "aggressive", "silent", "repeated"] = "straight"
     heading_deg: float = 0.0
@@ -145,7 +112,7 @@ class PilotTable(_Table, frozen=True, kw_only=True):
 
 
 class FenceTrialsTable(_Table, frozen=True, kw_only=True):
-    """How many flights, from which seed, and where they begin: at one state, or random safe ones in a box."""
+    """Number of flights, their seed, and their start: one state, or random safe states in a box."""
 
     count: Annotated[int, Meta(ge=1, le=MOST_TRIALS)] = 1
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
@@ -158,7 +125,7 @@ class FenceTrialsTable(_Table, frozen=True, kw_only=True):
 
 
 class FenceRunTable(_Table, frozen=True, kw_only=True):
-    """Time, outages, and what goes into the log. An outage without an end lasts until the flight's."""
+    """Times, outages and log settings. An outage without a duration lasts until the end of the flight."""
 
     duration_s: Annotated[float, Meta(gt=0, le=3600)] = 8.0
     plant_steps: Annotated[int, Meta(ge=1, le=1000)] = 4
@@ -171,7 +138,7 @@ class FenceRunTable(_Table, frozen=True, kw_only=True):
 
 
 class FenceScenario(_Table, frozen=True, kw_only=True):
-    """A scenario file with a fence; with the files that it names, everything that shapes its flights."""
+    """A scenario file with a fence; with the files that it names it determines the flights."""
 
     fence: FenceTable
     schema: Literal["alula/scenario"] = SCENARIO_SCHEMA
@@ -185,7 +152,7 @@ class FenceScenario(_Table, frozen=True, kw_only=True):
 
 
 def is_fence_scenario(path: Path) -> bool:
-    """Whether a scenario file has a fence."""
+    """Return whether a scenario file has a fence."""
     return has_key(path, "fence")
 
 
@@ -212,7 +179,7 @@ def read_fence_scenario(path: Path, changes: Mapping[str, Any] | None = None) ->
 
 
 def _check(path: Path, scenario: FenceScenario) -> None:
-    """What no single key says."""
+    """Refuse keys that contradict each other."""
 
     def require(good: bool, where: str, words: str) -> None:
         if not good:
@@ -258,7 +225,7 @@ def _check(path: Path, scenario: FenceScenario) -> None:
 
 
 def _check_unused(path: Path, scenario: FenceScenario) -> None:
-    """Refuse keys about the other kind of start: a scenario says nothing that does not happen."""
+    """Refuse keys of the other kind of start, which would have no effect."""
     table, default = scenario.trials, FenceTrialsTable()
     wrong, right = "start_box_m", "start_m"
     keys: tuple[str, ...] = ("start_velocity_m_s", "start_yaw_deg")

@@ -44,34 +44,43 @@
     fence_m = [-1.0, -1.0, -0.5, 9.0, 7.0, 3.0]
     frame_check = "hand"
 
-Only `[map] cover` is required, or `[map] scene` for a filter that sees its ellipsoids. What is left out has
-the default of the command's option.
+Only `[map] cover` is required, or `[map] scene` for a filter that sees its ellipsoids. Missing keys have the
+default of the command's option.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
 
+from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.configs.simulate import SimulateConfig
 from alula.schemas.errors import UsageError
+from alula.schemas.filter_options import PolytopeCbfParameters
+from alula.schemas.filters.values import entries
 from alula.schemas.manifest import VERSION
 from alula.schemas.toml_file import read_toml
 
 SCENARIO_SCHEMA: Literal["alula/scenario"] = "alula/scenario"
 
-_BUILT_IN_PARAMETERS = {"beta": float, "kappa_per_m": float, "smoothing": str, "onboard": bool}
-# Where a scenario says what an option of `simulate` says.
+DEFAULT_FILTER = "polytope-cbf"
+# The filters of this package whose parameters a scenario with a cover or a scene has.
+SCENARIO_FILTERS = ("none", "polytope-cbf", "safer-splat", "cone-di", "cone-ecbf", "cone-backup")
+
+_HULL_PARAMETERS = entries(PolytopeCbfParameters)
+# Keys of a scenario by the option of `simulate` that replaces them.
 _KEYS = {
     "--name": "name",
     "--radius": "vehicle.radius_m",
     "--speed": "vehicle.v_max_m_s",
-    "--beta": "filter.parameters.beta",
-    "--kappa": "filter.parameters.kappa_per_m",
-    "--smoothing": "filter.parameters.smoothing",
-    "--onboard": "filter.parameters.onboard",
+    **{
+        item.metadata.get("option", f"--{item.name}"): f"filter.parameters.{item.name}"
+        for item in dataclasses.fields(SimulateConfig)
+        if item.name in _HULL_PARAMETERS
+    },
     "--sigma": "map.sigma",
     "--confidence": "map.confidence",
     "--inflate": "map.inflation_m",
@@ -108,7 +117,7 @@ class MapTable(_Table, frozen=True, kw_only=True):
 
 
 class VehicleTable(_Table, frozen=True, kw_only=True):
-    """The sphere that flies; among ellipsoids also what is inside."""
+    """The vehicle: a sphere; among ellipsoids also its file, plant and interface."""
 
     radius_m: float | None = None
     v_max_m_s: float | None = None
@@ -118,14 +127,14 @@ class VehicleTable(_Table, frozen=True, kw_only=True):
 
 
 class FilterTable(_Table, frozen=True, kw_only=True):
-    """The filter and its parameters; those of a filter from another package are its own."""
+    """The filter and its parameters; another package checks the parameters of its filters itself."""
 
     name: str | None = None
     parameters: dict[str, Any] = {}
 
 
 class ControllerTable(_Table, frozen=True, kw_only=True):
-    """The nominal controller; among ellipsoids what guides it, and how it catches up."""
+    """The nominal controller; among ellipsoids also its guide and its catch-up speed."""
 
     gain: float | None = None
     guide: str | None = None
@@ -146,7 +155,7 @@ class TrialsTable(_Table, frozen=True, kw_only=True):
 
 
 class RunTable(_Table, frozen=True, kw_only=True):
-    """Time."""
+    """Time steps and limits."""
 
     dt_s: float | None = None
     max_time_s: float | None = None
@@ -154,7 +163,7 @@ class RunTable(_Table, frozen=True, kw_only=True):
 
 
 class FlyTable(_Table, frozen=True, kw_only=True):
-    """A real flight: its link and the options of `fly`, which have these names."""
+    """A real flight: its link, and options of `fly` by name."""
 
     link: str | None = None
     rate_hz: float | None = None
@@ -189,8 +198,9 @@ class Scenario(_Table, frozen=True, kw_only=True):
         """Fields of `FlyConfig` that the file sets, and its link."""
         own = {} if self.fly is None else msgspec.structs.asdict(self.fly)
         own["fence"] = own.pop("fence_m", None)
-        is_own = self.filter.name in (None, "polytope-cbf")
-        parameters = {k: v for k, v in self.filter.parameters.items() if k in ("beta", "kappa_per_m")}
+        is_own = self.filter.name in (None, DEFAULT_FILTER)
+        known = {item.name for item in dataclasses.fields(FlyConfig)} & _HULL_PARAMETERS.keys()
+        parameters = {key: value for key, value in self.filter.parameters.items() if key in known}
         values: dict[str, Any] = {
             "name": self.name,
             "filter": self.filter.name,
@@ -208,7 +218,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
 
     def settings(self) -> dict[str, Any]:
         """Fields of `SimulateConfig` that the file sets."""
-        own = self.filter.name in (None, "polytope-cbf")
+        own = self.filter.name in (None, DEFAULT_FILTER)
         values: dict[str, Any] = {
             "name": self.name,
             "filter": self.filter.name,
@@ -251,7 +261,7 @@ def read_scenario(path: Path) -> Scenario:
         raise UsageError(f"{path}: `$.map` needs a cover, or a scene for a filter that sees ellipsoids")
     if None not in (scenario.map.sigma, scenario.map.confidence):
         raise UsageError(f"{path}: `$.map.confidence`: sets sigma; give one of the two, not both")
-    if scenario.filter.name in (None, "polytope-cbf"):
+    if scenario.filter.name in (None, DEFAULT_FILTER):
         _check_built_in_parameters(path, scenario.filter.parameters)
     elif scenario.filter.name == "none" and scenario.filter.parameters:
         raise UsageError(f"{path}: `$.filter.parameters`: the filter none has no parameters")
@@ -267,8 +277,9 @@ def read_scenario(path: Path) -> Scenario:
 def _check_built_in_parameters(path: Path, parameters: dict[str, Any]) -> None:
     for key, value in parameters.items():
         where = f"{path}: `$.filter.parameters.{key}`"
-        if key not in _BUILT_IN_PARAMETERS:
-            raise UsageError(f"{where}: unknown; polytope-cbf has {', '.join(_BUILT_IN_PARAMETERS)}")
-        wanted = _BUILT_IN_PARAMETERS[key]
+        if key not in _HULL_PARAMETERS:
+            raise UsageError(f"{where}: unknown; polytope-cbf has {', '.join(_HULL_PARAMETERS)}")
+        entry = _HULL_PARAMETERS[key]
+        wanted = str if entry.choices else entry.type
         if not (isinstance(value, wanted) or (wanted is float and type(value) is int)):
             raise UsageError(f"{where}: Expected `{wanted.__name__}`")

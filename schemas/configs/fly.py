@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from alula.schemas.errors import UsageError
+from alula.schemas.filter_options import PolytopeCbfParameters
+from alula.schemas.filters.values import config_field, entries, limits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,10 +60,8 @@ class FlyConfig:
     gain: float = field(
         default=2.0, metadata={"help": "Gain c of the nominal controller, among hulls [1/s]."}
     )
-    beta: float = field(default=2.0, metadata={"help": "Gain of the barrier of polytope-cbf [1/s]."})
-    kappa_per_m: float = field(
-        default=100.0, metadata={"help": "Sharpness of its smoothing [1/m].", "option": "--kappa"}
-    )
+    beta: float = config_field(PolytopeCbfParameters, "beta")
+    kappa_per_m: float = config_field(PolytopeCbfParameters, "kappa_per_m", option="--kappa")
     speed_m_s: float | None = field(
         default=None,
         metadata={
@@ -142,14 +142,15 @@ class FlyConfig:
 
     def __post_init__(self) -> None:
         """Refuse values that are out of range."""
+        parameters = entries(PolytopeCbfParameters)
         for option, value, low, high in (
             ("--margin", self.margin_m, 0.0, 100.0),
             ("--rate", self.rate_hz, 10.0, 500.0),
             ("--fence-reserve", self.fence_reserve_m, 0.0, 10.0),
             ("--latency", self.latency_s, 0.0, 0.3),
             ("--gain", self.gain, 1e-6, 2 * self.rate_hz),
-            ("--beta", self.beta, 1e-6, self.rate_hz),
-            ("--kappa", self.kappa_per_m, 1e-2, 1e5),
+            ("--beta", self.beta, limits(parameters["beta"].meta)[0], self.rate_hz),
+            ("--kappa", self.kappa_per_m, *limits(parameters["kappa_per_m"].meta)),
             ("--sigma", self.sigma, 0.01, 100.0),
             ("--near", self.near_m, 0.01, 100.0),
             ("--battery", self.battery, 0.0, 0.9),

@@ -8,12 +8,14 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from alula.schemas.errors import UsageError
+from alula.schemas.filter_options import PolytopeCbfParameters
+from alula.schemas.filters.values import complaint, config_field, entries, limits
 
 DEFAULT_RADIUS_M = 0.1
 DEFAULT_SPEED_M_S = 1.0
 
 # Fields that apply only to flights among the hulls of a cover, and only among the ellipsoids of a scene.
-HULLS_ONLY = ("gain", "beta", "kappa_per_m", "smoothing", "onboard")
+HULLS_ONLY = ("gain", *entries(PolytopeCbfParameters))
 ELLIPSOIDS_ONLY = (
     *("sigma", "confidence", "inflation_m", "plant", "guide", "guide_parameters", "catch_up_m_s"),
     *("interface", "pairs"),
@@ -48,26 +50,10 @@ class SimulateConfig:
         },
     )
     gain: float = field(default=2.0, metadata={"help": "In a cover: gain c of the nominal controller [1/s]."})
-    beta: float = field(default=2.0, metadata={"help": "Gain of the barrier [1/s], at most 1 / dt."})
-    kappa_per_m: float = field(
-        default=100.0,
-        metadata={
-            "help": "Sharpness of the smoothing [1/m]; with speed * dt * kappa above 1 many steps are "
-            "cut short.",
-            "option": "--kappa",
-        },
-    )
-    smoothing: Literal["sound", "paper"] = field(
-        default="sound",
-        metadata={"help": "paper: smoothing and steps as printed, which is UNSAFE; for comparison."},
-    )
-    onboard: bool = field(
-        default=False,
-        metadata={
-            "help": "Let polytope-cbf read the map that `export --target` writes: the commands are then those"
-            " of a microcontroller, bit by bit."
-        },
-    )
+    beta: float = config_field(PolytopeCbfParameters, "beta")
+    kappa_per_m: float = config_field(PolytopeCbfParameters, "kappa_per_m", option="--kappa")
+    smoothing: Literal["sound", "paper"] = config_field(PolytopeCbfParameters, "smoothing")
+    onboard: bool = config_field(PolytopeCbfParameters, "onboard")
     trials: int | None = field(
         default=None, metadata={"help": "Number of random start-goal pairs; default: 100."}
     )
@@ -176,8 +162,9 @@ class SimulateConfig:
         if self.speed_m_s is not None:
             _between("--speed", self.speed_m_s, 1e-3, 1e3)
         _between("--gain", self.gain, 1e-6, 1e6)
-        _between("--beta", self.beta, 1e-6, 1e6)
-        _between("--kappa", self.kappa_per_m, 1e-2, 1e5)
+        parameters = entries(PolytopeCbfParameters)
+        _between("--beta", self.beta, *limits(parameters["beta"].meta))
+        _between("--kappa", self.kappa_per_m, *limits(parameters["kappa_per_m"].meta))
         _between("--margin", self.margin_m, 0.0, 1e3)
         _between("--separation", self.separation, 0.0, 0.9)
         _between("--stop-fraction", self.stop_fraction, 1e-6, 0.5)
@@ -188,8 +175,8 @@ class SimulateConfig:
             _between("--max-time", self.max_time_s, self.dt_s, 1e5)
         if self.bounds is not None and not all(self.bounds[i] < self.bounds[i + 3] for i in range(3)):
             raise UsageError("--bounds needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
-        if self.smoothing not in ("sound", "paper"):
-            raise UsageError(f"--smoothing must be sound or paper, not {self.smoothing!r}")
+        if wrong := complaint(parameters["smoothing"], self.smoothing):
+            raise UsageError(f"--smoothing {wrong}")
         if self.onboard and self.filter != "polytope-cbf":
             raise UsageError("--onboard is for the filter polytope-cbf")
         _between("--sigma", self.sigma, 0.01, 100)

@@ -96,19 +96,19 @@ def merge(
             voxels,
             member,
             member_start,
-            config.block,
-            config.method == "paper",
-            config.hulls or 0,
-            config.max_planes or 0,
-            config.max_bytes or 0,
-            cap,
-            config.kdop or 0,
-            is_fitted,
-            limit,
-            jobs,
-            journal,
+            block=config.block,
+            is_paper=config.method == "paper",
+            max_hulls=config.hulls or 0,
+            max_planes=config.max_planes or 0,
+            max_bytes=config.max_bytes or 0,
+            facet_cap=cap,
+            kdop=config.kdop or 0,
+            is_fitted=is_fitted,
+            max_growth=limit,
+            jobs=jobs,
+            journal=journal,
             # Each attempt gets half of the remaining progress, as it is probably the last one.
-            progress
+            progress=progress
             if config.max_growth is None
             else share(progress, 1 - 0.5**attempt, 1 - 0.5 ** (attempt + 1)),
         )

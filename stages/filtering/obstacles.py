@@ -1,4 +1,4 @@
-"""Artifacts of a map, as what flies among them needs them."""
+"""Checks of map artifacts before a flight, and the index of a scene's ellipsoids."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def ellipsoid_index(scene: Artifact, sigma: float, radius_m: float) -> _core.Ell
     """The index of filters among a scene's ellipsoids, at the level `sigma` and for a sphere.
 
     Raises:
-        UsageError: level or radius mean nothing with these ellipsoids.
+        UsageError: the level or the radius is invalid for these ellipsoids.
     """
     rows = rows_of(scene, retained(scene, 0.0))
     try:

@@ -10,7 +10,11 @@ import numpy as np
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import UsageError
+from alula.schemas.filter_options import NATIVE_NAMES, PARTS, PolytopeCbfParameters
+from alula.schemas.filters.values import entries
 from alula.stages.filtering.protocol import FilterResult, FilterStatus, World
+
+_NATIVE = PARTS["polytope-cbf"][0].names
 
 
 class NativeFilter:
@@ -27,27 +31,25 @@ class NativeFilter:
 
     Args:
         world: obstacles, vehicle and rate.
-        parameters: `beta` [1/s], `kappa_per_m` [1/m], `smoothing` "sound" or "paper".
-        enabled: False returns the nominal input always and only tells the margin.
+        parameters: see `PolytopeCbfParameters`; `onboard` is not among them, `world.image` stands for it.
+        enabled: False always returns the nominal input and only reports the margin.
 
     Raises:
         UsageError: a parameter is unknown or has no meaning.
     """
 
     def __init__(self, world: World, parameters: Mapping[str, Any], *, enabled: bool = True) -> None:
-        known = {"beta": 2.0, "kappa_per_m": 100.0, "smoothing": "sound"}
+        known = {name: entry for name, entry in entries(PolytopeCbfParameters).items() if name in _NATIVE}
         if unknown := sorted(parameters.keys() - known.keys()):
             raise UsageError(f"polytope-cbf: unknown parameter {unknown[0]!r}; it has {', '.join(known)}")
-        values = {**known, **parameters}
+        values = {name: parameters.get(name, entry.default) for name, entry in known.items()}
         hulls = world.hulls
         options: dict[str, Any] = {
             "extent_m": world.extent_m,
             "radius_m": world.radius_m,
-            "beta": float(values["beta"]),
-            "kappa": float(values["kappa_per_m"]),
             "dt_s": world.dt_s,
             "v_max": world.speed_m_s,
-            "smoothing": str(values["smoothing"]),
+            **{NATIVE_NAMES["polytope-cbf"].get(name, name): value for name, value in values.items()},
         }
         try:
             if world.image and enabled:
@@ -59,7 +61,7 @@ class NativeFilter:
                     np.ascontiguousarray(hulls.plane_start),
                     **options,
                 )
-        except ValueError as error:
+        except (TypeError, ValueError) as error:
             raise UsageError(f"polytope-cbf: {error}") from error
         self.enabled = enabled
 

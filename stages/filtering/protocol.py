@@ -1,4 +1,4 @@
-"""What every safety filter takes and gives."""
+"""Protocol of the safety filters for a vehicle whose input is its velocity."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from alula.stages.compression.hulls import Hulls
 
 
 class FilterStatus(IntEnum):
-    """What a filter did; the numbers are those of `alula_filter_status` in native/onboard."""
+    """Outcome of a filter; the numbers are those of `alula_filter_status` in native/onboard."""
 
     OK = 0
     """The nominal input is safe and is returned unchanged, bit by bit."""
@@ -21,23 +21,23 @@ class FilterStatus(IntEnum):
     SHORTENED = 2
     """Scaled down further, so that the held step stays clear."""
     RECOVERING = 3
-    """Too close already: drives out, the nominal input is ignored."""
+    """The vehicle is too close already: the filter drives it out and ignores the nominal input."""
     REFUSED = 4
     """No safe input is known; `u` is zero."""
     BACKUP = 5
-    """The backup policy is flown; only by filters among ellipsoids."""
+    """The backup policy is flown; only filters among ellipsoids return this."""
 
 
 @dataclass(frozen=True, slots=True)
 class FilterResult:
-    """A filter's answer.
+    """Result of one call of a filter.
 
     Attributes:
         u: the input to fly, shape (3,), world frame [m/s].
-        status: what was done; every caller branches on it.
+        status: outcome; every caller branches on it.
         margin: value of the barrier, negative when violated [m].
-        active: index of the obstacle that decides, -1 for none.
-        solve_time: measured by the filter itself [s]; NaN when it did not.
+        active: index of the deciding obstacle, -1 for none.
+        solve_time: duration measured by the filter [s]; NaN when it measures none.
     """
 
     u: FloatArray
@@ -49,15 +49,15 @@ class FilterResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class World:
-    """What a filter is built for.
+    """Obstacles, vehicle and rate that a filter is built for.
 
     Attributes:
         hulls: the obstacles.
-        radius_m: of the vehicle's sphere [m].
+        radius_m: radius of the vehicle's sphere [m].
         speed_m_s: speed limit [m/s].
-        dt_s: how long an input is held [s].
-        extent_m: no coordinate of a position exceeds this [m].
-        image: the hulls as an onboard map with an index, when `polytope-cbf` is to read that instead.
+        dt_s: time for which an input is held [s].
+        extent_m: bound of the coordinates of all positions [m].
+        image: the hulls as an onboard map with an index, which `polytope-cbf` then reads instead of `hulls`.
     """
 
     hulls: Hulls

@@ -1,4 +1,4 @@
-"""Filters by name: those of this package, then those of others through entry points."""
+"""Filters by name: those of this package, then those of other packages through entry points."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def make_splat_filter(name: str, world: SplatWorld, parameters: Mapping[str, Any
 
 
 def complete_parameters(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """All parameters of a filter among ellipsoids with their defaults; of another package's those given.
+    """All parameters of a filter among ellipsoids, defaults included; of other packages' filters those given.
 
     Raises:
         UsageError: a parameter is unknown or of the wrong type.

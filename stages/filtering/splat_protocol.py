@@ -1,4 +1,4 @@
-"""What a safety filter among ellipsoids takes and gives."""
+"""Protocol of the safety filters among ellipsoids."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ InputKind = Literal["acceleration", "wrench"]
 
 @dataclass(frozen=True, slots=True)
 class FlightState:
-    """What a filter sees of the vehicle, world frame z up, body frame x forward, y left, z up.
+    """Vehicle state for a filter; world frame z up, body frame x forward, y left, z up.
 
     Attributes:
         position: shape (3,) [m].
         sigma: attitude, Modified Rodrigues Parameters of the body in the world, shape (3,), |sigma| <= 1.
         velocity: shape (3,) [m/s].
         omega: angular velocity of the body, body components, shape (3,) [rad/s].
-        thrust: collective thrust that was flown last [N].
-        thrust_rate: its rate [N/s].
-        rotors: what each rotor gives now, shape (4,), as the model has it [N]; None: they hover.
+        thrust: collective thrust applied last [N].
+        thrust_rate: rate of that thrust [N/s].
+        rotors: thrust of each rotor now according to the model, shape (4,) [N]; None: the rotors hover.
     """
 
     position: FloatArray
@@ -40,10 +40,10 @@ class FlightState:
 
 @dataclass(frozen=True, slots=True)
 class Nominal:
-    """What the tracking controller asks for, and the errors that it saw.
+    """Nominal input of the tracking controller, and its tracking errors.
 
     Attributes:
-        acceleration: of the translation, shape (3,) [m/s^2].
+        acceleration: nominal acceleration of the translation, shape (3,) [m/s^2].
         wrench: collective thrust [N] and torque in the body frame [N m], shape (4,).
         thrust_rate: derivative of that thrust [N/s].
         thrust_acceleration: second derivative [N/s^2].
@@ -63,13 +63,13 @@ class Nominal:
 
 @dataclass(frozen=True, slots=True)
 class SplatFilterResult:
-    """A filter's answer, held for one tick.
+    """Result of a filter, held for one tick.
 
     Attributes:
         u: the acceleration, shape (3,) [m/s^2], or the wrench, shape (4,) [N, N m], as `kind` says.
-        status: what was done; `REFUSED` ends the flight.
+        status: outcome; `REFUSED` ends the flight.
         margin: value of the filter's own barrier, negative when violated; infinite without an obstacle.
-        active: ellipsoid that decides, -1 for none.
+        active: index of the deciding ellipsoid, -1 for none.
         thrust_rate: rate of the thrust at the end of the tick, for wrenches [N/s].
         infeasible: whether the filter's program had no solution.
         certified: whether a safe backup manoeuvre is proven to remain after the tick.
@@ -86,15 +86,15 @@ class SplatFilterResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SplatWorld:
-    """What a filter among ellipsoids is built for.
+    """Obstacles, vehicle and rate that a filter among ellipsoids is built for.
 
     Attributes:
         index: the ellipsoids at their level, and grown by `radius_m`.
         body: mass, inertia and rotors of the vehicle.
-        gains: of the tracking controller.
-        radius_m: of the vehicle's sphere, with what the alignment of the scene leaves open [m].
-        dt_s: how long an input is held [s].
-        motor_time_constant_s: of the rotors, as filters believe it; 0: they obey at once [s].
+        gains: gains of the tracking controller.
+        radius_m: radius of the vehicle's sphere plus the alignment error of the scene [m].
+        dt_s: time for which an input is held [s].
+        motor_time_constant_s: assumed time constant of the rotors; 0: they follow a command at once [s].
     """
 
     index: _core.EllipsoidIndex
@@ -110,15 +110,15 @@ class SplatFilter(Protocol):
 
     @property
     def kind(self) -> InputKind:
-        """What the filter returns."""
+        """The kind of input that the filter returns."""
         ...
 
     def __call__(self, state: FlightState, nominal: Nominal) -> SplatFilterResult:
-        """Filter what the controller asks for."""
+        """Filter the nominal input of one tick."""
         ...
 
     def reset(self) -> None:
-        """Forget the flight before: called at the start of each."""
+        """Discard the state of the previous flight; called at the start of each."""
         ...
 
 
@@ -126,6 +126,11 @@ SplatFilterFactory = Callable[[SplatWorld, Mapping[str, Any]], SplatFilter]
 
 
 def is_input(u: Any, kind: InputKind) -> bool:
-    """Whether a value can be flown."""
+    """Return whether a value is a finite input of a kind.
+
+    Args:
+        u: any value; an input has shape (3,) [m/s^2] or (4,) [N, N m].
+        kind: the kind of input.
+    """
     array = np.asarray(u, np.float64)
     return array.shape == ((3,) if kind == "acceleration" else (4,)) and bool(np.isfinite(array).all())

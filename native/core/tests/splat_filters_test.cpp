@@ -186,7 +186,7 @@ void test_shortcuts_change_nothing(const EllipsoidIndex& index) {
 int main() {
   const auto index = Cloud(5000).index();
   ConeDiOptions options;
-  options.clf_weight = 10, options.max_acceleration = 8;
+  options.tracking.weight = 10, options.max_acceleration = 8;
   ConeDi cone(index, options);
   SaferSplatOptions few;
   few.rows = SaferRows::nearest;

@@ -130,7 +130,7 @@ int main() {
       ConeBackupOptions backup;
       ecbf.tracking.weight = backup.tracking.weight = weight;
       // With lag too; without rotor thrusts the filter assumes hovering.
-      ecbf.shield.motor_time_constant_s = backup.shield.motor_time_constant_s = weight > 0 ? 0.03 : 0;
+      ecbf.shield_options.motor_time_constant_s = backup.shield_options.motor_time_constant_s = weight > 0 ? 0.03 : 0;
       ConeEcbf first(policy, index, ecbf);
       ConeBackup second(policy, index, backup);
       test_ticks(first), test_ticks(second);

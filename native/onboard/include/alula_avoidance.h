@@ -15,6 +15,7 @@
 #define ALULA_AVOIDANCE_H
 
 #include "alula_onboard.h"
+#include "alula_options.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -49,34 +50,6 @@ typedef struct {
   float normal[3];  /* of length 1, from the obstacle to the vehicle */
   float distance_m; /* from the vehicle's centre */
 } alula_wall;
-
-typedef struct {
-  float dt_s;
-  float radius_m; /* of the vehicle */
-  float a_max;    /* |a|_inf of a command [m/s^2] */
-  float range_m;  /* obstacles farther away do not count */
-  float latency_s;
-  float h_max_s;
-  /* sliding-mode differentiator; the envelope starts at `start`, forgets at `forget` and ends at `cap` */
-  float l1, l2, settle_s, envelope_start, envelope_cap, envelope_forget;
-  /* warning */
-  int distributional;     /* 0: the simple trigger */
-  float tail;             /* beta of the CVaR */
-  float wasserstein;      /* eps [m] */
-  float obstacle_braking; /* a_i in D_dyn [m/s^2]; 0 is conservative */
-  float simple_quantile;  /* of the simple trigger */
-  /* manoeuvre */
-  float clearance_m; /* d_cl */
-  float hold_s;      /* t_hd */
-  float kp, kd;      /* gains towards the bypass point [1/s^2, 1/s] */
-  float reach_m;     /* distance at which it counts as reached */
-  float longest_avoid_s;
-  float improvement;   /* fraction by which another direction must be better */
-  int accelerated;     /* the miss is predicted with the track's acceleration, cut at envelope_cap; 0: on a line */
-  float stop_s, brake; /* t_s, k_s */
-  float stopped_m_s;
-  float wall_room_m; /* distance of bypass points from walls, beyond the vehicle's radius */
-} alula_avoidance_config;
 
 /* The defaults of the source; where it states none, those of the specification. */
 alula_avoidance_config alula_avoidance_defaults(void);

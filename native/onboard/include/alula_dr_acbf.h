@@ -50,25 +50,6 @@ extern "C" {
 
 #define ALULA_HORIZONS 16U /* maximum of the search */
 
-typedef enum { ALULA_SOLVER_EXACT = 0, ALULA_SOLVER_GAUSS_SOUTHWELL } alula_dr_acbf_solver;
-
-typedef struct {
-  alula_avoidance_config avoidance;
-  float v_max, j_max; /* of the vehicle, in R_eff [m/s, m/s^3] */
-  float h_min_s;      /* shortest horizon; the longest is that of `avoidance` */
-  uint32_t horizons;  /* searched, evenly spaced */
-  float risk;         /* alpha_total */
-  float warned_risk;  /* factor on `risk` in the tick that enters a manoeuvre, with the longest horizon */
-  alula_dr_acbf_solver solver;
-  uint32_t iterations;    /* of Gauss-Southwell */
-  float relaxation;       /* its omega */
-  float tolerance;        /* violation of rows above which the command counts as a fallback [m/s^2] */
-  uint32_t failing_ticks; /* before braking and descending, except in AVOID */
-  float descent_m_s;
-  int rows_before_warning; /* 0, as printed: rows bind only in a manoeuvre. UNSAFE when the warning is late. */
-  float wall_deceleration; /* a_w [m/s^2]; up to a_max / sqrt(3), right-angled corners are safe in any orientation */
-} alula_dr_acbf_config;
-
 alula_dr_acbf_config alula_dr_acbf_defaults(void);
 
 typedef void (*alula_projector)(void* context, const alula_half_space* row, uint32_t count, float limit,

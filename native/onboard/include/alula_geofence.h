@@ -59,23 +59,6 @@ extern "C" {
 #define ALULA_GEOFENCE_NONE 0xFFFFFFFFU
 #define ALULA_GEOFENCE_END 0xFFFFFFFEU /* h_B decides */
 
-typedef struct {
-  alula_racer_model model;
-  alula_backup_gains backup;
-  float push_distance_m, push_gain, push_speed_m_s; /* (17) */
-  uint32_t steps;                                   /* N, even */
-  float step_s;                                     /* dt */
-  float tick_s;                                     /* between two calls, dt_s */
-  float beta;
-  float slow_m_s, fast_m_s;      /* limits of v_c; both 1: (10) */
-  float end_speed_m_s, end_gain; /* h_B */
-  float radius_m;                /* of the vehicle */
-  float reserve_m;               /* additional margin for effects that the model omits */
-  float latency_s; /* from a command, or from the state, until it acts; the flow starts that much later */
-  float stale_limit_s, stale_speed_m_s, stale_acceleration_m_s2;
-  float descent; /* throttle of HAND_OVER, as a fraction of hovering */
-} alula_geofence_config;
-
 /* The published numbers with the model of the published flight code, 400 Hz. */
 alula_geofence_config alula_geofence_defaults(void);
 

@@ -25,6 +25,7 @@
 #define ALULA_POLYTOPE_CBF_H
 
 #include "alula_map.h"
+#include "alula_options.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -64,21 +65,6 @@ typedef struct {
   float extent_m;
   float slack_m;
 } alula_polytope_map;
-
-typedef enum {
-  ALULA_SMOOTHING_SOUND = 0, /* s <= psi; steps are checked */
-  ALULA_SMOOTHING_PAPER = 1  /* as printed: s may exceed psi by log(L_k)/kappa, no step check. UNSAFE. */
-} alula_smoothing;
-
-typedef struct {
-  float radius_m; /* r >= 0, of the vehicle's sphere */
-  float beta;     /* > 0, at most 1 / dt [1/s] */
-  float kappa;    /* > 0 [1/m] */
-  float dt_s;     /* time for which a command is held */
-  float v_max;    /* speed limit of the command [m/s] */
-  alula_smoothing smoothing;
-  int brute_force; /* nonzero: evaluate every plane; the results are the same, bit by bit */
-} alula_polytope_cbf_config;
 
 /* Work of a call. */
 typedef struct {

@@ -26,6 +26,7 @@
 #define ALULA_RACER_H
 
 #include "alula_onboard.h"
+#include "alula_options.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -41,22 +42,6 @@ typedef struct {
   float throttle; /* 0 to 1 */
   float rates[3]; /* omega_des */
 } alula_racer_command;
-
-typedef struct {
-  float gravity;
-  float thrust[3];   /* a_0, a_1, a_2 [m/s^2]; a_1, a_2 >= 0 */
-  float rate_gain;   /* C [1/s] */
-  float max_rate[3]; /* limit of a command [rad/s] */
-} alula_racer_model;
-
-typedef struct {
-  float tilt_gain;     /* [rad s/m] */
-  float max_tilt;      /* [rad], below pi / 2 */
-  float attitude_gain; /* [1/s] */
-  float height_gain;   /* [1/m] */
-  float climb_gain;    /* [s/m] */
-  float most_throttle; /* limit of either correction */
-} alula_backup_gains;
 
 /* The published gains. */
 alula_backup_gains alula_backup_defaults(void);

@@ -19,35 +19,7 @@ static float variance(const float c[6], const float x[3]) {
 }
 
 alula_avoidance_config alula_avoidance_defaults(void) {
-  const alula_avoidance_config config = {.dt_s = 0.01F,
-                                         .radius_m = 0.15F,
-                                         .a_max = 6.0F,
-                                         .range_m = 40.0F,
-                                         .latency_s = 0.02F,
-                                         .h_max_s = 0.4F,
-                                         .l1 = 3.0F,
-                                         .l2 = 3.0F,
-                                         .settle_s = 0.3F,
-                                         .envelope_start = 1.0F,
-                                         .envelope_cap = 4.0F,
-                                         .envelope_forget = 0.5F,
-                                         .distributional = 1,
-                                         .tail = 0.05F,
-                                         .wasserstein = 0.05F,
-                                         .obstacle_braking = 6.0F,
-                                         .simple_quantile = 1.645F,
-                                         .clearance_m = 1.0F,
-                                         .hold_s = 0.2F,
-                                         .kp = 60.0F,
-                                         .kd = 14.0F,
-                                         .reach_m = 0.15F,
-                                         .longest_avoid_s = 1.2F,
-                                         .improvement = 0.2F,
-                                         .accelerated = 0,
-                                         .stop_s = 0.5F,
-                                         .brake = 1.0F,
-                                         .stopped_m_s = 0.3F,
-                                         .wall_room_m = 0.1F};
+  const alula_avoidance_config config = ALULA_AVOIDANCE_DEFAULTS;
   return config;
 }
 

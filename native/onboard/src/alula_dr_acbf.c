@@ -6,21 +6,7 @@
 #define NEAREST 1.0e-3F
 
 alula_dr_acbf_config alula_dr_acbf_defaults(void) {
-  const alula_dr_acbf_config config = {.avoidance = alula_avoidance_defaults(),
-                                       .v_max = 12.0F,
-                                       .j_max = 60.0F,
-                                       .h_min_s = 0.15F,
-                                       .horizons = 6U,
-                                       .risk = 0.1F,
-                                       .warned_risk = 0.5F,
-                                       .solver = ALULA_SOLVER_EXACT,
-                                       .iterations = 15U,
-                                       .relaxation = 1.0F,
-                                       .tolerance = 1.0e-3F,
-                                       .failing_ticks = 5U,
-                                       .descent_m_s = 0.5F,
-                                       .rows_before_warning = 1,
-                                       .wall_deceleration = 3.36F};
+  const alula_dr_acbf_config config = ALULA_DR_ACBF_DEFAULTS;
   return config;
 }
 

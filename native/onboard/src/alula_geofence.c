@@ -11,30 +11,7 @@
 #define MOST_GAIN 1000.0F
 
 alula_geofence_config alula_geofence_defaults(void) {
-  alula_geofence_config config;
-  config.model.gravity = 9.81F;
-  /* 2.7508051e-5 P^2 - 4.7313846e-3 P with P = 1639 throttle + 172 */
-  config.model.thrust[0] = 0.0F;
-  config.model.thrust[1] = 7.75474F;
-  config.model.thrust[2] = 73.895455F;
-  config.model.rate_gain = 50.0F;
-  config.model.max_rate[0] = config.model.max_rate[1] = 12.0F;
-  config.model.max_rate[2] = 6.0F;
-  config.backup = alula_backup_defaults();
-  config.push_distance_m = config.push_gain = config.push_speed_m_s = 1.0F;
-  config.steps = 100U;
-  config.step_s = 0.03F;
-  config.tick_s = 0.0025F;
-  config.beta = 1.5F;
-  config.slow_m_s = 1.0F;
-  config.fast_m_s = 10.0F;
-  config.end_speed_m_s = 1.0F;
-  config.end_gain = 40.0F;
-  config.radius_m = config.reserve_m = config.latency_s = 0.0F;
-  config.stale_limit_s = 0.3F;
-  config.stale_speed_m_s = 0.5F;
-  config.stale_acceleration_m_s2 = 5.0F;
-  config.descent = 0.9F;
+  const alula_geofence_config config = ALULA_GEOFENCE_DEFAULTS;
   return config;
 }
 

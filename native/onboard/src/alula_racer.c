@@ -8,13 +8,7 @@
 #define SHORT 1.0e-6F /* squared length below which a direction is undefined */
 
 alula_backup_gains alula_backup_defaults(void) {
-  alula_backup_gains gains;
-  gains.tilt_gain = 0.15F;
-  gains.max_tilt = 1.49599650F; /* pi / 2.1 */
-  gains.attitude_gain = 10.0F;
-  gains.height_gain = 0.1F;
-  gains.climb_gain = 0.05F;
-  gains.most_throttle = 0.3F;
+  const alula_backup_gains gains = ALULA_BACKUP_GAINS_DEFAULTS;
   return gains;
 }
 

@@ -74,13 +74,13 @@ def cover_excess(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), o
     Volume [voxels] of the union of polytopes outside sorted voxels (M, 3), all of which they contain.
     """
 
-def merge_cover(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], block: int, is_paper: bool, max_hulls: int, max_planes: int, max_bytes: int, facet_cap: int, kdop: int, is_fitted: bool, max_growth: float, jobs: int, journal: MergeJournal | None, progress: object | None) -> dict[str, Any]:
+def merge_cover(voxels: NDArray[numpy.int32], member: NDArray[numpy.uint32], member_start: NDArray[numpy.int64], *, block: int, is_paper: bool, max_hulls: int, max_planes: int, max_bytes: int, facet_cap: int, kdop: int, is_fitted: bool, max_growth: float, jobs: int, journal: MergeJournal | None, progress: object | None) -> dict[str, Any]:
     """
-    Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets, or an
-    empty `member_start` asks for the set cover by clusters. A limit of 0 is none. `facet_cap` and `kdop`
-    ask for outer polytopes; `is_fitted` for as many hulls as make the least of the budget. Returns the
-    arrays of an alula/cover, the curve (hulls, sum of W, planes, bytes), what was measured (hulls, planes,
-    bytes, excess [voxels]), the excess of the union [voxels] and its grid.
+    Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets; with an
+    empty `member_start` the set cover by clusters is computed. A limit of 0 is none. `facet_cap` and `kdop`
+    give outer polytopes; with `is_fitted` the number of hulls minimises the excess within the budget.
+    Returns the arrays of an alula/cover, the curve (hulls, sum of W, planes, bytes), the measurements
+    (hulls, planes, bytes, excess [voxels]), the excess of the union [voxels] and its grid.
     """
 
 def union_measure(normal: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], lower: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], sliver: float, jobs: int, progress: object | None) -> dict[str, Any]:
@@ -97,11 +97,56 @@ def check_cover_hulls(vertex: Annotated[NDArray[numpy.int32], dict(shape=(None, 
 
 def check_cover_occupied(member_index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], occupied: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> NDArray[numpy.int64]:
     """
-    Whether the members of a cover are exactly the occupied voxels. Returns rows as check_cover_hulls.
+    Check that the members of a cover are exactly the occupied voxels. Returns rows as check_cover_hulls.
     """
 
 def cover_fault(fault: int) -> str:
-    """What a fault number of the checks above means."""
+    """Meaning of a fault number of the checks above."""
+
+class PolytopeCbfConfig:
+    """Parameters of the onboard safety filter among polytopes."""
+
+    def __init__(self, *, radius_m: float = 0.0, beta: float = 2.0, kappa: float = 100.0, dt_s: float = 0.01, v_max: float = 1.0, smoothing: str = 'sound', brute_force: bool = False) -> None:
+        """
+        Args:
+            radius_m: radius r of the vehicle's sphere [m]
+            beta: gain of the barrier, at most 1 / dt [1/s]
+            kappa: sharpness of the smoothing; with speed * dt * kappa above 1 many steps are cut short [1/m]
+            dt_s: how long a command is held [s]
+            v_max: speed limit of the command [m/s]
+            smoothing: smoothing of the distance
+            brute_force: evaluate every plane; the results are the same, bit by bit
+        """
+
+    @property
+    def radius_m(self) -> float:
+        """radius r of the vehicle's sphere [m]"""
+
+    @property
+    def beta(self) -> float:
+        """gain of the barrier, at most 1 / dt [1/s]"""
+
+    @property
+    def kappa(self) -> float:
+        """
+        sharpness of the smoothing; with speed * dt * kappa above 1 many steps are cut short [1/m]
+        """
+
+    @property
+    def dt_s(self) -> float:
+        """how long a command is held [s]"""
+
+    @property
+    def v_max(self) -> float:
+        """speed limit of the command [m/s]"""
+
+    @property
+    def smoothing(self) -> str:
+        """smoothing of the distance"""
+
+    @property
+    def brute_force(self) -> bool:
+        """evaluate every plane; the results are the same, bit by bit"""
 
 class PolytopeCbf:
     """
@@ -111,7 +156,21 @@ class PolytopeCbf:
     the coordinates of all positions. Raises ValueError for what the filter does not accept.
     """
 
-    def __init__(self, normal: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], *, extent_m: float, radius_m: float, beta: float = 2.0, kappa: float = 100.0, dt_s: float = 0.01, v_max: float = 1.0, smoothing: str = 'sound', brute_force: bool = False) -> None: ...
+    def __init__(self, normal: NDArray[numpy.float64], offset: NDArray[numpy.float64], plane_start: NDArray[numpy.int64], *, extent_m: float, radius_m: float = 0.0, beta: float = 2.0, kappa: float = 100.0, dt_s: float = 0.01, v_max: float = 1.0, smoothing: str = 'sound', brute_force: bool = False) -> None:
+        """
+        Args:
+            extent_m: bound of the coordinates of all positions [m]
+            radius_m: radius r of the vehicle's sphere [m]
+            beta: gain of the barrier, at most 1 / dt [1/s]
+            kappa: sharpness of the smoothing; with speed * dt * kappa above 1 many steps are cut short [1/m]
+            dt_s: how long a command is held [s]
+            v_max: speed limit of the command [m/s]
+            smoothing: smoothing of the distance
+            brute_force: evaluate every plane; the results are the same, bit by bit
+        """
+
+    @property
+    def config(self) -> PolytopeCbfConfig: ...
 
     def filter(self, x: Sequence[float], u_nom: Sequence[float]) -> tuple[list[float], int, float, float, int]:
         """
@@ -119,7 +178,8 @@ class PolytopeCbf:
         """
 
     @staticmethod
-    def from_image(image: bytes, *, extent_m: float, radius_m: float, beta: float = 2.0, kappa: float = 100.0, dt_s: float = 0.01, v_max: float = 1.0, smoothing: str = 'sound', brute_force: bool = False) -> PolytopeCbf:
+    @staticmethod
+    def from_image(image: bytes, *, extent_m: float, radius_m: float = 0.0, beta: float = 2.0, kappa: float = 100.0, dt_s: float = 0.01, v_max: float = 1.0, smoothing: str = 'sound', brute_force: bool = False) -> PolytopeCbf:
         """
         The filter on an image of an onboard map, as a microcontroller runs it. Raises ValueError with
         the reader's complaint for an image that it refuses.
@@ -127,7 +187,7 @@ class PolytopeCbf:
 
     def work(self) -> tuple[int, int, int, int, int]:
         """
-        What the last call of `filter` looked at: boxes, hulls, planes of these, how many of them were
+        Counts of the last call of `filter`: boxes, hulls, planes of these, how many of them were
         decoded, exponentials of planes.
         """
 
@@ -197,7 +257,45 @@ class OnboardMap:
 class TrialRules:
     """When a flight ends, and its nominal controller."""
 
-    def __init__(self, *, dt_s: float, gain: float, v_max: float, stop_fraction: float, stuck_speed: float, stuck_steps: int, max_steps: int) -> None: ...
+    def __init__(self, *, dt_s: float, gain: float, v_max: float, stop_fraction: float, stuck_speed: float, stuck_steps: int, max_steps: int) -> None:
+        """
+        Args:
+            dt_s: time step [s]
+            gain: gain of the nominal controller [1/s]
+            v_max: speed limit [m/s]
+            stop_fraction: reached within this fraction of the start-goal distance
+            stuck_speed: stuck below this speed [m/s]
+            stuck_steps: for so many steps
+            max_steps: time limit in steps
+        """
+
+    @property
+    def dt_s(self) -> float:
+        """time step [s]"""
+
+    @property
+    def gain(self) -> float:
+        """gain of the nominal controller [1/s]"""
+
+    @property
+    def v_max(self) -> float:
+        """speed limit [m/s]"""
+
+    @property
+    def stop_fraction(self) -> float:
+        """reached within this fraction of the start-goal distance"""
+
+    @property
+    def stuck_speed(self) -> float:
+        """stuck below this speed [m/s]"""
+
+    @property
+    def stuck_steps(self) -> int:
+        """for so many steps"""
+
+    @property
+    def max_steps(self) -> int:
+        """time limit in steps"""
 
 class Trial:
     """
@@ -247,7 +345,7 @@ class EllipsoidSet:
 
     def __init__(self, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], k: float, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> None:
         """
-        Copy the Gaussians; the ellipsoids are at level k, each grown by what `loss` (N, 3) says.
+        Copy the Gaussians; the ellipsoids are at level k, each grown by `loss` (N, 3).
         """
 
     def __len__(self) -> int: ...
@@ -297,7 +395,7 @@ def decode_ply_rows(rows: Annotated[NDArray[numpy.uint8], dict(shape=(None,), or
 
 def find_lines(text: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], most: int) -> tuple[NDArray[numpy.uint64], int]:
     """
-    Where the first `most` lines that are not blank start, and the bytes of all further ones.
+    Starts of the first `most` lines that are not blank, and the bytes of all further ones.
     """
 
 def decode_ply_text(text: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], start: Annotated[NDArray[numpy.uint64], dict(shape=(None,), order='C', device='cpu', writable=False)], width: int, places: Sequence[tuple[int, str] | None], color: str, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], quat: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu')], opacity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu')], out_color: Annotated[NDArray[numpy.uint8], dict(shape=(None, 3), order='C', device='cpu')], jobs: int = 0, progress: object | None = None) -> tuple[int, int, int, int] | None:
@@ -357,7 +455,19 @@ class Quadrotor:
     States are rows (p, sigma, v, omega) of 12, wrenches rows (T, tau) of 4 [N, N m]; see native/core/include/alula/dynamics/quadrotor.hpp for frames and equations.
     """
 
-    def __init__(self, *, mass: float, inertia: Sequence[float], rotor_x: Sequence[float], rotor_y: Sequence[float], spin: Sequence[float], torque_ratio: float, f_min: Sequence[float], f_max: Sequence[float], gravity: float = 9.81) -> None: ...
+    def __init__(self, *, mass: float, inertia: Sequence[float], rotor_x: Sequence[float], rotor_y: Sequence[float], spin: Sequence[float], torque_ratio: float, f_min: Sequence[float], f_max: Sequence[float], gravity: float = 9.81) -> None:
+        """
+        Args:
+            mass: mass [kg]
+            inertia: diagonal of the inertia [kg m^2]
+            rotor_x: positions along body x [m]
+            rotor_y: positions along body y [m]
+            spin: sense of rotation, -1 or 1
+            torque_ratio: drag torque per thrust [m]
+            f_min: minimum thrust of each rotor [N]
+            f_max: maximum thrust of each rotor [N]
+            gravity: gravity [m/s^2]
+        """
 
     @property
     def mass(self) -> float: ...
@@ -401,7 +511,7 @@ class Quadrotor:
         """
 
     def saturated(self, u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
-        """What the rotors make of wrenches when each is cut off at its limits."""
+        """Wrenches after each rotor is cut off at its limits."""
 
     def derivative(self, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
         """x' (N, 12)."""
@@ -412,48 +522,78 @@ class Quadrotor:
 class SensorOptions:
     """Noise (standard deviations per axis) and delay; all off by default."""
 
-    def __init__(self, *, position_noise_m: float = 0.0, velocity_noise_m_s: float = 0.0, attitude_noise_rad: float = 0.0, rate_noise_rad_s: float = 0.0, delay_s: float = 0.0) -> None: ...
+    def __init__(self, *, position_noise_m: float = 0.0, velocity_noise_m_s: float = 0.0, attitude_noise_rad: float = 0.0, rate_noise_rad_s: float = 0.0, delay_s: float = 0.0) -> None:
+        """
+        Args:
+            position_noise_m: standard deviation per axis [m]
+            velocity_noise_m_s: standard deviation per axis [m/s]
+            attitude_noise_rad: standard deviation per axis [rad]
+            rate_noise_rad_s: standard deviation per axis [rad/s]
+            delay_s: age of a measurement [s]
+        """
 
     @property
-    def position_noise_m(self) -> float: ...
+    def position_noise_m(self) -> float:
+        """standard deviation per axis [m]"""
 
     @property
-    def velocity_noise_m_s(self) -> float: ...
+    def velocity_noise_m_s(self) -> float:
+        """standard deviation per axis [m/s]"""
 
     @property
-    def attitude_noise_rad(self) -> float: ...
+    def attitude_noise_rad(self) -> float:
+        """standard deviation per axis [rad]"""
 
     @property
-    def rate_noise_rad_s(self) -> float: ...
+    def rate_noise_rad_s(self) -> float:
+        """standard deviation per axis [rad/s]"""
 
     @property
-    def delay_s(self) -> float: ...
+    def delay_s(self) -> float:
+        """age of a measurement [s]"""
 
 class PlantOptions:
     """Disturbances of a quadrotor in flight; all off by default."""
 
-    def __init__(self, *, motor_time_constant_s: float = 0.0, linear_drag: Sequence[float] = [0.0, 0.0, 0.0], quadratic_drag: Sequence[float] = [0.0, 0.0, 0.0], wind_m_s: Sequence[float] = [0.0, 0.0, 0.0], gust_m_s: Sequence[float] = [0.0, 0.0, 0.0], gust_time_s: float = 1.0, sensor: SensorOptions = ...) -> None: ...
+    def __init__(self, *, motor_time_constant_s: float = 0.0, linear_drag: Sequence[float] = [0.0, 0.0, 0.0], quadratic_drag: Sequence[float] = [0.0, 0.0, 0.0], wind_m_s: Sequence[float] = [0.0, 0.0, 0.0], gust_m_s: Sequence[float] = [0.0, 0.0, 0.0], gust_time_s: float = 1.0, sensor: SensorOptions = ...) -> None:
+        """
+        Args:
+            motor_time_constant_s: lag of the rotors; 0: none [s]
+            linear_drag: along the body axes [N s/m]
+            quadratic_drag: along the body axes [N s^2/m^2]
+            wind_m_s: mean wind [m/s]
+            gust_m_s: standard deviation of gusts per axis [m/s]
+            gust_time_s: time constant of gusts [s]
+            sensor: noise and delay of measurements
+        """
 
     @property
-    def motor_time_constant_s(self) -> float: ...
+    def motor_time_constant_s(self) -> float:
+        """lag of the rotors; 0: none [s]"""
 
     @property
-    def linear_drag(self) -> list[float]: ...
+    def linear_drag(self) -> list[float]:
+        """along the body axes [N s/m]"""
 
     @property
-    def quadratic_drag(self) -> list[float]: ...
+    def quadratic_drag(self) -> list[float]:
+        """along the body axes [N s^2/m^2]"""
 
     @property
-    def wind_m_s(self) -> list[float]: ...
+    def wind_m_s(self) -> list[float]:
+        """mean wind [m/s]"""
 
     @property
-    def gust_m_s(self) -> list[float]: ...
+    def gust_m_s(self) -> list[float]:
+        """standard deviation of gusts per axis [m/s]"""
 
     @property
-    def gust_time_s(self) -> float: ...
+    def gust_time_s(self) -> float:
+        """time constant of gusts [s]"""
 
     @property
-    def sensor(self) -> SensorOptions: ...
+    def sensor(self) -> SensorOptions:
+        """noise and delay of measurements"""
 
 class Plant:
     """
@@ -520,15 +660,24 @@ class DoubleIntegrator:
     def steps(self) -> int: ...
 
 class ActuatorModel:
-    """Lag of the rotors and age of measurements, as filters believe them."""
+    """
+    Lag of the rotors and age of measurements, as controller and filters assume them.
+    """
 
-    def __init__(self, *, motor_time_constant_s: float = 0.0, delay_s: float = 0.0) -> None: ...
+    def __init__(self, *, motor_time_constant_s: float = 0.0, delay_s: float = 0.0) -> None:
+        """
+        Args:
+            motor_time_constant_s: assumed lag of the rotors; 0: none [s]
+            delay_s: assumed age of a measurement [s]
+        """
 
     @property
-    def motor_time_constant_s(self) -> float: ...
+    def motor_time_constant_s(self) -> float:
+        """assumed lag of the rotors; 0: none [s]"""
 
     @property
-    def delay_s(self) -> float: ...
+    def delay_s(self) -> float:
+        """assumed age of a measurement [s]"""
 
 class StatePredictor:
     """
@@ -555,7 +704,7 @@ class StatePredictor:
 
     @property
     def rotors(self) -> list[float]:
-        """What each rotor gives now [N]."""
+        """Thrust of each rotor now [N]."""
 
 class ReferenceCurve:
     """
@@ -575,31 +724,50 @@ class TrackingGains:
     Gains and limits of the geometric controller: alula/dynamics/tracking_controller.hpp.
     """
 
-    def __init__(self, *, kp: float = 3.0, kv: float = 2.0, k_r: Sequence[float] = [0.35, 0.35, 0.12], k_omega: Sequence[float] = [0.025, 0.025, 0.012], catch_up_m_s: float = float('inf'), max_tilt_rad: float = float('inf'), max_thrust_share: float = float('inf'), uses_acceleration: bool = True) -> None: ...
+    def __init__(self, *, kp: float = 3.0, kv: float = 2.0, k_r: Sequence[float] = [0.35, 0.35, 0.12], k_omega: Sequence[float] = [0.025, 0.025, 0.012], catch_up_m_s: float = float('inf'), max_tilt_rad: float = float('inf'), max_thrust_share: float = float('inf'), uses_acceleration: bool = True) -> None:
+        """
+        Args:
+            kp: gain of the position error [1/s^2]
+            kv: gain of the velocity error [1/s]
+            k_r: gains of the attitude error [N m]
+            k_omega: gains of the rate error [N m s]
+            catch_up_m_s: limit of kp |e_p| / kv [m/s]
+            max_tilt_rad: maximum tilt of the commanded force [rad]
+            max_thrust_share: maximum commanded force, as a fraction of the rotors' thrust
+            uses_acceleration: errors of acceleration and jerk enter the derivatives of the force
+        """
 
     @property
-    def kp(self) -> float: ...
+    def kp(self) -> float:
+        """gain of the position error [1/s^2]"""
 
     @property
-    def kv(self) -> float: ...
+    def kv(self) -> float:
+        """gain of the velocity error [1/s]"""
 
     @property
-    def k_r(self) -> list[float]: ...
+    def k_r(self) -> list[float]:
+        """gains of the attitude error [N m]"""
 
     @property
-    def k_omega(self) -> list[float]: ...
+    def k_omega(self) -> list[float]:
+        """gains of the rate error [N m s]"""
 
     @property
-    def catch_up_m_s(self) -> float: ...
+    def catch_up_m_s(self) -> float:
+        """limit of kp |e_p| / kv [m/s]"""
 
     @property
-    def max_tilt_rad(self) -> float: ...
+    def max_tilt_rad(self) -> float:
+        """maximum tilt of the commanded force [rad]"""
 
     @property
-    def max_thrust_share(self) -> float: ...
+    def max_thrust_share(self) -> float:
+        """maximum commanded force, as a fraction of the rotors' thrust"""
 
     @property
-    def uses_acceleration(self) -> bool: ...
+    def uses_acceleration(self) -> bool:
+        """errors of acceleration and jerk enter the derivatives of the force"""
 
 def track(quadrotor: Quadrotor, gains: TrackingGains, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], reference: Annotated[NDArray[numpy.float64], dict(shape=(None, 18), order='C', device='cpu', writable=False)], *, applied_thrust: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> dict[str, NDArray[numpy.float64]]:
     """
@@ -615,7 +783,7 @@ def realise(quadrotor: Quadrotor, gains: TrackingGains, x: Annotated[NDArray[num
     """
 
 def body_rates(quadrotor: Quadrotor, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, dt_s: float, max_rate_rad_s: Sequence[float]) -> NDArray[numpy.float64]:
-    """Rates (N, 3) to ask a rate loop for [rad/s]."""
+    """Commanded rates (N, 3) for a rate loop [rad/s]."""
 
 class QpResult:
     """Answer of `QpSolver.solve`."""
@@ -673,7 +841,7 @@ class EllipsoidIndex:
 
     def __init__(self, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, sigma: float, radius: float, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> None:
         """
-        Copy the Gaussians; the ellipsoids are at level sigma, each grown by what `loss` (N, 3) says.
+        Copy the Gaussians; the ellipsoids are at level sigma, each grown by `loss` (N, 3).
         """
 
     def __len__(self) -> int: ...
@@ -701,38 +869,67 @@ class Pruning:
 
     def __init__(self, *, reaction_time_s: float = 0.3, max_deceleration: float = 6.0, floor_m: float = 0.5, count: int = 64, gate: bool = True, approach: bool = True, sweep: bool = True) -> None:
         """
-        reaction_time_s and max_deceleration: of the distance gate v^2 / (2 a) + v t + radius, at least floor_m;
-        count: nearest k, 0 for all within the gate; gate: False for every ellipsoid of the map;
-        approach: only ellipsoids with r^T A v >= 0; sweep: nearest to the path of braking, not to the place.
+        Args:
+            reaction_time_s: reaction time t of the distance gate [s]
+            max_deceleration: deceleration a of the distance gate [m/s^2]
+            floor_m: minimum of the distance gate [m]
+            count: maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate
+            gate: use the distance gate; false: every ellipsoid of the map, for ablations
+            approach: only ellipsoids that the vehicle approaches, r^T A v >= 0
+            sweep: rank ellipsoids by their distance to the segment that the vehicle sweeps while it reacts and brakes; false: by their distance to its position
         """
 
     @property
-    def reaction_time_s(self) -> float: ...
+    def reaction_time_s(self) -> float:
+        """reaction time t of the distance gate [s]"""
 
     @property
-    def max_deceleration(self) -> float: ...
+    def max_deceleration(self) -> float:
+        """deceleration a of the distance gate [m/s^2]"""
 
     @property
-    def floor_m(self) -> float: ...
+    def floor_m(self) -> float:
+        """minimum of the distance gate [m]"""
 
     @property
-    def count(self) -> int: ...
+    def count(self) -> int:
+        """
+        maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate
+        """
 
     @property
-    def gate(self) -> bool: ...
+    def gate(self) -> bool:
+        """
+        use the distance gate; false: every ellipsoid of the map, for ablations
+        """
 
     @property
-    def approach(self) -> bool: ...
+    def approach(self) -> bool:
+        """only ellipsoids that the vehicle approaches, r^T A v >= 0"""
 
     @property
-    def sweep(self) -> bool: ...
+    def sweep(self) -> bool:
+        """
+        rank ellipsoids by their distance to the segment that the vehicle sweeps while it reacts and brakes; false: by their distance to its position
+        """
 
 class SplatFilter:
     """A filter that flies among ellipsoids; one per thread."""
 
-    def filter(self, state: Sequence[float], acceleration: Sequence[float], *, wrench: Sequence[float] = [0.0, 0.0, 0.0, 0.0], thrust: float = 0.0, thrust_rate: float = 0.0, nominal_thrust_rate: float = 0.0, nominal_thrust_acceleration: float = 0.0, position_error: Sequence[float] = [0.0, 0.0, 0.0], velocity_error: Sequence[float] = [0.0, 0.0, 0.0], reference_acceleration: Sequence[float] = [0.0, 0.0, 0.0], rotors: Sequence[float] | None = None) -> dict[str, Any]:
+    def filter(self, state: Sequence[float], acceleration: Sequence[float], *, thrust: float = 0.0, thrust_rate: float = 0.0, rotors: Sequence[float] | None = None, wrench: Sequence[float] = [0.0, 0.0, 0.0, 0.0], nominal_thrust_rate: float = 0.0, nominal_thrust_acceleration: float = 0.0, position_error: Sequence[float] = [0.0, 0.0, 0.0], velocity_error: Sequence[float] = [0.0, 0.0, 0.0], reference_acceleration: Sequence[float] = [0.0, 0.0, 0.0]) -> dict[str, Any]:
         """
-        One tick: state (p, sigma, v, omega), the nominal acceleration [m/s^2] and wrench (T, tau), thrust and its rate as last applied [N, N/s]; rotors: what each gives now [N], hovering when not said. A dict of FilterReport.
+        One tick at a state (p, sigma, v, omega) with the nominal acceleration [m/s^2]; returns a dict of FilterReport.
+
+        Args:
+            thrust: thrust as last applied [N]
+            thrust_rate: its rate [N/s]
+            rotors: thrust of each rotor now [N]; None: the rotors hover
+            wrench: nominal thrust and torque [N, N m]
+            nominal_thrust_rate: rate of the nominal thrust [N/s]
+            nominal_thrust_acceleration: its second derivative [N/s^2]
+            position_error: position less that of the reference [m]
+            velocity_error: velocity less that of the reference [m/s]
+            reference_acceleration: acceleration of the reference [m/s^2]
         """
 
     def reset(self) -> None:
@@ -743,35 +940,158 @@ class SplatFilter:
     @property
     def gives_wrench(self) -> bool: ...
 
+class ConeDiOptions:
+    """Options of the filter cone-di."""
+
+    def __init__(self, *, alpha: float = 5.0, recovery: float = 3.0, swell: float = 0.01, escape_rate: float = 5.0, min_speed: float = 0.05, max_acceleration: float = float('inf'), max_braking: float = 6.0, lateral_bias: float = 0.5, clf_weight: float = 0.0, clf_rate: float = 0.5, clf_kp: float = 3.0, clf_kv: float = 2.0, pruning: Pruning = ...) -> None:
+        """
+        Args:
+            alpha: gain of h' >= -alpha h [1/s]
+            recovery: where h < 0, alpha is at least this over the time to contact; 0: never, as printed
+            swell: rows are of ellipsoids whose semi-axes are longer by this fraction
+            escape_rate: double pole k of the rows gamma'' + 2 k gamma' + k^2 gamma >= 0 [1/s]
+            min_speed: speed below which rows are on gamma, as h has no direction [m/s]
+            max_acceleration: maximum acceleration on each axis [m/s^2]
+            max_braking: deceleration of the fallback [m/s^2]
+            lateral_bias: lateral acceleration added to a nominal input that a head-on cone only lets brake [m/s^2]
+            clf_weight: weight of the slack xi of the tracking row; 0: no tracking row
+            clf_rate: decay rate c of the tracking row [1/s]
+            clf_kp: position gain of the closed loop that defines V [1/s^2]
+            clf_kv: velocity gain of the closed loop that defines V [1/s]
+            pruning: Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what is within it.
+        """
+
+    @property
+    def alpha(self) -> float:
+        """gain of h' >= -alpha h [1/s]"""
+
+    @property
+    def recovery(self) -> float:
+        """
+        where h < 0, alpha is at least this over the time to contact; 0: never, as printed
+        """
+
+    @property
+    def swell(self) -> float:
+        """rows are of ellipsoids whose semi-axes are longer by this fraction"""
+
+    @property
+    def escape_rate(self) -> float:
+        """double pole k of the rows gamma'' + 2 k gamma' + k^2 gamma >= 0 [1/s]"""
+
+    @property
+    def min_speed(self) -> float:
+        """speed below which rows are on gamma, as h has no direction [m/s]"""
+
+    @property
+    def max_acceleration(self) -> float:
+        """maximum acceleration on each axis [m/s^2]"""
+
+    @property
+    def max_braking(self) -> float:
+        """deceleration of the fallback [m/s^2]"""
+
+    @property
+    def lateral_bias(self) -> float:
+        """
+        lateral acceleration added to a nominal input that a head-on cone only lets brake [m/s^2]
+        """
+
+    @property
+    def clf_weight(self) -> float:
+        """weight of the slack xi of the tracking row; 0: no tracking row"""
+
+    @property
+    def clf_rate(self) -> float:
+        """decay rate c of the tracking row [1/s]"""
+
+    @property
+    def clf_kp(self) -> float:
+        """position gain of the closed loop that defines V [1/s^2]"""
+
+    @property
+    def clf_kv(self) -> float:
+        """velocity gain of the closed loop that defines V [1/s]"""
+
+    @property
+    def pruning(self) -> Pruning:
+        """
+        Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what is within it.
+        """
+
 class ConeDi(SplatFilter):
     """The collision cone filter of a double integrator."""
 
-    def __init__(self, index: EllipsoidIndex, *, alpha: float = 5.0, recovery: float = 3.0, swell: float = 0.01, escape_rate: float = 5.0, min_speed: float = 0.05, max_acceleration: float = float('inf'), max_braking: float = 6.0, lateral_bias: float = 0.5, clf_weight: float = 0.0, clf_rate: float = 0.5, clf_kp: float = 3.0, clf_kv: float = 2.0, pruning: Pruning = ..., qp_backend: object | None = None) -> None:
+    def __init__(self, index: EllipsoidIndex, options: ConeDiOptions = ..., *, qp_backend: object | None = None) -> None:
+        """qp_backend: as of QpSolver."""
+
+    @property
+    def options(self) -> ConeDiOptions: ...
+
+class SaferSplatOptions:
+    """Options of the filter safer-splat."""
+
+    def __init__(self, *, alpha: float = 5.0, beta: float = 1.0, hessian: str = 'correct', rows: str = 'all', brute: bool = False, max_braking: float = 6.0, max_acceleration: float = float('inf'), pruning: Pruning = ...) -> None:
         """
-        alpha: of h' >= -alpha h [1/s], and at least recovery over the time to contact;
-        swell: rows are of ellipsoids longer by this part; escape_rate: double pole of the rows on gamma [1/s];
-        min_speed: below it rows on gamma [m/s]; max_acceleration: of each axis, max_braking: of the fallback,
-        lateral_bias: of a head-on nominal [m/s^2]; clf_weight: of the tracking row's slack, 0 for no row;
-        clf_rate [1/s], clf_kp [1/s^2], clf_kv [1/s]: of that row; qp_backend: as of QpSolver.
+        Args:
+            alpha: first pole of h'' + (alpha + beta) h' + alpha beta h >= 0 [1/s]
+            beta: second pole of the same row [1/s]
+            hessian: Hessian of the squared distance
+            rows: ellipsoids that have rows
+            brute: measure every ellipsoid instead of querying the index
+            max_braking: deceleration of the fallback [m/s^2]
+            max_acceleration: maximum acceleration on each axis [m/s^2]
+            pruning: Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what is within it.
+        """
+
+    @property
+    def alpha(self) -> float:
+        """first pole of h'' + (alpha + beta) h' + alpha beta h >= 0 [1/s]"""
+
+    @property
+    def beta(self) -> float:
+        """second pole of the same row [1/s]"""
+
+    @property
+    def hessian(self) -> str:
+        """Hessian of the squared distance"""
+
+    @property
+    def rows(self) -> str:
+        """ellipsoids that have rows"""
+
+    @property
+    def brute(self) -> bool:
+        """measure every ellipsoid instead of querying the index"""
+
+    @property
+    def max_braking(self) -> float:
+        """deceleration of the fallback [m/s^2]"""
+
+    @property
+    def max_acceleration(self) -> float:
+        """maximum acceleration on each axis [m/s^2]"""
+
+    @property
+    def pruning(self) -> Pruning:
+        """
+        Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what is within it.
         """
 
 class SaferSplat(SplatFilter):
     """The distance filter of SAFER-Splat for a double integrator."""
 
-    def __init__(self, index: EllipsoidIndex, *, alpha: float = 5.0, beta: float = 1.0, hessian: str = 'correct', rows: str = 'all', brute: bool = False, max_braking: float = 6.0, max_acceleration: float = float('inf'), pruning: Pruning = ...) -> None:
-        """
-        alpha, beta: poles of the barrier phi d^2 - r^2 [1/s]; hessian: 'correct' or 'published';
-        rows: 'all', of every ellipsoid of the map, or 'nearest', of the candidates of `pruning`, whose gates of
-        approach and sweep are ignored; brute: measure every ellipsoid instead of asking the index;
-        max_braking: of the fallback, max_acceleration: of each axis [m/s^2].
-        """
+    def __init__(self, index: EllipsoidIndex, options: SaferSplatOptions = ...) -> None: ...
+
+    @property
+    def options(self) -> SaferSplatOptions: ...
 
     def barrier(self, item: int, p: Sequence[float], v: Sequence[float]) -> tuple[float, list[float], float]:
         """h, row and bound of one ellipsoid: row . a >= bound."""
 
     def unsure(self, p: Sequence[float], v: Sequence[float], acceleration: Sequence[float]) -> NDArray[numpy.int64]:
         """
-        Numbers of the ellipsoids that the index says may have a row that `acceleration` violates.
+        Numbers of the ellipsoids that may have a row that `acceleration` violates, according to the index.
         """
 
 def collision_cone(centre: Sequence[float], a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='C', device='cpu', writable=False)], p: Sequence[float], v: Sequence[float], *, acceleration: Sequence[float], jerk: Sequence[float]) -> dict[str, Any]:
@@ -784,12 +1104,107 @@ def snap_rows(body: Quadrotor, state: Sequence[float], *, thrust: float, thrust_
     How (T'' / m, tau) reach the snap, and the rows of third and fourth order of one ellipsoid over it.
     """
 
+class BackupGains:
+    """Gains of a backup policy."""
+
+    def __init__(self, *, k_vz: float = 2.0, k_sigma: float = 0.3, k_omega: float = 0.02, k_vh: float = 0.006, kappa: float = 1.0, weight: Sequence[float] = [2.0, 0.3, 0.3, 0.05], eta_frac: float = 0.95, tilt_rad: float = 0.61, full_tilt_speed_m_s: float = 1.5, climb_rate_1_s: float = 4.0, attitude_rad_s: float = 20.0, attitude_damping: float = 0.9, yaw_damping_1_s: float = 8.0, torque_share: float = 0.4, torque_weight: Sequence[float] = [0.3, 0.3, 0.03]) -> None:
+        """
+        Args:
+            k_vz: gain of the vertical speed (hover, heading-invariant) [1/s]
+            k_sigma: gain K_sigma of the attitude (hover, heading-invariant) [N m]
+            k_omega: gain K_omega of the angular velocity (hover, heading-invariant) [N m s]
+            k_vh: gain of the horizontal velocity (hover, heading-invariant) [N s]
+            kappa: sharpness of the saturation (hover, heading-invariant)
+            weight: caps of thrust and torques relative to each other (hover, heading-invariant) [N, N m]
+            eta_frac: fraction of the rotors' margin about hover that the policy uses
+            tilt_rad: maximum steady tilt, at most 1.2 (brake, cone-escape) [rad]
+            full_tilt_speed_m_s: speed scale v_0 of the tilt (brake, cone-escape) [m/s]
+            climb_rate_1_s: gain k_z of the vertical speed (brake, cone-escape) [1/s]
+            attitude_rad_s: natural frequency w of roll and pitch, K_R = J w^2 (brake, cone-escape) [rad/s]
+            attitude_damping: damping ratio zeta of roll and pitch, K_omega = 2 zeta w J (brake, cone-escape)
+            yaw_damping_1_s: gain of the yaw rate, K_omega = J_z times this (brake, cone-escape) [1/s]
+            torque_share: fraction of the rotors' downward margin for torques; the rest is for thrust (brake, cone-escape)
+            torque_weight: caps of the torques relative to each other (brake, cone-escape) [N m]
+        """
+
+    @property
+    def k_vz(self) -> float:
+        """gain of the vertical speed (hover, heading-invariant) [1/s]"""
+
+    @property
+    def k_sigma(self) -> float:
+        """gain K_sigma of the attitude (hover, heading-invariant) [N m]"""
+
+    @property
+    def k_omega(self) -> float:
+        """
+        gain K_omega of the angular velocity (hover, heading-invariant) [N m s]
+        """
+
+    @property
+    def k_vh(self) -> float:
+        """gain of the horizontal velocity (hover, heading-invariant) [N s]"""
+
+    @property
+    def kappa(self) -> float:
+        """sharpness of the saturation (hover, heading-invariant)"""
+
+    @property
+    def weight(self) -> list[float]:
+        """
+        caps of thrust and torques relative to each other (hover, heading-invariant) [N, N m]
+        """
+
+    @property
+    def eta_frac(self) -> float:
+        """fraction of the rotors' margin about hover that the policy uses"""
+
+    @property
+    def tilt_rad(self) -> float:
+        """maximum steady tilt, at most 1.2 (brake, cone-escape) [rad]"""
+
+    @property
+    def full_tilt_speed_m_s(self) -> float:
+        """speed scale v_0 of the tilt (brake, cone-escape) [m/s]"""
+
+    @property
+    def climb_rate_1_s(self) -> float:
+        """gain k_z of the vertical speed (brake, cone-escape) [1/s]"""
+
+    @property
+    def attitude_rad_s(self) -> float:
+        """
+        natural frequency w of roll and pitch, K_R = J w^2 (brake, cone-escape) [rad/s]
+        """
+
+    @property
+    def attitude_damping(self) -> float:
+        """
+        damping ratio zeta of roll and pitch, K_omega = 2 zeta w J (brake, cone-escape)
+        """
+
+    @property
+    def yaw_damping_1_s(self) -> float:
+        """
+        gain of the yaw rate, K_omega = J_z times this (brake, cone-escape) [1/s]
+        """
+
+    @property
+    def torque_share(self) -> float:
+        """
+        fraction of the rotors' downward margin for torques; the rest is for thrust (brake, cone-escape)
+        """
+
+    @property
+    def torque_weight(self) -> list[float]:
+        """caps of the torques relative to each other (brake, cone-escape) [N m]"""
+
 class BackupPolicy:
     """Feedback that brings a quadrotor to rest within its rotors' limits."""
 
-    def __init__(self, vehicle: Quadrotor, kind: str = 'brake', *, k_vz: float = 2.0, k_sigma: float = 0.3, k_omega: float = 0.02, k_vh: float = 0.006, kappa: float = 1.0, weight: Sequence[float] = [2.0, 0.3, 0.3, 0.05], eta_frac: float = 0.95, tilt_rad: float = 0.61, full_tilt_speed_m_s: float = 1.5, climb_rate_1_s: float = 4.0, attitude_rad_s: float = 20.0, attitude_damping: float = 0.9, yaw_damping_1_s: float = 8.0, torque_share: float = 0.4, torque_weight: Sequence[float] = [0.3, 0.3, 0.03]) -> None:
+    def __init__(self, vehicle: Quadrotor, kind: str = 'brake', gains: BackupGains = ...) -> None:
         """
-        A policy of the kind hover, heading-invariant, brake or cone-escape (which is brake as a policy). The gains k_*, kappa [N, m, s] and weight (caps of T, tau relative to each other) are those of FastBridge eq. 17-19 and shape the first two; the others shape the last two. ValueError unless braking is stable.
+        A policy of the kind hover, heading-invariant, brake or cone-escape (which is brake as a policy). ValueError unless braking is stable.
         """
 
     @property
@@ -833,7 +1248,7 @@ class BackupPolicy:
 
     def excursion(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)]) -> float:
         """
-        About how far it moves at most before it rests, whatever cancels in `drift` [m].
+        Approximate maximum distance before it rests, without the cancellation in `drift` [m].
         """
 
 class BackupFlow:
@@ -869,48 +1284,76 @@ class ShieldOptions:
 
     def __init__(self, *, tick_s: float = 0.01, substeps: int = 1, margin_m: float = 0.02, max_time_s: float = 8.0, escape_time_s: float = 0.6, escape_tries: int = 3, line_search: int = 2, rest_speed_m_s: float = 0.1, rest_rate_rad_s: float = 0.2, rest_tilt_rad: float = 0.05, rest_drift_m: float = 0.008, motor_time_constant_s: float = 0.0) -> None:
         """
-        tick_s: for which an input is held, of substeps RK4 steps; margin_m: kept beyond the radius;
-        max_time_s: not at rest by then is not safe; escape_time_s: for which cone-escape holds a velocity,
-        escape_tries: how many of them; line_search: bisections between backup and a refused input;
-        rest_*: at rest is below all of these, with rest_drift_m left to drift;
-        motor_time_constant_s: of rotors that follow a command, 0 for at once.
+        Args:
+            tick_s: how long an input is held [s]
+            substeps: minimum number of RK4 steps in a tick; no step is longer than 10 ms
+            margin_m: distance beyond the radius that an accepted manoeuvre keeps [m]
+            max_time_s: a manoeuvre that is not at rest by then is not safe; a new one gets an eighth less [s]
+            escape_time_s: how long the policy cone-escape holds a velocity [s]
+            escape_tries: maximum number of velocities that cone-escape tries, smallest turn first
+            line_search: bisections between the input of the backup policy and a refused input
+            rest_speed_m_s: speed below which the vehicle can count as at rest [m/s]
+            rest_rate_rad_s: angular rate below which the vehicle can count as at rest [rad/s]
+            rest_tilt_rad: tilt below which the vehicle can count as at rest [rad]
+            rest_drift_m: maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]
+            motor_time_constant_s: assumed time constant of the rotors; 0: rotors follow a command at once [s]
         """
 
     @property
-    def tick_s(self) -> float: ...
+    def tick_s(self) -> float:
+        """how long an input is held [s]"""
 
     @property
-    def substeps(self) -> int: ...
+    def substeps(self) -> int:
+        """minimum number of RK4 steps in a tick; no step is longer than 10 ms"""
 
     @property
-    def margin_m(self) -> float: ...
+    def margin_m(self) -> float:
+        """distance beyond the radius that an accepted manoeuvre keeps [m]"""
 
     @property
-    def max_time_s(self) -> float: ...
+    def max_time_s(self) -> float:
+        """
+        a manoeuvre that is not at rest by then is not safe; a new one gets an eighth less [s]
+        """
 
     @property
-    def escape_time_s(self) -> float: ...
+    def escape_time_s(self) -> float:
+        """how long the policy cone-escape holds a velocity [s]"""
 
     @property
-    def escape_tries(self) -> int: ...
+    def escape_tries(self) -> int:
+        """
+        maximum number of velocities that cone-escape tries, smallest turn first
+        """
 
     @property
-    def line_search(self) -> int: ...
+    def line_search(self) -> int:
+        """bisections between the input of the backup policy and a refused input"""
 
     @property
-    def rest_speed_m_s(self) -> float: ...
+    def rest_speed_m_s(self) -> float:
+        """speed below which the vehicle can count as at rest [m/s]"""
 
     @property
-    def rest_rate_rad_s(self) -> float: ...
+    def rest_rate_rad_s(self) -> float:
+        """angular rate below which the vehicle can count as at rest [rad/s]"""
 
     @property
-    def rest_tilt_rad(self) -> float: ...
+    def rest_tilt_rad(self) -> float:
+        """tilt below which the vehicle can count as at rest [rad]"""
 
     @property
-    def rest_drift_m(self) -> float: ...
+    def rest_drift_m(self) -> float:
+        """
+        maximum remaining drift of the linear loop about hover at rest; below half of margin_m [m]
+        """
 
     @property
-    def motor_time_constant_s(self) -> float: ...
+    def motor_time_constant_s(self) -> float:
+        """
+        assumed time constant of the rotors; 0: rotors follow a command at once [s]
+        """
 
 class Shield:
     """
@@ -922,98 +1365,364 @@ class Shield:
     @property
     def ends_early(self) -> bool:
         """
-        Whether rollouts for a verdict end where the policy's excursion is free all around.
+        True when rollouts for a verdict end where the policy's excursion is free all around.
         """
 
     def certify(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], *, first: Sequence[float] | None = None, hold: Sequence[float] = [0.0, 0.0, 0.0], hold_ticks: int = 0, margin_m: float | None = None, thorough: bool = False) -> dict[str, Any]:
         """
-        Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a dict of safe, rests, clearance_m (least seen, less the radius) and time_s.
+        Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a dict of safe, rests, clearance_m (minimum distance less the radius) and time_s.
         """
 
     def after(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], wrench: Sequence[float]) -> NDArray[numpy.float64]:
         """The state a tick later."""
 
     def see(self, rotors: Sequence[float] | None) -> None:
-        """What each rotor gives in the states that are asked about next [N]."""
+        """Set the thrust of each rotor for the next states [N]."""
 
 def escape_velocities(index: EllipsoidIndex, p: Sequence[float], v: Sequence[float], *, reach: float, count: int = 64, slack_rad: float = 0.05) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]:
     """
-    Velocities (N, 3) of the same speed that meet no cone of the ellipsoids within reach, and the angles [rad] they are turned by, least first.
+    Velocities (N, 3) of the same speed that meet no cone of the ellipsoids within reach, and the angles [rad] they are turned by, smallest first.
     """
 
-class SmoothWishOptions:
-    """What a filter of wrenches asks for while it holds."""
+class SmoothNominalOptions:
+    """
+    The smooth nominal input of a filter of wrenches while rows hold the vehicle.
+    """
 
     def __init__(self, *, release_rad_s: float = 2.0, release_growth_1_s: float = 3.0, wish_attitude_rad_s: float = 35.0, wish_position_rad_s: float = 1.2, wish_catch_up_m_s: float = 0.7, wish_acceleration: float = 3.0, wish_speed_m_s: float = 2.2, wish_cone_rate_1_s: float = 3.0) -> None:
         """
-        release_rad_s: pole of the acceleration while held, 0 for the nominal input as it is; it grows by
-        e^{release_growth_1_s t} up to wish_attitude_rad_s, the second pole; wish_position_rad_s: double pole of
-        the position; wish_catch_up_m_s, wish_acceleration [m/s^2]: the most that errors ask for; all three grow
-        with the reference's speed above wish_speed_m_s;
-        wish_cone_rate_1_s: of the rows that keep the wish out of the cones.
+        Args:
+            release_rad_s: pole p1 of the acceleration while rows hold the vehicle back; 0: the nominal input is used unchanged [rad/s]
+            release_growth_1_s: exponential growth rate of p1 after the release [1/s]
+            wish_attitude_rad_s: pole p2 of the acceleration, and final value of p1; above release_rad_s [rad/s]
+            wish_position_rad_s: double pole q of the position; grows with the reference's speed above wish_speed_m_s [rad/s]
+            wish_catch_up_m_s: maximum speed above the reference's to make up for the position error; grows with its speed above wish_speed_m_s [m/s]
+            wish_acceleration: maximum acceleration in response to position and velocity errors; grows with the reference's speed above wish_speed_m_s [m/s^2]
+            wish_speed_m_s: reference speed of the three values before; for a reference n times as fast they are n^1.5 times as large [m/s]
+            wish_cone_rate_1_s: rate of the first-order cone rows that the target acceleration holds [1/s]
         """
 
     @property
-    def release_rad_s(self) -> float: ...
+    def release_rad_s(self) -> float:
+        """
+        pole p1 of the acceleration while rows hold the vehicle back; 0: the nominal input is used unchanged [rad/s]
+        """
 
     @property
-    def release_growth_1_s(self) -> float: ...
+    def release_growth_1_s(self) -> float:
+        """exponential growth rate of p1 after the release [1/s]"""
 
     @property
-    def wish_attitude_rad_s(self) -> float: ...
+    def wish_attitude_rad_s(self) -> float:
+        """
+        pole p2 of the acceleration, and final value of p1; above release_rad_s [rad/s]
+        """
 
     @property
-    def wish_position_rad_s(self) -> float: ...
+    def wish_position_rad_s(self) -> float:
+        """
+        double pole q of the position; grows with the reference's speed above wish_speed_m_s [rad/s]
+        """
 
     @property
-    def wish_catch_up_m_s(self) -> float: ...
+    def wish_catch_up_m_s(self) -> float:
+        """
+        maximum speed above the reference's to make up for the position error; grows with its speed above wish_speed_m_s [m/s]
+        """
 
     @property
-    def wish_acceleration(self) -> float: ...
+    def wish_acceleration(self) -> float:
+        """
+        maximum acceleration in response to position and velocity errors; grows with the reference's speed above wish_speed_m_s [m/s^2]
+        """
 
     @property
-    def wish_speed_m_s(self) -> float: ...
+    def wish_speed_m_s(self) -> float:
+        """
+        reference speed of the three values before; for a reference n times as fast they are n^1.5 times as large [m/s]
+        """
 
     @property
-    def wish_cone_rate_1_s(self) -> float: ...
+    def wish_cone_rate_1_s(self) -> float:
+        """
+        rate of the first-order cone rows that the target acceleration holds [1/s]
+        """
+
+class ConeEcbfOptions:
+    """Options of the filter cone-ecbf."""
+
+    def __init__(self, *, lambda_: float = 14.0, lambda_max: float = 40.0, return_time: float = 8.0, escape_rate: float = 5.0, min_speed_m_s: float = 0.8, cascade: str = 'extension', thrust_bandwidth_rad_s: float = 30.0, thrust_damping: float = 1.0, max_thrust_rate_n_s: float = 150.0, least_thrust: float = 0.1, lateral_bias: float = 0.1, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, smooth_nominal: SmoothNominalOptions = ..., clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield_options: ShieldOptions = ..., pruning: Pruning = ...) -> None:
+        """
+        Args:
+            lambda_: triple pole of the rows; poles slower than the time to contact brake early, much faster ones turn too late [1/s]
+            lambda_max: limit to which the pole of a row is moved left when it starts beyond its safe set; at least lambda_ [1/s]
+            return_time: pole of a row with h < 0 times the time to its ellipsoid; the pole stays within lambda_ and lambda_max
+            escape_rate: pole of the rows on gamma [1/s]
+            min_speed_m_s: speed below which the rows of all ellipsoids are on gamma [m/s]
+            cascade: how the thrust enters the snap
+            thrust_bandwidth_rad_s: bandwidth w with which the thrust follows its nominal value; w dt must be below 1 [rad/s]
+            thrust_damping: damping ratio zeta of the same
+            max_thrust_rate_n_s: maximum |T'| [N/s]
+            least_thrust: minimum thrust, as a fraction of hover
+            lateral_bias: torque added to a head-on nominal input, as a fraction of the largest
+            shield: return only inputs after which a safe manoeuvre to rest is known
+            room_m: distance beyond the radius that rows keep when shielded: they steer before the shield stops the vehicle [m]
+            try_nominal: when the program has no solution, let the shield search between the backup and the nominal input
+            smooth_nominal: The smooth nominal snap of cone-ecbf while rows hold the vehicle back, and until it is released.
+            clf_weight: weight of the slack xi of the tracking row; 0: no tracking row
+            clf_rate: decay rate c of the tracking row [1/s]
+            clf_kp: position gain of the closed loop that defines V [1/s^2]
+            clf_kv: velocity gain of the closed loop that defines V [1/s]
+            shield_options: The check that a safe manoeuvre to rest remains after the returned input.
+            pruning: Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what is within it.
+        """
+
+    @property
+    def lambda_max(self) -> float:
+        """
+        limit to which the pole of a row is moved left when it starts beyond its safe set; at least lambda_ [1/s]
+        """
+
+    @property
+    def return_time(self) -> float:
+        """
+        pole of a row with h < 0 times the time to its ellipsoid; the pole stays within lambda_ and lambda_max
+        """
+
+    @property
+    def escape_rate(self) -> float:
+        """pole of the rows on gamma [1/s]"""
+
+    @property
+    def min_speed_m_s(self) -> float:
+        """speed below which the rows of all ellipsoids are on gamma [m/s]"""
+
+    @property
+    def cascade(self) -> str:
+        """how the thrust enters the snap"""
+
+    @property
+    def thrust_bandwidth_rad_s(self) -> float:
+        """
+        bandwidth w with which the thrust follows its nominal value; w dt must be below 1 [rad/s]
+        """
+
+    @property
+    def thrust_damping(self) -> float:
+        """damping ratio zeta of the same"""
+
+    @property
+    def max_thrust_rate_n_s(self) -> float:
+        """maximum |T'| [N/s]"""
+
+    @property
+    def least_thrust(self) -> float:
+        """minimum thrust, as a fraction of hover"""
+
+    @property
+    def lateral_bias(self) -> float:
+        """torque added to a head-on nominal input, as a fraction of the largest"""
+
+    @property
+    def shield(self) -> bool:
+        """return only inputs after which a safe manoeuvre to rest is known"""
+
+    @property
+    def room_m(self) -> float:
+        """
+        distance beyond the radius that rows keep when shielded: they steer before the shield stops the vehicle [m]
+        """
+
+    @property
+    def try_nominal(self) -> bool:
+        """
+        when the program has no solution, let the shield search between the backup and the nominal input
+        """
+
+    @property
+    def smooth_nominal(self) -> SmoothNominalOptions:
+        """
+        The smooth nominal snap of cone-ecbf while rows hold the vehicle back, and until it is released.
+        """
+
+    @property
+    def clf_weight(self) -> float:
+        """weight of the slack xi of the tracking row; 0: no tracking row"""
+
+    @property
+    def clf_rate(self) -> float:
+        """decay rate c of the tracking row [1/s]"""
+
+    @property
+    def clf_kp(self) -> float:
+        """position gain of the closed loop that defines V [1/s^2]"""
+
+    @property
+    def clf_kv(self) -> float:
+        """velocity gain of the closed loop that defines V [1/s]"""
+
+    @property
+    def shield_options(self) -> ShieldOptions:
+        """
+        The check that a safe manoeuvre to rest remains after the returned input.
+        """
+
+    @property
+    def pruning(self) -> Pruning:
+        """
+        Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what is within it.
+        """
 
 class ConeEcbf(SplatFilter):
     """The exponential collision cone filter of a quadrotor."""
 
-    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, *, lambda_: float = 14.0, lambda_max: float = 40.0, return_time: float = 8.0, escape_rate: float = 5.0, min_speed_m_s: float = 0.8, cascade: str = 'extension', thrust_bandwidth_rad_s: float = 30.0, thrust_damping: float = 1.0, max_thrust_rate_n_s: float = 150.0, least_thrust: float = 0.1, lateral_bias: float = 0.1, clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, wish_options: SmoothWishOptions = ..., shield_options: ShieldOptions = ..., pruning: Pruning = ..., qp_backend: object | None = None) -> None:
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ConeEcbfOptions = ..., *, qp_backend: object | None = None) -> None:
+        """qp_backend: as of QpSolver."""
+
+    @property
+    def options(self) -> ConeEcbfOptions: ...
+
+class ConeBackupOptions:
+    """Options of the filter cone-backup."""
+
+    def __init__(self, *, horizon_s: float = 1.5, nodes: int = 20, first_node: int = 1, steps: int = 0, alpha_running: float = 10.0, alpha_terminal: float = 5.0, min_speed_m_s: float = 0.1, far: float = float('inf'), solver: str = 'active-set', lateral_bias: float = 0.1, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield_options: ShieldOptions = ..., pruning: Pruning = ...) -> None:
         """
-        lambda_: triple pole of the rows [1/s], moved left up to lambda_max when a row starts beyond its safe set;
-        return_time: pole of a row with h < 0, times the time to its ellipsoid;
-        escape_rate: pole of the rows on gamma, of all ellipsoids below min_speed_m_s; cascade: 'extension' (the variable is
-        T''/m) or 'difference' (T); thrust_*: how T follows the nominal; max_thrust_rate_n_s: of |T'|;
-        least_thrust: share of hover; lateral_bias: torque of a head-on nominal, share of the largest;
-        clf_*: soft row on tracking errors, off at weight 0; shield: return only inputs after which a safe
-        manoeuvre to rest is known; room_m: what rows keep beyond the radius then; try_nominal: without a solution, look between backup and nominal; qp_backend: as of QpSolver.
+        Args:
+            horizon_s: horizon of the backup flow [s]
+            nodes: number of nodes N of the backup flow
+            first_node: first node with running rows; 0: as printed
+            steps: RK4 steps between nodes; 0: as few as keep them shorter than the time constant of the rates
+            alpha_running: gain alpha_R of h' >= -alpha_R h at the nodes [1/s]
+            alpha_terminal: gain alpha_T of gamma' >= -alpha_T gamma at the last node [1/s]
+            min_speed_m_s: speed below which a node has no running rows [m/s]
+            far: rows with h / beta beyond this are left out
+            solver: solver of the program
+            lateral_bias: torque added to a head-on nominal input, as a fraction of the largest
+            shield: return only inputs after which a safe manoeuvre to rest is known
+            room_m: distance beyond the radius that rows keep when shielded: they steer before the shield stops the vehicle [m]
+            try_nominal: when the program has no solution, let the shield search between the backup and the nominal input
+            clf_weight: weight of the slack xi of the tracking row; 0: no tracking row
+            clf_rate: decay rate c of the tracking row [1/s]
+            clf_kp: position gain of the closed loop that defines V [1/s^2]
+            clf_kv: velocity gain of the closed loop that defines V [1/s]
+            shield_options: The check that a safe manoeuvre to rest remains after the returned input.
+            pruning: Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what is within it.
         """
 
-def ecbf_pole(h: float, h1: float, h2: float, lambda_: float, most: float) -> float:
-    """
-    The least pole from lambda_ to most at which psi_1 and psi_2 are not negative; lambda_ when there is none.
-    """
+    @property
+    def horizon_s(self) -> float:
+        """horizon of the backup flow [s]"""
+
+    @property
+    def nodes(self) -> int:
+        """number of nodes N of the backup flow"""
+
+    @property
+    def first_node(self) -> int:
+        """first node with running rows; 0: as printed"""
+
+    @property
+    def steps(self) -> int:
+        """
+        RK4 steps between nodes; 0: as few as keep them shorter than the time constant of the rates
+        """
+
+    @property
+    def alpha_running(self) -> float:
+        """gain alpha_R of h' >= -alpha_R h at the nodes [1/s]"""
+
+    @property
+    def alpha_terminal(self) -> float:
+        """gain alpha_T of gamma' >= -alpha_T gamma at the last node [1/s]"""
+
+    @property
+    def min_speed_m_s(self) -> float:
+        """speed below which a node has no running rows [m/s]"""
+
+    @property
+    def far(self) -> float:
+        """rows with h / beta beyond this are left out"""
+
+    @property
+    def solver(self) -> str:
+        """solver of the program"""
+
+    @property
+    def lateral_bias(self) -> float:
+        """torque added to a head-on nominal input, as a fraction of the largest"""
+
+    @property
+    def shield(self) -> bool:
+        """return only inputs after which a safe manoeuvre to rest is known"""
+
+    @property
+    def room_m(self) -> float:
+        """
+        distance beyond the radius that rows keep when shielded: they steer before the shield stops the vehicle [m]
+        """
+
+    @property
+    def try_nominal(self) -> bool:
+        """
+        when the program has no solution, let the shield search between the backup and the nominal input
+        """
+
+    @property
+    def clf_weight(self) -> float:
+        """weight of the slack xi of the tracking row; 0: no tracking row"""
+
+    @property
+    def clf_rate(self) -> float:
+        """decay rate c of the tracking row [1/s]"""
+
+    @property
+    def clf_kp(self) -> float:
+        """position gain of the closed loop that defines V [1/s^2]"""
+
+    @property
+    def clf_kv(self) -> float:
+        """velocity gain of the closed loop that defines V [1/s]"""
+
+    @property
+    def shield_options(self) -> ShieldOptions:
+        """
+        The check that a safe manoeuvre to rest remains after the returned input.
+        """
+
+    @property
+    def pruning(self) -> Pruning:
+        """
+        Which ellipsoids become rows of the program in a tick: the distance gate v^2 / (2 a) + v t + radius, and what is within it.
+        """
 
 class ConeBackup(SplatFilter):
     """The collision cone backup filter of a quadrotor."""
 
-    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, *, horizon_s: float = 1.5, nodes: int = 20, first_node: int = 1, steps: int = 0, alpha_running: float = 10.0, alpha_terminal: float = 5.0, min_speed_m_s: float = 0.1, far: float = float('inf'), solver: str = 'active-set', lateral_bias: float = 0.1, clf_weight: float = 0.0, clf_rate: float = 1.0, clf_kp: float = 3.0, clf_kv: float = 2.0, shield: bool = True, room_m: float = 0.08, try_nominal: bool = True, shield_options: ShieldOptions = ..., pruning: Pruning = ..., qp_backend: object | None = None) -> None:
-        """
-        horizon_s, nodes: of the backup flow; first_node: of the running rows, 0 as printed; steps: RK4 steps between nodes, 0 to fit the policy's rates;
-        alpha_running, alpha_terminal: of h' >= -alpha h [1/s] at the nodes and of gamma at the last;
-        min_speed_m_s: nodes slower than that have no running rows; far: rows with h / beta beyond it are left
-        out; solver: 'active-set' or 'interpolation' between the backup and the nominal input; lateral_bias,
-        clf_*, shield, room_m, try_nominal, qp_backend as of ConeEcbf.
-        """
+    def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ConeBackupOptions = ..., *, qp_backend: object | None = None) -> None:
+        """qp_backend: as of QpSolver."""
+
+    @property
+    def options(self) -> ConeBackupOptions: ...
+
+def ecbf_pole(h: float, h1: float, h2: float, lambda_: float, most: float) -> float:
+    """
+    The smallest pole from lambda_ to most at which psi_1 and psi_2 are not negative; lambda_ when there is none.
+    """
 
 class FlightVehicle:
-    """What flies among ellipsoids: body, controller, plant and interface."""
+    """Vehicle among ellipsoids: body, controller, plant and interface."""
 
     def __init__(self, body: Quadrotor, gains: TrackingGains = ..., options: PlantOptions = ..., *, plant: str = 'quadrotor', interface: str = 'wrench', max_rate_rad_s: Sequence[float] = [10.0, 10.0, 4.0], rate_time_constant_s: float = 0.02, max_acceleration_m_s2: float = float('inf'), assumed: ActuatorModel = ...) -> None:
         """
-        options: what the plant does; assumed: what controller and filters take its rotors and sensors for.
+        `options` are the plant's disturbances; `assumed` is the model of rotors and sensors in controller and filters.
+
+        Args:
+            plant: quadrotor or double-integrator
+            interface: wrench or body-rates
+            max_rate_rad_s: limit of a commanded body rate [rad/s]
+            rate_time_constant_s: time constant of the vehicle's own rate loop [s]
+            max_acceleration_m_s2: limit of the double integrator [m/s^2]
+            assumed: lag and delay that controller and filters assume
         """
 
 class FlightRules:
@@ -1021,7 +1730,18 @@ class FlightRules:
 
     def __init__(self, *, dt_s: float = 0.01, plant_steps: int | None = None, stop_fraction: float = 0.01, stop_floor_m: float = 0.05, stop_speed: float = 0.1, stuck_speed: float = 0.02, stuck_ticks: int = 200, time_factor: float = 3.0, max_time_s: float = 0.0, lower: Sequence[float] = [-1000000000.0, -1000000000.0, -1000000000.0], upper: Sequence[float] = [1000000000.0, 1000000000.0, 1000000000.0]) -> None:
         """
-        plant_steps: of the plant in a tick; by default as many as make none longer than 1 ms.
+        Args:
+            dt_s: a tick of controller and filter [s]
+            plant_steps: steps of the plant in a tick; default: as many as make none longer than 1 ms
+            stop_fraction: reached within this fraction of the start-goal distance
+            stop_floor_m: or within this [m]
+            stop_speed: slower than this, with the reference at its end [m/s]
+            stuck_speed: stuck below this speed, and farther than that from the reference [m/s]
+            stuck_ticks: for so many ticks
+            time_factor: time limit in durations of the reference
+            max_time_s: time limit, when above 0 [s]
+            lower: lower corner of the box that must not be left [m]
+            upper: upper corner of that box [m]
         """
 
 class FlightTrial:
@@ -1041,7 +1761,7 @@ class FlightTrial:
         Acceleration, wrench, T' and T'', errors of position and velocity, acceleration of the reference.
         """
 
-    def advance(self, u: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], *, status: int, margin: float, active: int = -1, thrust_rate: float = 0.0, infeasible: bool = False, certified: bool = False, filter_s: float = 0.0) -> int:
+    def advance(self, u: NDArray[numpy.float64], *, status: int, margin: float, active: int = -1, thrust_rate: float = 0.0, infeasible: bool = False, certified: bool = False, filter_s: float = 0.0) -> int:
         """
         Fly an acceleration (3) or a wrench (4) for a tick; the outcome: 0 flying, 1 reached, 2 stuck, 3 timeout, 4 refused.
         """
@@ -1056,16 +1776,138 @@ def fly(vehicle: FlightVehicle, rules: FlightRules, references: Sequence[Referen
 
 def least_gamma(index: EllipsoidIndex, points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> float:
     """
-    Least r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.
+    Minimum r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.
     """
 
 class TrackerOptions:
     """How moving obstacles are tracked; fixed once made."""
 
-    def __init__(self, *, gate: float = 30.0, confirm_hits: int = 5, confirm_scans: int = 6, delete_misses: int = 5, coast_s: float = 3.0, field_margin: float = 2.0, acceleration_noise: float = 0.5, jerk_noise: float = 0.2, turn_noise: float = 0.1, with_turn: bool = False, transition: Sequence[float] = [0.992, 0.008, 0.015, 0.985], prior: Sequence[float] = [0.9, 0.1], turn_transition: Sequence[float] = ..., turn_prior: Sequence[float] = [0.9, 0.05, 0.05], start_variance: Sequence[float] = [4.0, 25.0, 25.0], cross_range_variance: float = 100.0, turn_variance: float = 0.1, mixing_variance: float = 3.0, mixes: bool = True, gates_models: bool = False, heavy_tails: bool = False, adapts_transition: bool = False, winner_takes_all: bool = False, jamming: bool = False) -> None:
+    def __init__(self, *, gate: float = 30.0, confirm_hits: int = 5, confirm_scans: int = 6, delete_misses: int = 5, coast_s: float = 3.0, field_margin: float = 2.0, acceleration_noise: float = 0.5, jerk_noise: float = 0.2, with_turn: bool = False, turn_noise: float = 0.1, transition: Sequence[float] = [0.992, 0.008, 0.015, 0.985], prior: Sequence[float] = [0.9, 0.1], turn_transition: Sequence[float] = [0.986, 0.01, 0.004, 0.01, 0.986, 0.004, 0.015, 0.015, 0.97], turn_prior: Sequence[float] = [0.9, 0.05, 0.05], start_variance: Sequence[float] = [4.0, 25.0, 25.0], cross_range_variance: float = 100.0, turn_variance: float = 0.1, mixing_variance: float = 3.0, mixes: bool = True, gates_models: bool = False, heavy_tails: bool = False, adapts_transition: bool = False, winner_takes_all: bool = False, jamming: bool = False) -> None:
         """
-        gate: of a squared Mahalanobis distance. *_noise: spectral densities [m^2/s^3, m^2/s^5, rad^2/s^3]. transition (per scan) and prior: of constant velocity and acceleration; turn_*: of these and a coordinated turn, used with_turn. start_variance: position, velocity, acceleration per axis. mixing_variance, turn_variance: of the acceleration and the turn rate that a model without them lends to the others. mixes: models restart from mixtures each scan. The last five are additions of SAFE-IMM.
+        Args:
+            gate: maximum squared Mahalanobis distance of an association
+            confirm_hits: hits that confirm a track
+            confirm_scans: of so many scans
+            delete_misses: misses in a row that delete a track
+            coast_s: time without a detection, out of the field of view, that deletes a confirmed track [s]
+            field_margin: standard deviations of a position that the field of view must contain
+            acceleration_noise: spectral density of the white acceleration [m^2/s^3]
+            jerk_noise: spectral density of the white jerk [m^2/s^5]
+            with_turn: use the model of a coordinated turn
+            turn_noise: spectral density of the turn rate's derivative [rad^2/s^3]
+            transition: per scan, of constant velocity and acceleration
+            prior: of these models
+            turn_transition: per scan, of these and the turn
+            turn_prior: of these three models
+            start_variance: of position, velocity and acceleration per axis
+            cross_range_variance: of the initial velocity across the line of sight [m^2/s^2]
+            turn_variance: of the turn rate, at the start and of a model without it [rad^2/s^2]
+            mixing_variance: of the acceleration of a model without it, where models mix [m^2/s^4]
+            mixes: models restart from mixtures in each scan
+            gates_models: SAFE-IMM
+            heavy_tails: SAFE-IMM
+            adapts_transition: SAFE-IMM
+            winner_takes_all: SAFE-IMM
+            jamming: SAFE-IMM
         """
+
+    @property
+    def gate(self) -> float:
+        """maximum squared Mahalanobis distance of an association"""
+
+    @property
+    def confirm_hits(self) -> int:
+        """hits that confirm a track"""
+
+    @property
+    def confirm_scans(self) -> int:
+        """of so many scans"""
+
+    @property
+    def delete_misses(self) -> int:
+        """misses in a row that delete a track"""
+
+    @property
+    def coast_s(self) -> float:
+        """
+        time without a detection, out of the field of view, that deletes a confirmed track [s]
+        """
+
+    @property
+    def field_margin(self) -> float:
+        """standard deviations of a position that the field of view must contain"""
+
+    @property
+    def acceleration_noise(self) -> float:
+        """spectral density of the white acceleration [m^2/s^3]"""
+
+    @property
+    def jerk_noise(self) -> float:
+        """spectral density of the white jerk [m^2/s^5]"""
+
+    @property
+    def with_turn(self) -> bool:
+        """use the model of a coordinated turn"""
+
+    @property
+    def turn_noise(self) -> float:
+        """spectral density of the turn rate's derivative [rad^2/s^3]"""
+
+    @property
+    def transition(self) -> list[float]:
+        """per scan, of constant velocity and acceleration"""
+
+    @property
+    def prior(self) -> list[float]:
+        """of these models"""
+
+    @property
+    def turn_transition(self) -> list[float]:
+        """per scan, of these and the turn"""
+
+    @property
+    def turn_prior(self) -> list[float]:
+        """of these three models"""
+
+    @property
+    def start_variance(self) -> list[float]:
+        """of position, velocity and acceleration per axis"""
+
+    @property
+    def cross_range_variance(self) -> float:
+        """of the initial velocity across the line of sight [m^2/s^2]"""
+
+    @property
+    def turn_variance(self) -> float:
+        """of the turn rate, at the start and of a model without it [rad^2/s^2]"""
+
+    @property
+    def mixing_variance(self) -> float:
+        """of the acceleration of a model without it, where models mix [m^2/s^4]"""
+
+    @property
+    def mixes(self) -> bool:
+        """models restart from mixtures in each scan"""
+
+    @property
+    def gates_models(self) -> bool:
+        """SAFE-IMM"""
+
+    @property
+    def heavy_tails(self) -> bool:
+        """SAFE-IMM"""
+
+    @property
+    def adapts_transition(self) -> bool:
+        """SAFE-IMM"""
+
+    @property
+    def winner_takes_all(self) -> bool:
+        """SAFE-IMM"""
+
+    @property
+    def jamming(self) -> bool:
+        """SAFE-IMM"""
 
 class Tracker:
     """
@@ -1074,7 +1916,7 @@ class Tracker:
 
     def __init__(self, options: TrackerOptions = ..., most: int = 128) -> None:
         """
-        Of at most `most` tracks at a time. ValueError for options that mean nothing.
+        A tracker of at most `most` tracks at a time. ValueError for invalid options.
         """
 
     def reset(self) -> None:
@@ -1101,12 +1943,37 @@ def assign(cost: Annotated[NDArray[numpy.float64], dict(shape=(None, None), orde
 
 class ObstacleSpec:
     """
-    A moving obstacle, to be drawn for each trial: alula/flight/obstacle_motion.hpp.
-
-    Kinds: constant-velocity, accelerating, curving, ballistic, quadrotor. Pairs are ranges; angles in radian.
+    A moving obstacle, to be drawn for each trial: alula/flight/obstacle_motion.hpp. Pairs are ranges.
     """
 
-    def __init__(self, *, kind: str = 'constant-velocity', radius_m: float = 0.15, is_relative: bool = True, position: Sequence[float] = [0.0, 0.0, 0.0], distance_m: float = 50.0, azimuth_rad: Sequence[float] = [0.0, 0.0], elevation_rad: Sequence[float] = [0.0, 0.0], either_side: bool = False, crosses: bool = False, offset_sigma_m: Sequence[float] = [0.0, 0.0, 0.0], speed_m_s: Sequence[float] = [5.0, 8.0], heading_rad: Sequence[float] = [0.0, 0.0], acceleration_m_s2: Sequence[float] = [0.0, 0.0], velocity_m_s: Sequence[float] = [0.0, 0.0, 0.0], aims_at_vehicle: bool = False, meeting_sigma_m: Sequence[float] = [0.0, 0.0, 0.0], max_speed_m_s: float = 12.0, turn_rate_rad_s: float = 0.25, release_m: float = 12.0, drag_per_m: float = 0.0, start_s: float = 0.0, way_points: Sequence[Sequence[float]] = [], body: Quadrotor | None = None, gains: TrackingGains | None = None) -> None: ...
+    def __init__(self, *, kind: str = 'constant-velocity', radius_m: float = 0.15, is_relative: bool = True, position: Sequence[float] = [0.0, 0.0, 0.0], distance_m: float = 50.0, azimuth_rad: Sequence[float] = [0.0, 0.0], elevation_rad: Sequence[float] = [0.0, 0.0], either_side: bool = False, crosses: bool = False, offset_sigma_m: Sequence[float] = [0.0, 0.0, 0.0], speed_m_s: Sequence[float] = [5.0, 8.0], heading_rad: Sequence[float] = [0.0, 0.0], acceleration_m_s2: Sequence[float] = [0.0, 0.0], velocity_m_s: Sequence[float] = [0.0, 0.0, 0.0], aims_at_vehicle: bool = False, meeting_sigma_m: Sequence[float] = [0.0, 0.0, 0.0], max_speed_m_s: float = 12.0, turn_rate_rad_s: float = 0.25, release_m: float = 12.0, drag_per_m: float = 0.0, start_s: float = 0.0, way_points: Sequence[Sequence[float]] = [], body: Quadrotor | None = None, gains: TrackingGains | None = None) -> None:
+        """
+        Args:
+            kind: motion: constant-velocity, accelerating, curving, ballistic or quadrotor
+            radius_m: radius [m]
+            is_relative: placed by distance and azimuth; false: at a position
+            position: start [m]
+            distance_m: distance from the vehicle's start [m]
+            azimuth_rad: from the course [rad]
+            elevation_rad: above the horizon [rad]
+            either_side: draw the sign of the azimuth
+            crosses: azimuth and elevation are seen from the meeting point
+            offset_sigma_m: standard deviation of the start, frame (course, left, up) [m]
+            speed_m_s: speed [m/s]
+            heading_rad: from the direction to the meeting point, outwards [rad]
+            acceleration_m_s2: acceleration, or limit of a leg [m/s^2]
+            velocity_m_s: initial velocity; 0: from speed and heading [m/s]
+            aims_at_vehicle: aim at the vehicle's start
+            meeting_sigma_m: standard deviation of the meeting point [m]
+            max_speed_m_s: maximum speed [m/s]
+            turn_rate_rad_s: maximum turn rate [rad/s]
+            release_m: distance below which it stops turning [m]
+            drag_per_m: quadratic drag of a ballistic one [1/m]
+            start_s: time at which it starts to move [s]
+            way_points: of a quadrotor [m]
+            body: body of a quadrotor, with its gains; default: a small one
+            gains: gains of its controller
+        """
 
     @property
     def kind(self) -> str: ...
@@ -1119,48 +1986,135 @@ class ObstacleSpec:
 
 def obstacle_paths(spec: ObstacleSpec, vehicle: Annotated[NDArray[numpy.float64], dict(shape=(None, 9), order='C', device='cpu', writable=False)], *, dt_s: float, seed: int = 0, first_trial: int = 0, trials: int = 1, obstacle: int = 0) -> NDArray[numpy.float64]:
     """
-    What an obstacle does beside a vehicle whose states at k dt are rows (p, v, a) (N, 9), of each trial, shape (trials, N, 9).
+    States of an obstacle beside a vehicle with states (p, v, a) (N, 9) at k dt, for each trial, shape (trials, N, 9).
     """
 
 def meeting_time(r: Sequence[float], v: Sequence[float], s: float) -> float:
     """
-    The least t with |r + v t| = s t; where there is none, that of the nearest approach.
+    The smallest t with |r + v t| = s t; without one, the time of the nearest approach.
     """
 
 class RadarOptions:
-    """
-    A sensor of obstacles: alula/tracking/radar.hpp. Kinds: radar, ideal (all, always), mocap.
-    """
+    """A sensor of obstacles: alula/tracking/radar.hpp."""
 
-    def __init__(self, *, kind: str = 'radar', rate_hz: float = 20.0, half_azimuth_rad: float = 0.6981317007977318, half_elevation_rad: float = 0.17453292519943295, max_range_m: float = 150.0, detection_probability: float = 0.95, sigma_range_m: float = 0.15, sigma_azimuth_rad: float = 0.008726646259971648, sigma_elevation_rad: float = 0.012217304763960306, sigma_range_rate_m_s: float = 0.1, clutter_per_scan: float = 0.1, clutter_range_rate_m_s: float = 15.0, noise_scale: float = 1.0, position_sigma_m: float = 0.0, delay_s: float = 0.0, own_position_sigma_m: float = 0.0, own_velocity_sigma_m_s: float = 0.0) -> None: ...
+    def __init__(self, *, kind: str = 'radar', rate_hz: float = 20.0, half_azimuth_rad: float = 0.6981317007977318, half_elevation_rad: float = 0.17453292519943295, max_range_m: float = 150.0, detection_probability: float = 0.95, sigma_range_m: float = 0.15, sigma_azimuth_rad: float = 0.008726646259971648, sigma_elevation_rad: float = 0.012217304763960306, sigma_range_rate_m_s: float = 0.1, clutter_per_scan: float = 0.1, clutter_range_rate_m_s: float = 15.0, noise_scale: float = 1.0, position_sigma_m: float = 0.0, delay_s: float = 0.0, own_position_sigma_m: float = 0.0, own_velocity_sigma_m_s: float = 0.0) -> None:
+        """
+        Args:
+            kind: radar, ideal or mocap
+            rate_hz: scans per second
+            half_azimuth_rad: half width of the field of view [rad]
+            half_elevation_rad: half height of the field of view [rad]
+            max_range_m: range [m]
+            detection_probability: probability of a detection
+            sigma_range_m: noise of the range [m]
+            sigma_azimuth_rad: noise of the azimuth [rad]
+            sigma_elevation_rad: noise of the elevation [rad]
+            sigma_range_rate_m_s: noise of the range rate [m/s]
+            clutter_per_scan: mean number of false detections in a scan
+            clutter_range_rate_m_s: their range rates are uniform within +- this [m/s]
+            noise_scale: factor of all sigmas
+            position_sigma_m: noise of ideal and mocap per axis [m]
+            delay_s: time until the tracker gets a detection [s]
+            own_position_sigma_m: noise of the vehicle's own position per axis [m]
+            own_velocity_sigma_m_s: noise of the vehicle's own velocity per axis [m/s]
+        """
 
     @property
-    def rate_hz(self) -> float: ...
+    def kind(self) -> str:
+        """radar, ideal or mocap"""
 
     @property
-    def delay_s(self) -> float: ...
+    def rate_hz(self) -> float:
+        """scans per second"""
+
+    @property
+    def half_azimuth_rad(self) -> float:
+        """half width of the field of view [rad]"""
+
+    @property
+    def half_elevation_rad(self) -> float:
+        """half height of the field of view [rad]"""
+
+    @property
+    def max_range_m(self) -> float:
+        """range [m]"""
+
+    @property
+    def detection_probability(self) -> float:
+        """probability of a detection"""
+
+    @property
+    def sigma_range_m(self) -> float:
+        """noise of the range [m]"""
+
+    @property
+    def sigma_azimuth_rad(self) -> float:
+        """noise of the azimuth [rad]"""
+
+    @property
+    def sigma_elevation_rad(self) -> float:
+        """noise of the elevation [rad]"""
+
+    @property
+    def sigma_range_rate_m_s(self) -> float:
+        """noise of the range rate [m/s]"""
+
+    @property
+    def clutter_per_scan(self) -> float:
+        """mean number of false detections in a scan"""
+
+    @property
+    def clutter_range_rate_m_s(self) -> float:
+        """their range rates are uniform within +- this [m/s]"""
+
+    @property
+    def noise_scale(self) -> float:
+        """factor of all sigmas"""
+
+    @property
+    def position_sigma_m(self) -> float:
+        """noise of ideal and mocap per axis [m]"""
+
+    @property
+    def delay_s(self) -> float:
+        """time until the tracker gets a detection [s]"""
+
+    @property
+    def own_position_sigma_m(self) -> float:
+        """noise of the vehicle's own position per axis [m]"""
+
+    @property
+    def own_velocity_sigma_m_s(self) -> float:
+        """noise of the vehicle's own velocity per axis [m/s]"""
 
 class FieldOfView:
-    """Where a scan could find something."""
+    """Field of view of a scan."""
 
     def __init__(self, *, position: Sequence[float], yaw: float = 0.0, half_azimuth_rad: float = 0.6981317007977318, half_elevation_rad: float = 0.17453292519943295, max_range_m: float = 150.0) -> None:
-        """Of a sensor at a position [m], levelled, looking along yaw [rad]."""
+        """
+        Args:
+            position: position of the sensor [m]
+            yaw: heading, levelled [rad]
+            half_azimuth_rad: half width [rad]
+            half_elevation_rad: half height [rad]
+            max_range_m: range [m]
+        """
 
     def holds(self, mean: Sequence[float], covariance: Sequence[Sequence[float]], margin: float) -> bool:
         """
-        Whether it has all within `margin` standard deviations of the range and of both angles.
+        True when it contains all within `margin` standard deviations of the range and of both angles.
         """
 
 def radar_scans(options: RadarOptions, vehicle: Annotated[NDArray[numpy.float64], dict(shape=(None, 9), order='C', device='cpu', writable=False)], yaw: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], truth: Annotated[NDArray[numpy.float64], dict(shape=(None, None, 9), order='C', device='cpu', writable=False)], *, seed: int = 0, trial: int = 0, first_step: int = 0) -> dict[str, Any]:
     """
-    Detections of scans at states (N, 9), headings (N,) and truths (N, obstacles, 9); `scan` says of which one.
+    Detections of scans at states (N, 9), headings (N,) and truths (N, obstacles, 9); `scan` is the number of the scan.
     """
 
 def own_states(options: RadarOptions, vehicle: Annotated[NDArray[numpy.float64], dict(shape=(None, 9), order='C', device='cpu', writable=False)], *, seed: int = 0, trial: int = 0, first_step: int = 0) -> NDArray[numpy.float64]:
-    """What a vehicle at states (N, 9) believes of itself."""
+    """The own states that a vehicle at states (N, 9) measures."""
 
 class MovingReport:
-    """What a filter among moving obstacles did in a tick."""
+    """Report of a filter among moving obstacles for one tick."""
 
     @property
     def status(self) -> int:
@@ -1178,7 +2132,7 @@ class MovingReport:
 
     @property
     def warned(self) -> bool:
-        """Whether an obstacle warns in this tick."""
+        """True when an obstacle triggers the warning in this tick."""
 
     @property
     def risk_m(self) -> float:
@@ -1190,7 +2144,7 @@ class MovingReport:
 
     @property
     def horizon_s(self) -> float:
-        """Of the rows."""
+        """Horizon of the rows [s]."""
 
     @property
     def feasible(self) -> bool:
@@ -1198,15 +2152,15 @@ class MovingReport:
 
     @property
     def rows(self) -> int:
-        """How many there were."""
+        """Number of rows."""
 
     @property
     def iterations(self) -> int:
-        """Of the solver."""
+        """Iterations of the solver."""
 
     @property
     def violation(self) -> float:
-        """Of the rows, minus infinity without."""
+        """Violation of the rows, minus infinity without rows."""
 
     @property
     def risk_left(self) -> float:
@@ -1223,7 +2177,7 @@ class MovingFilter:
         """
 
     def flown(self, acceleration: Sequence[float]) -> None:
-        """What is flown in a tick that was refused."""
+        """Report the acceleration that is flown in a refused tick."""
 
     def reset(self) -> None:
         """To before the first tick."""
@@ -1234,7 +2188,7 @@ class MovingFilter:
 def moving_filter(method: str, options: Mapping[str, float] = {}, backend: object | None = None) -> MovingFilter:
     """
     none, dr_acbf, dr_acbf_qp, mpc, cbf_qp or rp_cbf; `options` over those of `moving_filter_defaults`; `backend`
-    solves its quadratic programs, as in QpSolver. ValueError for what means nothing.
+    solves its quadratic programs, as in QpSolver. ValueError for invalid options.
     """
 
 def moving_filter_defaults() -> dict[str, float]:
@@ -1272,26 +2226,118 @@ def cantelli(alpha: float) -> float:
     """sqrt((1 - alpha) / alpha)."""
 
 def recursive_speed(a_max: float, horizon_s: float) -> float:
-    """Closing speed below which rows alone never ask for more than a_max."""
+    """Closing speed below which rows alone never demand more than a_max."""
 
 class EncounterVehicle:
-    """What flies among moving obstacles, and where to."""
+    """
+    A sphere among moving obstacles that moves as a double integrator with limits of speed, acceleration and jerk; it holds its start or goes to its goal.
+    """
 
     def __init__(self, *, start: Sequence[float] = [0.0, 0.0, 10.0], goal: Sequence[float] = [200.0, 0.0, 10.0], start_speed_m_s: float = 4.0, cruise_m_s: float = 4.0, gain: float = 2.0, radius_m: float = 0.15, max_speed_m_s: float = 12.0, max_acceleration_m_s2: float = 6.0, max_jerk_m_s3: float = 60.0, actuation_delay_s: float = 0.0, hovers: bool = False, yaw_rate_rad_s: float = 1.0) -> None:
         """
-        A sphere that moves as a double integrator: |a|_inf of commands, |da/dt|_inf and |v| of what is executed, late by the delay. It holds its start or goes to its goal.
+        Args:
+            start: start [m]
+            goal: goal [m]
+            start_speed_m_s: speed at the start, along the course [m/s]
+            cruise_m_s: nominal speed [m/s]
+            gain: gain of the speed error [1/s]
+            radius_m: radius of the sphere [m]
+            max_speed_m_s: maximum |v| of the executed motion [m/s]
+            max_acceleration_m_s2: maximum |a|_inf of a command [m/s^2]
+            max_jerk_m_s3: maximum |da/dt|_inf of the executed motion [m/s^3]
+            actuation_delay_s: time from a command until it acts [s]
+            hovers: hold the start instead of flying to the goal
+            yaw_rate_rad_s: maximum rate at which the sensor turns; 0: it looks along the course [rad/s]
+        """
+
+    @property
+    def start(self) -> list[float]:
+        """start [m]"""
+
+    @property
+    def goal(self) -> list[float]:
+        """goal [m]"""
+
+    @property
+    def start_speed_m_s(self) -> float:
+        """speed at the start, along the course [m/s]"""
+
+    @property
+    def cruise_m_s(self) -> float:
+        """nominal speed [m/s]"""
+
+    @property
+    def gain(self) -> float:
+        """gain of the speed error [1/s]"""
+
+    @property
+    def radius_m(self) -> float:
+        """radius of the sphere [m]"""
+
+    @property
+    def max_speed_m_s(self) -> float:
+        """maximum |v| of the executed motion [m/s]"""
+
+    @property
+    def max_acceleration_m_s2(self) -> float:
+        """maximum |a|_inf of a command [m/s^2]"""
+
+    @property
+    def max_jerk_m_s3(self) -> float:
+        """maximum |da/dt|_inf of the executed motion [m/s^3]"""
+
+    @property
+    def actuation_delay_s(self) -> float:
+        """time from a command until it acts [s]"""
+
+    @property
+    def hovers(self) -> bool:
+        """hold the start instead of flying to the goal"""
+
+    @property
+    def yaw_rate_rad_s(self) -> float:
+        """
+        maximum rate at which the sensor turns; 0: it looks along the course [rad/s]
         """
 
 class EncounterRules:
     """Times of an encounter, and when it ends."""
 
-    def __init__(self, *, dt_s: float = 0.01, plant_steps: int = 10, max_time_s: float = 14.0, receded_s: float = 1.0, risk_window_s: float = 0.4) -> None: ...
+    def __init__(self, *, dt_s: float = 0.01, plant_steps: int = 10, max_time_s: float = 14.0, receded_s: float = 1.0, risk_window_s: float = 0.4) -> None:
+        """
+        Args:
+            dt_s: time step of the filter [s]
+            plant_steps: steps of the plant per tick
+            max_time_s: time limit [s]
+            receded_s: a trial ends when all obstacles have receded for so long [s]
+            risk_window_s: window of the mission risk [s]
+        """
+
+    @property
+    def dt_s(self) -> float:
+        """time step of the filter [s]"""
+
+    @property
+    def plant_steps(self) -> int:
+        """steps of the plant per tick"""
+
+    @property
+    def max_time_s(self) -> float:
+        """time limit [s]"""
+
+    @property
+    def receded_s(self) -> float:
+        """a trial ends when all obstacles have receded for so long [s]"""
+
+    @property
+    def risk_window_s(self) -> float:
+        """window of the mission risk [s]"""
 
 class EncounterSpec:
     """All of an encounter but the filter."""
 
     def __init__(self, *, vehicle: EncounterVehicle = ..., rules: EncounterRules = ..., obstacles: Sequence[ObstacleSpec] = [], radar: RadarOptions = ..., tracker: TrackerOptions = ..., walls: PolytopeSet | None = None) -> None:
-        """ValueError for a specification that means nothing."""
+        """ValueError for an invalid specification."""
 
 def fly_encounters(spec: EncounterSpec, filter: MovingFilter, *, seed: int = 0, first: int = 0, count: int = 1, keeps_path: bool = False, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
     """
@@ -1300,12 +2346,12 @@ def fly_encounters(spec: EncounterSpec, filter: MovingFilter, *, seed: int = 0, 
 
 def collision_risk(position: Sequence[float], velocity: Sequence[float], covariance: Sequence[float], command: Sequence[float], radius: float, window_s: float) -> float:
     """
-    Of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: bound of the probability that it is within the radius when it comes closest in the window.
+    Collision risk of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: bound of the probability that it is within the radius when it comes closest in the window.
     """
 
 def closest_approach(r0: Sequence[float], r1: Sequence[float], a: Sequence[float], h: float) -> float:
     """
-    Least |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.
+    Minimum |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.
     """
 
 class RacerModel:
@@ -1314,30 +2360,102 @@ class RacerModel:
     """
 
     def __init__(self, *, gravity: float = 9.81, thrust: Sequence[float] = [0.0, 7.75474, 73.895455], rate_gain: float = 50.0, max_rate: Sequence[float] = [12.0, 12.0, 6.0]) -> None:
-        """ValueError for numbers without meaning."""
+        """
+        Args:
+            gravity: gravity [m/s^2]
+            thrust: a_0, a_1, a_2 of the thrust map [m/s^2]
+            rate_gain: gain of the rate loop [1/s]
+            max_rate: maximum rates of a command [rad/s]
+        """
 
     @property
-    def gravity(self) -> float: ...
+    def gravity(self) -> float:
+        """gravity [m/s^2]"""
 
     @property
-    def thrust(self) -> list[float]: ...
+    def thrust(self) -> list[float]:
+        """a_0, a_1, a_2 of the thrust map [m/s^2]"""
 
     @property
-    def rate_gain(self) -> float: ...
+    def rate_gain(self) -> float:
+        """gain of the rate loop [1/s]"""
 
     @property
-    def max_rate(self) -> list[float]: ...
+    def max_rate(self) -> list[float]:
+        """maximum rates of a command [rad/s]"""
 
     def throttle_for(self, acceleration: float) -> float:
         """The throttle for an acceleration [m/s^2], in [0, 1]."""
 
 class RacerOptions:
-    """What a racing drone's plant does beside its model; all off by default."""
+    """
+    Effects of a racing drone's plant beside its model; all off by default.
+    """
 
     def __init__(self, *, mass: float = 1.0, mass_scale: float = 1.0, thrust_scale: float = 1.0, rate_gain_scale: float = 1.0, delay_s: float = 0.0, linear_drag: Sequence[float] = [0.0, 0.0, 0.0], quadratic_drag: Sequence[float] = [0.0, 0.0, 0.0], wind_m_s: Sequence[float] = [0.0, 0.0, 0.0], gust_m_s: Sequence[float] = [0.0, 0.0, 0.0], gust_time_s: float = 1.0, sag_share: float = 0.0, sag_time_s: float = 0.5) -> None:
         """
-        Mass [kg] is for the drag [N s/m, N s^2/m^2] along the body's axes alone. ValueError for numbers without meaning.
+        Args:
+            mass: mass, for the drag alone [kg]
+            mass_scale: true over assumed mass
+            thrust_scale: true over assumed thrust
+            rate_gain_scale: true over assumed gain of the rate loop
+            delay_s: time from a command until it acts [s]
+            linear_drag: along the body axes [N s/m]
+            quadratic_drag: along the body axes [N s^2/m^2]
+            wind_m_s: mean wind [m/s]
+            gust_m_s: standard deviation of gusts per axis [m/s]
+            gust_time_s: time constant of gusts [s]
+            sag_share: fraction of the thrust that is lost at full throttle
+            sag_time_s: time constant of that loss [s]
         """
+
+    @property
+    def mass(self) -> float:
+        """mass, for the drag alone [kg]"""
+
+    @property
+    def mass_scale(self) -> float:
+        """true over assumed mass"""
+
+    @property
+    def thrust_scale(self) -> float:
+        """true over assumed thrust"""
+
+    @property
+    def rate_gain_scale(self) -> float:
+        """true over assumed gain of the rate loop"""
+
+    @property
+    def delay_s(self) -> float:
+        """time from a command until it acts [s]"""
+
+    @property
+    def linear_drag(self) -> list[float]:
+        """along the body axes [N s/m]"""
+
+    @property
+    def quadratic_drag(self) -> list[float]:
+        """along the body axes [N s^2/m^2]"""
+
+    @property
+    def wind_m_s(self) -> list[float]:
+        """mean wind [m/s]"""
+
+    @property
+    def gust_m_s(self) -> list[float]:
+        """standard deviation of gusts per axis [m/s]"""
+
+    @property
+    def gust_time_s(self) -> float:
+        """time constant of gusts [s]"""
+
+    @property
+    def sag_share(self) -> float:
+        """fraction of the thrust that is lost at full throttle"""
+
+    @property
+    def sag_time_s(self) -> float:
+        """time constant of that loss [s]"""
 
 class Racer:
     """A flight of a racing drone; a function of commands, seed and trial."""
@@ -1367,7 +2485,9 @@ class Fence:
         """
 
     def clearance(self, a: Sequence[float], b: Sequence[float]) -> float:
-        """Least distance of a segment from what is forbidden; negative there."""
+        """
+        Minimum distance of a segment from the forbidden region; negative inside it.
+        """
 
 class Geofence:
     """
@@ -1388,7 +2508,7 @@ class Geofence:
     @property
     def fence_words(self) -> bytes:
         """
-        Of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).
+        The bytes of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).
         """
 
     @property
@@ -1405,7 +2525,7 @@ class Geofence:
 
     def evaluate(self, states: NDArray[numpy.float64]) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]:
         """
-        Of flows that begin at states (N, 13): (h_I, min h_c / v_c, margin, distance, h_B) (N, 5), and u_B (N, 4).
+        Flows that begin at states (N, 13): (h_I, min h_c / v_c, margin, distance, h_B) (N, 5), and u_B (N, 4).
         """
 
 class BackupQp:
@@ -1429,6 +2549,12 @@ class Pilot:
     def __init__(self, kind: str, *, heading_rad: float = 0.0, tilt_rad: float = 1.2566, climb_m_s2: float = 0.0, silent_after_s: float = 1.5) -> None:
         """
         straight, diagonal, fall, sticks, aggressive, silent or repeated; ValueError for others.
+
+        Args:
+            heading_rad: of straight and repeated; diagonal is 45 degrees to the left [rad]
+            tilt_rad: commanded tilt [rad]
+            climb_m_s2: of diagonal: commanded vertical acceleration [m/s^2]
+            silent_after_s: of silent: minimum time until silence, at most twice that [s]
         """
 
 class PilotHand:
@@ -1442,14 +2568,65 @@ class PilotHand:
 class GeofenceRules:
     """Times of a flight, and when navigation or radio are missing."""
 
-    def __init__(self, *, duration_s: float = 8.0, plant_steps: int = 4, rule: str = 'geofence', alpha: float = 2.0, stale_from_s: float = float('inf'), stale_for_s: float = 0.0, radio_from_s: float = float('inf'), radio_for_s: float = 0.0) -> None: ...
+    def __init__(self, *, duration_s: float = 8.0, plant_steps: int = 4, rule: str = 'geofence', alpha: float = 2.0, stale_from_s: float = float('inf'), stale_for_s: float = 0.0, radio_from_s: float = float('inf'), radio_for_s: float = 0.0) -> None:
+        """
+        Args:
+            duration_s: duration of a flight [s]
+            plant_steps: steps of the plant per tick of the filter
+            rule: none, geofence or backup-qp
+            alpha: gain of backup-qp [1/s]
+            stale_from_s: start of an outage of the navigation [s]
+            stale_for_s: duration of that outage [s]
+            radio_from_s: start of an outage of the radio [s]
+            radio_for_s: duration of that outage [s]
+        """
+
+    @property
+    def duration_s(self) -> float:
+        """duration of a flight [s]"""
+
+    @property
+    def plant_steps(self) -> int:
+        """steps of the plant per tick of the filter"""
+
+    @property
+    def rule(self) -> str:
+        """none, geofence or backup-qp"""
+
+    @property
+    def alpha(self) -> float:
+        """gain of backup-qp [1/s]"""
+
+    @property
+    def stale_from_s(self) -> float:
+        """start of an outage of the navigation [s]"""
+
+    @property
+    def stale_for_s(self) -> float:
+        """duration of that outage [s]"""
+
+    @property
+    def radio_from_s(self) -> float:
+        """start of an outage of the radio [s]"""
+
+    @property
+    def radio_for_s(self) -> float:
+        """duration of that outage [s]"""
 
 class GeofenceSpec:
     """All of a flight but the filter and the random numbers."""
 
-    def __init__(self, *, model: RacerModel = ..., options: RacerOptions = ..., pilot: Pilot = ..., rules: GeofenceRules = ..., start: Annotated[NDArray[numpy.float64], dict(shape=(13), order='C', device='cpu', writable=False)] | None = None, start_box: tuple[Sequence[float], Sequence[float]] | None = None, start_speed_m_s: float = 10.0, start_tilt_rad: float = 1.0) -> None:
+    def __init__(self, *, model: RacerModel = ..., options: RacerOptions = ..., pilot: Pilot = ..., rules: GeofenceRules = ..., start: NDArray[numpy.float64] | None = None, start_box: tuple[Sequence[float], Sequence[float]] | None = None, start_speed_m_s: float = 10.0, start_tilt_rad: float = 1.0) -> None:
         """
-        From `start` (13), or from random states with h_I > 0 in a box (lower, upper).
+        Args:
+            model: model of plant and pilot
+            options: what the plant does beside the model
+            pilot: the pilot
+            rules: times and outages
+            start: state (13) at the start
+            start_box: without a start: box (lower, upper) of random starts with h_I > 0 [m]
+            start_speed_m_s: maximum speed of a random start [m/s]
+            start_tilt_rad: maximum tilt of a random start [rad]
         """
 
 def fly_in_fences(spec: GeofenceSpec, filter: Geofence, *, seed: int = 0, first: int = 0, count: int = 1, keeps_trace: bool = False, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
@@ -1462,7 +2639,21 @@ class PendulumFilter:
     A safety filter of the inverted pendulum theta'' = sin theta + u: `regulation` or `backup-qp`.
     """
 
-    def __init__(self, rule: str, *, largest_angle: float = 1.0, end_rate: float = 0.1, k: float = 3.0, push_distance: float = 0.1, push_gain: float = 1.0, push_rate: float = 0.1, horizon_s: float = 3.0, steps: int = 100, beta: float = 15.0, alpha: float = 5.0, largest_input: float = 20.0) -> None: ...
+    def __init__(self, rule: str, *, largest_angle: float = 1.0, end_rate: float = 0.1, k: float = 3.0, push_distance: float = 0.1, push_gain: float = 1.0, push_rate: float = 0.1, horizon_s: float = 3.0, steps: int = 100, beta: float = 15.0, alpha: float = 5.0, largest_input: float = 20.0) -> None:
+        """
+        Args:
+            largest_angle: theta_max [rad]
+            end_rate: rate at the end of the flow [rad/s]
+            k: gain of the backup controller [1/s]
+            push_distance: distance from the limit within which the backup controller moves away [rad]
+            push_gain: gain of that motion [1/s]
+            push_rate: maximum rate of that motion [rad/s]
+            horizon_s: horizon of the flow [s]
+            steps: steps of the flow
+            beta: gain of the regulation
+            alpha: gain of the QP [1/s]
+            largest_input: maximum input of the QP and of u_des
+        """
 
     def filter(self, states: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], u_des: float) -> NDArray[numpy.float64]:
         """At states (N, 2): u, h_I, lambda, rows, infeasible (N, 5)."""

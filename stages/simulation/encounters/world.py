@@ -9,12 +9,12 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.artifact import Artifact
+from alula.schemas.encounter_filter import native_options
 from alula.schemas.encounters import Encounters, ObstacleTable, WallTable, interval
 from alula.schemas.errors import UsageError
 from alula.stages.compression.hulls import Hulls
 
 _FACES = np.concatenate([np.eye(3), -np.eye(3)])
-SOLVERS = ("exact", "gs")  # by number
 # Fraction of the maximum acceleration that braking before a wall counts on. Below 1 / sqrt(3), so that the
 # box of accelerations contains what three walls at right angles require together, in any orientation.
 WALL_FRACTION = 0.56
@@ -143,37 +143,14 @@ def native_filter(scenario: Encounters) -> _core.MovingFilter:
         raise UsageError(f"`$.filter.parameters`: {error}") from error
 
 
-# Native names of options that differ.
-_NATIVE_NAMES = {
-    "envelope_start_m_s2": "envelope_start",
-    "envelope_cap_m_s2": "envelope_cap",
-    "envelope_forget_m_s3": "envelope_forget",
-    "wasserstein_m": "wasserstein",
-    "obstacle_braking_m_s2": "obstacle_braking",
-    "kp_per_s2": "kp",
-    "kd_per_s": "kd",
-    "alpha": "risk",
-    "warned_alpha": "warned_risk",
-    "tolerance_m_s2": "tolerance",
-    "wall_deceleration_m_s2": "wall_deceleration",
-}
-
-
 def filter_options(scenario: Encounters) -> dict[str, float]:
     """All options of the native filter by name: those of the scenario, and its vehicle and time step.
 
     Args:
         scenario: all parameters.
     """
-    values = msgspec.to_builtins(scenario.filter.parameters)
     body = scenario.vehicle
-    for name in ("mpc", "cbf_qp", "rp_cbf"):
-        values |= {f"{name}_{key}": value for key, value in values.pop(name).items()}
-    if values["wall_deceleration_m_s2"] is None:
-        values["wall_deceleration_m_s2"] = WALL_FRACTION * body.a_max_m_s2
-    options = {_NATIVE_NAMES.get(key, key): value for key, value in values.items()}
-    options["distributional"] = options.pop("trigger") == "cvar"
-    options["solver"] = SOLVERS.index(options["solver"])
+    options = {"wall_deceleration": WALL_FRACTION * body.a_max_m_s2} | native_options(scenario.filter.parameters)
     options |= {"dt_s": scenario.run.dt_s, "radius_m": body.radius_m}
     options |= {"a_max": body.a_max_m_s2, "v_max": body.v_max_m_s, "j_max": body.j_max_m_s3}
     return {key: float(value) for key, value in options.items()}

@@ -14,7 +14,7 @@ NUMBER = st.floats(-1e3, 1e3) | st.floats(-1e60, 1e60)
 
 
 def policy(kind, **gains):
-    return _core.BackupPolicy(body.fastbridge(), kind, **gains)
+    return _core.BackupPolicy(body.fastbridge(), kind, _core.BackupGains(**gains))
 
 
 def case_state(case):

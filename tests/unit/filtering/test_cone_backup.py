@@ -33,7 +33,7 @@ def policy(kind="brake"):
 
 
 def backup(scene, kind="brake", **options):
-    return _core.ConeBackup(policy(kind), scene.index, **options)
+    return _core.ConeBackup(policy(kind), scene.index, _core.ConeBackupOptions(**options))
 
 
 def rows_of(
@@ -225,7 +225,9 @@ def test_the_cone_escape_keeps_moving_where_the_brake_stops():
     for kind in ("brake", "cone-escape"):
         x = np.zeros(12)
         x[6] = 4.0
-        flown = _core.ConeBackup(policy(kind), scene.index, pruning=_core.Pruning(count=0, floor_m=0.3))
+        flown = _core.ConeBackup(
+            policy(kind), scene.index, _core.ConeBackupOptions(pruning=_core.Pruning(count=0, floor_m=0.3))
+        )
         flight = Flight(scene, VEHICLE, flown, x, onward, 300)
         assert flight.clearance >= 0.01
         assert all(report["certified"] for report in flight.reports)

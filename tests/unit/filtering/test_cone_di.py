@@ -102,7 +102,9 @@ def test_the_answer_is_the_nearest_input_that_holds_the_rows_of_the_candidates(s
     p, direction = rng.uniform(-2, 2, 3), rng.normal(size=3)
     v = speed * direction / np.linalg.norm(direction)
     nominal = rng.normal(size=3) * 3
-    filt = _core.ConeDi(index_of(rows), pruning=_core.Pruning(count=count), lateral_bias=0.0)
+    filt = _core.ConeDi(
+        index_of(rows), _core.ConeDiOptions(pruning=_core.Pruning(count=count), lateral_bias=0.0)
+    )
     report = tick(filt, p, v, nominal)
     items, capped, reach = candidates(rows, p, v, count)
     assert (report["candidates"], report["capped"], report["rows"]) == (len(items), capped, len(items))
@@ -151,7 +153,7 @@ def test_a_nominal_input_that_holds_comes_back_bit_by_bit():
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_what_is_not_finite_is_refused(bad):
-    filt = _core.ConeDi(index_of(ball([1, 0, 0])), clf_weight=10.0)
+    filt = _core.ConeDi(index_of(ball([1, 0, 0])), _core.ConeDiOptions(clf_weight=10.0))
     good = [(0.0, 0, 0), (1.0, 0, 0), (0.0, 0, 0)]
     for slot in range(3):
         values = [list(x) for x in good]
@@ -169,7 +171,7 @@ def test_what_is_not_finite_is_refused(bad):
 
 def test_a_program_without_solution_is_reported_and_braked():
     rows = ball([1.0, 0, 0], scale=0.5)
-    filt = _core.ConeDi(index_of(rows), max_acceleration=2.0)
+    filt = _core.ConeDi(index_of(rows), _core.ConeDiOptions(max_acceleration=2.0))
     v = np.array([3.0, 0.3, 0])
     report = tick(filt, (0, 0, 0), v, (9, 0, 0))
     a = np.array(report["acceleration"])
@@ -187,7 +189,7 @@ def test_a_program_without_solution_is_reported_and_braked():
 def test_inputs_stay_within_the_box(seed, box):
     rng = np.random.default_rng(seed)
     rows = scene(rng, 60)
-    filt = _core.ConeDi(index_of(rows), max_acceleration=box)
+    filt = _core.ConeDi(index_of(rows), _core.ConeDiOptions(max_acceleration=box))
     p, v = rng.uniform(-2, 2, 3), rng.normal(size=3) * 2
     report = tick(filt, p, v, rng.normal(size=3) * 10)
     a = np.array(report["acceleration"])
@@ -231,7 +233,7 @@ def test_head_on_the_bias_turns_aside_and_without_it_the_vehicle_only_brakes():
     rows, goal = ball([2.0, 0, 0]), np.array([4.0, 0, 0])
     ends = {}
     for bias in (0.0, 0.5):
-        filt = _core.ConeDi(index_of(rows), lateral_bias=bias)
+        filt = _core.ConeDi(index_of(rows), _core.ConeDiOptions(lateral_bias=bias))
         p, v, dt = np.zeros(3), np.array([0.5, 0, 0]), 0.01
         for _ in range(2000):
             a = np.array(tick(filt, p, v, 1.0 * (goal - p) - 2 * v)["acceleration"])
@@ -273,14 +275,22 @@ def test_the_tracking_row_is_soft():
         cp.Minimize(cp.sum_squares(a - nominal) / 2 + weight / 2 * xi**2),
         [row @ a >= bound, y @ a <= limit + xi, xi >= 0],
     ).solve(solver=cp.CLARABEL, tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
-    filt = _core.ConeDi(index_of(rows), clf_weight=weight, clf_rate=rate, lateral_bias=0.0)
+    filt = _core.ConeDi(
+        index_of(rows), _core.ConeDiOptions(clf_weight=weight, clf_rate=rate, lateral_bias=0.0)
+    )
     report = tick(filt, p, v, nominal, **errors)
     np.testing.assert_allclose(report["acceleration"], a.value, atol=1e-6)
-    off = tick(_core.ConeDi(index_of(rows), lateral_bias=0.0), p, v, nominal, **errors)
+    off = tick(_core.ConeDi(index_of(rows), _core.ConeDiOptions(lateral_bias=0.0)), p, v, nominal, **errors)
     assert np.linalg.norm(np.subtract(off["acceleration"], a.value)) > 1e-3
     assert (row @ np.array(report["acceleration"]) - bound).min() >= -1e-9
     tracking = np.array([1.0, 0, 0]) - kp * e[:3] - kv * e[3:]
-    free = tick(_core.ConeDi(index_of(ball([50, 0, 0])), clf_weight=weight), p, v, tracking, **errors)
+    free = tick(
+        _core.ConeDi(index_of(ball([50, 0, 0])), _core.ConeDiOptions(clf_weight=weight)),
+        p,
+        v,
+        tracking,
+        **errors,
+    )
     assert free["status"] == OK
 
 
@@ -321,7 +331,10 @@ def test_the_published_rate_alone_is_too_slow_for_what_enters_the_gate_ahead():
     rows, start, goal = ball([2.0, 0.1, 0.05]), np.zeros(3), np.array([4.0, 0, 0])
     least = {}
     for recovery in (0.0, 3.0):
-        filt = _core.ConeDi(index_of(rows), recovery=recovery, pruning=_core.Pruning(reaction_time_s=0.05))
+        filt = _core.ConeDi(
+            index_of(rows),
+            _core.ConeDiOptions(recovery=recovery, pruning=_core.Pruning(reaction_time_s=0.05)),
+        )
         least[recovery] = fly(filt, rows, start, goal, seconds=2.5)[0]
     assert least[0.0] < RADIUS <= least[3.0]
 
@@ -331,14 +344,28 @@ def test_gates_can_be_switched_off_for_comparison():
     rows = scene(rng, 300)
     index = index_of(rows)
     p, v = np.array([0.5, 0, 0]), np.array([-1.0, 0.2, 0])
-    everything = tick(_core.ConeDi(index, pruning=_core.Pruning(gate=False, approach=False)), p, v, (0, 0, 0))
+    everything = tick(
+        _core.ConeDi(index, _core.ConeDiOptions(pruning=_core.Pruning(gate=False, approach=False))),
+        p,
+        v,
+        (0, 0, 0),
+    )
     assert everything["rows"] == 300
     assert everything["gate_m"] == np.inf
     assert not everything["capped"]
-    approaching = tick(_core.ConeDi(index, pruning=_core.Pruning(gate=False)), p, v, (0, 0, 0))
+    approaching = tick(
+        _core.ConeDi(index, _core.ConeDiOptions(pruning=_core.Pruning(gate=False))), p, v, (0, 0, 0)
+    )
     assert 0 < approaching["rows"] < 300
-    uncapped = tick(_core.ConeDi(index, pruning=_core.Pruning(count=0, floor_m=3.0)), p, v, (0, 0, 0))
-    capped = tick(_core.ConeDi(index, pruning=_core.Pruning(count=10, floor_m=3.0)), p, v, (0, 0, 0))
+    uncapped = tick(
+        _core.ConeDi(index, _core.ConeDiOptions(pruning=_core.Pruning(count=0, floor_m=3.0))), p, v, (0, 0, 0)
+    )
+    capped = tick(
+        _core.ConeDi(index, _core.ConeDiOptions(pruning=_core.Pruning(count=10, floor_m=3.0))),
+        p,
+        v,
+        (0, 0, 0),
+    )
     assert uncapped["rows"] > 10 == capped["rows"]
     assert capped["capped"]
     assert not uncapped["capped"]
@@ -361,6 +388,6 @@ def test_clones_agree_and_options_that_mean_nothing_are_refused():
         {"clf_kp": 0.0},
     ):
         with pytest.raises(ValueError, match=r"must be"):
-            _core.ConeDi(index, **wrong)
+            _core.ConeDi(index, _core.ConeDiOptions(**wrong))
     with pytest.raises(ValueError, match="deceleration"):
-        _core.ConeDi(index, pruning=_core.Pruning(max_deceleration=0.0))
+        _core.ConeDi(index, _core.ConeDiOptions(pruning=_core.Pruning(max_deceleration=0.0)))

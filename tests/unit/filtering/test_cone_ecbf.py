@@ -34,7 +34,7 @@ DT = 0.01
 
 
 def ecbf(scene, **options):
-    return _core.ConeEcbf(POLICY, scene.index, **options)
+    return _core.ConeEcbf(POLICY, scene.index, _core.ConeEcbfOptions(**options))
 
 
 def rows_of(scene, x, thrust, rate, lambda_=14.0, most=40.0, min_speed=0.8):
@@ -111,7 +111,7 @@ def test_the_nearest_input_agrees_with_another_solver(cascade):
             shield=False,
             cascade=cascade,
             lateral_bias=0.0,
-            wish_options=_core.SmoothWishOptions(release_rad_s=0),
+            smooth_nominal=_core.SmoothNominalOptions(release_rad_s=0),
             pruning=_core.Pruning(sweep=False, count=0),
         )
         report = tick(flown, x, wrench, thrust, rate)
@@ -242,8 +242,8 @@ def test_rows_lead_around_a_sphere_at_speed(speed, offset, shield):
 
 def test_where_poles_turn_too_late_for_the_rotors_the_shield_stops_the_vehicle():
     """Head-on at 4.5 m/s, seen late, a pole of 14 1/s turns too late to keep all of the room."""
-    stiff = _core.SmoothWishOptions(release_rad_s=0)
-    stopped = past_a_sphere(4.5, 0.0, shield=True, wish_options=stiff, pruning=_core.Pruning())
+    stiff = _core.SmoothNominalOptions(release_rad_s=0)
+    stopped = past_a_sphere(4.5, 0.0, shield=True, smooth_nominal=stiff, pruning=_core.Pruning())
     assert stopped.clearance > 0.02
     assert stopped.count(BACKUP) > 1
     assert stopped.state[0] < 4.5
@@ -325,10 +325,10 @@ def flown_through_a_cloud(**options):
     return np.mean(jerk), sum(flight.outcome == "reached" for flight in flights)
 
 
-def test_the_wish_makes_flights_smoother_and_loses_no_goal():
+def test_the_smooth_nominal_makes_flights_smoother_and_loses_no_goal():
     gate = _core.Pruning(reaction_time_s=0.6)
     stiff, reached = flown_through_a_cloud(
-        pruning=gate, wish_options=_core.SmoothWishOptions(release_rad_s=0)
+        pruning=gate, smooth_nominal=_core.SmoothNominalOptions(release_rad_s=0)
     )
     smooth, also_reached = flown_through_a_cloud()
     assert smooth < 0.8 * stiff
@@ -348,7 +348,7 @@ def held_then_free():
     return flown, ticks, held, free
 
 
-def test_the_wish_fades_into_the_nominal_input_which_then_comes_back_bit_by_bit():
+def test_the_smooth_nominal_fades_into_the_nominal_input_which_then_comes_back_bit_by_bit():
     _, ticks, held, free = held_then_free()
     assert ticks(free, 1)[0]["status"] == OK
     assert ticks(held, 1)[0]["status"] == FILTERED
@@ -363,8 +363,8 @@ def test_the_wish_fades_into_the_nominal_input_which_then_comes_back_bit_by_bit(
 
 
 @pytest.mark.parametrize("broken", [1e2, 1e6, 1e200, 1.7e308])
-def test_one_broken_error_does_not_stiffen_the_wish_for_good(broken):
-    """The speed of the reference follows from it, and with that the poles of the wish, while it is held."""
+def test_one_broken_error_does_not_stiffen_the_smooth_nominal_permanently(broken):
+    """The reference speed, and with it the poles of the smooth nominal, follow from the error while held."""
     answers = []
     for error in (0.5, broken):
         flown, ticks, held, _ = held_then_free()
@@ -387,6 +387,11 @@ def test_reset_forgets_that_the_vehicle_was_held_and_a_clone_remembers():
 @pytest.mark.parametrize(
     "name", ["release_rad_s", "wish_position_rad_s", "wish_speed_m_s", "wish_cone_rate_1_s"]
 )
-def test_a_wish_that_means_nothing_is_refused(name):
-    with pytest.raises(ValueError, match="a wish needs"):
-        ecbf(empty_scene(), wish_options=_core.SmoothWishOptions(**{name: -1.0}))
+def test_options_of_the_smooth_nominal_beyond_their_limits_are_refused(name):
+    with pytest.raises(ValueError, match=f"{name} must be (above|at least) 0"):
+        _core.SmoothNominalOptions(**{name: -1.0})
+
+
+def test_poles_of_the_smooth_nominal_in_the_wrong_order_are_refused():
+    with pytest.raises(ValueError, match="release_rad_s < wish_attitude_rad_s"):
+        ecbf(empty_scene(), smooth_nominal=_core.SmoothNominalOptions(release_rad_s=40.0))

@@ -19,7 +19,9 @@ def index_of(rows, sigma=1.0, radius=RADIUS, loss=None):
 def everything(rows, **options):
     """As published: the rows of all ellipsoids, each measured, in one program."""
     pruning = _core.Pruning(gate=False)
-    return _core.SaferSplat(index_of(rows), rows="nearest", brute=True, pruning=pruning, **options)
+    return _core.SaferSplat(
+        index_of(rows), _core.SaferSplatOptions(rows="nearest", brute=True, pruning=pruning, **options)
+    )
 
 
 def tick(filt, p, v, a):
@@ -43,7 +45,7 @@ def test_barriers_are_those_of_the_model(hessian, seed, sigma):
     rng = np.random.default_rng(seed)
     rows = scene(rng, 20, low=-2.5, high=0.0)
     p, v = rng.uniform(-2, 2, 3), rng.normal(size=3)
-    filt = _core.SaferSplat(index_of(rows, sigma), hessian=hessian)
+    filt = _core.SaferSplat(index_of(rows, sigma), _core.SaferSplatOptions(hessian=hessian))
     h, row, bound = model(rows, p, v, published=hessian == "published", sigma=sigma)
     for i in range(20):
         actual = filt.barrier(i, tuple(p), tuple(v))
@@ -74,14 +76,19 @@ def test_the_published_hessian_differs_where_the_frames_do():
     rng = np.random.default_rng(3)
     rows = scene(rng, 200, low=-1.5, high=0.0)
     p, v = np.array([0.3, 0.1, -0.2]), np.array([0.5, -0.4, 0.3])
-    correct, published = (_core.SaferSplat(index_of(rows), hessian=name) for name in ("correct", "published"))
+    correct, published = (
+        _core.SaferSplat(index_of(rows), _core.SaferSplatOptions(hessian=name))
+        for name in ("correct", "published")
+    )
     pairs = [[f.barrier(i, tuple(p), tuple(v))[2] for f in (correct, published)] for i in range(200)]
     differences = np.abs(np.diff(pairs, axis=1)).ravel()
     assert np.median(differences) > 1e-2
     # A rotation that only sorts and mirrors leaves nothing to differ.
     plain = np.zeros((1, 3), np.float32), np.float32([[0.9, 0.5, 0.3]]), np.float32([[1, 0, 0, 0]])
     pair = [
-        _core.SaferSplat(index_of(plain), hessian=name).barrier(0, (1, 1, 1), tuple(v))
+        _core.SaferSplat(index_of(plain), _core.SaferSplatOptions(hessian=name)).barrier(
+            0, (1, 1, 1), tuple(v)
+        )
         for name in ("correct", "published")
     ]
     assert pair[0] == pair[1]
@@ -130,7 +137,12 @@ def test_the_index_changes_nothing(seed, count):
     pruning = _core.Pruning(count=count, floor_m=1.0)
     p, v, nominal = rng.uniform(-2, 2, 3), rng.normal(size=3), rng.normal(size=3) * 2
     by_tree, by_scan = (
-        tick(_core.SaferSplat(index, rows="nearest", brute=brute, pruning=pruning), p, v, nominal)
+        tick(
+            _core.SaferSplat(index, _core.SaferSplatOptions(rows="nearest", brute=brute, pruning=pruning)),
+            p,
+            v,
+            nominal,
+        )
         for brute in (False, True)
     )
     np.testing.assert_allclose(by_tree.pop("acceleration"), by_scan.pop("acceleration"), atol=1e-9)
@@ -200,6 +212,6 @@ def test_options_that_mean_nothing_are_refused():
         {"rows": "some"},
     ):
         with pytest.raises(ValueError, match=r"must be"):
-            _core.SaferSplat(index, **wrong)
+            _core.SaferSplat(index, _core.SaferSplatOptions(**wrong))
     with pytest.raises(IndexError):
         _core.SaferSplat(index).barrier(3, (0, 0, 0), (0, 0, 0))

@@ -50,7 +50,9 @@ def test_the_answer_is_that_of_the_program_with_all_rows():
         limit = 8.0 if seed % 3 == 2 else np.inf
         index = index_of(rows, loss=loss)
         by_tree, by_scan = (
-            _core.SaferSplat(index, hessian=hessian, brute=brute, max_acceleration=limit)
+            _core.SaferSplat(
+                index, _core.SaferSplatOptions(hessian=hessian, brute=brute, max_acceleration=limit)
+            )
             for brute in (False, True)
         )
         report, scan = tick(by_tree, p, v, nominal), tick(by_scan, p, v, nominal)
@@ -91,7 +93,9 @@ def test_the_answer_is_that_of_the_program_with_all_rows():
 )
 def test_no_violated_row_is_passed_over(seed, hessian, gains):
     rows, loss, p, v, nominal = case(seed)
-    filt = _core.SaferSplat(index_of(rows, loss=loss), hessian=hessian, alpha=gains[0], beta=gains[1])
+    filt = _core.SaferSplat(
+        index_of(rows, loss=loss), _core.SaferSplatOptions(hessian=hessian, alpha=gains[0], beta=gains[1])
+    )
     h, row, bound = barriers(filt, len(rows[0]), p, v)
     unsure = set(filt.unsure(tuple(p), tuple(v), tuple(nominal)).tolist())
     assert set(np.flatnonzero(row @ nominal < bound).tolist()) <= unsure
@@ -109,7 +113,9 @@ def test_a_row_that_is_just_violated_is_not_passed_over(seed, hessian, speed):
     rng = np.random.default_rng(seed)
     mean, scale, quat = scene(rng, 40, low=-3.5, high=-0.7)
     loss = np.outer(rng.uniform(0, 0.1, 40), [1, 0, 0]).astype(np.float32)
-    filt = _core.SaferSplat(index_of((mean, scale, quat), loss=loss), hessian=hessian)
+    filt = _core.SaferSplat(
+        index_of((mean, scale, quat), loss=loss), _core.SaferSplatOptions(hessian=hessian)
+    )
     for i in range(40):
         p = rng.normal(size=3)
         v = mean[i] - p + rng.normal(size=3) * rng.choice([0.01, 1.0])

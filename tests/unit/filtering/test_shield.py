@@ -168,7 +168,7 @@ def test_states_near_rest_go_little_beyond_their_excursion(kind):
     ],
 )
 def test_rollouts_end_early_only_where_caps_let_them(gains, ends_early):
-    policy = _core.BackupPolicy(VEHICLE, "brake", **gains)
+    policy = _core.BackupPolicy(VEHICLE, "brake", _core.BackupGains(**gains))
     assert _core.Shield(policy, empty_scene().index).ends_early == ends_early
 
 
@@ -281,12 +281,16 @@ def test_one_sphere_ahead_is_passed_by_its_tangent():
 
 FILTERS = {
     "ecbf": lambda policy, index: _core.ConeEcbf(policy, index),
-    "ecbf by differences": lambda policy, index: _core.ConeEcbf(policy, index, cascade="difference"),
+    "ecbf by differences": lambda policy, index: _core.ConeEcbf(
+        policy, index, _core.ConeEcbfOptions(cascade="difference")
+    ),
     "backup": lambda policy, index: _core.ConeBackup(policy, index),
-    "interpolation": lambda policy, index: _core.ConeBackup(policy, index, solver="interpolation"),
+    "interpolation": lambda policy, index: _core.ConeBackup(
+        policy, index, _core.ConeBackupOptions(solver="interpolation")
+    ),
     # So few rows that the program knows next to nothing of the map: safe all the same.
     "blind": lambda policy, index: _core.ConeEcbf(
-        policy, index, pruning=_core.Pruning(count=1, floor_m=0.01)
+        policy, index, _core.ConeEcbfOptions(pruning=_core.Pruning(count=1, floor_m=0.01))
     ),
 }
 LOOPS = [
@@ -342,6 +346,8 @@ def test_full_thrust_at_a_wall_ends_at_rest_before_it():
 
 def test_without_a_shield_the_same_nominal_input_is_not_certified():
     scene = wall_scene()
-    flown = _core.ConeEcbf(_core.BackupPolicy(VEHICLE, "brake"), scene.index, shield=False)
+    flown = _core.ConeEcbf(
+        _core.BackupPolicy(VEHICLE, "brake"), scene.index, _core.ConeEcbfOptions(shield=False)
+    )
     report = flown.filter(moving((1, 0, 0)), (0, 0, 0), wrench=(VEHICLE.hover_thrust, 0, 0, 0), thrust=4.5)
     assert not report["certified"]

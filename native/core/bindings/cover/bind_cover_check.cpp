@@ -102,6 +102,6 @@ void bind_cover_check(nb::module_& m) {
         "progress"_a.none(),
         "Exact check of each hull of a cover. Returns rows (fault, hull, row, other), ordered by hull.");
   m.def("check_cover_occupied", &alula::check_cover_occupied, "member_index"_a, "member_start"_a, "occupied"_a,
-        "Whether the members of a cover are exactly the occupied voxels. Returns rows as check_cover_hulls.");
-  m.def("cover_fault", &alula::fault_text, "fault"_a, "What a fault number of the checks above means.");
+        "Check that the members of a cover are exactly the occupied voxels. Returns rows as check_cover_hulls.");
+  m.def("cover_fault", &alula::fault_text, "fault"_a, "Meaning of a fault number of the checks above.");
 }

@@ -7,6 +7,7 @@
 #include "alula/cover/fitting.hpp"
 #include "alula/cover/merge.hpp"
 #include "arrays.hpp"
+#include "fields.hpp"
 #include "python_control.hpp"
 
 namespace nb = nanobind;
@@ -61,16 +62,46 @@ Result lattice_hull(const InRows3<std::int32_t>& points) {
   return result;
 }
 
-// What of the time, in Share::kWhole, has passed after each part of merge_cover(). Clusters of a block of one are
+// How to merge.
+struct MergeArguments {
+  int block = 1;
+  bool is_paper = false;
+  std::size_t max_hulls = 0, max_planes = 0, max_bytes = 0, facet_cap = 0, kdop = 0;
+  bool is_fitted = false;
+  double max_growth = 0;
+};
+
+}  // namespace
+
+template <>
+struct Fields<MergeArguments> {
+  using Merge = MergeArguments;
+  static constexpr Limits none{};
+  static constexpr std::tuple all{
+      Field{"block", &Merge::block, "edge of the blocks of the set cover [voxels]", none, true},
+      Field{"is_paper", &Merge::is_paper, "merge by the rule of the paper", none, true},
+      Field{"max_hulls", &Merge::max_hulls, "maximum number of hulls", none, true},
+      Field{"max_planes", &Merge::max_planes, "maximum number of planes", none, true},
+      Field{"max_bytes", &Merge::max_bytes, "maximum size of the onboard map", none, true},
+      Field{"facet_cap", &Merge::facet_cap, "maximum number of facets of a hull", none, true},
+      Field{"kdop", &Merge::kdop, "number of fixed directions", none, true},
+      Field{"is_fitted", &Merge::is_fitted, "choose the number of hulls", none, true},
+      Field{"max_growth", &Merge::max_growth, "limit of the growth in a merge", none, true}};
+};
+
+namespace {
+
+// Fraction of the time, in Share::kWhole, after each part of merge_cover(). Clusters of a block of one are
 // few different ones, larger ones are hulls to build one by one.
 constexpr std::size_t kClustered = 110, kClusteredLarge = 550, kMerged = 940, kTight = 975;
 
 Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint32_t>& member,
-                   const InVector<std::int64_t>& member_start, int block, bool is_paper, std::size_t max_hulls,
-                   std::size_t max_planes, std::size_t max_bytes, std::size_t facet_cap, std::size_t kdop,
-                   bool is_fitted, double max_growth, unsigned jobs, EvaluationLog* journal, nb::object progress) {
+                   const InVector<std::int64_t>& member_start, unsigned jobs, EvaluationLog* journal,
+                   nb::object progress, const nb::kwargs& others) {
+  MergeArguments given;
+  fields::assign(given, others, "merge_cover");
   PythonControl whole(std::move(progress));
-  const std::size_t clustered = member_start.size() > 1 ? 0 : block > 1 ? kClusteredLarge : kClustered;
+  const std::size_t clustered = member_start.size() > 1 ? 0 : given.block > 1 ? kClusteredLarge : kClustered;
   Share cluster(whole, 0, clustered), rest(whole, clustered, Share::kWhole), loop(whole, clustered, kMerged),
       tight(whole, kMerged, kTight), last(whole, kTight, Share::kWhole);
   Cover cover;
@@ -85,23 +116,23 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
       sets.member.assign(member.data(), member.data() + member.size());
       sets.start.assign(member_start.data(), member_start.data() + member_start.size());
     } else {
-      sets = subcover(occupancy, block, jobs, cluster);
+      sets = subcover(occupancy, given.block, jobs, cluster);
     }
-    const Form form{facet_cap, kdop};
-    const MergeOptions options{is_paper ? MergeRule::kPaper : MergeRule::kIncrease, max_hulls,
-                               Budget{max_planes, max_bytes, form}, max_growth};
-    if (is_fitted) {
+    const Form form{given.facet_cap, given.kdop};
+    const MergeOptions options{given.is_paper ? MergeRule::kPaper : MergeRule::kIncrease, given.max_hulls,
+                               Budget{given.max_planes, given.max_bytes, form}, given.max_growth};
+    if (given.is_fitted) {
       cover = fit(occupancy, sets, options, jobs, rest, measured, journal);
     } else {
       cover = merge(occupancy, sets, options, jobs, loop, journal);
-      if (cover.within_budget && !is_paper)
+      if (cover.within_budget && !given.is_paper)
         retighten(occupancy, cover, form.is_outer() ? Budget{} : options.budget, tight);
       if (cover.within_budget && form.is_outer())
-        make_outer(occupancy, cover, options.budget, !is_paper, jobs, tight);
+        make_outer(occupancy, cover, options.budget, !given.is_paper, jobs, tight);
     }
     if (cover.within_budget) {
       sort_hulls(cover);
-      if (!is_fitted) {
+      if (!given.is_fitted) {
         volume = union_excess(occupancy, cover.hull, jobs, last);
         measured.push_back({cover.hull.size(), planes_of(cover.hull), volume});
       } else {
@@ -126,7 +157,7 @@ Result merge_cover(const InRows3<std::int32_t>& voxels, const InVector<std::uint
   std::vector<double> history, curve, measure;
   for (const Merge& m : cover.history)
     history.insert(history.end(), {static_cast<double>(m.left), static_cast<double>(m.right), m.weight});
-  const Form written{facet_cap, kdop};
+  const Form written{given.facet_cap, given.kdop};
   for (const CurvePoint& c : cover.curve)
     curve.insert(curve.end(), {static_cast<double>(c.hulls), c.excess, static_cast<double>(c.planes),
                                static_cast<double>(written.bytes(c.hulls, c.planes))});
@@ -203,12 +234,17 @@ void bind_merge(nb::module_& m) {
   m.def("cover_excess", &alula::cover_excess, "voxels"_a, "vertex"_a, "vertex_start"_a, "plane_normal"_a,
         "plane_offset"_a, "plane_start"_a, "jobs"_a, "progress"_a.none(),
         "Volume [voxels] of the union of polytopes outside sorted voxels (M, 3), all of which they contain.");
-  m.def("merge_cover", &alula::merge_cover, "voxels"_a, "member"_a, "member_start"_a, "block"_a, "is_paper"_a,
-        "max_hulls"_a, "max_planes"_a, "max_bytes"_a, "facet_cap"_a, "kdop"_a, "is_fitted"_a, "max_growth"_a,
-        "jobs"_a, "journal"_a.none(), "progress"_a.none(),
-        "Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets, or an\n"
-        "empty `member_start` asks for the set cover by clusters. A limit of 0 is none. `facet_cap` and `kdop`\n"
-        "ask for outer polytopes; `is_fitted` for as many hulls as make the least of the budget. Returns the\n"
-        "arrays of an alula/cover, the curve (hulls, sum of W, planes, bytes), what was measured (hulls, planes,\n"
-        "bytes, excess [voxels]), the excess of the union [voxels] and its grid.");
+  m.def("merge_cover", &alula::merge_cover, "voxels"_a, "member"_a, "member_start"_a, nb::kw_only(), "jobs"_a,
+        "journal"_a.none(), "progress"_a.none(), "others"_a,
+        nb::sig(alula::fields::signature(
+                    alula::MergeArguments{},
+                    "voxels: NDArray[numpy.int32], member: NDArray[numpy.uint32], member_start: NDArray[numpy.int64]",
+                    "merge_cover", "dict[str, typing.Any]",
+                    "jobs: int, journal: MergeJournal | None, progress: object | None")
+                    .c_str()),
+        "Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets; with an\n"
+        "empty `member_start` the set cover by clusters is computed. A limit of 0 is none. `facet_cap` and `kdop`\n"
+        "give outer polytopes; with `is_fitted` the number of hulls minimises the excess within the budget.\n"
+        "Returns the arrays of an alula/cover, the curve (hulls, sum of W, planes, bytes), the measurements\n"
+        "(hulls, planes, bytes, excess [voxels]), the excess of the union [voxels] and its grid.");
 }

@@ -8,11 +8,32 @@
 
 #include "alula/dynamics/pendulum.hpp"
 #include "arrays.hpp"
+#include "fields.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
 
-namespace alula::flight {
+namespace alula {
+
+template <>
+struct Fields<flight::PendulumOptions> {
+  using Options = flight::PendulumOptions;
+  static constexpr std::tuple all{
+      Field{"largest_angle", &Options::largest_angle, "theta_max [rad]"},
+      Field{"end_rate", &Options::end_rate, "rate at the end of the flow [rad/s]"},
+      Field{"k", &Options::k, "gain of the backup controller [1/s]"},
+      Field{"push_distance", &Options::push_distance,
+            "distance from the limit within which the backup controller moves away [rad]"},
+      Field{"push_gain", &Options::push_gain, "gain of that motion [1/s]"},
+      Field{"push_rate", &Options::push_rate, "maximum rate of that motion [rad/s]"},
+      Field{"horizon_s", &Options::horizon_s, "horizon of the flow [s]"},
+      Field{"steps", &Options::steps, "steps of the flow"},
+      Field{"beta", &Options::beta, "gain of the regulation"},
+      Field{"alpha", &Options::alpha, "gain of the QP [1/s]"},
+      Field{"largest_input", &Options::largest_input, "maximum input of the QP and of u_des"}};
+};
+
+namespace flight {
 namespace {
 
 using Doubles = nb::ndarray<nb::numpy, double>;
@@ -28,27 +49,24 @@ void insert(std::vector<double>& to, const PendulumReport& r) {
 }
 
 }  // namespace
-}  // namespace alula::flight
+}  // namespace flight
+}  // namespace alula
 
 void bind_pendulum(nb::module_& m) {
   using namespace alula;
   using namespace alula::flight;
-  const PendulumOptions o;
   nb::class_<PendulumFilter>(m, "PendulumFilter",
                              "A safety filter of the inverted pendulum theta'' = sin theta + u: `regulation` or "
                              "`backup-qp`.")
       .def(
           "__init__",
-          [](PendulumFilter* self, const std::string& rule, double largest_angle, double end_rate, double k,
-             double push_distance, double push_gain, double push_rate, double horizon, int steps, double beta,
-             double alpha, double largest_input) {
-            new (self) PendulumFilter(rule_of(rule), {largest_angle, end_rate, k, push_distance, push_gain, push_rate,
-                                                      horizon, steps, beta, alpha, largest_input});
+          [](PendulumFilter* self, const std::string& rule, const nb::kwargs& others) {
+            PendulumOptions options;
+            fields::assign(options, others, "PendulumFilter");
+            new (self) PendulumFilter(rule_of(rule), options);
           },
-          "rule"_a, nb::kw_only(), "largest_angle"_a = o.largest_angle, "end_rate"_a = o.end_rate, "k"_a = o.k,
-          "push_distance"_a = o.push_distance, "push_gain"_a = o.push_gain, "push_rate"_a = o.push_rate,
-          "horizon_s"_a = o.horizon_s, "steps"_a = o.steps, "beta"_a = o.beta, "alpha"_a = o.alpha,
-          "largest_input"_a = o.largest_input)
+          "rule"_a, "others"_a, nb::sig(fields::signature(PendulumOptions{}, "self, rule: str").c_str()),
+          fields::documentation(PendulumOptions{}).c_str())
       .def(
           "filter",
           [](PendulumFilter& self, const In<double, nb::shape<-1, 2>>& states, double u_des) {

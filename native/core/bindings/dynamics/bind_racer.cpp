@@ -2,65 +2,54 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 
+#include "fields.hpp"
 #include "racer_arrays.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
 
+namespace alula {
+
+template <>
+struct Fields<flight::RacerModel> {
+  using Model = flight::RacerModel;
+  static constexpr std::tuple all{Field{"gravity", &Model::gravity, "gravity [m/s^2]"},
+                                  Field{"thrust", &Model::thrust, "a_0, a_1, a_2 of the thrust map [m/s^2]"},
+                                  Field{"rate_gain", &Model::rate_gain, "gain of the rate loop [1/s]"},
+                                  Field{"max_rate", &Model::max_rate, "maximum rates of a command [rad/s]"}};
+};
+
+template <>
+struct Fields<flight::RacerOptions> {
+  using Options = flight::RacerOptions;
+  static constexpr std::tuple all{
+      Field{"mass", &Options::mass, "mass, for the drag alone [kg]"},
+      Field{"mass_scale", &Options::mass_scale, "true over assumed mass"},
+      Field{"thrust_scale", &Options::thrust_scale, "true over assumed thrust"},
+      Field{"rate_gain_scale", &Options::rate_gain_scale, "true over assumed gain of the rate loop"},
+      Field{"delay_s", &Options::delay_s, "time from a command until it acts [s]"},
+      Field{"linear_drag", &Options::linear_drag, "along the body axes [N s/m]"},
+      Field{"quadratic_drag", &Options::quadratic_drag, "along the body axes [N s^2/m^2]"},
+      Field{"wind_m_s", &Options::wind_m_s, "mean wind [m/s]"},
+      Field{"gust_m_s", &Options::gust_m_s, "standard deviation of gusts per axis [m/s]"},
+      Field{"gust_time_s", &Options::gust_time_s, "time constant of gusts [s]"},
+      Field{"sag_share", &Options::sag_share, "fraction of the thrust that is lost at full throttle"},
+      Field{"sag_time_s", &Options::sag_time_s, "time constant of that loss [s]"}};
+};
+
+}  // namespace alula
+
 void bind_racer(nb::module_& m) {
   using namespace alula;
   using namespace alula::flight;
-  const RacerModel model;
-  nb::class_<RacerModel>(
+  fields::bind<RacerModel>(
       m, "RacerModel",
       "A drone behind a rate loop: thrust a_0 + a_1 u + a_2 u^2 [m/s^2] of the throttle, and rates "
       "that follow their command with a gain [1/s].")
-      .def(
-          "__init__",
-          [](RacerModel* self, double gravity, const std::array<double, 3>& thrust, double rate_gain,
-             const Triple& max_rate) {
-            const RacerModel made{gravity, thrust, rate_gain, vector_of(max_rate)};
-            check(made);
-            new (self) RacerModel(made);
-          },
-          nb::kw_only(), "gravity"_a = model.gravity, "thrust"_a = model.thrust, "rate_gain"_a = model.rate_gain,
-          "max_rate"_a = triple_of(model.max_rate), "ValueError for numbers without meaning.")
-      .def_ro("gravity", &RacerModel::gravity)
-      .def_ro("thrust", &RacerModel::thrust)
-      .def_ro("rate_gain", &RacerModel::rate_gain)
-      .def_prop_ro("max_rate", [](const RacerModel& self) { return triple_of(self.max_rate); })
       .def("throttle_for", &RacerModel::throttle_for, "acceleration"_a,
            "The throttle for an acceleration [m/s^2], in [0, 1].");
-  const RacerOptions o;
-  nb::class_<RacerOptions>(m, "RacerOptions",
-                           "What a racing drone's plant does beside its model; all off by default.")
-      .def(
-          "__init__",
-          [](RacerOptions* self, double mass, double mass_scale, double thrust_scale, double rate_gain_scale,
-             double delay, const Triple& linear_drag, const Triple& quadratic_drag, const Triple& wind,
-             const Triple& gust, double gust_time, double sag_share, double sag_time) {
-            const RacerOptions made{mass,
-                                    mass_scale,
-                                    thrust_scale,
-                                    rate_gain_scale,
-                                    delay,
-                                    vector_of(linear_drag),
-                                    vector_of(quadratic_drag),
-                                    vector_of(wind),
-                                    vector_of(gust),
-                                    gust_time,
-                                    sag_share,
-                                    sag_time};
-            check(made);
-            new (self) RacerOptions(made);
-          },
-          nb::kw_only(), "mass"_a = o.mass, "mass_scale"_a = o.mass_scale, "thrust_scale"_a = o.thrust_scale,
-          "rate_gain_scale"_a = o.rate_gain_scale, "delay_s"_a = o.delay_s,
-          "linear_drag"_a = triple_of(o.linear_drag), "quadratic_drag"_a = triple_of(o.quadratic_drag),
-          "wind_m_s"_a = triple_of(o.wind_m_s), "gust_m_s"_a = triple_of(o.gust_m_s), "gust_time_s"_a = o.gust_time_s,
-          "sag_share"_a = o.sag_share, "sag_time_s"_a = o.sag_time_s,
-          "Mass [kg] is for the drag [N s/m, N s^2/m^2] along the body's axes alone. ValueError for numbers without "
-          "meaning.");
+  fields::bind<RacerOptions>(m, "RacerOptions",
+                             "Effects of a racing drone's plant beside its model; all off by default.");
   nb::class_<Racer>(m, "Racer", "A flight of a racing drone; a function of commands, seed and trial.")
       .def(
           "__init__",

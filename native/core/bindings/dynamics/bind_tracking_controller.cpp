@@ -6,12 +6,31 @@
 #include <optional>
 
 #include "alula/dynamics/tracking_controller.hpp"
+#include "fields.hpp"
 #include "flight_arrays.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
 
-namespace alula::flight {
+namespace alula {
+
+template <>
+struct Fields<flight::TrackingGains> {
+  using Gains = flight::TrackingGains;
+  static constexpr std::tuple all{
+      Field{"kp", &Gains::kp, "gain of the position error [1/s^2]"},
+      Field{"kv", &Gains::kv, "gain of the velocity error [1/s]"},
+      Field{"k_r", &Gains::k_r, "gains of the attitude error [N m]"},
+      Field{"k_omega", &Gains::k_omega, "gains of the rate error [N m s]"},
+      Field{"catch_up_m_s", &Gains::catch_up_m_s, "limit of kp |e_p| / kv [m/s]"},
+      Field{"max_tilt_rad", &Gains::max_tilt_rad, "maximum tilt of the commanded force [rad]"},
+      Field{"max_thrust_share", &Gains::max_thrust_share,
+            "maximum commanded force, as a fraction of the rotors' thrust"},
+      Field{"uses_acceleration", &Gains::uses_acceleration,
+            "errors of acceleration and jerk enter the derivatives of the force"}};
+};
+
+namespace flight {
 namespace {
 
 using Thrusts = std::optional<InVector<double>>;
@@ -74,7 +93,8 @@ Doubles realise_rows(const Quadrotor& quadrotor, const TrackingGains& gains, con
 }
 
 }  // namespace
-}  // namespace alula::flight
+}  // namespace flight
+}  // namespace alula
 
 void bind_tracking(nb::module_& m) {
   using namespace alula;
@@ -97,29 +117,8 @@ void bind_tracking(nb::module_& m) {
           "t"_a, "Rows (p, v, a, j, s, yaw, yaw', yaw'') at times (N,), shape (N, 18).")
       .def_prop_ro("duration_s", &ReferenceCurve::duration);
 
-  nb::class_<TrackingGains>(m, "TrackingGains",
-                            "Gains and limits of the geometric controller: alula/dynamics/tracking_controller.hpp.")
-      .def(
-          "__init__",
-          [](TrackingGains* self, double kp, double kv, const Triple& k_r, const Triple& k_omega, double catch_up,
-             double tilt, double share, bool uses_acceleration) {
-            const TrackingGains gains{kp,       kv,   vector_of(k_r), vector_of(k_omega),
-                                      catch_up, tilt, share,          uses_acceleration};
-            check(gains);
-            new (self) TrackingGains(gains);
-          },
-          nb::kw_only(), "kp"_a = TrackingGains{}.kp, "kv"_a = TrackingGains{}.kv,
-          "k_r"_a = triple_of(TrackingGains{}.k_r), "k_omega"_a = triple_of(TrackingGains{}.k_omega),
-          "catch_up_m_s"_a = TrackingGains{}.catch_up_m_s, "max_tilt_rad"_a = TrackingGains{}.max_tilt_rad,
-          "max_thrust_share"_a = TrackingGains{}.max_thrust_share, "uses_acceleration"_a = true)
-      .def_ro("kp", &TrackingGains::kp)
-      .def_ro("kv", &TrackingGains::kv)
-      .def_prop_ro("k_r", [](const TrackingGains& self) { return triple_of(self.k_r); })
-      .def_prop_ro("k_omega", [](const TrackingGains& self) { return triple_of(self.k_omega); })
-      .def_ro("catch_up_m_s", &TrackingGains::catch_up_m_s)
-      .def_ro("max_tilt_rad", &TrackingGains::max_tilt_rad)
-      .def_ro("max_thrust_share", &TrackingGains::max_thrust_share)
-      .def_ro("uses_acceleration", &TrackingGains::uses_acceleration);
+  fields::bind<TrackingGains>(
+      m, "TrackingGains", "Gains and limits of the geometric controller: alula/dynamics/tracking_controller.hpp.");
 
   m.def("track", &track_terms, "quadrotor"_a, "gains"_a, "x"_a, "reference"_a, nb::kw_only(),
         "applied_thrust"_a = nb::none(),
@@ -149,5 +148,5 @@ void bind_tracking(nb::module_& m) {
         return rows.array({x.shape(0), 3});
       },
       "quadrotor"_a, "x"_a, "u"_a, nb::kw_only(), "dt_s"_a, "max_rate_rad_s"_a,
-      "Rates (N, 3) to ask a rate loop for [rad/s].");
+      "Commanded rates (N, 3) for a rate loop [rad/s].");
 }

@@ -6,12 +6,82 @@
 
 #include "alula/dynamics/plant.hpp"
 #include "alula/dynamics/state_predictor.hpp"
+#include "fields.hpp"
 #include "flight_arrays.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
 
-namespace alula::flight {
+namespace alula {
+
+namespace flight {
+namespace {
+
+// What a Quadrotor is made of.
+struct QuadrotorArguments {
+  double mass = 0;
+  Vec3 inertia;
+  RotorLayout rotors;
+  double gravity = 9.81;
+};
+
+}  // namespace
+}  // namespace flight
+
+template <>
+struct Fields<flight::RotorLayout> {
+  using Rotors = flight::RotorLayout;
+  static constexpr std::tuple all{
+      Field{"rotor_x", &Rotors::x, "positions along body x [m]", Limits{}, true},
+      Field{"rotor_y", &Rotors::y, "positions along body y [m]", Limits{}, true},
+      Field{"spin", &Rotors::spin, "sense of rotation, -1 or 1", Limits{}, true},
+      Field{"torque_ratio", &Rotors::torque_ratio, "drag torque per thrust [m]", Limits{}, true},
+      Field{"f_min", &Rotors::f_min, "minimum thrust of each rotor [N]", Limits{}, true},
+      Field{"f_max", &Rotors::f_max, "maximum thrust of each rotor [N]", Limits{}, true}};
+};
+
+template <>
+struct Fields<flight::QuadrotorArguments> {
+  using Body = flight::QuadrotorArguments;
+  static constexpr std::tuple all{
+      Field{"mass", &Body::mass, "mass [kg]", Limits{}, true},
+      Field{"inertia", &Body::inertia, "diagonal of the inertia [kg m^2]", Limits{}, true}, Nested{&Body::rotors},
+      Field{"gravity", &Body::gravity, "gravity [m/s^2]"}};
+};
+
+template <>
+struct Fields<flight::SensorOptions> {
+  using Sensor = flight::SensorOptions;
+  static constexpr std::tuple all{
+      Field{"position_noise_m", &Sensor::position_noise_m, "standard deviation per axis [m]"},
+      Field{"velocity_noise_m_s", &Sensor::velocity_noise_m_s, "standard deviation per axis [m/s]"},
+      Field{"attitude_noise_rad", &Sensor::attitude_noise_rad, "standard deviation per axis [rad]"},
+      Field{"rate_noise_rad_s", &Sensor::rate_noise_rad_s, "standard deviation per axis [rad/s]"},
+      Field{"delay_s", &Sensor::delay_s, "age of a measurement [s]"}};
+};
+
+template <>
+struct Fields<flight::PlantOptions> {
+  using Plant = flight::PlantOptions;
+  static constexpr std::tuple all{
+      Field{"motor_time_constant_s", &Plant::motor_time_constant_s, "lag of the rotors; 0: none [s]"},
+      Field{"linear_drag", &Plant::linear_drag, "along the body axes [N s/m]"},
+      Field{"quadratic_drag", &Plant::quadratic_drag, "along the body axes [N s^2/m^2]"},
+      Field{"wind_m_s", &Plant::wind_m_s, "mean wind [m/s]"},
+      Field{"gust_m_s", &Plant::gust_m_s, "standard deviation of gusts per axis [m/s]"},
+      Field{"gust_time_s", &Plant::gust_time_s, "time constant of gusts [s]"},
+      Field{"sensor", &Plant::sensor, "noise and delay of measurements"}};
+};
+
+template <>
+struct Fields<flight::ActuatorModel> {
+  using Model = flight::ActuatorModel;
+  static constexpr std::tuple all{
+      Field{"motor_time_constant_s", &Model::motor_time_constant_s, "assumed lag of the rotors; 0: none [s]"},
+      Field{"delay_s", &Model::delay_s, "assumed age of a measurement [s]"}};
+};
+
+namespace flight {
 namespace {
 
 // f(row) for each row of one array, or of two.
@@ -98,13 +168,13 @@ void bind_quadrotor(nb::module_& m) {
                         "native/core/include/alula/dynamics/quadrotor.hpp for frames and equations.")
       .def(
           "__init__",
-          [](Quadrotor* self, double mass, const Triple& inertia, const Vec4& rotor_x, const Vec4& rotor_y,
-             const Vec4& spin, double torque_ratio, const Vec4& f_min, const Vec4& f_max, double gravity) {
-            new (self)
-                Quadrotor(mass, vector_of(inertia), {rotor_x, rotor_y, spin, torque_ratio, f_min, f_max}, gravity);
+          [](Quadrotor* self, const nb::kwargs& given) {
+            QuadrotorArguments of;
+            fields::assign(of, given, "Quadrotor");
+            new (self) Quadrotor(of.mass, of.inertia, of.rotors, of.gravity);
           },
-          nb::kw_only(), "mass"_a, "inertia"_a, "rotor_x"_a, "rotor_y"_a, "spin"_a, "torque_ratio"_a, "f_min"_a,
-          "f_max"_a, "gravity"_a = 9.81)
+          nb::sig(fields::signature(QuadrotorArguments{}).c_str()),
+          fields::documentation(QuadrotorArguments{}).c_str())
       .def_prop_ro("mass", &Quadrotor::mass)
       .def_prop_ro("gravity", &Quadrotor::gravity)
       .def_prop_ro("inertia", [](const Quadrotor& self) { return triple(self.inertia()); })
@@ -150,7 +220,7 @@ void bind_quadrotor(nb::module_& m) {
           [](const Quadrotor& self, const InWrenches& u) {
             return for_rows(u, {u.shape(0), 4}, [&](const double* row) { return self.saturated(wrench_at(row)); });
           },
-          "u"_a, "What the rotors make of wrenches when each is cut off at its limits.")
+          "u"_a, "Wrenches after each rotor is cut off at its limits.")
       .def(
           "derivative",
           [](const Quadrotor& self, const InStates& x, const InWrenches& u) {
@@ -170,40 +240,9 @@ void bind_quadrotor(nb::module_& m) {
 }
 
 void bind_plants(nb::module_& m) {
-  nb::class_<SensorOptions>(m, "SensorOptions", "Noise (standard deviations per axis) and delay; all off by default.")
-      .def(
-          "__init__",
-          [](SensorOptions* self, double position, double velocity, double attitude, double rate, double delay) {
-            const SensorOptions options{position, velocity, attitude, rate, delay};
-            check(options);
-            new (self) SensorOptions(options);
-          },
-          nb::kw_only(), "position_noise_m"_a = 0.0, "velocity_noise_m_s"_a = 0.0, "attitude_noise_rad"_a = 0.0,
-          "rate_noise_rad_s"_a = 0.0, "delay_s"_a = 0.0)
-      .def_ro("position_noise_m", &SensorOptions::position_noise_m)
-      .def_ro("velocity_noise_m_s", &SensorOptions::velocity_noise_m_s)
-      .def_ro("attitude_noise_rad", &SensorOptions::attitude_noise_rad)
-      .def_ro("rate_noise_rad_s", &SensorOptions::rate_noise_rad_s)
-      .def_ro("delay_s", &SensorOptions::delay_s);
-  nb::class_<PlantOptions>(m, "PlantOptions", "Disturbances of a quadrotor in flight; all off by default.")
-      .def(
-          "__init__",
-          [](PlantOptions* self, double lag, const Triple& linear, const Triple& quadratic, const Triple& wind,
-             const Triple& gust, double gust_time, const SensorOptions& sensor) {
-            const PlantOptions options{
-                lag, vector_of(linear), vector_of(quadratic), vector_of(wind), vector_of(gust), gust_time, sensor};
-            check(options);
-            new (self) PlantOptions(options);
-          },
-          nb::kw_only(), "motor_time_constant_s"_a = 0.0, "linear_drag"_a = Triple{}, "quadratic_drag"_a = Triple{},
-          "wind_m_s"_a = Triple{}, "gust_m_s"_a = Triple{}, "gust_time_s"_a = 1.0, "sensor"_a = SensorOptions{})
-      .def_ro("motor_time_constant_s", &PlantOptions::motor_time_constant_s)
-      .def_prop_ro("linear_drag", [](const PlantOptions& self) { return triple(self.linear_drag); })
-      .def_prop_ro("quadratic_drag", [](const PlantOptions& self) { return triple(self.quadratic_drag); })
-      .def_prop_ro("wind_m_s", [](const PlantOptions& self) { return triple(self.wind_m_s); })
-      .def_prop_ro("gust_m_s", [](const PlantOptions& self) { return triple(self.gust_m_s); })
-      .def_ro("gust_time_s", &PlantOptions::gust_time_s)
-      .def_ro("sensor", &PlantOptions::sensor);
+  fields::bind<SensorOptions>(m, "SensorOptions",
+                              "Noise (standard deviations per axis) and delay; all off by default.");
+  fields::bind<PlantOptions>(m, "PlantOptions", "Disturbances of a quadrotor in flight; all off by default.");
 
   nb::class_<Plant>(m, "Plant",
                     "A quadrotor in flight: alula/dynamics/plant.hpp. Off options make steps those of Quadrotor.")
@@ -265,16 +304,8 @@ void bind_plants(nb::module_& m) {
 }
 
 void bind_predictor(nb::module_& m) {
-  nb::class_<ActuatorModel>(m, "ActuatorModel", "Lag of the rotors and age of measurements, as filters believe them.")
-      .def(
-          "__init__",
-          [](ActuatorModel* self, double lag, double delay) {
-            check(ActuatorModel{lag, delay});
-            new (self) ActuatorModel{lag, delay};
-          },
-          nb::kw_only(), "motor_time_constant_s"_a = 0.0, "delay_s"_a = 0.0)
-      .def_ro("motor_time_constant_s", &ActuatorModel::motor_time_constant_s)
-      .def_ro("delay_s", &ActuatorModel::delay_s);
+  fields::bind<ActuatorModel>(m, "ActuatorModel",
+                              "Lag of the rotors and age of measurements, as controller and filters assume them.");
   nb::class_<StatePredictor>(
       m, "StatePredictor",
       "The state now from one measured a while ago, by the model: alula/dynamics/state_predictor.hpp.")
@@ -296,11 +327,12 @@ void bind_predictor(nb::module_& m) {
             return flight::to_array(self.lead(wrench_at(u.data())));
           },
           "wrench"_a, "The command that leads the rotors to a wrench by the end of a tick that begins now [N, N m].")
-      .def_prop_ro("rotors", &StatePredictor::rotors, "What each rotor gives now [N].");
+      .def_prop_ro("rotors", &StatePredictor::rotors, "Thrust of each rotor now [N].");
 }
 
 }  // namespace
-}  // namespace alula::flight
+}  // namespace flight
+}  // namespace alula
 
 void bind_vehicle(nb::module_& m) {
   alula::flight::bind_attitude(m);

@@ -11,6 +11,8 @@
 #include <tuple>
 
 #include "alula/filters/backup_flow.hpp"
+#include "alula/filters/option_fields.hpp"
+#include "fields.hpp"
 #include "flight_arrays.hpp"
 
 namespace nb = nanobind;
@@ -18,19 +20,6 @@ using namespace nb::literals;
 
 namespace alula::flight {
 namespace {
-
-BackupKind kind_of(const std::string& name) {
-  if (name == "hover") return BackupKind::hover;
-  if (name == "heading-invariant") return BackupKind::heading_invariant;
-  if (name == "brake") return BackupKind::brake;
-  if (name == "cone-escape") return BackupKind::cone_escape;
-  throw std::invalid_argument("a backup policy is hover, heading-invariant, brake or cone-escape");
-}
-
-const char* name_of(BackupKind kind) {
-  constexpr std::array names{"hover", "heading-invariant", "brake", "cone-escape"};
-  return names[static_cast<std::size_t>(kind)];
-}
 
 GrownEllipsoid ellipsoid_of(const Triple& centre, const In<double, nb::shape<3, 3>>& a) {
   GrownEllipsoid e{vector_of(centre), {}};
@@ -65,44 +54,18 @@ void check_node(const BackupFlow& flow, int k) {
 }
 
 void bind_policy(nb::module_& m) {
-  const BackupGains defaults;
+  fields::bind<BackupGains>(m, "BackupGains", "Gains of a backup policy.");
   nb::class_<BackupPolicy>(m, "BackupPolicy", "Feedback that brings a quadrotor to rest within its rotors' limits.")
       .def(
           "__init__",
-          [](BackupPolicy* self, const Quadrotor& vehicle, const std::string& kind, double k_vz, double k_sigma,
-             double k_omega, double k_vh, double kappa, Vec4 weight, double eta_frac, double tilt_rad,
-             double full_tilt_speed_m_s, double climb_rate_1_s, double attitude_rad_s, double attitude_damping,
-             double yaw_damping_1_s, double torque_share, std::array<double, 3> torque_weight) {
-            const BackupGains gains{.k_vz = k_vz,
-                                    .k_sigma = k_sigma,
-                                    .k_omega = k_omega,
-                                    .k_vh = k_vh,
-                                    .kappa = kappa,
-                                    .weight = weight,
-                                    .eta_frac = eta_frac,
-                                    .tilt_rad = tilt_rad,
-                                    .full_tilt_speed_m_s = full_tilt_speed_m_s,
-                                    .climb_rate_1_s = climb_rate_1_s,
-                                    .attitude_rad_s = attitude_rad_s,
-                                    .attitude_damping = attitude_damping,
-                                    .yaw_damping_1_s = yaw_damping_1_s,
-                                    .torque_share = torque_share,
-                                    .torque_weight = geometry::from_rows(torque_weight.data())};
-            new (self) BackupPolicy(vehicle, kind_of(kind), gains);
+          [](BackupPolicy* self, const Quadrotor& vehicle, const nb::object& kind, const BackupGains& gains) {
+            new (self) BackupPolicy(vehicle, fields::choice<BackupKind>(kind, "a backup policy"), gains);
           },
-          "vehicle"_a, "kind"_a = "brake", nb::kw_only(), "k_vz"_a = defaults.k_vz, "k_sigma"_a = defaults.k_sigma,
-          "k_omega"_a = defaults.k_omega, "k_vh"_a = defaults.k_vh, "kappa"_a = defaults.kappa,
-          "weight"_a = defaults.weight, "eta_frac"_a = defaults.eta_frac, "tilt_rad"_a = defaults.tilt_rad,
-          "full_tilt_speed_m_s"_a = defaults.full_tilt_speed_m_s, "climb_rate_1_s"_a = defaults.climb_rate_1_s,
-          "attitude_rad_s"_a = defaults.attitude_rad_s, "attitude_damping"_a = defaults.attitude_damping,
-          "yaw_damping_1_s"_a = defaults.yaw_damping_1_s, "torque_share"_a = defaults.torque_share,
-          "torque_weight"_a =
-              std::array{defaults.torque_weight.x, defaults.torque_weight.y, defaults.torque_weight.z},
-          "A policy of the kind hover, heading-invariant, brake or cone-escape (which is brake as a policy). The "
-          "gains "
-          "k_*, kappa [N, m, s] and weight (caps of T, tau relative to each other) are those of FastBridge eq. 17-19 "
-          "and shape the first two; the others shape the last two. ValueError unless braking is stable.")
-      .def_prop_ro("kind", [](const BackupPolicy& self) { return name_of(self.kind()); })
+          "vehicle"_a, "kind"_a = "brake", "gains"_a = BackupGains{},
+          nb::sig("def __init__(self, vehicle: Quadrotor, kind: str = 'brake', gains: BackupGains = ...) -> None"),
+          "A policy of the kind hover, heading-invariant, brake or cone-escape (which is brake as a policy). "
+          "ValueError unless braking is stable.")
+      .def_prop_ro("kind", [](const BackupPolicy& self) { return fields::Python<BackupKind>::out(self.kind()); })
       .def_prop_ro("cap_up", &BackupPolicy::cap_up, "Thrust above hover that it never exceeds [N].")
       .def_prop_ro("cap_down", &BackupPolicy::cap_down, "Thrust below hover that it never exceeds [N].")
       .def_prop_ro(
@@ -149,7 +112,7 @@ void bind_policy(nb::module_& m) {
           "state"_a, "How far the linear loop about hover would still move before it rests [m].")
       .def(
           "excursion", [](const BackupPolicy& self, const InState& x) { return self.excursion(state_at(x.data())); },
-          "state"_a, "About how far it moves at most before it rests, whatever cancels in `drift` [m].");
+          "state"_a, "Approximate maximum distance before it rests, without the cancellation in `drift` [m].");
 }
 
 void bind_flow(nb::module_& m) {

@@ -12,14 +12,18 @@
 #include <string>
 #include <utility>
 
+#include "alula/filters/option_fields.hpp"
 #include "alula/flight/geofence_flight.hpp"
+#include "fields.hpp"
+#include "filters/geofence_fields.hpp"
 #include "python_control.hpp"
 #include "racer_arrays.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
 
-namespace alula::flight {
+namespace alula {
+namespace flight {
 namespace {
 
 using LogDict = nb::typed<nb::dict, nb::str, nb::any>;
@@ -38,62 +42,16 @@ const char* name_of(alula_geofence_status status) {
   return kNames[status];
 }
 
-PilotKind pilot_of(const std::string& name) {
-  static const std::map<std::string, PilotKind> kKinds{
-      {"straight", PilotKind::straight}, {"diagonal", PilotKind::diagonal},     {"fall", PilotKind::fall},
-      {"sticks", PilotKind::sticks},     {"aggressive", PilotKind::aggressive}, {"silent", PilotKind::silent},
-      {"repeated", PilotKind::repeated}};
-  const auto found = kKinds.find(name);
-  if (found == kKinds.end()) throw std::invalid_argument("no pilot is called " + name);
-  return found->second;
-}
-
-FenceRule rule_of(const std::string& name) {
-  if (name == "none") return FenceRule::none;
-  if (name == "geofence") return FenceRule::geofence;
-  if (name == "backup-qp") return FenceRule::backup_qp;
-  throw std::invalid_argument("no rule is called " + name);
-}
-
-// The parameters that are numbers, by name.
-std::map<std::string, float*> numbers_of(alula_geofence_config& c) {
-  return {
-      {"step_s", &c.step_s},
-      {"tick_s", &c.tick_s},
-      {"beta", &c.beta},
-      {"slow_m_s", &c.slow_m_s},
-      {"fast_m_s", &c.fast_m_s},
-      {"end_speed_m_s", &c.end_speed_m_s},
-      {"end_gain", &c.end_gain},
-      {"radius_m", &c.radius_m},
-      {"reserve_m", &c.reserve_m},
-      {"latency_s", &c.latency_s},
-      {"stale_limit_s", &c.stale_limit_s},
-      {"stale_speed_m_s", &c.stale_speed_m_s},
-      {"stale_acceleration_m_s2", &c.stale_acceleration_m_s2},
-      {"descent", &c.descent},
-      {"push_distance_m", &c.push_distance_m},
-      {"push_gain", &c.push_gain},
-      {"push_speed_m_s", &c.push_speed_m_s},
-      {"tilt_gain", &c.backup.tilt_gain},
-      {"max_tilt_rad", &c.backup.max_tilt},
-      {"attitude_gain", &c.backup.attitude_gain},
-      {"height_gain", &c.backup.height_gain},
-      {"climb_gain", &c.backup.climb_gain},
-      {"most_throttle", &c.backup.most_throttle},
-  };
-}
-
-void set(alula_geofence_config& c, const std::string& key, double value) {
-  const std::map<std::string, float*> numbers = numbers_of(c);
-  if (key == "steps") {
-    if (!(value >= 0 && value <= 1e6)) throw std::invalid_argument("steps out of range");
-    c.steps = static_cast<std::uint32_t>(value);
-    return;
-  }
-  const auto found = numbers.find(key);
-  if (found == numbers.end()) throw std::invalid_argument("a geofence has no parameter " + key);
-  *found->second = static_cast<float>(value);
+void set(alula_geofence_config& c, const std::string& key, double given) {
+  bool is_known = false;
+  each_field<alula_geofence_config>(c, [&](const std::string& name, const auto& field, auto& value) {
+    if (name != key) return;
+    is_known = true;
+    using T = std::remove_reference_t<decltype(value)>;
+    check_limits(name, field.limits, given);
+    value = static_cast<T>(given);
+  });
+  if (!is_known) throw std::invalid_argument("a geofence has no parameter " + key);
 }
 
 alula_geofence_config config_of(const RacerModel& model, const std::map<std::string, double>& given) {
@@ -187,7 +145,7 @@ void bind_fence(nb::module_& m) {
           [](const Fence& self, const Triple& a, const Triple& b) {
             return self.clearance(vector_of(a), vector_of(b));
           },
-          "a"_a, "b"_a, "Least distance of a segment from what is forbidden; negative there.");
+          "a"_a, "b"_a, "Minimum distance of a segment from the forbidden region; negative inside it.");
 }
 
 void bind_filter(nb::module_& m) {
@@ -214,13 +172,14 @@ void bind_filter(nb::module_& m) {
             return to_bytes(&fence, offsetof(alula_fence, face) + fence.face_count * sizeof fence.face[0]);
           },
           nb::sig("def fence_words(self) -> bytes"),
-          "Of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).")
+          "The bytes of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).")
       .def_prop_ro(
           "parameters",
           [](const Geofence& self) {
             alula_geofence_config config = self.config();
-            std::map<std::string, double> result{{"steps", config.steps}};
-            for (const auto& [key, value] : numbers_of(config)) result[key] = *value;
+            std::map<std::string, double> result;
+            each_field<alula_geofence_config>(
+                config, [&](const std::string& name, const auto&, const auto& value) { result[name] = value; });
             return result;
           },
           "All of them by name, as the filter holds them: in single precision.")
@@ -259,14 +218,14 @@ void bind_filter(nb::module_& m) {
           "states"_a,
           nb::sig("def evaluate(self, states: NDArray[numpy.float64]) -> "
                   "tuple[NDArray[numpy.float64], NDArray[numpy.float64]]"),
-          "Of flows that begin at states (N, 13): (h_I, min h_c / v_c, margin, distance, h_B) (N, 5), and u_B (N, "
+          "Flows that begin at states (N, 13): (h_I, min h_c / v_c, margin, distance, h_B) (N, 5), and u_B (N, "
           "4).");
 }
 
 void bind_backup_qp(nb::module_& m) {
   nb::class_<BackupQp>(m, "BackupQp",
                        "The backup-set barrier with gradients, by a quadratic program, with the flow of a Geofence.")
-      .def(nb::init<const Geofence&, double>(), "geofence"_a, "alpha"_a = 2.0)
+      .def(nb::init<const Geofence&, double>(), "geofence"_a, "alpha"_a = BackupQpOptions{}.alpha)
       .def("reset", &BackupQp::reset, "To before the first tick.")
       .def(
           "filter",
@@ -300,18 +259,20 @@ void bind_backup_qp(nb::module_& m) {
 }
 
 void bind_flight(nb::module_& m) {
-  const Pilot p;
   nb::class_<Pilot>(m, "Pilot", "A simulated pilot.")
       .def(
           "__init__",
-          [](Pilot* self, const std::string& kind, double heading, double tilt, double climb, double silent_after) {
-            const Pilot made{pilot_of(kind), heading, tilt, climb, silent_after};
+          [](Pilot* self, const nb::object& kind, const nb::kwargs& others) {
+            Pilot made;
+            made.kind = fields::choice<PilotKind>(kind, "a pilot");
+            fields::assign(made, others, "Pilot");
             check(made);
             new (self) Pilot(made);
           },
-          "kind"_a, nb::kw_only(), "heading_rad"_a = p.heading_rad, "tilt_rad"_a = p.tilt_rad,
-          "climb_m_s2"_a = p.climb_m_s2, "silent_after_s"_a = p.silent_after_s,
-          "straight, diagonal, fall, sticks, aggressive, silent or repeated; ValueError for others.");
+          "kind"_a, "others"_a, nb::sig(fields::signature(Pilot{}, "self, kind: str").c_str()),
+          fields::documentation(
+              Pilot{}, "straight, diagonal, fall, sticks, aggressive, silent or repeated; ValueError for others.")
+              .c_str());
   nb::class_<PilotHand>(m, "PilotHand", "A pilot in one flight, as fly_in_fences has him.")
       .def(
           "__init__",
@@ -328,35 +289,13 @@ void bind_flight(nb::module_& m) {
           "time"_a, "x"_a,
           nb::sig("def command(self, time: float, x: NDArray[numpy.float64]) -> NDArray[numpy.float64] | None"),
           "His command (4) at a state (13); None: no radio.");
-  const GeofenceRules r;
-  nb::class_<GeofenceRules>(m, "GeofenceRules", "Times of a flight, and when navigation or radio are missing.")
-      .def(
-          "__init__",
-          [](GeofenceRules* self, double duration, int plant_steps, const std::string& rule, double alpha,
-             double stale_from, double stale_for, double radio_from, double radio_for) {
-            const GeofenceRules made{duration,   plant_steps, rule_of(rule), alpha,
-                                     stale_from, stale_for,   radio_from,    radio_for};
-            check(made);
-            new (self) GeofenceRules(made);
-          },
-          nb::kw_only(), "duration_s"_a = r.duration_s, "plant_steps"_a = r.plant_steps, "rule"_a = "geofence",
-          "alpha"_a = r.alpha, "stale_from_s"_a = r.stale_from_s, "stale_for_s"_a = r.stale_for_s,
-          "radio_from_s"_a = r.radio_from_s, "radio_for_s"_a = r.radio_for_s);
-  nb::class_<GeofenceSpec>(m, "GeofenceSpec", "All of a flight but the filter and the random numbers.")
-      .def(
-          "__init__",
-          [](GeofenceSpec* self, const RacerModel& model, const RacerOptions& options, const Pilot& pilot,
-             const GeofenceRules& rules, const std::optional<InRacer>& start, const std::optional<Corners>& start_box,
-             double start_speed, double start_tilt) {
-            GeofenceSpec spec{model, options, pilot, rules, {}, {}, start_speed, start_tilt};
-            if (start) spec.start = racer_at(start->data());
-            if (start_box) spec.start_box = box_of(*start_box);
-            if (!start && !start_box) throw std::invalid_argument("a flight needs a start or a box of starts");
-            new (self) GeofenceSpec(spec);
-          },
-          nb::kw_only(), "model"_a = RacerModel{}, "options"_a = RacerOptions{}, "pilot"_a = Pilot{},
-          "rules"_a = GeofenceRules{}, "start"_a = nb::none(), "start_box"_a = nb::none(), "start_speed_m_s"_a = 10.0,
-          "start_tilt_rad"_a = 1.0, "From `start` (13), or from random states with h_I > 0 in a box (lower, upper).");
+  fields::bind<GeofenceRules>(m, "GeofenceRules", "Times of a flight, and when navigation or radio are missing.");
+  fields::bind_from<GeofenceSpec, GeofenceArguments>(
+      m, "GeofenceSpec", "All of a flight but the filter and the random numbers.", [](GeofenceArguments given) {
+        if (!given.start && !given.box) throw std::invalid_argument("a flight needs a start or a box of starts");
+        if (given.box) given.start_box = *given.box;
+        return GeofenceSpec(given);
+      });
   m.def(
       "fly_in_fences",
       [](const GeofenceSpec& spec, const Geofence& filter, std::uint64_t seed, std::uint32_t first,
@@ -380,7 +319,8 @@ void bind_flight(nb::module_& m) {
 }
 
 }  // namespace
-}  // namespace alula::flight
+}  // namespace flight
+}  // namespace alula
 
 void bind_geofence(nb::module_& m) {
   alula::flight::bind_fence(m);

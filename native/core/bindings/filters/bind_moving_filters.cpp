@@ -23,6 +23,7 @@
 #include <vector>
 
 #include "alula/filters/moving_filter.hpp"
+#include "alula/filters/option_fields.hpp"
 #include "arrays.hpp"
 #include "python_qp.hpp"
 
@@ -49,33 +50,16 @@ constexpr std::array<std::pair<const char*, MovingMethod>, 6> kMethods{{{"none",
                                                                         {"cbf_qp", MovingMethod::cbf_qp},
                                                                         {"rp_cbf", MovingMethod::rp_cbf}}};
 
-// Calls `visit(name, number)` for each option; numbers of any type, by reference.
-template <class Visit>
-void each_option(MovingFilterOptions& o, Visit visit) {
-  alula_dr_acbf_config& c = o.config;
-  alula_avoidance_config& a = c.avoidance;
-  visit("dt_s", a.dt_s), visit("radius_m", a.radius_m), visit("a_max", a.a_max), visit("range_m", a.range_m);
-  visit("latency_s", a.latency_s), visit("h_max_s", a.h_max_s), visit("l1", a.l1), visit("l2", a.l2);
-  visit("settle_s", a.settle_s), visit("envelope_start", a.envelope_start), visit("envelope_cap", a.envelope_cap);
-  visit("envelope_forget", a.envelope_forget), visit("distributional", a.distributional), visit("tail", a.tail);
-  visit("wasserstein", a.wasserstein), visit("obstacle_braking", a.obstacle_braking);
-  visit("simple_quantile", a.simple_quantile), visit("clearance_m", a.clearance_m), visit("hold_s", a.hold_s);
-  visit("kp", a.kp), visit("kd", a.kd), visit("reach_m", a.reach_m), visit("longest_avoid_s", a.longest_avoid_s);
-  visit("improvement", a.improvement), visit("accelerated", a.accelerated), visit("stop_s", a.stop_s),
-      visit("brake", a.brake);
-  visit("stopped_m_s", a.stopped_m_s), visit("wall_room_m", a.wall_room_m);
-  visit("v_max", c.v_max), visit("j_max", c.j_max), visit("h_min_s", c.h_min_s), visit("horizons", c.horizons);
-  visit("risk", c.risk), visit("warned_risk", c.warned_risk), visit("solver", c.solver);
-  visit("iterations", c.iterations), visit("relaxation", c.relaxation), visit("tolerance", c.tolerance);
-  visit("failing_ticks", c.failing_ticks), visit("descent_m_s", c.descent_m_s);
-  visit("rows_before_warning", c.rows_before_warning), visit("wall_deceleration", c.wall_deceleration);
-  visit("mpc_step_s", o.mpc.step_s), visit("mpc_velocity_weight", o.mpc.velocity_weight);
-  visit("mpc_input_weight", o.mpc.input_weight), visit("mpc_slack_weight", o.mpc.slack_weight);
-  visit("cbf_qp_horizon_s", o.cbf_qp.horizon_s), visit("cbf_qp_velocity_time_s", o.cbf_qp.velocity_time_s);
-  visit("rp_cbf_horizon_s", o.rp_cbf.horizon_s), visit("rp_cbf_step_s", o.rp_cbf.step_s);
-  visit("rp_cbf_hold_s", o.rp_cbf.hold_s), visit("rp_cbf_alpha", o.rp_cbf.alpha);
-  visit("rp_cbf_samples", o.rp_cbf.samples);
-}
+}  // namespace
+
+template <>
+struct Fields<MovingFilterOptions> {
+  static constexpr std::tuple all{Nested{&MovingFilterOptions::config}, Nested{&MovingFilterOptions::mpc, "mpc_"},
+                                  Nested{&MovingFilterOptions::cbf_qp, "cbf_qp_"},
+                                  Nested{&MovingFilterOptions::rp_cbf, "rp_cbf_"}};
+};
+
+namespace {
 
 MovingFilterOptions defaults() {
   MovingFilterOptions options{};
@@ -86,16 +70,17 @@ MovingFilterOptions defaults() {
 MovingFilterOptions options_of(const Numbers& numbers) {
   MovingFilterOptions options = defaults();
   std::size_t used = 0;
-  each_option(options, [&](const char* name, auto& value) {
+  each_field<MovingFilterOptions>(options, [&](const std::string& name, const auto& field, auto& value) {
     const auto found = numbers.find(name);
     if (found == numbers.end()) return;
     ++used;
     using T = std::remove_reference_t<decltype(value)>;
     if constexpr (!std::is_floating_point_v<T>) {
       if (!(found->second >= 0 && found->second < 1e6) || found->second != std::floor(found->second)) {
-        throw std::invalid_argument(std::string(name) + " must be a whole number");
+        throw std::invalid_argument(name + " must be a whole number");
       }
     }
+    check_limits(name, field.limits, found->second);
     value = static_cast<T>(found->second);
   });
   if (used != numbers.size()) throw std::invalid_argument("a moving filter has no such option");
@@ -148,25 +133,25 @@ std::vector<alula_wall> walls_of(const InRows4<double>& rows) {
   return walls;
 }
 
-// One tick; `repeats` ticks of copies are timed on top of it when asked for, and the median is told.
+// One tick, and the median time of `repeats` further ticks of copies.
 std::tuple<MovingReport, double> filter(MovingFilter& self, const Triple& position, const Triple& velocity,
                                         const Tracks& tracks, const InRows4<double>& walls, const Triple& nominal,
                                         const std::array<double, 6>& covariance, unsigned repeats) {
   const alula_vehicle_state vehicle = vehicle_of(position, velocity, covariance);
   const auto all = tracks_of(tracks);
   const auto planes = walls_of(walls);
-  const geometry::Vec3 wish{nominal[0], nominal[1], nominal[2]};
+  const geometry::Vec3 u_nom{nominal[0], nominal[1], nominal[2]};
   const nb::gil_scoped_release release;
   std::vector<double> elapsed(repeats);
   std::unique_ptr<MovingFilter> copy;
   for (double& time : elapsed) {
     copy = self.clone();
     const auto start = std::chrono::steady_clock::now();
-    copy->filter(vehicle, all, planes, wish);
+    copy->filter(vehicle, all, planes, u_nom);
     time = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   }
   std::sort(elapsed.begin(), elapsed.end());
-  return {self.filter(vehicle, all, planes, wish),
+  return {self.filter(vehicle, all, planes, u_nom),
           elapsed.empty() ? std::numeric_limits<double>::quiet_NaN() : elapsed[elapsed.size() / 2]};
 }
 
@@ -259,7 +244,7 @@ alula_encounter encounter_of(double distance, double closing, double radius, dou
 
 void bind_moving_filters(nb::module_& m) {
   using namespace alula;
-  nb::class_<MovingReport>(m, "MovingReport", "What a filter among moving obstacles did in a tick.")
+  nb::class_<MovingReport>(m, "MovingReport", "Report of a filter among moving obstacles for one tick.")
       .def_prop_ro(
           "status", [](const MovingReport& r) { return static_cast<int>(r.status); },
           "0 the nominal, 1 another command, all rows hold, 3 rows are missed by as little as possible, 4 refused.")
@@ -268,14 +253,14 @@ void bind_moving_filters(nb::module_& m) {
           [](const MovingReport& r) { return Triple{r.acceleration.x, r.acceleration.y, r.acceleration.z}; },
           "To be flown [m/s^2]; zero when refused, and then not to be flown.")
       .def_ro("mode", &MovingReport::mode, "0 nominal, 1 avoid, 2 hover.")
-      .def_ro("warned", &MovingReport::warned, "Whether an obstacle warns in this tick.")
+      .def_ro("warned", &MovingReport::warned, "True when an obstacle triggers the warning in this tick.")
       .def_ro("risk_m", &MovingReport::risk_m, "The largest CVaR; 0 or more warns.")
       .def_ro("urgent", &MovingReport::urgent, "Index of the most urgent track or -1.")
-      .def_ro("horizon_s", &MovingReport::horizon_s, "Of the rows.")
+      .def_ro("horizon_s", &MovingReport::horizon_s, "Horizon of the rows [s].")
       .def_ro("feasible", &MovingReport::feasible, "Rows and box have a common point.")
-      .def_ro("rows", &MovingReport::rows, "How many there were.")
-      .def_ro("iterations", &MovingReport::iterations, "Of the solver.")
-      .def_ro("violation", &MovingReport::violation, "Of the rows, minus infinity without.")
+      .def_ro("rows", &MovingReport::rows, "Number of rows.")
+      .def_ro("iterations", &MovingReport::iterations, "Iterations of the solver.")
+      .def_ro("violation", &MovingReport::violation, "Violation of the rows, minus infinity without rows.")
       .def_ro("risk_left", &MovingReport::risk_left, "Sum over obstacles of Cantelli's bound at the command.");
   nb::class_<MovingFilter>(m, "MovingFilter", "A filter among moving obstacles; make one with `moving_filter`.")
       .def(
@@ -286,19 +271,21 @@ void bind_moving_filters(nb::module_& m) {
           "vehicle, distance. `covariance` xx, xy, xz, yy, yz, zz of the vehicle's position.")
       .def(
           "flown", [](MovingFilter& self, std::array<double, 3> a) { self.flown({a[0], a[1], a[2]}); },
-          "acceleration"_a, "What is flown in a tick that was refused.")
+          "acceleration"_a, "Report the acceleration that is flown in a refused tick.")
       .def("reset", &MovingFilter::reset, "To before the first tick.")
       .def("clone", &MovingFilter::clone, "A copy with the same state.");
   m.def("moving_filter", &make, "method"_a, "options"_a = Numbers{}, "backend"_a = nb::none(),
         "none, dr_acbf, dr_acbf_qp, mpc, cbf_qp or rp_cbf; `options` over those of `moving_filter_defaults`; "
         "`backend`\n"
-        "solves its quadratic programs, as in QpSolver. ValueError for what means nothing.");
+        "solves its quadratic programs, as in QpSolver. ValueError for invalid options.");
   m.def(
       "moving_filter_defaults",
       [] {
         Numbers numbers;
         MovingFilterOptions options = defaults();
-        each_option(options, [&](const char* name, auto& value) { numbers[name] = static_cast<double>(value); });
+        each_field<MovingFilterOptions>(options, [&](const std::string& name, const auto&, const auto& value) {
+          numbers[name] = static_cast<double>(value);
+        });
         return numbers;
       },
       "All options of `moving_filter`, with their defaults.");
@@ -396,5 +383,5 @@ void bind_moving_filters(nb::module_& m) {
         return static_cast<double>(
             alula_dr_acbf_recursive_speed(static_cast<float>(a_max), static_cast<float>(horizon)));
       },
-      "a_max"_a, "horizon_s"_a, "Closing speed below which rows alone never ask for more than a_max.");
+      "a_max"_a, "horizon_s"_a, "Closing speed below which rows alone never demand more than a_max.");
 }

@@ -11,8 +11,10 @@
 #include <vector>
 
 #include "alula/base/parallel.hpp"
+#include "alula/filters/option_fields.hpp"
 #include "alula/filters/polytope_cbf.hpp"
 #include "arrays.hpp"
+#include "fields.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -23,36 +25,42 @@ namespace {
 template <class T>
 using Out = nb::ndarray<nb::numpy, T>;
 
-alula_smoothing smoothing_of(const std::string& name) {
-  if (name == "sound") return ALULA_SMOOTHING_SOUND;
-  if (name == "paper") return ALULA_SMOOTHING_PAPER;
-  throw std::invalid_argument("smoothing must be 'sound' or 'paper'");
-}
+// What a filter takes beside its polytopes.
+struct PolytopeCbfArguments {
+  double extent_m = 0;
+  PolytopeCbfConfig config;
+};
 
-PolytopeCbfConfig config_of(double radius_m, double beta, double kappa, double dt_s, double v_max,
-                            const std::string& smoothing, bool brute_force) {
-  return {.radius_m = radius_m,
-          .beta = beta,
-          .kappa = kappa,
-          .dt_s = dt_s,
-          .v_max = v_max,
-          .smoothing = smoothing_of(smoothing),
-          .brute_force = brute_force};
+}  // namespace
+
+template <>
+struct Fields<PolytopeCbfArguments> {
+  static constexpr std::tuple all{Field{"extent_m", &PolytopeCbfArguments::extent_m,
+                                        "bound of the coordinates of all positions [m]", Limits{}, true},
+                                  Nested{&PolytopeCbfArguments::config}};
+};
+
+namespace {
+
+PolytopeCbfArguments arguments_of(const nb::kwargs& given) {
+  PolytopeCbfArguments arguments;
+  fields::assign(arguments, given, "PolytopeCbf");
+  return arguments;
 }
 
 void construct(PolytopeCbf* self, const InRows3<double>& normal, const InVector<double>& offset,
-               const InVector<std::int64_t>& plane_start, double extent_m, double radius_m, double beta, double kappa,
-               double dt_s, double v_max, const std::string& smoothing, bool brute_force) {
+               const InVector<std::int64_t>& plane_start, const nb::kwargs& others) {
+  const PolytopeCbfArguments arguments = arguments_of(others);
   const Polytopes polytopes{as_span(normal), as_span(offset), as_span(plane_start)};
-  auto map = std::make_shared<const PolytopeMap>(make_polytope_map(polytopes, extent_m));
-  new (self) PolytopeCbf(std::move(map), config_of(radius_m, beta, kappa, dt_s, v_max, smoothing, brute_force));
+  auto map = std::make_shared<const PolytopeMap>(make_polytope_map(polytopes, arguments.extent_m));
+  new (self) PolytopeCbf(std::move(map), arguments.config);
 }
 
-PolytopeCbf from_image(const nb::bytes& image, double extent_m, double radius_m, double beta, double kappa,
-                       double dt_s, double v_max, const std::string& smoothing, bool brute_force) {
+PolytopeCbf from_image(const nb::bytes& image, const nb::kwargs& others) {
+  const PolytopeCbfArguments arguments = arguments_of(others);
   const auto* first = static_cast<const std::uint8_t*>(image.data());
   auto open = std::make_shared<const OnboardImage>(std::vector<std::uint8_t>(first, first + image.size()));
-  return {std::move(open), extent_m, config_of(radius_m, beta, kappa, dt_s, v_max, smoothing, brute_force)};
+  return {std::move(open), arguments.extent_m, arguments.config};
 }
 
 std::tuple<Vec3, int, double, double, std::int64_t> filter(PolytopeCbf& self, const Vec3& x, const Vec3& u_nom) {
@@ -107,22 +115,28 @@ std::tuple<std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t, std::uint
 
 void bind_polytope_cbf(nb::module_& m) {
   using namespace alula;
+  fields::bind<PolytopeCbfConfig>(m, "PolytopeCbfConfig", "Parameters of the onboard safety filter among polytopes.");
   nb::class_<PolytopeCbf>(m, "PolytopeCbf",
                           "The onboard safety filter among convex polytopes {x : normal . x <= offset}.\n\n"
                           "Normals are outward unit vectors (F, 3), offsets in metres, world frame; extent_m bounds\n"
                           "the coordinates of all positions. Raises ValueError for what the filter does not accept.")
-      .def("__init__", &construct, "normal"_a, "offset"_a, "plane_start"_a, nb::kw_only(), "extent_m"_a, "radius_m"_a,
-           "beta"_a = 2.0, "kappa"_a = 100.0, "dt_s"_a = 0.01, "v_max"_a = 1.0, "smoothing"_a = "sound",
-           "brute_force"_a = false)
+      .def("__init__", &construct, "normal"_a, "offset"_a, "plane_start"_a, "others"_a,
+           nb::sig(fields::signature(PolytopeCbfArguments{},
+                                     "self, normal: NDArray[numpy.float64], offset: NDArray[numpy.float64], "
+                                     "plane_start: NDArray[numpy.int64]")
+                       .c_str()),
+           fields::documentation(PolytopeCbfArguments{}).c_str())
+      .def_prop_ro("config", &PolytopeCbf::config)
       .def("filter", &filter, "x"_a, "u_nom"_a,
            "(u, status, margin of the smooth psi, margin of the hard psi, nearest hull or -1); margins in metres.")
-      .def_static("from_image", &from_image, "image"_a, nb::kw_only(), "extent_m"_a, "radius_m"_a, "beta"_a = 2.0,
-                  "kappa"_a = 100.0, "dt_s"_a = 0.01, "v_max"_a = 1.0, "smoothing"_a = "sound",
-                  "brute_force"_a = false,
+      .def_static("from_image", &from_image, "image"_a, "others"_a,
+                  nb::sig(("@staticmethod\n" +
+                           fields::signature(PolytopeCbfArguments{}, "image: bytes", "from_image", "PolytopeCbf"))
+                              .c_str()),
                   "The filter on an image of an onboard map, as a microcontroller runs it. Raises ValueError with\n"
                   "the reader's complaint for an image that it refuses.")
       .def("work", &work,
-           "What the last call of `filter` looked at: boxes, hulls, planes of these, how many of them were\n"
+           "Counts of the last call of `filter`: boxes, hulls, planes of these, how many of them were\n"
            "decoded, exponentials of planes.")
       .def("psi", &psi, "points"_a, nb::kw_only(), "jobs"_a = 0,
            "Smooth psi (N), hard psi (N) and the gradient of the smooth one (N, 3) at points (N, 3) [m].")

@@ -15,8 +15,10 @@
 
 #include "alula/base/parallel.hpp"
 #include "alula/filters/cone_di.hpp"
+#include "alula/filters/option_fields.hpp"
 #include "alula/filters/safer_splat.hpp"
-#include "arrays.hpp"
+#include "fields.hpp"
+#include "flight_arrays.hpp"
 #include "python_control.hpp"
 #include "python_qp.hpp"
 
@@ -111,33 +113,58 @@ Record to_record(const FilterReport& report) {
   return result;
 }
 
-Record filter(SplatFilter& self, const State12& state, const Array3& acceleration, const Array4& wrench,
-              double thrust, double thrust_rate, double nominal_thrust_rate, double nominal_thrust_acceleration,
-              const Array3& position_error, const Array3& velocity_error, const Array3& reference_acceleration,
-              const std::optional<Array4>& rotors) {
-  const FlightState now{{at(state, 0), at(state, 3), at(state, 6), at(state, 9)}, thrust, thrust_rate, rotors};
-  const Nominal nominal{vec(acceleration),          {wrench[0], {wrench[1], wrench[2], wrench[3]}},
-                        nominal_thrust_rate,        nominal_thrust_acceleration,
-                        vec(position_error),        vec(velocity_error),
-                        vec(reference_acceleration)};
+// What `filter` takes beside the state and the nominal acceleration.
+struct Tick {
+  FlightState state;
+  Nominal nominal;
+};
+
+}  // namespace
+
+template <>
+struct fields::Python<flight::Wrench> {
+  static std::string type() { return Python<Array4>::type(); }
+  static flight::Wrench from(nb::handle value) { return flight::wrench_at(nb::cast<Array4>(value).data()); }
+  static Array4 out(const flight::Wrench& u) { return {u.thrust, u.torque.x, u.torque.y, u.torque.z}; }
+};
+
+template <>
+struct Fields<Nominal> {
+  static constexpr std::tuple all{
+      Field{"wrench", &Nominal::wrench, "nominal thrust and torque [N, N m]"},
+      Field{"nominal_thrust_rate", &Nominal::thrust_rate, "rate of the nominal thrust [N/s]"},
+      Field{"nominal_thrust_acceleration", &Nominal::thrust_acceleration, "its second derivative [N/s^2]"},
+      Field{"position_error", &Nominal::position_error, "position less that of the reference [m]"},
+      Field{"velocity_error", &Nominal::velocity_error, "velocity less that of the reference [m/s]"},
+      Field{"reference_acceleration", &Nominal::reference_acceleration, "acceleration of the reference [m/s^2]"}};
+};
+
+template <>
+struct Fields<FlightState> {
+  static constexpr std::tuple all{
+      Field{"thrust", &FlightState::thrust, "thrust as last applied [N]"},
+      Field{"thrust_rate", &FlightState::thrust_rate, "its rate [N/s]"},
+      Field{"rotors", &FlightState::rotors, "thrust of each rotor now [N]; None: the rotors hover"}};
+};
+
+template <>
+struct Fields<Tick> {
+  static constexpr std::tuple all{Nested{&Tick::state}, Nested{&Tick::nominal}};
+};
+
+namespace {
+
+Record filter(SplatFilter& self, const State12& state, const Array3& acceleration, const nb::kwargs& others) {
+  Tick tick;
+  tick.state.x = {at(state, 0), at(state, 3), at(state, 6), at(state, 9)};
+  tick.nominal.acceleration = vec(acceleration);
+  fields::assign(tick, others, "filter");
   FilterReport report;
   {
     const nb::gil_scoped_release release;
-    report = self.filter(now, nominal);
+    report = self.filter(tick.state, tick.nominal);
   }
   return to_record(report);
-}
-
-flight::SaferHessian hessian_of(const std::string& name) {
-  if (name == "correct") return flight::SaferHessian::correct;
-  if (name == "published") return flight::SaferHessian::published;
-  throw std::invalid_argument("hessian must be 'correct' or 'published'");
-}
-
-flight::SaferRows rows_of(const std::string& name) {
-  if (name == "all") return flight::SaferRows::all;
-  if (name == "nearest") return flight::SaferRows::nearest;
-  throw std::invalid_argument("rows must be 'all' or 'nearest'");
 }
 
 geometry::Mat3 matrix(const In<double, nb::shape<3, 3>>& a) {
@@ -209,7 +236,7 @@ void bind_splat_filters(nb::module_& m) {
                 EllipsoidIndex({as_span(mean), as_span(scale), as_span(quat_wxyz), as_span(loss)}, sigma, radius);
           },
           "mean"_a, "scale"_a, "quat_wxyz"_a, nb::kw_only(), "sigma"_a, "radius"_a, "loss"_a = nb::none(),
-          "Copy the Gaussians; the ellipsoids are at level sigma, each grown by what `loss` (N, 3) says.")
+          "Copy the Gaussians; the ellipsoids are at level sigma, each grown by `loss` (N, 3).")
       .def("__len__", &EllipsoidIndex::size)
       .def_prop_ro("radius", &EllipsoidIndex::radius)
       .def("nearest", &nearest, "a"_a, "b"_a, nb::kw_only(), "reach"_a, "count"_a,
@@ -221,85 +248,44 @@ void bind_splat_filters(nb::module_& m) {
       .def("grown", &grown,
            "Centres (N, 3) and matrices A (N, 3, 3) of the grown ellipsoids {y : (y - c)^T A (y - c) <= 1}.");
 
-  nb::class_<Pruning>(m, "Pruning", "Which ellipsoids become rows of a tick.")
-      .def(
-          "__init__",
-          [](Pruning* self, double reaction_time_s, double max_deceleration, double floor_m, std::uint32_t count,
-             bool gate, bool approach, bool sweep) {
-            new (self) Pruning{reaction_time_s, max_deceleration, floor_m, count, gate, approach, sweep};
-          },
-          nb::kw_only(), "reaction_time_s"_a = Pruning{}.reaction_time_s,
-          "max_deceleration"_a = Pruning{}.max_deceleration, "floor_m"_a = Pruning{}.floor_m,
-          "count"_a = Pruning{}.count, "gate"_a = Pruning{}.gate, "approach"_a = Pruning{}.approach,
-          "sweep"_a = Pruning{}.sweep,
-          "reaction_time_s and max_deceleration: of the distance gate v^2 / (2 a) + v t + radius, at least floor_m;\n"
-          "count: nearest k, 0 for all within the gate; gate: False for every ellipsoid of the map;\n"
-          "approach: only ellipsoids with r^T A v >= 0; sweep: nearest to the path of braking, not to the place.")
-      .def_ro("reaction_time_s", &Pruning::reaction_time_s)
-      .def_ro("max_deceleration", &Pruning::max_deceleration)
-      .def_ro("floor_m", &Pruning::floor_m)
-      .def_ro("count", &Pruning::count)
-      .def_ro("gate", &Pruning::gate)
-      .def_ro("approach", &Pruning::approach)
-      .def_ro("sweep", &Pruning::sweep);
+  fields::bind<Pruning>(m, "Pruning", "Which ellipsoids become rows of a tick.");
 
-  const Array3 zero3{};
   nb::class_<SplatFilter>(m, "SplatFilter", "A filter that flies among ellipsoids; one per thread.")
-      .def("filter", &filter, "state"_a, "acceleration"_a, nb::kw_only(), "wrench"_a = Array4{}, "thrust"_a = 0.0,
-           "thrust_rate"_a = 0.0, "nominal_thrust_rate"_a = 0.0, "nominal_thrust_acceleration"_a = 0.0,
-           "position_error"_a = zero3, "velocity_error"_a = zero3, "reference_acceleration"_a = zero3,
-           "rotors"_a = nb::none(),
-           "One tick: state (p, sigma, v, omega), the nominal acceleration [m/s^2] and wrench (T, tau), thrust and "
-           "its "
-           "rate as last applied [N, N/s]; rotors: what each gives now [N], hovering when not said. A dict of "
-           "FilterReport.")
+      .def("filter", &filter, "state"_a, "acceleration"_a, "others"_a,
+           nb::sig(fields::signature(Tick{},
+                                     "self, state: collections.abc.Sequence[float], "
+                                     "acceleration: collections.abc.Sequence[float]",
+                                     "filter", "dict[str, typing.Any]")
+                       .c_str()),
+           fields::documentation(Tick{},
+                                 "One tick at a state (p, sigma, v, omega) with the nominal acceleration [m/s^2]; "
+                                 "returns a dict of FilterReport.")
+               .c_str())
       .def("reset", &SplatFilter::reset, "Before another flight: forget warm starts and commitments.")
       .def("clone", &SplatFilter::clone)
       .def_prop_ro("gives_wrench", [](const SplatFilter& self) { return self.kind() == flight::InputKind::wrench; });
 
-  const flight::ConeDiOptions cone_di;
+  fields::bind<flight::ConeDiOptions>(m, "ConeDiOptions", "Options of the filter cone-di.");
   nb::class_<ConeDi, SplatFilter>(m, "ConeDi", "The collision cone filter of a double integrator.")
       .def(
           "__init__",
-          [](ConeDi* self, std::shared_ptr<EllipsoidIndex> index, double alpha, double recovery, double swell,
-             double escape_rate, double min_speed, double max_acceleration, double max_braking, double lateral_bias,
-             double clf_weight, double clf_rate, double clf_kp, double clf_kv, const Pruning& pruning,
+          [](ConeDi* self, std::shared_ptr<EllipsoidIndex> index, const flight::ConeDiOptions& options,
              nb::object qp_backend) {
-            new (self) ConeDi(std::move(index),
-                              {alpha, recovery, swell, escape_rate, min_speed, max_acceleration, max_braking,
-                               lateral_bias, clf_weight, clf_rate, clf_kp, clf_kv, pruning},
-                              qp_solver(std::move(qp_backend)));
+            new (self) ConeDi(std::move(index), options, qp_solver(std::move(qp_backend)));
           },
-          "index"_a, nb::kw_only(), "alpha"_a = cone_di.alpha, "recovery"_a = cone_di.recovery,
-          "swell"_a = cone_di.swell, "escape_rate"_a = cone_di.escape_rate, "min_speed"_a = cone_di.min_speed,
-          "max_acceleration"_a = cone_di.max_acceleration, "max_braking"_a = cone_di.max_braking,
-          "lateral_bias"_a = cone_di.lateral_bias, "clf_weight"_a = cone_di.clf_weight,
-          "clf_rate"_a = cone_di.clf_rate, "clf_kp"_a = cone_di.clf_kp, "clf_kv"_a = cone_di.clf_kv,
-          "pruning"_a = cone_di.pruning, "qp_backend"_a = nb::none(),
-          "alpha: of h' >= -alpha h [1/s], and at least recovery over the time to contact;\n"
-          "swell: rows are of ellipsoids longer by this part; escape_rate: double pole "
-          "of the rows on gamma [1/s];\n"
-          "min_speed: below it rows on gamma [m/s]; max_acceleration: of each axis, max_braking: of the fallback,\n"
-          "lateral_bias: of a head-on nominal [m/s^2]; clf_weight: of the tracking row's slack, 0 for no row;\n"
-          "clf_rate [1/s], clf_kp [1/s^2], clf_kv [1/s]: of that row; qp_backend: as of QpSolver.");
+          "index"_a, "options"_a = flight::ConeDiOptions{}, nb::kw_only(), "qp_backend"_a = nb::none(),
+          "qp_backend: as of QpSolver.")
+      .def_prop_ro("options", &ConeDi::options);
 
-  const flight::SaferSplatOptions safer;
+  fields::bind<flight::SaferSplatOptions>(m, "SaferSplatOptions", "Options of the filter safer-splat.");
   nb::class_<SaferSplat, SplatFilter>(m, "SaferSplat", "The distance filter of SAFER-Splat for a double integrator.")
       .def(
           "__init__",
-          [](SaferSplat* self, std::shared_ptr<EllipsoidIndex> index, double alpha, double beta,
-             const std::string& hessian, const std::string& rows, bool brute, double max_braking,
-             double max_acceleration, const Pruning& pruning) {
-            new (self) SaferSplat(std::move(index), {alpha, beta, hessian_of(hessian), rows_of(rows), brute,
-                                                     max_braking, max_acceleration, pruning});
+          [](SaferSplat* self, std::shared_ptr<EllipsoidIndex> index, const flight::SaferSplatOptions& options) {
+            new (self) SaferSplat(std::move(index), options);
           },
-          "index"_a, nb::kw_only(), "alpha"_a = safer.alpha, "beta"_a = safer.beta, "hessian"_a = "correct",
-          "rows"_a = "all", "brute"_a = safer.brute, "max_braking"_a = safer.max_braking,
-          "max_acceleration"_a = safer.max_acceleration, "pruning"_a = Pruning{},
-          "alpha, beta: poles of the barrier phi d^2 - r^2 [1/s]; hessian: 'correct' or 'published';\n"
-          "rows: 'all', of every ellipsoid of the map, or 'nearest', of the candidates of `pruning`, whose gates of\n"
-          "approach and sweep are ignored; brute: measure every ellipsoid instead of asking the index;\n"
-          "max_braking: of the fallback, max_acceleration: of each axis [m/s^2].")
+          "index"_a, "options"_a = flight::SaferSplatOptions{})
+      .def_prop_ro("options", &SaferSplat::options)
       .def(
           "barrier",
           [](const SaferSplat& self, std::uint32_t item, const Array3& p, const Array3& v) {
@@ -310,7 +296,7 @@ void bind_splat_filters(nb::module_& m) {
           },
           "item"_a, "p"_a, "v"_a, "h, row and bound of one ellipsoid: row . a >= bound.")
       .def("unsure", &unsure, "p"_a, "v"_a, "acceleration"_a,
-           "Numbers of the ellipsoids that the index says may have a row that `acceleration` violates.");
+           "Numbers of the ellipsoids that may have a row that `acceleration` violates, according to the index.");
 
   m.def("collision_cone", &cone, "centre"_a, "a"_a, "p"_a, "v"_a, nb::kw_only(), "acceleration"_a, "jerk"_a,
         "The collision cone of {y : (y - centre)^T a (y - centre) <= 1} and its derivatives along a flight.");

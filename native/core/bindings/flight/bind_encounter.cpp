@@ -9,13 +9,46 @@
 
 #include "alula/flight/encounter.hpp"
 #include "alula/flight/encounter_watch.hpp"
+#include "fields.hpp"
 #include "flight_arrays.hpp"
 #include "python_control.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
 
-namespace alula::flight {
+namespace alula {
+
+template <>
+struct Fields<flight::EncounterVehicle> {
+  using Vehicle = flight::EncounterVehicle;
+  static constexpr std::tuple all{
+      Field{"start", &Vehicle::start, "start [m]"},
+      Field{"goal", &Vehicle::goal, "goal [m]"},
+      Field{"start_speed_m_s", &Vehicle::start_speed_m_s, "speed at the start, along the course [m/s]"},
+      Field{"cruise_m_s", &Vehicle::cruise_m_s, "nominal speed [m/s]"},
+      Field{"gain", &Vehicle::gain, "gain of the speed error [1/s]"},
+      Field{"radius_m", &Vehicle::radius_m, "radius of the sphere [m]"},
+      Field{"max_speed_m_s", &Vehicle::max_speed_m_s, "maximum |v| of the executed motion [m/s]"},
+      Field{"max_acceleration_m_s2", &Vehicle::max_acceleration_m_s2, "maximum |a|_inf of a command [m/s^2]"},
+      Field{"max_jerk_m_s3", &Vehicle::max_jerk_m_s3, "maximum |da/dt|_inf of the executed motion [m/s^3]"},
+      Field{"actuation_delay_s", &Vehicle::actuation_delay_s, "time from a command until it acts [s]"},
+      Field{"hovers", &Vehicle::hovers, "hold the start instead of flying to the goal"},
+      Field{"yaw_rate_rad_s", &Vehicle::yaw_rate_rad_s,
+            "maximum rate at which the sensor turns; 0: it looks along the course [rad/s]"}};
+};
+
+template <>
+struct Fields<flight::EncounterRules> {
+  using Rules = flight::EncounterRules;
+  static constexpr std::tuple all{
+      Field{"dt_s", &Rules::dt_s, "time step of the filter [s]"},
+      Field{"plant_steps", &Rules::plant_steps, "steps of the plant per tick"},
+      Field{"max_time_s", &Rules::max_time_s, "time limit [s]"},
+      Field{"receded_s", &Rules::receded_s, "a trial ends when all obstacles have receded for so long [s]"},
+      Field{"risk_window_s", &Rules::risk_window_s, "window of the mission risk [s]"}};
+};
+
+namespace flight {
 namespace {
 
 using LogDict = nb::typed<nb::dict, nb::str, nb::any>;
@@ -71,36 +104,15 @@ LogDict to_dict(EncounterLog&& log, bool keeps_path) {
 }
 
 void bind_vehicle_and_rules(nb::module_& m) {
-  const EncounterVehicle v;
-  nb::class_<EncounterVehicle>(m, "EncounterVehicle", "What flies among moving obstacles, and where to.")
-      .def(
-          "__init__",
-          [](EncounterVehicle* self, const Triple& start, const Triple& goal, double start_speed, double cruise,
-             double gain, double radius, double max_speed, double max_acceleration, double max_jerk, double delay,
-             bool hovers, double yaw_rate) {
-            new (self) EncounterVehicle{vector_of(start), vector_of(goal),  start_speed, cruise, gain,   radius,
-                                        max_speed,        max_acceleration, max_jerk,    delay,  hovers, yaw_rate};
-          },
-          nb::kw_only(), "start"_a = triple_of(v.start), "goal"_a = triple_of(v.goal),
-          "start_speed_m_s"_a = v.start_speed_m_s, "cruise_m_s"_a = v.cruise_m_s, "gain"_a = v.gain,
-          "radius_m"_a = v.radius_m, "max_speed_m_s"_a = v.max_speed_m_s,
-          "max_acceleration_m_s2"_a = v.max_acceleration_m_s2, "max_jerk_m_s3"_a = v.max_jerk_m_s3,
-          "actuation_delay_s"_a = v.actuation_delay_s, "hovers"_a = v.hovers, "yaw_rate_rad_s"_a = v.yaw_rate_rad_s,
-          "A sphere that moves as a double integrator: |a|_inf of commands, |da/dt|_inf and |v| of what is executed, "
-          "late by the delay. It holds its start or goes to its goal.");
-  const EncounterRules r;
-  nb::class_<EncounterRules>(m, "EncounterRules", "Times of an encounter, and when it ends.")
-      .def(
-          "__init__",
-          [](EncounterRules* self, double dt, int plant_steps, double max_time, double receded, double risk_window) {
-            new (self) EncounterRules{dt, plant_steps, max_time, receded, risk_window};
-          },
-          nb::kw_only(), "dt_s"_a = r.dt_s, "plant_steps"_a = r.plant_steps, "max_time_s"_a = r.max_time_s,
-          "receded_s"_a = r.receded_s, "risk_window_s"_a = r.risk_window_s);
+  fields::bind<EncounterVehicle>(m, "EncounterVehicle",
+                                 "A sphere among moving obstacles that moves as a double integrator with limits of "
+                                 "speed, acceleration and jerk; it holds its start or goes to its goal.");
+  fields::bind<EncounterRules>(m, "EncounterRules", "Times of an encounter, and when it ends.");
 }
 
 }  // namespace
-}  // namespace alula::flight
+}  // namespace flight
+}  // namespace alula
 
 void bind_encounter(nb::module_& m) {
   using namespace alula;
@@ -118,8 +130,7 @@ void bind_encounter(nb::module_& m) {
           },
           nb::kw_only(), "vehicle"_a = EncounterVehicle{}, "rules"_a = EncounterRules{},
           "obstacles"_a = std::vector<ObstacleSpec>{}, "radar"_a = RadarOptions{}, "tracker"_a = TrackerOptions{},
-          "walls"_a.none() = nb::none(), nb::keep_alive<1, 7>(),
-          "ValueError for a specification that means nothing.");
+          "walls"_a.none() = nb::none(), nb::keep_alive<1, 7>(), "ValueError for an invalid specification.");
   m.def(
       "fly_encounters",
       [](const EncounterSpec& spec, const MovingFilter& filter, std::uint64_t seed, std::uint32_t first,
@@ -157,12 +168,14 @@ void bind_encounter(nb::module_& m) {
         return risk_of(track, vehicle, vector_of(command), radius, window);
       },
       "position"_a, "velocity"_a, "covariance"_a, "command"_a, "radius"_a, "window_s"_a,
-      "Of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: bound of the "
+      "Collision risk of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: "
+      "bound of the "
       "probability that it is within the radius when it comes closest in the window.");
   m.def(
       "closest_approach",
       [](const Triple& r0, const Triple& r1, const Triple& a, double h) {
         return closest_approach(vector_of(r0), vector_of(r1), vector_of(a), h);
       },
-      "r0"_a, "r1"_a, "a"_a, "h"_a, "Least |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.");
+      "r0"_a, "r1"_a, "a"_a, "h"_a,
+      "Minimum |r(t)|, 0 <= t <= h, of the parabola from r0 to r1 with acceleration a.");
 }

@@ -7,12 +7,27 @@
 
 #include "alula/flight/rollout.hpp"
 #include "arrays.hpp"
+#include "fields.hpp"
 #include "python_control.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
 
 namespace alula {
+
+template <>
+struct Fields<TrialRules> {
+  static constexpr std::tuple all{
+      Field{"dt_s", &TrialRules::dt_s, "time step [s]", Limits{}, true},
+      Field{"gain", &TrialRules::gain, "gain of the nominal controller [1/s]", Limits{}, true},
+      Field{"v_max", &TrialRules::v_max, "speed limit [m/s]", Limits{}, true},
+      Field{"stop_fraction", &TrialRules::stop_fraction, "reached within this fraction of the start-goal distance",
+            Limits{}, true},
+      Field{"stuck_speed", &TrialRules::stuck_speed, "stuck below this speed [m/s]", Limits{}, true},
+      Field{"stuck_steps", &TrialRules::stuck_steps, "for so many steps", Limits{}, true},
+      Field{"max_steps", &TrialRules::max_steps, "time limit in steps", Limits{}, true}};
+};
+
 namespace {
 
 std::vector<Vec3> points_of(const InRows3<double>& rows) {
@@ -74,15 +89,7 @@ nb::typed<nb::list, LogDict> run(const PolytopeCbf& cbf, const InRows3<double>& 
 
 void bind_rollout(nb::module_& m) {
   using namespace alula;
-  nb::class_<TrialRules>(m, "TrialRules", "When a flight ends, and its nominal controller.")
-      .def(
-          "__init__",
-          [](TrialRules* self, double dt_s, double gain, double v_max, double stop_fraction, double stuck_speed,
-             std::int64_t stuck_steps, std::int64_t max_steps) {
-            new (self) TrialRules{dt_s, gain, v_max, stop_fraction, stuck_speed, stuck_steps, max_steps};
-          },
-          nb::kw_only(), "dt_s"_a, "gain"_a, "v_max"_a, "stop_fraction"_a, "stuck_speed"_a, "stuck_steps"_a,
-          "max_steps"_a);
+  fields::bind<TrialRules>(m, "TrialRules", "When a flight ends, and its nominal controller.");
 
   nb::class_<SteppedTrial>(m, "Trial",
                            "One flight a step at a time: nominal(), then advance() with the input that is flown.\n"

@@ -14,7 +14,9 @@
 #include <string>
 #include <tuple>
 
+#include "alula/flight/obstacle_motion.hpp"
 #include "alula/flight/splat_flight.hpp"
+#include "fields.hpp"
 #include "flight_arrays.hpp"
 #include "python_control.hpp"
 
@@ -22,9 +24,83 @@ namespace nb = nanobind;
 using namespace nb::literals;
 
 namespace alula {
+
+template <>
+struct Choices<flight::PlantKind> {
+  static constexpr std::array names{"quadrotor", "double-integrator"};
+};
+
+template <>
+struct Choices<flight::CommandInterface> {
+  static constexpr std::array names{"wrench", "body-rates"};
+};
+
+template <>
+struct Fields<flight::FlightVehicle> {
+  using Vehicle = flight::FlightVehicle;
+  static constexpr std::tuple all{
+      Field{"plant", &Vehicle::kind, "quadrotor or double-integrator"},
+      Field{"interface", &Vehicle::interface, "wrench or body-rates"},
+      Field{"max_rate_rad_s", &Vehicle::max_rate, "limit of a commanded body rate [rad/s]"},
+      Field{"rate_time_constant_s", &Vehicle::rate_time_constant_s,
+            "time constant of the vehicle's own rate loop [s]"},
+      Field{"max_acceleration_m_s2", &Vehicle::max_acceleration, "limit of the double integrator [m/s^2]"},
+      Field{"assumed", &Vehicle::assumed, "lag and delay that controller and filters assume"}};
+};
+
 namespace {
 
 using namespace flight;
+
+// Rules whose number of steps may be left out.
+struct FlightRulesArguments : FlightRules {
+  std::optional<std::int64_t> steps;
+};
+
+// An answer of a filter that runs in Python.
+struct Answer {
+  std::uint8_t status = 0;
+  double margin = 0;
+  std::int64_t active = -1;
+  double thrust_rate = 0;
+  bool infeasible = false, certified = false;
+  double filter_s = 0;
+};
+
+}  // namespace
+
+template <>
+struct Fields<FlightRulesArguments> {
+  using Rules = FlightRulesArguments;
+  static constexpr std::tuple all{
+      Field{"dt_s", &Rules::dt_s, "a tick of controller and filter [s]"},
+      Field{"plant_steps", &Rules::steps,
+            "steps of the plant in a tick; default: as many as make none longer than 1 ms"},
+      Field{"stop_fraction", &Rules::stop_fraction, "reached within this fraction of the start-goal distance"},
+      Field{"stop_floor_m", &Rules::stop_floor_m, "or within this [m]"},
+      Field{"stop_speed", &Rules::stop_speed, "slower than this, with the reference at its end [m/s]"},
+      Field{"stuck_speed", &Rules::stuck_speed,
+            "stuck below this speed, and farther than that from the reference [m/s]"},
+      Field{"stuck_ticks", &Rules::stuck_ticks, "for so many ticks"},
+      Field{"time_factor", &Rules::time_factor, "time limit in durations of the reference"},
+      Field{"max_time_s", &Rules::max_time_s, "time limit, when above 0 [s]"},
+      Field{"lower", &Rules::lower, "lower corner of the box that must not be left [m]"},
+      Field{"upper", &Rules::upper, "upper corner of that box [m]"}};
+};
+
+template <>
+struct Fields<Answer> {
+  static constexpr std::tuple all{Field{"status", &Answer::status, "SplatFilterStatus", Limits{}, true},
+                                  Field{"margin", &Answer::margin, "value of the barrier", Limits{}, true},
+                                  Field{"active", &Answer::active, "ellipsoid that decides, or -1"},
+                                  Field{"thrust_rate", &Answer::thrust_rate, "rate of the thrust [N/s]"},
+                                  Field{"infeasible", &Answer::infeasible, "the program had no solution"},
+                                  Field{"certified", &Answer::certified, "a safe manoeuvre remains"},
+                                  Field{"filter_s", &Answer::filter_s, "duration of the filter [s]"}};
+};
+
+namespace {
+
 Doubles to_array(geometry::Vec3 v) { return Rows(1).add(v).array({3}); }
 
 using LogDict = nb::typed<nb::dict, nb::str, nb::any>;
@@ -80,33 +156,28 @@ struct SteppedFlight {
       : reference(curve), vehicle(what), trial(vehicle, rules, reference, seed, number, guide) {}
   SteppedFlight(const SteppedFlight&) = delete;
 
-  int advance(const InVector<double>& u, unsigned status, double margin, std::int64_t active, double thrust_rate,
-              bool infeasible, bool certified, double filter_s) {
+  int advance(const InVector<double>& u, const nb::kwargs& others) {
+    Answer answer;
+    fields::assign(answer, others, "advance");
     if (u.size() != 3 && u.size() != 4) throw std::invalid_argument("an input has 3 or 4 numbers");
     const bool is_wrench = u.size() == 4;
     FilterReport report;
-    report.status = static_cast<SplatFilterStatus>(status);
+    report.status = static_cast<SplatFilterStatus>(answer.status);
     if (report.status == SplatFilterStatus::refused)
       report.wrench.thrust = vehicle.body.hover_thrust();
     else if (is_wrench)
       report.wrench = {u.data()[0], {u.data()[1], u.data()[2], u.data()[3]}};
     else
       report.acceleration = {u.data()[0], u.data()[1], u.data()[2]};
-    report.thrust_rate = thrust_rate;
-    report.margin = margin;
-    report.active = active;
-    report.infeasible = infeasible;
-    report.certified = certified;
+    report.thrust_rate = answer.thrust_rate;
+    report.margin = answer.margin;
+    report.active = answer.active;
+    report.infeasible = answer.infeasible;
+    report.certified = answer.certified;
     const InputKind kind = is_wrench ? InputKind::wrench : InputKind::acceleration;
-    return static_cast<int>(trial.advance(report, kind, filter_s));
+    return static_cast<int>(trial.advance(report, kind, answer.filter_s));
   }
 };
-
-PlantKind plant_kind(const std::string& name) {
-  if (name == "quadrotor") return PlantKind::quadrotor;
-  if (name == "double-integrator") return PlantKind::double_integrator;
-  throw std::invalid_argument("a plant is a quadrotor or a double-integrator");
-}
 
 // Steps of the plant in a tick of which none is longer than 1 ms: at least as fine as what a shield predicts.
 std::int64_t fine_steps(double dt_s) {
@@ -114,54 +185,36 @@ std::int64_t fine_steps(double dt_s) {
   return steps > 1 && steps < 1e9 ? static_cast<std::int64_t>(steps) : 1;  // 1 too for what `fly` will refuse
 }
 
-CommandInterface command_interface(const std::string& name) {
-  if (name == "wrench") return CommandInterface::wrench;
-  if (name == "body-rates") return CommandInterface::body_rates;
-  throw std::invalid_argument("an interface takes a wrench or body-rates");
-}
-
 }  // namespace
 }  // namespace alula
 
 void bind_splat_flight(nb::module_& m) {
   using namespace alula;
-  nb::class_<FlightVehicle>(m, "FlightVehicle", "What flies among ellipsoids: body, controller, plant and interface.")
+  nb::class_<FlightVehicle>(m, "FlightVehicle", "Vehicle among ellipsoids: body, controller, plant and interface.")
       .def(
           "__init__",
           [](FlightVehicle* self, const Quadrotor& body, const TrackingGains& gains, const PlantOptions& options,
-             const std::string& plant, const std::string& interface, const Triple& max_rate,
-             double rate_time_constant, double max_acceleration, const ActuatorModel& assumed) {
-            new (self) FlightVehicle{body,
-                                     gains,
-                                     options,
-                                     plant_kind(plant),
-                                     command_interface(interface),
-                                     vector_of(max_rate),
-                                     rate_time_constant,
-                                     max_acceleration,
-                                     assumed};
+             const nb::kwargs& others) {
+            FlightVehicle made{body, gains, options};
+            fields::assign(made, others, "FlightVehicle");
+            new (self) FlightVehicle(std::move(made));
           },
-          "body"_a, "gains"_a = TrackingGains{}, "options"_a = PlantOptions{}, nb::kw_only(), "plant"_a = "quadrotor",
-          "interface"_a = "wrench", "max_rate_rad_s"_a = Triple{10, 10, 4}, "rate_time_constant_s"_a = 0.02,
-          "max_acceleration_m_s2"_a = std::numeric_limits<double>::infinity(), "assumed"_a = ActuatorModel{},
-          "options: what the plant does; assumed: what controller and filters take its rotors and sensors for.");
+          "body"_a, "gains"_a = TrackingGains{}, "options"_a = PlantOptions{}, "others"_a,
+          nb::sig(fields::signature(FlightVehicle{small_quadrotor().body},
+                                    "self, body: Quadrotor, gains: TrackingGains = ..., options: PlantOptions = ...")
+                      .c_str()),
+          fields::documentation(
+              FlightVehicle{small_quadrotor().body},
+              "`options` are the plant's disturbances; `assumed` is the model of rotors and sensors "
+              "in controller and filters.")
+              .c_str());
 
-  nb::class_<FlightRules>(m, "FlightRules", "Times of a flight, and when it ends.")
-      .def(
-          "__init__",
-          [](FlightRules* self, double dt_s, std::optional<std::int64_t> plant_steps, double stop_fraction,
-             double stop_floor_m, double stop_speed, double stuck_speed, std::int64_t stuck_ticks, double time_factor,
-             double max_time_s, const Triple& lower, const Triple& upper) {
-            const std::int64_t steps = plant_steps.value_or(fine_steps(dt_s));
-            new (self)
-                FlightRules{dt_s,        steps,       stop_fraction, stop_floor_m,     stop_speed,      stuck_speed,
-                            stuck_ticks, time_factor, max_time_s,    vector_of(lower), vector_of(upper)};
-          },
-          nb::kw_only(), "dt_s"_a = 0.01, "plant_steps"_a = nb::none(), "stop_fraction"_a = 0.01,
-          "stop_floor_m"_a = 0.05, "stop_speed"_a = 0.1, "stuck_speed"_a = 0.02, "stuck_ticks"_a = 200,
-          "time_factor"_a = 3.0, "max_time_s"_a = 0.0, "lower"_a = Triple{-1e9, -1e9, -1e9},
-          "upper"_a = Triple{1e9, 1e9, 1e9},
-          "plant_steps: of the plant in a tick; by default as many as make none longer than 1 ms.");
+  fields::bind_from<FlightRules, FlightRulesArguments>(
+      m, "FlightRules", "Times of a flight, and when it ends.", [](const FlightRulesArguments& given) {
+        FlightRules rules = given;
+        rules.plant_steps = given.steps.value_or(fine_steps(given.dt_s));
+        return rules;
+      });
 
   nb::class_<SteppedFlight>(m, "FlightTrial",
                             "One flight a tick at a time: state() and nominal(), then advance() with the answer.")
@@ -186,8 +239,8 @@ void bind_splat_flight(nb::module_& m) {
           },
           "Acceleration, wrench, T' and T'', errors of position and velocity, acceleration of the reference.")
       .def(
-          "advance", &SteppedFlight::advance, "u"_a, nb::kw_only(), "status"_a, "margin"_a, "active"_a = -1,
-          "thrust_rate"_a = 0.0, "infeasible"_a = false, "certified"_a = false, "filter_s"_a = 0.0,
+          "advance", &SteppedFlight::advance, "u"_a, "others"_a,
+          nb::sig(fields::signature(Answer{}, "self, u: NDArray[numpy.float64]", "advance", "int").c_str()),
           "Fly an acceleration (3) or a wrench (4) for a tick; the outcome: 0 flying, 1 reached, 2 stuck, 3 timeout, "
           "4 refused.")
       .def(
@@ -206,5 +259,6 @@ void bind_splat_flight(nb::module_& m) {
         const nb::gil_scoped_release release;
         return least_gamma(index, as_span(points));
       },
-      "index"_a, "points"_a, "Least r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.");
+      "index"_a, "points"_a,
+      "Minimum r' A r - 1 over the grown ellipsoids and the points (T, 3); below 0 inside one.");
 }

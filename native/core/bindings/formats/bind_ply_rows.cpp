@@ -127,8 +127,7 @@ void bind_ply_rows(nb::module_& m) {
         const std::size_t count = lines.start.size();
         return std::make_tuple(to_numpy(std::move(lines.start), {count}), lines.trailing);
       },
-      "text"_a, "most"_a,
-      "Where the first `most` lines that are not blank start, and the bytes of all further ones.");
+      "text"_a, "most"_a, "Starts of the first `most` lines that are not blank, and the bytes of all further ones.");
   m.def("decode_ply_text", &decode_text, "text"_a, "start"_a, "width"_a, "places"_a, "color"_a, "mean"_a.noconvert(),
         "scale"_a.noconvert(), "quat"_a.noconvert(), "opacity"_a.noconvert(), "out_color"_a.noconvert(), "jobs"_a = 0,
         "progress"_a = nb::none(),

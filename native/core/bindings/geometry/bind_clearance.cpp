@@ -68,7 +68,7 @@ void bind_clearance(nb::module_& m) {
             new (self) EllipsoidSet(as_span(mean), as_span(scale), as_span(quat_wxyz), as_span(loss), k);
           },
           "mean"_a, "scale"_a, "quat_wxyz"_a, "k"_a, "loss"_a = nb::none(),
-          "Copy the Gaussians; the ellipsoids are at level k, each grown by what `loss` (N, 3) says.")
+          "Copy the Gaussians; the ellipsoids are at level k, each grown by `loss` (N, 3).")
       .def("__len__", &EllipsoidSet::size)
       .def("clearance", &clearance<EllipsoidSet>, "start"_a, "end"_a, "cap"_a, "jobs"_a = 0,
            "progress"_a = nb::none(), kClearanceDoc);

@@ -10,32 +10,125 @@
 
 #include "alula/flight/meeting.hpp"
 #include "alula/tracking/radar.hpp"
+#include "fields.hpp"
 #include "flight_arrays.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
 
-namespace alula::flight {
+namespace alula {
+
+namespace flight {
 namespace {
 
-using Pair = std::array<double, 2>;
+// A specification whose quadrotor may be missing.
+struct ObstacleArguments : ObstacleSpec {
+  std::optional<Quadrotor> body;
+  std::optional<TrackingGains> gains;
+};
+
+struct FieldOfViewArguments : FieldOfView {
+  FieldOfViewArguments() {
+    const RadarOptions radar;
+    half_azimuth_rad = radar.half_azimuth_rad, half_elevation_rad = radar.half_elevation_rad;
+    max_range_m = radar.max_range_m;
+  }
+};
+
+}  // namespace
+}  // namespace flight
+
+template <>
+struct Choices<flight::MotionKind> {
+  static constexpr std::array names{"constant-velocity", "accelerating", "curving", "ballistic", "quadrotor"};
+};
+
+template <>
+struct Choices<flight::SensorKind> {
+  static constexpr std::array names{"radar", "ideal", "mocap"};
+};
+
+template <>
+struct fields::Python<flight::Range> {
+  using Pair = std::array<double, 2>;
+  static std::string type() { return Python<Pair>::type(); }
+  static flight::Range from(nb::handle value) {
+    const auto pair = nb::cast<Pair>(value);
+    return {pair[0], pair[1]};
+  }
+  static Pair out(const flight::Range& range) { return {range.from, range.to}; }
+};
+
+template <>
+struct Fields<flight::ObstacleArguments> {
+  using Spec = flight::ObstacleArguments;
+  static constexpr std::tuple all{
+      Field{"kind", &Spec::kind, "motion: constant-velocity, accelerating, curving, ballistic or quadrotor"},
+      Field{"radius_m", &Spec::radius_m, "radius [m]"},
+      Field{"is_relative", &Spec::is_relative, "placed by distance and azimuth; false: at a position"},
+      Field{"position", &Spec::position, "start [m]"},
+      Field{"distance_m", &Spec::distance_m, "distance from the vehicle's start [m]"},
+      Field{"azimuth_rad", &Spec::azimuth, "from the course [rad]"},
+      Field{"elevation_rad", &Spec::elevation, "above the horizon [rad]"},
+      Field{"either_side", &Spec::either_side, "draw the sign of the azimuth"},
+      Field{"crosses", &Spec::crosses, "azimuth and elevation are seen from the meeting point"},
+      Field{"offset_sigma_m", &Spec::offset_sigma, "standard deviation of the start, frame (course, left, up) [m]"},
+      Field{"speed_m_s", &Spec::speed_m_s, "speed [m/s]"},
+      Field{"heading_rad", &Spec::heading, "from the direction to the meeting point, outwards [rad]"},
+      Field{"acceleration_m_s2", &Spec::acceleration_m_s2, "acceleration, or limit of a leg [m/s^2]"},
+      Field{"velocity_m_s", &Spec::velocity, "initial velocity; 0: from speed and heading [m/s]"},
+      Field{"aims_at_vehicle", &Spec::aims_at_vehicle, "aim at the vehicle's start"},
+      Field{"meeting_sigma_m", &Spec::meeting_sigma, "standard deviation of the meeting point [m]"},
+      Field{"max_speed_m_s", &Spec::max_speed_m_s, "maximum speed [m/s]"},
+      Field{"turn_rate_rad_s", &Spec::turn_rate_rad_s, "maximum turn rate [rad/s]"},
+      Field{"release_m", &Spec::release_m, "distance below which it stops turning [m]"},
+      Field{"drag_per_m", &Spec::drag_per_m, "quadratic drag of a ballistic one [1/m]"},
+      Field{"start_s", &Spec::start_s, "time at which it starts to move [s]"},
+      Field{"way_points", &Spec::way_points, "of a quadrotor [m]"},
+      Field{"body", &Spec::body, "body of a quadrotor, with its gains; default: a small one"},
+      Field{"gains", &Spec::gains, "gains of its controller"}};
+};
+
+template <>
+struct Fields<flight::RadarOptions> {
+  using Radar = flight::RadarOptions;
+  static constexpr std::tuple all{
+      Field{"kind", &Radar::kind, "radar, ideal or mocap"},
+      Field{"rate_hz", &Radar::rate_hz, "scans per second"},
+      Field{"half_azimuth_rad", &Radar::half_azimuth_rad, "half width of the field of view [rad]"},
+      Field{"half_elevation_rad", &Radar::half_elevation_rad, "half height of the field of view [rad]"},
+      Field{"max_range_m", &Radar::max_range_m, "range [m]"},
+      Field{"detection_probability", &Radar::detection_probability, "probability of a detection"},
+      Field{"sigma_range_m", &Radar::sigma_range_m, "noise of the range [m]"},
+      Field{"sigma_azimuth_rad", &Radar::sigma_azimuth_rad, "noise of the azimuth [rad]"},
+      Field{"sigma_elevation_rad", &Radar::sigma_elevation_rad, "noise of the elevation [rad]"},
+      Field{"sigma_range_rate_m_s", &Radar::sigma_range_rate_m_s, "noise of the range rate [m/s]"},
+      Field{"clutter_per_scan", &Radar::clutter_per_scan, "mean number of false detections in a scan"},
+      Field{"clutter_range_rate_m_s", &Radar::clutter_range_rate_m_s,
+            "their range rates are uniform within +- this [m/s]"},
+      Field{"noise_scale", &Radar::noise_scale, "factor of all sigmas"},
+      Field{"position_sigma_m", &Radar::position_sigma_m, "noise of ideal and mocap per axis [m]"},
+      Field{"delay_s", &Radar::delay_s, "time until the tracker gets a detection [s]"},
+      Field{"own_position_sigma_m", &Radar::own_position_sigma_m, "noise of the vehicle's own position per axis [m]"},
+      Field{"own_velocity_sigma_m_s", &Radar::own_velocity_sigma_m_s,
+            "noise of the vehicle's own velocity per axis [m/s]"}};
+};
+
+template <>
+struct Fields<flight::FieldOfViewArguments> {
+  using View = flight::FieldOfViewArguments;
+  static constexpr std::tuple all{Field{"position", &View::position, "position of the sensor [m]", Limits{}, true},
+                                  Field{"yaw", &View::yaw, "heading, levelled [rad]"},
+                                  Field{"half_azimuth_rad", &View::half_azimuth_rad, "half width [rad]"},
+                                  Field{"half_elevation_rad", &View::half_elevation_rad, "half height [rad]"},
+                                  Field{"max_range_m", &View::max_range_m, "range [m]"}};
+};
+
+namespace flight {
+namespace {
+
 using InKinematics = In<double, nb::shape<-1, 9>>;  // p, v, a
 using Scans = nb::typed<nb::dict, nb::str, nb::any>;
-
-Range range_of(const Pair& pair) { return {pair[0], pair[1]}; }
-Pair pair_of(const Range& range) { return {range.from, range.to}; }
-
-template <class Kind, std::size_t N>
-Kind kind_of(const std::array<const char*, N>& names, const std::string& name) {
-  for (std::size_t i = 0; i < N; ++i)
-    if (name == names[i]) return static_cast<Kind>(i);
-  std::string all;
-  for (const char* known : names) all += std::string(all.empty() ? "" : ", ") + known;
-  throw std::invalid_argument("a kind is one of " + all);
-}
-
-constexpr std::array kMotions{"constant-velocity", "accelerating", "curving", "ballistic", "quadrotor"};
-constexpr std::array kSensors{"radar", "ideal", "mocap"};
 
 Kinematics kinematics_at(const double* row) {
   using geometry::from_rows;
@@ -43,54 +136,16 @@ Kinematics kinematics_at(const double* row) {
 }
 
 void bind_spec(nb::module_& m) {
-  const ObstacleSpec d;
-  nb::class_<ObstacleSpec>(m, "ObstacleSpec",
-                           "A moving obstacle, to be drawn for each trial: alula/flight/obstacle_motion.hpp.\n\n"
-                           "Kinds: constant-velocity, accelerating, curving, ballistic, quadrotor. Pairs are ranges; "
-                           "angles in radian.")
-      .def(
-          "__init__",
-          [](ObstacleSpec* self, const std::string& kind, double radius, bool is_relative, const Triple& position,
-             double distance, const Pair& azimuth, const Pair& elevation, bool either_side, bool crosses,
-             const Triple& offset_sigma, const Pair& speed, const Pair& heading, const Pair& acceleration,
-             const Triple& velocity, bool aims_at_vehicle, const Triple& meeting_sigma, double max_speed,
-             double turn_rate, double release, double drag, double start, const std::vector<Triple>& way_points,
-             const std::optional<Quadrotor>& body, const std::optional<TrackingGains>& gains) {
-            ObstacleSpec spec;
-            spec.kind = kind_of<MotionKind>(kMotions, kind);
-            spec.radius_m = radius;
-            spec.is_relative = is_relative;
-            spec.position = vector_of(position);
-            spec.distance_m = distance;
-            spec.azimuth = range_of(azimuth), spec.elevation = range_of(elevation);
-            spec.either_side = either_side, spec.crosses = crosses;
-            spec.offset_sigma = vector_of(offset_sigma);
-            spec.speed_m_s = range_of(speed), spec.heading = range_of(heading);
-            spec.acceleration_m_s2 = range_of(acceleration);
-            spec.velocity = vector_of(velocity);
-            spec.aims_at_vehicle = aims_at_vehicle;
-            spec.meeting_sigma = vector_of(meeting_sigma);
-            spec.max_speed_m_s = max_speed, spec.turn_rate_rad_s = turn_rate, spec.release_m = release;
-            spec.drag_per_m = drag, spec.start_s = start;
-            for (const Triple& point : way_points) spec.way_points.push_back(vector_of(point));
-            if (body.has_value() != gains.has_value())
-              throw std::invalid_argument("a body needs its gains, and gains a body");
-            if (body) spec.pilot = {*body, *gains};
-            check(spec);
-            new (self) ObstacleSpec(std::move(spec));
-          },
-          nb::kw_only(), "kind"_a = kMotions[0], "radius_m"_a = d.radius_m, "is_relative"_a = d.is_relative,
-          "position"_a = triple_of(d.position), "distance_m"_a = d.distance_m, "azimuth_rad"_a = pair_of(d.azimuth),
-          "elevation_rad"_a = pair_of(d.elevation), "either_side"_a = d.either_side, "crosses"_a = d.crosses,
-          "offset_sigma_m"_a = triple_of(d.offset_sigma), "speed_m_s"_a = pair_of(d.speed_m_s),
-          "heading_rad"_a = pair_of(d.heading), "acceleration_m_s2"_a = pair_of(d.acceleration_m_s2),
-          "velocity_m_s"_a = triple_of(d.velocity), "aims_at_vehicle"_a = d.aims_at_vehicle,
-          "meeting_sigma_m"_a = triple_of(d.meeting_sigma), "max_speed_m_s"_a = d.max_speed_m_s,
-          "turn_rate_rad_s"_a = d.turn_rate_rad_s, "release_m"_a = d.release_m, "drag_per_m"_a = d.drag_per_m,
-          "start_s"_a = d.start_s, "way_points"_a = std::vector<Triple>{}, "body"_a = nb::none(),
-          "gains"_a = nb::none())
-      .def_prop_ro(
-          "kind", [](const ObstacleSpec& self) { return std::string(kMotions[static_cast<std::size_t>(self.kind)]); })
+  fields::bind_from<ObstacleSpec, ObstacleArguments>(
+      m, "ObstacleSpec",
+      "A moving obstacle, to be drawn for each trial: alula/flight/obstacle_motion.hpp. Pairs are ranges.",
+      [](ObstacleArguments given) {
+        if (given.body.has_value() != given.gains.has_value())
+          throw std::invalid_argument("a body needs its gains, and gains a body");
+        if (given.body) given.pilot = {*given.body, *given.gains};
+        return ObstacleSpec(std::move(given));
+      })
+      .def_prop_ro("kind", [](const ObstacleSpec& self) { return fields::Python<MotionKind>::out(self.kind); })
       .def_ro("radius_m", &ObstacleSpec::radius_m)
       .def_ro("start_s", &ObstacleSpec::start_s);
 
@@ -116,64 +171,19 @@ void bind_spec(nb::module_& m) {
       },
       "spec"_a, "vehicle"_a, nb::kw_only(), "dt_s"_a, "seed"_a = 0, "first_trial"_a = 0, "trials"_a = 1,
       "obstacle"_a = 0,
-      "What an obstacle does beside a vehicle whose states at k dt are rows (p, v, a) (N, 9), of each trial, shape "
+      "States of an obstacle beside a vehicle with states (p, v, a) (N, 9) at k dt, for each trial, shape "
       "(trials, N, 9).");
   m.def(
       "meeting_time",
       [](const Triple& r, const Triple& v, double s) { return meeting_time(vector_of(r), vector_of(v), s); }, "r"_a,
-      "v"_a, "s"_a, "The least t with |r + v t| = s t; where there is none, that of the nearest approach.");
+      "v"_a, "s"_a, "The smallest t with |r + v t| = s t; without one, the time of the nearest approach.");
 }
 
 void bind_radar(nb::module_& m) {
-  const RadarOptions d;
-  nb::class_<RadarOptions>(
-      m, "RadarOptions", "A sensor of obstacles: alula/tracking/radar.hpp. Kinds: radar, ideal (all, always), mocap.")
-      .def(
-          "__init__",
-          [](RadarOptions* self, const std::string& kind, double rate, double half_azimuth, double half_elevation,
-             double max_range, double probability, double sigma_range, double sigma_azimuth, double sigma_elevation,
-             double sigma_range_rate, double clutter, double clutter_range_rate, double noise_scale,
-             double position_sigma, double delay, double own_position, double own_velocity) {
-            const RadarOptions options{kind_of<SensorKind>(kSensors, kind),
-                                       rate,
-                                       half_azimuth,
-                                       half_elevation,
-                                       max_range,
-                                       probability,
-                                       sigma_range,
-                                       sigma_azimuth,
-                                       sigma_elevation,
-                                       sigma_range_rate,
-                                       clutter,
-                                       clutter_range_rate,
-                                       noise_scale,
-                                       position_sigma,
-                                       delay,
-                                       own_position,
-                                       own_velocity};
-            check(options);
-            new (self) RadarOptions(options);
-          },
-          nb::kw_only(), "kind"_a = kSensors[0], "rate_hz"_a = d.rate_hz, "half_azimuth_rad"_a = d.half_azimuth_rad,
-          "half_elevation_rad"_a = d.half_elevation_rad, "max_range_m"_a = d.max_range_m,
-          "detection_probability"_a = d.detection_probability, "sigma_range_m"_a = d.sigma_range_m,
-          "sigma_azimuth_rad"_a = d.sigma_azimuth_rad, "sigma_elevation_rad"_a = d.sigma_elevation_rad,
-          "sigma_range_rate_m_s"_a = d.sigma_range_rate_m_s, "clutter_per_scan"_a = d.clutter_per_scan,
-          "clutter_range_rate_m_s"_a = d.clutter_range_rate_m_s, "noise_scale"_a = d.noise_scale,
-          "position_sigma_m"_a = d.position_sigma_m, "delay_s"_a = d.delay_s,
-          "own_position_sigma_m"_a = d.own_position_sigma_m, "own_velocity_sigma_m_s"_a = d.own_velocity_sigma_m_s)
-      .def_ro("rate_hz", &RadarOptions::rate_hz)
-      .def_ro("delay_s", &RadarOptions::delay_s);
-  nb::class_<FieldOfView>(m, "FieldOfView", "Where a scan could find something.")
-      .def(
-          "__init__",
-          [](FieldOfView* self, const Triple& position, double yaw, double half_azimuth, double half_elevation,
-             double max_range) {
-            new (self) FieldOfView{vector_of(position), yaw, half_azimuth, half_elevation, max_range};
-          },
-          nb::kw_only(), "position"_a, "yaw"_a = 0.0, "half_azimuth_rad"_a = d.half_azimuth_rad,
-          "half_elevation_rad"_a = d.half_elevation_rad, "max_range_m"_a = d.max_range_m,
-          "Of a sensor at a position [m], levelled, looking along yaw [rad].")
+  fields::bind<RadarOptions>(m, "RadarOptions", "A sensor of obstacles: alula/tracking/radar.hpp.");
+  fields::bind_from<FieldOfView, FieldOfViewArguments>(
+      m, "FieldOfView", "Field of view of a scan.",
+      [](const FieldOfViewArguments& given) { return FieldOfView(given); })
       .def(
           "holds",
           [](const FieldOfView& self, const Triple& mean, const std::array<Triple, 3>& covariance, double margin) {
@@ -183,7 +193,7 @@ void bind_radar(nb::module_& m) {
             return self.holds(vector_of(mean), m, margin);
           },
           "mean"_a, "covariance"_a, "margin"_a,
-          "Whether it has all within `margin` standard deviations of the range and of both angles.");
+          "True when it contains all within `margin` standard deviations of the range and of both angles.");
 
   m.def(
       "radar_scans",
@@ -224,7 +234,8 @@ void bind_radar(nb::module_& m) {
         return result;
       },
       "options"_a, "vehicle"_a, "yaw"_a, "truth"_a, nb::kw_only(), "seed"_a = 0, "trial"_a = 0, "first_step"_a = 0,
-      "Detections of scans at states (N, 9), headings (N,) and truths (N, obstacles, 9); `scan` says of which one.");
+      "Detections of scans at states (N, 9), headings (N,) and truths (N, obstacles, 9); `scan` is the number of the "
+      "scan.");
   m.def(
       "own_states",
       [](const RadarOptions& options, const InKinematics& vehicle, std::uint64_t seed, std::uint32_t trial,
@@ -238,11 +249,12 @@ void bind_radar(nb::module_& m) {
         return rows.array({vehicle.shape(0), 9});
       },
       "options"_a, "vehicle"_a, nb::kw_only(), "seed"_a = 0, "trial"_a = 0, "first_step"_a = 0,
-      "What a vehicle at states (N, 9) believes of itself.");
+      "The own states that a vehicle at states (N, 9) measures.");
 }
 
 }  // namespace
-}  // namespace alula::flight
+}  // namespace flight
+}  // namespace alula
 
 void bind_moving_world(nb::module_& m) {
   alula::flight::bind_spec(m);

@@ -14,11 +14,50 @@
 
 #include "alula/tracking/tracker.hpp"
 #include "arrays.hpp"
+#include "fields.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
 
-namespace alula::flight {
+namespace alula {
+
+template <>
+struct Fields<flight::TrackerOptions> {
+  using Options = flight::TrackerOptions;
+  static constexpr std::tuple all{
+      Field{"gate", &Options::gate, "maximum squared Mahalanobis distance of an association"},
+      Field{"confirm_hits", &Options::confirm_hits, "hits that confirm a track"},
+      Field{"confirm_scans", &Options::confirm_scans, "of so many scans"},
+      Field{"delete_misses", &Options::delete_misses, "misses in a row that delete a track"},
+      Field{"coast_s", &Options::coast_s,
+            "time without a detection, out of the field of view, that deletes a confirmed track [s]"},
+      Field{"field_margin", &Options::field_margin,
+            "standard deviations of a position that the field of view must contain"},
+      Field{"acceleration_noise", &Options::acceleration_noise,
+            "spectral density of the white acceleration [m^2/s^3]"},
+      Field{"jerk_noise", &Options::jerk_noise, "spectral density of the white jerk [m^2/s^5]"},
+      Field{"with_turn", &Options::with_turn, "use the model of a coordinated turn"},
+      Field{"turn_noise", &Options::turn_noise, "spectral density of the turn rate's derivative [rad^2/s^3]"},
+      Field{"transition", &Options::transition, "per scan, of constant velocity and acceleration"},
+      Field{"prior", &Options::prior, "of these models"},
+      Field{"turn_transition", &Options::turn_transition, "per scan, of these and the turn"},
+      Field{"turn_prior", &Options::turn_prior, "of these three models"},
+      Field{"start_variance", &Options::start_variance, "of position, velocity and acceleration per axis"},
+      Field{"cross_range_variance", &Options::cross_range_variance,
+            "of the initial velocity across the line of sight [m^2/s^2]"},
+      Field{"turn_variance", &Options::turn_variance,
+            "of the turn rate, at the start and of a model without it [rad^2/s^2]"},
+      Field{"mixing_variance", &Options::mixing_variance,
+            "of the acceleration of a model without it, where models mix [m^2/s^4]"},
+      Field{"mixes", &Options::mixes, "models restart from mixtures in each scan"},
+      Field{"gates_models", &Options::gates_models, "SAFE-IMM"},
+      Field{"heavy_tails", &Options::heavy_tails, "SAFE-IMM"},
+      Field{"adapts_transition", &Options::adapts_transition, "SAFE-IMM"},
+      Field{"winner_takes_all", &Options::winner_takes_all, "SAFE-IMM"},
+      Field{"jamming", &Options::jamming, "SAFE-IMM"}};
+};
+
+namespace flight {
 namespace {
 
 using Covariances = In<double, nb::shape<-1, 3, 3>>;
@@ -89,71 +128,17 @@ nb::ndarray<nb::numpy, int> assigned(In<double, nb::shape<-1, -1>> cost, double 
   return to_numpy(std::move(column), {rows});
 }
 
-void bind_options(nb::module_& m) {
-  const TrackerOptions o;
-  nb::class_<TrackerOptions>(m, "TrackerOptions", "How moving obstacles are tracked; fixed once made.")
-      .def(
-          "__init__",
-          [](TrackerOptions* self, double gate, int confirm_hits, int confirm_scans, int delete_misses,
-             double coast_s, double field_margin, double acceleration_noise, double jerk_noise, double turn_noise,
-             bool with_turn, std::array<double, 4> transition, std::array<double, 2> prior,
-             std::array<double, 9> turn_transition, std::array<double, 3> turn_prior,
-             std::array<double, 3> start_variance, double cross_range_variance, double turn_variance,
-             double mixing_variance, bool mixes, bool gates_models, bool heavy_tails, bool adapts_transition,
-             bool winner_takes_all, bool jamming) {
-            new (self) TrackerOptions{.gate = gate,
-                                      .confirm_hits = confirm_hits,
-                                      .confirm_scans = confirm_scans,
-                                      .delete_misses = delete_misses,
-                                      .coast_s = coast_s,
-                                      .field_margin = field_margin,
-                                      .acceleration_noise = acceleration_noise,
-                                      .jerk_noise = jerk_noise,
-                                      .with_turn = with_turn,
-                                      .turn_noise = turn_noise,
-                                      .transition = transition,
-                                      .prior = prior,
-                                      .turn_transition = turn_transition,
-                                      .turn_prior = turn_prior,
-                                      .start_variance = start_variance,
-                                      .cross_range_variance = cross_range_variance,
-                                      .turn_variance = turn_variance,
-                                      .mixing_variance = mixing_variance,
-                                      .mixes = mixes,
-                                      .gates_models = gates_models,
-                                      .heavy_tails = heavy_tails,
-                                      .adapts_transition = adapts_transition,
-                                      .winner_takes_all = winner_takes_all,
-                                      .jamming = jamming};
-          },
-          nb::kw_only(), "gate"_a = o.gate, "confirm_hits"_a = o.confirm_hits, "confirm_scans"_a = o.confirm_scans,
-          "delete_misses"_a = o.delete_misses, "coast_s"_a = o.coast_s, "field_margin"_a = o.field_margin,
-          "acceleration_noise"_a = o.acceleration_noise, "jerk_noise"_a = o.jerk_noise, "turn_noise"_a = o.turn_noise,
-          "with_turn"_a = o.with_turn, "transition"_a = o.transition, "prior"_a = o.prior,
-          "turn_transition"_a = o.turn_transition, "turn_prior"_a = o.turn_prior,
-          "start_variance"_a = o.start_variance, "cross_range_variance"_a = o.cross_range_variance,
-          "turn_variance"_a = o.turn_variance, "mixing_variance"_a = o.mixing_variance, "mixes"_a = o.mixes,
-          "gates_models"_a = o.gates_models, "heavy_tails"_a = o.heavy_tails,
-          "adapts_transition"_a = o.adapts_transition, "winner_takes_all"_a = o.winner_takes_all,
-          "jamming"_a = o.jamming,
-          "gate: of a squared Mahalanobis distance. *_noise: spectral densities [m^2/s^3, m^2/s^5, rad^2/s^3]. "
-          "transition (per scan) and prior: of constant velocity and acceleration; turn_*: of these and a "
-          "coordinated "
-          "turn, used with_turn. start_variance: position, velocity, acceleration per axis. mixing_variance, "
-          "turn_variance: of the acceleration and the turn rate that a model without them lends to the others. "
-          "mixes: "
-          "models restart from mixtures each scan. The last five are additions of SAFE-IMM.");
-}
-
 }  // namespace
-}  // namespace alula::flight
+}  // namespace flight
+}  // namespace alula
 
 void bind_tracker(nb::module_& m) {
+  using namespace alula;
   using namespace alula::flight;
-  bind_options(m);
+  fields::bind<TrackerOptions>(m, "TrackerOptions", "How moving obstacles are tracked; fixed once made.");
   nb::class_<Tracker>(m, "Tracker", "Tracks of moving obstacles: nearest neighbours and interacting multiple models.")
       .def(nb::init<const TrackerOptions&, std::size_t>(), "options"_a = TrackerOptions{}, "most"_a = 128,
-           "Of at most `most` tracks at a time. ValueError for options that mean nothing.")
+           "A tracker of at most `most` tracks at a time. ValueError for invalid options.")
       .def("reset", &Tracker::reset, "Forget everything.")
       .def(
           "update", &update, "t"_a, "position"_a, "covariance"_a, "los"_a = nb::none(), "range_rate"_a = nb::none(),

@@ -106,12 +106,12 @@ bool AccelerationProgram::solve(FilterReport& report, bool unsafe) {
 
 void AccelerationProgram::brake(FilterReport& report, Vec3 v, double rate, double limit) const {
   const double speed = geometry::norm(v);
-  double share = rate;
-  if (share * speed > limit) share = limit / speed;
+  double braking_rate = rate;
+  if (braking_rate * speed > limit) braking_rate = limit / speed;
   for (int axis = 0; axis < 3; ++axis)
-    if (share * std::abs(v[axis]) > limit_) share = limit_ / std::abs(v[axis]);
-  report.acceleration = -share * v;
-  const bool good = holds(report.acceleration, kTolerance * (1 + share * speed), false);
+    if (braking_rate * std::abs(v[axis]) > limit_) braking_rate = limit_ / std::abs(v[axis]);
+  report.acceleration = -braking_rate * v;
+  const bool good = holds(report.acceleration, kTolerance * (1 + braking_rate * speed), false);
   report.status = good ? SplatFilterStatus::filtered : SplatFilterStatus::recovering;
 }
 

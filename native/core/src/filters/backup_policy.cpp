@@ -61,7 +61,7 @@ BackupPolicy::BackupPolicy(const Quadrotor& vehicle, BackupKind kind, const Back
                       k.yaw_damping_1_s, k.torque_weight.x, k.torque_weight.y, k.torque_weight.z}),
             "gains of the brake must be positive");
     require(k.tilt_rad <= 1.2, "the tilt of the brake must be at most 1.2 rad");
-    require(k.torque_share > 0 && k.torque_share < 1, "torque_share must lie between 0 and 1");
+    require(k.torque_fraction > 0 && k.torque_fraction < 1, "torque_share must lie between 0 and 1");
     const double w = k.attitude_rad_s;
     k_tilt_ = w * w * Vec3{inertia.x, inertia.y, 0};
     k_omega_ = multiply({2 * k.attitude_damping * w, 2 * k.attitude_damping * w, k.yaw_damping_1_s}, inertia);
@@ -102,7 +102,7 @@ BackupPolicy::BackupPolicy(const Quadrotor& vehicle, BackupKind kind, const Back
     return;
   }
   for (std::size_t i = 0; i < 4; ++i)
-    scale = std::min(scale, k.torque_share * margin[i] / torque_of(i, k.torque_weight));
+    scale = std::min(scale, k.torque_fraction * margin[i] / torque_of(i, k.torque_weight));
   torque_cap_ = scale * k.torque_weight;
   up_ = down_ = inf;
   for (std::size_t i = 0; i < 4; ++i) {

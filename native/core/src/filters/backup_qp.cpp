@@ -81,9 +81,9 @@ BackupQpReport BackupQp::filter(const RacerState& x, const RacerCommand& pilot) 
   add(Number(config_.end_gain) * (Number(config_.end_speed_m_s) - speed));
   if (report.h_i > 0 || !has_hold_) hold_ = hold, has_hold_ = true;
 
-  const std::array<double, 4> wished{model_.acceleration(pilot.throttle), pilot.rates.x, pilot.rates.y,
+  const std::array<double, 4> target{model_.acceleration(pilot.throttle), pilot.rates.x, pilot.rates.y,
                                      pilot.rates.z};
-  const QpResult found = rows_.nearest(wished, {most, rate.x, rate.y, rate.z});
+  const QpResult found = rows_.nearest(target, {most, rate.x, rate.y, rate.z});
   report.rows = rows_.size();
   report.is_infeasible = found.status != QpStatus::optimal;
   if (report.is_infeasible) {

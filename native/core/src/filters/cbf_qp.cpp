@@ -26,7 +26,7 @@ class CbfQp final : public MovingFilter {
                       std::span<const alula_wall> walls, Vec3 nominal) override {
     alula_guidance guidance;
     if (!guide_.step(vehicle, tracks, walls, nominal, guidance)) return {};
-    const Vec3 wished = to_vec3(guidance.wished), v = to_vec3(vehicle.velocity);
+    const Vec3 target = to_vec3(guidance.wished), v = to_vec3(vehicle.velocity);
     nearest_.clear();
     for (std::size_t i = 0; i < tracks.size() && guide_.binds(guidance); ++i) {
       const alula_encounter& m = guide_.encounters()[i];
@@ -37,11 +37,11 @@ class CbfQp final : public MovingFilter {
       nearest_.add(n, dot(n, to_vec3(tracks[i].velocity)) + (d * d - r * r) / (2 * options_.horizon_s * d));
     }
     const double time = options_.velocity_time_s;
-    Vec3 a = wished;
+    Vec3 a = target;
     bool holds = true;
     int iterations = 0;
     if (nearest_.size() > 0) {
-      const Vec3 towards = v + time * wished;
+      const Vec3 towards = v + time * target;
       Vec3 command = towards;
       holds = nearest_.solve(towards, command, iterations);
       if (!holds) command = nearest_.least_violation(towards, guide_.config().v_max);

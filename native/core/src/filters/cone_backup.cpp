@@ -28,7 +28,7 @@ ConeBackup::ConeBackup(const BackupPolicy& policy, std::shared_ptr<const Ellipso
       options_(options),
       pruner_(index, options.pruning),
       roomy_(index, options.shielded ? options.room_m : 0),
-      shield_(policy, index, options.shield),
+      shield_(policy, index, options.shield_options),
       flow_(policy, options.horizon_s, options.nodes, steps_of(policy, options), policy.escapes()),
       program_(policy.vehicle(), rows_of(options), std::move(solver)) {
   const ConeBackupOptions& o = options_;
@@ -38,7 +38,7 @@ ConeBackup::ConeBackup(const BackupPolicy& policy, std::shared_ptr<const Ellipso
   require(o.alpha_running > 0 && o.alpha_terminal > 0 && std::isfinite(o.alpha_running + o.alpha_terminal),
           "alpha_running and alpha_terminal must be positive");
   require(o.first_node >= 0 && o.first_node <= o.nodes, "the first node must be one of the nodes");
-  require(o.min_speed_m_s >= 0 && o.far > 0, "the least speed must not be negative, and what is far positive");
+  require(o.min_speed_m_s >= 0 && o.far > 0, "min_speed_m_s must not be negative, and far must be positive");
   require(o.room_m >= 0 && std::isfinite(o.room_m), "the room of rows must not be negative");
   require(o.lateral_bias >= 0 && o.lateral_bias < 1 && o.tracking.weight >= 0 && o.tracking.rate > 0 &&
               o.tracking.kp > 0 && o.tracking.kv > 0,
@@ -55,7 +55,7 @@ Manoeuvre ConeBackup::plan(const State& x, std::span<const Found> near) {
     const Escapes escapes = escape_velocities(pruner_.index(), near, x.p, x.v);
     if (escapes.count > 0) chosen = {escapes.velocity[0], shield_.hold_ticks()};
   }
-  chosen.ticks = static_cast<int>(std::lround(chosen.ticks * options_.shield.tick_s / flow_.step()));
+  chosen.ticks = static_cast<int>(std::lround(chosen.ticks * options_.shield_options.tick_s / flow_.step()));
   return chosen;
 }
 
@@ -95,8 +95,9 @@ FilterReport ConeBackup::filter(const FlightState& state, const Nominal& nominal
   const std::span<const Found> near = pruner_.near(state.x.p, state.x.v, true, report);
   flow_.run(state.x, plan(state.x, near));
 
-  const Vec4 asked{nominal.wrench.thrust, nominal.wrench.torque.x, nominal.wrench.torque.y, nominal.wrench.torque.z};
-  program_.start(asked);
+  const Vec4 nominal_input{nominal.wrench.thrust, nominal.wrench.torque.x, nominal.wrench.torque.y,
+                           nominal.wrench.torque.z};
+  program_.start(nominal_input);
   bool inside = false;
   const bool head_on = add_rows(state.x, near, report, inside);
   program_.track(o.tracking, nominal, thrust_axis(state.x.sigma), vehicle.gravity());
@@ -108,7 +109,7 @@ FilterReport ConeBackup::filter(const FlightState& state, const Nominal& nominal
     finish(shield, state.x, wrench, unsafe ? SplatFilterStatus::recovering : status, status, near, report);
     return report;
   };
-  if (program_.holds(asked) && program_.tracks(asked) && vehicle.admissible(nominal.wrench))
+  if (program_.holds(nominal_input) && program_.tracks(nominal_input) && vehicle.admissible(nominal.wrench))
     return end(nominal.wrench, nominal.thrust_rate, SplatFilterStatus::ok);
 
   Vec4 best{};
@@ -117,12 +118,12 @@ FilterReport ConeBackup::filter(const FlightState& state, const Nominal& nominal
     if (program_.interpolate({base.thrust, base.torque.x, base.torque.y, base.torque.z}, best, report))
       return end(vehicle.limited(program_.wrench(best)), 0, SplatFilterStatus::filtered);
   } else {
-    Vec4 wished = asked;
+    Vec4 target = nominal_input;
     if (head_on) {
       const Vec3 torque = tilting_torque(program_, state.x, side_of(state.x.v), o.lateral_bias);
-      for (std::size_t j = 0; j < 3; ++j) wished[j + 1] += torque[static_cast<int>(j)];
+      for (std::size_t j = 0; j < 3; ++j) target[j + 1] += torque[static_cast<int>(j)];
     }
-    if (program_.solve(wished, best, report))
+    if (program_.solve(target, best, report))
       return end(vehicle.limited(program_.wrench(best)), 0, SplatFilterStatus::filtered);
   }
   fly_backup(shield, policy_, state.x, o.try_nominal ? &nominal.wrench : nullptr, near, report);

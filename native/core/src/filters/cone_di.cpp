@@ -30,9 +30,9 @@ ConeDi::ConeDi(std::shared_ptr<const EllipsoidIndex> index, const ConeDiOptions&
   if (!(options.max_acceleration > 0) || !positive(options.max_braking))
     throw std::invalid_argument("limits of the acceleration must be positive");
   if (!at_least_zero(options.lateral_bias)) throw std::invalid_argument("lateral_bias must be at least 0");
-  if (!at_least_zero(options.clf_weight)) throw std::invalid_argument("clf_weight must be at least 0");
+  if (!at_least_zero(options.tracking.weight)) throw std::invalid_argument("clf_weight must be at least 0");
   cones_.reserve(pruner_.most());
-  if (!positive(options.clf_rate) || !positive(options.clf_kp) || !positive(options.clf_kv))
+  if (!positive(options.tracking.rate) || !positive(options.tracking.kp) || !positive(options.tracking.kv))
     throw std::invalid_argument("rate and gains of the tracking row must be positive");
 }
 
@@ -43,14 +43,14 @@ Cone ConeDi::cone(std::uint32_t item, Vec3 p, Vec3 v) const {
 }
 
 void ConeDi::add_tracking_row(const Nominal& nominal) {
-  const double kp = options_.clf_kp, kv = options_.clf_kv;
+  const double kp = options_.tracking.kp, kv = options_.tracking.kv;
   const double p12 = 1 / (2 * kp), p22 = (1 + 2 * p12) / (2 * kv), p11 = kv * p12 + kp * p22;
   const Vec3 e_p = nominal.position_error, e_v = nominal.velocity_error;
   const Vec3 x = p11 * e_p + p12 * e_v, y = p12 * e_p + p22 * e_v;
   const double value = 0.5 * (dot(e_p, x) + dot(e_v, y));
   if (dot(y, y) == 0) return;
-  program_.add_soft({-1 * y, dot(e_v, x) - dot(y, nominal.reference_acceleration) + options_.clf_rate * value},
-                    options_.clf_weight);
+  program_.add_soft({-1 * y, dot(e_v, x) - dot(y, nominal.reference_acceleration) + options_.tracking.rate * value},
+                    options_.tracking.weight);
 }
 
 Vec3 ConeDi::bias(Vec3 v) const {
@@ -74,7 +74,7 @@ Vec3 ConeDi::bias(Vec3 v) const {
 FilterReport ConeDi::filter(const FlightState& state, const Nominal& nominal) {
   FilterReport report;
   const Vec3 p = state.x.p, v = state.x.v;
-  const bool tracks = options_.clf_weight > 0;
+  const bool tracks = options_.tracking.weight > 0;
   if (!is_finite(p) || !is_finite(v) || !is_finite(nominal.acceleration) || !std::isfinite(dot(v, v)) ||
       (tracks && !(is_finite(nominal.position_error) && is_finite(nominal.velocity_error) &&
                    is_finite(nominal.reference_acceleration)))) {

@@ -29,21 +29,22 @@ ConeEcbf::ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIn
       options_(options),
       pruner_(index, options.pruning),
       roomy_(index, options.shielded ? options.room_m : 0),
-      shield_(policy, index, options.shield),
+      shield_(policy, index, options.shield_options),
       program_(policy.vehicle(), options.pruning.count, std::move(solver)),
-      wish_(options.pruning.count, options.wish) {
+      smooth_(options.pruning.count, options.smooth_nominal) {
   const ConeEcbfOptions& o = options_;
   const auto require = [](bool holds, const char* what) {
     if (!holds) throw std::invalid_argument(what);
   };
-  require(o.lambda > 0 && o.lambda_max >= o.lambda && std::isfinite(o.lambda_max) && o.escape_rate > 0 &&
-              o.return_time >= 0 && o.min_speed_m_s >= 0 && std::isfinite(o.min_speed_m_s),
-          "poles of the cone filter need 0 < lambda <= lambda_max, a positive escape rate, a return time and a least "
-          "speed");
-  require(o.thrust_bandwidth_rad_s > 0 && o.thrust_bandwidth_rad_s * o.shield.tick_s < 1,
+  require(
+      o.lambda > 0 && o.lambda_max >= o.lambda && std::isfinite(o.lambda_max) && o.escape_rate > 0 &&
+          o.return_time >= 0 && o.min_speed_m_s >= 0 && std::isfinite(o.min_speed_m_s),
+      "poles of the cone filter need 0 < lambda <= lambda_max, a positive escape rate, a return time and a minimum "
+      "speed");
+  require(o.thrust_bandwidth_rad_s > 0 && o.thrust_bandwidth_rad_s * o.shield_options.tick_s < 1,
           "the bandwidth of the thrust times the tick must lie between 0 and 1");
-  require(o.thrust_damping > 0 && o.max_thrust_rate_n_s > 0 && o.least_thrust >= 0 && o.least_thrust < 1,
-          "damping and rate of the thrust must be positive, and its least share of hover below 1");
+  require(o.thrust_damping > 0 && o.max_thrust_rate_n_s > 0 && o.min_thrust >= 0 && o.min_thrust < 1,
+          "damping and rate of the thrust must be positive, and its minimum below that of hover");
   require(o.room_m >= 0 && std::isfinite(o.room_m), "the room of rows must not be negative");
   require(o.lateral_bias >= 0 && o.lateral_bias < 1 && o.tracking.weight >= 0 && o.tracking.rate > 0 &&
               o.tracking.kp > 0 && o.tracking.kv > 0,
@@ -70,7 +71,7 @@ bool ConeEcbf::add_rows(const FlightState& state, const SnapMap& map, std::span<
     report.margin = std::min(report.margin, on_gamma ? c.gamma : c.h);
     const SnapRow snap =
         on_gamma ? snap_escape_row(c, d, map, options_.escape_rate) : ecbf_row(c, d, map, pole(c, d));
-    wish_.add(c, on_gamma, found.item);
+    smooth_.add(c, on_gamma, found.item);
     program_.add({{snap.row[0] * affine_unit_, snap.row[1], snap.row[2], snap.row[3]},
                   snap.bound - snap.row[0] * affine_zero_},
                  found.item);
@@ -86,7 +87,7 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
   shield_.see(state.rotors);
   const Quadrotor& vehicle = policy_.vehicle();
   const ConeEcbfOptions& o = options_;
-  const double m = vehicle.mass(), dt = o.shield.tick_s;
+  const double m = vehicle.mass(), dt = o.shield_options.tick_s;
   const double u = state.thrust / m, u1 = state.thrust_rate / m;
   const bool extends = o.cascade == ThrustCascade::extension;
   const bool moves = geometry::norm(state.x.v) >= o.min_speed_m_s;
@@ -95,15 +96,16 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
 
   // z is the variable: u_T'' = affine_zero + affine_unit z, T = zero + unit z.
   const double w = o.thrust_bandwidth_rad_s, coasting = u + u1 * dt;
-  Vec4 asked{nominal.wrench.thrust, nominal.wrench.torque.x, nominal.wrench.torque.y, nominal.wrench.torque.z};
+  Vec4 nominal_input{nominal.wrench.thrust, nominal.wrench.torque.x, nominal.wrench.torque.y,
+                     nominal.wrench.torque.z};
   if (extends) {
-    asked[0] = nominal.thrust_acceleration / m + 2 * o.thrust_damping * w * (nominal.thrust_rate / m - u1) +
-               w * w * (nominal.wrench.thrust / m - u);
+    nominal_input[0] = nominal.thrust_acceleration / m + 2 * o.thrust_damping * w * (nominal.thrust_rate / m - u1) +
+                       w * w * (nominal.wrench.thrust / m - u);
     affine_zero_ = 0, affine_unit_ = 1;
-    program_.start(asked, m * coasting, m * dt * dt / 2, w * w * vehicle.max_thrust() / m);
+    program_.start(nominal_input, m * coasting, m * dt * dt / 2, w * w * vehicle.max_thrust() / m);
   } else {
     affine_zero_ = -coasting / (dt * dt), affine_unit_ = 1 / (m * dt * dt);
-    program_.start(asked);
+    program_.start(nominal_input);
   }
   const auto thrust_row = [&](double sign, double bound) {  // sign T >= bound
     const double unit = extends ? m * dt * dt / 2 : 1, zero = extends ? m * coasting : 0;
@@ -113,10 +115,10 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
     const double unit = extends ? m * dt : 1 / dt, zero = extends ? m * u1 : -m * u / dt;
     program_.add_limit({{sign * unit, 0, 0, 0}, -o.max_thrust_rate_n_s - sign * zero});
   };
-  thrust_row(1, o.least_thrust * vehicle.hover_thrust());
+  thrust_row(1, o.min_thrust * vehicle.hover_thrust());
   if (extends) rate_row(1), rate_row(-1);
   bool inside = false;
-  wish_.start(dt);
+  smooth_.start(dt);
   const bool head_on = add_rows(state, map, near, moves, report, inside);
   program_.track(o.tracking, nominal, map.per_thrust, vehicle.gravity());
 
@@ -127,27 +129,29 @@ FilterReport ConeEcbf::filter(const FlightState& state, const Nominal& nominal) 
     return report;
   };
   const double close = kSameThrust * vehicle.hover_thrust();
-  const bool at_nominal = !extends || std::abs(program_.wrench(asked).thrust - nominal.wrench.thrust) <= close;
-  const bool holds = program_.holds(asked), releases = wish_.is_releasing();
-  if (!releases && at_nominal && holds && program_.tracks(asked) && vehicle.admissible(nominal.wrench))
+  const bool at_nominal =
+      !extends || std::abs(program_.wrench(nominal_input).thrust - nominal.wrench.thrust) <= close;
+  const bool holds = program_.holds(nominal_input), releases = smooth_.is_releasing();
+  if (!releases && at_nominal && holds && program_.tracks(nominal_input) && vehicle.admissible(nominal.wrench))
     return end(nominal.wrench, nominal.thrust_rate, SplatFilterStatus::ok);
 
-  Vec4 wished = asked, best{};
-  if (wish_.is_on() && (releases || !(holds || program_.clears(asked))) && u > kLeastThrust * vehicle.gravity()) {
-    wished = snap_input(vehicle, state, map, wish_.snap(map, state.x.v, nominal), nominal.wrench.torque.z);
-    wished[0] = (wished[0] - affine_zero_) / affine_unit_;
-    if (!releases || !program_.clears(wished)) wish_.hold();
+  Vec4 target = nominal_input, best{};
+  if (smooth_.is_on() && (releases || !(holds || program_.clears(nominal_input))) &&
+      u > kLeastThrust * vehicle.gravity()) {
+    target = snap_input(vehicle, state, map, smooth_.snap(map, state.x.v, nominal), nominal.wrench.torque.z);
+    target[0] = (target[0] - affine_zero_) / affine_unit_;
+    if (!releases || !program_.clears(target)) smooth_.hold();
   }
   if (head_on) {
     const Vec3 torque = tilting_torque(program_, state.x, side_of(state.x.v), o.lateral_bias);
-    for (std::size_t j = 0; j < 3; ++j) wished[j + 1] += torque[static_cast<int>(j)];
+    for (std::size_t j = 0; j < 3; ++j) target[j + 1] += torque[static_cast<int>(j)];
   }
-  if (program_.solve(wished, best, report)) {
+  if (program_.solve(target, best, report)) {
     const Wrench wrench = vehicle.limited(program_.wrench(best));
     const double rate = extends ? state.thrust_rate + m * dt * best[0] : (wrench.thrust - state.thrust) / dt;
     return end(wrench, rate, SplatFilterStatus::filtered);
   }
-  wish_.hold();
+  smooth_.hold();
   fly_backup(o.shielded ? &shield_ : nullptr, policy_, state.x, o.try_nominal ? &nominal.wrench : nullptr, near,
              report);
   return report;

@@ -21,7 +21,7 @@ struct Form {
   double rv, rl, ru;
 };
 
-// The least angle beyond `angle` at which (cos, sin) leaves {a cos^2 + 2 b cos sin + c sin^2 < 0}; pi if there is
+// The smallest angle beyond `angle` at which (cos, sin) leaves {a cos^2 + 2 b cos sin + c sin^2 < 0}; pi if there is
 // none.
 double leave(double a, double b, double c, double angle) {
   const double discriminant = b * b - a * c;

@@ -83,12 +83,12 @@ Geofence::Geofence(const Fence& fence, const alula_geofence_config& config) : fe
 
 GeofenceReport Geofence::filter(const RacerState* navigation, const RacerCommand* pilot) {
   alula_racer_state state;
-  alula_racer_command wished;
+  alula_racer_command command;
   if (navigation != nullptr) state = to_onboard(*navigation);
-  if (pilot != nullptr) wished = to_onboard(*pilot);
+  if (pilot != nullptr) command = to_onboard(*pilot);
   GeofenceReport report;
   report.status = alula_geofence_filter(&filter_, navigation != nullptr ? &state : nullptr,
-                                        pilot != nullptr ? &wished : nullptr, &report.detail);
+                                        pilot != nullptr ? &command : nullptr, &report.detail);
   report.command = report.status == ALULA_GEOFENCE_PASSED ? *pilot : from_onboard(report.detail.command);
   return report;
 }

@@ -46,9 +46,9 @@ void NearestPoint::add_box(double limit) {
   }
 }
 
-bool NearestPoint::solve(Vec3 wish, Vec3& x, int& iterations) {
+bool NearestPoint::solve(Vec3 target, Vec3& x, int& iterations) {
   constexpr std::array<double, 9> identity{1, 0, 0, 0, 1, 0, 0, 0, 1};
-  const std::array<double, 3> gradient{-wish.x, -wish.y, -wish.z};
+  const std::array<double, 3> gradient{-target.x, -target.y, -target.z};
   const QpResult result = solver_.solve({3, identity, gradient, rows_, bounds_});
   iterations = result.iterations;
   if (result.status != QpStatus::optimal) return false;
@@ -66,7 +66,7 @@ double NearestPoint::violation(Vec3 x, double shortest) const {
   return most;
 }
 
-Vec3 NearestPoint::least_violation(Vec3 wish, double limit) {
+Vec3 NearestPoint::least_violation(Vec3 target, double limit) {
   unit_.clear();
   for (std::size_t i = 0; i < size(); ++i) {
     const Vec3 n = -1 * geometry::from_rows(rows_.data() + 3 * i);
@@ -77,7 +77,8 @@ Vec3 NearestPoint::least_violation(Vec3 wish, double limit) {
   }
   alula_projection found;
   const auto count = static_cast<std::uint32_t>(unit_.size());
-  alula_project_least_violation(unit_.data(), count, count, static_cast<float>(limit), to_float(wish).data(), &found);
+  alula_project_least_violation(unit_.data(), count, count, static_cast<float>(limit), to_float(target).data(),
+                                &found);
   return to_vec3(found.a);
 }
 
@@ -111,9 +112,9 @@ bool Guide::step(const alula_vehicle_state& vehicle, std::span<const alula_track
 MovingReport Guide::finish(const alula_guidance& guidance, const alula_vehicle_state& vehicle,
                            std::span<const alula_wall> walls, Vec3 nominal, Vec3 a, bool holds) {
   const float limit = config_.avoidance.a_max;
-  const auto wish = to_float(a);
+  const auto target = to_float(a);
   std::array<float, 3> flown;
-  for (std::size_t k = 0; k < 3; ++k) flown[k] = std::clamp(wish[k], -limit, limit);
+  for (std::size_t k = 0; k < 3; ++k) flown[k] = std::clamp(target[k], -limit, limit);
   double missed = -std::numeric_limits<double>::infinity();
   if (!walls.empty()) {
     std::array<alula_half_space, ALULA_WALLS> row;

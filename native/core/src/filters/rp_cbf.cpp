@@ -49,16 +49,16 @@ class RpCbf final : public MovingFilter {
                       std::span<const alula_wall> walls, Vec3 nominal) override {
     alula_guidance guidance;
     if (!guide_.step(vehicle, tracks, walls, nominal, guidance)) return {};
-    const Vec3 wished = to_vec3(guidance.wished);
+    const Vec3 target = to_vec3(guidance.wished);
     nearest_.clear();
-    Vec3 a = wished;
+    Vec3 a = target;
     bool holds = true;
     int iterations = 0;
     if (guide_.binds(guidance) && add_row(guidance, vehicle, tracks)) {
       const double limit = guide_.config().avoidance.a_max;
       nearest_.add_box(limit);
-      holds = nearest_.solve(wished, a, iterations);
-      if (!holds) a = nearest_.least_violation(wished, limit);
+      holds = nearest_.solve(target, a, iterations);
+      if (!holds) a = nearest_.least_violation(target, limit);
     }
     MovingReport report = guide_.finish(guidance, vehicle, walls, nominal, a, holds);
     report.feasible = holds;
@@ -132,7 +132,7 @@ class RpCbf final : public MovingFilter {
       if (!any) roll_out(guidance, vehicle);
       any = true;
       const double clearance = alula_effective_clearance(&guide_.config(), &m, guide_.config().avoidance.h_max_s);
-      // Squared distances first: the square root of the least is enough.
+      // Squared distances first: the square root of the minimum is enough.
       double least = std::numeric_limits<double>::infinity();
       std::size_t least_sample = 0, least_at = 0;
       for (std::size_t k = 0; k < way_.size(); ++k) {

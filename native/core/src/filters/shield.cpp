@@ -183,13 +183,13 @@ bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus a
   if (report.certified) {
     double inside = 0, outside = 1;
     for (int i = 0; i < options_.line_search; ++i) {
-      const double share = (inside + outside) / 2;
-      const Wrench u{base.thrust + share * (candidate.thrust - base.thrust),
-                     base.torque + share * (candidate.torque - base.torque)};
+      const double fraction = (inside + outside) / 2;
+      const Wrench u{base.thrust + fraction * (candidate.thrust - base.thrust),
+                     base.torque + fraction * (candidate.torque - base.torque)};
       if (accept(x, u)) {
-        report.wrench = u, next = next_, inside = share;
+        report.wrench = u, next = next_, inside = fraction;
       } else {
-        outside = share;
+        outside = fraction;
       }
     }
   }

@@ -250,7 +250,7 @@ std::size_t Shield::sweep(double distance) const {
   return from;
 }
 
-// Whether the path keeps `distance` from all ellipsoids from a tick on. `least` becomes the least distance that was
+// Whether the path keeps `distance` from all ellipsoids from a tick on. `least` becomes the minimum distance that was
 // seen, and `contact_speed` a bound of the speed in the tick where it first is nearer.
 bool Shield::march(std::size_t from, double distance, bool thorough, double& least, double& contact_speed) {
   const std::size_t last = path_.size() - 1;

@@ -11,7 +11,7 @@ namespace {
 using geometry::dot;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kHeadOn = 0.999;           // least cosine of the angle between r and v in the metric of A
+constexpr double kHeadOn = 0.999;           // minimum cosine of the angle between r and v in the metric of A
 constexpr double kTolerance = 1e-9;         // of scaled rows, for what a solver returns,
 constexpr double kBackendTolerance = 1e-6;  // and for what a backend does, which proves nothing
 
@@ -111,7 +111,7 @@ bool WrenchProgram::tracks(const Vec4& u) const {
   return true;
 }
 
-bool WrenchProgram::solve(const Vec4& wished, Vec4& u, FilterReport& report) {
+bool WrenchProgram::solve(const Vec4& target, Vec4& u, FilterReport& report) {
   const bool is_soft = bound_.size() > item_.size();
   const std::size_t n = is_soft ? 5 : 4;
   std::span<const double> rows = row_;
@@ -126,7 +126,7 @@ bool WrenchProgram::solve(const Vec4& wished, Vec4& u, FilterReport& report) {
   }
   std::array<double, 25> hessian{};
   std::array<double, 5> gradient{};
-  for (std::size_t j = 0; j < 4; ++j) hessian[(n + 1) * j] = 1, gradient[j] = -wished[j] / range_[j];
+  for (std::size_t j = 0; j < 4; ++j) hessian[(n + 1) * j] = 1, gradient[j] = -target[j] / range_[j];
   if (is_soft) hessian[24] = weight_;
   QpResult result;
   if (!impossible_) result = solver_.solve({n, {hessian.data(), n * n}, {gradient.data(), n}, rows, bound_});
@@ -151,8 +151,8 @@ bool WrenchProgram::interpolate(const Vec4& base, Vec4& u, FilterReport& report)
   for (std::size_t i = 0; i < item_.size(); ++i) {
     const double at_base = slack(i, base), along = slack(i, nominal_) - at_base;
     if (along < 0) {
-      const double share = at_base / -along;  // holds up to here
-      if (share < high) high = share, active = item_[i];
+      const double fraction = at_base / -along;  // holds up to here
+      if (fraction < high) high = fraction, active = item_[i];
     } else if (at_base < 0) {
       low = along > 0 ? std::max(low, -at_base / along) : kInfinity;  // holds from here on
     }
@@ -166,11 +166,11 @@ bool WrenchProgram::interpolate(const Vec4& base, Vec4& u, FilterReport& report)
   return true;
 }
 
-Vec3 tilting_torque(const WrenchProgram& program, const State& x, Vec3 direction, double share) {
+Vec3 tilting_torque(const WrenchProgram& program, const State& x, Vec3 direction, double fraction) {
   const Vec3 body = body_from_inertial(x.sigma) * direction;
   const double flat = std::hypot(body.x, body.y);
   if (!(flat > 1e-9)) return {};
-  return share / 2 / flat * Vec3{-body.y * program.range(1), body.x * program.range(2), 0};
+  return fraction / 2 / flat * Vec3{-body.y * program.range(1), body.x * program.range(2), 0};
 }
 
 Vec3 side_of(Vec3 v) {

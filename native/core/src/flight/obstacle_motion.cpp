@@ -192,10 +192,12 @@ std::unique_ptr<ObstacleMotion> draw(const ObstacleSpec& spec, const Kinematics&
       points.insert(points.end(), spec.way_points.begin(), spec.way_points.end());
       if (spec.way_points.empty()) {
         const Vec3 to = drawn.target_at(drawn.meeting_after(false)) - drawn.p;
-        points.push_back(drawn.p + 2 * drawn.outwards(to));
+        // An obstacle that is met where it starts takes a leg of 2 mm: it hovers there.
+        const bool is_leg = norm(to) >= kShortestLeg;
+        points.push_back(drawn.p + (is_leg ? 2 * drawn.outwards(to) : 2 * kShortestLeg * drawn.heading()));
       }
       if (norm(points[1] - points[0]) < kShortestLeg) points.erase(points.begin() + 1);  // it is there already
-      require(points.size() > 1, "a quadrotor needs a way to fly");
+      require(points.size() > 1, "the way points of a quadrotor must lead away from its start");
       return move_flown(spec.start_s, spec.pilot, points, drawn.leg);
     }
   }

@@ -165,7 +165,9 @@ def test_a_flight_does_not_begin_with_a_manoeuvre_that_drifts_out_of_half_the_ma
     shield = lagging_shield(scene, lag)
     x, direction = admissible_start(rng, shield), rng.normal(size=3)
     options = _core.ShieldOptions(motor_time_constant_s=lag)
-    flown = _core.ConeBackup(_core.BackupPolicy(BODY, "brake"), scene.index, shield_options=options)
+    flown = _core.ConeBackup(
+        _core.BackupPolicy(BODY, "brake"), scene.index, _core.ConeBackupOptions(shield_options=options)
+    )
     predictor = _core.StatePredictor(BODY, _core.ActuatorModel(motor_time_constant_s=lag), tick_s=0.01)
     for tick in range(100):
         wish = (14 if tick // 25 % 2 else -14) * direction / np.linalg.norm(direction)

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -162,29 +162,41 @@ def test_a_quadrotor_that_is_asked_for_too_much_stays_within_its_rotors():
     assert np.linalg.norm(path[1:, 6:] - GRAVITY, axis=1).max() <= 0.45 / 0.029 + 1e-9
 
 
-@settings(deadline=None, max_examples=150)
-@given(st.data())
-def test_whatever_is_not_refused_moves_finitely_and_without_jumps(data):
-    def pair(low, high):
-        return tuple(sorted(data.draw(st.tuples(st.floats(low, high), st.floats(low, high)))))
+def _pairs(low, high):
+    return st.tuples(st.floats(low, high), st.floats(low, high)).map(lambda ends: tuple(sorted(ends)))
 
-    kind = data.draw(
-        st.sampled_from(["constant-velocity", "accelerating", "curving", "ballistic", "quadrotor"])
-    )
-    table = {
-        "kind": kind,
-        "distance_m": data.draw(st.floats(0.5, 100)),
-        "azimuth_rad": pair(-4, 4),
-        "elevation_rad": pair(-1.5, 1.5),
-        "speed_m_s": pair(0.1, 12),
-        "heading_rad": pair(-4, 4),
-        "acceleration_m_s2": pair(0, 3),
-        "crosses": data.draw(st.booleans()),
-        "start_s": data.draw(st.floats(0, 2)),
-        "turn_rate_rad_s": data.draw(st.floats(0, 5)),
-        "drag_per_m": data.draw(st.sampled_from([0.0, 0.01])),
+
+_TABLES = st.fixed_dictionaries(
+    {
+        "kind": st.sampled_from(["constant-velocity", "accelerating", "curving", "ballistic", "quadrotor"]),
+        "distance_m": st.floats(0.5, 100),
+        "azimuth_rad": _pairs(-4, 4),
+        "elevation_rad": _pairs(-1.5, 1.5),
+        "speed_m_s": _pairs(0.1, 12),
+        "heading_rad": _pairs(-4, 4),
+        "acceleration_m_s2": _pairs(0, 3),
+        "crosses": st.booleans(),
+        "start_s": st.floats(0, 2),
+        "turn_rate_rad_s": st.floats(0, 5),
+        "drag_per_m": st.sampled_from([0.0, 0.01]),
     }
-    v = data.draw(st.tuples(*[st.floats(-6, 6)] * 3))
+)
+# So slow that the vehicle meets it where it starts.
+_MET_AT_ITS_START = {
+    "kind": "quadrotor",
+    "distance_m": 1.0,
+    "speed_m_s": (0.1, 0.1),
+    "acceleration_m_s2": (1e-9, 1e-9),
+}
+
+
+@settings(deadline=None, max_examples=150)
+@given(table=_TABLES, v=st.tuples(*[st.floats(-6, 6)] * 3))
+@example(table=_MET_AT_ITS_START, v=(1.0, 0.0, 0.0))
+@example(table=_MET_AT_ITS_START | {"crosses": True, "heading_rad": (1.0, 1.0)}, v=(6.0, 0.0, 0.0))
+@example(table=_MET_AT_ITS_START | {"acceleration_m_s2": (5e-324, 5e-324)}, v=(1.0, 0.0, 0.0))
+@example(table=_MET_AT_ITS_START | {"acceleration_m_s2": (1e-200, 1e-200)}, v=(0.0, 0.0, 0.0))
+def test_whatever_is_not_refused_moves_finitely_and_without_jumps(table, v):
     try:
         path = paths(table, vehicle_path(300, v=v))[0]
     except ValueError as error:
@@ -195,5 +207,5 @@ def test_whatever_is_not_refused_moves_finitely_and_without_jumps(data):
     assert np.isfinite(path).all()
     fastest = np.linalg.norm(path[:, 3:6], axis=1).max()
     assert np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1).max() <= 1.1 * DT * fastest + 1e-9
-    if kind != "ballistic":
+    if table["kind"] != "ballistic":
         assert fastest <= 12 * 1.25

@@ -34,7 +34,7 @@ class AccelerationProgram {
   Vec3 row(std::size_t i) const { return {row_[i].x, row_[i].y, row_[i].z}; }  // unit length
   double slack(std::size_t i, Vec3 a) const { return geometry::dot(row_[i], a) - bound_[i]; }
 
-  // Whether `a` is finite and holds every hard row and limit to `tolerance`; the soft one too if asked.
+  // Whether `a` is finite and holds every hard row and limit to `tolerance`; optionally the soft one, too.
   bool holds(Vec3 a, double tolerance, bool with_soft) const;
 
   // The three ways to end a tick, in the order to try them. An input comes back only as checked against the rows

@@ -22,32 +22,9 @@
 #include <cstdint>
 
 #include "alula/dynamics/quadrotor.hpp"
+#include "alula/filters/options.hpp"
 
 namespace alula::flight {
-
-// `cone_escape` is `brake` as a policy; who flies it may choose manoeuvres that hold a velocity first.
-enum class BackupKind : std::uint8_t { hover, heading_invariant, brake, cone_escape };
-
-struct BackupGains {
-  // hover and heading-invariant
-  double k_vz = 2.0;                 // [1/s]
-  double k_sigma = 0.30;             // [N m]
-  double k_omega = 0.020;            // [N m s]
-  double k_vh = 0.006;               // [N s]
-  double kappa = 1.0;                // sharpness of the saturation
-  Vec4 weight{2.0, 0.3, 0.3, 0.05};  // d: ratio of the caps of (T, tau) [N, N m]
-  double eta_frac = 0.95;            // share of the rotors' margin about hover that is used, in (0, 1); of all kinds
-
-  // brake
-  double tilt_rad = 0.61;            // largest steady tilt
-  double full_tilt_speed_m_s = 1.5;  // v_0; the velocity decays with g tan(tilt) / v_0 below it
-  double climb_rate_1_s = 4.0;       // k_z
-  double attitude_rad_s = 20.0;      // w: K_R = J w^2 (roll, pitch)
-  double attitude_damping = 0.9;     // zeta: K_omega = 2 zeta w J (roll, pitch)
-  double yaw_damping_1_s = 8.0;      // K_omega = J_z times that
-  double torque_share = 0.4;         // of the downward margin that torques may take; the rest is thrust's
-  Vec3 torque_weight{0.3, 0.3, 0.03};
-};
 
 // d(T, tau) / d(sigma, v, omega); d tau / d omega is diagonal and dT / d omega zero.
 struct PolicyJacobian {
@@ -58,7 +35,7 @@ struct PolicyJacobian {
 
 class BackupPolicy {
  public:
-  // Throws std::invalid_argument when a gain means nothing, hover is not inside the rotors' limits, or the linear
+  // Throws std::invalid_argument when a gain is invalid, hover is not inside the rotors' limits, or the linear
   // loop of braking J s^3 + K_omega s^2 + K_R s + g k_vh = 0 is not Hurwitz, i.e. unless K_omega K_R > J g k_vh
   // for roll and pitch (with K_R = K_sigma / 4, gains times kappa; K_R tan(tilt) / v_0 for k_vh in `brake`).
   BackupPolicy(const Quadrotor& vehicle, BackupKind kind, const BackupGains& gains = {});
@@ -86,8 +63,8 @@ class BackupPolicy {
   Wrench operator()(const State& x, Vec3 hold = {}) const;
 
   // The policy with all that the rotors have, torque before thrust, for where no gentle manoeuvre is left. Of `brake`
-  // the thrust is the share of the wished force along the axis, least while the axis points ahead: it never speeds
-  // the vehicle up to hold its height. The same feedback near hover.
+  // the thrust is the component of the commanded force along the axis, minimal while the axis points ahead: it never
+  // speeds the vehicle up to hold its height. The same feedback near hover.
   Wrench urgent(const State& x, Vec3 hold = {}) const;
   Wrench linearised(const State& x, Vec3 hold, PolicyJacobian& jacobian) const;  // the same bits, and its Jacobian
 

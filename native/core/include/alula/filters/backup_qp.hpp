@@ -13,6 +13,7 @@
 #pragma once
 
 #include "alula/filters/barrier_rows.hpp"
+#include "alula/filters/options.hpp"
 #include "alula/filters/racer_flow.hpp"
 
 namespace alula::flight {

@@ -27,7 +27,7 @@ class BarrierRows {
   }
 
   // d/dt h + alpha h >= 0, where h changes with `drift` without an input and `along[j]` for each unit of input j.
-  // Left out when the least of its left side over the limits meets it: then it cannot bind.
+  // Left out when the minimum of its left side over the limits satisfies it: then it cannot bind.
   void add(double h, double drift, const Input& along, double alpha) {
     const double bound = -(drift + alpha * h);
     double least = 0;
@@ -35,13 +35,13 @@ class BarrierRows {
     if (!(least >= bound)) push(along, bound);
   }
 
-  // The input nearest to `wished` in units of `scale` that meets all rows.
-  QpResult nearest(const Input& wished, const Input& scale) {
+  // The input nearest to `target` in units of `scale` that meets all rows.
+  QpResult nearest(const Input& target, const Input& scale) {
     std::array<double, M * M> hessian{};
     std::array<double, M> gradient{};
     for (std::size_t j = 0; j < M; ++j) {
       hessian[j * M + j] = 1 / (scale[j] * scale[j]);
-      gradient[j] = -wished[j] * hessian[j * M + j];
+      gradient[j] = -target[j] * hessian[j * M + j];
     }
     return solver_.solve({M, hessian, gradient, row_, bound_});
   }

@@ -5,7 +5,7 @@
 //   beta = v^T A v,   gamma = r^T A r - 1,   delta = r^T A v,   h = beta gamma - delta^2.
 //
 // From outside (gamma > 0) the ray p + t v, t >= 0, meets E if and only if h <= 0 and delta >= 0. Inside, and for
-// v = 0, h says nothing: h <= 0 for all v there, and there h = 0 with no gradient. The rows on gamma do not need v.
+// v = 0, h has no meaning: h <= 0 for all v there, and there h = 0 with no gradient. The rows on gamma do not need v.
 // Units: A in 1/m^2, so gamma has none, beta is in 1/s^2, delta in 1/s, h in 1/s^2.
 //
 // A row is a half-space of inputs, row . u >= bound; any positive multiple of it is the same, and none here is
@@ -129,9 +129,9 @@ inline SnapMap snap_map(const Quadrotor& body, const FlightState& state) {
 // Feedback linearisation: the torque about x and y, and u_T'', for a snap and `torque_z`; the thrust is not zero.
 inline std::array<double, 4> snap_input(const Quadrotor& body, const FlightState& state, const SnapMap& map,
                                         Vec3 snap, double torque_z) {
-  const Vec3 asked = body_from_inertial(state.x.sigma) * (snap - map.drift), j = body.inertia();
+  const Vec3 snap_body = body_from_inertial(state.x.sigma) * (snap - map.drift), j = body.inertia();
   const double u = state.thrust / body.mass();
-  return {asked.z, -j.x * asked.y / u, j.y * asked.x / u, torque_z};
+  return {snap_body.z, -j.x * snap_body.y / u, j.y * snap_body.x / u, torque_z};
 }
 
 // direction . p'''' as a row: direction . p'''' + drift >= 0.

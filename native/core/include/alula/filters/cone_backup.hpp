@@ -9,7 +9,7 @@
 //   f_min <= G^-1 u <= f_max
 //
 // nearest to the nominal wrench, or on the line from pi_b to it. Rows at Phi_0 see the thrust alone, as torque does
-// not move v at once: close to an obstacle they ask for thrusts that the rotors do not have, where rows of later
+// not move v at once: close to an obstacle they demand thrusts beyond the limits of the rotors, where rows of later
 // nodes turn the vehicle instead. They are left out unless `first_node` is 0, as printed. As the flow comes to rest
 // h' / h tends to -2 |slowest pole|, so late rows refuse pi_b itself unless alpha_R is well above that; neither does
 // a solution imply h_b = min(h_i(Phi_k), gamma_i(Phi_N)) >= 0 nor the reverse. Both are reported: `margin` is h_b.
@@ -18,38 +18,16 @@
 // Source: Tscholl, Nakka, Gunter 2026 (FastBridge), eq. 21-23.
 #pragma once
 
+#include "alula/filters/options.hpp"
 #include "alula/filters/pruning.hpp"
 #include "alula/filters/shielded.hpp"
 #include "alula/filters/wrench_program.hpp"
 
 namespace alula::flight {
 
-enum class BackupSolver : std::uint8_t {
-  active_set,    // the nearest input, by the program
-  interpolation  // the largest share between pi_b and the nominal input that holds all rows, in closed form
-};
-
-struct ConeBackupOptions {
-  double horizon_s = 1.5;
-  int nodes = 20;
-  int first_node = 1;  // of the running rows; 0 as printed
-  int steps = 0;       // RK4 steps between nodes; 0: as few as keep them shorter than the time constant of the rates
-  double alpha_running = 10, alpha_terminal = 5;  // alpha_R, alpha_T [1/s]
-  double min_speed_m_s = 0.1;
-  double far = std::numeric_limits<double>::infinity();  // of h / beta: how far above 0 gamma stays along the ray
-  BackupSolver solver = BackupSolver::active_set;
-  double lateral_bias = 0.1;  // torque of a head-on nominal, as a share of the largest
-  TrackingRow tracking;
-  bool shielded = true;
-  double room_m = 0.08;     // kept by the rows beyond the radius when shielded: they steer before the shield stops
-  bool try_nominal = true;  // without a solution, let the shield look between backup and nominal
-  ShieldOptions shield;     // its tick_s is that of the filter
-  Pruning pruning;
-};
-
 class ConeBackup final : public SplatFilter {
  public:
-  // `solver` solves the program. Throws std::invalid_argument for options that mean nothing.
+  // `solver` solves the program. Throws std::invalid_argument for invalid options.
   ConeBackup(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
              const ConeBackupOptions& options = {}, QpSolver solver = {});
 

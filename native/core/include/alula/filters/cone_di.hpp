@@ -5,30 +5,16 @@
 #include <vector>
 
 #include "alula/filters/acceleration_program.hpp"
+#include "alula/filters/options.hpp"
 #include "alula/filters/pruning.hpp"
 
 namespace alula::flight {
 
-struct ConeDiOptions {
-  double alpha = 5;         // of h' >= -alpha h [1/s]
-  double recovery = 3;      // alpha is at least that over the time to contact where h < 0; 0: never
-  double swell = 0.01;      // rows are of ellipsoids with semi-axes longer by this part
-  double escape_rate = 5;   // k of gamma'' + 2 k gamma' + k^2 gamma >= 0 [1/s]
-  double min_speed = 0.05;  // below it h says nothing: rows on gamma instead [m/s]
-  double max_acceleration = std::numeric_limits<double>::infinity();  // of each axis [m/s^2]
-  double max_braking = 6;                                             // of the fallback [m/s^2]
-  double lateral_bias = 0.5;      // added to a nominal input that a head-on cone only lets brake [m/s^2]
-  double clf_weight = 0;          // of the square of the slack of the tracking row; 0: no such row
-  double clf_rate = 0.5;          // c of V' <= -c V + xi [1/s]
-  double clf_kp = 3, clf_kv = 2;  // gains of the closed loop that V decides [1/s^2, 1/s]
-  Pruning pruning{.count = 48};   // as safe as 64; with 32 not, from 4 m/s on
-};
-
 // The acceleration nearest to the nominal one with, for every candidate ellipsoid,
 //   outside, |v| >= min_speed:  w . a >= -alpha h           status as usual
-//   outside, |v| <  min_speed:  gamma'' + 2 k gamma' + k^2 gamma >= 0    h says nothing without a direction
+//   outside, |v| <  min_speed:  gamma'' + 2 k gamma' + k^2 gamma >= 0    h has no meaning without a direction
 //   inside (gamma < 0):         the same row, which leads out; the status is `recovering`
-// and within the box of max_acceleration. `margin` is the least of h, or of gamma where its row is used.
+// and within the box of max_acceleration. `margin` is the minimum of h, or of gamma where its row is used.
 //
 // An ellipsoid may come within the gate with h < 0, and then h' = -alpha h is too slow for the time t_c to contact
 // that is left. So alpha, of all rows of the tick, is raised to recovery / max(t_c - 0.1 s, 0.05 s): h is gone a
@@ -46,12 +32,12 @@ struct ConeDiOptions {
 // a bias at right angles to v first, horizontal unless v is vertical, to the side that w leans to, or to the right.
 //
 // The tracking row (off by default) is soft: V = 1/2 e^T P e with A^T P + P A = -I for A = [0, 1; -kp, -kv] and
-// e = (e_p, e_v) asks V' <= -c V + xi. The undisturbed tracking law satisfies it for c <= 1 / lambda_max(P), 0.73 for
-// the default gains, so it acts only where a cone does.
-// Source: FastBridge (arXiv 2607.01200), eq. 9-11; the rows on gamma are ours.
+// e = (e_p, e_v) demands V' <= -c V + xi. The undisturbed tracking law satisfies it for c <= 1 / lambda_max(P), 0.73
+// for the default gains, so it acts only where a cone does. Source: FastBridge (arXiv 2607.01200), eq. 9-11; the rows
+// on gamma are ours.
 class ConeDi final : public SplatFilter {
  public:
-  // `solver` solves the program. Throws std::invalid_argument for options that mean nothing.
+  // `solver` solves the program. Throws std::invalid_argument for invalid options.
   ConeDi(std::shared_ptr<const EllipsoidIndex> index, const ConeDiOptions& options, QpSolver solver = {});
 
   InputKind kind() const override { return InputKind::acceleration; }

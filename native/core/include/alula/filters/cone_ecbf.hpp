@@ -8,8 +8,8 @@
 //   minimise |u_T'' - nom|^2 / range^2 + |tau - tau_nom|^2 / range^2,
 //   nom = T''_nom / m + 2 zeta w (T'_nom / m - u_T') + w^2 (T_nom / m - u_T),
 //
-// or nearest to the smooth wish of alula/filters/smooth_wish.hpp while it holds the vehicle up and until it has let
-// go.
+// or nearest to the smooth nominal snap of alula/filters/smooth_nominal.hpp while rows hold the vehicle back and
+// until it is released.
 //
 // A row keeps h >= 0 only from where psi_1 and psi_2 are >= 0 too. When an ellipsoid becomes a candidate with h > 0
 // and that is not so, its pole is moved left, up to `lambda_max`, until it is. Where that does not help, safety rests
@@ -17,57 +17,34 @@
 // delta / beta to the ellipsoid: it ends near the surface, so the index should be grown by more than the shield's
 // radius.
 //
-// Slowly h says little: it is of second degree in v, so beside an obstacle its rows brake to a stop, and what holds
-// them changes from tick to tick. Below `min_speed_m_s` all rows are those on gamma, (d/dt + k)^4 gamma >= 0 with the
-// `escape_rate` k, of every ellipsoid near and not only of those ahead: the vehicle slides along what is in its way.
+// At low speed h is of little use: it is of second degree in v, so beside an obstacle its rows brake to a stop, and
+// what holds them changes from tick to tick. Below `min_speed_m_s` all rows are those on gamma, (d/dt + k)^4 gamma >=
+// 0 with the `escape_rate` k, of every ellipsoid near and not only of those ahead: the vehicle slides along what is
+// in its way.
 //
 // Source: Tscholl, Nakka, Gunter 2026 (FastBridge), section III-D; `difference` is its finite-difference cascade.
 #pragma once
 
+#include "alula/filters/options.hpp"
 #include "alula/filters/pruning.hpp"
 #include "alula/filters/shielded.hpp"
-#include "alula/filters/smooth_wish.hpp"
+#include "alula/filters/smooth_nominal.hpp"
 #include "alula/filters/wrench_program.hpp"
 
 namespace alula::flight {
 
-enum class ThrustCascade : std::uint8_t {
-  extension,  // the variable is u_T''
-  difference  // the variable is T, with u_T'' = (T - 2 T_{k-1} + T_{k-2}) / (m dt^2)
-};
-
-struct ConeEcbfOptions {
-  // [1/s]. A pole slower than the time to contact, a second or less for what is within the gate, asks for the turn
-  // long before it is due, and what holds such a row is to brake: flights end short of their goals. One that is much
-  // faster turns later than the rotors can head-on at speed, and the shield stops the vehicle.
-  double lambda = 14, lambda_max = 40;
-  double return_time = 8;  // pole of a row with h < 0 times the time to its ellipsoid, within lambda and lambda_max
-  double escape_rate = 5;  // pole of the rows on gamma [1/s]
-  double min_speed_m_s = 0.8;
-  ThrustCascade cascade = ThrustCascade::extension;
-  double thrust_bandwidth_rad_s = 30;  // w
-  double thrust_damping = 1;           // zeta
-  double max_thrust_rate_n_s = 150;    // of |T'|
-  double least_thrust = 0.1;           // of T, as a share of hover
-  double lateral_bias = 0.1;           // torque of a head-on nominal, as a share of the largest
-  SmoothWishOptions wish;
-  TrackingRow tracking;
-  bool shielded = true;
-  double room_m = 0.08;     // kept by the rows beyond the radius when shielded: they steer before the shield stops
-  bool try_nominal = true;  // without a solution, let the shield look between backup and nominal
-  ShieldOptions shield;     // its tick_s is dt
-  Pruning pruning{.reaction_time_s = 0.6, .count = 32};
-};
-
+// About lambda: a pole slower than the time to contact (at most a second within the gate) demands the turn too early,
+// and braking holds such a row, so flights end short of their goals. A pole that is much faster turns later than the
+// rotors can at speed, head-on, and the shield stops the vehicle.
 class ConeEcbf final : public SplatFilter {
  public:
-  // `solver` solves the program. Throws std::invalid_argument for options that mean nothing, in particular w dt >= 1.
+  // `solver` solves the program. Throws std::invalid_argument for invalid options, in particular w dt >= 1.
   ConeEcbf(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index,
            const ConeEcbfOptions& options = {}, QpSolver solver = {});
 
   InputKind kind() const override { return InputKind::wrench; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
-  void reset() override { shield_.reset(), wish_.reset(); }
+  void reset() override { shield_.reset(), smooth_.reset(); }
   std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<ConeEcbf>(*this); }
   const ConeEcbfOptions& options() const { return options_; }
 
@@ -82,12 +59,12 @@ class ConeEcbf final : public SplatFilter {
   RoomyEllipsoids roomy_;
   Shield shield_;
   WrenchProgram program_;
-  SmoothWish wish_;
+  SmoothNominal smooth_;
   double affine_zero_ = 0, affine_unit_ = 1;  // u_T'' of the variable
 };
 
-// The least pole from lambda to `most` at which psi_1 = h' + l h and psi_2 = h'' + 2 l h' + l^2 h are not negative;
-// lambda when there is none.
+// The smallest pole from lambda to `most` at which psi_1 = h' + l h and psi_2 = h'' + 2 l h' + l^2 h are not
+// negative; lambda when there is none.
 double ecbf_pole(double h, double h1, double h2, double lambda, double most);
 
 }  // namespace alula::flight

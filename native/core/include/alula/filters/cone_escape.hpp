@@ -16,12 +16,12 @@ struct EscapeOptions {
 
 inline constexpr std::size_t kEscapes = 8;
 struct Escapes {
-  std::array<Vec3, kEscapes> velocity;  // by the angle from v, least first
+  std::array<Vec3, kEscapes> velocity;  // by the angle from v, smallest first
   std::array<double, kEscapes> turn;    // [rad]
   std::size_t count = 0;
 };
 
-// For eight directions about v (level left first, then by 45 degrees over the top), v turned by the least angle
+// For eight directions about v (level left first, then by 45 degrees over the top), v turned by the smallest angle
 // after which its ray meets no cone of `near`, those of ellipsoids around the vehicle left out. In the plane of v
 // and a direction, h is a quadratic form in (cos, sin) of the angle, so each cone is left by solving a quadratic;
 // passes repeat until no cone is met. Nothing below `least_speed_m_s`.

@@ -10,14 +10,10 @@
 #include <limits>
 
 #include "alula/filters/collision_cone.hpp"
+#include "alula/filters/options.hpp"
 #include "alula/geometry/ellipsoid_index.hpp"
 
 namespace alula::flight {
-
-enum class SaferHessian : std::uint8_t {
-  correct,   // in the world's frame
-  published  // in the ellipsoid's own, semi-axes descending and the point in the positive octant, as it was published
-};
 
 struct DistanceLaw {
   double alpha = 5, beta = 1;  // poles of h'' + (alpha + beta) h' + alpha beta h >= 0 [1/s]

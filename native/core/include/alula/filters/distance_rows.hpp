@@ -27,7 +27,7 @@ class DistanceRows {
   const EllipsoidIndex& index() const { return *index_; }
   const DistanceLaw& law() const { return law_; }
 
-  // Another state: measures the ellipsoids that may have the least h or, if asked, all of them.
+  // Another state: measures the ellipsoids that may have the minimum h, or optionally all of them.
   void start(Vec3 p, Vec3 v, bool all);
 
   // Measures what may be violated by `u` and was not measured in this tick, by the tree and in the order of the

@@ -1,11 +1,12 @@
-// One protocol of the filters among moving obstacles: own state, tracks, walls and what the controller wishes in, an
-// acceleration out. The state and the tracks are what sensors and tracker say, never the truth.
+// Protocol of the filters among moving obstacles: own state, tracks, walls and the nominal acceleration in, an
+// acceleration out. The state is measured and the tracks are estimated; filters never see the truth.
 #pragma once
 
 #include <cstdint>
 #include <memory>
 #include <span>
 
+#include "alula/filters/options.hpp"
 #include "alula/geometry/vec3.hpp"
 #include "alula/qp/qp.hpp"
 #include "alula_dr_acbf.h"
@@ -36,7 +37,7 @@ class MovingFilter {
   virtual ~MovingFilter() = default;
   virtual MovingReport filter(const alula_vehicle_state& vehicle, std::span<const alula_track> tracks,
                               std::span<const alula_wall> walls, geometry::Vec3 nominal) = 0;
-  // What is flown in this tick instead, after a refusal: the next one counts with it.
+  // Reports the acceleration that is flown after a refusal; the next tick uses it.
   virtual void flown(geometry::Vec3 acceleration) = 0;
   virtual void reset() = 0;
   virtual std::unique_ptr<MovingFilter> clone() const = 0;
@@ -51,24 +52,6 @@ enum class MovingMethod : std::uint8_t {
   rp_cbf       // robust policy CBF: rollouts of the avoidance policy
 };
 
-// In AVOID, towards the bypass point; elsewhere it flies what the manoeuvre wishes.
-struct MpcOptions {
-  double step_s = 0.02;  // 20 of them are the horizon; the first two moves last one each, the third the rest
-  double velocity_weight = 0.01, input_weight = 0.001;
-  double slack_weight = 1e5;  // of the squared slack of the distances
-};
-
-struct CbfQpOptions {
-  double horizon_s = 0.4, velocity_time_s = 0.1;
-};
-
-struct RpCbfOptions {
-  double horizon_s = 3, step_s = 0.1;  // of the rollouts, 64 steps at most
-  double hold_s = 0.5;                 // how long a sample keeps an acceleration
-  double alpha = 1;                    // [1/s]
-  int samples = 32;                    // half uniform, half bang-bang
-};
-
 struct MovingFilterOptions {
   alula_dr_acbf_config config;  // of all methods: the warning and the manoeuvre are shared
   MpcOptions mpc;
@@ -77,7 +60,7 @@ struct MovingFilterOptions {
   QpBackend backend;  // solves the programs of dr_acbf_qp, mpc, cbf_qp and rp_cbf, if there is one
 };
 
-// Throws std::invalid_argument for options that mean nothing.
+// Throws std::invalid_argument for invalid options.
 std::unique_ptr<MovingFilter> make_moving_filter(MovingMethod method, const MovingFilterOptions& options);
 
 }  // namespace alula::flight

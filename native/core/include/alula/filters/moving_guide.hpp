@@ -1,4 +1,4 @@
-// What the filters compared with DR-ACBF share with it: warning, manoeuvre, walls and how they report.
+// Warning, manoeuvre, walls and reports, which DR-ACBF and the filters compared with it share.
 #pragma once
 
 #include <algorithm>
@@ -19,7 +19,7 @@ inline std::array<float, 3> to_float(geometry::Vec3 v) {
 // The report of a tick that ended with `status`.
 MovingReport moving_report(MovingStatus status, geometry::Vec3 acceleration, const alula_guidance& guidance);
 
-// Rows n . x <= b of three variables, and the point nearest to a wish.
+// Rows n . x <= b of three variables, and the point nearest to a target.
 class NearestPoint {
  public:
   explicit NearestPoint(QpBackend backend = {});
@@ -30,14 +30,14 @@ class NearestPoint {
   std::size_t size() const { return bounds_.size(); }
 
   // False when there is none, or the solver fails.
-  bool solve(geometry::Vec3 wish, geometry::Vec3& x, int& iterations);
+  bool solve(geometry::Vec3 target, geometry::Vec3& x, int& iterations);
 
   // Of the rows by x, each taken at unit length: at most 0 where all hold, minus infinity without rows that are
   // longer than `shortest`.
   double violation(geometry::Vec3 x, double shortest = 1e-9) const;
 
-  // The point of the box that misses the rows, whatever their length, by the least.
-  geometry::Vec3 least_violation(geometry::Vec3 wish, double limit);
+  // The point of the box with the smallest violation of the rows, each at unit length.
+  geometry::Vec3 least_violation(geometry::Vec3 target, double limit);
 
  private:
   QpSolver solver_;
@@ -53,7 +53,7 @@ class Guide {
     if (violation > config_.tolerance) report.status = MovingStatus::recovering;
   }
 
-  // Throws std::invalid_argument for a configuration that means nothing.
+  // Throws std::invalid_argument for an invalid configuration.
   explicit Guide(const alula_dr_acbf_config& config);
 
   void reset();

@@ -6,22 +6,12 @@
 #include <vector>
 
 #include "alula/cover/onboard_image.hpp"
+#include "alula/filters/options.hpp"
 #include "alula/filters/polytope_map.hpp"
 
 namespace alula {
 
 using Vec3 = std::array<double, 3>;
-
-// Parameters in double precision; rounded to the safe side (the radius up).
-struct PolytopeCbfConfig {
-  double radius_m = 0;
-  double beta = 2;
-  double kappa = 100;
-  double dt_s = 0.01;
-  double v_max = 1;
-  alula_smoothing smoothing = ALULA_SMOOTHING_SOUND;
-  bool brute_force = false;
-};
 
 struct FilterOutput {
   Vec3 u;  // equals the nominal input, bit by bit, when the status is OK

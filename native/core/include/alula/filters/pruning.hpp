@@ -21,7 +21,7 @@ double gate_distance(const Pruning& pruning, double speed, double radius);
 // inside its safe set; a row of higher order has to look at its own psi_1, psi_2.
 class Pruner {
  public:
-  // Throws std::invalid_argument for numbers that mean nothing.
+  // Throws std::invalid_argument for invalid options.
   Pruner(std::shared_ptr<const EllipsoidIndex> index, const Pruning& pruning);
 
   const EllipsoidIndex& index() const { return *index_; }

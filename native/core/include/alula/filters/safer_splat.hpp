@@ -5,26 +5,12 @@
 
 #include "alula/filters/acceleration_program.hpp"
 #include "alula/filters/distance_rows.hpp"
+#include "alula/filters/options.hpp"
 #include "alula/filters/pruning.hpp"
 
 namespace alula::flight {
 
-enum class SaferRows : std::uint8_t {
-  all,     // of every ellipsoid of the map, as published
-  nearest  // of the nearest within a gate, which keeps no distance from the others
-};
-
-struct SaferSplatOptions {
-  double alpha = 5, beta = 1;  // of `DistanceLaw`
-  SaferHessian hessian = SaferHessian::correct;
-  SaferRows rows = SaferRows::all;
-  bool brute = false;      // measure every ellipsoid instead of asking the index
-  double max_braking = 6;  // of the fallback [m/s^2]
-  double max_acceleration = std::numeric_limits<double>::infinity();  // of each axis [m/s^2]
-  Pruning pruning;                                                    // for SaferRows::nearest
-};
-
-// The acceleration nearest to the nominal one that holds the rows of `distance_barrier`; `margin` is the least h of
+// The acceleration nearest to the nominal one that holds the rows of `distance_barrier`; `margin` is the minimum h of
 // those [m^2], and the status is `recovering` where that is negative. As h bends with d, the vehicle
 // brakes from |v| <= alpha beta / (2 (alpha + beta)) d or so whatever it could do: without the rows of what is far
 // away that is too late, and from rest a double integrator keeps its distance only with those of all ellipsoids.
@@ -44,7 +30,7 @@ struct SaferSplatOptions {
 // the nominal input there. What is not finite is refused, with a = 0.
 class SaferSplat final : public SplatFilter {
  public:
-  // Throws std::invalid_argument for options that mean nothing.
+  // Throws std::invalid_argument for invalid options.
   SaferSplat(std::shared_ptr<const EllipsoidIndex> index, const SaferSplatOptions& options);
 
   InputKind kind() const override { return InputKind::acceleration; }

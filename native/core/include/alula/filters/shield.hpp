@@ -14,13 +14,13 @@
 // model, whatever the nominal input does. A manoeuvre being flown stays accepted down to half the margin, which
 // so covers rounding and small differences of plan and flight; the other half covers the drift at rest.
 //
-// With a motor time constant the rotors' thrusts are part of the state: `see` says what they are now, and rollouts
+// With a motor time constant the rotors' thrusts are part of the state: `see` sets their present values, and rollouts
 // carry them on. An input is then what the rotors are led to by the end of a tick (`leading`), as far as their limits
 // allow; who flies it must command that. The induction is the same, for exact thrusts.
 //
 // When no manoeuvre is safe, the policy with all that the rotors have is tried, and when that is not safe either the
-// least bad is flown: one that meets nothing, with the most room, else the one that is slowest where it first
-// touches.
+// best remaining one is flown: of those without contact the one with the largest clearance, else the one that is
+// slowest at its first contact.
 //
 // Source: the backup set of Chen, Jankovic, Santillo, Ames 2021, checked by rollout instead of by rows.
 #pragma once
@@ -32,26 +32,14 @@
 
 #include "alula/filters/backup_policy.hpp"
 #include "alula/filters/cone_escape.hpp"
+#include "alula/filters/options.hpp"
 
 namespace alula::flight {
-
-struct ShieldOptions {
-  double tick_s = 0.01;        // for which an input is held
-  int substeps = 1;            // RK4 steps of a tick, at least; none is above 10 ms or turns by much
-  double margin_m = 0.02;      // kept beyond the radius by a manoeuvre that is accepted
-  double max_time_s = 8.0;     // a manoeuvre not at rest by then is not safe; an eighth less for a new one
-  double escape_time_s = 0.6;  // for which `cone_escape` holds a velocity
-  int escape_tries = 3;        // of its velocities, by angle
-  int line_search = 2;         // bisections between the backup's input and one that is refused
-  // At rest: all of these, and the linear loop would sway by at most rest_drift_m.
-  double rest_speed_m_s = 0.1, rest_rate_rad_s = 0.2, rest_tilt_rad = 0.05, rest_drift_m = 0.008;
-  double motor_time_constant_s = 0;  // of rotors that are led; 0: they obey at once
-};
 
 struct Certificate {
   bool safe = false;
   bool rests = false;                                              // within max_time_s
-  double clearance = -std::numeric_limits<double>::infinity();     // least distance seen, less the radius [m]: exact
+  double clearance = -std::numeric_limits<double>::infinity();     // minimum distance less the radius [m]: exact
                                                                    // where it was looked, at most what was looked for
   double time_s = 0;                                               // until rest
   double contact_speed = std::numeric_limits<double>::infinity();  // bound of the speed where it first is too near,
@@ -61,7 +49,7 @@ struct Certificate {
 // One per thread; allocates in the constructor only.
 class Shield {
  public:
-  // Throws std::invalid_argument for options that mean nothing, or a policy that is not stable when held for a tick.
+  // Throws std::invalid_argument for invalid options, or a policy that is not stable when held for a tick.
   Shield(const BackupPolicy& policy, std::shared_ptr<const EllipsoidIndex> index, const ShieldOptions& options = {});
 
   const BackupPolicy& policy() const { return policy_; }
@@ -69,22 +57,22 @@ class Shield {
   const EllipsoidIndex& index() const { return *index_; }
 
   // Whether flying `manoeuvre` from x, after one tick of `first` when given, is safe with `margin_m`. `thorough`
-  // goes on after the verdict for the least clearance of all.
+  // goes on after the verdict, for the minimum clearance.
   Certificate certify(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr,
                       bool thorough = false);
 
   // The state after a tick of u, |sigma| <= 1.
   State after(const State& x, const Wrench& u) const;
 
-  // What each rotor gives now [N], in the states that are asked about from here on. At first, after `reset` and when
-  // it is not said they hover. Only with a motor time constant does it matter.
+  // Sets the thrust of each rotor [N] for the states passed from here on; without a value, at first and after `reset`
+  // the rotors hover. It matters only with a motor time constant.
   void see(const std::optional<Vec4>& rotors) { rotors_ = rotors.value_or(hovering_); }
 
   // What the backup would do now if nothing else is accepted: the manoeuvre committed last, or the best found.
   // Sets report's wrench, status and `certified`: `candidate` with `accepted` when it is safe, an input between it
-  // and the backup's, or the backup's (status backup), or the least bad (recovering): the candidate only where it
-  // comes no nearer than now. `near` are the ellipsoids whose cones `cone_escape` turns away from. Returns whether
-  // the candidate itself was taken.
+  // and the backup's, or the backup's (status backup), or the best remaining one (recovering): the candidate only
+  // where it comes no nearer than now. `near` are the ellipsoids whose cones `cone_escape` turns away from. Returns
+  // whether the candidate itself was taken.
   bool decide(const State& x, const Wrench& candidate, SplatFilterStatus accepted, std::span<const Found> near,
               FilterReport& report);
 

@@ -24,7 +24,7 @@ inline GrownEllipsoid with_room(const GrownEllipsoid& e, double room) {
   return {e.centre, inverse(covariance)};
 }
 
-// Those of an index, with room; what was asked for lately is remembered. One per thread.
+// Grown ellipsoids of an index, with room; caches recent ones. One per thread.
 class RoomyEllipsoids {
  public:
   RoomyEllipsoids(std::shared_ptr<const EllipsoidIndex> index, double room)

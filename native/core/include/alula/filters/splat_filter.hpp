@@ -1,4 +1,4 @@
-// One protocol of the filters that fly among ellipsoids: state and nominal input in, checked input out.
+// Protocol of the filters among ellipsoids: state and nominal input in, checked input out.
 #pragma once
 
 #include <cstdint>
@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "alula/dynamics/quadrotor.hpp"
+#include "alula/filters/options.hpp"
 #include "alula/geometry/ellipsoid_index.hpp"
 
 namespace alula::flight {
@@ -19,16 +20,16 @@ enum class SplatFilterStatus : std::uint8_t {
   backup = 5       // the backup policy is flown
 };
 
-// What the filters need beyond x: thrust and its rate are what the vehicle applied last.
+// Vehicle state of a filter; thrust and its rate are those applied last.
 struct FlightState {
   State x;
   double thrust = 0;       // T [N]
   double thrust_rate = 0;  // T' [N/s]
-  // Thrust of each rotor now [N], for a shield that knows their lag; when it is not said they hover.
+  // Thrust of each rotor now [N], for a shield with a motor time constant; without a value the rotors hover.
   std::optional<Vec4> rotors;
 };
 
-// What the tracking controller asks for, and the errors it saw.
+// Nominal input of the tracking controller, and its tracking errors.
 struct Nominal {
   Vec3 acceleration;                                // of the translation: a_r - (K_p e_p + K_v e_v) / m [m/s^2]
   Wrench wrench;                                    // T and tau of the geometric controller
@@ -44,9 +45,9 @@ struct FilterReport {
   Wrench wrench;           // for InputKind::wrench
   double thrust_rate = 0;  // T' at the end of the tick, for InputKind::wrench
   double margin =
-      0;  // the filter's own barrier: least h over the rows, or h_b for cone-backup; infinite without rows
+      0;  // the filter's own barrier: minimum of h over the rows, or h_b for cone-backup; infinite without rows
   std::int64_t active = -1;  // ellipsoid of the row with the largest multiplier
-  // What was done, for the log.
+  // Figures for the log.
   double gate_m = 0;             // distance gate of this tick
   std::uint32_t candidates = 0;  // ellipsoids within the gate, at most k
   std::uint32_t rows = 0;        // barrier rows of the program
@@ -64,17 +65,6 @@ class SplatFilter {
   virtual FilterReport filter(const FlightState& state, const Nominal& nominal) = 0;
   virtual void reset() {}  // before another flight: forget warm starts and commitments
   virtual std::unique_ptr<SplatFilter> clone() const = 0;
-};
-
-// Which ellipsoids become rows.
-struct Pruning {
-  double reaction_time_s = 0.3;   // t of the distance gate  v^2 / (2 a_max) + v t + r
-  double max_deceleration = 6.0;  // a_max of it [m/s^2]
-  double floor_m = 0.5;           // the gate is never below this
-  std::uint32_t count = 64;       // nearest k; 0: all within the gate
-  bool gate = true;               // false: every ellipsoid of the map, for the ablation
-  bool approach = true;           // only ellipsoids with r^T A v >= 0
-  bool sweep = true;              // nearest to the segment that the gate's time sweeps, not to the position alone
 };
 
 }  // namespace alula::flight

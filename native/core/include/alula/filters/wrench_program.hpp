@@ -4,17 +4,10 @@
 #include <vector>
 
 #include "alula/filters/backup_flow.hpp"
+#include "alula/filters/options.hpp"
 #include "alula/qp/qp.hpp"
 
 namespace alula::flight {
-
-// V = 1/2 e^T P e of e = (e_p, e_v) shall decay: V' + rate V <= xi with a slack xi at `weight` per unit.
-// P solves the Lyapunov equation of e_p'' = -kp e_p - kv e_v with the identity.
-struct TrackingRow {
-  double weight = 0;      // 0: no such row
-  double rate = 1;        // c [1/s]
-  double kp = 3, kv = 2;  // [1/s^2, 1/s]
-};
 
 //   minimise 1/2 sum_j ((u_j - nominal_j) / range_j)^2 + 1/2 weight xi^2   subject to   row_i . u >= bound_i
 //
@@ -38,11 +31,11 @@ class WrenchProgram {
   bool clears(const Vec4& u) const;                       // every row of an ellipsoid
   bool tracks(const Vec4& u) const;                       // the soft one with xi = 0
 
-  // The minimiser nearest to `wished`; false, with report.infeasible, when there is none. Sets active, iterations.
-  bool solve(const Vec4& wished, Vec4& u, FilterReport& report);
+  // The minimiser nearest to `target`; false, with report.infeasible, when there is none. Sets active, iterations.
+  bool solve(const Vec4& target, Vec4& u, FilterReport& report);
 
-  // u = base + share (nominal - base) with the largest share in [0, 1] for which every row holds; when base itself
-  // holds not all, shares from which on it does are looked at too. False, with report.infeasible, without such.
+  // u = base + s (nominal - base) with the largest s in [0, 1] for which every row holds; base itself may break rows.
+  // False, with report.infeasible, when there is no such s.
   bool interpolate(const Vec4& base, Vec4& u, FilterReport& report);
 
   Wrench wrench(const Vec4& u) const { return {zero_ + unit_ * u[0], {u[1], u[2], u[3]}}; }
@@ -60,8 +53,9 @@ class WrenchProgram {
   QpSolver solver_;
 };
 
-// A torque that tilts the thrust towards `direction`, as a share of the largest: a way past an obstacle head-on.
-Vec3 tilting_torque(const WrenchProgram& program, const State& x, Vec3 direction, double share);
+// A torque that tilts the thrust towards `direction`, as a fraction of the largest: it breaks the symmetry of a
+// head-on course.
+Vec3 tilting_torque(const WrenchProgram& program, const State& x, Vec3 direction, double fraction);
 
 // The side to which a head-on course is bent, the same every time: left of the course, level.
 Vec3 side_of(Vec3 v);

@@ -22,7 +22,7 @@ struct GeofenceRules {
   double duration_s = 8;
   int plant_steps = 4;  // per tick of the filter
   FenceRule rule = FenceRule::geofence;
-  double alpha = 2;  // of backup_qp
+  double alpha = BackupQpOptions{}.alpha;  // of backup_qp
   // Navigation is missing in [from, from + for); `radio` the same for the pilot.
   double stale_from_s = std::numeric_limits<double>::infinity(), stale_for_s = 0;
   double radio_from_s = std::numeric_limits<double>::infinity(), radio_for_s = 0;

@@ -29,10 +29,12 @@ struct Pace {
 // s(x) = 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7 rests up to jerk at 0 and 1.
 struct Leg {
   static constexpr double peak_speed = 35.0 / 16, peak_acceleration = 7.513188404399293;  // of s
+  static constexpr double longest = 1e9;  // [s]; hovering, as against no finite time
   double speed = 0, acceleration = 0;
 
   double time(double length) const {
-    return std::max(peak_speed * length / speed, std::sqrt(peak_acceleration * length / acceleration));
+    return std::min(longest,
+                    std::max(peak_speed * length / speed, std::sqrt(peak_acceleration * length / acceleration)));
   }
   double half_way(double t) const {
     return std::min(speed / peak_speed * t, 2 * t * t * acceleration / peak_acceleration);

@@ -75,7 +75,8 @@ struct ObstacleSpec {
   double drag_per_m = 0;                                              // ballistic: a = g - drag |v| v
   double start_s = 0;                                                 // rests (or is held) before
   // A quadrotor flies from rest to rest along straight legs, in world coordinates; without way-points on one leg
-  // through the meeting point to as far beyond it. `acceleration_m_s2` limits what a leg asks for; 0: to g / 2.
+  // through the meeting point to as far beyond it, or 2 mm where it starts at that point. `acceleration_m_s2` limits
+  // what a leg asks for; 0: to g / 2.
   std::vector<geometry::Vec3> way_points;
   Pilot pilot = small_quadrotor();
 };

@@ -6,10 +6,11 @@
 #define FLAT 1.0e-3F /* squared length of the heading's projection below which the yaw is undefined */
 
 alula_crazyflie_config alula_crazyflie_defaults(void) {
+  const alula_polytope_cbf_config filter = ALULA_POLYTOPE_CBF_DEFAULTS;
   alula_crazyflie_config config;
   config.radius_m = 0.15F;
-  config.beta = 2.0F;
-  config.kappa = 100.0F;
+  config.beta = filter.beta;
+  config.kappa = filter.kappa;
   config.v_max = 1.0F;
   config.period_s = 0.01F;
   config.gain = 2.0F;

@@ -1,0 +1,268 @@
+// Constructors and attributes of option structs in Python, from their field lists.
+//
+// All options are keyword-only. Unknown names and values of another type raise TypeError, values beyond their limits,
+// and what the struct's own `check` refuses, ValueError.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "alula/base/fields.hpp"
+#include "alula/geometry/vec3.hpp"
+
+namespace alula::fields {
+
+namespace nb = nanobind;
+
+template <class M>
+concept Chosen = std::is_enum_v<M> && requires { Choices<M>::names; };
+
+// How a member is passed: `type` in a signature, `from` Python, `out` as what nanobind turns into a Python value.
+template <class M>
+struct Python {  // a bound class
+  static std::string type() { return nb::cast<std::string>(nb::type<M>().attr("__name__")); }
+  static M from(nb::handle value) { return nb::cast<M>(value); }
+  static const M& out(const M& value) { return value; }
+};
+
+template <class M>
+  requires std::is_arithmetic_v<M>
+struct Python<M> {
+  static std::string type() {
+    return std::is_same_v<M, bool> ? "bool" : std::is_floating_point_v<M> ? "float" : "int";
+  }
+  static M from(nb::handle value) { return nb::cast<M>(value); }
+  static M out(M value) { return value; }
+};
+
+template <>
+struct Python<std::string> {
+  static std::string type() { return "str"; }
+  static std::string from(nb::handle value) { return nb::cast<std::string>(value); }
+  static const std::string& out(const std::string& value) { return value; }
+};
+
+template <Chosen M>
+struct Python<M> {
+  static std::string type() { return "str"; }
+  static M from(nb::handle value) {
+    const auto name = nb::cast<std::string>(value);
+    std::string known;
+    for (std::size_t i = 0; i < Choices<M>::names.size(); ++i) {
+      if (name == Choices<M>::names[i]) return static_cast<M>(i);
+      known += std::string(i == 0 ? "" : i + 1 < Choices<M>::names.size() ? ", " : " or ") + Choices<M>::names[i];
+    }
+    throw std::invalid_argument("must be " + known + ", not '" + name + "'");
+  }
+  static std::string out(M value) { return Choices<M>::names[static_cast<std::size_t>(value)]; }
+};
+
+template <std::size_t N>
+struct Python<std::array<double, N>> {
+  using Numbers = std::array<double, N>;
+  static std::string type() { return "collections.abc.Sequence[float]"; }
+  static Numbers from(nb::handle value) { return nb::cast<Numbers>(value); }
+  static const Numbers& out(const Numbers& value) { return value; }
+};
+
+template <>
+struct Python<geometry::Vec3> {
+  using Numbers = std::array<double, 3>;
+  static std::string type() { return Python<Numbers>::type(); }
+  static geometry::Vec3 from(nb::handle value) {
+    const auto v = nb::cast<Numbers>(value);
+    return {v[0], v[1], v[2]};
+  }
+  static Numbers out(geometry::Vec3 v) { return {v.x, v.y, v.z}; }
+};
+
+template <class M>
+struct Python<std::optional<M>> {
+  using Out = std::optional<std::remove_cvref_t<decltype(Python<M>::out(std::declval<const M&>()))>>;
+  static std::string type() { return Python<M>::type() + " | None"; }
+  static std::optional<M> from(nb::handle value) {
+    if (value.is_none()) return {};
+    return Python<M>::from(value);
+  }
+  static Out out(const std::optional<M>& value) {
+    if (!value) return {};
+    return Python<M>::out(*value);
+  }
+};
+
+template <class M>
+struct Python<std::vector<M>> {
+  using Out = std::vector<std::remove_cvref_t<decltype(Python<M>::out(std::declval<const M&>()))>>;
+  static std::string type() { return "collections.abc.Sequence[" + Python<M>::type() + "]"; }
+  static std::vector<M> from(nb::handle values) {
+    std::vector<M> result;
+    for (const nb::handle value : values) result.push_back(Python<M>::from(value));
+    return result;
+  }
+  static Out out(const std::vector<M>& values) {
+    Out result;
+    for (const M& value : values) result.push_back(Python<M>::out(value));
+    return result;
+  }
+};
+
+// A choice that is passed on its own; `what` begins the complaint about another one.
+template <Chosen E>
+E choice(nb::handle value, const std::string& what) {
+  try {
+    return Python<E>::from(value);
+  } catch (const std::invalid_argument& error) {
+    throw std::invalid_argument(what + " " + error.what());
+  }
+}
+
+template <class M>
+inline constexpr bool is_optional = false;
+template <class M>
+inline constexpr bool is_optional<std::optional<M>> = true;
+
+// The value as Python code, for signatures; `...` for an object of a bound class.
+template <class M>
+std::string code_of(const M& value) {
+  if constexpr (std::is_floating_point_v<M>) {
+    if (std::isinf(value)) return value > 0 ? "float('inf')" : "float('-inf')";
+  }
+  using Out = std::remove_cvref_t<decltype(Python<M>::out(value))>;
+  if constexpr (std::is_class_v<M> && std::is_same_v<Out, M> && !std::is_same_v<M, std::string> && !is_optional<M> &&
+                !requires { std::tuple_size<M>::value; }) {
+    return "...";
+  } else {
+    return nb::cast<std::string>(nb::repr(nb::cast(Python<M>::out(value))));
+  }
+}
+
+// `def NAME(PREFIX, *, field: type = default, ..., OTHERS) -> RESULT`, with the defaults of `object`.
+template <class T>
+std::string signature(const T& object, const std::string& prefix = "self", const std::string& name = "__init__",
+                      const std::string& result = "None", const std::string& others = {}) {
+  std::string text = "def " + name + "(" + prefix + ", *";
+  each_field<T>(object, [&](const std::string& field_name, const auto& field, const auto& value) {
+    text += ", " + field_name + ": " + Python<std::remove_cvref_t<decltype(value)>>::type();
+    if (!field.is_required) text += " = " + code_of(value);
+  });
+  return text + (others.empty() ? "" : ", ") + others + ") -> " + result;
+}
+
+// "Args:" and a line for each field that has documentation.
+template <class T>
+std::string documentation(const T& object, const std::string& head = {}) {
+  std::string lines;
+  each_field<T>(object, [&](const std::string& name, const auto& field, const auto&) {
+    if (*field.doc != '\0') lines += "\n    " + name + ": " + field.doc;
+  });
+  if (lines.empty()) return head;
+  return head + (head.empty() ? "Args:" : "\n\nArgs:") + lines;
+}
+
+// Sets the fields that are given by name.
+template <class T>
+void assign(T& object, const nb::kwargs& given, const std::string& what) {
+  std::size_t used = 0;
+  std::string known;
+  each_field<T>(object, [&](const std::string& name, const auto& field, auto& value) {
+    using M = std::remove_cvref_t<decltype(value)>;
+    known += (known.empty() ? "" : ", ") + name;
+    if (!given.contains(name.c_str())) {
+      if (field.is_required) throw nb::type_error((what + " needs " + name).c_str());
+      return;
+    }
+    ++used;
+    const nb::object from = given[name.c_str()];
+    try {
+      value = Python<M>::from(from);
+    } catch (const nb::cast_error&) {
+      const auto shown = nb::cast<std::string>(nb::repr(from));
+      throw nb::type_error((what + ": " + name + " must be " + Python<M>::type() + ", not " + shown).c_str());
+    } catch (const std::invalid_argument& error) {
+      throw std::invalid_argument(name + " " + error.what());
+    }
+    if constexpr (std::is_arithmetic_v<M>) check_limits(name, field.limits, static_cast<double>(value));
+  });
+  if (used == given.size()) return;
+  for (const auto& [key, value] : given) {
+    const auto name = nb::cast<std::string>(key);
+    bool is_known = false;
+    each_field<T>(object, [&](const std::string& other, const auto&, const auto&) { is_known |= name == other; });
+    if (!is_known) throw nb::type_error((what + " has no " + name + "; it has " + known).c_str());
+  }
+}
+
+// What a struct refuses beyond the limits of its fields.
+template <class T>
+void require_valid(const T& object) {
+  if constexpr (requires { check(object); }) check(object);
+}
+
+// Attributes of `Class` for all fields of T, which `path` finds in it.
+template <class T, class Class, class Path>
+void add_attributes(Class& bound, Path path) {
+  using Root = typename Class::Type;
+  const auto one = [&]<class Entry>(const Entry& entry) {
+    const auto member = entry.member;
+    const auto inner = [path, member](const Root& root) -> decltype(auto) { return (path(root).*member); };
+    using M = std::remove_cvref_t<decltype(inner(std::declval<const Root&>()))>;
+    if constexpr (requires { entry.prefix; }) {
+      add_attributes<M>(bound, inner);
+    } else {
+      using Out = std::remove_cvref_t<decltype(Python<M>::out(std::declval<const M&>()))>;
+      bound.def_prop_ro(
+          entry.name, [inner](const Root& root) -> Out { return Python<M>::out(inner(root)); },
+          *entry.doc == '\0' ? nullptr : entry.doc);
+    }
+  };
+  std::apply([&](const auto&... entry) { (one(entry), ...); }, Fields<T>::all);
+}
+
+// Binds an option struct: its constructor and read-only attributes.
+template <class T>
+nb::class_<T> bind(nb::module_& m, const char* name, const char* doc) {
+  nb::class_<T> bound(m, name, doc);
+  const T plain{};
+  bound.def(
+      "__init__",
+      [what = std::string(name)](T* self, const nb::kwargs& given) {
+        T object{};
+        assign(object, given, what);
+        require_valid(object);
+        new (self) T(std::move(object));
+      },
+      nb::sig(signature(plain).c_str()), documentation(plain).c_str());
+  add_attributes<T>(bound, [](const T& object) -> const T& { return object; });
+  return bound;
+}
+
+// The same with a constructor that takes the fields of `Arguments` and turns them into T; without attributes.
+template <class T, class Arguments, class Make>
+nb::class_<T> bind_from(nb::module_& m, const char* name, const char* doc, Make make) {
+  nb::class_<T> bound(m, name, doc);
+  const Arguments plain{};
+  bound.def(
+      "__init__",
+      [what = std::string(name), make](T* self, const nb::kwargs& given) {
+        Arguments arguments{};
+        assign(arguments, given, what);
+        T object = make(std::move(arguments));
+        require_valid(object);
+        new (self) T(std::move(object));
+      },
+      nb::sig(signature(plain).c_str()), documentation(plain).c_str());
+  return bound;
+}
+
+}  // namespace alula::fields
