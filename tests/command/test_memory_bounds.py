@@ -59,6 +59,7 @@ def peak(*words: str) -> int:
     return used
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit")
 @pytest.mark.parametrize(
     ("shape", "words", "bytes_per_voxel"),

@@ -213,6 +213,7 @@ def check_scene(voxels: Path, scene: Path, hulls: int, folder: Path) -> dict:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tile", ["x000_y003", "x001_y000"])
 def test_a_real_tile_keeps_its_size_and_costs_less_than_five_bytes_a_plane(tile, data, tmp_path):
     splat, f = data / f"istanbul-outdoor/tile_{tile}.splat", lambda name: str(tmp_path / name)

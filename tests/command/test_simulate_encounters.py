@@ -188,6 +188,7 @@ def bare(path) -> RunRecord:
     return msgspec.structs.replace(record(path), timing=None)
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch, capsys):
     assert run([*WORDS[:3], "whole.run.mcap", "-q"]) == 0
     monkeypatch.setattr(file, "MIN_RUN_S", 0.0)

@@ -245,6 +245,7 @@ def test_notes_are_said_beside_the_result(here, capsys):
     assert record().summary["hand_over"] > 0
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch, capsys):
     assert run([*WORDS[:3], "whole.run.mcap", "-q"]) == 0
     monkeypatch.setattr(file, "MIN_RUN_S", 0.0)

@@ -25,6 +25,7 @@ from alula.stages.clearance import (
     sphere_clearance,
 )
 from alula.stages.compression.hulls import Hulls
+from support.effort import examples
 
 QP_TOLERANCE = 2e-7  # of the interior-point solver, in metres, at distances of the order of one
 
@@ -162,7 +163,7 @@ def test_beside_a_corner_no_clearance_exceeds_the_distance_to_it(width):
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(-9, -3))
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 def test_close_to_contact_the_sign_is_right_and_the_distance_accurate(seed, exponent):
     rng = np.random.default_rng(seed)
     cloud = rng.integers(0, 5, (14, 3)) * 0.05
@@ -179,7 +180,7 @@ def test_close_to_contact_the_sign_is_right_and_the_distance_accurate(seed, expo
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 def test_lattice_hulls_and_lattice_segments_are_never_below_dense_samples(seed):
     """Degenerate on purpose: parallel faces, shared coordinates, segments of length zero."""
     rng = np.random.default_rng(seed)

@@ -86,6 +86,7 @@ def cluster(tmp_path):
     started.stop()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # those of other packages
 def test_tiles_on_workers_give_the_same_and_a_lost_worker_loses_nothing(cluster, monkeypatch):
     monkeypatch.setattr(tiles, "CHUNK", 200)
@@ -110,6 +111,7 @@ def test_tiles_on_workers_give_the_same_and_a_lost_worker_loses_nothing(cluster,
         np.testing.assert_array_equal(tiled[name], plain[name])
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_a_scheduler_that_does_not_answer_or_has_no_workers_is_said(tmp_path):
     pytest.importorskip("distributed")

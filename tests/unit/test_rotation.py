@@ -7,6 +7,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz, quat_wxyz_from_matrix
+from support.effort import examples
 
 unit = (
     arrays(np.float64, (4,), elements=st.sampled_from([0.0, 1.0, -1.0, 1e-8, 0.3, -0.7]) | st.floats(-1, 1))
@@ -25,7 +26,7 @@ def test_matrices_are_those_of_scipy(q):
     np.testing.assert_allclose(matrix_from_quat_wxyz(q), scipy(q).as_matrix(), atol=1e-15)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=examples(200))
 @given(unit)
 def test_back_from_the_matrix_up_to_sign(q):
     found = quat_wxyz_from_matrix(matrix_from_quat_wxyz(q))

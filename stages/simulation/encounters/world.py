@@ -150,7 +150,9 @@ def filter_options(scenario: Encounters) -> dict[str, float]:
         scenario: all parameters.
     """
     body = scenario.vehicle
-    options = {"wall_deceleration": WALL_FRACTION * body.a_max_m_s2} | native_options(scenario.filter.parameters)
+    options = {"wall_deceleration": WALL_FRACTION * body.a_max_m_s2} | native_options(
+        scenario.filter.parameters
+    )
     options |= {"dt_s": scenario.run.dt_s, "radius_m": body.radius_m}
     options |= {"a_max": body.a_max_m_s2, "v_max": body.v_max_m_s, "j_max": body.j_max_m_s3}
     return {key: float(value) for key, value in options.items()}

@@ -61,6 +61,7 @@ def covered(cameras, sigma, threshold, seeds, outliers=0.4):
     return held / seeds, box / seeds
 
 
+@pytest.mark.slow
 def test_a_thousand_seeds_with_noise_and_40_percent_outliers(cameras):
     held, box = covered(cameras, 0.01, 0.1, 1000)
     assert (held >= 0.93).all(), held
@@ -68,6 +69,7 @@ def test_a_thousand_seeds_with_noise_and_40_percent_outliers(cameras):
     assert box >= 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "sigma"), [(12, 0.1 / 3), (30, 0.1 / 3), (12, 0.001)])
 def test_few_cameras_and_noise_that_fills_a_third_of_the_threshold(cameras, count, sigma):
     """250 seeds: the standard error is 1.4 %."""

@@ -76,6 +76,7 @@ def trials():
     return found
 
 
+@pytest.mark.slow
 def test_half_a_cloud_does_not_bias_the_scale(trials):
     for part in (trials[:8], trials[8:]):
         off = np.array([fit.similarity.scale / truth.scale - 1 for truth, fit in part])

@@ -16,6 +16,7 @@ from alula.stages.alignment.evidence import match
 from alula.stages.alignment.similarity import transform_points
 from alula.stages.alignment.tables import parse_pairs, parse_positions, parse_reference
 from alula.stages.alignment.transforms import parse_transform
+from support.effort import examples
 
 
 def test_columns_are_found_by_name():
@@ -70,7 +71,7 @@ def test_equal_points_are_refused_by_row():
         parse_pairs(head + "3,0,0,0,0,-0.0\n", "p.csv")
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     st.binary(max_size=80).map(lambda raw: raw.decode("latin-1")),
     st.sampled_from(["", "image,x,y,z\n", "sx,sy,sz,wx,wy,wz\n", "image,lat,lon,alt\n"]),

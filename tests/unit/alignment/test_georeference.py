@@ -15,6 +15,7 @@ from alula.schemas.errors import InputError
 from alula.stages.alignment.evidence import Positions, match
 from alula.stages.alignment.robust import fit_similarity
 from alula.stages.alignment.tables import parse_positions, parse_reference
+from support.effort import examples
 
 pytest.importorskip("pycolmap")
 
@@ -53,7 +54,7 @@ def table(points):
 near = st.floats(-0.05, 0.05)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(
     st.tuples(st.floats(-89.9, 89.9), st.floats(-179.9, 179.9), st.floats(-400, 8000)),
     st.lists(st.tuples(near, near, st.floats(-500, 500)), min_size=1, max_size=4),

@@ -19,11 +19,12 @@ from alula.stages.alignment.levelling import level_by_direction, level_by_floor,
 from alula.stages.alignment.scale_align import scale_align, scale_only
 from alula.stages.alignment.similarity import transform_points
 from alula.stages.reconstruction.demo_scene import world_from_scene
+from support.effort import examples
 
 UP = np.array([0.0, 0.0, 1.0])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.tuples(*[st.floats(-10, 10)] * 3).filter(lambda v: np.linalg.norm(v) > 1e-3))
 @example((0.0, 1e-5, -1.0))
 def test_a_direction_is_turned_up_by_the_smallest_rotation(direction):

@@ -13,6 +13,7 @@ from alula.stages.alignment.evidence import Correspondences, in_training_frame
 from alula.stages.alignment.nerfstudio import parse_training_frame, transform_files
 from alula.stages.alignment.robust import fit_similarity
 from alula.stages.alignment.similarity import transform_points
+from support.effort import examples
 
 
 def frame(seed=0, scale=0.3):
@@ -22,7 +23,7 @@ def frame(seed=0, scale=0.3):
     return A, b, json.dumps({"transform": np.column_stack([A, b]).tolist(), "scale": scale})
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.integers(0, 2**31), st.floats(1e-3, 1e3))
 def test_training_is_undone(seed, scale):
     A, b, text = frame(seed, scale)

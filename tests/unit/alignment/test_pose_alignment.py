@@ -46,6 +46,7 @@ def test_exact_poses_give_the_similarity_back(count, line):
         np.testing.assert_allclose(fit.similarity.translation_m, shift, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "line", "outliers", "turn"),
     [(5, False, 0.0, 0.01), (20, False, 0.4, 0.01), (20, True, 0.4, 0.01), (40, False, 0.3, 0.004)],

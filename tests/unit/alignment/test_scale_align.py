@@ -19,6 +19,7 @@ from alula.stages.alignment.similarity import transform_points
 from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.import_splat import import_splat
 from alula.stages.rotation import matrix_from_quat_wxyz
+from support.effort import examples
 
 
 def scene(rows=30, spread=1.0):
@@ -56,7 +57,7 @@ def covariances(scene_):
     return rotation @ (scale[:, :, None] ** 2 * rotation.swapaxes(1, 2))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.integers(0, 2**31), st.floats(1e-3, 1e3))
 def test_means_and_covariances_are_those_of_the_mapped_gaussians(seed, scale):
     before, S = scene(), similarity(seed, scale)

@@ -14,6 +14,7 @@ from alula.schemas.errors import InputError
 from alula.schemas.manifest import Similarity
 from alula.stages.alignment.robust import fit_similarity
 from alula.stages.alignment.similarity import compose, inverse, transform_points, umeyama
+from support.effort import examples
 
 
 def true_similarity(rng):
@@ -39,7 +40,7 @@ def case(seed, count=60, sigma=0.005, outliers=0.4):
     return truth, source, measured, good
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 2**32), st.integers(4, 30))
 def test_exact_correspondences_give_the_similarity_back(seed, count):
     truth, source, _, _ = case(seed, count)
@@ -50,7 +51,7 @@ def test_exact_correspondences_give_the_similarity_back(seed, count):
     assert np.linalg.det(np.array(found.rotation)) == pytest.approx(1, abs=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.integers(0, 2**32))
 def test_no_similarity_nearby_has_a_smaller_sum_of_squares(seed):
     _, source, measured, _ = case(seed, 12, sigma=0.2, outliers=0)

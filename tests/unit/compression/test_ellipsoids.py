@@ -10,6 +10,7 @@ from alula.schemas.artifact import make_artifact
 from alula.schemas.errors import InputError
 from alula.schemas.kinds import SCENE
 from alula.stages.compression.ellipsoids import unproven_voxels
+from support.effort import examples
 
 MARGIN = 2e-13  # of the coordinates' size: how far voxelize rounds outward, see voxelize.hpp
 
@@ -49,7 +50,7 @@ def nasty_scenes(draw):
     return rows(mean, scale, quat), draw(st.sampled_from([1.0, 2.5])), g, inflation, crop
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(scene=nasty_scenes(), min_overlap=st.integers(1, 4))
 def test_whatever_voxelize_makes_is_proven(scene, min_overlap):
     splats, sigma, g, inflation, crop = scene
@@ -59,7 +60,7 @@ def test_whatever_voxelize_makes_is_proven(scene, min_overlap):
     assert total == 0, (voxel[0], ellipsoid[0])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(scene=nasty_scenes(), pick=st.integers(0, 2**31))
 def test_a_missing_voxel_is_reported_with_an_ellipsoid_that_touches_it(scene, pick):
     splats, sigma, g, _, crop = scene

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from support.covers import cover_of, rows, voxels_of
+from support.effort import examples
 
 MANY = 10**6  # hulls: nothing is merged, so the cover is the sub-cover
 
@@ -22,7 +23,7 @@ def subcover_of(index, block):
     st.sets(st.tuples(*3 * [st.integers(-4, 4)]), min_size=1, max_size=60),
     st.integers(0, 2),
 )
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 def test_a_subcover_consists_of_clusters_and_covers_every_voxel(index, block):
     clusters = {
         frozenset(w for w in index if max(abs(a - b) for a, b in zip(v, w, strict=True)) <= block)

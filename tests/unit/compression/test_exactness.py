@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from support.covers import cover_of, furniture, holds_voxel, planes, rows, voxels_of
+from support.effort import examples
 from support.exact import cross, cutting, dot, exact_excess, facets_of
 
 # The hull's arithmetic changes between 177 and 178, and between 2^17 and 2^17 + 1; 2^20 is the limit.
@@ -60,7 +61,7 @@ def lattice_hull(points):
 @given(points_of_extent(most=7))
 @example([(0, 0, 0), (177, 0, 177), (177, 177, 0), (0, 177, 177), (177, 177, 177), (88, 177, 177)])
 @example([(0, 0, 0), (178, 1, 177), (178, 178, 1), (1, 177, 178), (178, 178, 178), (89, 178, 178)])
-@settings(deadline=None, max_examples=250)
+@settings(deadline=None, max_examples=examples(250))
 def test_hulls_are_those_of_the_definition_at_every_width(points):
     exact = facets_of(points)
     if not exact:
@@ -74,7 +75,7 @@ def test_hulls_are_those_of_the_definition_at_every_width(points):
 
 
 @given(st.sampled_from(EXTENTS[3:]), st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 def test_hulls_of_pairs_are_those_of_all_their_corners_at_every_width(extent, seed):
     """Merged step by step from few voxels that far apart, each as the hull of a hull and further points."""
     rng = np.random.default_rng(seed)
@@ -108,7 +109,7 @@ def sets_of(cover):
 
 
 @given(voxel_sets, st.integers(0, 1))
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=examples(15))
 def test_the_cover_holds_every_voxel_after_each_merge(index, block):
     voxels = voxels_of(sorted(index))
     first = cover_of(voxels, hulls=10**6, method="paper", block=block)
@@ -150,7 +151,7 @@ def test_the_cover_of_a_scene_holds_every_voxel_after_each_merge(shape):
     st.sampled_from(["default", "paper"]),
 )
 @example({(0, 0, 0), (1, 0, 0), (1, 1, 0), (2, 1, 0), (1, 0, 1), (1, 1, 1)}, "paper")
-@settings(deadline=None, max_examples=12)
+@settings(deadline=None, max_examples=examples(12))
 def test_w_is_the_volume_outside_the_voxels_and_zero_only_without_any(index, method):
     """Voxel by voxel with --block 0, where start element i is voxel i."""
     voxels = voxels_of(sorted(index))

@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull
 
 from alula.schemas.errors import ArtifactError
 from alula.stages.compression.facets import mesh, triangles
+from support.effort import examples
 from support.fabricate import box as fabricated_box
 from support.fabricate import exact_hull, make_cover
 
@@ -31,7 +32,7 @@ points_strategy = st.lists(st.tuples(*[st.integers(-6, 6)] * 3), min_size=4, max
 )
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(st.lists(points_strategy, min_size=1, max_size=4), st.tuples(*[st.integers(-(2**30), 2**30)] * 3))
 def test_triangles_close_and_enclose_the_volume_of_the_hull(clouds, offset):
     hulls = [exact_hull(cloud) for cloud in clouds]

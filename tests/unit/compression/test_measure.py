@@ -14,6 +14,7 @@ from alula.schemas.errors import InputError
 from alula.stages.compression.measure import measure_cover, measure_points
 from alula.stages.compression.merge import merge
 from support.covers import furniture, planes, voxels_of
+from support.effort import examples
 from support.exact import exact_union, voxel_planes
 
 NO_VOXELS = np.empty((0, 3), np.int32)
@@ -42,7 +43,7 @@ def measured(hulls, boxes, voxels=NO_VOXELS, jobs=1):
 points = st.lists(st.tuples(*[st.integers(0, 4)] * 3), min_size=4, max_size=7)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=examples(20))
 @given(st.lists(points, min_size=1, max_size=4), st.integers(-1000, 1000))
 def test_the_union_is_that_of_rational_arithmetic_within_the_stated_error(clouds, shift):
     hulls, boxes = [], []

@@ -22,6 +22,7 @@ from support.covers import (
     rows,
     voxels_of,
 )
+from support.effort import examples
 
 coordinate = st.one_of(st.integers(-3, 3), st.integers(-(2**19), 2**19))
 point_sets = st.one_of(
@@ -34,7 +35,7 @@ SCENE = voxels_of(furniture())
 
 
 @given(point_sets)
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=examples(200))
 def test_the_hull_of_points_is_exact(points):
     from scipy.spatial import ConvexHull
 
@@ -91,7 +92,7 @@ def test_the_hull_is_exact_at_the_end_of_its_range():
 
 
 @given(voxel_sets, st.sampled_from(["default", "paper"]), st.integers(1, 12), st.integers(0, 2))
-@settings(deadline=None, max_examples=80)
+@settings(deadline=None, max_examples=examples(80))
 def test_every_voxel_is_covered(index, method, hulls, block):
     voxels = voxels_of(sorted(index))
     cover = cover_of(voxels, method=method, hulls=hulls, block=block)
@@ -356,7 +357,7 @@ def test_progress_never_goes_back_and_ends(limits):
 
 
 @given(voxel_sets, st.sampled_from(["default", "paper"]), st.integers(1, 12), st.integers(2, 7))
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=examples(25))
 def test_any_number_of_threads_gives_the_same_cover(index, method, hulls, jobs):
     voxels = voxels_of(sorted(index))
     config = MergeConfig(hulls=hulls, method=method)

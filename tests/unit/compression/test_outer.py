@@ -18,6 +18,7 @@ from alula.stages.compression.hulls import Hulls, outer_solids
 from alula.stages.compression.merge import merge
 from alula.stages.compression.verify import verify
 from support.covers import assert_covers, cover_of, excess, furniture, planes, rows, voxels_of
+from support.effort import examples
 
 SCENE = voxels_of(furniture(2, 22))
 AXES = {tuple(s * int(i == j) for j in range(3)) for i in range(3) for s in (-1, 1)}
@@ -55,7 +56,7 @@ def assert_outer(cover):
 
 
 @given(voxel_sets, shapes, st.sampled_from(["default", "paper"]), st.integers(1, 8))
-@settings(deadline=None, max_examples=80)
+@settings(deadline=None, max_examples=examples(80))
 def test_outer_polytopes_contain_their_hulls(index, shape, method, hulls):
     if "max_planes" in shape:
         method = "default"
@@ -79,6 +80,7 @@ def onboard_bytes(cover, per_plane=5):
     return 64 + 14 * len(count) + per_plane * int((count - 6).sum())
 
 
+@pytest.mark.every(4)
 @pytest.mark.parametrize(
     ("method", "cap"),
     [
@@ -176,7 +178,7 @@ def exact_corners(half_spaces):
     ),
     st.sampled_from([0, 2**19, -(2**20) + 6]),
 )
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 def test_corners_are_those_of_fractions(points, directions, shift):
     points = np.array(points, object) + shift
     half_spaces = {}

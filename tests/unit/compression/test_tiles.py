@@ -16,6 +16,7 @@ from alula.stages.compression import tiles
 from alula.stages.compression.ellipsoids import unproven_voxels
 from alula.stages.compression.tiles import Ellipsoids, mark, mark_tiles
 from alula.stages.compression.voxelize import voxelize
+from support.effort import examples
 
 SHAPES = {
     "round": [0.11, 0.09, 0.1],
@@ -64,7 +65,7 @@ def assert_equal(one, other):
     assert (one.below, one.max_overlap) == (other.below, other.max_overlap)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(ellipsoids=scenes(), edge=st.integers(1, 40), chunk=st.sampled_from([1, 7, 1000]))
 def test_every_tile_size_gives_the_same_voxels(ellipsoids, edge, chunk):
     whole = mark(ellipsoids, 1, None)
@@ -82,7 +83,7 @@ def test_every_tile_size_gives_the_same_voxels(ellipsoids, edge, chunk):
         assert done[-1] == total[0]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(ellipsoids=scenes(), seed=st.integers(0, 2**32 - 1))
 def test_whether_a_voxel_is_marked_does_not_depend_on_the_crop(ellipsoids, seed):
     """Every box of whole voxels gives its part of the result."""

@@ -16,6 +16,7 @@ from alula.schemas.errors import InfeasibleError, InputError
 from alula.schemas.kinds import SCENE
 from alula.stages.compression.ellipsoids import unproven_voxels
 from alula.stages.compression.voxelize import sigma_of_confidence, voxelize
+from support.effort import examples
 
 EXACT_CELLS = 40  # rational arithmetic costs about 2 ms per voxel
 
@@ -162,7 +163,7 @@ def test_overlap_counts_agree_with_brute_force():
     np.testing.assert_array_equal(overlap, total[total > 0])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), inflation=st.sampled_from([0.0, 0.003, 0.05, 0.4]))
 def test_no_point_of_a_grown_ellipsoid_is_free(seed, inflation):
     rng = np.random.default_rng(seed)
@@ -244,6 +245,7 @@ def test_a_huge_splat_costs_nothing_outside_the_crop():
     assert reach.tolist() == [2, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mean", "scale", "message"),
     [

@@ -8,12 +8,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from alula import _core
+from support.effort import examples
 from support.exact_voxels import AXES, PLACES, TURNS, form_of, rotation, touches
 
 OUTWARD = Fraction(5 * 512, 2**53)  # 5 q / E of voxelize.hpp: no voxel farther than this is marked
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=examples(120), deadline=None)
 @given(
     mean=st.tuples(PLACES, PLACES, PLACES),
     scale=st.tuples(AXES, AXES, AXES),

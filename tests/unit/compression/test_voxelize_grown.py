@@ -8,6 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from alula import _core
+from support.effort import examples
 from support.exact_voxels import AXES, PLACES, TURNS, rotation
 
 SIZES = st.sampled_from([0.0625, 0.05])
@@ -45,7 +46,7 @@ def unit(a, b):
     return [2 * a / n, 2 * b / n, (n - 2) / n]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     mean=st.tuples(PLACES, PLACES, PLACES),
     radius=st.sampled_from([1e-6, 0.0078125, 0.03125, 0.11]),
@@ -67,7 +68,7 @@ def test_a_grown_sphere_marks_the_voxel_that_it_only_just_touches(mean, radius, 
     assert tuple(cell) in marked_by(mean, [radius] * 3, quat, g, r)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     mean=st.tuples(PLACES, PLACES, PLACES),
     scale=st.tuples(SMALL, SMALL, SMALL),
@@ -88,7 +89,7 @@ def test_the_tip_of_a_sum_marks_the_plane_that_it_only_just_reaches(mean, scale,
     assert max(voxel[axis] for voxel in marked_by(mean, scale, quat, g, r)) >= cell
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     mean=st.tuples(PLACES, PLACES, PLACES),
     scale=st.tuples(SMALL, SMALL, SMALL),

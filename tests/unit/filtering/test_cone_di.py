@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
+from support.effort import examples
 from support.splat_filter_model import cone, gate, outer_matrix, scene
 
 OK, FILTERED, RECOVERING, REFUSED = 0, 1, 3, 4
@@ -90,7 +91,7 @@ def nearest_by_cvxpy(row, bound, nominal, box=None):
     return a.value if problem.status == "optimal" else None
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     speed=st.sampled_from([0.0, 0.02, 0.4, 3.0]),
@@ -184,7 +185,7 @@ def test_a_program_without_solution_is_reported_and_braked():
     assert without["status"] == FILTERED
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), box=st.sampled_from([1.0, 6.0, 30.0]))
 def test_inputs_stay_within_the_box(seed, box):
     rng = np.random.default_rng(seed)

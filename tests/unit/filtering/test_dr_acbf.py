@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
+from support.effort import examples
 from support.moving_scenes import NO_TRACKS, NO_WALLS, crowd, track, tracks
 
 DEFAULTS = _core.moving_filter_defaults()
@@ -70,7 +71,7 @@ def test_constants_of_the_specification():
     assert clearance(latency_s=0.02, a_max=1e-3, wall_deceleration=1e-3) == pytest.approx(0.24, abs=1e-4)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=examples(100))
 @given(st.floats(0.1, 40), st.floats(0, 20), st.floats(0.15, 0.4), st.floats(0, 2), st.floats(0, 2))
 def test_the_bound_is_the_formula_and_less_risk_never_loosens_it(distance, speed, horizon, sp, sv):
     def bound(alpha):
@@ -83,7 +84,7 @@ def test_the_bound_is_the_formula_and_less_risk_never_loosens_it(distance, speed
     assert bound(0.2) >= bound(0.1) >= bound(0.05) >= bound(0.001)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=examples(50))
 @given(st.lists(st.tuples(st.floats(0, 40), st.floats(-5, 15)), min_size=1, max_size=30))
 def test_the_risk_is_shared_out_as_printed(pairs):
     distance, closing = np.array(pairs).T.copy()
@@ -196,7 +197,7 @@ def test_the_simple_trigger_is_a_chance_constraint_at_one_time():
 # The whole filter
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(st.integers(0, 10**6), st.integers(0, 12), st.sampled_from([0, 1]), st.booleans())
 def test_the_command_is_in_the_box_and_tells_whether_rows_hold(seed, count, solver, near):
     rng = np.random.default_rng(seed)

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
+from support.effort import examples
 from support.splat_filter_model import outer_matrix, rotation, scene
 
 
@@ -29,7 +30,7 @@ def in_order(distance, reach, count):
     return near[np.lexsort((near, distance[near]))][:count]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     count=st.integers(1, 64),
@@ -57,7 +58,7 @@ def test_the_nearest_to_a_point_are_those_of_a_full_search(seed, count, sigma, r
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 40), length=st.sampled_from([1e-6, 0.3, 2.0]))
 def test_the_nearest_to_a_segment_are_those_of_a_full_search(seed, count, length):
     rng = np.random.default_rng(seed)
@@ -90,7 +91,7 @@ def test_ties_go_by_number_and_nothing_is_farther_than_the_reach():
     assert index.radius == 0.2
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     spread=st.floats(0, 6),

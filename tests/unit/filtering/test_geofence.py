@@ -13,6 +13,7 @@ from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.vehicles.fence import fence
 from support import covers
 from support import racer_model as model
+from support.effort import examples
 
 HOVERING = np.r_[0, 0, 30.0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]
 
@@ -141,7 +142,7 @@ def test_an_indexed_map_and_one_without_give_the_same_bits_whatever_came_before(
         [{}, {"fast_m_s": 1.0}, {"reserve_m": 2.0}, {"beta": 30.0}, {"latency_s": 0.02}]
     ),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_commands_stay_in_their_limits_and_lambda_decides_between_pilot_and_backup(
     seed, speed, tilt, pilot, parameters
 ):

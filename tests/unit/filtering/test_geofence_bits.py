@@ -29,6 +29,7 @@ class Fence(ctypes.Structure):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
 @pytest.mark.parametrize("level", ["-O0", "-O3 -funroll-loops"])
 def test_other_compilations_of_the_geofence_give_the_same_bits(tmp_path, level):

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from alula.stages.filtering.qp import QpStatus, solve_qp
+from support.effort import examples
 from support.half_space_families import KINDS, LIMIT, MARGIN, half_spaces, roomiest, unit, violation
 
 BOX = np.vstack([np.eye(3), -np.eye(3)])
@@ -146,7 +147,7 @@ def test_gauss_southwell_is_the_printed_iteration():
     assert reached > 100
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(
     st.lists(st.tuples(*[st.floats(-1, 1)] * 3, st.floats(-1e3, 1e3)), min_size=1, max_size=20),
     st.tuples(*[st.floats(-1e6, 1e6)] * 3),

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from alula.stages.filtering.qp import clarabel_backend
+from support.effort import examples
 from support.moving_scenes import NO_TRACKS, NO_WALLS, crowd, track, tracks
 
 ZERO = [0.0, 0.0, 0.0]
@@ -264,7 +265,7 @@ def test_the_same_rows_through_the_general_solver_give_the_same_command():
 METHODS = ["none", "dr_acbf", "dr_acbf_qp", "mpc", "cbf_qp", "rp_cbf"]
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=examples(25))
 @given(st.integers(0, 10**6), st.sampled_from(METHODS), st.booleans())
 def test_every_command_is_in_the_box_and_copies_do_the_same(seed, method, walled):
     rng = np.random.default_rng(seed)

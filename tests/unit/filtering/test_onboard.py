@@ -66,6 +66,7 @@ class Config(ctypes.Structure):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
 @pytest.mark.parametrize("level", ["-O0", "-O3 -funroll-loops"])
 def test_other_compilations_of_the_same_c_give_the_same_bits(tmp_path, level):

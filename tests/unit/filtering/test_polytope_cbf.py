@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from alula.stages.filtering.protocol import FilterStatus
+from support.effort import examples
 
 OK, FILTERED, SHORTENED, RECOVERING, REFUSED, _ = FilterStatus
 LARGEST_FLOAT = float(np.finfo(np.float32).max)
@@ -202,7 +203,7 @@ coordinate = st.floats(-3, 3, allow_subnormal=False)
 vector = st.tuples(coordinate, coordinate, coordinate).map(np.array)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=examples(300))
 @given(
     corners=st.lists(st.tuples(vector, vector), min_size=1, max_size=5),
     x=vector,

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from alula import _core
 from alula.schemas.errors import UsageError
 from alula.stages.filtering.qp import QpStatus, clarabel_backend, solve_qp
+from support.effort import examples
 from support.qp_families import (
     FAMILIES,
     INFEASIBLE,
@@ -126,7 +127,7 @@ def test_the_same_through_cvxpy():
         assert answer["x"][i] == pytest.approx(x.value, abs=1e-5)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=examples(300))
 @given(st.data(), st.integers(1, 8), st.integers(0, 12))
 def test_small_whole_numbers_of_any_kind(data, n, m):
     whole = st.integers(-3, 3).map(float)

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
+from support.effort import examples
 from support.splat_filter_model import distance_barrier, gate, scene
 
 OK, FILTERED, RECOVERING, REFUSED = 0, 1, 3, 4
@@ -39,7 +40,7 @@ def model(rows, p, v, *, published=False, sigma=1.0, items=None):
 
 
 @pytest.mark.parametrize("hessian", ["correct", "published"])
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), sigma=st.sampled_from([1.0, 3.37]))
 def test_barriers_are_those_of_the_model(hessian, seed, sigma):
     rng = np.random.default_rng(seed)
@@ -104,7 +105,7 @@ def nearest_by_cvxpy(row, bound, nominal):
 
 
 @pytest.mark.parametrize("hessian", ["correct", "published"])
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_answer_is_that_of_the_model_and_an_interior_point_solver(hessian, seed):
     rng = np.random.default_rng(seed)
@@ -128,7 +129,7 @@ def test_the_answer_is_that_of_the_model_and_an_interior_point_solver(hessian, s
     assert (report["status"] == RECOVERING) == (h.min() < 0)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), count=st.sampled_from([0, 4, 64]))
 def test_the_index_changes_nothing(seed, count):
     rng = np.random.default_rng(seed)

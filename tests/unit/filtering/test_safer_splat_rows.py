@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
+from support.effort import examples
 from support.splat_filter_model import scene
 
 OK, FILTERED, RECOVERING = 0, 1, 3
@@ -85,7 +86,7 @@ def test_the_answer_is_that_of_the_program_with_all_rows():
         assert outcomes.count(outcome) >= 5, outcome
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     hessian=st.sampled_from(["correct", "published"]),
@@ -103,7 +104,7 @@ def test_no_violated_row_is_passed_over(seed, hessian, gains):
     assert set(np.flatnonzero(is_inside & (loss is None)).tolist()) <= unsure
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     hessian=st.sampled_from(["correct", "published"]),

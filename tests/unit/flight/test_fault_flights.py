@@ -78,6 +78,7 @@ def fly(made, *upsets, **limits):
     return Flight(made, list(upsets), limits, noise=QUICK).fly()
 
 
+@pytest.mark.every(4)
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("faults", [LINE, GAPS], ids=["a bad line", "gaps"])
 def test_admissible_faults_end_at_the_goal_in_the_safe_set(room, name, faults):
@@ -112,6 +113,7 @@ SPARED = {  # as others are: with one filter only
 }
 
 
+@pytest.mark.every(4)
 @pytest.mark.parametrize(("name", "kind"), [(n, k) for n in FILTERS for k in ENDING if (n, k) not in SPARED])
 def test_other_faults_end_on_the_ground_in_the_safe_set(room, name, kind):
     fault, cause, states = ENDING[kind]

@@ -16,6 +16,7 @@ from alula.stages.flight.mission import make_commander, make_safety
 from support.autopilot_client import EXACT, Client
 from support.crazyflie_rehearsal import Rehearsal
 from support.crazyflie_rehearsal import velocity as crazyflie_velocity
+from support.effort import examples
 from support.flights import mission
 from support.small_scenes import box_cover
 from support.velocity_worlds import BOXES, ZERO, seen, target_at, world
@@ -92,7 +93,7 @@ FOUND = (Phase.explicit, Phase.reuse, Phase.generate)  # flights are too long to
 GOALS = st.lists(POINTS, min_size=2, max_size=3)
 
 
-@settings(max_examples=12, deadline=None, phases=FOUND)
+@settings(max_examples=examples(12), deadline=None, phases=FOUND)
 @given(
     STARTS, GOALS, st.sampled_from([1.0, 2.0, 3.0]), st.sampled_from([(0.25, 0.25), (0.25, 0.5), (0.5, 0.5)])
 )
@@ -108,7 +109,7 @@ SLUGGISH = {  # the parameters of an ArduPilot, and worse ones
 }
 
 
-@settings(max_examples=12, deadline=None, phases=FOUND)
+@settings(max_examples=examples(12), deadline=None, phases=FOUND)
 @given(STARTS, GOALS, st.sampled_from([1.5, 3.0]), st.sampled_from(list(SLUGGISH)))
 def test_a_jerk_limited_vehicle_keeps_nearly_all_of_it(start, goals, speed, name):
     step = SLUGGISH[name]
@@ -179,7 +180,7 @@ class Passing:
         return FilterResult(u, FilterStatus.OK, self.margin)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(
     st.lists(st.tuples(*[st.floats(-3, 3)] * 3), min_size=1, max_size=8),
     st.floats(0.05, 1.0),

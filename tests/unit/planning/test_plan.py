@@ -19,6 +19,7 @@ from alula.stages.planning.curve_certificate import certify, certify_curve
 from alula.stages.planning.path import find_polyline
 from alula.stages.planning.plan import plan
 from alula.stages.planning.trajectory import evaluate, septic_spline
+from support.effort import examples
 
 G = 0.1
 
@@ -148,7 +149,7 @@ def test_a_narrow_corner_is_planned_even_when_smooth_curves_do_not_fit():
 
 
 @given(st.integers(0, 10**6), st.floats(0.02, 0.4))
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 def test_the_certificate_agrees_with_dense_samples(seed, radius):
     """Random curves among boxes: never proven when a sample is too close, proven when none is by far."""
     rng = np.random.default_rng(seed)

@@ -17,6 +17,7 @@ from alula.stages.planning.trajectory import (
     septic_spline,
     subdivided,
 )
+from support.effort import examples
 
 
 def walk(seed, count=7, step=1.0):
@@ -32,7 +33,7 @@ def spline(seed, count=7, rest=None):
 
 
 @given(st.integers(0, 10**6), st.integers(1, 7))
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 def test_derivatives_agree_with_exact_polynomial_differences(seed, order):
     time, c = spline(seed % 50)
     rng = np.random.default_rng(seed)

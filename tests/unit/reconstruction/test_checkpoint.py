@@ -13,6 +13,7 @@ from alula.schemas.errors import AlulaError, ArtifactError
 from alula.stages.reconstruction.formats.checkpoint import Checkpoint, is_checkpoint
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
 from alula.stages.reconstruction.formats.torch_pickle import unpickled
+from support.effort import examples
 from support.torch_files import Called, Reference, Saved, TorchPickler, functions, parameters, saved, trained
 
 CALLS = []
@@ -199,7 +200,7 @@ def test_archives_that_are_wrong_are_refused():
 BASE = saved(trained(parameters(4)))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 @given(st.data())
 def test_any_change_of_bytes_is_read_or_refused(tmp_path_factory, data):
     raw = bytearray(BASE)
@@ -218,7 +219,7 @@ def test_any_change_of_bytes_is_read_or_refused(tmp_path_factory, data):
     assert lines == 0
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 @given(st.binary(max_size=60), st.integers(0, 300))
 def test_any_pickle_ends(junk, at):
     start = BytesIO()

@@ -11,6 +11,7 @@ from alula.schemas.errors import AlulaError, ArtifactError
 from alula.stages.reconstruction.formats.compressed_ply import decode_compressed_ply
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.formats.splats import SH_C0, color_from_sh0
+from support.effort import examples
 from support.originals import fractions, originals
 
 AXES = ("x", "y", "z")
@@ -145,6 +146,7 @@ def test_what_the_file_says_of_itself_is_kept():
     assert splats.notes == ("4 bytes follow the data that the header announces; they were not read",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [5, 1000])
 def test_gsply_reads_the_same(tmp_path, count):
     gsply = pytest.importorskip("gsply")
@@ -161,6 +163,7 @@ def test_gsply_reads_the_same(tmp_path, count):
     assert np.abs(ours.color.astype(int) - color_from_sh0(theirs.sh0)).max() <= 1
 
 
+@pytest.mark.slow
 def test_what_gsply_writes_is_within_the_bound(tmp_path):
     gsply = pytest.importorskip("gsply")
     scene = originals(2000, seed=4)
@@ -221,7 +224,7 @@ def test_wrong_files_are_refused_by_what_is_wrong(name, tmp_path):
         read_splats(path)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(st.lists(st.tuples(st.integers(0, len(GOOD)), st.binary(max_size=6), st.integers(0, 30)), max_size=4))
 def test_mutated_files_never_crash(edits):
     raw = GOOD

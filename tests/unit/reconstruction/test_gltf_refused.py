@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from alula.schemas.errors import AlulaError, ArtifactError
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
+from support.effort import examples
 from support.gltf_files import KHR, gaussians, simple
 
 
@@ -144,7 +145,7 @@ def test_a_chain_of_many_nodes_and_many_instances_end(read):
 BASE = simple().glb()
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(st.data())
 def test_any_change_of_bytes_is_read_or_refused(tmp_path_factory, data):
     raw = bytearray(BASE)

@@ -13,6 +13,7 @@ from alula.stages.reconstruction.floaters import SMALLEST_GROUP, floaters
 from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound, rounded_up
 from alula.stages.reconstruction.import_splat import SCALE_FLOOR, import_splat
 from alula.stages.rotation import matrix_from_quat_wxyz
+from support.effort import examples
 
 
 def splats(rows=12, **changes):
@@ -150,7 +151,7 @@ def test_the_loss_of_the_kept_rows_is_in_the_scene():
             import_splat(ImportSplatConfig(), given_)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.floats(0, 3e38))
 def test_bounds_are_rounded_up(value):
     (up,) = rounded_up([value])
@@ -174,7 +175,7 @@ def test_parameters_that_mean_nothing_are_refused(wrong):
         ImportSplatConfig(**wrong)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 2**32), st.floats(0, 1))
 def test_whatever_is_kept_is_a_valid_scene(seed, min_opacity):
     rng = np.random.default_rng(seed)

@@ -15,6 +15,7 @@ from alula.stages.reconstruction.formats.ksplat import decode_ksplat
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.formats.splats import color_from_sh0
 from alula.stages.reconstruction.import_splat import import_splat
+from support.effort import examples
 from support.originals import fractions, originals
 
 BLOCK, RANGE = 5.0, 32767
@@ -259,7 +260,7 @@ def test_wrong_files_are_refused_by_what_is_wrong(name, tmp_path):
         read_splats(tmp_path / "x.ksplat")
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 @given(
     st.sampled_from([GOOD, encode([section(originals(9), 2, 0, size=2)] * 3, 2)]),
     st.lists(
@@ -283,7 +284,7 @@ def test_mutated_files_never_crash(raw, edits, cut):
     assert len(splats) == len(splats.loss.bound) > 0
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(st.binary(max_size=5000))
 def test_any_bytes_are_refused(raw):
     with pytest.raises(ArtifactError, match="KSPLAT"):

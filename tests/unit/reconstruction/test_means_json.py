@@ -12,6 +12,7 @@ from alula.stages.reconstruction.formats import means_json
 from alula.stages.reconstruction.formats.means_json import decode_means_json
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
 from alula.stages.rotation import matrix_from_quat_wxyz
+from support.effort import examples
 
 
 def lists(count=40, seed=0):
@@ -227,7 +228,7 @@ TOKENS = (
 )
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=examples(500), deadline=None)
 @given(st.data())
 def test_any_change_of_text_is_read_or_refused(data):
     raw = bytearray(BASE)

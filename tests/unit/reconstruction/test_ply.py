@@ -13,6 +13,7 @@ from alula.schemas.errors import AlulaError, ArtifactError
 from alula.stages.reconstruction.formats.ply import decode_ply, encode_ply
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.formats.splats import SH_C0, Splats, color_from_sh0
+from support.effort import examples
 
 COLUMNS = [
     "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity",
@@ -246,7 +247,7 @@ def splats_strategy():
     return st.tuples(st.integers(1, 40), st.integers(0, 2**32), st.booleans()).map(build)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(splats_strategy())
 def test_what_is_written_is_read_again(splats):
     read = decode(b"".join(encode_ply(splats, ["made by a test"])))
@@ -265,7 +266,7 @@ def test_colour_of_not_a_number_is_black():
     np.testing.assert_array_equal(color_from_sh0(np.array([np.nan, np.inf, -np.inf])), [0, 255, 0])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(
     st.sampled_from([GOOD, TEXT, HUGE, ply(table(2), ">", newline="\r\n")]),
     st.lists(st.tuples(st.integers(0, 700), st.binary(max_size=6), st.integers(0, 30)), max_size=4),

@@ -13,6 +13,7 @@ from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.import_splat import import_splat, turned
 from alula.stages.rotation import multiply_quat_wxyz
+from support.effort import examples
 
 FLOOR = np.float32(1e-9)
 ODD = np.array([np.nan, np.inf, -np.inf, 0, -0.0, 1e-38, 3e38, 1e-12, 1, -2, 0.5], np.float32)
@@ -48,7 +49,7 @@ def reason_of(mean, scale, quat, opacity, min_opacity, crop, crop_sphere, max_sc
     return 9 if max_scale is not None and (scale > max_scale).any() else 0
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     st.integers(1, 300),
     st.integers(0, 2**32),

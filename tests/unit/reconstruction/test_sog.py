@@ -132,6 +132,7 @@ def test_a_table_of_one_value_loses_nothing(tmp_path):
     assert splats.loss.bound[:, 1].max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [1, 2])
 def test_gsply_reads_the_same(tmp_path, monkeypatch, version):
     sog_reader = pytest.importorskip("gsply.sog_reader")

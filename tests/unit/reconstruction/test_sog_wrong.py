@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from alula.schemas.errors import AlulaError, ArtifactError
 from alula.stages.reconstruction.formats.registry import read_splats
+from support.effort import examples
 from support.originals import originals
 from support.sog_encoder import bundle, changed, encode, folder, webp
 
@@ -161,7 +162,7 @@ def test_only_what_is_sog_is_recognised(tmp_path):
 EDITS = st.lists(st.tuples(st.integers(0, 10**6), st.binary(min_size=1, max_size=4)), min_size=1, max_size=4)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(st.sampled_from([STORED, zipped(GOOD.items(), zipfile.ZIP_DEFLATED)]), EDITS, st.booleans())
 def test_mutated_archives_never_crash(tmp_path_factory, raw, edits, behind):
     for at, new in edits:
@@ -176,7 +177,7 @@ def test_mutated_archives_never_crash(tmp_path_factory, raw, edits, behind):
     assert len(splats) == len(splats.loss.bound) > 0
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.sampled_from(list(GOOD)), EDITS, st.integers(0, 3))
 def test_mutated_members_never_crash(tmp_path_factory, name, edits, cut):
     raw = GOOD[name]

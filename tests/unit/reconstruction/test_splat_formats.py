@@ -17,6 +17,7 @@ from alula.stages.reconstruction.formats.ply import encode_ply
 from alula.stages.reconstruction.formats.registry import SplatFile, SplatFormat, read_splats
 from alula.stages.reconstruction.formats.source import Source
 from alula.stages.reconstruction.formats.splat import OPACITY_LOSS, RECORD, decode_splat
+from support.effort import examples
 
 
 def record(mean=(1, 2, 3), scale=(0.1, 0.2, 0.3), rgba=(10, 20, 30, 255), quat=(255, 128, 128, 128)):
@@ -61,7 +62,7 @@ def test_the_rotation_is_lost_by_no_more_than_recorded(writer):
     assert (np.degrees(bound) < 1.83).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.floats(0, 1))
 def test_the_opacity_is_lost_by_no_more_than_recorded(alpha):
     for stored in (int(alpha * 255), round(alpha * 255)):
@@ -69,7 +70,7 @@ def test_the_opacity_is_lost_by_no_more_than_recorded(alpha):
         assert abs(read - alpha) <= OPACITY_LOSS + 1e-7
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.binary(max_size=200))
 def test_any_bytes_are_records_or_refused(raw):
     try:

@@ -21,6 +21,7 @@ from alula.stages.reconstruction.formats.splat import decode_splat
 from alula.stages.reconstruction.formats.splats import Loss, Splats, loss_bound, rounded_up
 from alula.stages.reconstruction.import_splat import import_splat
 from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz
+from support.effort import examples
 
 EMPTY = np.zeros((0, 3), np.int32)
 
@@ -67,7 +68,7 @@ def surface(rng, mean, scale, quat, k, count):
     return mean[:, None] + np.einsum("nij,ncj->nci", axes, local)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from([0.03, 0.1]), st.sampled_from([1.0, 2.5]))
 def test_all_that_a_row_may_stand_for_is_marked(seed, g, k):
     rng = np.random.default_rng(seed)
@@ -80,7 +81,7 @@ def test_all_that_a_row_may_stand_for_is_marked(seed, g, k):
         assert set(map(tuple, np.floor(points / g).astype(int).tolist())) <= marked
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from([0.0, 0.02]))
 def test_the_growth_is_that_of_the_formula_and_no_more(seed, inflation):
     """Row by row: the voxels of level k (1 + e) and radius r + p + t k (1 + e) (max s - min s)."""
@@ -100,7 +101,7 @@ def test_the_growth_is_that_of_the_formula_and_no_more(seed, inflation):
         assert _core.voxelize(*splats, k, g, inflation, tile=tile, loss=loss)[0].tolist() == [list(tile[0])]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 2**32))
 def test_the_proof_grows_alike(seed):
     rng = np.random.default_rng(seed)
@@ -217,7 +218,7 @@ def test_a_scene_file_keeps_the_loss_and_says_so(tmp_path):
         read_artifact(path)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.integers(0, 2**32))
 def test_no_clearance_exceeds_that_of_what_a_row_may_stand_for(seed):
     rng = np.random.default_rng(seed)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from alula.stages.reconstruction.formats.splats import color_from_sh0
+from support.effort import examples
 
 TYPES = ["i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"]
 NAMES = [f"c{i}" for i in range(14)]
@@ -131,7 +132,7 @@ def value_of(word):
     return float(made[0][0, 0])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(
     st.floats(width=32) | st.floats(), st.sampled_from(["{!r}", "{:.3e}", "+{!r}", "{:.40f}", "{:E}", "{:g}"])
 )

@@ -153,6 +153,7 @@ def test_the_stream_may_have_members_and_an_end():
     assert "not compressed" in found.notes[1]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("version", [2, 3, 4])
 @pytest.mark.parametrize("degree", [0, 3])

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from alula.schemas.errors import AlulaError, ArtifactError
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.formats.splats import SH_C0
+from support.effort import examples
 from support.spz_files import (
     ORDER,
     arrays_of,
@@ -132,7 +133,7 @@ def seed(version, container):
 SEEDS = [seed(1, "raw"), seed(2, "raw"), seed(2, "gzip"), seed(3, "raw"), seed(4, "zstd")]
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 @given(
     st.sampled_from(SEEDS),
     st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255)), max_size=4),

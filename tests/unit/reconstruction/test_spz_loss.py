@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from alula.schemas.errors import InputError
 from alula.stages.reconstruction.formats.splat import decode_splat, encode_splat
 from alula.stages.reconstruction.formats.spz import encode_spz
+from support.effort import examples
 from support.spz_files import (
     arrays_of,
     differences,
@@ -116,7 +117,7 @@ def test_what_cannot_be_bounded_is_said():
     assert found.loss.unbounded["scale"].startswith("1 Gaussians have a semi-axis of 379")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 2**32), st.integers(1, 300), st.floats(-12, 22), st.sampled_from([2, 3, 4]))
 def test_what_is_written_is_read_again_within_the_bounds(seed, count, reach, version):
     scene = random_scene(np.random.default_rng(seed), count, reach=2.0**reach)
@@ -135,7 +136,7 @@ def test_what_is_written_is_read_again_within_the_bounds(seed, count, reach, ver
         assert raw[4:8] == bytes(4)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.integers(0, 2**32), st.integers(1, 300))
 def test_a_splat_that_is_written_is_read_again_within_the_bounds(seed, count):
     scene = random_scene(np.random.default_rng(seed), count)

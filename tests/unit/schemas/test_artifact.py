@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from alula.schemas import errors
 from alula.schemas.artifact import Artifact, make_artifact, read_artifact, read_manifest, write_artifact
 from alula.schemas.kinds import KINDS, SCENE, VOXELS
+from support.effort import examples
 
 
 def voxels(index=((0, 0, 0), (0, 0, 1), (5, -2, 3)), **fields):
@@ -46,7 +47,9 @@ def test_what_is_written_is_read_again(path):
         np.testing.assert_array_equal(found[name], expected[name])
 
 
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=examples(40), suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(st.sets(st.tuples(*[st.integers(-(2**31), 2**31 - 1)] * 3), min_size=0, max_size=50))
 def test_equal_content_is_equal_bytes_and_rewriting_changes_nothing(tmp_path, rows):
     first, second = tmp_path / "first.npz", tmp_path / "second.npz"
@@ -95,7 +98,9 @@ def test_no_changed_byte_of_an_array_goes_unnoticed(path, tmp_path):
                 read_artifact(changed)
 
 
-@settings(deadline=None, max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=examples(300), suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(position=st.integers(0, 10**6), mask=st.integers(1, 255))
 def test_a_changed_byte_anywhere_is_refused_or_harmless(path, tmp_path, position, mask):
     damaged = bytearray(path.read_bytes())

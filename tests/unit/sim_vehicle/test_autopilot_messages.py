@@ -11,6 +11,7 @@ from alula.schemas.errors import UsageError
 from alula.stages.sim_vehicle.ardupilot.parameters import TABLE, Parameters
 from alula.stages.sim_vehicle.common.packets import mavlink
 from support.autopilot_client import EXACT, GUIDED, Client, of
+from support.effort import examples
 
 KEY = bytes(range(32))
 
@@ -258,7 +259,7 @@ ASKED = (
 )
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=examples(30))
 @given(st.lists(st.one_of([extremes(getattr(mavlink, f"MAVLink_{n}_message")) for n in ASKED]), max_size=40))
 def test_no_message_whatever_it_holds_stops_the_vehicle(messages):
     client = Client(parameters={"VISO_TYPE": 1})

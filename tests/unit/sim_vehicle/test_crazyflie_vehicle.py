@@ -14,6 +14,7 @@ from alula.stages.flight.links.crazyflie.setpoints import compress_quat_wxyz, ex
 from alula.stages.sim_vehicle.crazyflie.planner import Goal, Plan, Planner
 from alula.stages.sim_vehicle.crazyflie.supervisor import Stage
 from support.crazyflie_rehearsal import ARM, DISARM, Rehearsal, packet, take_off, velocity
+from support.effort import examples
 
 IDENTITY = compress_quat_wxyz((1.0, 0.0, 0.0, 0.0))
 
@@ -223,7 +224,7 @@ def test_tables_answer_and_refuse() -> None:
 
 
 @given(st.lists(st.binary(min_size=1, max_size=33), max_size=12))
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 def test_no_packet_brings_it_down(packets: list[bytes]) -> None:
     rehearsal = Rehearsal(has_app=True)
     rehearsal.live(0.05)
@@ -235,7 +236,7 @@ def test_no_packet_brings_it_down(packets: list[bytes]) -> None:
 
 
 @given(st.integers(0, 15), st.integers(0, 3), st.integers(0, 14), st.binary(max_size=29))
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=examples(200))
 def test_no_command_brings_it_down(port: int, channel: int, command: int, rest: bytes) -> None:
     rehearsal = Rehearsal(has_app=True)
     rehearsal.live(0.05)

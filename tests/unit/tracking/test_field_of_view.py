@@ -5,9 +5,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula import _core
+from support.effort import examples
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=examples(200))
 @given(st.integers(0, 2**32 - 1), st.floats(0, 3))
 def test_a_field_holds_what_is_within_its_angles_and_range(seed, margin):
     rng = np.random.default_rng(seed)

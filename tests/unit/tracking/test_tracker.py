@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
 from alula import _core
+from support.effort import examples
 from support.tracked import scan, tracker
 
 DT = 0.05
@@ -26,7 +27,7 @@ def price(cost, column, gate):
     return cost[taken, column[taken]].sum() + gate * np.sum(~taken)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=examples(100))
 @given(
     st.integers(0, 2**32 - 1), st.integers(0, 9), st.integers(0, 9), st.sampled_from([0.3, 1.0, 3.0, 30.0])
 )
@@ -39,7 +40,7 @@ def test_an_assignment_within_a_gate_costs_least(seed, rows, columns, gate):
     assert price(cost, column, gate) == pytest.approx(idle(cost, gate), rel=1e-12)
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=examples(100))
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.integers(1, 12), st.booleans())
 def test_an_assignment_without_a_gate_is_scipys(seed, rows, columns, ties):
     rng = np.random.default_rng(seed)
@@ -91,7 +92,7 @@ def life(pattern, hits, window, misses):
     return result
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=examples(100))
 @given(
     st.lists(st.booleans(), max_size=60),
     st.sampled_from([(5, 6), (1, 1), (3, 3), (2, 5), (40, 64)]),
@@ -243,7 +244,7 @@ def test_detections_that_mean_nothing_are_dropped_and_counted(name):
     assert target.tracks(0.0)["p"].tolist() == [[9.0, 9, 9], [90.0, 9, 9]]
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(st.integers(0, 2**32 - 1), st.booleans(), st.booleans())
 def test_tracks_are_finite_whatever_is_detected(seed, safe, mixes):
     """Sizes and times over many orders of magnitude: beliefs stay finite, symmetric, positive to rounding."""

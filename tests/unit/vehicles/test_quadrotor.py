@@ -14,6 +14,7 @@ from alula._core import (
     shadowed,
     turned,
 )
+from support.effort import examples
 from support.quadrotor_model import (
     GRAVITY,
     INERTIA,
@@ -145,7 +146,7 @@ LAYOUTS = st.tuples(
     st.tuples(*[st.floats(3.0, 5.0)] * 4),
 )
 WRENCHES = st.tuples(st.floats(-30, 30), *[st.floats(-3, 3)] * 3)
-PRECISION = settings(max_examples=300, deadline=None)
+PRECISION = settings(max_examples=examples(300), deadline=None)
 
 
 def uneven(layout):
@@ -172,7 +173,7 @@ def test_a_limited_wrench_is_admissible_and_an_admissible_one_is_kept(layout, wa
     assert close(body.saturated(u), body.wrench(cut), 1e-12)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(layout=LAYOUTS, wanted=WRENCHES)
 def test_torque_is_shared_as_a_linear_program_says(layout, wanted):
     from scipy.optimize import linprog

@@ -18,6 +18,7 @@ from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map, index_bytes
 from alula.stages.filtering.protocol import FilterStatus
 from support.covers import cover_of, furniture, voxels_of
+from support.effort import examples
 from support.fabricate import box, exact_hull, make_cover
 from support.maps import decode, half_spaces, is_at_least, sealed
 from support.paths import ROOT
@@ -61,7 +62,7 @@ def same_everywhere(found, points, nominal):
     return seen
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(st.data())
 def test_the_tree_changes_no_bit(data):
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
@@ -108,7 +109,7 @@ def test_real_covers_change_no_bit(make, request, tmp_path):
     assert {OK, FILTERED, RECOVERING} <= seen
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0, 10**5, -(2**19)]), st.sampled_from([1, 127]))
 def test_rounding_never_brings_a_hull_closer_than_it_is(seed, place, largest):
     rng = np.random.default_rng(seed)
@@ -135,6 +136,7 @@ def street(count):
     return make_cover([box((x, y, 0), (x + 5, y + 4, 30)) for x, y in blocks], g=0.1)
 
 
+@pytest.mark.slow
 def test_what_a_tick_looks_at_grows_like_the_logarithm_of_the_hulls():
     rng = np.random.default_rng(6)
     points, most = rng.uniform([-1.5, -1.5, 0.2], [1.5, 1.5, 2.8], (300, 3)), {}
@@ -252,6 +254,7 @@ int main(void) {
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
 def test_a_hull_with_more_planes_than_rows_and_a_map_that_vanished_are_refused(tmp_path):
     (tmp_path / "main.c").write_text(PROGRAM)

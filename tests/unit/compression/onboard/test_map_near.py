@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from alula import _core
 from alula.stages.compression.onboard.layout import encode_map
 from support.covers import cover_of, furniture, voxels_of
+from support.effort import examples
 from support.fabricate import box, exact_hull, make_cover
 from support.paths import ROOT
 
@@ -40,7 +41,8 @@ def same(native, points):
         assert along.tobytes() == alone.tobytes()
 
 
-@settings(deadline=None, max_examples=80)
+@pytest.mark.slow
+@settings(deadline=None, max_examples=examples(80))
 @given(st.data())
 def test_what_is_remembered_changes_no_bit(data):
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))

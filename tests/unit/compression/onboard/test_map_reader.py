@@ -13,6 +13,7 @@ from alula.schemas.errors import ArtifactError
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map
 from support.covers import cover_of, furniture, voxels_of
+from support.effort import examples
 from support.fabricate import box, exact_hull, make_cover
 from support.maps import decode, is_at_least, psi, sealed
 
@@ -57,7 +58,7 @@ def test_every_changed_byte_is_refused(name):
             assert is_refused_by_both(changed), at
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=examples(300))
 @given(st.data())
 def test_changes_with_matching_sums_are_refused_or_read_alike(data):
     image = bytearray(data.draw(st.sampled_from(list(IMAGES.values()))))
@@ -116,6 +117,7 @@ def test_a_header_that_lies_is_refused(at, code, value, said):
 FREE = {5, 10, *range(20, 64)}
 
 
+@pytest.mark.every(4)
 @pytest.mark.parametrize("indexed", [False, True])
 @pytest.mark.parametrize("largest", [1, 127])
 def test_every_header_byte_but_those_of_the_place_is_checked_even_with_matching_sums(indexed, largest):
@@ -177,7 +179,7 @@ def scenes(draw):
     return make_cover(hulls, g=g, offset=(place, 0, -place)), rng
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 @given(scenes(), st.sampled_from([1, 15, 127]))
 def test_psi_never_exceeds_the_exact_value_and_misses_it_by_little(scene, largest):
     cover, rng = scene

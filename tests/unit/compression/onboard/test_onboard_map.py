@@ -10,6 +10,7 @@ from alula.schemas.errors import ArtifactError, InfeasibleError, InputError
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map, map_facts
 from support.covers import cover_of, furniture, holds_voxel, rows, voxels_of
+from support.effort import examples
 from support.fabricate import box, exact_hull, make_cover
 from support.maps import decode, half_spaces, holds
 
@@ -52,7 +53,7 @@ def assert_contains(raw: bytes, cover) -> list[dict]:
     return hulls
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(covers(), st.sampled_from([1, 2, 7, 15, 127]))
 def test_each_hull_contains_its_own_and_has_its_box(cover, largest):
     raw = encode_map(cover, largest_normal=largest)
@@ -68,7 +69,7 @@ def test_each_hull_contains_its_own_and_has_its_box(cover, largest):
     assert len(raw) == 64 + 14 * len(hulls) + (2 if largest == 1 else 5) * count or raw[8] & 1
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=examples(30))
 @given(covers())
 def test_three_decoders_agree(cover):
     raw = encode_map(cover)

@@ -22,13 +22,14 @@ from alula.stages.flight.links.protocol import (
     Order,
 )
 from alula.stages.vehicles.frames import LocalFrame
+from support.effort import examples
 from support.mavlink_peer import Peer, Time, m, said, vehicle
 
 
 def test_random_bytes_raise_nothing_and_change_nothing():
     prefix = st.sampled_from([b"", b"\xfd", b"\xfe", b"\xfd\x10\x00\x00\x00\x01\x01\x20\x00\x00"])
 
-    @settings(deadline=None, max_examples=300)
+    @settings(deadline=None, max_examples=examples(300))
     @given(st.lists(st.tuples(prefix, st.binary(max_size=600)), max_size=4))
     def check(parts):
         before = said(link)
@@ -102,7 +103,7 @@ def test_whatever_the_vehicle_itself_says_raises_nothing_and_states_stay_finite(
     numbers = sorted({getattr(m, f"MAVLINK_MSG_ID_{name}") for name in WANTED.split()})
     message = st.tuples(st.sampled_from(numbers), st.binary(min_size=1, max_size=255))
 
-    @settings(deadline=None, max_examples=300)
+    @settings(deadline=None, max_examples=examples(300))
     @given(st.lists(message, min_size=1, max_size=6))
     def check(messages):
         time.now_s += 0.01

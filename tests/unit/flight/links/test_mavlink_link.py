@@ -17,6 +17,7 @@ from alula.stages.flight.links.protocol import (
     RatesSetpoint,
     VelocitySetpoint,
 )
+from support.effort import examples
 from support.mavlink_peer import FRAME, Peer, m, vehicle
 
 FINITE = st.floats(-20, 20)
@@ -90,7 +91,7 @@ def test_of_two_vehicles_one_must_be_chosen():
 
 
 def test_state_is_that_of_the_wire_in_the_world():
-    @settings(deadline=None, max_examples=60)
+    @settings(deadline=None, max_examples=examples(60))
     @given(p=VECTOR, v=VECTOR, w=st.tuples(*3 * [st.floats(-5, 5)]), r=VECTOR)
     def check(p, v, w, r):
         attitude = Rotation.from_rotvec(np.array(r) / 10)
@@ -181,7 +182,7 @@ def test_whatever_is_sent_is_finite_within_limits_and_within_reach_of_the_last()
     thrust = st.floats(-5, 50)
     rates = st.tuples(st.floats(-19, 19), st.floats(-19, 19), st.floats(-7, 7))
 
-    @settings(deadline=None, max_examples=30)
+    @settings(deadline=None, max_examples=examples(30))
     @given(st.lists(st.tuples(thrust, rates), min_size=2, max_size=12))
     def check(wishes):
         peer.heard.clear()

@@ -24,6 +24,7 @@ from alula.stages.simulation.encounters.world import (
 )
 from alula.stages.verdict import wilson_interval
 from support.clusters import Cluster
+from support.effort import examples
 from support.paths import ROOT
 
 AHEAD = {"motion": "accelerating", "distance_m": 30.0, "acceleration_m_s2": (0.2, 0.8)}
@@ -61,7 +62,7 @@ def test_defaults_are_those_of_the_native_code():
             np.testing.assert_array_equal(a[key], b[key])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 @given(
     name=st.sampled_from(["dr-acbf", "dr-acbf-qp", "mpc", "cbf-qp", "rp-cbf", "none"]),
     a_max=st.floats(0.5, 20),
@@ -156,6 +157,7 @@ def test_a_trial_is_a_function_of_seed_and_number():
     assert msgspec.json.encode(more[:40]) == msgspec.json.encode(first)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # those of other packages
 def test_a_worker_that_is_lost_loses_nothing(tmp_path):
     scenario = made(trials={"count": 200, "seed": 3, "logged": 2})
@@ -266,7 +268,7 @@ def test_the_examples_read_and_fly():
         assert all(o.detected_s is not None for t in run.trials for o in t.obstacles)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(st.integers(0, 2**32 - 1))
 def test_the_risk_bounds_how_often_an_obstacle_hits(seed):
     rng = np.random.default_rng(seed)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import kstest
 
 from alula._core import ObstacleSpec, TrackingGains, meeting_time
+from support.effort import examples
 from support.moving_worlds import DT, HARDWARE, SCENARIO_1, SCENARIO_2, angles, closing, paths, vehicle_path
 
 
@@ -22,7 +23,7 @@ def drawn(table, vehicle, trials, **where):
 component = st.floats(-50, 50)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=examples(300))
 @given(
     st.tuples(component, component, component), st.tuples(component, component, component), st.floats(0, 60)
 )

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from alula._core import TrackingGains
+from support.effort import examples
 from support.moving_worlds import DT, SCENARIO_1, angles, closing, paths, vehicle_path
 from support.quadrotor_model import fastbridge
 
@@ -190,7 +191,7 @@ _MET_AT_ITS_START = {
 }
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(table=_TABLES, v=st.tuples(*[st.floats(-6, 6)] * 3))
 @example(table=_MET_AT_ITS_START, v=(1.0, 0.0, 0.0))
 @example(table=_MET_AT_ITS_START | {"crosses": True, "heading_rad": (1.0, 1.0)}, v=(6.0, 0.0, 0.0))
