@@ -232,7 +232,7 @@ def test_mocap_at_120_hz_sees_what_is_thrown_and_who_approaches():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"kind": "sonar"}, "a kind is one of radar, ideal, mocap"),
+        ({"kind": "sonar"}, "kind must be radar, ideal or mocap"),
         ({"rate_hz": 0}, "rate"),
         ({"rate_hz": np.inf}, "rate"),
         ({"half_azimuth_rad": 4}, "field of view"),

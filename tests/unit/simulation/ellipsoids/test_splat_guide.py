@@ -141,7 +141,7 @@ def test_a_guided_run_does_not_depend_on_jobs_and_says_who_guided():
         ({"guide": "cone-backup"}, "--guide cone-backup: a guide is cone-di or safer-splat"),
         ({"guide": "polytope-cbf"}, "--guide polytope-cbf: a guide is"),
         ({"guide_parameters": {"alhpa": 1.0}}, "cone-di: unknown parameter 'alhpa'"),
-        ({"guide_parameters": {"alpha": -1.0}}, "cone-di: alpha and escape_rate must be positive"),
+        ({"guide_parameters": {"alpha": -1.0}}, "cone-di: alpha must be above 0"),
         ({"guide": "none", "guide_parameters": {"alpha": 1.0}}, "--set guide.alpha: there is no --guide"),
     ],
 )

@@ -233,7 +233,7 @@ def test_the_hardware_runs_hit_who_hovers():
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"kind": "flying"}, "a kind is one of constant-velocity, accelerating"),
+        ({"kind": "flying"}, "kind must be constant-velocity, accelerating"),
         ({"radius_m": 0}, "radius"),
         ({"radius_m": np.nan}, "radius"),
         ({"position": (np.nan, 0, 0)}, "finite"),
@@ -287,7 +287,7 @@ def test_a_body_needs_its_gains():
         (
             {"kind": "quadrotor", "is_relative": False, "way_points": [(0, 0, 0)]},
             vehicle_path(1),
-            "a way to fly",
+            "lead away from its start",
         ),
     ],
 )
