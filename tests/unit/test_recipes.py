@@ -87,7 +87,5 @@ def test_a_new_version_of_an_artifact(follow, pipeline, tmp_path):
         assert json.loads(archive.read("manifest.json"))["version"] == "1.1"
     for voxels in (out, pipeline / "tiny.voxels.npz"):  # the new version, and the one before
         scratch.alula("merge", voxels, "-o", tmp_path / f"{voxels.name}.cover.npz", "--hulls", 5)
-    folder = tmp_path / "json"
-    folder.mkdir()
-    assert scratch.run("-m", "alula.schemas.generate", str(folder)).returncode == 0
-    assert (folder / "alula-voxels-1.1.schema.json").exists()
+    done = scratch.run("-c", "from alula.schemas.generate import documents; print(*documents())")
+    assert "alula-voxels-1.1.schema.json" in done.stdout.split()
