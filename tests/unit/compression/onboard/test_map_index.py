@@ -228,7 +228,7 @@ def test_what_is_not_finite_or_too_far_is_refused(bad):
 
 @pytest.mark.parametrize("options", [{"extent_m": np.nan}, {"extent_m": -1.0}, {"kappa": 0.0}, {"beta": 1e4}])
 def test_parameters_without_meaning_are_refused(options):
-    with pytest.raises(ValueError, match="parameters|must be"):
+    with pytest.raises(ValueError, match=r"parameters|must be"):
         filters([(IMAGE, False)], **options)
 
 
