@@ -301,7 +301,14 @@ def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
         raise (LinkError(words) if loop.checks.is_of_link or cause is Event.LINK_LOST else CheckError(words))
     of_vehicle = (
         *(Event.LINK_LOST, Event.FAILSAFE, Event.NOT_OBEYED, Event.ORDER_REFUSED, Event.ESTIMATOR_BAD),
-        *(Event.DISARMED, Event.BATTERY_LOW, Event.FAILSAFE_IDLE, Event.OFF_WAY, Event.DRIFTS, Event.UNTOLD),
+        *(
+            Event.DISARMED,
+            Event.BATTERY_LOW,
+            Event.FAILSAFE_IDLE,
+            Event.OFF_CLIMB,
+            Event.DRIFTS,
+            Event.HEALTH_UNKNOWN,
+        ),
     )
     reason = "no reason is known" if cause is None else cause.value
     if cause in of_vehicle or not loop.counters.filter_s:

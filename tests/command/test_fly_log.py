@@ -92,7 +92,7 @@ def test_the_log_of_a_take_off_is_kept_though_nobody_can_judge_it(fly):
             vehicle.x[0] += 0.004
             vehicle.hold_at[0] += 0.004
 
-    with pytest.raises(LinkError, match="ended early: off the way up"):
+    with pytest.raises(LinkError, match="ended early: off the climb path"):
         fly(blow)
     found = read_logged(fly.log)
     assert "in the state done" in found.damage

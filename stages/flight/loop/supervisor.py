@@ -253,10 +253,10 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.FAILSAFE_IDLE, facts.now_s - was.failsafe_s > limits.failsafe_s),
         (Event.ESTIMATOR_BAD, facts.estimator_ready is False),
         (Event.BATTERY_LOW, battery is not None and not battery >= limits.battery_share),
-        (Event.UNTOLD, facts.health_unknown),
+        (Event.HEALTH_UNKNOWN, facts.health_unknown),
         (Event.STATE_STALE, not abs(facts.state_age_s) <= limits.stale_s),  # nor in the future
         (Event.STATE_JUMPED, not facts.jump_m <= limits.jump_m),
-        (Event.OFF_WAY, not facts.off_climb_m <= 0.0),
+        (Event.OFF_CLIMB, not facts.off_climb_m <= 0.0),
         (Event.DRIFTS, not facts.drift_m <= limits.drift_m),
         (Event.LOOP_LATE, not facts.late_s <= limits.late_s or facts.overruns >= limits.overruns),
         (Event.FILTER_FAILED, facts.filter is FilterHealth.FAILED),

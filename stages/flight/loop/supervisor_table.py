@@ -37,14 +37,14 @@ class Event(Enum):
     STATE_STALE = "state too old"
     STATE_JUMPED = "position jumped"
     LOOP_LATE = "loop too late"
-    FILTER_REFUSED = "filter knows no safe input"
+    FILTER_REFUSED = "filter has no safe input"
     FILTER_FAILED = "filter failed"
     FALLBACK_LONG = "fallback for too long"
-    FENCE = "too near to the fence"
+    FENCE = "too close to the fence"
     NOT_OBEYED = "vehicle does not follow"
-    OFF_WAY = "off the way up"
-    DRIFTS = "drifts off its hold"
-    UNTOLD = "health not told any more"
+    OFF_CLIMB = "off the climb path"
+    DRIFTS = "drifts from its hold"
+    HEALTH_UNKNOWN = "health no longer reported"
     RECOVERED = "all is well again"
     HOLDS_USED_UP = "held too often"
     BATTERY_LOW = "battery low"
@@ -52,7 +52,7 @@ class Event(Enum):
     ESTIMATOR_BAD = "estimator not healthy"
     FAILSAFE = "vehicle's own failsafe"
     FAILSAFE_IDLE = "failsafe without any action"
-    RESTARTED = "vehicle has started anew"
+    RESTARTED = "vehicle restarted"
     MODE_CHANGED = "mode changed by the pilot"
     ORDER_REFUSED = "order refused"
     PLAN_FINISHED = "plan finished"
@@ -73,7 +73,7 @@ class Action(Enum):
     HOLD = "hold in place, by the vehicle itself"
     LAND = "land, by the vehicle itself"
     DISARM = "disarm"
-    LET_GO = "send nothing any more"
+    LET_GO = "stop sending"
 
 
 class Step(NamedTuple):
@@ -136,8 +136,8 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.STATE_JUMPED,
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
-        _E.UNTOLD,
-        _E.OFF_WAY,
+        _E.HEALTH_UNKNOWN,
+        _E.OFF_CLIMB,
         _E.TIMED_OUT,
     )
     | _abort(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
@@ -152,10 +152,10 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.STATE_JUMPED,
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
-        _E.UNTOLD,
+        _E.HEALTH_UNKNOWN,
     )
     # The vehicle is low and near the climb path that was proven clear; a hold would be in unproven space.
-    | _land(_E.OFF_WAY, _E.FENCE)
+    | _land(_E.OFF_CLIMB, _E.FENCE)
     | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
     _S.FLY: _hand_over(*_TAKEN_OVER)
@@ -169,7 +169,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.STATE_JUMPED,
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
-        _E.UNTOLD,
+        _E.HEALTH_UNKNOWN,
     )
     | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
@@ -182,7 +182,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.STATE_JUMPED,
         _E.ESTIMATOR_BAD,
         _E.BATTERY_LOW,
-        _E.UNTOLD,
+        _E.HEALTH_UNKNOWN,
         _E.FRAME_WRONG,
         _E.HOLDS_USED_UP,
     )
@@ -214,10 +214,10 @@ _HEALTH = (
     _E.STATE_JUMPED,
     _E.ESTIMATOR_BAD,
     _E.BATTERY_LOW,
-    _E.UNTOLD,
+    _E.HEALTH_UNKNOWN,
     _E.FENCE,
 )
-_POSITION = (_E.OFF_WAY, _E.DRIFTS)  # defined in a climb and in a hold only
+_POSITION = (_E.OFF_CLIMB, _E.DRIFTS)  # defined in a climb and in a hold only
 _INTERRUPTS = (_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR)
 
 IGNORED: Mapping[State, frozenset[Event]] = {
@@ -236,7 +236,7 @@ IGNORED: Mapping[State, frozenset[Event]] = {
     _S.FLY: frozenset({_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_HOLD, *_POSITION}),
     # The cause of the hold is still present until it has recovered, or has lasted too long.
     _S.HOLD: frozenset(
-        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, _E.OFF_WAY}
+        {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, *_OF_FLIGHT, _E.OFF_CLIMB}
         | {_E.STATE_STALE, _E.FENCE}
     ),
     # The landing continues whatever else is wrong: there is no better action, and wind may cause drift.

@@ -23,7 +23,14 @@ INFO, WARNING, ERROR = 2, 3, 4  # levels of foxglove.Log
 
 _BAD = frozenset(
     {Event.CHECK_FAILED, Event.LINK_LOST, Event.FAILSAFE, Event.FILTER_FAILED, Event.FRAME_WRONG}
-    | {Event.ESTIMATOR_BAD, Event.FENCE, Event.FAILSAFE_IDLE, Event.OFF_WAY, Event.DRIFTS, Event.UNTOLD}
+    | {
+        Event.ESTIMATOR_BAD,
+        Event.FENCE,
+        Event.FAILSAFE_IDLE,
+        Event.OFF_CLIMB,
+        Event.DRIFTS,
+        Event.HEALTH_UNKNOWN,
+    }
 )
 _FINE = frozenset(
     {Event.START, Event.CHECKS_PASSED, Event.CHECKS_PASSED_DRY, Event.ARMED, Event.AIRBORNE}

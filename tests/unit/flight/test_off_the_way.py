@@ -65,14 +65,14 @@ def blown(speed_m_s, axis=0):
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_take_off_that_drifts_off_its_column_is_landed(axis):
     loop, vehicle = fly(on_poll=climbing(blown(0.4, axis)))
-    ended(loop, Event.OFF_WAY, "take-off", "land", "done")
+    ended(loop, Event.OFF_CLIMB, "take-off", "land", "done")
     assert not vehicle.sent
     room = loop.checks.room_m
     assert 0.1 <= room <= 0.5  # at least the margin, at most --near
     at = next(s for s in loop.recorder.samples if s.state == "land")
     off = np.hypot(at.position[0] - START[0], at.position[1] - START[1])
     assert room < off < room + 0.03  # without delay
-    assert any("off the way up: landing" in words for _, words in loop.recorder.lines)
+    assert any("off the climb path: landing" in words for _, words in loop.recorder.lines)
 
 
 def test_a_take_off_in_its_column_is_left_alone():
@@ -94,7 +94,7 @@ def test_a_take_off_that_shoots_past_its_height_is_landed():
     vehicle.on_poll = climbing(shoot)
     loops.append(loop_of(mission(), vehicle))
     loops[0].run()
-    ended(loops[0], Event.OFF_WAY, "take-off", "land", "done")
+    ended(loops[0], Event.OFF_CLIMB, "take-off", "land", "done")
 
 
 def test_a_take_off_through_a_side_of_the_fence_is_landed():
@@ -113,7 +113,7 @@ def test_a_vehicle_that_is_carried_off_while_it_does_not_arm_is_not_flown():
             vehicle.x[0] += 0.003
 
     loop, vehicle = fly(on_poll=carry)
-    ended(loop, Event.OFF_WAY, "abort", "done")
+    ended(loop, Event.OFF_CLIMB, "abort", "done")
     assert Order.TAKE_OFF not in vehicle.orders
 
 
@@ -160,7 +160,7 @@ def test_what_is_no_longer_told_is_not_taken_for_good(name):
             vehicle.status.armed = True
 
     loop, _ = fly(on_poll=fault)
-    ended(loop, Event.UNTOLD, "take-off", "fly", "land", "done")
+    ended(loop, Event.HEALTH_UNKNOWN, "take-off", "fly", "land", "done")
 
 
 def test_a_vehicle_that_may_still_be_arming_is_not_left():

@@ -279,25 +279,25 @@ PLOTS = {
         parameters={"WPNAV_SPEED_UP": 12.0},
     ),
     "arming: health not told": Plot(
-        [(S.ARMING, E.UNTOLD)], [*UNARMED, *on(S.CHECKS, mute("EKF_STATUS_REPORT"), after=0.3)]
+        [(S.ARMING, E.HEALTH_UNKNOWN)], [*UNARMED, *on(S.CHECKS, mute("EKF_STATUS_REPORT"), after=0.3)]
     ),
     "take-off: health not told": Plot(
-        [(S.TAKE_OFF, E.UNTOLD)],
+        [(S.TAKE_OFF, E.HEALTH_UNKNOWN)],
         on(S.CHECKS, mute("EKF_STATUS_REPORT"), after=0.3),
         parameters={"WPNAV_SPEED_UP": 12.0},
     ),
-    "fly: health not told": Plot([(S.FLY, E.UNTOLD)], on(S.TAKE_OFF, mute("EKF_STATUS_REPORT"))),
+    "fly: health not told": Plot([(S.FLY, E.HEALTH_UNKNOWN)], on(S.TAKE_OFF, mute("EKF_STATUS_REPORT"))),
     "hold: health not told": Plot(
-        [(S.HOLD, E.UNTOLD)],
+        [(S.HOLD, E.HEALTH_UNKNOWN)],
         [*on(S.TAKE_OFF, mute("EKF_STATUS_REPORT")), *on(S.FLY, fault("freeze"), after=0.5)],
     ),
-    "arming: off the way up": Plot(
-        [(S.ARMING, E.OFF_WAY)],
+    "arming: off the climb path": Plot(
+        [(S.ARMING, E.OFF_CLIMB)],
         [*UNARMED, *on(S.ARMING, fault("jump", amount=0.35))],
         mission={"near_m": 0.2},
     ),
-    "take-off: off the way up": Plot(
-        [(S.TAKE_OFF, E.OFF_WAY)],
+    "take-off: off the climb path": Plot(
+        [(S.TAKE_OFF, E.OFF_CLIMB)],
         on(S.TAKE_OFF, fault("jump", amount=0.35)),
         mission={"near_m": 0.2},
         seen_is_true=False,
