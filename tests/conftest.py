@@ -31,8 +31,8 @@ def data() -> Path:
 
 
 # `make test` draws the same examples every time; what a run with ALULA_TESTS=all finds becomes an @example.
-hypothesis.settings.register_profile("quick", derandomize=True, database=None)
-hypothesis.settings.register_profile("all", print_blob=True)
+hypothesis.settings.register_profile("quick", deadline=None, derandomize=True, database=None)
+hypothesis.settings.register_profile("all", deadline=None, print_blob=True)
 hypothesis.settings.load_profile("all" if ALL else "quick")
 
 MARKS = {"realtime": pytest.mark.realtime, "examples": pytest.mark.slow}  # by folder

@@ -4,7 +4,7 @@ from math import radians
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
@@ -27,6 +27,7 @@ component = st.floats(-50, 50)
 @given(
     st.tuples(component, component, component), st.tuples(component, component, component), st.floats(0, 60)
 )
+@example((2.55e-151, 0.0, 0.0), (2.55e-151, 0.0, 0.0), 1.2e-115)  # squares underflow
 def test_the_meeting_time_is_the_first_root_or_the_nearest_approach(r, v, s):
     t = meeting_time(r, v, s)
     assert 0 <= t <= 1e4
