@@ -100,7 +100,8 @@ class BackupController {
     return u;
   }
 
-  // A step of dt with the command; starts from the middle of the step when `last` is the previous step's command.
+  // Advances by dt with the command, extrapolated to the middle of the step from the previous one, `last`, unless
+  // `is_first`.
   template <class S>
   void advance(double dt, const BackupHold& hold, RacerFlow<S>& x, FlowCommand<S>& last, bool is_first) const {
     const FlowCommand<S> now = command(hold, x);
