@@ -10,7 +10,7 @@ namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kSameThrust = 0.01;   // of hover: within this the extension counts as at the nominal thrust
-constexpr double kLeastThrust = 0.05;  // of hover: below this, the torque's effect on the thrust direction is ignored
+constexpr double kLeastThrust = 0.05;  // of hover: minimum for the smooth snap, torques need thrust to turn
 
 }  // namespace
 

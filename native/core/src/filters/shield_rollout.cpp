@@ -278,7 +278,8 @@ bool Shield::march(std::size_t from, double distance, bool thorough, double& lea
     if (j == k) {  // the next tick is outside the cleared ball: test the chord between them
       ++j;
       const Tick& next = path_[j];
-      const double needed = distance + next.sag;  // of the chord; the search uses its start
+      const double needed =
+          distance + next.sag;  // of the chord; a point that near it is within `reach_of_start` of its start
       const double reach_of_start = needed + norm(next.p - path_[k].p);
       index_->nearest(path_[k].p, next.p, reach_of_start, 1, found_);
       if (!found_.empty() && found_[0].distance < needed) {
