@@ -12,7 +12,7 @@
 
 namespace alula {
 
-// A read-only C-contiguous array on the CPU; anything else is refused by nanobind.
+// A read-only C-contiguous array on the CPU; nanobind rejects any other argument.
 template <class T, class Shape>
 using In = nanobind::ndarray<const T, Shape, nanobind::c_contig, nanobind::device::cpu>;
 template <class T>
@@ -27,7 +27,7 @@ std::span<const T> as_span(const In<T, Shape>& array) {
   return {array.data(), array.size()};
 }
 
-// One that the caller made to be written.
+// An output array, allocated by the caller.
 template <class T, class Shape>
 using Into = nanobind::ndarray<T, Shape, nanobind::c_contig, nanobind::device::cpu>;
 template <class T>
@@ -43,14 +43,14 @@ std::span<T> as_span(const std::optional<Into<T, Shape>>& array) {
   return {array->data(), array->size()};
 }
 
-// None is no values.
+// An empty span for None.
 template <class T, class Shape>
 std::span<const T> as_span(const std::optional<In<T, Shape>>& array) {
   if (!array) return {};
   return as_span(*array);
 }
 
-// Hands a vector to NumPy; the array owns it.
+// Moves a vector into a NumPy array, which owns it.
 template <class T>
 nanobind::ndarray<nanobind::numpy, T> to_numpy(std::vector<T>&& values, std::initializer_list<std::size_t> shape) {
   auto* owned = new std::vector<T>(std::move(values));

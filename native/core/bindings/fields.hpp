@@ -1,7 +1,7 @@
 // Constructors and attributes of option structs in Python, from their field lists.
 //
-// All options are keyword-only. Unknown names and values of another type raise TypeError, values beyond their limits,
-// and what the struct's own `check` refuses, ValueError.
+// All options are keyword-only. Unknown names and values of another type raise TypeError. Values beyond their limits
+// and structs that their own `check` rejects raise ValueError.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -28,7 +28,7 @@ namespace nb = nanobind;
 template <class M>
 concept Chosen = std::is_enum_v<M> && requires { Choices<M>::names; };
 
-// How a member is passed: `type` in a signature, `from` Python, `out` as what nanobind turns into a Python value.
+// Conversion of a member: `type` in a signature, `from` a Python value, `out` to a value that nanobind converts.
 template <class M>
 struct Python {  // a bound class
   static std::string type() { return nb::cast<std::string>(nb::type<M>().attr("__name__")); }
@@ -117,7 +117,7 @@ struct Python<std::vector<M>> {
   }
 };
 
-// A choice that is passed on its own; `what` begins the complaint about another one.
+// Converts a choice that is a single argument; the message of an invalid one begins with `what`.
 template <Chosen E>
 E choice(nb::handle value, const std::string& what) {
   try {
@@ -170,7 +170,7 @@ std::string documentation(const T& object, const std::string& head = {}) {
   return head + (head.empty() ? "Args:" : "\n\nArgs:") + lines;
 }
 
-// Sets the fields that are given by name.
+// Sets the fields given by name.
 template <class T>
 void assign(T& object, const nb::kwargs& given, const std::string& what) {
   std::size_t used = 0;
@@ -203,13 +203,13 @@ void assign(T& object, const nb::kwargs& given, const std::string& what) {
   }
 }
 
-// What a struct refuses beyond the limits of its fields.
+// Applies the struct's own `check`, beyond the limits of its fields.
 template <class T>
 void require_valid(const T& object) {
   if constexpr (requires { check(object); }) check(object);
 }
 
-// Attributes of `Class` for all fields of T, which `path` finds in it.
+// Adds attributes to `Class` for all fields of T, which is located by `path`.
 template <class T, class Class, class Path>
 void add_attributes(Class& bound, Path path) {
   using Root = typename Class::Type;

@@ -12,7 +12,7 @@ namespace alula {
 // which it takes itself; an exception of the callable comes out of QpSolver::solve.
 QpBackend qp_backend(nanobind::object callable);
 
-// The native solver, or one that asks the callable.
+// The native solver, or one that calls the callable.
 QpSolver qp_solver(nanobind::object callable);
 
 }  // namespace alula

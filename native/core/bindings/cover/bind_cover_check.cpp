@@ -100,7 +100,7 @@ void bind_cover_check(nb::module_& m) {
   m.def("check_cover_hulls", &alula::check_cover_hulls, "vertex"_a, "vertex_start"_a, "plane_normal"_a,
         "plane_offset"_a, "plane_start"_a, "member_index"_a, "member_start"_a, "is_outer"_a, "jobs"_a,
         "progress"_a.none(),
-        "Exact check of each hull of a cover. Returns rows (fault, hull, row, other), ordered by hull.");
+        "Check each hull of a cover exactly. Returns rows (fault, hull, row, other), ordered by hull.");
   m.def("check_cover_occupied", &alula::check_cover_occupied, "member_index"_a, "member_start"_a, "occupied"_a,
         "Check that the members of a cover are exactly the occupied voxels. Returns rows as check_cover_hulls.");
   m.def("cover_fault", &alula::fault_text, "fault"_a, "Meaning of a fault number of the checks above.");

@@ -62,7 +62,7 @@ Result lattice_hull(const InRows3<std::int32_t>& points) {
   return result;
 }
 
-// How to merge.
+// Options of a merge.
 struct MergeArguments {
   int block = 1;
   bool is_paper = false;
@@ -91,7 +91,7 @@ struct Fields<MergeArguments> {
 
 namespace {
 
-// Fraction of the time, in Share::kWhole, after each part of merge_cover(). Clusters of a block of one are
+// Fraction of the time, in Share::kWhole, after each part of merge_cover(). Clusters with a block of one are
 // few different ones, larger ones are hulls to build one by one.
 constexpr std::size_t kClustered = 110, kClusteredLarge = 550, kMerged = 940, kTight = 975;
 
@@ -206,16 +206,15 @@ double cover_excess(const InRows3<std::int32_t>& voxels, const InRows3<std::int3
 
 void bind_merge(nb::module_& m) {
   using alula::EvaluationLog;
-  nb::class_<EvaluationLog>(
-      m, "MergeJournal",
-      "The volumes that a merge has measured. Given to the same merge again, it takes them from\n"
-      "here and so comes to the same result sooner; for another merge it starts anew.")
+  nb::class_<EvaluationLog>(m, "MergeJournal",
+                            "Log of the volumes that a merge has measured. The same merge run again reads them from\n"
+                            "the journal and finishes sooner with the same result; another merge discards them.")
       .def(
           "__init__",
           [](EvaluationLog* that, const nb::bytes& data) {
             new (that) EvaluationLog(std::string_view(data.c_str(), data.size()));
           },
-          "data"_a = nb::bytes("", 0), "From an earlier snapshot; ValueError when it is damaged.")
+          "data"_a = nb::bytes("", 0), "Restore an earlier snapshot; ValueError when it is damaged.")
       .def(
           "snapshot",
           [](const EvaluationLog& that) {
@@ -228,12 +227,13 @@ void bind_merge(nb::module_& m) {
           },
           "All entries so far; may be called from any thread while merging.")
       .def("__len__", &EvaluationLog::size)
-      .def_prop_ro("reused", &EvaluationLog::reused, "How many measurements were taken from here since it was made.");
+      .def_prop_ro("reused", &EvaluationLog::reused,
+                   "Number of measurements read from the journal since it was created.");
   m.def("lattice_hull", &alula::lattice_hull, "points"_a,
         "Exact hull of integer points (N, 3): sorted vertices and primitive planes, as a cover of one hull.");
   m.def("cover_excess", &alula::cover_excess, "voxels"_a, "vertex"_a, "vertex_start"_a, "plane_normal"_a,
         "plane_offset"_a, "plane_start"_a, "jobs"_a, "progress"_a.none(),
-        "Volume [voxels] of the union of polytopes outside sorted voxels (M, 3), all of which they contain.");
+        "Volume [voxels] of the union of polytopes outside sorted voxels (M, 3); the union contains every voxel.");
   m.def("merge_cover", &alula::merge_cover, "voxels"_a, "member"_a, "member_start"_a, nb::kw_only(), "jobs"_a,
         "journal"_a.none(), "progress"_a.none(), "others"_a,
         nb::sig(alula::fields::signature(
@@ -243,7 +243,8 @@ void bind_merge(nb::module_& m) {
                     "jobs: int, journal: MergeJournal | None, progress: object | None")
                     .c_str()),
         "Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets; with an\n"
-        "empty `member_start` the set cover by clusters is computed. A limit of 0 is none. `facet_cap` and `kdop`\n"
+        "empty `member_start` the set cover by clusters is computed. A limit of 0 means no limit. `facet_cap` and "
+        "`kdop`\n"
         "give outer polytopes; with `is_fitted` the number of hulls minimises the excess within the budget.\n"
         "Returns the arrays of an alula/cover, the curve (hulls, sum of W, planes, bytes), the measurements\n"
         "(hulls, planes, bytes, excess [voxels]), the excess of the union [voxels] and its grid.");

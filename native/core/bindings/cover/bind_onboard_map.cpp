@@ -24,7 +24,7 @@ namespace {
 template <class T>
 using Out = nb::ndarray<nb::numpy, T>;
 
-// (records, oblique planes, are they of the k-DOP family, largest normal, largest shift)
+// (records, oblique planes, true if they are of the k-DOP family, largest normal, largest shift)
 using Encoded = std::tuple<nb::bytes, std::uint64_t, bool, std::int32_t, std::int32_t>;
 
 Encoded encode(const InRows3<std::int32_t>& vertex, const InVector<std::int64_t>& vertex_start,
@@ -106,7 +106,7 @@ class OnboardMap {
     });
   }
 
-  // Every record as the C iterator gives it: lower and upper (n, 3), planes per hull (n), normal (K, 3),
+  // Every record as read by the C iterator: lower and upper (n, 3), planes per hull (n), normal (K, 3),
   // depth (K).
   auto records() const {
     std::vector<std::int32_t> lower, upper, normal;
@@ -134,7 +134,7 @@ class OnboardMap {
   }
 
  private:
-  // `make` makes a chunk's function from a position to a status and a value.
+  // `make` returns a chunk's function that maps a position to a status and a value.
   template <typename Make>
   static Values evaluate(const InRows3<float>& points, unsigned jobs, std::size_t chunk, const Make& make) {
     const std::size_t count = points.shape(0);
@@ -169,16 +169,18 @@ void bind_onboard_map(nb::module_& m) {
   using namespace alula;
   m.def("encode_map_records", &encode, "vertex"_a, "vertex_start"_a, "plane_normal"_a, "plane_start"_a, "origin"_a,
         "largest_normal"_a, "jobs"_a, "progress"_a.none(),
-        "Hulls of a cover as records of an onboard map: (bytes, oblique planes, whether their normals are of the\n"
+        "Encode the hulls of a cover as records of an onboard map: (bytes, oblique planes, whether the normals are "
+        "of the\n"
         "k-DOP family, largest normal, largest shift). Raises ValueError, and OverflowError beyond 16 bits.");
   m.def("check_map_voxels", &check_voxels, "lower"_a, "upper"_a, "normal"_a, "offset"_a, "plane_start"_a, "voxel"_a,
-        "jobs"_a, "progress"_a.none(), "Rows of voxels (M, 3) that no hull of a decoded map contains, exactly.");
+        "jobs"_a, "progress"_a.none(),
+        "Find exactly the rows of voxels (M, 3) that no hull of a decoded map contains.");
   m.def("check_map_polytopes", &check_polytopes, "lower"_a, "upper"_a, "normal"_a, "offset"_a, "plane_start"_a,
         "vertex"_a, "vertex_start"_a,
-        "Polytopes, given by their vertices, that no hull of a decoded map with the same box contains, exactly.");
+        "Find exactly the polytopes, given by vertices, that no hull of a decoded map with the same box contains.");
   nb::class_<OnboardMap>(m, "OnboardMap",
                          "An image of an onboard map, read by the C code that runs on a microcontroller.\n\n"
-                         "Raises ValueError with the reader's complaint for an image that it refuses.")
+                         "Raises ValueError with the reader's message for an image that it rejects.")
       .def(nb::init<const nb::bytes&>(), "image"_a)
       .def_prop_ro("hulls", [](const OnboardMap& self) { return self.map().hull_count; })
       .def_prop_ro("planes", [](const OnboardMap& self) { return self.map().plane_count; })
@@ -189,5 +191,5 @@ void bind_onboard_map(nb::module_& m) {
       .def("psi", &OnboardMap::psi, "points"_a, nb::kw_only(), "jobs"_a = 0,
            "psi (N) [m], nearest hull (N) and normal (N, 3) at points (N, 3) [m].")
       .def("psi_along", &OnboardMap::psi_along, "points"_a,
-           "The same, by what is remembered of the points before: for points close to one another.");
+           "The same, with a search warm-started from the previous points: for points close to one another.");
 }

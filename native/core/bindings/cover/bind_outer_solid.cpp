@@ -68,5 +68,6 @@ Result outer_solids(const InRows3<std::int64_t>& normal, const InVector<std::int
 
 void bind_outer_solid(nb::module_& m) {
   m.def("outer_solids", &alula::outer_solids, "normal"_a, "offset"_a, "plane_start"_a, "jobs"_a,
-        "Corners and outward triangles of the polytopes normal . x <= offset, found exactly, rounded in the end.");
+        "Corners and outward triangles of the polytopes normal . x <= offset, computed exactly and rounded at the "
+        "end.");
 }

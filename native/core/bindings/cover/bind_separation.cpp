@@ -37,7 +37,7 @@ void bind_separation(nb::module_& m) {
       "Voxels outside `index` (M, 3) that are not proven to be touched by fewer than min_overlap ellipsoids:\n"
       "(total, the first 100 of them i32 (K, 3) in lexicographic order, an ellipsoid that touches each i64 (K,)).\n"
       "Voxel i is the closed cube [i g, (i + 1) g]; ellipsoids are at level sigma plus a ball of radius inflation\n"
-      "and what `loss` says of each, voxels those that touch the crop. Every voxel not reported is proven by a "
+      "and grown by `loss` of each; only voxels that touch the crop count. Every voxel not reported is proven by a "
       "separating plane with rigorous\n"
       "rounding bounds. Raises ValueError for malformed input, OverflowError when the memory budget is exceeded.");
 }

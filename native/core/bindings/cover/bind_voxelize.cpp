@@ -39,11 +39,12 @@ void bind_voxelize(nb::module_& m) {
       },
       "mean"_a, "scale"_a, "quat_wxyz"_a, "sigma"_a, "voxel_size"_a, "inflation"_a = 0.0, "crop"_a = nb::none(),
       "tile"_a = nb::none(), "min_overlap"_a = 1, "jobs"_a = 0, "progress"_a = nb::none(), "loss"_a = nb::none(),
-      "Voxels that ellipsoids touch: (index i32 (M, 3) sorted, overlap u32 (M,), reach u8 (N,): 0 where an\n"
+      "Find the voxels that ellipsoids touch: (index i32 (M, 3) sorted, overlap u32 (M,), reach u8 (N,): 0 where an\n"
       "ellipsoid marks nothing, 2 where its box exceeds the crop, else 1; voxels that fewer than min_overlap\n"
       "touch, which are left out; the highest overlap). Voxel i is the closed cube [i g, (i + 1) g];\n"
-      "ellipsoids are at level sigma, grown by a ball of radius inflation (outer bounds) and by what `loss`\n"
-      "(N, 3) says of each: error of the centre, of semi-axes relatively, of the rotation; all lengths in the\n"
+      "ellipsoids are at level sigma, grown by a ball of radius inflation (outer bounds) and by `loss`\n"
+      "(N, 3) of each: error of the centre, relative error of the semi-axes, error of the rotation; all lengths in "
+      "the\n"
       "unit of mean. Every touched voxel is marked; a voxel farther than 3e-13 of the coordinates' size is\n"
       "not. With a tile (lowest index, highest index) only its voxels. Raises ValueError for malformed input,\n"
       "OverflowError when the voxels exceed the memory budget.");
@@ -67,7 +68,8 @@ void bind_voxelize(nb::module_& m) {
       },
       "mean"_a, "scale"_a, "quat_wxyz"_a, "sigma"_a, "voxel_size"_a, "inflation"_a, "crop"_a, "edge"_a,
       "progress"_a = nb::none(), "loss"_a = nb::none(),
-      "Tiles of edge^3 voxels that ellipsoids may touch, by their boxes: (tile i32 (T, 3) sorted, start i64\n"
+      "Find the tiles of edge^3 voxels that ellipsoids may touch, by their boxes: (tile i32 (T, 3) sorted, start "
+      "i64\n"
       "(T + 1), row u32): tile t holds the voxels t edge ... t edge + edge - 1. Raises OverflowError for more\n"
       "than 2^20 tiles or 2^27 rows.");
   m.def(
@@ -92,5 +94,6 @@ void bind_voxelize(nb::module_& m) {
                               alula::to_numpy(std::move(all.count), {rows}));
       },
       "index"_a, "count"_a, "start"_a,
-      "One sorted list (index, count) of disjoint sorted lists of voxels: rows start[i] ... start[i + 1] - 1.");
+      "Merge disjoint sorted lists of voxels into one sorted list (index, count): rows start[i] ... start[i + 1] - "
+      "1.");
 }

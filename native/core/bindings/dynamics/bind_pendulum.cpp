@@ -81,7 +81,7 @@ void bind_pendulum(nb::module_& m) {
             }
             return to_numpy(std::move(result), {count, 5});
           },
-          "states"_a, "u_des"_a, "At states (N, 2): u, h_I, lambda, rows, infeasible (N, 5).")
+          "states"_a, "u_des"_a, "Filter at states (N, 2): u, h_I, lambda, rows, infeasible (N, 5).")
       .def(
           "fly",
           [](PendulumFilter& self, double angle, double rate, double u_des, double dt, int ticks) {
@@ -102,5 +102,5 @@ void bind_pendulum(nb::module_& m) {
             return to_numpy(std::move(result), {count, 7});
           },
           "angle"_a, "rate"_a, "u_des"_a, "dt"_a, "ticks"_a,
-          "Closed loop: theta, theta', u, h_I, lambda, rows, infeasible (ticks, 7).");
+          "Fly the closed loop: theta, theta', u, h_I, lambda, rows, infeasible (ticks, 7).");
 }

@@ -61,7 +61,7 @@ void bind_rates(nb::module_& m) {
           nb::kw_only(), "rc_rate"_a = of_axes(d, &alula_rates_axis::rc_rate), "super_rate"_a = Triple{0.7, 0.7, 0.7},
           "expo"_a = of_axes(d, &alula_rates_axis::expo), "middle_us"_a = d.middle_us,
           "throttle_low_us"_a = d.throttle_low_us, "throttle_high_us"_a = d.throttle_high_us,
-          "ValueError for numbers out of range.")
+          "Create a profile; ValueError for numbers out of range.")
       .def("rate", &mapped<alula_rates_at>, "axis"_a, "deflection"_a, "Rates [rad/s] of deflections (N).")
       .def("deflection", &mapped<alula_rates_deflection>, "axis"_a, "rate"_a, "Deflections of rates (N) [rad/s].")
       .def(
@@ -82,7 +82,8 @@ void bind_rates(nb::module_& m) {
           "commands"_a,
           nb::sig("def channels(self, commands: NDArray[numpy.float64]) -> "
                   "tuple[NDArray[numpy.uint16], NDArray[numpy.uint8]]"),
-          "Pulses (N, 4) [us] of roll, pitch, throttle, yaw of commands (N, 4): throttle, rates; and which are "
+          "Pulses (N, 4) [us] of roll, pitch, throttle, yaw for commands (N, 4): throttle, rates; and which commands "
+          "are "
           "refused.")
       .def(
           "commands",
@@ -101,5 +102,5 @@ void bind_rates(nb::module_& m) {
           "channels"_a,
           nb::sig("def commands(self, channels: NDArray[numpy.uint16]) -> "
                   "tuple[NDArray[numpy.float64], NDArray[numpy.uint8]]"),
-          "Commands (N, 4) of pulses (N, 4), and which are refused.");
+          "Commands (N, 4) for pulses (N, 4), and which pulses are refused.");
 }

@@ -123,7 +123,7 @@ void bind_tracking(nb::module_& m) {
   m.def("track", &track_terms, "quadrotor"_a, "gains"_a, "x"_a, "reference"_a, nb::kw_only(),
         "applied_thrust"_a = nb::none(),
         "The geometric controller at states (N, 12) and references (N, 18): per row its wrench, acceleration, "
-        "derivatives of the thrust and all terms on the way.");
+        "derivatives of the thrust and all intermediate terms.");
   m.def(
       "track_point",
       [](const TrackingGains& gains, const InStates& x, const InReferences& reference) {

@@ -17,7 +17,7 @@ namespace alula {
 namespace flight {
 namespace {
 
-// What a Quadrotor is made of.
+// Parameters of a Quadrotor.
 struct QuadrotorArguments {
   double mass = 0;
   Vec3 inertia;
@@ -65,8 +65,8 @@ struct Fields<flight::PlantOptions> {
   using Plant = flight::PlantOptions;
   static constexpr std::tuple all{
       Field{"motor_time_constant_s", &Plant::motor_time_constant_s, "lag of the rotors; 0: none [s]"},
-      Field{"linear_drag", &Plant::linear_drag, "along the body axes [N s/m]"},
-      Field{"quadratic_drag", &Plant::quadratic_drag, "along the body axes [N s^2/m^2]"},
+      Field{"linear_drag", &Plant::linear_drag, "linear drag along the body axes [N s/m]"},
+      Field{"quadratic_drag", &Plant::quadratic_drag, "quadratic drag along the body axes [N s^2/m^2]"},
       Field{"wind_m_s", &Plant::wind_m_s, "mean wind [m/s]"},
       Field{"gust_m_s", &Plant::gust_m_s, "standard deviation of gusts per axis [m/s]"},
       Field{"gust_time_s", &Plant::gust_time_s, "time constant of gusts [s]"},
@@ -220,7 +220,7 @@ void bind_quadrotor(nb::module_& m) {
           [](const Quadrotor& self, const InWrenches& u) {
             return for_rows(u, {u.shape(0), 4}, [&](const double* row) { return self.saturated(wrench_at(row)); });
           },
-          "u"_a, "Wrenches after each rotor is cut off at its limits.")
+          "u"_a, "Wrenches after each rotor thrust is clipped to its limits.")
       .def(
           "derivative",
           [](const Quadrotor& self, const InStates& x, const InWrenches& u) {
@@ -305,28 +305,29 @@ void bind_plants(nb::module_& m) {
 
 void bind_predictor(nb::module_& m) {
   fields::bind<ActuatorModel>(m, "ActuatorModel",
-                              "Lag of the rotors and age of measurements, as controller and filters assume them.");
+                              "Rotor lag and measurement age assumed by the controller and filters.");
   nb::class_<StatePredictor>(
       m, "StatePredictor",
-      "The state now from one measured a while ago, by the model: alula/dynamics/state_predictor.hpp.")
+      "Predicts the present state from an older measurement, by the model: alula/dynamics/state_predictor.hpp.")
       .def(nb::init<const Quadrotor&, const ActuatorModel&, double>(), "body"_a, "model"_a, nb::kw_only(), "tick_s"_a)
-      .def("reset", &StatePredictor::reset, "It has hovered for as long as matters.")
+      .def("reset", &StatePredictor::reset, "Reset to a history of hovering.")
       .def(
           "now",
           [](const StatePredictor& self, const InState& measured, std::optional<double> age_s) {
             return flight::to_array(self.now(state_at(measured.data()), age_s.value_or(self.model().delay_s)));
           },
           "measured"_a, "age_s"_a = nb::none(),
-          "The state (12,) now from the one age_s ago: at most the delay of the model, which is the default.")
+          "Predict the present state (12,) from the state age_s ago; age_s is at most the model's delay, the "
+          "default.")
       .def(
           "fly", [](StatePredictor& self, const In<double, nb::shape<4>>& u) { self.fly(wrench_at(u.data())); },
-          "wrench"_a, "It is commanded from now on for a tick [N, N m].")
+          "wrench"_a, "Record a wrench that is commanded from now on for a tick [N, N m].")
       .def(
           "lead",
           [](const StatePredictor& self, const In<double, nb::shape<4>>& u) {
             return flight::to_array(self.lead(wrench_at(u.data())));
           },
-          "wrench"_a, "The command that leads the rotors to a wrench by the end of a tick that begins now [N, N m].")
+          "wrench"_a, "Command with which the rotors reach a wrench by the end of a tick that begins now [N, N m].")
       .def_prop_ro("rotors", &StatePredictor::rotors, "Thrust of each rotor now [N].");
 }
 

@@ -66,15 +66,15 @@ void bind_policy(nb::module_& m) {
           "A policy of the kind hover, heading-invariant, brake or cone-escape (which is brake as a policy). "
           "ValueError unless braking is stable.")
       .def_prop_ro("kind", [](const BackupPolicy& self) { return fields::Python<BackupKind>::out(self.kind()); })
-      .def_prop_ro("cap_up", &BackupPolicy::cap_up, "Thrust above hover that it never exceeds [N].")
-      .def_prop_ro("cap_down", &BackupPolicy::cap_down, "Thrust below hover that it never exceeds [N].")
+      .def_prop_ro("cap_up", &BackupPolicy::cap_up, "Maximum thrust above hover [N].")
+      .def_prop_ro("cap_down", &BackupPolicy::cap_down, "Maximum reduction of the thrust below hover [N].")
       .def_prop_ro(
           "torque_cap",
           [](const BackupPolicy& self) {
             const Vec3 cap = self.torque_cap();
             return std::array{cap.x, cap.y, cap.z};
           },
-          "Torques that it never exceeds [N m].")
+          "Maximum torques [N m].")
       .def(
           "raw",
           [](const BackupPolicy& self, const InState& x, const Triple& hold) {
@@ -93,7 +93,8 @@ void bind_policy(nb::module_& m) {
           [](const BackupPolicy& self, const InState& x, const Triple& hold) {
             return to_array(self.urgent(state_at(x.data()), vector_of(hold)));
           },
-          "state"_a, "hold"_a = Triple{}, "The same with all that the rotors have, for where nothing gentle is safe.")
+          "state"_a, "hold"_a = Triple{},
+          "The same with the rotors' full range, for states where no gentle manoeuvre is safe.")
       .def(
           "closed_loop",
           [](const BackupPolicy& self, const InState& x, const Triple& hold) {
@@ -109,14 +110,14 @@ void bind_policy(nb::module_& m) {
       .def(
           "drift",
           [](const BackupPolicy& self, const InState& x) { return vector_array(self.drift(state_at(x.data()))); },
-          "state"_a, "How far the linear loop about hover would still move before it rests [m].")
+          "state"_a, "Distance that the linear loop about hover would still move before it rests [m].")
       .def(
           "excursion", [](const BackupPolicy& self, const InState& x) { return self.excursion(state_at(x.data())); },
           "state"_a, "Approximate maximum distance before it rests, without the cancellation in `drift` [m].");
 }
 
 void bind_flow(nb::module_& m) {
-  nb::class_<BackupFlow>(m, "BackupFlow", "The flow of a backup policy and how the input now moves it.")
+  nb::class_<BackupFlow>(m, "BackupFlow", "Flow of a backup policy and its sensitivity to the present input.")
       .def(nb::init<const BackupPolicy&, double, int, int, bool>(), "policy"_a, nb::kw_only(), "horizon_s"_a = 1.5,
            "nodes"_a = 20, "steps"_a = 1, "drift"_a = false,
            "`steps` RK4 steps between nodes; with `drift` the column Q f is integrated, else it is f_cl - W pi_b.")
@@ -170,7 +171,7 @@ void bind_flow(nb::module_& m) {
             const WrenchRow row = self.clear_row(self.cone(ellipsoid_of(centre, a), k), k, alpha);
             return std::tuple(row.row, row.bound);
           },
-          "centre"_a, "a"_a, "k"_a, "alpha"_a, "The same for gamma' + alpha gamma >= 0.");
+          "centre"_a, "a"_a, "k"_a, "alpha"_a, "The same row for gamma' + alpha gamma >= 0.");
 }
 
 }  // namespace

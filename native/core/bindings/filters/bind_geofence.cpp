@@ -116,7 +116,7 @@ LogDict to_dict(GeofenceLog&& log, bool keeps_trace) {
 }
 
 void bind_fence(nb::module_& m) {
-  nb::class_<Fence>(m, "Fence", "Where to fly: in a box, in a polytope, outside the hulls of an onboard map.")
+  nb::class_<Fence>(m, "Fence", "Allowed region: in a box, in a polytope, outside the hulls of an onboard map.")
       .def(
           "__init__",
           [](Fence* self, const std::optional<Corners>& box, const std::optional<InRows4<double>>& faces,
@@ -139,7 +139,7 @@ void bind_fence(nb::module_& m) {
           nb::kw_only(), "box"_a = nb::none(), "faces"_a = nb::none(), "image"_a = nb::none(),
           "keep_out"_a.none() = nb::none(), nb::keep_alive<1, 5>(),
           "`box` (lower, upper); `faces` (L, 4), rows n, d with n . p <= d inside and |n| = 1; `image` of an onboard "
-          "map for the filter, `keep_out` the same polytopes for the judge.")
+          "map for the filter, `keep_out` the same polytopes for judging flights.")
       .def(
           "clearance",
           [](const Fence& self, const Triple& a, const Triple& b) {
@@ -183,7 +183,7 @@ void bind_filter(nb::module_& m) {
             return result;
           },
           "All of them by name, as the filter holds them: in single precision.")
-      .def("reset", &Geofence::reset, "To before the first tick.")
+      .def("reset", &Geofence::reset, "Reset to the state before the first tick.")
       .def(
           "filter",
           [](Geofence& self, const std::optional<InRacer>& navigation, const std::optional<InCommand>& pilot) {
@@ -226,7 +226,7 @@ void bind_backup_qp(nb::module_& m) {
   nb::class_<BackupQp>(m, "BackupQp",
                        "The backup-set barrier with gradients, by a quadratic program, with the flow of a Geofence.")
       .def(nb::init<const Geofence&, double>(), "geofence"_a, "alpha"_a = BackupQpOptions{}.alpha)
-      .def("reset", &BackupQp::reset, "To before the first tick.")
+      .def("reset", &BackupQp::reset, "Reset to the state before the first tick.")
       .def(
           "filter",
           [](BackupQp& self, const InRacers& states, const In<double, nb::shape<-1, 4>>& pilots) {

@@ -133,7 +133,7 @@ std::vector<alula_wall> walls_of(const InRows4<double>& rows) {
   return walls;
 }
 
-// One tick, and the median time of `repeats` further ticks of copies.
+// Runs one tick, and measures the median time of `repeats` further ticks on copies.
 std::tuple<MovingReport, double> filter(MovingFilter& self, const Triple& position, const Triple& velocity,
                                         const Tracks& tracks, const InRows4<double>& walls, const Triple& nominal,
                                         const std::array<double, 6>& covariance, unsigned repeats) {
@@ -198,7 +198,7 @@ std::tuple<Triple, bool, double, unsigned, std::vector<unsigned>, double> projec
           time / std::max(1u, repeats)};
 }
 
-// Exact projections of many problems of as many rows each: a (k, 3), feasible (k), violation (k).
+// Exact projections of many problems with equal numbers of rows: a (k, 3), feasible (k), violation (k).
 std::tuple<Out<float>, Out<std::uint8_t>, Out<float>, Out<std::uint32_t>> project_many(
     const In<double, nb::shape<-1, -1, 4>>& rows, const InRows3<double>& start, double limit) {
   const std::size_t count = rows.shape(0), size = rows.shape(1);
@@ -247,11 +247,11 @@ void bind_moving_filters(nb::module_& m) {
   nb::class_<MovingReport>(m, "MovingReport", "Report of a filter among moving obstacles for one tick.")
       .def_prop_ro(
           "status", [](const MovingReport& r) { return static_cast<int>(r.status); },
-          "0 the nominal, 1 another command, all rows hold, 3 rows are missed by as little as possible, 4 refused.")
+          "0 nominal command, 1 another command that satisfies all rows, 3 minimum violation of the rows, 4 refused.")
       .def_prop_ro(
           "acceleration",
           [](const MovingReport& r) { return Triple{r.acceleration.x, r.acceleration.y, r.acceleration.z}; },
-          "To be flown [m/s^2]; zero when refused, and then not to be flown.")
+          "Acceleration to fly [m/s^2]; zero when refused, and then it must not be flown.")
       .def_ro("mode", &MovingReport::mode, "0 nominal, 1 avoid, 2 hover.")
       .def_ro("warned", &MovingReport::warned, "True when an obstacle triggers the warning in this tick.")
       .def_ro("risk_m", &MovingReport::risk_m, "The largest CVaR; 0 or more warns.")
@@ -266,16 +266,17 @@ void bind_moving_filters(nb::module_& m) {
       .def(
           "filter", &filter, "position"_a, "velocity"_a, "tracks"_a, "walls"_a, "nominal"_a,
           "covariance"_a = std::array<double, 6>{}, "repeats"_a = 0,
-          "One tick: the report, and the median time [s] of `repeats` copies of it. `tracks` (n, 29): id, position,\n"
+          "Filter one tick: the report, and the median time [s] of `repeats` copies of it. `tracks` (n, 29): id, "
+          "position,\n"
           "velocity, lower triangle of their covariance row by row, radius. `walls` (m, 4): unit normal towards the\n"
           "vehicle, distance. `covariance` xx, xy, xz, yy, yz, zz of the vehicle's position.")
       .def(
           "flown", [](MovingFilter& self, std::array<double, 3> a) { self.flown({a[0], a[1], a[2]}); },
           "acceleration"_a, "Report the acceleration that is flown in a refused tick.")
-      .def("reset", &MovingFilter::reset, "To before the first tick.")
+      .def("reset", &MovingFilter::reset, "Reset to the state before the first tick.")
       .def("clone", &MovingFilter::clone, "A copy with the same state.");
   m.def("moving_filter", &make, "method"_a, "options"_a = Numbers{}, "backend"_a = nb::none(),
-        "none, dr_acbf, dr_acbf_qp, mpc, cbf_qp or rp_cbf; `options` over those of `moving_filter_defaults`; "
+        "Create none, dr_acbf, dr_acbf_qp, mpc, cbf_qp or rp_cbf; `options` override `moving_filter_defaults`; "
         "`backend`\n"
         "solves its quadratic programs, as in QpSolver. ValueError for invalid options.");
   m.def(
@@ -288,7 +289,7 @@ void bind_moving_filters(nb::module_& m) {
         });
         return numbers;
       },
-      "All options of `moving_filter`, with their defaults.");
+      "All options of `moving_filter` with their defaults.");
 
   m.def("half_space_projection", &project, "rows"_a, "a0"_a, "solver"_a = "exact", nb::kw_only(), "limit"_a = 6.0,
         "omega"_a = 1.0, "iterations"_a = 15, "soft"_a = 4294967295u, "repeats"_a = 1,
@@ -313,7 +314,8 @@ void bind_moving_filters(nb::module_& m) {
         return static_cast<double>(alula_early_warning(&avoidance, &vehicle, tracks.data(), a));
       },
       "position"_a, "velocity"_a, "track"_a, "relative_acceleration"_a, "covariance"_a = std::array<double, 6>{},
-      "options"_a = Numbers{}, "The largest CVaR of Z over five times plus eps L_Z, or a bound of it below 0 [m].");
+      "options"_a = Numbers{},
+      "Maximum CVaR of Z over five times plus eps L_Z, or an upper bound on it that is below 0 [m].");
   m.def(
       "early_warning_samples",
       [] {
@@ -323,7 +325,7 @@ void bind_moving_filters(nb::module_& m) {
         for (std::size_t n = 0; n < ALULA_SAMPLES / 2; ++n) std::copy_n(half[n], 6, samples.data() + 6 * n);
         return to_numpy(std::move(samples), {ALULA_SAMPLES / 2, 6});
       },
-      "Standard normal points (32, 6); each is also used with the other sign.");
+      "Standard normal points (32, 6); each is also used with the opposite sign.");
   m.def(
       "acceleration_envelope",
       [](const InRows3<double>& velocity, const Numbers& numbers) {
@@ -362,7 +364,7 @@ void bind_moving_filters(nb::module_& m) {
         const std::size_t count = alpha.size();
         return to_numpy(std::move(alpha), {count});
       },
-      "distance"_a, "closing"_a, "total"_a, "alpha_i of obstacles; 0 of those with closing <= 0.");
+      "distance"_a, "closing"_a, "total"_a, "Risks alpha_i of the obstacles; 0 for obstacles with closing <= 0.");
   m.def(
       "row_bound",
       [](double distance, double closing, double horizon, double lambda, double radius, double envelope,
@@ -383,5 +385,5 @@ void bind_moving_filters(nb::module_& m) {
         return static_cast<double>(
             alula_dr_acbf_recursive_speed(static_cast<float>(a_max), static_cast<float>(horizon)));
       },
-      "a_max"_a, "horizon_s"_a, "Closing speed below which rows alone never demand more than a_max.");
+      "a_max"_a, "horizon_s"_a, "Closing speed below which the rows never demand more than a_max.");
 }

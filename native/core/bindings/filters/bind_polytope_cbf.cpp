@@ -25,7 +25,7 @@ namespace {
 template <class T>
 using Out = nb::ndarray<nb::numpy, T>;
 
-// What a filter takes beside its polytopes.
+// Arguments of a filter other than its polytopes.
 struct PolytopeCbfArguments {
   double extent_m = 0;
   PolytopeCbfConfig config;
@@ -116,10 +116,11 @@ std::tuple<std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t, std::uint
 void bind_polytope_cbf(nb::module_& m) {
   using namespace alula;
   fields::bind<PolytopeCbfConfig>(m, "PolytopeCbfConfig", "Parameters of the onboard safety filter among polytopes.");
-  nb::class_<PolytopeCbf>(m, "PolytopeCbf",
-                          "The onboard safety filter among convex polytopes {x : normal . x <= offset}.\n\n"
-                          "Normals are outward unit vectors (F, 3), offsets in metres, world frame; extent_m bounds\n"
-                          "the coordinates of all positions. Raises ValueError for what the filter does not accept.")
+  nb::class_<PolytopeCbf>(
+      m, "PolytopeCbf",
+      "The onboard safety filter among convex polytopes {x : normal . x <= offset}.\n\n"
+      "Normals are outward unit vectors (F, 3), offsets in metres, world frame; extent_m bounds\n"
+      "the coordinates of all positions. Raises ValueError for arguments that the filter rejects.")
       .def("__init__", &construct, "normal"_a, "offset"_a, "plane_start"_a, "others"_a,
            nb::sig(fields::signature(PolytopeCbfArguments{},
                                      "self, normal: NDArray[numpy.float64], offset: NDArray[numpy.float64], "
@@ -129,14 +130,15 @@ void bind_polytope_cbf(nb::module_& m) {
       .def_prop_ro("config", &PolytopeCbf::config)
       .def("filter", &filter, "x"_a, "u_nom"_a,
            "(u, status, margin of the smooth psi, margin of the hard psi, nearest hull or -1); margins in metres.")
-      .def_static("from_image", &from_image, "image"_a, "others"_a,
-                  nb::sig(("@staticmethod\n" +
-                           fields::signature(PolytopeCbfArguments{}, "image: bytes", "from_image", "PolytopeCbf"))
-                              .c_str()),
-                  "The filter on an image of an onboard map, as a microcontroller runs it. Raises ValueError with\n"
-                  "the reader's complaint for an image that it refuses.")
+      .def_static(
+          "from_image", &from_image, "image"_a, "others"_a,
+          nb::sig(("@staticmethod\n" +
+                   fields::signature(PolytopeCbfArguments{}, "image: bytes", "from_image", "PolytopeCbf"))
+                      .c_str()),
+          "Create the filter from an image of an onboard map, as on a microcontroller. Raises ValueError with\n"
+          "the reader's message for an image that it rejects.")
       .def("work", &work,
-           "Counts of the last call of `filter`: boxes, hulls, planes of these, how many of them were\n"
+           "Counts of the last call of `filter`: boxes, hulls, planes of these hulls, planes that were\n"
            "decoded, exponentials of planes.")
       .def("psi", &psi, "points"_a, nb::kw_only(), "jobs"_a = 0,
            "Smooth psi (N), hard psi (N) and the gradient of the smooth one (N, 3) at points (N, 3) [m].")

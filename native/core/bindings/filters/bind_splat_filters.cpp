@@ -113,7 +113,7 @@ Record to_record(const FilterReport& report) {
   return result;
 }
 
-// What `filter` takes beside the state and the nominal acceleration.
+// Arguments of `filter` other than the state and the nominal acceleration.
 struct Tick {
   FlightState state;
   Nominal nominal;
@@ -134,15 +134,15 @@ struct Fields<Nominal> {
       Field{"wrench", &Nominal::wrench, "nominal thrust and torque [N, N m]"},
       Field{"nominal_thrust_rate", &Nominal::thrust_rate, "rate of the nominal thrust [N/s]"},
       Field{"nominal_thrust_acceleration", &Nominal::thrust_acceleration, "its second derivative [N/s^2]"},
-      Field{"position_error", &Nominal::position_error, "position less that of the reference [m]"},
-      Field{"velocity_error", &Nominal::velocity_error, "velocity less that of the reference [m/s]"},
+      Field{"position_error", &Nominal::position_error, "position minus that of the reference [m]"},
+      Field{"velocity_error", &Nominal::velocity_error, "velocity minus that of the reference [m/s]"},
       Field{"reference_acceleration", &Nominal::reference_acceleration, "acceleration of the reference [m/s^2]"}};
 };
 
 template <>
 struct Fields<FlightState> {
   static constexpr std::tuple all{
-      Field{"thrust", &FlightState::thrust, "thrust as last applied [N]"},
+      Field{"thrust", &FlightState::thrust, "last applied thrust [N]"},
       Field{"thrust_rate", &FlightState::thrust_rate, "its rate [N/s]"},
       Field{"rotors", &FlightState::rotors, "thrust of each rotor now [N]; None: the rotors hover"}};
 };
@@ -174,7 +174,7 @@ geometry::Mat3 matrix(const In<double, nb::shape<3, 3>>& a) {
   return result;
 }
 
-// What the cone of one ellipsoid is made of, for the tests.
+// Terms of the cone of one ellipsoid, for the tests.
 Record cone(const Array3& centre, const In<double, nb::shape<3, 3>>& a, const Array3& p, const Array3& v,
             const Array3& acceleration, const Array3& jerk) {
   const GrownEllipsoid e{vec(centre), matrix(a)};
@@ -225,8 +225,9 @@ Indices unsure(const SaferSplat& self, const Array3& p, const Array3& v, const A
 
 void bind_splat_filters(nb::module_& m) {
   using namespace alula;
-  nb::class_<EllipsoidIndex>(m, "EllipsoidIndex",
-                             "Ellipsoids of Gaussians, found by distance, and each grown by a vehicle's sphere.")
+  nb::class_<EllipsoidIndex>(
+      m, "EllipsoidIndex",
+      "Index of the Gaussians' ellipsoids for distance queries; each is also grown by the vehicle's sphere.")
       .def(
           "__init__",
           [](EllipsoidIndex* self, InRows3<float> mean, InRows3<float> scale, InRows4<float> quat_wxyz, double sigma,
@@ -248,20 +249,21 @@ void bind_splat_filters(nb::module_& m) {
       .def("grown", &grown,
            "Centres (N, 3) and matrices A (N, 3, 3) of the grown ellipsoids {y : (y - c)^T A (y - c) <= 1}.");
 
-  fields::bind<Pruning>(m, "Pruning", "Which ellipsoids become rows of a tick.");
+  fields::bind<Pruning>(m, "Pruning", "Selection of the ellipsoids that become rows of a tick.");
 
-  nb::class_<SplatFilter>(m, "SplatFilter", "A filter that flies among ellipsoids; one per thread.")
+  nb::class_<SplatFilter>(m, "SplatFilter", "Safety filter among ellipsoids; one per thread.")
       .def("filter", &filter, "state"_a, "acceleration"_a, "others"_a,
            nb::sig(fields::signature(Tick{},
                                      "self, state: collections.abc.Sequence[float], "
                                      "acceleration: collections.abc.Sequence[float]",
                                      "filter", "dict[str, typing.Any]")
                        .c_str()),
-           fields::documentation(Tick{},
-                                 "One tick at a state (p, sigma, v, omega) with the nominal acceleration [m/s^2]; "
-                                 "returns a dict of FilterReport.")
+           fields::documentation(
+               Tick{},
+               "Filter one tick at a state (p, sigma, v, omega) with the nominal acceleration [m/s^2]; "
+               "returns a dict of FilterReport.")
                .c_str())
-      .def("reset", &SplatFilter::reset, "Before another flight: forget warm starts and commitments.")
+      .def("reset", &SplatFilter::reset, "Clear warm starts and commitments before another flight.")
       .def("clone", &SplatFilter::clone)
       .def_prop_ro("gives_wrench", [](const SplatFilter& self) { return self.kind() == flight::InputKind::wrench; });
 
@@ -302,5 +304,5 @@ void bind_splat_filters(nb::module_& m) {
         "The collision cone of {y : (y - centre)^T a (y - centre) <= 1} and its derivatives along a flight.");
   m.def("snap_rows", &snap, "body"_a, "state"_a, nb::kw_only(), "thrust"_a, "thrust_rate"_a, "centre"_a, "a"_a,
         "rate"_a,
-        "How (T'' / m, tau) reach the snap, and the rows of third and fourth order of one ellipsoid over it.");
+        "Map from (T'' / m, tau) to the snap, and the rows of third and fourth order of one ellipsoid over it.");
 }

@@ -57,9 +57,9 @@ std::tuple<Doubles, Doubles> escapes(const EllipsoidIndex& index, const Triple& 
 }
 
 void bind_shield(nb::module_& m) {
-  fields::bind<ShieldOptions>(m, "ShieldOptions", "How a manoeuvre to rest is checked.");
+  fields::bind<ShieldOptions>(m, "ShieldOptions", "Options of the check of a manoeuvre to rest.");
 
-  nb::class_<Shield>(m, "Shield", "Checks that a safe manoeuvre to rest is known: alula/filters/shield.hpp.")
+  nb::class_<Shield>(m, "Shield", "Checks that a safe manoeuvre to rest exists: alula/filters/shield.hpp.")
       .def(
           "__init__",
           [](Shield* self, const BackupPolicy& policy, Index index, const ShieldOptions& options) {
@@ -72,19 +72,19 @@ void bind_shield(nb::module_& m) {
            "hold_ticks"_a = 0, "margin_m"_a = nb::none(), "thorough"_a = false,
            "Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a "
            "dict "
-           "of safe, rests, clearance_m (minimum distance less the radius) and time_s.")
+           "of safe, rests, clearance_m (minimum distance minus the radius) and time_s.")
       .def(
           "after",
           [](const Shield& self, const InState& x, const Vec4& u) {
             return to_array(self.after(state_at(x.data()), wrench_at(u.data())));
           },
-          "state"_a, "wrench"_a, "The state a tick later.")
+          "state"_a, "wrench"_a, "State one tick later.")
       .def("see", &Shield::see, "rotors"_a, "Set the thrust of each rotor for the next states [N].");
 
   m.def("escape_velocities", &escapes, "index"_a, "p"_a, "v"_a, nb::kw_only(), "reach"_a, "count"_a = 64,
         "slack_rad"_a = EscapeOptions{}.slack_rad,
         "Velocities (N, 3) of the same speed that meet no cone of the ellipsoids within reach, and the angles [rad] "
-        "they are turned by, smallest first.");
+        "by which they are turned, smallest first.");
 }
 
 template <class Filter, class Options>

@@ -14,7 +14,7 @@
 namespace alula {
 namespace flight {
 
-// A specification whose box may be missing.
+// A specification with an optional box.
 struct GeofenceArguments : GeofenceSpec {
   std::optional<geometry::Box> box;
 };
@@ -35,11 +35,12 @@ template <>
 struct Fields<flight::Pilot> {
   using Pilot = flight::Pilot;
   static constexpr std::tuple all{
-      Field{"heading_rad", &Pilot::heading_rad, "of straight and repeated; diagonal is 45 degrees to the left [rad]"},
+      Field{"heading_rad", &Pilot::heading_rad,
+            "heading of straight and repeated; diagonal is 45 degrees to the left [rad]"},
       Field{"tilt_rad", &Pilot::tilt_rad, "commanded tilt [rad]"},
-      Field{"climb_m_s2", &Pilot::climb_m_s2, "of diagonal: commanded vertical acceleration [m/s^2]"},
+      Field{"climb_m_s2", &Pilot::climb_m_s2, "commanded vertical acceleration of diagonal [m/s^2]"},
       Field{"silent_after_s", &Pilot::silent_after_s,
-            "of silent: minimum time until silence, at most twice that [s]"}};
+            "minimum time until silent stops transmitting; the maximum is twice that [s]"}};
 };
 
 template <>
@@ -61,7 +62,7 @@ struct Fields<flight::GeofenceArguments> {
   using Spec = flight::GeofenceArguments;
   static constexpr std::tuple all{
       Field{"model", &Spec::model, "model of plant and pilot"},
-      Field{"options", &Spec::options, "what the plant does beside the model"},
+      Field{"options", &Spec::options, "disturbances of the plant that the model omits"},
       Field{"pilot", &Spec::pilot, "the pilot"},
       Field{"rules", &Spec::rules, "times and outages"},
       Field{"start", &Spec::start, "state (13) at the start"},

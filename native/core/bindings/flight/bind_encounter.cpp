@@ -55,7 +55,7 @@ using LogDict = nb::typed<nb::dict, nb::str, nb::any>;
 
 constexpr std::size_t kFigures = 8;
 
-// Per obstacle a row: closest, separation, closing, detected, warned, command, reaction, avoid; and who was hit.
+// One row per obstacle: closest, separation, closing, detected, warned, command, reaction, avoid; and `collided`.
 void add_metrics(nb::dict& to, const std::vector<EncounterMetrics>& obstacles) {
   const std::size_t n = obstacles.size();
   std::vector<double> rows;
@@ -107,7 +107,7 @@ void bind_vehicle_and_rules(nb::module_& m) {
   fields::bind<EncounterVehicle>(m, "EncounterVehicle",
                                  "A sphere among moving obstacles that moves as a double integrator with limits of "
                                  "speed, acceleration and jerk; it holds its start or goes to its goal.");
-  fields::bind<EncounterRules>(m, "EncounterRules", "Times of an encounter, and when it ends.");
+  fields::bind<EncounterRules>(m, "EncounterRules", "Timing of an encounter and its end conditions.");
 }
 
 }  // namespace
@@ -118,7 +118,7 @@ void bind_encounter(nb::module_& m) {
   using namespace alula;
   using namespace alula::flight;
   bind_vehicle_and_rules(m);
-  nb::class_<EncounterSpec>(m, "EncounterSpec", "All of an encounter but the filter.")
+  nb::class_<EncounterSpec>(m, "EncounterSpec", "Specification of an encounter, without the filter.")
       .def(
           "__init__",
           [](EncounterSpec* self, const EncounterVehicle& vehicle, const EncounterRules& rules,
@@ -130,7 +130,8 @@ void bind_encounter(nb::module_& m) {
           },
           nb::kw_only(), "vehicle"_a = EncounterVehicle{}, "rules"_a = EncounterRules{},
           "obstacles"_a = std::vector<ObstacleSpec>{}, "radar"_a = RadarOptions{}, "tracker"_a = TrackerOptions{},
-          "walls"_a.none() = nb::none(), nb::keep_alive<1, 7>(), "ValueError for an invalid specification.");
+          "walls"_a.none() = nb::none(), nb::keep_alive<1, 7>(),
+          "Create a specification; ValueError if it is invalid.");
   m.def(
       "fly_encounters",
       [](const EncounterSpec& spec, const MovingFilter& filter, std::uint64_t seed, std::uint32_t first,
@@ -151,7 +152,8 @@ void bind_encounter(nb::module_& m) {
       "has "
       "a row per obstacle: closest [m], separation [m], closing [m/s], detected, warned, command (measured), "
       "reaction "
-      "and avoid [s], NaN for what never was; with keeps_path also a row per tick of the vehicle (p, v, a), "
+      "and avoid [s], NaN for events that did not occur; with keeps_path also a row per tick of the vehicle (p, v, "
+      "a), "
       "obstacles, "
       "tracks, command, nominal, mode and status.");
   m.def(
@@ -169,7 +171,7 @@ void bind_encounter(nb::module_& m) {
       },
       "position"_a, "velocity"_a, "covariance"_a, "command"_a, "radius"_a, "window_s"_a,
       "Collision risk of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: "
-      "bound of the "
+      "bound on the "
       "probability that it is within the radius when it comes closest in the window.");
   m.def(
       "closest_approach",

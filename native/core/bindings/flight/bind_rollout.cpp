@@ -24,7 +24,7 @@ struct Fields<TrialRules> {
       Field{"stop_fraction", &TrialRules::stop_fraction, "reached within this fraction of the start-goal distance",
             Limits{}, true},
       Field{"stuck_speed", &TrialRules::stuck_speed, "stuck below this speed [m/s]", Limits{}, true},
-      Field{"stuck_steps", &TrialRules::stuck_steps, "for so many steps", Limits{}, true},
+      Field{"stuck_steps", &TrialRules::stuck_steps, "number of steps below that speed", Limits{}, true},
       Field{"max_steps", &TrialRules::max_steps, "time limit in steps", Limits{}, true}};
 };
 
@@ -39,7 +39,7 @@ std::vector<Vec3> points_of(const InRows3<double>& rows) {
   return points;
 }
 
-// A trial that owns its reference.
+// Trial that owns its reference.
 struct SteppedTrial {
   std::vector<double> position, velocity;
   Trial trial;
@@ -89,7 +89,7 @@ nb::typed<nb::list, LogDict> run(const PolytopeCbf& cbf, const InRows3<double>& 
 
 void bind_rollout(nb::module_& m) {
   using namespace alula;
-  fields::bind<TrialRules>(m, "TrialRules", "When a flight ends, and its nominal controller.");
+  fields::bind<TrialRules>(m, "TrialRules", "End conditions of a flight, and its nominal controller.");
 
   nb::class_<SteppedTrial>(m, "Trial",
                            "One flight a step at a time: nominal(), then advance() with the input that is flown.\n"

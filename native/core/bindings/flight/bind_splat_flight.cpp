@@ -52,12 +52,12 @@ namespace {
 
 using namespace flight;
 
-// Rules whose number of steps may be left out.
+// Rules with an optional number of steps.
 struct FlightRulesArguments : FlightRules {
   std::optional<std::int64_t> steps;
 };
 
-// An answer of a filter that runs in Python.
+// Output of a filter that runs in Python.
 struct Answer {
   std::uint8_t status = 0;
   double margin = 0;
@@ -77,11 +77,11 @@ struct Fields<FlightRulesArguments> {
       Field{"plant_steps", &Rules::steps,
             "steps of the plant in a tick; default: as many as make none longer than 1 ms"},
       Field{"stop_fraction", &Rules::stop_fraction, "reached within this fraction of the start-goal distance"},
-      Field{"stop_floor_m", &Rules::stop_floor_m, "or within this [m]"},
+      Field{"stop_floor_m", &Rules::stop_floor_m, "or within this distance [m]"},
       Field{"stop_speed", &Rules::stop_speed, "slower than this, with the reference at its end [m/s]"},
       Field{"stuck_speed", &Rules::stuck_speed,
             "stuck below this speed, and farther than that from the reference [m/s]"},
-      Field{"stuck_ticks", &Rules::stuck_ticks, "for so many ticks"},
+      Field{"stuck_ticks", &Rules::stuck_ticks, "number of ticks below that speed"},
       Field{"time_factor", &Rules::time_factor, "time limit in durations of the reference"},
       Field{"max_time_s", &Rules::max_time_s, "time limit, when above 0 [s]"},
       Field{"lower", &Rules::lower, "lower corner of the box that must not be left [m]"},
@@ -179,10 +179,10 @@ struct SteppedFlight {
   }
 };
 
-// Steps of the plant in a tick of which none is longer than 1 ms: at least as fine as what a shield predicts.
+// Number of plant steps in a tick, each at most 1 ms: at least as fine as a shield's prediction.
 std::int64_t fine_steps(double dt_s) {
   const double steps = std::ceil(dt_s / 1e-3 - 1e-9);
-  return steps > 1 && steps < 1e9 ? static_cast<std::int64_t>(steps) : 1;  // 1 too for what `fly` will refuse
+  return steps > 1 && steps < 1e9 ? static_cast<std::int64_t>(steps) : 1;  // 1 also for values that `fly` rejects
 }
 
 }  // namespace
@@ -210,7 +210,7 @@ void bind_splat_flight(nb::module_& m) {
               .c_str());
 
   fields::bind_from<FlightRules, FlightRulesArguments>(
-      m, "FlightRules", "Times of a flight, and when it ends.", [](const FlightRulesArguments& given) {
+      m, "FlightRules", "Timing of a flight and its end conditions.", [](const FlightRulesArguments& given) {
         FlightRules rules = given;
         rules.plant_steps = given.steps.value_or(fine_steps(given.dt_s));
         return rules;
@@ -228,7 +228,7 @@ void bind_splat_flight(nb::module_& m) {
             return std::make_tuple(to_array(s.x.p), to_array(s.x.sigma), to_array(s.x.v), to_array(s.x.omega),
                                    s.thrust, s.thrust_rate, s.rotors.value_or(Vec4{}));
           },
-          "Position, attitude (MRP), velocity, body rates, thrust and its rate, and what each rotor gives.")
+          "Position, attitude (MRP), velocity, body rates, thrust and its rate, and the thrust of each rotor.")
       .def(
           "nominal",
           [](const SteppedFlight& self) {

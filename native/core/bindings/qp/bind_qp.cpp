@@ -52,7 +52,7 @@ Answer solve(QpSolver& solver, Matrix hessian, InVector<double> gradient, Matrix
   return {problem.n, solver.solve(problem, as_span(warm))};
 }
 
-// All problems of a stack one after the other; see the docstring.
+// Solves all problems of a stack in order; see the docstring.
 nb::typed<nb::dict, nb::str, nb::any> solve_many(QpSolver& solver, Stack hessian, Matrix gradient, Stack rows,
                                                  Matrix bounds,
                                                  std::optional<In<std::uint32_t, nb::shape<-1, -1>>> warm,
@@ -122,7 +122,7 @@ QpResult ask(const nb::object& callable, const QpProblem& problem) {
   QpResult result;
   result.status = static_cast<QpStatus>(status);
   std::copy(x.begin(), x.end(), result.x.begin());
-  // An interior-point method gives all rows a multiplier; the result has room for the largest.
+  // An interior-point method returns a multiplier for every row; the result stores the largest ones.
   std::vector<std::size_t> order(active.size());
   for (std::size_t k = 0; k < order.size(); ++k) order[k] = k;
   const std::size_t kept = std::min(order.size(), n + 1);
@@ -176,22 +176,24 @@ void bind_qp(nb::module_& m) {
             const std::size_t size = self.result.active_count;
             return copied<double>({self.result.multiplier.data(), size}, {size});
           },
-          nb::rv_policy::move, "Of these rows: hessian x + gradient = rows^T y, or the certificate.")
+          nb::rv_policy::move, "Multipliers y of these rows: hessian x + gradient = rows^T y, or the certificate.")
       .def_prop_ro(
           "violation", [](const Answer& self) { return self.result.violation; },
-          "Largest (b_i - a_i . x) / |a_i|, at least 0; when infeasible what every x exceeds; infinite when failed.")
-      .def_prop_ro("iterations", [](const Answer& self) { return self.result.iterations; }, "Exchanges done.");
-  nb::class_<QpSolver>(m, "QpSolver",
-                       "min 1/2 x^T H x + g^T x with rows x >= bounds; dense, up to 10 variables, active set.")
+          "Largest (b_i - a_i . x) / |a_i|, at least 0; when infeasible a lower bound for every x; infinite when "
+          "failed.")
+      .def_prop_ro("iterations", [](const Answer& self) { return self.result.iterations; }, "Number of exchanges.");
+  nb::class_<QpSolver>(
+      m, "QpSolver",
+      "Solver of min 1/2 x^T H x + g^T x with rows x >= bounds; dense, up to 10 variables, active set.")
       .def(
           "__init__", [](QpSolver* self, nb::object backend) { new (self) QpSolver(qp_solver(std::move(backend))); },
           "backend"_a = nb::none(),
           "`backend(hessian, gradient, rows, bounds) -> (status, x, active, multipliers)` solves instead, if given.")
       .def("solve", &solve, "hessian"_a, "gradient"_a, "rows"_a, "bounds"_a, "warm"_a = nb::none(),
-           "Solve one problem; `warm` names rows believed active. ValueError when shapes do not fit.")
+           "Solve one problem; `warm` lists rows that are probably active. ValueError when shapes do not fit.")
       .def("solve_many", &solve_many, "hessian"_a, "gradient"_a, "rows"_a, "bounds"_a, "warm"_a = nb::none(),
            "repeats"_a = 1,
            "Solve a stack of problems in order: arrays `status` (k,), `x` (k, n), `active` and `multipliers` "
-           "(k, n + 1), filled up with -1 and 0, `violation`, `iterations` and `elapsed_ns` (k,), the least of "
-           "`repeats`. `warm` (k, w) names rows; numbers beyond the rows name none.");
+           "(k, n + 1), filled up with -1 and 0, `violation`, `iterations` and `elapsed_ns` (k,), the minimum of "
+           "`repeats`. `warm` (k, w) lists rows; numbers beyond the rows are ignored.");
 }

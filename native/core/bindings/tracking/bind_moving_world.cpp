@@ -21,7 +21,7 @@ namespace alula {
 namespace flight {
 namespace {
 
-// A specification whose quadrotor may be missing.
+// A specification with an optional quadrotor.
 struct ObstacleArguments : ObstacleSpec {
   std::optional<Quadrotor> body;
   std::optional<TrackingGains> gains;
@@ -82,9 +82,9 @@ struct Fields<flight::ObstacleArguments> {
       Field{"max_speed_m_s", &Spec::max_speed_m_s, "maximum speed [m/s]"},
       Field{"turn_rate_rad_s", &Spec::turn_rate_rad_s, "maximum turn rate [rad/s]"},
       Field{"release_m", &Spec::release_m, "distance below which it stops turning [m]"},
-      Field{"drag_per_m", &Spec::drag_per_m, "quadratic drag of a ballistic one [1/m]"},
+      Field{"drag_per_m", &Spec::drag_per_m, "quadratic drag of a ballistic obstacle [1/m]"},
       Field{"start_s", &Spec::start_s, "time at which it starts to move [s]"},
-      Field{"way_points", &Spec::way_points, "of a quadrotor [m]"},
+      Field{"way_points", &Spec::way_points, "way-points of a quadrotor [m]"},
       Field{"body", &Spec::body, "body of a quadrotor, with its gains; default: a small one"},
       Field{"gains", &Spec::gains, "gains of its controller"}};
 };
@@ -108,7 +108,7 @@ struct Fields<flight::RadarOptions> {
             "their range rates are uniform within +- this [m/s]"},
       Field{"noise_scale", &Radar::noise_scale, "factor of all sigmas"},
       Field{"position_sigma_m", &Radar::position_sigma_m, "noise of ideal and mocap per axis [m]"},
-      Field{"delay_s", &Radar::delay_s, "time until the tracker gets a detection [s]"},
+      Field{"delay_s", &Radar::delay_s, "time until the tracker receives a detection [s]"},
       Field{"own_position_sigma_m", &Radar::own_position_sigma_m, "noise of the vehicle's own position per axis [m]"},
       Field{"own_velocity_sigma_m_s", &Radar::own_velocity_sigma_m_s,
             "noise of the vehicle's own velocity per axis [m/s]"}};
@@ -137,8 +137,7 @@ Kinematics kinematics_at(const double* row) {
 
 void bind_spec(nb::module_& m) {
   fields::bind_from<ObstacleSpec, ObstacleArguments>(
-      m, "ObstacleSpec",
-      "A moving obstacle, to be drawn for each trial: alula/flight/obstacle_motion.hpp. Pairs are ranges.",
+      m, "ObstacleSpec", "Moving obstacle, drawn for each trial: alula/flight/obstacle_motion.hpp. Pairs are ranges.",
       [](ObstacleArguments given) {
         if (given.body.has_value() != given.gains.has_value())
           throw std::invalid_argument("a body needs its gains, and gains a body");
@@ -180,7 +179,7 @@ void bind_spec(nb::module_& m) {
 }
 
 void bind_radar(nb::module_& m) {
-  fields::bind<RadarOptions>(m, "RadarOptions", "A sensor of obstacles: alula/tracking/radar.hpp.");
+  fields::bind<RadarOptions>(m, "RadarOptions", "Obstacle sensor: alula/tracking/radar.hpp.");
   fields::bind_from<FieldOfView, FieldOfViewArguments>(
       m, "FieldOfView", "Field of view of a scan.",
       [](const FieldOfViewArguments& given) { return FieldOfView(given); })
@@ -193,7 +192,7 @@ void bind_radar(nb::module_& m) {
             return self.holds(vector_of(mean), m, margin);
           },
           "mean"_a, "covariance"_a, "margin"_a,
-          "True when it contains all within `margin` standard deviations of the range and of both angles.");
+          "True if it contains all points within `margin` standard deviations of the range and of both angles.");
 
   m.def(
       "radar_scans",
@@ -249,7 +248,7 @@ void bind_radar(nb::module_& m) {
         return rows.array({vehicle.shape(0), 9});
       },
       "options"_a, "vehicle"_a, nb::kw_only(), "seed"_a = 0, "trial"_a = 0, "first_step"_a = 0,
-      "The own states that a vehicle at states (N, 9) measures.");
+      "Measurements of its own state by a vehicle at states (N, 9).");
 }
 
 }  // namespace

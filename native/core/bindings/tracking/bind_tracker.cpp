@@ -27,7 +27,7 @@ struct Fields<flight::TrackerOptions> {
   static constexpr std::tuple all{
       Field{"gate", &Options::gate, "maximum squared Mahalanobis distance of an association"},
       Field{"confirm_hits", &Options::confirm_hits, "hits that confirm a track"},
-      Field{"confirm_scans", &Options::confirm_scans, "of so many scans"},
+      Field{"confirm_scans", &Options::confirm_scans, "number of scans in which these hits must occur"},
       Field{"delete_misses", &Options::delete_misses, "misses in a row that delete a track"},
       Field{"coast_s", &Options::coast_s,
             "time without a detection, out of the field of view, that deletes a confirmed track [s]"},
@@ -38,17 +38,20 @@ struct Fields<flight::TrackerOptions> {
       Field{"jerk_noise", &Options::jerk_noise, "spectral density of the white jerk [m^2/s^5]"},
       Field{"with_turn", &Options::with_turn, "use the model of a coordinated turn"},
       Field{"turn_noise", &Options::turn_noise, "spectral density of the turn rate's derivative [rad^2/s^3]"},
-      Field{"transition", &Options::transition, "per scan, of constant velocity and acceleration"},
-      Field{"prior", &Options::prior, "of these models"},
-      Field{"turn_transition", &Options::turn_transition, "per scan, of these and the turn"},
-      Field{"turn_prior", &Options::turn_prior, "of these three models"},
-      Field{"start_variance", &Options::start_variance, "of position, velocity and acceleration per axis"},
+      Field{"transition", &Options::transition,
+            "transition probabilities per scan, of constant velocity and acceleration"},
+      Field{"prior", &Options::prior, "prior probabilities of these models"},
+      Field{"turn_transition", &Options::turn_transition,
+            "transition probabilities per scan, of these models and the turn"},
+      Field{"turn_prior", &Options::turn_prior, "prior probabilities of these three models"},
+      Field{"start_variance", &Options::start_variance,
+            "initial variances of position, velocity and acceleration per axis"},
       Field{"cross_range_variance", &Options::cross_range_variance,
-            "of the initial velocity across the line of sight [m^2/s^2]"},
+            "variance of the initial velocity across the line of sight [m^2/s^2]"},
       Field{"turn_variance", &Options::turn_variance,
-            "of the turn rate, at the start and of a model without it [rad^2/s^2]"},
+            "variance of the turn rate, initially and in models without it [rad^2/s^2]"},
       Field{"mixing_variance", &Options::mixing_variance,
-            "of the acceleration of a model without it, where models mix [m^2/s^4]"},
+            "variance of the acceleration in models without it, when models mix [m^2/s^4]"},
       Field{"mixes", &Options::mixes, "models restart from mixtures in each scan"},
       Field{"gates_models", &Options::gates_models, "SAFE-IMM"},
       Field{"heavy_tails", &Options::heavy_tails, "SAFE-IMM"},
@@ -87,7 +90,7 @@ void update(Tracker& self, double t, InRows3<double> position, Covariances covar
     d.range_rate = range_rate->data()[i];
     d.range_rate_sigma = range_rate_sigma;
   }
-  self.update(t, detections, field);  // microseconds, and of an object that threads may share: with the GIL
+  self.update(t, detections, field);  // takes microseconds, and threads may share the object: keep the GIL
 }
 
 TracksDict tracks(const Tracker& self, double t) {
@@ -135,25 +138,27 @@ nb::ndarray<nb::numpy, int> assigned(In<double, nb::shape<-1, -1>> cost, double 
 void bind_tracker(nb::module_& m) {
   using namespace alula;
   using namespace alula::flight;
-  fields::bind<TrackerOptions>(m, "TrackerOptions", "How moving obstacles are tracked; fixed once made.");
+  fields::bind<TrackerOptions>(m, "TrackerOptions", "Options of the tracker; immutable.");
   nb::class_<Tracker>(m, "Tracker", "Tracks of moving obstacles: nearest neighbours and interacting multiple models.")
       .def(nb::init<const TrackerOptions&, std::size_t>(), "options"_a = TrackerOptions{}, "most"_a = 128,
-           "A tracker of at most `most` tracks at a time. ValueError for invalid options.")
-      .def("reset", &Tracker::reset, "Forget everything.")
+           "Create a tracker with at most `most` tracks at a time. ValueError for invalid options.")
+      .def("reset", &Tracker::reset, "Delete all tracks.")
       .def(
           "update", &update, "t"_a, "position"_a, "covariance"_a, "los"_a = nb::none(), "range_rate"_a = nb::none(),
           "range_rate_sigma"_a = 0.1, "field"_a.none() = nb::none(),
-          "One scan at t [s]: positions (N, 3) [m] with covariances (N, 3, 3), world frame; optionally the rates "
+          "Process one scan at t [s]: positions (N, 3) [m] with covariances (N, 3, 3), world frame; optionally the "
+          "rates "
           "(N,) "
           "[m/s] along the lines of sight (N, 3) from the sensor. Rows that are not finite or have no covariance are "
-          "dropped and counted. A confirmed track that the field does not hold coasts. ValueError unless t is within "
+          "dropped and counted. A confirmed track outside the field coasts. ValueError unless t is within "
           "1e6 s after the last scan.")
       .def("tracks", &tracks, "t"_a,
            "All tracks predicted to t [s], oldest first: id, is_confirmed, p, v, a (N, 3), covariance of (p, v) "
            "(N, 6, 6), turning (N,): the probability of the models that accelerate or turn.")
-      .def_prop_ro("dropped", &Tracker::dropped, "Detections that were not used since the start.");
+      .def_prop_ro("dropped", &Tracker::dropped, "Number of detections dropped since the start.");
   m.def("assign", &assigned, "cost"_a, "gate"_a = std::numeric_limits<double>::infinity(),
-        "For each row of the costs its column or -1, at least cost: a row without a column costs `gate`, costs above "
+        "Assign to each row of the costs a column or -1 at minimum cost: a row without a column costs `gate`, costs "
+        "above "
         "it "
         "or not finite are forbidden; without a gate as many rows as possible get one.");
 }

@@ -38,7 +38,7 @@ Mat3 scaled_rows(Vec3 d, const Mat3& m) {
   return result;
 }
 
-// c tanh(y / c) and its slope; 0 for what is no number, as a state so large that its squares overflow makes it.
+// c tanh(y / c) and its slope; 0 for NaN, which occurs if the squares of a huge state overflow.
 struct Saturated {
   double value, slope;
 };
@@ -117,7 +117,7 @@ double BackupPolicy::fastest_rate() const {
   return std::max({rate.x, rate.y, rate.z});
 }
 
-// n of `brake`; e3 - (k_vh / K_R) v of the others.
+// n for `brake`; e3 - (k_vh / K_R) v for the other policies.
 Vec3 BackupPolicy::tilt_target(Vec3 v, Vec3 hold) const {
   if (!brakes()) return e3 - lean_ * v;
   const double ux = v.x - hold.x, uy = v.y - hold.y, v0 = gains_.full_tilt_speed_m_s;
@@ -229,8 +229,8 @@ bool BackupPolicy::settles(double h) const {
 }
 
 std::array<Vec3, 3> BackupPolicy::drifts(const State& x) const {
-  // Near hover the thrust axis b, flat, obeys J b'' = -K_omega b' - K_R (b + lean v) and v' = g b. Integrated until
-  // rest, with int b = -v / g:  K_R lean int v = K_R v / g + K_omega b + J b'.
+  // Near hover the horizontal part b of the thrust axis obeys J b'' = -K_omega b' - K_R (b + lean v) and v' = g b.
+  // Integrated until rest, with int b = -v / g:  K_R lean int v = K_R v / g + K_omega b + J b'.
   const Vec3 b = thrust_axis(x.sigma), inertia = vehicle_.inertia();
   const Vec3 turn{inertia.x / (kappa_ * k_tilt_.x) * x.omega.x, inertia.y / (kappa_ * k_tilt_.y) * x.omega.y, 0};
   const Vec3 rate = geometry::transposed_times(body_from_inertial(x.sigma), turn);  // J b' / K_R, turned back
@@ -254,7 +254,7 @@ double BackupPolicy::excursion(const State& x) const {
 double BackupPolicy::sway(const State& x) const { return brakes() ? norm(drift(x)) : excursion(x); }
 
 bool BackupPolicy::sways_at_most(const State& x, double limit) const {
-  // What is left out of `flat` makes it smaller by no more than |swing|, of which a bound is cheap.
+  // The omitted terms reduce `flat` by at most |swing|, which has a cheap bound.
   const double g = vehicle_.gravity(), above = (1 + 1e-9) * limit, most = lean_ * above;
   if (std::abs(x.v.z) > kappa_ * k_z_ * above) return false;
   double fx = x.v.x / g, fy = x.v.y / g, swing = 0;

@@ -24,7 +24,7 @@ BackupQp::BackupQp(const Geofence& geofence, double alpha)
   if (!(alpha > 0) || !std::isfinite(alpha)) throw std::invalid_argument("alpha must be positive");
 }
 
-// x with the derivatives x' = f(x) + g(x) u: of v by gravity and thrust, of the rates by their decay and commands.
+// x with the derivatives x' = f(x) + g(x) u: v by gravity and thrust, the rates by their decay and commands.
 RacerFlow<BackupQp::Number> BackupQp::start(const RacerState& x) const {
   RacerFlow<Number> s;
   const Vec3 axis = racer_axis(x.q);
@@ -88,7 +88,7 @@ BackupQpReport BackupQp::filter(const RacerState& x, const RacerCommand& pilot) 
   report.is_infeasible = found.status != QpStatus::optimal;
   if (report.is_infeasible) {
     FlowCommand<Number> u = first;
-    if (!(report.h_i > 0)) u = controller_.command(hold_, start(x));  // as the geofence: go on with the safe flow
+    if (!(report.h_i > 0)) u = controller_.command(hold_, start(x));  // as the geofence does: continue the safe flow
     report.command = {u.throttle.value, {u.rates[0].value, u.rates[1].value, u.rates[2].value}};
     return report;
   }

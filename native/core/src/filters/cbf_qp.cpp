@@ -1,6 +1,6 @@
 // A barrier on the velocity: 2 P . (v_i - v) + (d^2 - R_eff^2) / T >= 0, min |v - v_avoid|^2, a = clip((v - v_e) /
-// t_v), where v_avoid is what the manoeuvre's acceleration reaches in t_v. The violation reported is that of the
-// rows, divided by 2 d, by the velocity that what is flown reaches in t_v, per t_v: an acceleration.
+// t_v), where v_avoid is the velocity that the manoeuvre's acceleration reaches in t_v. The violation reported is the
+// row violation at the velocity that the flown command reaches in t_v, divided by 2 d and by t_v: an acceleration.
 #include <algorithm>
 #include <stdexcept>
 
@@ -45,7 +45,7 @@ class CbfQp final : public MovingFilter {
       Vec3 command = towards;
       holds = nearest_.solve(towards, command, iterations);
       if (!holds) command = nearest_.least_violation(towards, guide_.config().v_max);
-      // Unchanged where no row acts, whatever v + (x - v) rounds to.
+      // Unchanged where no row acts: v + (x - v) may round differently.
       if (norm(command - towards) > 1e-12) a = (1 / time) * (command - v);
     }
     MovingReport report = guide_.finish(guidance, vehicle, walls, nominal, a, holds);

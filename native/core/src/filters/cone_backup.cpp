@@ -45,7 +45,7 @@ ConeBackup::ConeBackup(const BackupPolicy& policy, std::shared_ptr<const Ellipso
           "bias and weight must not be negative, and rate and gains of the tracking row positive");
 }
 
-// What the flow ahead flies: to rest, or for `cone_escape` what the shield would.
+// Manoeuvre of the flow ahead: to rest, or for `cone_escape` the shield's manoeuvre.
 Manoeuvre ConeBackup::plan(const State& x, std::span<const Found> near) {
   if (!policy_.escapes()) return {};
   Manoeuvre chosen;
@@ -59,7 +59,7 @@ Manoeuvre ConeBackup::plan(const State& x, std::span<const Found> near) {
   return chosen;
 }
 
-// Whether some ellipsoid is met head-on.
+// True if the course meets some ellipsoid head-on.
 bool ConeBackup::add_rows(const State& x, std::span<const Found> near, FilterReport& report, bool& inside) {
   const ConeBackupOptions& o = options_;
   bool head_on = false;

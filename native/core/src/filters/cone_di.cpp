@@ -12,9 +12,9 @@ using geometry::is_finite;
 using geometry::norm;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kLead = 0.1;           // h is to be gone that long before contact, not just then [s]
-constexpr double kLeastContact = 0.05;  // less, and alpha overshoots within a tick of 10 ms [s]
-constexpr double kHeadOn = 0.02;        // sideways part of a row of unit length
+constexpr double kLead = 0.1;           // h reaches 0 this long before contact [s]
+constexpr double kLeastContact = 0.05;  // below this, alpha overshoots within a tick of 10 ms [s]
+constexpr double kHeadOn = 0.02;        // sideways component of a unit row
 
 }  // namespace
 

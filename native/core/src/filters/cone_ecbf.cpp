@@ -9,15 +9,15 @@ namespace alula::flight {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kSameThrust = 0.01;   // of hover: the extension counts as at the nominal thrust
-constexpr double kLeastThrust = 0.05;  // of hover: below, torques turn no thrust
+constexpr double kSameThrust = 0.01;   // of hover: within this the extension counts as at the nominal thrust
+constexpr double kLeastThrust = 0.05;  // of hover: minimum for the smooth snap, torques need thrust to turn
 
 }  // namespace
 
 double ecbf_pole(double h, double h1, double h2, double lambda, double most) {
   if (!(h > 0)) return lambda;
   double pole = std::max(lambda, -h1 / h);
-  // psi_2 is at least 0 from the larger of its roots on.
+  // psi_2 is >= 0 beyond the larger of its roots.
   const double discriminant = h1 * h1 - h * h2;
   if (discriminant > 0) pole = std::max(pole, (-h1 + std::sqrt(discriminant)) / h);
   return pole <= most ? pole : lambda;
@@ -57,7 +57,7 @@ double ConeEcbf::pole(const Cone& c, const ConeRates& d) const {
   return std::clamp(o.return_time * c.beta / c.delta, o.lambda, o.lambda_max);
 }
 
-// Whether some ellipsoid is met head-on.
+// True if the course meets some ellipsoid head-on.
 bool ConeEcbf::add_rows(const FlightState& state, const SnapMap& map, std::span<const Found> near, bool moves,
                         FilterReport& report, bool& inside) {
   bool head_on = false;

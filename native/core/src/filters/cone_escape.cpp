@@ -21,8 +21,8 @@ struct Form {
   double rv, rl, ru;
 };
 
-// The smallest angle beyond `angle` at which (cos, sin) leaves {a cos^2 + 2 b cos sin + c sin^2 < 0}; pi if there is
-// none.
+// The smallest angle beyond `angle` at which (cos, sin) leaves {a cos^2 + 2 b cos sin + c sin^2 < 0}; pi if no such
+// angle exists.
 double leave(double a, double b, double c, double angle) {
   const double discriminant = b * b - a * c;
   if (discriminant < 0) return std::numbers::pi;
@@ -90,7 +90,7 @@ Escapes escape_velocities(const EllipsoidIndex& index, std::span<const Found> ne
     result.velocity[result.count] = speed * (std::cos(angle) * ahead + std::sin(angle) * (l * left + u * up));
     result.turn[result.count++] = angle;
   }
-  for (std::size_t i = 1; i < result.count; ++i)  // by the angle, ties in their order
+  for (std::size_t i = 1; i < result.count; ++i)  // stable sort by the angle
     for (std::size_t j = i; j > 0 && result.turn[j] < result.turn[j - 1]; --j)
       std::swap(result.turn[j], result.turn[j - 1]), std::swap(result.velocity[j], result.velocity[j - 1]);
   return result;

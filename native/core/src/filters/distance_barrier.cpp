@@ -16,8 +16,8 @@ double curvature(const geometry::Ellipsoid& e, const geometry::Projection& at, V
   return sum;
 }
 
-// The same with v's world components taken for those along the axes by descending length, each axis turned
-// so that the point is on its positive side.
+// The same, with v's world components used as components along the axes by descending length; each axis points
+// to the side of the point.
 double published_curvature(const geometry::Ellipsoid& e, const geometry::Projection& at, Vec3 v) {
   int order[3] = {0, 1, 2};
   std::sort(order, order + 3, [&](int i, int j) { return e.semi[i] != e.semi[j] ? e.semi[i] > e.semi[j] : i < j; });

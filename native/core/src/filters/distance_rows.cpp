@@ -9,7 +9,7 @@ namespace alula::flight {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr std::size_t kRows = 8192;  // room that is made at once
+constexpr std::size_t kRows = 8192;  // rows reserved in the constructor
 
 }  // namespace
 
@@ -57,7 +57,7 @@ bool DistanceRows::search(Vec3 u, double tolerance, std::size_t enough) {
     std::push_heap(value_.begin(), value_.end());
     if (value_.size() < enough) return;
     if (value_.size() > enough) std::pop_heap(value_.begin(), value_.end()), value_.pop_back();
-    limit = std::min(limit, value_.front());  // what is left is violated by less than `enough` others
+    limit = std::min(limit, value_.front());  // the remaining rows are violated less than `enough` others
   });
   return !value_.empty();
 }

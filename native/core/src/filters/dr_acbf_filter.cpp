@@ -1,4 +1,4 @@
-// The onboard filter behind MovingFilter, with its own projection or with the general QP solver instead.
+// Onboard filter behind the MovingFilter interface, with its own projection or with the general QP solver.
 #include <algorithm>
 #include <stdexcept>
 
@@ -42,7 +42,7 @@ class DrAcbf final : public MovingFilter {
   std::unique_ptr<MovingFilter> clone() const override { return std::make_unique<DrAcbf>(*this); }
 
  private:
-  // The lambda for which the row would hold with equality, n . a = b(H), and the probability that goes with it.
+  // The lambda for which the row would hold with equality, n . a = b(H), and the corresponding probability.
   double risk_left(const alula_dr_acbf_result& result) const {
     const double h = result.horizon_s;
     double sum = 0;

@@ -13,8 +13,8 @@ namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
-// u = 2^-24; of positions of up to a kilometre: the normal's rounding costs sqrt 3 u 1 km, n . p four times as much,
-// and the offset its own.
+// u = 2^-24. For positions up to a kilometre, rounding the normal costs sqrt 3 u 1 km, n . p four times as much,
+// and the offset its own rounding.
 double lost_by_face(double d) { return 0x1p-24 * (16e3 + 4 * std::abs(d)); }
 
 void set_up(const Fence& fence, alula_fence& onboard) {

@@ -139,7 +139,7 @@ MovingReport Guide::finish(const alula_guidance& guidance, const alula_vehicle_s
 
 namespace {
 
-// The nominal, cut off at the box.
+// The nominal acceleration, clipped to the box.
 class NoFilter final : public MovingFilter {
  public:
   explicit NoFilter(const MovingFilterOptions& options) : guide_(options.config) {}

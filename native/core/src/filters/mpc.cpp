@@ -3,9 +3,9 @@
 //   min sum_k |p_k - p_b|^2 + w_v |v_k|^2 + w_u |u_k|^2 + w_xi xi^2
 //   n_i . (p_k - p_e) <= d_i + n_i . v_i k T - R_eff(H_max) + xi,  xi >= 0,  |u|_inf <= a_max
 //
-// in the 9 + 1 variables (u_0, u_1, u_2, xi). The violation reported is the acceleration that makes up for xi over
+// in the 9 + 1 variables (u_0, u_1, u_2, xi). The violation reported is the acceleration that compensates xi over
 // the whole horizon, 2 xi / (20 T)^2, as rows of DR-ACBF with H = 20 T count it. The penalty leaves some slack
-// wherever a distance binds: up to kMissed the distances count as kept.
+// wherever a distance binds: distances count as kept up to kMissed.
 #include <algorithm>
 #include <array>
 #include <stdexcept>
@@ -48,7 +48,7 @@ class Mpc final : public MovingFilter {
     rows_.clear(), bounds_.clear();
     if (guidance.mode == ALULA_AVOID) {
       condense(vehicle, tracks);
-      // The rows of the last tick are a good guess as long as they are as many.
+      // The last tick's active rows are a good initial guess while the number of rows is unchanged.
       const std::span<const std::uint32_t> warm(warm_.data(), warm_of_ == bounds_.size() ? warm_count_ : 0);
       result = solver_.solve({kVariables, hessian_, gradient_, rows_, bounds_}, warm);
       if (result.status == QpStatus::optimal) {

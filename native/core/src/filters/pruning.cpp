@@ -58,8 +58,9 @@ std::span<const Found> Pruner::near(Vec3 p, Vec3 v, bool approach, FilterReport&
   const double speed = geometry::norm(v);
   report.gate_m = gate_distance(pruning_, speed, index_->radius());
   const double time = pruning_.sweep ? pruning_.reaction_time_s + speed / (2 * pruning_.max_deceleration) : 0;
-  const std::size_t count =
-      pruning_.count == 0 ? index_->size() : std::size_t{pruning_.count} + 1;  // one tells if more
+  const std::size_t count = pruning_.count == 0
+                                ? index_->size()
+                                : std::size_t{pruning_.count} + 1;  // one more shows whether the cap applies
   const Vec3 end = p + time * v;
   if (approach && pruning_.approach) {
     index_->nearest_ahead(p, end, v, report.gate_m, count, found_);

@@ -1,12 +1,12 @@
-// A barrier of rollouts: V is how deep the manoeuvre, flown on from here, gets into an obstacle at worst.
+// Barrier on rollouts: V is the maximum depth to which the manoeuvre, flown from here, enters an obstacle.
 //
 //   V = max over samples, obstacles and t of R_eff - |P(t)|,   grad V . (f + g u) <= -alpha V,   min |u - a_0|^2
 //
-// The policy (to the bypass point, or a stop) does not look at obstacles, so one rollout of the vehicle serves all
-// samples. At the worst one, with n towards the obstacle and S = d p(t) / d (p, v):
+// The policy (to the bypass point, or a stop) ignores obstacles, so one rollout of the vehicle serves all
+// samples. At the worst sample, with n towards the obstacle and S = d p(t) / d (p, v):
 //   n . (S_p v + S_v u - v_i - t a_i(0)) <= -alpha V.
 // The violation reported is that of this row at unit length, so an acceleration, unless the row is short: when the
-// worst time is far off, a command now changes next to nothing there.
+// worst time is far off, a command now has almost no effect there.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -23,10 +23,10 @@ using geometry::Vec3;
 
 namespace {
 
-constexpr double kNoSay = 0.01;  // [s]: what is flown next to does not change a shorter row
+constexpr double kNoSay = 0.01;  // [s]: the command has almost no effect on a shorter row
 constexpr int kMostSteps = 64, kSubsteps = 10;
 
-// Of the vehicle at one time: where, and how that depends on the start, per axis.
+// Position of the vehicle at one time and its derivatives by the start state, per axis.
 struct Reached {
   Vec3 p, by_p, by_v;
 };
@@ -72,7 +72,7 @@ class RpCbf final : public MovingFilter {
   std::unique_ptr<MovingFilter> clone() const override { return std::make_unique<RpCbf>(*this); }
 
  private:
-  // What each sample adds to the way of an obstacle whose envelope is 1, and the acceleration it starts with.
+  // Displacement that each sample adds to an obstacle with an envelope of 1, and its initial acceleration.
   void draw() {
     const RandomStream random{.seed = 0, .trial = 0};
     const auto size = static_cast<std::size_t>(options_.samples);
@@ -86,7 +86,7 @@ class RpCbf final : public MovingFilter {
         if (k % held == 0) {
           const Vec3 normal = random.normals(s, static_cast<std::uint32_t>(k / held));
           for (int j = 0; j < 3; ++j) {
-            const double uniform = std::erf(normal[j] / std::sqrt(2.0));  // of (-1, 1)
+            const double uniform = std::erf(normal[j] / std::sqrt(2.0));  // uniform on (-1, 1)
             a[j] = s < size / 2 ? uniform : (uniform < 0 ? -1.0 : 1.0);
           }
           if (k == 0) first_[s] = a;
@@ -120,7 +120,7 @@ class RpCbf final : public MovingFilter {
     }
   }
 
-  // The row of the worst sample, not scaled; false without obstacles that close in.
+  // Adds the row of the worst sample, not scaled; false if no obstacle approaches.
   bool add_row(const alula_guidance& guidance, const alula_vehicle_state& vehicle,
                std::span<const alula_track> tracks) {
     double value = -std::numeric_limits<double>::infinity();

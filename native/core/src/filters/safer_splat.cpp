@@ -11,9 +11,9 @@ using geometry::dot;
 using geometry::is_finite;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kViolated = 4e-15;  // of a row, relative to 1 + |a|: what rounding does to its slack
+constexpr double kViolated = 4e-15;  // of a row, relative to 1 + |a|: rounding error of its slack
 constexpr std::size_t kBatch = 16;   // rows added at once
-constexpr int kRounds = 256;         // far more than a tick takes
+constexpr int kRounds = 256;         // far more than a tick needs
 
 Pruning of_distance(Pruning pruning) {
   pruning.approach = pruning.sweep = false;
@@ -79,7 +79,7 @@ void SaferSplat::add_nearest(Vec3 p, Vec3 v, FilterReport& report) {
 bool SaferSplat::solve_for_all(FilterReport& report, bool unsafe) {
   std::uint32_t iterations = 0;
   for (int round = 0; round < kRounds; ++round) {
-    // The nominal input holds a row or not; what the program returns does so to rounding.
+    // The nominal input is tested exactly; the program's solution satisfies a row up to rounding.
     const bool is_nominal = program_.accept(report, unsafe);
     if (!is_nominal) {
       const bool is_solved = program_.solve(report, unsafe);

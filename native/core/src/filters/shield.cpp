@@ -12,10 +12,10 @@ namespace alula::flight {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kSameSpeed = 0.05;  // of two contacts [m/s]
-constexpr double kNearer = 1e-9;     // in a tick: less is no approach [m]
+constexpr double kSameSpeed = 0.05;  // contact speeds closer than this count as equal [m/s]
+constexpr double kNearer = 1e-9;     // smaller decreases in a tick do not count as an approach [m]
 
-// Whether a beats b when neither is safe.
+// True if a beats b when neither is safe.
 bool is_less_bad(const Certificate& a, const Certificate& b) {
   const bool a_clears = a.clearance > 0, b_clears = b.clearance > 0;
   if (a_clears != b_clears) return a_clears;
@@ -23,7 +23,7 @@ bool is_less_bad(const Certificate& a, const Certificate& b) {
   return a.clearance > b.clearance;
 }
 
-// What is left of a manoeuvre after a tick of it.
+// The remaining manoeuvre after a tick of it.
 Manoeuvre rest_of(const Manoeuvre& m) { return {m.hold, std::max(0, m.ticks - 1), m.is_urgent}; }
 
 }  // namespace
@@ -66,8 +66,9 @@ void Shield::find_escapes(const State& x, std::span<const Found> near) {
   escapes_.count = std::min(escapes_.count, static_cast<std::size_t>(options_.escape_tries));
 }
 
-// Whether a manoeuvre is safe after a tick of u. A rest may have drifted into the margin, where no path that begins
-// there keeps it: then one that stays about as far away as now, and drifts hardly at all when it rests, will do.
+// True if a manoeuvre is safe after a tick of u. At rest the vehicle may have drifted into the margin, where no path
+// that begins there keeps it. Then a manoeuvre is accepted that keeps about the present distance and has almost no
+// drift at rest.
 bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept,
                            bool until_rest) {
   const double least = options_.rest_drift_m / 40, radius = index_->radius();
@@ -79,7 +80,8 @@ bool Shield::is_safe_after(const State& x, const Wrench& u, const Manoeuvre& man
   return safe;
 }
 
-// Whether no tick of u and of resting after it is nearer than now: what `is_safe_after` lets slip would add up.
+// True if no tick of u and of the following rest is nearer than now; the tolerance of `is_safe_after` would
+// accumulate.
 bool Shield::comes_no_nearer(const State& x, const Wrench& u) {
   if (!is_safe_after(x, u, stop(), -options_.margin_m, true)) return false;
   const double here = index_->clearance(x.p, index_->radius() + options_.margin_m, hint_);
@@ -87,7 +89,7 @@ bool Shield::comes_no_nearer(const State& x, const Wrench& u) {
                      [&](const Tick& tick) { return index_->clearance(tick.p, here, hint_) >= here - kNearer; });
 }
 
-// Whether resting, or else the committed manoeuvre, is safe after a tick of u; it becomes `next_`.
+// True if the manoeuvre to rest, or else the committed one, is safe after a tick of u; it becomes `next_`.
 bool Shield::accept(const State& x, const Wrench& u) {
   const double kept = options_.margin_m / 2;
   next_ = stop();
@@ -97,7 +99,7 @@ bool Shield::accept(const State& x, const Wrench& u) {
   return is_safe_after(x, u, next_, kept);
 }
 
-// The same, or else a new escape.
+// The same, then with new escapes.
 bool Shield::accept_escaping(const State& x, const Wrench& u, std::span<const Found> near) {
   if (accept(x, u)) return true;
   if (!policy_.escapes()) return false;
@@ -109,7 +111,7 @@ bool Shield::accept_escaping(const State& x, const Wrench& u, std::span<const Fo
   return false;
 }
 
-// The manoeuvre to fly from x; true when it is safe.
+// Chooses the manoeuvre to fly from x; true when it is safe.
 bool Shield::choose(const State& x, std::span<const Found> near) {
   const double kept = options_.margin_m / 2;
   if (policy_.escapes()) {
@@ -121,7 +123,7 @@ bool Shield::choose(const State& x, std::span<const Found> near) {
     }
   }
   const Manoeuvre gentle, urgent{.hold = {}, .ticks = 0, .is_urgent = true};
-  // Half the margin is for what is flown already: another that rests so near would drift out of it.
+  // Half the margin is only for the committed manoeuvre: a new one that rests so near would drift out of it.
   const Manoeuvre& same = committed_.is_urgent ? urgent : gentle;
   if (is_committed_ && is_safe(x, same, kept)) return chosen_ = same, true;
   for (const double margin : {options_.margin_m, kept})
@@ -173,7 +175,8 @@ bool Shield::decide(const State& x, const Wrench& candidate, SplatFilterStatus a
   }
   settle(x, near, report);
   is_committed_ = report.certified, is_planned_ = false;
-  // Inside the margin that is kept nothing is safe, resting neither; what comes no nearer than now lets it leave.
+  // Inside the kept margin no manoeuvre is safe, not even to rest. An input that comes no nearer than now lets the
+  // vehicle leave.
   if (!report.certified && comes_no_nearer(x, candidate)) {
     report.wrench = candidate, committed_ = stop();
     return true;

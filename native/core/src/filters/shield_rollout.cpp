@@ -1,4 +1,4 @@
-// The rollouts of a shield: what a manoeuvre flies from a state, and whether all of that is clear.
+// Rollouts of a shield: the commands of a manoeuvre from a state, and the check that its path is clear.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -17,19 +17,19 @@ using geometry::multiply;
 using geometry::norm;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr double kStep = 0.01;                   // of RK4 at most [s],
-constexpr double kTurn = 0.1;                    // and [rad]
-constexpr int kSweeps = 8;                       // chords tried before the path is looked at tick by tick
-constexpr double kTurnPerTick = 1;               // more than that and holding an input for a tick means nothing
-constexpr double kAlmost = 4;                    // times what counts as rest, in speed, rate and tilt
-constexpr double kRoom = 2;                      // times its excursion
-constexpr double kMostPassed = 1.5;              // of an excursion, by what is flown
-constexpr double kQuarter = 1.5707963267948966;  // of a turn [rad]
-constexpr double kMost = 0.25;                   // of an excursion that is looked at [m]
+constexpr double kStep = 0.01;       // maximum RK4 step [s]
+constexpr double kTurn = 0.1;        // maximum turn in a step [rad]
+constexpr int kSweeps = 8;           // chords tried before the path is checked tick by tick
+constexpr double kTurnPerTick = 1;   // [rad]; beyond this, the model of an input held for a tick is invalid
+constexpr double kAlmost = 4;        // multiple of the rest thresholds of speed, rate and tilt
+constexpr double kRoom = 2;          // multiple of the excursion that must be free
+constexpr double kMostPassed = 1.5;  // maximum ratio of the flown distance to the excursion
+constexpr double kQuarter = 1.5707963267948966;  // quarter of a turn [rad]
+constexpr double kMost = 0.25;                   // maximum excursion that is considered [m]
 
 }  // namespace
 
-// A tick of rotors that are led to u.
+// One tick of rotors that are commanded to reach u.
 State Shield::following(const State& x, Vec4& rotors, const Wrench& u) const {
   const double tick = options_.tick_s, lag = options_.motor_time_constant_s;
   const double needed = std::max({tick / kStep * (1 - 1e-9), norm(x.omega) * tick / kTurn, 2 * tick / lag});
@@ -43,13 +43,13 @@ State Shield::following(const State& x, Vec4& rotors, const Wrench& u) const {
   return y;
 }
 
-// Whether hovering is asymptotically stable with lag, but for place and, without a spring, heading: powers of the
-// Jacobian of a tick vanish.
+// True if hovering is asymptotically stable with lag, except for position and, without a spring, heading: powers of
+// the Jacobian of a tick vanish.
 bool Shield::settles() const {
   constexpr std::size_t kSize = 13;  // velocity, attitude, rates, rotors
   constexpr double kChange = 1e-5, kVanished = 1e-3;
   using Row = std::array<double, kSize>;
-  const double unit = policy_.vehicle().hover_thrust() / 4;  // of rotors
+  const double unit = policy_.vehicle().hover_thrust() / 4;  // unit of the rotor states [N]
   const auto after_a_tick = [&](std::size_t i, double change) {
     Row row{};
     row[i] = change;
@@ -82,7 +82,7 @@ bool Shield::settles() const {
   return largest <= kVanished;
 }
 
-// What a manoeuvre flies in a tick.
+// The wrench of a manoeuvre in a tick.
 Wrench Shield::flown(const State& x, const Manoeuvre& manoeuvre, int tick) const {
   return manoeuvre.is_urgent ? policy_.urgent(x, manoeuvre.at(tick)) : policy_(x, manoeuvre.at(tick));
 }
@@ -107,14 +107,14 @@ bool Shield::resting(const State& x) const {
   if (dot(x.omega, x.omega) > o.rest_rate_rad_s * o.rest_rate_rad_s) return false;
   const Vec3 b = thrust_axis(x.sigma);
   if (!(b.z > 0) || b.x * b.x + b.y * b.y > o.rest_tilt_rad * o.rest_tilt_rad) return false;
-  // With a spring on the heading only the one that it pulls to is a rest.
+  // With a spring on the heading, the only rest is at the heading that it pulls to.
   if (policy_.kind() == BackupKind::hover && !(4 * std::abs(x.sigma.z) <= o.rest_tilt_rad)) return false;
   return policy_.sways_at_most(x, rest_drift_);
 }
 
-// The same with rotors on their way. Left alone they would still give the momentum that is added here, led ones a
-// part of it; a linear loop ends where one without lag does from the state with that part, which lies between the
-// two.
+// The same with rotors that have not settled. Left alone, the rotors would still add the momentum that is computed
+// here; under command they add a part of it. A linear loop ends where a loop without lag ends from the state with
+// that part, which lies between the two.
 bool Shield::resting(const State& x, const Vec4& rotors) const {
   if (!resting(x)) return false;
   if (!lags()) return true;
@@ -125,9 +125,9 @@ bool Shield::resting(const State& x, const Vec4& rotors) const {
   return resting(y);
 }
 
-// Whether what is flown from where `settles_clear` may end a path stays well within the room that it asks for. Of the
-// loop about hover the excursion is a bound; caps of tilt, thrust or torque, or a slow attitude, may be too low for
-// it. Flown from corners of what counts, scaled to the longest excursion that is looked at.
+// True if the flight from where `settles_clear` may end a path stays well within the distance that it requires. For
+// the loop about hover the excursion is a bound; low caps of tilt, thrust or torque, or a slow attitude, may violate
+// it. Tested from the corners of the admitted states, scaled to the maximum excursion considered.
 bool Shield::keeps_to_excursion() const {
   if (lags()) return false;
   const ShieldOptions& o = options_;
@@ -151,8 +151,8 @@ bool Shield::keeps_to_excursion() const {
   return true;
 }
 
-// Whether x is so near to rest, and so far from everything, that on its way to rest it keeps `distance`. Asked along
-// a path, it looks at the map whenever the excursion has halved.
+// True if x is so near to rest, and so far from all ellipsoids, that it keeps `distance` on its way to rest. Along a
+// path, the map is queried only when the excursion has halved since the last query.
 bool Shield::settles_clear(const State& x, double distance, double& looked) {
   const ShieldOptions& o = options_;
   const double speed = kAlmost * o.rest_speed_m_s, rate = kAlmost * o.rest_rate_rad_s;
@@ -168,12 +168,12 @@ bool Shield::settles_clear(const State& x, double distance, double& looked) {
   return index_->clearance(x.p, needed, hint_) >= needed;
 }
 
-// Fills the path; false when it does not come to rest in time. With a `distance` it ends also where the rest of the
-// way is known to keep that.
+// Fills the path; false when it does not come to rest in time. With a `distance` it ends also where the remaining
+// path is proven to keep that distance.
 bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* first, double& time, double distance) {
   const Quadrotor& vehicle = policy_.vehicle();
   const double h = options_.tick_s;
-  // What is accepted rests a little early, so that small differences of plan and flight do not take it back.
+  // Accepted manoeuvres rest a little early, so that small differences of plan and flight do not revoke them.
   const int before = first != nullptr ? 1 : 0, most = static_cast<int>(options_.max_time_s / h),
             ticks = first != nullptr ? most - most / 8 : most;
   path_.clear();
@@ -192,8 +192,8 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
     const Wrench command = is_first ? *first : flown(now, manoeuvre, tick - before);
     const Wrench u = lags() ? vehicle.wrench(rotors) : command;  // at the start
     const State next = lags() ? following(now, rotors, command) : after(now, command);
-    // |v'| within the tick: its value at the start, and the thrust axis turning by at most |omega| h. With lag thrust
-    // and torques go on a straight line from u to those at the end, so one of the ends has the most.
+    // |v'| within the tick: its value at the start, and the thrust axis turning by at most |omega| h. With lag,
+    // thrust and torques go on a straight line from u to those at the end, so the maximum is at one of the ends.
     const double next_spin = norm(next.omega);
     if (!(spin * h <= kTurnPerTick)) return false;
     double thrust = std::abs(u.thrust) / vehicle.mass(), growth = 0;
@@ -219,8 +219,8 @@ bool Shield::roll(const State& x, const Manoeuvre& manoeuvre, const Wrench* firs
   return resting(now, rotors);
 }
 
-// Whether all ellipsoids keep `distance` from the chord of the path between two ticks by as much more as the path
-// leaves that chord. Then `march` finds nothing there either: what it looks at is no farther from the chord.
+// True if all ellipsoids keep `distance` plus the path's deviation from the chord between two ticks to that chord.
+// Then `march` finds no violation there either: every point that it tests is no farther from the chord.
 bool Shield::is_clear(std::size_t from, std::size_t to, double distance) const {
   const Vec3 a = path_[from].p, d = path_[to].p - a;
   const double length2 = dot(d, d), per_length2 = length2 > 0 ? 1 / length2 : 0;
@@ -233,7 +233,7 @@ bool Shield::is_clear(std::size_t from, std::size_t to, double distance) const {
   return !index_->is_near(a, path_[to].p, (1 + 1e-8) * (std::max(distance, 0.0) + std::sqrt(off2) + sag) + 1e-9);
 }
 
-// The tick up to which a few long chords show that the path keeps `distance`.
+// The tick up to which a few long chords prove that the path keeps `distance`.
 std::size_t Shield::sweep(double distance) const {
   const std::size_t last = path_.size() - 1;
   std::size_t from = 0, to = last;
@@ -250,8 +250,8 @@ std::size_t Shield::sweep(double distance) const {
   return from;
 }
 
-// Whether the path keeps `distance` from all ellipsoids from a tick on. `least` becomes the minimum distance that was
-// seen, and `contact_speed` a bound of the speed in the tick where it first is nearer.
+// True if the path keeps `distance` from all ellipsoids from a tick on. `least` becomes the minimum distance found,
+// and `contact_speed` a bound on the speed in the first tick that is nearer.
 bool Shield::march(std::size_t from, double distance, bool thorough, double& least, double& contact_speed) {
   const std::size_t last = path_.size() - 1;
   const double end = path_[last].arc;
@@ -275,10 +275,11 @@ bool Shield::march(std::size_t from, double distance, bool thorough, double& lea
     const double reach = path_[k].arc + std::max(here - distance, thorough && !clear ? 0.02 : 0.0);
     std::size_t j = k;
     while (j < last && path_[j + 1].arc <= reach) ++j;
-    if (j == k) {  // the next tick is beyond what this one clears: look at the chord between them
+    if (j == k) {  // the next tick is outside the cleared ball: test the chord between them
       ++j;
       const Tick& next = path_[j];
-      const double needed = distance + next.sag;  // of the chord; what is that near is so near to its start, or less
+      const double needed =
+          distance + next.sag;  // of the chord; a point that near it is within `reach_of_start` of its start
       const double reach_of_start = needed + norm(next.p - path_[k].p);
       index_->nearest(path_[k].p, next.p, reach_of_start, 1, found_);
       if (!found_.empty() && found_[0].distance < needed) {
@@ -303,7 +304,7 @@ Certificate Shield::certify(const State& x, const Manoeuvre& manoeuvre, double m
   return result;
 }
 
-// `certify` for its verdict alone, though not flown to its end when what is left is clear.
+// `certify` for its verdict alone; the rollout ends early when the remaining path is clear.
 bool Shield::is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first,
                      bool until_rest) {
   double unused = 0;

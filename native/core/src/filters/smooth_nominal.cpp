@@ -9,7 +9,7 @@ namespace {
 
 constexpr double kMost = 8;             // maximum |a*| where cones demand more [m/s^2]
 constexpr double kReturnsPerTime = 2;   // rate of a row with h < 0 times the time to its ellipsoid
-constexpr double kMostReturnRate = 20;  // and its maximum [1/s]
+constexpr double kMostReturnRate = 20;  // maximum of that rate [1/s]
 constexpr double kMostSpeedUp = 20;     // maximum change of the reference speed that counts [m/s^2]
 
 Vec3 at_most(Vec3 v, double length) {
@@ -51,7 +51,7 @@ void SmoothNominal::add(const Cone& c, bool on_gamma, std::uint32_t item) {
 
 Vec3 SmoothNominal::snap(const SnapMap& map, Vec3 v, const Nominal& nominal) {
   const SmoothNominalOptions& o = options_;
-  // One wrong error must not stiffen the poles for the rest of a flight.
+  // A single wrong velocity error must not stiffen the poles for the rest of a flight.
   const double speed = std::max(top_speed_, geometry::norm(v)) + kMostSpeedUp * dt_;
   top_speed_ = std::max(top_speed_, std::min(speed, geometry::norm(v - nominal.velocity_error)));
   const double p1 = is_releasing() ? pole() : o.release_rad_s, p2 = o.attitude_rad_s;

@@ -12,8 +12,8 @@ using geometry::dot;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kHeadOn = 0.999;           // minimum cosine of the angle between r and v in the metric of A
-constexpr double kTolerance = 1e-9;         // of scaled rows, for what a solver returns,
-constexpr double kBackendTolerance = 1e-6;  // and for what a backend does, which proves nothing
+constexpr double kTolerance = 1e-9;         // of scaled rows, for the result of the exact solver
+constexpr double kBackendTolerance = 1e-6;  // the same for a backend's solution, which comes without a guarantee
 
 double dot4(const double* a, const Vec4& b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]; }
 
@@ -49,7 +49,7 @@ void WrenchProgram::push(const Vec4& row, double bound, double soft) {
   double largest = 0;
   for (std::size_t j = 0; j < 4; ++j)
     scaled[j] = row[j] * range_[j], largest = std::max(largest, std::abs(scaled[j]));
-  if (scaled == Vec4{} && bound <= 0) return;  // NaN is no zero
+  if (scaled == Vec4{} && bound <= 0) return;  // false for NaN
   double square = 0;
   for (double& value : scaled) value /= largest, square += value * value;
   const double length = std::sqrt(square);

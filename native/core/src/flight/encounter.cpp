@@ -16,18 +16,18 @@ using geometry::norm;
 using geometry::Vec3;
 using Clock = std::chrono::steady_clock;
 
-constexpr double kSameTime = 1e-9;  // of two multiples of a step [s]
-constexpr double kNear = 5;         // a track this near an obstacle may be of it [m]
+constexpr double kSameTime = 1e-9;  // tolerance between two multiples of a step [s]
+constexpr double kNear = 5;         // a track this near an obstacle may belong to it [m]
 constexpr double kReacted = 0.05;   // an acceleration this far from the nominal is a reaction [m/s^2]
-constexpr double kWallsAhead = 5;   // walls farther than the way of so long at full speed are not shown [s], ...
-constexpr double kBraking = 0.5;    // ... unless it takes this share of the largest acceleration to stop before them
+constexpr double kWallsAhead = 5;   // walls farther than this time at full speed are not passed on [s], ...
+constexpr double kBraking = 0.5;    // ... unless stopping before them takes this fraction of the maximum acceleration
 
 Vec3 clipped(Vec3 a, double limit) {
   for (int i = 0; i < 3; ++i) a[i] = std::clamp(a[i], -limit, limit);
   return a;
 }
 
-// Towards standstill along the velocity, no farther.
+// Acceleration that brakes along the velocity to standstill, without reversal.
 Vec3 braking(Vec3 v, double limit, double dt) {
   const double largest = std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)});
   return clipped(-std::min(1 / dt, limit / std::max(largest, 1e-12)) * v, limit);
@@ -39,7 +39,7 @@ struct Scan {
   std::vector<Detection> detections;
 };
 
-// What one trial after another is flown with; memory is kept between them.
+// State of consecutive trials; memory is kept between them.
 class Encounter {
  public:
   Encounter(const EncounterSpec& spec, const MovingFilter& filter, std::uint64_t seed, bool keeps_path)
@@ -76,12 +76,12 @@ class Encounter {
   std::uint64_t seed_;
   bool keeps_path_;
   Vec3 course_;
-  double track_radius_ = 0;  // sensors do not tell the size: the largest
+  double track_radius_ = 0;  // sensors do not measure the size: the largest radius is used
 
   RandomStream random_;
   std::vector<std::unique_ptr<ObstacleMotion>> obstacle_;
   std::vector<Kinematics> truth_;
-  std::vector<Scan> scan_;  // on their way, oldest first; then those to be used again
+  std::vector<Scan> scan_;  // pending scans, oldest first; then buffers for reuse
   std::size_t scans_ = 0;
   std::uint64_t scanned_ = 0;
   alula_vehicle_state seen_{};
@@ -89,11 +89,11 @@ class Encounter {
   std::vector<alula_track> tracks_;
   std::vector<alula_wall> walls_;
   struct Separating {
-    double gap, spare;  // spare: how much faster towards it the vehicle might be
+    double gap, spare;  // spare: possible increase of the speed towards it
     Vec3 normal;
   };
   std::vector<Separating> separating_;
-  struct Window {  // of an obstacle
+  struct Window {  // window of an obstacle
     bool is_open = false;
     double reacted_s = EncounterMetrics::kNever;
   };
@@ -124,7 +124,7 @@ void Encounter::begin(std::uint32_t trial) {
   log_.obstacle.resize(truth_.size());
 }
 
-// Scans that are due at a step of the plant.
+// Makes the scans that are due at a step of the plant.
 void Encounter::sense(std::int64_t step) {
   const RadarOptions& radar = spec_.radar;
   const double now = static_cast<double>(step) * spec_.rules.dt_s / spec_.rules.plant_steps;
@@ -139,7 +139,7 @@ void Encounter::sense(std::int64_t step) {
   scan(radar, plant_.state(), yaw_, truth_, random_, static_cast<std::uint64_t>(step), made.detections);
 }
 
-// What the vehicle knows in a tick: scans that have arrived, confirmed tracks, its own state.
+// Inputs of the filter in a tick: scans that have arrived, confirmed tracks, the vehicle's own state.
 void Encounter::see(double now, std::int64_t tick) {
   const RadarOptions& radar = spec_.radar;
   const std::int64_t step = tick * spec_.rules.plant_steps;
@@ -184,9 +184,9 @@ void Encounter::see(double now, std::int64_t tick) {
   see_walls();
 }
 
-// Of each polytope the plane that separates it best from the vehicle; its distance is at most the polytope's. Where
-// there are too many, those count that the vehicle could not stop before if it were a little faster: near ones that
-// it passes by must not hide the one that it flies at.
+// For each polytope, the plane that separates it best from the vehicle; its distance is at most the polytope's. Where
+// there are too many, those are chosen before which the vehicle could not stop if it were a little faster: walls that
+// it passes closely must not displace the one that it flies towards.
 void Encounter::see_walls() {
   walls_.clear();
   if (spec_.walls == nullptr) return;
@@ -223,7 +223,7 @@ Vec3 Encounter::nominal() const {
   const Vec3 left = (v.hovers ? v.start : v.goal) - seen_p_;
   const double distance = norm(left);
   double speed = std::min(v.cruise_m_s, std::sqrt(v.max_acceleration_m_s2 * distance));
-  // The root is steep at the goal, which only who stays there gets to feel: a well-damped spring.
+  // The square root is steep at the goal, which matters when hovering there: use a well-damped spring.
   if (v.hovers) speed = std::min(speed, v.gain / 2 * distance);
   const Vec3 wanted = distance > 0 ? speed / distance * left : Vec3{};
   return clipped(v.gain * (wanted - seen_v_), v.max_acceleration_m_s2);
@@ -279,7 +279,7 @@ void Encounter::judge_answer(const MovingReport& report, Vec3 command, Vec3 nomi
   log_.active_tick_s.push_back(static_cast<float>(took));
 }
 
-// One step of the plant and of the obstacles, with what came closest on the way.
+// Advances the plant and the obstacles by one step and updates the closest distances.
 void Encounter::advance() {
   const double h = spec_.rules.dt_s / spec_.rules.plant_steps;
   const Kinematics before = plant_.state();
@@ -298,7 +298,7 @@ void Encounter::advance() {
   log_.path_length_m += norm(after.p - before.p);
   log_.max_speed_m_s = std::max(log_.max_speed_m_s, norm(after.v));
   if (spec_.walls == nullptr || spec_.walls->size() == 0) return;
-  const double bend = norm(after.a) * h * h / 8;  // of the path from the chord, at most
+  const double bend = norm(after.a) * h * h / 8;  // maximum distance of the path from the chord
   const double radius = spec_.vehicle.radius_m;
   const double least =
       spec_.walls->clearance(before.p, after.p, log_.wall_clearance_m + radius + bend, nearest_wall_, scratch_);

@@ -24,7 +24,7 @@ double closest_approach(Vec3 r0, Vec3 r1, Vec3 a, double h) {
   const double ends = std::min(dot(r0, r0), dot(r1, r1)), square = dot(chord, chord);
   double t = square > 0 ? std::clamp(-dot(r0, chord) / square, 0.0, h) : 0;
   double best = ends;
-  for (int step = 0; step < 4; ++step) {  // Newton's on r . r', from where the chord is closest
+  for (int step = 0; step < 4; ++step) {  // Newton steps on r . r', from the chord's closest point
     const Vec3 r = r0 + t * c + t * t / 2 * a, v = c + t * a;
     best = std::min(best, dot(r, r));
     const double slope = dot(v, v) + dot(r, a);

@@ -11,8 +11,8 @@ using geometry::dot;
 using geometry::norm;
 using geometry::Vec3;
 
-constexpr int kLooks = 8;      // in a window, and then Newton's steps on the derivative of the squared distance
-constexpr int kRefinings = 4;  // from the best of them
+constexpr int kLooks = 8;      // samples in a window
+constexpr int kRefinings = 4;  // Newton steps from the best sample, on the derivative of the squared distance
 
 // Position and velocity.
 std::pair<Vec3, Vec3> relative(const alula_track& track, const alula_vehicle_state& vehicle) {
@@ -64,7 +64,7 @@ double risk_of(const alula_track& track, const alula_vehicle_state& vehicle, Vec
   }
   variance = std::max(0.0, variance) / (distance * distance);
   const double cantelli = variance / (variance + slack * slack);
-  return cantelli <= 3.0 / 8 ? 4.0 / 9 * cantelli : 4.0 / 3 * cantelli - 1.0 / 3;  // of one mode
+  return cantelli <= 3.0 / 8 ? 4.0 / 9 * cantelli : 4.0 / 3 * cantelli - 1.0 / 3;  // unimodal errors
 }
 
 double turn_to(std::span<const alula_track> tracks, const alula_vehicle_state& vehicle, double yaw,

@@ -10,13 +10,13 @@ namespace {
 
 using geometry::e3;
 
-constexpr double kSameTime = 1e-9;           // of two sums of the same steps [s]
+constexpr double kSameTime = 1e-9;           // tolerance between two sums of the same steps [s]
 constexpr double kSamePlace = 1e-9;          // [m]
-constexpr double kLongestStep = 0.001;       // of the second quadrotor's controller [s]
-constexpr double kLongestBallistic = 0.005;  // step of the thrown [s]
-constexpr double kMostDrag = 20;             // of a throw: then it loses 95 % of its speed
+constexpr double kLongestStep = 0.001;       // maximum step of the second quadrotor's controller [s]
+constexpr double kLongestBallistic = 0.005;  // maximum step of a ballistic obstacle [s]
+constexpr double kMostDrag = 20;             // maximum c of a throw: it then loses 95 % of its speed
 
-// What holds before it starts, and time.
+// Common part: time, and rest before the start.
 class Starting : public ObstacleMotion {
  public:
   Starting(double start_s, Vec3 p) : start_(start_s) { state_.p = p; }
@@ -36,7 +36,7 @@ class Starting : public ObstacleMotion {
   double start_, time_ = 0;
 };
 
-// Along a straight line, exact at any time.
+// Motion along a straight line, exact at any time.
 class Straight final : public Starting {
  public:
   Straight(double start_s, Vec3 p, Vec3 heading, const Pace& pace)
@@ -64,7 +64,7 @@ Vec3 turned_towards(Vec3 a, Vec3 b, double angle) {
   const double sine = norm(cross(a, b)), between = std::atan2(sine, dot(a, b));
   if (between <= angle) return b;
   Vec3 side = b - dot(a, b) * a;
-  if (sine < kSamePlace) side = cross(std::abs(a.z) < 0.9 ? e3 : Vec3{1, 0, 0}, a);  // opposite: any side will do
+  if (sine < kSamePlace) side = cross(std::abs(a.z) < 0.9 ? e3 : Vec3{1, 0, 0}, a);  // opposite: any side
   return std::cos(angle) * a + std::sin(angle) / norm(side) * side;
 }
 
@@ -114,7 +114,7 @@ class Curving final : public Starting {
   bool pursues_, turns_ = true;
 };
 
-// Of the thrown.
+// State of a ballistic obstacle, or its derivative.
 struct Flight {
   Vec3 p, v;
 };
@@ -210,8 +210,8 @@ Vec3 throw_velocity(Vec3 p, Vec3 target, double t, double drag) {
   for (int round = 0; drag > 0; ++round) {
     const Vec3 miss = target - flown({p, v}, t, drag).p;
     if (norm(miss) < kSamePlace) break;
-    // Without gravity it goes log(1 + c) / (drag |v|) far, c = drag |v| t: so much more speed makes up for a miss
-    // across the path, and for a part of one along it.
+    // Without gravity it flies log(1 + c) / (drag |v|) far, c = drag |v| t: this change of speed corrects a miss
+    // across the path, and a part of one along it.
     const double c = drag * norm(v) * t;
     if (round == 500 || !(c < kMostDrag))
       throw std::invalid_argument("with this drag no throw reaches the meeting point");

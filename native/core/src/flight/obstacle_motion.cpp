@@ -15,19 +15,19 @@ using geometry::e3;
 
 constexpr double kSamePlace = 1e-9;                          // [m]
 constexpr double kShortestLeg = 1e-3;                        // [m]
-constexpr double kLongestWait = 1e4;                         // until a meeting [s]
+constexpr double kLongestWait = 1e4;                         // maximum time until a meeting [s]
 constexpr double kShortestThrow = 1e-3, kLongestThrow = 60;  // [s]
 
 void require(bool good, const char* message) {
   if (!good) throw std::invalid_argument(message);
 }
 
-// What is drawn, each from numbers of its own.
+// Streams of the random values, one for each quantity.
 enum Item : std::uint64_t { kUniforms, kMoreUniforms, kOffset, kMeeting };
 
 double in(const Range& range, double u) { return range.from + (range.to - range.from) * u; }
 
-// Course, left, up.
+// Frame (course, left, up).
 struct Course {
   explicit Course(Vec3 v) {
     const double speed = std::hypot(v.x, v.y);
@@ -48,7 +48,7 @@ Vec3 about_vertical(Vec3 v, double angle) {
   return {c * v.x - s * v.y, s * v.x + c * v.y, v.z};
 }
 
-// One draw: where, how fast, where to.
+// One draw: start, speed and direction.
 struct Draw {
   Draw(const ObstacleSpec& s, const Kinematics& vehicle, const RandomStream& random, std::uint32_t obstacle)
       : spec(s), course(vehicle.v) {
@@ -88,7 +88,7 @@ struct Draw {
 
   Vec3 target_at(double t) const { return target_p + t * target_v + meeting_error; }
 
-  // Turned outwards.
+  // Vector turned outwards.
   Vec3 outwards(Vec3 heading) const {
     const Vec3 out = dot(p - target_p, course.left) >= 0 ? course.left : -course.left;
     return about_vertical(heading, cross(heading, out).z >= 0 ? turn : -turn);
@@ -104,7 +104,7 @@ struct Draw {
   Course course;
   Pace pace;
   Leg leg;
-  Vec3 p, target_p, target_v, meeting_error;  // where and how fast the vehicle is when the obstacle starts
+  Vec3 p, target_p, target_v, meeting_error;  // vehicle's position and velocity when the obstacle starts
   double turn = 0;
 };
 
@@ -192,11 +192,12 @@ std::unique_ptr<ObstacleMotion> draw(const ObstacleSpec& spec, const Kinematics&
       points.insert(points.end(), spec.way_points.begin(), spec.way_points.end());
       if (spec.way_points.empty()) {
         const Vec3 to = drawn.target_at(drawn.meeting_after(false)) - drawn.p;
-        // An obstacle that is met where it starts takes a leg of 2 mm: it hovers there.
+        // An obstacle that starts at the meeting point flies a leg of 2 mm: it hovers there.
         const bool is_leg = norm(to) >= kShortestLeg;
         points.push_back(drawn.p + (is_leg ? 2 * drawn.outwards(to) : 2 * kShortestLeg * drawn.heading()));
       }
-      if (norm(points[1] - points[0]) < kShortestLeg) points.erase(points.begin() + 1);  // it is there already
+      if (norm(points[1] - points[0]) < kShortestLeg)
+        points.erase(points.begin() + 1);  // it already is at that point
       require(points.size() > 1, "the way points of a quadrotor must lead away from its start");
       return move_flown(spec.start_s, spec.pilot, points, drawn.leg);
     }

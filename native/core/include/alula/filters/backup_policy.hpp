@@ -1,7 +1,7 @@
 // Feedback that brings a quadrotor to rest from any state within the limits of its rotors.
 //
 // A policy maps (sigma, v, omega) to a wrench that is admissible for every finite state, is C^2 in it, and has
-// hover, at whatever place and (but for `hover`) heading, as its only stable rest. With R = R(sigma),
+// hover, at any position and (but for `hover`) heading, as its only stable equilibrium. With R = R(sigma),
 // b = R^T e3, c = R e3, S = -hat(e3), caps c_k > 0 and sat(y, c) = c tanh(y / c):
 //
 //   hover              T = m g + sat(-kappa m k_vz v_z, c_T)
@@ -12,10 +12,10 @@
 //                      T~ = m (g - k_z u_z) l(R_33),  l(y) = (1 + eps) y / (y^2 + eps) ~ 1 / y
 //
 // `hover` has a spring on yaw and jumps at a shadow switch; the other two depend on the attitude through R alone.
-// `brake` tilts towards n, so its steady tilt stays below `tilt`, holds its height while tilted, and has
-// different caps of thrust upwards and downwards. v_d is the velocity that it regulates about.
+// `brake` tilts towards n, so its steady tilt stays below `tilt`. It holds its height while tilted, and has
+// different caps for upward and downward thrust. v_d is the velocity that it regulates to.
 //
-// Source: Tscholl, Nakka, Gunter 2026 (FastBridge), eq. 17-19, for `hover`; the others are ours.
+// Source: Tscholl, Nakka, Gunter 2026 (FastBridge), eq. 17-19, for `hover`; the others are alula's own.
 #pragma once
 
 #include <array>
@@ -36,7 +36,7 @@ struct PolicyJacobian {
 class BackupPolicy {
  public:
   // Throws std::invalid_argument when a gain is invalid, hover is not inside the rotors' limits, or the linear
-  // loop of braking J s^3 + K_omega s^2 + K_R s + g k_vh = 0 is not Hurwitz, i.e. unless K_omega K_R > J g k_vh
+  // braking loop J s^3 + K_omega s^2 + K_R s + g k_vh = 0 is not Hurwitz, i.e. unless K_omega K_R > J g k_vh
   // for roll and pitch (with K_R = K_sigma / 4, gains times kappa; K_R tan(tilt) / v_0 for k_vh in `brake`).
   BackupPolicy(const Quadrotor& vehicle, BackupKind kind, const BackupGains& gains = {});
 
@@ -47,41 +47,43 @@ class BackupPolicy {
   bool brakes() const { return kind_ == BackupKind::brake || kind_ == BackupKind::cone_escape; }
   bool escapes() const { return kind_ == BackupKind::cone_escape; }
 
-  // Rotor i gets f_hov,i + (G^-1 Delta)_i with Delta_T in [-down, up] and |Delta_tau| <= torque_cap, so it stays
-  // within eta_frac of its margins about hover, whatever the state.
+  // Rotor i gets f_hov,i + (G^-1 Delta)_i with Delta_T in [-down, up] and |Delta_tau| <= torque_cap, so in every
+  // state it stays within eta_frac of its margins about hover.
   double cap_up() const { return up_; }
   double cap_down() const { return down_; }
   Vec3 torque_cap() const { return torque_cap_; }
-  double fastest_rate() const;  // of the attitude loop [1/s], for the choice of an integration step
+  double fastest_rate() const;  // fastest rate of the attitude loop [1/s], to choose an integration step
 
-  // Whether the linear loop about hover, with wrenches held for a tick, is asymptotically stable (Jury's criterion).
-  // Gains that are sound in continuous time are not when the vehicle is light or the tick long.
+  // True if the linear loop about hover, with wrenches held for a tick, is asymptotically stable (Jury's criterion).
+  // Gains that are stable in continuous time can be unstable here when the vehicle is light or the tick long.
   bool settles(double tick_s) const;
 
-  // The wrench before saturation, and the policy itself. `hold` is v_d of `brake`; the others ignore it.
+  // The wrench before saturation, and the policy itself. `hold` is v_d of `brake`; the other policies ignore it.
   Wrench raw(const State& x, Vec3 hold = {}) const;
   Wrench operator()(const State& x, Vec3 hold = {}) const;
 
-  // The policy with all that the rotors have, torque before thrust, for where no gentle manoeuvre is left. Of `brake`
-  // the thrust is the component of the commanded force along the axis, minimal while the axis points ahead: it never
-  // speeds the vehicle up to hold its height. The same feedback near hover.
+  // The policy with the rotors' full range, torque before thrust, for states where no gentle manoeuvre is safe. For
+  // `brake` the thrust is the component of the commanded force along the axis, and minimal while the axis points
+  // ahead: it never speeds the vehicle up to hold its height. Near hover it equals the policy itself.
   Wrench urgent(const State& x, Vec3 hold = {}) const;
-  Wrench linearised(const State& x, Vec3 hold, PolicyJacobian& jacobian) const;  // the same bits, and its Jacobian
+  Wrench linearised(const State& x, Vec3 hold,
+                    PolicyJacobian& jacobian) const;  // bitwise equal to the policy; also its Jacobian
 
-  // How far the linear loop about hover would still move before it rests [m]: the time integral of its velocity.
+  // Distance that the linear loop about hover would still move before it rests [m]: the time integral of its
+  // velocity.
   Vec3 drift(const State& x) const;
 
-  // About how far it moves at most on the way [m]. The parts of the drift may cancel in a state that swings out and
-  // back, so their lengths are added.
+  // Approximate maximum distance that it moves before it rests [m]. The parts of the drift may cancel in a state that
+  // swings out and back, so their lengths are added.
   double excursion(const State& x) const;
-  // The same where it is slow: the parts of `brake` are over before it matters that they cancel.
+  // The same for slow states: the parts of `brake` have decayed before their cancellation matters.
   double sway(const State& x) const;
-  bool sways_at_most(const State& x, double limit) const;  // sway(x) <= limit, mostly for less
+  bool sways_at_most(const State& x, double limit) const;  // sway(x) <= limit, usually at a lower cost
 
  private:
   Vec3 tilt_target(Vec3 v, Vec3 hold) const;
   double lift(double cosine) const;
-  std::array<Vec3, 3> drifts(const State& x) const;  // flat, of speed, tilt and rate
+  std::array<Vec3, 3> drifts(const State& x) const;  // horizontal, from speed, tilt and rate
   Wrench saturated(const Wrench& raw) const;
 
   Quadrotor vehicle_;
@@ -94,7 +96,7 @@ class BackupPolicy {
   double k_z_ = 0, kappa_ = 1;
 };
 
-// What a manoeuvre flies: `brake` about `hold` for `ticks` ticks or steps, then to rest; or `urgent`.
+// A manoeuvre: `brake` about `hold` for `ticks` ticks or steps, then to rest; or `urgent`.
 struct Manoeuvre {
   Vec3 hold;      // [m/s]
   int ticks = 0;  // 0: to rest at once

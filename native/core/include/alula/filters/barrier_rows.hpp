@@ -1,4 +1,4 @@
-// Rows a . u >= b for the quadratic program of a barrier, less those that every input within its limits meets.
+// Rows a . u >= b of a barrier's quadratic program, without the rows that every input within its limits satisfies.
 #pragma once
 
 #include <array>
@@ -15,7 +15,7 @@ class BarrierRows {
  public:
   using Input = std::array<double, M>;
 
-  // Starts with the rows of the limits.
+  // Starts with the rows of the input limits.
   void begin(const Input& low, const Input& high) {
     low_ = low, high_ = high;
     row_.clear(), bound_.clear();
@@ -27,7 +27,7 @@ class BarrierRows {
   }
 
   // d/dt h + alpha h >= 0, where h changes with `drift` without an input and `along[j]` for each unit of input j.
-  // Left out when the minimum of its left side over the limits satisfies it: then it cannot bind.
+  // The row is left out when the minimum of its left side over the limits satisfies it: then it cannot bind.
   void add(double h, double drift, const Input& along, double alpha) {
     const double bound = -(drift + alpha * h);
     double least = 0;
@@ -35,7 +35,7 @@ class BarrierRows {
     if (!(least >= bound)) push(along, bound);
   }
 
-  // The input nearest to `target` in units of `scale` that meets all rows.
+  // The input nearest to `target` in units of `scale` that satisfies all rows.
   QpResult nearest(const Input& target, const Input& scale) {
     std::array<double, M * M> hessian{};
     std::array<double, M> gradient{};

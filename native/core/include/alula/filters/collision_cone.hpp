@@ -1,14 +1,14 @@
-// The collision cone of one ellipsoid, its derivatives along a flight, and the rows made of them.
+// Collision cone of one ellipsoid, its derivatives along a flight, and the rows made of them.
 //
 // The obstacle is E = {y : (y - mu)^T A (y - mu) <= 1} at rest, r = mu - p points from the vehicle to it, and
 //
 //   beta = v^T A v,   gamma = r^T A r - 1,   delta = r^T A v,   h = beta gamma - delta^2.
 //
-// From outside (gamma > 0) the ray p + t v, t >= 0, meets E if and only if h <= 0 and delta >= 0. Inside, and for
-// v = 0, h has no meaning: h <= 0 for all v there, and there h = 0 with no gradient. The rows on gamma do not need v.
-// Units: A in 1/m^2, so gamma has none, beta is in 1/s^2, delta in 1/s, h in 1/s^2.
+// From outside (gamma > 0) the ray p + t v, t >= 0, meets E if and only if h <= 0 and delta >= 0. Inside E and for
+// v = 0, h has no meaning: inside, h <= 0 for all v; for v = 0, h = 0 without a gradient. The rows on gamma do not
+// use v. Units: A in 1/m^2, so gamma has none, beta is in 1/s^2, delta in 1/s, h in 1/s^2.
 //
-// A row is a half-space of inputs, row . u >= bound; any positive multiple of it is the same, and none here is
+// A row is a half-space of inputs, row . u >= bound. Positive multiples of a row are equivalent; rows here are not
 // normalised. Source: FastBridge (arXiv 2607.01200), eq. 9-16.
 #pragma once
 
@@ -22,17 +22,17 @@
 
 namespace alula::flight {
 
-// The barrier at a place and a velocity.
+// The barrier at a position and a velocity.
 struct Cone {
   Vec3 r, v, ar, av;  // mu - p [m], velocity [m/s], A r, A v
   double beta = 0, gamma = 0, delta = 0, h = 0;
   Vec3 w;  // grad_v h = 2 A (gamma v - delta r); h' = w . v', as h is constant along straight flight
 
-  Vec3 grad_p() const { return -2 * beta * ar + 2 * delta * av; }  // of h, at right angles to v
+  Vec3 grad_p() const { return -2 * beta * ar + 2 * delta * av; }  // gradient of h by p, perpendicular to v
   Vec3 gamma_grad_p() const { return -2 * ar; }
   bool is_inside() const { return gamma < 0; }
-  bool is_met() const { return h <= 0 && delta >= 0; }  // by the ray along v, from outside
-  // When it is, after this time [s]: the smaller root of |p + t v - mu|_A = 1. Infinite when it is not, and inside.
+  bool is_met() const { return h <= 0 && delta >= 0; }  // the ray along v meets E, from outside
+  // Time to contact [s]: the smaller root of |p + t v - mu|_A = 1. Infinite if the ray misses E, and inside.
   double contact_time() const {
     return is_met() && gamma >= 0 && delta > 0 ? gamma / (delta + std::sqrt(-h))
                                                : std::numeric_limits<double>::infinity();
@@ -91,22 +91,22 @@ struct SnapRow {
 // h' + alpha h >= 0, the CBF condition of forward invariance. With a = 0 it holds by exactly alpha h.
 inline AccelerationRow cone_row(const Cone& c, double alpha) { return {c.w, -alpha * c.h}; }
 
-// For a vehicle inside (gamma < 0), where h >= 0 cannot be had: gamma is of second order in a, and
+// For a vehicle inside (gamma < 0), where h >= 0 is impossible: gamma is of second order in a, and
 // gamma'' + 2 k gamma' + k^2 gamma >= 0 drives it to zero from below with a double pole at -k.
 inline AccelerationRow escape_row(const Cone& c, double k) {
   return {c.gamma_grad_p(), -2 * c.beta + 4 * k * c.delta - k * k * c.gamma};
 }
 
-// The same for a velocity input: gamma' + k gamma >= 0, row . v >= bound. At v = 0 too.
+// The same for a velocity input: gamma' + k gamma >= 0, row . v >= bound. Valid at v = 0 too.
 inline AccelerationRow velocity_escape_row(const Cone& c, double k) { return {c.gamma_grad_p(), -k * c.gamma}; }
 
-// How the input reaches the position. Dynamic extension: u_T = T / m and its rate are states, u_T'' is the input,
+// Maps the input to the position. Dynamic extension: u_T = T / m and its rate are states, u_T'' is the input,
 //   p'''' = drift + per_thrust u_T'' + per_torque tau.
 struct SnapMap {
   Vec3 acceleration, jerk;  // [m/s^2, m/s^3]
   Vec3 drift;               // F_p
   Vec3 per_thrust;          // G_T = b, the thrust axis
-  Mat3 per_torque;          // G_tau = -u_T C hat(e3) J^-1: a yaw torque moves nothing
+  Mat3 per_torque;          // G_tau = -u_T C hat(e3) J^-1: a yaw torque does not move the position
 };
 
 inline SnapMap snap_map(const Quadrotor& body, const FlightState& state) {
@@ -126,7 +126,7 @@ inline SnapMap snap_map(const Quadrotor& body, const FlightState& state) {
   return m;
 }
 
-// Feedback linearisation: the torque about x and y, and u_T'', for a snap and `torque_z`; the thrust is not zero.
+// Feedback linearisation: the torque about x and y, and u_T'', for a snap and `torque_z`; requires nonzero thrust.
 inline std::array<double, 4> snap_input(const Quadrotor& body, const FlightState& state, const SnapMap& map,
                                         Vec3 snap, double torque_z) {
   const Vec3 snap_body = body_from_inertial(state.x.sigma) * (snap - map.drift), j = body.inertia();
@@ -134,7 +134,7 @@ inline std::array<double, 4> snap_input(const Quadrotor& body, const FlightState
   return {snap_body.z, -j.x * snap_body.y / u, j.y * snap_body.x / u, torque_z};
 }
 
-// direction . p'''' as a row: direction . p'''' + drift >= 0.
+// The expression direction . p'''' as a row: direction . p'''' + drift >= 0.
 inline SnapRow snap_row(const SnapMap& m, Vec3 direction, double drift) {
   const Vec3 torque = geometry::transposed_times(m.per_torque, direction);
   return {{geometry::dot(direction, m.per_thrust), torque.x, torque.y, torque.z},

@@ -1,19 +1,19 @@
-// The collision cone backup filter of a quadrotor: rows of first order over (T, tau) along the backup flow.
+// Collision cone backup filter of a quadrotor: rows of first order over (T, tau) along the backup flow.
 //
-// With Phi_k, k = 0..N, the backup policy's flow over the horizon from the state, the program keeps for each
+// Phi_k, k = 0..N, is the flow of the backup policy over the horizon from the state. The program enforces for each
 // candidate i
 //
 //   h_i' + alpha_R h_i >= 0 at Phi_k      the cone, unless |v(Phi_k)| < min_speed, the ray there recedes, its
-//                                         level passes `far` above the boundary, or i is around the vehicle now
+//                                         level passes `far` above the boundary, or i contains the vehicle now
 //   gamma_i' + alpha_T gamma_i >= 0 at Phi_N
 //   f_min <= G^-1 u <= f_max
 //
-// nearest to the nominal wrench, or on the line from pi_b to it. Rows at Phi_0 see the thrust alone, as torque does
-// not move v at once: close to an obstacle they demand thrusts beyond the limits of the rotors, where rows of later
-// nodes turn the vehicle instead. They are left out unless `first_node` is 0, as printed. As the flow comes to rest
-// h' / h tends to -2 |slowest pole|, so late rows refuse pi_b itself unless alpha_R is well above that; neither does
-// a solution imply h_b = min(h_i(Phi_k), gamma_i(Phi_N)) >= 0 nor the reverse. Both are reported: `margin` is h_b.
-// Without a solution the backup policy is flown.
+// nearest to the nominal wrench, or on the line from pi_b to it. Rows at Phi_0 depend on the thrust alone, because
+// torque does not change v immediately. Close to an obstacle they demand thrusts beyond the limits of the rotors,
+// where rows of later nodes turn the vehicle instead. They are left out unless `first_node` is 0, as in the paper. As
+// the flow comes to rest, h' / h tends to -2 |slowest pole|, so late rows reject pi_b itself unless alpha_R is well
+// above that. A solution does not imply h_b = min(h_i(Phi_k), gamma_i(Phi_N)) >= 0, nor the reverse. Both are
+// reported: `margin` is h_b. Without a solution the backup policy is flown.
 //
 // Source: Tscholl, Nakka, Gunter 2026 (FastBridge), eq. 21-23.
 #pragma once

@@ -1,4 +1,4 @@
-// The exponential collision cone filter of a quadrotor: rows of third order over (u_T'', tau).
+// Exponential collision cone filter of a quadrotor: rows of third order over (u_T'', tau).
 //
 // With the thrust extended by two integrators, u_T = T / m, the snap is affine in (u_T'', tau) and so is
 // h''' of each cone. The program keeps h''' + 3 l h'' + 3 l^2 h' + l^3 h >= 0 (a triple pole at -l) for every
@@ -11,16 +11,15 @@
 // or nearest to the smooth nominal snap of alula/filters/smooth_nominal.hpp while rows hold the vehicle back and
 // until it is released.
 //
-// A row keeps h >= 0 only from where psi_1 and psi_2 are >= 0 too. When an ellipsoid becomes a candidate with h > 0
-// and that is not so, its pole is moved left, up to `lambda_max`, until it is. Where that does not help, safety rests
-// on the shield. A row with h < 0 already makes h tend to 0 from below, with a pole of `return_time` over the time
-// delta / beta to the ellipsoid: it ends near the surface, so the index should be grown by more than the shield's
+// A row keeps h >= 0 only if psi_1 and psi_2 are >= 0 too. When an ellipsoid becomes a candidate with h > 0 and a
+// negative psi_1 or psi_2, its pole is moved left, up to `lambda_max`, until both are >= 0. If that fails, safety
+// depends on the shield. A row with h < 0 makes h tend to 0 from below, with a pole of `return_time` over the time
+// delta / beta to the ellipsoid. It ends near the surface, so the index should be grown by more than the shield's
 // radius.
 //
-// At low speed h is of little use: it is of second degree in v, so beside an obstacle its rows brake to a stop, and
-// what holds them changes from tick to tick. Below `min_speed_m_s` all rows are those on gamma, (d/dt + k)^4 gamma >=
-// 0 with the `escape_rate` k, of every ellipsoid near and not only of those ahead: the vehicle slides along what is
-// in its way.
+// At low speed h is of little use: it is quadratic in v, so beside an obstacle its rows brake to a stop, and the
+// binding row changes from tick to tick. Below `min_speed_m_s` all rows are on gamma, (d/dt + k)^4 gamma >= 0 with
+// the `escape_rate` k. They cover every ellipsoid near and not only those ahead: the vehicle slides along obstacles.
 //
 // Source: Tscholl, Nakka, Gunter 2026 (FastBridge), section III-D; `difference` is its finite-difference cascade.
 #pragma once
@@ -33,9 +32,9 @@
 
 namespace alula::flight {
 
-// About lambda: a pole slower than the time to contact (at most a second within the gate) demands the turn too early,
-// and braking holds such a row, so flights end short of their goals. A pole that is much faster turns later than the
-// rotors can at speed, head-on, and the shield stops the vehicle.
+// Choice of lambda: a pole slower than the time to contact (at most a second within the gate) demands the turn too
+// early; braking satisfies such a row, so flights end short of their goals. A pole that is much faster turns later
+// than the rotors can at speed, head-on, and the shield stops the vehicle.
 class ConeEcbf final : public SplatFilter {
  public:
   // `solver` solves the program. Throws std::invalid_argument for invalid options, in particular w dt >= 1.
@@ -49,7 +48,7 @@ class ConeEcbf final : public SplatFilter {
   const ConeEcbfOptions& options() const { return options_; }
 
  private:
-  double pole(const Cone& c, const ConeRates& d) const;  // of the row of an ellipsoid ahead
+  double pole(const Cone& c, const ConeRates& d) const;  // pole of the row of an ellipsoid ahead
   bool add_rows(const FlightState& state, const SnapMap& map, std::span<const Found> near, bool moves,
                 FilterReport& report, bool& inside);
 

@@ -1,9 +1,9 @@
-// The barrier on the squared distance of one ellipsoid, its row over the acceleration, and a bound on that.
+// Barrier on the squared distance to one ellipsoid, its row over the acceleration, and a lower bound on that row.
 //
 // With the signed distance d of the vehicle's centre p to an ellipsoid, its closest point y, phi = sign(d), o = p -
 // y,
 //   h = phi |o|^2 - r^2,   row:  2 phi o . u + phi v^T H v + (alpha + beta) 2 phi o . v + alpha beta h >= 0,
-// H the Hessian of d^2; r is the index's radius and what the losses of the ellipsoid add to it.
+// with H the Hessian of d^2. r is the index's radius plus the growth that the losses of the ellipsoid add.
 // Source: SAFER-Splat (arXiv 2409.09868), its public implementation for the published Hessian.
 #pragma once
 
@@ -29,13 +29,13 @@ DistanceBarrier distance_barrier(const EllipsoidIndex& index, const DistanceLaw&
                                  Vec3 v);
 
 // A lower bound on row . u - bound of every ellipsoid whose closest point y is in a box. Outside, H is positive
-// semidefinite in either frame, so with w = u + (alpha + beta) v what is left is no less than
+// semidefinite in either frame, so with w = u + (alpha + beta) v the remaining terms are no less than
 //   alpha beta |o|^2 + 2 o . w - alpha beta r^2  =  alpha beta (|o + w / (alpha beta)|^2 - r^2) - |w|^2 / (alpha
 //   beta),
-// whose least value over a box of o is found axis by axis: below zero only where y is within
+// The minimum of this over a box of o is found axis by axis. It is below zero only where y is within
 // sqrt(r^2 + |w|^2 / (alpha beta)^2) of p + w / (alpha beta). The projection does not move along o, so the correct H
-// has v^T H v >= 2 (o . v)^2 / |o|^2, which is added. A vehicle inside is in the box, where o may be 0: the bound is
-// negative there, and such an ellipsoid never passed over.
+// has v^T H v >= 2 (o . v)^2 / |o|^2, which is added. If the vehicle is inside the ellipsoid, it is in the box, where
+// o may be 0. The bound is negative there, so such an ellipsoid is always measured.
 class DistanceRowBound {
  public:
   DistanceRowBound(const DistanceLaw& law, double radius, Vec3 p, Vec3 v, Vec3 u)
@@ -66,15 +66,15 @@ class DistanceRowBound {
   }
 
  private:
-  static constexpr double kSlack = 1e-12;  // more than the roundings of a row
+  static constexpr double kSlack = 1e-12;  // exceeds the rounding error of a row
 
   Vec3 p_, v_, w_;
   double stiffness_, radius_;
   bool is_radial_;
 };
 
-// A lower bound on h of every ellipsoid in a box, with r = radius: none is nearer than the box, or the vehicle may be
-// inside.
+// A lower bound on h of every ellipsoid in a box, with r = radius: no ellipsoid is nearer than the box, unless the
+// vehicle is inside the box.
 inline double least_barrier(const geometry::Box& box, double radius, Vec3 p) {
   const double squared = squared_distance(box, {p, p});
   return squared > 0 ? (1 - 1e-12) * squared - (1 + 1e-12) * radius * radius

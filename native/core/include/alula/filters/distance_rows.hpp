@@ -1,4 +1,4 @@
-// The rows of all ellipsoids of a map, measured only where an acceleration could violate them.
+// Rows of all ellipsoids of a map, measured only where an acceleration could violate them.
 #pragma once
 
 #include <limits>
@@ -10,14 +10,14 @@
 
 namespace alula::flight {
 
-// Rows depend on the state alone, so one that was measured serves all accelerations of a tick.
+// Rows depend on the state alone, so a measured row serves all accelerations of a tick.
 class DistanceRows {
  public:
   struct Row {
     AccelerationRow unit;  // normalised
-    double length;         // of the row before that
+    double length;         // length of the row before normalisation
     std::uint32_t item;
-    bool is_taken;  // by `worst`
+    bool is_taken;  // returned by `worst`
 
     double slack(Vec3 u) const { return geometry::dot(unit.row, u) - unit.bound; }
   };
@@ -27,27 +27,28 @@ class DistanceRows {
   const EllipsoidIndex& index() const { return *index_; }
   const DistanceLaw& law() const { return law_; }
 
-  // Another state: measures the ellipsoids that may have the minimum h, or optionally all of them.
+  // Starts a new state: measures the ellipsoids that may have the minimum h, or optionally all of them.
   void start(Vec3 p, Vec3 v, bool all);
 
-  // Measures what may be violated by `u` and was not measured in this tick, by the tree and in the order of the
-  // bounds; it may stop with `enough` violated rows in hand. Whether any new one is violated beyond `tolerance`.
+  // Measures the ellipsoids whose rows `u` may violate and that were not measured in this tick, by the tree and in
+  // the order of the bounds. It may stop after `enough` violated rows. Returns true if a new row is violated by more
+  // than `tolerance`.
   bool search(Vec3 u, double tolerance, std::size_t enough);
 
-  // The at most `count` measured rows that `u` violates most, of those beyond `tolerance` that were not taken
-  // before; they are taken. Valid until the next call.
+  // Returns up to `count` measured rows that `u` violates most, by more than `tolerance`, and marks them as taken.
+  // Rows that are already taken are skipped. Valid until the next call.
   std::span<const std::uint32_t> worst(Vec3 u, double tolerance, std::size_t count);
 
-  // Whether `u` holds the rows of all ellipsoids to the tolerance.
+  // True if `u` satisfies the rows of all ellipsoids to the tolerance.
   bool hold(Vec3 u, double tolerance);
 
   const Row& operator[](std::size_t i) const { return row_[i]; }
-  std::size_t size() const { return row_.size(); }      // of this tick, but for those that hold for all inputs
+  std::size_t size() const { return row_.size(); }      // rows of this tick, without those that hold for all inputs
   std::uint32_t measured() const { return measured_; }  // ellipsoids measured in this tick
-  double least() const { return least_; }               // h of the map [m^2]
+  double least() const { return least_; }               // minimum h of the map [m^2]
 
  private:
-  bool measure(std::uint32_t item);  // whether a row was stored
+  bool measure(std::uint32_t item);  // true if a row was stored
 
   std::shared_ptr<const EllipsoidIndex> index_;
   DistanceLaw law_;
@@ -58,7 +59,7 @@ class DistanceRows {
   std::vector<std::uint32_t> seen_;  // the last tick in which an item was measured
   std::vector<Row> row_;
   std::vector<geometry::Bvh::Pending> heap_;
-  std::vector<double> value_;  // of the most violated rows before they were normalised, a heap
+  std::vector<double> value_;  // most violated rows before normalisation, as a heap
   std::vector<std::pair<double, std::uint32_t>> order_;
   std::vector<std::uint32_t> worst_;
 };

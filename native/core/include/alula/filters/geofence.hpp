@@ -1,4 +1,4 @@
-// The onboard geofence for host programs, and the fence itself in double precision to judge flights by.
+// Onboard geofence for host programs, and the fence itself in double precision for judging flights.
 #pragma once
 
 #include <array>
@@ -13,14 +13,14 @@
 
 namespace alula::flight {
 
-// Where to fly: in the box, in the polytope, outside the hulls of a map; at least one of them.
+// Allowed region: in the box, in the polytope, outside the hulls of a map; at least one of them is given.
 struct Fence {
   std::optional<geometry::Box> box;
   std::vector<std::array<double, 4>> faces;                // n . p <= d inside, unit n
-  std::shared_ptr<const std::vector<std::uint8_t>> image;  // of an onboard map, read by the filter
-  const PolytopeSet* keep_out = nullptr;                   // the same for the judge; not owned
+  std::shared_ptr<const std::vector<std::uint8_t>> image;  // image of an onboard map, read by the filter
+  const PolytopeSet* keep_out = nullptr;                   // the same polytopes, for judging; not owned
 
-  // Least distance of the segment a..b from the box, the faces and the polytopes; negative outside.
+  // Minimum distance of the segment a..b from the box, the faces and the polytopes; negative outside the fence.
   double clearance(Vec3 a, Vec3 b) const;
 };
 
@@ -34,9 +34,9 @@ alula_racer_state to_onboard(const RacerState& x);
 alula_racer_command to_onboard(const RacerCommand& u);
 RacerCommand from_onboard(const alula_racer_command& u);
 
-// Copies share the map and have a state each: one copy per thread, also of what only evaluates. Numbers are rounded
-// to the safe side: the box inward, faces by what their normals and positions of up to 1 km lose in float. Throws
-// std::invalid_argument for a fence or parameters that the onboard code does not accept.
+// Copies share the map and each has its own state: use one copy per thread, also for evaluation. Numbers are rounded
+// to the safe side: the box inward, faces by the float rounding error of their normals and of positions up to 1 km.
+// Throws std::invalid_argument for a fence or parameters that the onboard code does not accept.
 class Geofence {
  public:
   Geofence(const Fence& fence, const alula_geofence_config& config);
@@ -46,19 +46,19 @@ class Geofence {
   void reset() { alula_geofence_reset(&filter_); }
   GeofenceReport filter(const RacerState* navigation, const RacerCommand* pilot);
 
-  // h_I of a flow that begins here. Throws std::invalid_argument for a state that the filter would not take.
+  // h_I of a flow that begins here. Throws std::invalid_argument for a state that the filter would refuse.
   alula_geofence_value evaluate(const RacerState& x) const;
 
   const alula_geofence_config& config() const { return filter_.config; }
   const Fence& fence() const { return fence_; }
-  const alula_fence& onboard_fence() const { return onboard_; }  // as firmware is given it
+  const alula_fence& onboard_fence() const { return onboard_; }  // as passed to the firmware
   double hover_throttle() const { return filter_.hover; }
 
  private:
   Fence fence_;
   alula_map map_{};
   alula_fence onboard_{};
-  mutable alula_geofence filter_{};  // evaluating changes what it remembers of the map
+  mutable alula_geofence filter_{};  // mutable: evaluation updates its map cache
 };
 
 }  // namespace alula::flight

@@ -21,15 +21,15 @@ struct MovingReport {
   geometry::Vec3 acceleration;  // |a|_inf <= a_max [m/s^2]
   std::uint8_t mode = 0;        // alula_avoidance_mode
   bool warned = false;
-  double risk_m = 0;         // of the warning
+  double risk_m = 0;         // largest CVaR of the warning [m]
   std::int64_t urgent = -1;  // index of the most urgent track
   double horizon_s = 0;
   bool feasible = true;
   std::uint32_t rows = 0, iterations = 0;
-  // By how much what is flown misses the rows of the method and of walls, as an acceleration [m/s^2]: at most 0 where
-  // they hold, minus infinity without rows. See each method for what its rows come to.
+  // Violation of the method's and the walls' rows by the flown command, as an acceleration [m/s^2]: at most 0 where
+  // they hold, minus infinity without rows. Each method's source defines the unit of its rows.
   double violation = 0;
-  double risk_left = 0;  // by the command: sum over obstacles with a row of Cantelli's bound for it, 1 at most each
+  double risk_left = 0;  // sum over obstacles with a row of Cantelli's bound at the command, each at most 1
 };
 
 class MovingFilter {
@@ -44,20 +44,20 @@ class MovingFilter {
 };
 
 enum class MovingMethod : std::uint8_t {
-  none,        // the nominal
+  none,        // nominal acceleration
   dr_acbf,     // native/onboard
   dr_acbf_qp,  // the same rows through the general solver of qp.hpp
   mpc,         // p = 20, m = 3 on a double integrator
-  cbf_qp,      // of the velocity
+  cbf_qp,      // barrier on the velocity
   rp_cbf       // robust policy CBF: rollouts of the avoidance policy
 };
 
 struct MovingFilterOptions {
-  alula_dr_acbf_config config;  // of all methods: the warning and the manoeuvre are shared
+  alula_dr_acbf_config config;  // for all methods: they share the warning and the manoeuvre
   MpcOptions mpc;
   CbfQpOptions cbf_qp;
   RpCbfOptions rp_cbf;
-  QpBackend backend;  // solves the programs of dr_acbf_qp, mpc, cbf_qp and rp_cbf, if there is one
+  QpBackend backend;  // if set, solves the programs of dr_acbf_qp, mpc, cbf_qp and rp_cbf
 };
 
 // Throws std::invalid_argument for invalid options.

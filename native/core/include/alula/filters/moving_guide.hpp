@@ -1,4 +1,4 @@
-// Warning, manoeuvre, walls and reports, which DR-ACBF and the filters compared with it share.
+// Warning, manoeuvre, walls and reports shared by DR-ACBF and its baselines.
 #pragma once
 
 #include <algorithm>
@@ -29,11 +29,11 @@ class NearestPoint {
   void add_box(double limit);  // |x|_inf <= limit
   std::size_t size() const { return bounds_.size(); }
 
-  // False when there is none, or the solver fails.
+  // Returns false when no point satisfies the rows, or the solver fails.
   bool solve(geometry::Vec3 target, geometry::Vec3& x, int& iterations);
 
-  // Of the rows by x, each taken at unit length: at most 0 where all hold, minus infinity without rows that are
-  // longer than `shortest`.
+  // Violation of the rows by x, each row at unit length: at most 0 where all hold, minus infinity without rows that
+  // are longer than `shortest`.
   double violation(geometry::Vec3 x, double shortest = 1e-9) const;
 
   // The point of the box with the smallest violation of the rows, each at unit length.
@@ -47,7 +47,7 @@ class NearestPoint {
 
 class Guide {
  public:
-  // Of the method's own rows by what is flown, beside that of the walls.
+  // Violation of the method's own rows by the flown command, in addition to that of the walls.
   void missed(double violation, MovingReport& report) const {
     report.violation = std::max(report.violation, violation);
     if (violation > config_.tolerance) report.status = MovingStatus::recovering;
@@ -58,11 +58,11 @@ class Guide {
 
   void reset();
   void flown(geometry::Vec3 acceleration);
-  // False for input that is refused; nothing has changed then.
+  // Returns false for input that is refused; then the state is unchanged.
   bool step(const alula_vehicle_state& vehicle, std::span<const alula_track> tracks,
             std::span<const alula_wall> walls, geometry::Vec3 nominal, alula_guidance& guidance);
 
-  // Whether barriers bind in this tick.
+  // True if barriers bind in this tick.
   bool binds(const alula_guidance& guidance) const {
     return config_.rows_before_warning != 0 || guidance.mode != ALULA_NOMINAL;
   }
@@ -70,7 +70,7 @@ class Guide {
   const alula_avoidance& avoidance() const { return avoidance_; }
   const alula_dr_acbf_config& config() const { return config_; }
 
-  // Cuts `a` off at the box and holds it against the walls' rows, as DR-ACBF does; then it is flown. The violation
+  // Clips `a` to the box and projects it onto the walls' rows, as DR-ACBF does; the result is flown. The violation
   // reported is that of the walls.
   MovingReport finish(const alula_guidance& guidance, const alula_vehicle_state& vehicle,
                       std::span<const alula_wall> walls, geometry::Vec3 nominal, geometry::Vec3 a, bool holds);

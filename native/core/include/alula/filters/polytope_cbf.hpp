@@ -1,4 +1,4 @@
-// The onboard polytope filter with its map, for host programs.
+// Onboard polytope filter with its map, for host programs.
 #pragma once
 
 #include <array>
@@ -19,7 +19,7 @@ struct FilterOutput {
   alula_polytope_result detail;
 };
 
-// Calls the onboard code, on a map of arrays or on an image. Copies share the map: one copy per thread.
+// Calls the onboard code with a map made from arrays or an image. Copies share the map: one copy per thread.
 // Throws std::invalid_argument for parameters that the onboard code does not accept.
 class PolytopeCbf {
  public:
@@ -28,11 +28,11 @@ class PolytopeCbf {
 
   FilterOutput filter(const Vec3& x, const Vec3& u_nom);
 
-  // psi, its smooth version and gradient; hard is -FLT_MAX where x is refused.
+  // Hard and smooth psi and the gradient of the smooth one; hard is -FLT_MAX where x is refused.
   alula_polytope_value evaluate(const Vec3& x);
 
   const PolytopeCbfConfig& config() const { return config_; }
-  const PolytopeMap* map() const { return map_.get(); }  // null with an image
+  const PolytopeMap* map() const { return map_.get(); }  // null if the filter uses an image
   const alula_polytope_work& work() const { return cbf_.work; }
 
  private:

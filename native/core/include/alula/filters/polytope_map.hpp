@@ -1,4 +1,4 @@
-// The single-precision map of native/onboard, made from double-precision polytopes.
+// Single-precision map of native/onboard, made from double-precision polytopes.
 #pragma once
 
 #include <cstdint>
@@ -38,7 +38,7 @@ struct PolytopeMap {
 // is not a unit vector, or a hull has no plane.
 PolytopeMap make_polytope_map(const Polytopes& polytopes, double extent_m);
 
-// The float not below (above) a double.
+// Rounds a double to a float that is not below (above) it.
 float round_up(double value);
 float round_down(double value);
 

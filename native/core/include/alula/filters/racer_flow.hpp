@@ -1,7 +1,7 @@
-// The flow of a racing drone under the geofence's backup controller, for doubles and for numbers with derivatives.
+// Flow of a racing drone under the geofence's backup controller, for doubles and for numbers with derivatives.
 //
-// The formulas and the steps are those of native/onboard (alula_racer.h), in double precision; a test holds the two
-// together.
+// The formulas and the steps are those of native/onboard (alula_racer.h), in double precision; a test compares the
+// two.
 #pragma once
 
 #include <algorithm>
@@ -40,7 +40,7 @@ class BackupController {
     return {x.p.z + push[2], square > 1e-6 ? x.q[0] * inverse : 1, x.q[3] * inverse};
   }
 
-  // (17) of box and faces.
+  // Equation (17) for the box and the faces.
   template <class S>
   std::array<S, 3> push(const std::array<S, 3>& p) const {
     std::array<S, 3> up{S(0), S(0), S(0)}, down = up;
@@ -79,7 +79,7 @@ class BackupController {
     const double most = c_.backup.max_tilt;
     if (square > S(most * most)) scale = scale * S(most) / root(square);
     tx = scale * tx, ty = scale * ty, square = scale * scale * square;
-    S c(1), s(0.5);  // cos and sin over the whole of the half angle
+    S c(1), s(0.5);  // cos of half the angle; sine of half the angle over the angle
     if (square > S(1e-12)) {
       const S size = root(square);
       c = cosine(S(0.5) * size), s = sine(S(0.5) * size) / size;
@@ -100,7 +100,8 @@ class BackupController {
     return u;
   }
 
-  // A step of dt with the command, from the middle of the step when `last` is the one of the step before.
+  // Advances by dt with the command, extrapolated to the middle of the step from the previous one, `last`, unless
+  // `is_first`.
   template <class S>
   void advance(double dt, const BackupHold& hold, RacerFlow<S>& x, FlowCommand<S>& last, bool is_first) const {
     const FlowCommand<S> now = command(hold, x);

@@ -1,4 +1,4 @@
-// The distance filter of SAFER-Splat, a baseline: a double integrator among ellipsoids.
+// Distance filter of SAFER-Splat, a baseline: a double integrator among ellipsoids.
 #pragma once
 
 #include <limits>
@@ -10,24 +10,26 @@
 
 namespace alula::flight {
 
-// The acceleration nearest to the nominal one that holds the rows of `distance_barrier`; `margin` is the minimum h of
-// those [m^2], and the status is `recovering` where that is negative. As h bends with d, the vehicle
-// brakes from |v| <= alpha beta / (2 (alpha + beta)) d or so whatever it could do: without the rows of what is far
-// away that is too late, and from rest a double integrator keeps its distance only with those of all ellipsoids.
+// Returns the acceleration nearest to the nominal one that satisfies the rows of `distance_barrier`. `margin` is
+// their minimum h [m^2], and the status is `recovering` where it is negative. Because h is quadratic in d, the
+// vehicle brakes from about |v| <= alpha beta / (2 (alpha + beta)) d, regardless of its braking limit. Without the
+// rows of distant ellipsoids that is too late, and from rest a double integrator keeps its distance only with the
+// rows of all ellipsoids.
 //
 // SaferRows::all solves the program with the rows of all ellipsoids, to the tolerance of `AccelerationProgram`, by
-// few of them: solve with those known, measure in the index what its answer may violate (`DistanceRowBound`), add the
-// most violated and repeat until none is. What is optimal for some rows and holds the others is optimal for all; what
-// is infeasible with some is with all. With `brute` every ellipsoid is measured first and the same rounds go over
-// those rows. `margin` is that of the map. A tick remembers nothing of those before. Should the rounds not end, it
-// counts as infeasible. `candidates` are the ellipsoids measured, `rows` those of the last program.
+// adding rows on demand: solve with the current rows, measure in the index the ellipsoids whose rows the solution may
+// violate (`DistanceRowBound`), add the most violated rows and repeat until none is violated. A solution that is
+// optimal for some rows and satisfies the others is optimal for all; a program that is infeasible with some rows is
+// infeasible with all. With `brute` every ellipsoid is measured first and the same rounds use those rows. `margin` is
+// the minimum over the map. Ticks are independent of each other. If the rounds reach their limit, the tick counts as
+// infeasible. `candidates` are the ellipsoids measured, `rows` those of the last program.
 //
-// SaferRows::nearest hands the rows of the pruning's candidates to the program at once; gates of approach and sweep
-// are ignored. With gate = false and brute = true that is the published computation.
+// SaferRows::nearest passes the rows of the pruning's candidates to the program in one round; gates of approach and
+// sweep are ignored. With gate = false and brute = true that is the published computation.
 //
 // Without a solution `infeasible` is reported and the vehicle brakes, a = -v min(alpha/2, max_braking / |v|)
-// within the box, `filtered` if that is checked to hold all rows and `recovering` if not; the published filter flies
-// the nominal input there. What is not finite is refused, with a = 0.
+// within the box. The status is `filtered` if this satisfies all rows and `recovering` if not; the published filter
+// flies the nominal input there. Inputs that are not finite are refused, with a = 0.
 class SaferSplat final : public SplatFilter {
  public:
   // Throws std::invalid_argument for invalid options.

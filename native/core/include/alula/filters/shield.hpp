@@ -1,25 +1,23 @@
-// Only inputs after which a safe manoeuvre to rest is still known.
+// Safety shield: accepts only inputs after which a safe manoeuvre to rest has been found.
 //
-// A manoeuvre is the backup policy sampled and held tick by tick, as it would be flown: about a velocity for some
-// ticks, then to rest. It is safe when the ball of the vehicle's radius and a margin about the position meets no
-// ellipsoid of the map (not only the nearest, not grown) until it rests. The signed distance of the map is
-// 1-Lipschitz, so a distance at one tick clears all ticks within it by arc length; arc lengths and the sag of the
-// path between ticks are bounded, not sampled.
-// Where it has all but stopped and twice its excursion is free all around, the rest of the way is not
-// flown. Long stretches are first shown to be clear at once: the distance of a point to a chord is convex, so no part
-// of the path leaves a chord by more than its ticks and their sag do.
-//
+// A manoeuvre is the backup policy sampled and held tick by tick, as in flight: about a velocity for some ticks, then
+// to rest. It is safe when, until it rests, the ball of the vehicle's radius and a margin about the position meets no
+// ellipsoid of the map (all of them, not only the nearest; not grown). The signed distance of the map is 1-Lipschitz,
+// so a distance at one tick clears all ticks within that arc length; arc lengths and the sag of the path between
+// ticks are bounded, not sampled. The rollout ends early where the vehicle has almost stopped and a ball of twice its
+// excursion is free. Long stretches are first tested with chords: the distance of a point to a chord is convex, so no
+// part of the path leaves a chord by more than its ticks and their sag do.
 // An input is returned when the state after one tick of it has a safe manoeuvre. Then the next tick has at least
-// that manoeuvre, so by induction a flight that starts with one never comes closer than the radius in the
-// model, whatever the nominal input does. A manoeuvre being flown stays accepted down to half the margin, which
-// so covers rounding and small differences of plan and flight; the other half covers the drift at rest.
+// that manoeuvre. By induction, a flight that starts with one never comes closer than the radius in the model, for
+// any nominal input. A manoeuvre being flown stays accepted down to half the margin, which covers rounding and small
+// differences between plan and flight; the other half covers the drift at rest.
 //
 // With a motor time constant the rotors' thrusts are part of the state: `see` sets their present values, and rollouts
-// carry them on. An input is then what the rotors are led to by the end of a tick (`leading`), as far as their limits
-// allow; who flies it must command that. The induction is the same, for exact thrusts.
+// propagate them. An input is then the wrench that the rotors reach by the end of a tick (`leading`), as far as their
+// limits allow; the caller must command that. The induction is the same, for exact thrusts.
 //
-// When no manoeuvre is safe, the policy with all that the rotors have is tried, and when that is not safe either the
-// best remaining one is flown: of those without contact the one with the largest clearance, else the one that is
+// When no manoeuvre is safe, the policy with the rotors' full range is tried. When that is not safe either, the best
+// remaining manoeuvre is flown: of those without contact the one with the largest clearance, else the one that is
 // slowest at its first contact.
 //
 // Source: the backup set of Chen, Jankovic, Santillo, Ames 2021, checked by rollout instead of by rows.
@@ -38,12 +36,12 @@ namespace alula::flight {
 
 struct Certificate {
   bool safe = false;
-  bool rests = false;                                              // within max_time_s
-  double clearance = -std::numeric_limits<double>::infinity();     // minimum distance less the radius [m]: exact
-                                                                   // where it was looked, at most what was looked for
-  double time_s = 0;                                               // until rest
-  double contact_speed = std::numeric_limits<double>::infinity();  // bound of the speed where it first is too near,
-                                                                   // when it is and that was looked for [m/s]
+  bool rests = false;                                           // within max_time_s
+  double clearance = -std::numeric_limits<double>::infinity();  // minimum distance minus the radius [m]: exact where
+                                                                // searched, at most the distance searched for
+  double time_s = 0;                                            // until rest
+  double contact_speed = std::numeric_limits<double>::infinity();  // bound on the speed at the first contact [m/s];
+                                                                   // infinite without contact, or if not searched for
 };
 
 // One per thread; allocates in the constructor only.
@@ -56,45 +54,45 @@ class Shield {
   const ShieldOptions& options() const { return options_; }
   const EllipsoidIndex& index() const { return *index_; }
 
-  // Whether flying `manoeuvre` from x, after one tick of `first` when given, is safe with `margin_m`. `thorough`
-  // goes on after the verdict, for the minimum clearance.
+  // Checks whether flying `manoeuvre` from x, after one tick of `first` if given, is safe with `margin_m`. `thorough`
+  // continues after the verdict, for the minimum clearance.
   Certificate certify(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr,
                       bool thorough = false);
 
   // The state after a tick of u, |sigma| <= 1.
   State after(const State& x, const Wrench& u) const;
 
-  // Sets the thrust of each rotor [N] for the states passed from here on; without a value, at first and after `reset`
-  // the rotors hover. It matters only with a motor time constant.
+  // Sets the thrust of each rotor [N] for all later states. Initially, after `reset` and without a value, the rotors
+  // hover. It matters only with a motor time constant.
   void see(const std::optional<Vec4>& rotors) { rotors_ = rotors.value_or(hovering_); }
 
-  // What the backup would do now if nothing else is accepted: the manoeuvre committed last, or the best found.
+  // Action of the backup if nothing else is accepted: the manoeuvre committed last, or the best found.
   // Sets report's wrench, status and `certified`: `candidate` with `accepted` when it is safe, an input between it
-  // and the backup's, or the backup's (status backup), or the best remaining one (recovering): the candidate only
-  // where it comes no nearer than now. `near` are the ellipsoids whose cones `cone_escape` turns away from. Returns
-  // whether the candidate itself was taken.
+  // and the backup's, or the backup's (status backup), or the best remaining one (recovering). In the last case
+  // `candidate` is used only where it comes no nearer than now. `cone_escape` turns away from the cones of the
+  // ellipsoids `near`. Returns true if the candidate itself was accepted.
   bool decide(const State& x, const Wrench& candidate, SplatFilterStatus accepted, std::span<const Found> near,
               FilterReport& report);
 
-  // The same with no candidate to try.
+  // The same without a candidate.
   void fall_back(const State& x, std::span<const Found> near, FilterReport& report);
 
-  // What `fall_back` would fly from x. A call of it or of `decide` for the same x and `near` that follows does not
-  // look for it again.
+  // The wrench that `fall_back` would fly from x. A following call of `fall_back` or `decide` for the same x and
+  // `near` reuses the result.
   Manoeuvre plan(const State& x, std::span<const Found> near);
 
-  int hold_ticks() const;  // of an escape
+  int hold_ticks() const;  // ticks of an escape
 
-  // Whether rollouts may end before rest: not with lag, nor where the policy's caps let it go farther than its
-  // excursion, which is tried at the start.
+  // True if rollouts may end before rest. False with lag, and where the policy's caps let the vehicle go farther than
+  // its excursion, which is tested at the start.
   bool ends_early() const { return ends_early_; }
   void reset();
 
  private:
   struct Tick {
     Vec3 p;
-    double arc;  // bound of the length of the path up to here
-    double sag;  // bound of how far the path leaves the chord before this
+    double arc;  // bound on the length of the path up to here
+    double sag;  // bound on the path's deviation from the previous chord
   };
   bool lags() const { return options_.motor_time_constant_s > 0; }
   bool settles() const;
@@ -111,7 +109,7 @@ class Shield {
   bool is_clear(std::size_t from, std::size_t to, double distance) const;
   bool is_safe(const State& x, const Manoeuvre& manoeuvre, double margin_m, const Wrench* first = nullptr,
                bool until_rest = false);
-  // What stops the vehicle: the gentle policy, but with lag it overshoots its tilt and speeds up at first.
+  // Manoeuvre to a stop: the gentle policy, but with lag it overshoots its tilt and speeds up at first.
   Manoeuvre stop() const { return {.hold = {}, .ticks = 0, .is_urgent = lags()}; }
   bool is_safe_after(const State& x, const Wrench& u, const Manoeuvre& manoeuvre, double kept,
                      bool until_rest = false);
@@ -131,10 +129,10 @@ class Shield {
   std::vector<Tick> path_;
   std::vector<Found> found_;
   std::uint32_t hint_ = 0;
-  Manoeuvre committed_, chosen_, next_;  // last accepted; to fly now; after the input just accepted
+  Manoeuvre committed_, chosen_, next_;  // accepted last; flown now; follows the input just accepted
   Escapes escapes_;
   bool has_escapes_ = false, is_planned_ = false, is_chosen_safe_ = false;
-  bool is_committed_ = false;  // and was safe
+  bool is_committed_ = false;  // true if it was safe
 };
 
 }  // namespace alula::flight

@@ -1,4 +1,4 @@
-// How the filters of a quadrotor end a tick, with or without a shield.
+// Shared end of a tick of the quadrotor filters, with or without a shield.
 #pragma once
 
 #include <memory>
@@ -9,10 +9,11 @@
 
 namespace alula::flight {
 
-// An ellipsoid around the sum of `e` and a ball of radius `room` [m], as `EllipsoidIndex` makes them; `e` for none.
+// An ellipsoid that contains the sum of `e` and a ball of radius `room` [m], as `EllipsoidIndex` grows them; `e` if
+// `room` is 0.
 inline GrownEllipsoid with_room(const GrownEllipsoid& e, double room) {
   using geometry::cross, geometry::dot;
-  const auto inverse = [](const Mat3& m) {  // of a symmetric matrix
+  const auto inverse = [](const Mat3& m) {  // inverse of a symmetric matrix
     const Vec3 x = cross(m.row(1), m.row(2)), y = cross(m.row(2), m.row(0)), z = cross(m.row(0), m.row(1));
     const double scale = 1 / dot(m.row(0), x);
     return scale * Mat3{{{x.x, x.y, x.z}, {x.y, y.y, y.z}, {x.z, y.z, z.z}}};
@@ -24,7 +25,7 @@ inline GrownEllipsoid with_room(const GrownEllipsoid& e, double room) {
   return {e.centre, inverse(covariance)};
 }
 
-// Grown ellipsoids of an index, with room; caches recent ones. One per thread.
+// Ellipsoids of an index grown by `room`; caches recent ones. One per thread.
 class RoomyEllipsoids {
  public:
   RoomyEllipsoids(std::shared_ptr<const EllipsoidIndex> index, double room)
@@ -46,7 +47,7 @@ class RoomyEllipsoids {
 
   std::shared_ptr<const EllipsoidIndex> index_;
   double room_;
-  std::vector<Entry> last_;  // by number
+  std::vector<Entry> last_;  // indexed by number
 };
 
 inline bool is_usable(const FlightState& state, const Nominal& nominal) {
@@ -56,7 +57,7 @@ inline bool is_usable(const FlightState& state, const Nominal& nominal) {
          geometry::is_finite(nominal.velocity_error) && geometry::is_finite(nominal.reference_acceleration);
 }
 
-// Hover, for numbers that are not finite.
+// Returns hover, for inputs that are not finite.
 inline FilterReport refused(const Quadrotor& vehicle) {
   FilterReport report;
   report.status = SplatFilterStatus::refused;
@@ -64,8 +65,8 @@ inline FilterReport refused(const Quadrotor& vehicle) {
   return report;
 }
 
-// `wrench` holds all rows: returned as `certified_status` when the shield accepts it, or as `bare_status` unchecked
-// without a shield. report.thrust_rate is that of `wrench`, and 0 when another is flown.
+// `wrench` satisfies all rows: it is returned as `certified_status` when the shield accepts it, or as `bare_status`
+// unchecked without a shield. report.thrust_rate is that of `wrench`, and 0 when another wrench is flown.
 inline void finish(Shield* shield, const State& x, const Wrench& wrench, SplatFilterStatus bare_status,
                    SplatFilterStatus certified_status, std::span<const Found> near, FilterReport& report) {
   if (shield == nullptr) {
@@ -75,7 +76,7 @@ inline void finish(Shield* shield, const State& x, const Wrench& wrench, SplatFi
   }
 }
 
-// No input holds all rows: the backup policy, or with `nominal` what the shield accepts between it and that.
+// No input satisfies all rows: returns the backup policy, or with `nominal` what the shield accepts between both.
 inline void fly_backup(Shield* shield, const BackupPolicy& policy, const State& x, const Wrench* nominal,
                        std::span<const Found> near, FilterReport& report) {
   report.thrust_rate = 0;

@@ -1,16 +1,16 @@
-// Smooth nominal snap of a filter of wrenches while rows hold the vehicle back, and until it is released.
+// Smooth nominal snap for a wrench filter, used while rows restrict the vehicle and during the return to the nominal.
 //
-// The nominal input is that of a stiff attitude loop without any model of the obstacles. While rows hold the vehicle
-// back, the loop pulls against them; when they release it, the loop makes up for the whole error at once. Both are
-// jerk. So from the first tick in which the nominal input breaks a row the filter takes as its nominal the snap
+// The nominal input comes from a stiff attitude loop without a model of the obstacles. While rows restrict the
+// vehicle, the loop works against them; when the rows release it, the loop corrects the whole error in one step. Both
+// cause jerk. So from the first tick in which the nominal input breaks a row, the filter uses as its nominal the snap
 //
 //   s = weight (c2 (a* - a) - (p1 + p2 + 2 q) a') + (1 - weight) (p1 p2 (a_nom - a) - (p1 + p2) a'),
 //
-// where a* is the acceleration nearest to a_r - (c1 e_v + c0 e_p) / c2 that holds first-order rows of the cones, so
-// that s does not pull into the obstacle. c0..c2 place the poles of the whole motion: two at -q of the position and
-// two at -p1, -p2 of the acceleration. While s itself breaks a row, p1 is `release_rad_s`. Then p1 grows by
-// e^{growth t} and the weight falls from 1 to 0, at p1 = p2: the nominal input is back. The snap only steers: the
-// returned input holds the rows, and the shield certifies it like any other input.
+// where a* is the acceleration nearest to a_r - (c1 e_v + c0 e_p) / c2 that satisfies first-order rows of the cones,
+// so that s does not steer into the obstacle. c0..c2 place the poles of the whole motion: two at -q for the position
+// and two at -p1, -p2 for the acceleration. While s itself breaks a row, p1 is `release_rad_s`. Then p1 grows by
+// e^{growth t} and the weight falls from 1 to 0, at p1 = p2: the nominal input is restored. The snap only steers: the
+// returned input satisfies the rows, and the shield certifies it like any other input.
 #pragma once
 
 #include <cstdint>
@@ -42,9 +42,9 @@ class SmoothNominal {
 
   SmoothNominalOptions options_;
   AccelerationProgram program_;
-  double since_ = kLongAgo;  // it was held [s]
+  double since_ = kLongAgo;  // time since a row last held it [s]
   double dt_ = 0;            // a tick [s]
-  double top_speed_ = 0;     // of the reference while it was held
+  double top_speed_ = 0;     // maximum speed of the reference while held [m/s]
 };
 
 }  // namespace alula::flight

@@ -11,16 +11,16 @@
 
 namespace alula::flight {
 
-// The numbers of `alula_filter_status` in native/onboard, and one more.
+// The values of `alula_filter_status` in native/onboard, and one more.
 enum class SplatFilterStatus : std::uint8_t {
-  ok = 0,          // the nominal input holds all rows and comes back bit by bit
-  filtered = 1,    // the nearest input that holds all rows
-  recovering = 3,  // no input is known to be safe from here: best effort, reported as unsafe
-  refused = 4,     // the input is not finite or the problem has no verdict: hover or zero acceleration
+  ok = 0,          // the nominal input satisfies all rows and is returned bit by bit
+  filtered = 1,    // the nearest input that satisfies all rows
+  recovering = 3,  // no safe input was found: best effort, reported as unsafe
+  refused = 4,     // non-finite input, or the solver has no verdict: hover or zero acceleration
   backup = 5       // the backup policy is flown
 };
 
-// Vehicle state of a filter; thrust and its rate are those applied last.
+// Vehicle state of a filter; thrust and its rate are the last applied values.
 struct FlightState {
   State x;
   double thrust = 0;       // T [N]
@@ -47,23 +47,23 @@ struct FilterReport {
   double margin =
       0;  // the filter's own barrier: minimum of h over the rows, or h_b for cone-backup; infinite without rows
   std::int64_t active = -1;  // ellipsoid of the row with the largest multiplier
-  // Figures for the log.
+  // Values for the log.
   double gate_m = 0;             // distance gate of this tick
   std::uint32_t candidates = 0;  // ellipsoids within the gate, at most k
   std::uint32_t rows = 0;        // barrier rows of the program
   std::uint32_t iterations = 0;  // of the program
-  bool capped = false;           // the cap k cut off ellipsoids within the gate
+  bool capped = false;           // the cap k excluded ellipsoids within the gate
   bool infeasible = false;       // the program has no solution
   bool certified = false;        // the returned input was checked to leave a safe backup manoeuvre
 };
 
-// One per thread. `filter` never returns an input it did not check, nor one that is not finite.
+// One per thread. `filter` returns only inputs that it has checked and that are finite.
 class SplatFilter {
  public:
   virtual ~SplatFilter() = default;
   virtual InputKind kind() const = 0;
   virtual FilterReport filter(const FlightState& state, const Nominal& nominal) = 0;
-  virtual void reset() {}  // before another flight: forget warm starts and commitments
+  virtual void reset() {}  // before another flight: clear warm starts and commitments
   virtual std::unique_ptr<SplatFilter> clone() const = 0;
 };
 

@@ -1,14 +1,13 @@
-// Encounters with moving obstacles, flown in closed loop: world, sensors, tracker, filter, vehicle; and their
-// metrics.
+// Closed-loop encounters with moving obstacles: world, sensors, tracker, filter, vehicle; and their metrics.
 //
 // Per control tick: scans that have arrived, tracks, nominal command, filter, plant. Scans are made at the sensor's
-// rate, at the first step of the plant that is due. The nominal command goes to the goal,
+// rate, at the first plant step that is due. The nominal command goes to the goal,
 //
 //   v_des = min(cruise, sqrt(a_max dist)) towards it,  a = clip(gain (v_des - v), a_max),
 //
-// and what a filter refuses is replaced by braking. Metrics use the truth, between steps too: within a step of the
-// plant the vehicle's acceleration is constant, and the relative motion taken for a parabola. A trial is a function
-// of (seed, trial) alone, its measured times aside.
+// and a refused command is replaced by braking. Metrics use the true states, between steps too: within a step of the
+// plant the vehicle's acceleration is constant, and the relative motion is approximated by a parabola. A trial is a
+// function of (seed, trial) alone, except for its measured times.
 //
 // Source: Mandaokar, Rinner 2025 (DR-ACBF, arXiv 2512.00462), section IV-A.
 #pragma once
@@ -29,13 +28,13 @@ struct EncounterVehicle {
   double start_speed_m_s = 4, cruise_m_s = 4;  // along the course
   double gain = 2;                             // of the speed error [1/s]
   double radius_m = 0.15;
-  double max_speed_m_s = 12;         // |v|: what is executed is cut there
-  double max_acceleration_m_s2 = 6;  // |a|_inf, of a command
-  double max_jerk_m_s3 = 60;         // |da/dt|_inf, of what is executed; the limit of the speed aside
-  double actuation_delay_s = 0;      // of a command until it begins to act
+  double max_speed_m_s = 12;         // limit of the executed |v|
+  double max_acceleration_m_s2 = 6;  // limit of |a|_inf of a command
+  double max_jerk_m_s3 = 60;         // limit of the executed |da/dt|_inf, except where the speed limit acts
+  double actuation_delay_s = 0;      // time from a command until it begins to act
   bool hovers = false;               // the goal is the start: hold it
-  // How fast the sensor turns, with a vehicle whose yaw is free: to the middle of all tracks that close in, if the
-  // field is wide enough for them, else to the most urgent one. 0: it looks along the course, whatever comes.
+  // Maximum turn rate of the sensor, on a vehicle with free yaw. It turns to the middle of all approaching tracks if
+  // the field of view is wide enough for them, else to the most urgent one. 0: it always looks along the course.
   double yaw_rate_rad_s = 1;
 };
 
@@ -43,8 +42,8 @@ struct EncounterRules {
   double dt_s = 0.01;
   int plant_steps = 10;
   double max_time_s = 14;
-  double receded_s = 1;        // ends when all obstacles have receded for so long
-  double risk_window_s = 0.4;  // of `mission_risk`: how far a command is taken to last
+  double receded_s = 1;        // a trial ends when all obstacles have receded for this time
+  double risk_window_s = 0.4;  // window of `mission_risk`: assumed duration of a command
 };
 
 struct EncounterSpec {
@@ -53,24 +52,24 @@ struct EncounterSpec {
   std::vector<ObstacleSpec> obstacles;
   RadarOptions radar;
   TrackerOptions tracker;
-  // Not owned, may be null. The filter sees of each polytope the plane that separates it best, nearest first;
-  // of more than ALULA_WALLS those that leave the vehicle the least speed.
+  // Not owned, may be null. For each polytope the filter receives the plane with the best separation, nearest first;
+  // of more than ALULA_WALLS, those that allow the vehicle the least speed.
   const PolytopeSet* walls = nullptr;
 };
 
 enum class EncounterOutcome : std::uint8_t { passed, timeout };  // passed: all obstacles have receded
 
-// Of one obstacle in a trial.
+// Metrics of one obstacle in a trial.
 struct EncounterMetrics {
   static constexpr double kNever = std::numeric_limits<double>::quiet_NaN();
 
   double closest_m = std::numeric_limits<double>::infinity();  // min |P| over the run, centre to centre
   double separation_m = kNever;  // min |P| from its warning to the end of HOVER, or of the run
-  double closing_m_s = kNever;   // true, at its warning
-  double detected_s = kNever;    // first time that a confirmed track is near it
-  double warned_s = kNever;      // its warning: the first in which it is the most urgent
-  double command_s = kNever;     // wall clock that the filter took in that tick, at least t_cm: not reproducible
-  double reaction_s = kNever;    // simulated time from the warning until |a - a_nominal| > 0.05 (t_r less t_cm)
+  double closing_m_s = kNever;   // true closing speed at its warning
+  double detected_s = kNever;    // first time at which a confirmed track is near it
+  double warned_s = kNever;      // first warning in which it is the most urgent obstacle
+  double command_s = kNever;     // wall time of the filter in that tick, at least t_cm: not reproducible
+  double reaction_s = kNever;    // simulated time from the warning until |a - a_nominal| > 0.05 (t_r minus t_cm)
   double avoid_s = kNever;       // from there to the end of HOVER (t_a)
   bool collided = false;         // closest_m is at most the sum of the radii
 };
@@ -82,30 +81,29 @@ struct EncounterLog {
   // Active: in a manoeuvre, or warned. Filtered: the command is not the nominal.
   std::int64_t ticks = 0, active_ticks = 0, filtered_ticks = 0, infeasible_ticks = 0, recovering_ticks = 0,
                refused_ticks = 0, iterations = 0;
-  double worst_violation = 0;  // of rows by what was flown, in any tick, as an acceleration [m/s^2]
-  double risk_spent = 0;       // sum over ticks of what the commands left: bounds that any row of the flight fails
-  // Sum over windows, one after the other, and tracks of the largest `risk_of` (encounter_watch.hpp) in each. No
-  // bound: other ticks of a window could fail too, and obstacles are taken to keep their velocity.
+  double worst_violation = 0;  // maximum row violation of the flown commands, as an acceleration [m/s^2]
+  double risk_spent = 0;       // sum over ticks of the remaining risk: bound on the probability that any row fails
+  // Sum over consecutive windows and tracks of the largest `risk_of` (encounter_watch.hpp) in each. It is not a
+  // bound: other ticks of a window could fail too, and obstacles are assumed to keep their velocity.
   double mission_risk = 0;
   double path_length_m = 0, max_speed_m_s = 0;
   double mean_jerk_m_s3 = 0, max_jerk_m_s3 = 0;  // second differences of the velocity at the rate of the filter
   std::vector<float> active_tick_s;              // processing time of each active tick (t_cp): not reproducible
-  // With `keeps_path`, per tick at its beginning; of each obstacle also the track next to it, or NaN.
+  // With `keeps_path`, values at the beginning of each tick; for each obstacle also its nearest track, or NaN.
   std::vector<double> vehicle, obstacles, tracks, command, nominal;  // (ticks, 9), (ticks, n, 3), ..., (ticks, 3)
   std::vector<std::uint8_t> mode, status;
 };
 
-// Throws std::invalid_argument for a specification that means nothing.
+// Throws std::invalid_argument for an invalid specification.
 void check(const EncounterSpec& spec);
 
-// Flies trials `first` to `first + count` of a specification, each with a clone of the filter. Throws what `check`
-// does.
+// Flies trials `first` to `first + count` of a specification, each with a clone of the filter. Throws like `check`.
 std::vector<EncounterLog> fly_encounters(const EncounterSpec& spec, const MovingFilter& filter, std::uint64_t seed,
                                          std::uint32_t first, std::uint32_t count, bool keeps_path, unsigned jobs,
                                          Control& control);
 
-// Least |r(t)| for 0 <= t <= h of the parabola from r0 to r1 with the acceleration a: exact to rounding where the
-// distance has one minimum, else too much by at most |a| h^2 / 8.
+// Minimum |r(t)| for 0 <= t <= h of the parabola from r0 to r1 with the acceleration a. Exact to rounding where the
+// distance has one minimum, else too large by at most |a| h^2 / 8.
 double closest_approach(geometry::Vec3 r0, geometry::Vec3 r1, geometry::Vec3 a, double h);
 
 }  // namespace alula::flight

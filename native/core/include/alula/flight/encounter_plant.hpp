@@ -1,4 +1,4 @@
-// The vehicle of an encounter: a double integrator whose acceleration follows the command late and at a bounded rate.
+// Vehicle of an encounter: a double integrator whose acceleration follows the command late and at a bounded rate.
 #pragma once
 
 #include <cstddef>
@@ -9,14 +9,14 @@
 
 namespace alula::flight {
 
-// Within a step of h = dt / plant_steps the acceleration is constant, so the motion is exact. It goes to the command
-// that acts by at most j_max h per axis; a speed beyond the limit is scaled down to it.
+// Within a step of h = dt / plant_steps the acceleration is constant, so the motion is exact. The acceleration moves
+// towards the command that is in effect by at most j_max h per axis; a speed beyond the limit is scaled down to it.
 class EncounterPlant {
  public:
   EncounterPlant(const EncounterVehicle& vehicle, const EncounterRules& rules);
 
   void reset(const Kinematics& start);
-  void command(geometry::Vec3 acceleration);  // from now on, after the delay
+  void command(geometry::Vec3 acceleration);  // takes effect after the delay
   void step();
 
   const Kinematics& state() const { return x_; }
@@ -26,7 +26,7 @@ class EncounterPlant {
     std::int64_t begins;  // step
     geometry::Vec3 a;
   };
-  double h_, max_speed_, most_;  // most_: change of an acceleration in a step
+  double h_, max_speed_, most_;  // most_: maximum change of the acceleration in a step
   std::int64_t delay_, now_ = 0;
   std::vector<Queued> queue_;  // a ring that grows until it holds the delay
   std::size_t oldest_ = 0, count_ = 0;

@@ -8,7 +8,7 @@
 namespace alula::flight {
 
 // The smallest t >= 0 with |r + v t| = s t: the time at which a mover that starts at 0 with speed s reaches r + v t.
-// If it cannot reach it, the t at which |r + v t| - s t is smallest, at most 1e4: the time of its nearest approach.
+// If it cannot reach it, the t at which |r + v t| - s t is minimal, at most 1e4: the time of its nearest approach.
 double meeting_time(geometry::Vec3 r, geometry::Vec3 v, double s);
 
 // The smallest t >= 0 with |a + w t| = d, for |a| < d; infinite when w is 0.
