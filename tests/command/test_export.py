@@ -254,7 +254,7 @@ def test_real_scenes_come_back_within_what_is_told_and_allowed_for(tmp_path, nam
     capsys.readouterr()
     out = export(source, tmp_path / f"b.{suffix}", "--json")
     told = one_json(capsys)
-    assert "is not recorded" in told["notes"][0]
+    assert "does not record" in told["notes"][0]
     check_losses(source, out, told)
 
 

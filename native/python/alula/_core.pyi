@@ -15,11 +15,11 @@ MAX_VOXELS: int = 134217728
 
 def voxelize(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float = 0.0, crop: Sequence[float] | None = None, tile: tuple[Sequence[int], Sequence[int]] | None = None, min_overlap: int = 1, jobs: int = 0, progress: object | None = None, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.uint32], NDArray[numpy.uint8], int, int]:
     """
-    Voxels that ellipsoids touch: (index i32 (M, 3) sorted, overlap u32 (M,), reach u8 (N,): 0 where an
+    Find the voxels that ellipsoids touch: (index i32 (M, 3) sorted, overlap u32 (M,), reach u8 (N,): 0 where an
     ellipsoid marks nothing, 2 where its box exceeds the crop, else 1; voxels that fewer than min_overlap
     touch, which are left out; the highest overlap). Voxel i is the closed cube [i g, (i + 1) g];
-    ellipsoids are at level sigma, grown by a ball of radius inflation (outer bounds) and by what `loss`
-    (N, 3) says of each: error of the centre, of semi-axes relatively, of the rotation; all lengths in the
+    ellipsoids are at level sigma, grown by a ball of radius inflation (outer bounds) and by `loss`
+    (N, 3) of each: error of the centre, relative error of the semi-axes, error of the rotation; all lengths in the
     unit of mean. Every touched voxel is marked; a voxel farther than 3e-13 of the coordinates' size is
     not. With a tile (lowest index, highest index) only its voxels. Raises ValueError for malformed input,
     OverflowError when the voxels exceed the memory budget.
@@ -27,14 +27,14 @@ def voxelize(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order
 
 def tiles_of(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float, crop: Sequence[float] | None, edge: int, progress: object | None = None, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> tuple[NDArray[numpy.int32], NDArray[numpy.int64], NDArray[numpy.uint32]]:
     """
-    Tiles of edge^3 voxels that ellipsoids may touch, by their boxes: (tile i32 (T, 3) sorted, start i64
+    Find the tiles of edge^3 voxels that ellipsoids may touch, by their boxes: (tile i32 (T, 3) sorted, start i64
     (T + 1), row u32): tile t holds the voxels t edge ... t edge + edge - 1. Raises OverflowError for more
     than 2^20 tiles or 2^27 rows.
     """
 
 def joined_voxels(index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], count: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)], start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[NDArray[numpy.int32], NDArray[numpy.uint32]]:
     """
-    One sorted list (index, count) of disjoint sorted lists of voxels: rows start[i] ... start[i + 1] - 1.
+    Merge disjoint sorted lists of voxels into one sorted list (index, count): rows start[i] ... start[i + 1] - 1.
     """
 
 def unproven_voxels(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], sigma: float, voxel_size: float, inflation: float, crop: Sequence[float] | None, min_overlap: int, index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], jobs: int = 0, progress: object | None = None, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> tuple[int, NDArray[numpy.int32], NDArray[numpy.int64]]:
@@ -42,18 +42,18 @@ def unproven_voxels(mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3)
     Voxels outside `index` (M, 3) that are not proven to be touched by fewer than min_overlap ellipsoids:
     (total, the first 100 of them i32 (K, 3) in lexicographic order, an ellipsoid that touches each i64 (K,)).
     Voxel i is the closed cube [i g, (i + 1) g]; ellipsoids are at level sigma plus a ball of radius inflation
-    and what `loss` says of each, voxels those that touch the crop. Every voxel not reported is proven by a separating plane with rigorous
+    and grown by `loss` of each; only voxels that touch the crop count. Every voxel not reported is proven by a separating plane with rigorous
     rounding bounds. Raises ValueError for malformed input, OverflowError when the memory budget is exceeded.
     """
 
 class MergeJournal:
     """
-    The volumes that a merge has measured. Given to the same merge again, it takes them from
-    here and so comes to the same result sooner; for another merge it starts anew.
+    Log of the volumes that a merge has measured. The same merge run again reads them from
+    the journal and finishes sooner with the same result; another merge discards them.
     """
 
     def __init__(self, data: bytes = ...) -> None:
-        """From an earlier snapshot; ValueError when it is damaged."""
+        """Restore an earlier snapshot; ValueError when it is damaged."""
 
     def snapshot(self) -> bytes:
         """All entries so far; may be called from any thread while merging."""
@@ -62,7 +62,7 @@ class MergeJournal:
 
     @property
     def reused(self) -> int:
-        """How many measurements were taken from here since it was made."""
+        """Number of measurements read from the journal since it was created."""
 
 def lattice_hull(points: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> dict[str, Any]:
     """
@@ -71,13 +71,13 @@ def lattice_hull(points: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), o
 
 def cover_excess(voxels: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], vertex: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], vertex_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_normal: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], plane_offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], jobs: int, progress: object | None) -> float:
     """
-    Volume [voxels] of the union of polytopes outside sorted voxels (M, 3), all of which they contain.
+    Volume [voxels] of the union of polytopes outside sorted voxels (M, 3); the union contains every voxel.
     """
 
 def merge_cover(voxels: NDArray[numpy.int32], member: NDArray[numpy.uint32], member_start: NDArray[numpy.int64], *, block: int, is_paper: bool, max_hulls: int, max_planes: int, max_bytes: int, facet_cap: int, kdop: int, is_fitted: bool, max_growth: float, jobs: int, journal: MergeJournal | None, progress: object | None) -> dict[str, Any]:
     """
     Cover sorted voxels (M, 3) by merged hulls. `member` holds voxel numbers of the start sets; with an
-    empty `member_start` the set cover by clusters is computed. A limit of 0 is none. `facet_cap` and `kdop`
+    empty `member_start` the set cover by clusters is computed. A limit of 0 means no limit. `facet_cap` and `kdop`
     give outer polytopes; with `is_fitted` the number of hulls minimises the excess within the budget.
     Returns the arrays of an alula/cover, the curve (hulls, sum of W, planes, bytes), the measurements
     (hulls, planes, bytes, excess [voxels]), the excess of the union [voxels] and its grid.
@@ -92,7 +92,7 @@ def union_measure(normal: Annotated[NDArray[numpy.float64], dict(shape=(None, 3)
 
 def check_cover_hulls(vertex: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], vertex_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_normal: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], plane_offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], member_index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], is_outer: bool, jobs: int, progress: object | None) -> NDArray[numpy.int64]:
     """
-    Exact check of each hull of a cover. Returns rows (fault, hull, row, other), ordered by hull.
+    Check each hull of a cover exactly. Returns rows (fault, hull, row, other), ordered by hull.
     """
 
 def check_cover_occupied(member_index: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], member_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], occupied: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> NDArray[numpy.int64]:
@@ -153,7 +153,7 @@ class PolytopeCbf:
     The onboard safety filter among convex polytopes {x : normal . x <= offset}.
 
     Normals are outward unit vectors (F, 3), offsets in metres, world frame; extent_m bounds
-    the coordinates of all positions. Raises ValueError for what the filter does not accept.
+    the coordinates of all positions. Raises ValueError for arguments that the filter rejects.
     """
 
     def __init__(self, normal: NDArray[numpy.float64], offset: NDArray[numpy.float64], plane_start: NDArray[numpy.int64], *, extent_m: float, radius_m: float = 0.0, beta: float = 2.0, kappa: float = 100.0, dt_s: float = 0.01, v_max: float = 1.0, smoothing: str = 'sound', brute_force: bool = False) -> None:
@@ -181,13 +181,13 @@ class PolytopeCbf:
     @staticmethod
     def from_image(image: bytes, *, extent_m: float, radius_m: float = 0.0, beta: float = 2.0, kappa: float = 100.0, dt_s: float = 0.01, v_max: float = 1.0, smoothing: str = 'sound', brute_force: bool = False) -> PolytopeCbf:
         """
-        The filter on an image of an onboard map, as a microcontroller runs it. Raises ValueError with
-        the reader's complaint for an image that it refuses.
+        Create the filter from an image of an onboard map, as on a microcontroller. Raises ValueError with
+        the reader's message for an image that it rejects.
         """
 
     def work(self) -> tuple[int, int, int, int, int]:
         """
-        Counts of the last call of `filter`: boxes, hulls, planes of these, how many of them were
+        Counts of the last call of `filter`: boxes, hulls, planes of these hulls, planes that were
         decoded, exponentials of planes.
         """
 
@@ -208,23 +208,25 @@ def onboard_exp_log(x: Annotated[NDArray[numpy.float32], dict(shape=(None,), ord
 
 def encode_map_records(vertex: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], vertex_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_normal: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], origin: tuple[int, int, int], largest_normal: int, jobs: int, progress: object | None) -> tuple[bytes, int, bool, int, int]:
     """
-    Hulls of a cover as records of an onboard map: (bytes, oblique planes, whether their normals are of the
+    Encode the hulls of a cover as records of an onboard map: (bytes, oblique planes, whether the normals are of the
     k-DOP family, largest normal, largest shift). Raises ValueError, and OverflowError beyond 16 bits.
     """
 
 def check_map_voxels(lower: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], normal: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], voxel: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], jobs: int, progress: object | None) -> NDArray[numpy.int64]:
-    """Rows of voxels (M, 3) that no hull of a decoded map contains, exactly."""
+    """
+    Find exactly the rows of voxels (M, 3) that no hull of a decoded map contains.
+    """
 
 def check_map_polytopes(lower: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], upper: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], normal: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], vertex: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], vertex_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.int64]:
     """
-    Polytopes, given by their vertices, that no hull of a decoded map with the same box contains, exactly.
+    Find exactly the polytopes, given by vertices, that no hull of a decoded map with the same box contains.
     """
 
 class OnboardMap:
     """
     An image of an onboard map, read by the C code that runs on a microcontroller.
 
-    Raises ValueError with the reader's complaint for an image that it refuses.
+    Raises ValueError with the reader's message for an image that it rejects.
     """
 
     def __init__(self, image: bytes) -> None: ...
@@ -251,11 +253,11 @@ class OnboardMap:
 
     def psi_along(self, points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> tuple[NDArray[numpy.float32], NDArray[numpy.uint32], NDArray[numpy.float32]]:
         """
-        The same, by what is remembered of the points before: for points close to one another.
+        The same, with a search warm-started from the previous points: for points close to one another.
         """
 
 class TrialRules:
-    """When a flight ends, and its nominal controller."""
+    """End conditions of a flight, and its nominal controller."""
 
     def __init__(self, *, dt_s: float, gain: float, v_max: float, stop_fraction: float, stuck_speed: float, stuck_steps: int, max_steps: int) -> None:
         """
@@ -265,7 +267,7 @@ class TrialRules:
             v_max: speed limit [m/s]
             stop_fraction: reached within this fraction of the start-goal distance
             stuck_speed: stuck below this speed [m/s]
-            stuck_steps: for so many steps
+            stuck_steps: number of steps below that speed
             max_steps: time limit in steps
         """
 
@@ -291,7 +293,7 @@ class TrialRules:
 
     @property
     def stuck_steps(self) -> int:
-        """for so many steps"""
+        """number of steps below that speed"""
 
     @property
     def max_steps(self) -> int:
@@ -383,7 +385,7 @@ def check_curves(obstacles: PolytopeSet, control_points: Annotated[NDArray[numpy
 
 def outer_solids(normal: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], plane_start: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], jobs: int) -> dict[str, Any]:
     """
-    Corners and outward triangles of the polytopes normal . x <= offset, found exactly, rounded in the end.
+    Corners and outward triangles of the polytopes normal . x <= offset, computed exactly and rounded at the end.
     """
 
 def decode_ply_rows(rows: Annotated[NDArray[numpy.uint8], dict(shape=(None,), order='C', device='cpu', writable=False)], row_size: int, big_endian: bool, places: Sequence[tuple[int, str] | None], color: str, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu')], quat: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu')], opacity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu')], out_color: Annotated[NDArray[numpy.uint8], dict(shape=(None, 3), order='C', device='cpu')], jobs: int = 0, progress: object | None = None) -> None:
@@ -511,7 +513,7 @@ class Quadrotor:
         """
 
     def saturated(self, u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
-        """Wrenches after each rotor is cut off at its limits."""
+        """Wrenches after each rotor thrust is clipped to its limits."""
 
     def derivative(self, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], u: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
         """x' (N, 12)."""
@@ -559,8 +561,8 @@ class PlantOptions:
         """
         Args:
             motor_time_constant_s: lag of the rotors; 0: none [s]
-            linear_drag: along the body axes [N s/m]
-            quadratic_drag: along the body axes [N s^2/m^2]
+            linear_drag: linear drag along the body axes [N s/m]
+            quadratic_drag: quadratic drag along the body axes [N s^2/m^2]
             wind_m_s: mean wind [m/s]
             gust_m_s: standard deviation of gusts per axis [m/s]
             gust_time_s: time constant of gusts [s]
@@ -573,11 +575,11 @@ class PlantOptions:
 
     @property
     def linear_drag(self) -> list[float]:
-        """along the body axes [N s/m]"""
+        """linear drag along the body axes [N s/m]"""
 
     @property
     def quadratic_drag(self) -> list[float]:
-        """along the body axes [N s^2/m^2]"""
+        """quadratic drag along the body axes [N s^2/m^2]"""
 
     @property
     def wind_m_s(self) -> list[float]:
@@ -660,9 +662,7 @@ class DoubleIntegrator:
     def steps(self) -> int: ...
 
 class ActuatorModel:
-    """
-    Lag of the rotors and age of measurements, as controller and filters assume them.
-    """
+    """Rotor lag and measurement age assumed by the controller and filters."""
 
     def __init__(self, *, motor_time_constant_s: float = 0.0, delay_s: float = 0.0) -> None:
         """
@@ -681,25 +681,25 @@ class ActuatorModel:
 
 class StatePredictor:
     """
-    The state now from one measured a while ago, by the model: alula/dynamics/state_predictor.hpp.
+    Predicts the present state from an older measurement, by the model: alula/dynamics/state_predictor.hpp.
     """
 
     def __init__(self, body: Quadrotor, model: ActuatorModel, *, tick_s: float) -> None: ...
 
     def reset(self) -> None:
-        """It has hovered for as long as matters."""
+        """Reset to a history of hovering."""
 
     def now(self, measured: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], age_s: float | None = None) -> NDArray[numpy.float64]:
         """
-        The state (12,) now from the one age_s ago: at most the delay of the model, which is the default.
+        Predict the present state (12,) from the state age_s ago; age_s is at most the model's delay, the default.
         """
 
     def fly(self, wrench: Annotated[NDArray[numpy.float64], dict(shape=(4), order='C', device='cpu', writable=False)]) -> None:
-        """It is commanded from now on for a tick [N, N m]."""
+        """Record a wrench that is commanded from now on for a tick [N, N m]."""
 
     def lead(self, wrench: Annotated[NDArray[numpy.float64], dict(shape=(4), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
         """
-        The command that leads the rotors to a wrench by the end of a tick that begins now [N, N m].
+        Command with which the rotors reach a wrench by the end of a tick that begins now [N, N m].
         """
 
     @property
@@ -771,7 +771,7 @@ class TrackingGains:
 
 def track(quadrotor: Quadrotor, gains: TrackingGains, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], reference: Annotated[NDArray[numpy.float64], dict(shape=(None, 18), order='C', device='cpu', writable=False)], *, applied_thrust: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> dict[str, NDArray[numpy.float64]]:
     """
-    The geometric controller at states (N, 12) and references (N, 18): per row its wrench, acceleration, derivatives of the thrust and all terms on the way.
+    The geometric controller at states (N, 12) and references (N, 18): per row its wrench, acceleration, derivatives of the thrust and all intermediate terms.
     """
 
 def track_point(gains: TrackingGains, x: Annotated[NDArray[numpy.float64], dict(shape=(None, 12), order='C', device='cpu', writable=False)], reference: Annotated[NDArray[numpy.float64], dict(shape=(None, 18), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
@@ -802,21 +802,23 @@ class QpResult:
 
     @property
     def multipliers(self) -> NDArray[numpy.float64]:
-        """Of these rows: hessian x + gradient = rows^T y, or the certificate."""
+        """
+        Multipliers y of these rows: hessian x + gradient = rows^T y, or the certificate.
+        """
 
     @property
     def violation(self) -> float:
         """
-        Largest (b_i - a_i . x) / |a_i|, at least 0; when infeasible what every x exceeds; infinite when failed.
+        Largest (b_i - a_i . x) / |a_i|, at least 0; when infeasible a lower bound for every x; infinite when failed.
         """
 
     @property
     def iterations(self) -> int:
-        """Exchanges done."""
+        """Number of exchanges."""
 
 class QpSolver:
     """
-    min 1/2 x^T H x + g^T x with rows x >= bounds; dense, up to 10 variables, active set.
+    Solver of min 1/2 x^T H x + g^T x with rows x >= bounds; dense, up to 10 variables, active set.
     """
 
     def __init__(self, backend: object | None = None) -> None:
@@ -826,17 +828,17 @@ class QpSolver:
 
     def solve(self, hessian: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], gradient: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], bounds: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], warm: Annotated[NDArray[numpy.uint32], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None) -> QpResult:
         """
-        Solve one problem; `warm` names rows believed active. ValueError when shapes do not fit.
+        Solve one problem; `warm` lists rows that are probably active. ValueError when shapes do not fit.
         """
 
     def solve_many(self, hessian: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], gradient: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)], bounds: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], warm: Annotated[NDArray[numpy.uint32], dict(shape=(None, None), order='C', device='cpu', writable=False)] | None = None, repeats: int = 1) -> dict[str, Any]:
         """
-        Solve a stack of problems in order: arrays `status` (k,), `x` (k, n), `active` and `multipliers` (k, n + 1), filled up with -1 and 0, `violation`, `iterations` and `elapsed_ns` (k,), the least of `repeats`. `warm` (k, w) names rows; numbers beyond the rows name none.
+        Solve a stack of problems in order: arrays `status` (k,), `x` (k, n), `active` and `multipliers` (k, n + 1), filled up with -1 and 0, `violation`, `iterations` and `elapsed_ns` (k,), the minimum of `repeats`. `warm` (k, w) lists rows; numbers beyond the rows are ignored.
         """
 
 class EllipsoidIndex:
     """
-    Ellipsoids of Gaussians, found by distance, and each grown by a vehicle's sphere.
+    Index of the Gaussians' ellipsoids for distance queries; each is also grown by the vehicle's sphere.
     """
 
     def __init__(self, mean: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], scale: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], quat_wxyz: Annotated[NDArray[numpy.float32], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, sigma: float, radius: float, loss: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None) -> None:
@@ -865,7 +867,7 @@ class EllipsoidIndex:
         """
 
 class Pruning:
-    """Which ellipsoids become rows of a tick."""
+    """Selection of the ellipsoids that become rows of a tick."""
 
     def __init__(self, *, reaction_time_s: float = 0.3, max_deceleration: float = 6.0, floor_m: float = 0.5, count: int = 64, gate: bool = True, approach: bool = True, sweep: bool = True) -> None:
         """
@@ -914,26 +916,26 @@ class Pruning:
         """
 
 class SplatFilter:
-    """A filter that flies among ellipsoids; one per thread."""
+    """Safety filter among ellipsoids; one per thread."""
 
     def filter(self, state: Sequence[float], acceleration: Sequence[float], *, thrust: float = 0.0, thrust_rate: float = 0.0, rotors: Sequence[float] | None = None, wrench: Sequence[float] = [0.0, 0.0, 0.0, 0.0], nominal_thrust_rate: float = 0.0, nominal_thrust_acceleration: float = 0.0, position_error: Sequence[float] = [0.0, 0.0, 0.0], velocity_error: Sequence[float] = [0.0, 0.0, 0.0], reference_acceleration: Sequence[float] = [0.0, 0.0, 0.0]) -> dict[str, Any]:
         """
-        One tick at a state (p, sigma, v, omega) with the nominal acceleration [m/s^2]; returns a dict of FilterReport.
+        Filter one tick at a state (p, sigma, v, omega) with the nominal acceleration [m/s^2]; returns a dict of FilterReport.
 
         Args:
-            thrust: thrust as last applied [N]
+            thrust: last applied thrust [N]
             thrust_rate: its rate [N/s]
             rotors: thrust of each rotor now [N]; None: the rotors hover
             wrench: nominal thrust and torque [N, N m]
             nominal_thrust_rate: rate of the nominal thrust [N/s]
             nominal_thrust_acceleration: its second derivative [N/s^2]
-            position_error: position less that of the reference [m]
-            velocity_error: velocity less that of the reference [m/s]
+            position_error: position minus that of the reference [m]
+            velocity_error: velocity minus that of the reference [m/s]
             reference_acceleration: acceleration of the reference [m/s^2]
         """
 
     def reset(self) -> None:
-        """Before another flight: forget warm starts and commitments."""
+        """Clear warm starts and commitments before another flight."""
 
     def clone(self) -> SplatFilter: ...
 
@@ -1101,7 +1103,7 @@ def collision_cone(centre: Sequence[float], a: Annotated[NDArray[numpy.float64],
 
 def snap_rows(body: Quadrotor, state: Sequence[float], *, thrust: float, thrust_rate: float, centre: Sequence[float], a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='C', device='cpu', writable=False)], rate: float) -> dict[str, Any]:
     """
-    How (T'' / m, tau) reach the snap, and the rows of third and fourth order of one ellipsoid over it.
+    Map from (T'' / m, tau) to the snap, and the rows of third and fourth order of one ellipsoid over it.
     """
 
 class BackupGains:
@@ -1212,15 +1214,15 @@ class BackupPolicy:
 
     @property
     def cap_up(self) -> float:
-        """Thrust above hover that it never exceeds [N]."""
+        """Maximum thrust above hover [N]."""
 
     @property
     def cap_down(self) -> float:
-        """Thrust below hover that it never exceeds [N]."""
+        """Maximum reduction of the thrust below hover [N]."""
 
     @property
     def torque_cap(self) -> list[float]:
-        """Torques that it never exceeds [N m]."""
+        """Maximum torques [N m]."""
 
     def raw(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], hold: Sequence[float] = [0.0, 0.0, 0.0]) -> NDArray[numpy.float64]:
         """(T, tau) before saturation [N, N m]."""
@@ -1232,7 +1234,7 @@ class BackupPolicy:
 
     def urgent(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], hold: Sequence[float] = [0.0, 0.0, 0.0]) -> NDArray[numpy.float64]:
         """
-        The same with all that the rotors have, for where nothing gentle is safe.
+        The same with the rotors' full range, for states where no gentle manoeuvre is safe.
         """
 
     def closed_loop(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], hold: Sequence[float] = [0.0, 0.0, 0.0]) -> NDArray[numpy.float64]:
@@ -1243,7 +1245,7 @@ class BackupPolicy:
 
     def drift(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]:
         """
-        How far the linear loop about hover would still move before it rests [m].
+        Distance that the linear loop about hover would still move before it rests [m].
         """
 
     def excursion(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)]) -> float:
@@ -1252,7 +1254,7 @@ class BackupPolicy:
         """
 
 class BackupFlow:
-    """The flow of a backup policy and how the input now moves it."""
+    """Flow of a backup policy and its sensitivity to the present input."""
 
     def __init__(self, policy: BackupPolicy, *, horizon_s: float = 1.5, nodes: int = 20, steps: int = 1, drift: bool = False) -> None:
         """
@@ -1277,10 +1279,10 @@ class BackupFlow:
         """
 
     def clear_row(self, centre: Sequence[float], a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='C', device='cpu', writable=False)], k: int, alpha: float) -> tuple[list[float], float]:
-        """The same for gamma' + alpha gamma >= 0."""
+        """The same row for gamma' + alpha gamma >= 0."""
 
 class ShieldOptions:
-    """How a manoeuvre to rest is checked."""
+    """Options of the check of a manoeuvre to rest."""
 
     def __init__(self, *, tick_s: float = 0.01, substeps: int = 1, margin_m: float = 0.02, max_time_s: float = 8.0, escape_time_s: float = 0.6, escape_tries: int = 3, line_search: int = 2, rest_speed_m_s: float = 0.1, rest_rate_rad_s: float = 0.2, rest_tilt_rad: float = 0.05, rest_drift_m: float = 0.008, motor_time_constant_s: float = 0.0) -> None:
         """
@@ -1356,9 +1358,7 @@ class ShieldOptions:
         """
 
 class Shield:
-    """
-    Checks that a safe manoeuvre to rest is known: alula/filters/shield.hpp.
-    """
+    """Checks that a safe manoeuvre to rest exists: alula/filters/shield.hpp."""
 
     def __init__(self, policy: BackupPolicy, index: EllipsoidIndex, options: ShieldOptions = ...) -> None: ...
 
@@ -1370,18 +1370,18 @@ class Shield:
 
     def certify(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], *, first: Sequence[float] | None = None, hold: Sequence[float] = [0.0, 0.0, 0.0], hold_ticks: int = 0, margin_m: float | None = None, thorough: bool = False) -> dict[str, Any]:
         """
-        Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a dict of safe, rests, clearance_m (minimum distance less the radius) and time_s.
+        Fly one tick of the wrench `first`, if given, then about `hold` [m/s] for hold_ticks, then to rest: a dict of safe, rests, clearance_m (minimum distance minus the radius) and time_s.
         """
 
     def after(self, state: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)], wrench: Sequence[float]) -> NDArray[numpy.float64]:
-        """The state a tick later."""
+        """State one tick later."""
 
     def see(self, rotors: Sequence[float] | None) -> None:
         """Set the thrust of each rotor for the next states [N]."""
 
 def escape_velocities(index: EllipsoidIndex, p: Sequence[float], v: Sequence[float], *, reach: float, count: int = 64, slack_rad: float = 0.05) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]:
     """
-    Velocities (N, 3) of the same speed that meet no cone of the ellipsoids within reach, and the angles [rad] they are turned by, smallest first.
+    Velocities (N, 3) of the same speed that meet no cone of the ellipsoids within reach, and the angles [rad] by which they are turned, smallest first.
     """
 
 class SmoothNominalOptions:
@@ -1726,7 +1726,7 @@ class FlightVehicle:
         """
 
 class FlightRules:
-    """Times of a flight, and when it ends."""
+    """Timing of a flight and its end conditions."""
 
     def __init__(self, *, dt_s: float = 0.01, plant_steps: int | None = None, stop_fraction: float = 0.01, stop_floor_m: float = 0.05, stop_speed: float = 0.1, stuck_speed: float = 0.02, stuck_ticks: int = 200, time_factor: float = 3.0, max_time_s: float = 0.0, lower: Sequence[float] = [-1000000000.0, -1000000000.0, -1000000000.0], upper: Sequence[float] = [1000000000.0, 1000000000.0, 1000000000.0]) -> None:
         """
@@ -1734,10 +1734,10 @@ class FlightRules:
             dt_s: a tick of controller and filter [s]
             plant_steps: steps of the plant in a tick; default: as many as make none longer than 1 ms
             stop_fraction: reached within this fraction of the start-goal distance
-            stop_floor_m: or within this [m]
+            stop_floor_m: or within this distance [m]
             stop_speed: slower than this, with the reference at its end [m/s]
             stuck_speed: stuck below this speed, and farther than that from the reference [m/s]
-            stuck_ticks: for so many ticks
+            stuck_ticks: number of ticks below that speed
             time_factor: time limit in durations of the reference
             max_time_s: time limit, when above 0 [s]
             lower: lower corner of the box that must not be left [m]
@@ -1753,7 +1753,7 @@ class FlightTrial:
 
     def state(self) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64], float, float, list[float]]:
         """
-        Position, attitude (MRP), velocity, body rates, thrust and its rate, and what each rotor gives.
+        Position, attitude (MRP), velocity, body rates, thrust and its rate, and the thrust of each rotor.
         """
 
     def nominal(self) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], float, float, NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.float64]]:
@@ -1780,14 +1780,14 @@ def least_gamma(index: EllipsoidIndex, points: Annotated[NDArray[numpy.float64],
     """
 
 class TrackerOptions:
-    """How moving obstacles are tracked; fixed once made."""
+    """Options of the tracker; immutable."""
 
     def __init__(self, *, gate: float = 30.0, confirm_hits: int = 5, confirm_scans: int = 6, delete_misses: int = 5, coast_s: float = 3.0, field_margin: float = 2.0, acceleration_noise: float = 0.5, jerk_noise: float = 0.2, with_turn: bool = False, turn_noise: float = 0.1, transition: Sequence[float] = [0.992, 0.008, 0.015, 0.985], prior: Sequence[float] = [0.9, 0.1], turn_transition: Sequence[float] = [0.986, 0.01, 0.004, 0.01, 0.986, 0.004, 0.015, 0.015, 0.97], turn_prior: Sequence[float] = [0.9, 0.05, 0.05], start_variance: Sequence[float] = [4.0, 25.0, 25.0], cross_range_variance: float = 100.0, turn_variance: float = 0.1, mixing_variance: float = 3.0, mixes: bool = True, gates_models: bool = False, heavy_tails: bool = False, adapts_transition: bool = False, winner_takes_all: bool = False, jamming: bool = False) -> None:
         """
         Args:
             gate: maximum squared Mahalanobis distance of an association
             confirm_hits: hits that confirm a track
-            confirm_scans: of so many scans
+            confirm_scans: number of scans in which these hits must occur
             delete_misses: misses in a row that delete a track
             coast_s: time without a detection, out of the field of view, that deletes a confirmed track [s]
             field_margin: standard deviations of a position that the field of view must contain
@@ -1795,14 +1795,14 @@ class TrackerOptions:
             jerk_noise: spectral density of the white jerk [m^2/s^5]
             with_turn: use the model of a coordinated turn
             turn_noise: spectral density of the turn rate's derivative [rad^2/s^3]
-            transition: per scan, of constant velocity and acceleration
-            prior: of these models
-            turn_transition: per scan, of these and the turn
-            turn_prior: of these three models
-            start_variance: of position, velocity and acceleration per axis
-            cross_range_variance: of the initial velocity across the line of sight [m^2/s^2]
-            turn_variance: of the turn rate, at the start and of a model without it [rad^2/s^2]
-            mixing_variance: of the acceleration of a model without it, where models mix [m^2/s^4]
+            transition: transition probabilities per scan, of constant velocity and acceleration
+            prior: prior probabilities of these models
+            turn_transition: transition probabilities per scan, of these models and the turn
+            turn_prior: prior probabilities of these three models
+            start_variance: initial variances of position, velocity and acceleration per axis
+            cross_range_variance: variance of the initial velocity across the line of sight [m^2/s^2]
+            turn_variance: variance of the turn rate, initially and in models without it [rad^2/s^2]
+            mixing_variance: variance of the acceleration in models without it, when models mix [m^2/s^4]
             mixes: models restart from mixtures in each scan
             gates_models: SAFE-IMM
             heavy_tails: SAFE-IMM
@@ -1821,7 +1821,7 @@ class TrackerOptions:
 
     @property
     def confirm_scans(self) -> int:
-        """of so many scans"""
+        """number of scans in which these hits must occur"""
 
     @property
     def delete_misses(self) -> int:
@@ -1855,35 +1855,41 @@ class TrackerOptions:
 
     @property
     def transition(self) -> list[float]:
-        """per scan, of constant velocity and acceleration"""
+        """
+        transition probabilities per scan, of constant velocity and acceleration
+        """
 
     @property
     def prior(self) -> list[float]:
-        """of these models"""
+        """prior probabilities of these models"""
 
     @property
     def turn_transition(self) -> list[float]:
-        """per scan, of these and the turn"""
+        """transition probabilities per scan, of these models and the turn"""
 
     @property
     def turn_prior(self) -> list[float]:
-        """of these three models"""
+        """prior probabilities of these three models"""
 
     @property
     def start_variance(self) -> list[float]:
-        """of position, velocity and acceleration per axis"""
+        """initial variances of position, velocity and acceleration per axis"""
 
     @property
     def cross_range_variance(self) -> float:
-        """of the initial velocity across the line of sight [m^2/s^2]"""
+        """variance of the initial velocity across the line of sight [m^2/s^2]"""
 
     @property
     def turn_variance(self) -> float:
-        """of the turn rate, at the start and of a model without it [rad^2/s^2]"""
+        """
+        variance of the turn rate, initially and in models without it [rad^2/s^2]
+        """
 
     @property
     def mixing_variance(self) -> float:
-        """of the acceleration of a model without it, where models mix [m^2/s^4]"""
+        """
+        variance of the acceleration in models without it, when models mix [m^2/s^4]
+        """
 
     @property
     def mixes(self) -> bool:
@@ -1916,15 +1922,15 @@ class Tracker:
 
     def __init__(self, options: TrackerOptions = ..., most: int = 128) -> None:
         """
-        A tracker of at most `most` tracks at a time. ValueError for invalid options.
+        Create a tracker with at most `most` tracks at a time. ValueError for invalid options.
         """
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Delete all tracks."""
 
     def update(self, t: float, position: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], covariance: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order='C', device='cpu', writable=False)], los: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)] | None = None, range_rate: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)] | None = None, range_rate_sigma: float = 0.1, field: FieldOfView | None = None) -> None:
         """
-        One scan at t [s]: positions (N, 3) [m] with covariances (N, 3, 3), world frame; optionally the rates (N,) [m/s] along the lines of sight (N, 3) from the sensor. Rows that are not finite or have no covariance are dropped and counted. A confirmed track that the field does not hold coasts. ValueError unless t is within 1e6 s after the last scan.
+        Process one scan at t [s]: positions (N, 3) [m] with covariances (N, 3, 3), world frame; optionally the rates (N,) [m/s] along the lines of sight (N, 3) from the sensor. Rows that are not finite or have no covariance are dropped and counted. A confirmed track outside the field coasts. ValueError unless t is within 1e6 s after the last scan.
         """
 
     def tracks(self, t: float) -> dict[str, Any]:
@@ -1934,16 +1940,16 @@ class Tracker:
 
     @property
     def dropped(self) -> int:
-        """Detections that were not used since the start."""
+        """Number of detections dropped since the start."""
 
 def assign(cost: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], gate: float = float('inf')) -> NDArray[numpy.int32]:
     """
-    For each row of the costs its column or -1, at least cost: a row without a column costs `gate`, costs above it or not finite are forbidden; without a gate as many rows as possible get one.
+    Assign to each row of the costs a column or -1 at minimum cost: a row without a column costs `gate`, costs above it or not finite are forbidden; without a gate as many rows as possible get one.
     """
 
 class ObstacleSpec:
     """
-    A moving obstacle, to be drawn for each trial: alula/flight/obstacle_motion.hpp. Pairs are ranges.
+    Moving obstacle, drawn for each trial: alula/flight/obstacle_motion.hpp. Pairs are ranges.
     """
 
     def __init__(self, *, kind: str = 'constant-velocity', radius_m: float = 0.15, is_relative: bool = True, position: Sequence[float] = [0.0, 0.0, 0.0], distance_m: float = 50.0, azimuth_rad: Sequence[float] = [0.0, 0.0], elevation_rad: Sequence[float] = [0.0, 0.0], either_side: bool = False, crosses: bool = False, offset_sigma_m: Sequence[float] = [0.0, 0.0, 0.0], speed_m_s: Sequence[float] = [5.0, 8.0], heading_rad: Sequence[float] = [0.0, 0.0], acceleration_m_s2: Sequence[float] = [0.0, 0.0], velocity_m_s: Sequence[float] = [0.0, 0.0, 0.0], aims_at_vehicle: bool = False, meeting_sigma_m: Sequence[float] = [0.0, 0.0, 0.0], max_speed_m_s: float = 12.0, turn_rate_rad_s: float = 0.25, release_m: float = 12.0, drag_per_m: float = 0.0, start_s: float = 0.0, way_points: Sequence[Sequence[float]] = [], body: Quadrotor | None = None, gains: TrackingGains | None = None) -> None:
@@ -1968,9 +1974,9 @@ class ObstacleSpec:
             max_speed_m_s: maximum speed [m/s]
             turn_rate_rad_s: maximum turn rate [rad/s]
             release_m: distance below which it stops turning [m]
-            drag_per_m: quadratic drag of a ballistic one [1/m]
+            drag_per_m: quadratic drag of a ballistic obstacle [1/m]
             start_s: time at which it starts to move [s]
-            way_points: of a quadrotor [m]
+            way_points: way-points of a quadrotor [m]
             body: body of a quadrotor, with its gains; default: a small one
             gains: gains of its controller
         """
@@ -1995,7 +2001,7 @@ def meeting_time(r: Sequence[float], v: Sequence[float], s: float) -> float:
     """
 
 class RadarOptions:
-    """A sensor of obstacles: alula/tracking/radar.hpp."""
+    """Obstacle sensor: alula/tracking/radar.hpp."""
 
     def __init__(self, *, kind: str = 'radar', rate_hz: float = 20.0, half_azimuth_rad: float = 0.6981317007977318, half_elevation_rad: float = 0.17453292519943295, max_range_m: float = 150.0, detection_probability: float = 0.95, sigma_range_m: float = 0.15, sigma_azimuth_rad: float = 0.008726646259971648, sigma_elevation_rad: float = 0.012217304763960306, sigma_range_rate_m_s: float = 0.1, clutter_per_scan: float = 0.1, clutter_range_rate_m_s: float = 15.0, noise_scale: float = 1.0, position_sigma_m: float = 0.0, delay_s: float = 0.0, own_position_sigma_m: float = 0.0, own_velocity_sigma_m_s: float = 0.0) -> None:
         """
@@ -2014,7 +2020,7 @@ class RadarOptions:
             clutter_range_rate_m_s: their range rates are uniform within +- this [m/s]
             noise_scale: factor of all sigmas
             position_sigma_m: noise of ideal and mocap per axis [m]
-            delay_s: time until the tracker gets a detection [s]
+            delay_s: time until the tracker receives a detection [s]
             own_position_sigma_m: noise of the vehicle's own position per axis [m]
             own_velocity_sigma_m_s: noise of the vehicle's own velocity per axis [m/s]
         """
@@ -2077,7 +2083,7 @@ class RadarOptions:
 
     @property
     def delay_s(self) -> float:
-        """time until the tracker gets a detection [s]"""
+        """time until the tracker receives a detection [s]"""
 
     @property
     def own_position_sigma_m(self) -> float:
@@ -2102,7 +2108,7 @@ class FieldOfView:
 
     def holds(self, mean: Sequence[float], covariance: Sequence[Sequence[float]], margin: float) -> bool:
         """
-        True when it contains all within `margin` standard deviations of the range and of both angles.
+        True if it contains all points within `margin` standard deviations of the range and of both angles.
         """
 
 def radar_scans(options: RadarOptions, vehicle: Annotated[NDArray[numpy.float64], dict(shape=(None, 9), order='C', device='cpu', writable=False)], yaw: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], truth: Annotated[NDArray[numpy.float64], dict(shape=(None, None, 9), order='C', device='cpu', writable=False)], *, seed: int = 0, trial: int = 0, first_step: int = 0) -> dict[str, Any]:
@@ -2111,7 +2117,7 @@ def radar_scans(options: RadarOptions, vehicle: Annotated[NDArray[numpy.float64]
     """
 
 def own_states(options: RadarOptions, vehicle: Annotated[NDArray[numpy.float64], dict(shape=(None, 9), order='C', device='cpu', writable=False)], *, seed: int = 0, trial: int = 0, first_step: int = 0) -> NDArray[numpy.float64]:
-    """The own states that a vehicle at states (N, 9) measures."""
+    """Measurements of its own state by a vehicle at states (N, 9)."""
 
 class MovingReport:
     """Report of a filter among moving obstacles for one tick."""
@@ -2119,12 +2125,14 @@ class MovingReport:
     @property
     def status(self) -> int:
         """
-        0 the nominal, 1 another command, all rows hold, 3 rows are missed by as little as possible, 4 refused.
+        0 nominal command, 1 another command that satisfies all rows, 3 minimum violation of the rows, 4 refused.
         """
 
     @property
     def acceleration(self) -> list[float]:
-        """To be flown [m/s^2]; zero when refused, and then not to be flown."""
+        """
+        Acceleration to fly [m/s^2]; zero when refused, and then it must not be flown.
+        """
 
     @property
     def mode(self) -> int:
@@ -2171,7 +2179,7 @@ class MovingFilter:
 
     def filter(self, position: Sequence[float], velocity: Sequence[float], tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, 29), order='C', device='cpu', writable=False)], walls: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], nominal: Sequence[float], covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], repeats: int = 0) -> tuple[MovingReport, float]:
         """
-        One tick: the report, and the median time [s] of `repeats` copies of it. `tracks` (n, 29): id, position,
+        Filter one tick: the report, and the median time [s] of `repeats` copies of it. `tracks` (n, 29): id, position,
         velocity, lower triangle of their covariance row by row, radius. `walls` (m, 4): unit normal towards the
         vehicle, distance. `covariance` xx, xy, xz, yy, yz, zz of the vehicle's position.
         """
@@ -2180,19 +2188,19 @@ class MovingFilter:
         """Report the acceleration that is flown in a refused tick."""
 
     def reset(self) -> None:
-        """To before the first tick."""
+        """Reset to the state before the first tick."""
 
     def clone(self) -> MovingFilter:
         """A copy with the same state."""
 
 def moving_filter(method: str, options: Mapping[str, float] = {}, backend: object | None = None) -> MovingFilter:
     """
-    none, dr_acbf, dr_acbf_qp, mpc, cbf_qp or rp_cbf; `options` over those of `moving_filter_defaults`; `backend`
+    Create none, dr_acbf, dr_acbf_qp, mpc, cbf_qp or rp_cbf; `options` override `moving_filter_defaults`; `backend`
     solves its quadratic programs, as in QpSolver. ValueError for invalid options.
     """
 
 def moving_filter_defaults() -> dict[str, float]:
-    """All options of `moving_filter`, with their defaults."""
+    """All options of `moving_filter` with their defaults."""
 
 def half_space_projection(rows: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], a0: Sequence[float], solver: str = 'exact', *, limit: float = 6.0, omega: float = 1.0, iterations: int = 15, soft: int = 4294967295, repeats: int = 1) -> tuple[list[float], bool, float, int, list[int], float]:
     """
@@ -2207,17 +2215,19 @@ def half_space_projections(rows: Annotated[NDArray[numpy.float64], dict(shape=(N
 
 def early_warning(position: Sequence[float], velocity: Sequence[float], track: Annotated[NDArray[numpy.float64], dict(shape=(None, 29), order='C', device='cpu', writable=False)], relative_acceleration: Sequence[float], covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], options: Mapping[str, float] = {}) -> float:
     """
-    The largest CVaR of Z over five times plus eps L_Z, or a bound of it below 0 [m].
+    Maximum CVaR of Z over five times plus eps L_Z, or an upper bound on it that is below 0 [m].
     """
 
 def early_warning_samples() -> NDArray[numpy.float32]:
-    """Standard normal points (32, 6); each is also used with the other sign."""
+    """
+    Standard normal points (32, 6); each is also used with the opposite sign.
+    """
 
 def acceleration_envelope(velocity: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], options: Mapping[str, float] = {}) -> NDArray[numpy.float32]:
     """z1 and ahat (k, 4) after each of the velocities (k, 3)."""
 
 def allocate_risk(distance: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], closing: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], total: float) -> NDArray[numpy.float32]:
-    """alpha_i of obstacles; 0 of those with closing <= 0."""
+    """Risks alpha_i of the obstacles; 0 for obstacles with closing <= 0."""
 
 def row_bound(distance: float, closing: float, horizon_s: float, lambda_: float, *, radius_m: float = 0.3, envelope: float = 1.0, sigma2_p: float = 0.0, sigma2_v: float = 0.0, options: Mapping[str, float] = {}) -> float:
     """b(H) of a row [m/s^2]."""
@@ -2226,7 +2236,7 @@ def cantelli(alpha: float) -> float:
     """sqrt((1 - alpha) / alpha)."""
 
 def recursive_speed(a_max: float, horizon_s: float) -> float:
-    """Closing speed below which rows alone never demand more than a_max."""
+    """Closing speed below which the rows never demand more than a_max."""
 
 class EncounterVehicle:
     """
@@ -2301,7 +2311,7 @@ class EncounterVehicle:
         """
 
 class EncounterRules:
-    """Times of an encounter, and when it ends."""
+    """Timing of an encounter and its end conditions."""
 
     def __init__(self, *, dt_s: float = 0.01, plant_steps: int = 10, max_time_s: float = 14.0, receded_s: float = 1.0, risk_window_s: float = 0.4) -> None:
         """
@@ -2334,19 +2344,19 @@ class EncounterRules:
         """window of the mission risk [s]"""
 
 class EncounterSpec:
-    """All of an encounter but the filter."""
+    """Specification of an encounter, without the filter."""
 
     def __init__(self, *, vehicle: EncounterVehicle = ..., rules: EncounterRules = ..., obstacles: Sequence[ObstacleSpec] = [], radar: RadarOptions = ..., tracker: TrackerOptions = ..., walls: PolytopeSet | None = None) -> None:
-        """ValueError for an invalid specification."""
+        """Create a specification; ValueError if it is invalid."""
 
 def fly_encounters(spec: EncounterSpec, filter: MovingFilter, *, seed: int = 0, first: int = 0, count: int = 1, keeps_path: bool = False, jobs: int = 0, progress: object | None = None) -> list[dict[str, Any]]:
     """
-    Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial. `obstacle` has a row per obstacle: closest [m], separation [m], closing [m/s], detected, warned, command (measured), reaction and avoid [s], NaN for what never was; with keeps_path also a row per tick of the vehicle (p, v, a), obstacles, tracks, command, nominal, mode and status.
+    Fly trials first..first + count, each a function of (seed, trial); a dict of figures per trial. `obstacle` has a row per obstacle: closest [m], separation [m], closing [m/s], detected, warned, command (measured), reaction and avoid [s], NaN for events that did not occur; with keeps_path also a row per tick of the vehicle (p, v, a), obstacles, tracks, command, nominal, mode and status.
     """
 
 def collision_risk(position: Sequence[float], velocity: Sequence[float], covariance: Sequence[float], command: Sequence[float], radius: float, window_s: float) -> float:
     """
-    Collision risk of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: bound of the probability that it is within the radius when it comes closest in the window.
+    Collision risk of an obstacle relative to the vehicle, covariance of (p, v) as a lower triangle row by row: bound on the probability that it is within the radius when it comes closest in the window.
     """
 
 def closest_approach(r0: Sequence[float], r1: Sequence[float], a: Sequence[float], h: float) -> float:
@@ -2389,19 +2399,19 @@ class RacerModel:
 
 class RacerOptions:
     """
-    Effects of a racing drone's plant beside its model; all off by default.
+    Disturbances of a racing drone's plant that its model omits; all off by default.
     """
 
     def __init__(self, *, mass: float = 1.0, mass_scale: float = 1.0, thrust_scale: float = 1.0, rate_gain_scale: float = 1.0, delay_s: float = 0.0, linear_drag: Sequence[float] = [0.0, 0.0, 0.0], quadratic_drag: Sequence[float] = [0.0, 0.0, 0.0], wind_m_s: Sequence[float] = [0.0, 0.0, 0.0], gust_m_s: Sequence[float] = [0.0, 0.0, 0.0], gust_time_s: float = 1.0, sag_share: float = 0.0, sag_time_s: float = 0.5) -> None:
         """
         Args:
-            mass: mass, for the drag alone [kg]
-            mass_scale: true over assumed mass
-            thrust_scale: true over assumed thrust
-            rate_gain_scale: true over assumed gain of the rate loop
+            mass: mass, used only for the drag [kg]
+            mass_scale: ratio of true to assumed mass
+            thrust_scale: ratio of true to assumed thrust
+            rate_gain_scale: ratio of true to assumed gain of the rate loop
             delay_s: time from a command until it acts [s]
-            linear_drag: along the body axes [N s/m]
-            quadratic_drag: along the body axes [N s^2/m^2]
+            linear_drag: linear drag along the body axes [N s/m]
+            quadratic_drag: quadratic drag along the body axes [N s^2/m^2]
             wind_m_s: mean wind [m/s]
             gust_m_s: standard deviation of gusts per axis [m/s]
             gust_time_s: time constant of gusts [s]
@@ -2411,19 +2421,19 @@ class RacerOptions:
 
     @property
     def mass(self) -> float:
-        """mass, for the drag alone [kg]"""
+        """mass, used only for the drag [kg]"""
 
     @property
     def mass_scale(self) -> float:
-        """true over assumed mass"""
+        """ratio of true to assumed mass"""
 
     @property
     def thrust_scale(self) -> float:
-        """true over assumed thrust"""
+        """ratio of true to assumed thrust"""
 
     @property
     def rate_gain_scale(self) -> float:
-        """true over assumed gain of the rate loop"""
+        """ratio of true to assumed gain of the rate loop"""
 
     @property
     def delay_s(self) -> float:
@@ -2431,11 +2441,11 @@ class RacerOptions:
 
     @property
     def linear_drag(self) -> list[float]:
-        """along the body axes [N s/m]"""
+        """linear drag along the body axes [N s/m]"""
 
     @property
     def quadratic_drag(self) -> list[float]:
-        """along the body axes [N s^2/m^2]"""
+        """quadratic drag along the body axes [N s^2/m^2]"""
 
     @property
     def wind_m_s(self) -> list[float]:
@@ -2463,10 +2473,10 @@ class Racer:
     def __init__(self, model: RacerModel, options: RacerOptions = ..., *, seed: int = 0, trial: int = 0) -> None: ...
 
     def reset(self, x: Annotated[NDArray[numpy.float64], dict(shape=(13), order='C', device='cpu', writable=False)]) -> None:
-        """To a state (13): p, v, q wxyz, omega."""
+        """Reset to a state (13): p, v, q wxyz, omega."""
 
     def step(self, dt: float, u: Annotated[NDArray[numpy.float64], dict(shape=(4), order='C', device='cpu', writable=False)]) -> None:
-        """A step with a command (4): throttle, rates."""
+        """Advance by dt with a command (4): throttle, rates."""
 
     @property
     def state(self) -> NDArray[numpy.float64]: ...
@@ -2476,12 +2486,12 @@ class Racer:
 
 class Fence:
     """
-    Where to fly: in a box, in a polytope, outside the hulls of an onboard map.
+    Allowed region: in a box, in a polytope, outside the hulls of an onboard map.
     """
 
     def __init__(self, *, box: tuple[Sequence[float], Sequence[float]] | None = None, faces: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)] | None = None, image: bytes | None = None, keep_out: PolytopeSet | None = None) -> None:
         """
-        `box` (lower, upper); `faces` (L, 4), rows n, d with n . p <= d inside and |n| = 1; `image` of an onboard map for the filter, `keep_out` the same polytopes for the judge.
+        `box` (lower, upper); `faces` (L, 4), rows n, d with n . p <= d inside and |n| = 1; `image` of an onboard map for the filter, `keep_out` the same polytopes for judging flights.
         """
 
     def clearance(self, a: Sequence[float], b: Sequence[float]) -> float:
@@ -2516,7 +2526,7 @@ class Geofence:
         """All of them by name, as the filter holds them: in single precision."""
 
     def reset(self) -> None:
-        """To before the first tick."""
+        """Reset to the state before the first tick."""
 
     def filter(self, navigation: NDArray[numpy.float64] | None, pilot: NDArray[numpy.float64] | None) -> tuple[NDArray[numpy.float64], str, dict[str, float]]:
         """
@@ -2536,7 +2546,7 @@ class BackupQp:
     def __init__(self, geofence: Geofence, alpha: float = 2.0) -> None: ...
 
     def reset(self) -> None:
-        """To before the first tick."""
+        """Reset to the state before the first tick."""
 
     def filter(self, states: NDArray[numpy.float64], pilots: NDArray[numpy.float64]) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64], NDArray[numpy.int64], NDArray[numpy.uint8]]:
         """
@@ -2551,10 +2561,10 @@ class Pilot:
         straight, diagonal, fall, sticks, aggressive, silent or repeated; ValueError for others.
 
         Args:
-            heading_rad: of straight and repeated; diagonal is 45 degrees to the left [rad]
+            heading_rad: heading of straight and repeated; diagonal is 45 degrees to the left [rad]
             tilt_rad: commanded tilt [rad]
-            climb_m_s2: of diagonal: commanded vertical acceleration [m/s^2]
-            silent_after_s: of silent: minimum time until silence, at most twice that [s]
+            climb_m_s2: commanded vertical acceleration of diagonal [m/s^2]
+            silent_after_s: minimum time until silent stops transmitting; the maximum is twice that [s]
         """
 
 class PilotHand:
@@ -2620,7 +2630,7 @@ class GeofenceSpec:
         """
         Args:
             model: model of plant and pilot
-            options: what the plant does beside the model
+            options: disturbances of the plant that the model omits
             pilot: the pilot
             rules: times and outages
             start: state (13) at the start
@@ -2656,11 +2666,11 @@ class PendulumFilter:
         """
 
     def filter(self, states: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='C', device='cpu', writable=False)], u_des: float) -> NDArray[numpy.float64]:
-        """At states (N, 2): u, h_I, lambda, rows, infeasible (N, 5)."""
+        """Filter at states (N, 2): u, h_I, lambda, rows, infeasible (N, 5)."""
 
     def fly(self, angle: float, rate: float, u_des: float, dt: float, ticks: int) -> NDArray[numpy.float64]:
         """
-        Closed loop: theta, theta', u, h_I, lambda, rows, infeasible (ticks, 7).
+        Fly the closed loop: theta, theta', u, h_I, lambda, rows, infeasible (ticks, 7).
         """
 
 class Rates:
@@ -2669,7 +2679,7 @@ class Rates:
     """
 
     def __init__(self, *, rc_rate: Sequence[float] = [1.0, 1.0, 1.0], super_rate: Sequence[float] = [0.7, 0.7, 0.7], expo: Sequence[float] = [0.0, 0.0, 0.0], middle_us: float = 1500.0, throttle_low_us: float = 1050.0, throttle_high_us: float = 2000.0) -> None:
-        """ValueError for numbers out of range."""
+        """Create a profile; ValueError for numbers out of range."""
 
     def rate(self, axis: int, deflection: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float32]:
         """Rates [rad/s] of deflections (N)."""
@@ -2679,8 +2689,8 @@ class Rates:
 
     def channels(self, commands: NDArray[numpy.float64]) -> tuple[NDArray[numpy.uint16], NDArray[numpy.uint8]]:
         """
-        Pulses (N, 4) [us] of roll, pitch, throttle, yaw of commands (N, 4): throttle, rates; and which are refused.
+        Pulses (N, 4) [us] of roll, pitch, throttle, yaw for commands (N, 4): throttle, rates; and which commands are refused.
         """
 
     def commands(self, channels: NDArray[numpy.uint16]) -> tuple[NDArray[numpy.float64], NDArray[numpy.uint8]]:
-        """Commands (N, 4) of pulses (N, 4), and which are refused."""
+        """Commands (N, 4) for pulses (N, 4), and which pulses are refused."""
