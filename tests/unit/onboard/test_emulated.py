@@ -26,6 +26,8 @@ import onboard
 FOREIGN, NEWER, TRUNCATED, DAMAGED, MALFORMED = 2, 3, 4, 5, 6  # of alula_map_status
 CORES = ["m4", "m7"]
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory):

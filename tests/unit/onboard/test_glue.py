@@ -24,6 +24,8 @@ import onboard
 
 CRAZYFLIE = glue.BOARDS / "crazyflie"
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory):

@@ -55,7 +55,7 @@ def test_random_bytes_raise_nothing_and_change_nothing():
 
 def test_of_a_real_log_all_that_pymavlink_reads_is_read_and_the_restart_in_it_is_found():
     folder = os.environ.get("ALULA_DATA")
-    if folder is None:
+    if not folder:
         pytest.skip("ALULA_DATA is not set")
     data = (Path(folder) / "flight-logs" / "dronekit-flight.tlog").read_bytes()
     at, frames = 0, []
