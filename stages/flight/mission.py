@@ -357,6 +357,7 @@ def make_needs(mission: Mission, setpoints: Iterable[type[Setpoint]]) -> Needs:
         state_hz=min(20.0, 0.5 * config.rate_hz),
         loop_hz=config.rate_hz,
         stale_s=config.stale_s,
+        latency_s=config.latency_s,
         battery_share=config.battery,
         max_thrust_m_s2=sum(model.thrust),
         gravity_m_s2=model.gravity,

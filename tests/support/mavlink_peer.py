@@ -63,6 +63,9 @@ class Peer:
         self.boot_s = 100.0
         self._beat_s = -1.0
         self.own_messages = True
+        self.answers_time = True
+        self.up_s = self.down_s = 0.0  # delays of the line to the vehicle and from it
+        self._ways: tuple[list[tuple[float, Any]], list[tuple[float, Any]]] = ([], [])
 
     def close(self) -> None:
         self.socket.close()
@@ -85,7 +88,9 @@ class Peer:
         self.send_bytes(self.pack(message))
 
     def send_bytes(self, data: bytes) -> None:
-        if self.link is not None:
+        if self.down_s > 0:
+            self._ways[1].append((self.now_s + self.down_s, data))
+        elif self.link is not None:
             self.socket.sendto(data, self.link)
 
     def send_state(self, position=(0, 0, 0), velocity=(0, 0, 0), quat=(1, 0, 0, 0), rates=(0, 0, 0)) -> None:
@@ -102,12 +107,22 @@ class Peer:
             self.link = self.link or peer
             for message in self.reader.parse_buffer(data) or []:
                 assert message.get_type() != "BAD_DATA", message
-                self.heard.append(message)
-                if not self.silent:
-                    self.answer(message)
+                self._ways[0].append((now_s + self.up_s, message))
+        for message in self._due(self._ways[0]):
+            self.heard.append(message)
+            if not self.silent:
+                self.answer(message)
+        for data in self._due(self._ways[1]):
+            if self.link is not None:
+                self.socket.sendto(data, self.link)
         if not self.silent and self.own_messages and now_s - self._beat_s >= 1.0:
             self._beat_s = now_s
             self.beat()
+
+    def _due(self, way: list[tuple[float, Any]]) -> list[Any]:
+        due = [what for at_s, what in way if at_s <= self.now_s]
+        way[:] = [each for each in way if each[0] > self.now_s]
+        return due
 
     def beat(self) -> None:
         base = m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (m.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
@@ -129,7 +144,7 @@ class Peer:
             self.say_parameter(name)
         elif kind == "COMMAND_LONG":
             self.command(message)
-        elif kind == "TIMESYNC" and message.tc1 == 0:
+        elif kind == "TIMESYNC" and message.tc1 == 0 and self.answers_time:
             self.send(m.MAVLink_timesync_message(round((self.now_s + self.boot_s) * 1e9), message.ts1))
 
     def say_parameter(self, name: str) -> None:

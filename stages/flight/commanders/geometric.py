@@ -40,7 +40,7 @@ class GeometricCommander:
         filter: safety filter; None sends the nominal command.
         body, gains: of the vehicle and of its controller.
         actuators: lag of the rotors, and the maximum age of a state that the model predicts forward.
-        delay_s: age of a state when it arrives [s].
+        delay_s: assumed age of a state when it arrives; a longer measured latency replaces it [s].
         dt_s: duration of a tick [s].
         max_rate_rad_s: maximum body rates of a command, body x, y, z [rad/s].
         rate_lag_s: time constant of the rate loop of the vehicle [s]. A torque is sent as the body rate that
@@ -128,7 +128,7 @@ class GeometricCommander:
             self._acceleration = setpoint.acceleration
 
     def _predicted(self, state: VehicleState, age_s: float, target: FloatArray) -> _Predicted:
-        age = age_s + self.delay_s
+        age = age_s + max(self.delay_s, state.latency_s)
         sigma = _core.shadowed(_mrp(state.attitude_wxyz)[None])[0]
         if self.setpoint is RatesSetpoint:
             x = np.concatenate([state.position, sigma, state.velocity, state.omega])

@@ -79,7 +79,7 @@ class VelocityCommander:
         gain: c [1/s].
         speed_m_s: maximum speed of set-points [m/s].
         lag_s: tau, time constant of the loop that follows set-points [s].
-        delay_s: age of a state when it arrives [s].
+        delay_s: assumed age of a state when it arrives; a longer measured latency replaces it [s].
         dt_s: duration of a tick, for which each set-point is flown [s].
         setpoint: kind of set-point to send.
 
@@ -111,7 +111,7 @@ class VelocityCommander:
     def decide(self, state: VehicleState, age_s: float, target: FloatArray) -> Decision:
         """See `Commander`."""
         row = target[0]
-        p, v = self._predict(state, age_s + self.delay_s)
+        p, v = self._predict(state, age_s + max(self.delay_s, state.latency_s))
         error = row[:3] - p
         u_nominal = row[3:6] + 0.5 * self.gain * error
         speed = math.sqrt(float(u_nominal @ u_nominal))

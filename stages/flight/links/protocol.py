@@ -21,11 +21,14 @@ class VehicleState:
     """Estimated state that the vehicle reports.
 
     Attributes:
-        received_s: arrival time of its newest part, on this host's monotonic clock [s].
+        received_s: time at which its newest part would have arrived with the smallest delay so far, on this
+            host's monotonic clock [s].
         position: shape (3,), world frame [m].
         velocity: shape (3,), world frame [m/s].
         attitude_wxyz: unit quaternion that turns body vectors into the world frame, shape (4,).
         omega: angular velocity, body components, shape (3,) [rad/s].
+        latency_s: upper bound of its age at `received_s`, which is also the bound of the delay until a
+            set-point computed from it takes effect, measured by round trips [s]; NaN if there is no evidence.
     """
 
     received_s: float
@@ -33,6 +36,15 @@ class VehicleState:
     velocity: FloatArray
     attitude_wxyz: FloatArray
     omega: FloatArray
+    latency_s: float = 0.0
+
+    def age_s(self, now_s: float) -> float:
+        """Upper bound of the age of this state [s]; NaN if the latency of the link was not measured.
+
+        Args:
+            now_s: this host's monotonic clock [s].
+        """
+        return now_s - self.received_s + self.latency_s
 
 
 @dataclass(frozen=True, slots=True)

@@ -152,7 +152,7 @@ class SimulatedLink:
         status.battery_share = max(0.0, 1.0 - (now_s - self._begin_s) / self._battery_s)
         measured = self.body.measured()
         if self._state is None or self._flown_s > self._state.received_s:
-            self._state = VehicleState(self._flown_s, *measured)
+            self._state = VehicleState(self._flown_s, *measured, latency_s=self.body.delay_s)
 
     def send(self, setpoint: Setpoint, now_s: float) -> None:
         """Follow a set-point from now on.

@@ -86,6 +86,11 @@ class Body:
         """True velocity, shape (3,), world frame [m/s]."""
         return self._x[6:9].copy()
 
+    @property
+    def delay_s(self) -> float:
+        """Age of the measured state [s]."""
+        return 0.0 if self._plant is None else self._vehicle.disturbance.delay_s
+
     def measured(self) -> Measured:
         """State with the noise and delay of the vehicle file; the true state at rest."""
         x = self._x if self._plant is None or self.is_resting else np.asarray(self._plant.measured)

@@ -1,14 +1,23 @@
-"""Offset between the vehicle's clock and the local clock; detects late, old and pre-reboot packets."""
+"""Offset between the vehicle's clock and the local clock; detects late, old and pre-reboot packets.
+
+Let theta be the local time minus the vehicle's time. Packets bound it from above, because each arrives after
+its time stamp: theta <= arrival - stamp. Answers to time requests bound it from below, because each is
+stamped after the request was sent: theta >= requested - stamp. The difference of the two bounds is the
+latency: on top of its measured delay no packet took longer. Packets alone cannot show a delay that all of
+them share.
+"""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 
 _DRIFT = 2e-4  # maximum relative drift of the two clocks
 _EARLY_S = 0.05  # a packet that much faster than the fastest before means that a clock was set
 _BACK_S = 0.5  # packets overtake each other by less
 _AHEAD_S = 5.0  # a queue that empties looks like a clock set ahead, but by less
 _WITNESSES = 3  # consecutive packets that must agree that a clock was set
+_EVIDENCE_S = 5.0  # answers to time requests count for this long: the way to the vehicle may become slower
 
 
 class VehicleClock:
@@ -32,6 +41,9 @@ class VehicleClock:
         self._last_stamp = 0.0
         self._witnesses: list[tuple[float, float]] = []
         self._late: tuple[float, float] | None = None  # since when, and the minimum offset since
+        self._answers: deque[tuple[float, float]] = deque(
+            maxlen=64
+        )  # time of the request, lower bound of theta
 
     def arrival(self, stamp_s: float, now_s: float) -> float | None:
         """Arrival time that a packet would have had with the smallest delay so far; None while in doubt.
@@ -48,6 +60,7 @@ class VehicleClock:
                 return None
             if not -_AHEAD_S < offset - self._offset < _BACK_S:
                 self.jumps += 1
+            self._answers.clear()  # of the clock before it was set
             self._offset = offset
             self._last_stamp = stamp_s
         else:
@@ -68,6 +81,23 @@ class VehicleClock:
         minimum = requested_s - clock_s
         if self._offset is not None and 0 < minimum - self._offset < _AHEAD_S:
             self._offset = minimum
+        self._answers.append((requested_s, minimum))
+
+    @property
+    def latency_s(self) -> float:
+        """Upper bound of the age of the last packet at the time that `arrival` returned for it [s].
+
+        It is the sum of the minimum delays of both directions, with the answers to the requests of the last
+        5 s. A set-point that is computed from the packet takes effect that long after `arrival`, if it is as
+        fast as the fastest of these requests. NaN without a packet, or without such an answer.
+        """
+        now_s = self._last_now
+        while self._answers and now_s - self._answers[0][0] > _EVIDENCE_S:
+            self._answers.popleft()
+        if self._offset is None or not self._answers:
+            return math.nan
+        minimum = max(bound - _DRIFT * (now_s - requested_s) for requested_s, bound in self._answers)
+        return max(0.0, self._offset - minimum)
 
     def _patient(self, before: float, offset: float, now_s: float) -> float:
         if offset <= before + _EARLY_S:

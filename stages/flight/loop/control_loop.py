@@ -279,7 +279,7 @@ class ControlLoop:
         silence = math.inf if status.heard_s is None or self._link_failed else now_s - status.heard_s
         return Facts(
             now_s=now_s,
-            state_age_s=math.inf if state is None else now_s - state.received_s,
+            state_age_s=math.inf if state is None else state.age_s(now_s),
             jump_m=self._jump_m,
             silence_s=silence,
             armed=status.armed,
@@ -437,7 +437,7 @@ class ControlLoop:
         spent_s: float,
         flown: FilterSample | None,
     ) -> None:
-        times = (now_s - self._begin_s, late_s, spent_s, 0.0 if state is None else now_s - state.received_s)
+        times = (now_s - self._begin_s, late_s, spent_s, 0.0 if state is None else state.age_s(now_s))
         self.recorder.tick(
             tick_sample(times, self.state.value, state, self.link.status, self._fence_m, flown)
         )

@@ -82,7 +82,8 @@ class FenceGuard:
         dt_s: duration of a tick [s].
         takes_rates: the link accepts rates.
         reserve_m: distance kept beyond the radius, for errors of the model [m].
-        latency_s: latency of state and command [s].
+        latency_s: assumed latency of state and command; the state is predicted over what a longer measured
+            one exceeds it by [s].
 
     Raises:
         UsageError: the geofence rejects the fence or a number.
@@ -110,6 +111,7 @@ class FenceGuard:
         except (TypeError, ValueError) as error:
             raise UsageError(f"geofence: {error}") from error
         self._flies = False
+        self._latency_s = latency_s
         self._lead_s = latency_s + dt_s + max(vehicle.rates.time_constant_s, _LOOP_S)
 
     def reset(self) -> None:
@@ -137,8 +139,9 @@ class FenceGuard:
             age_s: age of the state [s].
             setpoint: of the commander.
         """
+        ahead_s = age_s + max(0.0, state.latency_s - self._latency_s)
         row = np.concatenate(
-            [state.position + age_s * state.velocity, state.velocity, state.attitude_wxyz, state.omega]
+            [state.position + ahead_s * state.velocity, state.velocity, state.attitude_wxyz, state.omega]
         )
         if isinstance(setpoint, RatesSetpoint):
             pilot = np.array([self._model.throttle_for(setpoint.thrust_m_s2), *setpoint.omega])

@@ -42,6 +42,7 @@ class Needs:
         state_hz: minimum rate of states [Hz].
         loop_hz: nominal rate of the loop [Hz].
         silence_s, stale_s: maximum age of the last message and of the state [s].
+        latency_s: latency for which the geofence was made; the measured one must not exceed it [s].
         battery_share: minimum charge, from 0 to 1; with 0 the vehicle need not report it.
         max_tilt_rad: maximum tilt on the ground [rad].
         frame: what the check by hand found wrong; empty when nothing is, None when it was not made.
@@ -62,6 +63,7 @@ class Needs:
     loop_hz: float = 100.0
     silence_s: float = 1.5
     stale_s: float = 0.15
+    latency_s: float = math.inf
     battery_share: float = 0.3
     max_tilt_rad: float = 0.35
     frame: str | None = None
@@ -153,14 +155,28 @@ def _thrust(seen: Observed, needs: Needs) -> Verdict:
 def _position(seen: Observed, needs: Needs) -> Verdict:
     if seen.state is None:
         return Verdict("state", False, "no complete and finite state was received", of_link=True)
-    state, age = seen.state, seen.now_s - seen.state.received_s
+    state, age = seen.state, seen.state.age_s(seen.now_s)
     if not all(np.isfinite(part).all() for part in (state.position, state.velocity, state.omega)):
         return Verdict("state", False, "position, velocity or rates are not finite", of_link=True)
     if not _is_attitude(state):
         return Verdict("state", False, "the attitude is not a unit quaternion", of_link=True)
     x, y, z = state.position
+    where = f"at ({x:.2f} {y:.2f} {z:.2f})"
+    if math.isnan(age):
+        return Verdict("state", False, f"{where}, of unknown age: the latency was not measured", True, True)
     holds = abs(age) <= needs.stale_s  # a time in the future is an error, too
-    return Verdict("state", holds, f"at ({x:.2f} {y:.2f} {z:.2f}), {age:.3f} s old", True)
+    return Verdict("state", holds, f"{where}, at most {age:.3f} s old", True)
+
+
+def _latency(seen: Observed, needs: Needs) -> Verdict:
+    """A delay that all packets share shows in no packet, only in the answers to time requests."""
+    latency_s = math.nan if seen.state is None else seen.state.latency_s
+    if math.isnan(latency_s):
+        return _unknown("latency", "its time when asked for it")
+    words = f"the fastest states and commands take {latency_s:.3f} s together"
+    holds = latency_s <= needs.latency_s
+    advice = "" if holds else f"; --latency has {needs.latency_s:.3f} s"
+    return Verdict("latency", holds, words + advice, of_link=True)
 
 
 def _is_attitude(state: VehicleState) -> bool:
@@ -322,6 +338,7 @@ CHECKS: tuple[Callable[[Observed, Needs], Verdict], ...] = (
     _setpoints,
     _thrust,
     _position,
+    _latency,
     _rate,
     _loop,
     _estimator,

@@ -20,8 +20,8 @@ from support.small_scenes import box_cover, line_plan
 LEVEL = np.array([1.0, 0, 0, 0])
 
 
-def state(position=(START[0], START[1], 0.0), velocity=(0, 0, 0), quat=LEVEL, at=10.0):
-    return VehicleState(at, *(np.array(v, float) for v in (position, velocity, quat)), np.zeros(3))
+def state(position=(START[0], START[1], 0.0), velocity=(0, 0, 0), quat=LEVEL, at=10.0, latency_s=0.01):
+    return VehicleState(at, *(np.array(v, float) for v in (position, velocity, quat)), np.zeros(3), latency_s)
 
 
 def observed(**fields):
@@ -52,7 +52,7 @@ def failed(seen, needs=NEEDS):
 def test_all_checks_hold_for_a_vehicle_that_is_ready():
     found = verdicts(observed(), NEEDS)
     assert [v.name for v in found if not v.holds] == []
-    assert len({v.name for v in found}) == len(CHECKS) == 17
+    assert len({v.name for v in found}) == len(CHECKS) == 18
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,10 @@ def test_all_checks_hold_for_a_vehicle_that_is_ready():
         ({"hover": 0.5}, ["thrust"]),  # FastBridge's has 0.27: the fence would brake too late
         ({"hover": 0.15}, ["thrust"]),
         ({"hover": 0.35}, []),
-        ({"state": None}, ["state", "level", "start", "clearance", "landing", "fence"]),
+        ({"state": None}, ["state", "latency", "level", "start", "clearance", "landing", "fence"]),
+        ({"state": state(latency_s=0.7)}, ["state", "latency"]),
+        ({"state": state(latency_s=0.04)}, ["latency"]),  # the geofence is made for 0.03 s
+        ({"state": state(latency_s=np.nan)}, ["state", "latency"]),
         ({"state": state(at=9.8)}, ["state"]),
         ({"states": 30}, ["rate"]),
         ({"ticks": 150}, ["loop"]),

@@ -40,6 +40,7 @@ _KNOWN_M2 = 0.01  # maximum variance of a position that is good enough to fly
 _EMPTY_V, _FULL_V = 3.0, 4.1  # while hovering
 _SILENCE_S = 0.3  # the vehicle's own watchdog levels out at 0.5 s and stops the motors at 2 s
 _NOTICE_S = 0.25
+_ECHO_S = 0.2
 _WRAP_MS = 1 << 24
 _MAX_TEXTS = 100
 _RESTORE_S = 3.0
@@ -92,7 +93,7 @@ class CrazyflieLink:
         self._status_read: object = None
         self._stamp_ms: int | None = None
         self._streamed_s: float | None = None
-        self._noticed_s = -math.inf
+        self._noticed_s = self._echo_s = -math.inf
         self._period_ms = max(10, 10 * round(100 / options.state_rate_hz))
         self._lost = 0  # written by cflib's thread
         self._is_prepared = False
@@ -176,6 +177,9 @@ class CrazyflieLink:
         """Receive all that has arrived, and send periodic messages."""
         self._forward_pose(now_s)
         session, status = self._session, self._status
+        if session.lost is None and now_s - self._echo_s >= _ECHO_S:
+            self._echo_s = now_s
+            session.request_echo(now_s)
         status.heard_s, status.lost_packets = session.heard_s, self._lost
         self._read_state(now_s)
         self._read_status(now_s)
@@ -359,6 +363,7 @@ class CrazyflieLink:
             frame.vector_from_local(velocity),
             frame.attitude_from_local(np.array([w, i, j, k])),
             omega,
+            self._session.latency_s(now_s),
         )
 
     def _read_status(self, now_s: float) -> None:

@@ -9,6 +9,7 @@ import logging
 import math
 import struct
 import threading
+from collections import deque
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -21,7 +22,9 @@ _SUPERVISOR_PROTOCOL = 12
 _POLL_S = 0.01
 _ANSWER_S = 3.0
 _SETTLE_S = 0.03
-_HIGH_LEVEL, _PLATFORM, _LOCALIZATION = 8, 13, 6  # ports of CRTP
+_HIGH_LEVEL, _PLATFORM, _LOCALIZATION, _LINK = 8, 13, 6, 15  # ports of CRTP
+_ECHO = b"alula"  # begins an echo request, so that the answers to those of cflib are not taken
+_ROUND_TRIPS_S = 5.0  # answers to echo requests count for this long
 _ARM, _WATCHDOG = 1, 4
 _MAX_TEXT = 1000
 
@@ -39,12 +42,16 @@ class Session:
     Attributes:
         heard_s: when the last packet arrived, monotonic clock [s].
         lost: why the connection ended; None while it holds.
+        round_trips: times of the newest echo requests and of their round trips, both [s].
     """
 
     def __init__(self, uri: str, options: LinkOptions) -> None:
         self.uri, self.options = uri, options
         self.heard_s: float | None = None
         self.lost: str | None = None
+        self.round_trips: deque[tuple[float, float]] = deque(maxlen=64)
+        self._echoes: dict[int, float] = {}  # requests by number: when they were queued
+        self._echo = 0
         self._vehicle: Any = None
         self._ready = threading.Event()
         self._updates: dict[str, int] = {}  # number of received values by parameter
@@ -85,6 +92,7 @@ class Session:
         vehicle.packet_received.add_callback(self._note_packet)
         vehicle.console.receivedChar.add_callback(self._take_text)
         vehicle.add_port_callback(_HIGH_LEVEL, self._take_answer)
+        vehicle.add_port_callback(_LINK, self._take_echo)
         vehicle.param.add_update_callback(cb=self._count)
         vehicle.open_link(self.uri)
         if not self.wait(lambda: self._ready.is_set() or self.lost is not None, timeout_s) or self.lost:
@@ -210,6 +218,32 @@ class Session:
         else:
             self.post(lambda vehicle: _send_raw(vehicle, _LOCALIZATION, 1, bytes([_WATCHDOG])))
 
+    def request_echo(self, now_s: float) -> None:
+        """Send a request that the vehicle's firmware returns unchanged.
+
+        Args:
+            now_s: monotonic clock [s].
+        """
+        self._echo = (self._echo + 1) & 0xFFFFFFFF
+        self._echoes[self._echo] = now_s
+        if len(self._echoes) > 64:
+            self._echoes.pop(next(iter(self._echoes)), None)
+        data = _ECHO + struct.pack("<I", self._echo)
+        self.post(lambda vehicle: _send_raw(vehicle, _LINK, 0, data))
+
+    def latency_s(self, now_s: float) -> float:
+        """Minimum round trip of the echo requests of the last 5 s [s]; NaN if none was answered.
+
+        The fastest state took at most that long, because the answer came the same way.
+
+        Args:
+            now_s: monotonic clock [s].
+        """
+        return min(
+            (trip_s for sent_s, trip_s in list(self.round_trips) if now_s - sent_s <= _ROUND_TRIPS_S),
+            default=math.nan,
+        )
+
     def texts(self) -> list[str]:
         """Lines of the vehicle's console since the last call."""
         return _drained(self._texts)
@@ -267,6 +301,13 @@ class Session:
             shown = "".join(each for each in line if each.isprintable()).strip()
             if shown:
                 self._texts.put(shown)
+
+    def _take_echo(self, packet: Any) -> None:
+        data = bytes(packet.data)
+        if packet.channel == 0 and data[:-4] == _ECHO:
+            sent_s = self._echoes.pop(struct.unpack("<I", data[-4:])[0], None)
+            if sent_s is not None:
+                self.round_trips.append((sent_s, self.options.clock() - sent_s))
 
     def _take_answer(self, packet: Any) -> None:
         if len(packet.data) >= 4:

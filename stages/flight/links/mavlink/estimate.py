@@ -36,7 +36,8 @@ class Estimate:
     Position and attitude arrive separately. The older of the two is extrapolated to the time of the newer,
     p + v dt or q exp(omega dt), over at most 50 ms. If they are further apart there is no new state, so a
     state ages as soon as either stops. `VehicleState.received_s` is the arrival time with the smallest
-    delay so far: a delayed packet is already old when it arrives.
+    delay so far: a delayed packet is already old when it arrives. `VehicleState.latency_s` bounds that
+    smallest delay by the answers to time requests.
 
     Args:
         frame: the world frame relative to the vehicle's local frame.
@@ -181,6 +182,7 @@ class Estimate:
             velocity=self.frame.vector_from_ned(translation.second),
             attitude_wxyz=self.frame.attitude_from_ned(quat),
             omega=flipped_body(attitude.second),
+            latency_s=self._clocks["odometry" if self._has_odometry else "boot"].latency_s,
         )
 
 

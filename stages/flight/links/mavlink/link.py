@@ -40,6 +40,7 @@ _STATE_S = 1.0  # after this time without state, intervals are requested again: 
 _REQUEST_AGAIN_S = 2.0
 _ORIGIN_S = 1.0
 _SYNC_S = 0.5
+_REQUESTS = 32  # time requests whose answers are awaited: 16 s of them
 _GUIDED_NOGPS = (20, 0)
 
 
@@ -84,7 +85,7 @@ class MavlinkLink:
         self._version: Any = None
         self._origin: Any = None
         self._origin_s = self._requested_s = self._streamed_s = self._sync_s = -math.inf
-        self._round_trip_s: float | None = None
+        self._requests: dict[int, float] = {}  # time requests by their number [ns]: when they were sent [s]
         self._parameters: Parameters | None = None
         self._orders: Orders | None = None
         self._encoder: SetpointEncoder | None = None
@@ -122,11 +123,6 @@ class MavlinkLink:
     def unsent(self) -> int:
         """Number of packets dropped because the line's buffer was full."""
         return self._session.unsent
-
-    @property
-    def round_trip_s(self) -> float | None:
-        """Time until the last answer of the vehicle; a state is older than it shows by at most that [s]."""
-        return self._round_trip_s
 
     def open(self, timeout_s: float) -> str:
         """Connect to the vehicle within `timeout_s` [s]; returns a description of it.
@@ -181,7 +177,7 @@ class MavlinkLink:
         self._orders.poll(now_s)
         if now_s - self._sync_s >= _SYNC_S:
             self._sync_s = now_s
-            self._session.send(dialect.MAVLink_timesync_message(0, round(now_s * 1e9)))
+            self._request_time(now_s)
         if self._stream is not None and now_s - self._streamed_s >= _STREAM_S:
             self._streamed_s = now_s
             self._stream_since_s = min(self._stream_since_s, now_s)
@@ -340,7 +336,7 @@ class MavlinkLink:
         elif kind == "AUTOPILOT_VERSION":
             self._version = message
         elif kind == "TIMESYNC":
-            self._take_time(message, now_s)
+            self._take_time(message)
         elif kind == "GPS_GLOBAL_ORIGIN":
             self._origin = message
         else:
@@ -349,11 +345,17 @@ class MavlinkLink:
                 if self._orders is not None:
                     self._orders.take_text(text, now_s)
 
-    def _take_time(self, message: Any, now_s: float) -> None:
-        """Process the answer to the newest time request; the vehicle's own requests stay unanswered."""
-        if message.tc1 > 0 and message.ts1 == round(self._sync_s * 1e9):
-            self._round_trip_s = now_s - self._sync_s
-            self._estimate.synchronise(message.tc1 * 1e-9, self._sync_s)
+    def _take_time(self, message: Any) -> None:
+        """Process the first answer to a time request; the vehicle's own requests stay unanswered."""
+        if message.tc1 > 0 and (requested_s := self._requests.pop(message.ts1, None)) is not None:
+            self._estimate.synchronise(message.tc1 * 1e-9, requested_s)
+
+    def _request_time(self, now_s: float) -> None:
+        number = round(now_s * 1e9)
+        self._requests[number] = now_s
+        if len(self._requests) > _REQUESTS:
+            del self._requests[next(iter(self._requests))]
+        self._session.send(dialect.MAVLink_timesync_message(0, number))
 
     def _forward_mocap(self, now_s: float) -> None:
         if self._mocap is None:

@@ -6,8 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from alula.stages.flight.links.vehicle_clock import VehicleClock
+from support.effort import examples
 from support.mavlink_peer import m, said, vehicle
 
 
@@ -144,7 +147,7 @@ def test_a_clock_that_stood_still_is_told_from_packets_that_are_late():
 
         time.run(link, 1.0, each=state)
         assert age() < 0.012
-        assert link.round_trip_s == pytest.approx(0.01, abs=0.011)
+        assert link.state.latency_s == pytest.approx(0.01, abs=0.011)
         peer.boot_s -= 0.3  # it stood still
         time.run(link, 0.1, each=state)
         assert age() > 0.0
@@ -162,6 +165,63 @@ def test_a_clock_that_stood_still_is_told_from_packets_that_are_late():
         time.run(link, 5.0, each=late)
         assert age() > 0.27
         assert link.status.clock_jumps == 0
+
+
+@pytest.mark.parametrize(("up_s", "down_s"), [(0.0, 0.7), (0.7, 0.0), (0.05, 0.04), (0.0, 1.5)])
+def test_a_delay_that_all_packets_share_is_measured_by_round_trips(up_s, down_s):
+    with vehicle() as (peer, time, link):
+        peer.up_s, peer.down_s = up_s, down_s
+        time.run(link, 6.0, each=lambda: peer.send_state((1, 2, 3)))
+        assert up_s + down_s - 0.011 <= link.state.latency_s <= up_s + down_s + 0.03
+        assert link.state.age_s(time()) >= up_s + down_s - 0.011
+        peer.answers_time = False  # the evidence ends: a line to the vehicle that became slow would not show
+        time.run(link, 6.0 + up_s + down_s, each=lambda: peer.send_state((1, 2, 3)))
+        assert math.isnan(link.state.age_s(time()))
+
+
+def test_a_line_to_the_vehicle_that_becomes_slow_shows_within_seconds():
+    with vehicle() as (peer, time, link):
+        time.run(link, 2.0, each=lambda: peer.send_state((1, 2, 3)))
+        assert link.state.latency_s < 0.03
+        peer.up_s = 0.4
+        time.run(link, 6.0, each=lambda: peer.send_state((1, 2, 3)))
+        assert link.state.latency_s == pytest.approx(0.41, abs=0.02)
+
+
+@given(
+    up_s=st.floats(0, 1.5),
+    down_s=st.floats(0, 1.5),
+    jitter_s=st.floats(0, 0.2),
+    drift=st.floats(-1e-4, 1e-4),
+    seed=st.integers(0, 2**32 - 1),
+)
+@settings(max_examples=examples(40))
+def test_no_state_is_older_than_its_age_says(up_s, down_s, jitter_s, drift, seed):
+    random = np.random.default_rng(seed)
+    clock, zero = VehicleClock(), random.uniform(-1e4, 1e4)
+
+    def vehicle_s(now_s):
+        return zero + now_s * (1 + drift)
+
+    arrivals = []  # of states: when, time stamp, when measured
+    for k in range(400):
+        measured_s = k * 0.03
+        arrivals.append((measured_s + down_s + random.uniform(0, jitter_s), vehicle_s(measured_s), measured_s))
+    answers = []  # of time requests: when, vehicle's clock, when requested
+    for k in range(24):
+        requested_s = k * 0.5
+        there_s = requested_s + up_s + random.uniform(0, jitter_s)
+        back_s = there_s + down_s + random.uniform(0, jitter_s)
+        answers.append((back_s, vehicle_s(there_s), requested_s))
+    answers.sort()
+    for now_s, stamp_s, measured_s in sorted(arrivals):
+        while answers and answers[0][0] <= now_s:
+            clock.synchronise(answers[0][1], answers[0][2])
+            answers.pop(0)
+        arrival_s = clock.arrival(stamp_s, now_s)
+        if arrival_s is not None and not math.isnan(clock.latency_s):
+            assert now_s - arrival_s + clock.latency_s >= now_s - measured_s - 1e-9
+            assert clock.latency_s <= up_s + down_s + 2 * jitter_s + 0.01
 
 
 def test_patience_ends_where_nobody_can_be_asked():
