@@ -17,6 +17,7 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import LinkError
+from alula.stages.durations import Durations
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.commanders.protocol import Commander
 from alula.stages.flight.links.protocol import Link, Order, Setpoint, VehicleState, refusal_words
@@ -89,9 +90,9 @@ class Counters:
         skipped: deadlines that were left out.
     """
 
-    late_s: list[float] = field(default_factory=list)
-    tick_s: list[float] = field(default_factory=list)
-    filter_s: list[float] = field(default_factory=list)
+    late_s: Durations = field(default_factory=Durations)
+    tick_s: Durations = field(default_factory=Durations)
+    filter_s: Durations = field(default_factory=Durations)
     overruns: int = 0
     skipped: int = 0
 

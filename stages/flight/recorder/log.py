@@ -252,6 +252,29 @@ def _replace(temporary: Path, path: Path) -> None:
             os.close(folder)
 
 
+class _Path:
+    """At most 4,000 evenly spaced points of a path, whatever its length."""
+
+    def __init__(self) -> None:
+        self._points: list[tuple[float, float, float]] = []
+        self._stride, self._count = 1, 0
+        self._last: tuple[float, float, float] | None = None
+
+    def append(self, point: tuple[float, float, float]) -> None:
+        self._last = point
+        if self._count % self._stride == 0:
+            self._points.append(point)
+        self._count += 1
+        if len(self._points) == 2 * _PATH_POINTS:
+            self._points, self._stride = self._points[::2], 2 * self._stride
+
+    @property
+    def points(self) -> FloatArray:
+        """Points and the last one, shape (n, 3), world frame [m]."""
+        last = [] if self._last is None else [self._last]
+        return np.array(self._points + last, np.float64).reshape(-1, 3)
+
+
 class _Writer:
     """Log in the writer process; `moves` is empty, or the temporary and the final path of the log."""
 
@@ -266,7 +289,7 @@ class _Writer:
         }
         self.log.note(FLIGHT_METADATA, texts)
         self.log.send("/map", 0.0, head.map_message)
-        self.path: list[tuple[float, float, float]] = []
+        self.path = _Path()
         self.last_s = 0.0
 
     def take(self, message: bytes) -> bool:
@@ -287,9 +310,7 @@ class _Writer:
                 self._say(f"{line.time_s:7.2f} s  {line.words}\n")
         elif kind == b"f":
             record = msgspec.msgpack.decode(body, type=RunRecord)
-            if self.path:
-                stride = max(1, len(self.path) // _PATH_POINTS)
-                points = np.array(self.path[::stride] + self.path[-1:])
+            if len(points := self.path.points):
                 self.log.send("/path", self.last_s, path_message(points, self.head.frame, self.last_s))
             self.log.finish(record)
             return False

@@ -74,7 +74,7 @@ def test_a_dry_run_checks_everything_and_orders_nothing():
     assert loop.supervision.cause is Event.CHECKS_PASSED_DRY
     assert vehicle.orders == [Order.NOTHING]
     assert not vehicle.sent
-    assert len(loop.checks.verdicts) == 17
+    assert len(loop.checks.verdicts) == 18
     assert all(v.holds for v in loop.checks.verdicts)
 
 
@@ -302,7 +302,7 @@ def test_a_late_loop_is_held_counted_and_not_made_up_for():
     assert loop.supervision.cause is Event.PLAN_FINISHED
     assert loop.counters.skipped == 30
     assert loop.counters.overruns >= 1
-    assert max(loop.counters.late_s) == pytest.approx(0.3, abs=1e-6)
+    assert loop.counters.late_s.max_s == pytest.approx(0.3, abs=1e-6)
     times = [s.time_s for s in loop.recorder.samples]
     assert min(np.diff(times)) > 1e-3  # no burst
     assert np.allclose(np.diff(times)[-300:], 0.01, atol=1e-6)  # and back on the grid

@@ -206,7 +206,9 @@ def test_no_state_is_older_than_its_age_says(up_s, down_s, jitter_s, drift, seed
     arrivals = []  # of states: when, time stamp, when measured
     for k in range(400):
         measured_s = k * 0.03
-        arrivals.append((measured_s + down_s + random.uniform(0, jitter_s), vehicle_s(measured_s), measured_s))
+        arrivals.append(
+            (measured_s + down_s + random.uniform(0, jitter_s), vehicle_s(measured_s), measured_s)
+        )
     answers = []  # of time requests: when, vehicle's clock, when requested
     for k in range(24):
         requested_s = k * 0.5
