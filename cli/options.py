@@ -243,6 +243,43 @@ def is_given(context: click.Context, name: str) -> bool:
     return context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
 
 
+def scheduler(what: str) -> Callable[[F], F]:
+    """Add `--scheduler`, and `--allow-remote`, without which its address must be on this machine.
+
+    Args:
+        what: is sent to it, as the first word of the help.
+    """
+
+    def check(context: click.Context, _parameter: click.Parameter, value: str | None) -> str | None:
+        from alula.stages.distribute import check_scheduler
+
+        if value is not None:
+            check_scheduler(value, allow_remote=context.meta.get("allow_remote", False))
+        return value
+
+    def allow(context: click.Context, _parameter: click.Parameter, value: bool) -> None:
+        context.meta["allow_remote"] = value
+
+    def add(function: F) -> F:
+        click.option(
+            "--allow-remote",
+            is_flag=True,
+            is_eager=True,
+            expose_value=False,
+            callback=allow,
+            help="Allow a --scheduler on another machine. Scheduler and workers can run any code here, and "
+            "see what they are sent: use only those that you trust.",
+        )(function)
+        return click.option(
+            "--scheduler",
+            metavar="ADDRESS",
+            callback=check,
+            help=f"{what} to this dask.distributed scheduler, tcp://host:port.",
+        )(function)
+
+    return add
+
+
 def input_path() -> FilePath:
     """Type of a file to read; the reader checks that it exists and is a file, with exit code 3."""
     return PATH

@@ -25,12 +25,7 @@ Examples:
     type=options.FINITE_FLOAT,
     help="Edge of a tile [m]: each job works on one tile at a time, which bounds the memory.",
 )
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Send tiles, 128 voxels wide unless --tile is given, to this dask.distributed scheduler, "
-    "tcp://host:port.",
-)
+@options.scheduler("Send tiles, 128 voxels wide unless --tile is given,")
 @options.output(".voxels.npz")
 @click.pass_context
 def command(

@@ -11,9 +11,11 @@ from typing import Any, Protocol, TypeVar
 
 from alula.schemas.errors import LinkError, UsageError
 from alula.schemas.manifest import producer
+from alula.stages.loopback import is_loopback
 
 Chunk = TypeVar("Chunk")
 Result = TypeVar("Result")
+_ADDRESS = re.compile(r"(?:tcp|tls|ucx|ws|wss)://(\S+):\d{1,5}")
 TIMEOUT_S = 10.0  # maximum time for a scheduler to answer and to have a worker
 
 
@@ -76,6 +78,23 @@ def distribute(
                 future.cancel()
 
 
+def check_scheduler(address: str, *, allow_remote: bool) -> None:
+    """Reject the address of a scheduler that is malformed, or on another machine without permission.
+
+    Args:
+        address: of a `dask.distributed` scheduler, tcp://host:port.
+        allow_remote: accept another machine.
+
+    Raises:
+        UsageError: the address is rejected.
+    """
+    if not (found := _ADDRESS.fullmatch(address)):
+        raise UsageError(f"--scheduler must be an address like tcp://host:8786, not {address!r}")
+    host = found[1].strip("[]")
+    if not allow_remote and not is_loopback(host):
+        raise UsageError(f"--scheduler: {host} is not this machine; pass --allow-remote to allow it")
+
+
 class _Pool:
     def __init__(self, executor: Executor, jobs: int) -> None:
         self._executor, self._jobs = executor, jobs
@@ -118,8 +137,7 @@ class _Cluster:
 
 @contextmanager
 def _cluster(address: str, timeout_s: float) -> Iterator[_Workers]:
-    if not re.fullmatch(r"(tcp|tls|ucx|ws|wss)://\S+:\d{1,5}", address):
-        raise UsageError(f"--scheduler must be an address like tcp://host:8786, not {address!r}")
+    check_scheduler(address, allow_remote=True)
     try:
         import dask
         import distributed

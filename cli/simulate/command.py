@@ -67,12 +67,7 @@ _GUIDE = "guide."  # before the name of a parameter of the guide
     metavar="NAME=VALUE",
     help="Set a parameter of the filter, or with guide.NAME=VALUE of the guide; may be repeated.",
 )
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Send trials of scenarios with moving obstacles or a fence to this dask.distributed scheduler, "
-    "tcp://host:port.",
-)
+@options.scheduler("Send trials of scenarios with moving obstacles or a fence")
 @options.from_config(SimulateConfig)
 @options.output(".run.mcap")
 @click.pass_context

@@ -158,7 +158,7 @@ def test_what_is_wrong_is_one_line(here, capsys, words, said):
 
 def test_a_scheduler_is_for_moving_obstacles(here, capsys):
     Path("other.toml").write_text('[map]\ncover = "c.cover.npz"')
-    assert run(["simulate", "other.toml", "-o", "r.run.mcap", "--scheduler", "tcp://a:1"]) == 2
+    assert run(["simulate", "other.toml", "-o", "r.run.mcap", "--scheduler", "tcp://127.0.0.1:1"]) == 2
     assert "--scheduler is for scenarios with moving obstacles" in capsys.readouterr().err
 
 

@@ -72,6 +72,7 @@ def test_a_dry_run_writes_nothing(scene, tmp_path, capsys):
         (["--min-opacity", "2"], 2, "--min-opacity must be between 0 and 1"),
         (["--tile", "0"], 2, "--tile must be more than 0"),
         (["--scheduler", "nowhere"], 2, "--scheduler must be an address like tcp://host:8786"),
+        (["--scheduler", "tcp://10.0.0.7:8786"], 2, "10.0.0.7 is not this machine; pass --allow-remote"),
         (["--size", "0.0001"], 3, "a.scene.npz: the scene would need at least"),
         (["--min-overlap", "199", "--size", "0.1"], 5, "no voxel is touched by 199 Gaussians"),
         (["--crop", "8", "8", "8", "9", "9", "9"], 5, "no Gaussian touches the crop"),

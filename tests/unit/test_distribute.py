@@ -12,7 +12,7 @@ from alula.schemas.manifest import Producer
 from alula.stages import distribute as module
 from alula.stages.compression import tiles
 from alula.stages.compression.voxelize import voxelize
-from alula.stages.distribute import distribute
+from alula.stages.distribute import check_scheduler, distribute
 from support.clusters import Cluster
 from support.fabricate import make_scene
 
@@ -130,3 +130,12 @@ def test_workers_of_another_version_are_refused(cluster, monkeypatch):
     monkeypatch.setattr(module, "producer", lambda: Producer("alula", "0.0", "none"))
     with pytest.raises(LinkError, match=r"runs alula .*, not 0\.0 \(none\)"):
         list(distribute(square, [1], scheduler=cluster.address, timeout_s=180))
+
+
+@pytest.mark.parametrize("address", ["tcp://10.0.0.7:8786", "tls://cluster.example:8786", "tcp://[::2]:8786"])
+def test_a_scheduler_on_another_machine_needs_permission(address):
+    with pytest.raises(UsageError, match="is not this machine; pass --allow-remote"):
+        check_scheduler(address, allow_remote=False)
+    check_scheduler(address, allow_remote=True)
+    for local in ("tcp://127.0.0.1:8786", "tcp://localhost:8786", "tcp://[::1]:8786"):
+        check_scheduler(local, allow_remote=False)

@@ -11,11 +11,11 @@ sim:?delay_ms=20
 
 from __future__ import annotations
 
-import ipaddress
 from dataclasses import dataclass, field
 from urllib.parse import parse_qsl
 
 from alula.schemas.errors import UsageError
+from alula.stages.loopback import is_loopback
 
 NETWORK_SCHEMES = ("udpin", "udpout", "udp", "tcp")
 LOCAL_SCHEMES = ("serial", "sim", "radio", "usb")  # no network: cables, this process, a dedicated radio
@@ -93,16 +93,6 @@ def parse_address(text: str) -> Address:
     if len(options) < len(pairs):
         raise UsageError(f"{text!r}: an option is given twice")
     return Address(scheme, place, options)
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether packets to and from a host stay on this machine; the only such name is localhost."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def check_address(text: str, allow_remote: bool) -> None:

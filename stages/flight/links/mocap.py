@@ -29,6 +29,7 @@ from alula.stages.vehicles.frames import LocalFrame
 
 STALE_S = 0.15
 _PATIENCE_S = 2.0  # after that long a camera clock that was set back a little is accepted
+_DESERTED_S = 2.0  # another sender is accepted when the first was silent for so long
 _PERIOD_S = 0.02
 _POSE_PERIOD_S = 0.01
 _MAX_BYTES = 1024
@@ -52,7 +53,9 @@ class Mocap:
     """Receiver of motion capture that makes VISION_POSITION_ESTIMATE and VISION_SPEED_ESTIMATE at 50 Hz.
 
     It sends them while samples arrive. It drops a sample that is not finite, out of range, without a unit
-    attitude, late or repeated.
+    attitude, late or repeated. The sender of the first good sample is the only one until it has been silent
+    for 2 s: samples from other addresses are refused. Nothing proves who it is, so the address belongs on
+    this machine or in a network of its own.
 
     Args:
         address: `udp:HOST:PORT` to listen on.
@@ -76,6 +79,8 @@ class Mocap:
         self._decoder = msgspec.json.Decoder(MocapSample)
         self._clock = VehicleClock(_PATIENCE_S)
         self._recent: deque[tuple[float, MocapSample]] = deque(maxlen=256)
+        self._sender: Any = None
+        self._heard_s = -math.inf
         self._arrival_s = -math.inf
         self._next_s = -math.inf
         self._sent_s = -math.inf
@@ -123,17 +128,25 @@ class Mocap:
         assert self._socket is not None
         for _ in range(_MAX_READS):
             try:
-                data = self._socket.recv(_MAX_BYTES + 1)
+                data, sender = self._socket.recvfrom(_MAX_BYTES + 1)
             except OSError:
                 break
-            self.take(data, now_s)
+            self.take(data, now_s, sender)
 
-    def take(self, data: bytes, now_s: float) -> None:
-        """Process a datagram that arrived at `now_s` [s]."""
-        sample = self._checked(data)
+    def take(self, data: bytes, now_s: float, sender: Any = None) -> None:
+        """Process a datagram.
+
+        Args:
+            data: its content.
+            now_s: when it arrived, monotonic clock [s].
+            sender: its address.
+        """
+        is_stranger = sender != self._sender and now_s - self._heard_s < _DESERTED_S
+        sample = None if is_stranger else self._checked(data)
         if sample is None:
             self.bad += 1
             return
+        self._sender, self._heard_s = sender, now_s
         jumps = self._clock.jumps
         arrival_s = self._clock.arrival(sample.time_s, now_s)
         if self._clock.jumps != jumps:

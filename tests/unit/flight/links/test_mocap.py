@@ -80,6 +80,22 @@ def test_samples_are_forwarded_at_50_hz_in_the_vehicles_frame(sender):
         assert not peer.of("VISION_POSITION_ESTIMATE")
 
 
+def test_another_sender_is_refused_until_the_first_was_silent_for_two_seconds():
+    mocap = Mocap("udp:127.0.0.1:9", FRAME)
+    first, other = ("127.0.0.1", 40000), ("127.0.0.1", 40001)
+    mocap.take(sample(1.0), 10.0, first)
+    mocap.take(sample(1.1), 10.1, other)
+    assert mocap.bad == 1
+    mocap.take(sample(1.2), 10.2, first)
+    assert mocap.bad == 1
+    assert mocap.is_fresh(10.2)
+    mocap.take(b"{}", 12.3, other)  # it becomes the sender only with a good sample
+    mocap.take(sample(3.3), 12.3, other)
+    assert mocap.bad == 2
+    mocap.take(sample(3.4), 12.4, first)
+    assert mocap.bad == 3
+
+
 def test_when_it_stops_the_state_ages_though_the_vehicle_still_sends_one(sender):
     port = free_port()
     with vehicle(peer=ready_peer(), mocap=f"udp:127.0.0.1:{port}") as (peer, time, link):
