@@ -94,6 +94,16 @@ def test_admissible_faults_end_at_the_goal_in_the_safe_set(room, name, faults):
     assert {s.filter.sent for s in flight.recorder.samples if s.filter} == {SENT[name]}
 
 
+@pytest.mark.parametrize("seconds", [0.06, 0.7, 1.5])
+@pytest.mark.parametrize("way", ["in", "out"])
+def test_no_flight_begins_on_a_line_that_was_always_slow(room, seconds, way):
+    slow = Upset(None, 0.0, fault("delay", duration=1e3, amount=seconds, way=way))
+    flight = fly(room[100.0]["polytope-cbf"], slow)
+    assert "latency" in flight.loop.checks.failure(), (flight.rows, flight.loop.checks.failure())
+    assert not flight.copter.is_armed
+    assert flight.recorder.states == ["checks", "done"]
+
+
 HELD, LOST = ["fly", "hold", "land", "done"], ["fly", "hold", "land", "hand-over", "done"]
 ENDING = {  # the fault, the cause that ends the flight, and its states
     "freeze": (fault("freeze"), Event.TIMED_OUT, HELD),
