@@ -11,10 +11,10 @@ from alula.stages.reporting.table import Table
 VERDICTS = ("reproduced", "bounded", "refuted", "not comparable", "not available here")
 _COLUMNS = ("item", "quantity", "published", "ours", "95 % interval", "verdict", "why")
 _NOTE = (
-    "Reproduced: our value agrees, within its interval or the printed digits. Bounded: ours lies on the safe "
-    "side of the published value, or an interval limits it. Refuted: ours contradicts it. Not comparable: the "
-    "paper leaves out what decides the value. Not available here: it needs hardware or data that this project "
-    "does not have."
+    "Reproduced: our value agrees, within its interval or the printed digits. Bounded: ours is on the safe "
+    "side of the published value, or an interval limits it. Refuted: ours contradicts it. Not comparable: "
+    "the paper leaves out what decides the value. Not available here: it needs hardware or data that this "
+    "project does not have."
 )
 
 
