@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -44,8 +44,13 @@ class Fenced:
 
     @property
     def left(self) -> Rate:
-        """Percentage of flights that left the fence."""
-        return rate(trial.collision for trial in self.record.trials)
+        """Percentage of flights that left the fence; without an interval where all are the same flight."""
+        found = rate(trial.collision for trial in self.record.trials)
+        if "success_interval" not in (summary := self.record.summary):
+            return found
+        interval = summary["success_interval"]
+        low, high = (None, None) if interval is None else (100 * (1 - end) for end in reversed(interval))
+        return replace(found, low=low, high=high)
 
     @property
     def least_m(self) -> float:
