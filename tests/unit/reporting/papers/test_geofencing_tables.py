@@ -105,6 +105,24 @@ def test_an_approach_is_read_off_its_ticks():
     assert (a.min_lambda, a.backup_s, a.engagements) == (0, 0.5, 1)
 
 
+def test_braking_is_measured_to_the_face_that_is_flown_at():
+    """Not to the floor, which is nearer."""
+    faces = np.array([[1.0, 0, 0, 40.0], [0, 0, -1.0, 0.0], [-1.0, 0, 0, 100.0]])
+    here, fast = np.array([10.0, 0, 19.0]), np.array([20.0, 0, -1.0])
+    assert geofencing.distance_ahead(faces, here, fast) == 30
+    assert geofencing.distance_ahead(faces, here, np.array([0.0, 0, -5.0])) == 19
+    assert geofencing.distance_ahead(faces, here, np.zeros(3)) == 19
+    ticks = braking()
+    place = np.tile(here, (len(ticks.time_s), 1))
+    speed = np.zeros_like(place)
+    speed[:, 0] = np.linalg.norm(ticks.velocity, axis=1)
+    moved = Ticks(
+        **{name: getattr(ticks, name) for name in Ticks.__slots__} | {"position": place, "velocity": speed}
+    )
+    a = geofencing.approach(moved, faces, 0.25)
+    assert (a.braking_m, a.halved_m, a.least_m) == (29.75, 29.75, 0.3)
+
+
 def test_an_outage_of_the_radio_is_no_loss_of_the_share():
     ticks = braking()
     silent = geofencing.approach(
