@@ -166,7 +166,8 @@ def _mixing(runs: Sequence[Fenced]) -> list[PaperRow]:
             "mixing λ (9) on the way to a wall",
             "1 far away, decreases, steady between 0 and 1 where the drone stops",
             f"{text(float(share[0]))} at 40 m, minimum {text(a.min_lambda)}, "
-            f"at last {text(float(share[-1]))} at {text(a.rest_m + run.radius_m)} m of the centre, speed there {text(speed)} m/s",
+            f"at last {text(float(share[-1]))} at {text(a.rest_m + run.radius_m)} m of the centre, where the "
+            f"speed is {text(speed)} m/s",
             _ONE,
             "reproduced" if share[0] > 0.9 and rests else "refuted",
             "the figure has no numbers",
