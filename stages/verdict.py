@@ -7,6 +7,8 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from statistics import NormalDist
 from typing import Any
 
+import msgspec
+
 from alula.schemas.errors import InputError
 from alula.schemas.run import Outcome, TrialResult
 
@@ -52,6 +54,20 @@ def success(good: int, n: int) -> dict[str, Any]:
     return {"success_rate": good / n, "success_interval": list(wilson_interval(good, n))}
 
 
+def distinct(trials: Iterable[TrialResult]) -> list[TrialResult]:
+    """The trials that differ in more than their index; the first of each kind.
+
+    Trials with equal records are one flight, flown again: they add no evidence.
+
+    Args:
+        trials: verdicts.
+    """
+    seen: dict[bytes, TrialResult] = {}
+    for trial in trials:
+        seen.setdefault(msgspec.json.encode(msgspec.structs.replace(trial, index=0)), trial)
+    return list(seen.values())
+
+
 def is_success(trial: TrialResult) -> bool:
     """True when the flight reached its goal without collision.
 
@@ -68,14 +84,23 @@ def head(
 ) -> dict[str, Any]:
     """First keys of every summary: trials, success rate, collisions, and a count for each outcome.
 
+    Where trials have identical records, `distinct_trials` counts the different ones and the interval is
+    theirs; it is None where all are the same flight.
+
     Args:
         trials: verdicts, at least one.
         outcomes: the outcomes to count.
         is_good: returns True for a successful trial.
     """
+    found = success(sum(map(is_good, trials)), len(trials))
+    different = distinct(trials)
+    if len(different) < len(trials):
+        of_them = success(sum(map(is_good, different)), len(different))
+        found["success_interval"] = of_them["success_interval"] if len(different) > 1 else None
+        found["distinct_trials"] = len(different)
     return {
         "trials": len(trials),
-        **success(sum(map(is_good, trials)), len(trials)),
+        **found,
         "collisions": sum(trial.collision for trial in trials),
         **{outcome: sum(trial.outcome == outcome for trial in trials) for outcome in outcomes},
     }

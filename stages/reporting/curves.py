@@ -90,11 +90,12 @@ class Spell:
 
 @dataclass(frozen=True, slots=True)
 class WorstFlight:
-    """Margin over time of the flight with the minimum clearance.
+    """Margin over time of the logged flight with the minimum clearance.
 
     `margin_unit` is "m", or names what else the margin measures. `trouble` marks the margins where the filter
     had to do more than change the input; `statuses` are its statuses there. `spells` are the states of a real
-    flight's supervisor.
+    flight's supervisor. `logged` is the number of logged flights where one that was not logged came closer,
+    else None.
     """
 
     label: str
@@ -108,6 +109,7 @@ class WorstFlight:
     trouble: NDArray[np.bool_]
     statuses: tuple[str, ...]
     spells: tuple[Spell, ...] = ()
+    logged: int | None = None
 
 
 def distribution(label: str, values: Iterable[float | None]) -> Distribution:
@@ -269,12 +271,14 @@ def spells(course: Course | None) -> tuple[Spell, ...]:
 def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:
     """Find the logged flight with the minimum clearance, or with the minimum margin where none is known."""
     candidates: list[tuple[float, int, int, Run, TrialResult]] = []
+    others: list[float] = []
     for position, run in enumerate(runs):
         for trial in run.record.trials:
             flight = run.flights.get(trial.index)
+            clearance = encounter_clearance(run, trial) if trial.obstacles else clearance_of(trial)
             if flight is None or not np.isfinite(flight.margin).any():
+                others += [] if clearance is None else [clearance]
                 continue
-            clearance = clearance_of(trial)
             minimum = float(np.nanmin(flight.margin)) if clearance is None else clearance
             candidates.append((minimum, position, trial.index, run, trial))
     if not candidates:
@@ -294,4 +298,18 @@ def worst_flight(runs: Sequence[Run]) -> WorstFlight | None:
         np.array(trouble, np.bool_),
         tuple(sorted({s.lower() for s, bad in zip(flight.status, trouble, strict=True) if bad})),
         spells(run.course),
+        len(candidates) if min(others, default=minimum) < minimum else None,
     )
+
+
+def encounter_clearance(run: Run, trial: TrialResult) -> float | None:
+    """Minimum distance of a trial's spheres to obstacles and walls [m]; None where no radius is known."""
+    parameters = run.record.provenance.parameters
+    try:
+        own = float(parameters["vehicle"]["radius_m"])
+        radii = [float(obstacle["radius_m"]) for obstacle in parameters["obstacles"]]
+    except (KeyError, TypeError, ValueError):
+        return clearance_of(trial)
+    known = [met.closest_m - r - own for met, r in zip(trial.obstacles or [], radii, strict=False)]
+    walls = clearance_of(trial)
+    return min(known + ([] if walls is None else [walls]), default=None)

@@ -100,7 +100,7 @@ class ClosestFlight:
     """The logged flight of a run with the minimum distance to its fence.
 
     `distance_m` is the true distance, negative outside; `regulation` is the filter's lambda, NaN where it had
-    none; `status` is the filter's status.
+    none; `status` is the filter's status. `is_closest` is False where a flight without samples came closer.
     """
 
     label: str
@@ -111,6 +111,7 @@ class ClosestFlight:
     status: tuple[str, ...]
     speed_time_s: FloatArray
     speed_m_s: FloatArray
+    is_closest: bool
 
 
 def closest_flights(runs: Sequence[Run]) -> list[ClosestFlight]:
@@ -120,13 +121,18 @@ def closest_flights(runs: Sequence[Run]) -> list[ClosestFlight]:
         shown = [trial for trial in run.record.trials if trial.index in run.flights]
         if not shown:
             continue
-        trial = min(shown, key=lambda t: (t.map_clearance_m or 0.0, t.index))
+        trial = min(shown, key=_distance_and_index)
         flight = run.flights[trial.index]
         regulation = np.full(len(flight.margin), np.nan) if flight.regulation is None else flight.regulation
         found.append(
             ClosestFlight(
                 run.label, trial, flight.margin_time_s, flight.margin, regulation, flight.status,
                 flight.time_s, flight.speed_m_s,
+                trial == min(run.record.trials, key=_distance_and_index),
             )
         )  # fmt: skip
     return found
+
+
+def _distance_and_index(trial: TrialResult) -> tuple[float, int]:
+    return trial.map_clearance_m or 0.0, trial.index

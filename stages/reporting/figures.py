@@ -289,7 +289,8 @@ def _worst_figure(worst: curves.WorstFlight) -> Figure:
     )
     if worst.spells:
         alt += f" States of the supervisor: {', '.join(map(str, worst.spells))}."
-    return Figure("worst", f"The closest flight: {worst.label}, trial {worst.trial}", alt, svg)
+    which = "The closest flight" if worst.logged is None else f"The closest of {worst.logged} logged flights"
+    return Figure("worst", f"{which}: {worst.label}, trial {worst.trial}", alt, svg)
 
 
 def _shade_states(top: Any, bottom: Any, spells: Sequence[Spell]) -> None:
@@ -396,9 +397,8 @@ def _closest_figure(closest: ClosestFlight, name: str) -> Figure:
         f"{closest.trial.index}: minimum distance {text(minimum)} m, top speed "
         f"{text(3.6 * closest.trial.max_speed_m_s)} km/h. Logged ticks by status: {spent}."
     )
-    return Figure(
-        name, f"The closest flight: {closest.label}, trial {closest.trial.index}", alt, svg, wide=True
-    )
+    which = "The closest flight" if closest.is_closest else "The closest logged flight"
+    return Figure(name, f"{which}: {closest.label}, trial {closest.trial.index}", alt, svg, wide=True)
 
 
 def _shade_modes(axes: tuple[Any, ...], closest: ClosestFlight) -> list[str]:

@@ -41,19 +41,24 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A percentage of trials with its 95 % Wilson interval; the value is None without trials."""
+    """A percentage of trials with its 95 % Wilson interval.
+
+    The value is None without trials; the ends are None where all trials are the same flight.
+    """
 
     value: float | None
-    low: float
-    high: float
+    low: float | None
+    high: float | None
     n: int
 
     @property
-    def cells(self) -> tuple[float | None, float, float]:
+    def cells(self) -> tuple[float | None, float | None, float | None]:
         """Value, low and high end, as cells of a table."""
         return self.value, self.low, self.high
 
     def __str__(self) -> str:
+        if self.low is None:
+            return f"{text(self.value)} %"
         return f"{text(self.value)} % ({text(self.low)} to {text(self.high)})"
 
 

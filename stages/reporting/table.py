@@ -77,6 +77,8 @@ def folded(table: Table) -> Table:
         for i in at:
             value, low, high = row[i - 1], row[i], row[i + 1]
             known = f"{text(value)} ({text(low)} to {text(high)})".replace(" ", "\u00a0")
+            if low is None:
+                known = text(value)
             cells[i - 1] = f"{value} (95 %)" if name else None if value is None else known
         return tuple(cell for i, cell in enumerate(cells) if i not in left_out)
 

@@ -81,7 +81,7 @@ def test_the_wall_of_the_paper_as_a_golden_run(here, capsys):
         "start_h_i_m": 18.9962,
     }  # fmt: skip
     summary = said["summary"]
-    assert summary.pop("success_interval") == pytest.approx([0.206549, 1], abs=1e-5)
+    assert summary.pop("success_interval") is None  # a flight without random numbers repeats itself
     assert summary.keys() == golden.keys()
     assert summary == pytest.approx(golden, rel=1e-3)
     found = record("wall.run.json")

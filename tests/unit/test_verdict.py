@@ -2,10 +2,20 @@
 
 import math
 
+import msgspec
 import pytest
 
 from alula.schemas.errors import InputError
-from alula.stages.verdict import head, mean, mean_path_ratio, minimum, statement, totals, wilson_interval
+from alula.stages.verdict import (
+    distinct,
+    head,
+    mean,
+    mean_path_ratio,
+    minimum,
+    statement,
+    totals,
+    wilson_interval,
+)
 from support.fabricate import make_trial
 
 
@@ -37,6 +47,21 @@ def test_the_head_of_a_summary_counts_trials_outcomes_and_successes():
     assert mean_path_ratio(trials) == 1.5
     assert mean_path_ratio(trials[1:]) is None
     assert totals(trials, ("fallback_steps", "backup_steps")) == {"fallback_steps": 8, "backup_steps": 0}
+
+
+def test_identical_records_are_one_flight_and_have_no_interval():
+    """Flights of a deterministic scenario repeat each other: 50 of them are no more evidence than one."""
+    first = make_trial(0)
+    same = [msgspec.structs.replace(first, index=k) for k in range(50)]
+    assert len(distinct(same)) == 1
+    found = head(same, ())
+    assert (found["trials"], found["distinct_trials"], found["success_interval"]) == (50, 1, None)
+    mixed = [*same, make_trial(50, collision=True), make_trial(51)]
+    found = head(mixed, (), lambda trial: not trial.collision)
+    assert found["distinct_trials"] == 3
+    assert found["success_interval"] == list(wilson_interval(2, 3))
+    assert found["success_rate"] == 51 / 52
+    assert "distinct_trials" not in head([same[0]], ())
 
 
 def test_unknown_values_do_not_count():

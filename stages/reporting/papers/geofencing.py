@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from alula.schemas.arrays import FloatArray
 from alula.schemas.fence_ticks import Ticks
 from alula.schemas.run import FenceResult, RunRecord
 from alula.stages.reporting.papers.pendulum import Swing, gains_in_short, times_in_short
 from alula.stages.reporting.papers.published import GEOFENCING
 from alula.stages.reporting.statistics import Rate, rate
 from alula.stages.reporting.table import HIGH, LOW, Table, flat, text
+from alula.stages.vehicles.fence import fence_faces
 
 KM_H = 3.6  # of 1 m/s
 FREE, BASE, PROGRAM = "none", "geofence", "backup-qp"
@@ -44,8 +46,13 @@ class Fenced:
 
     @property
     def left(self) -> Rate:
-        """Percentage of flights that left the fence."""
-        return rate(trial.collision for trial in self.record.trials)
+        """Percentage of flights that left the fence; without an interval where all are the same flight."""
+        found = rate(trial.collision for trial in self.record.trials)
+        if "success_interval" not in (summary := self.record.summary):
+            return found
+        interval = summary["success_interval"]
+        low, high = (None, None) if interval is None else (100 * (1 - end) for end in reversed(interval))
+        return replace(found, low=low, high=high)
 
     @property
     def least_m(self) -> float:
@@ -91,15 +98,15 @@ def find(runs: Iterable[Fenced], scenario: str, variant: str) -> Fenced | None:
 
 @dataclass(frozen=True, slots=True)
 class Approach:
-    """One flight against a barrier, from its ticks; distances are those of the sphere to the nearest face.
+    """One flight against a barrier, from its ticks; distances are those of the sphere.
 
     Attributes:
         peak_km_h: maximum speed.
-        braking_m: distance at the maximum speed, where braking begins.
-        halved_m: distance where lambda first falls below 1/2; None where it does not.
+        braking_m: distance at the maximum speed, where braking begins, from the face that is flown at.
+        halved_m: the same where lambda first falls below 1/2; None where it does not.
         tilt_deg: maximum tilt after the maximum speed.
-        least_m: minimum distance.
-        rest_m: distance at the end.
+        least_m: minimum distance from any face.
+        rest_m: distance from any face at the end.
         min_lambda: minimum of the regulation function.
         backup_s: total time of the backup controller u_B alone, without outages of radio and navigation.
         engagements: number of times that lambda falls below 1/2 from above 9/10.
@@ -116,8 +123,21 @@ class Approach:
     engagements: int
 
 
-def approach(ticks: Ticks) -> Approach:
-    """Summarise a flight against a barrier; its samples are the filter's ticks, at equal intervals."""
+def approach(ticks: Ticks, faces: FloatArray | None = None, radius_m: float = 0.0) -> Approach:
+    """Summarise a flight against a barrier; its samples are the filter's ticks, at equal intervals.
+
+    Args:
+        ticks: of the flight.
+        faces: of the fence, shape (L, 4), rows (n, d) with unit n; without them, the distances where braking
+            begins are those from the nearest face.
+        radius_m: of the sphere [m].
+    """
+
+    def distance(at: int) -> float:
+        if faces is None:
+            return float(ticks.distance_m[at])
+        return distance_ahead(faces, ticks.position[at], ticks.velocity[at]) - radius_m
+
     speed = np.linalg.norm(ticks.velocity, axis=1)
     fastest = int(np.argmax(speed))
     is_regulated = np.array([status in _REGULATED for status in ticks.status])
@@ -126,8 +146,8 @@ def approach(ticks: Ticks) -> Approach:
     tick_s = float(ticks.time_s[1] - ticks.time_s[0]) if len(ticks.time_s) > 1 else 0.0
     return Approach(
         peak_km_h=KM_H * float(speed[fastest]),
-        braking_m=float(ticks.distance_m[fastest]),
-        halved_m=float(ticks.distance_m[low[0]]) if len(low) else None,
+        braking_m=distance(fastest),
+        halved_m=distance(int(low[0])) if len(low) else None,
         tilt_deg=math.degrees(float(ticks.tilt_rad[fastest:].max())),
         least_m=float(ticks.distance_m.min()),
         rest_m=float(ticks.distance_m[-1]),
@@ -135,6 +155,28 @@ def approach(ticks: Ticks) -> Approach:
         backup_s=tick_s * ticks.status.count("backup"),
         engagements=engagements(regulation),
     )
+
+
+def distance_ahead(faces: FloatArray, position: FloatArray, velocity: FloatArray) -> float:
+    """Distance of a point from the face that a straight flight meets first, else from the nearest face.
+
+    Args:
+        faces: shape (L, 4), rows (n, d) with unit n and n . p <= d inside.
+        position: shape (3,) [m].
+        velocity: shape (3,) [m/s].
+    """
+    distance, speed = faces[:, 3] - faces[:, :3] @ position, faces[:, :3] @ velocity
+    time = np.where(speed > 0, distance / np.where(speed > 0, speed, 1.0), np.inf)
+    return float(distance[np.argmin(time)] if np.isfinite(time).any() else distance.min())
+
+
+def approach_of(run: Fenced) -> Approach | None:
+    """Summarise the first flight of a run; None without its ticks."""
+    if run.ticks is None:
+        return None
+    box, rows = run.parameters.get("fence.box_m"), run.parameters.get("fence.faces") or ()
+    faces = fence_faces(box, rows) if box is not None or len(rows) else None
+    return approach(run.ticks, faces, run.radius_m)
 
 
 def engagements(regulation: Sequence[float] | np.ndarray[Any, Any]) -> int:
@@ -162,9 +204,9 @@ def approach_table(runs: Sequence[Fenced], scenario: str, title: str, note: str)
     """
     rows: list[tuple[Any, ...]] = []
     for run in select(runs, scenario):
-        if run.ticks is None:
+        a = approach_of(run)
+        if a is None:
             continue
-        a = approach(run.ticks)
         values = (a.halved_m, a.min_lambda, 1e3 * a.backup_s)  # other filters have no lambda
         halved, min_lambda, backup_ms = values if run.record.filter == BASE else (None, None, None)
         rows.append(
@@ -192,9 +234,10 @@ def approach_table(runs: Sequence[Fenced], scenario: str, title: str, note: str)
 
 WALL_NOTE = (
     "Distances are those of the centre, as the published ones are assumed to be; only the column of the "
-    "minimum distance is that of the sphere. Brakes at: distance at the peak speed; tilt: maximum after the "
-    "peak. The model has no drag, like the paper's; `drag` flies with drag that the filter does not model. "
-    "`rule-10`: regulation (10) without the scaling by the speed (19)."
+    "minimum distance is that of the sphere. Brakes at: distance at the peak speed from the face that is "
+    "flown at; λ below 1/2: the same where λ first falls below 1/2; tilt: maximum after the peak. The model "
+    "has no drag, like the paper's; `drag` flies with drag that the filter does not model. `rule-10`: "
+    "regulation (10) without the scaling by the speed (19)."
 )
 _PLUNGE_M_S = GEOFENCING["fall"]["simulation"]["peak_km_h"] / KM_H
 FALL_NOTE = (
@@ -266,7 +309,8 @@ def flights_table(runs: Sequence[Fenced], name: str, title: str, scenarios: Sequ
     note = (
         "Distances are computed at every step of the plant, in double precision, along the chord from the "
         "step before. An engagement begins where λ falls below 1/2 after it was above 9/10. Passed: the "
-        "pilot's command, bit for bit. Intervals are Wilson intervals."
+        "pilot's command, bit for bit. Intervals are Wilson intervals; flights "
+        "without a random number have none, because they would repeat themselves."
     )
     return Table(name, title, columns, tuple(rows), note) if rows else None
 
@@ -446,8 +490,8 @@ def in_short(runs: Sequence[Fenced], swings: Sequence[Swing], measured: Mapping[
     }
     for scenario, variant, what in (("wall", "from-40", "wall, 40 m"), ("fall", "fall", "fall, 70 m")):
         run = find(runs, scenario, variant)
-        if run is not None and run.ticks is not None:
-            facts[what] = _approached(run, approach(run.ticks), GEOFENCING[scenario])
+        if run is not None and (a := approach_of(run)) is not None:
+            facts[what] = _approached(run, a, GEOFENCING[scenario])
     facts |= _fastest(runs)
     for run in select(runs, "engaged"):
         if run.record.filter == BASE:

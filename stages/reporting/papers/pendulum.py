@@ -16,8 +16,8 @@ from alula.stages.reporting.table import Table, text
 REGULATION, PROGRAM = "regulation", "backup-qp"
 GAIN = {REGULATION: "beta", PROGRAM: "alpha"}  # the gain of each rule; a larger one approaches faster
 PUSH = 2.0  # the constant command of the paper [rad/s^2]
-_MICRO = " [us]"
-_SOLVER = "solver "
+MICRO = " [us]"
+SOLVER = "solver "
 _CALM = 1.0  # maximum chatter of a calm flight [rad/s^2 per s]
 _ARRIVED = 0.95  # of the largest angle
 _TAIL = 1 / 3  # last part of a flight, at the boundary
@@ -113,7 +113,7 @@ def time_table(measured: Mapping[str, Any]) -> Table:
     Args:
         measured: times [us], numbers of rows and states, as examples/geofencing/pendulum.py writes them.
     """
-    times = {name.removesuffix(_MICRO): float(value) for name, value in measured["times"].items()}
+    times = {name.removesuffix(MICRO): float(value) for name, value in measured["times"].items()}
     base, program = times[REGULATION], times[PROGRAM]
     published = GEOFENCING["pendulum"][PROGRAM]["time_ratio"]
     rows: list[tuple[Any, ...]] = [
@@ -121,9 +121,9 @@ def time_table(measured: Mapping[str, Any]) -> Table:
         ("program, ours", program, None, program, program / base, published),
     ]
     for name, value in times.items():
-        if name.startswith(_SOLVER):
+        if name.startswith(SOLVER):
             whole = program + value
-            solver = name.removeprefix(_SOLVER)
+            solver = name.removeprefix(SOLVER)
             rows.append((f"program through {solver}", program, value, whole, whole / base, None))
     columns = (
         *("filter", "our flow and rows [µs]", "solver call [µs]", "total [µs]", "ratio to the regulation"),
@@ -170,12 +170,12 @@ def gains_table(swings: Sequence[Swing]) -> Table:
 
 def times_in_short(measured: Mapping[str, Any]) -> str:
     """Summarise the times of `time_table` in one line."""
-    times = {name.removesuffix(_MICRO): float(value) for name, value in measured["times"].items()}
+    times = {name.removesuffix(MICRO): float(value) for name, value in measured["times"].items()}
     base, program = times[REGULATION], times[PROGRAM]
     others = ", ".join(
-        f"{(program + value) / base:.3g} times with {name.removeprefix(_SOLVER)}"
+        f"{(program + value) / base:.3g} times with {name.removeprefix(SOLVER)}"
         for name, value in times.items()
-        if name.startswith(_SOLVER)
+        if name.startswith(SOLVER)
     )
     return (
         f"{base:.3g} µs without gradients; our program takes {program / base:.3g} times as long, all rows in "

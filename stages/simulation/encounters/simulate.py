@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -88,7 +88,8 @@ def fly_encounters(
     """Fly all trials of a scenario with moving obstacles.
 
     Trial k is a function of the scenario and (seed, k) alone: except for measured times, results do not
-    depend on jobs, scheduler or journal.
+    depend on jobs, scheduler or journal. Samples of the first `trials.logged` trials are kept. The trial
+    that came closest is flown again when it is not among these.
 
     Args:
         scenario: all parameters.
@@ -118,7 +119,40 @@ def fly_encounters(
         scheduler=scheduler,
         progress=progress,
     )
-    return _joined(scenario, walls, chunks)
+    flown = _joined(scenario, walls, chunks)
+    worst = closest_trial(scenario, flown.trials)
+    if worst.index >= scenario.trials.logged:
+        native = native_encounter(scenario, None if walls is None else hull_obstacles(walls))
+        (log,) = _core.fly_encounters(
+            native,
+            native_filter(scenario),
+            seed=scenario.trials.seed,
+            first=worst.index,
+            count=1,
+            keeps_path=True,
+            jobs=1,
+        )
+        again = EncounterFlight.of(worst.index, log, scenario.run.dt_s, scenario.run.log_rate_hz)
+        flown = replace(flown, flights=[*flown.flights, again])
+    return flown
+
+
+def closest_trial(scenario: Encounters, trials: list[TrialResult]) -> TrialResult:
+    """The trial with the minimum distance to an obstacle or a wall, the first of equal ones.
+
+    Args:
+        scenario: with the radii of the obstacles.
+        trials: verdicts, at least one.
+    """
+
+    def clearance(trial: TrialResult) -> float:
+        reach = scenario.vehicle.radius_m
+        pairs = zip(trial.obstacles or [], scenario.obstacles, strict=True)
+        known = [met.closest_m - obstacle.radius_m - reach for met, obstacle in pairs]
+        known += [] if trial.map_clearance_m is None else [trial.map_clearance_m]
+        return min(known, default=math.inf)
+
+    return min(trials, key=lambda trial: (clearance(trial), trial.index))
 
 
 def _joined(scenario: Encounters, walls: Hulls | None, chunks: list[FlownChunk]) -> EncounterRun:

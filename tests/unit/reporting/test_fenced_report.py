@@ -100,6 +100,10 @@ def test_the_closest_of_the_logged_flights_is_drawn():
     (closest,) = closest_flights([run_of([1.0, -1.0, -2.0])])  # the last one was not logged
     assert closest.trial.index == 1
     assert closest.distance_m.min() == pytest.approx(-1)
+    assert not closest.is_closest
+    titles = [f.title for f in all_figures(Material("x", runs=(run_of([1.0, -1.0, -2.0]),)))]
+    assert "The closest logged flight: r, trial 1" in titles
+    assert closest_flights([run_of([1.0, -1.0])])[0].is_closest
     assert closest_flights([run_of([1.0], flights={})]) == []
 
 

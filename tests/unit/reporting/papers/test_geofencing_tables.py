@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
+from alula.schemas.errors import InputError
 from alula.schemas.fence_ticks import Ticks
 from alula.schemas.manifest import Guarantee
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import FenceResult, RunRecord, TrialResult
 from alula.stages.reporting.papers import geofencing, geofencing_figures, pendulum
+from alula.stages.reporting.papers.geofencing_verdicts import paper_rows
 from alula.stages.reporting.papers.pendulum import PROGRAM, REGULATION, sweep
+from alula.stages.reporting.papers.verdicts import VERDICTS, PaperRow, verdict_table
 from alula.stages.verdict import wilson_interval
 
 
@@ -103,6 +106,24 @@ def test_an_approach_is_read_off_its_ticks():
     assert (a.braking_m, a.halved_m, a.least_m, a.rest_m) == (5, 5, 0.3, 0.4)
     assert a.tilt_deg == pytest.approx(75)  # the 80 degrees are from before it was fastest
     assert (a.min_lambda, a.backup_s, a.engagements) == (0, 0.5, 1)
+
+
+def test_braking_is_measured_to_the_face_that_is_flown_at():
+    """Not to the floor, which is nearer."""
+    faces = np.array([[1.0, 0, 0, 40.0], [0, 0, -1.0, 0.0], [-1.0, 0, 0, 100.0]])
+    here, fast = np.array([10.0, 0, 19.0]), np.array([20.0, 0, -1.0])
+    assert geofencing.distance_ahead(faces, here, fast) == 30
+    assert geofencing.distance_ahead(faces, here, np.array([0.0, 0, -5.0])) == 19
+    assert geofencing.distance_ahead(faces, here, np.zeros(3)) == 19
+    ticks = braking()
+    place = np.tile(here, (len(ticks.time_s), 1))
+    speed = np.zeros_like(place)
+    speed[:, 0] = np.linalg.norm(ticks.velocity, axis=1)
+    moved = Ticks(
+        **{name: getattr(ticks, name) for name in Ticks.__slots__} | {"position": place, "velocity": speed}
+    )
+    a = geofencing.approach(moved, faces, 0.25)
+    assert (a.braking_m, a.halved_m, a.least_m) == (29.75, 29.75, 0.3)
 
 
 def test_an_outage_of_the_radio_is_no_loss_of_the_share():
@@ -267,3 +288,52 @@ def test_figures_say_what_they_show():
     assert "engages its fence 1 times" in again.alt
     assert "0 for 500 ms" in again.alt
     assert shown.svg.startswith("<?xml")
+
+
+MEASURED = {"times": {"regulation [us]": 1.5, "backup-qp [us]": 6.0, "solver quadprog [us]": 24.0}}
+
+
+def verdicts(**least):
+    runs = [
+        flown("wall", "from-40", [trial(0, least.get("wall", 0.3), speed=30.0)], braking()),
+        flown("fall", "fall", [trial(0, 0.3)], braking()),
+        flown("engaged", "geofence", [trial(k, 0.3) for k in range(4)]),
+        flown("pilots", "sticks-geofence", [trial(k, least.get("pilots", 0.4)) for k in range(6)]),
+        flown("box", "silent", [trial(k, 0.4) for k in range(3)]),
+    ]
+    return {(row.item, row.quantity): row for row in paper_rows(runs, [], MEASURED, 332.3)}
+
+
+def test_every_figure_and_section_of_the_paper_has_a_row():
+    items = " ".join(item for item, _ in verdicts())
+    for word in ("Figures 1", "Figure 3", "Figure 4", "Figure 5a", "Figure 5b", "Figure 6", "7a", "7b", "7c"):
+        assert word in items
+    for word in ("Figure 8", "Proposition 1", "Theorem 1", "IV-A", "V-A", "V-B", "V-C", "abstract"):
+        assert word in items
+    assert len(verdicts()) >= 25
+
+
+def test_verdicts_follow_from_the_runs():
+    found = verdicts()
+    safe = found["Proposition 1", "flights that leave the safe set"]
+    assert (safe.ours, safe.verdict) == ("0 of 9 random flights", "bounded")
+    assert safe.interval.endswith("% of 9")
+    assert verdicts(pilots=-0.1)["Proposition 1", safe.quantity].verdict == "refuted"
+    time = found["V-B", "time of an evaluation on a Teensy 4.1"]
+    assert time.ours.startswith("332.3 µs")
+    assert time.verdict == "not comparable"
+    zero = found["Figure 8, V-C", "λ never reaches 0"]
+    assert (zero.verdict, zero.ours[:9]) == ("refuted", "in 100 % ")
+    ratio = found["Figure 4, III-C", "time of the program over that of the regulation function"]
+    assert ratio.ours == "4 with our program; all rows in a general solver: quadprog 20"
+    assert found["abstract", "speeds at which the drone is held"].verdict == "reproduced"
+    assert "no interval" in found["Figure 5a", "peak speed, simulation"].interval
+
+
+def test_the_table_has_the_columns_of_the_other_papers_and_refuses_unknown_verdicts():
+    table = verdict_table(list(verdicts().values()))
+    assert table.columns == ("item", "quantity", "published", "ours", "95 % interval", "verdict", "why")
+    assert {row[5] for row in table.rows} <= set(VERDICTS)
+    with pytest.raises(InputError, match="a verdict is one of"):
+        PaperRow("a", "b", "c", "d", "", "confirmed", "")
+    assert np.array(table.rows, dtype=object).shape[1] == 7

@@ -126,7 +126,7 @@ def test_results_do_not_depend_on_workers_chunks_or_interruptions(monkeypatch):
     scenario = made()
     whole = fly_encounters(scenario, jobs=1)
     assert [trial.index for trial in whole.trials] == list(range(40))
-    assert [flight.trial for flight in whole.flights] == [0, 1]
+    assert [flight.trial for flight in whole.flights] == [0, 1, 28]  # and the closest
     assert plain(fly_encounters(scenario, jobs=3)) == plain(whole)
 
     journal = TrialJournal(FlownChunk)
@@ -155,6 +155,18 @@ def test_a_trial_is_a_function_of_seed_and_number():
     assert msgspec.json.encode(first) != msgspec.json.encode(other)
     more = fly_encounters(made(trials={"count": 50, "seed": 3, "logged": 0})).trials
     assert msgspec.json.encode(more[:40]) == msgspec.json.encode(first)
+
+
+def test_the_trial_that_came_closest_is_always_logged():
+    """Not only the closest of the first ones, which is farther away."""
+    scenario = made()
+    run = fly_encounters(scenario)
+    gaps = [min(o.closest_m for o in trial.obstacles) for trial in run.trials]
+    worst = int(np.argmin(gaps))
+    assert worst >= scenario.trials.logged
+    assert [flight.trial for flight in run.flights] == [*range(scenario.trials.logged), worst]
+    fewer = fly_encounters(made(trials={"count": 40, "seed": 3, "logged": worst + 1}))
+    assert plain(fewer)[1][-1] == plain(run)[1][-1]
 
 
 @pytest.mark.slow

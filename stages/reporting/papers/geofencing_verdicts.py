@@ -1,0 +1,467 @@
+"""Verdicts on every figure and number of the geofencing paper (arXiv 2201.04331)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from alula.schemas.fence_ticks import Ticks
+from alula.stages.reporting.papers.geofencing import (
+    BASE,
+    KM_H,
+    PILOTS,
+    Approach,
+    Fenced,
+    approach_of,
+    find,
+    select,
+)
+from alula.stages.reporting.papers.pendulum import MICRO, PROGRAM, REGULATION, SOLVER, Swing
+from alula.stages.reporting.papers.verdicts import PaperRow
+from alula.stages.reporting.statistics import Rate, rate
+from alula.stages.reporting.table import text
+
+_SAME = 0.05  # relative difference up to which a simulated speed counts as reproduced
+_NEAR = 0.2  # the same for a distance that depends on the pilot
+_REST_M_S = 0.1
+_CHATTER = 1.0  # [rad/s^2 per s] below it the pendulum's input is smooth
+_ONE = "one flight without random numbers: no interval"
+_HARDWARE = "a real flight"
+_BETA = (
+    "β of the fall is not printed. A fall without drag that peaks at 70 km/h is one of 19.3 m, so the filter "
+    "braked far above its barrier; with the β = 1.5 of the published flight code it brakes as late as it can"
+)
+
+
+def paper_rows(
+    runs: Sequence[Fenced],
+    swings: Sequence[Swing],
+    measured: Mapping[str, Any],
+    teensy_us: float | None = None,
+) -> list[PaperRow]:
+    """State for each item of the paper what was published, our value, its interval and a verdict.
+
+    Items whose runs are missing are left out.
+
+    Args:
+        runs: all runs.
+        swings: pendulum flights.
+        measured: times measured by examples/geofencing/pendulum.py.
+        teensy_us: time of a tick on a Teensy 4.1 by emulated instructions [us]; None where it is not known.
+    """
+    return [
+        *_claims(runs),
+        *_theory(runs),
+        *_mixing(runs),
+        *_pendulum(swings, measured),
+        *_modelling(),
+        *_wall(runs),
+        *_fall(runs),
+        *_hardware(teensy_us),
+        *_repeated(runs),
+    ]
+
+
+def _row(item: str, quantity: str, published: str, ours: str, verdict: str, why: str = "") -> PaperRow:
+    return PaperRow(item, quantity, published, ours, "", verdict, why)
+
+
+def _interval(found: Rate) -> str:
+    return "" if found.low is None else f"{text(found.low)} to {text(found.high)} % of {found.n:,}"
+
+
+def _first(runs: Sequence[Fenced], scenario: str, variant: str) -> tuple[Fenced, Approach, Ticks] | None:
+    run = find(runs, scenario, variant)
+    found = None if run is None else approach_of(run)
+    return None if run is None or found is None or run.ticks is None else (run, found, run.ticks)
+
+
+def _close(value: float, published: float, limit: float = _SAME) -> bool:
+    return abs(value - published) <= limit * published
+
+
+def _claims(runs: Sequence[Fenced]) -> list[PaperRow]:
+    held = [
+        KM_H * max(trial.max_speed_m_s for trial in run.record.trials)
+        for run in select(runs, "wall")
+        if run.record.filter == BASE and not run.left.value
+    ]
+    if not held:
+        return []
+    fast = sum(speed > 100 for speed in held)
+    return [
+        PaperRow(
+            "abstract",
+            "speeds at which the drone is held",
+            "above 100 km/h",
+            f"{text(min(held))} to {text(max(held))} km/h, {fast} of {len(held)} approaches above 100",
+            _ONE,
+            "reproduced" if fast else "refuted",
+            "in simulation, with the vehicle as modelled",
+        ),
+        _row("abstract", "weight of the microcontroller", "10 g", "", "not available here", "hardware"),
+        _row("Figures 1 and 2", "illustrations", "no numbers", "", "not comparable", "nothing is measured"),
+    ]
+
+
+def _theory(runs: Sequence[Fenced]) -> list[PaperRow]:
+    guarded = [run for run in runs if run.record.filter == BASE and run.scenario in (PILOTS, "box", "faces")]
+    guarded = [run for run in guarded if not run.steps("hand_over") and not run.steps("refused")]
+    rows = []
+    if guarded:
+        out = rate(trial.collision for run in guarded for trial in run.record.trials)
+        left = sum(trial.collision for run in guarded for trial in run.record.trials)
+        rows.append(
+            PaperRow(
+                "Proposition 1",
+                "flights that leave the safe set",
+                "none, in continuous time",
+                f"{left} of {out.n:,} random flights",
+                _interval(out),
+                "refuted" if left else "bounded",
+                "a filter in ticks needs conditions that the paper does not state: the horizon reaches rest "
+                "and β D / v_c ≤ 1 (geofence.md); what violates them is refused, the rest is sampled",
+            )
+        )
+    rows.append(
+        _row(
+            "Theorem 1",
+            "continuity of the filter",
+            "locally Lipschitz",
+            "λ changes by less than 0.02 in 5 mm of an approach at 12 m/s",
+            "bounded",
+            "a test of one approach, test_the_command_is_a_continuous_function_of_the_position",
+        )
+    )
+    passed = [run for run in runs if run.record.filter == BASE]
+    if passed:
+        count = sum(run.steps("passed") for run in passed)
+        altered = sum(result.altered_passes for run in passed for result in run.results)
+        rows.append(
+            _row(
+                "III-B",
+                "the pilot's command where λ is 1",
+                "passed exactly",
+                f"{altered} of {count:,} differ in a bit",
+                "refuted" if altered else "reproduced",
+                "λ rounds to 1 far from the fence only",
+            )
+        )
+    return rows
+
+
+def _mixing(runs: Sequence[Fenced]) -> list[PaperRow]:
+    found = _first(runs, "wall", "from-40")
+    if found is None:
+        return []
+    run, a, ticks = found
+    share = ticks.regulation[np.isfinite(ticks.regulation)]
+    speed = float(np.linalg.norm(ticks.velocity[-1]))
+    rests = 0 < share[-1] < 1 and speed < _REST_M_S
+    return [
+        PaperRow(
+            "Figure 3",
+            "mixing λ (9) on the way to a wall",
+            "1 far away, decreases, steady between 0 and 1 where the drone stops",
+            f"{text(float(share[0]))} at 40 m, minimum {text(a.min_lambda)}, "
+            f"at last {text(float(share[-1]))} at {text(a.rest_m + run.radius_m)} m of the centre, where the "
+            f"speed is {text(speed)} m/s",
+            _ONE,
+            "reproduced" if share[0] > 0.9 and rests else "refuted",
+            "the figure has no numbers",
+        )
+    ]
+
+
+def _pendulum(swings: Sequence[Swing], measured: Mapping[str, Any]) -> list[PaperRow]:
+    times = {name.removesuffix(MICRO): float(value) for name, value in measured["times"].items()}
+    base, program = times[REGULATION], times[PROGRAM]
+    others = {name: (program + value) / base for name, value in times.items() if name.startswith(SOLVER)}
+    general = "; ".join(f"{name.removeprefix(SOLVER)} {value:.3g}" for name, value in others.items())
+    rows = [
+        _row(
+            "Figure 4, III-C",
+            "time of the program over that of the regulation function",
+            "an order of magnitude",
+            f"{program / base:.3g} with our program; all rows in a general solver: {general}",
+            "bounded",
+            "the paper's solver is not named; the ratio depends on it",
+        )
+    ]
+
+    def chatter(rule: str, good: Callable[[float], bool]) -> list[Swing]:
+        return [s for s in swings if s.rule == rule and s.arrival_s is not None and good(s.chatter)]
+
+    smooth, rough = chatter(REGULATION, lambda c: c < _CHATTER), chatter(PROGRAM, lambda c: c >= _CHATTER)
+    of_smooth, of_rough = chatter(REGULATION, lambda _: True), chatter(PROGRAM, lambda _: True)
+    if of_rough and of_smooth:
+        rows += [
+            _row(
+                "Figure 4, III-C",
+                "the program oscillates at high gains",
+                "yes",
+                f"at {len(rough)} of {len(of_rough)} gains and ticks, chatter {_span(of_rough)} rad/s² per s",
+                "reproduced" if rough else "refuted",
+                f"below {_CHATTER:g} rad/s² per s counts as smooth",
+            ),
+            _row(
+                "Figure 4, III-C",
+                "the regulation function does not",
+                "never",
+                f"smooth at {len(smooth)} of {len(of_smooth)} gains and ticks, chatter "
+                f"{_span(of_smooth)} rad/s² per s",
+                "reproduced" if len(smooth) == len(of_smooth) else "refuted",
+                "it oscillates where β times the decrease in a tick is above 1: at the highest gains",
+            ),
+            _row(
+                "Figure 4, eqs. 11 to 14",
+                "angle, rate and input over time",
+                "curves without numbers",
+                f"settles at {text(max(s.settled_rad for s in smooth))} of 1 rad" if smooth else "",
+                "not comparable",
+                "the backup controller (12) and the gains are not printed",
+            ),
+        ]
+    return rows
+
+
+def _span(swings: Sequence[Swing]) -> str:
+    values = [s.chatter for s in swings]
+    return f"{text(min(values))} to {text(max(values))}"
+
+
+def _modelling() -> list[PaperRow]:
+    return [
+        _row(
+            "IV-A, eq. 15",
+            "gain C of the rate loop",
+            "on the order of 50 1/s",
+            "67.7 1/s after 6.1 ms, of Betaflight's firmware (betaflight.md)",
+            "reproduced",
+            "with an assumed body and assumed motors",
+        ),
+        _row(
+            "IV-A",
+            "thrust by throttle, fitted to accelerometer and GPS",
+            "a polynomial of second order",
+            "that of the published flight code",
+            "not available here",
+            "its flight data are not published",
+        ),
+    ]
+
+
+def _wall(runs: Sequence[Fenced]) -> list[PaperRow]:
+    found = _first(runs, "wall", "from-40")
+    if found is None:
+        return []
+    run, a, _ = found
+    centre, braking = a.least_m + run.radius_m, a.braking_m + run.radius_m
+    inside = a.least_m >= 0
+    pilot = "the pilot's commands are not printed; pitched by 72° here"
+    return [
+        PaperRow(
+            "Figure 5a",
+            "peak speed, simulation",
+            "107 km/h",
+            f"{text(a.peak_km_h)} km/h",
+            _ONE,
+            "reproduced" if _close(a.peak_km_h, 107) else "not comparable",
+            pilot,
+        ),
+        PaperRow(
+            "Figure 5a",
+            "minimum distance, simulation",
+            "0.12 m",
+            f"{text(centre)} m of the centre, {text(a.least_m)} m of the sphere",
+            _ONE,
+            "bounded" if inside else "refuted",
+            "inside in both; the paper's radius and margins are not printed",
+        ),
+        PaperRow(
+            "Figure 7a, test 1",
+            "peak speed, flight",
+            "104 km/h",
+            f"{text(a.peak_km_h)} km/h, simulated",
+            _ONE,
+            "reproduced" if _close(a.peak_km_h, 104, 0.1) else "not comparable",
+            f"{_HARDWARE}; {pilot}",
+        ),
+        PaperRow(
+            "Figure 7a, test 1",
+            "distance at which it brakes, flight",
+            "15 m",
+            f"{text(braking)} m at the peak speed, simulated",
+            _ONE,
+            "reproduced" if _close(braking, 15, _NEAR) else "not comparable",
+            "without drag and 5 km/h faster",
+        ),
+        PaperRow(
+            "Figures 7a and 7c, test 1",
+            "tilt while braking, flight",
+            "nearly 90°",
+            f"{text(a.tilt_deg)}°, simulated",
+            _ONE,
+            "reproduced" if a.tilt_deg > 80 else "refuted",
+            "the backup controller's limit is 85.7°",
+        ),
+        PaperRow(
+            "Figure 7a, test 1",
+            "minimum distance, flight",
+            "1.7 m",
+            f"{text(centre)} m of the centre, simulated",
+            _ONE,
+            "not comparable",
+            f"{_HARDWARE}; drag, the reserve and the pilot's push at the wall are not printed",
+        ),
+        _row(
+            "Figure 7a, test 1",
+            "tracking of the rates, flight",
+            "very accurate, a slight delay",
+            "0.17 rad/s RMS through Betaflight's firmware (betaflight.md)",
+            "not comparable",
+            f"{_HARDWARE}; the paper has a plot without numbers",
+        ),
+    ]
+
+
+def _fall(runs: Sequence[Fenced]) -> list[PaperRow]:
+    found = _first(runs, "fall", "fall")
+    if found is None:
+        return []
+    run, a, _ = found
+    others = {name: _first(runs, "fall", name) for name in ("gentle", "drag")}
+    peaks = ", ".join(f"{text(f[1].peak_km_h)} `{name}`" for name, f in others.items() if f is not None)
+    beside = f" ({peaks})" if peaks else ""
+    rest = f"{text(a.rest_m + run.radius_m)} m of the centre"
+    if (gentle := others["gentle"]) is not None:
+        rest += f", {text(gentle[1].rest_m + gentle[0].radius_m)} `gentle`"
+    rows = [
+        PaperRow(
+            "Figure 5b",
+            "peak speed of the fall from 70 m, simulation",
+            "70 km/h",
+            f"{text(a.peak_km_h)} km/h{beside}",
+            _ONE,
+            "not comparable",
+            f"{_BETA}, {text(a.braking_m + run.radius_m)} m above it",
+        ),
+        PaperRow(
+            "Figure 5b",
+            "hovers above the barrier, simulation",
+            "1.2 m",
+            rest,
+            _ONE,
+            "not comparable",
+            "with no throttle the blend settles where the part of u_B hovers, which depends on β",
+        ),
+        PaperRow(
+            "Figure 7b, test 2",
+            "vertical speed, flight",
+            "60 km/h",
+            f"{text(a.peak_km_h)} km/h, simulated{beside}",
+            _ONE,
+            "not comparable",
+            f"{_HARDWARE}; its drag and β are not printed",
+        ),
+        PaperRow(
+            "Figure 7b, test 2",
+            "stops above the barrier, flight",
+            "1.3 m (1.8 m above the ground)",
+            rest,
+            _ONE,
+            "not comparable",
+            f"{_HARDWARE}; as for Figure 5b",
+        ),
+        PaperRow(
+            "conclusion",
+            "recovers from a fall of 70 m",
+            "yes",
+            f"minimum distance {text(a.least_m)} m of the sphere",
+            _ONE,
+            "reproduced" if a.least_m >= 0 else "refuted",
+            "",
+        ),
+    ]
+    if (drag := others["drag"]) is not None:
+        less = a.peak_km_h - drag[1].peak_km_h
+        rows.append(
+            PaperRow(
+                "V-C",
+                "simulation without drag is faster than the flight",
+                "by 10 km/h",
+                f"by {text(less)} km/h with assumed drag",
+                _ONE,
+                "reproduced" if less > 0 else "refuted",
+                "the sign; the amount depends on the drag, which is not printed",
+            )
+        )
+    return rows
+
+
+def _hardware(teensy_us: float | None) -> list[PaperRow]:
+    count = "" if teensy_us is None else f"{text(teensy_us)} µs by emulated instructions (onboard.md)"
+    return [
+        _row("Figure 6, V-A", "the drone and its devices", "a 7 inch racer", "", "not available here"),
+        _row(
+            "V-B",
+            "time of an evaluation on a Teensy 4.1",
+            "350 µs",
+            count,
+            "not comparable",
+            "instructions are counted and cycles estimated; no device was measured",
+        ),
+        _row(
+            "V-A, V-B", "rate of navigation and filter", "400 Hz", "400 Hz, simulated", "not available here"
+        ),
+        _row("Figure 7c", "photographs of the flight", "no numbers", "", "not available here"),
+    ]
+
+
+def _repeated(runs: Sequence[Fenced]) -> list[PaperRow]:
+    rows = []
+    run = find(runs, "engaged", "geofence")
+    if run is not None and run.results:
+        count = sum(result.interventions for result in run.results)
+        zero = rate(result.backup_steps > 0 for result in run.results)
+        longest = max(result.longest_backup_s for result in run.results)
+        speed = KM_H * max(trial.max_speed_m_s for trial in run.record.trials)
+        rows += [
+            PaperRow(
+                "Figure 8",
+                "repeated engagements, safety maintained",
+                "4 flights, 2 to 4 engagements each, every time",
+                f"{count:,} engagements in {len(run.results)} flights at up to {text(speed)} km/h, "
+                f"{sum(t.collision for t in run.record.trials)} left",
+                f"left: {_interval(run.left)}",
+                "refuted" if run.left.value else "reproduced",
+                "simulated",
+            ),
+            PaperRow(
+                "Figure 8, V-C",
+                "λ never reaches 0",
+                "never, in 4 flights",
+                f"in {text(zero.value)} % of the flights, for up to {text(longest)} s",
+                _interval(zero),
+                "refuted" if zero.value else "reproduced",
+                "h_I includes margins, so u_B alone ends a fast approach; the paper's h_I has none",
+            ),
+        ]
+    silent = [run for name in ("silent", "radio-1s") if (run := find(runs, "box", name)) is not None]
+    if silent:
+        out = rate(trial.collision for run in silent for trial in run.record.trials)
+        left = sum(trial.collision for run in silent for trial in run.record.trials)
+        rows.append(
+            PaperRow(
+                "abstract, V-C",
+                "safe when the radio fails",
+                "yes",
+                f"{left} of {out.n:,} flights left",
+                _interval(out),
+                "refuted" if left else "reproduced",
+                "simulated",
+            )
+        )
+    return rows
