@@ -36,6 +36,13 @@ FLOWN: tuple[tuple[str, str, Mapping[str, Any]], ...] = (
     ("cone_backup", "cone-backup", {}),
     ("cone_backup_hover", "cone-backup", {"policy": "hover"}),
     ("safer_splat", "safer-splat", {}),
+    ("safer_splat_gated", "safer-splat", {"rows": "nearest"}),
+    # The gate and the number of rows of cone-ecbf, for the time alone: too short for this barrier.
+    (
+        "safer_splat_same_gate",
+        "safer-splat",
+        {"rows": "nearest", "reaction_time_s": 0.6, "floor_m": 0.5, "count": 32},
+    ),
 )
 
 

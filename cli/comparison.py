@@ -14,17 +14,20 @@ if TYPE_CHECKING:
     from alula.stages.reporting.table import Table
 
 
-def comparison_words(description: str) -> argparse.Namespace:
+def comparison_words(description: str, *, tuning: bool = False) -> argparse.Namespace:
     """Parse the command line of a comparison.
 
     Args:
         description: first line of its help.
+        tuning: whether it also reads the table of a search for gains.
 
     Returns:
-        `folder`, `runs`, and `markdown`, which may be None.
+        `folder`, `runs`, and `markdown`, which may be None; with `tuning` also that file.
     """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
+    if tuning:
+        parser.add_argument("--tuning", type=Path, metavar="FILE", required=True, help="table of a search")
     parser.add_argument("folder", type=Path)
     parser.add_argument("runs", type=Path, nargs="+", metavar="RUN")
     return parser.parse_args()

@@ -53,6 +53,7 @@ class ConeBackupParameters(Options, frozen=True, kw_only=True):
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
     floor_m: Annotated[float, Meta(ge=0, description='minimum of the distance gate [m]')] = 0.5
     count: Annotated[int, Meta(ge=0, description='maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate')] = 64
+    prune_ticks: Annotated[int, Meta(ge=1, description='calls of the filter for which the candidates are kept before the gate looks for new ones')] = 1
     gate: Annotated[bool, Meta(description='use the distance gate; false: every ellipsoid of the map, for ablations')] = True
     approach: Annotated[bool, Meta(description='only ellipsoids that the vehicle approaches, r^T A v >= 0')] = True
     sweep: Annotated[bool, Meta(description='rank ellipsoids by their distance to the segment that the vehicle sweeps while it reacts and brakes; false: by their distance to its position')] = True
@@ -94,6 +95,7 @@ class ConeDiParameters(Options, frozen=True, kw_only=True):
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
     floor_m: Annotated[float, Meta(ge=0, description='minimum of the distance gate [m]')] = 0.5
     count: Annotated[int, Meta(ge=0, description='maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate')] = 48
+    prune_ticks: Annotated[int, Meta(ge=1, description='calls of the filter for which the candidates are kept before the gate looks for new ones')] = 1
     gate: Annotated[bool, Meta(description='use the distance gate; false: every ellipsoid of the map, for ablations')] = True
     approach: Annotated[bool, Meta(description='only ellipsoids that the vehicle approaches, r^T A v >= 0')] = True
     sweep: Annotated[bool, Meta(description='rank ellipsoids by their distance to the segment that the vehicle sweeps while it reacts and brakes; false: by their distance to its position')] = True
@@ -143,6 +145,7 @@ class ConeEcbfParameters(Options, frozen=True, kw_only=True):
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
     floor_m: Annotated[float, Meta(ge=0, description='minimum of the distance gate [m]')] = 0.5
     count: Annotated[int, Meta(ge=0, description='maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate')] = 32
+    prune_ticks: Annotated[int, Meta(ge=1, description='calls of the filter for which the candidates are kept before the gate looks for new ones')] = 1
     gate: Annotated[bool, Meta(description='use the distance gate; false: every ellipsoid of the map, for ablations')] = True
     approach: Annotated[bool, Meta(description='only ellipsoids that the vehicle approaches, r^T A v >= 0')] = True
     sweep: Annotated[bool, Meta(description='rank ellipsoids by their distance to the segment that the vehicle sweeps while it reacts and brakes; false: by their distance to its position')] = True
@@ -277,14 +280,15 @@ class SaferSplatParameters(Options, frozen=True, kw_only=True):
     alpha: Annotated[float, Meta(gt=0, description="first pole of h'' + (alpha + beta) h' + alpha beta h >= 0 [1/s]")] = 5.0
     beta: Annotated[float, Meta(gt=0, description='second pole of the same row [1/s]')] = 1.0
     hessian: Annotated[Literal['correct', 'published'], Meta(description="Hessian of the squared distance; correct: in the world frame; published: in the ellipsoid's own frame, semi-axes descending and the point in the positive octant, as published")] = 'correct'
-    rows: Annotated[Literal['all', 'nearest'], Meta(description='ellipsoids that have rows; all: every ellipsoid of the map, as published; nearest: the nearest within the gate, which keeps no distance from the others')] = 'all'
+    rows: Annotated[Literal['all', 'nearest'], Meta(description='ellipsoids that have rows; all: every ellipsoid of the map, as published; nearest: the nearest within the gate, which keeps no distance from the others; reaction_time_s must be at least 2 / beta')] = 'all'
     brute: Annotated[bool, Meta(description='measure every ellipsoid instead of querying the index')] = False
     max_braking: Annotated[float, Meta(gt=0, description='deceleration of the fallback [m/s^2]')] = 6.0
     max_acceleration: Annotated[float, Meta(gt=0, description='maximum acceleration on each axis [m/s^2]')] = float("inf")
-    reaction_time_s: Annotated[float, Meta(ge=0, description='reaction time t of the distance gate [s]')] = 0.3
+    reaction_time_s: Annotated[int, Meta(ge=0, description='reaction time t of the distance gate [s]')] = 2
     max_deceleration: Annotated[float, Meta(gt=0, description='deceleration a of the distance gate [m/s^2]')] = 6.0
-    floor_m: Annotated[float, Meta(ge=0, description='minimum of the distance gate [m]')] = 0.5
-    count: Annotated[int, Meta(ge=0, description='maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate')] = 64
+    floor_m: Annotated[int, Meta(ge=0, description='minimum of the distance gate [m]')] = 3
+    count: Annotated[int, Meta(ge=0, description='maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate')] = 1024
+    prune_ticks: Annotated[int, Meta(ge=1, description='calls of the filter for which the candidates are kept before the gate looks for new ones')] = 1
     gate: Annotated[bool, Meta(description='use the distance gate; false: every ellipsoid of the map, for ablations')] = True
     approach: Annotated[bool, Meta(description='only ellipsoids that the vehicle approaches, r^T A v >= 0')] = True
     sweep: Annotated[bool, Meta(description='rank ellipsoids by their distance to the segment that the vehicle sweeps while it reacts and brakes; false: by their distance to its position')] = True
@@ -311,18 +315,18 @@ PARTS: dict[str, tuple[Part, ...]] = {
     "cone-backup": (
         Part("ConeBackupOptions", "", ('horizon_s', 'nodes', 'first_node', 'steps', 'alpha_running', 'alpha_terminal', 'min_speed_m_s', 'far', 'solver', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
         Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'motor_time_constant_s')),
-        Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'gate', 'approach', 'sweep')),
+        Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
         Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
     ),
     "cone-di": (
         Part("ConeDiOptions", "", ('alpha', 'recovery', 'swell', 'escape_rate', 'min_speed', 'max_acceleration', 'max_braking', 'lateral_bias', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
-        Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'gate', 'approach', 'sweep')),
+        Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
     ),
     "cone-ecbf": (
         Part("ConeEcbfOptions", "", ('lambda_', 'lambda_max', 'return_time', 'escape_rate', 'min_speed_m_s', 'cascade', 'thrust_bandwidth_rad_s', 'thrust_damping', 'max_thrust_rate_n_s', 'least_thrust', 'lateral_bias', 'shield', 'room_m', 'try_nominal', 'clf_weight', 'clf_rate', 'clf_kp', 'clf_kv')),
         Part("SmoothNominalOptions", "smooth_nominal", ('release_rad_s', 'release_growth_1_s', 'wish_attitude_rad_s', 'wish_position_rad_s', 'wish_catch_up_m_s', 'wish_acceleration', 'wish_speed_m_s', 'wish_cone_rate_1_s')),
         Part("ShieldOptions", "shield_options", ('tick_s', 'substeps', 'margin_m', 'max_time_s', 'escape_time_s', 'escape_tries', 'line_search', 'rest_speed_m_s', 'rest_rate_rad_s', 'rest_tilt_rad', 'rest_drift_m', 'motor_time_constant_s')),
-        Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'gate', 'approach', 'sweep')),
+        Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
         Part("BackupGains", "backup_policy", ('k_vz', 'k_sigma', 'k_omega', 'k_vh', 'kappa', 'weight', 'eta_frac', 'tilt_rad', 'full_tilt_speed_m_s', 'climb_rate_1_s', 'attitude_rad_s', 'attitude_damping', 'yaw_damping_1_s', 'torque_share', 'torque_weight')),
     ),
     "polytope-cbf": (
@@ -330,7 +334,7 @@ PARTS: dict[str, tuple[Part, ...]] = {
     ),
     "safer-splat": (
         Part("SaferSplatOptions", "", ('alpha', 'beta', 'hessian', 'rows', 'brute', 'max_braking', 'max_acceleration')),
-        Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'gate', 'approach', 'sweep')),
+        Part("Pruning", "pruning", ('reaction_time_s', 'max_deceleration', 'floor_m', 'count', 'prune_ticks', 'gate', 'approach', 'sweep')),
     ),
 }
 """The native structs that make up the options of a filter."""

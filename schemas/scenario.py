@@ -35,6 +35,7 @@
 
     [run]
     dt_s = 0.01
+    filter_ticks = 1              # for filters that see ellipsoids, as is controller_ticks
     max_time_s = 60.0
 
     [fly]                         # for `alula fly` alone, which flies `[map] plan`
@@ -96,6 +97,8 @@ _KEYS = {
     "--separation": "trials.separation",
     "--stop-fraction": "trials.stop_fraction",
     "--dt": "run.dt_s",
+    "--controller-ticks": "run.controller_ticks",
+    "--filter-ticks": "run.filter_ticks",
     "--max-time": "run.max_time_s",
     "--log-rate": "run.log_rate_hz",
 }
@@ -158,6 +161,8 @@ class RunTable(_Table, frozen=True, kw_only=True):
     """Time steps and limits."""
 
     dt_s: float | None = None
+    controller_ticks: int | None = None
+    filter_ticks: int | None = None
     max_time_s: float | None = None
     log_rate_hz: float | None = None
 
@@ -241,6 +246,8 @@ class Scenario(_Table, frozen=True, kw_only=True):
             "stop_fraction": self.trials.stop_fraction,
             "pairs": self.trials.pairs,
             "dt_s": self.run.dt_s,
+            "controller_ticks": self.run.controller_ticks,
+            "filter_ticks": self.run.filter_ticks,
             "max_time_s": self.run.max_time_s,
             "log_rate_hz": self.run.log_rate_hz,
             **(self.filter.parameters if own else {"filter_parameters": self.filter.parameters or None}),

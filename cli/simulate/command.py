@@ -391,7 +391,7 @@ def _write(
     write_run(
         output,
         record,
-        flight_timing(result, config.dt_s),
+        flight_timing(result, config.dt_s * config.filter_ticks),
         lambda log: write_log(log, record, result.flights, result.map, frame),
     )
 

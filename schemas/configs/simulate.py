@@ -18,7 +18,7 @@ DEFAULT_SPEED_M_S = 1.0
 HULLS_ONLY = ("gain", *entries(PolytopeCbfParameters))
 ELLIPSOIDS_ONLY = (
     *("sigma", "confidence", "inflation_m", "plant", "guide", "guide_parameters", "catch_up_m_s"),
-    *("interface", "pairs"),
+    *("interface", "pairs", "controller_ticks", "filter_ticks"),
 )
 # Fields that determine the random pairs.
 SAMPLING_ONLY = ("pairs", "bounds", "margin_m", "separation")
@@ -141,6 +141,14 @@ class SimulateConfig:
         default="wrench",
         metadata={"help": "Command of a quadrotor: thrust and torque, or thrust and body rates."},
     )
+    controller_ticks: int = field(
+        default=1,
+        metadata={"help": "In a scene: time steps for which the controller's command is held."},
+    )
+    filter_ticks: int = field(
+        default=1,
+        metadata={"help": "In a scene: time steps for which the filter's input is held."},
+    )
     pairs: Literal["any", "blocked"] = field(
         default="any",
         metadata={
@@ -190,6 +198,8 @@ class SimulateConfig:
             raise UsageError(f"--interface must be wrench or body-rates, not {self.interface!r}")
         if self.catch_up_m_s is not None:
             _between("--catch-up", self.catch_up_m_s, 1e-6, 1e6)
+        _between("--controller-ticks", self.controller_ticks, 1, 1000)
+        _between("--filter-ticks", self.filter_ticks, 1, 1000)
         if self.pairs not in ("any", "blocked"):
             raise UsageError(f"--pairs must be any or blocked, not {self.pairs!r}")
         if not self.name.strip():

@@ -1,5 +1,6 @@
 """The examples run, and their Makefiles behave as Make users expect."""
 
+import csv
 import json
 import os
 import shutil
@@ -224,37 +225,75 @@ def test_polymerge_sets_our_maps_beside_the_published_ones(tmp_path):
 def test_fastbridge_flies_every_filter_over_the_same_pairs(tmp_path):
     folder = tmp_path / "fastbridge"
     shutil.copytree(EXAMPLES / "fastbridge", folder, ignore=shutil.ignore_patterns("out"))
+    swept = "ideal-di cone-di safer-splat safer-splat-gated safer-splat-gated-3m ecbf-gate-3m cone-ecbf"
+    paper = "none printed-backup-d printed-ecbf-14-clf cone-backup-rates printed-backup-split"
     words = [f"PYTHON={sys.executable} -P", "GAUSSIANS=20000", "TRIALS=2", "SPEEDS=2.1", "FLIGHT_SPEEDS=2.1"]
-    words += ["ABLATION_SPEED=2.1", "ABLATIONS=ecbf-inflate-5cm backup-no-shield", "ALULA_DATA=", "-j2"]
+    words += [f"SWEPT={swept} cone-backup cone-ecbf-tuned safer-splat-gated-tuned", f"PAPER_VARIANTS={paper}"]
+    words += [
+        "ABLATION_SPEED=2.1",
+        "ABLATIONS=ecbf-inflate-5cm backup-no-shield",
+        "OTHERS=cone-backup-escape",
+    ]
+    words += ["LOOP_SPEEDS=1.1", "OTHER_SPEEDS=2.1", "PAGE=out/page.md", "ABLATIONS_PAGE=out/ours.md"]
+    words += ["TUNE_TRIALS=1", "TUNE_SETTINGS=2", "ALULA_DATA=", "-j2"]
+    make(folder, *words, "tune")
+    with (folder / "tuning.csv").open(newline="") as file:
+        tried = list(csv.DictReader(file))
+    methods = {row["method"] for row in tried}
+    assert {"safer-splat", "safer-splat-gated", "cone-di", "cone-ecbf", "cone-backup"} < methods
+    for method in methods:  # the same search for all
+        rows = [row for row in tried if row["method"] == method]
+        assert [row["setting"] for row in rows] == ["0", "1"]
+        assert [row["best"] for row in rows].count("yes") == 1
+        worse = min(rows, key=lambda row: row["best"])
+        best = max(rows, key=lambda row: row["best"])
+        assert (int(best["collided"]), -int(best["reached"])) <= (
+            int(worse["collided"]),
+            -int(worse["reached"]),
+        )
     done = make(folder, *words)
-    assert "cone-ecbf against safer-splat: mean jerk" in done.stdout
+    assert "cone-ecbf against safer-splat (a row for every ellipsoid in the second): mean jerk" in done.stdout
     out = folder / "out"
     flown = {path.name.split("@")[0] for path in (out / "room").glob("*.run.mcap")}
-    assert {"none", "ideal-di", "cone-di", "safer-splat", "cone-ecbf", "cone-backup-escape"} < flown
+    assert flown == {*f"{swept} {paper} cone-backup cone-ecbf-tuned safer-splat-gated-tuned".split()}
+    best = next(row for row in tried if (row["method"], row["best"]) == ("cone-ecbf", "yes"))
+    tuned = json.loads((out / "room/cone-ecbf-tuned@2.1.run.json").read_text())
+    parameters = tuned["provenance"]["parameters"]["filter_parameters"]
+    for word in best["gains"].split():
+        name, value = word.split("=")
+        assert parameters[name] == float(value)
+    split = json.loads((out / "room/printed-backup-split@1.1.run.json").read_text())
+    assert split["timing"]["filter_calls"] < 0.21 * sum(t["steps"] for t in split["trials"])
     starts = set()
     for path in (out / "room").glob("*.run.json"):
         trials = json.loads(path.read_text())["trials"]
         starts.add(json.dumps([[t["start_m"], t["goal_m"]] for t in trials]))
-        if path.name.startswith(("cone-ecbf", "cone-backup")):
+        if path.name.startswith(("cone-ecbf@", "cone-backup@")):
             assert not any(t["collision"] for t in trials), path.name
             assert all(t["certified_steps"] == t["steps"] for t in trials), path.name
-    assert len(starts) == 1  # also with another inflation
+    assert len(starts) == 1
     rows = (out / "figure-4.csv").read_text().splitlines()
     assert rows[-1].startswith("published")
-    assert len(rows) == 1 + len(flown - {"ideal-di", "ecbf-inflate-5cm", "backup-no-shield"}) + 1
+    of_the_paper = {"printed-backup-d", "printed-ecbf-14-clf", "cone-backup-rates", "printed-backup-split"}
+    assert len(rows) == 1 + len(flown - {"ideal-di"} - of_the_paper) + 1
+    assert "Figure 3" in (out / "fastbridge.html").read_text()
+    verdicts = (out / "verdicts.csv").read_text().splitlines()
+    assert len(verdicts) > 30
+    make(folder, *words, "page")
+    page = (out / "page.md").read_text()
+    assert page.index("Proposition 3") < page.index("Gains found by the search") < page.index("## Figure 2")
+    assert commands_in(make(folder, *words)) == []
+    make(folder, *words, "ablations")
     ablations = (out / "ablations.csv").read_text().splitlines()
     assert [line.rsplit(",", 1)[1] for line in ablations] == [
-        "changed",
-        "–",
-        "shield no",
-        "–",
-        "inflation_m 0.05",
+        *("changed", "policy cone-escape", "–", "shield no", "–", "inflation_m 0.05"),
     ]
-    assert "Figure 3" in (out / "fastbridge.html").read_text()
-    assert commands_in(make(folder, *words)) == []
-    fewer = make(folder, *words, "SPEEDS=3.1", "FLIGHT_SPEEDS=2.1", "ABLATIONS=")
-    assert commands_in(fewer).count("simulate") == 6  # of the new speed
-    assert {line.split(",")[2] for line in (out / "figure-2.csv").read_text().splitlines()[1:]} == {
-        "2.1",
-        "3.1",
-    }
+    assert len({*starts, *_starts(out)}) == 1  # also with another inflation
+    fewer = make(folder, *words, "SPEEDS=3.1")
+    assert commands_in(fewer).count("simulate") == 10  # of the new speed
+
+
+def _starts(out):
+    """The pairs of all runs."""
+    records = [json.loads(path.read_text()) for path in (out / "room").glob("*.run.json")]
+    return {json.dumps([[t["start_m"], t["goal_m"]] for t in record["trials"]]) for record in records}

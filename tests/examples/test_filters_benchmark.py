@@ -13,7 +13,11 @@ SMALL = (
     "--quick --splats 20000 --pairs 1 --repeats 2 --qp-problems 200 --qp-seconds 600 --brute-seconds 0.1 "
     "--cbfpy-ticks 5"
 )
-FLOWN = ("cone_di", "cone_ecbf", "cone_backup", "cone_backup_hover", "safer_splat")
+FLOWN = (
+    *("cone_di", "cone_ecbf", "cone_backup", "cone_backup_hover"),
+    *("safer_splat", "safer_splat_gated", "safer_splat_same_gate"),
+)
+EVERY_ELLIPSOID = ("safer_splat", "safer_splat_brute", "safer_splat_published")  # the others have a gate
 OPTIONAL = ("cbfpy", "daqp", "quadprog")
 
 
@@ -45,6 +49,18 @@ def test_every_figure_is_a_number(small_run):
     figures = [value for name, value in found.items() if name not in texts | missing]
     assert all(math.isfinite(value) and value >= 0 for value in figures), found
     assert all(value is None or 0 < value < math.inf for value in found["ratios"].values())
+
+
+def test_no_ratio_compares_a_row_for_every_ellipsoid_with_rows_within_a_gate(monkeypatch):
+    if not (ROOT / "benchmarks").is_dir():
+        pytest.skip("not a checkout")
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    import filters
+
+    every = [f"{name}_p50_us" for name in EVERY_ELLIPSOID]
+    for name, figures in filters._RATIOS.items():
+        if any("safer" in figure for figure in figures):
+            assert len({figure in every for figure in figures}) == 1, name
 
 
 def test_a_figure_of_a_filter_is_of_all_its_ticks(small_run):

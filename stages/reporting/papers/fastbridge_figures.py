@@ -11,9 +11,6 @@ from alula.schemas.run import TrialResult
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.papers.fastbridge import (
     BASELINE,
-    COMPARED,
-    GAP_VARIANTS,
-    GATED,
     OURS,
 )
 from alula.stages.reporting.papers.sweeps import Sweep, find, realisation_error, speeds_of, succeeded
@@ -27,7 +24,16 @@ COLORS = {
     "safer-splat": "#d55e00",
     "safer-splat-gated": "#e69f00",
     "cone-backup": "#cc79a7",
+    "safer-splat-tuned": "#8c3d00",
+    "safer-splat-gated-tuned": "#a67300",
+    "cone-ecbf-tuned": "#56b4e9",
 }
+GAP = ("ideal-di", "cone-di", "cone-ecbf", "cone-backup")
+DRAWN = (
+    *("safer-splat", "safer-splat-tuned", "safer-splat-gated", "safer-splat-gated-tuned"),
+    *("cone-ecbf", "cone-ecbf-tuned", "cone-backup"),
+)
+PATHS = (BASELINE, "safer-splat-gated-tuned", OURS)
 _SPEEDS = "peak speed of the reference [m/s]"
 
 
@@ -37,7 +43,7 @@ def gap_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
 
     values = []
     with drawing(7.4, 5.6, rows=2) as ((top, bottom), render):
-        for variant in GAP_VARIANTS:
+        for variant in GAP:
             runs = _by_speed(sweeps, scene, variant)
             if not runs:
                 continue
@@ -65,7 +71,7 @@ def comparison_figure(sweeps: Sequence[Sweep], scene: str) -> Figure:
     """Plot Figure 3, right: jerk, time and speed over the reference speed."""
     values = []
     with drawing(7.4, 8.4, rows=4) as (axes, render):
-        for variant in COMPARED:
+        for variant in DRAWN:
             runs = _by_speed(sweeps, scene, variant)
             if not runs:
                 continue
@@ -103,7 +109,7 @@ def paths_figure(sweeps: Sequence[Sweep], scene: str, trial: int) -> Figure | No
     """
     from matplotlib import colormaps
 
-    shown = tuple(v for v in (BASELINE, GATED, OURS) if v == OURS or _by_speed(sweeps, scene, v))
+    shown = tuple(v for v in PATHS if v == OURS or _by_speed(sweeps, scene, v))
     speeds = speeds_of(sweeps, scene, shown)
     drawn = 0
     with drawing(4.0 * len(shown), 4.6, columns=len(shown)) as (axes, render):

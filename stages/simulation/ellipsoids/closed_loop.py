@@ -35,7 +35,7 @@ class SplatFlown:
         state: position, attitude (MRP), velocity, body rates, shape (S + 1, 12); the last row is the end.
         a_nominal: acceleration of the nominal command, shape (S, 3) [m/s^2].
         a_command: acceleration after the filter, shape (S, 3) [m/s^2]; for a wrench, that of its thrust along
-            the true axis.
+            the axis that the filter saw, held for the tick.
         a_error: maximum of |a - a_command| within the tick, shape (S,) [m/s^2].
         u_nominal: thrust and torque of the controller, shape (S, 4) [N, N m].
         u: thrust and torque as flown, within the limits of the rotors, shape (S, 4); 0 without rotors.
@@ -135,7 +135,8 @@ def _fly_in_python(safety_filter: SplatFilter, trial: _core.FlightTrial) -> Spla
     while outcome == 0:
         state, nominal = FlightState(*trial.state()), Nominal(*trial.nominal())
         before = time.perf_counter()
-        result = safety_filter(state, nominal)
+        if trial.is_filtered():
+            result = safety_filter(state, nominal)
         seconds = time.perf_counter() - before
         status = FilterStatus(result.status)
         u = np.zeros(3 if kind == "acceleration" else 4) if status is FilterStatus.REFUSED else result.u

@@ -163,7 +163,7 @@ def simulate_splat(
         body=body,
         gains=gains,
         radius_m=keep,
-        dt_s=config.dt_s,
+        dt_s=config.dt_s * config.filter_ticks,
         motor_time_constant_s=assumed.motor_time_constant_s,
     )
     safety_filter = make_splat_filter(config.filter, world, config.filter_parameters)
@@ -176,6 +176,8 @@ def simulate_splat(
     lower, upper = _room(scene, references, config.dt_s)
     rules = _core.FlightRules(
         dt_s=config.dt_s,
+        controller_ticks=config.controller_ticks,
+        filter_ticks=config.filter_ticks,
         stop_fraction=config.stop_fraction,
         stuck_ticks=max(1, round(_STUCK_S / config.dt_s)),
         max_time_s=config.max_time_s or 0.0,
@@ -213,7 +215,7 @@ def simulate_splat(
             rows = reference.at(np.arange(len(flown.status) + 1, dtype=np.float64) * config.dt_s)
             trials.append(judge.trial(i, rows, goals[i], flown, config.dt_s, index))
             flights.append(decimate(flown, config.dt_s, config.log_rate_hz))
-            seconds.append((flown.filter_s, flown.tick_s))
+            seconds.append((flown.filter_s[:: config.filter_ticks], flown.tick_s[:: config.filter_ticks]))
     return RunResult(
         filter=config.filter,
         vehicle=_describe(config, vehicle),

@@ -216,3 +216,45 @@ def test_options_that_mean_nothing_are_refused():
             _core.SaferSplat(index, _core.SaferSplatOptions(**wrong))
     with pytest.raises(IndexError):
         _core.SaferSplat(index).barrier(3, (0, 0, 0), (0, 0, 0))
+
+
+def wall(x, step=0.1):
+    """Balls of 6 cm in a plane across the way."""
+    y, z = np.mgrid[-1.5:1.55:step, -1.5:1.55:step]
+    mean = np.stack([np.full(y.size, x), y.ravel(), z.ravel()], axis=1).astype(np.float32)
+    count = len(mean)
+    return mean, np.full((count, 3), 0.06, np.float32), np.tile(np.float32([1, 0, 0, 0]), (count, 1))
+
+
+@pytest.mark.parametrize("speed", [1.0, 2.0, 4.0, 6.0])
+def test_a_ball_that_enters_the_default_gate_asks_for_half_of_the_slow_pole_times_the_speed(speed):
+    """With the gate of the cones, no quadrotor realises what the first row asks for."""
+
+    def asked(options):
+        far = np.float32([[90, 0, 0]]), np.full((1, 3), 0.2, np.float32), np.float32([[1, 0, 0, 0]])
+        v = (speed, 0, 0)
+        gate_m = tick(_core.SaferSplat(index_of(far), options), (0, 0, 0), v, (0, 0, 0))["gate_m"]
+        x = 90 - 0.2 - gate_m + 1e-6
+        return -tick(_core.SaferSplat(index_of(far), options), (x, 0, 0), v, (0, 0, 0))["acceleration"][0]
+
+    assert asked(_core.SaferSplatOptions(rows="nearest")) <= speed / 2 + 0.1  # beta = 1
+    cones = _core.Pruning(floor_m=0.5, count=64)
+    assert asked(_core.SaferSplatOptions(rows="nearest", pruning=cones)) > 2.5 * speed
+
+
+def test_kept_candidates_are_those_of_the_first_call():
+    rows = wall(2.0)
+    kept = _core.SaferSplat(
+        index_of(rows),
+        _core.SaferSplatOptions(rows="nearest", pruning=_core.Pruning(count=4, floor_m=3.0, prune_ticks=3)),
+    )
+    here, there, nominal = (0, 1, 0), (0, -1, 0), (1.0, 0, 0)
+    first = tick(kept, here, (1, 0, 0), nominal)["margin"]
+    margins = [tick(kept, there, (1, 0, 0), nominal)["margin"] for _ in range(3)]
+    assert margins[0] == margins[1] > margins[2]  # of ellipsoids 2 m to the side, until the gate looks again
+    assert margins[2] == pytest.approx(first)
+    tick(kept, here, (1, 0, 0), nominal)
+    kept.reset()
+    assert tick(kept, there, (1, 0, 0), nominal)["margin"] == pytest.approx(first)
+    with pytest.raises(ValueError, match="at least 1"):
+        _core.SaferSplat(index_of(rows), _core.SaferSplatOptions(pruning=_core.Pruning(prune_ticks=0)))

@@ -76,6 +76,8 @@ struct Fields<FlightRulesArguments> {
       Field{"dt_s", &Rules::dt_s, "a tick of controller and filter [s]"},
       Field{"plant_steps", &Rules::steps,
             "steps of the plant in a tick; default: as many as make none longer than 1 ms"},
+      Field{"controller_ticks", &Rules::controller_ticks, "ticks for which the controller's command is held"},
+      Field{"filter_ticks", &Rules::filter_ticks, "ticks for which the filter's input is held"},
       Field{"stop_fraction", &Rules::stop_fraction, "reached within this fraction of the start-goal distance"},
       Field{"stop_floor_m", &Rules::stop_floor_m, "or within this distance [m]"},
       Field{"stop_speed", &Rules::stop_speed, "slower than this, with the reference at its end [m/s]"},
@@ -238,6 +240,9 @@ void bind_splat_flight(nb::module_& m) {
                                    to_array(n.reference_acceleration));
           },
           "Acceleration, wrench, T' and T'', errors of position and velocity, acceleration of the reference.")
+      .def(
+          "is_filtered", [](const SteppedFlight& self) { return self.trial.is_filtered(); },
+          "Whether the filter runs in this tick; in the others its last answer is flown again.")
       .def(
           "advance", &SteppedFlight::advance, "u"_a, "others"_a,
           nb::sig(fields::signature(Answer{}, "self, u: NDArray[numpy.float64]", "advance", "int").c_str()),

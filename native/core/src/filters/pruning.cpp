@@ -25,6 +25,7 @@ Pruner::Pruner(std::shared_ptr<const EllipsoidIndex> index, const Pruning& pruni
     throw std::invalid_argument("reaction time and floor of the gate must be at least 0");
   if (!(pruning.max_deceleration > 0 && std::isfinite(pruning.max_deceleration)))
     throw std::invalid_argument("the deceleration of the gate must be positive");
+  if (pruning_.hold < 1) throw std::invalid_argument("candidates are kept for at least one call");
   found_.reserve(most() + 1);
 }
 
@@ -33,15 +34,29 @@ std::size_t Pruner::most() const {
   return all ? index_->size() : std::min<std::size_t>(index_->size(), pruning_.count);
 }
 
+bool Pruner::is_kept() {
+  const bool kept = age_ > 0;
+  age_ = (age_ + 1) % pruning_.hold;
+  return kept;
+}
+
+std::span<const Found> Pruner::kept(FilterReport& report) const {
+  report.gate_m = kept_gate_m_, report.capped = is_kept_capped_;
+  report.candidates = static_cast<std::uint32_t>(found_.size());
+  return found_;
+}
+
 std::span<const Found> Pruner::capped(FilterReport& report) {
   report.capped = pruning_.count > 0 && found_.size() > pruning_.count;
   if (report.capped) found_.resize(pruning_.count);
   report.candidates = static_cast<std::uint32_t>(found_.size());
+  kept_gate_m_ = report.gate_m, is_kept_capped_ = report.capped;
   return found_;
 }
 
 std::span<const Found> Pruner::near(Vec3 p, Vec3 v, bool approach, FilterReport& report) {
   using geometry::dot;
+  if (is_kept()) return kept(report);
   if (!pruning_.gate) {
     const auto passes = [&](const GrownEllipsoid& e) {
       const Vec3 r = e.centre - p, ar = e.a * r;
@@ -51,9 +66,8 @@ std::span<const Found> Pruner::near(Vec3 p, Vec3 v, bool approach, FilterReport&
     found_.clear();
     for (std::uint32_t item = 0; item < index_->size(); ++item)
       if (passes(index_->grown(item))) found_.push_back({item, 0});
-    report.candidates = static_cast<std::uint32_t>(found_.size());
-    report.capped = false;
-    return found_;
+    kept_gate_m_ = kInfinity, is_kept_capped_ = false;
+    return kept(report);
   }
   const double speed = geometry::norm(v);
   report.gate_m = gate_distance(pruning_, speed, index_->radius());
@@ -71,6 +85,7 @@ std::span<const Found> Pruner::near(Vec3 p, Vec3 v, bool approach, FilterReport&
 }
 
 std::span<const Found> Pruner::near_by_scan(Vec3 p, Vec3 v, FilterReport& report) {
+  if (is_kept()) return kept(report);
   report.gate_m = pruning_.gate ? gate_distance(pruning_, geometry::norm(v), index_->radius()) : kInfinity;
   found_.clear();
   for (std::uint32_t item = 0; item < index_->size(); ++item) {
@@ -78,9 +93,8 @@ std::span<const Found> Pruner::near_by_scan(Vec3 p, Vec3 v, FilterReport& report
     if (distance < report.gate_m) found_.push_back({item, distance});
   }
   if (!pruning_.gate) {
-    report.candidates = static_cast<std::uint32_t>(found_.size());
-    report.capped = false;
-    return found_;
+    kept_gate_m_ = kInfinity, is_kept_capped_ = false;
+    return kept(report);
   }
   std::sort(found_.begin(), found_.end(), [](const Found& a, const Found& b) {
     return a.distance != b.distance ? a.distance < b.distance : a.item < b.item;

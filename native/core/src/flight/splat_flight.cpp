@@ -36,11 +36,11 @@ bool within(Vec3 p, Vec3 lower, Vec3 upper) {  // false for NaN
 }
 
 void check(const FlightVehicle& vehicle, const FlightRules& rules) {
-  const bool good = rules.dt_s > 0 && std::isfinite(rules.dt_s) && rules.plant_steps > 0 &&
-                    rules.stop_fraction >= 0 && rules.stop_floor_m > 0 && rules.stop_speed > 0 &&
-                    rules.stuck_speed >= 0 && rules.stuck_ticks > 0 && rules.time_factor > 0 &&
-                    rules.max_time_s >= 0 && vehicle.rate_time_constant_s > 0 && vehicle.max_rate.x > 0 &&
-                    vehicle.max_rate.y > 0 && vehicle.max_rate.z > 0;
+  const bool good =
+      rules.dt_s > 0 && std::isfinite(rules.dt_s) && rules.plant_steps > 0 && rules.controller_ticks > 0 &&
+      rules.filter_ticks > 0 && rules.stop_fraction >= 0 && rules.stop_floor_m > 0 && rules.stop_speed > 0 &&
+      rules.stuck_speed >= 0 && rules.stuck_ticks > 0 && rules.time_factor > 0 && rules.max_time_s >= 0 &&
+      vehicle.rate_time_constant_s > 0 && vehicle.max_rate.x > 0 && vehicle.max_rate.y > 0 && vehicle.max_rate.z > 0;
   if (!good) throw std::invalid_argument("the rules of a flight must be positive");
 }
 
@@ -86,6 +86,10 @@ void FlightTrial::observe() {
   seen_.x = is_rigid() ? body_.measured() : point_.measured();
   seen_.x.sigma = shadowed(seen_.x.sigma);  // delayed measurements precede the switch at the end of the tick
   if (is_rigid()) seen_.x = predictor_.now(seen_.x, time_s()), seen_.rotors = predictor_.rotors();
+  if (!is_turn(rules_.controller_ticks)) {
+    guide_s_ = 0, controller_s_ = seconds_since(before);
+    return;
+  }
   target_ = reference_.at(reference_.start() + time_s());
   // The controller uses its own thrust, unless another one is applied.
   nominal_ = track(vehicle_.body, vehicle_.gains, seen_.x, target_, is_other_ ? seen_.thrust : own_thrust);
@@ -117,38 +121,32 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
   if (log_.outcome != Outcome::flying) throw std::logic_error("the flight is over");
   if (kind == InputKind::wrench && !is_rigid()) throw std::invalid_argument("a double integrator has no wrench");
   const double thrust_before = seen_.thrust;
-  Vec3 command = answer.acceleration;
   double error = 0, realise_s = 0;
-  bool is_limited = false;
-  Wrench flown, led;
+  Wrench led;
   if (!is_rigid()) {
+    command_ = answer.acceleration;
     for (std::int64_t i = 0; i < rules_.plant_steps; ++i) {
-      point_.step(rules_.dt_s / static_cast<double>(rules_.plant_steps), command);
+      point_.step(rules_.dt_s / static_cast<double>(rules_.plant_steps), command_);
       append(log_.position, point_.state().p);
     }
-    error = norm(point_.acceleration() - command);
-    is_limited = error > 0;
+    error = norm(point_.acceleration() - command_);
+    is_limited_ = error > 0;
     x_ = point_.state();
   } else {
     const auto before = Clock::now();
-    const Wrench unlimited = kind == InputKind::wrench ? answer.wrench
-                                                       : realise(vehicle_.body, vehicle_.gains, seen_.x, target_,
-                                                                 nominal_, answer.acceleration);
-    flown = vehicle_.body.limited(unlimited);
-    led = predictor_.lead(flown);
+    if (is_turn(kind == InputKind::wrench ? rules_.filter_ticks : rules_.controller_ticks)) renew(answer, kind);
+    led = predictor_.lead(flown_);
     realise_s = seconds_since(before);
-    is_limited = !is_same(unlimited, flown);
-    if (kind == InputKind::wrench) command = acceleration_of(vehicle_.body, x_, answer.wrench.thrust);
-    error = fly(answer, kind, flown, led);
+    error = fly(led);
     predictor_.fly(led);
-    seen_.thrust = flown.thrust;
-    is_other_ = flown.thrust != nominal_.wrench.thrust;
+    seen_.thrust = flown_.thrust;
+    is_other_ = flown_.thrust != nominal_.wrench.thrust;
   }
   seen_.thrust_rate = kind == InputKind::wrench ? answer.thrust_rate : (seen_.thrust - thrust_before) / rules_.dt_s;
 
   append(log_.state, x_);
   append(log_.a_nominal, nominal_.acceleration);
-  append(log_.a_command, command);
+  append(log_.a_command, command_);
   append(log_.u_nominal, nominal_.wrench);
   append(log_.u, led);
   const Vec4 rotors = is_rigid() ? vehicle_.body.rotor_thrust(led) : Vec4{};
@@ -162,7 +160,7 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
   log_.iterations.push_back(answer.iterations);
   log_.status.push_back(static_cast<std::uint8_t>(answer.status));
   log_.flags.push_back(static_cast<std::uint8_t>((answer.capped ? 1 : 0) | (answer.infeasible ? 2 : 0) |
-                                                 (answer.certified ? 4 : 0) | (is_limited ? 8 : 0)));
+                                                 (answer.certified ? 4 : 0) | (is_limited_ ? 8 : 0)));
   log_.filter_s.push_back(static_cast<float>(filter_s + guide_s_));
   log_.tick_s.push_back(static_cast<float>(controller_s_ + guide_s_ + filter_s + realise_s));
   log_.outcome = judged(answer.status);
@@ -170,27 +168,39 @@ Outcome FlightTrial::advance(const FilterReport& answer, InputKind kind, double 
   return log_.outcome;
 }
 
-// Flies a commanded wrench, held, or the body rates for it, for a tick. Returns the largest realisation error at the
-// ends of the plant's steps; the acceleration of a wrench turns with the vehicle.
-double FlightTrial::fly(const FilterReport& answer, InputKind kind, const Wrench& flown, const Wrench& led) {
+// Makes the wrench, its acceleration and its body rates from the report of a filter.
+void FlightTrial::renew(const FilterReport& answer, InputKind kind) {
+  const bool is_wrench = kind == InputKind::wrench;
+  const Wrench unlimited =
+      is_wrench ? answer.wrench
+                : realise(vehicle_.body, vehicle_.gains, seen_.x, target_, nominal_, answer.acceleration);
+  flown_ = vehicle_.body.limited(unlimited);
+  is_limited_ = !is_same(unlimited, flown_);
+  // A thrust is an acceleration along the axis that the filter saw; held, as the acceleration of a filter is.
+  command_ = is_wrench ? acceleration_of(vehicle_.body, seen_.x, answer.wrench.thrust) : answer.acceleration;
+  if (vehicle_.interface != CommandInterface::body_rates) return;
+  const double held_s = rules_.dt_s * static_cast<double>(is_wrench ? rules_.filter_ticks : rules_.controller_ticks);
+  rates_ = body_rates(vehicle_.body, seen_.x, flown_, held_s, vehicle_.max_rate);
+}
+
+// Flies the wrench, held, or its body rates for a tick. Returns the largest difference of the body's acceleration and
+// the commanded one at the ends of the plant's steps.
+double FlightTrial::fly(const Wrench& led) {
   const double dt = rules_.dt_s / static_cast<double>(rules_.plant_steps);
   const bool by_rates = vehicle_.interface == CommandInterface::body_rates;
-  const Vec3 rates = by_rates ? body_rates(vehicle_.body, seen_.x, flown, rules_.dt_s, vehicle_.max_rate) : Vec3{};
   double worst = 0;
   for (std::int64_t i = 0; i < rules_.plant_steps; ++i) {
     Wrench u = led;
     if (by_rates) {
       const Vec3 inertia = vehicle_.body.inertia();
       u.torque = cross(x_.omega, multiply(inertia, x_.omega)) +
-                 1 / vehicle_.rate_time_constant_s * multiply(inertia, rates - x_.omega);
+                 1 / vehicle_.rate_time_constant_s * multiply(inertia, rates_ - x_.omega);
       u = vehicle_.body.limited(u);
     }
     body_.step(dt, u);
     x_ = body_.state();
     append(log_.position, x_.p);
-    const Vec3 command = kind == InputKind::acceleration ? answer.acceleration
-                                                         : acceleration_of(vehicle_.body, x_, answer.wrench.thrust);
-    worst = std::max(worst, norm(body_.acceleration() - command));
+    worst = std::max(worst, norm(body_.acceleration() - command_));
   }
   body_.switch_shadow();
   x_ = body_.state();
@@ -223,13 +233,14 @@ std::vector<SplatFlightLog> fly(const FlightVehicle& vehicle, const FlightRules&
     for (std::size_t i = begin; i < end; ++i) {
       if (own) own->reset();
       FlightTrial trial(vehicle, rules, references[i], seed, first_trial + static_cast<std::uint32_t>(i), guide);
+      FilterReport answer;
       while (trial.outcome() == Outcome::flying) {
         if (!own) {
           trial.advance(trial.unfiltered(), kind, 0);
           continue;
         }
         const auto before = Clock::now();
-        const FilterReport answer = own->filter(trial.state(), trial.nominal());
+        if (trial.is_filtered()) answer = own->filter(trial.state(), trial.nominal());
         trial.advance(answer, kind, seconds_since(before));
       }
       logs[i] = std::move(trial.log());

@@ -6,75 +6,11 @@ import numpy as np
 import pytest
 
 from alula.schemas.errors import InputError
-from alula.schemas.manifest import Guarantee
-from alula.schemas.provenance import Provenance
-from alula.schemas.run import RunRecord, TrialResult
 from alula.stages.reporting.material import Run
 from alula.stages.reporting.papers import fastbridge, fastbridge_figures
 from alula.stages.reporting.papers.fastbridge import comparison_table, flight_tables, gap_table, ratio_table
 from alula.stages.reporting.papers.sweeps import Sweep, compare, succeeded
-
-
-def trial(index, outcome="reached", collision=False, jerk=2.0, speed=1.0, steps=100, **fields):
-    known = {
-        "start_m": [0.0, 0.0, 1.0],
-        "goal_m": [2.0, 0.0, 1.0],
-        "duration_s": 0.01 * steps,
-        "path_length_m": 2.5,
-        "straight_length_m": 2.0,
-        "map_clearance_m": None,
-        "scene_clearance_m": -0.01 if collision else 0.1 + 0.01 * index,
-        "filtered_steps": 10,
-        "shortened_steps": 0,
-        "infeasible_steps": 3,
-        "fallback_steps": 0,
-        "backup_steps": 5,
-        "certified_steps": steps,
-        "peak_realisation_error_m_s2": 0.5 * (index + 1),
-        "min_gamma": 0.2 + index,
-    }
-    return TrialResult(
-        **{
-            **known,
-            "index": index,
-            "outcome": outcome,
-            "collision": collision,
-            "steps": steps,
-            "mean_jerk_m_s3": jerk,
-            "max_jerk_m_s3": 10 * jerk,
-            "max_speed_m_s": speed,
-            **fields,
-        }
-    )
-
-
-SHIELDED = {"filter_parameters": {"policy": "brake", "shield": True, "count": 64}}
-
-
-def sweep(variant, speed, trials, scene="room", seconds=1e-4, parameters=None, filter_name=None):
-    calls = sum(t.steps for t in trials)
-    timing = {
-        "filter_calls": calls,
-        "filter_total_s": seconds * calls,
-        "filter_p99_s": 2 * seconds,
-        "tick_mean_s": 1.5 * seconds,
-        "tick_p99_s": 3 * seconds,
-        "tick_max_s": 9 * seconds,
-        "overruns": 0,
-    }
-    record = RunRecord(
-        schema="alula/run",
-        version="1.0",
-        provenance=Provenance.now("alula/run", "1.0", parameters or SHIELDED, 0, []),
-        name=variant,
-        filter=filter_name or variant,
-        vehicle="test",
-        trials=trials,
-        summary={},
-        guarantee=Guarantee(statement="none", claims={}),
-        timing=timing,
-    )
-    return Sweep(scene, variant, speed, Run(f"{variant}@{speed}", record))
+from support.sweeps import sweep, trial
 
 
 @pytest.fixture
@@ -124,6 +60,7 @@ def records_of(table):
 def test_the_comparison_has_both_filters_and_the_published_ones(pair):
     theirs, ours, *published = records_of(comparison_table(pair))
     assert (theirs["filter"], ours["filter"]) == ("safer-splat", "cone-ecbf")
+    assert (theirs["settings"], ours["settings"]) == ("published", "ours")
     assert (theirs["goal rate"], ours["goal rate"]) == (pytest.approx(1 / 3), 1.0)
     assert [theirs[key] for key in ("trials", "reached", "collided", "neither")] == [3, 1, 1, 1]
     assert ours["filter, mean [µs]"] == pytest.approx(100)
@@ -137,13 +74,34 @@ def test_ratios_have_a_table_of_their_own(pair):
     found, both, published = records_of(ratio_table(pair))
     assert (found["filters"], found["flights"], found["pairs"]) == ("cone-ecbf : safer-splat", "all", 3)
     assert found["mean jerk, ratio"] == pytest.approx(5 / 12)
-    assert found["filter time, ratio"] == pytest.approx(0.1)
+    assert found["filter time, ratio"] is None  # one has rows within a gate, the other of every ellipsoid
     assert found["goal rate, difference"] == pytest.approx(2 / 3)
     assert (both["pairs"], both["mean jerk, ratio"]) == (1, pytest.approx(0.25))
     assert both["95 % low"] is None  # of one pair
     assert both["goal rate, difference"] is None
     assert published["mean jerk, ratio"] == 0.53
     assert published["top speed, difference [m/s]"] == pytest.approx(1.0)
+
+
+def test_times_are_compared_only_like_for_like(pair):
+    ours, theirs = pair
+    gated = Sweep("room", "safer-splat-gated", 2.1, theirs.run)
+    alike = [row for row in records_of(ratio_table([ours, gated])) if row["scene"] == "room"]
+    assert alike[0]["filter time, ratio"] == pytest.approx(0.1)
+    assert all("every ellipsoid" not in row["maps"] for row in alike)
+    unlike = [row for row in records_of(ratio_table(pair)) if row["scene"] == "room"]
+    assert [row["filter time, ratio"] for row in unlike] == [None, None]
+    assert all("every ellipsoid" in row["maps"] for row in unlike)
+    words = fastbridge.in_short([ours, theirs, gated])
+    assert [("filter time" in text, "safer-splat-gated" in key) for key, text in words.items()] == [
+        (True, True),
+        (False, False),
+    ]
+
+
+def test_every_filter_that_is_compared_has_words_for_its_settings():
+    assert {variant for pair in fastbridge.PAIRED for variant in pair} <= fastbridge.SETTINGS.keys()
+    assert "safer-splat-gated-cones" in fastbridge.COMPARED
 
 
 def test_ratios_are_of_all_speeds_and_of_each():
@@ -236,10 +194,9 @@ def test_figures_say_what_they_show(pair):
 
 
 def test_the_line_in_short_gives_percent_below_the_baseline(pair):
-    words = fastbridge.in_short(pair)["room, cone-ecbf against safer-splat"]
+    (words,) = fastbridge.in_short(pair).values()
     assert words.startswith("mean jerk × 0.42 (")
-    assert "filter time × 0.10" in words
-    assert words.endswith("top speed +1.00 m/s (equal in all 3 pairs)")
+    assert words.endswith("top speed +1.00 m/s (equal in all 3 pairs), collisions 0 against 1")
 
 
 def test_values_that_are_missing_become_nan():

@@ -82,10 +82,83 @@ def test_the_realisation_error_is_that_of_the_attitude_loop_and_grows_with_speed
     errors = [one(reference=curve(speed=speed)).a_error.max() for speed in (1, 2, 4)]
     assert 0 < errors[0] < errors[1] < errors[2]
 
+
+def test_the_commanded_acceleration_of_a_wrench_is_held_as_that_of_an_acceleration_is():
+    """The axis turns before the next command, so a filter of wrenches has a realisation error too."""
+
     class Wrench(Passing):
         kind = "wrench"
 
-    assert one(Wrench(), reference=curve(speed=4)).a_error.max() < 1e-9  # its rotors make what they are told
+    flown = one(Wrench(), reference=curve(speed=4))
+    assert not flown.saturated.any()
+
+    def acceleration(x, thrust):
+        inertia = np.array(FASTBRIDGE.body.inertia_kg_m2)
+        wrench = np.array([thrust, 0, 0, 0])
+        return derivative(x, wrench, mass=FASTBRIDGE.body.mass_kg, inertia=inertia)[6:9]
+
+    ends = []
+    for now, later, u, command in zip(flown.state, flown.state[1:], flown.u, flown.a_command, strict=False):
+        np.testing.assert_allclose(command, acceleration(now, u[0]), rtol=0, atol=1e-9)
+        ends.append(np.linalg.norm(acceleration(later, u[0]) - command))
+    assert (flown.a_error >= np.array(ends) - 1e-9).all()
+    assert flown.a_error.max() == pytest.approx(max(ends), rel=0.05)
+    assert max(ends) > 0.1
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "wrench"])
+@pytest.mark.parametrize("interface", ["wrench", "body-rates"])
+def test_controller_and_filter_hold_their_output_for_their_ticks(kind, interface):
+    mine = Passing()
+    mine.kind = kind
+    calls = []
+    mine_of = type(mine).__call__
+
+    class Counted(Passing):
+        def __call__(self, state, nominal):
+            calls.append(nominal.acceleration)
+            return mine_of(self, state, nominal)
+
+    counted = Counted()
+    counted.kind = kind
+    rules = _core.FlightRules(dt_s=1 / 150, controller_ticks=3, filter_ticks=5, max_time_s=1.0)
+    flown = one(counted, rules=rules, interface=interface)
+    assert len(calls) == 30
+    assert len(flown.status) == 150
+    for held, ticks in ((flown.a_nominal, 3), (flown.u_nominal, 3), (flown.a_command, 5)):
+        for begin in range(0, 150, ticks):
+            assert (held[begin : begin + ticks] == held[begin]).all()
+    assert not (flown.a_nominal[0] == flown.a_nominal[3]).all()
+    np.testing.assert_array_equal(flown.a_nominal[0::15], calls[0::3])
+    np.testing.assert_array_equal(flown.a_nominal[9::15], calls[2::3])  # the newest command of the controller
+
+
+@pytest.mark.parametrize("name", NATIVE)
+def test_a_native_filter_is_called_as_often_as_a_python_one(name):
+    index = _core.EllipsoidIndex(FIELD["mean"], FIELD["scale"], FIELD["quat_wxyz"], sigma=1.0, radius=0.15)
+    world = SplatWorld(index=index, body=BODY, gains=GAINS, radius_m=0.15, dt_s=0.02)
+    rules = _core.FlightRules(dt_s=0.01, filter_ticks=2, max_time_s=1.0)
+    reference = curve((0.2, 0.2, 1.5), (5.8, 3.8, 1.5), speed=3)
+    native = registry.make_splat_filter(name, world, {"prune_ticks": 3})
+    flown = one(native, reference, rules=rules)
+
+    class Wrapped:
+        kind = native.kind
+
+        def reset(self):
+            native.reset()
+
+        def __call__(self, state, nominal):
+            return native(state, nominal)
+
+    np.testing.assert_array_equal(flown.state, one(Wrapped(), reference, rules=rules).state)
+    assert (flown.margin[0::2] == flown.margin[1::2]).all()
+
+
+def test_ticks_that_hold_nothing_are_refused():
+    for bad in ({"controller_ticks": 0}, {"filter_ticks": 0}):
+        with pytest.raises(ValueError, match="positive"):
+            one(rules=_core.FlightRules(**bad))
 
 
 @pytest.mark.parametrize("kind", ["acceleration", "wrench"])

@@ -33,7 +33,7 @@ class ConeBackup final : public SplatFilter {
 
   InputKind kind() const override { return InputKind::wrench; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
-  void reset() override { shield_.reset(); }
+  void reset() override { shield_.reset(), pruner_.reset(); }
   std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<ConeBackup>(*this); }
   const ConeBackupOptions& options() const { return options_; }
 

@@ -44,6 +44,7 @@ class ConeDi final : public SplatFilter {
 
   InputKind kind() const override { return InputKind::acceleration; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
+  void reset() override { pruner_.reset(); }
   std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<ConeDi>(*this); }
   const ConeDiOptions& options() const { return options_; }
 

@@ -43,7 +43,7 @@ class ConeEcbf final : public SplatFilter {
 
   InputKind kind() const override { return InputKind::wrench; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
-  void reset() override { shield_.reset(), smooth_.reset(); }
+  void reset() override { shield_.reset(), smooth_.reset(), pruner_.reset(); }
   std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<ConeEcbf>(*this); }
   const ConeEcbfOptions& options() const { return options_; }
 

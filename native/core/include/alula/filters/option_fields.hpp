@@ -127,6 +127,7 @@ struct Fields<flight::Pruning> {
       Field{"max_deceleration", &flight::Pruning::max_deceleration, "deceleration a of the distance gate [m/s^2]", Limits{.above = 0.0}},
       Field{"floor_m", &flight::Pruning::floor_m, "minimum of the distance gate [m]", Limits{.min = 0.0}},
       Field{"count", &flight::Pruning::count, "maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate", Limits{.min = 0.0}},
+      Field{"prune_ticks", &flight::Pruning::hold, "calls of the filter for which the candidates are kept before the gate looks for new ones", Limits{.min = 1.0}},
       Field{"gate", &flight::Pruning::gate, "use the distance gate; false: every ellipsoid of the map, for ablations", Limits{}},
       Field{"approach", &flight::Pruning::approach, "only ellipsoids that the vehicle approaches, r^T A v >= 0", Limits{}},
       Field{"sweep", &flight::Pruning::sweep, "rank ellipsoids by their distance to the segment that the vehicle sweeps while it reacts and brakes; false: by their distance to its position", Limits{}}};

@@ -145,6 +145,8 @@ struct Pruning {
   double floor_m = 0.5;
   // maximum number of rows, nearest ellipsoids first; 0: every ellipsoid within the gate
   std::uint32_t count = 64;
+  // calls of the filter for which the candidates are kept before the gate looks for new ones
+  std::uint32_t hold = 1;
   // use the distance gate; false: every ellipsoid of the map, for ablations
   bool gate = true;
   // only ellipsoids that the vehicle approaches, r^T A v >= 0
@@ -324,7 +326,8 @@ enum class SaferHessian : std::uint8_t {
 enum class SaferRows : std::uint8_t {
   // every ellipsoid of the map, as published
   all,
-  // the nearest within the gate, which keeps no distance from the others
+  // the nearest within the gate, which keeps no distance from the others; reaction_time_s must be at least 2 /
+  // beta
   nearest,
 };
 
@@ -344,7 +347,7 @@ struct SaferSplatOptions {
   double max_braking = 6.0;
   // maximum acceleration on each axis [m/s^2]
   double max_acceleration = std::numeric_limits<double>::infinity();
-  Pruning pruning;
+  Pruning pruning{.reaction_time_s = 2, .floor_m = 3, .count = 1024};
 };
 
 }  // namespace alula::flight

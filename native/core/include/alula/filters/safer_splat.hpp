@@ -37,6 +37,7 @@ class SaferSplat final : public SplatFilter {
 
   InputKind kind() const override { return InputKind::acceleration; }
   FilterReport filter(const FlightState& state, const Nominal& nominal) override;
+  void reset() override { pruner_.reset(); }
   std::unique_ptr<SplatFilter> clone() const override { return std::make_unique<SaferSplat>(*this); }
   const SaferSplatOptions& options() const { return options_; }
   const EllipsoidIndex& index() const { return pruner_.index(); }

@@ -29,16 +29,18 @@ enum class PlantKind : std::uint8_t {
 enum class CommandInterface : std::uint8_t { wrench, body_rates };
 
 struct FlightRules {
-  double dt_s = 0.01;              // a tick of controller and filter
-  std::int64_t plant_steps = 10;   // of the plant in a tick
-  double stop_fraction = 0.01;     // goal reached: within this fraction of the start-goal distance,
-  double stop_floor_m = 0.05;      // or within this distance,
-  double stop_speed = 0.1;         // and slower than this, with the reference at its end [m/s]
-  double stuck_speed = 0.02;       // stuck: slower than this, and outside the stop distance from the reference,
-  std::int64_t stuck_ticks = 200;  // for this many ticks
-  double time_factor = 3;          // timeout: this multiple of the reference's duration,
-  double max_time_s = 0;           // or this time, when above 0
-  Vec3 lower{-1e9, -1e9, -1e9};    // a flight that leaves this box is refused
+  double dt_s = 0.01;                 // a tick of controller and filter
+  std::int64_t plant_steps = 10;      // of the plant in a tick
+  std::int64_t controller_ticks = 1;  // the nominal command of the controller is held for this many ticks,
+  std::int64_t filter_ticks = 1;      // and the filter's input for this many
+  double stop_fraction = 0.01;        // goal reached: within this fraction of the start-goal distance,
+  double stop_floor_m = 0.05;         // or within this distance,
+  double stop_speed = 0.1;            // and slower than this, with the reference at its end [m/s]
+  double stuck_speed = 0.02;          // stuck: slower than this, and outside the stop distance from the reference,
+  std::int64_t stuck_ticks = 200;     // for this many ticks
+  double time_factor = 3;             // timeout: this multiple of the reference's duration,
+  double max_time_s = 0;              // or this time, when above 0
+  Vec3 lower{-1e9, -1e9, -1e9};       // a flight that leaves this box is refused
   Vec3 upper{1e9, 1e9, 1e9};
 };
 
@@ -79,9 +81,11 @@ struct SplatFlightLog {
 
 // One flight, a tick at a time: filter nominal() at state(), then advance() with the filter's report.
 //
-// It starts at the reference's beginning with its velocity, level, with its yaw. For accelerations `a_command`
-// is the filter's, flown by `realise`; for wrenches it is -g e3 + T / m R^T e3 of the filter's T along the true
-// axis, so `a_error` is the part that the rotors and the air do not realise.
+// It starts at the reference's beginning with its velocity, level, with its yaw. The commanded acceleration of a tick
+// is the filter's own, flown by `realise`, or for a wrench -g e3 + T / m R^T e3 of its T along the axis that the
+// filter saw. Both are held for the tick, so `a_error` is FastBridge's realisation error (eq. 11-12) for every
+// filter: what attitude, rotors and air leave of the command, and for a wrench the turn of the axis before the next
+// command.
 //
 // A guide is a filter of accelerations that changes the nominal command before the filter, through
 // the controller's own attitude loop. It only affects the path, not safety.
@@ -96,6 +100,8 @@ class FlightTrial {
   const Nominal& nominal() const { return nominal_; }
   Outcome outcome() const { return log_.outcome; }
   double time_s() const { return static_cast<double>(log_.ticks()) * rules_.dt_s; }
+  // Whether the filter runs in this tick; in the others its last report is flown again.
+  bool is_filtered() const { return is_turn(rules_.filter_ticks); }
 
   // The report that replaces a filter's when there is none: the nominal acceleration, or the wrench.
   FilterReport unfiltered() const;
@@ -107,8 +113,10 @@ class FlightTrial {
 
  private:
   bool is_rigid() const { return vehicle_.kind == PlantKind::quadrotor; }
+  bool is_turn(std::int64_t ticks) const { return static_cast<std::int64_t>(log_.ticks()) % ticks == 0; }
   void observe();
-  double fly(const FilterReport& answer, InputKind kind, const Wrench& flown, const Wrench& led);
+  void renew(const FilterReport& answer, InputKind kind);
+  double fly(const Wrench& led);
   Outcome judged(SplatFilterStatus status);
 
   FlightVehicle vehicle_;
@@ -121,6 +129,9 @@ class FlightTrial {
   ReferencePoint target_;
   FlightState seen_;
   Nominal nominal_;
+  Wrench flown_;          // the command, held until the next one, and what it means:
+  Vec3 command_, rates_;  // its acceleration and, for the interface body_rates, its rates
+  bool is_limited_ = false;
   Vec3 goal_;
   std::unique_ptr<SplatFilter> guide_;
   double stop_distance_, controller_s_ = 0, guide_s_ = 0;
