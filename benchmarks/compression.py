@@ -1,7 +1,8 @@
 """Covers of the same voxels by this library, the paper's rule, CoACD and V-HACD, side by side in one run.
 
-CPU and wall seconds are those of the tool's call alone and count all threads; peak memory is that of the
-whole process. Times are not tested; an obstacle voxel that our cover leaves out fails the run.
+CoACD and V-HACD get the mesh that they are made for, the surface of the splat's density, and the surface
+of the voxels. CPU and wall seconds are those of the tool's call alone and count all threads; peak memory is
+that of the whole process. Times are not tested; an obstacle voxel that our cover leaves out fails the run.
 """
 
 from __future__ import annotations
@@ -28,10 +29,12 @@ from typing import Any
 import growth
 import scenes
 import tables
-from tools import run_tool
+from tools import run_tool, write_mesh
 
-from alula.schemas.artifact import Artifact, write_artifact
+from alula.schemas.artifact import Artifact, read_artifact, write_artifact
 from alula.schemas.configs.merge import MergeConfig
+from alula.schemas.kinds import VOXELS
+from alula.stages.compression.density_mesh import density_mesh, simplified
 
 Figures = dict[str, Any]
 
@@ -48,8 +51,9 @@ class Sizes:
     ladder: tuple[int, ...] = ()
     growth: tuple[int, ...] = ()
     fallback: int = 30
-    limit_s: float = 36.0  # for one tool
-    budget_s: float = math.inf  # for the whole run; it limits the growth table
+    limit_s: float = 36.0  # CPU time of one tool
+    triangles: int = 20_000  # of the surface of the density
+    budget_s: float = math.inf  # elapsed, for the whole run; it limits the growth table
 
 
 FULL = Sizes(
@@ -57,20 +61,65 @@ FULL = Sizes(
     room=200_000,
     garden=300_000,
     real=True,
-    peers=("coacd", "coacd_remesh", "vhacd"),
-    limit_s=150.0,
+    peers=(
+        *("coacd", "coacd_remesh", "coacd_surface"),
+        *("vhacd_flood", "vhacd_raycast", "vhacd_surface", "vhacd_of_surface"),
+    ),
+    limit_s=300.0,
     ladder=(50, 150, 300, 1000, 3000),
     growth=(50_000, 150_000, 500_000, 1_500_000, 2_250_000),
     fallback=100,
 )
-QUICK = Sizes(hoops=(2, 40_000, 0.03), peers=("coacd",), growth=(50_000, 150_000), budget_s=45.0)
-TINY = Sizes(hoops=(1, 20_000, 0.05), peers=("coacd",), growth=(4_000, 8_000))
+QUICK = Sizes(
+    hoops=(2, 40_000, 0.03), peers=("coacd", "vhacd_surface"), growth=(50_000, 150_000), budget_s=45.0
+)
+TINY = Sizes(
+    hoops=(1, 20_000, 0.05),
+    peers=("coacd", "coacd_surface"),
+    triangles=10**9,  # without open3d, which takes long to import
+    growth=(4_000, 8_000),
+)
 
-PEERS: dict[str, tuple[str, str, Figures]] = {
-    "coacd": ("CoACD t 0.05, no remesh", "coacd", {"threshold": 0.05, "preprocess_mode": "off"}),
-    "coacd_remesh": ("CoACD t 0.05, its own remesh", "coacd", {"threshold": 0.05}),
-    "vhacd": ("V-HACD", "vhacd", {}),
+_NO_REMESH = {"threshold": 0.05, "preprocess_mode": "off"}
+PEERS: dict[
+    str, tuple[str, str, bool, Figures]
+] = {  # title, tool, whether it gets the density's surface, options
+    "coacd": ("CoACD t 0.05, voxels", "coacd", False, _NO_REMESH),
+    "coacd_remesh": ("CoACD t 0.05, voxels, its own remesh", "coacd", False, {"threshold": 0.05}),
+    "coacd_surface": ("CoACD t 0.05, surface of the density", "coacd", True, _NO_REMESH),
+    "vhacd_flood": ("V-HACD, voxels, fill mode flood", "vhacd", False, {"fillMode": "flood"}),
+    "vhacd_raycast": ("V-HACD, voxels, fill mode raycast", "vhacd", False, {"fillMode": "raycast"}),
+    "vhacd_surface": ("V-HACD, voxels, fill mode surface", "vhacd", False, {"fillMode": "surface"}),
+    "vhacd_of_surface": (
+        "V-HACD, surface of the density, fill mode surface",
+        "vhacd",
+        True,
+        {"fillMode": "surface"},
+    ),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """Rows of an interrupted run, in a folder; without a folder nothing is kept."""
+
+    folder: Path | None
+    limit_s: float
+
+    def row(self, name: str, voxels: int, make: Callable[[], Figures]) -> Figures:
+        """Return the kept row of these voxels and this limit, or make and keep it."""
+        if self.folder is None:
+            return make()
+        path = self.folder / f"{name.replace('/', '-').replace(' ', '-')}.json"
+        facts = {"voxels": voxels, "limit_s": self.limit_s}
+        if path.exists():
+            known = json.loads(path.read_text())
+            if facts.items() <= known.items():
+                return dict(known["row"])
+        row = make()
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(facts | {"row": row}))
+        return row
 
 
 def inputs(sizes: Sizes) -> Iterator[tuple[str, float, Callable[[], Artifact]]]:
@@ -87,24 +136,45 @@ def inputs(sizes: Sizes) -> Iterator[tuple[str, float, Callable[[], Artifact]]]:
             yield name, edge, partial(scenes.real, path, scale)
 
 
-def compare(sizes: Sizes, voxels: Path) -> dict[str, Figures]:
-    """Run all tools on the voxels of a file; ours and the paper's rule with the number of hulls of CoACD."""
-    rows: dict[str, Figures] = {}
+def compare(sizes: Sizes, scene: str, voxels: Path, mesh: Path, kept: Kept) -> dict[str, Figures]:
+    """Run all tools on the obstacles of a scene.
 
-    def run(key: str, title: str, tool: str, options: Figures) -> Figures:
-        outcome = run_tool(tool, voxels, sizes.limit_s, **options)
-        rows[key] = {"title": title, "note": outcome.note, **outcome.figures}
+    Ours and the paper's rule get the number of hulls of CoACD on the voxels, and ours that of CoACD on the
+    surface of the density too.
+
+    Args:
+        sizes: tools and limits.
+        scene: its name.
+        voxels: an `alula/voxels` file.
+        mesh: file of the surface of the density.
+        kept: rows of an interrupted run.
+    """
+    rows: dict[str, Figures] = {}
+    count = len(read_artifact(voxels, VOXELS)["index"])
+
+    def run(key: str, title: str, tool: str, options: Figures, of: Path | None = None) -> Figures:
+        def measured() -> Figures:
+            outcome = run_tool(tool, voxels, sizes.limit_s, mesh=of, **options)
+            return {"title": title, "note": outcome.note, **outcome.figures}
+
+        rows[key] = kept.row(f"{scene}.{key}", count, measured)
         return rows[key]
 
     hulls = sizes.fallback
     for key in sizes.peers:
-        title, tool, options = PEERS[key]
+        title, tool, is_surface, options = PEERS[key]
         more = {"maxConvexHulls": hulls} if tool == "vhacd" else {}
-        found = run(key, title, tool, options | more)
+        found = run(key, title, tool, options | more, mesh if is_surface else None)
         if key == "coacd":
             hulls = found.get("hulls", hulls)
     paper = run("paper", "the paper's rule", "merge", {"hulls": hulls, "method": "paper"})
-    rows["ours"] = ours_with(sizes, voxels, paper.get("hulls", hulls))
+    fair = paper.get("hulls", hulls)
+    rows["ours"] = kept.row(f"{scene}.ours", count, lambda: ours_with(sizes, voxels, fair))
+    if (on_surface := rows.get("coacd_surface", {}).get("hulls")) is not None:
+        title = "ours, as many hulls as CoACD on the density's surface"
+        rows["ours_surface"] = kept.row(
+            f"{scene}.ours_surface", count, lambda: ours_with(sizes, voxels, on_surface) | {"title": title}
+        )
     if "half_planes" in paper:
         title = "ours, with the paper's half-planes"
         run("ours_planes", title, "merge", {"max_planes": paper["half_planes"]})
@@ -202,7 +272,10 @@ def main() -> int:
     size.add_argument("--quick", action="store_true", help="one scene and CoACD alone, half a minute")
     size.add_argument("--tiny", action="store_true", help="inputs too small for a comparison, for tests")
     parser.add_argument("--only", metavar="TEXT", help="only scenes with this in their name, or growth")
-    parser.add_argument("--limit", type=float, metavar="S", help="wall seconds that each tool may take")
+    parser.add_argument("--limit", type=float, metavar="S", help="CPU seconds that each tool may take")
+    parser.add_argument(
+        "--keep", type=Path, metavar="FOLDER", help="keep rows in FOLDER, and take those that it has"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
     options = parser.parse_args()
@@ -218,22 +291,35 @@ def main() -> int:
         "quick": options.quick,
         "machine": f"{os.cpu_count()} processors, {platform.machine()}",
         "python": platform.python_version(),
+        "limit_s": sizes.limit_s,
+        "triangles": sizes.triangles,
         "scenes": [],
     }
+    kept = Kept(options.keep, sizes.limit_s)
     with tempfile.TemporaryDirectory(prefix="alula-bench-") as folder:
-        path = Path(folder, "scene.voxels.npz")
+        path, mesh = Path(folder, "scene.voxels.npz"), Path(folder, "surface.npz")
         for name, edge, make in inputs(sizes):
             if options.only is not None and options.only not in name:
                 continue
-            voxels = scenes.voxels_of(make(), edge)
+            splats = make()
+            voxels = scenes.voxels_of(splats, edge)
             write_artifact(path, voxels)
+            if any(PEERS[key][2] for key in sizes.peers):
+                write_mesh(mesh, *simplified(*density_mesh(splats, voxels), sizes.triangles))
             scene: Figures = {"name": name, "voxel_size_m": edge, "voxels": len(voxels["index"])}
-            scene["tools"] = compare(sizes, path)
-            scene["ladder"] = list(ladder(sizes, path)) if name in ("room", "garden") else []
+            scene["tools"] = compare(sizes, name, path, mesh, kept)
+            has_ladder = name in ("room", "garden")
+            steps = partial(lambda at: {"steps": list(ladder(sizes, at))}, path)
+            count = scene["voxels"]
+            scene["ladder"] = kept.row(f"{name}.ladder", count, steps)["steps"] if has_ladder else []
             result["scenes"].append(scene)
             show(tables.scene(scene))
     grown = sizes.growth if options.only in (None, "growth") else ()
-    result["growth"] = list(growth.rows(grown, sizes.limit_s, start + sizes.budget_s))
+    result["growth"] = kept.row(
+        "growth",
+        sum(grown),
+        lambda: {"rows": list(growth.rows(grown, sizes.limit_s, start + sizes.budget_s))},
+    )["rows"]
     result["exponents"] = growth.exponents(result["growth"])
     result["targets"] = tables.targets(result)
     result = contract(result["scenes"][0]["tools"] if result["scenes"] else {}) | result

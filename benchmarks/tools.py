@@ -1,15 +1,17 @@
-"""Tools that cover voxels by convex parts, each run in a process of its own and evaluated alike.
+"""Tools that cover obstacles by convex parts, each run in a process of its own and evaluated alike.
 
-CPU and wall time are those of the tool's call alone, without starting Python or reading the input; CPU time
-counts all threads. Peak memory is that of the whole process.
+Each process may use a limited CPU time. CPU and wall time are those of the tool's call alone, without
+starting Python or reading the input; CPU time counts all threads. Peak memory is that of the whole process.
 """
 
 from __future__ import annotations
 
 import importlib
 import json
+import math
 import os
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -31,7 +33,15 @@ from alula.stages.compression.voxel_mesh import voxel_mesh
 
 _ERRORS = 8  # tolerance in standard errors of four draws: chance exceeds it about once in some hundred
 HERE = str(Path(__file__).resolve().parent)
-_START = "import sys; sys.path.append(sys.argv[1]); import {module}; {module}.child(sys.argv[2:])"
+_START = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_CPU, ({limit}, {limit} + 5))
+sys.path.append(sys.argv[1])
+import {module}
+{module}.child(sys.argv[2:])
+"""
+PATIENCE = 20  # wall seconds of a process per CPU second it may use, on a machine with much else to do
+_VHACD_CELLS = (400_000, 4_000_000)  # of V-HACD's own grid: its default, and what fits in memory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,12 +82,22 @@ def peak_mb() -> float:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
 
 
-def run_child(module: str, arguments: dict[str, Any], limit_s: float) -> Outcome:
-    """Call `module.child` in a new process and read its figures."""
+def run_child(module: str, arguments: dict[str, Any], limit_s: float, wall_s: float | None = None) -> Outcome:
+    """Call `module.child` in a new process and read its figures.
+
+    Args:
+        module: a module of this folder.
+        arguments: passed as JSON.
+        limit_s: maximum CPU time of all threads together; the process is killed when it has used it [s].
+        wall_s: maximum elapsed time [s]; by default many times `limit_s`.
+    """
+    too_slow = f"over {limit_s:.0f} s of CPU"
+    if limit_s <= 0:
+        return Outcome(note=too_slow, figures={"cpu_s": 0.0})
     with tempfile.TemporaryDirectory(prefix="alula-bench-") as folder:
         request, answer = Path(folder, "request.json"), Path(folder, "figures.json")
         request.write_text(json.dumps(arguments))
-        code = _START.format(module=module)
+        code = _START.format(module=module, limit=math.ceil(limit_s))
         command = [sys.executable, "-P", "-c", code, HERE, str(request), str(answer)]
         before = _cpu_s(resource.RUSAGE_CHILDREN)
         try:
@@ -86,12 +106,16 @@ def run_child(module: str, arguments: dict[str, Any], limit_s: float) -> Outcome
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
                 text=True,
-                timeout=limit_s,
+                timeout=PATIENCE * limit_s if wall_s is None else wall_s,
                 check=False,
             )
-        except subprocess.TimeoutExpired:
+        except subprocess.TimeoutExpired as late:
             spent = _cpu_s(resource.RUSAGE_CHILDREN) - before
-            return Outcome(note=f"over {limit_s:.0f} s", figures={"cpu_s": spent})
+            return Outcome(note=f"over {late.timeout:.0f} s", figures={"cpu_s": spent})
+        if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL) and not answer.exists():
+            spent = _cpu_s(resource.RUSAGE_CHILDREN) - before
+            if spent >= limit_s:
+                return Outcome(note=too_slow, figures={"cpu_s": spent})
         if not answer.exists():
             last = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
             return Outcome(note=f"failed: {last}")
@@ -100,12 +124,15 @@ def run_child(module: str, arguments: dict[str, Any], limit_s: float) -> Outcome
 
 
 def child(paths: list[str]) -> None:
-    """Run in the new process: one tool on the voxels of a file; write its polytopes and figures."""
+    """Run in the new process: one tool on the obstacles of a file; write its polytopes and figures."""
     request, answer = (Path(path) for path in paths)
     given = json.loads(request.read_text())
     voxels = read_artifact(Path(given["voxels"]), VOXELS)
     try:
-        solids, figures = TOOLS[given["tool"]](voxels, given["options"])
+        if given["tool"] == "merge":
+            solids, figures = _merge(voxels, given["options"])
+        else:
+            solids, figures = OTHERS[given["tool"]](*_mesh(voxels, given["mesh"]), given["options"])
     except ModuleNotFoundError as error:
         answer.write_text(json.dumps({"note": f"{error.name} is not installed"}))
         return
@@ -120,14 +147,25 @@ def run_tool(
     limit_s: float,
     *,
     judged: bool = True,
+    mesh: Path | None = None,
+    wall_s: float | None = None,
     **options: Any,
 ) -> Outcome:
-    """Run one tool on an `alula/voxels` file; figures are times, memory and those of `judge`."""
+    """Run one tool on an `alula/voxels` file; figures are times, memory and those of `judge`.
+
+    Args:
+        tool: "merge", "coacd" or "vhacd".
+        voxels: path of the file; the result is judged against these voxels.
+        limit_s: maximum CPU time of the process [s].
+        judged: False leaves the figures of `judge` out.
+        mesh: file of `write_mesh` that CoACD or V-HACD gets instead of the surface of the voxels.
+        wall_s: see `run_child`.
+        options: of the tool.
+    """
     with tempfile.TemporaryDirectory(prefix="alula-bench-") as folder:
         output = Path(folder) / "solids.npz"
-        outcome = run_child(
-            "tools", {"tool": tool, "voxels": str(voxels), "output": str(output), "options": options}, limit_s
-        )
+        given = {"tool": tool, "voxels": str(voxels), "output": str(output), "options": options}
+        outcome = run_child("tools", given | {"mesh": None if mesh is None else str(mesh)}, limit_s, wall_s)
         if outcome.note or not judged:
             return outcome
         with np.load(output) as arrays:
@@ -167,37 +205,49 @@ def _merge(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str,
     return Solids.from_cover(cover), figures
 
 
-def _coacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
-    """Run CoACD with its defaults and a fixed seed on the surface of the voxels."""
+def write_mesh(path: Path, corner: np.ndarray, triangle: np.ndarray) -> None:
+    """Write a surface in voxel edges, as `voxel_mesh` and `density_mesh` return it."""
+    np.savez(path, corner=corner, triangle=triangle)
+
+
+def _mesh(voxels: Artifact, path: str | None) -> tuple[np.ndarray, np.ndarray]:
+    """Corners and triangles of a file, or else of the surface of the voxels."""
+    if path is None:
+        corner, triangle = voxel_mesh(voxels["index"])
+        return corner.astype(np.float64), triangle
+    with np.load(path) as arrays:
+        return arrays["corner"], arrays["triangle"]
+
+
+def _coacd(
+    corner: np.ndarray, triangle: np.ndarray, options: dict[str, Any]
+) -> tuple[Solids, dict[str, Any]]:
+    """Run CoACD with its defaults and a fixed seed."""
     coacd = importlib.import_module("coacd")
-    corner, triangles = voxel_mesh(voxels["index"])
     origin = corner.min(axis=0)
     with Silence():
         coacd.set_log_level("off")
         clock = Clock()
-        parts = coacd.run_coacd(
-            coacd.Mesh((corner - origin).astype(np.float64), triangles), seed=0, **options
-        )
-        figures = {**clock.seconds(), "peak_mb": peak_mb()}
+        parts = coacd.run_coacd(coacd.Mesh(corner - origin, triangle), seed=0, **options)
+        figures = {**clock.seconds(), "peak_mb": peak_mb(), "triangles": len(triangle)}
     return Solids.from_points([points + origin for points, _ in parts]), figures
 
 
-def _vhacd(voxels: Artifact, options: dict[str, Any]) -> tuple[Solids, dict[str, Any]]:
-    """Run V-HACD 4 with its defaults on the surface of the voxels."""
+def _vhacd(
+    corner: np.ndarray, triangle: np.ndarray, options: dict[str, Any]
+) -> tuple[Solids, dict[str, Any]]:
+    """Run V-HACD 4 with its defaults, but a grid about as fine as the voxels where that is finer."""
     vhacdx = importlib.import_module("vhacdx")
-    corner, triangles = voxel_mesh(voxels["index"])
     origin = corner.min(axis=0)
+    cells = int(np.clip(np.prod(np.ptp(corner, axis=0)), *_VHACD_CELLS))
     with Silence():
         clock = Clock()
-        parts = vhacdx.compute_vhacd(
-            (corner - origin).astype(np.float64), triangles.astype(np.uint32), **options
-        )
-        figures = {**clock.seconds(), "peak_mb": peak_mb()}
+        parts = vhacdx.compute_vhacd(corner - origin, triangle.astype(np.uint32), resolution=cells, **options)
+        figures = {**clock.seconds(), "peak_mb": peak_mb(), "triangles": len(triangle)}
     return Solids.from_points([np.asarray(points) + origin for points, _ in parts]), figures
 
 
-TOOLS: dict[str, Callable[[Artifact, dict[str, Any]], tuple[Solids, dict[str, Any]]]] = {
-    "merge": _merge,
+OTHERS: dict[str, Callable[[np.ndarray, np.ndarray, dict[str, Any]], tuple[Solids, dict[str, Any]]]] = {
     "coacd": _coacd,
     "vhacd": _vhacd,
 }

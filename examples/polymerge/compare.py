@@ -1,27 +1,41 @@
-"""Make Table I and Figure 4 of PolyMerge from the maps in a folder.
+"""Make the tables and figures of PolyMerge, and a verdict on each of its numbers, from the files in a folder.
 
-Usage: python compare.py FOLDER SCENE [SCENE ...]
+Usage: python compare.py [--markdown FILE] [--onboard FILE] FOLDER SCENE [SCENE ...]
 
 A scene has FOLDER/SCENE.metric.scene.npz, SCENE.voxels.npz, SCENE.coacd.npz, and covers by method
 "default" or "paper": SCENE.METHOD.N.cover.npz for the curve, SCENE.METHOD.same.cover.npz beside CoACD.
+SCENE.figure-5.json and SCENE.table-2.json are the flights of flights.py, where there are any. The rate on a
+microcontroller is read from the page --onboard.
 """
 
-import sys
+import argparse
+import json
+import re
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from alula.cli.comparison import write_comparison
+from alula.cli.comparison import this_machine, write_comparison
 from alula.schemas.artifact import read_artifact
 from alula.schemas.atomic import atomic_output
 from alula.stages.compression.measure import half_spaces, measure_cover, measure_points
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.reporting.papers import polymerge
 from alula.stages.reporting.papers.polymerge import Polytopes, SceneMaps
+from alula.stages.reporting.papers.polymerge_flights import Flights, figure_5_table, from_record, table_2
+from alula.stages.reporting.papers.polymerge_verdicts import verdict_rows
+from alula.stages.reporting.papers.verdicts import verdict_table
+from alula.stages.reporting.table import folded
 
-folder, names = Path(sys.argv[1]), sys.argv[2:]
-TITLE = "PolyMerge: size and conservativeness of maps"
+parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables to FILE")
+parser.add_argument("--onboard", type=Path, metavar="FILE", help="page with the figures of emulated cores")
+parser.add_argument("folder", type=Path)
+parser.add_argument("names", nargs="+", metavar="SCENE")
+options = parser.parse_args()
+folder, names = options.folder, options.names
+TITLE = "PolyMerge: covers of hulls, and flights among them"
 
 
 def of_cover(path: Path, index: np.ndarray | None = None) -> Polytopes:
@@ -67,9 +81,39 @@ def maps_of(name: str) -> SceneMaps:
     )
 
 
+def flights_of(what: str) -> list[Flights]:
+    """Read the flights of all scenes."""
+    files = [path for name in names if (path := folder / f"{name}.{what}.json").exists()]
+    return [from_record(record) for path in files for record in json.loads(path.read_text())]
+
+
+def onboard_rate() -> float | None:
+    """Read the filter's rate with 150 hulls [Hz]."""
+    if options.onboard is None:
+        return None
+    found = re.search(r"`m4_polytope_150_hz` \| ([0-9,]+)", options.onboard.read_text())
+    return None if found is None else float(found[1].replace(",", ""))
+
+
 scenes = [maps_of(name) for name in names]
+limits = [float(np.load(folder / f"{name}.coacd.npz")["limit_s"]) for name in names]
+HEAD = f"""Written by `make -C examples/polymerge page` with `ALULA_DATA` set, on {this_machine()}.
+A cover is made of the voxels of a scene; volumes and containment are exact. Flights are judged by the exact
+distance of the whole path to the ellipsoids, not to the map that was flown. *Surface + CoACD* stands for the
+paper's baseline: the level set 0.3 of the splat's density, as SuGaR defines it, simplified to 20,000
+triangles, then CoACD with threshold 0.05 and without its own remesh, which fills closed rooms. It may use
+{max(limits):g} s of CPU. The paper tunes CoACD to as many hulls as it gives; our maps get the number that
+CoACD finds, or 300 where it finds none in that time."""
+figure_5, second = flights_of("figure-5"), flights_of("table-2")
 figures = [polymerge.volumes_figure(scenes), polymerge.curve_figure(scenes)]
-tables = [polymerge.sizes_table(scenes), polymerge.volumes_table(scenes), polymerge.curve_table(scenes)]
+tables = [
+    verdict_table(verdict_rows(scenes, figure_5, second, onboard_rate())),
+    polymerge.sizes_table(scenes),
+    polymerge.volumes_table(scenes),
+    polymerge.curve_table(scenes),
+    *([figure_5_table(figure_5)] if figure_5 else []),
+    *([table_2(second)] if second else []),
+]
 files = sorted(path for name in names for path in folder.glob(f"{name}.*.npz"))
 for drawn in figures:
     with atomic_output(folder / f"{drawn.figure.name}.png") as file:
@@ -81,4 +125,7 @@ write_comparison(
     polymerge.in_short(scenes),
     tables,
     [drawn.figure for drawn in figures],
+    read=[folded(table) for table in tables],
+    markdown=options.markdown,
+    head=HEAD,
 )

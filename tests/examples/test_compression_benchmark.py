@@ -86,10 +86,52 @@ def test_the_page_has_a_line_for_each_row_and_target(tiny_run):
         assert f"| {row['title']} | " in page
     for target in document["targets"]:
         assert f"| {target['text']} | " in page
+    assert f"may use\n**{document['limit_s']:g} s of CPU**" in page
     tables = [block.splitlines() for block in page.split("\n\n") if block.startswith("|")]
     assert len(tables) >= 4
     for lines in tables:
         assert len({line.count(" | ") for line in (lines[0], *lines[2:])}) == 1
+
+
+def test_coacd_gets_the_surface_of_the_density_and_that_of_the_voxels(tiny_run):
+    document, _ = tiny_run
+    on_voxels, on_surface = rows(document)["coacd"], rows(document)["coacd_surface"]
+    if on_voxels["note"] or on_surface["note"]:
+        pytest.skip("CoACD did not run")
+    assert on_surface["triangles"] != on_voxels["triangles"]
+    assert rows(document)["ours_surface"]["hulls"] == on_surface["hulls"]
+
+
+def test_the_full_run_gives_each_tool_both_meshes_and_all_modes():
+    in_benchmarks("""
+import sys as system
+system.path.sort(key=system.argv[1].__eq__)
+from compression import FULL, PEERS
+modes = {PEERS[key][3].get("fillMode") for key in FULL.peers if PEERS[key][1] == "vhacd"}
+assert modes == {"flood", "raycast", "surface"}, modes
+for tool in ("coacd", "vhacd"):
+    assert {PEERS[key][2] for key in FULL.peers if PEERS[key][1] == tool} == {False, True}
+assert FULL.limit_s >= 300
+""")
+
+
+def test_kept_rows_are_not_measured_again(tmp_path):
+    in_benchmarks(
+        """
+import sys as system
+system.path.sort(key=system.argv[1].__eq__)
+from pathlib import Path
+import compression
+kept = compression.Kept(Path(system.argv[2]) / "rows", 10.0)
+made = []
+for count in (5, 5, 6):
+    row = kept.row("a/b.c d", count, lambda: made.append(count) or {"hulls": count})
+    assert row == {"hulls": count}
+assert made == [5, 6]
+assert compression.Kept(Path(system.argv[2]) / "rows", 20.0).row("a/b.c d", 6, dict) == {}
+""",
+        tmp_path,
+    )
 
 
 def in_benchmarks(code, *arguments):
@@ -110,13 +152,19 @@ from alula.schemas.artifact import write_artifact
 folder = Path(sys.argv[2])
 voxels, answer = folder / "hoop.voxels.npz", folder / "answer.json"
 write_artifact(voxels, scenes.voxels_of(scenes.hoops(1, 5000), 0.1))
-slow = tools.run_tool("merge", voxels, 0.0, hulls=3)
+slow = tools.run_tool("merge", voxels, 60.0, wall_s=0.0, hulls=3)
 assert slow.note == "over 0 s" and slow.figures["cpu_s"] >= 0
+(folder / "burn.py").write_text("while True: pass")
+tools.HERE = str(folder)
+burnt = tools.run_child("burn", {}, 1.0)
+assert burnt.note == "over 1 s of CPU" and 1 <= burnt.figures["cpu_s"] < 5, burnt
+tools.HERE = sys.argv[1]
 wrong = tools.run_tool("merge", voxels, 60.0, hulls=-3)
 assert wrong.note.startswith("failed: ") and "--hulls" in wrong.note, wrong
 sys.modules["coacd"] = None
 asked = folder / "asked.json"
-given = {"tool": "coacd", "voxels": str(voxels), "output": str(folder / "solids.npz"), "options": {}}
+given = {"tool": "coacd", "voxels": str(voxels), "output": str(folder / "solids.npz")}
+given |= {"options": {}, "mesh": None}
 asked.write_text(json.dumps(given))
 tools.child([str(asked), str(answer)])
 assert json.loads(answer.read_text()) == {"note": "coacd is not installed"}

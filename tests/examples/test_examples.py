@@ -198,8 +198,8 @@ def test_a_rehearsal_that_fails_keeps_log_and_record_and_is_flown_again(tmp_path
 def test_polymerge_sets_our_maps_beside_the_published_ones(tmp_path):
     folder = tmp_path / "polymerge"
     shutil.copytree(EXAMPLES / "polymerge", folder, ignore=shutil.ignore_patterns("out"))
-    words = [f"PYTHON={sys.executable} -P", "VOXEL=0.15", "COUNTS=10 30", "FLIGHTS=10", "HULLS=40"]
-    words += ["TRIALS=2", "COACD=", "ALULA_DATA=", "-j2"]
+    words = [f"PYTHON={sys.executable} -P", "VOXEL=0.15", "COUNTS=10 30", "FLIGHTS=10 30", "HULLS=40"]
+    words += ["TRIALS=2", "COACD=", "ALULA_DATA=", "PAGE=page.md", "-j2"]
     done = make(folder, *words)
     assert commands_in(done).count("merge") == 6
     assert "- room: " in done.stdout
@@ -216,7 +216,21 @@ def test_polymerge_sets_our_maps_beside_the_published_ones(tmp_path):
         assert row[6] == "0"
     assert (out / "figure-4b.png").read_bytes().startswith(b"\x89PNG")
     assert "Figure 4b" in (out / "polymerge.html").read_text()
-    assert "| 10 | 500 | 0.7 | 0.268 | 10 | room.10 | 2 |" in (out / "flights.md").read_text()
+    verdicts = [line.split(",") for line in (out / "verdicts.csv").read_text().splitlines()[1:]]
+    assert {row[0] for row in verdicts} >= {"Table I", "Figure 4a", "Figure 4b", "Figure 5a", "Figure 5b"}
+    flown = [line.split(",") for line in (out / "table-2.csv").read_text().splitlines()[1:]]
+    assert [row[:5] for row in flown] == [
+        ["10", "500.0", "0.7", "0.268", "2"],
+        ["30", "250.0", "0.8", "0.253", "2"],
+    ]
+    methods = [line.split(",")[1] for line in (out / "figure-5.csv").read_text().splitlines()[1:]]
+    assert methods[:3] == ["ours", "paper's rule", "safer-splat"]
+    page = make(folder, *words, "page")
+    assert commands_in(page) == []
+    assert (
+        "| Figure 4a | fraction of the occupied voxels inside the hulls | 1.0 | 1 | exact | reproduced |"
+        in (folder / "page.md").read_text()
+    )
     again = make(folder, *words)
     assert commands_in(again) == []
     assert "- room: " in again.stdout

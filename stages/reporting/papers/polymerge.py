@@ -13,7 +13,7 @@ from alula.stages.reporting.papers.published import POLYMERGE_SCENES, POLYMERGE_
 from alula.stages.reporting.table import Table, text
 from alula.stages.reporting.tables import BYTES_PER_GAUSSIAN, BYTES_PER_HALF_PLANE
 
-_METHODS = {"default": "ours", "paper": "paper's rule", "coacd": "CoACD"}
+_METHODS = {"default": "ours", "paper": "paper's rule", "coacd": "surface + CoACD"}
 _COLORS = {"default": "#0072b2", "paper": "#e69f00", "coacd": "#8a9099"}
 _SCENE_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#222222")
 _MB = 1e6
@@ -78,7 +78,7 @@ def sizes_table(scenes: Sequence[SceneMaps]) -> Table:
             )
         )
     columns = ["scene", "ellipsoids", "ellipsoids: file [MB]", "ellipsoids: geometry [MB]"]
-    for method in ("CoACD", "hulls"):
+    for method in ("surface + CoACD", "hulls"):
         columns += [
             f"{method}: {what}" for what in ("primitives", "half-planes", "file [MB]", "geometry [MB]")
         ]
@@ -87,7 +87,7 @@ def sizes_table(scenes: Sequence[SceneMaps]) -> Table:
         f"Geometry counts {BYTES_PER_GAUSSIAN} bytes per ellipsoid and {BYTES_PER_HALF_PLANE} per "
         "half-plane, in the published rows too. Our files also hold vertices, members and provenance; a "
         "microcontroller reads the onboard map. Published: CoACD on SuGaR's mesh, half-planes and "
-        "ellipsoids rounded as printed; in our rows CoACD runs on the surface of the voxels. Scenes differ, "
+        "ellipsoids rounded as printed; in our rows CoACD runs on the surface of the density. Scenes differ, "
         "so only ratios compare."
     )
     return Table("table-1", "Table I: size of the map", tuple(columns), tuple(rows), note)

@@ -1,0 +1,137 @@
+"""PolyMerge's flights, judged by the ellipsoids, and verdicts on its numbers in both directions."""
+
+import dataclasses
+import json
+
+import pytest
+
+from alula.schemas.errors import InputError
+from alula.stages.reporting.papers.polymerge_flights import (
+    COACD,
+    OURS,
+    SAFER,
+    Flights,
+    figure_5_table,
+    flight_ms,
+    from_record,
+    path_ratio,
+    table_2,
+)
+from alula.stages.reporting.papers.polymerge_verdicts import verdict_rows
+from alula.stages.reporting.papers.verdicts import VERDICTS, verdict_table
+from alula.stages.reporting.table import HIGH, LOW
+from support.polymerge_maps import ROOM, TREE
+
+
+def flights(method=OURS, *, hulls=300, good=10, close=0, n=10, path=2.0, us=1.0, steps=100, distance=0.2):
+    """`good` of n flights reach; `close` of all came within half the radius of an ellipsoid."""
+    return Flights(
+        scene="room",
+        method=method,
+        hulls=hulls,
+        rate_hz=100.0,
+        reached=tuple(i < good for i in range(n)),
+        distance_m=tuple(0.05 if i < close else distance for i in range(n)),
+        map_distance_m=(),
+        path_m=tuple(path + 0.01 * i for i in range(n)),
+        radius_m=0.1,
+        inside=0,
+        steps=(steps,) * n,
+        filter_us=us,
+        tolerance="1 % of the distance",
+    )
+
+
+def rows_of(figure_5=(), table=(), item=None, scenes=(ROOM, TREE), hz=None):
+    found = verdict_rows(list(scenes), list(figure_5), list(table), hz)
+    return [row for row in found if item is None or row.item == item]
+
+
+def test_a_flight_that_touches_an_ellipsoid_is_no_success_even_if_it_reached_its_goal():
+    flown = flights(good=10, close=4)
+    assert sum(flown.reached) == 10
+    assert sum(flown.collided) == 4
+    assert flown.success.value == 60
+
+
+def test_flights_survive_json_and_lists_of_different_lengths_are_refused():
+    flown = flights()
+    assert from_record(json.loads(json.dumps(dataclasses.asdict(flown)))) == flown
+    with pytest.raises(InputError, match="different lengths"):
+        dataclasses.replace(flown, steps=(1,))
+    with pytest.raises(InputError, match="record"):
+        from_record({"scene": "room"})
+
+
+def test_the_tables_show_what_was_flown():
+    ours, theirs = flights(us=2.0), flights(COACD, close=5, path=3.0)
+    table = figure_5_table([ours, theirs])
+    by = dict(zip(table.columns, table.rows[1], strict=True))
+    assert (by["method"], by["reached"], by["collided"], by["success [%]"]) == (COACD, 10, 5, 50.0)
+    assert by["minimum distance to an ellipsoid [m]"] == 0.05
+    assert by["pairs"] == 5  # only those that both fly without a collision
+    assert by["path / ours"] == pytest.approx((3 + 0.07) / (2 + 0.07))
+    assert flight_ms(ours) == pytest.approx(0.2)
+    second = table_2([flights(hulls=10, good=7), flights(hulls=149)])
+    assert [row[:4] for row in second.rows] == [(10, 100.0, 0.7, 0.268), (149, 100.0, 0.9, 0.097)]
+    assert second.columns[8:10] == (LOW, HIGH)
+
+
+def test_every_row_has_a_verdict_and_the_table_keeps_the_order():
+    rows = rows_of([flights(), flights(SAFER, us=500.0)], [flights(hulls=10), flights(hulls=150)], hz=628.0)
+    assert {row.verdict for row in rows} <= set(VERDICTS)
+    assert len(verdict_table(rows).rows) == len(rows)
+    items = [row.item for row in rows]
+    for item in (
+        "Table I",
+        "Figure 3",
+        "Figure 4a",
+        "Figure 4b",
+        "Figure 5a",
+        "Figure 5b",
+        "Figure 5c",
+        "Table II",
+    ):
+        assert item in items
+    assert sum(row.verdict == "not available here" for row in rows) == 3
+
+
+@pytest.mark.parametrize(("us", "verdict"), [(30.0, "refuted"), (100.0, "reproduced"), (300.0, "bounded")])
+def test_the_speed_up_is_judged_by_its_interval(us, verdict):
+    steps = dataclasses.replace(flights(SAFER, us=us), steps=tuple(range(91, 111, 2)))
+    (row,) = rows_of([flights(us=1.0), steps], item="Figure 5a")
+    assert row.verdict == verdict
+    assert row.interval
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "verdict"), [(60, 20, "reproduced"), (20, 60, "refuted"), (50, 50, "bounded")]
+)
+def test_more_success_is_reproduced_only_if_the_interval_says_so(ours, theirs, verdict):
+    (row,) = rows_of([flights(good=ours, n=60), flights(COACD, good=theirs, n=60)], item="Figure 5b")
+    assert row.verdict == verdict
+
+
+def test_a_collision_of_a_covered_map_would_be_a_refutation():
+    found = rows_of(table=[flights(hulls=10), flights(hulls=150, close=1)], item="Table II")
+    (row,) = (r for r in found if r.quantity.startswith("minimum distance with 150"))
+    assert row.verdict == "refuted"
+
+
+def test_paths_are_compared_over_the_pairs_that_both_fly():
+    ours, theirs = flights(good=6, path=2.0), flights(COACD, good=10, close=3, path=4.0)
+    ratio = path_ratio(theirs, ours, (ours, theirs))
+    assert ratio.n == 3
+    assert ratio.value == pytest.approx((4 + 0.04) / (2 + 0.04))
+
+
+def test_a_cover_that_leaves_voxels_out_refutes_the_theorem():
+    whole = ROOM.same_count["default"]
+    torn = dataclasses.replace(
+        whole, measure=dataclasses.replace(whole.measure, intersection=990.0, open_voxels=20)
+    )
+    scene = dataclasses.replace(ROOM, same_count={**ROOM.same_count, "default": torn})
+    (row,) = (r for r in rows_of(scenes=[scene], item="Figure 4a") if "occupied voxels inside" in r.quantity)
+    assert row.verdict == "refuted"
+    (row,) = (r for r in rows_of(item="Figure 4a") if "occupied voxels inside" in r.quantity)
+    assert row.verdict == "reproduced"
