@@ -200,6 +200,7 @@ class MovingFilterParameters(Options, frozen=True, kw_only=True):
     failing_ticks: Annotated[int, Meta(ge=0, le=1000000, description='ticks without a feasible horizon before the vehicle brakes and descends, except during avoidance')] = 5
     descent_m_s: Annotated[float, Meta(ge=0, description='speed of that descent [m/s]')] = 0.5
     rows_before_warning: Annotated[bool, Meta(description='rows bind in every tick; false: only in a manoeuvre, as printed, which is UNSAFE when the warning is late')] = True
+    receding_rows: Annotated[bool, Meta(description='rows, and shares of the risk, also for obstacles that recede, as printed; false: only for those that close in')] = False
     wall_deceleration_m_s2: Annotated[float, Meta(gt=0, description="deceleration a_w with which the vehicle can stop before a wall [m/s^2]; default: 0.56 of the vehicle's a_max_m_s2")] | None = None
     range_m: Annotated[float, Meta(gt=0, description='obstacles farther away are ignored [m]')] = 40.0
     latency_s: Annotated[float, Meta(ge=0, description='assumed delay D of a command [s]')] = 0.02
@@ -210,7 +211,7 @@ class MovingFilterParameters(Options, frozen=True, kw_only=True):
     envelope_start_m_s2: Annotated[float, Meta(ge=0, description='initial acceleration envelope of an obstacle [m/s^2]')] = 1.0
     envelope_cap_m_s2: Annotated[float, Meta(ge=0, description='maximum of the acceleration envelope; at least its initial value [m/s^2]')] = 4.0
     envelope_forget_m_s3: Annotated[float, Meta(ge=0, description='rate at which the acceleration envelope shrinks [m/s^3]')] = 0.5
-    trigger: Annotated[Literal['cvar', 'simple'], Meta(description="the warning; cvar: CVaR of the predicted penetration over samples of the track's Gaussian, at five times; simple: a chance constraint at one time, for ablations")] = 'cvar'
+    trigger: Annotated[Literal['cvar', 'simple'], Meta(description="the warning; cvar: CVaR of the predicted penetration under the track's Gaussian, rounded up, at five times; simple: a chance constraint at one time, for ablations")] = 'cvar'
     tail: Annotated[float, Meta(gt=0, le=1, description='tail probability beta of the CVaR')] = 0.05
     wasserstein_m: Annotated[float, Meta(ge=0, description='radius eps of the Wasserstein ball of the warning [m]')] = 0.05
     obstacle_braking_m_s2: Annotated[float, Meta(ge=0, description='assumed deceleration a_i of an obstacle in the warning; 0 is conservative [m/s^2]')] = 6.0

@@ -3,7 +3,7 @@
  * Per tick and obstacle i, with P = p_i - p, V = v_i - v, d = |P|, n = P / d and v_cl = max(0, -n . V):
  *
  *   envelope     ahat_i: the recent maximum of a sliding-mode differentiator of v_i
- *   warning      CVaR of Z = R + v tau + v^2 / (2 (a_e + a_i)) - |P(t)| over samples of the tracker's Gaussian,
+ *   warning      CVaR of Z = R + v tau + v^2 / (2 (a_e + a_i)) - |P(t)| under the tracker's Gaussian, rounded up,
  *                plus eps L_Z, at five times up to H_max; or a chance constraint at one time (the ablation)
  *   manoeuvre    NOMINAL -> AVOID -> HOVER -> NOMINAL: to a bypass point in the best of twelve directions, a stop,
  *                and onward
@@ -27,7 +27,6 @@ extern "C" {
 #ifndef ALULA_WALLS
 #define ALULA_WALLS 32U
 #endif
-#define ALULA_SAMPLES 64U
 #define ALULA_LARGEST 1.0e6F /* largest number of an input; for a covariance, its square */
 #define ALULA_NO_OBSTACLE 0xFFFFFFFFU
 
@@ -66,6 +65,7 @@ typedef struct {
   float sigma2_p;    /* n . (Sigma_e + Sigma_i) n [m^2] */
   float sigma2_v;    /* n . Sigma_vv n [m^2/s^2] */
   uint32_t active;   /* closing and in range */
+  uint32_t has_row;  /* in dr-acbf: active, or in range if receding_rows */
   float miss[3];     /* relative position at the closest approach, if the vehicle hovered here, */
   float miss_s;      /* and the time until then; only for active obstacles in a manoeuvre */
 } alula_encounter;
@@ -88,8 +88,7 @@ typedef struct {
   alula_envelope envelope[ALULA_OBSTACLES];
   uint32_t count;
   alula_encounter encounter[ALULA_OBSTACLES]; /* in the order of the tracks */
-  float sample[ALULA_SAMPLES / 2U][6];        /* standard normal, each also with the other sign */
-  float worst_sample;                         /* norm of the longest of them */
+  float tail_of_normal, tail_of_square;       /* CVaR of a standard normal and of its square */
 } alula_avoidance;
 
 typedef struct {
@@ -126,13 +125,13 @@ void alula_update_envelopes(alula_avoidance* avoidance, const alula_track* track
 void alula_choose_bypass(alula_avoidance* avoidance, const alula_vehicle_state* vehicle, const alula_track* track,
                          const alula_wall* wall, uint32_t wall_count, uint32_t urgent);
 
-/* The largest CVaR of Z plus eps L_Z of one track; a value of at least 0 warns. `relative_acceleration` is
- * a_i - a_e [m/s^2]. If a bound over all samples is already negative, returns that bound. */
+/* The largest CVaR of Z plus eps L_Z of one track, from above; a value of at least 0 warns. `relative_acceleration`
+ * is a_i - a_e [m/s^2]. */
 float alula_early_warning(const alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
                           const alula_track* track, const float relative_acceleration[3]);
 
-/* Standard normal points of low discrepancy for the early warning. */
-void alula_early_warning_samples(float sample[ALULA_SAMPLES / 2U][6]);
+/* CVaR at tail probability `tail` of a standard normal variable and of its square, rounded up. */
+void alula_early_warning_tails(float tail, float* of_normal, float* of_square);
 
 #ifdef __cplusplus
 }

@@ -107,7 +107,7 @@ float alula_effective_clearance(const alula_dr_acbf_config* config, const alula_
 float alula_row_bound(const alula_dr_acbf_config* config, const alula_encounter* encounter, float horizon_s,
                       float lambda);
 float alula_cantelli(float alpha);
-/* Risk allocation: alpha_i of each active encounter; sums to the risk budget `total`. The others get 0. */
+/* Risk allocation: alpha_i of each encounter with a row; sums to the risk budget `total`. The others get 0. */
 void alula_allocate_risk(const alula_encounter* encounter, uint32_t count, float total, float* alpha);
 
 /* Closing speed below which following a row from D = v H never requires more than a_max along an axis. */

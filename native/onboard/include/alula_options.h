@@ -167,6 +167,9 @@ typedef struct {
   /* rows bind in every tick; false: only in a manoeuvre, as printed, which is UNSAFE when the warning is
    * late */
   int rows_before_warning;
+  /* rows, and shares of the risk, also for obstacles that recede, as printed; false: only for those that
+   * close in */
+  int receding_rows;
   /* deceleration a_w with which the vehicle can stop before a wall [m/s^2] */
   float wall_deceleration;
 } alula_dr_acbf_config;
@@ -186,6 +189,7 @@ typedef struct {
    .failing_ticks = 5U,                                                                                          \
    .descent_m_s = 0.5F,                                                                                          \
    .rows_before_warning = 1,                                                                                     \
+   .receding_rows = 0,                                                                                           \
    .wall_deceleration = 3.36F}
 
 /* Model of a racing drone behind its rate loop; its numbers are the vehicle's. */

@@ -54,14 +54,7 @@ alula_status alula_avoidance_init(alula_avoidance* avoidance, const alula_avoida
     if (!(positive[i] >= 1.0e-6F && positive[i] < 1.0e6F)) return ALULA_BAD_PARAMETER;
   if (c->tail > 1.0F || c->improvement > 1.0F || c->envelope_cap < c->envelope_start) return ALULA_BAD_PARAMETER;
   avoidance->config = *config;
-  alula_early_warning_samples(avoidance->sample);
-  avoidance->worst_sample = 0.0F;
-  for (uint32_t n = 0; n < ALULA_SAMPLES / 2U; ++n) {
-    float square = 0.0F;
-    for (int j = 0; j < 6; ++j) square += avoidance->sample[n][j] * avoidance->sample[n][j];
-    const float length = __builtin_sqrtf(square);
-    if (length > avoidance->worst_sample) avoidance->worst_sample = length;
-  }
+  alula_early_warning_tails(c->tail, &avoidance->tail_of_normal, &avoidance->tail_of_square);
   alula_avoidance_reset(avoidance);
   return ALULA_READY;
 }
@@ -123,6 +116,7 @@ static void meet(alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
     m->sigma2_p = variance(cp, m->los) + variance(vehicle->covariance, m->los);
     m->sigma2_v = variance(cv, m->los);
     m->active = m->distance_m < avoidance->config.range_m && m->closing_m_s > 0.0F ? 1U : 0U;
+    m->has_row = m->active;
   }
 }
 

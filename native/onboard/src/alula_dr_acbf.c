@@ -59,15 +59,15 @@ float alula_cantelli(float alpha) { return __builtin_sqrtf((1.0F - alpha) / alph
 void alula_allocate_risk(const alula_encounter* encounter, uint32_t count, float total, float* alpha) {
   float fastest = 0.0F, sum = 0.0F;
   for (uint32_t i = 0; i < count; ++i)
-    if (encounter[i].active && encounter[i].closing_m_s > fastest) fastest = encounter[i].closing_m_s;
+    if (encounter[i].has_row && encounter[i].closing_m_s > fastest) fastest = encounter[i].closing_m_s;
   for (uint32_t i = 0; i < count; ++i) {
     const alula_encounter* m = encounter + i;
     const float d = m->distance_m > NEAREST ? m->distance_m : NEAREST;
-    alpha[i] = m->active ? (1.0F + m->closing_m_s / (fastest + 1.0e-6F)) / d : 0.0F;
+    alpha[i] = m->has_row ? (1.0F + m->closing_m_s / (fastest + 1.0e-6F)) / d : 0.0F;
     sum += alpha[i];
   }
   for (uint32_t i = 0; i < count; ++i)
-    if (encounter[i].active) alpha[i] = alpha[i] / sum * total;
+    if (encounter[i].has_row) alpha[i] = alpha[i] / sum * total;
 }
 
 float alula_dr_acbf_recursive_speed(float a_max, float horizon_s) { return a_max * horizon_s / PEAK; }
@@ -110,7 +110,7 @@ static float set_bounds(alula_dr_acbf* filter, float horizon) {
   uint32_t row = 0U;
   for (uint32_t i = 0; i < filter->avoidance.count; ++i) {
     const alula_encounter* m = filter->avoidance.encounter + i;
-    if (!m->active) continue;
+    if (!m->has_row) continue;
     const float bound = alula_row_bound(&filter->config, m, horizon, filter->lambda[i]);
     filter->row[row++].bound = bound;
     if (bound < least) least = bound;
@@ -209,10 +209,14 @@ alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehi
   filter->row_count = 0U;
   if (binds) {
     float* lambda = filter->lambda;
+    for (uint32_t i = 0; i < count; ++i) {
+      alula_encounter* m = filter->avoidance.encounter + i;
+      m->has_row = m->active || (c->receding_rows && m->distance_m < c->avoidance.range_m) ? 1U : 0U;
+    }
     alula_allocate_risk(filter->avoidance.encounter, count, enters ? c->risk * c->warned_risk : c->risk, lambda);
     for (uint32_t i = 0; i < count; ++i) {
       const alula_encounter* m = filter->avoidance.encounter + i;
-      if (!m->active) continue;
+      if (!m->has_row) continue;
       alula_half_space* row = filter->row + filter->row_count++;
       for (int k = 0; k < 3; ++k) row->normal[k] = m->los[k];
       lambda[i] = alula_cantelli(lambda[i]);

@@ -235,7 +235,7 @@ alula_encounter encounter_of(double distance, double closing, double radius, dou
   m.envelope = static_cast<float>(envelope);
   m.sigma2_p = static_cast<float>(sigma2_p);
   m.sigma2_v = static_cast<float>(sigma2_v);
-  m.active = m.closing_m_s > 0;
+  m.active = m.has_row = m.closing_m_s > 0;
   return m;
 }
 
@@ -314,18 +314,15 @@ void bind_moving_filters(nb::module_& m) {
         return static_cast<double>(alula_early_warning(&avoidance, &vehicle, tracks.data(), a));
       },
       "position"_a, "velocity"_a, "track"_a, "relative_acceleration"_a, "covariance"_a = std::array<double, 6>{},
-      "options"_a = Numbers{},
-      "Maximum CVaR of Z over five times plus eps L_Z, or an upper bound on it that is below 0 [m].");
+      "options"_a = Numbers{}, "Maximum over five times of the CVaR of Z, rounded up, plus eps L_Z [m].");
   m.def(
-      "early_warning_samples",
-      [] {
-        std::vector<float> samples(ALULA_SAMPLES * 3);
-        float half[ALULA_SAMPLES / 2][6];
-        alula_early_warning_samples(half);
-        for (std::size_t n = 0; n < ALULA_SAMPLES / 2; ++n) std::copy_n(half[n], 6, samples.data() + 6 * n);
-        return to_numpy(std::move(samples), {ALULA_SAMPLES / 2, 6});
+      "early_warning_tails",
+      [](double tail) {
+        float of_normal = 0, of_square = 0;
+        alula_early_warning_tails(static_cast<float>(tail), &of_normal, &of_square);
+        return std::tuple<double, double>(of_normal, of_square);
       },
-      "Standard normal points (32, 6); each is also used with the opposite sign.");
+      "tail"_a, "CVaR of a standard normal variable and of its square, rounded up.");
   m.def(
       "acceleration_envelope",
       [](const InRows3<double>& velocity, const Numbers& numbers) {
@@ -353,10 +350,11 @@ void bind_moving_filters(nb::module_& m) {
       "velocity"_a, "options"_a = Numbers{}, "z1 and ahat (k, 4) after each of the velocities (k, 3).");
   m.def(
       "allocate_risk",
-      [](const InVector<double>& distance, const InVector<double>& closing, double total) {
+      [](const InVector<double>& distance, const InVector<double>& closing, double total, bool receding) {
         std::vector<alula_encounter> all;
         for (std::size_t i = 0; i < distance.size(); ++i) {
           all.push_back(encounter_of(distance.data()[i], closing.data()[i], 0, 0, 0, 0));
+          if (receding) all.back().has_row = 1;
         }
         std::vector<float> alpha(all.size());
         alula_allocate_risk(all.data(), static_cast<std::uint32_t>(all.size()), static_cast<float>(total),
@@ -364,7 +362,8 @@ void bind_moving_filters(nb::module_& m) {
         const std::size_t count = alpha.size();
         return to_numpy(std::move(alpha), {count});
       },
-      "distance"_a, "closing"_a, "total"_a, "Risks alpha_i of the obstacles; 0 for obstacles with closing <= 0.");
+      "distance"_a, "closing"_a, "total"_a, "receding"_a = false,
+      "Risks alpha_i of the obstacles; 0 for obstacles with closing <= 0 unless `receding`.");
   m.def(
       "row_bound",
       [](double distance, double closing, double horizon, double lambda, double radius, double envelope,

@@ -48,7 +48,7 @@ class DrAcbf final : public MovingFilter {
     double sum = 0;
     for (std::uint32_t i = 0; i < filter_.avoidance.count; ++i) {
       const alula_encounter& m = filter_.avoidance.encounter[i];
-      if (!m.active) continue;
+      if (!m.has_row) continue;
       const double bound = alula_row_bound(&filter_.config, &m, result.horizon_s, 0);
       const double slack = (bound - dot(to_vec3(m.los), to_vec3(result.a))) * h * h / 2;
       const double variance = m.sigma2_p + h * h * m.sigma2_v;

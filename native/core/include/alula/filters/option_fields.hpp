@@ -250,6 +250,7 @@ struct Fields<alula_dr_acbf_config> {
       Field{"failing_ticks", &alula_dr_acbf_config::failing_ticks, "ticks without a feasible horizon before the vehicle brakes and descends, except during avoidance", Limits{.min = 0.0, .max = 1000000.0}},
       Field{"descent_m_s", &alula_dr_acbf_config::descent_m_s, "speed of that descent [m/s]", Limits{.min = 0.0}},
       Field{"rows_before_warning", &alula_dr_acbf_config::rows_before_warning, "rows bind in every tick; false: only in a manoeuvre, as printed, which is UNSAFE when the warning is late", Limits{}},
+      Field{"receding_rows", &alula_dr_acbf_config::receding_rows, "rows, and shares of the risk, also for obstacles that recede, as printed; false: only for those that close in", Limits{}},
       Field{"wall_deceleration", &alula_dr_acbf_config::wall_deceleration, "deceleration a_w with which the vehicle can stop before a wall [m/s^2]", Limits{.above = 0.0}},
       Nested{&alula_dr_acbf_config::avoidance}};
 };
