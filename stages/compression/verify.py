@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
+from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import ArtifactError
 from alula.schemas.manifest import CoverManifest, LevelManifest, SceneManifest, VoxelsManifest
 from alula.schemas.progress import Progress
@@ -73,7 +74,7 @@ class Offence(msgspec.Struct, frozen=True, kw_only=True):
             if row is not None:
                 words += f", {name} {row}"
         if self.place_m is not None:
-            words += " at (" + ", ".join(f"{c:.4g}" for c in self.place_m) + ") m"
+            words += " at (" + ", ".join(f"{c:.10g}" for c in self.place_m) + ") m"
         return words
 
 
@@ -304,8 +305,12 @@ def _volume_check(cover: Artifact, jobs: int, progress: Progress | None) -> Chec
     recorded: float = cover.manifest.conservativeness  # type: ignore[attr-defined]
     offences = []
     if not abs(recorded - found) <= _VOLUME_TOLERANCE * found:
-        offences.append(Offence(fault=f"conservativeness is {found:.6g}, but recorded as {recorded:.6g}"))
-    return _check("volume is as recorded", 1, offences, len(offences), f"conservativeness {found:.6g}")
+        offences.append(
+            Offence(fault=f"conservativeness is {exact(found)}, but recorded as {exact(recorded)}")
+        )
+    return _check(
+        "volume is as recorded", 1, offences, len(offences), f"conservativeness {at_most(found, 6)}"
+    )
 
 
 def _scene_check(
@@ -394,14 +399,14 @@ def _position_m(lattice: NDArray[Any], size: float) -> tuple[float, float, float
 
 def _left_out(manifest: LevelManifest, voxels: Artifact | None, scene: Artifact | None) -> str:
     """Obstacles and errors that the files themselves exclude, in words."""
-    parts = [f"ellipsoids beyond {manifest.sigma:g} sigma"]
+    parts = [f"ellipsoids beyond {exact(manifest.sigma)} sigma"]
     if manifest.min_overlap > 1:
         parts.append(f"voxels that fewer than {manifest.min_overlap} ellipsoids touch")
     if manifest.min_opacity > 0:
         some = "" if scene is None else f"{len(scene['mean']) - len(retained(scene, manifest.min_opacity))} "
-        parts.append(f"{some}Gaussians of opacity below {manifest.min_opacity:g}")
+        parts.append(f"{some}Gaussians of opacity below {exact(manifest.min_opacity)}")
     if manifest.crop is not None:
-        parts.append("what lies outside the crop " + " ".join(f"{c:g}" for c in manifest.crop) + " m")
+        parts.append(f"what lies outside the crop {exact(manifest.crop)} m")
     if scene is None:
         parts.append("the scene itself, which was not given")
     else:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
+from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import CoverManifest, LevelManifest, VoxelsManifest
 from alula.schemas.progress import Progress
@@ -123,9 +124,11 @@ def _margin_holds(image: MapImage) -> Check:
     offences = []
     if Fraction(image.margin_m) < needed:
         offences = [
-            Offence(fault=f"the margin is {image.margin_m:.4g} m, but {float(needed):.4g} m are needed")
+            Offence(
+                fault=f"the margin is {exact(image.margin_m)} m, but {at_most(float(needed), 9)} m are needed"
+            )
         ]
-    detail = f"{image.margin_m:.3g} m, subtracted on board"
+    detail = f"{exact(image.margin_m)} m, subtracted on board"
     return _check("margin covers single precision", len(image), offences, len(offences), detail)
 
 

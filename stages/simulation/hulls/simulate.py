@@ -13,6 +13,7 @@ from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.simulate import DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S, SimulateConfig
+from alula.schemas.decimals import exact
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.manifest import Guarantee
 from alula.schemas.progress import Progress
@@ -185,10 +186,11 @@ def simulate(
             seconds.append(flown.filter_s)
             if progress is not None:
                 progress(index + 1, len(pairs.start))
+    named = "" if vehicle is None else f"{vehicle.name}: "
     return RunResult(
         filter=config.filter,
-        vehicle=f"{'' if vehicle is None else f'{vehicle.name}: '}sphere of radius {config.radius_m:g} m, "
-        f"single integrator up to {config.speed_m_s:g} m/s",
+        vehicle=f"{named}sphere of radius {exact(config.radius_m)} m, single integrator up to "
+        f"{exact(config.speed_m_s)} m/s",
         trials=trials,
         summary=_summary(trials, pairs, safety_filter),
         guarantee=_guarantee(config, cover, trials, safety_filter),
