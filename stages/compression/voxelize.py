@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.voxelize import VoxelizeConfig
-from alula.schemas.decimals import exact
+from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
 from alula.schemas.kinds import VOXELS
 from alula.schemas.manifest import SPLAT_LOSS, Guarantee, SceneManifest
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.stages.compression.ellipsoids import excluded_errors, retained, rows_of
+from alula.stages.compression.level import mass_within
 from alula.stages.compression.tiles import LONGEST_EDGE, Ellipsoids, Marked, mark, mark_tiles
 
 DEFAULT_TILE = 128  # voxels; used when a scheduler is given but no tile
@@ -211,7 +212,8 @@ def _guarantee(
     losses: dict[str, float],
     before: list[str],
 ) -> Guarantee:
-    what = f"the {exact(sigma)}-sigma ellipsoid of a Gaussian of the input scene"
+    mass = at_least(100 * mass_within(sigma))
+    what = f"the {exact(sigma)}-sigma ellipsoid ({mass} % of the mass) of a Gaussian of the input scene"
     if config.min_opacity > 0:
         below = left_out["gaussians_below_opacity"]
         what += f" with an opacity of at least {exact(config.min_opacity)} ({below} are below)"
@@ -234,6 +236,7 @@ def _guarantee(
         statement += ". Not included: " + "; ".join(before)
     claims = {
         "sigma": sigma,
+        "mass_fraction": mass_within(sigma),
         "inflation_m": inflation,
         "voxel_size_m": config.size_m,
         "min_overlap": config.min_overlap,

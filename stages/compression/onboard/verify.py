@@ -1,10 +1,11 @@
-"""Verification of an onboard map: proves from its bytes that it contains every obstacle."""
+"""Verification of an onboard map: proves from its bytes that it contains every voxel."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from fractions import Fraction
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,10 +24,10 @@ from alula.stages.compression.verify import (
     Check,
     Offence,
     _check,
-    _left_out,
     _position_m,
     _scene_check,
     _unclaimed,
+    certificate_of,
 )
 from alula.stages.progress import share
 
@@ -79,12 +80,14 @@ def verify_map(
         checks.append(_hulls_held(image, cover))
     if scene is not None:
         checks.append(_scene_check(level, scene, occupied, jobs, share(progress, held, 1)))
-    return Certificate(
-        covered=all(check.ok for check in checks),
-        checks=checks,
-        left_out=_left_out(level, voxels, scene),
-        notes=_notes(image, (sha256 or {}).get("cover")),
+    found = certificate_of(
+        level,
+        {"cover": cover, "voxels": voxels, "scene": scene},
+        checks,
+        f"every {'member of the cover' if voxels is None else 'voxel'} in a hull of the map",
+        _notes(image, (sha256 or {}).get("cover")),
     )
+    return msgspec.structs.replace(found, given=["map", *found.given])
 
 
 def _arrays(

@@ -18,6 +18,7 @@ from alula.schemas.manifest import Guarantee
 from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
+from alula.stages.compression.level import level_words, mass_within
 from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
@@ -329,7 +330,7 @@ def _guarantee(
     return Guarantee(
         statement=statement(
             beforehand,
-            f"afterwards over the whole path against the scene's ellipsoids at {exact(config.sigma)} sigma",
+            f"afterwards over the whole path against the scene's ellipsoids at {level_words(config.sigma)}",
             hits,
             len(trials),
             "flights came closer to an ellipsoid than the radius",
@@ -346,6 +347,7 @@ def _guarantee(
             "continuous_time": True,
             "path_sampling_s": min(_PLANT_STEP_S, config.dt_s),
             "sigma": config.sigma,
+            "mass_fraction": mass_within(config.sigma),
             "inflation_m": inflation_m,
             "vehicle_model": model,
             "scene_claims": given.claims if given is not None else {},
