@@ -24,7 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "scale-align": ("scale_align", "Give a scene metric scale and a named world frame."),
     "voxelize": ("voxelize", "Mark every voxel that an obstacle touches."),
     "merge": ("merge", "Cover voxels with a limited number of convex polytopes."),
-    "verify": ("verify", "Prove independently that a cover contains every obstacle."),
+    "verify": ("verify", "Prove independently that a cover contains the ellipsoids of a scene."),
     "plan": ("plan", "Find a smooth collision-free trajectory through a cover."),
     "simulate": ("simulate.command", "Fly start-goal pairs or a plan behind a safety filter."),
     "fly": ("fly.command", "Fly a plan on a real vehicle, behind a safety filter."),

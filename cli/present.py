@@ -9,8 +9,13 @@ from typing import Any
 
 import click
 
+from alula.schemas.decimals import exact
+
 LONGEST = 12  # longer sequences of numbers are summarised
 _HASH_DIGITS = 12
+_STATED = frozenset(
+    {"guarantee", "properties", "parameters"}
+)  # sections with numbers that guarantees rest on
 
 
 def print_json(facts: Mapping[str, Any]) -> None:
@@ -21,27 +26,32 @@ def print_json(facts: Mapping[str, Any]) -> None:
     click.echo(json.dumps(facts, indent=2))
 
 
-def plain(value: Any) -> str:
-    """Format a value for reading: short floats, sequences without brackets, long ones summarised."""
+def plain(value: Any, *, digits: int | None = 6) -> str:
+    """Format a value for reading: short floats, sequences without brackets, long ones summarised.
+
+    Args:
+        value: to be formatted.
+        digits: significant digits of floats; None for as many as identify them.
+    """
     if value is None:
         return "none"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return exact(value) if digits is None else f"{value:.{digits}g}"
     if isinstance(value, list | tuple):
         if len(value) <= LONGEST:
             return ("; " if any(isinstance(item, list | tuple | dict) for item in value) else " ").join(
-                plain(item) for item in value
+                plain(item, digits=digits) for item in value
             )
         if all(isinstance(item, int | float) for item in value):
-            low, high = plain(min(value)), plain(max(value))
-            return (
-                f"{len(value)} numbers from {plain(value[0])} to {plain(value[-1])}, within {low} and {high}"
+            first, last, low, high = (
+                plain(item, digits=digits) for item in (value[0], value[-1], min(value), max(value))
             )
+            return f"{len(value)} numbers from {first} to {last}, within {low} and {high}"
         return f"{len(value)} entries"
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {plain(item)}" for key, item in value.items())
+        return ", ".join(f"{key} {plain(item, digits=digits)}" for key, item in value.items())
     return str(value)
 
 
@@ -100,17 +110,18 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
 
 
 def _pairs(title: str, facts: Mapping[str, Any]) -> None:
+    digits = None if title in _STATED else 6
     if sys.stdout.isatty() or title:
-        print_table(title, ("", ""), [(key, _words(value)) for key, value in facts.items()])
+        print_table(title, ("", ""), [(key, _words(value, digits)) for key, value in facts.items()])
         return
     width = max((len(key) for key in facts), default=0)
     for key, value in facts.items():
         click.echo(f"{key:<{width}}  {_words(value)}")
 
 
-def _words(value: Any) -> str:
+def _words(value: Any, digits: int | None = 6) -> str:
     """Format a value on one line, without control characters."""
-    text = " ".join(plain(value).split())
+    text = " ".join(plain(value, digits=digits).split())
     return "".join(c if c.isprintable() else "?" for c in text)
 
 

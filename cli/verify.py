@@ -48,10 +48,13 @@ def command(
     quiet: bool,
     verbose: int,
 ) -> None:
-    """Prove independently that a cover contains every obstacle.
+    """Prove independently that a cover contains the ellipsoids of a scene.
 
     The proof uses the files alone and other algorithms than those that made them: exact integers for
-    hulls and voxels, separating planes for ellipsoids. When something is not proven, the exit code is 4,
+    hulls and voxels, separating planes for ellipsoids. It covers what the files show: without --scene no
+    ellipsoid is checked, without --voxels only the voxels that the cover lists. The first line of the
+    answer names the level of the ellipsoids with the fraction of a Gaussian's mass inside, the files that
+    were missing, and what was not checked for that reason. When something is not proven, the exit code is 4,
     the message names the first failure, and no certificate is written. An onboard map (.bin) is proven
     from its own bytes, against voxels or a cover.
 
@@ -146,7 +149,7 @@ def _show(common: options.Common, status: str, certificate: Certificate) -> None
     if common.json:
         print_json({"status": status, **msgspec.to_builtins(certificate)})
     elif not common.quiet:
-        click.echo("covered" if certificate.covered else "not covered")
+        click.echo(certificate.statement)
         width = max(len(check.name) for check in certificate.checks)
         for check in certificate.checks:
             answer = "ok" if check.ok else f"{check.failed} failed"

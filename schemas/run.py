@@ -116,6 +116,8 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
         infeasible_steps: no command met all constraints, or the filter refused.
         fallback_steps: the filter flew its recovery or backup.
         mean_jerk_m_s3, max_jerk_m_s3: [m/s^3].
+        start_margin_m: psi - radius at the start, only among hulls; where negative, the filter guaranteed
+            nothing for this flight [m].
         reference_speed_m_s: peak speed of the reference; this and what follows up to `line_clearance_m` only
             among ellipsoids [m/s].
         mean_speed_m_s, max_acceleration_m_s2: of the body [m/s], [m/s^2].
@@ -158,6 +160,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     fallback_steps: int
     mean_jerk_m_s3: float
     max_jerk_m_s3: float
+    start_margin_m: float | None = None
     reference_speed_m_s: float | None = None
     mean_speed_m_s: float | None = None
     max_acceleration_m_s2: float | None = None

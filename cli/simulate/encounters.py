@@ -12,6 +12,7 @@ import click
 from alula.cli import options
 from alula.cli.simulate.chunks import ScenarioOptions, replaced_keys, run_trials
 from alula.schemas.configs.simulate import SimulateConfig
+from alula.schemas.decimals import exact
 from alula.schemas.errors import CheckError
 
 if TYPE_CHECKING:
@@ -108,8 +109,8 @@ def _write(
         provenance,
         name=scenario.name,
         filter=scenario.filter.name,
-        vehicle=f"sphere of radius {body.radius_m:g} m, double integrator up to {body.v_max_m_s:g} m/s, "
-        f"{body.a_max_m_s2:g} m/s^2 and {body.j_max_m_s3:g} m/s^3",
+        vehicle=f"sphere of radius {exact(body.radius_m)} m, double integrator up to "
+        f"{exact(body.v_max_m_s)} m/s, {exact(body.a_max_m_s2)} m/s^2 and {exact(body.j_max_m_s3)} m/s^3",
         trials=flown.trials,
         summary=summary,
         guarantee=encounter_guarantee(scenario, flown.trials),

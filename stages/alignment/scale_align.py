@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.scale_align import ScaleAlignConfig
+from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import CheckError, InputError, UsageError
 from alula.schemas.kinds import SCENE
 from alula.schemas.manifest import Guarantee, SceneManifest, Similarity
@@ -194,8 +195,8 @@ def _guarantee(manifest: SceneManifest, known: float | None, inflation: float) -
         error = "its error is not known."
     else:
         error = (
-            f"with {CONFIDENCE:.0%} confidence no point of a {_BOUNDED_SIGMA:g}-sigma ellipsoid has an error "
-            f"above {inflation:.3g} m, if the errors of the correspondences are independent."
+            f"with {CONFIDENCE:.0%} confidence no point of a {exact(_BOUNDED_SIGMA)}-sigma ellipsoid has an "
+            f"error above {at_most(inflation)} m, if the errors of the correspondences are independent."
         )
     return Guarantee(
         statement=f"{before.statement} It was mapped by one similarity; {error}".strip(),

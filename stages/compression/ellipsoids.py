@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
+from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InputError
 from alula.schemas.manifest import SPLAT_LOSS, SceneManifest
 from alula.schemas.progress import Progress
@@ -90,10 +91,10 @@ def excluded_errors(scene: SceneManifest, inflation_m: float, *, ignore_loss: bo
     loss = source.get("loss")
     losses: dict[str, Any] = loss if isinstance(loss, dict) else {}
     if (moved := losses.get("opacity")) and isinstance(removed, dict) and removed.get("min_opacity"):
-        parts.append(f"what the format may have moved below that opacity, by up to {moved:.3g}")
+        parts.append(f"what the format may have moved below that opacity, by up to {at_most(moved)}")
     if SPLAT_LOSS not in scene.requires or ignore_loss:  # the ellipsoids are not grown by it
         found = [
-            f"{key} {value:.3g}"
+            f"{key} {at_most(value)}"
             for key, value in sorted(losses.items())
             if isinstance(value, float) and value and key != "opacity"
         ]
@@ -106,8 +107,8 @@ def excluded_errors(scene: SceneManifest, inflation_m: float, *, ignore_loss: bo
         parts.append(f"an error of {what} beyond the bound of the splat file's format: {why}")
     if inflation_m < scene.suggested_inflation_m:
         parts.append(
-            f"an error of the alignment beyond {inflation_m:g} m, where it suggests"
-            f" {scene.suggested_inflation_m:.3g} m"
+            f"an error of the alignment beyond {exact(inflation_m)} m, where it suggests"
+            f" {at_most(scene.suggested_inflation_m)} m"
         )
     elif (scene.alignment or {}).get("position_error_m", 0.0) is None:
         parts.append("the error of the alignment, which is not known")

@@ -1,4 +1,4 @@
-"""The stage `verify`: prove that a cover contains every obstacle, independently of `merge` and `voxelize`.
+"""The stage `verify`: prove that a cover contains the ellipsoids of a scene, without `merge` and `voxelize`.
 
 The checks share no code with those stages. The file is long because it is one proof: its checks and the
 certificate with their results belong together.
@@ -15,15 +15,17 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
-from alula.schemas.errors import ArtifactError
+from alula.schemas.decimals import at_most, exact
+from alula.schemas.errors import ArtifactError, InputError
 from alula.schemas.manifest import CoverManifest, LevelManifest, SceneManifest, VoxelsManifest
 from alula.schemas.progress import Progress
 from alula.stages.compression.ellipsoids import excluded_errors, retained, unproven_voxels
 from alula.stages.compression.hulls import is_outer
+from alula.stages.compression.level import beyond_words, level_words, mass_within
 from alula.stages.compression.limits import VERIFY_VOXELS, require_at_most
 from alula.stages.progress import share
 
-SCHEMA, VERSION = "alula/certificate", "1.0"
+SCHEMA, VERSION = "alula/certificate", "1.1"
 LISTED = 100  # maximum number of offences that a check lists
 
 # Groups of the faults of native/core/include/alula/cover/cover_check.hpp.
@@ -73,7 +75,7 @@ class Offence(msgspec.Struct, frozen=True, kw_only=True):
             if row is not None:
                 words += f", {name} {row}"
         if self.place_m is not None:
-            words += " at (" + ", ".join(f"{c:.4g}" for c in self.place_m) + ") m"
+            words += " at (" + ", ".join(f"{c:.10g}" for c in self.place_m) + ") m"
         return words
 
 
@@ -92,16 +94,25 @@ class Certificate(msgspec.Struct, frozen=True, kw_only=True):
     """Result of all checks of a cover.
 
     Attributes:
-        covered: every check holds.
+        covered: every check holds; `statement` says of what, for the files that were given.
         checks: the results, in the order of the report.
         left_out: obstacles and errors outside the proof, in words.
         notes: observations that do not affect the proof, such as files that are not the recorded inputs.
+        statement: the verdict in words.
+        level: definition of an obstacle that the proof used; `mass_fraction` is the fraction of a Gaussian's
+            mass inside its ellipsoid at `sigma`.
+        given: roles of the files that were checked.
+        not_checked: links of the proof that the files do not suffice for.
     """
 
     covered: bool
     checks: list[Check]
     left_out: str
     notes: list[str] = []
+    statement: str = ""
+    level: dict[str, Any] = {}
+    given: list[str] = []
+    not_checked: list[str] = []
 
     def complaint(self) -> str:
         """Message with the first check that fails and its first offence; empty when covered."""
@@ -147,7 +158,8 @@ def verify(
         The certificate; `covered` when every check holds.
 
     Raises:
-        InputError: there are more than `VERIFY_VOXELS` voxels or members of hulls.
+        InputError: there are more than `VERIFY_VOXELS` voxels or members of hulls, hulls with more
+            half-planes and vertices than can be checked, or ellipsoids that `voxelize` would refuse.
     """
     manifest = cover.manifest
     assert isinstance(manifest, CoverManifest)
@@ -162,11 +174,60 @@ def verify(
     if scene is not None:
         index = cover["member_index"] if voxels is None else voxels["index"]
         checks.append(_scene_check(manifest, scene, index, jobs, share(progress, measured, 1)))
+    return certificate_of(
+        manifest,
+        {"cover": cover, "voxels": voxels, "scene": scene},
+        checks,
+        "members in hulls" if voxels is None else "every voxel in a hull",
+        _notes(cover, voxels, scene, sha256 or {}),
+    )
+
+
+def certificate_of(
+    level: LevelManifest,
+    files: Mapping[str, Artifact | None],
+    checks: list[Check],
+    proven: str,
+    notes: list[str],
+) -> Certificate:
+    """Certificate with a verdict that names the level, the files and what they do not suffice for.
+
+    Args:
+        level: definition of an obstacle.
+        files: by role; None where a file was not given.
+        checks: all results.
+        proven: what holds without a scene, in words.
+        notes: see `Certificate`.
+    """
+    voxels, scene = files.get("voxels"), files.get("scene")
+    links = []
+    if scene is None:
+        links.append("that the voxels contain the ellipsoids")
+        if voxels is None:
+            links.append("that the members of the hulls are all voxels")
+    covered = all(check.ok for check in checks)
+    if not covered:
+        statement = "not covered"
+    elif scene is not None:
+        what = "retained ellipsoid" if level.min_opacity > 0 else "ellipsoid"
+        inside = proven if voxels is None else f"voxels, {proven}"
+        statement = f"covered: every {what} of the scene at {level_words(level.sigma)} in {inside}"
+    elif voxels is not None:
+        statement = f"covered: {proven} (the scene was not given: no ellipsoid was checked)"
+    else:
+        statement = (
+            f"covered: {proven} (neither voxels nor scene were given: no ellipsoid was checked, nor whether "
+            "the members are all voxels)"
+        )
     return Certificate(
-        covered=all(check.ok for check in checks),
+        covered=covered,
         checks=checks,
-        left_out=_left_out(manifest, voxels, scene),
-        notes=_notes(cover, voxels, scene, sha256 or {}),
+        left_out=_left_out(level, voxels, scene),
+        notes=notes,
+        statement=statement,
+        level={name: getattr(level, name) for name in LEVEL} | {"mass_fraction": mass_within(level.sigma)},
+        given=[role for role, file in files.items() if file is not None],
+        not_checked=links,
     )
 
 
@@ -229,12 +290,15 @@ def _check_hulls(cover: Artifact, jobs: int, progress: Progress | None) -> NDArr
     vertex, vertex_start, normal, offset, plane_start, member, member_start = (
         np.ascontiguousarray(cover[name]) for name in _GEOMETRY
     )
-    return _core.check_cover_hulls(
-        *(vertex, vertex_start, normal, offset, plane_start, member, member_start),
-        is_outer(cover),
-        jobs,
-        progress,
-    )
+    try:
+        return _core.check_cover_hulls(
+            *(vertex, vertex_start, normal, offset, plane_start, member, member_start),
+            is_outer(cover),
+            jobs,
+            progress,
+        )
+    except OverflowError as error:
+        raise InputError(f"this is no cover that merge makes: {error}") from error
 
 
 def _hull_checks(cover: Artifact, jobs: int, progress: Progress | None) -> list[Check]:
@@ -304,8 +368,12 @@ def _volume_check(cover: Artifact, jobs: int, progress: Progress | None) -> Chec
     recorded: float = cover.manifest.conservativeness  # type: ignore[attr-defined]
     offences = []
     if not abs(recorded - found) <= _VOLUME_TOLERANCE * found:
-        offences.append(Offence(fault=f"conservativeness is {found:.6g}, but recorded as {recorded:.6g}"))
-    return _check("volume is as recorded", 1, offences, len(offences), f"conservativeness {found:.6g}")
+        offences.append(
+            Offence(fault=f"conservativeness is {exact(found)}, but recorded as {exact(recorded)}")
+        )
+    return _check(
+        "volume is as recorded", 1, offences, len(offences), f"conservativeness {at_most(found, 6)}"
+    )
 
 
 def _scene_check(
@@ -394,14 +462,14 @@ def _position_m(lattice: NDArray[Any], size: float) -> tuple[float, float, float
 
 def _left_out(manifest: LevelManifest, voxels: Artifact | None, scene: Artifact | None) -> str:
     """Obstacles and errors that the files themselves exclude, in words."""
-    parts = [f"ellipsoids beyond {manifest.sigma:g} sigma"]
+    parts = [beyond_words(manifest.sigma)]
     if manifest.min_overlap > 1:
         parts.append(f"voxels that fewer than {manifest.min_overlap} ellipsoids touch")
     if manifest.min_opacity > 0:
         some = "" if scene is None else f"{len(scene['mean']) - len(retained(scene, manifest.min_opacity))} "
-        parts.append(f"{some}Gaussians of opacity below {manifest.min_opacity:g}")
+        parts.append(f"{some}Gaussians of opacity below {exact(manifest.min_opacity)}")
     if manifest.crop is not None:
-        parts.append("what lies outside the crop " + " ".join(f"{c:g}" for c in manifest.crop) + " m")
+        parts.append(f"what lies outside the crop {exact(manifest.crop)} m")
     if scene is None:
         parts.append("the scene itself, which was not given")
     else:

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.voxelize import VoxelizeConfig
+from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
 from alula.schemas.kinds import VOXELS
 from alula.schemas.manifest import SPLAT_LOSS, Guarantee, SceneManifest
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.stages.compression.ellipsoids import excluded_errors, retained, rows_of
+from alula.stages.compression.level import mass_within
 from alula.stages.compression.tiles import LONGEST_EDGE, Ellipsoids, Marked, mark, mark_tiles
 
 DEFAULT_TILE = 128  # voxels; used when a scheduler is given but no tile
@@ -96,7 +98,7 @@ def voxelize(
     inflation = manifest.suggested_inflation_m if config.inflation_m is None else config.inflation_m
     rows = retained(scene, config.min_opacity)
     if len(rows) == 0:
-        raise InfeasibleError(f"no Gaussian has an opacity of at least {config.min_opacity:g}")
+        raise InfeasibleError(f"no Gaussian has an opacity of at least {exact(config.min_opacity)}")
     found = rows_of(scene, rows, ignore_loss=config.ignore_loss)
     ellipsoids = Ellipsoids(
         mean=found.mean,
@@ -167,7 +169,7 @@ def _mark(
         edge = DEFAULT_TILE if tile_m is None else max(1, round(tile_m / size)) if tile_m > 0 else 0
         if not 1 <= edge <= LONGEST_EDGE:
             raise UsageError(
-                f"--tile must be more than 0 and at most {LONGEST_EDGE * size:g} m, not {tile_m}"
+                f"--tile must be more than 0 and at most {exact(LONGEST_EDGE * size)} m, not {tile_m}"
             )
         return mark_tiles(ellipsoids, edge, jobs, scheduler, progress)
     except OverflowError as error:
@@ -210,11 +212,12 @@ def _guarantee(
     losses: dict[str, float],
     before: list[str],
 ) -> Guarantee:
-    what = f"the {sigma:.6g}-sigma ellipsoid of a Gaussian of the input scene"
+    mass = at_least(100 * mass_within(sigma))
+    what = f"the {exact(sigma)}-sigma ellipsoid ({mass} % of the mass) of a Gaussian of the input scene"
     if config.min_opacity > 0:
         below = left_out["gaussians_below_opacity"]
-        what += f" with an opacity of at least {config.min_opacity:g} ({below} are below)"
-    growths = [f"{inflation:.6g} m"] * (inflation > 0)
+        what += f" with an opacity of at least {exact(config.min_opacity)} ({below} are below)"
+    growths = [f"{exact(inflation)} m"] * (inflation > 0)
     growths += ["all that the splat file's format may have lost"] * bool(losses)
     if growths:
         what += f", grown by {' and by '.join(growths)},"
@@ -226,14 +229,14 @@ def _guarantee(
             f"{left_out['voxels_below_min_overlap']} touched voxels are left out"
         )
     if config.crop is not None:
-        statement += (
-            f", as far as it touches the crop; {left_out['gaussians_outside_crop']} Gaussians lie outside "
-            f"and {left_out['gaussians_cut_by_crop']} in part"
-        )
+        outside, cut = left_out["gaussians_outside_crop"], left_out["gaussians_cut_by_crop"]
+        statement += f", as far as it touches the crop {exact(config.crop)} m; "
+        statement += f"{outside} Gaussians lie outside and {cut} in part"
     if before:
         statement += ". Not included: " + "; ".join(before)
     claims = {
         "sigma": sigma,
+        "mass_fraction": mass_within(sigma),
         "inflation_m": inflation,
         "voxel_size_m": config.size_m,
         "min_overlap": config.min_overlap,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.decimals import exact
 from alula.schemas.manifest import Guarantee
 from alula.schemas.run import Outcome, TrialResult
 from alula.stages.clearance import (
@@ -153,8 +154,8 @@ def guarantee_of(mission: Mission, trial: TrialResult) -> Guarantee:
     proven, how = mission.is_clear
     return Guarantee(
         statement=f"A real flight {who}, with a geofence. The plan before the flight: {how}. According to "
-        f"the positions that the vehicle measured, sampled at {mission.config.rate_hz:g} Hz and joined by "
-        f"straight lines, it {touched}. Motion that the vehicle did not measure is not covered, nor are "
+        f"the positions that the vehicle measured, sampled at {exact(mission.config.rate_hz)} Hz and joined "
+        f"by straight lines, it {touched}. Motion that the vehicle did not measure is not covered, nor are "
         "obstacles that the map does not contain.",
         claims={
             "proven_by_filter": False,

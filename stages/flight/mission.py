@@ -14,6 +14,7 @@ from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.fly import FlyConfig
+from alula.schemas.decimals import at_least, exact
 from alula.schemas.errors import InputError, LinkError, UsageError
 from alula.schemas.vehicle import Vehicle
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
@@ -181,13 +182,15 @@ def make_mission(
             if found.holds
             else f"piece {unproven[:1]} is not proven clear of hulls"
         )
-        proofs.append((found.holds, f"{words} by {radius:g} m"))
+        proofs.append((found.holds, f"{words} by {exact(radius)} m"))
     if scene is not None:
         ellipsoids = scene_obstacles(scene, config.sigma)
         obstacles.append(("an ellipsoid", ellipsoids))
         points = sample_plan(plan, _SAMPLE_S).position_world
         distance = float(path_clearance(points, ellipsoids, jobs=jobs).min(initial=math.inf))
-        proofs.append((distance >= radius, f"{distance:.3f} m from the ellipsoids, {radius:g} m required"))
+        proofs.append(
+            (distance >= radius, f"{at_least(distance)} m from the ellipsoids, {exact(radius)} m required")
+        )
     curve = _core.ReferenceCurve(
         np.asarray(plan["time"], np.float64), np.asarray(plan["coefficient"], np.float64)
     )
@@ -404,8 +407,8 @@ def describe(mission: Mission) -> str:
         mission: to fly.
     """
     vehicle = mission.vehicle
-    sphere = f"a sphere of radius {vehicle.body.radius_m:g} m"
-    return f"{vehicle.name}: a real quadrotor of {vehicle.body.mass_kg:g} kg in {sphere}"
+    sphere = f"a sphere of radius {exact(vehicle.body.radius_m)} m"
+    return f"{vehicle.name}: a real quadrotor of {exact(vehicle.body.mass_kg)} kg in {sphere}"
 
 
 def head_facts(mission: Mission) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.decimals import at_most
 from alula.schemas.errors import InputError
 from alula.schemas.kinds import SCENE
 from alula.schemas.manifest import SPLAT_LOSS, Guarantee
@@ -214,7 +215,7 @@ def _loss(splats: Splats, removal: NDArray[np.uint8], kept: int) -> dict[str, An
 def _guarantee(config: ImportSplatConfig, removed: dict[str, int], loss: dict[str, Any]) -> Guarantee:
     left_out = {reason: count for reason, count in removed.items() if count}
     removals = ", ".join(f"{count} by {reason}" for reason, count in left_out.items()) or "none"
-    figures = ", ".join(f"{name} {loss[name]:.3g}" for name in (*LOSSES, "opacity") if loss[name])
+    figures = ", ".join(f"{name} {at_most(loss[name])}" for name in (*LOSSES, "opacity") if loss[name])
     lossy = (
         f" The format loses precision; `loss` bounds the loss of each Gaussian, at most {figures}."
         if figures

@@ -16,7 +16,7 @@ from alula.stages.reporting.material import (
     Material,
     Run,
     clearance_of,
-    is_covered,
+    coverage,
     outcome_of,
     proof,
 )
@@ -47,8 +47,7 @@ def headline(material: Material) -> dict[str, Any]:
     if material.cover is not None:
         found["conservativeness"] = float(material.cover.manifest.conservativeness)  # type: ignore[attr-defined]
     if material.cover is not None or material.certificate is not None:
-        covered = is_covered(material.certificate)
-        found["obstacles_covered"] = "not verified" if covered is None else covered
+        found["obstacles_covered"] = coverage(material.certificate)
     trials = [(run.label, trial) for run in material.runs for trial in run.record.trials]
     if trials:
         static = [trial for _, trial in trials if trial.obstacles is None and trial.fence is None]
@@ -99,9 +98,9 @@ def cards(material: Material) -> list[tuple[str, list[Card]]]:
 
 
 def _map_cards(material: Material) -> list[Card]:
-    covered = is_covered(material.certificate)
-    shown = text(covered) if covered is not None else "not verified"
-    found = [Card("obstacles covered", shown, proof(material.certificate), covered)]
+    covered = coverage(material.certificate)
+    is_good = covered if isinstance(covered, bool) else None
+    found = [Card("obstacles covered", text(covered), proof(material.certificate), is_good)]
     if material.cover is not None:
         value = float(material.cover.manifest.conservativeness)  # type: ignore[attr-defined]
         found.insert(0, Card("conservativeness", text(value), "volume of hulls / volume of voxels"))

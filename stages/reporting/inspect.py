@@ -29,7 +29,7 @@ WHAT = {
     "alula/report": "A report on runs; open it in a browser.",
     "alula/export": "A copy of a cover or a scene for another program.",
     "alula/onboard-map": "A cover as a microcontroller reads it in place from flash.",
-    "alula/certificate": "The result of checking again that a cover contains every obstacle.",
+    "alula/certificate": "The result of checking again what a cover contains.",
     "alula/demo-scene": "The built-in scene as a splat file.",
 }
 _COMMON = ("schema", "version", "summary", "frame", "unit", "arrays", "guarantee", "producer")

@@ -70,12 +70,27 @@ def is_covered(certificate: Mapping[str, Any] | None) -> bool | None:
     return found if isinstance(found, bool) else None
 
 
+def checks_ellipsoids(certificate: Mapping[str, Any] | None) -> bool:
+    """Return whether a certificate's checks include the ellipsoids of a scene."""
+    checks = certificate.get("checks", []) if certificate is not None else []
+    return any(isinstance(check, dict) and "ellipsoid" in str(check.get("name")) for check in checks)
+
+
+def coverage(certificate: Mapping[str, Any] | None) -> bool | str:
+    """Verdict on the obstacles; True only when their ellipsoids were checked."""
+    covered = is_covered(certificate)
+    if covered is None:
+        return "not verified"
+    return "voxels only" if covered and not checks_ellipsoids(certificate) else covered
+
+
 def proof(certificate: Mapping[str, Any] | None) -> str:
     """State in words what a certificate proves; it covers the ellipsoids only when they were checked."""
     if certificate is None:
         return "this map was not checked by alula verify"
-    checks = [check for check in certificate.get("checks", []) if isinstance(check, dict)]
-    if any("ellipsoid" in str(check.get("name")) for check in checks):
+    if isinstance(words := certificate.get("statement"), str) and words:
+        return words
+    if checks_ellipsoids(certificate):
         return "ellipsoids in voxels and voxels in hulls, checked again"
     return "voxels in hulls, checked again; ellipsoids not checked"
 

@@ -97,7 +97,9 @@ def test_verify_prints_a_table_and_writes_a_certificate(folder, capsys):
     words = ["verify", "c.cover.npz", "--voxels", "v.voxels.npz", "-o", "c.json"]
     assert run(words) == 0
     out = capsys.readouterr().out
-    assert out.startswith("covered\n")
+    assert out.startswith(
+        "covered: every voxel in a hull (the scene was not given: no ellipsoid was checked)\n"
+    )
     assert "hulls are exact polytopes" in out
     record = json.loads((folder / "c.json").read_text())
     assert record["covered"] is True
@@ -115,6 +117,8 @@ def test_verify_without_output_only_answers(folder, capsys):
     assert run(["verify", "c.cover.npz", "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert shown["covered"] is True
+    assert shown["given"] == ["cover"]
+    assert len(shown["not_checked"]) == 2
     assert shown["status"] == "checked"
     assert set(folder.iterdir()) == before
 

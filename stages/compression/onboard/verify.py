@@ -1,15 +1,17 @@
-"""Verification of an onboard map: proves from its bytes that it contains every obstacle."""
+"""Verification of an onboard map: proves from its bytes that it contains every voxel."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from fractions import Fraction
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact
+from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import UsageError
 from alula.schemas.manifest import CoverManifest, LevelManifest, VoxelsManifest
 from alula.schemas.progress import Progress
@@ -22,10 +24,10 @@ from alula.stages.compression.verify import (
     Check,
     Offence,
     _check,
-    _left_out,
     _position_m,
     _scene_check,
     _unclaimed,
+    certificate_of,
 )
 from alula.stages.progress import share
 
@@ -78,12 +80,14 @@ def verify_map(
         checks.append(_hulls_held(image, cover))
     if scene is not None:
         checks.append(_scene_check(level, scene, occupied, jobs, share(progress, held, 1)))
-    return Certificate(
-        covered=all(check.ok for check in checks),
-        checks=checks,
-        left_out=_left_out(level, voxels, scene),
-        notes=_notes(image, (sha256 or {}).get("cover")),
+    found = certificate_of(
+        level,
+        {"cover": cover, "voxels": voxels, "scene": scene},
+        checks,
+        f"every {'member of the cover' if voxels is None else 'voxel'} in a hull of the map",
+        _notes(image, (sha256 or {}).get("cover")),
     )
+    return msgspec.structs.replace(found, given=["map", *found.given])
 
 
 def _arrays(
@@ -123,9 +127,11 @@ def _margin_holds(image: MapImage) -> Check:
     offences = []
     if Fraction(image.margin_m) < needed:
         offences = [
-            Offence(fault=f"the margin is {image.margin_m:.4g} m, but {float(needed):.4g} m are needed")
+            Offence(
+                fault=f"the margin is {exact(image.margin_m)} m, but {at_most(float(needed), 9)} m are needed"
+            )
         ]
-    detail = f"{image.margin_m:.3g} m, subtracted on board"
+    detail = f"{exact(image.margin_m)} m, subtracted on board"
     return _check("margin covers single precision", len(image), offences, len(offences), detail)
 
 

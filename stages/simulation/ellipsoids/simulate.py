@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from alula import _core
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.simulate import DEFAULT_SPEED_M_S, SimulateConfig
+from alula.schemas.decimals import exact
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.manifest import Guarantee
 from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
 from alula.schemas.vehicle import FASTBRIDGE, Vehicle
+from alula.stages.compression.level import level_words, mass_within
 from alula.stages.compression.verify import require_solid_hulls
 from alula.stages.compression.voxelize import sigma_of_confidence
 from alula.stages.filtering.obstacles import ellipsoid_index, require_metric
@@ -264,11 +266,12 @@ def _describe(config: SimulateConfig, vehicle: Vehicle) -> str:
     guided = "" if config.guide == NO_FILTER else f", guided by {config.guide}"
     found = disturbances(vehicle)
     disturbed = f", with {', '.join(found)}" if found else ""
+    assert config.radius_m is not None
+    sphere = f"sphere of radius {exact(config.radius_m)} m"
     if config.plant == "double-integrator":
-        return f"{vehicle.name}: sphere of radius {config.radius_m:g} m, double integrator{guided}{disturbed}"
+        return f"{vehicle.name}: {sphere}, double integrator{guided}{disturbed}"
     command = "thrust and torque" if config.interface == "wrench" else "thrust and body rates"
-    sphere = f"sphere of radius {config.radius_m:g} m"
-    body = f"quadrotor of {vehicle.body.mass_kg:g} kg in a {sphere}"
+    body = f"quadrotor of {exact(vehicle.body.mass_kg)} kg in a {sphere}"
     return f"{vehicle.name}: {body}, commanded by {command}{guided}{disturbed}"
 
 
@@ -296,8 +299,8 @@ def _summary(
 def _model(vehicle: Vehicle) -> str:
     """The filters' model of the vehicle, in words."""
     table = vehicle.assumed
-    lag = f"a motor time constant of {table.motor_time_constant_s:g} s"
-    delay = f"states that are {table.delay_s:g} s old"
+    lag = f"a motor time constant of {exact(table.motor_time_constant_s)} s"
+    delay = f"states that are {exact(table.delay_s)} s old"
     known = [text for text, value in ((lag, table.motor_time_constant_s), (delay, table.delay_s)) if value]
     return f"the model with {' and '.join(known)}" if known else "the model without disturbances"
 
@@ -329,7 +332,7 @@ def _guarantee(
     return Guarantee(
         statement=statement(
             beforehand,
-            f"afterwards over the whole path against the scene's ellipsoids at {config.sigma:.4g} sigma",
+            f"afterwards over the whole path against the scene's ellipsoids at {level_words(config.sigma)}",
             hits,
             len(trials),
             "flights came closer to an ellipsoid than the radius",
@@ -346,6 +349,7 @@ def _guarantee(
             "continuous_time": True,
             "path_sampling_s": min(_PLANT_STEP_S, config.dt_s),
             "sigma": config.sigma,
+            "mass_fraction": mass_within(config.sigma),
             "inflation_m": inflation_m,
             "vehicle_model": model,
             "scene_claims": given.claims if given is not None else {},

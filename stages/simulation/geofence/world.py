@@ -11,6 +11,7 @@ import numpy as np
 
 from alula import _core
 from alula.schemas.arrays import FloatArray
+from alula.schemas.decimals import exact
 from alula.schemas.errors import UsageError
 from alula.schemas.geofence import FenceScenario
 from alula.schemas.vehicle import Vehicle
@@ -88,12 +89,12 @@ def native_world(scenario: FenceScenario, vehicle: Vehicle, keep_out: KeepOut | 
 def _deviations(scenario: FenceScenario, vehicle: Vehicle) -> tuple[str, ...]:
     table = scenario.vehicle
     scales = {key: getattr(table, key) for key in ("mass_scale", "thrust_scale", "rate_gain_scale")}
-    found = [f"{key} {value:g}" for key, value in scales.items() if value != 1]
+    found = [f"{key} {exact(value)}" for key, value in scales.items() if value != 1]
     for key in ("delay_s", "linear_drag_n_s_m", "quadratic_drag_n_s2_m2", "wind_m_s", "gust_m_s"):
         value = getattr(table, key)
         value = getattr(vehicle.disturbance, key) if value is None else value
         if key == "delay_s" and value > scenario.filter.parameters.latency_s:
-            found.append(f"delay_s {value:g} above latency_s")
+            found.append(f"delay_s {exact(value)} above latency_s")
         elif key != "delay_s" and any(value):
             found.append(key)
     sag = (
@@ -101,7 +102,7 @@ def _deviations(scenario: FenceScenario, vehicle: Vehicle) -> tuple[str, ...]:
         if table.sag_share is not None or vehicle.throttle is None
         else vehicle.throttle.sag_share
     )
-    return tuple(found + ([f"sag_share {sag:g}"] if sag else []))
+    return tuple(found + ([f"sag_share {exact(sag)}"] if sag else []))
 
 
 def start_state(scenario: FenceScenario) -> FloatArray | None:

@@ -13,6 +13,7 @@ from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifact import Artifact
 from alula.schemas.configs.simulate import DEFAULT_RADIUS_M, DEFAULT_SPEED_M_S, SimulateConfig
+from alula.schemas.decimals import at_most, exact
 from alula.schemas.errors import InputError, UsageError
 from alula.schemas.manifest import Guarantee
 from alula.schemas.progress import Progress
@@ -173,6 +174,7 @@ def simulate(
         stuck_steps=_STUCK_STEPS,
         max_steps=math.ceil((config.max_time_s or allowed_s) / config.dt_s),
     )
+    start_margin_m = psi(np.ascontiguousarray(pairs.start), jobs=jobs)[1] - config.radius_m
     trials: list[TrialResult] = []
     flights: list[FlightLog] = []
     seconds: list[NDArray[np.float32]] = []
@@ -180,15 +182,17 @@ def simulate(
         end = min(begin + _BATCH, len(pairs.start))
         batch = fly(safety_filter, pairs.start[begin:end], pairs.goal[begin:end], rules, reference, jobs=jobs)
         for index, flown in enumerate(batch, begin):
-            trials.append(judge.trial(index, pairs.goal[index], flown, config.dt_s))
+            margin = float(start_margin_m[index])
+            trials.append(judge.trial(index, pairs.goal[index], flown, config.dt_s, margin))
             flights.append(_decimate(flown, config.dt_s, config.log_rate_hz))
             seconds.append(flown.filter_s)
             if progress is not None:
                 progress(index + 1, len(pairs.start))
+    named = "" if vehicle is None else f"{vehicle.name}: "
     return RunResult(
         filter=config.filter,
-        vehicle=f"{'' if vehicle is None else f'{vehicle.name}: '}sphere of radius {config.radius_m:g} m, "
-        f"single integrator up to {config.speed_m_s:g} m/s",
+        vehicle=f"{named}sphere of radius {exact(config.radius_m)} m, single integrator up to "
+        f"{exact(config.speed_m_s)} m/s",
         trials=trials,
         summary=_summary(trials, pairs, safety_filter),
         guarantee=_guarantee(config, cover, trials, safety_filter),
@@ -228,7 +232,9 @@ class _Judge:
             clear[clear] = distance >= needed
         return clear
 
-    def trial(self, index: int, goal: FloatArray, flown: Flown, dt_s: float) -> TrialResult:
+    def trial(
+        self, index: int, goal: FloatArray, flown: Flown, dt_s: float, start_margin_m: float
+    ) -> TrialResult:
         """Judge one flight.
 
         Args:
@@ -236,6 +242,7 @@ class _Judge:
             goal: shape (3,), world frame [m].
             flown: the flight.
             dt_s: duration of a step [s].
+            start_margin_m: psi - radius at the start [m].
         """
         path = path_metrics(flown.position, dt_s)
         map_clearance, scene_clearance = (
@@ -266,7 +273,13 @@ class _Judge:
             fallback_steps=int(count[FilterStatus.RECOVERING]),
             mean_jerk_m_s3=path.mean_jerk_m_s3,
             max_jerk_m_s3=path.max_jerk_m_s3,
+            start_margin_m=start_margin_m if math.isfinite(start_margin_m) else None,
         )
+
+
+def _unsafe_starts(trials: list[TrialResult]) -> list[float]:
+    """Margins psi - radius of the trials that violate the filter's start condition [m]."""
+    return [m for trial in trials if (m := trial.start_margin_m) is not None and m < 0]
 
 
 def _check_fit(cover: Artifact, role: str, other: Artifact | None) -> None:
@@ -308,7 +321,8 @@ def _decimate(flown: Flown, dt_s: float, rate_hz: float) -> FlightLog:
 
 
 def _summary(trials: list[TrialResult], pairs: Pairs, safety_filter: Filter) -> dict[str, Any]:
-    return {
+    unsafe = _unsafe_starts(trials)
+    summary = {
         **head(trials, LOOP_OUTCOMES),
         "min_map_clearance_m": minimum(t.map_clearance_m for t in trials),
         "min_scene_clearance_m": minimum(t.scene_clearance_m for t in trials),
@@ -319,7 +333,14 @@ def _summary(trials: list[TrialResult], pairs: Pairs, safety_filter: Filter) -> 
         "sampled_points": pairs.sampled,
         "sampled_inside_hulls": pairs.sampled_inside_hulls,
         "filter_kind": "native" if isinstance(safety_filter, NativeFilter) else "python filter",
+        "unsafe_starts": len(unsafe),
     }
+    if unsafe:
+        summary["notes"] = [
+            f"{len(unsafe)} of {len(trials)} flights began with psi below the radius, by up to "
+            f"{at_most(-min(unsafe))} m: the filter guaranteed nothing for them"
+        ]
+    return summary
 
 
 def _guarantee(
@@ -327,6 +348,7 @@ def _guarantee(
 ) -> Guarantee:
     """State what the run shows and, for the sound filter, what is proven; both relative to the cover."""
     hits = sum(is_collision(t.map_clearance_m) for t in trials)
+    unsafe = _unsafe_starts(trials)
     proven = isinstance(safety_filter, NativeFilter) and safety_filter.enabled and config.smoothing == "sound"
     if proven:
         beforehand = (
@@ -334,6 +356,11 @@ def _guarantee(
             "clipping each held step against every hull, between samples; psi never exceeds the distance "
             "to a hull."
         )
+        if unsafe:
+            beforehand += (
+                f" {len(unsafe)} of {len(trials)} starts violated this condition, by up to "
+                f"{at_most(-min(unsafe))} m; for them nothing was guaranteed beforehand."
+            )
     elif config.filter == "none":
         beforehand = UNFILTERED
     elif config.filter == "polytope-cbf":
@@ -352,7 +379,9 @@ def _guarantee(
             "as the cover contains it.",
         ),
         claims={
-            "proven_by_filter": proven,
+            "proven_by_filter": proven and not unsafe,
+            "start_condition": "psi >= radius",
+            "unsafe_starts": len(unsafe),
             "map_clear": hits == 0,
             "map_collisions": hits,
             "continuous_time": True,

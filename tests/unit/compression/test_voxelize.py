@@ -297,6 +297,7 @@ def test_the_artifact_says_what_was_done_and_left_out():
     assert (manifest.sigma, manifest.inflation_m, manifest.crop) == (sigma, 0.01, [-1, -1, -1, 1, 1, 1])
     assert manifest.guarantee.claims == {
         "sigma": sigma,
+        "mass_fraction": pytest.approx(0.9, rel=1e-12),
         "inflation_m": 0.01,
         "voxel_size_m": 0.1,
         "min_overlap": 2,

@@ -13,7 +13,7 @@ from alula.schemas.flights import Flight
 from alula.schemas.manifest import InputRef
 from alula.stages.reporting import curves
 from alula.stages.reporting.headline import cards, chain, headline
-from alula.stages.reporting.material import Material, Run, is_covered, proof
+from alula.stages.reporting.material import Material, Run, coverage, is_covered, proof
 from alula.stages.reporting.table import text, to_markdown
 from alula.stages.reporting.tables import (
     CSV_COLUMNS,
@@ -108,6 +108,10 @@ def test_only_a_certificate_says_that_a_map_is_covered():
     assert "ellipsoids not checked" in proof(
         {"covered": True, "checks": [{"name": "every voxel is a member"}]}
     )
+    assert coverage(ellipsoids) is True
+    assert coverage({"covered": True, "checks": [{"name": "every voxel is a member"}]}) == "voxels only"
+    assert coverage({"covered": False, "checks": []}) is False
+    assert proof({"covered": True, "statement": "covered: members in hulls"}) == "covered: members in hulls"
     rows = dict(cover_table(Material("t", cover=COVER, certificate=ellipsoids)).rows)
     assert rows["verified: covered"] is True
     assert rows["verified: every ellipsoid lies in the voxels"].startswith("holds")

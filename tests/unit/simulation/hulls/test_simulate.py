@@ -45,6 +45,28 @@ def test_filtered_flights_stay_clear_and_unfiltered_ones_do_not():
             assert np.linalg.norm(np.subtract(trial.goal_m, trial.start_m)) >= 0.3 * 6
 
 
+def test_a_start_that_violates_the_filters_condition_is_stated():
+    """psi >= radius is the filter's premise; psi may be below it although the sphere touches nothing."""
+    cover = box_cover([((10, 10, 0), (14, 30, 20))])  # up to x = 1.4 m, y = 3 m
+    config = SimulateConfig(max_time_s=5.0)
+    beside = simulate(config, cover, plan=line_plan([1.5, 2.0, 1.0], [3.0, 2.0, 1.0]))
+    assert beside.trials[0].start_margin_m == pytest.approx(0.1 - 0.15, abs=1e-4)
+    corner = simulate(config, cover, plan=line_plan([1.52, 3.12, 1.0], [3.0, 3.5, 1.0]))
+    assert corner.trials[0].map_clearance_m >= 0
+    assert corner.trials[0].start_margin_m == pytest.approx(0.12 - 0.15, abs=1e-4)
+    for result in (beside, corner):
+        assert result.summary["unsafe_starts"] == 1
+        assert "1 of 1 flights began with psi below the radius" in result.summary["notes"][0]
+        assert "1 of 1 starts violated this condition" in result.guarantee.statement
+        assert result.guarantee.claims["unsafe_starts"] == 1
+        assert not result.guarantee.claims["proven_by_filter"]
+    clear = simulate(config, cover, plan=line_plan([1.6, 2.0, 1.0], [3.0, 2.0, 1.0]))
+    assert clear.trials[0].start_margin_m == pytest.approx(0.05, abs=1e-4)
+    assert clear.summary["unsafe_starts"] == 0
+    assert "notes" not in clear.summary
+    assert clear.guarantee.claims["proven_by_filter"]
+
+
 def test_nothing_depends_on_the_number_of_threads():
     cover = box_cover(TWO_BLOCKS)
     one, two = (simulate(quick(), cover, jobs=jobs) for jobs in (1, 2))
