@@ -19,6 +19,17 @@ class ImportSplatConfig:
             "metavar": "NAME",
         },
     )
+    lod: int | None = field(
+        default=None,
+        metadata={"help": "Level of detail to read from lod-meta.json; default: 0, the finest."},
+    )
+    part: bool = field(
+        default=False,
+        metadata={
+            "help": "Accept some files of a level of detail without the others; the scene then lacks what "
+            "the others show, and every guarantee says so."
+        },
+    )
     turn: Literal["none", "x", "y", "z"] = field(
         default="none",
         metadata={
@@ -55,6 +66,8 @@ class ImportSplatConfig:
 
     def __post_init__(self) -> None:
         """Refuse values out of range."""
+        if self.lod is not None and self.lod < 0:
+            raise UsageError(f"--lod must be at least 0, not {self.lod}")
         if not (0 <= self.min_opacity <= 1):
             raise UsageError(f"--min-opacity must be between 0 and 1, not {self.min_opacity}")
         if self.crop is not None and not all(self.crop[i] < self.crop[i + 3] for i in range(3)):

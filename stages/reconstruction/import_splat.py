@@ -16,6 +16,7 @@ from alula.schemas.kinds import SCENE
 from alula.schemas.manifest import SPLAT_LOSS, Guarantee
 from alula.schemas.provenance import parameters_of
 from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters
+from alula.stages.reconstruction.formats.capture import lacking, level_facts, missing_files
 from alula.stages.reconstruction.formats.splats import LOSSES, Splats
 from alula.stages.rotation import matrix_from_quat_wxyz
 
@@ -34,7 +35,8 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     row counts for the first reason that applies, in the order of `summary["removed"]`. Scales below 1e-9
     file units become 1e-9, quaternions are normalised, and with `turn` the frame is turned by 180 degrees,
     which changes signs alone. Nothing else changes, so the ellipsoids of the scene are those of the file.
-    The scene's array `loss` bounds the precision that the file's format may have lost.
+    The scene's array `loss` bounds the precision that the file's format may have lost. Some files of a level
+    of detail without the others are refused unless `part` is set; the guarantee names what is lacking.
 
     Args:
         config: see `ImportSplatConfig`.
@@ -44,8 +46,10 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         An `alula/scene`, frame `scene`, unit `arbitrary`, rows in the order of the file.
 
     Raises:
-        InputError: no Gaussian is left, or one has a value that is not finite.
+        InputError: no Gaussian is left, one has a value that is not finite, or files of a level of detail are
+            lacking.
     """
+    _check_whole(config, splats)
     splats = turned(splats, config.turn)
     given = _Columns(
         np.ascontiguousarray(splats.mean, np.float32),
@@ -102,7 +106,12 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     if arrays.get("loss") is not None:
         summary["loss"] = {key: loss["figures"][key] for key in LOSSES}
     unsure = (f"no certain bound of {what}: {why}" for what, why in loss["figures"]["unbounded"].items())
-    if notes := [*splats.notes, *unsure]:
+    lacks = lacking(splats.levels)
+    notes = [*splats.notes, *unsure]
+    if lacks:
+        notes.insert(0, f"the scene is not the whole capture: it lacks {'; '.join(lacks)}")
+        summary["lacks"] = lacks
+    if notes:
         summary["notes"] = notes
     return make_artifact(
         SCENE,
@@ -111,7 +120,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         unit="arbitrary",
         parameters=parameters_of(config),
         summary=summary,
-        guarantee=_guarantee(config, removed, loss["figures"]),
+        guarantee=_guarantee(config, removed, loss["figures"], lacks),
         requires=[SPLAT_LOSS] if "loss" in arrays else [],
         source={
             "format": splats.format,
@@ -119,6 +128,8 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
             "kept": kept,
             "removed": removed,
             "rules": rules,
+            "levels_of_detail": level_facts(splats.levels),
+            "lacks": lacks,
             "scale_floor": SCALE_FLOOR,
             "scale_floored": figures["floored"],
             "bounds": bounds,
@@ -129,6 +140,17 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
             "notes": list(splats.notes),
         },
     )
+
+
+def _check_whole(config: ImportSplatConfig, splats: Splats) -> None:
+    """Refuse some files of a level of detail without the others, unless `part` is set."""
+    missing = missing_files(splats.levels)
+    if missing and not config.part:
+        first = next(one for one in splats.levels if one.number is None or len(one.files) < len(one.of))
+        raise InputError(
+            f"only a part of a capture, without {'; '.join(missing)}; import {first.index} --lod "
+            f"{first.number or 0}, which reads all files of the level, or pass --part to import the part"
+        )
 
 
 class _Columns(NamedTuple):
@@ -211,7 +233,9 @@ def _loss(splats: Splats, removal: NDArray[np.uint8], kept: int) -> dict[str, An
     return {"bound": bound if bound.any() else None, "figures": figures}
 
 
-def _guarantee(config: ImportSplatConfig, removed: dict[str, int], loss: dict[str, Any]) -> Guarantee:
+def _guarantee(
+    config: ImportSplatConfig, removed: dict[str, int], loss: dict[str, Any], lacks: list[str]
+) -> Guarantee:
     left_out = {reason: count for reason, count in removed.items() if count}
     removals = ", ".join(f"{count} by {reason}" for reason, count in left_out.items()) or "none"
     figures = ", ".join(f"{name} {loss[name]:.3g}" for name in (*LOSSES, "opacity") if loss[name])
@@ -222,10 +246,12 @@ def _guarantee(config: ImportSplatConfig, removed: dict[str, int], loss: dict[st
     )
     for quantity, why in loss["unbounded"].items():
         lossy += f" The bound of {quantity} is not certain: {why}."
+    whole = f" The files are not the whole capture, which also has {'; '.join(lacks)}." if lacks else ""
     return Guarantee(
         statement="Every Gaussian of the file is in the scene with its own ellipsoid, except those left "
-        f"out: {removals}.{lossy}",
+        f"out: {removals}.{lossy}{whole}",
         claims={
+            "lacks": lacks,
             "left_out": left_out,
             "min_opacity": config.min_opacity,
             "crop": list(config.crop) if config.crop is not None else None,

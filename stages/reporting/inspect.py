@@ -14,6 +14,7 @@ from alula.schemas.run import RunRecord
 from alula.stages.compression.hulls import is_outer
 from alula.stages.compression.onboard.image import SCHEMA, VERSION, MapImage
 from alula.stages.compression.onboard.layout import map_facts
+from alula.stages.reconstruction.formats.capture import lacking
 from alula.stages.reconstruction.formats.splats import LOSSES, Loss, Splats
 
 Facts = dict[str, Any]
@@ -184,6 +185,7 @@ def splat_facts(splats: Splats) -> Facts:
         "frame": "scene",
         "unit": "arbitrary",
         "lost by the format": _loss_facts(splats.loss),
+        "lacks of its capture": lacking(splats.levels),
         "tags": splats.tags,
         "comments": list(splats.comments),
         "notes": list(splats.notes),
