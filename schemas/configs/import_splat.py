@@ -7,6 +7,8 @@ from typing import Literal
 
 from alula.schemas.errors import UsageError
 
+DRAWN = 0.0039  # just below 1/255: renderers skip a Gaussian whose alpha at a pixel is less than 1/255
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportSplatConfig:
@@ -41,7 +43,13 @@ class ImportSplatConfig:
         default=False,
         metadata={"help": "Leave out Gaussians with a value that is not finite, instead of failing."},
     )
-    min_opacity: float = field(default=0.1, metadata={"help": "Minimum opacity of a Gaussian."})
+    min_opacity: float = field(
+        default=DRAWN,
+        metadata={
+            "help": "Minimum opacity of a Gaussian. The default, just below 1/255, removes only what "
+            "renderers do not draw; a higher one may remove obstacles, and the command says how much."
+        },
+    )
     crop: tuple[float, float, float, float, float, float] | None = field(
         default=None,
         metadata={

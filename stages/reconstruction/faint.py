@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
+from alula.schemas.configs.import_splat import DRAWN
 
-DRAWN = 0.0039  # just below 1/255: renderers skip a Gaussian whose alpha at a pixel is less than 1/255
 FAINT = 0.1
 LIMITS = (DRAWN, 0.02, 0.05, FAINT, 0.2, 0.5)
 _CELLS = 128  # along the longest side of the box
 _MARGIN = 8  # cells around the box
 _QUANTILE = 0.01  # of centres outside the box, at each side
-_CHUNK = 2**19
+_CHUNK = 2**21
 _SAMPLE = 2**20
 _LARGEST = 1e4  # cells; longer semi-axes reach across the box anyway
 _FARTHEST = 1e6  # cells; centres beyond cannot reach the box
@@ -90,15 +90,16 @@ def marked_volume(
     origin = low - _MARGIN * edge
     size = np.ceil((high - low) / edge).astype(int) + 2 * _MARGIN + 1
     steps = sorted({float(limit) for limit in limits}, reverse=True)
-    grid = np.full(size, len(steps), np.uint8)  # number of limits above the most opaque Gaussian; else its band
+    grid = np.full(
+        size, len(steps), np.uint8
+    )  # number of limits above the opacity of the most opaque Gaussian
     touched = np.zeros(size, np.bool_)
     counts = np.zeros(len(steps) + 1, np.int64)
     for start in range(0, len(mean), _CHUNK):
         part = slice(start, start + _CHUNK)
         columns = _finite(mean[part], scale[part], quat_wxyz[part], opacity[part])
-        # Band 0 has the rows of at least the highest limit, the last band those below the lowest.
-        band = np.searchsorted(-np.array(steps), -columns[3].astype(np.float64), side="left")
-        band = np.where(_at_least(columns[3], steps, band), band, band + 1).clip(0, len(steps))
+        # Number of limits above the opacity, compared in single precision as the import does.
+        band = np.sum([columns[3] < np.float32(step) for step in steps], axis=0, dtype=np.intp)
         counts += np.bincount(band, minlength=len(steps) + 1)
         for number in np.unique(band).tolist():
             index = _touched(*(column[band == number] for column in columns[:3]), origin, edge, size)
@@ -114,14 +115,6 @@ def marked_volume(
             for k, limit in reversed(list(enumerate(steps)))
         ),
     )
-
-
-def _at_least(
-    opacity: NDArray[np.float32], steps: Sequence[float], band: NDArray[np.intp]
-) -> NDArray[np.bool_]:
-    """Test whether each row reaches the limit of its band, compared in single precision as the import does."""
-    limit = np.append(np.array(steps, np.float32), -np.inf)
-    return opacity >= limit[np.minimum(band, len(steps))]
 
 
 def _finite(*columns: NDArray[np.float32]) -> list[NDArray[np.float32]]:

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.configs.import_splat import DRAWN, ImportSplatConfig
 from alula.schemas.errors import InputError
 from alula.schemas.kinds import SCENE
 from alula.schemas.manifest import SPLAT_LOSS, Guarantee
 from alula.schemas.provenance import parameters_of
+from alula.stages.reconstruction.faint import FAINT, MarkedVolume, marked_volume
 from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters
 from alula.stages.reconstruction.formats.capture import lacking, level_facts, missing_files
 from alula.stages.reconstruction.formats.splats import LOSSES, Splats
@@ -23,6 +24,7 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 _NOT_FINITE = ("not_a_number", "infinite_mean", "infinite_scale", "infinite_rotation")
 _ON_DEMAND = ("crop", "crop_sphere", "max_scale")
 _REASONS = (*_NOT_FINITE, "zero_rotation", "min_opacity", *_ON_DEMAND)  # 1, 2, ... of `_core.screen_rows`
+_NOTABLE = 0.02  # fraction of the volume that is worth a note
 SCALE_FLOOR = 1e-9  # file units; minimum thickness of a flat disc
 
 
@@ -80,6 +82,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         )
     _check_some_left(removal, removed)
 
+    volume = _volume(config, splats, removal)
     rules: dict[str, Any] = {}
     if config.drop_floaters:
         removed["floaters"], rules["floaters"] = _drop_floaters(splats, removal)
@@ -107,7 +110,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         summary["loss"] = {key: loss["figures"][key] for key in LOSSES}
     unsure = (f"no certain bound of {what}: {why}" for what, why in loss["figures"]["unbounded"].items())
     lacks = lacking(splats.levels)
-    notes = [*splats.notes, *unsure]
+    notes = [*_opacity_notes(config, volume, removed, len(splats)), *splats.notes, *unsure]
     if lacks:
         notes.insert(0, f"the scene is not the whole capture: it lacks {'; '.join(lacks)}")
         summary["lacks"] = lacks
@@ -128,6 +131,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
             "kept": kept,
             "removed": removed,
             "rules": rules,
+            "opacity": None if volume is None else dataclasses.asdict(volume),
             "levels_of_detail": level_facts(splats.levels),
             "lacks": lacks,
             "scale_floor": SCALE_FLOOR,
@@ -185,6 +189,44 @@ def _kept(
         out_color=outputs.get("color"),
     )
     return arrays | outputs, figures
+
+
+def _volume(config: ImportSplatConfig, splats: Splats, removal: NDArray[np.uint8]) -> MarkedVolume | None:
+    """Volume that the rows mark that no rule but the opacity removes; None where no limit removes any."""
+    limits = {config.min_opacity, FAINT}
+    rows = (removal == 0) | (removal == 1 + _REASONS.index("min_opacity"))
+    if not (splats.opacity[rows] < np.float32(max(limits))).any():
+        return None
+    whole = rows.all()
+    columns = (splats.mean, splats.scale, splats.quat_wxyz, splats.opacity)
+    return marked_volume(*(column if whole else column[rows] for column in columns), sorted(limits))
+
+
+def _opacity_notes(
+    config: ImportSplatConfig, volume: MarkedVolume | None, removed: dict[str, int], rows: int
+) -> list[str]:
+    """Note about the volume that the minimum opacity removes; else about that of the faint Gaussians kept."""
+    if volume is None:
+        return []
+    by_limit = {one.limit: one for one in volume.limits}
+    at, faint = by_limit[config.min_opacity], by_limit[FAINT]
+    limit = at if at.gaussians and config.min_opacity > DRAWN else faint
+    words = (
+        f"{limit.gaussians} of {rows} Gaussians ({limit.gaussians / rows:.0%}), which alone mark "
+        f"{volume.share(limit):.0%} of the volume ({limit.cells} of {volume.cells} cells of "
+        f"{volume.edge:.3g} file units)"
+    )
+    if limit is at:
+        return [
+            f"--min-opacity {at.limit:g} removed {words}; obstacles are missing unless all of it is haze: "
+            f"--min-opacity {DRAWN:g} keeps all that renderers draw"
+        ]
+    if faint.gaussians > at.gaussians and volume.share(faint) >= _NOTABLE:
+        return [
+            f"an opacity below {FAINT:g} have {words}; they count as obstacles, and if they are haze, "
+            f"--min-opacity {FAINT:g} removes them"
+        ]
+    return []
 
 
 def _drop_floaters(splats: Splats, removal: NDArray[np.uint8]) -> tuple[int, dict[str, Any]]:

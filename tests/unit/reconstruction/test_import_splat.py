@@ -63,7 +63,7 @@ def test_clean_rows_are_kept_bit_by_bit_and_in_order():
         ("infinite_scale", {"scale": {3: (np.inf, 1, 1)}}),
         ("infinite_rotation", {"quat_wxyz": {3: (np.inf, 0, 0, 1)}}),
         ("zero_rotation", {"quat_wxyz": {3: (0, 0, 0, 0)}}),
-        ("min_opacity", {"opacity": {3: 0.05}}),
+        ("min_opacity", {"opacity": {3: 0.003}}),
         ("crop", {"mean": {3: (50, 0, 0)}}),
         ("crop_sphere", {"mean": {3: (8, 8, 8)}}),
         ("max_scale", {"scale": {3: (0.1, 3.0, 0.1)}}),
