@@ -19,7 +19,6 @@ from alula.stages.reconstruction.faint import FAINT, MarkedVolume, marked_volume
 from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters
 from alula.stages.reconstruction.formats.capture import lacking, level_facts, missing_files
 from alula.stages.reconstruction.formats.splats import LOSSES, Splats
-from alula.stages.rotation import matrix_from_quat_wxyz
 
 _NOT_FINITE = ("not_a_number", "infinite_mean", "infinite_scale", "infinite_rotation")
 _ON_DEMAND = ("crop", "crop_sphere", "max_scale")
@@ -232,9 +231,7 @@ def _opacity_notes(
 def _drop_floaters(splats: Splats, removal: NDArray[np.uint8]) -> tuple[int, dict[str, Any]]:
     """Mark the floaters among the kept rows; return their number and the rule."""
     rows = np.flatnonzero(removal == 0)
-    quat = splats.quat_wxyz[rows].astype(np.float64)
-    quat = (quat / np.linalg.norm(quat, axis=1, keepdims=True)).astype(np.float32)
-    drop, edge = floaters(splats.mean[rows], splats.scale[rows], matrix_from_quat_wxyz(quat))
+    drop, edge = floaters(splats.mean[rows], splats.scale[rows], splats.quat_wxyz[rows])
     removal[rows[drop]] = len(_REASONS) + 1
     rule = {"cell": edge, "smallest_group": SMALLEST_GROUP, "neighbour": NEIGHBOUR, "reach_sigma": REACH}
     return int(np.count_nonzero(drop)), rule
