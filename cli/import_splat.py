@@ -15,43 +15,75 @@ from alula.cli import options, runner
 from alula.cli.options import Common
 from alula.schemas.configs.import_splat import ImportSplatConfig
 from alula.schemas.errors import AlulaError, InputError, UsageError
+from alula.schemas.files import printable
 from alula.schemas.progress import Progress
 
 EXAMPLES = """\b
 Examples:
   alula import-splat point_cloud.ply -o room.scene.npz
   alula import-splat tile.splat -o tile.scene.npz --min-opacity 0.05 --drop-floaters
+  alula import-splat street/lod-meta.json -o street.scene.npz --lod 1
+  alula import-splat tile_0.splat tile_1.splat -o street.scene.npz
   curl -s https://example.org/room.spz | alula import-splat - -o room.scene.npz --turn x"""
 
 
 @click.command("import-splat", epilog=EXAMPLES)
-@click.argument("splat", type=options.FilePath(stdin=True))
+@click.argument("splats", metavar="SPLAT...", nargs=-1, required=True, type=options.FilePath(stdin=True))
 @options.from_config(ImportSplatConfig)
 @options.output(".scene.npz")
-def command(splat: Path, config: ImportSplatConfig, common: Common) -> None:
-    """Read a Gaussian splat file into a scene.
+def command(splats: tuple[Path, ...], config: ImportSplatConfig, common: Common) -> None:
+    """Read Gaussian splat files into a scene.
 
     SPLAT is a file, the output folder of a trainer, or - for standard input. The format is recognised by
     the content; `alula info` reports it too, and docs/guide/splat-formats.md lists all formats. The output
     counts the Gaussians that are left out, by reason. It also records the precision that a lossy format may
     have lost; voxelize grows the ellipsoids accordingly.
+
+    Several files that share one frame, such as tiles, become one scene, in their order. Of a streamed SOG,
+    lod-meta.json or its folder reads all files of one level of detail.
     """
     from alula.schemas.artifact import Artifact
     from alula.schemas.kinds import SCENE
+    from alula.stages.progress import share
+    from alula.stages.reconstruction.formats.capture import joined
     from alula.stages.reconstruction.formats.registry import SplatFile
     from alula.stages.reconstruction.import_splat import import_splat
 
-    with read_stdin(splat, common) as path:
-        found = SplatFile.find(path, config.format)
+    if len(splats) > 1 and any(str(path) == "-" for path in splats):
+        raise UsageError("- is one stream and cannot be joined with files; write it to a file first")
+    _check_different(splats)
+    with read_stdin(splats[0], common) as first:
+        paths = (first, *splats[1:])
+        found = [SplatFile.find(path, config.format, config.lod) for path in paths]
 
         def build(progress: Progress) -> Artifact:
-            splats = found.decode(progress)
+            read = joined(
+                [
+                    (printable(path.name), one.decode(share(progress, k / len(found), (k + 1) / len(found))))
+                    for k, (path, one) in enumerate(zip(splats, found, strict=True))
+                ]
+            )
             try:
-                return import_splat(config, splats)
+                return import_splat(config, read)
             except InputError as error:
-                raise InputError(f"{splat}: {error}") from error
+                more = f" and {len(splats) - 1} more" if len(splats) > 1 else ""
+                raise InputError(f"{splats[0]}{more}: {error}") from error
 
-        runner.run_stage(common, SCENE, config, found.files(), build)
+        inputs = {
+            role if k == 0 else f"splat {k + 1}{role.removeprefix('splat')}": path
+            for k, one in enumerate(found)
+            for role, path in one.files().items()
+        }
+        runner.run_stage(common, SCENE, config, inputs, build)
+
+
+def _check_different(splats: tuple[Path, ...]) -> None:
+    """Refuse a file that is named twice."""
+    seen: set[Path] = set()
+    for path in splats:
+        if (real := path.resolve()) in seen:
+            raise UsageError(f"{path}: is named twice")
+        seen.add(real)
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from alula.schemas.errors import AlulaError, ExitCode
 # name: (module, first line of its help); a test compares the lines with the commands.
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo-scene": ("demo_scene", "Write the built-in scene: a furnished room with hoops."),
-    "import-splat": ("import_splat", "Read a Gaussian splat file into a scene."),
+    "import-splat": ("import_splat", "Read Gaussian splat files into a scene."),
     "scale-align": ("scale_align", "Give a scene metric scale and a named world frame."),
     "voxelize": ("voxelize", "Mark every voxel that an obstacle touches."),
     "merge": ("merge", "Cover voxels with a limited number of convex polytopes."),

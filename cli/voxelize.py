@@ -40,6 +40,8 @@ def command(
 
     SCENE is a metric scene. A voxel is marked when the ellipsoid of a Gaussian at the chosen level,
     grown by the inflation, touches its closed cube. Rounding is outward, so no touched voxel is missed.
+    The number of voxels is estimated first: if it is far above --max-voxels, the command ends before the
+    work and names a size, and the few Gaussians, if there are any, that make most of the voxels.
 
     Memory: the scene (56 bytes per Gaussian), 16 bytes per marked voxel, and counters of 512 bytes per
     brick of 4 x 4 x 8 voxels with a touched voxel. More than 134,217,728 voxels or 4,194,304 bricks are

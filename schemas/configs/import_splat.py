@@ -7,6 +7,8 @@ from typing import Literal
 
 from alula.schemas.errors import UsageError
 
+DRAWN = 0.0039  # just below 1/255: renderers skip a Gaussian whose alpha at a pixel is less than 1/255
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportSplatConfig:
@@ -17,6 +19,17 @@ class ImportSplatConfig:
         metadata={
             "help": "Format of the file; auto recognises it by the content.",
             "metavar": "NAME",
+        },
+    )
+    lod: int | None = field(
+        default=None,
+        metadata={"help": "Level of detail to read from lod-meta.json; default: 0, the finest."},
+    )
+    part: bool = field(
+        default=False,
+        metadata={
+            "help": "Accept some files of a level of detail without the others; the scene then lacks what "
+            "the others show, and every guarantee says so."
         },
     )
     turn: Literal["none", "x", "y", "z"] = field(
@@ -30,7 +43,13 @@ class ImportSplatConfig:
         default=False,
         metadata={"help": "Leave out Gaussians with a value that is not finite, instead of failing."},
     )
-    min_opacity: float = field(default=0.1, metadata={"help": "Minimum opacity of a Gaussian."})
+    min_opacity: float = field(
+        default=DRAWN,
+        metadata={
+            "help": "Minimum opacity of a Gaussian. The default, just below 1/255, removes only what "
+            "renderers do not draw; a higher one may remove obstacles, and the command says how much."
+        },
+    )
     crop: tuple[float, float, float, float, float, float] | None = field(
         default=None,
         metadata={
@@ -55,6 +74,8 @@ class ImportSplatConfig:
 
     def __post_init__(self) -> None:
         """Refuse values out of range."""
+        if self.lod is not None and self.lod < 0:
+            raise UsageError(f"--lod must be at least 0, not {self.lod}")
         if not (0 <= self.min_opacity <= 1):
             raise UsageError(f"--min-opacity must be between 0 and 1, not {self.min_opacity}")
         if self.crop is not None and not all(self.crop[i] < self.crop[i + 3] for i in range(3)):

@@ -44,6 +44,13 @@ class VoxelizeConfig:
             "help": "Do not grow the ellipsoids by the precision that the splat file's format may have lost."
         },
     )
+    max_voxels: int = field(
+        default=2**24,
+        metadata={
+            "help": "Maximum number of voxels; the default is what merge can take. An estimate far above it "
+            "ends the command before the work, with a size or a filter that would fit."
+        },
+    )
 
     def __post_init__(self) -> None:
         """Refuse values out of range."""
@@ -55,6 +62,8 @@ class VoxelizeConfig:
             raise UsageError(f"--confidence must be between 0 and 1, not {self.confidence}")
         if self.min_overlap < 1:
             raise UsageError(f"--min-overlap must be at least 1, not {self.min_overlap}")
+        if self.max_voxels < 1:
+            raise UsageError(f"--max-voxels must be at least 1, not {self.max_voxels}")
         if self.crop is not None and not all(self.crop[i] < self.crop[i + 3] for i in range(3)):
             raise UsageError("--crop needs XMIN < XMAX, YMIN < YMAX and ZMIN < ZMAX")
         if not (0 <= self.min_opacity <= 1):

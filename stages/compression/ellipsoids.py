@@ -83,6 +83,8 @@ def excluded_errors(scene: SceneManifest, inflation_m: float, *, ignore_loss: bo
         ignore_loss: the scene's `loss` is not used.
     """
     source, parts = scene.source, []
+    lacks = source.get("lacks")
+    parts += [f"{what}, not imported" for what in lacks] if isinstance(lacks, list) else []
     removed = source.get("removed")
     if isinstance(removed, dict):
         parts += [

@@ -61,7 +61,7 @@ class Ellipsoids:
             "crop": self.crop,
         }
 
-    def part(self, rows: NDArray[np.uint32] | slice) -> Ellipsoids:
+    def part(self, rows: NDArray[np.integer] | slice) -> Ellipsoids:
         """Ellipsoids of some rows, on the same lattice.
 
         Args:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alula._core import MAX_VOXELS
 from alula.schemas.artifact import Artifact, make_artifact
 from alula.schemas.configs.voxelize import VoxelizeConfig
 from alula.schemas.decimals import at_least, exact
@@ -17,9 +18,21 @@ from alula.schemas.manifest import SPLAT_LOSS, Guarantee, SceneManifest
 from alula.schemas.progress import Progress
 from alula.schemas.provenance import parameters_of
 from alula.stages.compression.ellipsoids import excluded_errors, retained, rows_of
+from alula.stages.compression.forecast import (
+    dominant,
+    estimated_voxels,
+    fitting_size,
+    largest_share,
+    may_exceed,
+    named,
+)
 from alula.stages.compression.level import mass_within
+from alula.stages.compression.limits import MERGE_VOXELS
 from alula.stages.compression.tiles import LONGEST_EDGE, Ellipsoids, Marked, mark, mark_tiles
 
+_SURE = 1.25  # an estimate above this multiple of the limit ends the command before the work
+_NOTABLE = 0.25  # fraction of the voxels; a Gaussian that fills more is named
+_CROWD = 100  # among fewer Gaussians a large one is nothing unusual
 DEFAULT_TILE = 128  # voxels; used when a scheduler is given but no tile
 
 
@@ -79,7 +92,8 @@ def voxelize(
         An `alula/voxels` in the frame of the scene.
 
     Raises:
-        InputError: the scene is not metric or empty, or needs more voxels than memory allows.
+        InputError: the scene is not metric or empty, or needs more voxels than `max_voxels` or memory allows;
+            the estimate of a number far above `max_voxels` ends the stage before the work.
         InfeasibleError: crop, min_overlap or min_opacity leave no voxel.
         UsageError: the tile's edge is out of range; see also `distribute`.
         LinkError: see `distribute`.
@@ -111,8 +125,15 @@ def voxelize(
         crop=config.crop,
         min_overlap=config.min_overlap,
     )
+    limit = config.max_voxels
+    if limit < MAX_VOXELS and may_exceed(ellipsoids, limit, jobs):
+        about = estimated_voxels(ellipsoids)
+        if about > _SURE * limit:
+            raise InputError(_too_many(ellipsoids, rows, about, config, manifest))
     marked = _mark(ellipsoids, tile_m, scheduler, jobs, progress)
     index, overlap = marked.index, marked.overlap
+    if len(index) > limit:
+        raise InputError(_too_many(ellipsoids, rows, len(index), config, manifest))
     if len(index) + marked.below == 0:
         raise InfeasibleError("no Gaussian touches the crop, so there is no voxel to mark")
     if len(index) == 0:
@@ -132,7 +153,8 @@ def voxelize(
         frame=manifest.frame,
         unit="m",
         parameters=parameters_of(config),
-        summary=_summary(config, index, overlap, len(scene["mean"]), left_out, sigma, inflation),
+        summary=_summary(config, index, overlap, len(scene["mean"]), left_out, sigma, inflation)
+        | _notes(ellipsoids, rows, len(index)),
         guarantee=_guarantee(
             config,
             sigma,
@@ -149,6 +171,51 @@ def voxelize(
         min_opacity=config.min_opacity,
         ignore_loss=config.ignore_loss,
     )
+
+
+def _too_many(
+    ellipsoids: Ellipsoids, rows: NDArray[np.intp], about: float, config: VoxelizeConfig, scene: SceneManifest
+) -> str:
+    """Message with the number of voxels, and with the size and the filter that would fit."""
+    number = "far more than" if math.isinf(about) else f"about {_rounded(about)}, more than"
+    words = f"voxels of {config.size_m:g} m: {number} the {config.max_voxels:,} of --max-voxels"
+    if config.max_voxels == MERGE_VOXELS:
+        words += ", which merge can take"
+    remedies = []
+    if fits := fitting_size(ellipsoids, config.max_voxels):
+        remedies.append(f"--size {fits[0]:g} makes about {_rounded(fits[1])}")
+    if few := dominant(ellipsoids, about, config.max_voxels):
+        which = named(tuple(int(rows[row]) for row in few.rows))
+        unit = scene.world_from_scene.scale if scene.world_from_scene is not None else 1.0
+        some = "the largest Gaussian" if len(few.rows) == 1 else f"the {len(few.rows)} largest Gaussians"
+        remedies.append(
+            f"without {some} (row {which}; semi-axis up to {few.longest:.3g} m) there are about "
+            f"{_rounded(few.voxels)}: import-splat --max-scale {few.limit / unit:.3g} (file units) removes "
+            f"semi-axes above {few.limit:.3g} m"
+        )
+    remedies.append("--crop marks less")
+    return f"{words}; {'; '.join(remedies)}"
+
+
+def _notes(ellipsoids: Ellipsoids, rows: NDArray[np.intp], voxels: int) -> dict[str, Any]:
+    """Note about a Gaussian that alone fills a large part of the voxels."""
+    found = largest_share(ellipsoids, voxels)
+    if found is None or found[1] < _NOTABLE or len(rows) < _CROWD:
+        return {}
+    row, share = found
+    longest = float(ellipsoids.scale[row].max())
+    return {
+        "notes": [
+            f"Gaussian {rows[row]} of {len(rows)}, with a semi-axis of {longest:.3g} m, alone fills "
+            f"{share:.0%} of the voxels; if it is no obstacle, import-splat --max-scale removes it"
+        ]
+    }
+
+
+def _rounded(number: float) -> str:
+    """Two digits, with commas."""
+    digits = max(len(str(int(number))) - 2, 0)
+    return f"{round(number / 10**digits) * 10**digits:,}"
 
 
 def _losses(scene: SceneManifest, config: VoxelizeConfig) -> dict[str, float]:

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+
+from alula.stages.rotation import matrix_from_quat_wxyz
 
 SMALLEST_GROUP = 50
 NEIGHBOUR = 8
 REACH = 2.0  # standard deviations
 _SAMPLE = 20_000
+_PART = 2**18  # rows, cubes or pairs that are processed at a time
+_TREE = 2**20  # rows of one search tree
 _BITS = 21
 _HALF = 2 ** (_BITS - 1)
 
 
 def floaters(
-    mean: NDArray[np.float32], scale: NDArray[np.float32], axes: NDArray[np.float64]
+    mean: NDArray[np.float32], scale: NDArray[np.float32], quat_wxyz: NDArray[np.float32]
 ) -> tuple[NDArray[np.bool_], float]:
     """Mark the Gaussians of small, isolated groups.
 
@@ -25,47 +32,118 @@ def floaters(
     fewer than 50 are floaters, except the largest group of all. So a sparse but large surface stays, and
     so does everything in contact with it.
 
+    Memory: rows are processed in parts, so the peak is about 60 bytes per touched cube and 13 per Gaussian.
+
     Args:
         mean: centres, shape (N, 3).
         scale: one-sigma semi-axes, shape (N, 3).
-        axes: rotation matrices with the local axes as columns, shape (N, 3, 3).
+        quat_wxyz: rotations from local axes, of any length but zero, shape (N, 4).
 
     Returns:
         A mask of the floaters, shape (N,), and the edge of the cubes.
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     count = len(mean)
     edge = _edge(mean)
     if edge == 0.0:
         return np.zeros(count, np.bool_), edge
-    centred = mean.astype(np.float64)
-    centred -= np.median(centred, axis=0)
-    touched = [np.unique(_cells(centred, edge), return_inverse=True)]
-    for axis in range(3):
-        arm = axes[:, :, axis] * (REACH * scale[:, axis, None].astype(np.float64))
-        touched += [np.unique(_cells(centred + s * arm, edge), return_inverse=True) for s in (1, -1)]
-    cells = _distinct(np.concatenate([keys for keys, _ in touched]))
-    home, *ends = (np.searchsorted(cells, keys)[number] for keys, number in touched)
-    left, right = [], []
-    for end in ends:  # one edge per pair of cubes, independent of the number of Gaussians that connect them
-        pair = _distinct(home * len(cells) + end)
-        left.append(pair // len(cells))
-        right.append(pair % len(cells))
-    for offset in _half_neighbourhood():
-        at = np.searchsorted(cells, cells + offset)
-        at[at == len(cells)] = 0
-        found = np.flatnonzero(cells[at] == cells + offset)
-        left.append(found)
-        right.append(at[found])
-    rows, columns = np.concatenate(left), np.concatenate(right)
-    graph = coo_matrix((np.ones(len(rows), np.bool_), (rows, columns)), shape=(len(cells), len(cells)))
-    group = connected_components(graph, directed=False)[1][home]
+    centre = np.array([np.median(mean[:, axis].astype(np.float64)) for axis in range(3)])
+    rows = _Rows(mean, scale, quat_wxyz, centre, edge)
+    cells = _all_cells(rows)
+    groups = _Groups(len(cells))
+    for offset in _half_neighbourhood():  # before the arms: then there are fewer groups to join
+        for start in range(0, len(cells), _PART):
+            near = cells[start : start + _PART] + offset
+            at = np.searchsorted(cells, near)
+            at[at == len(cells)] = 0
+            found = np.flatnonzero(cells[at] == near)
+            groups.join(start + found, at[found])
+    home = np.empty(count, np.int32)
+    for part in rows.parts():
+        own, *ends = rows.touched(part)
+        home[part] = np.searchsorted(cells, own)
+        for end in ends:
+            apart = np.flatnonzero(_apart(own, end))  # neighbouring cubes are joined already
+            groups.join(home[part][apart], np.searchsorted(cells, end[apart]))
+    group = groups.number()[home]
     size = np.bincount(group)
     small = size < SMALLEST_GROUP
     small[np.argmax(size)] = False
     return small[group], edge
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Gaussians, and the cubes that parts of them touch."""
+
+    mean: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    quat_wxyz: NDArray[np.float32]
+    centre: NDArray[np.float64]
+    edge: float
+
+    def parts(self) -> Iterator[slice]:
+        return (slice(start, start + _PART) for start in range(0, len(self.mean), _PART))
+
+    def touched(self, part: slice) -> list[NDArray[np.int64]]:
+        """Cubes of the centres and of both ends of each axis."""
+        quat = self.quat_wxyz[part].astype(np.float64)
+        unit = (quat / np.linalg.norm(quat, axis=1, keepdims=True)).astype(np.float32)
+        axes = matrix_from_quat_wxyz(unit)
+        centred = self.mean[part].astype(np.float64) - self.centre
+        found = [_cells(centred, self.edge)]
+        for axis in range(3):
+            arm = axes[:, :, axis] * (REACH * self.scale[part, axis, None].astype(np.float64))
+            found += [_cells(centred + sign * arm, self.edge) for sign in (1, -1)]
+        return found
+
+
+def _all_cells(rows: _Rows) -> NDArray[np.int64]:
+    """All touched cubes, sorted; lists are joined when they are as long as what they are joined to."""
+    cells, waiting, length = np.empty(0, np.int64), [], 0
+    for part in rows.parts():
+        waiting.append(_distinct(np.concatenate(rows.touched(part))))
+        length += len(waiting[-1])
+        if length > len(cells) + _PART:
+            cells = _distinct(np.concatenate([cells, *waiting]))
+            waiting, length = [], 0
+    return _distinct(np.concatenate([cells, *waiting])) if waiting else cells
+
+
+class _Groups:
+    """Connected components of cubes; pairs are collected, and joined when there are many."""
+
+    def __init__(self, count: int) -> None:
+        self._group = np.arange(count, dtype=np.int32)
+        self._groups = count
+        self._pairs: list[NDArray[np.int64]] = []
+        self._waiting = 0
+
+    def join(self, left: NDArray[np.integer], right: NDArray[np.integer]) -> None:
+        a, b = self._group[left].astype(np.int64), self._group[right].astype(np.int64)
+        pair = _distinct((np.minimum(a, b) * self._groups + np.maximum(a, b))[a != b])
+        self._pairs.append(pair)
+        self._waiting += len(pair)
+        if self._waiting > max(_PART, self._groups // 2):
+            self._contract()
+
+    def number(self) -> NDArray[np.int32]:
+        """Group of each cube."""
+        self._contract()
+        return self._group
+
+    def _contract(self) -> None:
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
+        if not self._waiting:
+            return
+        pair = _distinct(np.concatenate(self._pairs))
+        left, right = (pair // self._groups).astype(np.int32), (pair % self._groups).astype(np.int32)
+        shape = (self._groups, self._groups)
+        graph = coo_matrix((np.ones(len(pair), np.bool_), (left, right)), shape=shape)
+        self._groups, joined = connected_components(graph, directed=False)
+        self._group = joined[self._group]
+        self._pairs, self._waiting = [], 0
 
 
 def _edge(mean: NDArray[np.float32]) -> float:
@@ -75,8 +153,11 @@ def _edge(mean: NDArray[np.float32]) -> float:
     if len(mean) <= NEIGHBOUR:
         return 0.0
     sample = mean[:: -(-len(mean) // _SAMPLE)]
-    distance, _ = cKDTree(mean).query(sample, [NEIGHBOUR + 1])
-    return 2.0 * float(np.median(distance))
+    nearest = np.empty((len(sample), 0))
+    for start in range(0, len(mean), _TREE):
+        distance, _ = cKDTree(mean[start : start + _TREE]).query(sample, NEIGHBOUR + 1)
+        nearest = np.sort(np.hstack([nearest, distance]), axis=1)[:, : NEIGHBOUR + 1]
+    return 2.0 * float(np.median(nearest[:, NEIGHBOUR]))
 
 
 def _cells(position: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
@@ -86,8 +167,19 @@ def _cells(position: NDArray[np.float64], edge: float) -> NDArray[np.int64]:
     return key
 
 
+def _apart(one: NDArray[np.int64], other: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Test whether cubes neither equal nor neighbour each other."""
+    far = np.zeros(len(one), np.bool_)
+    for shift in (0, _BITS, 2 * _BITS):
+        mask = (1 << _BITS) - 1
+        far |= np.abs(((one >> shift) & mask) - ((other >> shift) & mask)) > 1
+    return far
+
+
 def _distinct(keys: NDArray[np.int64]) -> NDArray[np.int64]:
     """Sorted keys without repetitions; np.unique hashes first and is ten times slower on these keys."""
+    if not len(keys):
+        return keys
     ordered = np.sort(keys)
     distinct: NDArray[np.int64] = ordered[np.concatenate([[True], ordered[1:] != ordered[:-1]])]
     return distinct

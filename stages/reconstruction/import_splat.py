@@ -10,19 +10,21 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.artifact import Artifact, make_artifact
-from alula.schemas.configs.import_splat import ImportSplatConfig
+from alula.schemas.configs.import_splat import DRAWN, ImportSplatConfig
 from alula.schemas.decimals import at_most
 from alula.schemas.errors import InputError
 from alula.schemas.kinds import SCENE
 from alula.schemas.manifest import SPLAT_LOSS, Guarantee
 from alula.schemas.provenance import parameters_of
+from alula.stages.reconstruction.faint import FAINT, MarkedVolume, marked_volume
 from alula.stages.reconstruction.floaters import NEIGHBOUR, REACH, SMALLEST_GROUP, floaters
+from alula.stages.reconstruction.formats.capture import lacking, level_facts, missing_files
 from alula.stages.reconstruction.formats.splats import LOSSES, Splats
-from alula.stages.rotation import matrix_from_quat_wxyz
 
 _NOT_FINITE = ("not_a_number", "infinite_mean", "infinite_scale", "infinite_rotation")
 _ON_DEMAND = ("crop", "crop_sphere", "max_scale")
 _REASONS = (*_NOT_FINITE, "zero_rotation", "min_opacity", *_ON_DEMAND)  # 1, 2, ... of `_core.screen_rows`
+_NOTABLE = 0.02  # fraction of the volume that is worth a note
 SCALE_FLOOR = 1e-9  # file units; minimum thickness of a flat disc
 
 
@@ -35,7 +37,8 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     row counts for the first reason that applies, in the order of `summary["removed"]`. Scales below 1e-9
     file units become 1e-9, quaternions are normalised, and with `turn` the frame is turned by 180 degrees,
     which changes signs alone. Nothing else changes, so the ellipsoids of the scene are those of the file.
-    The scene's array `loss` bounds the precision that the file's format may have lost.
+    The scene's array `loss` bounds the precision that the file's format may have lost. Some files of a level
+    of detail without the others are refused unless `part` is set; the guarantee names what is lacking.
 
     Args:
         config: see `ImportSplatConfig`.
@@ -45,8 +48,10 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         An `alula/scene`, frame `scene`, unit `arbitrary`, rows in the order of the file.
 
     Raises:
-        InputError: no Gaussian is left, or one has a value that is not finite.
+        InputError: no Gaussian is left, one has a value that is not finite, or files of a level of detail are
+            lacking.
     """
+    _check_whole(config, splats)
     splats = turned(splats, config.turn)
     given = _Columns(
         np.ascontiguousarray(splats.mean, np.float32),
@@ -77,6 +82,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         )
     _check_some_left(removal, removed)
 
+    volume = _volume(config, splats, removal)
     rules: dict[str, Any] = {}
     if config.drop_floaters:
         removed["floaters"], rules["floaters"] = _drop_floaters(splats, removal)
@@ -103,7 +109,12 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
     if arrays.get("loss") is not None:
         summary["loss"] = {key: loss["figures"][key] for key in LOSSES}
     unsure = (f"no certain bound of {what}: {why}" for what, why in loss["figures"]["unbounded"].items())
-    if notes := [*splats.notes, *unsure]:
+    lacks = lacking(splats.levels)
+    notes = [*_opacity_notes(config, volume, removed, len(splats)), *splats.notes, *unsure]
+    if lacks:
+        notes.insert(0, f"the scene is not the whole capture: it lacks {'; '.join(lacks)}")
+        summary["lacks"] = lacks
+    if notes:
         summary["notes"] = notes
     return make_artifact(
         SCENE,
@@ -112,7 +123,7 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
         unit="arbitrary",
         parameters=parameters_of(config),
         summary=summary,
-        guarantee=_guarantee(config, removed, loss["figures"]),
+        guarantee=_guarantee(config, removed, loss["figures"], lacks),
         requires=[SPLAT_LOSS] if "loss" in arrays else [],
         source={
             "format": splats.format,
@@ -120,6 +131,9 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
             "kept": kept,
             "removed": removed,
             "rules": rules,
+            "opacity": None if volume is None else dataclasses.asdict(volume),
+            "levels_of_detail": level_facts(splats.levels),
+            "lacks": lacks,
             "scale_floor": SCALE_FLOOR,
             "scale_floored": figures["floored"],
             "bounds": bounds,
@@ -130,6 +144,17 @@ def import_splat(config: ImportSplatConfig, splats: Splats) -> Artifact:
             "notes": list(splats.notes),
         },
     )
+
+
+def _check_whole(config: ImportSplatConfig, splats: Splats) -> None:
+    """Refuse some files of a level of detail without the others, unless `part` is set."""
+    missing = missing_files(splats.levels)
+    if missing and not config.part:
+        first = next(one for one in splats.levels if one.number is None or len(one.files) < len(one.of))
+        raise InputError(
+            f"only a part of a capture, without {'; '.join(missing)}; import {first.index} --lod "
+            f"{first.number or 0}, which reads all files of the level, or pass --part to import the part"
+        )
 
 
 class _Columns(NamedTuple):
@@ -166,12 +191,48 @@ def _kept(
     return arrays | outputs, figures
 
 
+def _volume(config: ImportSplatConfig, splats: Splats, removal: NDArray[np.uint8]) -> MarkedVolume | None:
+    """Volume that the rows mark that no rule but the opacity removes; None where no limit removes any."""
+    limits = {config.min_opacity, FAINT}
+    rows = (removal == 0) | (removal == 1 + _REASONS.index("min_opacity"))
+    if not (splats.opacity[rows] < np.float32(max(limits))).any():
+        return None
+    whole = rows.all()
+    columns = (splats.mean, splats.scale, splats.quat_wxyz, splats.opacity)
+    return marked_volume(*(column if whole else column[rows] for column in columns), sorted(limits))
+
+
+def _opacity_notes(
+    config: ImportSplatConfig, volume: MarkedVolume | None, removed: dict[str, int], rows: int
+) -> list[str]:
+    """Note about the volume that the minimum opacity removes; else about that of the faint Gaussians kept."""
+    if volume is None:
+        return []
+    by_limit = {one.limit: one for one in volume.limits}
+    at, faint = by_limit[config.min_opacity], by_limit[FAINT]
+    limit = at if at.gaussians and config.min_opacity > DRAWN else faint
+    words = (
+        f"{limit.gaussians} of {rows} Gaussians ({limit.gaussians / rows:.0%}), which alone mark "
+        f"{volume.share(limit):.0%} of the volume ({limit.cells} of {volume.cells} cells of "
+        f"{volume.edge:.3g} file units)"
+    )
+    if limit is at:
+        return [
+            f"--min-opacity {at.limit:g} removed {words}; obstacles are missing unless all of it is haze: "
+            f"--min-opacity {DRAWN:g} keeps all that renderers draw"
+        ]
+    if faint.gaussians > at.gaussians and volume.share(faint) >= _NOTABLE:
+        return [
+            f"an opacity below {FAINT:g} have {words}; they count as obstacles, and if they are haze, "
+            f"--min-opacity {FAINT:g} removes them"
+        ]
+    return []
+
+
 def _drop_floaters(splats: Splats, removal: NDArray[np.uint8]) -> tuple[int, dict[str, Any]]:
     """Mark the floaters among the kept rows; return their number and the rule."""
     rows = np.flatnonzero(removal == 0)
-    quat = splats.quat_wxyz[rows].astype(np.float64)
-    quat = (quat / np.linalg.norm(quat, axis=1, keepdims=True)).astype(np.float32)
-    drop, edge = floaters(splats.mean[rows], splats.scale[rows], matrix_from_quat_wxyz(quat))
+    drop, edge = floaters(splats.mean[rows], splats.scale[rows], splats.quat_wxyz[rows])
     removal[rows[drop]] = len(_REASONS) + 1
     rule = {"cell": edge, "smallest_group": SMALLEST_GROUP, "neighbour": NEIGHBOUR, "reach_sigma": REACH}
     return int(np.count_nonzero(drop)), rule
@@ -212,7 +273,9 @@ def _loss(splats: Splats, removal: NDArray[np.uint8], kept: int) -> dict[str, An
     return {"bound": bound if bound.any() else None, "figures": figures}
 
 
-def _guarantee(config: ImportSplatConfig, removed: dict[str, int], loss: dict[str, Any]) -> Guarantee:
+def _guarantee(
+    config: ImportSplatConfig, removed: dict[str, int], loss: dict[str, Any], lacks: list[str]
+) -> Guarantee:
     left_out = {reason: count for reason, count in removed.items() if count}
     removals = ", ".join(f"{count} by {reason}" for reason, count in left_out.items()) or "none"
     figures = ", ".join(f"{name} {at_most(loss[name])}" for name in (*LOSSES, "opacity") if loss[name])
@@ -223,10 +286,12 @@ def _guarantee(config: ImportSplatConfig, removed: dict[str, int], loss: dict[st
     )
     for quantity, why in loss["unbounded"].items():
         lossy += f" The bound of {quantity} is not certain: {why}."
+    whole = f" The files are not the whole capture, which also has {'; '.join(lacks)}." if lacks else ""
     return Guarantee(
         statement="Every Gaussian of the file is in the scene with its own ellipsoid, except those left "
-        f"out: {removals}.{lossy}",
+        f"out: {removals}.{lossy}{whole}",
         claims={
+            "lacks": lacks,
             "left_out": left_out,
             "min_opacity": config.min_opacity,
             "crop": list(config.crop) if config.crop is not None else None,

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from alula.schemas.artifact import Artifact
 from alula.schemas.provenance import Provenance
@@ -14,6 +15,8 @@ from alula.schemas.run import RunRecord
 from alula.stages.compression.hulls import is_outer
 from alula.stages.compression.onboard.image import SCHEMA, VERSION, MapImage
 from alula.stages.compression.onboard.layout import map_facts
+from alula.stages.reconstruction.faint import marked_volume
+from alula.stages.reconstruction.formats.capture import lacking
 from alula.stages.reconstruction.formats.splats import LOSSES, Loss, Splats
 
 Facts = dict[str, Any]
@@ -180,14 +183,51 @@ def splat_facts(splats: Splats) -> Facts:
             "not finite": int(len(splats) - finite.sum()),
             **_bounds(splats.mean[finite]),
             "median opacity": float(np.median(opacity)) if len(opacity) else None,
+            **_largest(splats.scale[finite]),
         },
+        "opacity, quantiles": _quantiles(opacity),
+        "removed by a minimum opacity": _opacity_facts(splats),
         "frame": "scene",
         "unit": "arbitrary",
         "lost by the format": _loss_facts(splats.loss),
+        "lacks of its capture": lacking(splats.levels),
         "tags": splats.tags,
         "comments": list(splats.comments),
         "notes": list(splats.notes),
     }
+
+
+def _quantiles(opacity: NDArray[np.float64]) -> Facts:
+    """Quantiles by percentage; empty without rows."""
+    if not len(opacity):
+        return {}
+    shares = (0, 5, 25, 50, 75, 95, 100)
+    found = np.percentile(opacity, shares).tolist()
+    return {f"{share} %": round(value, 6) for share, value in zip(shares, found, strict=True)}
+
+
+def _opacity_facts(splats: Splats) -> list[Facts]:
+    """Rows, fractions of the rows and fractions of the marked volume that limits of the opacity remove."""
+    volume = marked_volume(splats.mean, splats.scale, splats.quat_wxyz, splats.opacity)
+    if volume is None:
+        return []
+    return [
+        {
+            "--min-opacity": one.limit,
+            "gaussians": one.gaussians,
+            "of all": round(one.gaussians / len(splats), 4),
+            "of the volume": round(volume.share(one), 4),
+        }
+        for one in volume.limits
+    ]
+
+
+def _largest(scale: NDArray[np.float32]) -> Facts:
+    """Median and largest of the longest semi-axes."""
+    if not len(scale):
+        return {}
+    longest = scale.max(axis=1)
+    return {"median longest semi-axis": float(np.median(longest)), "largest semi-axis": float(longest.max())}
 
 
 def _loss_facts(loss: Loss | None) -> Facts | None:

@@ -228,7 +228,21 @@ def test_a_real_tile_keeps_its_size_and_costs_less_than_five_bytes_a_plane(tile,
 def test_the_room_keeps_its_size_too(tmp_path):
     f = lambda name: str(tmp_path / name)  # noqa: E731
     assert run(["demo-scene", "-o", f("r.ply"), "--gaussians", "30000", "-q"]) == 0
-    assert run(["import-splat", f("r.ply"), "-o", f("s.scene.npz"), "--drop-floaters", "-q"]) == 0
+    assert (
+        run(
+            [
+                "import-splat",
+                f("r.ply"),
+                "-o",
+                f("s.scene.npz"),
+                "--min-opacity",
+                "0.1",
+                "--drop-floaters",
+                "-q",
+            ]
+        )
+        == 0
+    )
     assert run(["scale-align", f("s.scene.npz"), "-o", f("m.scene.npz"), "--scale", "2", "-q"]) == 0
     assert run(["voxelize", f("m.scene.npz"), "-o", f("v.voxels.npz"), "--size", "0.05", "-q"]) == 0
     found = check_scene(tmp_path / "v.voxels.npz", tmp_path / "m.scene.npz", 200, tmp_path)

@@ -12,7 +12,7 @@ import json
 import struct
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -247,6 +247,20 @@ def sog(g: Gaussians, *, bundled: bool = True) -> Files:
     return {"a.sog": out.getvalue()}
 
 
+def streamed_sog(g: Gaussians) -> Files:
+    """A level of detail in two files, and an index of it."""
+    half = len(g) // 2
+    parts = [
+        Gaussians(*(getattr(g, f.name)[rows] for f in fields(g))) for rows in (slice(half), slice(half, None))
+    ]
+    leaves = [{"lods": {"0": {"file": k, "offset": 0, "count": len(one)}}} for k, one in enumerate(parts)]
+    index = {"version": 1, "lodLevels": 1, "filenames": ["0_0/meta.json", "0_1/meta.json"]}
+    files = {"lod-meta.json": json.dumps(index | {"tree": {"children": leaves}}).encode()}
+    for k, one in enumerate(parts):
+        files |= {f"0_{k}/{name}": raw for name, raw in sog(one, bundled=False).items()}
+    return files
+
+
 def gltf(g: Gaussians, *, binary: bool = True) -> Files:
     """`KHR_gaussian_splatting` in single precision, one node without a transform."""
     prefix = "KHR_gaussian_splatting:"
@@ -382,4 +396,5 @@ def small_splats(count: int = 40) -> dict[str, tuple[Files, str | None, str]]:
     """One valid splat of each kind by name: its files, what to name, and the name of its format."""
     g = some_gaussians(count)
     made = {name: (encode(g), form) for name, (form, encode) in ENCODERS.items()}
+    made["streamed-sog"] = streamed_sog(g), "streamed-sog"
     return {name: (files, main_file(files), form) for name, (files, form) in made.items()}

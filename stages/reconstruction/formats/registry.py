@@ -21,12 +21,18 @@ from alula.stages.reconstruction.formats.nerfstudio import (
     members_of_nerfstudio,
 )
 from alula.stages.reconstruction.formats.ply import decode_ply
-from alula.stages.reconstruction.formats.sog import decode_sog, is_sog, sog_members
+from alula.stages.reconstruction.formats.sog import is_sog, sog_members
 from alula.stages.reconstruction.formats.source import Source, find_source
 from alula.stages.reconstruction.formats.splat import decode_splat
 from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.formats.spz import decode_spz
 from alula.stages.reconstruction.formats.spz_container import is_spz
+from alula.stages.reconstruction.formats.streamed_sog import (
+    decode_sog_file,
+    decode_streamed_sog,
+    is_streamed_sog,
+    streamed_members,
+)
 
 
 def _itself(source: Source) -> Sequence[str]:
@@ -61,7 +67,8 @@ def _of_file(
 
 PLY = SplatFormat("ply", lambda source: re.match(rb"ply\s", source.head) is not None, _of_file(decode_ply))
 COMPRESSED_PLY = SplatFormat("compressed-ply", is_compressed_ply, _of_file(decode_compressed_ply))
-SOG = SplatFormat("sog", is_sog, decode_sog, sog_members)
+SOG = SplatFormat("sog", is_sog, decode_sog_file, sog_members)
+STREAMED_SOG = SplatFormat("streamed-sog", is_streamed_sog, decode_streamed_sog, streamed_members)
 KSPLAT = SplatFormat("ksplat", is_ksplat, _of_file(decode_ksplat))
 SPLAT = SplatFormat("splat", lambda source: source.suffix == ".splat", _of_file(decode_splat))
 SPZ = SplatFormat(
@@ -76,6 +83,7 @@ _WITH_MAGIC = (
     PLY,
     SPZ,
     SOG,
+    STREAMED_SOG,
     GLTF,
     NERFSTUDIO,
     MEANS_JSON,
@@ -136,23 +144,29 @@ class SplatFile:
     format: SplatFormat
 
     @classmethod
-    def find(cls, path: Path, name: str = "auto") -> SplatFile:
+    def find(cls, path: Path, name: str = "auto", level: int | None = None) -> SplatFile:
         """Find a splat and recognise its format.
 
         Args:
             path: a file, or the folder of a trainer or of a format of several files.
             name: `auto`, or the name of a format.
+            level: level of detail to read; None is the finest.
 
         Raises:
-            UsageError: no format has that name.
+            UsageError: no format has that name, or a level is given for a format without levels.
             ArtifactError: the splat is of no format that can be read.
             InputError: it cannot be opened.
         """
-        source = find_source(path)
+        source = find_source(path, level)
         try:
-            return cls(path, source, recognise(source, name))
+            found = cls(path, source, recognise(source, name))
         except ArtifactError as error:
             raise ArtifactError(f"{path}: {error}") from error
+        if level is not None and found.format is not STREAMED_SOG:
+            raise UsageError(
+                f"{path}: --lod is for lod-meta.json; {found.format.name} has no levels of detail"
+            )
+        return found
 
     def files(self) -> dict[str, Path]:
         """All files to read, by role.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from alula.schemas.errors import ArtifactError
 from alula.schemas.progress import Progress
 from alula.stages.reconstruction.formats.rotations import chart_rotation_error, smallest_three
-from alula.stages.reconstruction.formats.sog_meta import SogMeta, levels_of_detail, parse_json, parse_meta
+from alula.stages.reconstruction.formats.sog_meta import SogMeta, parse_json, parse_meta
 from alula.stages.reconstruction.formats.source import Source
 from alula.stages.reconstruction.formats.splats import (
     Loss,
@@ -31,7 +31,6 @@ from alula.stages.reconstruction.formats.splats import (
 from alula.stages.reconstruction.formats.webp import decode_webp, webp_size
 
 META = "meta.json"
-LEVELS = "lod-meta.json"
 META_LIMIT = 2**22  # bytes
 _FREE_PIXELS = 2**22  # allowed for any image, however few its bytes are
 _PIXELS_PER_BYTE = 1024  # of all images; lossless WebP alone sets no limit
@@ -53,8 +52,6 @@ Read = Callable[[str], "bytes | memoryview"]
 def is_sog(source: Source) -> bool:
     """Test whether a source is a folder with a `meta.json` of SOG, such a file, or an archive with one."""
     if source.is_folder:
-        if source.has(LEVELS) and not source.has(META):
-            return True
         return source.has(META) and _says_sog(Source(source.folder / META))
     if source.head.startswith(b"PK\x03\x04"):
         if source.suffix == ".sog":
@@ -74,8 +71,7 @@ def _says_sog(source: Source) -> bool:
         found = parse_json(bytes(source.data))
     except ArtifactError:
         return False
-    keys = set(found)
-    return {"means", "scales", "quats", "sh0"} <= keys or {"lodLevels", "filenames"} <= keys
+    return {"means", "scales", "quats", "sh0"} <= set(found)
 
 
 def sog_members(source: Source) -> Sequence[str]:
@@ -120,17 +116,9 @@ def decode_sog(source: Source, progress: Progress | None = None) -> Splats:
 
 def _meta(source: Source) -> bytes:
     """Contents of `meta.json`, where it is a file of its own."""
-    if source.is_folder and not source.has(META) and source.has(LEVELS):
-        raw = source.member(LEVELS)
-    else:
-        raw = source.member(META) if source.is_folder else source.data
+    raw = source.member(META) if source.is_folder else source.data
     if len(raw) > META_LIMIT:
         raise ArtifactError(f"SOG: {META} has {len(raw)} bytes, more than {META_LIMIT}")
-    levels = levels_of_detail(bytes(raw))
-    if levels is not None:
-        there = [name for name in levels if source.has(name)]
-        hint = f"; name one of them: {', '.join(there[:12])}" if there else ""
-        raise ArtifactError(f"SOG: an index of levels of detail, each in a folder of its own{hint}")
     return bytes(raw)
 
 

@@ -76,11 +76,12 @@ class SogMeta:
         return own if self.harmonics is None else (*own, self.harmonics.centroids, self.harmonics.labels)
 
 
-def parse_json(raw: bytes) -> dict[str, Any]:
+def parse_json(raw: bytes, name: str = "meta.json") -> dict[str, Any]:
     """Parse an object of strict JSON.
 
     Args:
         raw: the text in UTF-8.
+        name: name of the file, for messages.
 
     Raises:
         ArtifactError: the text is not JSON, or not an object.
@@ -92,28 +93,10 @@ def parse_json(raw: bytes) -> dict[str, Any]:
     try:
         found = json.loads(raw, parse_constant=refuse)
     except (ValueError, RecursionError) as error:
-        raise ArtifactError(f"SOG: meta.json is no JSON: {error}") from error
+        raise ArtifactError(f"SOG: {name} is no JSON: {error}") from error
     if not isinstance(found, dict):
-        raise ArtifactError("SOG: meta.json is no JSON object")
+        raise ArtifactError(f"SOG: {name} is no JSON object")
     return found
-
-
-def levels_of_detail(raw: bytes) -> list[str] | None:
-    """Files that an index of levels of detail names, in order; None where it is not such an index."""
-    found = parse_json(raw)
-    if "lodLevels" not in found or "means" in found:
-        return None
-    names = found.get("filenames")
-    if not isinstance(names, list):
-        return []
-    return sorted(name for name in names if isinstance(name, str) and _is_name(name))
-
-
-def _is_name(name: str) -> bool:
-    try:
-        return bool(relative_name(name).name)
-    except ArtifactError:
-        return False
 
 
 def parse_meta(raw: bytes) -> SogMeta:

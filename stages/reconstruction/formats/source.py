@@ -20,11 +20,13 @@ class Source:
     Attributes:
         path: the file, or the folder.
         notes: notes for the user about the choice of the file.
+        level: level of detail to read, for formats with several; None is the finest.
     """
 
-    def __init__(self, path: Path, notes: tuple[str, ...] = ()) -> None:
+    def __init__(self, path: Path, notes: tuple[str, ...] = (), level: int | None = None) -> None:
         self.path = path
         self.notes = notes
+        self.level = level
         self._mapped: dict[Path, memoryview] = {}
 
     @cached_property
@@ -124,10 +126,14 @@ def relative_name(name: str) -> PurePosixPath:
     return path
 
 
-def find_source(path: Path) -> Source:
+def find_source(path: Path, level: int | None = None) -> Source:
     """Find the file or folder to read for a path that the user gave.
 
     A folder of INRIA's trainer stands for its last `point_cloud/iteration_*/point_cloud.ply`.
+
+    Args:
+        path: the file or folder.
+        level: level of detail to read, for formats with several; None is the finest.
 
     Raises:
         InputError: there is nothing of that name.
@@ -144,4 +150,4 @@ def find_source(path: Path) -> Source:
             last = max(iterations)
             more = f", the last of {len(iterations)}" if len(iterations) > 1 else ""
             return Source(iterations[last], (f"iteration {last} of the folder{more}",))
-    return Source(path)
+    return Source(path, level=level)

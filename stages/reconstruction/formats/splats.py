@@ -31,6 +31,27 @@ class Loss:
     unbounded: dict[str, str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True)
+class Level:
+    """Files of one level of detail of a capture.
+
+    Attributes:
+        number: 0 is the finest; None for the environment, which belongs to no level.
+        levels: number of levels of the capture.
+        files: the files that were read, relative to the index.
+        of: all files of the level.
+        environment: file of the capture's environment; empty where there is none.
+        index: path of the index, which tells captures apart; it enters no artifact.
+    """
+
+    number: int | None
+    levels: int
+    files: tuple[str, ...]
+    of: tuple[str, ...]
+    environment: str
+    index: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Splats:
     """Result of a decoder: activated values, not yet checked row by row.
@@ -49,6 +70,8 @@ class Splats:
         tags: properties that the file states: `render_mode`, `antialiased`, `vertical_axis`, `generator`,
             `frame`.
         notes: notes for the user about the reading of the file.
+        levels: levels of detail that the Gaussians come from; empty where the file is no part of a capture
+            that is spread over several files.
     """
 
     format: str
@@ -61,6 +84,7 @@ class Splats:
     comments: tuple[str, ...] = ()
     tags: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    levels: tuple[Level, ...] = ()
 
     def __len__(self) -> int:
         return len(self.mean)

@@ -29,7 +29,7 @@ def room(tmp_path_factory):
     poses = ("--colmap", f("colmap"), "--reference", f("poses.csv"))
     for step in (
         ("demo-scene", "-o", f("room.ply"), "--gaussians", "12000", "--images", "24", *poses),
-        ("import-splat", f("room.ply"), "-o", f("scene.npz"), "--drop-floaters"),
+        ("import-splat", f("room.ply"), "-o", f("scene.npz"), "--min-opacity", "0.1", "--drop-floaters"),
         ("scale-align", f("scene.npz"), "-o", f("metric.npz"), *poses, "--max-rms", "0.02"),
         ("voxelize", f("metric.npz"), "-o", f("voxels.npz"), "--size", "0.1"),
         ("merge", f("voxels.npz"), "-o", f("cover.npz"), "--hulls", "150"),

@@ -102,7 +102,7 @@ def test_hoops_are_there_and_can_be_flown_through(splats, world):
 
 
 def test_the_filters_remove_the_floaters(splats):
-    scene = import_splat(ImportSplatConfig(drop_floaters=True), splats)
+    scene = import_splat(ImportSplatConfig(min_opacity=0.1, drop_floaters=True), splats)
     removed = scene.manifest.source["removed"]
     assert removed["floaters"] == 400
     assert 5000 < removed["min_opacity"] < 15000

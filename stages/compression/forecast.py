@@ -1,0 +1,209 @@
+"""Estimate of the number of voxels before `voxelize` marks them, and what would reduce it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.stages.compression.tiles import Ellipsoids, mark
+
+TILE = 64  # voxels
+_TILES = 160  # maximum number of tiles that are counted
+_FEW = (1, 10, 100)  # numbers of the largest Gaussians that are left out to try
+_NAMED = 5  # maximum number of rows that a message names
+_ROOM = 0.8  # fraction of the limit that a remedy aims at, as estimates have an error
+_SIZES = 5  # maximum number of sizes of voxels that are tried
+_LONGEST_M = 1e3
+_CHUNK = 2**18
+
+
+@dataclass(frozen=True, slots=True)
+class Dominant:
+    """The largest Gaussians, which alone make the number of voxels too large.
+
+    Attributes:
+        rows: their rows among the ellipsoids, the largest first.
+        longest: longest one-sigma semi-axis of the first of them [m].
+        limit: longest semi-axis between theirs and those of all others [m].
+        voxels: estimated number of voxels without them.
+    """
+
+    rows: tuple[int, ...]
+    longest: float
+    limit: float
+    voxels: int
+
+
+def most_voxels(ellipsoids: Ellipsoids) -> float:
+    """Upper bound of the number of voxels: the sum of the voxels of the ellipsoids' cubes.
+
+    Args:
+        ellipsoids: the sets and the lattice.
+    """
+    total = 0.0
+    for start in range(0, len(ellipsoids.mean), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        total += float(np.prod(_extent(ellipsoids.part(part)), axis=1).sum())
+    return total
+
+
+def _extent(ellipsoids: Ellipsoids) -> NDArray[np.float64]:
+    """Edges of a cube around each ellipsoid, as far as it touches the crop [voxels], rounded up."""
+    size, sigma = ellipsoids.voxel_size_m, ellipsoids.sigma
+    mean = ellipsoids.mean.astype(np.float64)
+    reach = sigma * ellipsoids.scale.max(axis=1).astype(np.float64)
+    if ellipsoids.loss is not None:
+        position, scale, rotation = ellipsoids.loss.astype(np.float64).T
+        reach = reach * (1 + scale) * (1 + rotation) + position
+    reach = (reach + ellipsoids.inflation_m)[:, None]
+    low, high = mean - reach, mean + reach
+    if ellipsoids.crop is not None:
+        low, high = np.maximum(low, ellipsoids.crop[:3]), np.minimum(high, ellipsoids.crop[3:])
+    edges: NDArray[np.float64] = np.clip(np.floor(high / size) - np.floor(low / size) + 1, 0, None)
+    return edges
+
+
+def may_exceed(ellipsoids: Ellipsoids, limit: int, jobs: int) -> bool:
+    """Test cheaply whether there may be more than `limit` voxels; False is certain.
+
+    The bounds are the cubes around the ellipsoids, and 4^3 times the number of voxels of four times the edge.
+
+    Args:
+        ellipsoids: the sets and the lattice.
+        limit: number of voxels.
+        jobs: threads.
+    """
+    if most_voxels(ellipsoids) <= limit:
+        return False
+    coarse = dataclasses.replace(ellipsoids, voxel_size_m=4 * ellipsoids.voxel_size_m, min_overlap=1)
+    if most_voxels(coarse) > 64 * limit:  # the estimate is cheaper
+        return True
+    try:
+        return 64 * len(mark(coarse, jobs, None).index) > limit
+    except OverflowError:
+        return True
+
+
+def estimated_voxels(ellipsoids: Ellipsoids) -> float:
+    """Estimate the number of voxels from an even sample of tiles, which are counted exactly.
+
+    The estimate is exact when there are at most 160 tiles of 64^3 voxels; else its error is about a tenth. It
+    does not depend on the number of threads. More than 2^20 tiles count as infinitely many voxels.
+
+    Args:
+        ellipsoids: the sets and the lattice.
+    """
+    edge = TILE
+    try:
+        tile, start, row = _core.tiles_of(**ellipsoids.level(), edge=edge)
+    except OverflowError:
+        return math.inf
+    if len(tile) == 0:
+        return 0.0
+    count = min(_TILES, len(tile))
+    chosen = ((np.arange(count) + 0.5) * len(tile) / count).astype(int)
+    lowest, highest = np.iinfo(np.int32).min, np.iinfo(np.int32).max
+    found = 0
+    for at in chosen.tolist():
+        mine = ellipsoids.part(row[start[at] : start[at + 1]])
+        lower = tile[at].astype(np.int64) * edge
+        corners = np.clip([lower, lower + edge - 1], lowest, highest).tolist()
+        try:
+            index, *_ = _core.voxelize(
+                **mine.level(), tile=corners, min_overlap=ellipsoids.min_overlap, jobs=0
+            )
+        except OverflowError:
+            return math.inf
+        found += len(index)
+    return found * len(tile) / count
+
+
+def fitting_size(ellipsoids: Ellipsoids, limit: int) -> tuple[float, float] | None:
+    """Find a larger size of the voxels at which they are about `limit` at most.
+
+    Sizes that certainly suffice come first, so that no estimate takes longer than marking `limit` voxels.
+
+    Args:
+        ellipsoids: the sets and the lattice.
+        limit: maximum number of voxels.
+
+    Returns:
+        The size [m], with two digits, and the estimated number of voxels; None when no size was found.
+    """
+    aim, size = _ROOM * limit, _two_digits(ellipsoids.voxel_size_m)
+    while most_voxels(dataclasses.replace(ellipsoids, voxel_size_m=size)) > aim:
+        size = _two_digits(2 * size)
+        if size > _LONGEST_M:
+            return None
+    found: tuple[float, float] | None = None
+    for _ in range(_SIZES):
+        voxels = estimated_voxels(dataclasses.replace(ellipsoids, voxel_size_m=size))
+        if voxels > aim:
+            break
+        found = size, voxels
+        finer = _two_digits(size * max((max(voxels, 1.0) / aim) ** (1 / 3), 0.25))
+        if finer >= 0.95 * size or finer <= ellipsoids.voxel_size_m:
+            break
+        size = finer
+    return found
+
+
+def _two_digits(value: float) -> float:
+    """Round up to two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.ceil(value / unit - 1e-9) * unit:.2g}")
+
+
+def dominant(ellipsoids: Ellipsoids, voxels: float, limit: int) -> Dominant | None:
+    """Find a few of the largest Gaussians without which there are about `limit` voxels at most.
+
+    Args:
+        ellipsoids: the sets and the lattice.
+        voxels: estimated number of voxels with all Gaussians.
+        limit: maximum number of voxels.
+
+    Returns:
+        The fewest of 1, 10 and 100; None when even 100 do not suffice.
+    """
+    longest, aim = ellipsoids.scale.max(axis=1), _ROOM * limit
+    order = np.argsort(-longest, kind="stable")[: _FEW[-1] + 1]
+    alone = np.prod(_extent(ellipsoids.part(order)), axis=1)  # upper bounds
+    for few in _FEW:
+        if few >= len(order) or longest[order[few]] == longest[order[few - 1]]:
+            continue
+        if math.isfinite(voxels) and voxels - alone[:few].sum() > aim:
+            continue
+        keep = np.ones(len(longest), np.bool_)
+        keep[order[:few]] = False
+        rest = ellipsoids.part(np.flatnonzero(keep))
+        count = estimated_voxels(rest)
+        if count <= min(aim, _ROOM * voxels):
+            between = math.sqrt(float(longest[order[few - 1]]) * float(longest[order[few]]))
+            return Dominant(tuple(order[:few].tolist()), float(longest[order[0]]), between, round(count))
+    return None
+
+
+def largest_share(ellipsoids: Ellipsoids, voxels: int) -> tuple[int, float] | None:
+    """Row of the largest ellipsoid and the fraction of the voxels that its volume alone fills.
+
+    Args:
+        ellipsoids: the sets and the lattice; with a crop nothing is found, as it cuts the volume.
+        voxels: number of marked voxels.
+    """
+    if ellipsoids.crop is not None or voxels == 0:
+        return None
+    semi = ellipsoids.scale.astype(np.float64) * ellipsoids.sigma + ellipsoids.inflation_m
+    volume = 4 / 3 * math.pi * np.prod(semi / ellipsoids.voxel_size_m, axis=1)
+    row = int(np.argmax(volume))
+    return row, float(volume[row]) / voxels
+
+
+def named(rows: tuple[int, ...]) -> str:
+    """Rows in words, at most five of them."""
+    more = ", ..." if len(rows) > _NAMED else ""
+    return ", ".join(map(str, rows[:_NAMED])) + more

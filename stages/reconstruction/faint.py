@@ -1,0 +1,157 @@
+"""Volume that Gaussians of a low opacity mark: what a limit of the opacity would remove."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alula import _core
+from alula.schemas.configs.import_splat import DRAWN
+
+FAINT = 0.1
+LIMITS = (DRAWN, 0.02, 0.05, FAINT, 0.2, 0.5)
+_CELLS = 128  # along the longest side of the box
+_MARGIN = 8  # cells around the box
+_QUANTILE = 0.01  # of centres outside the box, at each side
+_CHUNK = 2**21
+_SAMPLE = 2**20
+_LARGEST = 1e4  # cells; longer semi-axes reach across the box anyway
+_FARTHEST = 1e6  # cells; centres beyond cannot reach the box
+
+
+@dataclass(frozen=True, slots=True)
+class OpacityLimit:
+    """Effect of one limit of the opacity.
+
+    Attributes:
+        limit: minimum opacity.
+        gaussians: number of Gaussians below it.
+        cells: number of cells that no Gaussian of at least that opacity touches.
+    """
+
+    limit: float
+    gaussians: int
+    cells: int
+
+
+@dataclass(frozen=True, slots=True)
+class MarkedVolume:
+    """Cells that the one-sigma ellipsoids of Gaussians touch, in the box of most of their centres.
+
+    Attributes:
+        edge: edge of a cell [file units]; 1/128 of the longest side of the box that has 98 % of the centres
+            along each axis.
+        cells: number of touched cells.
+        limits: effect of each limit.
+    """
+
+    edge: float
+    cells: int
+    limits: tuple[OpacityLimit, ...]
+
+    def share(self, limit: OpacityLimit) -> float:
+        """Fraction of the touched cells that the limit would leave unmarked."""
+        return limit.cells / self.cells if self.cells else 0.0
+
+
+def marked_volume(
+    mean: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    quat_wxyz: NDArray[np.float32],
+    opacity: NDArray[np.float32],
+    limits: Sequence[float] = LIMITS,
+) -> MarkedVolume | None:
+    """Measure the volume that Gaussians mark and what limits of the opacity would remove of it.
+
+    Rows with values that are not finite do not count. Voxels are far coarser than those of a map, so small
+    Gaussians count too much on both sides; the fractions are for judging a limit, not for a guarantee.
+
+    Args:
+        mean: centres, shape (N, 3).
+        scale: one-sigma semi-axes, shape (N, 3).
+        quat_wxyz: rotations, not normalised, shape (N, 4).
+        opacity: shape (N,).
+        limits: minimum opacities.
+
+    Returns:
+        The volume; None when no row is finite or all centres coincide.
+    """
+    sample = mean[:: -(-len(mean) // _SAMPLE) or 1]
+    sample = sample[np.isfinite(sample).all(axis=1)]
+    if not len(sample):
+        return None
+    low, high = np.quantile(sample.astype(np.float64), [_QUANTILE, 1 - _QUANTILE], axis=0)
+    edge = float((high - low).max()) / _CELLS
+    if not 1e-30 < edge < 1e30:
+        return None
+    origin = low - _MARGIN * edge
+    size = np.ceil((high - low) / edge).astype(int) + 2 * _MARGIN + 1
+    steps = sorted({float(limit) for limit in limits}, reverse=True)
+    grid = np.full(
+        size, len(steps), np.uint8
+    )  # number of limits above the opacity of the most opaque Gaussian
+    touched = np.zeros(size, np.bool_)
+    counts = np.zeros(len(steps) + 1, np.int64)
+    for start in range(0, len(mean), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        columns = _finite(mean[part], scale[part], quat_wxyz[part], opacity[part])
+        # Number of limits above the opacity, compared in single precision as the import does.
+        band = np.sum([columns[3] < np.float32(step) for step in steps], axis=0, dtype=np.intp)
+        counts += np.bincount(band, minlength=len(steps) + 1)
+        for number in np.unique(band).tolist():
+            index = _touched(*(column[band == number] for column in columns[:3]), origin, edge, size)
+            at = tuple(index.T)
+            touched[at] = True
+            grid[at] = np.minimum(grid[at], number)
+    bands = np.bincount(grid[touched], minlength=len(steps) + 1)
+    return MarkedVolume(
+        edge,
+        int(touched.sum()),
+        tuple(
+            OpacityLimit(limit, int(counts[k + 1 :].sum()), int(bands[k + 1 :].sum()))
+            for k, limit in reversed(list(enumerate(steps)))
+        ),
+    )
+
+
+def _finite(*columns: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    mean, scale, quat, opacity = columns
+    good = np.isfinite(mean).all(axis=1) & np.isfinite(scale).all(axis=1) & np.isfinite(quat).all(axis=1)
+    length = np.linalg.norm(quat.astype(np.float64), axis=1)
+    good &= np.isfinite(opacity) & (length > 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit = (quat / length[:, None]).astype(np.float32)
+    return [mean[good], scale[good], unit[good], opacity[good]]
+
+
+def _touched(
+    mean: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    quat: NDArray[np.float32],
+    origin: NDArray[np.float64],
+    edge: float,
+    size: NDArray[np.intp],
+) -> NDArray[np.int32]:
+    """Cells of the grid that ellipsoids touch; lengths are divided by the edge, so cells have the edge 1."""
+    place = (mean.astype(np.float64) - origin) / edge
+    near = (np.abs(place) < _FARTHEST).all(axis=1)
+    semi = np.clip(scale[near].astype(np.float64) / edge, 1e-6, _LARGEST)
+    if not near.any():
+        return np.zeros((0, 3), np.int32)
+    index, *_ = _core.voxelize(
+        mean=np.ascontiguousarray(place[near], np.float32),
+        scale=np.ascontiguousarray(semi, np.float32),
+        quat_wxyz=np.ascontiguousarray(quat[near]),
+        loss=None,
+        sigma=1.0,
+        inflation=0.0,
+        voxel_size=1.0,
+        crop=(0.5, 0.5, 0.5, *(size - 0.5).tolist()),
+        min_overlap=1,
+        jobs=0,
+    )
+    inside = ((index >= 0) & (index < size)).all(axis=1)
+    return index[inside]
