@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import click
-
-from alula.cli.present import plain
+from alula.cli.present import echo, plain
 
 _SHOWN = 10  # items without -v
 
@@ -20,19 +18,19 @@ def show_alignment(alignment: dict[str, Any], verbose: int = 0) -> None:
         verbose: how often -v was given.
     """
     for name, text in _rows(alignment):
-        click.echo(f"  {name:<16}  {text}", err=True)
+        echo(f"  {name:<16}  {text}", err=True)
     items = sorted(alignment.get("items", []), key=lambda item: -item["residual_m"])
     shown = items if verbose else items[:_SHOWN]
     if items:
-        click.echo("  residuals", err=True)
+        echo("  residuals", err=True)
     for item in shown:
         angle = f"{item['residual_deg']:10.3f} deg" if "residual_deg" in item else ""
         mark = "" if item["inlier"] else "  outlier"
-        click.echo(f"{item['residual_m']:12.4f} m{angle}  {item['item']}{mark}", err=True)
+        echo(f"{item['residual_m']:12.4f} m{angle}  {item['item']}{mark}", err=True)
     if len(shown) < len(items):
-        click.echo(f"{'':14}  and {len(items) - len(shown)} better ones (-v shows them)", err=True)
+        echo(f"{'':14}  and {len(items) - len(shown)} better ones (-v shows them)", err=True)
     for warning in alignment["warnings"]:
-        click.echo(f"warning: {warning}", err=True)
+        echo(f"warning: {warning}", err=True)
 
 
 def _rows(found: dict[str, Any]) -> Iterator[tuple[str, str]]:

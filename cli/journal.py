@@ -8,10 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Generic, Protocol, TypeVar
 
-import click
-
 from alula.cli.interruption import InterruptedWithAdvice
 from alula.cli.options import Common
+from alula.cli.present import echo
 from alula.schemas.atomic import atomic_output
 from alula.schemas.errors import DamagedError, InputError, OutputError
 from alula.schemas.journal import SUFFIX, JournalKind, mismatches, pack, unpack
@@ -163,4 +162,4 @@ class JournalFile(Generic[J]):
     def _print(self, text: str) -> None:
         """Print one line on stderr."""
         if not self._is_quiet:
-            click.echo(f"alula: {text}", err=True)
+            echo(f"alula: {text}", err=True)

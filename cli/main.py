@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import json
 import os
 import sys
 from contextlib import suppress
@@ -14,6 +13,7 @@ import click
 
 from alula import __version__
 from alula.cli.interruption import InterruptedWithAdvice, Interruption
+from alula.cli.present import echo, print_json
 from alula.cli.streams import ClosedPipeError, discard_stdout, open_streams, pipe
 from alula.schemas.errors import AlulaError, ExitCode
 
@@ -180,10 +180,10 @@ def _fail(message: str, code: ExitCode, words: list[str], *, answered: bool) -> 
             import traceback
 
             traceback.print_exc()
-        click.echo(f"alula: {line}", err=True)
+        echo(f"alula: {line}", err=True)
     with suppress(OSError):
         if "--json" in options and not answered:
-            click.echo(json.dumps({"error": line, "exit_code": code}, indent=2))
+            print_json({"error": line, "exit_code": code})
     return code
 
 

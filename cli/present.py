@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from alula.schemas.decimals import exact
+from alula.schemas.text import one_line
 
 LONGEST = 12  # longer sequences of numbers are summarised
 _HASH_DIGITS = 12
@@ -18,12 +19,22 @@ _STATED = frozenset(
 )  # sections with numbers that guarantees rest on
 
 
+def echo(text: str, *, err: bool = False) -> None:
+    """Print one line; every line of every command passes here, without control characters.
+
+    Args:
+        text: the line, which may have words of files and links.
+        err: print on stderr.
+    """
+    click.echo(one_line(text), err=err)
+
+
 def print_json(facts: Mapping[str, Any]) -> None:
     """Print one JSON object on stdout; it remains the command's answer if an error follows."""
     context = click.get_current_context(silent=True)
     if context is not None and isinstance(context.obj, dict):
         context.obj["answered"] = True
-    click.echo(json.dumps(facts, indent=2))
+    click.echo(json.dumps(facts, indent=2).replace("\x7f", "\\u007f"))  # JSON may hold DEL as it is
 
 
 def plain(value: Any, *, digits: int | None = 6) -> str:
@@ -90,23 +101,24 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
 
         console = Console()
         if title:
-            console.print(f"\n{title}", style="bold", markup=False)
+            console.print(f"\n{one_line(title)}", style="bold", markup=False, highlight=False)
         table = Table(
             box=None,
             show_header=any(columns),
             pad_edge=False,
         )
         for name in columns:
-            table.add_column(escape(name), overflow="fold")
+            table.add_column(escape(one_line(name)), overflow="fold")
         for row in rows:
-            table.add_row(*map(escape, row))
+            table.add_row(*(escape(one_line(word)) for word in row))
         console.print(table)
         return
     widths = [max(len(row[i]) for row in [columns, *rows]) for i in range(len(columns))]
     if title:
-        click.echo(f"\n{title}")
+        echo("")
+        echo(title)
     for row in [columns, *rows] if any(columns) else rows:
-        click.echo(("  " + "  ".join(word.ljust(w) for word, w in zip(row, widths, strict=True))).rstrip())
+        echo(("  " + "  ".join(word.ljust(w) for word, w in zip(row, widths, strict=True))).rstrip())
 
 
 def _pairs(title: str, facts: Mapping[str, Any]) -> None:
@@ -116,13 +128,12 @@ def _pairs(title: str, facts: Mapping[str, Any]) -> None:
         return
     width = max((len(key) for key in facts), default=0)
     for key, value in facts.items():
-        click.echo(f"{key:<{width}}  {_words(value)}")
+        echo(f"{key:<{width}}  {_words(value)}")
 
 
 def _words(value: Any, digits: int | None = 6) -> str:
     """Format a value on one line, without control characters."""
-    text = " ".join(plain(value, digits=digits).split())
-    return "".join(c if c.isprintable() else "?" for c in text)
+    return one_line(" ".join(plain(value, digits=digits).split()))
 
 
 def _nested(value: Any) -> bool:

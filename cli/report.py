@@ -105,13 +105,12 @@ def command(
 
 
 def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenance: Provenance) -> Material:
-    import msgspec
-
     from alula.schemas.artifact import read_artifact
     from alula.schemas.cut_run import read_logged
     from alula.schemas.errors import ArtifactError, InputError
     from alula.schemas.kinds import COVER, PLAN, SCENE
     from alula.schemas.provenance import read_provenance
+    from alula.stages.reporting.certificate import decode_certificate
     from alula.stages.reporting.material import Material, Run, cover_hash
 
     flown: list[Run] = []
@@ -131,11 +130,11 @@ def _read(title: str, runs: tuple[Path, ...], inputs: dict[str, Path], provenanc
     certificate = None
     if "certificate" in inputs:
         try:
-            certificate = msgspec.json.decode(inputs["certificate"].read_bytes(), type=dict[str, Any])
-        except msgspec.MsgspecError as error:
+            certificate = decode_certificate(inputs["certificate"].read_bytes())
+        except ValueError as error:
             raise ArtifactError(f"{inputs['certificate']}: is not a certificate ({error})") from error
         made = read_provenance(inputs["certificate"])
-        if made is None or not isinstance(certificate.get("covered"), bool):
+        if made is None:
             raise ArtifactError(f"{inputs['certificate']}: is not a certificate of alula verify")
         if "cover" in artifacts and cover_hash(made.inputs) != cover_hash(provenance.inputs):
             raise InputError(f"{inputs['certificate']}: is the certificate of another cover")

@@ -11,11 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
 import msgspec
 
 from alula.cli.options import Common
-from alula.cli.present import plain, print_json
+from alula.cli.present import echo, plain, print_json
 from alula.schemas.atomic import write_text
 from alula.schemas.errors import InputError, OutputError, UsageError
 from alula.schemas.files import check_no_stream, is_special, printable
@@ -275,13 +274,13 @@ def show(common: Common, status: str, summary: Mapping[str, Any]) -> None:
         return
     if common.quiet:
         return
-    click.echo(f"{common.output}: {status}")
+    echo(f"{common.output}: {status}")
     shown = {key: value for key, value in summary.items() if value is not None and key != "notes"}
     width = max((len(key) for key in shown), default=0)
     for key, value in shown.items():
-        click.echo(f"  {key:<{width}}  {plain(value)}")
+        echo(f"  {key:<{width}}  {plain(value)}")
     for note in summary.get("notes", ()):
-        click.echo(f"note: {note}", err=True)
+        echo(f"note: {note}", err=True)
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from alula.cli import options
+from alula.cli.present import echo
 from alula.schemas.errors import UsageError
 
 if TYPE_CHECKING:
@@ -190,13 +191,13 @@ def command(
             opened.callback(mocap.close)
         if json:
             ready = {"link": endpoint.name, "vehicle": name, "boot_time_s": boot_time_s, "seed": seed}
-            click.echo(json_module.dumps(ready))
+            echo(json_module.dumps(ready))
         elif not quiet:
-            click.echo(f"{name} is on {endpoint.name}")
+            echo(f"{name} is on {endpoint.name}")
         sys.stdout.flush()
         lost_s = serve(vehicle, endpoint, mocap=mocap, duration_s=duration_s)
         if lost_s and not quiet:
-            click.echo(f"alula: the machine was too slow; {lost_s:.1f} s were not simulated", err=True)
+            echo(f"alula: the machine was too slow; {lost_s:.1f} s were not simulated", err=True)
 
 
 def _crazyflie(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from alula.cli import options
-from alula.cli.present import print_json
+from alula.cli.present import echo, print_json
 
 if TYPE_CHECKING:
     from alula.stages.compression.verify import Certificate
@@ -149,11 +149,11 @@ def _show(common: options.Common, status: str, certificate: Certificate) -> None
     if common.json:
         print_json({"status": status, **msgspec.to_builtins(certificate)})
     elif not common.quiet:
-        click.echo(certificate.statement)
+        echo(certificate.statement)
         width = max(len(check.name) for check in certificate.checks)
         for check in certificate.checks:
             answer = "ok" if check.ok else f"{check.failed} failed"
-            click.echo(f"  {check.name:<{width}}  {answer:<10} {check.checked:>9}  {check.detail}")
-        click.echo(f"  outside the proof: {certificate.left_out}")
+            echo(f"  {check.name:<{width}}  {answer:<10} {check.checked:>9}  {check.detail}")
+        echo(f"  outside the proof: {certificate.left_out}")
         for note in certificate.notes:
-            click.echo(f"  note: {note}")
+            echo(f"  note: {note}")

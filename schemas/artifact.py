@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from alula.schemas.atomic import atomic_output
 from alula.schemas.checks import check_arrays, check_shapes, present
+from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import ArtifactError, DamagedError, InputError, VersionError, WrongKindError
 from alula.schemas.kinds import KINDS, Kind
 from alula.schemas.manifest import FEATURES, ArraySpec, Manifest, parse_version, producer
@@ -308,8 +309,8 @@ def _decode_manifest(path: Path, archive: zipfile.ZipFile) -> Manifest:
         raise DamagedError(f"{path}: manifest.json is compressed or too large")
     try:
         raw = archive.read(infos[0])
-        head = msgspec.json.decode(raw, type=_Head)
-    except (zipfile.BadZipFile, msgspec.MsgspecError, ValueError, RuntimeError, EOFError, OSError) as error:
+        head = decode_json(raw, _Head)
+    except (zipfile.BadZipFile, ValueError, RuntimeError, EOFError, OSError) as error:
         raise DamagedError(f"{path}: manifest.json is damaged ({error})") from error
     kind = KINDS.get(head.schema)
     if kind is None:
@@ -325,8 +326,8 @@ def _decode_manifest(path: Path, archive: zipfile.ZipFile) -> Manifest:
     if unknown := [feature for feature in head.requires if feature not in FEATURES]:
         raise VersionError(f"{path}: needs {', '.join(unknown)}, which this version lacks; update alula")
     try:
-        return msgspec.json.decode(raw, type=kind.manifest)
-    except msgspec.MsgspecError as error:
+        return decode_json(raw, kind.manifest)
+    except MalformedError as error:
         raise DamagedError(f"{path}: manifest.json is not valid ({error})") from error
 
 

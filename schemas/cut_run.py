@@ -5,16 +5,17 @@ A log is truncated when the flight ended with a crash or a power cut.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
+from alula.schemas.decode import decode_json, json_decoder
 from alula.schemas.errors import ArtifactError, DamagedError
 from alula.schemas.flights import Flights, flights_of, read_flights
 from alula.schemas.manifest import Guarantee
+from alula.schemas.mcap_log import entries
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import (
     FLIGHT_METADATA,
@@ -79,17 +80,20 @@ def salvage_run(log: Path) -> LoggedRun | None:
     """
     head: dict[str, str] = {}
     messages: list[tuple[str, bytes]] = []
-    for name, data in _records(log):
-        if isinstance(data, dict):
-            head = data if name == FLIGHT_METADATA else head
-        else:
-            messages.append((name, data))
+    with suppress(DamagedError), open_log(log) as file:
+        for kind, name, data in entries(file):
+            if kind == "metadata" and name == FLIGHT_METADATA:
+                assert isinstance(data, dict)
+                head = data
+            elif kind == "message":
+                assert isinstance(data, bytes)
+                messages.append((name, data))
     try:
-        provenance = msgspec.json.decode(head["provenance"], type=Provenance)
+        provenance = decode_json(head["provenance"].encode(), Provenance)
         flights = flights_of(messages)
-        decode = msgspec.json.Decoder(_Supervisor).decode
+        decode = json_decoder(_Supervisor).decode
         ticks = [decode(data) for topic, data in messages if topic == "/supervisor"]
-    except (KeyError, ValueError, msgspec.MsgspecError):
+    except (KeyError, ValueError, RecursionError, msgspec.MsgspecError):
         return None
     ended = (
         f"after {ticks[-1].time_s:.2f} s, in the state {ticks[-1].state_name}" if ticks else "at its start"
@@ -107,19 +111,3 @@ def salvage_run(log: Path) -> LoggedRun | None:
         guarantee=Guarantee("This flight was not judged, because its log was cut.", {}),
     )
     return LoggedRun(record, flights, damage)
-
-
-def _records(log: Path) -> Iterator[tuple[str, bytes | dict[str, str]]]:
-    """Messages by topic and metadata by name, in the order of the file, up to the first damage."""
-    from mcap.records import Channel, Message, Metadata
-    from mcap.stream_reader import StreamReader
-
-    topics: dict[int, str] = {}
-    with suppress(DamagedError), open_log(log) as file:
-        for record in StreamReader(file, validate_crcs=True).records:
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, Message):
-                yield topics.get(record.channel_id, "?"), record.data
-            elif isinstance(record, Metadata):
-                yield record.name, record.metadata

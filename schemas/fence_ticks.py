@@ -10,8 +10,10 @@ import msgspec
 import numpy as np
 
 from alula.schemas.arrays import FloatArray
+from alula.schemas.decode import json_decoder
 from alula.schemas.errors import DamagedError
 from alula.schemas.flights import SAFETY_TOPIC, STATE_TOPIC
+from alula.schemas.mcap_log import messages
 from alula.schemas.run import open_log
 
 
@@ -85,21 +87,17 @@ def read_ticks(log: Path) -> dict[int, Ticks]:
         InputError: the log cannot be read.
         DamagedError: truncated or corrupt, or states and messages of the filter have different times.
     """
-    from mcap.reader import make_reader
-
     states: dict[int, list[_State]] = {}
     answers: dict[int, list[_Answer]] = {}
-    decode_state = msgspec.json.Decoder(_State).decode
-    decode_answer = msgspec.json.Decoder(_Answer).decode
+    decode_state = json_decoder(_State).decode
+    decode_answer = json_decoder(_Answer).decode
     with open_log(log) as file:
-        for _, channel, message in make_reader(file, validate_crcs=True).iter_messages(
-            topics=[STATE_TOPIC, SAFETY_TOPIC], log_time_order=False
-        ):
-            if channel.topic == STATE_TOPIC:
-                state = decode_state(message.data)
+        for topic, data in messages(file, (STATE_TOPIC, SAFETY_TOPIC)):
+            if topic == STATE_TOPIC:
+                state = decode_state(data)
                 states.setdefault(state.trial, []).append(state)
             else:
-                answer = decode_answer(message.data)
+                answer = decode_answer(data)
                 answers.setdefault(answer.trial, []).append(answer)
     if {k: len(v) for k, v in states.items()} != {k: len(v) for k, v in answers.items()}:
         raise DamagedError(f"{log}: its states and the messages of the filter have different times")

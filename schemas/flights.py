@@ -12,7 +12,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from alula.schemas.decode import json_decoder
 from alula.schemas.errors import DamagedError
+from alula.schemas.mcap_log import entries, messages
 from alula.schemas.run import open_log
 
 MAP_TOPIC = "/map"
@@ -150,23 +152,16 @@ def read_flights(log: Path) -> Flights:
         InputError: the log cannot be read.
         DamagedError: truncated or corrupt, or a message does not have the documented fields.
     """
-    from mcap.reader import make_reader
-
+    topics = (MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC, SUPERVISOR_TOPIC, LINE_TOPIC)
     with open_log(log) as file:
-        return flights_of(
-            (channel.topic, message.data)
-            for _, channel, message in make_reader(file, validate_crcs=True).iter_messages(
-                topics=[MAP_TOPIC, STATE_TOPIC, SAFETY_TOPIC, SUPERVISOR_TOPIC, LINE_TOPIC],
-                log_time_order=False,
-            )
-        )
+        return flights_of(messages(file, topics))
 
 
-def flights_of(messages: Iterable[tuple[str, bytes]]) -> Flights:
+def flights_of(found: Iterable[tuple[str, bytes]]) -> Flights:
     """Gather the flights in messages.
 
     Args:
-        messages: topics and contents, in the order of the log; other topics are skipped.
+        found: topics and contents, in the order of the log; other topics are skipped.
 
     Raises:
         ValueError: a time, position, velocity or margin is too large to be a measurement.
@@ -176,16 +171,16 @@ def flights_of(messages: Iterable[tuple[str, bytes]]) -> Flights:
     supervised: list[_Supervisor] = []
     lines: list[Line] = []
     hulls = None
-    decode_state = msgspec.json.Decoder(_State).decode
-    decode_safety = msgspec.json.Decoder(_Safety).decode
-    decode_supervisor = msgspec.json.Decoder(_Supervisor).decode
-    decode_line = msgspec.json.Decoder(_Line).decode
-    for topic, data in messages:
+    decode_state = json_decoder(_State).decode
+    decode_safety = json_decoder(_Safety).decode
+    decode_supervisor = json_decoder(_Supervisor).decode
+    decode_line = json_decoder(_Line).decode
+    for topic, data in found:
         if topic == STATE_TOPIC:
             state = decode_state(data)
             states.setdefault(state.trial, []).append(state)
         elif topic == MAP_TOPIC:
-            hulls = _hull_count(msgspec.json.decode(data, type=_Map))
+            hulls = _hull_count(json_decoder(_Map).decode(data))
         elif topic == SAFETY_TOPIC:
             answer = decode_safety(data)
             safety.setdefault(answer.trial, []).append(answer)
@@ -253,18 +248,11 @@ def count_messages(log: Path) -> tuple[dict[str, int], bool]:
     Raises:
         InputError: the log cannot be opened.
     """
-    from mcap.records import Channel, Footer, Message
-    from mcap.stream_reader import StreamReader
-
-    topics: dict[int, str] = {}
     counts: dict[str, int] = {}
     with suppress(DamagedError), open_log(log) as file:
-        for record in StreamReader(file, validate_crcs=True).records:
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, Message):
-                topic = topics.get(record.channel_id, "?")
+        for kind, topic, _ in entries(file):
+            if kind == "message":
                 counts[topic] = counts.get(topic, 0) + 1
-            elif isinstance(record, Footer):
+            elif kind == "end":
                 return counts, True
     return counts, False

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import msgspec
 
+from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import DamagedError, VersionError
 from alula.schemas.provenance import Provenance, differences
 
@@ -81,8 +82,8 @@ def unpack(raw: bytes, kind: JournalKind = MERGE) -> tuple[Provenance, bytes]:
     if zlib.crc32(memoryview(raw)[_START.size :]) != crc:
         raise DamagedError("it is damaged")
     try:
-        provenance = msgspec.json.decode(raw[_HEAD : _HEAD + length], type=Provenance)
-    except msgspec.MsgspecError as error:
+        provenance = decode_json(raw[_HEAD : _HEAD + length], Provenance)
+    except MalformedError as error:
         raise DamagedError("it is damaged") from error
     return provenance, raw[_HEAD + length :]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import mmap
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,14 +11,19 @@ from typing import Any
 
 import msgspec
 
+from alula.schemas.decode import MalformedError, decode_json, json_decoder
 from alula.schemas.errors import InputError
+from alula.schemas.files import is_special
 from alula.schemas.manifest import InputRef, Producer, producer
+from alula.schemas.mcap_log import MAGIC, metadata
 
 MARK = "alula-provenance: "
 RUN_METADATA = "alula/summary"
 _SEARCHED_BYTES = 2**20
 _MANIFEST_LIMIT = 2**26
-_NOT_JSON = (msgspec.MsgspecError, ValueError, RecursionError)  # errors of decoding arbitrary bytes
+_MOST_JSON = 2**30  # [B], read at once
+_MOST_MAP = 2**28  # [B]
+_NOT_JSON = (msgspec.MsgspecError, ValueError, RecursionError)  # errors of skipping through arbitrary bytes
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
@@ -111,10 +115,20 @@ def differences(recorded: Provenance, wanted: Provenance) -> list[str]:
     return found
 
 
-class _Carrier(msgspec.Struct):
-    """The provenance of a JSON file; the decoder skips everything else."""
+class _Carrier(msgspec.Struct, frozen=True):
+    """The provenance of a JSON file as text; the decoder skips everything else."""
 
-    provenance: Provenance | None = None
+    provenance: msgspec.Raw = msgspec.Raw(b"null")
+
+
+class _Asset(msgspec.Struct, frozen=True):
+    extras: _Carrier = _Carrier()
+
+
+class _Gltf(msgspec.Struct, frozen=True):
+    """The same of a GLB file."""
+
+    asset: _Asset = _Asset()
 
 
 def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
@@ -124,12 +138,14 @@ def read_provenance(path: Path, *, verify: bool = False) -> Provenance | None:
         path: the file, of any format.
         verify: also check the content of array artifacts and onboard maps; damaged ones give None.
     """
+    if is_special(path):
+        return None
     try:
         with path.open("rb") as file:
             head = file.read(8)
             if head.startswith(b"PK\x03\x04"):
                 return _of_artifact(path, verify)
-            if head == b"\x89MCAP0\r\n":
+            if head == MAGIC:
                 return _of_mcap(path)
             if head.startswith(b"glTF"):
                 return _of_glb(path)
@@ -170,8 +186,9 @@ def _of_artifact(path: Path, verify: bool) -> Provenance | None:
 
 def _of_json(path: Path) -> Provenance | None:
     try:
-        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
-            return msgspec.json.decode(text, type=_Carrier).provenance
+        if path.stat().st_size > _MOST_JSON:
+            return None
+        return _decode(bytes(json_decoder(_Carrier).decode(path.read_bytes()).provenance))
     except (OSError, *_NOT_JSON):
         return None
 
@@ -182,14 +199,16 @@ def _of_glb(path: Path) -> Provenance | None:
         if length > _MANIFEST_LIMIT:
             return None
         try:
-            tree = msgspec.json.decode(file.read(length))
-            return _decode(msgspec.json.encode(tree["asset"]["extras"]["provenance"]))
-        except (*_NOT_JSON, KeyError, TypeError):
+            found = json_decoder(_Gltf).decode(file.read(length))
+        except _NOT_JSON:
             return None
+        return _decode(bytes(found.asset.extras.provenance))
 
 
 def _of_map(path: Path, verify: bool) -> Provenance | None:
     """Read from behind the image of an onboard map; its header has its length and the CRC-32 of its parts."""
+    if path.stat().st_size > _MOST_MAP:
+        return None
     raw = path.read_bytes()
     total = int.from_bytes(raw[16:20], "little")
     if len(raw) < total or total < 64:
@@ -201,20 +220,16 @@ def _of_map(path: Path, verify: bool) -> Provenance | None:
 
 
 def _of_mcap(path: Path) -> Provenance | None:
-    from mcap.reader import make_reader
-
     try:
         with path.open("rb") as file:
-            for record in make_reader(file).iter_metadata():
-                if record.name == RUN_METADATA:
-                    return _decode(record.metadata.get("provenance", "").encode())
+            found = metadata(file, RUN_METADATA)
     except Exception:  # noqa: BLE001  a corrupt log makes its reader raise anything
         return None
-    return None
+    return _decode(found[0].get("provenance", "").encode()) if found else None
 
 
 def _decode(raw: bytes) -> Provenance | None:
     try:
-        return msgspec.json.decode(raw, type=Provenance)
-    except _NOT_JSON:
+        return decode_json(raw, Provenance)
+    except MalformedError:
         return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,13 +9,17 @@ from typing import Any, BinaryIO, Literal, Self
 
 import msgspec
 
+from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import AlulaError, ArtifactError, DamagedError, InputError
+from alula.schemas.files import check_no_stream
 from alula.schemas.manifest import VERSION, Guarantee
+from alula.schemas.mcap_log import MAGIC, metadata
 from alula.schemas.provenance import RUN_METADATA, Provenance
 
 RUN_SCHEMA = "alula/run"
 RUN_VERSION = VERSION
 RUN_SUFFIX = ".run.mcap"
+MOST_RECORD_VALUES = 2**23  # of the JSON of a record: 200,000 trials
 
 FLIGHT_METADATA = "alula/flight"  # at the beginning of the log of a real flight: known before it begins
 
@@ -257,21 +260,20 @@ def open_log(log: Path) -> Iterator[BinaryIO]:
     """
     if log.is_dir():
         raise InputError(f"{log}: is a folder, not a run")
+    check_no_stream(log)
     try:
         with log.open("rb") as file:
             magic = file.read(8)
             if not magic:
                 raise ArtifactError(f"{log}: is empty")
-            if magic != b"\x89MCAP0\r\n":
+            if magic != MAGIC:
                 raise ArtifactError(f"{log}: is not an MCAP log")
             file.seek(0)
             yield file
     except AlulaError:
         raise
     except OSError as error:
-        if error.errno != errno.EINVAL:  # a footer that points before the start of the file
-            raise InputError(f"{log}: cannot read: {error.strerror or error}") from error
-        raise DamagedError(f"{log}: truncated or corrupt MCAP log (its footer is wrong)") from error
+        raise InputError(f"{log}: cannot read: {error.strerror or error}") from error
     except Exception as error:
         what = str(error) or type(error).__name__
         raise DamagedError(f"{log}: truncated or corrupt MCAP log ({what})") from error
@@ -288,25 +290,21 @@ def read_run(log: Path) -> RunRecord:
         ArtifactError: it is not a run of alula's.
         DamagedError: truncated or corrupt.
     """
-    from mcap.reader import make_reader
-
     with open_log(log) as file:
-        raw = [
-            r.metadata
-            for r in make_reader(file, validate_crcs=True).iter_metadata()
-            if r.name == RUN_METADATA
-        ]
+        raw = metadata(file, RUN_METADATA)
     if not raw or "record" not in raw[0]:
         raise ArtifactError(f"{log}: is an MCAP log, but not a run of alula's")
     try:
-        record = msgspec.json.decode(raw[0]["record"], type=RunRecord)
-    except msgspec.MsgspecError as error:
+        record = decode_json(raw[0]["record"].encode(), RunRecord, most_values=MOST_RECORD_VALUES)
+    except MalformedError as error:
         raise DamagedError(f"{log}: its summary is not valid ({error})") from error
     return msgspec.structs.replace(record, timing=_timing_beside(log))
 
 
 def _timing_beside(log: Path) -> dict[str, Any] | None:
     try:
-        return msgspec.json.decode(record_path(log).read_bytes(), type=RunRecord).timing
-    except (OSError, msgspec.MsgspecError):
+        beside = record_path(log)
+        check_no_stream(beside)
+        return decode_json(beside.read_bytes(), RunRecord, most_values=MOST_RECORD_VALUES).timing
+    except (OSError, InputError, MalformedError):
         return None

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
+from alula.schemas.decode import MalformedError, decode_json
 from alula.schemas.errors import InputError
 
 _HEADER = struct.Struct("<4s5H3I2H")
@@ -110,6 +109,6 @@ def salvage(path: Path) -> Salvage:
 
 def _decode(raw: bytes) -> dict[str, Any] | None:
     try:
-        return msgspec.json.decode(raw, type=dict[str, Any])
-    except (msgspec.MsgspecError, UnicodeDecodeError):
+        return decode_json(raw, dict[str, Any])
+    except MalformedError:
         return None

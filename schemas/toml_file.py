@@ -9,7 +9,9 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from alula.schemas.decode import MOST_TOML, MalformedError, convert, decode_toml
 from alula.schemas.errors import InputError, UsageError, VersionError
+from alula.schemas.files import check_no_stream
 from alula.schemas.manifest import VERSION, parse_version
 
 Table = TypeVar("Table", bound=msgspec.Struct)
@@ -23,8 +25,8 @@ def has_key(path: Path, key: str) -> bool:
         key: the key.
     """
     try:
-        return key in msgspec.toml.decode(path.read_bytes())
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError, ValueError):
+        return key in _decoded(path)
+    except (InputError, MalformedError):
         return False
 
 
@@ -42,16 +44,11 @@ def read_toml(path: Path, table: type[Table], schema: str) -> Table:
         UsageError: a key is unknown, missing, of the wrong type or out of range; the message has its path.
     """
     try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
-    if not raw.strip():
-        raise InputError(f"{path}: is empty")
-    try:
-        # The version is checked first, because later versions may have keys that are unknown here.
-        version = str(msgspec.toml.decode(raw).get("version", VERSION))
-    except (msgspec.DecodeError, UnicodeDecodeError, ValueError) as error:
+        tree = _decoded(path)
+    except MalformedError as error:
         raise InputError(f"{path}: is not TOML ({error})") from error
+    # The version is checked first, because later versions may have keys that are unknown here.
+    version = str(tree.get("version", VERSION))
     try:
         major, _ = parse_version(version)
     except ValueError as error:
@@ -59,9 +56,22 @@ def read_toml(path: Path, table: type[Table], schema: str) -> Table:
     if major > parse_version(VERSION)[0]:
         raise VersionError(f"{path}: {schema} version {version} is newer than {VERSION}; update alula")
     try:
-        return msgspec.toml.decode(raw, type=table)
-    except msgspec.ValidationError as error:
+        return convert(tree, table)
+    except MalformedError as error:
         raise UsageError(f"{path}: {error}") from error
+
+
+def _decoded(path: Path) -> dict[str, Any]:
+    """Plain values of a file; a file that is not TOML raises MalformedError."""
+    try:
+        check_no_stream(path)
+        with path.open("rb") as file:
+            raw = file.read(MOST_TOML + 1)
+    except OSError as error:
+        raise InputError(f"{path}: cannot read: {error.strerror or error}") from error
+    if not raw.strip():
+        raise InputError(f"{path}: is empty")
+    return decode_toml(raw)
 
 
 def read_changed(path: Path, table: type[Table], schema: str, changes: Mapping[str, Any] | None) -> Table:
@@ -82,8 +92,8 @@ def read_changed(path: Path, table: type[Table], schema: str, changes: Mapping[s
         for key, change in changes.items():
             _set(tree, key, change)
         try:
-            value = msgspec.convert(tree, table)
-        except msgspec.ValidationError as error:
+            value = convert(tree, table)
+        except MalformedError as error:
             raise UsageError(f"{path}: {error}") from error
     if wrong := first_beyond(msgspec.to_builtins(value), "$", math.inf):
         raise UsageError(f"{path}: {wrong} must be a finite number")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from alula.cli import options
+from alula.cli.present import echo
 from alula.schemas.configs.fly import FlyConfig
 from alula.schemas.errors import UsageError
 
@@ -181,7 +182,7 @@ def command(
     planned = {ref.sha256 for ref in mission.plan.manifest.inputs if ref.role == "cover"}
     flown = {ref.sha256 for ref in provenance.inputs if ref.role == "cover"}
     if planned and flown and planned != flown and not common.quiet:
-        click.echo(f"note: {paths['plan']} was planned in another cover than {paths['cover']}", err=True)
+        echo(f"note: {paths['plan']} was planned in another cover than {paths['cover']}", err=True)
     fly(mission, link, provenance, common, live)
 
 

@@ -9,10 +9,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import click
-
 from alula.cli.interruption import InterruptedWithAdvice
 from alula.cli.options import Common
+from alula.cli.present import echo
 from alula.schemas.errors import CheckError, LinkError, OutputError
 
 if TYPE_CHECKING:
@@ -99,10 +98,10 @@ def fly(
         with _signals(_stop):
             address = str(provenance.parameters.get("link", ""))
             if address and not common.quiet and not address.startswith("sim:"):  # sim: needs no wait
-                click.echo(f"link: waiting for the vehicle at {address}, at most {_OPEN_S:g} s", err=True)
+                echo(f"link: waiting for the vehicle at {address}, at most {_OPEN_S:g} s", err=True)
             vehicle = link.open(_OPEN_S)
             if not common.quiet:
-                click.echo(f"link: {vehicle}", err=True)
+                echo(f"link: {vehicle}", err=True)
             trouble, changed = "", list[str]()
             try:
                 changed = link.prepare()
@@ -167,7 +166,7 @@ def _open_view(port: int, mission: Mission, head: FlightHead, common: Common) ->
     )
     view, address = open_view(port, facts)
     if not common.quiet:
-        click.echo(f"live view: {address}", err=True)
+        echo(f"live view: {address}", err=True)
     return view
 
 
@@ -235,7 +234,7 @@ def _finish(
         if not recorder.has_flown:
             return _Flown(None, [])
         if not common.quiet:
-            click.echo(f"{recorder.where}: log of a take-off without a flight; it has no verdict", err=True)
+            echo(f"{recorder.where}: log of a take-off without a flight; it has no verdict", err=True)
         return _Flown(None, [] if is_whole else [_cut(recorder.where)])
     trial = judge(mission, rows, loop.supervision.cause, common.jobs)
     summary = summary_of(trial, loop.supervision, loop.taken)
@@ -291,7 +290,7 @@ def _conclude(loop: ControlLoop, flown: _Flown, common: Common) -> None:
     if trouble and is_well:
         raise OutputError(f"the flight went well, but {trouble}")
     if trouble:
-        click.echo(trouble, err=True)
+        echo(trouble, err=True)
     if is_well or cause is Event.CHECKS_PASSED_DRY:
         return
     if cause in (Event.INTERRUPT, Event.INTERRUPT_IN_AIR, Event.INTERRUPT_ON_GROUND):

@@ -7,6 +7,7 @@ from typing import Generic, Protocol, TypeVar
 
 import msgspec
 
+from alula.schemas.decode import msgpack_decoder
 from alula.schemas.progress import Progress
 from alula.schemas.run import TrialResult
 from alula.stages.distribute import distribute
@@ -48,7 +49,7 @@ class TrialJournal(Generic[Flown]):
     """
 
     def __init__(self, kind: type[Flown], snapshot: bytes = b"") -> None:
-        chunks: list[Flown] = msgspec.msgpack.decode(snapshot, type=list[kind]) if snapshot else []  # type: ignore[valid-type]
+        chunks: list[Flown] = msgpack_decoder(list[kind]).decode(snapshot) if snapshot else []  # type: ignore[valid-type]
         self.chunks = {chunk.first: chunk for chunk in chunks}
 
     def __len__(self) -> int:

@@ -37,6 +37,12 @@ def write_tiny_splat(path: Path) -> None:
 def pipeline(tmp_path_factory) -> Path:
     """A folder with one file of every kind, each made by its command."""
     folder = tmp_path_factory.mktemp("pipeline")
+    write_pipeline(folder)
+    return folder
+
+
+def write_pipeline(folder: Path) -> None:
+    """Make one file of every kind, each by its command."""
     write_tiny_splat(folder / "tiny.ply")
     pairs = [
         (x, y, z, 2 * x + 1, 2 * y, 2 * z)
@@ -70,7 +76,6 @@ def pipeline(tmp_path_factory) -> Path:
     ]
     for step in steps:
         assert run([*step, "-q"]) == 0, step
-    return folder
 
 
 SCENARIO = """

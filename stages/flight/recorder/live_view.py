@@ -17,6 +17,7 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import OutputError, UsageError
+from alula.schemas.text import html_text, one_line
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.recorder.log import LineSample, StepSample
 from alula.stages.flight.recorder.pipe import FlightPipe, next_message
@@ -140,7 +141,8 @@ class _View:
             "/vehicle", axes_length=2 * head.radius_m, axes_radius=0.1 * head.radius_m, position=plan[0]
         )
         scene.add_icosphere("/vehicle/body", head.radius_m, color=_VEHICLE)
-        self.text = server.gui.add_markdown(f"**{head.name}** behind {head.filter}\n\nwaiting")
+        # HTML, not Markdown: viser renders either as it is, and only HTML has one simple rule of escaping.
+        self.text = server.gui.add_html(self._head() + "<p>waiting</p>")
         centre, size = plan.mean(axis=0), max(2.0, float(np.ptp(plan, axis=0).max()))
         server.initial_camera.position = centre + size * np.array((-0.5, -1.0, 1.0))
         server.initial_camera.look_at = centre
@@ -221,9 +223,14 @@ class _View:
             rows.append(("speed", f"{float(np.linalg.norm(sample.velocity)):.2f} m/s"))
         if sample.filter is not None:
             rows += _filter_rows(sample.filter)
-        table = "\n".join(f"| {name} | {value} |" for name, value in rows)
-        head = f"**{self.head.name}** behind {self.head.filter}\n\n| | |\n| --- | --- |\n{table}\n\n"
-        return head + "\n".join(f"- {line}" for line in reversed(self.lines))
+        cells = "".join(
+            f"<tr><td>{html_text(name)}</td><td>{html_text(value)}</td></tr>" for name, value in rows
+        )
+        lines = "".join(f"<li>{html_text(line)}</li>" for line in reversed(self.lines))
+        return f"{self._head()}<table>{cells}</table><ul>{lines}</ul>"
+
+    def _head(self) -> str:
+        return f"<p><b>{html_text(self.head.name)}</b> behind {html_text(self.head.filter)}</p>"
 
 
 def _filter_rows(done: FilterSample) -> list[tuple[str, str]]:
@@ -262,7 +269,7 @@ def main() -> None:
         def request_share_url(self, verbose: bool = True) -> None:
             """Do nothing: sharing would give other machines access."""
 
-    server = Server(host=HOST, port=port, label=f"alula fly: {head.name}", verbose=False)
+    server = Server(host=HOST, port=port, label=f"alula fly: {one_line(head.name)}", verbose=False)
     view = _View(server, head)
     os.write(out, f"{server.get_port()}\n".encode())
     os.close(out)

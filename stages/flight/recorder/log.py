@@ -19,6 +19,7 @@ from alula.schemas.arrays import FloatArray
 from alula.schemas.errors import OutputError
 from alula.schemas.provenance import Provenance
 from alula.schemas.run import FLIGHT_METADATA, RunRecord, record_path
+from alula.schemas.text import one_line
 from alula.stages.flight.loop.supervisor import State, Taken
 from alula.stages.flight.recorder.messages import (
     CHANNELS,
@@ -307,7 +308,7 @@ class _Writer:
             line = msgspec.msgpack.decode(body, type=LineSample)
             self.log.send("/log", line.time_s, log_line(line.time_s, line.level, line.words))
             if self.echo:
-                self._say(f"{line.time_s:7.2f} s  {line.words}\n")
+                self._say(f"{line.time_s:7.2f} s  {one_line(line.words)}\n")
         elif kind == b"f":
             record = msgspec.msgpack.decode(body, type=RunRecord)
             if len(points := self.path.points):

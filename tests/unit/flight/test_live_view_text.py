@@ -1,0 +1,74 @@
+"""What the live view sends to the browser shows the vehicle's words and runs none of them."""
+
+from html.parser import HTMLParser
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+
+import msgspec
+import pytest
+
+from alula.stages.flight.recorder.live_view import ViewHead, _View
+from alula.stages.flight.recorder.log import LineSample, StepSample
+from support.flight_logs import sample
+
+OURS = {"p", "b", "table", "tr", "td", "ul", "li"}
+HOSTILE = (
+    "<script>fetch('//evil')</script>",
+    "<img src=x onerror=alert(1)>",
+    "</li></ul><iframe srcdoc='<script>alert(1)</script>'>",
+    "[x](javascript:alert(1)) ![y](/etc/passwd) {alert(1)}",
+    "| a | b |\n| --- | --- |\n# c\nexport const d = alert(1)",
+    "\x1b]8;;http://evil\x07\u202e&lt;script&gt;",
+)
+
+
+class Page(HTMLParser):
+    """Tags, attributes and text of a page."""
+
+    def __init__(self, content: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.tags: set[str] = set()
+        self.attributes: list[object] = []
+        self.text = ""
+        self.feed(content)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        self.attributes += attrs
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def contents(words: str, monkeypatch) -> list[str]:
+    """All text that the view gives to viser for hostile names, modes, states and messages."""
+    monkeypatch.setattr("alula.stages.flight.recorder.live_view._TEXT_S", -1.0)
+    server = MagicMock()
+    server.gui.add_html.return_value = SimpleNamespace(content="")
+    head = ViewHead(
+        name=words,
+        filter=words,
+        vehicle=words,
+        radius_m=0.1,
+        map_message={"entities": [{}]},
+        plan=[(0.0, 0.0, 1.0), (1.0, 0.0, 1.0)],
+    )
+    view = _View(server, head)
+    view.take(b"s" + msgspec.msgpack.encode(StepSample(0.0, words, "e", "a", words)))
+    view.take(b"l" + msgspec.msgpack.encode(LineSample(0.1, 2, words)))
+    view.take(b"t" + msgspec.msgpack.encode(msgspec.structs.replace(sample(3), mode=words)))
+    assert not server.gui.add_markdown.called
+    (first,) = server.gui.add_html.call_args.args
+    return [first, view.text.content]
+
+
+@pytest.mark.parametrize("words", HOSTILE)
+def test_words_of_the_vehicle_and_names_are_shown_as_text(words, monkeypatch):
+    first, later = (Page(content) for content in contents(words, monkeypatch))
+    for page in (first, later):
+        assert page.tags <= OURS
+        assert not page.attributes
+    shown = "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in words)
+    assert first.text.count(shown) == 2
+    assert later.text.count(shown) == 5  # name, filter, state, mode, message
