@@ -152,7 +152,8 @@ class Bench:
                 if pilot is not None:
                     min_lambda = min(min_lambda, detail["lambda"])
                     if detail["lambda"] < 0.5 and math.isnan(braking):
-                        braking = fence.clearance(tuple(x[:3]), tuple(x[:3])) - radius_m
+                        place, velocity = tuple(x[:3]), tuple(x[3:6])
+                        braking = fence.braking_distance(detail["deciding"], place, velocity) - radius_m
                 for after in cockpit.steps():
                     distance = min(distance, fence.clearance(tuple(x[:3]), tuple(after[:3])) - radius_m)
                     speed = max(speed, float(np.linalg.norm(after[3:6])))

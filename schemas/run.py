@@ -70,8 +70,8 @@ class FenceResult(msgspec.Struct, frozen=True, kw_only=True):
         longest_backup_s: longest time of the backup controller alone [s].
         min_lambda: minimum of the regulation function.
         min_h_i_m: minimum of h_I [m].
-        brake_distance_m: distance to the fence at the first intervention [m].
-        stop_distance_m: distance to the fence when first slower than 0.5 m/s after it [m].
+        brake_distance_m: distance at the first intervention to the face or the map that it brakes for [m].
+        stop_distance_m: distance to the same when first slower than 0.5 m/s after it [m].
     """
 
     passed_steps: int

@@ -32,8 +32,21 @@
  *
  * With this margin h_I is below the value of the true flow, h_true. h_true does not decrease along u_B. A command
  * with weight lambda <= beta h_I / v_c lowers it in a tick by at most lambda D, where D is the decrease by the pilot
- * alone in a tick (some centimetres). So h_true >= h_I (1 - beta D / v_c) > 0 in the tick in which u_B takes over.
- * Effects that the model omits (mass, wind, delay) must be covered by `reserve_m`. The bound is to leading order, not
+ * alone in a tick (some centimetres). So h_true >= h_I (1 - beta D / v_c) >= 0 in the tick in which u_B takes over.
+ *
+ * Conditions. The argument needs two, which alula_geofence_init checks by flows of the model in free space:
+ *
+ *   rest              the horizon is long enough for u_B, and its gains are such, that what is left of the motion at
+ *                     its end dies out: from v_B (at least 1 m/s), forward, up and down, less than half is left in
+ *                     the last quarter of the horizon, and from upside down zeta is above 0.8 there. Otherwise a flow
+ *                     that ends inside with |v| < v_B, as (18) demands, may leave after its end.
+ *   beta D / v_c <= 1 D is the decrease of the reach by a tick of the pilot: at slow_m_s, fast_m_s and its multiples
+ *                     from which the horizon suffices, forward (level, and tilted as far as u_B tilts, both ways), up
+ *                     and down, by no or full throttle and no or full pitch rate.
+ *
+ * These are samples of an upright vehicle, not a bound. Upside down D can be 3 m, because a turn of almost 180 degrees
+ * has no preferred axis; also a tick can raise |v_N| above v_B at high speed. Neither is excluded by the conditions:
+ * that the fence holds there is shown by random flights only. Effects that the model omits (mass, wind, delay) must be covered by `reserve_m`. The bound is to leading order, not
  * an enclosure.
  *
  * Without a pilot (null, or a number that is not finite) u_B is flown, with the hold from the time of the loss.
@@ -110,7 +123,22 @@ typedef struct {
   float push[3];
 } alula_geofence_value;
 
-/* Returns ALULA_BAD_PARAMETER unless all numbers are in range; `fence` must live as long as the filter. */
+/* What the two conditions of the guarantee depend on, from flows of the model in free space. */
+typedef struct {
+  float rest_m_s, most_rest_m_s; /* speed left in the last quarter of the horizon, from the end speed; its limit */
+  float upright, least_upright;  /* zeta reached by that time, from upside down; its limit */
+  float lost_s;                  /* maximum of D / v_c: decrease of h_c by the pilot alone in a tick, over v_c */
+  float most_beta;               /* 1 / lost_s, the limit of beta */
+} alula_geofence_conditions;
+
+/* Examines parameters: about 220 flows, as long as 150 ticks. Returns ALULA_BAD_PARAMETER unless all numbers are in
+ * range, ALULA_NO_REST unless rest_m_s < most_rest_m_s and upright > least_upright, ALULA_TOO_LATE unless beta <=
+ * most_beta; with the last two, `conditions` is valid. */
+ALULA_MUST_USE alula_status alula_geofence_examine(const alula_geofence_config* config,
+                                                   alula_geofence_conditions* conditions);
+
+/* Returns ALULA_BAD_PARAMETER unless all numbers are in range, ALULA_NO_REST or ALULA_TOO_LATE unless the conditions
+ * hold, see alula_geofence_examine; `fence` must live as long as the filter. */
 ALULA_MUST_USE alula_status alula_geofence_init(alula_geofence* filter, const alula_fence* fence,
                                                 const alula_geofence_config* config);
 void alula_geofence_reset(alula_geofence* filter); /* to before the first tick */

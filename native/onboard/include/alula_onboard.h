@@ -24,7 +24,15 @@ extern "C" {
 #endif
 
 /* Result of a set-up call. */
-typedef enum { ALULA_READY = 0, ALULA_BAD_POINTER, ALULA_BAD_PARAMETER, ALULA_BAD_MAP, ALULA_BAD_INPUT } alula_status;
+typedef enum {
+  ALULA_READY = 0,
+  ALULA_BAD_POINTER,
+  ALULA_BAD_PARAMETER,
+  ALULA_BAD_MAP,
+  ALULA_BAD_INPUT,
+  ALULA_NO_REST, /* a geofence's horizon ends before the backup controller has stopped the vehicle */
+  ALULA_TOO_LATE /* a geofence's regulation function takes over later than a tick of the pilot's allows */
+} alula_status;
 
 /* Outcome of a filter's tick. In all cases but REFUSED the result may be flown. */
 typedef enum {

@@ -58,12 +58,14 @@ static float extent_of(const alula_fence* fence) {
 
 alula_status alula_geofence_init(alula_geofence* filter, const alula_fence* fence,
                                  const alula_geofence_config* config) {
+  alula_geofence_conditions conditions;
   if (!filter || !fence || !config) return ALULA_BAD_POINTER;
   filter->fence = 0;
-  const alula_status status = alula_fence_check(fence);
+  alula_status status = alula_fence_check(fence);
   if (status != ALULA_READY) return status;
-  if (!config_is_valid(config)) return ALULA_BAD_PARAMETER;
   const float ticks = config->latency_s / config->tick_s + 0.5F;
+  status = alula_geofence_examine(config, &conditions);
+  if (status != ALULA_READY) return status;
   if (!(ticks < (float)ALULA_GEOFENCE_LATENCY + 1.0F)) return ALULA_BAD_PARAMETER;
   filter->latency = (uint32_t)ticks;
   filter->config = *config;
@@ -364,4 +366,127 @@ alula_geofence_status alula_geofence_filter(alula_geofence* filter, const alula_
     return ALULA_GEOFENCE_NO_PILOT;
   }
   return blend(filter, pilot, &value, result);
+}
+
+/* The conditions of the guarantee. */
+
+#define UPRIGHT 0.8F     /* zeta in the last quarter of the horizon, after a start upside down */
+#define RESTING 0.5F     /* fraction of the starting speed that may be left in the last quarter of the horizon */
+#define LEAST_START 1.0F /* [m/s] */
+#define SPEEDS 6U        /* slow_m_s, fast_m_s, and multiples of it up to */
+#define FASTEST_TRIED 160.0F
+
+typedef struct {
+  const alula_geofence_config* config;
+  float hover;
+  alula_racer_step_size fine, tick;
+} free_model;
+
+/* A flow in free space: how far it gets towards `way`, and its speeds. */
+typedef struct {
+  float reach, end_m_s, late_m_s, late_zeta; /* late: maximum and minimum over the last quarter */
+} free_flow;
+
+static free_flow flow_freely(const free_model* free, const alula_racer_state* start, const float way[3]) {
+  static const float STILL[3] = {0.0F, 0.0F, 0.0F};
+  const alula_geofence_config* config = free->config;
+  const alula_backup_hold hold = alula_backup_hold_at(start, 0.0F);
+  alula_racer_state x = *start;
+  float axis[3];
+  free_flow flow = {dot(way, x.position), 0.0F, 0.0F, 1.0F};
+  axis_of(x.attitude, axis);
+  for (uint32_t k = 0; k < config->steps; ++k) {
+    alula_racer_command u;
+    backup_command(&config->model, &config->backup, &hold, free->hover, &x, axis[2], STILL, &u);
+    (void)step_racer(&config->model, &free->fine, &u, axis, &x);
+    const float at = dot(way, x.position);
+    flow.end_m_s = norm(x.velocity);
+    if (!(at <= flow.reach)) flow.reach = at;
+    if (4U * k < 3U * config->steps) continue;
+    if (!(flow.end_m_s <= flow.late_m_s)) flow.late_m_s = flow.end_m_s;
+    if (!(axis[2] >= flow.late_zeta)) flow.late_zeta = axis[2];
+  }
+  return flow;
+}
+
+static alula_racer_state state_of(float w, float y, float speed, const float way[3]) {
+  alula_racer_state x;
+  for (int i = 0; i < 3; ++i) {
+    x.position[i] = x.rates[i] = 0.0F;
+    x.velocity[i] = speed * way[i];
+    x.attitude[1 + i] = 0.0F;
+  }
+  x.attitude[0] = w;
+  x.attitude[2] = y;
+  return x;
+}
+
+static const float WAYS[3][3] = {{1.0F, 0.0F, 0.0F}, {0.0F, 0.0F, 1.0F}, {0.0F, 0.0F, -1.0F}};
+
+/* The speed that is left late in the horizon, from the end speed in each direction; and whether a vehicle that was
+ * upside down is upright by then, at rest and spinning. */
+static void examine_rest(const free_model* free, alula_geofence_conditions* found) {
+  const alula_geofence_config* config = free->config;
+  const float start = config->end_speed_m_s > LEAST_START ? config->end_speed_m_s : LEAST_START;
+  for (int i = 0; i < 3; ++i) {
+    const alula_racer_state x = state_of(1.0F, 0.0F, start, WAYS[i]);
+    const float left = flow_freely(free, &x, WAYS[0]).late_m_s;
+    if (!(left <= found->rest_m_s)) found->rest_m_s = left;
+  }
+  for (int i = 0; i < 2; ++i) {
+    alula_racer_state x = state_of(0.0F, 1.0F, 0.0F, WAYS[0]);
+    for (int j = 0; i == 1 && j < 3; ++j) x.rates[j] = config->model.max_rate[j];
+    const float zeta = flow_freely(free, &x, WAYS[0]).late_zeta;
+    if (!(zeta >= found->upright)) found->upright = zeta;
+  }
+  found->most_rest_m_s = RESTING * start;
+  found->least_upright = UPRIGHT;
+}
+
+/* The largest D / v_c, at several speeds from which the horizon suffices, towards each direction, by the pilot's
+ * commands at the corners of throttle and pitch; horizontally also tilted as far as u_B does, forward and back. */
+static void examine_loss(const free_model* free, alula_geofence_conditions* found) {
+  const alula_geofence_config* config = free->config;
+  const float pitch = config->model.max_rate[1], half = 0.5F * config->backup.max_tilt;
+  const float c = cosine_of_square(half * half), s = half * sinc_of_square(half * half);
+  float speed = config->slow_m_s;
+  found->lost_s = 0.0F;
+  for (uint32_t k = 0; k < SPEEDS; ++k) {
+    const float v_c = speed < config->fast_m_s ? speed : config->fast_m_s;
+    for (int i = 0; i < 5; ++i) {
+      const float* way = WAYS[i < 3 ? i : 0];
+      const alula_racer_state x = i < 3 ? state_of(1.0F, 0.0F, speed, way) : state_of(c, i == 3 ? s : -s, speed, way);
+      const free_flow before = flow_freely(free, &x, way);
+      if (!(before.end_m_s < config->end_speed_m_s)) continue; /* h_I <= 0: the pilot has no part */
+      for (int j = 0; j < 6; ++j) {
+        alula_racer_state after = x;
+        alula_racer_command u = {j < 3 ? 1.0F : 0.0F, {0.0F, 0.0F, 0.0F}};
+        u.rates[1] = j % 3 == 0 ? 0.0F : (j % 3 == 1 ? pitch : -pitch);
+        (void)alula_racer_step(&config->model, &free->tick, &u, &after);
+        const float lost = (flow_freely(free, &after, way).reach - before.reach) / v_c;
+        if (!(lost <= found->lost_s)) found->lost_s = lost;
+      }
+    }
+    speed = k == 0U ? config->fast_m_s : 2.0F * speed;
+    if (!(speed <= FASTEST_TRIED)) break;
+  }
+  found->most_beta = 1.0F / found->lost_s;
+}
+
+alula_status alula_geofence_examine(const alula_geofence_config* config, alula_geofence_conditions* conditions) {
+  if (!config || !conditions) return ALULA_BAD_POINTER;
+  conditions->rest_m_s = conditions->most_rest_m_s = conditions->lost_s = conditions->most_beta = 0.0F;
+  conditions->upright = conditions->least_upright = 1.0F;
+  if (!config_is_valid(config)) return ALULA_BAD_PARAMETER;
+  free_model free;
+  free.config = config;
+  free.hover = alula_racer_hover_throttle(&config->model);
+  free.fine = alula_racer_step_of(&config->model, config->step_s);
+  free.tick = alula_racer_step_of(&config->model, config->tick_s);
+  examine_rest(&free, conditions);
+  examine_loss(&free, conditions);
+  if (!(conditions->rest_m_s < conditions->most_rest_m_s)) return ALULA_NO_REST;
+  if (!(conditions->upright > conditions->least_upright)) return ALULA_NO_REST;
+  if (!(config->beta <= conditions->most_beta)) return ALULA_TOO_LATE;
+  return ALULA_READY;
 }

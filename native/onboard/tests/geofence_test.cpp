@@ -72,6 +72,29 @@ void test_every_number_of_the_parameters_is_checked() {
   }
 }
 
+void test_parameters_that_violate_a_condition_are_refused() {
+  const alula_fence fence = box();
+  alula_geofence filter;
+  alula_geofence_conditions found;
+  alula_geofence_config config = alula_geofence_defaults();
+  CHECK(alula_geofence_examine(&config, &found) == ALULA_READY);
+  CHECK(found.rest_m_s < found.most_rest_m_s && found.upright > found.least_upright);
+  CHECK(config.beta < found.most_beta);
+  config.beta = 1.001F * found.most_beta;
+  CHECK(alula_geofence_init(&filter, &fence, &config) == ALULA_TOO_LATE);
+  const alula_racer_state x = hovering();
+  alula_geofence_result result;
+  CHECK(alula_geofence_filter(&filter, &x, nullptr, &result) == ALULA_GEOFENCE_REFUSED && is_nothing(result));
+  config = alula_geofence_defaults();
+  config.steps = 10U;
+  CHECK(alula_geofence_init(&filter, &fence, &config) == ALULA_NO_REST);
+  config = alula_geofence_defaults();
+  config.backup.height_gain = config.backup.climb_gain = 0.0F;
+  CHECK(alula_geofence_init(&filter, &fence, &config) == ALULA_NO_REST);
+  CHECK(alula_geofence_examine(nullptr, &found) == ALULA_BAD_POINTER);
+  CHECK(alula_geofence_examine(&config, nullptr) == ALULA_BAD_POINTER);
+}
+
 // Random bits, and valid inputs with random bits in one position.
 void test_for_every_input_the_command_stays_in_its_limits() {
   const alula_fence fence = box();
@@ -123,8 +146,15 @@ void test_a_flow_that_is_no_number_is_not_safe() {
     for (float& rate : config.model.max_rate) rate = between(1.0F, 40.0F);
     alula_fence fence = box();
     for (int i = 0; i < 3; ++i) fence.lower[i] = -9000.0F, fence.upper[i] = 9000.0F;
+    // refused, or accepted and still not safe: the parameters are put into a filter that was made with good ones
     alula_geofence filter;
-    CHECK(alula_geofence_init(&filter, &fence, &config) == ALULA_READY);
+    const alula_geofence_config good = alula_geofence_defaults();
+    const alula_status made = alula_geofence_init(&filter, &fence, &config);
+    CHECK(made == ALULA_READY || made == ALULA_NO_REST || made == ALULA_TOO_LATE);
+    CHECK(alula_geofence_init(&filter, &fence, &good) == ALULA_READY);
+    filter.config = config;
+    filter.fine = alula_racer_step_of(&config.model, config.step_s);
+    filter.coarse = alula_racer_step_of(&config.model, 2.0F * config.step_s);
     alula_racer_state x = hovering();
     for (float& rate : x.rates) rate = between(-100.0F, 100.0F);
     const alula_backup_hold hold = alula_geofence_hold(&filter, &x);
@@ -158,6 +188,7 @@ void test_reset_forgets() {
 int main() {
   test_without_a_filter_or_a_fence_nothing_is_flown();
   test_every_number_of_the_parameters_is_checked();
+  test_parameters_that_violate_a_condition_are_refused();
   test_for_every_input_the_command_stays_in_its_limits();
   test_a_flow_that_is_no_number_is_not_safe();
   test_reset_forgets();

@@ -19,8 +19,9 @@ from alula.stages.flight.links.protocol import (
     VelocitySetpoint,
 )
 
-# For a fence around a room rather than an airfield: it pushes the vehicle off walls at short distances only,
-# and does not change commands that are a few decimetres away from the limit.
+# For a fence around a room rather than an airfield: it pushes the vehicle off walls at short distances only.
+# beta is the one wanted, so that commands a few decimetres away from the limit do not change; ticks that are
+# too long for it get the largest one that the geofence's conditions allow.
 PARAMETERS = {"beta": 8.0, "push_distance_m": 0.2, "push_gain": 0.5, "push_speed_m_s": 0.3}
 _LOOP_S = 0.04  # minimum assumed time constant of the rate loop, if the vehicle's file has a faster one
 _RETURN_M = 0.05  # h_I above which a take-over ends
@@ -106,8 +107,10 @@ class FenceGuard:
         a, b, c = self._model.thrust
         self._max_thrust_m_s2 = a + b + c
         given = {"radius_m": self.radius_m, "tick_s": dt_s, "reserve_m": reserve_m, "latency_s": latency_s}
+        given = PARAMETERS | given
         try:
-            self._filter = Geofence(fence, self._model, PARAMETERS | given)
+            given["beta"] = min(given["beta"], Geofence.conditions(self._model, given)["most_beta"])
+            self._filter = Geofence(fence, self._model, given)
         except (TypeError, ValueError) as error:
             raise UsageError(f"geofence: {error}") from error
         self._flies = False

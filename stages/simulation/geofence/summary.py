@@ -16,7 +16,9 @@ _COUNTS = ("passed", "blended", "backup", "no_pilot", "hand_over", "refused")
 _RANDOM_PILOTS = ("sticks", "aggressive", "silent")
 _HOLDS = {
     "geofence": "As long as the model is right, h_I > 0 at the start and navigation is received, the onboard "
-    "geofence keeps the vehicle inside.",
+    "geofence keeps the vehicle inside. Its conditions, that the horizon reaches rest and that "
+    "β D / v_c <= 1, were checked on sample flights of the model; for a vehicle that is upside down they "
+    "rest on random flights. This is not a proof.",
     "backup-qp": "As long as the model is right and the program has a solution, the backup-set barrier keeps "
     "the vehicle inside, between ticks to first order.",
     "none": UNFILTERED,

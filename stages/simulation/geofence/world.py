@@ -123,6 +123,9 @@ def _filter(scenario: FenceScenario, vehicle: Vehicle, where: _core.Fence, radiu
     given = msgspec.to_builtins(scenario.filter.parameters)
     del given["alpha"]
     try:
+        if scenario.filter.name != "geofence":  # it has no regulation function
+            most_beta = _core.Geofence.conditions(racer_model(vehicle), given)["most_beta"]
+            given["beta"] = min(given["beta"], most_beta)
         return _core.Geofence(where, racer_model(vehicle), given | {"radius_m": radius_m})
     except (TypeError, ValueError) as error:
         raise UsageError(f"`$.filter.parameters`, or the model of {vehicle.name}: {error}") from error

@@ -145,7 +145,16 @@ void bind_fence(nb::module_& m) {
           [](const Fence& self, const Triple& a, const Triple& b) {
             return self.clearance(vector_of(a), vector_of(b));
           },
-          "a"_a, "b"_a, "Minimum distance of a segment from the forbidden region; negative inside it.");
+          "a"_a, "b"_a, "Minimum distance of a segment from the forbidden region; negative inside it.")
+      .def(
+          "braking_distance",
+          [](const Fence& self, std::uint32_t deciding, const Triple& p, const Triple& v) {
+            const Vec3 at = vector_of(p);
+            return self.distance_to(self.braked_for(deciding, at, vector_of(v)), at);
+          },
+          "deciding"_a, "p"_a, "v"_a,
+          "Distance of a point from the constraint that decides a filter's result; where no face and no map decides, "
+          "from the face that a straight flight with this velocity meets first.");
 }
 
 void bind_filter(nb::module_& m) {
@@ -161,6 +170,20 @@ void bind_filter(nb::module_& m) {
           },
           "fence"_a, "model"_a = RacerModel{}, "parameters"_a = std::map<std::string, double>{},
           nb::keep_alive<1, 2>())
+      .def_static(
+          "conditions",
+          [](const RacerModel& model, const std::map<std::string, double>& parameters) {
+            const alula_geofence_config config = config_of(model, parameters);
+            alula_geofence_conditions found;
+            if (alula_geofence_examine(&config, &found) == ALULA_BAD_PARAMETER) {
+              throw std::invalid_argument(refusal(config));
+            }
+            return std::map<std::string, double>{{"rest_m_s", found.rest_m_s}, {"most_rest_m_s", found.most_rest_m_s},
+                                                 {"upright", found.upright},   {"least_upright", found.least_upright},
+                                                 {"lost_s", found.lost_s},     {"most_beta", found.most_beta}};
+          },
+          "model"_a = RacerModel{}, "parameters"_a = std::map<std::string, double>{},
+          "Conditions of the guarantee, see alula_geofence_conditions, also where they do not hold.")
       .def_prop_ro("hover_throttle", &Geofence::hover_throttle)
       .def_prop_ro(
           "config_words", [](const Geofence& self) { return to_bytes(&self.config(), sizeof self.config()); },

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <limits>
 #include <stdexcept>
 
@@ -45,6 +46,41 @@ double Fence::clearance(Vec3 a, Vec3 b) const {
   return std::min(least, keep_out->clearance(a, b, std::max(least, 1.0), nearest, scratch));
 }
 
+double Fence::distance_to(std::uint32_t constraint, Vec3 p) const {
+  const std::uint32_t c = constraint;
+  if (c < 3 && box) return p[static_cast<int>(c)] - box->lower[static_cast<int>(c)];
+  if (c < ALULA_FENCE_BOX_FACES && box) return box->upper[static_cast<int>(c) - 3] - p[static_cast<int>(c) - 3];
+  if (c >= ALULA_FENCE_BOX_FACES && c - ALULA_FENCE_BOX_FACES < faces.size()) {
+    const auto& n = faces[c - ALULA_FENCE_BOX_FACES];
+    return n[3] - (n[0] * p.x + n[1] * p.y + n[2] * p.z);
+  }
+  if (c == ALULA_FENCE_MAP && keep_out != nullptr && keep_out->size() > 0) {
+    std::uint32_t nearest = 0;
+    std::vector<double> scratch;
+    return keep_out->clearance(p, p, kInfinity, nearest, scratch);
+  }
+  return clearance(p, p);
+}
+
+std::uint32_t Fence::braked_for(std::uint32_t deciding, Vec3 p, Vec3 v) const {
+  if (deciding <= ALULA_FENCE_MAP) return deciding;
+  double soonest = kInfinity;
+  std::uint32_t found = ALULA_GEOFENCE_NONE;
+  const auto look = [&](std::uint32_t c, double speed) {
+    const double time = distance_to(c, p) / speed;
+    if (speed > 0 && time < soonest) soonest = time, found = c;
+  };
+  for (int i = 0; box && i < 3; ++i) {
+    look(static_cast<std::uint32_t>(i), -v[i]);
+    look(static_cast<std::uint32_t>(i) + 3, v[i]);
+  }
+  for (std::size_t l = 0; l < faces.size(); ++l) {
+    const auto& n = faces[l];
+    look(ALULA_FENCE_BOX_FACES + static_cast<std::uint32_t>(l), n[0] * v.x + n[1] * v.y + n[2] * v.z);
+  }
+  return found;
+}
+
 alula_racer_state to_onboard(const RacerState& x) {
   alula_racer_state s;
   for (int i = 0; i < 3; ++i) {
@@ -63,6 +99,38 @@ alula_racer_command to_onboard(const RacerCommand& u) {
 
 RacerCommand from_onboard(const alula_racer_command& u) { return {u.throttle, {u.rates[0], u.rates[1], u.rates[2]}}; }
 
+std::string refusal(const alula_geofence_config& config) {
+  alula_geofence_conditions found;
+  char words[256];
+  switch (alula_geofence_examine(&config, &found)) {
+    case ALULA_READY:
+      return {};
+    case ALULA_NO_REST:
+      if (found.rest_m_s < found.most_rest_m_s) {
+        std::snprintf(words, sizeof words,
+                      "the horizon of %g s ends before the backup controller has turned the vehicle upright; raise "
+                      "steps, step_s or attitude_gain",
+                      static_cast<double>(config.step_s) * config.steps);
+        return words;
+      }
+      std::snprintf(
+          words, sizeof words,
+          "the horizon of %g s ends before the backup controller has stopped the vehicle: %.2g m/s are left, "
+          "less than %.2g must be; raise steps or step_s, or change the gains of the backup controller",
+          static_cast<double>(config.step_s) * config.steps, static_cast<double>(found.rest_m_s),
+          static_cast<double>(found.most_rest_m_s));
+      return words;
+    case ALULA_TOO_LATE:
+      std::snprintf(words, sizeof words,
+                    "beta = %g takes over too late: at most %.3g with ticks of %g s, these speeds and this vehicle",
+                    static_cast<double>(config.beta), static_cast<double>(found.most_beta),
+                    static_cast<double>(config.tick_s));
+      return words;
+    default:
+      return "the parameters of a geofence are out of range";
+  }
+}
+
 Geofence::Geofence(const Fence& fence, const alula_geofence_config& config) : fence_(fence) {
   set_up(fence, onboard_);
   if (fence.image) {
@@ -76,9 +144,10 @@ Geofence::Geofence(const Fence& fence, const alula_geofence_config& config) : fe
   if (alula_fence_check(&onboard_) != ALULA_READY) {
     throw std::invalid_argument("a fence needs a box, faces with unit normals or a map, within 10 km");
   }
-  if (alula_geofence_init(&filter_, &onboard_, &config) != ALULA_READY) {
-    throw std::invalid_argument("the parameters of a geofence are out of range");
-  }
+  const alula_status status = alula_geofence_init(&filter_, &onboard_, &config);
+  if (status == ALULA_READY) return;
+  const std::string why = refusal(config);
+  throw std::invalid_argument(why.empty() ? "the latency of a geofence is above 32 ticks" : why);
 }
 
 GeofenceReport Geofence::filter(const RacerState* navigation, const RacerCommand* pilot) {

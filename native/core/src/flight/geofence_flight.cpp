@@ -58,7 +58,7 @@ RacerState start_of(const GeofenceSpec& spec, const Geofence& filter, RandomStre
 
 class Log {
  public:
-  Log(GeofenceLog& log, bool keeps_trace) : log_(log), keeps_trace_(keeps_trace) {}
+  Log(GeofenceLog& log, const Fence& fence, bool keeps_trace) : log_(log), fence_(fence), keeps_trace_(keeps_trace) {}
 
   void note(const RacerState& x, const std::optional<RacerCommand>& pilot, const GeofenceReport& report,
             const alula_geofence_config& config, double distance) {
@@ -72,7 +72,7 @@ class Log {
     }
     if (!is_in_limits(report.command, config.model) || !(r.lambda >= 0 && r.lambda <= 1)) ++log_.out_of_range;
     if (report.status < ALULA_GEOFENCE_HAND_OVER) log_.min_h_i = std::min(log_.min_h_i, double{r.h_i});
-    if (report.status <= ALULA_GEOFENCE_BACKUP) note_lambda(x, r.lambda, report.status, config.tick_s, distance);
+    if (report.status <= ALULA_GEOFENCE_BACKUP) note_lambda(x, report, config);
     note_jerk(x, config.tick_s);
     if (keeps_trace_) trace(x, pilot, report, distance);
   }
@@ -82,18 +82,22 @@ class Log {
   }
 
  private:
-  void note_lambda(const RacerState& x, double lambda, alula_geofence_status status, double dt, double distance) {
+  void note_lambda(const RacerState& x, const GeofenceReport& report, const alula_geofence_config& config) {
+    const double lambda = report.detail.lambda, dt = config.tick_s, radius = config.radius_m;
     log_.min_lambda = std::min(log_.min_lambda, lambda);
     if (lambda < 0.5 && is_free_) {
       ++log_.interventions;
       is_free_ = false;
-      if (std::isnan(log_.brake_distance_m)) log_.brake_distance_m = distance;
+      if (std::isnan(log_.brake_distance_m)) {
+        braked_for_ = fence_.braked_for(report.detail.deciding, x.p, x.v);
+        log_.brake_distance_m = fence_.distance_to(braked_for_, x.p) - radius;
+      }
     }
     if (lambda > 0.9) is_free_ = true;
     if (log_.interventions > 0 && std::isnan(log_.stop_distance_m) && geometry::norm(x.v) < 0.5) {
-      log_.stop_distance_m = distance;
+      log_.stop_distance_m = fence_.distance_to(braked_for_, x.p) - radius;
     }
-    backup_s_ = status == ALULA_GEOFENCE_BACKUP ? backup_s_ + dt : 0;
+    backup_s_ = report.status == ALULA_GEOFENCE_BACKUP ? backup_s_ + dt : 0;
     log_.longest_backup_s = std::max(log_.longest_backup_s, backup_s_);
   }
 
@@ -125,6 +129,8 @@ class Log {
   }
 
   GeofenceLog& log_;
+  const Fence& fence_;
+  std::uint32_t braked_for_ = ALULA_GEOFENCE_NONE;
   bool keeps_trace_, is_free_ = true;
   double backup_s_ = 0;
   Vec3 velocity_, change_;
@@ -155,6 +161,7 @@ GeofenceReport decide(const RacerState* navigation, const std::optional<RacerCom
   report.command = *pilot;
   report.detail.lambda = 1;
   report.detail.h_i = -FLT_MAX;  // not evaluated
+  report.detail.deciding = ALULA_GEOFENCE_NONE;
   if (program) {
     const BackupQpReport found = program->filter(*navigation, *pilot);
     report.command = found.command;
@@ -180,7 +187,7 @@ GeofenceLog fly_in_fence(const GeofenceSpec& spec, const Geofence& original, Ran
   log.start = start_of(spec, filter, random);
   plant.reset(log.start);
   PilotHand hand(spec.pilot, spec.model, random, log.start.p.z);
-  Log notes(log, keeps_trace);
+  Log notes(log, filter.fence(), keeps_trace);
   std::optional<BackupQp> program;
   if (spec.rules.rule == FenceRule::backup_qp) program.emplace(filter, spec.rules.alpha);
   // the tick is a float: its rounding must not add a tick

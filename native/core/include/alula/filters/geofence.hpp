@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <string>
 #include <vector>
 
 #include "alula/dynamics/racer.hpp"
@@ -22,6 +23,12 @@ struct Fence {
 
   // Minimum distance of the segment a..b from the box, the faces and the polytopes; negative outside the fence.
   double clearance(Vec3 a, Vec3 b) const;
+
+  // The constraint that a vehicle at p with velocity v brakes for: `deciding` of the filter's result, or where no
+  // face and no map decides, the face that a straight flight meets first; ALULA_GEOFENCE_NONE when it meets none.
+  std::uint32_t braked_for(std::uint32_t deciding, Vec3 p, Vec3 v) const;
+  // Distance of p from a constraint, numbered as in alula_fence.h; from the nearest one for ALULA_GEOFENCE_NONE.
+  double distance_to(std::uint32_t constraint, Vec3 p) const;
 };
 
 struct GeofenceReport {
@@ -33,6 +40,9 @@ struct GeofenceReport {
 alula_racer_state to_onboard(const RacerState& x);
 alula_racer_command to_onboard(const RacerCommand& u);
 RacerCommand from_onboard(const alula_racer_command& u);
+
+// Why the onboard code does not accept parameters, in one line with the limit that they violate; empty when it does.
+std::string refusal(const alula_geofence_config& config);
 
 // Copies share the map and each has its own state: use one copy per thread, also for evaluation. Numbers are rounded
 // to the safe side: the box inward, faces by the float rounding error of their normals and of positions up to 1 km.

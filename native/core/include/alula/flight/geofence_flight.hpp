@@ -54,9 +54,10 @@ struct GeofenceLog {
   double max_speed_m_s = 0;
   double min_lambda = 1;
   double min_h_i = std::numeric_limits<double>::infinity();
-  double stop_distance_m = std::numeric_limits<double>::quiet_NaN();   // distance when first after an intervention
-                                                                       // slower than 0.5 m/s
-  double brake_distance_m = std::numeric_limits<double>::quiet_NaN();  // distance when first lambda < 1/2
+  // Distance to what the vehicle brakes for (Fence::braked_for) when first lambda < 1/2, and to the same when first
+  // slower than 0.5 m/s after it, both minus the radius.
+  double brake_distance_m = std::numeric_limits<double>::quiet_NaN();
+  double stop_distance_m = std::numeric_limits<double>::quiet_NaN();
   std::int64_t ticks = 0, passed = 0, blended = 0, backup = 0, no_pilot = 0, hand_over = 0, refused = 0;
   std::int64_t interventions = 0;   // times lambda fell below 1/2, after having been above 9/10
   std::int64_t altered_passes = 0;  // commands of PASSED that differ from the pilot's bits; must be 0
