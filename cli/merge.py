@@ -29,8 +29,9 @@ def command(source: Path, config: MergeConfig, common: options.Common) -> None:
     With a limit of half-planes or bytes the cover has more hulls with fewer planes each: outer polytopes
     that contain the hulls, with the planes that remove most free space.
 
-    Without a limit the cover has at most 300 outer polytopes, with the fewest planes, of a few numbers tried,
-    that enclose no more volume than 300 hulls would. --hulls keeps the hulls as they are.
+    Without a limit the cover is at most 300 outer polytopes. They enclose no more volume than 300 hulls, in
+    40, 55 or 75 % of their bytes where that is possible. It takes about twice as long as --hulls 300, which
+    keeps the hulls as they are.
 
     Threads (--jobs) share the clusters of voxels, the volumes and the shapes of outer polytopes. The merges
     follow one another; there the threads only measure pairs ahead that may be next. A busy machine therefore

@@ -96,7 +96,9 @@ def merge(
     voxels, member, member_start = _voxels_and_sets(source)
     run = partial(_cover, config, voxels, member, member_start, jobs)
     if config.saves_planes:
-        found, is_fitted = _with_saved_planes(run, journal or _core.MergeJournal(), progress)
+        found, is_fitted = _with_saved_planes(
+            run, _core.MergeJournal() if journal is None else journal, progress
+        )
     else:
         is_fitted = config.facet_cap == "auto"
         found = _within_growth(config, len(voxels), run, is_fitted, journal, progress)

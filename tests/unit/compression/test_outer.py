@@ -377,3 +377,10 @@ def test_the_default_map_is_smaller_than_that_of_as_many_hulls_at_the_same_volum
     assert default.manifest.summary["onboard_bytes"] <= 0.75 * plain.manifest.summary["onboard_bytes"]
     assert default.manifest.parameters["hulls"] == 300
     assert merge(MergeConfig(), voxels, jobs=3).manifest.summary == default.manifest.summary
+
+
+def test_an_empty_journal_records_the_volumes_of_a_default_merge():
+    journal = _core.MergeJournal()
+    first = merge(MergeConfig(), SCENE, jobs=1, journal=journal)
+    assert len(journal) > 0
+    assert merge(MergeConfig(), SCENE, jobs=1, journal=journal).arrays.keys() == first.arrays.keys()
