@@ -29,6 +29,14 @@ def command(source: Path, config: MergeConfig, common: options.Common) -> None:
     With a limit of half-planes or bytes the cover has more hulls with fewer planes each: outer polytopes
     that contain the hulls, with the planes that remove most free space.
 
+    Without a limit the cover is at most 300 outer polytopes. They enclose no more volume than 300 hulls, in
+    40, 55 or 75 % of their bytes where that is possible. It takes about twice as long as --hulls 300, which
+    keeps the hulls as they are.
+
+    Threads (--jobs) share the clusters of voxels, the volumes and the shapes of outer polytopes. The merges
+    follow one another; there the threads only measure pairs ahead that may be next. A busy machine therefore
+    gains little: pairs ahead help only if another processor is free at once.
+
     An interrupted merge leaves OUTPUT.journal. The same command then continues from it and writes the
     same bytes.
 

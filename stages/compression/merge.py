@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,8 @@ _MIN_PLANES = 6  # the hull of voxels has a facet on each side of its bounding b
 _MIN_BYTES = 64 + 14  # see native/core/include/alula/cover/budget.hpp
 _CURVE_POINTS = 60
 _GROWTH_ATTEMPTS = 4
+_SAVED_SHARES = (0.4, 0.55, 0.75)  # of the hulls' bytes, by bisection: two more merges
+_HULLS_SHARE = 0.45  # of the time, before planes are saved
 _ARRAYS = tuple(rule.name for rule in COVER.arrays)
 
 
@@ -56,7 +60,9 @@ def merge(
     its bounding box and few others, each supporting the hull exactly. Planes that remove most free volume
     come first, and polytopes are tightened to the voxels that no other contains. With "auto" several
     numbers of hulls of the same merge history are tried, the one with the smallest union is taken, and all
-    planes of the budget are distributed. `max_planes` and `max_bytes` limit the written cover.
+    planes of the budget are distributed. `max_planes` and `max_bytes` limit the written cover. With "auto"
+    and `hulls` alone, or without any limit, the budget is the smallest of a few fractions of the bytes of the
+    hulls at which the union is no larger than that of the hulls; where there is none, the hulls are kept.
 
     `max_growth` is enforced by the sum of W, an upper bound of the excess of the union, and checked on the
     measured union.
@@ -85,38 +91,20 @@ def merge(
         raise InfeasibleError(f"no cover has {config.max_planes} half-planes: one hull needs {_MIN_PLANES}")
     if config.max_bytes is not None and config.max_bytes < _MIN_BYTES:
         raise InfeasibleError(f"no cover has {config.max_bytes} bytes: one hull needs {_MIN_BYTES}")
-    is_fitted = config.facet_cap == "auto"
-    cap = config.facet_cap if isinstance(config.facet_cap, int) else 0
     manifest = source.manifest
     assert isinstance(manifest, VoxelsManifest | CoverManifest)
     voxels, member, member_start = _voxels_and_sets(source)
-    limit = config.max_growth or 0.0
-    for attempt in range(_GROWTH_ATTEMPTS):
-        found: dict[str, Any] = _core.merge_cover(
-            voxels,
-            member,
-            member_start,
-            block=config.block,
-            is_paper=config.method == "paper",
-            max_hulls=config.hulls or 0,
-            max_planes=config.max_planes or 0,
-            max_bytes=config.max_bytes or 0,
-            facet_cap=cap,
-            kdop=config.kdop or 0,
-            is_fitted=is_fitted,
-            max_growth=limit,
-            jobs=jobs,
-            journal=journal,
-            # Each attempt gets half of the remaining progress, as it is probably the last one.
-            progress=progress
-            if config.max_growth is None
-            else share(progress, 1 - 0.5**attempt, 1 - 0.5 ** (attempt + 1)),
+    run = partial(_cover, config, voxels, member, member_start, jobs)
+    if config.saves_planes:
+        found, is_fitted = _with_saved_planes(
+            run, _core.MergeJournal() if journal is None else journal, progress
         )
-        growth = 1.0 + float(found["union_excess"]) / len(voxels)
-        if config.max_growth is None or growth <= config.max_growth or limit <= 1.0 or is_fitted:
-            break
-        limit = max(1.0, limit - 2 * (growth - config.max_growth))  # W of large hulls is a coarser bound
-    if progress is not None and config.max_growth is not None:
+    else:
+        is_fitted = config.facet_cap == "auto"
+        found = _within_growth(config, len(voxels), run, is_fitted, journal, progress)
+    cap = config.facet_cap if isinstance(config.facet_cap, int) else 0
+    growth = _growth(found, len(voxels))
+    if progress is not None and (config.max_growth is not None or config.saves_planes):
         progress(WHOLE, WHOLE)
     _check_feasible(config, found, growth)
     hulls, planes = len(found["plane_start"]) - 1, len(found["plane_offset"])
@@ -170,6 +158,98 @@ def merge(
             "curve": _curve(found["curve"], found["measured"], len(voxels)),
         },
     )
+
+
+def _cover(
+    config: MergeConfig,
+    voxels: NDArray[np.int32],
+    member: NDArray[np.uint32],
+    member_start: NDArray[np.int64],
+    jobs: int,
+    *,
+    journal: _core.MergeJournal | None,
+    progress: Progress | None,
+    max_bytes: int = 0,
+    is_fitted: bool = False,
+    max_growth: float = 0.0,
+) -> dict[str, Any]:
+    """Run the native merge with some of its limits replaced."""
+    found: dict[str, Any] = _core.merge_cover(
+        voxels,
+        member,
+        member_start,
+        block=config.block,
+        is_paper=config.method == "paper",
+        max_hulls=config.hulls or 0,
+        max_planes=config.max_planes or 0,
+        max_bytes=max_bytes,
+        facet_cap=config.facet_cap if isinstance(config.facet_cap, int) else 0,
+        kdop=config.kdop or 0,
+        is_fitted=is_fitted,
+        max_growth=max_growth,
+        jobs=jobs,
+        journal=journal,
+        progress=progress,
+    )
+    return found
+
+
+def _growth(found: dict[str, Any], voxels: int) -> float:
+    """Volume of the union over that of the voxels."""
+    return 1.0 + float(found["union_excess"]) / voxels
+
+
+def _within_growth(
+    config: MergeConfig,
+    voxels: int,
+    run: Callable[..., dict[str, Any]],
+    is_fitted: bool,
+    journal: _core.MergeJournal | None,
+    progress: Progress | None,
+) -> dict[str, Any]:
+    """Merge, again with a smaller bound of W while the measured union exceeds `max_growth`."""
+    limit = config.max_growth or 0.0
+    for attempt in range(_GROWTH_ATTEMPTS):
+        found = run(
+            journal=journal,
+            max_bytes=config.max_bytes or 0,
+            is_fitted=is_fitted,
+            max_growth=limit,
+            # Each attempt gets half of the remaining progress, as it is probably the last one.
+            progress=progress
+            if config.max_growth is None
+            else share(progress, 1 - 0.5**attempt, 1 - 0.5 ** (attempt + 1)),
+        )
+        growth = _growth(found, voxels)
+        if config.max_growth is None or growth <= config.max_growth or limit <= 1.0 or is_fitted:
+            break
+        limit = max(1.0, limit - 2 * (growth - config.max_growth))  # W of large hulls is a coarser bound
+    return found
+
+
+def _with_saved_planes(
+    run: Callable[..., dict[str, Any]], journal: _core.MergeJournal, progress: Progress | None
+) -> tuple[dict[str, Any], bool]:
+    """Merge to hulls, then find fewer bytes for the same volume; whether the result is outer polytopes.
+
+    The volumes that the first merge measured are in the journal; further merges do not measure them again.
+    """
+    hulls = run(journal=journal, progress=share(progress, 0.0, _HULLS_SHARE))
+    best, is_outer = hulls, False
+    low, high = 0, len(_SAVED_SHARES)  # the answer is in [low, high]; high stands for the hulls themselves
+    trials = high.bit_length()
+    for trial in range(trials):
+        if low >= high or not hulls["within_budget"]:
+            break
+        middle = (low + high) // 2
+        size = int(_SAVED_SHARES[middle] * int(hulls["onboard_bytes"]))
+        begin, end = (_HULLS_SHARE + (1 - _HULLS_SHARE) * part / trials for part in (trial, trial + 1))
+        found = run(journal=journal, progress=share(progress, begin, end), max_bytes=size, is_fitted=True)
+        if found["within_budget"] and found["union_excess"] <= hulls["union_excess"]:
+            best, is_outer, high = found, True, middle
+        else:
+            low = middle + 1
+    return best, is_outer
 
 
 def _voxels_and_sets(

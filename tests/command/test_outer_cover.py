@@ -94,7 +94,7 @@ def test_a_reader_that_lacks_outer_polytopes_refuses_them(folder, monkeypatch, c
     [
         (["--facet-cap", "5"], 2, "between 6 and"),
         (["--facet-cap", "some"], 2, "a number, auto or none"),
-        (["--facet-cap", "auto"], 2, "distributes a budget"),
+        (["--facet-cap", "auto", "--max-growth", "2"], 2, "distributes a budget"),
         (["--facet-cap", "8", "--kdop", "14"], 2, "exclude each other"),
         (["--kdop", "10"], 2, "6, 14, 18 or 26"),
         (["--max-bytes", "0"], 2, "at least 1"),

@@ -277,7 +277,8 @@ def test_the_curve_says_what_covers_cost():
         {"facet_cap": "few"},
         {"facet_cap": "-8"},
         {"facet_cap": 10**9},
-        {"facet_cap": "auto"},
+        {"facet_cap": "auto", "max_growth": 1.5},
+        {"facet_cap": "auto", "max_growth": 1.5, "hulls": 10},
         {"facet_cap": "auto", "max_planes": 100, "method": "paper"},
         {"facet_cap": 9, "kdop": 14},
         {"facet_cap": "auto", "kdop": 14, "max_planes": 100},
@@ -291,7 +292,13 @@ def test_meaningless_shapes_are_refused(config):
 
 
 def test_defaults_are_resolved_and_recorded():
-    assert MergeConfig().facet_cap == "none"
+    assert MergeConfig().facet_cap == "auto"
+    assert MergeConfig().hulls == 300
+    assert MergeConfig().saves_planes
+    assert MergeConfig(hulls=300).facet_cap == "none"
+    assert MergeConfig(hulls=300, facet_cap="auto").saves_planes
+    assert MergeConfig(method="paper").facet_cap == MergeConfig(kdop=14).facet_cap == "none"
+    assert not MergeConfig(max_planes=100).saves_planes
     assert MergeConfig(max_planes=100).facet_cap == "auto"
     assert MergeConfig(max_bytes=100).facet_cap == "auto"
     assert MergeConfig(max_planes=100, method="paper").facet_cap == "none"
@@ -348,3 +355,32 @@ def test_a_manifest_cannot_hide_what_its_polytopes_are():
         fields = msgspec.to_builtins(cover.manifest) | {"polytopes": other}
         with pytest.raises(msgspec.ValidationError, match="polytopes"):
             msgspec.convert(fields, type=type(cover.manifest))
+
+
+@pytest.mark.parametrize("hulls", [8, 20, 60])
+def test_saved_planes_cost_no_volume_and_leave_every_voxel_covered(hulls):
+    plain = cover_of(SCENE, hulls=hulls)
+    saved = cover_of(SCENE, hulls=hulls, facet_cap="auto")
+    assert_covers(saved, SCENE)
+    assert saved.manifest.conservativeness <= plain.manifest.conservativeness
+    assert len(saved["plane_start"]) - 1 <= hulls
+    assert saved.manifest.summary["onboard_bytes"] <= plain.manifest.summary["onboard_bytes"]
+    assert saved.manifest.polytopes == ("outer" if saved.manifest.requires else "hull")
+
+
+def test_the_default_map_is_smaller_than_that_of_as_many_hulls_at_the_same_volume():
+    """A default of 300 hulls took 114 kB where a budget of bytes gave the same volume in 60 kB."""
+    voxels = voxels_of(furniture(seed=1, extent=40))
+    plain, default = cover_of(voxels, hulls=300), cover_of(voxels)
+    assert_covers(default, voxels)
+    assert default.manifest.conservativeness <= plain.manifest.conservativeness
+    assert default.manifest.summary["onboard_bytes"] <= 0.75 * plain.manifest.summary["onboard_bytes"]
+    assert default.manifest.parameters["hulls"] == 300
+    assert merge(MergeConfig(), voxels, jobs=3).manifest.summary == default.manifest.summary
+
+
+def test_an_empty_journal_records_the_volumes_of_a_default_merge():
+    journal = _core.MergeJournal()
+    first = merge(MergeConfig(), SCENE, jobs=1, journal=journal)
+    assert len(journal) > 0
+    assert merge(MergeConfig(), SCENE, jobs=1, journal=journal).arrays.keys() == first.arrays.keys()
