@@ -453,7 +453,7 @@ def _table_3(flown: Sequence[Flown]) -> list[PaperRow]:
                 f"{_span(worst.simple.low, worst.simple.high)} %",
                 "bounded",
                 "only where commands act late, which the paper does not report "
-                f"({late} of {len(gone)} conditions with a collapse); on time the simple trigger keeps most runs",
+                f"({late} of {len(gone)} conditions with a collapse); on time it keeps most runs",
             )
         )
     usual, longer = (
