@@ -6,9 +6,19 @@ A run is SCENARIO/VARIANT.run.mcap with its record beside it. Tables and figures
 the same tables as one Markdown page into FILE.
 """
 
+import json
+
 from alula.cli.comparison import comparison_words, this_machine, write_comparison
 from alula.schemas.run import read_run
-from alula.stages.reporting.papers import dracbf, dracbf_analysis, dracbf_figures
+from alula.stages.reporting.papers import (
+    dracbf,
+    dracbf_analysis,
+    dracbf_difficulty,
+    dracbf_figures,
+    dracbf_verdicts,
+    dracbf_warning,
+)
+from alula.stages.reporting.papers.verdicts import verdict_table
 from alula.stages.reporting.table import folded
 
 TITLE = "DR-ACBF: moving obstacles, uncertain and late"
@@ -18,7 +28,16 @@ folder, paths = options.folder, options.runs
 flown = [
     dracbf.Flown(path.parent.name, path.name.removesuffix(".run.mcap"), read_run(path)) for path in paths
 ]
+times = folder / "times.json"
+saved = json.loads(times.read_text()) if times.is_file() else {}
+verdicts = dracbf_verdicts.verdict_rows(flown, saved)
 found = [
+    verdict_table(verdicts),
+    dracbf_difficulty.difficulty_table(flown),
+    dracbf_difficulty.tuning_table(flown),
+    dracbf_difficulty.hard_table(flown),
+    dracbf_verdicts.saving_table(saved),
+    dracbf_warning.warning_table(),
     *dracbf.group_tables(flown),
     dracbf_analysis.collapse_table(flown),
     *dracbf.hardware_tables(flown),
@@ -30,6 +49,7 @@ found = [
 ]
 tables = [table for table in found if table is not None]
 drawn = [
+    *(dracbf_figures.difficulty_figure(flown, axis) for axis in dracbf_difficulty.AXES),
     dracbf_figures.success_figure(flown, "scenario-1"),
     dracbf_figures.success_figure(flown, "scenario-2"),
     dracbf_figures.collapse_figure(flown),
@@ -38,7 +58,12 @@ drawn = [
     dracbf_figures.stop_figure(),
 ]
 figures = [figure for figure in drawn if figure is not None]
-facts = {"flown": dracbf.effort(flown)} | dracbf_analysis.in_short(flown)
+facts = (
+    dracbf_verdicts.counted(verdicts)
+    | {"flown": dracbf.effort(flown)}
+    | dracbf_analysis.in_short(flown)
+    | dracbf_difficulty.crossings(flown)
+)
 write_comparison(
     folder / "dr-acbf",
     TITLE,

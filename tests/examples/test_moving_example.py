@@ -21,7 +21,10 @@ FEW = [
         "WALLED=dr-acbf",
         "SMALL=none",
     ),
-    "ORDER=scenario-1 scenario-2 thrown wall sensitivity-1 collapse",
+    *("PRINTED=eq-19", "COMPARED=dr-acbf mpc", "AXES=detection", "LEVELS.detection=0.5"),
+    *("CONDITIONS_HARD=late", "SETTINGS=6-3-1 0-3-2", "TICKS=--recorded 2 --repeats 1 --tick-seconds 3"),
+    f"BENCHMARK={ROOT / 'benchmarks/dracbf.py'}",
+    "ORDER=scenario-1 scenario-2 difficulty tune hard thrown wall sensitivity-1 collapse",
 ]
 
 
@@ -41,7 +44,23 @@ def test_every_table_is_made_from_runs_of_the_same_trials_and_only_once(tmp_path
     assert "- without a filter, scenario-1: " in printed
     assert "- simple trigger: collapses in " in printed
     out = folder / "out"
-    names = {"table-1", "table-2", "table-3", "collapse", "table-4", "wall", "recursion", "risk"}
+    names = {
+        "verdicts",
+        "difficulty",
+        "tuning",
+        "hard",
+        "saved",
+        "warning",
+        "printed-1",
+        "table-1",
+        "table-2",
+        "table-3",
+        "collapse",
+        "table-4",
+        "wall",
+        "recursion",
+        "risk",
+    }
     assert {path.stem for path in out.glob("*.csv")} > names | {"sensitivity-1"}
     assert "Where the simple trigger collapses" in (out / "dr-acbf.html").read_text()
     counts = {len(json.loads(p.read_text())["trials"]) for p in out.glob("*/*.run.json")}

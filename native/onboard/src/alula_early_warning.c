@@ -27,14 +27,15 @@ void alula_early_warning_tails(float tail, float* of_normal, float* of_square) {
   const float density = 0.39894228F;
   *of_normal = 0.0F;
   if (tail < 1.0F) {
-    const float q = normal_quantile(1.0F - tail);
+    const float q = normal_quantile(tail); /* negative: the same density, and no digits of a small tail are lost */
     *of_normal = ROUNDING * density * alula_expf(-0.5F * q * q) / tail;
   }
-  const float q = normal_quantile(1.0F - 0.5F * tail); /* of the absolute value */
+  const float q = -normal_quantile(0.5F * tail); /* of the absolute value */
   *of_square = ROUNDING * (1.0F + 2.0F * (q > 0.0F ? q : 0.0F) * density * alula_expf(-0.5F * q * q) / tail);
 }
 
-/* x^T C x of the track's covariance, the vehicle's covariance of position included; at least 0. */
+/* x^T C x of the track's covariance, the vehicle's covariance of position included; at least 0. Where it overflows,
+ * the largest number: the sum may then be NaN. */
 static float spread(const float covariance[21], const float own[6], const float x[6]) {
   float sum = 0.0F;
   for (uint32_t i = 0; i < 6U; ++i) {
@@ -85,6 +86,11 @@ static float variance_at(const alula_track* track, const float own[6], const flo
   return spread(track->covariance, own, x);
 }
 
+/* Variance of the velocity, all axes. */
+static float trace(const alula_track* track) {
+  return track->covariance[9] + track->covariance[14] + track->covariance[20];
+}
+
 /* CVaR of R + D(v) - |P|, linear in the closing speed along the predicted line of sight; D's curvature is added. */
 static float risk_along(const alula_avoidance* avoidance, float radius, const alula_track* track, const float own[6],
                         const prediction* s, float t, float* fastest) {
@@ -117,7 +123,6 @@ static float risk_of_speed(const alula_avoidance* avoidance, float radius, const
   const alula_avoidance_config* c = &avoidance->config;
   const float deceleration = c->a_max + c->obstacle_braking, speed = s->speed > NEAREST ? s->speed : NEAREST;
   const float slope = (c->latency_s + speed / deceleration) / speed;
-  const float trace = track->covariance[9] + track->covariance[14] + track->covariance[20];
   float of_position[3], of_velocity[3];
   for (int k = 0; k < 3; ++k) {
     of_position[k] = -s->los[k];
@@ -125,7 +130,7 @@ static float risk_of_speed(const alula_avoidance* avoidance, float radius, const
   }
   return needed(c, radius, speed) - s->distance +
          avoidance->tail_of_normal * __builtin_sqrtf(variance_at(track, own, of_position, of_velocity, t)) +
-         0.5F * slope * avoidance->tail_of_square * trace;
+         0.5F * slope * avoidance->tail_of_square * trace(track);
 }
 float alula_early_warning(const alula_avoidance* avoidance, const alula_vehicle_state* vehicle,
                           const alula_track* track, const float relative_acceleration[3]) {
@@ -142,7 +147,8 @@ float alula_early_warning(const alula_avoidance* avoidance, const alula_vehicle_
     float fastest;
     const float along = risk_along(avoidance, radius, track, vehicle->covariance, &s, t, &fastest);
     const float any = risk_of_speed(avoidance, radius, track, vehicle->covariance, &s, t);
-    const float risk = (along < any ? along : any) + c->wasserstein * lipschitz(c, fastest);
+    const float limit = s.speed + avoidance->tail_of_normal * __builtin_sqrtf(trace(track));
+    const float risk = (along < any ? along : any) + c->wasserstein * lipschitz(c, fastest < limit ? fastest : limit);
     if (!(risk <= most)) most = risk;
   }
   return most;

@@ -19,7 +19,8 @@ from alula.stages.reporting.table import HIGH, LOW, Table, flat, text
 FREE, BASE = "none", "dr-acbf"  # variants: without a filter, and as specified
 METHODS = (FREE, BASE, "dr-acbf-gs", "dr-acbf-qp", "mpc", "cbf-qp", "rp-cbf")
 SWEEP = (BASE, "h-max-0.2", "h-max-0.8", "clearance-1", "clearance-4", "hold-0.1", "hold-0.4")
-TRIGGERS = (BASE, "trigger-simple", "rows-late", "trigger-simple-rows-late")
+TRIGGERS = (BASE, "trigger-simple", "rows-late", "trigger-simple-rows-late", "trigger-simple-long")
+PRINTED = (BASE, "eq-19", "eq-24", "safe-imm-on", "all-as-printed")
 HARDWARE = {
     "table-4": ("Table IV: a small vehicle and one obstacle", ("thrown", "moving")),
     "table-5": ("Table V: a small vehicle and two obstacles", ("both", "approaching")),
@@ -294,6 +295,8 @@ def group_tables(flown: Sequence[Flown]) -> list[Table]:
         "table-2": ("scenario-2", SWEEP, "scenario-2", "Table II, scenario 2: sweep"),
         "table-2-methods": ("scenario-2", METHODS, None, "Scenario 2: all filters"),
         "table-3": ("scenario-2", TRIGGERS, "trigger", "Table III, scenario 2: trigger on and off"),
+        "printed-1": ("scenario-1", PRINTED, None, "The printed equations and SAFE-IMM, scenario 1"),
+        "printed-2": ("scenario-2", PRINTED, None, "The printed equations and SAFE-IMM, scenario 2"),
         "solvers-1": ("scenario-1", SOLVERS, "solver", "Projection against QP, scenario 1"),
         "solvers-2": ("scenario-2", SOLVERS, "solver", "Projection against QP, scenario 2"),
     }
@@ -307,7 +310,7 @@ def group_tables(flown: Sequence[Flown]) -> list[Table]:
         timed = [f for f in runs if f.variant != FREE]
         tables.append(success_table(runs, name, f"{title}: success", free=free, published=published))
         tables.append(time_table(timed, f"{name}-times", f"{title}: times", published))
-        if not name.startswith("solvers"):
+        if not name.startswith(("solvers", "printed")):
             tables.append(separation_table(runs, f"{name}-separation", f"{title}: separation", published))
     return tables
 

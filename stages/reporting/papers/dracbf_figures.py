@@ -11,6 +11,7 @@ from alula import _core
 from alula.stages.reporting.figures import Figure, drawing
 from alula.stages.reporting.papers.dracbf import BASE, METHODS, Flown, find, select, success
 from alula.stages.reporting.papers.dracbf_analysis import collapse_cells, risk_bins, stop
+from alula.stages.reporting.papers.dracbf_difficulty import AXES, COMPARED, PUBLISHED, levels
 from alula.stages.reporting.statistics import Rate
 from alula.stages.reporting.table import text
 
@@ -46,6 +47,43 @@ def success_figure(flown: Sequence[Flown], scenario: str) -> Figure | None:
     )
     alt = f"Collisions by filter and obstacle with 95 % intervals. Success: {rates_in_words}."
     return Figure(f"success-{scenario}", f"Collisions by filter, {scenario}", alt, svg, wide=True)
+
+
+def difficulty_figure(flown: Sequence[Flown], axis: str) -> Figure | None:
+    """Plot the success of runs over one kind of difficulty, with intervals; None without runs.
+
+    Args:
+        flown: all runs.
+        axis: a key of `AXES`.
+    """
+    at = [level for level in levels(flown) if level.axis == axis]
+    if not at:
+        return None
+    name = AXES[axis][0]
+    words = []
+    with drawing(5.6, 4.2) as (axes, render):
+        axes.axhspan(*PUBLISHED, color=SOFT, alpha=0.3, linewidth=0, label="published, scenario 2")
+        for method, color in zip(COMPARED, (OURS, OTHER, "#009e73", BAD), strict=True):
+            here = [(level.value, success(level.runs[method])) for level in at if method in level.runs]
+            rates = [found for _, found in here]
+            values = [found.value or 0.0 for found in rates]
+            axes.errorbar(
+                [x for x, _ in here],
+                values,
+                yerr=_bars(rates),
+                fmt="o-",
+                color=color,
+                capsize=3,
+                label=method,
+            )
+            words.append(f"{method} " + ", ".join(f"{text(x)}: {found}" for x, found in here))
+        if axis in ("noise", "speed", "limit"):
+            axes.set(xscale="log")
+        axes.set(xlabel=name, ylabel="runs without a collision [%]", ylim=(-3, 103))
+        axes.legend(fontsize=9)
+        svg = render()
+    alt = f"Success of runs over the {name} with 95 % intervals: {'; '.join(words)}."
+    return Figure(f"difficulty-{axis}", f"Success over the {name}", alt, svg)
 
 
 def recursion_figure(a_max: float = 6.0) -> Figure:

@@ -202,14 +202,27 @@ def test_more_uncertainty_never_delays_the_warning(seed, more_p, more_v):
     assert after >= before - 1e-4
 
 
-@pytest.mark.parametrize("tail", [1e-3, 0.05, 0.3, 0.999, 1.0])
+@settings(deadline=None, max_examples=examples(300))
+@given(st.integers(0, 10**6), st.floats(-6, 6), st.floats(-6, 6), st.floats(-12, 12), st.booleans())
+def test_the_warning_is_a_number_for_every_input_in_range(seed, far, fast, wide, flat):
+    rng = np.random.default_rng(seed)
+    factor = rng.normal(size=(6, 6)) * 10 ** (wide / 2) / 10
+    if flat:
+        factor[:, 1:] = 0
+    row = track(1, rng.uniform(-1, 1, 3) * 10**far, rng.uniform(-1, 1, 3) * 10**fast)
+    row[7:28] = np.clip((factor @ factor.T)[np.tril_indices(6)], -1e12, 1e12)
+    for options in ({}, {"wasserstein": 0.0, "latency_s": 0.0}, {"tail": 1e-6}):
+        assert not np.isnan(_core.early_warning(ZERO, ZERO, row[None], ZERO, options=options))
+
+
+@pytest.mark.parametrize("tail", [1e-6, 1e-3, 0.05, 0.3, 0.999, 1.0])
 def test_the_tails_of_the_normal_are_rounded_up(tail):
     of_normal, of_square = _core.early_warning_tails(tail)
     q, both = norm.isf(tail), norm.isf(tail / 2)
     exact = 0.0 if tail == 1 else norm.pdf(q) / tail
-    assert exact <= of_normal + 1e-4 <= 1.01 * exact + 2e-3
+    assert exact <= of_normal + 1e-4 <= 1.02 * exact + 2e-3
     square = 1 + (0.0 if tail == 1 else 2 * both * norm.pdf(both) / tail)
-    assert square <= of_square + 1e-4 <= 1.01 * square + 2e-3
+    assert square <= of_square + 1e-4 <= 1.02 * square + 2e-3
 
 
 @pytest.mark.parametrize("speed", [2.0, 6.0, 11.0])

@@ -1,0 +1,115 @@
+"""Difficulty, tuning and verdicts of DR-ACBF against numbers counted by hand."""
+
+import pytest
+
+from alula.stages.reporting.papers import dracbf_difficulty as difficulty
+from alula.stages.reporting.papers import dracbf_figures, dracbf_verdicts, dracbf_warning
+from alula.stages.reporting.papers.verdicts import verdict_table
+from support.encounter_runs import flown, met, row_of, trial
+
+
+def of_rate(scenario, variant, good, count=20, **parameters):
+    """A run in which the first `good` trials avoid obstacle 2 and all avoid obstacle 1."""
+    trials = [trial(i, [met(), met(hit=i >= good)]) for i in range(count)]
+    return flown(scenario, variant, trials, **parameters)
+
+
+def setting(method, condition, name, good, braking, clearance, gain):
+    key = difficulty.GAINS[method].replace(".", "__")
+    shared = [k.replace(".", "__") for k in difficulty.SHARED]
+    return of_rate(
+        "tune", f"{method}_{condition}_{name}", good, **{shared[0]: braking, shared[1]: clearance, key: gain}
+    )
+
+
+SWEPT = [
+    of_rate("scenario-2", "dr-acbf", 20),
+    of_rate("scenario-2", "mpc", 20),
+    of_rate("difficulty", "dr-acbf_detection_0.5", 18),
+    of_rate("difficulty", "dr-acbf_detection_0.4", 10),
+    of_rate("difficulty", "mpc_detection_0.5", 20),
+    of_rate("difficulty", "mpc_detection_0.4", 19),
+]
+
+
+def test_the_published_rate_is_found_by_interpolation():
+    at = difficulty.levels(SWEPT)
+    assert [level.value for level in at] == [0.95, 0.5, 0.4]
+    # Means of the obstacles: 100, 95 and 75 %.
+    assert difficulty.crossing(at, "dr-acbf", 85.0) == pytest.approx(0.45)
+    assert difficulty.crossing(at, "mpc", 85.0) is None
+    table = difficulty.difficulty_table(SWEPT)
+    assert [line[1] for line in table.rows] == [0.95, 0.5, 0.4]
+    assert table.rows[2][3] == 75
+    assert table.rows[2][4] == 50
+    assert "0.4: 50 %" in dracbf_figures.difficulty_figure(SWEPT, "detection").alt
+    assert dracbf_figures.difficulty_figure(SWEPT, "noise") is None
+
+
+def test_tuning_takes_the_highest_success_over_all_conditions_and_the_default_of_equals():
+    runs = [
+        setting("mpc", "missed", "6-3-1", 12, 6.0, 3.0, 0.02),
+        setting("mpc", "late", "6-3-1", 12, 6.0, 3.0, 0.02),
+        setting("mpc", "missed", "0-3-1", 20, 0.0, 3.0, 0.02),
+        setting("mpc", "late", "0-3-1", 4, 0.0, 3.0, 0.02),
+        setting("mpc", "missed", "0-3-2", 13, 0.0, 3.0, 0.04),
+        setting("mpc", "late", "0-3-2", 12, 0.0, 3.0, 0.04),
+    ]
+    best = difficulty.chosen(runs, "mpc")
+    assert best.options == (
+        "filter.parameters.obstacle_braking_m_s2=0",
+        "filter.parameters.clearance_m=3",
+        "filter.parameters.mpc.step_s=0.04",
+    )
+    assert best.success.value == pytest.approx(62.5)
+    # 24 of 40 for the first two: the first of equals is the default.
+    assert difficulty.chosen(runs[:4], "mpc").options[0].endswith("=6")
+    assert row_of(difficulty.tuning_table(runs), "mpc")["default: runs [%]"] == 60
+
+
+def test_methods_are_compared_in_the_same_trials():
+    runs = [
+        of_rate("hard", "dr-acbf_late_default", 100, 200, vehicle__actuation_delay_s=1.2),
+        of_rate("hard", "mpc_late_default", 160, 200, vehicle__actuation_delay_s=1.2),
+        of_rate("hard", "rp-cbf_late_default", 101, 200, vehicle__actuation_delay_s=1.2),
+    ]
+    table = difficulty.hard_table(runs)
+    lines = {line[2]: dict(zip(table.columns, line, strict=True)) for line in table.rows}
+    assert lines["mpc"]["difference to dr-acbf [points]"] == pytest.approx(30)
+    assert lines["mpc"]["beside it"] == "better"
+    assert lines["rp-cbf"]["beside it"] == "not apart"
+    assert "vehicle.actuation_delay_s = 1.2" in table.note
+
+
+def test_a_published_saving_below_our_interval_is_refuted_only_if_we_save_less():
+    def verdict(value, low, high):
+        found = {"value": value, "low": low, "high": high}
+        rows = dracbf_verdicts.verdict_rows([], {"saved": {"rp_cbf_tick": found}})
+        return next(row for row in rows if "against RP-CBF" in row.quantity)
+
+    assert verdict(0.10, 0.08, 0.12).verdict == "refuted"
+    assert verdict(0.30, 0.28, 0.33).verdict == "reproduced"
+    assert verdict(0.60, 0.58, 0.62).verdict == "bounded"
+    assert verdict(0.10, 0.08, 0.12).interval == "8 to 12 %"
+
+
+def test_every_table_of_the_paper_has_rows_with_and_without_runs():
+    items = ("Table I", "Table II", "Table III", "Table IV", "Table V", "(19) as printed", "(24) as printed")
+    for runs in ([], SWEPT):
+        rows = dracbf_verdicts.verdict_rows(runs, {})
+        assert {row.item for row in rows} >= set(items)
+        assert len(verdict_table(rows).rows) == len(rows)
+
+
+def test_the_reaction_of_rp_cbf_is_refuted_when_its_first_command_differs():
+    run = flown("scenario-1", "rp-cbf", [trial(i, [met(), met()]) for i in range(20)])
+    rows = dracbf_verdicts.verdict_rows([run], {})
+    row = next(r for r in rows if r.quantity == "t_r, RP-CBF, mean")
+    assert (row.published, row.ours, row.verdict) == ("59.83 ms", "10 ms", "refuted")
+
+
+def test_the_closed_form_is_never_below_and_64_samples_are():
+    ours, few = dracbf_warning.errors(0.1, 0.3, count=30)
+    assert len(ours) > 8
+    assert ours.min() > -0.005
+    assert few.min() < -0.02
